@@ -20,12 +20,13 @@ use std::sync::Arc;
 use toml::Spanned;
 
 /// No session is longer than this; a model that is given in its place may be.
-const LARGEST: u64 = 16 << 20;
+pub(crate) const LARGEST: u64 = 16 << 20;
 
 /// The format's version: raised when what a session says could not be understood any more by former versions.
 pub(crate) const VERSION: i64 = 2;
 
-/// The version of those that declare nothing to follow: former programs understand them.
+/// The version of those that declare nothing to follow, and whose steps have neither titles nor amounts: former
+/// programs understand them.
 pub(crate) const FIRST_VERSION: i64 = 1;
 
 /// A session. Paths are as the program needs them: relative to the current folder, or absolute.
@@ -112,6 +113,9 @@ pub struct Step {
     /// Whether it is done; a step that is not stays in the session.
     #[serde(default = "yes")]
     pub enabled: bool,
+    /// What the user calls it, if anything.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub title: Option<String>,
     /// Where in the file it stands, as `session.toml, line 7`; for errors.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub place: String,
@@ -192,6 +196,10 @@ pub struct Deformation {
     /// Brush strokes, first to last.
     #[serde(default)]
     pub strokes: Vec<Arc<Stroke>>,
+    /// How much of it is done: 0 leaves all at rest, 1 is the whole deformation, and what is between is blended
+    /// linearly.
+    #[serde(default = "full", skip_serializing_if = "is_full")]
+    pub amount: f64,
     /// What paths among the parameters are relative to.
     #[serde(default)]
     pub folder: PathBuf,
@@ -305,6 +313,7 @@ impl Deformation {
             joints: Vec::new(),
             handles: Vec::new(),
             strokes: Vec::new(),
+            amount: full(),
             folder: PathBuf::new(),
             param_places: ParamPlaces::default(),
             notes: Notes::default(),
@@ -312,7 +321,15 @@ impl Deformation {
     }
 }
 
+/// Longest title of a step, in characters.
+const LONGEST_TITLE: usize = 200;
+
 impl Step {
+    /// One that is done, in no file, and that nobody has given a title.
+    pub fn of(action: Action) -> Self {
+        Self { action, enabled: true, title: None, place: String::new() }
+    }
+
     /// The plugin's id, or what else the step is.
     pub fn name(&self) -> &str {
         match &self.action {
@@ -338,6 +355,24 @@ impl Step {
             Action::Refine(_) => None,
         }
     }
+}
+
+/// What is wrong with a step's title, if anything.
+pub(crate) fn title_defect(title: &str) -> Option<&'static str> {
+    if title.trim().is_empty() {
+        Some("a `title` is empty")
+    } else if title.chars().count() > LONGEST_TITLE {
+        Some("a `title` is longer than 200 characters")
+    } else if title.chars().any(char::is_control) {
+        Some("a `title` has a character that is none to be read, such as the end of a line")
+    } else {
+        None
+    }
+}
+
+/// Whether a step can be done by this amount.
+pub(crate) fn is_amount(amount: f64) -> bool {
+    (0.0..=1.0).contains(&amount)
 }
 
 /// A joint of a skeleton.
@@ -370,7 +405,7 @@ pub struct Stroke {
     /// The radius of the brush, in the model's unit; above 0.
     pub radius: f64,
     /// 1 is full strength, negative ones do the opposite.
-    #[serde(default = "full_strength")]
+    #[serde(default = "full")]
     pub strength: f64,
     /// Its path, model coordinates.
     #[serde(deserialize_with = "crate::vector::threes")]
@@ -406,8 +441,12 @@ fn yes() -> bool {
     true
 }
 
-fn full_strength() -> f64 {
+fn full() -> f64 {
     1.0
+}
+
+fn is_full(amount: &f64) -> bool {
+    *amount == full()
 }
 
 /// What a region's samples do.
@@ -483,7 +522,17 @@ struct RawStep {
     stroke: Vec<Spanned<Stroke>>,
     strokes: Option<Spanned<side_file::Reference>>,
     enabled: Option<bool>,
+    title: Option<Spanned<String>>,
+    amount: Option<Spanned<f64>>,
     refine: Option<Spanned<RawRefine>>,
+}
+
+impl RawStep {
+    /// What of it the first version of the format does not know.
+    fn of_version_2(&self) -> Option<(&'static str, Range<usize>)> {
+        let title = self.title.as_ref().map(|title| ("title", title.span()));
+        title.or_else(|| self.amount.as_ref().map(|amount| ("amount", amount.span())))
+    }
 }
 
 #[derive(Deserialize)]
@@ -558,9 +607,11 @@ impl SessionFile {
             return Err(source.error(&version.span(), &what, "open it with a newer version of SIMOD"));
         }
         let version = raw.version.map_or(VERSION, Spanned::into_inner);
-        if let Some(follow) = raw.follow.as_ref().filter(|_| version < VERSION) {
+        let follow = raw.follow.as_ref().map(|follow| ("follow", follow.span()));
+        let newer = follow.or_else(|| raw.step.iter().find_map(|step| step.get_ref().of_version_2()));
+        if let Some((key, span)) = newer.filter(|_| version < VERSION) {
             let hint = "write `version = 2` at its beginning: programs that do not know it refuse it then";
-            return Err(source.error(&follow.span(), "`follow` is of sessions of version 2", hint));
+            return Err(source.error(&span, &format!("`{key}` is of sessions of version 2"), hint));
         }
         let folder = path.parent().unwrap_or(Path::new(""));
         let sampling = match raw.sampling {
@@ -691,14 +742,19 @@ impl SessionText<'_> {
     }
 
     fn step(&self, step: Spanned<RawStep>) -> Result<Step> {
-        let (span, raw) = (step.span(), step.into_inner());
+        let (span, mut raw) = (step.span(), step.into_inner());
         let (enabled, place) = (raw.enabled.unwrap_or(true), self.place(&span));
+        let title = raw.title.take();
+        if let Some((title, what)) = title.as_ref().and_then(|t| Some((t, title_defect(t.get_ref())?))) {
+            return Err(self.error(&title.span(), what, "give it a few words, or leave it out"));
+        }
+        let title = title.map(Spanned::into_inner);
         let action = if raw.refine.is_some() {
             Action::Refine(self.refine(&span, raw)?)
         } else {
             Action::Deform(self.deformation(&span, raw)?)
         };
-        Ok(Step { action, enabled, place })
+        Ok(Step { action, enabled, title, place })
     }
 
     fn refine(&self, span: &Range<usize>, raw: RawStep) -> Result<Refine> {
@@ -710,7 +766,8 @@ impl SessionText<'_> {
             && raw.joint.is_empty()
             && raw.handle.is_empty()
             && raw.stroke.is_empty()
-            && raw.strokes.is_none();
+            && raw.strokes.is_none()
+            && raw.amount.is_none();
         let Some(refine) = raw.refine.filter(|_| nothing_else) else {
             let hint = "give each a [[step]] of its own";
             return Err(self.error(span, "a step that refines does nothing else", hint));
@@ -777,6 +834,14 @@ impl SessionText<'_> {
         for stroke in raw.stroke {
             strokes.push(Arc::new(self.stroke(stroke)?));
         }
+        if let Some(amount) = raw.amount.as_ref().filter(|amount| !is_amount(*amount.get_ref())) {
+            let what = "the `amount` of a step is not from 0 to 1";
+            return Err(self.error(
+                &amount.span(),
+                what,
+                "give 0 for nothing of it, 1 for all, or what is between",
+            ));
+        }
         let places = raw.params.keys().map(|id| (id.get_ref().clone(), self.place(&id.span())));
         Ok(Deformation {
             deform,
@@ -789,6 +854,7 @@ impl SessionText<'_> {
             joints: self.joints(raw.joint)?,
             handles: self.handles(raw.handle)?,
             strokes,
+            amount: raw.amount.map_or_else(full, Spanned::into_inner),
             folder: folder.to_owned(),
         })
     }
@@ -1016,6 +1082,15 @@ path = "/elsewhere/out.ply"
         told(&format!("{step}[[step.stroke]]\nradius = 1\npoints = []"), 3, "no point");
         told(&format!("{step}[[step.stroke]]\nradius = 1\npoints = [[0,0]]"), 5, "found 2");
         told(&format!("{step}[[step.stroke]]\nradius = 1\npoints = [[0,0,0]]\npressures = [2]"), 3, "0 to 1");
+        for bad in ["-0.1", "1.5", "nan"] {
+            told(&format!("{step}amount = {bad}"), 3, "not from 0 to 1");
+        }
+        told(&format!("version = 1\n{step}amount = 0.5"), 4, "`amount` is of sessions of version 2");
+        told(&format!("version = 1\n{step}title = \"a\""), 4, "`title` is of sessions of version 2");
+        told(&format!("{step}title = \" \""), 3, "empty");
+        told(&format!("{step}title = \"a\\nb\""), 3, "none to be read");
+        told(&format!("{step}title = \"{}\"", "ab".repeat(101)), 3, "longer");
+        told(&format!("{}\namount = 0.5", refine(&format!("{shapes}, error = 1"))), 1, "nothing else");
         let joint = |id: &str, parent: &str| {
             format!("[[step.joint]]\nid = \"{id}\"\nat = [0,0,0]\nparent = \"{parent}\"\n")
         };

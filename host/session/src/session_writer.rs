@@ -26,16 +26,16 @@ impl SessionFile {
     /// # Errors
     /// A file cannot be written; a path is no text.
     pub fn save(&self, path: &Path) -> Result<Vec<PathBuf>> {
-        let (text, strokes) = self.to_toml(path)?;
+        let (text, strokes) = self.to_toml(path, true)?;
         output::write_file(path, text.as_bytes())?;
         Ok(strokes)
     }
 
-    /// The session's text at this path; strokes and selections that are too long for it are written beside
-    /// it, to these files.
-    fn to_toml(&self, path: &Path) -> Result<(String, Vec<PathBuf>)> {
+    /// The session's text at this path. Strokes and selections that are too long for it are written beside it, to these
+    /// files, unless all has to be in the text.
+    pub(crate) fn to_toml(&self, path: &Path, beside: bool) -> Result<(String, Vec<PathBuf>)> {
         let mut document = DocumentMut::new();
-        document["version"] = value(if self.follow.is_empty() { FIRST_VERSION } else { VERSION });
+        document["version"] = value(self.version());
         let folder = folder_of(path);
         let mut files = Vec::new();
         if let Some(model) = &self.model {
@@ -60,7 +60,7 @@ impl SessionFile {
             document["time"] = Item::Table(time(&self.time));
         }
         if !self.steps.is_empty() {
-            let step = |s| step(s, path, &mut files);
+            let step = |s| step(s, beside.then_some(path), &mut files);
             let steps = self.steps.iter().map(step).collect::<Result<ArrayOfTables>>()?;
             document["step"] = Item::ArrayOfTables(steps);
         }
@@ -68,6 +68,13 @@ impl SessionFile {
             document["output"] = Item::Table(path_table(output, folder)?);
         }
         Ok((document.to_string(), files))
+    }
+
+    /// The first version of the format that knows all that it says.
+    fn version(&self) -> i64 {
+        let has_amount = |step: &Step| step.deformation().is_some_and(|d| d.amount != 1.0);
+        let is_newer = self.steps.iter().any(|step| step.title.is_some() || has_amount(step));
+        if is_newer || !self.follow.is_empty() { VERSION } else { FIRST_VERSION }
     }
 }
 
@@ -125,8 +132,11 @@ fn time(from: &SessionTime) -> Table {
     table
 }
 
-fn step(from: &Step, session: &Path, files: &mut Vec<PathBuf>) -> Result<Table> {
+fn step(from: &Step, session: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<Table> {
     let mut table = Table::new();
+    if let Some(title) = &from.title {
+        table["title"] = value(title);
+    }
     if !from.enabled {
         table["enabled"] = value(false);
     }
@@ -137,7 +147,7 @@ fn step(from: &Step, session: &Path, files: &mut Vec<PathBuf>) -> Result<Table> 
     Ok(table)
 }
 
-fn refine(from: &Refine, session: &Path, files: &mut Vec<PathBuf>) -> Result<InlineTable> {
+fn refine(from: &Refine, session: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<InlineTable> {
     let count = |samples: u64| Value::from(i64::try_from(samples).unwrap_or(i64::MAX));
     let shapes = shapes(&from.shapes.shapes, session, files)?;
     let mut table = InlineTable::new();
@@ -159,7 +169,7 @@ fn refine(from: &Refine, session: &Path, files: &mut Vec<PathBuf>) -> Result<Inl
 
 fn deformation(
     from: &Deformation,
-    session: &Path,
+    session: Option<&Path>,
     files: &mut Vec<PathBuf>,
     table: &mut Table,
 ) -> Result<()> {
@@ -174,8 +184,11 @@ fn deformation(
     if !from.params.is_empty() {
         table["params"] = value(inline(&from.params)?);
     }
-    let long = strokes_file::is_needed(&from.strokes);
-    if long {
+    if from.amount != 1.0 {
+        table["amount"] = value(from.amount);
+    }
+    let long = session.filter(|_| strokes_file::is_needed(&from.strokes));
+    if let Some(session) = long {
         let reference = strokes_file::write(session, &from.strokes)?;
         files.push(folder_of(session).join(&reference.file));
         let mut file = InlineTable::new();
@@ -192,13 +205,13 @@ fn deformation(
     tables("region", regions.collect::<Result<_>>()?);
     tables("joint", from.joints.iter().map(joint).collect());
     tables("handle", from.handles.iter().map(handle).collect());
-    if !long {
+    if long.is_none() {
         tables("stroke", from.strokes.iter().map(|s| stroke(s)).collect::<Result<_>>()?);
     }
     Ok(())
 }
 
-fn region(from: &Region, session: &Path, files: &mut Vec<PathBuf>) -> Result<Table> {
+fn region(from: &Region, session: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<Table> {
     let mut table = Table::new();
     table["role"] = value(match from.role {
         Role::Fixed => "fixed",
@@ -215,17 +228,16 @@ fn region(from: &Region, session: &Path, files: &mut Vec<PathBuf>) -> Result<Tab
     Ok(table)
 }
 
-/// The shapes in one line; selections that are too long for it are written beside the session.
-fn shapes(from: &[Shape], session: &Path, files: &mut Vec<PathBuf>) -> Result<Array> {
+/// The shapes in one line; selections that are too long for it are written beside the session, if there is one.
+fn shapes(from: &[Shape], session: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<Array> {
     let shape = |shape: &Shape| -> Result<Value> {
-        let stored = match shape {
-            Shape::Selection(picked) => picked.stored(session)?,
+        let in_file = match (shape, session) {
+            (Shape::Selection(picked), Some(session)) => picked.stored(session)?.map(|file| {
+                files.push(folder_of(session).join(&file.file));
+                Shape::Selection(PickedPoints::in_file(file))
+            }),
             _ => None,
         };
-        let in_file = stored.map(|file| {
-            files.push(folder_of(session).join(&file.file));
-            Shape::Selection(PickedPoints::in_file(file))
-        });
         in_file.as_ref().unwrap_or(shape).serialize(ValueSerializer::new()).map_err(|e| lost("a shape", &e))
     };
     from.iter().map(shape).collect()
@@ -347,9 +359,11 @@ mod tests {
             ],
             handles: vec![HandleMove { id: "3,3,3".to_owned(), motion: shifted }],
             strokes: vec![stroke(3), stroke(1)],
+            amount: 0.75,
             folder: folder.to_owned(),
         };
-        let mut long = Deformation { strokes: vec![stroke(5000), stroke(2)], ..deformation.clone() };
+        let mut long =
+            Deformation { strokes: vec![stroke(5000), stroke(2)], amount: 1.0, ..deformation.clone() };
         let (version, author) = ("1.0.3".to_owned(), "A \"B\"".to_owned());
         long.plugin = Some(Origin { version, author, url: String::new() });
         for points in [10, 5000] {
@@ -359,7 +373,8 @@ mod tests {
         }
         let refine =
             |finer| Action::Refine(Refine { shapes: Shapes { shapes: shapes.clone(), falloff: 0.0 }, finer });
-        let step = |action, enabled| Step { action, enabled, place: String::new() };
+        let step = |action, enabled| Step { enabled, ..Step::of(action) };
+        let titled = |step: Step| Step { title: Some("Arms, \"up\"".to_owned()), ..step };
         SessionFile {
             model: Some(folder.join("models/nefertiti.ply")),
             columns: Some("x,y,z,_,nx,ny,nz".into()),
@@ -377,7 +392,7 @@ mod tests {
             time: SessionTime { frame: Some(-3), rate: Some(25.0), seconds: None },
             steps: vec![
                 step(Action::Deform(deformation), false),
-                step(refine(Finer::Factor(4.0)), true),
+                titled(step(refine(Finer::Factor(4.0)), true)),
                 step(Action::Deform(long), true),
                 step(refine(Finer::Error(1e-5)), false),
                 step(refine(Finer::Samples(1000)), true),
@@ -422,7 +437,7 @@ mod tests {
         session.steps.truncate(2);
         let Action::Deform(first) = &mut session.steps[0].action else { panic!("a deformation") };
         first.strokes.clear();
-        let (text, _) = session.to_toml(&folder.join("edit.toml")).unwrap();
+        let (text, _) = session.to_toml(&folder.join("edit.toml"), true).unwrap();
         assert_eq!(
             text,
             r#"version = 2
@@ -453,6 +468,7 @@ enabled = false
 deform = "rbf"
 state-version = 3
 params = { kernel = "triharmonic", name = 'a " b', tolerance = 0.0001 }
+amount = 0.75
 
 [[step.region]]
 role = "fixed"
@@ -483,13 +499,26 @@ id = "3,3,3"
 move = { translate = [1.0, 0.0, 0.0], axis = [0.0, 0.0, 1.0], degrees = 0.0 }
 
 [[step]]
+title = 'Arms, "up"'
 refine = { shapes = [{ half-space = { point = [0.0, 0.0, 0.0], normal = [0.0, -1.0, 0.0] } }, { sphere = { center = [0.1, 300.0, 0.0], radius = 0.3333333333333333 } }, { box = { min = [0.0, 0.0, 0.0], max = [1.0, 1.0, 1.0] } }], factor = 4.0 }
 
 [output]
 path = "out.ply"
 "#
         );
-        let empty = SessionFile::default().to_toml(Path::new("edit.toml")).unwrap();
+        let empty = SessionFile::default().to_toml(Path::new("edit.toml"), true).unwrap();
         assert_eq!(empty, ("version = 1\n".to_owned(), Vec::new()));
+    }
+
+    #[test]
+    fn what_former_programs_understand_stays_of_the_first_version() {
+        let version = |step: Step| {
+            let session = SessionFile { steps: vec![step], ..SessionFile::default() };
+            session.to_toml(Path::new("edit.toml"), true).unwrap().0.lines().next().unwrap().to_owned()
+        };
+        let deform = |amount| Step::of(Action::Deform(Deformation { amount, ..Deformation::of("warp") }));
+        assert_eq!(version(deform(1.0)), "version = 1");
+        assert_eq!(version(deform(0.0)), "version = 2");
+        assert_eq!(version(Step { title: Some("a".to_owned()), ..deform(1.0) }), "version = 2");
     }
 }

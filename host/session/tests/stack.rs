@@ -139,6 +139,37 @@ shapes = [{ half-space = { point = [1e6, -1999995, 500], normal = [0, 1, 0] } }]
 }
 
 #[test]
+fn an_amount_blends_any_layer_with_its_rest_shape() {
+    let positions = cylinder(2000);
+    let mask = "
+[[step.region]]
+role = \"mask\"
+falloff = 2
+shapes = [{ half-space = { point = [1e6, -1999995, 500], normal = [0, 1, 0] } }]
+";
+    for step in [BEND.to_owned(), RBF.to_owned(), format!("{BEND}{mask}")] {
+        let with = |amount: f64| {
+            let deform = step.find("deform").unwrap();
+            let text = format!("{}amount = {amount:?}\n{}", &step[..deform], &step[deform..]);
+            apply(&text, &positions).unwrap()
+        };
+        let whole = apply(&step, &positions).unwrap();
+        assert_eq!(with(1.0).positions, whole.positions);
+        assert_eq!(with(0.0).positions, positions);
+        assert!(with(0.0).stack.can_evaluate());
+        let part = with(0.3);
+        assert_evaluates(&part, &positions, 1e-5);
+        for (p, (w, q)) in positions.iter().zip(whole.positions.iter().zip(&part.positions)) {
+            assert!(p.lerp(*w, 0.3).distance(*q) < 1e-5, "{p} went to {q}, not a part of the way to {w}");
+        }
+        // The next layer's rest shape is what is left of this one.
+        let text =
+            format!("[[step]]\namount = 0\n{}{RBF}", step.trim_start().trim_start_matches("[[step]]\n"));
+        assert_eq!(apply(&text, &positions).unwrap().positions, apply(RBF, &positions).unwrap().positions);
+    }
+}
+
+#[test]
 fn points_that_are_no_numbers_stay() {
     let positions = cylinder(100);
     let deformed = apply(BEND, &positions).unwrap();

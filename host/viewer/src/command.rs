@@ -62,6 +62,15 @@ pub enum Command {
         #[serde(default)]
         at: Option<usize>,
     },
+    /// Adds the steps of a text, as of a session or as they were [copied](crate::State::copied), the last of which is
+    /// chosen.
+    Paste {
+        /// The text.
+        text: String,
+        /// The place of the first; behind the chosen one if it is not given, or the last ones.
+        #[serde(default)]
+        at: Option<usize>,
+    },
     /// Selects samples.
     Select {
         /// Which.

@@ -61,6 +61,37 @@ fn three_commands_and_one_write_the_same_bytes() {
     assert!((shift.x - 0.35).abs() < 0.05 && shift.y.abs() < 0.15, "the mouth moved by {shift}");
 }
 
+/// `amount` of a step is for all that does steps: samples, vertices by the exact map, and what is measured by it.
+#[test]
+fn an_amount_is_a_part_of_the_way() {
+    let work = amphora(MANY / 10, MANY / 100);
+    let with = |amount: &str| {
+        let steps = STEPS.replacen("deform = \"rbf\"", &format!("deform = \"rbf\"\n{amount}"), 1);
+        work.write_session("amphora.ply", MANY / 100, &steps);
+    };
+    let exact = |amount: &str| {
+        with(amount);
+        work.simod("run edit.toml --exact -o exact.ply");
+        work.ply("exact.ply").positions()
+    };
+    let (all, none) = (exact(""), exact("amount = 0"));
+    assert!(all.iter().zip(&none).any(|(a, b)| a.distance(*b) > 0.3), "the step moves something");
+    let part = exact("amount = 0.25");
+    for (p, (a, b)) in part.iter().zip(all.iter().zip(&none)) {
+        assert!(p.distance(b.lerp(*a, 0.25)) < 1e-6, "{p} is no quarter of the way from {b} to {a}");
+    }
+    // By samples, in one command and in three; the map that it is measured by is the same.
+    let measured = work.report("run edit.toml --measure -o edited.ply");
+    let told = measured["transfer_error"]["max"].as_f64().expect("a number");
+    let apart = part.iter().zip(work.ply("edited.ply").positions()).map(|(p, q)| p.distance(q));
+    let worst = apart.fold(0.0, f64::max) / work.ply("amphora.ply").diagonal();
+    assert!(told < 0.01 && (worst / told - 1.0).abs() < 0.01, "{worst} is told as {told}");
+    work.simod(&format!("sample amphora.ply -o amphora.simod --samples {}", MANY / 100));
+    work.simod("deform amphora.simod --session edit.toml -o deformed.ply");
+    work.simod("reconstruct amphora.simod --deformed deformed.ply -o by-three.ply");
+    assert!(work.read("by-three.ply") == work.read("edited.ply"), "the two ways differ");
+}
+
 #[test]
 fn samples_are_placed_alike_however_they_come_about() {
     let work = amphora(MANY / 10, MANY / 100);

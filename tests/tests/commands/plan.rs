@@ -16,6 +16,7 @@ deform = "warp"
 params = { operation = "twist", angle = 100, center = [0, 0.75, 0], from = -0.3, to = 0.3 }
 [[step]]
 deform = "rbf"
+amount = 0.75
 [[step.region]]
 role = "fixed"
 shapes = [{ half-space = { point = [0, 0.8, 0], normal = [0, -1, 0] } }]

@@ -358,7 +358,7 @@ impl<'a> Bench<'a> {
                     folder: folder.clone(),
                     ..Deformation::by_plugin(deform)
                 });
-                Ok(vec![Step { action, enabled: true, place: method.place.clone() }])
+                Ok(vec![Step { place: method.place.clone(), ..Step::of(action) }])
             }
         }
     }

@@ -1,7 +1,9 @@
 //! The steps of an edit as a user changes them: every change is a command, and can be undone.
 
 use crate::motion::Motion;
-use crate::session_file::{Action, HandleMove, Joint, Refine, Region, Role, Step, Stroke};
+use crate::session_file::{
+    Action, HandleMove, Joint, Refine, Region, Role, Step, Stroke, is_amount, title_defect,
+};
 use serde::{Deserialize, Serialize};
 use simod_model::{Error, ErrorKind, Result};
 use std::collections::VecDeque;
@@ -47,6 +49,19 @@ pub enum Command {
         /// Its place afterwards.
         to: usize,
     },
+    /// New steps, before the one that is at this place now.
+    Insert {
+        /// The place of the first.
+        at: usize,
+        /// The steps.
+        steps: Vec<Step>,
+    },
+    /// All other deformations are switched off; if they are already, those are switched on that this has switched off,
+    /// or all where that is not known.
+    Solo {
+        /// The step's place.
+        at: usize,
+    },
     /// The step becomes another one.
     Change {
         /// Its place.
@@ -62,6 +77,10 @@ pub enum Command {
 pub enum Change {
     /// It is done, or left out.
     Enable(bool),
+    /// It is called otherwise; nothing for what its plugin is called.
+    SetTitle(Option<String>),
+    /// Another amount of it is done, from 0 to 1.
+    SetAmount(f64),
     /// A parameter gets a value.
     SetParam {
         /// The parameter's id.
@@ -89,8 +108,22 @@ pub enum Change {
         /// From the rest pose, whatever it was before.
         motion: Motion,
     },
+    /// Handles that the plugin placed are moved together.
+    MoveHandles(Vec<HandleMove>),
     /// One more brush stroke, after the others.
     AddStroke(Arc<Stroke>),
+    /// A stroke becomes another one.
+    SetStroke {
+        /// Which of the strokes.
+        stroke: usize,
+        /// What it becomes.
+        to: Arc<Stroke>,
+    },
+    /// A stroke goes away.
+    RemoveStroke {
+        /// Which of the strokes.
+        stroke: usize,
+    },
     /// A refinement is of another place, or to another fineness.
     SetRefine(Refine),
 }
@@ -101,6 +134,9 @@ enum Target {
     Param(StepId, String),
     Region(StepId, usize),
     Handle(StepId, String),
+    Handles(StepId, Vec<String>),
+    Amount(StepId),
+    Stroke(StepId, usize),
 }
 
 /// The steps, and how they were before.
@@ -116,6 +152,8 @@ pub struct Document {
     depth: u64,
     /// What the last command changed, if the next one of the same is part of it.
     dragged: Option<Target>,
+    /// Steps that were switched off for another one.
+    silenced: Vec<StepId>,
 }
 
 fn refused(what: impl Into<String>, hint: &str) -> Error {
@@ -205,6 +243,11 @@ impl Document {
         Some(label)
     }
 
+    /// Whether a deformation is the only one that is switched on, though there are others.
+    pub fn is_alone(&self, at: usize) -> bool {
+        is_alone(&self.steps, at)
+    }
+
     /// How many changes have been done, however many of them can still be undone: it goes down by one with
     /// each that is.
     pub fn depth(&self) -> u64 {
@@ -248,6 +291,15 @@ impl Document {
                 let entry = steps.remove(from);
                 steps.insert(to, entry);
             }
+            Command::Insert { at, steps: new } => {
+                check(at, count + 1)?;
+                let new: Vec<Entry> = new.into_iter().map(|step| self.entry(step)).collect();
+                steps.splice(at..at, new);
+            }
+            Command::Solo { at } => {
+                check(at, count)?;
+                self.solo(&mut steps, at)?;
+            }
             Command::Change { at, change } => {
                 check(at, count)?;
                 edit(Arc::make_mut(&mut steps[at].step), change)?;
@@ -256,24 +308,64 @@ impl Document {
         Ok(steps.into())
     }
 
+    /// All other deformations are switched off, or on again.
+    fn solo(&mut self, steps: &mut [Entry], at: usize) -> Result<()> {
+        let deforms = |entry: &Entry| entry.step.deformation().is_some();
+        if !deforms(&steps[at]) {
+            return Err(refused(
+                "a refinement moves nothing that could be looked at alone",
+                "choose a deformation",
+            ));
+        }
+        let is_alone = is_alone(steps, at);
+        let known = steps.iter().any(|entry| self.silenced.contains(&entry.id));
+        let mut silenced = Vec::new();
+        for (place, entry) in steps.iter_mut().enumerate().filter(|(_, entry)| deforms(entry)) {
+            let was = entry.step.enabled;
+            let enabled = place == at || is_alone && (was || !known || self.silenced.contains(&entry.id));
+            if was && !enabled {
+                silenced.push(entry.id);
+            }
+            if was != enabled {
+                Arc::make_mut(&mut entry.step).enabled = enabled;
+            }
+        }
+        self.silenced = silenced;
+        Ok(())
+    }
+
     /// What the user reads.
     fn label(&self, command: &Command) -> String {
-        let name = |at: &usize| self.steps.get(*at).map_or("step", |entry| entry.step.name());
+        let called = |step: &Step| step.title.clone().unwrap_or_else(|| step.name().to_owned());
+        let name = |at: &usize| self.steps.get(*at).map_or_else(|| "step".to_owned(), |e| called(&e.step));
         match command {
-            Command::Add { step, .. } => format!("add {}", step.name()),
+            Command::Add { step, .. } => format!("add {}", called(step)),
             Command::Remove { at } => format!("remove {}", name(at)),
             Command::Move { from, .. } => format!("move {}", name(from)),
+            Command::Insert { steps, .. } => match steps.as_slice() {
+                [step] => format!("paste {}", called(step)),
+                steps => format!("paste {} steps", steps.len()),
+            },
+            Command::Solo { at } => format!("only {}", name(at)),
             Command::Change { at, change } => {
                 let name = name(at);
                 match change {
                     Change::Enable(true) => format!("switch {name} on"),
                     Change::Enable(false) => format!("switch {name} off"),
+                    Change::SetTitle(_) => format!("rename {name}"),
+                    Change::SetAmount(_) => format!("change the amount of {name}"),
                     Change::SetParam { id, .. } => format!("change {id} of {name}"),
                     Change::SetRegions(_) => format!("change regions of {name}"),
                     Change::MoveRegion { .. } => format!("move a handle of {name}"),
                     Change::SetJoints(_) => format!("change joints of {name}"),
                     Change::MoveHandle { id, .. } => format!("move {id} of {name}"),
+                    Change::MoveHandles(handles) => match handles.as_slice() {
+                        [one] => format!("move {} of {name}", one.id),
+                        many => format!("move {} handles of {name}", many.len()),
+                    },
                     Change::AddStroke(_) => format!("stroke of {name}"),
+                    Change::SetStroke { .. } => format!("change a stroke of {name}"),
+                    Change::RemoveStroke { .. } => format!("remove a stroke of {name}"),
                     Change::SetRefine(_) => "change a refinement".to_owned(),
                 }
             }
@@ -287,9 +379,27 @@ impl Document {
             Change::SetParam { id, .. } => Some(Target::Param(step, id.clone())),
             Change::MoveRegion { region, .. } => Some(Target::Region(step, *region)),
             Change::MoveHandle { id, .. } => Some(Target::Handle(step, id.clone())),
+            Change::MoveHandles(handles) => {
+                Some(Target::Handles(step, handles.iter().map(|handle| handle.id.clone()).collect()))
+            }
+            Change::SetAmount(_) => Some(Target::Amount(step)),
+            Change::SetStroke { stroke, .. } => Some(Target::Stroke(step, *stroke)),
             _ => None,
         }
     }
+}
+
+/// Whether all deformations but that at a place are switched off, and there are others.
+fn is_alone(steps: &[Entry], at: usize) -> bool {
+    let is_other = |(place, entry): &(usize, &Entry)| *place != at && entry.step.deformation().is_some();
+    let mut others = steps.iter().enumerate().filter(is_other).peekable();
+    others.peek().is_some()
+        && others.all(|(_, entry)| !entry.step.enabled)
+        && steps.get(at).is_some_and(|entry| entry.step.enabled)
+}
+
+fn no_stroke(stroke: usize, count: usize) -> Error {
+    refused(format!("there is no stroke {stroke} among {count}"), "strokes are counted from 0")
 }
 
 fn edit(step: &mut Step, change: Change) -> Result<()> {
@@ -299,6 +409,18 @@ fn edit(step: &mut Step, change: Change) -> Result<()> {
     };
     match (&mut step.action, change) {
         (_, Change::Enable(enabled)) => step.enabled = enabled,
+        (_, Change::SetTitle(title)) => {
+            if let Some(what) = title.as_deref().and_then(title_defect) {
+                return Err(refused(what, "give it a few words, or none for what its plugin is called"));
+            }
+            step.title = title;
+        }
+        (Action::Deform(step), Change::SetAmount(amount)) => {
+            if !is_amount(amount) {
+                return Err(refused("the amount of a step is not from 0 to 1", "give what is between"));
+            }
+            step.amount = amount;
+        }
         (Action::Deform(step), Change::SetParam { id, value: Some(value) }) => {
             drop(step.params.insert(id, value))
         }
@@ -342,11 +464,34 @@ fn edit(step: &mut Step, change: Change) -> Result<()> {
                 step.handles.push(HandleMove { id, motion });
             }
         }
+        (Action::Deform(step), Change::MoveHandles(moves)) => {
+            for (i, HandleMove { id, motion }) in moves.iter().enumerate() {
+                sound(motion)?;
+                if moves[..i].iter().any(|other| other.id == *id) {
+                    return Err(refused(format!("the handle `{id}` is moved twice"), "move it once"));
+                }
+            }
+            step.handles.retain(|handle| moves.iter().all(|other| other.id != handle.id));
+            step.handles.extend(moves.into_iter().filter(|handle| handle.motion != Motion::default()));
+        }
         (Action::Deform(step), Change::AddStroke(stroke)) => {
             if let Some((what, hint)) = stroke.defect() {
                 return Err(refused(what, hint));
             }
             step.strokes.push(stroke);
+        }
+        (Action::Deform(step), Change::SetStroke { stroke, to }) => {
+            if let Some((what, hint)) = to.defect() {
+                return Err(refused(what, hint));
+            }
+            let count = step.strokes.len();
+            *step.strokes.get_mut(stroke).ok_or_else(|| no_stroke(stroke, count))? = to;
+        }
+        (Action::Deform(step), Change::RemoveStroke { stroke }) => {
+            if stroke >= step.strokes.len() {
+                return Err(no_stroke(stroke, step.strokes.len()));
+            }
+            step.strokes.remove(stroke);
         }
         (Action::Refine(refine), Change::SetRefine(other)) => {
             other.check().map_err(|(what, hint)| refused(what, hint))?;

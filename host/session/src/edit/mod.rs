@@ -1,12 +1,14 @@
 //! Editing: a document of steps with undo, and their evaluation on the samples of a model.
 
 mod around;
+mod clipboard;
 mod document;
 mod editor;
 mod evaluation;
 #[cfg(test)]
 mod tests;
 
+pub use clipboard::{copied, pasted};
 pub use document::{Change, Command, Document, Entry, StepId};
 pub use editor::{Editor, forget, kept_at, recover, saved_at};
 pub use evaluation::{Evaluated, Evaluation, Refinements, Status};

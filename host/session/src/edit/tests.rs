@@ -5,7 +5,7 @@ use super::*;
 use crate::deformer::Plugin;
 use crate::motion::Motion;
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Action, Refine, Region, Role, SessionFile, Step, Stroke};
+use crate::session_file::{Action, HandleMove, Refine, Region, Role, SessionFile, Step, Stroke};
 use crate::shapes::{Shape, Shapes};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
@@ -158,7 +158,7 @@ fn steps() -> [Step; 3] {
 fn refine(center: DVec3, radius: f64, finer: Finer) -> Step {
     let shapes = Shapes { shapes: vec![Shape::Sphere { center, radius }], falloff: 0.0 };
     let action = Action::Refine(Refine { shapes, finer });
-    Step { action, enabled: true, place: "s.toml, line 9".to_owned() }
+    Step { place: "s.toml, line 9".to_owned(), ..Step::of(action) }
 }
 
 fn evaluation() -> Evaluation {
@@ -382,6 +382,13 @@ fn what_makes_no_sense_changes_nothing() {
         change(0, Change::MoveHandle { id: "tip".to_owned(), motion: nan }),
         change(0, Change::SetRegions(vec![Region { motion: nan, ..handle() }])),
         change(0, Change::AddStroke(stroke(f64::NAN))),
+        change(0, Change::SetStroke { stroke: 0, to: stroke(1.0) }),
+        change(0, Change::RemoveStroke { stroke: 0 }),
+        change(0, Change::SetAmount(1.5)),
+        change(0, Change::SetAmount(f64::NAN)),
+        change(0, Change::SetTitle(Some(String::new()))),
+        Command::Insert { at: 4, steps: vec![step("")] },
+        Command::Solo { at: 3 },
         change(0, Change::SetJoints(vec![joint("a", Some("a"))])),
         change(0, Change::SetJoints(vec![joint("a", None), joint("a", None)])),
         change(0, Change::SetJoints(vec![joint("a b", None)])),
@@ -395,6 +402,132 @@ fn what_makes_no_sense_changes_nothing() {
         assert!(!error.hint().is_empty(), "{command:?}");
         assert!(Arc::ptr_eq(document.steps(), &before) && document.can_undo().is_none(), "{command:?}");
     }
+}
+
+#[test]
+fn an_amount_is_done_without_a_preparation() {
+    let mut document = Document::new(steps());
+    let mut evaluation = evaluation();
+    let full = api::Effort::FULL;
+    update(&mut evaluation, &document, full);
+    let whole = update(&mut evaluation, &document, full).positions.clone();
+    calls();
+    for amount in [0.75, 0.5] {
+        document.apply(change(2, Change::SetAmount(amount))).unwrap();
+        let now = update(&mut evaluation, &document, full);
+        assert_eq!(calls(), [0, 1], "the plugin moves, and prepares nothing");
+        let before = &now.before[2];
+        for (p, (w, q)) in before.iter().zip(whole.iter().zip(now.positions.iter())) {
+            assert!(p.lerp(*w, amount as f32).distance(*q) < 1e-5);
+        }
+    }
+    document.apply(change(2, Change::SetAmount(0.0))).unwrap();
+    let now = update(&mut evaluation, &document, full);
+    assert_eq!((calls(), &now.positions), ([0, 0], &now.before[2]), "nothing is asked for");
+    // A drag of it is one change.
+    document.undo().unwrap();
+    assert_eq!(document.steps()[2].step.deformation().unwrap().amount, 1.0);
+    assert!(document.can_undo().is_none());
+}
+
+#[test]
+fn handles_are_moved_together() {
+    let mut document = Document::new([step("")]);
+    let moves = |all: &[(&str, f64)]| {
+        let one = |(id, y): &(&str, f64)| HandleMove {
+            id: (*id).to_owned(),
+            motion: Motion { translate: DVec3::Y * *y, ..Motion::default() },
+        };
+        change(0, Change::MoveHandles(all.iter().map(one).collect()))
+    };
+    let places = |document: &Document| -> Vec<(String, f64)> {
+        let handles = &document.steps()[0].step.deformation().unwrap().handles;
+        handles.iter().map(|handle| (handle.id.clone(), handle.motion.translate.y)).collect()
+    };
+    let at = |all: &[(&str, f64)]| all.iter().map(|(id, y)| ((*id).to_owned(), *y)).collect::<Vec<_>>();
+    document.apply(moves(&[("a", 1.0), ("b", 2.0)])).unwrap();
+    document.apply(moves(&[("a", 1.5), ("b", 2.5)])).unwrap();
+    assert_eq!(places(&document), at(&[("a", 1.5), ("b", 2.5)]));
+    document.apply(moves(&[("b", 0.0), ("c", 3.0)])).unwrap();
+    assert_eq!(places(&document), at(&[("a", 1.5), ("c", 3.0)]), "what is at rest is not told");
+    for wrong in [&[("a", 1.0), ("a", 2.0)][..], &[("c", 1.0), ("b", f64::NAN)]] {
+        assert!(document.apply(moves(wrong)).is_err());
+    }
+    assert_eq!(document.undo().as_deref(), Some("move 2 handles of counted"));
+    assert_eq!(places(&document), at(&[("a", 1.5), ("b", 2.5)]), "others are another change");
+    document.undo();
+    assert_eq!((places(&document), document.can_undo()), (Vec::new(), None), "a drag is one");
+}
+
+#[test]
+fn one_step_alone_and_the_others_again() {
+    let around = refine(DVec3::new(2.0, 2.0, 0.0), 1.5, Finer::Factor(3.0));
+    let [first, second, third] = steps();
+    let mut document = Document::new([first, around, second, third]);
+    let on = |document: &Document| document.steps().iter().map(|e| e.step.enabled).collect::<Vec<_>>();
+    document.apply(change(0, Change::Enable(false))).unwrap();
+    assert!(!document.is_alone(2));
+    document.apply(Command::Solo { at: 2 }).unwrap();
+    assert_eq!(on(&document), [false, true, true, false], "refinements move nothing");
+    assert!(document.is_alone(2) && !document.is_alone(3));
+    document.apply(Command::Solo { at: 2 }).unwrap();
+    assert_eq!(on(&document), [false, true, true, true], "as they were");
+    document.undo().unwrap();
+    assert!(document.is_alone(2), "it can be undone");
+    document.apply(Command::Solo { at: 3 }).unwrap();
+    assert_eq!(on(&document), [false, true, false, true], "another one");
+    assert!(document.apply(Command::Solo { at: 1 }).is_err());
+    // Of one that was opened so, all others are meant.
+    let mut opened = Document::new(document.steps().iter().map(|e| (*e.step).clone()));
+    opened.apply(Command::Solo { at: 3 }).unwrap();
+    assert_eq!(on(&opened), [true; 4]);
+}
+
+#[test]
+fn steps_go_by_the_clipboard_to_another_edit() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = (0..3000).map(|x| DVec3::new(f64::from(x), 0.0, 0.5)).collect::<Vec<_>>();
+    let long = Arc::new(Stroke { points: points.clone(), ..(*stroke(0.5)).clone() });
+    let picked = crate::PickedPoints::new(points, vec![DVec3::NEG_ONE]);
+    let region =
+        Region { shapes: Shapes { shapes: vec![Shape::Selection(picked)], falloff: 1.0 }, ..handle() };
+    let mut document = Document::new([step("factor = 0.5"), refine(DVec3::ONE, 2.0, Finer::Samples(7))]);
+    for what in [
+        Change::AddStroke(long),
+        Change::SetRegions(vec![region]),
+        Change::SetAmount(0.25),
+        Change::SetTitle(Some("Up \"there\"".to_owned())),
+        Change::Enable(false),
+    ] {
+        document.apply(change(0, what)).unwrap();
+    }
+    let steps: Vec<Step> = document.steps().iter().map(|e| (*e.step).clone()).collect();
+    let text = copied(&steps, &registry()).unwrap();
+    let back = pasted(&text, folder.path()).unwrap();
+    let plain = |steps: &[Step]| -> Vec<Step> {
+        let one = |step: &Step| {
+            let mut step = Step { place: String::new(), ..step.clone() };
+            if let Action::Deform(deformation) = &mut step.action {
+                deformation.folder.clear();
+            }
+            step
+        };
+        steps.iter().map(one).collect()
+    };
+    assert_eq!(plain(&back), plain(&steps));
+    assert_eq!(back[0].deformation().unwrap().folder, folder.path());
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "all is in the text");
+    for (text, told) in [
+        ("", "no steps"),
+        ("version = 2\n[model]\npath = \"a.ply\"", "no steps"),
+        ("Dear all,\nplease find", "the clipboard, line 1"),
+        ("[[step]]\ndeform = \"x\"\namount = 2", "the clipboard, line 3"),
+        ("[[step]]\ndeform = \"x\"\nstrokes = { file = \"/etc/passwd\", fingerprint = \"x\" }", "line 3"),
+    ] {
+        let error = pasted(text, folder.path()).unwrap_err();
+        assert!(error.to_string().contains(told) && !error.hint().is_empty(), "{text}: {error}");
+    }
+    assert!(pasted(&"#".repeat(17 << 20), folder.path()).unwrap_err().to_string().contains("17 MB"));
 }
 
 #[test]
@@ -592,6 +725,17 @@ fn command() -> impl Strategy<Value = Command> {
         at.clone().prop_map(|at| Command::Remove { at }),
         (at.clone(), at.clone()).prop_map(|(from, to)| Command::Move { from, to }),
         (at.clone(), any::<bool>()).prop_map(|(at, on)| change(at, Change::Enable(on))),
+        (at.clone(), -0.5..1.5_f64).prop_map(|(at, x)| change(at, Change::SetAmount(x))),
+        at.clone().prop_map(|at| Command::Solo { at }),
+        (at.clone(), any::<bool>())
+            .prop_map(|(at, some)| change(at, Change::SetTitle(some.then(|| "up".to_owned())))),
+        (at.clone(), small.clone()).prop_map(|(at, x)| Command::Insert {
+            at,
+            steps: vec![step(&format!("factor = {x:?}")), step("")]
+        }),
+        (at.clone(), 0..3_usize).prop_map(|(at, stroke)| change(at, Change::RemoveStroke { stroke })),
+        (at.clone(), 0..3_usize, small.clone())
+            .prop_map(|(at, i, x)| change(at, Change::SetStroke { stroke: i, to: stroke(x) })),
         (at.clone(), small.clone()).prop_map(|(at, x)| set(at, "shift", x)),
         (at.clone(), small.clone()).prop_map(|(at, x)| set(at, "factor", x)),
         (at.clone(), any::<bool>()).prop_map(|(at, some)| {

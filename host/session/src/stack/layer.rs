@@ -35,8 +35,7 @@ pub(crate) struct Layer {
     regions: Vec<(api::Role, Shapes)>,
     /// The handle regions' motions, model coordinates.
     transforms: Vec<DAffine3>,
-    /// Where the layer acts; everywhere if there is none.
-    masks: Vec<Shapes>,
+    share: Share,
     /// Each after the one that it hangs on.
     joints: Vec<Joint>,
     /// Motions of handles that the plugin places.
@@ -57,7 +56,31 @@ pub(crate) struct Done {
     preparation: Option<Arc<Preparation>>,
     rest: Arc<Rest>,
     motions: Motions,
+    share: Share,
+}
+
+/// How much of what the plugin does becomes of each point.
+#[derive(Debug, Clone)]
+struct Share {
+    /// From 0 to 1.
+    amount: f64,
+    /// Where the layer acts; everywhere if there is none.
     masks: Vec<Shapes>,
+}
+
+impl Share {
+    /// Whether it is all, everywhere.
+    fn is_whole(&self) -> bool {
+        self.amount == 1.0 && self.masks.is_empty()
+    }
+
+    /// The image of `p`, of which the plugin makes `q`; `at` is `p` in model coordinates.
+    fn image(&self, at: DVec3, p: DVec3, q: DVec3) -> DVec3 {
+        let masked = || self.masks.iter().map(|m| m.weight(at)).fold(0.0, f64::max);
+        let weight = self.amount * if self.masks.is_empty() { 1.0 } else { masked() };
+        // Exactly one of both where there is nothing to blend.
+        if weight >= 1.0 { q } else { p + weight * (q - p) }
+    }
 }
 
 /// What a plugin prepared.
@@ -165,14 +188,14 @@ impl Layer {
             params,
             regions: Vec::new(),
             transforms: Vec::new(),
-            masks: Vec::new(),
+            share: Share { amount: step.amount, masks: Vec::new() },
             joints: step.joints.clone(),
             handles: step.handles.clone(),
             strokes,
         };
         for region in &step.regions {
             match region.role {
-                Role::Mask => layer.masks.push(region.shapes.clone()),
+                Role::Mask => layer.share.masks.push(region.shapes.clone()),
                 Role::Fixed => layer.regions.push((api::Role::FIXED, region.shapes.clone())),
                 Role::Handle => {
                     layer.regions.push((api::Role::HANDLE, region.shapes.clone()));
@@ -240,19 +263,21 @@ impl Layer {
         let watch = Watch::new(progress, plugin.id(), size_of_val(&*rest.positions) as u64);
         let motions = self.motions(rest, shape, kept, moment, &watch)?;
         let done = |preparation, rest: &Arc<Rest>, positions, messages: Vec<Message>, motions| {
-            let (plugin, masks, rest) = (plugin.clone(), self.masks.clone(), rest.clone());
+            let (plugin, share, rest) = (plugin.clone(), self.share.clone(), rest.clone());
             let notes = self.notes.iter().map(|note| self.told(note));
             let messages = notes.chain(messages).collect();
-            Arc::new(Done { positions, messages, plugin, preparation, rest, motions, masks })
+            Arc::new(Done { positions, messages, plugin, preparation, rest, motions, share })
         };
         let nothing = api::Samples::new(&[], &[], &[]);
-        if motions.call(nothing, rest.bounds, None, |input| plugin.is_identity(input, &watch))? {
+        let is_identity = self.share.amount == 0.0
+            || motions.call(nothing, rest.bounds, None, |input| plugin.is_identity(input, &watch))?;
+        if is_identity {
             // What comes after it need not be done again.
             let positions = rest.positions.clone();
             return Ok((rest.clone(), done(None, rest, positions, watch.into_messages(), motions)));
         }
         let preparation_key = self.preparation_key(rest.key);
-        let key = motions.key(preparation_key).and(&self.masks).end();
+        let key = motions.key(preparation_key).and(&self.share.masks).and(&self.share.amount).end();
         let done = match &kept.done {
             Some((known, done)) if *known == key => done.clone(),
             _ => {
@@ -449,10 +474,10 @@ impl Layer {
             self.plugin.deform(&preparation.state, input, &mut scratch, buffer, watch)
         })?;
         *slot = Some(scratch);
-        if !self.masks.is_empty() {
+        if !self.share.is_whole() {
             out.par_iter_mut().zip(&*rest.positions).for_each(|(q, p)| {
                 let p = p.as_dvec3();
-                *q = masked(&self.masks, frame.to_model_exact(p), p, q.as_dvec3()).as_vec3();
+                *q = self.share.image(frame.to_model_exact(p), p, q.as_dvec3()).as_vec3();
             });
         }
         Ok(out.into())
@@ -601,22 +626,15 @@ impl Done {
     /// Replaces local points by their images.
     pub fn evaluate(&self, frame: &Frame, points: &mut [DVec3], watch: &Watch<'_>) -> Result<()> {
         let Some(preparation) = &self.preparation else { return Ok(()) };
-        let rest: Vec<DVec3> = if self.masks.is_empty() { Vec::new() } else { points.to_vec() };
+        let rest: Vec<DVec3> = if self.share.is_whole() { Vec::new() } else { points.to_vec() };
         let buffer = bytemuck::cast_slice_mut(points);
         let attributes = preparation.attributes.as_ref();
         self.motions.call(self.rest.samples(), self.rest.bounds, attributes, |input| {
             self.plugin.evaluate(&preparation.state, input, buffer, watch)
         })?;
         for (q, p) in points.iter_mut().zip(rest) {
-            *q = masked(&self.masks, frame.to_model_exact(p), p, *q);
+            *q = self.share.image(frame.to_model_exact(p), p, *q);
         }
         Ok(())
     }
-}
-
-/// The image `q` of `p` as far as the masks let it; `at` is `p` in model coordinates.
-fn masked(masks: &[Shapes], at: DVec3, p: DVec3, q: DVec3) -> DVec3 {
-    let weight = masks.iter().map(|m| m.weight(at)).fold(0.0, f64::max);
-    // Exactly one of both where there is nothing to blend.
-    if weight >= 1.0 { q } else { p + weight * (q - p) }
 }

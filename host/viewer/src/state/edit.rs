@@ -124,11 +124,35 @@ impl State {
         self.entry(at)?.step.deformation().ok_or_else(none)
     }
 
+    /// What files among the parameters of new steps are relative to.
+    fn folder(&self) -> Result<PathBuf> {
+        let editor = &self.open()?.editor;
+        Ok(folder_of(editor.path().or(editor.model()).unwrap_or(Path::new(""))).to_owned())
+    }
+
+    /// A step as a text, to be [pasted](Command::Paste) into another edit.
+    ///
+    /// # Errors
+    /// There is no such step; it is too long for a text.
+    pub fn copied(&self, at: usize) -> Result<String> {
+        edit::copied(std::slice::from_ref(&*self.entry(at)?.step), &self.plugins)
+    }
+
+    pub(super) fn paste(&mut self, text: &str, at: Option<usize>) -> Result<()> {
+        let mut steps = edit::pasted(text, &self.folder()?)?;
+        // Those that cannot be brought up to their plugins say so when they are done.
+        for step in &mut steps {
+            let _ = self.plugins.migrate(std::slice::from_mut(step));
+        }
+        let behind = self.chosen().map_or(self.open()?.steps().len(), |chosen| chosen + 1);
+        let (at, count) = (at.unwrap_or(behind), steps.len());
+        self.edit(edit::Command::Insert { at, steps }, false)?;
+        self.choose(Some(at + count - 1))
+    }
+
     pub(super) fn add_step(&mut self, plugin: &str, at: Option<usize>) -> Result<()> {
-        let open = self.open()?;
+        let (open, folder) = (self.open()?, self.folder()?);
         let state_version = self.plugins.get(plugin)?.migration().map(|m| m.state_version);
-        let path = open.editor.path().or(open.editor.model()).unwrap_or(Path::new(""));
-        let folder = folder_of(path).to_owned();
         let deformation = Deformation { state_version, folder, ..Deformation::by_plugin(plugin) };
         let at = at.unwrap_or(open.steps().len());
         self.add(at, Action::Deform(deformation))?;
@@ -136,8 +160,7 @@ impl State {
     }
 
     pub(super) fn add(&mut self, at: usize, action: Action) -> Result<()> {
-        let step = Step { action, enabled: true, place: String::new() };
-        self.edit(edit::Command::Add { at, step: Box::new(step) }, false)
+        self.edit(edit::Command::Add { at, step: Box::new(Step::of(action)) }, false)
     }
 
     pub(super) fn save(&mut self, path: Option<PathBuf>) -> Result<()> {

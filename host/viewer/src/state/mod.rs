@@ -165,6 +165,7 @@ impl State {
             Command::Redo => self.redo(),
             Command::Choose { step } => self.choose(step),
             Command::AddStep { plugin, at } => self.add_step(&plugin, at),
+            Command::Paste { text, at } => self.paste(&text, at),
             Command::Select { area, combine, visible, goes_on } => {
                 self.select(&area, combine, visible, goes_on)
             }

@@ -246,3 +246,44 @@ fn normals_turn_as_the_surface_does() {
     let ([low, turned], [_, unmoved]) = (median(&scene.normals), median(scene.sampled.samples.normals()));
     assert!(low > 0.9 && turned > 0.995 && unmoved < 0.95, "{low}, {turned}, {unmoved}");
 }
+
+#[test]
+fn a_step_goes_by_a_text_to_another_edit() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = model(folder.path(), Shape::Bar, 3000);
+    let mut first = state(plugins());
+    done(&mut first, open(&path, 300));
+    done(&mut first, Command::AddStep { plugin: "warp".into(), at: None });
+    let edits = [
+        Change::SetParam { id: "angle".into(), value: Some(80.0.into()) },
+        Change::SetAmount(0.5),
+        Change::SetTitle(Some("Halfway".to_owned())),
+    ];
+    for change in edits {
+        done(&mut first, Command::Edit(edit::Command::Change { at: 0, change }));
+    }
+    let text = first.copied(0).unwrap();
+    assert!(first.copied(1).is_err());
+
+    let mut other = state(plugins());
+    done(&mut other, open(&path, 300));
+    done(&mut other, Command::AddStep { plugin: "lattice".into(), at: None });
+    done(&mut other, Command::AddStep { plugin: "lattice".into(), at: None });
+    done(&mut other, Command::Choose { step: Some(0) });
+    done(&mut other, Command::Paste { text: text.clone(), at: None });
+    let names = |state: &State| -> Vec<String> {
+        let steps = state.document().unwrap().steps().clone();
+        steps.iter().map(|e| e.step.title.clone().unwrap_or_else(|| e.step.name().to_owned())).collect()
+    };
+    assert_eq!(names(&other), ["lattice", "Halfway", "lattice"], "behind the chosen one");
+    assert_eq!(other.chosen(), Some(1));
+    let positions = |state: &State| state.scene().unwrap().positions.to_vec();
+    assert!(positions(&other) == positions(&first), "the others move nothing");
+    // One change, that can be undone; and what makes no sense changes nothing.
+    done(&mut other, Command::Undo);
+    assert_eq!(names(&other), ["lattice", "lattice"]);
+    for (text, at) in [(text.as_str(), Some(9)), ("nonsense", None), ("", None)] {
+        assert!(other.apply(Command::Paste { text: text.to_owned(), at }).is_err());
+    }
+    assert_eq!(names(&other), ["lattice", "lattice"]);
+}
