@@ -82,8 +82,9 @@
 #define SIMOD_INPUT_TIME "simod.time/1"
 #define SIMOD_INPUT_REST_POSITIONS "simod.rest-positions/1"
 #define SIMOD_INPUT_ATTRIBUTES "simod.attributes/1"
-// An input that whoever places handles gets unasked.
+// Inputs that plugins get unasked: whoever places handles, and whoever has parameters of SIMOD_PARAM_MODEL.
 #define SIMOD_INPUT_HANDLE_MOTIONS "simod.handle-motions/1"
+#define SIMOD_INPUT_OTHER_MODELS "simod.other-models/1"
 
 // Capabilities that a plugin's `extension` is asked for.
 #define SIMOD_EVALUATE "simod.evaluate/1"
@@ -102,7 +103,7 @@
 #define SIMOD_INTERFACE_MAJOR 1
 
 // See SIMOD_INTERFACE_MAJOR.
-#define SIMOD_INTERFACE_MINOR 3
+#define SIMOD_INTERFACE_MINOR 4
 
 // What a call returns if all is well. Everything else is an error.
 #define SIMOD_OK 0
@@ -153,6 +154,11 @@
 
 // The path of a file that can be read, as text; empty where the user gave none.
 #define SIMOD_PARAM_FILE 9
+
+// The path of another model, as text, for messages; empty where the user gave none. The host reads it and hands
+// over its points: see SIMOD_INPUT_OTHER_MODELS. Its default number is how many points the plugin takes at
+// most, 1 to 4194304; set `invalidates_preparation`.
+#define SIMOD_PARAM_MODEL 10
 
 // Nothing.
 #define SIMOD_UNIT_NONE 0
@@ -229,6 +235,12 @@
 // An attribute of numbers in double precision.
 #define SIMOD_ATTRIBUTE_F64 8
 
+// The host has sampled the other model for this call.
+#define SIMOD_POINTS_SAMPLED 1
+
+// Samples that the user has: a sampled model, or a file of samples that anything has moved.
+#define SIMOD_POINTS_SAMPLES 2
+
 // The parent of a joint or a handle that hangs on no other.
 #define SIMOD_ROOT UINT32_MAX
 
@@ -259,7 +271,7 @@ typedef struct SimodParamDesc {
     double hard_range[2];
     // What a slider shows, in the same way; values outside are fine.
     double soft_range[2];
-    // Default of the kinds of one to four numbers: as many as the kind has.
+    // Default of the kinds of one to four numbers: as many as the kind has. Of SIMOD_PARAM_MODEL the most points.
     double default_numbers[4];
     // Default of the kinds of any number of them, as x0, y0, x1, y1, ... of a curve. Else NULL.
     const double *default_list;
@@ -695,6 +707,38 @@ typedef struct SimodAttributes {
     size_t count;
 } SimodAttributes;
 
+// Another model than the one that is deformed: points of it, in the local coordinates of the one that is.
+typedef struct SimodOtherModel {
+    // The id of the parameter, of SIMOD_PARAM_MODEL, that names it.
+    const char *param;
+    // Where the points come from: SIMOD_POINTS_... Those of SIMOD_POINTS_SAMPLED are at most as many as the
+    // plugin takes; those of SIMOD_POINTS_SAMPLES are all that there are.
+    uint32_t kind;
+    // How many vertices the model has; of samples their own number.
+    uint64_t vertices;
+    // How many points there are, at least one.
+    size_t count;
+    // Local coordinates, all finite. They may be far away, where the other model has another origin or unit.
+    const double (*positions)[3];
+    // Unit normals, one for each point: those of the file, or else of the triangles or the neighbours.
+    const float (*normals)[3];
+    // Which sample each point is, no two the same: of a sampled model its index, in a file of samples its
+    // property "id". NULL for SIMOD_POINTS_SAMPLED.
+    const uint64_t *ids;
+    // Triangles between the points, counter-clockwise as seen from outside; NULL for a cloud.
+    const uint32_t (*triangles)[3];
+    // How many triangles there are.
+    size_t triangle_count;
+} SimodOtherModel;
+
+// SIMOD_INPUT_OTHER_MODELS, of the preparation: the other models that the user gave. See `simod_other_model`.
+typedef struct SimodOtherModels {
+    // In the order of the parameters.
+    const struct SimodOtherModel *models;
+    // How many the user gave.
+    size_t count;
+} SimodOtherModels;
+
 // SIMOD_INPUT_HANDLE_MOTIONS, of the deformation: how the plugin's own handles were moved.
 typedef struct SimodHandleMotions {
     // One map of space for each handle that the plugin placed, in its order: from the rest pose to the
@@ -769,5 +813,15 @@ static inline const float *simod_attribute(const SimodPart *parts, size_t count,
     for (size_t i = 0; all && i < all->count; i++)
         if (strcmp(all->attributes[i].name, name) == 0)
             return all->attributes[i].values;
+    return NULL;
+}
+
+// The other model that a parameter of SIMOD_PARAM_MODEL names: NULL where the user gave none.
+static inline const SimodOtherModel *simod_other_model(const SimodPart *parts, size_t count, const char *param)
+{
+    const SimodOtherModels *all = (const SimodOtherModels *)simod_part(parts, count, SIMOD_INPUT_OTHER_MODELS);
+    for (size_t i = 0; all && i < all->count; i++)
+        if (strcmp(all->models[i].param, param) == 0)
+            return &all->models[i];
     return NULL;
 }
