@@ -27,6 +27,7 @@ pub mod session_file;
 pub mod session_writer;
 pub mod shapes;
 mod side_file;
+pub mod sidecar;
 pub mod stack;
 mod strokes_file;
 pub mod tolerance;

@@ -24,6 +24,7 @@ use crate::deformer::Message;
 use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages, turning_gradients};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{self, SessionFile, Step};
+use crate::sidecar;
 use crate::stack::{PreparedStack, Stack};
 use crate::tolerance::{self, Certificate, Tolerance};
 
@@ -174,7 +175,7 @@ pub fn write(
     running: &Running<'_>,
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
-    model.follow(running.follow)?;
+    sidecar::follow(&mut *model, running.follow)?;
     if running.choose_offset {
         let chosen = choose_offset(sampled, model.as_mut(), [positions])?;
         chosen.into_iter().for_each(|changed| progress.note(&changed));
@@ -318,7 +319,7 @@ impl Run {
         let converted = converted(session, output, (how.normals, *lossy), (cache, progress))?;
         let mut model = open(session, cache, progress)?;
         // Before it is sampled, as what is declared may not be there.
-        model.follow(follow)?;
+        let follow = &sidecar::follow(&mut *model, follow)?;
         let following = model.following().map_or(Vec::new(), |following| following.descriptions().to_vec());
         let by = |sampling: &Sampling| sample(&*model, sampling, folder, progress);
         let sampled = sampled_of(session, &*model, skip, cache, by, progress)?;

@@ -412,6 +412,75 @@ fn declared_numbers_turn_by_command_line_and_by_session() {
 }
 
 #[test]
+fn a_sidecar_declares_what_the_command_line_and_the_session_do_not() {
+    let names: Vec<&str> = "x y z tangentx tangenty tangentz nx1 ny1 nz1 qw qx qy qz \
+                            cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz"
+        .split_whitespace()
+        .collect();
+    let splats = Table::splats();
+    let row = |i: usize| {
+        let p = splats.position(i);
+        let others = [1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 4.0, 0.0, 0.0, 1.0, 0.0, 1.0];
+        [&p.to_array()[..], &others].concat()
+    };
+    let names = names.into_iter().map(str::to_owned).collect();
+    let table = Table { names, rows: (0..splats.rows.len()).map(row).collect() };
+    // A quarter turn about x.
+    let turn = |p: DVec3| DVec3::new(p.x, -p.z, p.y);
+    let work = moved(&table.ply(Kind::Double), turn);
+    let all =
+        "follow = { tangent = \"vector\", n1 = \"normal\", q = \"quaternion-wxyz\", cov = \"covariance\" }\n";
+    let half = 0.5f64.sqrt();
+    let turned = [1.0, -3.0, 2.0, 0.0, -1.0, 0.0, half, half, 0.0, 0.0, 4.0, 0.0, 0.0, 1.0, 0.0, 1.0];
+    let off = |file: &str, expected: &dyn Fn(usize) -> f64| {
+        let found = table.read(&work.read(file), Kind::Double);
+        let rows = found
+            .rows
+            .iter()
+            .map(|row| row[3..].iter().enumerate().map(|(i, x)| (x - expected(i)).abs()).fold(0.0, f64::max));
+        rows.fold(0.0, f64::max)
+    };
+    let session = "version = 2\n[model]\npath = \"model.ply\"\n[sampling]\nsamples = 2000\n[output]\npath = \"run.ply\"\n\
+                   [[step]]\ndeform = \"rbf\"\n[[step.region]]\nrole = \"handle\"\nshapes = [{ half-space = { point = [0, 0, -9], normal = [0, 0, 1] } }]\n\
+                   move = { axis = [1, 0, 0], degrees = 90, pivot = [0, 0, 0] }\n";
+    work.write("edit.toml", session);
+
+    work.write("model.ply.follow.toml", all);
+    for command in [RECONSTRUCT, "run edit.toml -o out.ply"] {
+        let report = work.report(command);
+        assert_eq!(report["following"].as_array().map(Vec::len), Some(4), "{command}");
+        assert!(off("out.ply", &|i| turned[i]) < 1e-4, "{command}");
+    }
+    assert!(work.simod("info model.ply").stdout.contains("cov as covariance"));
+    // A plan has it of then.
+    let units = work.report("plan edit.toml --units 2 -o plan")["units"].as_u64().expect("a number");
+    work.write("model.ply.follow.toml", "follow = {}");
+    (0..units).for_each(|unit| drop(work.simod(&format!("unit plan {unit}"))));
+    assert!(work.read("run.ply") == work.read("out.ply"));
+
+    // The session, and the command line, have the say before it, and the whole of it.
+    work.write("model.ply.follow.toml", all);
+    work.write("edit.toml", session.replace("[model]", "follow = { tangent = \"direction\" }\n[model]"));
+    work.simod("run edit.toml -o some.ply");
+    let expected = |i: usize| if i < 3 { turned[i] } else { table.rows[0][3 + i] };
+    assert!(off("some.ply", &expected) < 1e-4);
+    work.simod(&format!("{RECONSTRUCT} --follow tangent=vector"));
+    assert!(off("out.ply", &expected) < 1e-4);
+    work.simod(&format!("{RECONSTRUCT} --follow none"));
+    assert_eq!(off("out.ply", &|i| table.rows[0][3 + i]), 0.0);
+
+    for (wrong, says) in [
+        ("follow = { tangent = \"sideways\" }", "model.ply.follow.toml, line 1"),
+        ("follow = { missing = \"vector\" }", "as model.ply.follow.toml declares"),
+        ("tangent = \"vector\"", "model.ply.follow.toml, line 1"),
+        ("", "model.ply.follow.toml"),
+    ] {
+        work.write("model.ply.follow.toml", wrong);
+        work.refuses("reconstruct model.simod --deformed deformed.ply -o never.ply", &[says]);
+    }
+}
+
+#[test]
 fn floaters_take_no_samples_and_are_deformed_all_the_same() {
     let mut table = Table::splats();
     let (count, opacity) = (table.rows.len(), table.column("opacity"));

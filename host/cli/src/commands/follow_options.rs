@@ -11,7 +11,7 @@ pub struct FollowOptions {
     /// Numbers of the vertices that turn with the surface, by what their names begin with, as
     /// tangent=vector,q=quaternion-wxyz: vector, direction, normal, quaternion-wxyz, quaternion-xyzw, covariance.
     /// Gaussian splats are recognised and turn besides; none keeps all but positions and normals [default: what the
-    /// session declares, or splats alone]
+    /// session declares, or MODEL.follow.toml beside the model, or splats alone]
     #[arg(long, value_name = "NAME=KIND,…")]
     follow: Option<Follow>,
     /// What becomes of the opacity of Gaussian splats

@@ -9,8 +9,10 @@ use simod_core::refinement::Refinement;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{By, Placement, Target};
 use simod_model::bounds::Bounds;
+use simod_model::follow::Follow;
 use simod_model::{Result, Scalar, ScaledIntegers};
 use simod_picture::picture;
+use simod_session::sidecar;
 
 use super::reconstruct::tell_following;
 use super::tell_cache;
@@ -35,9 +37,12 @@ impl Info {
     fn model(&self, report: &mut Report) -> Result<()> {
         let cache = Arc::default();
         let columns = self.columns.as_deref();
-        let model = simod_model::open_with(&self.path, columns, &cache, report.progress())?;
+        let mut model = simod_model::open_with(&self.path, columns, &cache, report.progress())?;
         tell_cache(&cache, report);
         model.check_complete(report.progress())?;
+        if let Err(why) = sidecar::follow(&mut *model, &Follow::default()) {
+            report.warn(format!("{why}; {}", why.hint()));
+        }
         let bounds = picture::bounds(model.as_ref(), report.progress())?;
         let info = model.info();
         let scalar = scalar_name(info.position_type);

@@ -6,9 +6,9 @@ use clap::{Args, ValueEnum};
 use simod_core::guard::Kind;
 use simod_model::Result;
 use simod_model::size::human_size;
-use simod_session::SessionFile;
 use simod_session::plan::{Done, Emit, Options, Plan as Units, Stage, do_unit, make};
 use simod_session::session_file::inputs;
+use simod_session::{SessionFile, sidecar};
 
 use super::follow_options::FollowOptions;
 use super::overwrite::Overwrite;
@@ -96,6 +96,7 @@ impl Plan {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.session);
         guard.reads_all(&session.model);
+        guard.reads_all(session.model.as_deref().map(sidecar::of));
         guard.reads_all(inputs(&self.session)?);
         guard.reads_all(plugins.files());
         guard.writes(&output, Kind::Model)?;

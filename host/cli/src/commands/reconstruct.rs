@@ -13,8 +13,8 @@ use simod_core::reconstruction::{
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::{Conversion, Converted, Error, ErrorKind, Model, Result, is_named_otherwise};
-use simod_session::Tolerance;
 use simod_session::tolerance::check_precision;
+use simod_session::{Tolerance, sidecar};
 
 use super::convert::tell_losses;
 use super::follow_options::FollowOptions;
@@ -139,12 +139,13 @@ impl Reconstruct {
         guard.reads(&self.sampled);
         // That the model itself is kept is seen to where it is streamed.
         guard.reads_all(self.model.is_some().then_some(&sampled.source.path));
+        guard.reads(&sidecar::of(self.model.as_ref().unwrap_or(&sampled.source.path)));
         guard.reads_all(paths.iter().map(|v| &v.deformed));
         for path in paths.iter().flat_map(|v| [&v.output].into_iter().chain(&v.diagnostics)) {
             guard.writes(path, Kind::Model)?;
         }
         let mut model = sampled.open_source(self.model.as_deref(), report.progress())?;
-        model.follow(&self.following.follow(&BTreeMap::new()))?;
+        sidecar::follow(&mut *model, &self.following.follow(&BTreeMap::new()))?;
         tell_following(&*model, report);
         if self.offset == OffsetName::Auto {
             let chosen = choose_offset(&sampled, model.as_mut(), deformed.iter().map(Vec::as_slice))?;

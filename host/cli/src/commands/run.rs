@@ -9,7 +9,7 @@ use simod_core::reconstruction::Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_model::Result;
 use simod_session::session_file::inputs;
-use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFile, Tolerance};
+use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFile, Tolerance, sidecar};
 
 use super::follow_options::FollowOptions;
 use super::overwrite::Overwrite;
@@ -91,6 +91,7 @@ impl Run {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.session);
         guard.reads_all(&session.model);
+        guard.reads_all(session.model.as_deref().map(sidecar::of));
         guard.reads_all(inputs(&self.session)?);
         guard.reads_all(plugins.files());
         guard.writes(&output, Kind::Model)?;

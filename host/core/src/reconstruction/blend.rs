@@ -167,8 +167,8 @@ impl Supports {
 
 /// Vertices of a block, grouped by their homes, in separate arrays by coordinate.
 ///
-/// Memory: 44 bytes per vertex with a normal, 32 without, 36 more for the gradient; and as much for up to
-/// [`PACKET`] more vertices of each group.
+/// Memory: 44 bytes per vertex with a normal, 32 without, 36 more for the gradient, and 36 for that by which numbers
+/// turn; and as much for up to [`PACKET`] more vertices of each group.
 #[derive(Debug, Default)]
 pub struct Grouped {
     /// The groups: their home, and their vertices. Each begins at a multiple of [`PACKET`]; what is between
@@ -191,54 +191,78 @@ pub struct Grouped {
     pub normals: [Vec<f32>; 3],
     /// The gradient of the deformation, column by column; empty unless it is asked for.
     pub gradient: [Vec<f32>; 9],
+    /// The gradient by which numbers turn; likewise.
+    pub turning: [Vec<f32>; 9],
 }
 
 impl Grouped {
     /// Makes room for the results.
-    fn make_room(&mut self, gradient: bool) {
+    fn make_room(&mut self, gradient: bool, turning: bool) {
         let length = self.positions[0].len();
         self.displacement.iter_mut().chain([&mut self.sum]).for_each(|v| v.resize(length, 0.0));
         self.gradient.iter_mut().for_each(|v| v.resize(if gradient { length } else { 0 }, 0.0));
+        self.turning.iter_mut().for_each(|v| v.resize(if turning { length } else { 0 }, 0.0));
     }
 }
 
 /// The most vertices that any processor takes at once.
 pub const PACKET: usize = 16;
 
-/// Blends the expansions for all groups, and turns their normals (`mirrored` as for `Transport::normal`);
-/// `gradient` says whether the gradient is asked for.
-pub fn blend(
-    supports: &Supports,
-    expansions: &[Expansion],
-    mirrored: bool,
-    gradient: bool,
-    grouped: &mut Grouped,
-) {
-    grouped.make_room(gradient);
-    let arch = Arch::new();
-    if gradient || !grouped.normals[0].is_empty() {
-        arch.dispatch(Kernel::<true> { supports, expansions, mirrored, grouped });
-    } else {
-        arch.dispatch(Kernel::<false> { supports, expansions, mirrored, grouped });
+/// What is blended.
+pub struct Blending<'a> {
+    pub supports: &'a Supports,
+    pub expansions: &'a [Expansion],
+    /// Those by whose gradients numbers turn, with the same supports; none if nothing turns.
+    ///
+    /// Their gradients are blended: that is smoother than the gradient of the blend, in which the weights' slopes
+    /// make more of rounding.
+    pub turning: &'a [Expansion],
+    /// As for `Transport::normal`.
+    pub mirrored: bool,
+    /// Whether the gradient of the blend is asked for.
+    pub gradient: bool,
+}
+
+impl Blending<'_> {
+    /// Blends the expansions for all groups, and turns their normals.
+    pub fn blend(&self, grouped: &mut Grouped) {
+        let gradient = self.gradient || !grouped.normals[0].is_empty();
+        let turning = !self.turning.is_empty();
+        grouped.make_room(self.gradient, turning);
+        let arch = Arch::new();
+        match (gradient, turning) {
+            (false, false) => arch.dispatch(Kernel::<false, false> { what: self, grouped }),
+            (false, true) => arch.dispatch(Kernel::<false, true> { what: self, grouped }),
+            (true, false) => arch.dispatch(Kernel::<true, false> { what: self, grouped }),
+            (true, true) => arch.dispatch(Kernel::<true, true> { what: self, grouped }),
+        }
     }
 }
 
-struct Kernel<'a, const GRADIENT: bool> {
-    supports: &'a Supports,
-    expansions: &'a [Expansion],
-    mirrored: bool,
+struct Kernel<'a, const GRADIENT: bool, const TURNING: bool> {
+    what: &'a Blending<'a>,
     grouped: &'a mut Grouped,
 }
 
-impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
+impl<const GRADIENT: bool, const TURNING: bool> WithSimd for Kernel<'_, GRADIENT, TURNING> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { supports, expansions, mirrored, grouped } = self;
+        let Self { what, grouped } = self;
+        let Blending { supports, expansions, turning: told, mirrored, .. } = *what;
         let side = Lanes::splat(simd, if mirrored { -1.0 } else { 1.0 });
         let Grouped {
-            groups, scattered, scattered_at, positions, displacement, sum, normals, gradient, ..
+            groups,
+            scattered,
+            scattered_at,
+            positions,
+            displacement,
+            sum,
+            normals,
+            gradient,
+            turning,
+            ..
         } = grouped;
         // All lengths are multiples of the packet: nothing is left over.
         let scalars = &*positions;
@@ -248,6 +272,7 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
             sum: S::as_mut_simd_f32s(sum).0,
             normals: normals.each_mut().map(|v| S::as_mut_simd_f32s(v).0),
             gradient: gradient.each_mut().map(|v| S::as_mut_simd_f32s(v).0),
+            turning: turning.each_mut().map(|v| S::as_mut_simd_f32s(v).0),
         };
         for (home, range) in groups {
             let list = supports.of_home(*home as usize);
@@ -256,17 +281,27 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
                 let p = triple(simd, &positions, at);
                 let blended = packet::<S, GRADIENT>(simd, p, home, list, expansions);
                 results.put::<GRADIENT>(simd, at, &blended, side);
+                if TURNING {
+                    results.put_turning(at, &packet_turning(simd, p, home, list, told, blended.sum));
+                }
             }
         }
         for (packet, homes) in scattered.chunks(S::F32_LANES).enumerate() {
             let first = *scattered_at + packet * S::F32_LANES;
             let mut values = [[0.0; PACKET]; scattered::VALUES];
+            let mut turning = [[0.0; PACKET]; scattered::TURNING_VALUES];
             for (lane, home) in homes.iter().enumerate() {
                 let p = [scalars[0][first + lane], scalars[1][first + lane], scalars[2][first + lane]];
                 let list = supports.of_home(*home as usize);
-                let one = scattered::one::<GRADIENT>(p, &expansions[*home as usize], list, expansions);
+                let home = &expansions[*home as usize];
+                let one = scattered::one::<GRADIENT, TURNING>(p, home, list, expansions, told);
                 for (to, value) in values.iter_mut().zip(one.values()) {
                     to[lane] = value;
+                }
+                if TURNING {
+                    for (to, value) in turning.iter_mut().zip(one.turning_values()) {
+                        to[lane] = value;
+                    }
                 }
             }
             let zero = Lanes::splat(simd, 0.0);
@@ -277,6 +312,13 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
                 *to = Lanes(simd, S::as_simd_f32s(of_lanes).0[0]);
             }
             results.put::<GRADIENT>(simd, first / S::F32_LANES, &blended, side);
+            if TURNING {
+                let mut turned = [zero; scattered::TURNING_VALUES];
+                for (to, of_lanes) in turned.iter_mut().zip(&turning) {
+                    *to = Lanes(simd, S::as_simd_f32s(of_lanes).0[0]);
+                }
+                results.put_turning(first / S::F32_LANES, &turned);
+            }
         }
     }
 }
@@ -287,9 +329,18 @@ struct Results<'a, S: Simd> {
     sum: &'a mut [S::f32s],
     normals: [&'a mut [S::f32s]; 3],
     gradient: [&'a mut [S::f32s]; 9],
+    turning: [&'a mut [S::f32s]; 9],
 }
 
 impl<S: Simd> Results<'_, S> {
+    /// Puts the gradients by which numbers of a packet turn where they belong.
+    #[inline(always)]
+    fn put_turning(&mut self, at: usize, gradient: &[Lanes<S>; 9]) {
+        for (to, g) in self.turning.iter_mut().zip(gradient) {
+            to[at] = g.1;
+        }
+    }
+
     /// Puts those of a packet where they belong, and turns its normals.
     #[inline(always)]
     fn put<const GRADIENT: bool>(&mut self, simd: S, at: usize, blended: &Blended<S>, side: Lanes<S>) {
@@ -350,6 +401,76 @@ fn term<S: Simd>(simd: S, e: &Expansion, k: usize, o: usize) -> Lanes<S> {
     Lanes::splat(simd, e.term(k, o))
 }
 
+/// What is within Horner's brackets of coordinate `o` of an expansion at `d` from its sample.
+#[inline(always)]
+fn inner<S: Simd>(simd: S, e: &Expansion, o: usize, [dx, dy, dz]: [Lanes<S>; 3]) -> [Lanes<S>; 3] {
+    let (sx, sy, sz) = (term(simd, e, 1, o), term(simd, e, 2, o), term(simd, e, 3, o));
+    let (xx, xy, xz) = (term(simd, e, 4, o), term(simd, e, 5, o), term(simd, e, 6, o));
+    let (yy, yz, zz) = (term(simd, e, 7, o), term(simd, e, 8, o), term(simd, e, 9, o));
+    [
+        xx.mul_add(dx, xy.mul_add(dy, xz.mul_add(dz, sx))),
+        yy.mul_add(dy, yz.mul_add(dz, sy)),
+        zz.mul_add(dz, sz),
+    ]
+}
+
+/// The gradient of coordinate `o` there.
+#[inline(always)]
+fn slopes<S: Simd>(
+    simd: S,
+    e: &Expansion,
+    o: usize,
+    [dx, dy, dz]: [Lanes<S>; 3],
+    [a, b, c]: [Lanes<S>; 3],
+) -> [Lanes<S>; 3] {
+    let (xx, xy, xz) = (term(simd, e, 4, o), term(simd, e, 5, o), term(simd, e, 6, o));
+    let (yy, yz, zz) = (term(simd, e, 7, o), term(simd, e, 8, o), term(simd, e, 9, o));
+    [xx.mul_add(dx, a), xy.mul_add(dx, yy.mul_add(dy, b)), xz.mul_add(dx, yz.mul_add(dy, zz.mul_add(dz, c)))]
+}
+
+/// Blends the gradients of expansions for as many vertices as there are lanes; `sum` is that of their weights.
+#[inline(always)]
+fn packet_turning<S: Simd>(
+    simd: S,
+    p: [Lanes<S>; 3],
+    home: &Expansion,
+    list: &[Reaching],
+    told: &[Expansion],
+    sum: Lanes<S>,
+) -> [Lanes<S>; 9] {
+    let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
+    let mut gradient = [zero; 9];
+    let furthest = length_squared(from(simd, p, home.center)).largest().sqrt();
+    for support in list {
+        if support.from > furthest {
+            break;
+        }
+        let e = &told[support.sample as usize];
+        let d = from(simd, p, e.center);
+        let s = length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), one);
+        if s.largest() <= 0.0 {
+            continue;
+        }
+        let s = s.max(zero);
+        let w = s * s * s;
+        for o in 0..3 {
+            let slopes = slopes(simd, e, o, d, inner(simd, e, o, d));
+            for column in 0..3 {
+                let g = &mut gradient[3 * column + o];
+                *g = w.mul_add(slopes[column], *g);
+            }
+        }
+    }
+    let inverse = sum.inverse_or_one();
+    for column in 0..3 {
+        for o in 0..3 {
+            let g = &mut gradient[3 * column + o];
+            *g = g.mul_add(inverse, if column == o { one } else { zero });
+        }
+    }
+    gradient
+}
+
 /// Goes through the supports for as many vertices as there are lanes.
 #[inline(always)]
 fn packet<S: Simd, const GRADIENT: bool>(
@@ -389,21 +510,13 @@ fn packet<S: Simd, const GRADIENT: bool>(
             // As in `Expansion::evaluate`.
             // Beyond the home's, for precision: weights that vanish have steep logarithms.
             let u = Lanes::splat(simd, e.term(0, o) - home.term(0, o));
-            let (sx, sy, sz) = (term(simd, e, 1, o), term(simd, e, 2, o), term(simd, e, 3, o));
-            let (xx, xy, xz) = (term(simd, e, 4, o), term(simd, e, 5, o), term(simd, e, 6, o));
-            let (yy, yz, zz) = (term(simd, e, 7, o), term(simd, e, 8, o), term(simd, e, 9, o));
-            let a = xx.mul_add(dx, xy.mul_add(dy, xz.mul_add(dz, sx)));
-            let b = yy.mul_add(dy, yz.mul_add(dz, sy));
-            let c = zz.mul_add(dz, sz);
+            let inner = inner(simd, e, o, d);
+            let [a, b, c] = inner;
             let u = a.mul_add(dx, b.mul_add(dy, c.mul_add(dz, u)));
             blended.displacement[o] = w.mul_add(u, blended.displacement[o]);
             if GRADIENT {
                 let pull = w_slope * u;
-                let slopes = [
-                    xx.mul_add(dx, a),
-                    xy.mul_add(dx, yy.mul_add(dy, b)),
-                    xz.mul_add(dx, yz.mul_add(dy, zz.mul_add(dz, c))),
-                ];
+                let slopes = slopes(simd, e, o, d, inner);
                 for column in 0..3 {
                     let g = &mut blended.gradient[3 * column + o];
                     *g = w.mul_add(slopes[column], pull.mul_add(d[column], *g));

@@ -7,7 +7,7 @@ use glam::{DVec3, Mat3, UVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 
-use super::blend::{Grouped, LEAST_WEIGHT, PACKET, blend};
+use super::blend::{Blending, Grouped, LEAST_WEIGHT, PACKET};
 use super::homes::Homes;
 use super::{DeformationField, Method, RestGeometry, Transport, VertexDiagnostics, projected_barycentric};
 
@@ -212,19 +212,30 @@ impl Workspace {
     /// Carries the block over.
     fn carry(&mut self, field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], moved: Moved<'_>) {
         let Moved { positions: images, normals, gradients, figures } = moved;
-        if field.method == Method::BlendedJets {
+        // As a rule those of splats are all zero, and stay it.
+        let normals = if normals.iter().all(|n| *n == Vec3::ZERO) { &mut [][..] } else { normals };
+        let turning = if gradients.is_empty() { &[][..] } else { &field.turning };
+        let is_blend = field.method == Method::BlendedJets;
+        if is_blend || !turning.is_empty() {
             self.grouped.normals.iter_mut().for_each(|v| {
                 v.resize(if normals.is_empty() { 0 } else { self.grouped.positions[0].len() }, 0.0)
             });
             for (n, place) in normals.iter().zip(&self.place).filter(|(_, place)| **place != NOWHERE) {
                 (0..3).for_each(|i| self.grouped.normals[i][*place as usize] = n[i]);
             }
-            let mirrored = field.gradients.mirrored;
-            let supports = &field.around.supports;
             let gradient = !figures.is_empty()
-                || !gradients.is_empty()
+                || !gradients.is_empty() && turning.is_empty()
                 || !normals.is_empty() && field.limiter.is_needed();
-            blend(supports, &field.expansions, mirrored, gradient, &mut self.grouped);
+            let blending = Blending {
+                supports: &field.around.supports,
+                expansions: &field.expansions,
+                turning,
+                mirrored: field.gradients.mirrored,
+                gradient,
+            };
+            blending.blend(&mut self.grouped);
+        }
+        if is_blend {
             field.find_within_range(&mut self.grouped);
         } else {
             self.grouped.is_within_range.clear();
@@ -266,7 +277,12 @@ impl Workspace {
             let gradient = one_by_one.map_or_else(|| self.gradient(i), |moved| moved.gradient);
             let moved = Transport { displacement, gradient };
             if let Some(to) = gradients.get_mut(i) {
-                *to = field.completed(home, self.local[i], gradient);
+                *to = match field.active[home] {
+                    _ if turning.is_empty() => gradient,
+                    true => self.turning(i).unwrap_or(gradient),
+                    // The vertex alone is drawn along.
+                    false => Mat3::IDENTITY,
+                };
             }
             if let Some(figures) = figures {
                 *figures = field.figures(home, self.local[i], &moved, frame.scale);
@@ -336,6 +352,14 @@ impl Workspace {
         let at = self.place[i] as usize;
         let entry = |v: &Vec<f32>| v.get(at).copied().unwrap_or_default();
         Mat3::from_cols_array(&self.grouped.gradient.each_ref().map(entry))
+    }
+
+    /// The gradient by which numbers turn at vertex `i`, if any support reaches it.
+    #[inline]
+    fn turning(&self, i: usize) -> Option<Mat3> {
+        let at = self.place[i] as usize;
+        let is_reached = self.grouped.sum.get(at).is_some_and(|sum| *sum > 0.0);
+        is_reached.then(|| Mat3::from_cols_array(&self.grouped.turning.each_ref().map(|v| v[at])))
     }
 
     /// Puts the vertices of each home that moves side by side.

@@ -317,27 +317,6 @@ impl<'a> DeformationField<'a> {
         self
     }
 
-    /// The gradient at a place around a home by which numbers turn, where that of the blend is this: the blend of the
-    /// gradients that the expansions have there. That is smoother than the gradient of the blend, in which the
-    /// weights' slopes make more of rounding.
-    pub(super) fn completed(&self, home: usize, p: Vec3, gradient: Mat3) -> Mat3 {
-        if self.turning.is_empty() {
-            return gradient;
-        }
-        let (mut blended, mut sum) = (Mat3::ZERO, 0.0);
-        for i in self.around.reaching(home) {
-            let e = &self.turning[i];
-            let s = e.within(p).max(0.0);
-            if s > 0.0 {
-                let w = s * s * s;
-                let (_, slope) = e.evaluate(p - Vec3::from_array(e.center));
-                blended += slope * w;
-                sum += w;
-            }
-        }
-        if sum > 0.0 { Mat3::IDENTITY + blended * (1.0 / sum) } else { gradient }
-    }
-
     /// Carries a vertex over that no support reaches, as one that lies far off the samples.
     fn beyond(&self, home: usize, p: Vec3) -> Transport {
         let around = Neighbourhood::gather(self.around, home, blended_jets::BLENDED, p);

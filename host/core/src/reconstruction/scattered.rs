@@ -7,16 +7,20 @@ use super::expansion::{Expansion, ReachingSupport};
 /// Supports that are looked at before what they say is added.
 const TOGETHER: usize = 32;
 
-/// What a vertex gets: displacement, sum of weights, and the gradient's columns. The last number of each four
-/// has no meaning.
+/// What a vertex gets: displacement, sum of weights, the gradient's columns, and those of the gradient by which
+/// numbers turn. The last number of each four has no meaning.
 pub struct One {
     pub displacement: Four,
     pub sum: f32,
     pub gradient: [Four; 3],
+    pub turning: [Four; 3],
 }
 
-/// Numbers of a vertex.
+/// Numbers of a vertex but for those of the gradient by which numbers turn.
 pub const VALUES: usize = 13;
+
+/// Numbers of that gradient.
+pub const TURNING_VALUES: usize = 9;
 
 impl One {
     /// The displacement, the sum of weights, and the gradient column by column.
@@ -25,18 +29,27 @@ impl One {
         let ([x, y, z, _], [a, b, c]) = (self.displacement.0, self.gradient.map(|column| column.0));
         [x, y, z, self.sum, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]]
     }
+
+    /// The gradient by which numbers turn, column by column.
+    #[inline(always)]
+    pub fn turning_values(&self) -> [f32; TURNING_VALUES] {
+        let [a, b, c] = self.turning.map(|column| column.0);
+        [a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]]
+    }
 }
 
 /// Goes through the supports for the vertex at `p`: as `packet` does for many. `GRADIENT` says whether the
-/// gradient is asked for.
+/// gradient is asked for, `TURNING` whether that by which numbers turn is, of the expansions `told`.
 #[inline(always)]
-pub fn one<const GRADIENT: bool>(
+pub fn one<const GRADIENT: bool, const TURNING: bool>(
     p: [f32; 3],
     home: &Expansion,
     list: &[ReachingSupport],
     expansions: &[Expansion],
+    told: &[Expansion],
 ) -> One {
-    let mut blended = One { displacement: Four::ZERO, sum: 0.0, gradient: [Four::ZERO; 3] };
+    let nothing = [Four::ZERO; 3];
+    let mut blended = One { displacement: Four::ZERO, sum: 0.0, gradient: nothing, turning: nothing };
     let mut sum_slope = [0.0; 3];
     let furthest = length_squared(from(p, home.center)).sqrt();
     let reaching = &list[..list.iter().take_while(|support| support.from <= furthest).count()];
@@ -53,6 +66,11 @@ pub fn one<const GRADIENT: bool>(
         for (sample, s) in &near[..count] {
             add::<GRADIENT>(&expansions[*sample as usize], *s, p, home, &mut blended, &mut sum_slope);
         }
+        if TURNING {
+            for (sample, s) in &near[..count] {
+                add_turning(&told[*sample as usize], *s, p, &mut blended.turning);
+            }
+        }
     }
     let inverse = 1.0 / if blended.sum > 0.0 { blended.sum } else { 1.0 };
     let u = blended.displacement.times(inverse);
@@ -65,7 +83,45 @@ pub fn one<const GRADIENT: bool>(
             *g = itself.plus(g.minus(u.times(*slope)).times(inverse));
         }
     }
+    if TURNING {
+        for (column, g) in blended.turning.iter_mut().enumerate() {
+            let mut itself = Four::ZERO;
+            itself.0[column] = 1.0;
+            *g = g.mul_add(inverse, itself);
+        }
+    }
     blended
+}
+
+/// Adds the gradient that an expansion has at `p`, which is by `s` within its support.
+#[inline(always)]
+fn add_turning(e: &Expansion, s: f32, p: [f32; 3], gradient: &mut [Four; 3]) {
+    let d = from(p, e.center);
+    let w = s * s * s;
+    let slopes = slopes(e, d, inner(e, d));
+    for column in 0..3 {
+        gradient[column] = slopes[column].mul_add(w, gradient[column]);
+    }
+}
+
+/// What is within Horner's brackets of an expansion at `d` from its sample.
+#[inline(always)]
+fn inner(e: &Expansion, [dx, dy, dz]: [f32; 3]) -> [Four; 3] {
+    let (xx, xy, xz) = (Four(e.four(4)), Four(e.four(5)), Four(e.four(6)));
+    let (yy, yz, zz) = (Four(e.four(7)), Four(e.four(8)), Four(e.four(9)));
+    [
+        xx.mul_add(dx, xy.mul_add(dy, xz.mul_add(dz, Four(e.four(1))))),
+        yy.mul_add(dy, yz.mul_add(dz, Four(e.four(2)))),
+        zz.mul_add(dz, Four(e.four(3))),
+    ]
+}
+
+/// The columns of its gradient there.
+#[inline(always)]
+fn slopes(e: &Expansion, [dx, dy, dz]: [f32; 3], [a, b, c]: [Four; 3]) -> [Four; 3] {
+    let (xx, xy, xz) = (Four(e.four(4)), Four(e.four(5)), Four(e.four(6)));
+    let (yy, yz, zz) = (Four(e.four(7)), Four(e.four(8)), Four(e.four(9)));
+    [xx.mul_add(dx, a), xy.mul_add(dx, yy.mul_add(dy, b)), xz.mul_add(dx, yz.mul_add(dy, zz.mul_add(dz, c)))]
 }
 
 /// Adds what an expansion says of the vertex at `p`, which is by `s` within its support.
@@ -84,20 +140,13 @@ fn add<const GRADIENT: bool>(
     blended.sum += w;
     let [dx, dy, dz] = d;
     let u = Four(e.four(0)).minus(Four(home.four(0)));
-    let (xx, xy, xz) = (Four(e.four(4)), Four(e.four(5)), Four(e.four(6)));
-    let (yy, yz, zz) = (Four(e.four(7)), Four(e.four(8)), Four(e.four(9)));
-    let a = xx.mul_add(dx, xy.mul_add(dy, xz.mul_add(dz, Four(e.four(1)))));
-    let b = yy.mul_add(dy, yz.mul_add(dz, Four(e.four(2))));
-    let c = zz.mul_add(dz, Four(e.four(3)));
+    let inner = inner(e, d);
+    let [a, b, c] = inner;
     let u = a.mul_add(dx, b.mul_add(dy, c.mul_add(dz, u)));
     blended.displacement = u.mul_add(w, blended.displacement);
     if GRADIENT {
         let pull = u.times(w_slope);
-        let slopes = [
-            xx.mul_add(dx, a),
-            xy.mul_add(dx, yy.mul_add(dy, b)),
-            xz.mul_add(dx, yz.mul_add(dy, zz.mul_add(dz, c))),
-        ];
+        let slopes = slopes(e, d, inner);
         for column in 0..3 {
             sum_slope[column] = w_slope.mul_add(d[column], sum_slope[column]);
             let g = &mut blended.gradient[column];

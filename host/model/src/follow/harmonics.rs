@@ -69,11 +69,13 @@ static DIRECTIONS: LazyLock<[DVec3; MOST]> = LazyLock::new(|| {
     })
 });
 
-/// For each band, what gives coefficients from values in the first directions.
+/// For each band, what gives coefficients from values in the first directions: for each of these its part in all
+/// coefficients.
 static INVERSES: LazyLock<[Square; 3]> = LazyLock::new(|| {
     std::array::from_fn(|i| {
         let values = DIRECTIONS.map(|d| band(i + 1, d));
-        inverse(&values, SIZES[i])
+        let rows = inverse(&values, SIZES[i]);
+        std::array::from_fn(|k| std::array::from_fn(|row| rows[row][k]))
     })
 });
 
@@ -106,6 +108,7 @@ fn inverse(m: &Square, size: usize) -> Square {
 
 /// What rotates the coefficients of bands 1 up to some degree.
 pub(super) struct Rotation {
+    /// For each coefficient before its part in all of the band.
     bands: [Square; 3],
 }
 
@@ -115,11 +118,11 @@ impl Rotation {
         let back = q.transpose();
         let mut bands = [[[0.0; MOST]; MOST]; 3];
         for (i, to) in bands.iter_mut().enumerate().take(degree) {
-            let size = SIZES[i];
-            let before = DIRECTIONS.map(|d| band(i + 1, back * d));
-            for (row, inverse) in to.iter_mut().zip(&INVERSES[i]).take(size) {
-                for (column, entry) in row.iter_mut().enumerate().take(size) {
-                    *entry = (0..size).map(|k| inverse[k] * before[k][column]).sum();
+            for (direction, inverse) in DIRECTIONS.iter().zip(&INVERSES[i]).take(SIZES[i]) {
+                let before = band(i + 1, back * *direction);
+                // Whole rows at once: what is beyond the band is 0.
+                for (column, b) in to.iter_mut().zip(before).take(SIZES[i]) {
+                    column.iter_mut().zip(inverse).for_each(|(entry, a)| *entry += a * b);
                 }
             }
         }
@@ -129,13 +132,13 @@ impl Rotation {
     /// Turns the coefficients of one channel: those of band 1, and of further bands if there are any.
     pub(super) fn apply(&self, coefficients: &mut [f64]) {
         let mut first = 0;
-        for (rows, size) in self.bands.iter().zip(SIZES) {
+        for (columns, size) in self.bands.iter().zip(SIZES) {
             let Some(band) = coefficients.get_mut(first..first + size) else { return };
-            let mut before = [0.0; MOST];
-            before[..size].copy_from_slice(band);
-            for (to, row) in band.iter_mut().zip(rows) {
-                *to = row.iter().zip(&before).map(|(a, b)| a * b).sum();
+            let mut after = [0.0; MOST];
+            for (before, column) in band.iter().zip(columns) {
+                after.iter_mut().zip(column).for_each(|(to, part)| *to += part * before);
             }
+            band.copy_from_slice(&after[..size]);
             first += size;
         }
     }

@@ -64,7 +64,7 @@ impl Splat {
         let frame = DMat3::from_quat(rest.quaternion);
         let [a, b, c] = rest.scales;
         let columns = turn.gradient * DMat3::from_cols(frame.x_axis * a, frame.y_axis * b, frame.z_axis * c);
-        let (axes, _) = orthogonal(&columns, RIGHT_ANGLE);
+        let axes = orthogonal(&columns, RIGHT_ANGLE);
         let mut lengths = lengths(&axes);
         if !lengths[..self.scales].iter().all(|length| *length > 0.0 && length.is_finite()) {
             return None;

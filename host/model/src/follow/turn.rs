@@ -142,27 +142,30 @@ pub(super) fn sorted(mut numbers: [f64; 3]) -> [f64; 3] {
     numbers
 }
 
-/// M·V with orthogonal columns, and the rotation V: one-sided Jacobi rotations (M. R. Hestenes, *Inversion of
-/// Matrices by Biorthogonalization and Related Results*, 1958), the smallest each time, so that columns which
-/// are nearly orthogonal stay what they are, in their order. Columns are orthogonal where the cosine between
-/// them is below `enough`.
-pub(super) fn orthogonal(m: &DMat3, enough: f64) -> (DMat3, DMat3) {
+/// M·V with orthogonal columns, of some rotation V, and the columns of N·V: one-sided Jacobi rotations
+/// (M. R. Hestenes, *Inversion of Matrices by Biorthogonalization and Related Results*, 1958), the smallest each
+/// time, so that columns which are nearly orthogonal stay what they are, in their order. Columns are orthogonal where
+/// the cosine between them is below `enough`.
+fn orthogonal_with<const N: usize>(
+    m: &DMat3,
+    mut others: [[DVec3; 3]; N],
+    enough: f64,
+) -> (DMat3, [[DVec3; 3]; N]) {
     let mut columns = [m.x_axis, m.y_axis, m.z_axis];
-    let mut v = DMat3::IDENTITY.to_cols_array_2d().map(DVec3::from_array);
     for _ in 0..SWEEPS {
         let mut is_done = true;
         for (i, j) in [(0, 1), (0, 2), (1, 2)] {
             let (a, b) = (columns[i], columns[j]);
             let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));
-            if ab.abs() <= enough * (aa.sqrt() * bb.sqrt()) {
+            if ab * ab <= (enough * enough) * (aa * bb) {
                 continue;
             }
             is_done = false;
             let zeta = (bb - aa) / (2.0 * ab);
-            let t = 1.0f64.copysign(zeta) / (zeta.abs() + zeta.hypot(1.0));
-            let c = 1.0 / t.hypot(1.0);
+            let t = 1.0f64.copysign(zeta) / (zeta.abs() + (zeta * zeta + 1.0).sqrt());
+            let c = 1.0 / (t * t + 1.0).sqrt();
             let s = c * t;
-            for of in [&mut columns, &mut v] {
+            for of in [&mut columns].into_iter().chain(&mut others) {
                 (of[i], of[j]) = (c * of[i] - s * of[j], s * of[i] + c * of[j]);
             }
         }
@@ -170,13 +173,53 @@ pub(super) fn orthogonal(m: &DMat3, enough: f64) -> (DMat3, DMat3) {
             break;
         }
     }
-    (DMat3::from_cols(columns[0], columns[1], columns[2]), DMat3::from_cols(v[0], v[1], v[2]))
+    (DMat3::from_cols(columns[0], columns[1], columns[2]), others)
+}
+
+/// M·V with orthogonal columns, of some rotation V.
+pub(super) fn orthogonal(m: &DMat3, enough: f64) -> DMat3 {
+    orthogonal_with::<0>(m, [], enough).0
 }
 
 /// The orthogonal factor Q of J = Q·S with S symmetric and positive. Where J leaves a plane only, Q is the one
 /// that is no mirror.
 fn polar(j: &DMat3) -> Option<DMat3> {
-    let (us, v) = orthogonal(j, ORTHOGONAL);
+    polar_by_averages(j).or_else(|| polar_by_axes(j))
+}
+
+/// The same by the average of the matrix and its inverse transpose, again and again (N. J. Higham, *Computing the Polar
+/// Decomposition, with Applications*, 1986), which is quicker; nothing where the matrix is nearly singular.
+fn polar_by_averages(j: &DMat3) -> Option<DMat3> {
+    // After each average, what is off is about half the square of what was.
+    const FEW: usize = 12;
+    let mut q = *j;
+    for _ in 0..FEW {
+        let cofactors = cofactors(&q);
+        let determinant = q.x_axis.dot(cofactors.x_axis);
+        let (square, inverse_square) = (squares(&q), squares(&cofactors) / (determinant * determinant));
+        (inverse_square * square < 1e12).then_some(())?;
+        // Of the same size as its inverse, so that averages go straight to what they end at.
+        let scale = (inverse_square / square).sqrt().sqrt();
+        let next = q * (0.5 * scale) + cofactors * (0.5 / (scale * determinant));
+        let off = squares(&(next - q));
+        q = next;
+        if off < 1e-16 {
+            return Some(q);
+        }
+    }
+    None
+}
+
+/// The sum of a matrix' squared entries.
+fn squares(m: &DMat3) -> f64 {
+    m.x_axis.length_squared() + m.y_axis.length_squared() + m.z_axis.length_squared()
+}
+
+/// The same by the axes along which the matrix stretches.
+fn polar_by_axes(j: &DMat3) -> Option<DMat3> {
+    let itself = DMat3::IDENTITY.to_cols_array_2d().map(DVec3::from_array);
+    let (us, [v]) = orthogonal_with(j, [itself], ORTHOGONAL);
+    let v = DMat3::from_cols(v[0], v[1], v[2]);
     let lengths = lengths(&us);
     let largest = sorted(lengths)[0];
     let columns = [us.x_axis, us.y_axis, us.z_axis];
@@ -198,7 +241,7 @@ pub fn anisotropy(gradient: &Mat3) -> f32 {
     if *gradient == Mat3::IDENTITY {
         return 1.0;
     }
-    let [a, b, _] = sorted(lengths(&orthogonal(&gradient.as_dmat3(), 1e-9).0));
+    let [a, b, _] = sorted(lengths(&orthogonal(&gradient.as_dmat3(), 1e-9)));
     (a / b) as f32
 }
 

@@ -6,6 +6,7 @@ use crate::deformer::Message;
 use crate::key::Key;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Refine, Step};
+use crate::sidecar;
 use crate::stack::{Done, Layer, LayerCache, Moment, PreparedStack, Rest, RestShape, at};
 use glam::{DVec3, Mat3, Vec3};
 use simod_core::reconstruction::{
@@ -90,7 +91,7 @@ impl Evaluated {
     ) -> Result<Reconstructed> {
         messages(self.statuses)?;
         let mut model = self.sampled.open_source(model, progress)?;
-        model.follow(follow)?;
+        sidecar::follow(&mut *model, follow)?;
         let deformed = self.sampled.rounded(&self.positions);
         let version = Version { deformed: &deformed, output, diagnostics: None };
         let known = turning_gradients(&self.sampled, &self.stack, model.as_ref(), progress)?;

@@ -21,6 +21,7 @@ use super::graph::{
 use crate::pipeline::{converted, needed, open, sampling_of};
 use crate::plugins::PluginRegistry;
 use crate::session_file::SessionFile;
+use crate::sidecar;
 use crate::stack::Stack;
 
 /// How a session is run by units: as [`Running`](crate::Running) says, as far as units can.
@@ -75,7 +76,7 @@ pub fn make(
     let cache = &Arc::new(Cache::nameless(folder_of(folder)));
     let becomes = converted(session, &output, (options.normals, options.lossy), (cache, progress))?;
     let mut model = open(session, cache, progress)?;
-    model.follow(options.follow)?;
+    let follow = sidecar::follow(&mut *model, options.follow)?;
     let sampling = sampling_of(session, skipped(session, &stack, options.whole_samples));
     let undivided = why_undivided(&*model, becomes.is_some(), options.normals);
     let info = model.info();
@@ -95,12 +96,12 @@ pub fn make(
             lossy: options.lossy,
             force: options.force,
             whole_samples: options.whole_samples,
-            splats: options.follow.splats,
-            opacity: options.follow.opacity,
-            max_anisotropy: options.follow.max_anisotropy,
+            splats: follow.splats,
+            opacity: follow.opacity,
+            max_anisotropy: follow.max_anisotropy,
             plugins: options.plugins.iter().map(|file| absolute(file)).collect::<Result<_>>()?,
             time: session.time,
-            follow: options.follow.declared.clone(),
+            follow: follow.declared,
         },
         units: units(&*model, &sampling, undivided.is_some(), options),
         exchange: exchange(&*model, &sampling, options),

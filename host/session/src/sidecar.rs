@@ -1,0 +1,51 @@
+//! What stands beside a model's file, its *sidecar*, and declares which of its numbers turn with the surface.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use simod_model::follow::{Follow, Kind};
+use simod_model::{Model, Result};
+
+use crate::session_file::{Source, read_text};
+
+/// Behind the name of the model's file, that of its sidecar.
+const SUFFIX: &str = ".follow.toml";
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Sidecar {
+    follow: BTreeMap<String, Kind>,
+}
+
+/// Where the sidecar of a model is, if it has one.
+pub fn of(model: &Path) -> PathBuf {
+    let mut path = model.as_os_str().to_owned();
+    path.push(SUFFIX);
+    path.into()
+}
+
+/// Says what turns in a model with the surface: what is asked for or, where that declares nothing, what the sidecar
+/// does. Returns what it is.
+///
+/// # Errors
+/// The sidecar is there, and is no such file; as of [`Model::follow`].
+pub fn follow(model: &mut dyn Model, asked: &Follow) -> Result<Follow> {
+    let path = of(model.path());
+    // Nothing is read that has no say.
+    if !(asked.declared.is_empty() && asked.splats && path.exists()) {
+        return model.follow(asked).map(|()| asked.clone());
+    }
+    let hint = "write follow = { tangent = \"direction\" } there, or remove it";
+    let text = read_text(&path, "declaration of what follows", hint)?;
+    let source = Source { text: &text, path: &path };
+    let declared: Sidecar = toml::from_str(&text).map_err(|e| source.refused(&e))?;
+    let follow = asked.clone().or_declared(&declared.follow);
+    match model.follow(&follow) {
+        Ok(()) => Ok(follow),
+        Err(e) => {
+            let what = format!("{e}, as {} declares", path.display());
+            Err(e.saying(what))
+        }
+    }
+}
