@@ -81,7 +81,7 @@ impl OtherModel {
 
     /// Of the samples in a file. Their normals there may be those of before something moved them.
     fn of_samples(model: &dyn Model, positions: &[DVec3], ids: Vec<u64>, frame: &Frame) -> Result<Self> {
-        let theirs = Frame::of(&Bounds::of(positions.iter().copied()));
+        let theirs = Frame::from_bounds(&Bounds::from_points(positions.iter().copied()));
         let local = positions.iter().map(|p| theirs.to_local(*p)).collect();
         let mut triangles = Vec::new();
         let most = 4 * MOST_SAMPLES as usize;

@@ -434,7 +434,7 @@ fn packet_turning<S: Simd>(
     simd: S,
     p: [Lanes<S>; 3],
     home: &Expansion,
-    list: &[Reaching],
+    list: &[ReachingSupport],
     told: &[Expansion],
     sum: Lanes<S>,
 ) -> [Lanes<S>; 9] {

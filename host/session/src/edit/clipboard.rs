@@ -62,7 +62,7 @@ fn with_whole_paths(step: &Step, plugins: &PluginRegistry) -> Result<Step> {
     if let Action::Deform(Deformation { deform, plugin: origin, params, folder, .. }) = &mut step.action
         && let Ok(plugin) = plugins.get(deform)
     {
-        *origin = Origin::of(plugin);
+        *origin = Origin::from_plugin(plugin);
         for file in plugin.params().iter().filter(|d| d.kind == ParamKind::FILE) {
             if let Some(toml::Value::String(name)) = params.get_mut(file.id.as_str())
                 && !name.is_empty()
