@@ -440,9 +440,20 @@ fn a_sidecar_declares_what_the_command_line_and_the_session_do_not() {
             .map(|row| row[3..].iter().enumerate().map(|(i, x)| (x - expected(i)).abs()).fold(0.0, f64::max));
         rows.fold(0.0, f64::max)
     };
-    let session = "version = 2\n[model]\npath = \"model.ply\"\n[sampling]\nsamples = 2000\n[output]\npath = \"run.ply\"\n\
-                   [[step]]\ndeform = \"rbf\"\n[[step.region]]\nrole = \"handle\"\nshapes = [{ half-space = { point = [0, 0, -9], normal = [0, 0, 1] } }]\n\
-                   move = { axis = [1, 0, 0], degrees = 90, pivot = [0, 0, 0] }\n";
+    let session = r#"version = 2
+        [model]
+        path = "model.ply"
+        [sampling]
+        samples = 2000
+        [output]
+        path = "run.ply"
+        [[step]]
+        deform = "rbf"
+        [[step.region]]
+        role = "handle"
+        shapes = [{ half-space = { point = [0, 0, -9], normal = [0, 0, 1] } }]
+        move = { axis = [1, 0, 0], degrees = 90, pivot = [0, 0, 0] }
+        "#;
     work.write("edit.toml", session);
 
     work.write("model.ply.follow.toml", all);
@@ -471,7 +482,7 @@ fn a_sidecar_declares_what_the_command_line_and_the_session_do_not() {
 
     for (wrong, says) in [
         ("follow = { tangent = \"sideways\" }", "model.ply.follow.toml, line 1"),
-        ("follow = { missing = \"vector\" }", "as model.ply.follow.toml declares"),
+        ("follow = { missing = \"vector\" }", "model.ply.follow.toml declares"),
         ("tangent = \"vector\"", "model.ply.follow.toml, line 1"),
         ("", "model.ply.follow.toml"),
     ] {

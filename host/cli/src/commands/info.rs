@@ -41,7 +41,7 @@ impl Info {
         tell_cache(&cache, report);
         model.check_complete(report.progress())?;
         if let Err(why) = sidecar::follow(&mut *model, &Follow::default()) {
-            report.warn(format!("{why}; {}", why.hint()));
+            report.warn(why.to_string());
         }
         let bounds = picture::bounds(model.as_ref(), report.progress())?;
         let info = model.info();

@@ -62,6 +62,78 @@ const FACTORS: [[usize; ORDER]; TERMS] = {
     factors
 };
 
+/// A derivative of a term, along one axis or two: the term, where it goes (an axis, or a pair of these as in
+/// [`Expansion::second`]), the term that it is a multiple of, or 34 for a constant, and that multiple.
+type Derivative = (usize, usize, usize, f32);
+
+/// As many derivatives along one axis, and as many along two.
+const DERIVATIVES: usize = 60;
+
+/// Where a pair of axes is in a list of second-order terms.
+const PAIRS: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
+
+/// The derivatives along each axis.
+const FIRST: [Derivative; DERIVATIVES] = derivatives(false);
+
+/// Those along each pair of axes, halved for an axis with itself: second-order terms of the expansion elsewhere.
+const SECOND: [Derivative; DERIVATIVES] = derivatives(true);
+
+const fn derivatives(of_second_order: bool) -> [Derivative; DERIVATIVES] {
+    let (mut all, mut count, mut term) = ([(0, 0, 0, 0.0); DERIVATIVES], 0, 0);
+    while term < TERMS {
+        // Without each factor that is an axis, or each pair of these; equal ones add up.
+        let mut one = 0;
+        while one < ORDER {
+            let mut other = if of_second_order { one + 1 } else { ORDER };
+            loop {
+                let factors = FACTORS[term];
+                let is_axis = factors[one] < 3 && (other >= ORDER || factors[other] < 3);
+                if is_axis && (!of_second_order || other < ORDER) {
+                    let to = if of_second_order { PAIRS[factors[one]][factors[other]] } else { factors[one] };
+                    let mut at = 0;
+                    while at < count && !(all[at].0 == term && all[at].1 == to) {
+                        at += 1;
+                    }
+                    if at == count {
+                        all[at] = (term, to, without(factors, one, other), 0.0);
+                        count += 1;
+                    }
+                    all[at].3 += 1.0;
+                }
+                other += 1;
+                if other >= ORDER {
+                    break;
+                }
+            }
+            one += 1;
+        }
+        term += 1;
+    }
+    assert!(count == DERIVATIVES);
+    all
+}
+
+/// The term of the factors that are left without one and, if it is one, another.
+const fn without(factors: [usize; ORDER], one: usize, other: usize) -> usize {
+    let (mut left, mut count, mut at) = ([3; ORDER], 0, 0);
+    while at < ORDER {
+        if at != one && at != other {
+            left[count] = factors[at];
+            count += 1;
+        }
+        at += 1;
+    }
+    let mut term = 0;
+    while term < TERMS {
+        let [a, b, c, d] = FACTORS[term];
+        if a == left[0] && b == left[1] && c == left[2] && d == left[3] {
+            break;
+        }
+        term += 1;
+    }
+    term
+}
+
 /// The least ridge, for each of the weights.
 const LEAST_RIDGE: f64 = 1e-14;
 
@@ -117,10 +189,11 @@ pub fn told(
         let (mut more, mut second, mut sum) = (Mat3::ZERO, [Vec3::ZERO; 6], 0.0);
         for anchor in near.iter().map(|anchor| &anchors[*anchor as usize]) {
             let d = q - anchor.center;
+            let products = anchor.products(d);
             let w = (1.0 - d.length_squared() * anchor.inverse_square).max(0.0).powi(3);
             let trusted = w * anchor.trust;
-            more += (anchor.gradient(d) - own) * trusted;
-            let theirs = anchor.second(d).into_iter().zip(own_second);
+            more += (anchor.gradient(&products) - own) * trusted;
+            let theirs = anchor.second(&products).into_iter().zip(own_second);
             second.iter_mut().zip(theirs).for_each(|(sum, (theirs, own))| *sum += trusted * (theirs - own));
             sum += w;
         }
@@ -267,40 +340,54 @@ impl Fit<'_> {
 }
 
 impl Anchor {
-    /// The gradient of the map at `d` from the anchor.
-    fn gradient(&self, d: Vec3) -> Mat3 {
+    /// The product that each term is of at `d` from the anchor, and 1.
+    fn products(&self, d: Vec3) -> [f32; TERMS + 1] {
         let x = (d * self.scale).extend(1.0).to_array();
-        let mut slopes = [Vec3::ZERO; 4];
-        for (factors, term) in FACTORS.iter().zip(&self.terms) {
-            for left_out in 0..ORDER {
-                let others = (0..ORDER).filter(|at| *at != left_out).map(|at| x[factors[at]]);
-                slopes[factors[left_out]] += *term * others.product::<f32>();
-            }
+        let mut products = [1.0; TERMS + 1];
+        for (to, [a, b, c, d]) in products.iter_mut().zip(&FACTORS) {
+            *to = x[*a] * x[*b] * x[*c] * x[*d];
         }
-        let [x, y, z, _] = slopes.map(|slope| slope * self.scale);
+        products
+    }
+
+    /// The sums of derivatives, by where they go.
+    fn derived<const N: usize>(
+        &self,
+        derivatives: &[Derivative; DERIVATIVES],
+        products: &[f32; TERMS + 1],
+    ) -> [Vec3; N] {
+        let mut sums = [Vec3::ZERO; N];
+        for (term, to, product, times) in derivatives {
+            sums[*to] += self.terms[*term] * (products[*product] * times);
+        }
+        sums
+    }
+
+    /// The gradient of the map where the products are these.
+    fn gradient(&self, products: &[f32; TERMS + 1]) -> Mat3 {
+        let [x, y, z] = self.derived(&FIRST, products).map(|slope: Vec3| slope * self.scale);
         self.affine + Mat3::from_cols(x, y, z)
     }
 
-    /// The second-order terms of the map at `d` from the anchor: xx, xy, xz, yy, yz, zz.
-    fn second(&self, d: Vec3) -> [Vec3; 6] {
-        // Where the product of two coordinates is, or of one and none, which is no matter.
-        const PLACE: [[usize; 4]; 4] = [[0, 1, 2, 6], [1, 3, 4, 6], [2, 4, 5, 6], [6; 4]];
-        let x = (d * self.scale).extend(1.0).to_array();
-        let mut second = [Vec3::ZERO; 7];
-        for (factors, term) in FACTORS.iter().zip(&self.terms) {
-            for (one, other) in [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] {
-                let others = (0..ORDER).filter(|at| *at != one && *at != other).map(|at| x[factors[at]]);
-                second[PLACE[factors[one]][factors[other]]] += *term * others.product::<f32>();
-            }
-        }
-        std::array::from_fn(|at| second[at] * self.scale * self.scale)
+    /// The second-order terms of the map there: xx, xy, xz, yy, yz, zz.
+    fn second(&self, products: &[f32; TERMS + 1]) -> [Vec3; 6] {
+        self.derived(&SECOND, products).map(|term: Vec3| term * self.scale * self.scale)
     }
 }
 
+/// As many numbers as the processor takes at once.
+const BLOCK: usize = 8;
+
+/// Length of the rows of a matrix: whole blocks.
+const ROW: usize = TERMS.next_multiple_of(BLOCK);
+
+type Rows = [[f64; ROW]; TERMS];
+
 /// The squares of what the affine map leaves over, to be explained by the terms in units of the radius.
 struct Squares {
-    /// Lower triangle of the products of terms, and the products with what is to be explained.
-    matrix: [[f64; TERMS]; TERMS],
+    /// Lower triangle of the products of terms, which is read, with what is beside it in blocks of [`BLOCK`]; and
+    /// the products with what is to be explained.
+    matrix: Rows,
     right: [DVec3; TERMS],
     /// The sums of the weights, and of their squares.
     weights: f64,
@@ -313,7 +400,7 @@ struct Squares {
 
 impl Squares {
     fn new() -> Self {
-        let (matrix, right) = ([[0.0; TERMS]; TERMS], [DVec3::ZERO; TERMS]);
+        let (matrix, right) = ([[0.0; ROW]; TERMS], [DVec3::ZERO; TERMS]);
         Self { matrix, right, weights: 0.0, squared_weights: 0.0, squares: 0.0, largest: 0.0 }
     }
 
@@ -322,11 +409,17 @@ impl Squares {
     fn include(&mut self, x: DVec3, left: DVec3) {
         let w = (1.0 - x.length_squared()).max(0.0);
         let x = [x.x, x.y, x.z, 1.0];
-        let terms = FACTORS.map(|[a, b, c, d]| x[a] * x[b] * x[c] * x[d]);
+        let mut terms = [0.0; ROW];
+        for (to, [a, b, c, d]) in terms.iter_mut().zip(&FACTORS) {
+            *to = x[*a] * x[*b] * x[*c] * x[*d];
+        }
         for a in 0..TERMS {
             let weighted = w * terms[a];
-            for (to, term) in self.matrix[a][..=a].iter_mut().zip(&terms) {
-                *to += weighted * term;
+            let blocks = self.matrix[a].chunks_exact_mut(BLOCK).zip(terms.chunks_exact(BLOCK));
+            for (to, terms) in blocks.take(a / BLOCK + 1) {
+                for at in 0..BLOCK {
+                    to[at] += weighted * terms[at];
+                }
             }
             self.right[a] += weighted * left;
         }
@@ -378,7 +471,7 @@ impl Squares {
 }
 
 /// The lower triangle of Cholesky's decomposition.
-struct Factor([[f64; TERMS]; TERMS]);
+struct Factor(Rows);
 
 impl Factor {
     fn solve(&self, mut right: [DVec3; TERMS]) -> [DVec3; TERMS] {

@@ -261,8 +261,10 @@ mod tests {
     fn the_polar_factor_is_the_rotation() {
         let stretch = DMat3::from_cols_array(&[2.0, 0.3, 0.1, 0.3, 1.0, -0.2, 0.1, -0.2, 0.5]);
         for side in [1.0, -1.0] {
-            let polar = polar(&(rotation() * side * stretch)).unwrap();
-            assert!(polar.abs_diff_eq(rotation() * side, 1e-13));
+            for polar in [polar_by_averages, polar_by_axes] {
+                let polar = polar(&(rotation() * side * stretch)).unwrap();
+                assert!(polar.abs_diff_eq(rotation() * side, 1e-13));
+            }
         }
         assert!(polar(&rotation()).unwrap().abs_diff_eq(rotation(), 1e-14));
         // A plane is left, and a line.
