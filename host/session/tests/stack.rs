@@ -84,6 +84,13 @@ shapes = [{ half-space = { point = [1e6, -1999993, 500], normal = [0, 1, 0] } }]
 move = { translate = [1, 0, 0], axis = [0, 1, 0], degrees = 45, pivot = [1e6, 0, 500] }
 ";
 
+const MASK: &str = "
+[[step.region]]
+role = \"mask\"
+falloff = 2
+shapes = [{ half-space = { point = [1e6, -1999995, 500], normal = [0, 1, 0] } }]
+";
+
 #[test]
 fn an_empty_stack_changes_nothing() {
     let positions = cylinder(100);
@@ -118,14 +125,8 @@ fn two_plugins_in_one_stack() {
 #[test]
 fn masks_hold_any_layer_back() {
     let positions = cylinder(2000);
-    let mask = "
-[[step.region]]
-role = \"mask\"
-falloff = 2
-shapes = [{ half-space = { point = [1e6, -1999995, 500], normal = [0, 1, 0] } }]
-";
     let whole = apply(BEND, &positions).unwrap();
-    let masked = apply(&format!("{BEND}{mask}"), &positions).unwrap();
+    let masked = apply(&format!("{BEND}{MASK}"), &positions).unwrap();
     assert_evaluates(&masked, &positions, 1e-5);
     for (p, (w, m)) in positions.iter().zip(whole.positions.iter().zip(&masked.positions)) {
         let y = about_origin(*p).y;
@@ -142,13 +143,7 @@ shapes = [{ half-space = { point = [1e6, -1999995, 500], normal = [0, 1, 0] } }]
 #[test]
 fn an_amount_blends_any_layer_with_its_rest_shape() {
     let positions = cylinder(2000);
-    let mask = "
-[[step.region]]
-role = \"mask\"
-falloff = 2
-shapes = [{ half-space = { point = [1e6, -1999995, 500], normal = [0, 1, 0] } }]
-";
-    for step in [BEND.to_owned(), RBF.to_owned(), format!("{BEND}{mask}")] {
+    for step in [BEND.to_owned(), RBF.to_owned(), format!("{BEND}{MASK}")] {
         let with = |amount: f64| {
             let deform = step.find("deform").unwrap();
             let text = format!("{}amount = {amount:?}\n{}", &step[..deform], &step[deform..]);

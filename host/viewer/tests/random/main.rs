@@ -66,9 +66,6 @@ fn change() -> impl Strategy<Value = edit::Command> {
     });
     let one = prop_oneof![
         any::<bool>().prop_map(Change::Enable),
-        (-0.5..1.5_f64).prop_map(Change::SetAmount),
-        any::<bool>().prop_map(|some| Change::SetTitle(some.then(|| "up".to_owned()))),
-        (0..3_usize).prop_map(|stroke| Change::RemoveStroke { stroke }),
         (-200.0..200.0_f64)
             .prop_map(|angle| Change::SetParam { id: "angle".into(), value: Some(angle.into()) }),
         Just(Change::SetParam { id: "nonsense".into(), value: Some("x".into()) }),
@@ -80,7 +77,6 @@ fn change() -> impl Strategy<Value = edit::Command> {
     prop_oneof![
         6 => (at.clone(), one).prop_map(|(at, change)| edit::Command::Change { at, change }),
         2 => at.clone().prop_map(|at| edit::Command::Remove { at }),
-        1 => at.clone().prop_map(|at| edit::Command::Solo { at }),
         1 => (at.clone(), at).prop_map(|(from, to)| edit::Command::Move { from, to }),
     ]
 }
@@ -112,9 +108,6 @@ fn command() -> impl Strategy<Value = Command> {
         1 => prop::option::of(step.clone()).prop_map(|step| Command::Choose { step }),
         2 => (plugin, prop::option::of(step.clone()))
             .prop_map(|(plugin, at)| Command::AddStep { plugin: plugin.into(), at }),
-        1 => prop::option::of(step.clone()).prop_map(|at| Command::Paste {
-            text: "[[step]]\ndeform = \"warp\"\namount = 0.5".to_owned(), at
-        }),
         4 => (area(), combine, any::<bool>(), any::<bool>())
             .prop_map(|(area, combine, visible, goes_on)| Command::Select { area, combine, visible, goes_on }),
         2 => (step.clone(), role, -0.1..0.5_f64, prop::option::of(0..2_usize)).prop_map(
