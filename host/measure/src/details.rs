@@ -26,6 +26,9 @@ pub struct Details<'a> {
     details: Vec<DVec3>,
 }
 
+/// A smooth surface, and the details on it, vertex by vertex.
+type Split = (Vec<DVec3>, Vec<DVec3>);
+
 /// How details turn.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Rotation {
@@ -68,7 +71,8 @@ impl<'a> Details<'a> {
         let neighbours = edges.into_iter().map(|[_, b]| b).collect();
         let mut details =
             Self { rest, triangles, first, neighbours, steps, smooth: Vec::new(), details: Vec::new() };
-        (details.smooth, details.details) = details.split(rest);
+        let [split] = details.split([rest]);
+        (details.smooth, details.details) = split;
         details
     }
 
@@ -77,12 +81,37 @@ impl<'a> Details<'a> {
     /// # Panics
     /// There are not as many.
     pub fn rotation(&self, deformed: &[DVec3]) -> Rotation {
-        assert_eq!(self.rest.len(), deformed.len(), "one position for each vertex");
-        let (smooth, details) = self.split(deformed);
-        let (rest_normals, normals) = (self.normals(&self.smooth), self.normals(&smooth));
+        let [split] = self.split([deformed]);
+        self.compare(deformed, &split)
+    }
+
+    /// Compares with the same vertices in several shapes: quicker than one after the other.
+    ///
+    /// Memory: 220 bytes for each vertex and each of up to four shapes at a time.
+    ///
+    /// # Panics
+    /// There are not as many vertices in one of them.
+    pub fn rotations(&self, deformed: &[&[DVec3]]) -> Vec<Rotation> {
+        let mut all = Vec::with_capacity(deformed.len());
+        let mut add = |some: &[&[DVec3]], splits: &[Split]| {
+            all.extend(some.iter().zip(splits).map(|(deformed, split)| self.compare(deformed, split)));
+        };
+        for some in deformed.chunks(4) {
+            match *some {
+                [a, b, c, d] => add(some, &self.split([a, b, c, d])),
+                [a, b, c] => add(some, &self.split([a, b, c])),
+                [a, b] => add(some, &self.split([a, b])),
+                _ => some.iter().for_each(|a| add(&[a], &self.split([*a]))),
+            }
+        }
+        all
+    }
+
+    fn compare(&self, deformed: &[DVec3], (smooth, details): &Split) -> Rotation {
+        let (rest_normals, normals) = (self.normals(&self.smooth), self.normals(smooth));
         let turns: Vec<Option<DMat3>> = (0..self.rest.len())
             .into_par_iter()
-            .map(|i| self.turn(i, &smooth, rest_normals[i], normals[i]))
+            .map(|i| self.turn(i, smooth, rest_normals[i], normals[i]))
             .collect();
         let (mut sum, mut weights) = (0.0, 0.0);
         for (i, turn) in turns.iter().enumerate() {
@@ -113,24 +142,35 @@ impl<'a> Details<'a> {
         &self.neighbours[self.first[vertex] as usize..self.first[vertex + 1] as usize]
     }
 
-    /// The smooth surface, and the details.
-    fn split(&self, positions: &[DVec3]) -> (Vec<DVec3>, Vec<DVec3>) {
-        let smooth = self.smoothed(positions);
-        let smoother = self.smoothed(&smooth);
-        let details = (0..positions.len()).map(|i| positions[i] - 2.0 * smooth[i] + smoother[i]).collect();
-        (smooth, details)
+    /// The smooth surfaces of some shapes, and the details.
+    fn split<const N: usize>(&self, shapes: [&[DVec3]; N]) -> [Split; N] {
+        for shape in shapes {
+            assert_eq!(self.rest.len(), shape.len(), "one position for each vertex");
+        }
+        let all = (0..self.rest.len()).map(|i| shapes.map(|shape| shape[i])).collect();
+        let smooth = self.smoothed(all);
+        let smoother = self.smoothed(smooth.clone());
+        std::array::from_fn(|n| {
+            let detail = |i: usize| shapes[n][i] - 2.0 * smooth[i][n] + smoother[i][n];
+            (smooth.iter().map(|p| p[n]).collect(), (0..smooth.len()).map(detail).collect())
+        })
     }
 
-    /// Each vertex half way to the mean of its neighbours, again and again.
-    fn smoothed(&self, positions: &[DVec3]) -> Vec<DVec3> {
-        let mut smooth = positions.to_vec();
+    /// Each vertex half way to the mean of its neighbours, again and again, in several shapes at once: their places
+    /// are side by side, so that neighbours are looked up once for all.
+    fn smoothed<const N: usize>(&self, mut smooth: Vec<[DVec3; N]>) -> Vec<[DVec3; N]> {
         let mut next = smooth.clone();
         for _ in 0..self.steps {
             next.par_iter_mut().enumerate().with_min_len(1 << 10).for_each(|(i, next)| {
                 let around = self.around(i);
                 if !around.is_empty() {
-                    let sum: DVec3 = around.iter().map(|j| smooth[*j as usize]).sum();
-                    *next = 0.5 * (smooth[i] + sum / around.len() as f64);
+                    let mut sum = [DVec3::ZERO; N];
+                    for j in around {
+                        let other = &smooth[*j as usize];
+                        (0..N).for_each(|n| sum[n] += other[n]);
+                    }
+                    let own = &smooth[i];
+                    (0..N).for_each(|n| next[n] = 0.5 * (own[n] + sum[n] / around.len() as f64));
                 }
             });
             std::mem::swap(&mut smooth, &mut next);
@@ -232,6 +272,20 @@ mod tests {
             let upright: Vec<_> = rest.iter().map(|p| tilt * p.with_y(0.0) + DVec3::Y * p.y).collect();
             let rms = details.rotation(&upright).rms;
             assert!((rms / degrees - 1.0).abs() < 0.03, "{rms} instead of {degrees}");
+        }
+    }
+
+    #[test]
+    fn several_shapes_at_once_are_as_one_by_one() {
+        let (rest, triangles) = bumpy(30);
+        let details = Details::new(&rest, &triangles, 0.1);
+        let bent =
+            |k: i32| rest.iter().map(move |p| *p + DVec3::Y * f64::from(k) * (p.x * p.x + 0.2 * p.z * p.x));
+        let shapes: Vec<Vec<DVec3>> = (0..11).map(|k| bent(k).collect()).collect();
+        for count in 0..shapes.len() {
+            let some: Vec<&[DVec3]> = shapes[..count].iter().map(Vec::as_slice).collect();
+            let one_by_one: Vec<Rotation> = some.iter().map(|shape| details.rotation(shape)).collect();
+            assert_eq!(details.rotations(&some), one_by_one);
         }
     }
 

@@ -14,6 +14,8 @@ use super::triangle::{corners, cross};
 
 /// Points that are looked up before the user is asked whether to go on.
 const BLOCK: usize = 1 << 14;
+/// Points that one thread looks up one after the other.
+const ROW: usize = 1 << 9;
 
 /// How far the points of a surface are from another one, in the positions' unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -117,19 +119,24 @@ impl Surface {
         Some(Self { facets, nodes })
     }
 
-    /// The triangle nearest to a point, and the nearest point of it.
-    fn nearest(&self, p: DVec3) -> (&Facet, DVec3) {
-        let (mut best, mut square) = ((&self.facets[0], self.facets[0].0[0]), f64::INFINITY);
+    /// The triangle nearest to a point, by its place in the order, and the nearest point of it. Quick where `near` is the
+    /// place of one that is about as near; `open` is room for the search.
+    fn nearest(&self, p: DVec3, near: Option<usize>, open: &mut Vec<(usize, f64)>) -> (usize, DVec3) {
+        let (mut best, mut square) = ((0, self.facets[0].0[0]), f64::INFINITY);
+        if let Some(near) = near {
+            let point = nearest_on(self.facets[near].0, p);
+            (best, square) = ((near, point), p.distance_squared(point));
+        }
         // As deep as the tree, one for each step down.
-        let mut open = vec![(0, self.nodes[0].distance_2(p))];
+        open.push((0, self.nodes[0].distance_2(p)));
         while let Some((place, least)) = open.pop() {
             if least >= square {
                 continue;
             }
             let node = &self.nodes[place];
             if node.count > 0 {
-                for facet in &self.facets[node.next as usize..][..node.count as usize] {
-                    let point = nearest_on(facet.0, p);
+                for facet in (node.next as usize..).take(node.count as usize) {
+                    let point = nearest_on(self.facets[facet].0, p);
                     let distance = p.distance_squared(point);
                     if distance < square {
                         (best, square) = ((facet, point), distance);
@@ -147,13 +154,13 @@ impl Surface {
 
     /// The distance of a point, which has to be finite.
     pub fn distance(&self, p: DVec3) -> f64 {
-        self.nearest(p).1.distance(p)
+        self.nearest(p, None, &mut Vec::new()).1.distance(p)
     }
 
     /// The point of the surface that is nearest to a point, which has to be finite.
     pub fn closest(&self, p: DVec3) -> Option<OnSurface> {
-        let (facet, point) = self.nearest(p);
-        Some(facet.at(point))
+        let (facet, point) = self.nearest(p, None, &mut Vec::new());
+        Some(self.facets[facet].at(point))
     }
 
     /// Where a ray of a finite origin and direction, which is not zero, meets the surface first, from either
@@ -192,12 +199,24 @@ impl Surface {
     ) -> Result<Distances> {
         let areas = areas(positions, triangles);
         let (mut sum, mut weights, mut max) = (0.0, 0.0, 0.0f64);
+        // Each point is next to the one before it, more often than not.
+        let row = |(points, areas): (&[DVec3], &[f64])| {
+            let (mut near, mut open) = (None, Vec::new());
+            let of = |(p, area): (&DVec3, &f64)| {
+                if *area <= 0.0 {
+                    return 0.0;
+                }
+                let (facet, point) = self.nearest(*p, near, &mut open);
+                near = Some(facet);
+                point.distance(*p)
+            };
+            points.iter().zip(areas).map(of).collect::<Vec<f64>>()
+        };
         for (points, areas) in positions.chunks(BLOCK).zip(areas.chunks(BLOCK)) {
             progress.check()?;
-            let of = |(p, area): (&DVec3, &f64)| if *area > 0.0 { self.distance(*p) } else { 0.0 };
             // Summed up in the points' order, so that the sum does not depend on the threads.
-            let found: Vec<f64> = points.par_iter().zip(areas).map(of).collect();
-            for (distance, area) in found.into_iter().zip(areas) {
+            let found: Vec<Vec<f64>> = points.par_chunks(ROW).zip(areas.par_chunks(ROW)).map(row).collect();
+            for (distance, area) in found.into_iter().flatten().zip(areas) {
                 sum += area * distance * distance;
                 weights += area;
                 max = max.max(distance);

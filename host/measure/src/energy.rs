@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::triangle::{corners, cross};
+use super::triangle::{corners, cross, edges};
 
 /// The energies of a deformed mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -88,7 +88,6 @@ impl Energies {
             Histograms { edges: Bins::new(-2, 2), areas: Bins::new(-4, 4), distortion: Bins::new(0, 4) };
         let (mut covariances, mut area) = (vec![DMat3::ZERO; rest.len()], 0.0);
         let (mut dirichlet, mut dirichlet_max, mut kept, mut collapsed) = (0.0, 0.0f64, 0.0, 0);
-        let mut edges: Vec<[u32; 2]> = Vec::with_capacity(3 * all.len());
         for (triangle, before, after) in &all {
             let size = 0.5 * cross(*before).length();
             area += size;
@@ -110,12 +109,9 @@ impl Energies {
             } else {
                 collapsed += 1;
             }
-            let [a, b, c] = *triangle;
-            edges.extend([[a, b], [b, c], [c, a]].map(|[a, b]| [a.min(b), a.max(b)]));
         }
-        edges.sort_unstable();
-        edges.dedup();
-        for [a, b] in edges.into_iter().map(|edge| edge.map(|i| i as usize)) {
+        for edge in edges(all.iter().map(|(triangle, ..)| *triangle)) {
+            let [a, b] = edge.map(|i| i as usize);
             histograms.edges.add((deformed[a].distance(deformed[b]) / rest[a].distance(rest[b])).log2());
         }
         let rotations: Vec<DMat3> = covariances.par_iter().map(rotation).collect();
@@ -200,8 +196,8 @@ fn greatest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
                 continue;
             }
             let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-            let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
-            let c = 1.0 / t.hypot(1.0);
+            let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
+            let c = 1.0 / (t * t + 1.0).sqrt();
             let s = t * c;
             for row in &mut a {
                 let (x, y) = (row[p], row[q]);

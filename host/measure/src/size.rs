@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::spread::Spread;
-use super::triangle::{corners, cross};
+use super::triangle::{corners, cross, edges};
 
 /// The volume that a closed mesh holds, by signed tetrahedra: negative for one that is inside out.
 pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
@@ -78,13 +78,9 @@ pub fn area(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
 /// do not count.
 pub fn edge_distortion(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Spread {
     let valid = triangles.iter().filter(|t| corners(rest, **t).is_some() && corners(deformed, **t).is_some());
-    let mut edges: Vec<[u32; 2]> =
-        valid.flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]]).map(|[a, b]| [*a.min(b), *a.max(b)]).collect();
-    edges.sort_unstable();
-    edges.dedup();
     let length =
         |positions: &[DVec3], [a, b]: [u32; 2]| positions[a as usize].distance(positions[b as usize]);
-    let lengths = edges.into_iter().map(|edge| [length(rest, edge), length(deformed, edge)]);
+    let lengths = edges(valid.copied()).into_iter().map(|edge| [length(rest, edge), length(deformed, edge)]);
     Spread::of(changes(lengths))
 }
 

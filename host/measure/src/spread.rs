@@ -17,12 +17,9 @@ impl Spread {
     /// Of amounts that are not negative.
     pub fn of(mut amounts: Vec<f64>) -> Self {
         let Some(last) = amounts.len().checked_sub(1) else { return Self::default() };
-        amounts.sort_by(f64::total_cmp);
         let squares: f64 = amounts.iter().map(|x| x * x).sum();
-        Self {
-            rms: (squares / amounts.len() as f64).sqrt(),
-            p99: amounts[last * 99 / 100],
-            max: amounts[last],
-        }
+        let (_, p99, above) = amounts.select_nth_unstable_by(last * 99 / 100, f64::total_cmp);
+        let max = above.iter().copied().max_by(f64::total_cmp);
+        Self { rms: (squares / (last + 1) as f64).sqrt(), p99: *p99, max: max.unwrap_or(*p99) }
     }
 }

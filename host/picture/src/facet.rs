@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::SurfacePoint;
 use super::camera::{Camera, Lens};
-use super::splat::{BAND, BATCH, Canvas, Pixel};
+use super::splat::{BAND, BATCH, Bands, Canvas, Pixel};
 
 /// Steepest slope of a surface, in depths for each width of a sample, over which samples are still of one.
 const STEEPEST: f32 = 6.0;
@@ -158,7 +158,10 @@ fn towards(normal: Vec3, ray: Vec3) -> Vec3 {
 ///
 /// Memory: some 200 bytes for each triangle of a batch, 13 MB at most.
 #[derive(Default)]
-pub(super) struct Facets(Vec<Option<Facet>>);
+pub(super) struct Facets {
+    batch: Vec<Option<Facet>>,
+    bands: Bands,
+}
 
 impl Facets {
     /// First pass: the depth of the nearest surface.
@@ -187,12 +190,13 @@ impl Facets {
         let size = [canvas.width, canvas.height];
         for batch in triangles.chunks(BATCH) {
             let facet = |triangle| Facet::new(camera, &lens, size, triangle);
-            batch.par_iter().map(facet).collect_into_vec(&mut self.0);
-            let facets = &self.0;
+            batch.par_iter().map(facet).collect_into_vec(&mut self.batch);
+            self.bands.sort(size[1], &self.batch, |facet| facet.as_ref().map(|f| f.rows));
+            let Self { batch: facets, bands } = self;
             canvas.pixels.par_chunks_mut(BAND * size[0]).enumerate().for_each(|(band, pixels)| {
                 let first = band * BAND;
                 let rows = [first, first + pixels.len() / size[0]];
-                for facet in facets.iter().flatten().filter(|f| f.rows[0] < rows[1] && f.rows[1] > rows[0]) {
+                for facet in bands.of(band, facets).flatten() {
                     facet.visit(rows, |x, y, depth, parts| {
                         hit(&mut pixels[(y - first) * size[0] + x], facet, lens.ray(x, y), depth, parts);
                     });

@@ -1,6 +1,5 @@
 //! Pictures of models and samples: shaded triangles and splats, drawn on the processor.
 
-use std::ops::Range;
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
@@ -87,20 +86,23 @@ pub fn turn_of_model(
     })
 }
 
-/// As [`of_model`], for the first of several models that are read [in step](in_step): `paint` gives its
-/// vertices' colours, and may ask for so many of its first attributes.
+/// As [`of_model`], for the first of several models that are read [in step](in_step), a picture of each view: `paint`
+/// gives its vertices' colours, and may ask for so many of its first attributes.
 ///
 /// # Errors
 /// As of [`of_model`]; models differ in their number of vertices.
 pub fn of_painted(
     models: &[&dyn Model],
     bounds: &Bounds,
-    view: &View,
+    views: &[View],
     (attributes, paint, drawn): (usize, &PaintBy<'_>, Drawn<'_>),
     progress: &dyn Progress,
-) -> Result<Image> {
+) -> Result<Vec<Image>> {
+    if views.is_empty() {
+        return Ok(Vec::new());
+    }
     let shown = Shown::new(models, bounds, Some((attributes, paint)), drawn, progress)?;
-    shown.draw(view, view.camera(), progress)
+    views.iter().map(|view| shown.draw(view, view.camera(), progress)).collect()
 }
 
 fn with_paint<T>(paint: &Paint, draw: impl FnOnce(Painted<'_>) -> Result<T>) -> Result<T> {
@@ -199,41 +201,57 @@ fn draw(
     Ok(renderer.finish())
 }
 
+/// A colour for each of some points, by their numbers.
+pub type ColorOf<'a> = dyn Fn(usize) -> [u8; 3] + Sync + 'a;
+
 /// Draws points of a model that are not all of its vertices, as discs: so many, which `point` gives by their numbers, in
-/// the model's axes. Of what it says of their radii nothing counts: discs cover the surface by how many there are.
+/// the model's axes; once in each of the colourings. Of what it says of their radii and colours nothing counts: discs
+/// cover the surface by how many there are.
+///
+/// Memory: besides the picture's, 4 bytes for each point.
 ///
 /// # Errors
 /// The user cancelled.
 pub fn of_some(
     (count, point): (usize, &(dyn Fn(usize) -> SurfacePoint + Sync)),
+    colorings: &[&ColorOf<'_>],
     bounds: &Bounds,
     view: &View,
     progress: &dyn Progress,
-) -> Result<Image> {
+) -> Result<Vec<Image>> {
     progress.begin("drawing", 0);
     let mut spacing = Spacing::new([bounds.min, bounds.max]);
     spacing.add((0..count).map(|i| point(i).position));
+    let radius = |i: usize| UNEVEN * spacing.radius_at(point(i).position);
+    let radii: Vec<f32> = (0..count).into_par_iter().map(radius).collect();
     let mut renderer = view.renderer(view.camera(), true);
     let chunks = || (0..count).step_by(CHUNK_VERTICES).map(|i| i..count.min(i + CHUNK_VERTICES));
-    let drawn = |i: usize| {
+    let drawn = |i: usize, color: [u8; 3]| {
         let point = point(i);
         SurfacePoint {
             position: view.up.turned(point.position),
             normal: view.up.turned(point.normal.as_dvec3()).as_vec3(),
-            radius: UNEVEN * spacing.radius_at(point.position),
-            ..point
+            radius: radii[i],
+            color,
         }
     };
-    let some = |chunk: Range<usize>| chunk.into_par_iter().map(drawn).collect::<Vec<_>>();
+    // In the same memory each time: to get it anew takes the system longer than to fill it.
+    let mut points = Vec::new();
     for chunk in chunks() {
         progress.check()?;
-        renderer.depth(&some(chunk));
+        chunk.into_par_iter().map(|i| drawn(i, [0; 3])).collect_into_vec(&mut points);
+        renderer.depth(&points);
     }
-    for chunk in chunks() {
-        progress.check()?;
-        renderer.blend(&some(chunk));
+    let mut images = Vec::with_capacity(colorings.len());
+    for color in colorings {
+        for chunk in chunks() {
+            progress.check()?;
+            chunk.into_par_iter().map(|i| drawn(i, color(i))).collect_into_vec(&mut points);
+            renderer.blend(&points);
+        }
+        images.push(renderer.light());
     }
-    Ok(renderer.finish())
+    Ok(images)
 }
 
 /// Draws samples at local `positions`, in colours of which there is one for each, if there are any: the triangles

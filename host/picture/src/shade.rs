@@ -20,10 +20,17 @@ const OCCLUSION_TILE: usize = 4;
 /// How far the occlusion reaches, as a share of the model's radius.
 const OCCLUSION_REACH: f32 = 0.13;
 
-/// Lights all samples; linear colours, row by row.
-pub(super) fn shade(canvas: &Canvas, camera: &Camera, style: &Style, ground: Option<&Ground>) -> Vec<Vec3> {
+/// Lights all samples; linear colours, row by row. The occlusion is found where it is not there yet.
+pub(super) fn shade(
+    canvas: &Canvas,
+    camera: &Camera,
+    style: &Style,
+    ground: Option<&Ground>,
+    occlusion: &mut Option<Vec<f32>>,
+) -> Vec<Vec3> {
     let surface = Surface::new(canvas, camera);
-    let occlusion = surface.blurred(&surface.occlusion(camera.radius() as f32 * OCCLUSION_REACH));
+    let occlusion = occlusion
+        .get_or_insert_with(|| surface.blurred(&surface.occlusion(camera.radius() as f32 * OCCLUSION_REACH)));
     let pixels = canvas.width * canvas.height;
     (0..pixels)
         .into_par_iter()

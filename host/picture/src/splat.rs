@@ -134,6 +134,12 @@ impl Splat {
         Some(Self { center, normal, color, radius, axes, hiding, pixel, reach, columns, rows })
     }
 
+    /// The least depth that any of it has.
+    #[inline]
+    fn least_depth(&self) -> f32 {
+        self.center.z - self.radius
+    }
+
     /// Depth and weight (0 outside) along a pixel's ray; (`dx`, `dy`) is the way there from the splat's
     /// middle.
     fn hit(&self, ray: Vec3, dx: f32, dy: f32) -> (f32, f32) {
@@ -144,7 +150,7 @@ impl Splat {
         let mut distance = on_screen / (self.reach * self.reach);
         if facing < 0.0 {
             depth = (self.normal.dot(self.center) / facing)
-                .clamp(self.center.z - self.radius, self.center.z + self.radius);
+                .clamp(self.least_depth(), self.center.z + self.radius);
             let way = ray * depth - self.center;
             let on_disc = match self.axes {
                 Some([a, b]) => way.dot(a).powi(2) + way.dot(b).powi(2),
@@ -169,13 +175,21 @@ impl Canvas {
         Self { width, height, pixels: vec![Pixel::EMPTY; width * height] }
     }
 
+    /// Forgets what was blended, but not where the nearest surface is.
+    pub fn forget_blended(&mut self) {
+        self.pixels
+            .par_iter_mut()
+            .for_each(|pixel| *pixel = Pixel { nearest: pixel.nearest, ..Pixel::EMPTY });
+    }
+
     pub fn lens(&self, camera: &Camera) -> Lens {
         camera.lens(self.width as u32, self.height as u32)
     }
 
     /// First pass: the depth of the nearest surface.
     pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
-        self.draw(camera, points, axes, |pixel, splat, depth, weight| {
+        let may_show = |pixel: &Pixel, splat: &Splat| splat.least_depth() < pixel.nearest;
+        self.draw(camera, points, axes, may_show, |pixel, splat, depth, weight| {
             if weight >= splat.hiding {
                 pixel.come_near(depth);
             }
@@ -184,7 +198,8 @@ impl Canvas {
 
     /// Second pass: what lies on the nearest surface.
     pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
-        self.draw(camera, points, axes, |pixel, splat, depth, weight| {
+        let may_show = |pixel: &Pixel, splat: &Splat| pixel.is_near(splat.least_depth(), splat.radius);
+        self.draw(camera, points, axes, may_show, |pixel, splat, depth, weight| {
             // Neighbouring discs of one surface differ in depth by less than they are wide.
             if pixel.is_near(depth, splat.radius) {
                 pixel.blend(weight, depth, splat.normal, splat.color);
@@ -197,21 +212,28 @@ impl Canvas {
         camera: &Camera,
         points: &[SurfacePoint],
         axes: &[[Vec3; 2]],
+        may_show: impl Fn(&Pixel, &Splat) -> bool + Sync,
         hit: impl Fn(&mut Pixel, &Splat, f32, f32) + Sync,
     ) {
         let lens = self.lens(camera);
         let size = [self.width, self.height];
+        let mut bands = Bands::default();
         for (number, batch) in points.chunks(BATCH).enumerate() {
             let axes = axes.get(number * BATCH..).unwrap_or_default();
             let splat = |(i, point)| Splat::new(camera, &lens, size, point, axes.get(i));
             let splats: Vec<Splat> = batch.par_iter().enumerate().filter_map(splat).collect();
+            bands.sort(size[1], &splats, |splat| Some(splat.rows));
             self.pixels.par_chunks_mut(BAND * self.width).enumerate().for_each(|(band, pixels)| {
                 let first = band * BAND;
-                for splat in &splats {
+                for splat in bands.of(band, &splats) {
                     let [left, right] = splat.columns;
                     for y in splat.rows[0].max(first)..splat.rows[1].min(first + BAND) {
                         let row = &mut pixels[(y - first) * size[0]..][..size[0]];
                         for (x, pixel) in (left..right).zip(&mut row[left..right]) {
+                            // Of what is hidden no more has to be known.
+                            if !may_show(pixel, splat) {
+                                continue;
+                            }
                             let (dx, dy) = (x as f32 + 0.5 - splat.pixel[0], y as f32 + 0.5 - splat.pixel[1]);
                             let (depth, weight) = splat.hit(lens.ray(x, y), dx, dy);
                             if weight > 0.0 {
@@ -225,9 +247,70 @@ impl Canvas {
     }
 }
 
+/// Which of the things of a batch each band of a picture shows, in their order.
+///
+/// Memory: 4 bytes for each band that one is in.
+#[derive(Default)]
+pub(super) struct Bands {
+    starts: Vec<u32>,
+    things: Vec<u32>,
+}
+
+impl Bands {
+    /// Sorts things of a picture of so many rows, by the rows that each is in, from the first to beyond the last.
+    pub fn sort<T>(&mut self, height: usize, things: &[T], rows: impl Fn(&T) -> Option<[usize; 2]>) {
+        let within = |thing: &T| rows(thing).map_or(0..0, |[first, last]| first / BAND..last.div_ceil(BAND));
+        self.starts.clear();
+        self.starts.resize(height.div_ceil(BAND) + 2, 0);
+        // Two places ahead, so that in the end each begins where the one before it ends.
+        things.iter().flat_map(within).for_each(|band| self.starts[band + 2] += 1);
+        (2..self.starts.len()).for_each(|i| self.starts[i] += self.starts[i - 1]);
+        self.things.clear();
+        self.things.resize(self.starts.last().map_or(0, |all| *all as usize), 0);
+        for (number, thing) in (0..).zip(things) {
+            for band in within(thing) {
+                let next = &mut self.starts[band + 1];
+                self.things[*next as usize] = number;
+                *next += 1;
+            }
+        }
+    }
+
+    /// Those of a band.
+    pub fn of<'a, T>(&'a self, band: usize, things: &'a [T]) -> impl Iterator<Item = &'a T> {
+        let range = self.starts[band] as usize..self.starts[band + 1] as usize;
+        self.things[range].iter().map(|i| &things[*i as usize])
+    }
+}
+
 /// The samples, of so many, whose middles lie within `reach` of a coordinate.
 fn covered(middle: f32, reach: f32, count: usize) -> Option<[usize; 2]> {
     let first = (middle - reach - 0.5).ceil().max(0.0);
     let last = (middle + reach - 0.5).floor().min(count as f32 - 1.0);
     (first <= last).then_some([first as usize, last as usize + 1])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bands_have_what_is_in_them_in_order() {
+        let mut bands = Bands::default();
+        for height in [1, BAND - 1, BAND, BAND + 1, 3 * BAND + 7] {
+            // From any row on, some to any other; some are in no row.
+            let rows = |i: usize| {
+                let (first, count) = (i * 37 % height, i * i * 13 % 150);
+                (count > 0).then(|| [first, (first + count).min(height)])
+            };
+            let things: Vec<_> = (0..200).map(|i| (i, rows(i))).collect();
+            bands.sort(height, &things, |(_, rows)| *rows);
+            for band in 0..height.div_ceil(BAND) {
+                let found: Vec<usize> = bands.of(band, &things).map(|(i, _)| *i).collect();
+                let meets = |rows: [usize; 2]| rows[0] < (band + 1) * BAND && rows[1] > band * BAND;
+                let expected = things.iter().filter(|(_, rows)| rows.is_some_and(meets)).map(|(i, _)| *i);
+                assert_eq!(found, expected.collect::<Vec<_>>(), "{height}, {band}");
+            }
+        }
+    }
 }

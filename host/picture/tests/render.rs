@@ -54,6 +54,24 @@ fn sphere(count: u32) -> Vec<SurfacePoint> {
 }
 
 #[test]
+fn other_colours_of_the_same_points_are_another_picture() {
+    let (points, bounds) = points(Shape::Amphora, 20_000);
+    let camera = Camera::frame(bounds, 0.4, 0.2, 0.8);
+    let style = Style { own_colors: true, ground: Some(0.0) };
+    let recolored = |by: u8| {
+        let color = |point: &SurfacePoint| point.color.map(|c| c.wrapping_mul(by));
+        points.iter().map(|point| SurfacePoint { color: color(point), ..*point }).collect::<Vec<_>>()
+    };
+    let mut renderer = Renderer::new(96, 120, camera, style);
+    renderer.depth(&points);
+    for by in [1, 7, 1] {
+        let own = recolored(by);
+        renderer.blend(&own);
+        assert_eq!(renderer.light(), draw([96, 120], camera, style, &own, usize::MAX), "{by}");
+    }
+}
+
+#[test]
 fn the_same_bytes_for_any_threads_and_chunks() {
     let (points, bounds) = points(Shape::Amphora, 30_000);
     let camera = Camera::frame(bounds, 0.4, 0.2, 0.8);

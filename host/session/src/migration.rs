@@ -109,10 +109,11 @@ fn changes(before: &toml::Table, after: &toml::Table) -> String {
         }
         if all.is_empty() { "nothing".to_owned() } else { all.join(", ") }
     };
-    if before == after {
-        String::new()
-    } else {
-        format!(": {} became {}", list(before, after), list(after, before))
+    let (gone, new) = (list(before, after), list(after, before));
+    match (before == after, before.iter().any(|(id, value)| differs(after, id, value))) {
+        (true, _) => String::new(),
+        (_, true) => format!(": {gone} became {new}"),
+        (_, false) => format!(": {new} was added, as they mean something else now"),
     }
 }
 

@@ -8,6 +8,8 @@ use std::path::Path;
 const MOST_BYTES: u64 = 16 << 20;
 /// Most landmarks: splines take the cube of their number.
 pub const MOST: usize = 4000;
+/// Weights of landmarks that are no checks: of others, no sums would be left.
+const WEIGHTS: std::ops::RangeInclusive<f64> = 1e-30..=1e30;
 /// Characters of a name that are told.
 const LONGEST: usize = 60;
 
@@ -88,6 +90,10 @@ fn landmark(fields: &[String], line: usize) -> Result<Landmark, String> {
     if weight < 0.0 {
         return Err(format!("has the weight {weight}, below 0"));
     }
+    if weight > 0.0 && !WEIGHTS.contains(&weight) {
+        let [least, most] = [WEIGHTS.start(), WEIGHTS.end()];
+        return Err(format!("has the weight {weight:e}: 0, or from {least:e} to {most:e} it can be"));
+    }
     let name = short(&fields[0]);
     Ok(Landmark {
         name: if name.is_empty() { format!("line {line}") } else { name },
@@ -143,6 +149,7 @@ mod tests {
             ("a,1,2,3,4,5,6\nb,1,2,3,4,5,x", Some(2), "no number"),
             ("a,1,2,3,4,5,6\n\na,1,2,3,4,5,6", Some(3), "as line 1 does"),
             ("a,1,2,3,4,5,6,-1", Some(1), "below 0"),
+            ("a,1,2,3,4,5,6,1e300", Some(1), "the weight 1e300"),
             ("a,1,2,3,4,5,6,1,9", Some(1), "9 fields"),
         ] {
             let (at, told) = parse(text).unwrap_err();

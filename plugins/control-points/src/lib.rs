@@ -10,7 +10,7 @@ mod report;
 
 use glam::{DAffine3, DVec3};
 use landmarks::Landmark;
-use map::{Extent, Kind, Map};
+use map::{Extent, Kind, Map, Open};
 use report::Report;
 use simod_plugin_api::{
     Bounds, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, IsIdentity, LogLevel,
@@ -22,6 +22,8 @@ use std::path::Path;
 const BLOCK: usize = 1024;
 /// Landmarks that lie farther from the model than this, in units of its diagonal, are told.
 const FAR: f64 = 1.0;
+/// Beyond this, in local coordinates, no sums of them would be left.
+const BEYOND: f64 = 1e12;
 /// Names that are told.
 const NAMES: usize = 5;
 
@@ -84,15 +86,11 @@ impl Deformer for ControlPoints {
         let landmarks = landmarks(path, frame)?;
         are_near(&landmarks, &input.bounds, host)?;
         let smoothing = smoothing * input.bounds.diagonal();
-        let map = Map::fit(method, &landmarks, smoothing).map_err(|open| {
-            let error = PluginError::input(format!("{}: {}", path.display(), open.what));
-            match open.instead {
-                Some(kind) => error.hint(format!(
-                    "take more landmarks elsewhere, or `method = \"{}\"`, which they determine",
-                    kind.id()
-                )),
-                None => error.hint("give landmarks a weight"),
-            }
+        let map = Map::fit(method, &landmarks, smoothing).map_err(|Open { why, instead }| {
+            let or = instead.map_or(String::new(), |kind| {
+                format!(", or take `method = \"{}\"`, which they determine", kind.id())
+            });
+            PluginError::input(format!("{}: {}", path.display(), why.what)).hint(why.remedy.to_owned() + &or)
         })?;
         warn(&map, method, &landmarks, host);
         host.progress(0.5)?;
@@ -151,6 +149,10 @@ fn landmarks(path: &Path, frame: &ModelFrame) -> PluginResult<Vec<Landmark>> {
     })?;
     for landmark in &mut landmarks {
         (landmark.source, landmark.target) = (local(landmark.source), local(landmark.target));
+        if !(landmark.source.length() < BEYOND && landmark.target.length() < BEYOND) {
+            let what = format!("{}, line {} is immensely far from the model", path.display(), landmark.line);
+            return Err(PluginError::input(what).hint("give places in the model's coordinates"));
+        }
     }
     Ok(landmarks)
 }

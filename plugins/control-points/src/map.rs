@@ -14,6 +14,8 @@ use simod_plugin_api::Choice;
 
 /// Landmarks extend in a direction if by more than this part of their largest extent.
 const EXTENDS: f64 = 1e-6;
+/// Sources nearer to each other than this part of their extent coincide.
+const SAME: f64 = 1e-9;
 /// Below this part what a map does in that direction is uncertain.
 const FLAT: f64 = 1e-2;
 
@@ -41,13 +43,30 @@ impl Kind {
             Self::Translation => "translation",
         }
     }
+
+    /// Those that fewer landmarks determine, the most flexible first.
+    fn simpler(self) -> &'static [Self] {
+        match self {
+            Self::ThinPlate | Self::LocalWeights => &[Self::Affine, Self::Similarity, Self::Translation],
+            Self::Affine => &[Self::Similarity, Self::Translation],
+            Self::Similarity => &[Self::Translation],
+            Self::Translation => &[],
+        }
+    }
 }
 
 /// Why landmarks determine no map of a kind, and the next simpler one that they do.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Open {
-    pub what: String,
+    pub why: Why,
     pub instead: Option<Kind>,
+}
+
+/// Why landmarks determine no map of a kind, and what to do about them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Why {
+    pub what: String,
+    pub remedy: &'static str,
 }
 
 /// In how many directions points extend, and the least of these extents as a part of the largest.
@@ -131,6 +150,12 @@ impl Map {
     /// # Errors
     /// They do not determine it.
     pub fn fit(kind: Kind, landmarks: &[Landmark], smoothing: f64) -> Result<Self, Open> {
+        let determined = |simpler: &&Kind| Self::of_kind(**simpler, landmarks, smoothing).is_ok();
+        Self::of_kind(kind, landmarks, smoothing)
+            .map_err(|why| Open { why, instead: kind.simpler().iter().find(determined).copied() })
+    }
+
+    fn of_kind(kind: Kind, landmarks: &[Landmark], smoothing: f64) -> Result<Self, Why> {
         let used: Vec<&Landmark> = landmarks.iter().filter(|l| l.weight > 0.0).collect();
         let extent = Extent::of(&used.iter().map(|l| l.source).collect::<Vec<_>>());
         let needed = match kind {
@@ -139,7 +164,8 @@ impl Map {
             Kind::Translation | Kind::LocalWeights => 0,
         };
         if used.is_empty() {
-            return Err(Open { what: "no landmark has a weight above 0".to_owned(), instead: None });
+            let what = "no landmark has a weight above 0".to_owned();
+            return Err(Why { what, remedy: "give landmarks a weight" });
         }
         if extent.directions < needed {
             return Err(open(extent, used.len()));
@@ -171,7 +197,9 @@ impl Map {
         let without = |i: usize| {
             let mut others = landmarks.to_vec();
             let landmark = others.remove(i);
-            Self::fit(kind, &others, smoothing).ok().map(|map| landmark.target - map.apply(landmark.source))
+            Self::of_kind(kind, &others, smoothing)
+                .ok()
+                .map(|map| landmark.target - map.apply(landmark.source))
         };
         (0..landmarks.len()).map(without).collect()
     }
@@ -183,30 +211,32 @@ impl Map {
 }
 
 /// What is open for landmarks that extend in too few directions.
-fn open(extent: Extent, count: usize) -> Open {
-    let (instead, what) = match extent.directions {
-        2 => (Kind::Similarity, "what happens across it cannot be determined"),
-        1 => (Kind::Translation, "turns about it, and what happens across it, cannot be determined"),
-        _ => (Kind::Translation, "neither turns nor scales can be determined"),
+fn open(extent: Extent, count: usize) -> Why {
+    let what = match extent.directions {
+        2 => "what happens across it cannot be determined",
+        1 => "turns about it, and what happens across it, cannot be determined",
+        _ => "neither turns nor scales can be determined",
     };
-    Open { what: format!("the {count} landmarks lie {}: {what}", extent.in_words()), instead: Some(instead) }
+    let what = format!("the {count} landmarks lie {}: {what}", extent.in_words());
+    Why { what, remedy: "take more landmarks elsewhere" }
 }
 
 /// Sources that coincide cannot go to several places.
-fn distinct(used: &[&Landmark]) -> Result<(), Open> {
+fn distinct(used: &[&Landmark]) -> Result<(), Why> {
+    let middle = means(used)[0];
+    let near = SAME * used.iter().map(|l| l.source.distance(middle)).fold(0.0, f64::max);
     let mut order: Vec<&&Landmark> = used.iter().collect();
-    let key = |l: &Landmark| l.source.to_array();
-    order.sort_by(|a, b| key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal));
-    match order.windows(2).find(|pair| pair[0].source == pair[1].source) {
-        Some(pair) => Err(Open {
-            what: format!(
-                "landmarks `{}` and `{}` coincide, and cannot both be met",
-                pair[0].name, pair[1].name
-            ),
-            instead: Some(Kind::Affine),
-        }),
-        None => Ok(()),
+    order.sort_by(|a, b| a.source.x.total_cmp(&b.source.x));
+    for (i, one) in order.iter().enumerate() {
+        let beside = order[i + 1..].iter().take_while(|other| other.source.x - one.source.x <= near);
+        let same = beside.clone().find(|other| other.source.distance(one.source) <= near);
+        if let Some(other) = same {
+            let [a, b] = if one.line <= other.line { [one, other] } else { [other, one] };
+            let what = format!("landmarks `{}` and `{}` coincide, and cannot both be met", a.name, b.name);
+            return Err(Why { what, remedy: "leave one of them out" });
+        }
     }
+    Ok(())
 }
 
 /// Weighted means of sources and targets.
@@ -231,13 +261,13 @@ fn covariance(used: &[&Landmark], [source, target]: [DVec3; 2]) -> DMat3 {
     })
 }
 
-fn similarity(used: &[&Landmark]) -> Result<DAffine3, Open> {
+fn similarity(used: &[&Landmark]) -> Result<DAffine3, Why> {
     let middle = means(used);
     let covariance = covariance(used, middle);
     let matrix = Mat::<f64>::from_fn(3, 3, |i, j| covariance.col(j)[i]);
-    let unsolved = || Open {
+    let unsolved = || Why {
         what: "the landmarks' targets lie so that neither turns nor scales can be determined".to_owned(),
-        instead: Some(Kind::Translation),
+        remedy: "take more landmarks elsewhere",
     };
     let svd = matrix.svd().map_err(|_| unsolved())?;
     let dense =
@@ -274,7 +304,7 @@ struct Spline {
 }
 
 impl Spline {
-    fn new(used: &[&Landmark], smoothing: f64) -> Result<Self, Open> {
+    fn new(used: &[&Landmark], smoothing: f64) -> Result<Self, Why> {
         if smoothing == 0.0 {
             distinct(used)?;
         }

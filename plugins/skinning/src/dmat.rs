@@ -42,18 +42,25 @@ impl Matrix {
         let (columns, rows, rest) = if is_binary { size(rest)? } else { (columns, rows, rest) };
         let count = columns.checked_mul(rows).filter(|n| *n <= MOST);
         let count = count.ok_or_else(|| format!("has {rows} rows of {columns}, which is too many"))?;
+        let wrong = |there: usize| Err(format!("has {there} numbers instead of {count}"));
         let numbers: Vec<f64> = if is_binary {
-            rest.as_chunks::<8>().0.iter().take(count).map(|b| f64::from_le_bytes(*b)).collect()
+            let (numbers, left) = rest.as_chunks::<8>();
+            if numbers.len() != count || !left.is_empty() {
+                return wrong(numbers.len() + usize::from(!left.is_empty()));
+            }
+            numbers.iter().map(|b| f64::from_le_bytes(*b)).collect()
         } else {
             let text = std::str::from_utf8(rest).map_err(|_| "is no text".to_owned())?;
             let number = |word: &str| {
                 word.parse::<f64>().map_err(|_| format!("has `{}`, which is no number", short(word)))
             };
-            text.split_whitespace().take(count).map(number).collect::<Result<_, _>>()?
+            let numbers: Vec<f64> =
+                text.split_whitespace().take(count).map(number).collect::<Result<_, _>>()?;
+            match text.split_whitespace().count() {
+                there if there != count => return wrong(there),
+                _ => numbers,
+            }
         };
-        if numbers.len() < count {
-            return Err(format!("has {} numbers instead of {count}", numbers.len()));
-        }
         match numbers.iter().position(|x| !x.is_finite()) {
             Some(i) => {
                 let (row, column) = (i % rows + 1, i / rows + 1);
@@ -108,7 +115,10 @@ mod tests {
         told(b"2 2\n1 2 3\n", "3 numbers instead of 4");
         told(b"1 2\n1 x\n", "`x`");
         told(b"1 2\n1 nan\n", "row 2, column 1");
+        told(b"2 2\n1 2 3 4 5\n", "5 numbers instead of 4");
         told(b"0 0\n2 2\n12345678", "1 numbers instead of 4");
+        told(b"0 0\n1 1\n1234567812345678", "2 numbers instead of 1");
+        told(b"0 0\n1 1\n123456781", "2 numbers instead of 1");
         told(b"4000000000 4000000000\n", "too many");
     }
 

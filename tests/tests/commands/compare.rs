@@ -376,6 +376,8 @@ fn pictures_of_many_vertices_are_those_of_all() {
 
 /// Without what a clock or the system tells.
 fn timeless(mut record: Value) -> Value {
+    let machine = record["machine"].take();
+    assert!(machine["threads"].as_u64() > Some(0) && machine.get("processor").is_some(), "{machine}");
     for method in record["methods"].as_array_mut().expect("methods") {
         let figures = method["figures"].as_object_mut().expect("figures");
         assert!(figures.remove("seconds").is_some() && figures.remove("peak_memory_bytes").is_some());

@@ -100,6 +100,7 @@ fn a_bending_length_keeps_the_hybrid_under_its_new_name() {
     assert!(found == expected && said.contains("smooth-arap"), "{said}");
     let (published, said) = run("mode = \"arap\"");
     assert!(published != expected && said.contains("spokes-and-rims"), "{said}");
+    assert!(said.contains("was added, as they mean something else now"), "{said}");
     // Who says what turns, knows.
     let (spokes, said) = run("mode = \"arap\", surroundings = \"spokes\"");
     assert!(spokes != published && !said.contains("arap"), "{said}");

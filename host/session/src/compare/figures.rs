@@ -16,6 +16,9 @@ use std::sync::Arc;
 /// What is smaller is a detail, as a fraction of the diagonal.
 pub(super) const DETAIL: f64 = 0.015;
 
+/// Shapes that are measured at a time.
+const TOGETHER: usize = 4;
+
 /// What a method does to the samples and the triangles between them; see [`simod_measure`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OnSamples {
@@ -95,10 +98,16 @@ pub(super) fn on_samples(deformed: &[&Deformed], progress: &dyn Progress) -> Res
         }
         let rest = in_diagonals(&one.sampled, &one.sampled.samples.positions);
         let shape = AtRest::new(&rest, triangles);
-        for (found, other) in found.iter_mut().zip(deformed).filter(|(_, other)| is_same(other)) {
-            if let Some(positions) = &other.positions {
-                *found = Some(shape.measure(&in_diagonals(&one.sampled, positions), progress)?);
-            }
+        let own: Vec<(usize, &[Vec3])> = deformed
+            .iter()
+            .enumerate()
+            .filter(|(_, other)| is_same(other))
+            .filter_map(|(i, other)| Some((i, other.positions.as_deref()?)))
+            .collect();
+        for some in own.chunks(TOGETHER) {
+            let after: Vec<_> = some.iter().map(|(_, p)| in_diagonals(&one.sampled, p)).collect();
+            let measured = shape.measure(&after, progress)?;
+            some.iter().zip(measured).for_each(|((i, _), one)| found[*i] = Some(one));
         }
     }
     Ok(found)
@@ -126,24 +135,29 @@ impl<'a> AtRest<'a> {
         }
     }
 
-    fn measure(&self, after: &[DVec3], progress: &dyn Progress) -> Result<OnSamples> {
+    /// In some shapes.
+    fn measure(&self, shapes: &[Vec<DVec3>], progress: &dyn Progress) -> Result<Vec<OnSamples>> {
         let Self { rest, triangles, .. } = *self;
-        let volume_change = self.volume.map(|before| volume(after, triangles) / before - 1.0);
-        let over_border = |open: &Open| [rest, after].map(|of| open.volume(of, triangles));
         progress.check()?;
-        let ((edges, areas), (details, energies)) = rayon::join(
-            || (edge_distortion(rest, after, triangles), area_distortion(rest, after, triangles)),
-            || (self.details.rotation(after), Energies::of(rest, after, triangles)),
-        );
-        progress.check()?;
-        Ok(OnSamples {
-            volume_change: volume_change.filter(|x| x.is_finite()),
-            volume_over_border: self.open.as_ref().map(over_border),
-            edges,
-            areas,
-            details,
-            energies,
-        })
+        let details = self.details.rotations(&shapes.iter().map(Vec::as_slice).collect::<Vec<_>>());
+        let each = |(after, details): (&Vec<DVec3>, Rotation)| {
+            let volume_change = self.volume.map(|before| volume(after, triangles) / before - 1.0);
+            let over_border = |open: &Open| [rest, after].map(|of| open.volume(of, triangles));
+            progress.check()?;
+            let ((edges, areas), energies) = rayon::join(
+                || (edge_distortion(rest, after, triangles), area_distortion(rest, after, triangles)),
+                || Energies::of(rest, after, triangles),
+            );
+            Ok(OnSamples {
+                volume_change: volume_change.filter(|x| x.is_finite()),
+                volume_over_border: self.open.as_ref().map(over_border),
+                edges,
+                areas,
+                details,
+                energies,
+            })
+        };
+        shapes.iter().zip(details).map(each).collect()
     }
 }
 
@@ -159,7 +173,7 @@ pub(super) struct Held {
 impl Held {
     /// Most vertices and most triangles.
     ///
-    /// Memory: 40 bytes for each, of those at rest and those of one method; and some hundred while it is measured.
+    /// Memory: 40 bytes for each, of those at rest and those of four methods; and a thousand while they are measured.
     const MOST: u64 = 1 << 18;
 
     /// Nothing of a model that is larger, or has no faces.
@@ -197,12 +211,16 @@ impl Held {
     pub fn measure(&self, models: &[&dyn Model], progress: &dyn Progress) -> Result<Vec<OnSamples>> {
         progress.begin("measuring the model", 0);
         let shape = AtRest::new(&self.rest, &self.triangles);
-        let measure = |model: &&dyn Model| {
+        let after = |model: &&dyn Model| -> Result<Vec<DVec3>> {
             let all = positions(*model)?;
-            let after: Vec<DVec3> = self.first.iter().map(|i| all[*i as usize] * self.scale).collect();
-            shape.measure(&after, progress)
+            Ok(self.first.iter().map(|i| all[*i as usize] * self.scale).collect())
         };
-        models.iter().map(measure).collect()
+        let mut measured = Vec::with_capacity(models.len());
+        for some in models.chunks(TOGETHER) {
+            let shapes = some.iter().map(after).collect::<Result<Vec<_>>>()?;
+            measured.extend(shape.measure(&shapes, progress)?);
+        }
+        Ok(measured)
     }
 }
 

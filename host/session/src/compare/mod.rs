@@ -12,10 +12,10 @@
 //! the triangles between them, and of models that are small enough to be held.
 //!
 //! Memory: a run of each method, one after the other; of each distinct sampling its samples and triangles,
-//! and of each method 12 bytes a sample, to the end; then a tree of one method's triangles (300 bytes a
-//! sample), or for each thread a small chunk (about 1 MB) of each model, or a picture in the making (256 bytes a pixel). On
-//! the disk, the deformed models of all methods at once, and the chosen vertices (three for each pixel, 24 bytes for each
-//! version).
+//! and of each method 12 bytes a sample, to the end; then up to four methods' smooth surfaces (220 bytes a sample each), or
+//! a tree of one method's triangles (300 bytes a sample), or for each thread a small chunk (about 1 MB) of each model, or a
+//! picture in the making (284 bytes a pixel). On the disk, the deformed models of all methods at once, and the chosen
+//! vertices (three for each pixel, 24 bytes for each version).
 
 mod chosen;
 mod clock;
@@ -33,7 +33,8 @@ mod tables;
 pub use figures::{OnSamples, Pair};
 pub use file::{CameraPlace, Command, CompareFile, CropPlace, Given, MAX_METHODS, Method, Work};
 pub use record::{
-    Comparison, Failure, Figures, MethodRecord, ModelRecord, ResultFile, RunSeconds, Seconds, StepRecord,
+    Comparison, Failure, Figures, MachineRecord, MethodRecord, ModelRecord, ResultFile, RunSeconds, Seconds,
+    StepRecord,
 };
 
 use crate::plugins::PluginRegistry;

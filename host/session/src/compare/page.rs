@@ -86,7 +86,7 @@ fn head(c: &Comparison, title: &str) -> Markup {
         ("Size", format!("{} vertices, {} bytes", m.vertices, m.bytes)),
         ("Fingerprint", m.fingerprint.clone()),
         ("Diagonal", format!("{} in the model's unit", m.diagonal)),
-        ("Made by", format!("SIMOD {}", c.simod)),
+        ("Made by", format!("SIMOD {}, {}", c.simod, c.machine.in_words())),
     ];
     html! {
         h1 { (title) }

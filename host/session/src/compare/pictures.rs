@@ -2,7 +2,7 @@
 //! far that is from the first one.
 
 use super::chosen::Chosen;
-use super::file::CompareFile;
+use super::file::{CompareFile, CropPlace};
 use super::folder::{REST, difference};
 use super::html::round_percent;
 use super::record::Comparison;
@@ -10,8 +10,8 @@ use crate::session_file::{Region, Role};
 use glam::DVec3;
 use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, Vertices};
-use simod_picture::picture::{Crop, Drawn, PaintBy, View, of_painted, of_some};
-use simod_picture::{Coloring, Image, Paint, SurfacePoint, scale_color as color};
+use simod_picture::picture::{ColorOf, Crop, Drawn, PaintBy, View, of_painted, of_some};
+use simod_picture::{Coloring, Image, Paint, scale_color as color};
 use std::path::Path;
 
 const CLAY: [u8; 3] = [205, 198, 190];
@@ -84,27 +84,24 @@ impl<'a> Easel<'a> {
         comparison: &mut Comparison,
         progress: &dyn Progress,
     ) -> Result<Vec<(String, Vec<u8>)>> {
-        let mut pictures = Vec::new();
-        let whole = [(String::new(), Crop::default())];
-        let parts = self
-            .file
-            .crops
-            .iter()
-            .map(|crop| (format!("_{}", crop.file), Crop { around: Some(crop.target), part: crop.part }));
         let end = comparison.color_scale;
         let labels = ["0", &format!("{} OF THE DIAGONAL", round_percent(end))];
-        for (name, crop) in whole.into_iter().chain(parts) {
-            let view = self.view(bounds, crop);
-            let chosen = chosen.filter(|_| name.is_empty());
-            let brush = Brush { easel: self, models, chosen, bounds, view, progress };
-            pictures.push((format!("{REST}{name}.png"), brush.by_region(0)?.to_png()?));
-            for (k, (_, file)) in files.iter().enumerate() {
-                pictures.push((format!("{file}{name}.png"), brush.by_region(k + 1)?.to_png()?));
-                if k > 0 {
-                    let image = brush.by_distance(k + 1, end * comparison.model.diagonal)?;
-                    let file = format!("{}{name}.png", difference(file));
-                    pictures.push((file, image.with_scale(color, labels).to_png()?));
-                }
+        let crops = self.file.crops.iter().map(|crop| (format!("_{}", crop.file), crop_of(crop)));
+        let (ends, crops): (Vec<String>, Vec<Crop>) =
+            [(String::new(), Crop::default())].into_iter().chain(crops).unzip();
+        let views: Vec<View> = crops.into_iter().map(|crop| self.view(bounds, crop)).collect();
+        let scale = end * comparison.model.diagonal;
+        let brush = Brush { easel: self, models, chosen, bounds, views: &views, scale, progress };
+        let mut pictures = Vec::new();
+        let names = std::iter::once(REST).chain(files.iter().map(|(_, file)| file.as_str()));
+        for (version, file) in names.enumerate() {
+            let Drawings { by_region, by_distance } = brush.draw(version)?;
+            for (end, image) in ends.iter().zip(by_region) {
+                pictures.push((format!("{file}{end}.png"), image.to_png()?));
+            }
+            for (end, image) in ends.iter().zip(by_distance) {
+                let name = format!("{}{end}.png", difference(file));
+                pictures.push((name, image.with_scale(color, labels).to_png()?));
             }
         }
         comparison.files.extend(pictures.iter().map(|(name, _)| name.clone()));
@@ -112,52 +109,73 @@ impl<'a> Easel<'a> {
     }
 }
 
-/// Draws one model after the other from one place.
+fn crop_of(place: &CropPlace) -> Crop {
+    Crop { around: Some(place.target), part: place.part }
+}
+
+/// Draws one model after the other, from some places.
 struct Brush<'a> {
     easel: &'a Easel<'a>,
     models: &'a [&'a dyn Model],
     chosen: Option<&'a Chosen>,
     bounds: &'a [Bounds],
-    view: View,
+    /// The first shows all.
+    views: &'a [View],
+    /// The distance at which the scale ends.
+    scale: f64,
     progress: &'a dyn Progress,
 }
 
-impl Brush<'_> {
-    fn by_region(&self, version: usize) -> Result<Image> {
-        if let Some(chosen) = self.chosen {
-            return self.of_chosen(chosen, version, &|i| chosen.point(i, version));
-        }
-        let by = |parts: &[Vertices<'_>], i: usize| self.easel.color(parts, 1, i);
-        self.of_all([version, 0], (self.easel.attributes(), &by))
-    }
+/// The pictures of a model, one for each view.
+struct Drawings {
+    by_region: Vec<Image>,
+    /// Each vertex by its distance to the same one of the first method; none of the model at rest and of that method.
+    by_distance: Vec<Image>,
+}
 
-    /// Each vertex by its distance to the same one of the first method; `end` is where the scale ends.
-    fn by_distance(&self, version: usize, end: f64) -> Result<Image> {
-        // Where nothing differs the scale has no length.
-        let by = |distance: f64| color(if end > 0.0 { (distance / end) as f32 } else { 0.0 });
-        if let Some(chosen) = self.chosen {
-            return self.of_chosen(chosen, version, &|i| {
-                let (point, first) = (chosen.point(i, version), chosen.point(i, 1));
-                SurfacePoint { color: by(point.position.distance(first.position)), ..point }
-            });
+impl Brush<'_> {
+    fn draw(&self, version: usize) -> Result<Drawings> {
+        let has_distance = version > 1;
+        let (mut by_region, mut by_distance, mut views) = (Vec::new(), Vec::new(), self.views);
+        if let (Some(chosen), Some((whole, crops))) = (self.chosen, self.views.split_first()) {
+            let point = |i: usize| chosen.point(i, version);
+            let region = |i: usize| point(i).color;
+            let distance = |i: usize| self.color(point(i).position.distance(chosen.point(i, 1).position));
+            let colorings: [&ColorOf<'_>; 2] = [&region, &distance];
+            let colorings = if has_distance { &colorings[..] } else { &colorings[..1] };
+            let bounds = &self.bounds[version];
+            let drawn = of_some((chosen.len(), &point), colorings, bounds, whole, self.progress)?;
+            let mut drawn = drawn.into_iter();
+            by_region.extend(drawn.next());
+            by_distance.extend(drawn);
+            views = crops;
         }
-        let by = |parts: &[Vertices<'_>], i: usize| by(parts[0].positions[i].distance(parts[1].positions[i]));
-        self.of_all([version, 1], (0, &by))
+        let region = |parts: &[Vertices<'_>], i: usize| self.easel.color(parts, 1, i);
+        by_region.extend(self.of_all([version, 0], views, (self.easel.attributes(), &region))?);
+        if has_distance {
+            let distance = |parts: &[Vertices<'_>], i: usize| {
+                self.color(parts[0].positions[i].distance(parts[1].positions[i]))
+            };
+            by_distance.extend(self.of_all([version, 1], views, (0, &distance))?);
+        }
+        Ok(Drawings { by_region, by_distance })
     }
 
     /// The first of two versions, painted by both.
-    fn of_all(&self, versions: [usize; 2], (attributes, by): (usize, &PaintBy<'_>)) -> Result<Image> {
+    fn of_all(
+        &self,
+        versions: [usize; 2],
+        views: &[View],
+        (attributes, by): (usize, &PaintBy<'_>),
+    ) -> Result<Vec<Image>> {
         let (models, drawn) = (versions.map(|i| self.models[i]), Drawn::Faces(self.easel.folder));
-        of_painted(&models, &self.bounds[versions[0]], &self.view, (attributes, by, drawn), self.progress)
+        of_painted(&models, &self.bounds[versions[0]], views, (attributes, by, drawn), self.progress)
     }
 
-    fn of_chosen(
-        &self,
-        chosen: &Chosen,
-        version: usize,
-        point: &(dyn Fn(usize) -> SurfacePoint + Sync),
-    ) -> Result<Image> {
-        of_some((chosen.len(), point), &self.bounds[version], &self.view, self.progress)
+    /// The colour of a distance.
+    fn color(&self, distance: f64) -> [u8; 3] {
+        // Where nothing differs the scale has no length.
+        color(if self.scale > 0.0 { (distance / self.scale) as f32 } else { 0.0 })
     }
 }
 

@@ -1,5 +1,5 @@
 //! All that a comparison found: `compare.json`. Lengths are fractions of the diagonal of the model's bounding
-//! box, angles in degrees, times in seconds. Two runs of the same file differ in `seconds` and
+//! box, angles in degrees, times in seconds. Two runs of the same file on one machine differ in `seconds` and
 //! `peak_memory_bytes` alone, but for what programs of the user's make.
 
 use super::figures::{OnSamples, Pair};
@@ -23,6 +23,8 @@ pub struct Comparison {
     pub format: String,
     /// The program's version.
     pub simod: String,
+    /// What it was done on.
+    pub machine: MachineRecord,
     /// What was deformed.
     pub model: ModelRecord,
     /// The methods, in the file's order.
@@ -35,6 +37,15 @@ pub struct Comparison {
     pub compare_file: String,
     /// All files of the folder.
     pub files: Vec<String>,
+}
+
+/// What a comparison was done on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct MachineRecord {
+    /// What the processor is called; nothing where the system does not tell.
+    pub processor: Option<String>,
+    /// How many threads worked.
+    pub threads: usize,
 }
 
 /// What was deformed.
@@ -212,6 +223,7 @@ impl Comparison {
         Self {
             format: FORMAT.to_owned(),
             simod: env!("CARGO_PKG_VERSION").to_owned(),
+            machine: MachineRecord { processor: processor_name(), threads: rayon::current_num_threads() },
             model: ModelRecord {
                 name: file.model.file_name().unwrap_or_default().to_string_lossy().into_owned(),
                 bytes: source.bytes,
@@ -241,6 +253,23 @@ impl Comparison {
     /// Methods that could not be done.
     pub fn failed(&self) -> impl Iterator<Item = (&MethodRecord, &Failure)> {
         self.methods.iter().filter_map(|m| Some((m, m.error.as_ref()?)))
+    }
+}
+
+/// What the processor is called, as Linux tells it.
+fn processor_name() -> Option<String> {
+    let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;
+    let mut named = text.lines().filter_map(|line| line.split_once(':'));
+    let (_, name) = named.find(|(key, _)| key.trim() == "model name")?;
+    Some(name.trim().to_owned()).filter(|name| !name.is_empty())
+}
+
+impl MachineRecord {
+    /// In a few words.
+    pub(super) fn in_words(&self) -> String {
+        let threads = if self.threads == 1 { "thread" } else { "threads" };
+        let of = self.processor.as_ref().map_or(String::new(), |name| format!(" of {name}"));
+        format!("{} {threads}{of}", self.threads)
     }
 }
 

@@ -139,10 +139,11 @@ pub(super) fn latex(c: &Comparison) -> String {
     // Text takes what is written.
     let _ = writeln!(
         text,
-        "% {} vertices of {}, by SIMOD {}; lengths in percent of the diagonal.",
+        "% {} vertices of {}, by SIMOD {} on {}; lengths in percent of the diagonal.",
         c.model.vertices,
         comment(&c.model.name),
-        c.simod
+        c.simod,
+        comment(&c.machine.in_words())
     );
     let _ = writeln!(text, "% \\usepackage{{booktabs}}");
     let _ = writeln!(text, "\\begin{{tabular}}{{l{}}}\n\\toprule", "r".repeat(columns.len()));
