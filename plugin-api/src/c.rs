@@ -16,7 +16,7 @@ use std::ffi::{c_char, c_void};
 /// nothing later.
 pub const SIMOD_INTERFACE_MAJOR: u32 = 1;
 /// See SIMOD_INTERFACE_MAJOR.
-pub const SIMOD_INTERFACE_MINOR: u32 = 3;
+pub const SIMOD_INTERFACE_MINOR: u32 = 4;
 
 /// What a call returns if all is well. Everything else is an error.
 pub const SIMOD_OK: u32 = 0;
@@ -53,6 +53,10 @@ pub const SIMOD_PARAM_COLOUR: u32 = 7;
 pub const SIMOD_PARAM_CURVE: u32 = 8;
 /// The path of a file that can be read, as text; empty where the user gave none.
 pub const SIMOD_PARAM_FILE: u32 = 9;
+/// The path of another model, as text, for messages; empty where the user gave none. The host reads it and hands
+/// over its points: see SIMOD_INPUT_OTHER_MODELS. Its default number is how many points the plugin takes at
+/// most, 1 to 4194304; set `invalidates_preparation`.
+pub const SIMOD_PARAM_MODEL: u32 = 10;
 
 /// Nothing.
 pub const SIMOD_UNIT_NONE: u32 = 0;
@@ -111,6 +115,11 @@ pub const SIMOD_ATTRIBUTE_F32: u32 = 7;
 /// An attribute of numbers in double precision.
 pub const SIMOD_ATTRIBUTE_F64: u32 = 8;
 
+/// The host has sampled the other model for this call.
+pub const SIMOD_POINTS_SAMPLED: u32 = 1;
+/// Samples that the user has: a sampled model, or a file of samples that anything has moved.
+pub const SIMOD_POINTS_SAMPLES: u32 = 2;
+
 /// The parent of a joint or a handle that hangs on no other.
 pub const SIMOD_ROOT: u32 = u32::MAX;
 
@@ -145,7 +154,7 @@ pub struct SimodParamDesc {
     pub hard_range: [f64; 2],
     /// What a slider shows, in the same way; values outside are fine.
     pub soft_range: [f64; 2],
-    /// Default of the kinds of one to four numbers: as many as the kind has.
+    /// Default of the kinds of one to four numbers: as many as the kind has. Of SIMOD_PARAM_MODEL the most points.
     pub default_numbers: [f64; 4],
     /// Default of the kinds of any number of them, as x0, y0, x1, y1, ... of a curve. Else NULL.
     pub default_list: *const f64,
@@ -394,6 +403,42 @@ pub struct SimodAttributes {
     /// In the file's order.
     pub attributes: *const SimodAttribute,
     /// How many the model has; may be 0.
+    pub count: usize,
+}
+
+/// Another model than the one that is deformed: points of it, in the local coordinates of the one that is.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodOtherModel {
+    /// The id of the parameter, of SIMOD_PARAM_MODEL, that names it.
+    pub param: *const c_char,
+    /// Where the points come from: SIMOD_POINTS_... Those of SIMOD_POINTS_SAMPLED are at most as many as the
+    /// plugin takes; those of SIMOD_POINTS_SAMPLES are all that there are.
+    pub kind: u32,
+    /// How many vertices the model has; of samples their own number.
+    pub vertices: u64,
+    /// How many points there are, at least one.
+    pub count: usize,
+    /// Local coordinates, all finite. They may be far away, where the other model has another origin or unit.
+    pub positions: *const [f64; 3],
+    /// Unit normals, one for each point: those of the file, or else of the triangles or the neighbours.
+    pub normals: *const [f32; 3],
+    /// Which sample each point is, no two the same: of a sampled model its index, in a file of samples its
+    /// property "id". NULL for SIMOD_POINTS_SAMPLED.
+    pub ids: *const u64,
+    /// Triangles between the points, counter-clockwise as seen from outside; NULL for a cloud.
+    pub triangles: *const [u32; 3],
+    /// How many triangles there are.
+    pub triangle_count: usize,
+}
+
+/// SIMOD_INPUT_OTHER_MODELS, of the preparation: the other models that the user gave. See `simod_other_model`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodOtherModels {
+    /// In the order of the parameters.
+    pub models: *const SimodOtherModel,
+    /// How many the user gave.
     pub count: usize,
 }
 

@@ -3,8 +3,8 @@
 use crate::opaque::Part;
 use crate::params::{Param, Params};
 use crate::parts::{
-    Attribute, Attributes, Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, RestPositions,
-    Stroke, Strokes, Time, Triangles,
+    Attribute, Attributes, Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, OtherModel,
+    OtherModels, RestPositions, Stroke, Strokes, Time, Triangles,
 };
 use abi_stable::{StableAbi, std_types::RSlice};
 
@@ -185,6 +185,12 @@ impl<'a> PrepareInput<'a> {
     /// Nothing where the model has no such attribute.
     pub fn attribute(&self, name: &str) -> Option<&'a [f32]> {
         self.part().and_then(|all: &Attributes<'_>| all.get(name)).map(Attribute::values)
+    }
+
+    /// The other model that a parameter of the kind [`MODEL`](crate::ParamKind::MODEL) names; nothing where the
+    /// user gave none.
+    pub fn other_model(&self, param: &str) -> Option<&'a OtherModel<'a>> {
+        self.part().and_then(|all: &OtherModels<'_>| all.get(param))
     }
 
     /// The joints that the user placed; none where there are none.

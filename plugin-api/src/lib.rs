@@ -130,7 +130,7 @@ pub use param_set::{Choice, ParamSet, ParamType, Ranged};
 pub use params::{ChoiceDesc, Param, ParamDesc, ParamKind, Params, Unit};
 pub use parts::{
     Attribute, AttributeKind, Attributes, Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame,
-    Part, RestPositions, Stroke, Strokes, Time, Triangles,
+    OtherModel, OtherModels, Part, PointsKind, RestPositions, Stroke, Strokes, Time, Triangles,
 };
 pub use plugin_api_derive::{Choice, ParamSet};
 pub use root::{

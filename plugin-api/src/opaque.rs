@@ -9,7 +9,8 @@
 use crate::{
     Attributes, Effort, EvaluateExtension, Graph, HandleMotions, HandlesExtension, HostCalls,
     IsIdentityExtension, Joints, LogLevel, Lookups, MigrationExtension, ModelFrame, NearestService,
-    PluginError, PluginResult, Pose, RestPositions, Strokes, SurfacePoint, SurfaceService, Time, Triangles,
+    OtherModels, PluginError, PluginResult, Pose, RestPositions, Strokes, SurfacePoint, SurfaceService, Time,
+    Triangles,
 };
 use abi_stable::{
     StableAbi,
@@ -447,6 +448,11 @@ unsafe impl<'a> InputPart<'a> for RestPositions<'a> {
 // SAFETY: as above.
 unsafe impl<'a> InputPart<'a> for Attributes<'a> {
     const ID: &'static str = "simod.attributes/1";
+}
+
+// SAFETY: as above.
+unsafe impl<'a> InputPart<'a> for OtherModels<'a> {
+    const ID: &'static str = "simod.other-models/1";
 }
 
 // SAFETY: as above.

@@ -36,6 +36,10 @@ impl ParamKind {
     /// The path of a file that can be read, as text; empty where the user gave none. Its choices are the
     /// extensions that its name may have, without a dot; any if there is none.
     pub const FILE: Self = Self(9);
+    /// The path of another model, as text, empty where the user gave none. The host reads it and hands over
+    /// its points, [`OtherModels`](crate::OtherModels); the path is for messages. Its number is how many points
+    /// the plugin takes at most.
+    pub const MODEL: Self = Self(10);
 }
 
 /// What a parameter's numbers are measured in.
@@ -86,7 +90,7 @@ pub struct ParamDesc {
     pub hard_range: [f64; 2],
     /// What a slider shows; values outside are fine.
     pub soft_range: [f64; 2],
-    /// Default numbers, as many as the kind has.
+    /// Default numbers, as many as the kind has; of a [`ParamKind::MODEL`] the most points.
     pub default_numbers: RVec<f64>,
     /// Default choice; empty for others.
     pub default_text: RString,
@@ -169,6 +173,12 @@ impl ParamDesc {
             invalidates_preparation: true,
             ..Self::new(id, name, ParamKind::FILE, &[])
         }
+    }
+
+    /// Another model, which the host reads for the plugin: see [`OtherModels`](crate::OtherModels). One of more
+    /// vertices than `points` (1 to 4 194 304) is sampled to at most so many.
+    pub fn model(id: &str, name: &str, points: u32) -> Self {
+        Self { invalidates_preparation: true, ..Self::new(id, name, ParamKind::MODEL, &[f64::from(points)]) }
     }
 
     /// One line on what it does.
@@ -331,6 +341,12 @@ impl<'a> Params<'a> {
     /// The value of a [`ParamKind::FILE`]: a path, or nothing where the user gave none.
     pub fn file(&self, id: &str) -> PluginResult<Option<&'a Path>> {
         let text = self.get(id, &[ParamKind::FILE])?.text.as_str();
+        Ok((!text.is_empty()).then(|| Path::new(text)))
+    }
+
+    /// The path of a [`ParamKind::MODEL`], for messages; nothing where the user gave none.
+    pub fn model(&self, id: &str) -> PluginResult<Option<&'a Path>> {
+        let text = self.get(id, &[ParamKind::MODEL])?.text.as_str();
         Ok((!text.is_empty()).then(|| Path::new(text)))
     }
 }

@@ -224,6 +224,101 @@ impl<'a> Attributes<'a> {
     }
 }
 
+/// Where the points of another model come from.
+#[repr(transparent)]
+#[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PointsKind(pub u32);
+
+impl PointsKind {
+    /// The host has sampled the model for this call: at most as many points as the plugin takes.
+    pub const SAMPLED: Self = Self(1);
+    /// Samples that the user has: a sampled model, or a file of samples that anything has moved. All of them,
+    /// whatever the plugin takes, each with its [id](OtherModel::ids).
+    pub const SAMPLES: Self = Self(2);
+}
+
+/// Another model than the one that is deformed: points of it, in the local coordinates of the one that is.
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, Copy)]
+pub struct OtherModel<'a> {
+    param: RStr<'a>,
+    /// Where the points come from.
+    pub kind: PointsKind,
+    /// How many vertices the model has; of samples their own number.
+    pub vertices: u64,
+    positions: RSlice<'a, [f64; 3]>,
+    normals: RSlice<'a, [f32; 3]>,
+    ids: RSlice<'a, u64>,
+    triangles: RSlice<'a, [u32; 3]>,
+}
+
+impl<'a> OtherModel<'a> {
+    /// Views of the host's arrays: of one length, but `ids` may be empty, and triangles are any number.
+    pub fn new(
+        (param, kind, vertices): (&'a str, PointsKind, u64),
+        positions: &'a [[f64; 3]],
+        normals: &'a [[f32; 3]],
+        ids: &'a [u64],
+        triangles: &'a [[u32; 3]],
+    ) -> Self {
+        let (param, positions, normals) = (param.into(), positions.into(), normals.into());
+        Self { param, kind, vertices, positions, normals, ids: ids.into(), triangles: triangles.into() }
+    }
+
+    /// The id of the parameter that names it.
+    pub fn param(&self) -> &'a str {
+        self.param.as_str()
+    }
+
+    /// Local coordinates of the model that is deformed, all finite; at least one. They may be far away, where the
+    /// other model has another origin or unit.
+    pub fn positions(&self) -> &'a [[f64; 3]] {
+        self.positions.as_slice()
+    }
+
+    /// Unit normals, one for each point: those of the file, or else of the triangles or the neighbours. Without
+    /// triangles, the side that an estimated one points to is a guess.
+    pub fn normals(&self) -> &'a [[f32; 3]] {
+        self.normals.as_slice()
+    }
+
+    /// Which sample each point is, for [`PointsKind::SAMPLES`]: of a sampled model its index, in a file of
+    /// samples its property `id`. No two are the same. Empty for others.
+    pub fn ids(&self) -> &'a [u64] {
+        self.ids.as_slice()
+    }
+
+    /// Triangles between the points, counter-clockwise as seen from outside; none for a cloud.
+    pub fn triangles(&self) -> &'a [[u32; 3]] {
+        self.triangles.as_slice()
+    }
+}
+
+/// The other models that the user gave, `simod.other-models/1`: of the preparation, for plugins with parameters of
+/// the kind [`MODEL`](crate::ParamKind::MODEL).
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, Copy)]
+pub struct OtherModels<'a> {
+    models: RSlice<'a, OtherModel<'a>>,
+}
+
+impl<'a> OtherModels<'a> {
+    /// A view of the host's array.
+    pub fn new(models: &'a [OtherModel<'a>]) -> Self {
+        Self { models: models.into() }
+    }
+
+    /// All of them, in the order of the parameters.
+    pub fn all(&self) -> &'a [OtherModel<'a>] {
+        self.models.as_slice()
+    }
+
+    /// The one that a parameter names; nothing where the user gave none.
+    pub fn get(&self, param: &str) -> Option<&'a OtherModel<'a>> {
+        self.all().iter().find(|model| model.param() == param)
+    }
+}
+
 /// A joint of a skeleton that the user placed.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
@@ -397,5 +492,14 @@ mod tests {
         let input = input.with_parts(&parts);
         assert_eq!(input.attribute("red"), Some(&[255.0][..]));
         assert!(input.attribute("green").is_none());
+        let input = PrepareInput::new(samples, bounds, &[], &[]);
+        assert!(input.other_model("target").is_none(), "where nothing is said");
+        let (positions, normals) = ([[1.0, 2.0, 3.0]], [[0.0, 0.0, 1.0]]);
+        let models = [OtherModel::new(("target", PointsKind::SAMPLES, 1), &positions, &normals, &[7], &[])];
+        let models = OtherModels::new(&models);
+        let parts = [Part::new(&models)];
+        let target = input.with_parts(&parts).other_model("target").unwrap();
+        assert_eq!((target.positions(), target.ids()), (&positions[..], &[7][..]));
+        assert!(input.with_parts(&parts).other_model("source").is_none());
     }
 }

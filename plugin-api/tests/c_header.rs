@@ -11,8 +11,8 @@ use simod_plugin_api::c::*;
 use simod_plugin_api::{
     AttributeKind, Attributes, Consumes, Effort, ErrorCode, EvaluateExtension, ExtensionInterface, Gizmo,
     Graph, HandleDesc, HandleMotions, HandlesExtension, InputPart, IsIdentityExtension, Joint, Joints,
-    LogLevel, MigrationExtension, ModelFrame, NearestService, ParamKind, Pose, RestPositions, Role, Strokes,
-    SurfaceService, Time, Triangles, Unit,
+    LogLevel, MigrationExtension, ModelFrame, NearestService, OtherModels, ParamKind, PointsKind, Pose,
+    RestPositions, Role, Strokes, SurfaceService, Time, Triangles, Unit,
 };
 
 /// A path in this crate.
@@ -60,6 +60,7 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         (SIMOD_PARAM_COLOUR, ParamKind::COLOUR.0),
         (SIMOD_PARAM_CURVE, ParamKind::CURVE.0),
         (SIMOD_PARAM_FILE, ParamKind::FILE.0),
+        (SIMOD_PARAM_MODEL, ParamKind::MODEL.0),
         (SIMOD_UNIT_NONE, Unit::NONE.0),
         (SIMOD_UNIT_DEGREES, Unit::DEGREES.0),
         (SIMOD_UNIT_MODEL_LENGTH, Unit::MODEL_LENGTH.0),
@@ -85,6 +86,8 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         (SIMOD_ATTRIBUTE_U32, AttributeKind::U32.0),
         (SIMOD_ATTRIBUTE_F32, AttributeKind::F32.0),
         (SIMOD_ATTRIBUTE_F64, AttributeKind::F64.0),
+        (SIMOD_POINTS_SAMPLED, PointsKind::SAMPLED.0),
+        (SIMOD_POINTS_SAMPLES, PointsKind::SAMPLES.0),
         (SIMOD_ROOT, Joint::ROOT),
         (SIMOD_ROOT, HandleDesc::ROOT),
     ];
@@ -105,6 +108,7 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         ("INPUT_TIME", <Time as InputPart<'_>>::ID),
         ("INPUT_REST_POSITIONS", <RestPositions<'_> as InputPart<'_>>::ID),
         ("INPUT_ATTRIBUTES", <Attributes<'_> as InputPart<'_>>::ID),
+        ("INPUT_OTHER_MODELS", <OtherModels<'_> as InputPart<'_>>::ID),
         ("EVALUATE", EvaluateExtension::ID),
         ("HANDLES", HandlesExtension::ID),
         ("IS_IDENTITY", IsIdentityExtension::ID),
@@ -174,6 +178,10 @@ fn a_c_compiler_sees_the_same_structs() {
         SimodRestPositions { positions }
         SimodAttribute { name, kind, values }
         SimodAttributes { attributes, count }
+        SimodOtherModel {
+            param, kind, vertices, count, positions, normals, ids, triangles, triangle_count,
+        }
+        SimodOtherModels { models, count }
         SimodJoint { id, position, parent }
         SimodJoints { joints, count }
         SimodHandleMotions { motions, count }

@@ -12,8 +12,8 @@ use abi_stable::StableAbi;
 use abi_stable::type_layout::{TLField, TypeLayout};
 use simod_plugin_api::{
     Attributes, Effort, EvaluateExtension, Graph, HandleMotions, HandlesExtension, IsIdentityExtension,
-    Joints, MigrationExtension, ModelFrame, NearestService, PluginModRef, RestPositions, Strokes,
-    SurfaceService, Time, Triangles,
+    Joints, MigrationExtension, ModelFrame, NearestService, OtherModels, PluginModRef, RestPositions,
+    Strokes, SurfaceService, Time, Triangles,
 };
 
 /// Each type of ours by name: its size and alignment (on 64 bits), and its fields in order.
@@ -94,6 +94,7 @@ fn the_shape_changes_with_the_version_alone() {
         Time::LAYOUT,
         RestPositions::LAYOUT,
         Attributes::LAYOUT,
+        OtherModels::LAYOUT,
     ];
     others.into_iter().for_each(|layout| describe(layout, &mut shape));
     shape.retain(|_, text| !text.is_empty());

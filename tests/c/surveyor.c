@@ -5,21 +5,23 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { MODE, REACH, PARAM_COUNT };
+enum { MODE, REACH, OTHER, PARAM_COUNT };
 
 // Samples that are looked up at once: more than there are in any test.
 enum { ROOM = 1000000 };
 
 static const SimodChoiceDesc modes[] = {
     { "nearest", NULL }, { "within", NULL }, { "rest", NULL }, { "closest", NULL }, { "ray", NULL }, { "time", NULL },
-    { "paint", NULL },
+    { "paint", NULL },   { "other", NULL },
 };
 
 static const SimodParamDesc params[PARAM_COUNT] = {
     [MODE] = { .id = "mode", .name = "Mode", .hint = "What is looked up", .kind = SIMOD_PARAM_CHOICE, .choices = modes,
-               .choice_count = 7, .default_text = "nearest" },
+               .choice_count = 8, .default_text = "nearest" },
     [REACH] = { .id = "reach", .name = "Reach", .hint = "How far it looks, as a part of the diagonal",
                 .kind = SIMOD_PARAM_FLOAT, .hard_range = { 0, 1 }, .default_numbers = { 0.1 } },
+    [OTHER] = { .id = "other", .name = "Other", .hint = "Where samples go that have another model",
+                .kind = SIMOD_PARAM_MODEL, .default_numbers = { 300 }, .invalidates_preparation = 1 },
 };
 
 static const SimodInputDesc inputs[] = {
@@ -35,6 +37,62 @@ static const SimodDescriptor descriptor = {
 
 static const SimodDescriptor *describe(void) { return &descriptor; }
 
+// What the other model has.
+typedef struct {
+    size_t count;
+    double (*positions)[3];
+    float (*normals)[3];
+    uint64_t *ids;
+} Other;
+
+static void drop_state(void *state)
+{
+    Other *other = state;
+    free(other->positions);
+    free(other->normals);
+    free(other->ids);
+    free(other);
+}
+
+static void *copied(const void *from, size_t bytes)
+{
+    void *to = from && bytes ? malloc(bytes) : NULL;
+    return to ? memcpy(to, from, bytes) : NULL;
+}
+
+static uint32_t prepare(const SimodPrepareInput *input, const SimodHost *host, void **to)
+{
+    Other *other = calloc(1, sizeof *other);
+    if (!other) return host->error(host, SIMOD_INTERNAL, "there is no memory left", NULL);
+    *to = other;
+    const SimodOtherModel *from = simod_other_model(input->parts, input->part_count, "other");
+    if (!from) return SIMOD_OK;
+    int fits = from->count > 0 && from->positions && from->normals && input->params[OTHER].text[0] &&
+               (from->kind == SIMOD_POINTS_SAMPLES) == (from->ids != NULL);
+    for (size_t t = 0; t < from->triangle_count; t++)
+        for (int k = 0; k < 3; k++) fits = fits && from->triangles[t][k] < from->count;
+    if (!fits) return host->error(host, SIMOD_INTERNAL, "the other model is not as promised", NULL);
+    other->count = from->count;
+    other->positions = copied(from->positions, from->count * sizeof *from->positions);
+    other->normals = copied(from->normals, from->count * sizeof *from->normals);
+    other->ids = copied(from->ids, from->count * sizeof *from->ids);
+    return SIMOD_OK;
+}
+
+// To the point of the other model that has the sample's id, or else the nearest one; and along its normal.
+static void to_other(const Other *other, size_t i, const double p[3], double reach, float *out)
+{
+    size_t best = 0;
+    double least = INFINITY;
+    for (size_t j = 0; j < other->count; j++) {
+        double squared = 0;
+        for (int k = 0; k < 3; k++) squared += (p[k] - other->positions[j][k]) * (p[k] - other->positions[j][k]);
+        if (other->ids && other->ids[j] == i) squared = -1;
+        if (squared < least) least = squared, best = j;
+    }
+    for (int k = 0; k < 3; k++) out[k] = (float)(other->positions[best][k] + reach * (double)other->normals[best][k]);
+}
+
 // Each thread has its own.
 static void *new_scratch(void) { return malloc(ROOM * sizeof(uint32_t)); }
 
@@ -49,7 +107,7 @@ static void mean(const SimodSamples *samples, const uint32_t *found, size_t coun
 static uint32_t deform(const void *state, const SimodDeformInput *input, void *scratch, float (*out)[3],
                        const SimodHost *host)
 {
-    (void)state;
+    const Other *other = state;
     uint32_t *found = scratch;
     const char *mode = input->params[MODE].text;
     double diagonal = 0;
@@ -89,6 +147,8 @@ static uint32_t deform(const void *state, const SimodDeformInput *input, void *s
             p[2] = 10;
             if (surface->ray(host, SIMOD_POSE_CURRENT, p, down, INFINITY, &at))
                 for (int k = 0; k < 3; k++) out[i][k] = (float)at.position[k];
+        } else if (strcmp(mode, "other") == 0) {
+            if (other->count) to_other(other, i, p, reach, out[i]);
         } else if (strcmp(mode, "paint") == 0) {
             out[i][0] = (float)(p[0] + (red ? red[i] : 0.0) / 255.0);
             out[i][1] = (float)(p[1] + (quality ? quality[i] : 0.0));
@@ -132,5 +192,5 @@ static const void *extension(const char *id)
 
 const SimodPlugin simod_plugin_entry = {
     .interface_major = SIMOD_INTERFACE_MAJOR, .interface_minor = SIMOD_INTERFACE_MINOR, .size = sizeof(SimodPlugin),
-    .describe = describe, .new_scratch = new_scratch, .drop_scratch = free, .deform = deform, .extension = extension,
+    .describe = describe, .prepare = prepare, .drop_state = drop_state, .new_scratch = new_scratch, .drop_scratch = free, .deform = deform, .extension = extension,
 };

@@ -12,8 +12,8 @@ use simod_model::{Error, ErrorKind, Model, Result, Scalar, VertexChunk};
 /// Most samples that are read: they are held, with some hundred bytes each.
 const MOST: u64 = 1 << 29;
 
-/// Names of the ids.
-const NAMES: [&str; 2] = ["id", "scalar_id"];
+/// Names of the property that says which sample a vertex is.
+pub const ID_NAMES: [&str; 2] = ["id", "scalar_id"];
 
 /// Whole numbers up to here are exact in single precision.
 const EXACT: usize = 1 << 24;
@@ -55,7 +55,7 @@ pub fn open(path: &Path) -> Result<Box<dyn Model>> {
 pub fn read(path: &Path, samples: usize) -> Result<DeformedFile> {
     let model = open(path)?;
     let info = model.info();
-    let place = NAMES.iter().find_map(|name| info.attributes.iter().position(|a| a.name == *name));
+    let place = ID_NAMES.iter().find_map(|name| info.attributes.iter().position(|a| a.name == *name));
     let (mut positions, mut ids) = (Vec::new(), Vec::new());
     let mut lists = vec![Vec::new(); place.map_or(0, |place| place + 1)];
     let mut reader = model.vertices(0..info.vertices)?;

@@ -11,7 +11,7 @@
 pub mod attributes;
 pub mod colors;
 mod counting_sort;
-mod deformed_file;
+pub mod deformed_file;
 pub mod detail;
 pub mod ellipses;
 pub mod fingerprint;

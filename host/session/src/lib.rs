@@ -17,6 +17,7 @@ pub mod edit;
 mod key;
 mod migration;
 pub mod motion;
+mod other_model;
 pub mod params;
 mod picked;
 pub mod pipeline;

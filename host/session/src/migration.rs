@@ -205,7 +205,9 @@ fn value(d: &ParamDesc, setting: &Setting) -> Option<toml::Value> {
         (ParamKind::FLOAT, [x]) => toml::Value::Float(*x),
         (ParamKind::INT, [x]) if x.fract() == 0.0 && x.abs() <= EXACT => toml::Value::Integer(*x as i64),
         (ParamKind::BOOL, [x]) => toml::Value::Boolean(*x != 0.0),
-        (ParamKind::CHOICE | ParamKind::FILE, []) => toml::Value::String(setting.text.to_string()),
+        (ParamKind::CHOICE | ParamKind::FILE | ParamKind::MODEL, []) => {
+            toml::Value::String(setting.text.to_string())
+        }
         (ParamKind::DIRECTION | ParamKind::POINT, numbers @ [_, _, _]) => list(numbers),
         (ParamKind::COLOUR, numbers @ ([_, _, _] | [_, _, _, _])) => list(numbers),
         (ParamKind::CURVE, numbers) if numbers.len() % 2 == 0 => {

@@ -13,6 +13,9 @@ use std::path::{Path, PathBuf};
 /// Longest file that a plugin is given: it may read all of it.
 const LONGEST_FILE: u64 = 1 << 30;
 
+/// Most points that a plugin takes of another model.
+const MOST_POINTS: f64 = 4_194_304.0;
+
 /// A parameter's value, of the kind that its description asks for.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ParamValue {
@@ -36,7 +39,7 @@ pub enum ParamValue {
     Colour([f64; 4]),
     /// Points that a curve passes through.
     Curve(Vec<[f64; 2]>),
-    /// A file that can be read; nothing where none was given.
+    /// A file that can be read, or another model; nothing where none was given.
     File(Option<PathBuf>),
 }
 
@@ -143,19 +146,36 @@ impl Keyed for Params {
 }
 
 impl LocalParams {
+    /// Ids of the parameters that name other models.
+    pub(crate) fn models(&self) -> impl Iterator<Item = &str> {
+        self.0.iter().filter(|(_, kind, ..)| *kind == ParamKind::MODEL).map(|(id, ..)| id.as_str())
+    }
+
+    /// Gives all parameters that name other models a path.
+    pub(crate) fn name_models(&mut self, path: &str) {
+        let models = self.0.iter_mut().filter(|(_, kind, ..)| *kind == ParamKind::MODEL);
+        models.for_each(|(.., text)| path.clone_into(text));
+    }
+
     /// Views of them.
     pub(crate) fn views(&self) -> Vec<Param<'_>> {
         self.0
             .iter()
             .map(|(id, kind, numbers, text)| {
-                if [ParamKind::CHOICE, ParamKind::FILE].contains(kind) {
-                    Param::text(id, *kind, text)
-                } else {
-                    Param::numbers(id, *kind, numbers)
-                }
+                if is_text(*kind) { Param::text(id, *kind, text) } else { Param::numbers(id, *kind, numbers) }
             })
             .collect()
     }
+}
+
+/// Whether values of a kind are texts.
+pub(crate) fn is_text(kind: ParamKind) -> bool {
+    [ParamKind::CHOICE, ParamKind::FILE, ParamKind::MODEL].contains(&kind)
+}
+
+/// Whether values of a kind are paths.
+pub(crate) fn is_path(kind: ParamKind) -> bool {
+    [ParamKind::FILE, ParamKind::MODEL].contains(&kind)
 }
 
 fn argument(what: impl Into<String>, hint: impl Into<String>) -> Error {
@@ -215,6 +235,11 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
         ParamKind::FILE => {
             let path = value.as_str().ok_or_else(|| wrong("a text", "\"file\""))?;
             file(d, folder, path).map_err(|(what, hint)| argument(format!("{plugin}: {what}"), hint))?
+        }
+        ParamKind::MODEL => {
+            let path = value.as_str().ok_or_else(|| wrong("a text", "\"model.ply\""))?;
+            other_model(d, folder, path)
+                .map_err(|(what, hint)| argument(format!("{plugin}: {what}"), hint))?
         }
         _ => return Err(argument(format!("{plugin} has a parameter of a kind unknown here: `{id}`"), "")),
     };
@@ -341,7 +366,31 @@ fn file(d: &ParamDesc, folder: &Path, path: &str) -> std::result::Result<ParamVa
         let what = format!("parameter `{id}`: {} has more than 1 GiB", full.display());
         return Err((what, "give a smaller file".to_owned()));
     }
-    let full = full.canonicalize().map_err(here)?;
+    absolute(d, &full)
+}
+
+/// Another model that is there, or the folder of a sampled one; what it is shows when it is read.
+fn other_model(
+    d: &ParamDesc,
+    folder: &Path,
+    path: &str,
+) -> std::result::Result<ParamValue, (String, String)> {
+    if path.is_empty() {
+        return Ok(ParamValue::File(None));
+    }
+    let full = folder.join(path);
+    if !full.is_dir() {
+        input::open(&full).map_err(|e| (format!("parameter `{}`: {e}", d.id), e.hint().to_owned()))?;
+    }
+    absolute(d, &full)
+}
+
+/// A path that is there, whatever the current folder is.
+fn absolute(d: &ParamDesc, path: &Path) -> std::result::Result<ParamValue, (String, String)> {
+    let id = &d.id;
+    let full = path.canonicalize().map_err(|e| {
+        (format!("parameter `{id}`: cannot read {}: {e}", path.display()), "check the path".to_owned())
+    })?;
     if full.to_str().is_none() {
         let what = format!("parameter `{id}`: the path {} is not UTF-8", full.display());
         return Err((what, "rename the file or its folder".to_owned()));
@@ -364,7 +413,14 @@ fn default(d: &ParamDesc) -> std::result::Result<ParamValue, String> {
             ParamValue::Curve(numbers.as_chunks().0.to_vec())
         }
         (ParamKind::FILE, &[]) => ParamValue::File(None),
-        (kind, _) if kind.0 == 0 || kind.0 > ParamKind::FILE.0 => {
+        (ParamKind::MODEL, &[points]) => {
+            if !((1.0..=MOST_POINTS).contains(&points) && points.fract() == 0.0) {
+                let what = format!("parameter `{}` takes {points} points, not 1 to {MOST_POINTS}", d.id);
+                return Err(what);
+            }
+            ParamValue::File(None)
+        }
+        (kind, _) if kind.0 == 0 || kind.0 > ParamKind::MODEL.0 => {
             return Err(format!("parameter `{}` is of a kind that this version does not know", d.id));
         }
         _ => return Err(format!("parameter `{}` has a default that is not of its kind", d.id)),
@@ -403,7 +459,7 @@ fn describe(d: &ParamDesc) -> String {
             let points: Vec<String> = numbers.chunks(2).map(|p| format!("[{}]", p.join(", "))).collect();
             format!("[{}]", points.join(", "))
         }
-        ParamKind::FILE => "none".to_owned(),
+        ParamKind::FILE | ParamKind::MODEL => "none".to_owned(),
         _ => numbers.join(""),
     };
     let unit = match d.unit {
@@ -421,6 +477,7 @@ fn describe(d: &ParamDesc) -> String {
         ParamKind::BOOL => "true | false".to_owned(),
         ParamKind::COLOUR => "a colour [red, green, blue, opacity]".to_owned(),
         ParamKind::CURVE => "a curve [[x, y], ...] from 0 to 1".to_owned(),
+        ParamKind::MODEL => "a model, a sampled model, or a file of samples".to_owned(),
         ParamKind::FILE if d.choices.is_empty() => "a file".to_owned(),
         ParamKind::FILE => {
             let extensions: Vec<String> = d.choices.iter().map(|c| format!(".{}", c.id)).collect();
@@ -445,6 +502,7 @@ fn kind_name(kind: ParamKind) -> &'static str {
         ParamKind::COLOUR => "colour",
         ParamKind::CURVE => "curve",
         ParamKind::FILE => "file",
+        ParamKind::MODEL => "model",
         _ => "unknown",
     }
 }
@@ -462,7 +520,7 @@ pub fn param_data(d: &ParamDesc) -> serde_json::Value {
         (ParamKind::FLOAT, [x, ..]) => json!(x),
         (ParamKind::CHOICE, _) => json!(d.default_text.as_str()),
         (ParamKind::CURVE, _) => json!(numbers.chunks(2).collect::<Vec<_>>()),
-        (ParamKind::FILE, _) => Value::Null,
+        (ParamKind::FILE | ParamKind::MODEL, _) => Value::Null,
         _ => json!(numbers),
     };
     let unit = match d.unit {
@@ -486,6 +544,9 @@ pub fn param_data(d: &ParamDesc) -> serde_json::Value {
     if d.kind == ParamKind::CHOICE {
         let choice = |c: &ChoiceDesc| json!({"id": c.id.as_str(), "label": c.label.as_str()});
         data["choices"] = d.choices.iter().map(choice).collect();
+    }
+    if d.kind == ParamKind::MODEL {
+        data["points"] = json!(numbers.first().map(|points| *points as u64));
     }
     if d.kind == ParamKind::FILE {
         data["extensions"] = d.choices.iter().map(|c| json!(c.id.as_str())).collect();
@@ -520,6 +581,9 @@ pub(crate) fn check_description(descriptor: &Descriptor) -> std::result::Result<
         }
         if d.unit == Unit::MODEL_LENGTH && ![ParamKind::FLOAT, ParamKind::POINT].contains(&d.kind) {
             return Err(format!("parameter `{}` is a length, but no float", d.id));
+        }
+        if d.kind == ParamKind::MODEL && !d.invalidates_preparation {
+            return Err(format!("parameter `{}` is a model, and does not invalidate the preparation", d.id));
         }
         let bounded = d.hard_range.iter().any(|x| x.is_finite());
         if bounded && [ParamKind::DIRECTION, ParamKind::POINT].contains(&d.kind) {
@@ -574,6 +638,7 @@ mod tests {
             ParamDesc::colour("tint", "Tint", [1.0, 0.5, 0.0, 1.0]),
             ParamDesc::curve("falloff", "Falloff", &[[0.0, 1.0], [1.0, 0.0]]),
             ParamDesc::file("weights", "Weights", &["rs", "toml"]),
+            ParamDesc::model("target", "Target", 1000),
         ]
     }
 
@@ -626,6 +691,8 @@ mod tests {
         told("falloff = [[0, 1]]", "less than two", "at least two points");
         told("falloff = [[0.5, 1], [0.2, 0]]", "left to right", "whose x ascend");
         told("weights = \"nowhere.toml\"", "cannot open nowhere.toml", "check the path");
+        told("target = \"nowhere.ply\"", "`target`: cannot open nowhere.ply", "check the path");
+        told("target = 3", "`target` of warp is integer, not a text", "target = \"model.ply\"");
         told("weights = \"x.png\"", "not a file of a type", ".rs, .toml");
     }
 

@@ -40,6 +40,7 @@ fn rest(positions: &[Vec3]) -> RestShape<'_> {
         triangles: &[],
         neighbours: None,
         attributes: None,
+        folder: Path::new(""),
         frame: FRAME,
         bounds,
         renormal: None,

@@ -254,6 +254,88 @@ fn colours_and_other_attributes_are_those_of_the_model() {
     assert_eq!(work.report("plugin info surveyor")["uses_attributes"], true);
 }
 
+#[test]
+fn other_models_come_in_the_first_one_s_coordinates() {
+    let work = workplace();
+    let rest = work.ply("model.simod/samples.ply").positions();
+    let diagonal = work.ply("model.ply").diagonal();
+    let to = |file: &str, reach: f64| now(&format!("mode = \"other\", other = \"{file}\", reach = {reach}"));
+    let nearest = |p: DVec3, among: &[DVec3]| among.iter().map(|q| q.distance(p)).fold(f64::INFINITY, f64::min);
+
+    // A model of more vertices than are taken, elsewhere: samples go to its points, which are on its surface.
+    let shifted: String = work.ply("model.ply").positions().iter().fold(String::new(), |text, p| {
+        text + &format!("{} {} {}\n", p.x * 1.5 + 4.0, p.y * 1.5, p.z * 1.5)
+    });
+    work.write("cloud.xyz", shifted);
+    let surface: Vec<DVec3> =
+        work.ply("model.ply").positions().iter().map(|p| *p * 1.5 + DVec3::X * 4.0).collect();
+    let found = deformed(&work, "", &to("cloud.xyz", 0.0), "");
+    let mut places: Vec<String> = found.iter().map(|p| format!("{p:.4}")).collect();
+    places.sort();
+    places.dedup();
+    assert!((20..=300).contains(&places.len()), "{} points are gone to", places.len());
+    assert!(found.iter().all(|p| nearest(*p, &surface) < 0.05 * diagonal), "they are on the surface");
+    // Along normals, by the half of the diagonal.
+    let lifted = deformed(&work, "", &to("cloud.xyz", 0.5), "");
+    let by = found.iter().zip(&lifted).map(|(p, q)| p.distance(*q) / diagonal);
+    assert!(by.clone().all(|by| (by - 0.5).abs() < 1e-3), "{:?}", by.fold(0.0, f64::max));
+
+    // Samples that something moved: by their ids, in any order; from the folder of a sampled model, and its file.
+    work.write("bend.toml", "[[step]]\ndeform = \"warp\"\nparams = { operation = \"bend\", angle = 70 }");
+    work.simod("deform model.simod --session bend.toml -o bent.ply");
+    let bent = work.ply("bent.ply").positions();
+    let found = deformed(&work, "", &to("bent.ply", 0.0), "");
+    assert!(found.iter().zip(&bent).all(|(p, q)| p.distance(*q) < 1e-6 * diagonal));
+    let mut lines: Vec<String> =
+        bent.iter().enumerate().map(|(i, p)| format!("{} {} {} {i}\n", p.x, p.y, p.z)).collect();
+    lines.reverse();
+    let header = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty double x\nproperty double y\nproperty double z\n\
+         property float scalar_id\nend_header\n",
+        bent.len()
+    );
+    work.write("reversed.ply", header + &lines.concat());
+    let reversed = deformed(&work, "", &to("reversed.ply", 0.0), "");
+    assert!(reversed.iter().zip(&bent).all(|(p, q)| p.distance(*q) < 1e-6 * diagonal));
+    work.simod("generate -o other.ply --shape bumpy-sphere --vertices 9000");
+    work.simod("sample other.ply -o other.simod --samples 800");
+    let others = work.ply("other.simod/samples.ply").positions();
+    for name in ["other.simod", "other.simod/simod.toml", "other.simod/samples.ply"] {
+        let found = deformed(&work, "", &to(name, 0.0), "");
+        assert!(found.iter().zip(&others).all(|(p, q)| p.distance(*q) < 1e-5 * diagonal), "{name}");
+    }
+    // What is taken is told; normals are of unit length, triangles within.
+    work.write("edit.toml", format!("[[step]]\ndeform = \"surveyor\"\n{}", to("model.ply", 0.0)));
+    let line = "deform model.simod --session edit.toml -o out.ply";
+    let report = work.report(line);
+    let note = report["notes"][0].as_str().expect("a note");
+    assert!(note.starts_with("surveyor: model.ply: ") && note.ends_with("of 5000, a surface"), "{note}");
+
+    // What is wrong is told with the parameter's line and the file; nothing is written.
+    let wrong = |file: &str, what: &str| {
+        let step = to(file, 0.0).replace("params", "\nparams");
+        work.write("edit.toml", format!("[[step]]\ndeform = \"surveyor\"\n{step}\n"));
+        std::fs::remove_file(work.path("out.ply")).unwrap_or_default();
+        work.refuses(line, &["edit.toml, line 5", "surveyor", "`other`", file, what]);
+        assert!(!work.path("out.ply").exists());
+    };
+    wrong("nowhere.ply", "cannot open");
+    work.write("empty.ply", "");
+    wrong("empty.ply", "");
+    work.write("text.xyz", "this is no cloud\n");
+    wrong("text.xyz", "");
+    let whole = work.read("model.ply");
+    work.write("half.ply", &whole[..whole.len() / 2]);
+    wrong("half.ply", "");
+    work.write("nan.xyz", "nan nan nan\nnan 0 0\n");
+    wrong("nan.xyz", "");
+    std::fs::create_dir(work.path("folder")).expect("a folder");
+    wrong("folder", "no sampled model");
+    // An output is never what is read.
+    work.write("edit.toml", format!("[[step]]\ndeform = \"surveyor\"\n{}", to("bent.ply", 0.0)));
+    work.refuses("deform model.simod --session edit.toml -o bent.ply", &["bent.ply"]);
+}
+
 fn warnings(outcome: &Outcome) -> Vec<String> {
     let report: Value = outcome.json();
     let all = report["warnings"].as_array().cloned().unwrap_or_default();
@@ -318,7 +400,7 @@ fn plugins_that_look_things_up_pass_all_rules() {
         let report = outcome.json();
         assert_eq!(report["failed"], 0, "{report}");
         let rules = report["rules"].as_array().expect("rules");
-        for id in ["migration", "time", "attributes", "no-samples", "not-a-number", "large"] {
+        for id in ["migration", "time", "attributes", "other-models", "no-samples", "not-a-number", "large"] {
             let rule = rules.iter().find(|r| r["rule"] == id).expect("the rule");
             assert_eq!(rule["verdict"], "pass", "{rule}");
         }

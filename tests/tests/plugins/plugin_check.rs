@@ -7,7 +7,7 @@ use serde_json::Value;
 use simod_tests::{Outcome, Workplace, library};
 
 /// All rules.
-const RULES: usize = 32;
+const RULES: usize = 33;
 
 /// A report of `simod plugin check --json` on the misbehaving plugin, which does `how` wrong.
 fn check(work: &Workplace, how: &str, options: &str) -> (Outcome, Value) {

@@ -234,7 +234,7 @@ impl<'m> Scene<'m> {
 }
 
 fn param<'a>(desc: &'a ParamDesc, numbers: &'a [f64], edit: &'a Edit) -> Param<'a> {
-    if [ParamKind::CHOICE, ParamKind::FILE].contains(&desc.kind) {
+    if [ParamKind::CHOICE, ParamKind::FILE, ParamKind::MODEL].contains(&desc.kind) {
         let text = edit.params.iter().find_map(|(id, value)| match value {
             Value::Text(text) if *id == desc.id.as_str() => Some(*text),
             _ => None,

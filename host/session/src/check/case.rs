@@ -12,14 +12,27 @@ use simod_model::bounds::Bounds;
 use simod_model::frame::Frame;
 use simod_plugin_api::{
     Affine, Attribute, AttributeKind, Attributes, DeformInput, Graph, HandleDesc, HandleMotions, Joint,
-    Joints, ModelFrame, Param, Part, PrepareInput, Region, RestPositions, Role, Samples, Stroke, Strokes,
-    Time, Triangles,
+    Joints, ModelFrame, OtherModel, OtherModels, Param, ParamKind, Part, PointsKind, PrepareInput, Region,
+    RestPositions, Role, Samples, Stroke, Strokes, Time, Triangles,
 };
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
 
 /// A brush's radius, as a fraction of the diagonal.
 const BRUSH: f64 = 0.1;
+
+/// What other models are called.
+const OTHER: &str = "other.ply";
+
+/// Points of another model.
+#[derive(Clone)]
+pub(super) struct Other {
+    pub positions: Vec<[f64; 3]>,
+    pub normals: Vec<[f32; 3]>,
+    /// None of a model that was sampled for the plugin.
+    pub ids: Vec<u64>,
+    pub triangles: Vec<[u32; 3]>,
+}
 
 /// All that a plugin is given for one deformation, local coordinates.
 #[derive(Clone)]
@@ -46,6 +59,8 @@ pub(super) struct Case {
     time: Option<Time>,
     /// Names and values, where the plugin uses them.
     pub attributes: Option<Vec<(String, Vec<f32>)>>,
+    /// What all parameters of the plugin that name another model name, if it has such.
+    pub other: Option<Other>,
     /// The motions of the handles that the plugin placed for these joints, samples and parameters.
     pub handles: Vec<Affine>,
     /// The paths of strokes, where the plugin uses some.
@@ -59,6 +74,7 @@ impl Case {
     pub fn new(plugin: &Plugin, positions: Vec<Vec3>, normals: Vec<Vec3>) -> Checked<Self> {
         let set = SampleSet::new(positions, normals).map_err(|e| Finding::skip(e.to_string()))?;
         let bounds = Bounds::of(set.positions.iter().map(|p| p.as_dvec3()));
+        let takes_models = plugin.params().iter().any(|d| d.kind == ParamKind::MODEL);
         let params = params(plugin, &bounds, &toml::Table::new())?;
         let regions = regions(plugin, set.len());
         let graph = set.neighbours();
@@ -82,6 +98,7 @@ impl Case {
                 .then(|| set.positions.iter().map(|p| [p.x + 0.01, p.y, p.z]).collect()),
             attributes: consumes.attributes.then(|| colours(set.len())),
             time: consumes.time.then_some(Time { frame: 12, seconds: 0.5 }),
+            other: takes_models.then(|| other(&set, &bounds)),
             handles: Vec::new(),
             strokes: if consumes.strokes { strokes(&set.positions) } else { Vec::new() },
             positions: bytemuck::cast_slice(&set.positions).to_vec(),
@@ -131,6 +148,13 @@ impl Case {
     pub fn with_attributes(mut self, names: &[&str], value: impl Fn(usize) -> f32) -> Self {
         let values: Vec<f32> = (0..self.positions.len()).map(value).collect();
         self.attributes = Some(names.iter().map(|name| ((*name).to_owned(), values.clone())).collect());
+        self
+    }
+
+    /// The same with something else for the other models, or nothing.
+    pub fn with_other(mut self, other: Option<Other>) -> Self {
+        self.params.name_models(if other.is_some() { OTHER } else { "" });
+        self.other = other;
         self
     }
 
@@ -185,6 +209,11 @@ impl Case {
         for (_, values) in self.attributes.iter().flatten() {
             bytemuck::cast_slice::<_, u8>(values).hash(&mut hasher);
         }
+        if let Some(Other { positions, normals, ids, triangles }) = &self.other {
+            bytemuck::cast_slice::<_, u8>(positions).hash(&mut hasher);
+            bytemuck::cast_slice::<_, u8>(normals).hash(&mut hasher);
+            (ids, triangles).hash(&mut hasher);
+        }
         for (role, weights) in &self.regions {
             role.0.hash(&mut hasher);
             bytemuck::cast_slice::<_, u8>(weights).hash(&mut hasher);
@@ -202,6 +231,15 @@ impl Case {
         let attribute = |(name, values)| Attribute::new(name, AttributeKind::F32, values);
         let all = self.attributes.as_ref()?;
         Some(all.iter().map(|(name, values): &(String, Vec<f32>)| attribute((name, values))).collect())
+    }
+
+    fn other_models(&self) -> Vec<OtherModel<'_>> {
+        let Some(Other { positions, normals, ids, triangles }) = &self.other else { return Vec::new() };
+        let kind = if ids.is_empty() { PointsKind::SAMPLED } else { PointsKind::SAMPLES };
+        let view = |param| {
+            OtherModel::new((param, kind, positions.len() as u64), positions, normals, ids, triangles)
+        };
+        self.params.models().map(view).collect()
     }
 
     fn samples(&self) -> Samples<'_> {
@@ -234,6 +272,11 @@ impl Case {
         let attributes = self.attributes();
         let attributes = attributes.as_deref().map(Attributes::new);
         parts.extend(attributes.iter().map(Part::new));
+        let others = self.other_models();
+        let others = OtherModels::new(&others);
+        if !others.all().is_empty() {
+            parts.push(Part::new(&others));
+        }
         call(&PrepareInput::new(self.samples(), self.bounds, &regions, &params).with_parts(&parts))
     }
 
@@ -309,6 +352,23 @@ fn colours(count: usize) -> Vec<(String, Vec<f32>)> {
         .into()
 }
 
+/// The same samples, bent and shifted a little.
+fn other(set: &SampleSet, bounds: &Bounds) -> Other {
+    let diagonal = bounds.diagonal();
+    let moved = |p: &Vec3| {
+        let p = p.as_dvec3();
+        (p + 0.03 * diagonal * DVec3::new((3.0 * p.y).sin(), 0.5, p.x)).to_array()
+    };
+    let graph = set.neighbours();
+    let triangle = |i: usize| graph.of(i).get(..2).map(|near| [i as u32, near[0], near[1]]);
+    Other {
+        positions: set.positions.iter().map(moved).collect(),
+        normals: bytemuck::cast_slice(set.normals()).to_vec(),
+        ids: (0..set.len() as u64).collect(),
+        triangles: (0..set.len()).filter_map(triangle).collect(),
+    }
+}
+
 /// A chain of joints through the box, with a branch.
 fn joints(bounds: &Bounds) -> Vec<(String, [f64; 3], u32)> {
     let at =
@@ -342,5 +402,7 @@ pub(super) fn motion(bounds: &Bounds, handle: usize) -> DAffine3 {
 fn params(plugin: &Plugin, bounds: &Bounds, given: &toml::Table) -> Checked<LocalParams> {
     let frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
     let params = Params::check(plugin.id(), plugin.params(), given, Path::new(""));
-    Ok(params.map_err(|e| Finding::skip(e.to_string()))?.to_local(&frame, bounds))
+    let mut params = params.map_err(|e| Finding::skip(e.to_string()))?.to_local(&frame, bounds);
+    params.name_models(OTHER);
+    Ok(params)
 }

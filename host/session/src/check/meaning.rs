@@ -1,6 +1,6 @@
 //! Rules on what a deformation means: nothing for nothing, the same for the same.
 
-use super::case::{Case, motion};
+use super::case::{Case, Other, motion};
 use super::inputs::ORDINARY;
 use super::subject::{Refusal, Subject, answer};
 use super::{Checked, Finding};
@@ -304,6 +304,47 @@ pub(super) fn attributes(subject: &Subject) -> Checked<Finding> {
         moved += usize::from(difference(&first, &positions).is_some());
     }
     Ok(if moved > 0 { Finding::pass("it moves with them") } else { Finding::pass("they make no difference") })
+}
+
+/// A plugin that takes other models does without them, and with any.
+pub(super) fn other_models(subject: &Subject) -> Checked<Finding> {
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    let Some(usual) = case.other.clone() else {
+        return Ok(Finding::skip("it takes no other models"));
+    };
+    let (_, first) = subject.run_ordinary(&case)?;
+    let of = |map: &dyn Fn([f64; 3]) -> [f64; 3]| {
+        let positions = usual.positions.iter().map(|p| map(*p)).collect();
+        Some(Other { positions, ..usual.clone() })
+    };
+    let few = |count: usize| {
+        let (positions, normals) = (usual.positions[..count].to_vec(), usual.normals[..count].to_vec());
+        Some(Other { positions, normals, ids: usual.ids[..count].to_vec(), triangles: Vec::new() })
+    };
+    let others = [
+        None,
+        few(1),
+        few(2),
+        few(ORDINARY / 2),
+        Some(Other { ids: Vec::new(), triangles: Vec::new(), ..usual.clone() }),
+        Some(Other { ids: usual.ids.iter().map(|id| u64::MAX - id).collect(), ..usual.clone() }),
+        // All in one place; in a plane; turned inside out; in another unit; elsewhere; as far as numbers go.
+        of(&|_| [0.5; 3]),
+        of(&|[x, y, _]| [x, y, 0.0]),
+        of(&|[x, y, z]| [-x, y, z]),
+        of(&|p| p.map(|x| 1000.0 * x)),
+        of(&|p| p.map(|x| x + 1e6)),
+        of(&|p| p.map(|x| 1e300 * x)),
+    ];
+    let (mut moved, mut refused) = (0, 0);
+    for other in others {
+        match subject.run(&case.clone().with_other(other))? {
+            Ok((_, positions)) => moved += usize::from(difference(&first, &positions).is_some()),
+            Err(_) => refused += 1,
+        }
+    }
+    let found = if moved > 0 { "it moves with them" } else { "they make no difference" };
+    Ok(Finding::pass(format!("{found}; it refuses {refused} that are strange")))
 }
 
 #[cfg(test)]

@@ -144,6 +144,7 @@ pub const RULES: &[Rule] = &[
     Rule { id: "migration", asks: "older sessions keep working", run: migration::migration },
     Rule { id: "time", asks: "any time of a sequence is no trouble", run: meaning::time },
     Rule { id: "attributes", asks: "models with any attributes are no trouble", run: meaning::attributes },
+    Rule { id: "other-models", asks: "any other model is no trouble", run: meaning::other_models },
     Rule { id: "bounds", asks: "parameters may take any value in range", run: parameters::bounds },
     Rule {
         id: "invalidation",

@@ -114,8 +114,8 @@ fn ends(d: &ParamDesc) -> Vec<Value> {
         }
         ParamKind::COLOUR => vec![numbers(&[0.0; 4]), numbers(&[1.0; 4])],
         ParamKind::CURVE => vec![curve(&[0.0, 0.0]), curve(&[1.0, 1.0]), curve(&[0.0, 1.0, 0.0, 1.0])],
-        // None is all that is known of files.
-        ParamKind::FILE => vec!["".into()],
+        // None is all that is known of files; what is in others is another rule's.
+        ParamKind::FILE | ParamKind::MODEL => vec!["".into()],
         _ => vectors(&[[0.0; 3], [-1.0; 3], [1e6, 0.0, -1e6]]),
     }
 }
@@ -138,7 +138,7 @@ fn any(d: &ParamDesc, random: &mut Random) -> Value {
             let heights: Vec<f64> = (0..2 + random.below(4)).map(|_| random.within([0.0, 1.0])).collect();
             curve(&heights)
         }
-        ParamKind::FILE => "".into(),
+        ParamKind::FILE | ParamKind::MODEL => "".into(),
         _ => vector(std::array::from_fn(|_| random.within([-1.0, 1.0]))),
     }
 }

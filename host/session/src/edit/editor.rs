@@ -2,6 +2,7 @@
 
 use super::document::{Document, Entry};
 use super::evaluation::{Evaluation, Refinements};
+use crate::params::is_path;
 use crate::pipeline::sampled;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Origin, SessionFile, Step};
@@ -12,7 +13,6 @@ use simod_core::sampling::Skip;
 use simod_model::follow::Follow;
 use simod_model::target::folder_of;
 use simod_model::{Error, Progress, Result};
-use simod_plugin_api::ParamKind;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -218,7 +218,7 @@ fn moved(from: &Deformation, folder: &Path, plugins: &PluginRegistry) -> Result<
     let Ok(plugin) = plugins.get(&from.deform) else { return Ok(to) };
     to.plugin = Origin::of(plugin);
     if from.folder != folder {
-        for file in plugin.params().iter().filter(|d| d.kind == ParamKind::FILE) {
+        for file in plugin.params().iter().filter(|d| is_path(d.kind)) {
             if let Some(toml::Value::String(name)) = to.params.get_mut(file.id.as_str()) {
                 *name = text(&relative(&from.folder.join(&*name), folder))?;
             }

@@ -315,7 +315,7 @@ impl Evaluation {
         let attributes = attributes.then(|| sampled.attributes(self.how.model.as_deref(), progress));
         let done = attributes.transpose().and_then(|attributes| {
             with_shape(sampled, |shape| {
-                let shape = RestShape { attributes, ..*shape };
+                let shape = RestShape { attributes, folder: &self.how.folder, ..*shape };
                 layer.update(&between.rest, &shape, &mut kept, moment, progress)
             })
         });
@@ -462,6 +462,7 @@ fn with_shape<T>(sampled: &SampledModel, call: impl FnOnce(&RestShape<'_>) -> T)
         triangles: &sampled.triangles,
         neighbours: Some(samples.neighbours()),
         attributes: None,
+        folder: Path::new(""),
         renormal: Some(&|positions| deformed_normals(samples, positions)),
     })
 }

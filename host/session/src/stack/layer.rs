@@ -5,6 +5,7 @@ use crate::deformer::{Message, Plugin, Watch};
 use crate::key::Key;
 use crate::migration::{in_its_words, migrated};
 use crate::motion::to_local;
+use crate::other_model::{OtherModel, stamps};
 use crate::params::{LocalParams, ParamValue, Params, nearest};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Deformation, HandleMove, Joint, Notes, ParamPlaces, Role, Stroke};
@@ -17,6 +18,7 @@ use simod_model::frame::Frame;
 use simod_model::{Error, ErrorKind, Progress, Result, Type};
 use simod_plugin_api as api;
 use std::collections::HashMap;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 #[derive(Debug)]
@@ -76,6 +78,7 @@ struct Preparation {
 #[derive(Debug, Default)]
 pub(crate) struct Kept {
     placed: Option<(u64, Vec<api::HandleDesc>)>,
+    others: Vec<(u64, Arc<OtherModel>)>,
     preparation: Option<(u64, Arc<Preparation>)>,
     strokes: Vec<(Arc<Stroke>, Arc<Params>, Arc<LocalStroke>)>,
     done: Option<(u64, Arc<Done>)>,
@@ -293,9 +296,42 @@ impl Layer {
         }
         // Not two at a time, which may be large.
         (kept.preparation, kept.done) = (None, None);
-        let preparation = Arc::new(self.prepare(&self.with_normals(rest, shape)?, shape, progress)?);
+        let others = self.other_models(shape, kept, progress)?;
+        let rest = self.with_normals(rest, shape)?;
+        let preparation = Arc::new(self.prepare(&rest, shape, &others, progress)?);
         kept.preparation = Some((key, preparation.clone()));
         Ok(preparation)
+    }
+
+    /// The other models that the user gave, by the parameters that name them: as read before, as long as their
+    /// files are what they were.
+    fn other_models(
+        &self,
+        shape: &RestShape<'_>,
+        kept: &mut Kept,
+        progress: &dyn Progress,
+    ) -> Result<Vec<(&str, Arc<OtherModel>)>> {
+        let mut others = Vec::new();
+        for d in self.plugin.params().iter().filter(|d| d.kind == api::ParamKind::MODEL) {
+            let (Some(ParamValue::File(Some(path))), &[points]) =
+                (self.params.get(&d.id), d.default_numbers.as_slice())
+            else {
+                continue;
+            };
+            let Frame { origin, scale } = shape.frame;
+            let key = Key::of(0).and(path.as_path()).and(&stamps(path)).and(&points);
+            let key = key.and(&origin).and(&scale).end();
+            let model = match kept.others.iter().find(|(known, _)| *known == key) {
+                Some((_, model)) => model.clone(),
+                None => {
+                    let read = OtherModel::read(path, points as u64, &shape.frame, shape.folder, progress);
+                    Arc::new(read.map_err(|e| of_model(&d.id, path, e))?)
+                }
+            };
+            others.push((key, d.id.as_str(), model));
+        }
+        kept.others = others.iter().map(|(key, _, model)| (*key, model.clone())).collect();
+        Ok(others.into_iter().map(|(_, id, model)| (id, model)).collect())
     }
 
     /// The rest shape with normals that fit, if the plugin needs them.
@@ -328,7 +364,7 @@ impl Layer {
     /// files.
     fn key(&self, rest_key: u64) -> Key {
         let file = |value: &ParamValue| match value {
-            ParamValue::File(Some(path)) => path.metadata().ok().map(|m| (m.len(), m.modified().ok())),
+            ParamValue::File(Some(path)) => Some(stamps(path)),
             _ => None,
         };
         let files: Vec<_> = self.params.iter().filter_map(|(_, value)| file(value)).collect();
@@ -341,7 +377,7 @@ impl Layer {
         &self,
         rest: &Rest,
         shape: &RestShape<'_>,
-        regions: &[api::Region<'_>],
+        (regions, others): (&[api::Region<'_>], &[api::OtherModel<'_>]),
         call: impl FnOnce(&api::PrepareInput<'_>) -> T,
     ) -> T {
         let (frame, consumes) = (shape.frame, self.plugin.consumes());
@@ -373,6 +409,10 @@ impl Layer {
         if consumes.rest_positions && shape.positions.len() == rest.positions.len() {
             parts.push(api::Part::new(&at_rest));
         }
+        let others = api::OtherModels::new(others);
+        if !others.all().is_empty() {
+            parts.push(api::Part::new(&others));
+        }
         call(&api::PrepareInput::new(rest.samples(), rest.bounds, regions, &values).with_parts(&parts))
     }
 
@@ -388,7 +428,8 @@ impl Layer {
         let (frame, bounds) = (&shape.frame, &shape.bounds);
         let key = self.key(rest.key).and(&self.params).end();
         if kept.placed.as_ref().is_none_or(|(known, _)| *known != key) {
-            let placed = self.prepare_input(rest, shape, &[], |input| self.plugin.handles(input, watch))?;
+            let placed =
+                self.prepare_input(rest, shape, (&[], &[]), |input| self.plugin.handles(input, watch))?;
             kept.placed = Some((key, placed));
         }
         let local = |(i, (stroke, params)): (usize, &(Arc<Stroke>, Arc<Params>))| match kept.strokes.get(i) {
@@ -413,6 +454,7 @@ impl Layer {
         &self,
         rest: &Arc<Rest>,
         shape: &RestShape<'_>,
+        others: &[(&str, Arc<OtherModel>)],
         progress: &dyn Progress,
     ) -> Result<Preparation> {
         let watch = Watch::new(progress, self.plugin.id(), size_of_val(&*rest.positions) as u64);
@@ -422,7 +464,10 @@ impl Layer {
         let weights: Vec<Vec<f32>> = self.regions.iter().map(|(_, shapes)| weigh(shapes)).collect();
         let regions: Vec<api::Region<'_>> =
             self.regions.iter().zip(&weights).map(|((role, _), w)| api::Region::new(*role, w)).collect();
-        let state = self.prepare_input(rest, shape, &regions, |input| self.plugin.prepare(input, &watch))?;
+        let others: Vec<api::OtherModel<'_>> =
+            others.iter().map(|(param, model)| model.view(param)).collect();
+        let given = (&regions[..], &others[..]);
+        let state = self.prepare_input(rest, shape, given, |input| self.plugin.prepare(input, &watch))?;
         Ok(Preparation {
             state,
             rest: rest.clone(),
@@ -488,6 +533,17 @@ impl Layer {
         }
         Ok(totals.into_iter().map(rows).collect())
     }
+}
+
+/// An error of another model, with the parameter that names it, and its file.
+fn of_model(param: &str, path: &Path, e: Error) -> Error {
+    if e.kind() == ErrorKind::Cancelled {
+        return e;
+    }
+    let text = e.to_string();
+    let name = path.display().to_string();
+    let file = if text.contains(&name) { String::new() } else { format!("{name}: ") };
+    e.saying(format!("parameter `{param}`: {file}{text}"))
 }
 
 /// Some ids of a list that may be long.

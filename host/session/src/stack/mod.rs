@@ -19,6 +19,7 @@ use simod_model::frame::Frame;
 use simod_model::progress::Silent;
 use simod_model::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api as api;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Points evaluated at once on one thread.
@@ -49,6 +50,9 @@ pub struct RestShape<'a> {
     pub neighbours: Option<&'a NeighbourGraph>,
     /// Colours and other attributes of the samples, where they were asked for.
     pub attributes: Option<&'a Arc<Attributes>>,
+    /// Where temporary files without a name are made, for other models that plugins take; the system's own place if
+    /// it is empty.
+    pub folder: &'a Path,
     /// The map between model and local coordinates.
     pub frame: Frame,
     /// The model's box, model coordinates.
@@ -280,7 +284,6 @@ mod tests {
     use crate::SessionFile;
     use simod_core::sampling::SampleSet;
     use simod_plugin_api::__private::{abi_stable, capability, find_extension, no_extension, root_module};
-    use std::path::Path;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     /// Moves each sample to the mean of its neighbours and of the corners of its triangles.
@@ -343,6 +346,7 @@ mod tests {
             triangles: &triangles,
             neighbours: Some(set.neighbours()),
             attributes: None,
+            folder: Path::new(""),
             frame: Frame { origin: DVec3::ZERO, scale: 1.0 },
             bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
             renormal: None,
@@ -441,6 +445,7 @@ mod tests {
             triangles: &[],
             neighbours: None,
             attributes: None,
+            folder: Path::new(""),
             frame: Frame { origin: DVec3::Y * 10.0, scale: 2.0 },
             bounds: Bounds { min: DVec3::Y * 10.0, max: DVec3::new(4.0, 11.0, 1.0) },
             renormal: None,

@@ -3,12 +3,14 @@
 
 use super::arena::Range;
 use crate::deformer::About;
+use crate::params::is_text;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simod_plugin_api::{
     Affine, Attribute, AttributeKind, Attributes, DeformInput, Effort, ErrorCode, Graph, HandleDesc,
-    HandleMotions, Joint, Joints, ModelFrame, Param, ParamKind, Part, PluginError, PrepareInput, Region,
-    RestPositions, Role, Samples, Setting, Stroke, Strokes, Time, Triangles,
+    HandleMotions, Joint, Joints, ModelFrame, OtherModel, OtherModels, Param, ParamKind, Part, PluginError,
+    PointsKind, PrepareInput, Region, RestPositions, Role, Samples, Setting, Stroke, Strokes, Time,
+    Triangles,
 };
 use std::io::{Error, Read, Result, Write};
 
@@ -164,6 +166,59 @@ pub(super) struct InputRecord {
     joints: Option<Vec<(String, [f64; 3], u32)>>,
     /// Origin and scale.
     frame: Option<([f64; 3], f64)>,
+    others: Vec<OtherRecord>,
+}
+
+/// An [`OtherModel`], whose arrays come after those of the input.
+#[derive(Clone, Serialize, Deserialize)]
+struct OtherRecord {
+    param: String,
+    kind: u32,
+    vertices: u64,
+    points: usize,
+    ids: usize,
+    triangles: usize,
+}
+
+impl OtherRecord {
+    fn new<'a>(model: &OtherModel<'a>, arrays: &mut Vec<&'a [u8]>) -> Self {
+        arrays.push(bytemuck::cast_slice(model.positions()));
+        arrays.push(bytemuck::cast_slice(model.normals()));
+        arrays.push(bytemuck::cast_slice(model.ids()));
+        arrays.push(bytemuck::cast_slice(model.triangles()));
+        Self {
+            param: model.param().to_owned(),
+            kind: model.kind.0,
+            vertices: model.vertices,
+            points: model.positions().len(),
+            ids: model.ids().len(),
+            triangles: model.triangles().len(),
+        }
+    }
+
+    fn take<'a>(&self, rest: &mut Arrays<'a>) -> Option<OtherArrays<'a>> {
+        Some(OtherArrays {
+            positions: rest.take_copy(self.points)?,
+            normals: rest.take(self.points)?,
+            ids: rest.take_copy(self.ids)?,
+            triangles: rest.take(self.triangles)?,
+        })
+    }
+}
+
+/// The arrays of an [`OtherModel`]; those of eight bytes a number are copied, as they may not be aligned.
+struct OtherArrays<'a> {
+    positions: Vec<[f64; 3]>,
+    normals: &'a [[f32; 3]],
+    ids: Vec<u64>,
+    triangles: &'a [[u32; 3]],
+}
+
+impl OtherArrays<'_> {
+    fn view<'a>(&'a self, of: &'a OtherRecord) -> OtherModel<'a> {
+        let Self { positions, normals, ids, triangles } = self;
+        OtherModel::new((&of.param, PointsKind(of.kind), of.vertices), positions, normals, ids, triangles)
+    }
 }
 
 impl InputRecord {
@@ -185,6 +240,8 @@ impl InputRecord {
             arrays.push(bytemuck::cast_slice(graph.all()));
         }
         arrays.extend(input.rest_positions().map(bytemuck::cast_slice));
+        let others = input.part().map_or(&[][..], OtherModels::all);
+        let others = others.iter().map(|model| OtherRecord::new(model, &mut arrays)).collect();
         let attribute = |a: &Attribute<'_>| (a.name().to_owned(), a.kind.0);
         let joint = |j: &Joint<'_>| (j.id().to_owned(), j.position, j.parent);
         let record = Self {
@@ -201,15 +258,17 @@ impl InputRecord {
             params: input.params().iter().map(ParamRecord::from).collect(),
             joints: input.part::<Joints<'_>>().map(|j| j.all().iter().map(joint).collect()),
             frame: input.frame().map(|f| (f.origin, f.scale)),
+            others,
         };
         (record, arrays)
     }
 
     /// Calls with the input, whose arrays are in `bytes`. `None` if these are too few.
     pub fn with<T>(&self, bytes: &[u8], call: impl FnOnce(&PrepareInput<'_>) -> T) -> Option<T> {
-        let mut rest = Arrays(bytes);
-        let samples = self.take_samples(&mut rest)?;
-        let attributes = self.take_attributes(&mut rest)?;
+        let mut arrays = Arrays(bytes);
+        let rest = &mut arrays;
+        let samples = self.take_samples(rest)?;
+        let attributes = self.take_attributes(rest)?;
         let weights: Vec<&[f32]> = self.roles.iter().map(|_| rest.take(self.count)).collect::<Option<_>>()?;
         let regions: Vec<Region<'_>> =
             self.roles.iter().zip(weights).map(|(role, w)| Region::new(Role(*role), w)).collect();
@@ -221,7 +280,12 @@ impl InputRecord {
             Some(all) => Some(Graph::new(rest.take(self.count + 1)?, rest.take(all)?)),
             None => None,
         };
-        let rest = if self.rest { Some(RestPositions::new(rest.take(self.count)?)) } else { None };
+        let at_rest = if self.rest { Some(RestPositions::new(rest.take(self.count)?)) } else { None };
+        let their_arrays: Vec<OtherArrays<'_>> =
+            self.others.iter().map(|of| of.take(rest)).collect::<Option<_>>()?;
+        let others: Vec<OtherModel<'_>> =
+            their_arrays.iter().zip(&self.others).map(|(arrays, of)| arrays.view(of)).collect();
+        let others = OtherModels::new(&others);
         let params: Vec<Param<'_>> = self.params.iter().map(ParamRecord::view).collect();
         let joints: Option<Vec<Joint<'_>>> = self
             .joints
@@ -230,7 +294,10 @@ impl InputRecord {
         let joints = joints.as_ref().map(|joints| Joints::new(joints));
         let mut parts: Vec<Part<'_>> = graph.iter().map(Part::new).collect();
         parts.extend(triangles.iter().map(Part::new));
-        parts.extend(rest.iter().map(Part::new));
+        parts.extend(at_rest.iter().map(Part::new));
+        if !others.all().is_empty() {
+            parts.push(Part::new(&others));
+        }
         parts.extend(joints.iter().map(Part::new));
         let frame = self.frame.map(|(origin, scale)| ModelFrame { origin, scale });
         parts.extend(frame.iter().map(Part::new));
@@ -277,6 +344,12 @@ fn bounds([min, max]: [[f64; 3]; 2]) -> simod_plugin_api::Bounds {
 struct Arrays<'a>(&'a [u8]);
 
 impl<'a> Arrays<'a> {
+    /// The same, wherever it begins.
+    fn take_copy<T: bytemuck::Pod>(&mut self, count: usize) -> Option<Vec<T>> {
+        let bytes: &[u8] = self.take(count.checked_mul(size_of::<T>())?)?;
+        Some(bytemuck::pod_collect_to_vec(bytes))
+    }
+
     fn take<T: bytemuck::Pod>(&mut self, count: usize) -> Option<&'a [T]> {
         let (taken, rest) = self.0.split_at_checked(count.checked_mul(size_of::<T>())?)?;
         self.0 = rest;
@@ -303,7 +376,7 @@ impl From<&Param<'_>> for ParamRecord {
 impl ParamRecord {
     fn view(&self) -> Param<'_> {
         let kind = ParamKind(self.kind);
-        if [ParamKind::CHOICE, ParamKind::FILE].contains(&kind) {
+        if is_text(kind) {
             Param::text(&self.id, kind, &self.text)
         } else {
             Param::numbers(&self.id, kind, &self.numbers)

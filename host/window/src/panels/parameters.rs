@@ -5,7 +5,7 @@ use crate::dialogs::Purpose;
 use crate::widgets::parameter::{self, Asked};
 use crate::window::Window;
 use eframe::egui::{CollapsingHeader, RichText, Ui};
-use simod_plugin_api::ParamDesc;
+use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::edit::Change;
 use simod_viewer::Command;
 
@@ -75,7 +75,11 @@ fn one(ui: &mut Ui, window: &mut Window, step: usize, desc: &ParamDesc, value: O
             window.apply(Command::Rest);
         }
         Some(Asked::File) => {
-            let extensions = desc.choices.iter().map(|choice| choice.id.to_string()).collect();
+            let extensions = match desc.kind {
+                // A sampled model by the file that describes it.
+                ParamKind::MODEL => simod_model::extensions().chain(["toml"]).map(str::to_owned).collect(),
+                _ => desc.choices.iter().map(|choice| choice.id.to_string()).collect(),
+            };
             window.ask(Purpose::Parameter { step, id, extensions });
         }
     }

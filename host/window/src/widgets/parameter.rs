@@ -98,7 +98,7 @@ fn control(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds
         ParamKind::CHOICE => choice(ui, desc, value),
         ParamKind::DIRECTION | ParamKind::POINT => vector(ui, desc, value, bounds),
         ParamKind::COLOUR => color(ui, desc, value),
-        ParamKind::FILE => file(ui, desc, value),
+        ParamKind::FILE | ParamKind::MODEL => file(ui, desc, value),
         _ => {
             ui.label(RichText::new("of a kind unknown here").weak());
             None

@@ -2,8 +2,8 @@
 //! `tests/c/surveyor.c` does the same in C, to the last bit.
 
 use simod_plugin_api::{
-    Choice, Consumes, DeformInput, Deformer, Descriptor, Host, Migrate, MigrationDesc, ParamSet, PluginError,
-    PluginResult, Pose, PrepareInput, Settings,
+    Choice, Consumes, DeformInput, Deformer, Descriptor, Host, LogLevel, Migrate, MigrationDesc, ParamDesc,
+    ParamSet, PluginError, PluginResult, PointsKind, Pose, PrepareInput, Settings,
 };
 
 /// Once it had `method` for what is `mode` now, and `distance` in percent for what is `reach` now, as a part
@@ -28,10 +28,42 @@ enum Mode {
     Time,
     /// Along x by red, along y by quality, and along z by how many attributes there are.
     Paint,
+    /// To the point of the other model that has the sample's id, or else the nearest one; and along its normal.
+    Other,
+}
+
+/// Points of the other model, with their normals, and which sample each is, if it is one.
+type Other = Vec<([f64; 3], [f32; 3], Option<u64>)>;
+
+/// Most points that are taken of the other model.
+const POINTS: u32 = 300;
+
+/// What the other model has, as promised.
+fn other(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Other> {
+    let Some(other) = input.other_model("other") else { return Ok(Vec::new()) };
+    let (points, normals, ids) = (other.positions(), other.normals(), other.ids());
+    let is_unit = |n: &[f32; 3]| (n.iter().map(|x| x * x).sum::<f32>() - 1.0).abs() < 1e-3;
+    let is_known = (other.kind == PointsKind::SAMPLES) == (ids.len() == points.len());
+    let fits = other.triangles().as_flattened().iter().all(|i| (*i as usize) < points.len());
+    if points.is_empty() || normals.len() != points.len() || !normals.iter().all(is_unit) || !is_known || !fits {
+        return Err(PluginError::internal("the other model is not as promised"));
+    }
+    let path = input.params().model("other")?.ok_or_else(|| PluginError::internal("it has no name"))?;
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    host.log(
+        LogLevel::INFO,
+        &format!(
+            "{name}: {} points of {}, {}",
+            points.len(),
+            other.vertices,
+            if other.triangles().is_empty() { "a cloud" } else { "a surface" }
+        ),
+    );
+    Ok((0..points.len()).map(|i| (points[i], normals[i], ids.get(i).copied())).collect())
 }
 
 impl Deformer for Surveyor {
-    type State = ();
+    type State = Other;
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
@@ -46,10 +78,11 @@ impl Deformer for Surveyor {
             .summary("Moves samples to where the host says that something is")
             .author("a third party")
             .param_set::<Self>()
+            .param(ParamDesc::model("other", "Other", POINTS).hint("Where samples go that have another model"))
             .consumes(consumes)
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<()> {
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Other> {
         // Here as well as while it deforms.
         let itself = host.nearest(Pose::CURRENT)?.ones(input.samples.positions()[0].map(f64::from), 1);
         let rest = input.rest_positions().ok_or_else(|| PluginError::input("there is nothing at rest"))?;
@@ -62,12 +95,12 @@ impl Deformer for Surveyor {
             Some(bad) => {
                 Err(PluginError::internal(format!("not one number for each sample: {}", bad.name())))
             }
-            None => Ok(()),
+            None => other(input, host),
         }
     }
 
     fn deform(
-        _: &(),
+        other: &Other,
         input: &DeformInput<'_>,
         _: &mut (),
         out: &mut [[f32; 3]],
@@ -122,6 +155,18 @@ impl Deformer for Surveyor {
                     let by = [red.map_or(0.0, |x| f64::from(x[i])), quality.map_or(0.0, |x| f64::from(x[i]))];
                     let [x, y, z] = p.map(f64::from);
                     *out = [x + by[0] / 255.0, y + by[1], z + count as f64].map(|x| x as f32);
+                }
+            }
+            Mode::Other => {
+                for (i, (p, out)) in samples.iter().zip(out).enumerate() {
+                    let p = p.map(f64::from);
+                    let squared = |q: &[f64; 3]| (0..3).map(|k| (p[k] - q[k]) * (p[k] - q[k])).sum::<f64>();
+                    let own = other.iter().find(|(.., id)| *id == Some(i as u64));
+                    let near = || other.iter().min_by(|a, b| squared(&a.0).total_cmp(&squared(&b.0)));
+                    let to = own.or_else(near).map_or(p, |(q, n, _)| {
+                        std::array::from_fn(|k| q[k] + reach * f64::from(n[k]))
+                    });
+                    *out = to.map(|x| x as f32);
                 }
             }
             Mode::Time => {

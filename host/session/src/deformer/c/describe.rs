@@ -47,7 +47,7 @@ unsafe fn param(d: &SimodParamDesc, index: usize) -> PluginResult<ParamDesc> {
         let kind = ParamKind(d.kind);
         // Of a kind that this version does not know, nothing is: it is refused.
         let fixed = match kind {
-            ParamKind::FLOAT | ParamKind::INT | ParamKind::BOOL => 1,
+            ParamKind::FLOAT | ParamKind::INT | ParamKind::BOOL | ParamKind::MODEL => 1,
             ParamKind::DIRECTION | ParamKind::POINT => 3,
             ParamKind::COLOUR => 4,
             _ => 0,

@@ -2,12 +2,13 @@
 
 use simod_plugin_api::c::{
     SimodAffine, SimodAttribute, SimodAttributes, SimodBounds, SimodDeformInput, SimodEffort, SimodGraph,
-    SimodHandleMotions, SimodJoint, SimodJoints, SimodModelFrame, SimodParam, SimodPart, SimodPrepareInput,
-    SimodRegion, SimodRestPositions, SimodSamples, SimodStroke, SimodStrokes, SimodTime, SimodTriangles,
+    SimodHandleMotions, SimodJoint, SimodJoints, SimodModelFrame, SimodOtherModel, SimodOtherModels,
+    SimodParam, SimodPart, SimodPrepareInput, SimodRegion, SimodRestPositions, SimodSamples, SimodStroke,
+    SimodStrokes, SimodTime, SimodTriangles,
 };
 use simod_plugin_api::{
-    Affine, Attribute, Attributes, Bounds, DeformInput, Effort, Joint, Params, PluginError, PluginResult,
-    PrepareInput, Samples, Setting, Stroke, Time,
+    Affine, Attribute, Attributes, Bounds, DeformInput, Effort, Joint, OtherModel, OtherModels, Params,
+    PluginError, PluginResult, PrepareInput, Samples, Setting, Stroke, Time,
 };
 use std::ffi::{CStr, CString, c_void};
 use std::ptr::null;
@@ -110,6 +111,21 @@ impl Named {
     }
 }
 
+/// Another model; `param` is its parameter's id, with an end.
+fn other_model((model, param): (&OtherModel<'_>, &CString)) -> SimodOtherModel {
+    SimodOtherModel {
+        param: param.as_ptr(),
+        kind: model.kind.0,
+        vertices: model.vertices,
+        count: model.positions().len(),
+        positions: start(model.positions()),
+        normals: start(model.normals()),
+        ids: start(model.ids()),
+        triangles: start(model.triangles()),
+        triangle_count: model.triangles().len(),
+    }
+}
+
 /// Calls with what a preparation gets, as long as it is there.
 pub(super) fn with_prepare_input<T>(
     input: &PrepareInput<'_>,
@@ -143,6 +159,11 @@ pub(super) fn with_prepare_input<T>(
     let attributes = attributes.as_ref().map(Named::input);
     parts.extend(attributes.as_ref().map(|a| part(c"simod.attributes/1", a)));
     parts.extend((joints.count > 0).then(|| part(c"simod.joints/1", &joints)));
+    let others = input.part().map_or(&[][..], OtherModels::all);
+    let named: Vec<CString> = others.iter().map(|m| c_text(m.param())).collect::<PluginResult<_>>()?;
+    let others: Vec<SimodOtherModel> = others.iter().zip(&named).map(other_model).collect();
+    let others = SimodOtherModels { models: start(&others), count: others.len() };
+    parts.extend((others.count > 0).then(|| part(c"simod.other-models/1", &others)));
     let input = SimodPrepareInput {
         samples: samples(&input.samples),
         bounds: bounds(&input.bounds),
