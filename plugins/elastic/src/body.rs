@@ -259,9 +259,10 @@ impl Body {
 /// How much each point of a cell stands for, so that what is linear is summed up over the filled part as it is (moment
 /// fitting), but none less than next to nothing. The points are `low` and `1 - low` along each axis.
 fn amounts(mut moments: [f64; 8], low: f64) -> [f64; 8] {
-    for axis in 0..3 {
-        for first in (0..8).filter(|c| CORNERS[*c][axis] == 0) {
-            let second = first + (1 << axis);
+    // Corners are numbered by one bit for each axis.
+    for bit in [1, 2, 4] {
+        for first in (0..8).filter(|c| c & bit == 0) {
+            let second = first + bit;
             let (a, b) = (moments[first], moments[second]);
             let over = (b - low * (a + b)) / (1.0 - 2.0 * low);
             (moments[first], moments[second]) = (a + b - over, over);

@@ -55,6 +55,8 @@ const WAY: f64 = 0.15;
 /// Steps are as many at most, in full and in a draft.
 const MOST_STEPS: f64 = 96.0;
 const DRAFT_STEPS: f64 = 6.0;
+/// The handles' ways are worth so many times what a rest is on the same lattice.
+const WAY_WORTH: usize = 2;
 /// Steps in which the weight sets in, at least.
 const SAGGING: f64 = 4.0;
 
@@ -76,7 +78,7 @@ struct Parameters {
     #[param(default = true)]
     contact: bool,
     /// Cells of the lattice along the longest side of the model
-    #[param(default = 32, hard = 4..=64, soft = 8..=48, group = "Accuracy", invalidates_preparation)]
+    #[param(default = 24, hard = 4..=64, soft = 8..=48, group = "Accuracy", invalidates_preparation)]
     resolution: i64,
     /// It is at rest when no corner of the lattice would move farther
     #[param(default = 1e-4, unit = "diagonal", hard = 1e-9..=1.0, soft = 1e-6..=1e-2, group = "Accuracy")]
@@ -325,7 +327,11 @@ impl Motion {
                     *x += *share * (goals.of(handle, *rest) - before.of(handle, *rest));
                 }
             }
-            let until = if is_draft { Until::quickly() } else { Until::roughly(10.0 * self.still) };
+            let until = if is_draft {
+                Until::quickly()
+            } else {
+                Until::roughly(10.0 * self.still, WAY_WORTH * solve::worth(&level.body) / steps as usize)
+            };
             solve::settle(&level.body, &mut x, &self.task(&goals, part, state, level), until, host)?;
             before = goals;
         }
@@ -345,7 +351,7 @@ impl Motion {
                 let all = level.body.lattice.rest.iter().zip(&level.corners);
                 x = all.map(|(rest, place)| *rest + lattice.interpolate(*place, &shift)).collect();
             }
-            let until = Until::wholly(self.still);
+            let until = Until::wholly(self.still, solve::worth(&level.body));
             is_at_rest =
                 solve::settle(&level.body, &mut x, &self.task(&goals, 1.0, state, level), until, host)?;
         }

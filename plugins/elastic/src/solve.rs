@@ -11,9 +11,9 @@ use simod_plugin_api::{Host, PluginResult};
 
 /// Conjugate gradients for one step, at most.
 const MOST_GRADIENTS: usize = 600;
-/// How many products of the second derivatives a rest is worth: so many by the number of cells, within bounds.
-const WORK: usize = 15_000_000;
-const FEWEST_PRODUCTS: usize = 200;
+/// How many products of the second derivatives a lattice is worth: so many by the number of cells, within bounds.
+const WORK: usize = 1_500_000;
+const FEWEST_PRODUCTS: usize = 60;
 const MOST_PRODUCTS: usize = 1500;
 /// Where the energy is not convex, the material is taken for stiffer by this part of its shear modulus, and by three times as
 /// much each time that it is not enough, up to the second.
@@ -46,22 +46,29 @@ pub struct Until {
     pub left: f64,
     /// Conjugate gradients for one step, at most.
     pub gradients: usize,
+    /// Products of the second derivatives, at most.
+    pub products: usize,
+}
+
+/// How many products of the second derivatives a lattice is worth.
+pub fn worth(body: &Body) -> usize {
+    (WORK / body.lattice.cells.len().max(1)).clamp(FEWEST_PRODUCTS, MOST_PRODUCTS)
 }
 
 impl Until {
     /// For a place on the way.
-    pub fn roughly(still: f64) -> Self {
-        Self { still, steps: 3, left: 0.1, gradients: 60 }
+    pub fn roughly(still: f64, products: usize) -> Self {
+        Self { still, steps: 3, left: 0.1, gradients: 60, products }
     }
 
     /// For a draft.
     pub fn quickly() -> Self {
-        Self { still: 1e-3, steps: 2, left: 0.2, gradients: 12 }
+        Self { still: 1e-3, steps: 2, left: 0.2, gradients: 12, products: 24 }
     }
 
     /// For the end of it.
-    pub fn wholly(still: f64) -> Self {
-        Self { still, steps: 100, left: 1e-2, gradients: MOST_GRADIENTS }
+    pub fn wholly(still: f64, products: usize) -> Self {
+        Self { still, steps: 100, left: 1e-2, gradients: MOST_GRADIENTS, products }
     }
 }
 
@@ -74,7 +81,7 @@ pub fn settle(
     host: &Host<'_>,
 ) -> PluginResult<bool> {
     let mut gradients = body.gradients(x, host)?;
-    let mut products = (WORK / body.lattice.cells.len().max(1)).clamp(FEWEST_PRODUCTS, MOST_PRODUCTS);
+    let mut products = until.products;
     let mut stiffer = 0.0;
     for _ in 0..until.steps {
         let touches: Vec<Touch> = match task.contact {
@@ -85,6 +92,7 @@ pub fn settle(
         let (energy, forces) = body.energy(x, &gradients, &load, host)?;
         let mut step;
         loop {
+            let most = until.gradients.min(products.max(1));
             let change = |by: &[DVec3]| {
                 products = products.saturating_sub(1);
                 body.change(&gradients, (&touches, stiffer), by, host)
@@ -92,7 +100,7 @@ pub fn settle(
             let residual: Vec<DVec3> = forces.iter().map(|f| -*f).collect();
             let inverse = body.inverse(&touches);
             let precondition = |r: &[DVec3], z: &mut Vec<DVec3>| body.precondition(&inverse, r, z);
-            let found = solve(residual, (until.left, until.gradients), precondition, change)?;
+            let found = solve(residual, (until.left, most), precondition, change)?;
             step = found.0;
             if found.1 || stiffer >= STIFFEST {
                 stiffer = if stiffer < STIFFER { 0.0 } else { 0.3 * stiffer };

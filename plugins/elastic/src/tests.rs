@@ -359,7 +359,7 @@ proptest! {
     fn what_nothing_else_holds_goes_along(degrees in -179.0..179.0_f64, by in prop::array::uniform3(-1.0..1.0_f64)) {
         let mut setup = bar(0.25, 8).held(|_| false, |p| p.x > 0.7);
         (setup.resolution, setup.contact) = (6.0, false);
-        let motion = turn(DVec3::new(1.0, 2.0, 3.0).normalize(), degrees, DVec3::ZERO, DVec3::from(by));
+        let motion = turn(DVec3::new(0.6, 0.0, 0.8), degrees, DVec3::ZERO, DVec3::from(by));
         for (q, p) in setup.run(motion, &Listener::default()).unwrap().iter().zip(&setup.places) {
             let off = q.distance(motion.apply((*p).into()).into());
             prop_assert!(off < 1e-3, "{off}");
