@@ -1,7 +1,9 @@
 //! Blend shapes: targets are the samples as something has deformed them, and each is added by an amount.
 //!
-//! F. Parke, *Computer generated animation of faces*, ACM annual conference 1972; J. P. Lewis and others, *Practice and theory
-//! of blendshape facial models*, Eurographics 2014 (delta blendshapes, section 2): a sample goes to `p + Σ wᵢ (tᵢ - p₀)`, where
+//! F. Parke, *Computer generated animation of faces*, ACM annual conference 1972; J. P. Lewis and others, *Practice and
+//! theory
+//! of blendshape facial models*, Eurographics 2014 (delta blendshapes, section 2): a sample goes to `p + Σ wᵢ (tᵢ -
+//! p₀)`, where
 //! `p₀` is where it was before all steps. Targets are matched by the samples' ids.
 
 use glam::DVec3;
@@ -14,10 +16,12 @@ use simod_plugin_api::{
 const TARGETS: usize = 8;
 /// Samples at once on one thread.
 const BLOCK: usize = 4096;
-/// What a target moves by less, as a part of the diagonal, it does not move: files have coordinates in single precision.
+/// What a target moves by less, as a part of the diagonal, it does not move: files have coordinates in single
+/// precision.
 const STILL: f64 = 1e-6;
 
-/// Targets that are farther from the samples, in local coordinates, whose unit is about the model's size, are a mistake.
+/// Targets that are farther from the samples, in local coordinates, whose unit is about the model's size, are a
+/// mistake.
 const FAR: f64 = 1e3;
 
 /// The plugin.
@@ -132,7 +136,7 @@ fn displacements(
                 .hint("deform the samples of this model and this number, and give what comes out"));
         };
         let moved = DVec3::from(*to) - DVec3::from(rest[index].map(f64::from));
-        if !(moved.length() <= FAR) {
+        if moved.length().is_nan() || moved.length() > FAR {
             return Err(PluginError::parameter(id, &format!("lies far away, at sample {sample}"))
                 .hint("give a target in the model's own unit and coordinates"));
         }

@@ -1,8 +1,11 @@
 //! The body: its energy by where the corners of its lattice are, and the derivatives.
 //!
-//! Cells are hexahedra with linear edges. Changes of volume are resisted in the middle of each alone, so that thin parts of
-//! nearly constant volume bend; changes of shape at eight points, which lie a little nearer to the middle than Gauss's, so
-//! that a single layer of cubes bends as stiffly as it should (T. Belytschko, L. Bindeman, *Assumed strain stabilization of
+//! Cells are hexahedra with linear edges. Changes of volume are resisted in the middle of each alone, so that thin
+//! parts of
+//! nearly constant volume bend; changes of shape at eight points, which lie a little nearer to the middle than Gauss's,
+//! so
+//! that a single layer of cubes bends as stiffly as it should (T. Belytschko, L. Bindeman, *Assumed strain
+//! stabilization of
 //! the eight node hexahedral element*, CMAME 105, 1993, choose this by the same bend).
 
 use crate::contact::Touch;
@@ -10,7 +13,7 @@ use crate::held::{Goals, Spring};
 use crate::lattice::{CORNERS, Lattice, Place, slopes};
 use crate::material;
 use crate::multilevel::{Inverse, Multilevel};
-use glam::{DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
 /// Cells at once on one thread.
@@ -104,6 +107,26 @@ impl Body {
         Ok(all)
     }
 
+    /// How the body moves about each corner: to shifts, by the mean of how the cells around are deformed.
+    pub fn corner_maps(&self, x: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DAffine3>> {
+        let gradients = self.gradients(x, host)?;
+        let mut maps = vec![DAffine3::IDENTITY; x.len()];
+        host.parallel_blocks(&mut maps, TOGETHER, |first, maps| {
+            for (i, map) in (first..).zip(maps) {
+                let (mut sum, mut whole) = (DMat3::ZERO, 0.0);
+                for [cell, _] in self.lattice.uses(i) {
+                    let amount: f64 = self.amounts[*cell as usize].iter().sum();
+                    sum += (gradients[*cell as usize][8] - DMat3::IDENTITY) * amount;
+                    whole += amount;
+                }
+                // Half of the slope: so the blend of two corners has what is quadratic between them exactly.
+                let (matrix3, rest) = (sum * (0.5 / whole), self.lattice.rest[i]);
+                *map = DAffine3 { matrix3, translation: x[i] - rest - matrix3 * rest };
+            }
+        })?;
+        Ok(maps)
+    }
+
     /// The energy, and the forces that would undo it, negative.
     pub fn energy(
         &self,
@@ -155,7 +178,8 @@ impl Body {
         Ok((energy, forces))
     }
 
-    /// How the forces change where corners are moved, if the material is stiffer by a part of its shear modulus than it is.
+    /// How the forces change where corners are moved, if the material is stiffer by a part of its shear modulus than it
+    /// is.
     pub fn change(
         &self,
         gradients: &Gradients,

@@ -80,7 +80,8 @@ impl Touch {
 }
 
 impl Surface {
-    /// Samples of a body with an inside, one of several that lie together; normals are turned outward. `size` is that of a
+    /// Samples of a body with an inside, one of several that lie together; normals are turned outward. `size` is that
+    /// of a
     /// cell.
     pub fn new(body: &Occupancy, samples: impl Iterator<Item = (u32, DVec3, DVec3)>, size: f64) -> Self {
         let mut taken = HashSet::new();

@@ -1,7 +1,7 @@
 //! The lattice: cubic cells wherever the body is, and their corners, which move.
 
 use crate::occupancy::Occupancy;
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 
 /// No cell, or no corner.
 pub const NONE: u32 = u32::MAX;
@@ -144,6 +144,12 @@ impl Lattice {
     pub fn interpolate(&self, place: Place, values: &[DVec3]) -> DVec3 {
         let corners = &self.cells[place.cell as usize];
         weights(place.at).iter().zip(corners).map(|(w, c)| *w * values[*c as usize]).sum()
+    }
+
+    /// How far a point goes, blended of what each corner's map (to shifts) does to it: smooth from cell to cell.
+    pub fn shift(&self, place: Place, at: DVec3, maps: &[DAffine3]) -> DVec3 {
+        let corners = &self.cells[place.cell as usize];
+        weights(place.at).iter().zip(corners).map(|(w, c)| *w * maps[*c as usize].transform_point3(at)).sum()
     }
 
     /// For each cell the number of the part that it hangs together with, and how many parts there are.

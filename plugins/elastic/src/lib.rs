@@ -1,4 +1,5 @@
-//! A soft body: what is within the surface is a material that holds its volume, is held and moved by regions, sags under its
+//! A soft body: what is within the surface is a material that holds its volume, is held and moved by regions, sags
+//! under its
 //! weight, and touches itself.
 //!
 //! | what | by |
@@ -11,7 +12,8 @@
 //! | `contact` | what comes near to other parts of the surface |
 //! | `multilevel`, `solve` | where the energy is least, by Newton's method |
 //!
-//! As nothing depends on time, the body is not let swing until it comes to rest: handles go their way in small steps on a
+//! As nothing depends on time, the body is not let swing until it comes to rest: handles go their way in small steps on
+//! a
 //! coarse lattice, and each time the energy is minimised; then finer lattices go on from there.
 
 mod body;
@@ -68,7 +70,8 @@ struct Parameters {
     /// How much it keeps its volume: 0 for cork, 0.3 for wood, 0.45 for flesh, 0.49 for rubber
     #[param(default = 0.45, hard = 0.0..=0.495, soft = 0.0..=0.49, invalidates_preparation)]
     poisson: f64,
-    /// How heavy it is beside its stiffness: a bar as long as the diagonal that hangs by its end gets longer by half of this
+    /// How heavy it is beside its stiffness: a bar as long as the diagonal that hangs by its end gets longer by half of
+    /// this
     #[param(default = 0.0, hard = 0.0..=10.0, soft = 0.0..=0.1)]
     weight: f64,
     /// Where the weight draws to
@@ -258,7 +261,7 @@ impl Deformer for Elastic {
             (0, motion.rest(state, host)?)
         };
         let level = &state.levels[used];
-        let shift: Vec<DVec3> = x.iter().zip(&level.body.lattice.rest).map(|(x, r)| *x - *r).collect();
+        let maps = level.body.corner_maps(&x, host)?;
         let leads = leads(state, level, &x);
         let handles: Vec<DAffine3> = transforms.iter().map(affine).collect();
         host.parallel_blocks(out, BLOCK, |first, out| {
@@ -271,7 +274,10 @@ impl Deformer for Elastic {
                         let to = leads[part as usize].transform_point3(state.unit.to(&rest[i]));
                         state.unit.origin + state.unit.scale * to
                     }
-                    (.., Some(place)) => p + state.unit.scale * level.body.lattice.interpolate(place, &shift),
+                    (.., Some(place)) => {
+                        let lattice = &level.body.lattice;
+                        p + state.unit.scale * lattice.shift(place, state.unit.to(&rest[i]), &maps)
+                    }
                     _ => p,
                 };
                 *o = q.as_vec3().into();

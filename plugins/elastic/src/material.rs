@@ -1,7 +1,9 @@
 //! The energy of a piece of the body by how it is deformed, with its first and second derivatives.
 //!
-//! Stable neo-Hookean: B. Smith, F. de Goes, T. Kim, *Stable neo-Hookean flesh simulation*, ACM TOG 37, 2018; M. Macklin, M.
-//! Müller, *A constraint-based formulation of stable neo-Hookean materials*, MIG 2021. It is defined for pieces that are
+//! Stable neo-Hookean: B. Smith, F. de Goes, T. Kim, *Stable neo-Hookean flesh simulation*, ACM TOG 37, 2018; M.
+//! Macklin, M.
+//! Müller, *A constraint-based formulation of stable neo-Hookean materials*, MIG 2021. It is defined for pieces that
+//! are
 //! turned inside out, too. Shear modulus 1; split so that both parts are at rest by themselves: the first is that of a
 //! material without transverse contraction, and the second the rest of what resists changes of volume.
 
