@@ -1,0 +1,310 @@
+//! The body: its energy by where the corners of its lattice are, and the derivatives.
+//!
+//! Cells are hexahedra with linear edges. Changes of volume are resisted in the middle of each alone, so that thin
+//! parts of
+//! nearly constant volume bend; changes of shape at eight points, which lie a little nearer to the middle than Gauss's,
+//! so
+//! that a single layer of cubes bends as stiffly as it should (T. Belytschko, L. Bindeman, *Assumed strain
+//! stabilization of
+//! the eight node hexahedral element*, CMAME 105, 1993, choose this by the same bend).
+
+use crate::contact::Touch;
+use crate::held::{Goals, Spring};
+use crate::lattice::{CORNERS, Lattice, Place, slopes};
+use crate::material;
+use crate::multilevel::{Inverse, Multilevel};
+use glam::{DAffine3, DMat3, DVec3};
+use simod_plugin_api::{Host, PluginResult};
+
+/// Cells at once on one thread.
+const CELLS: usize = 128;
+/// The least part of a cell that counts as filled, and of that the least for a point.
+const LEAST: f64 = 0.02;
+/// Corners at once on one thread.
+const TOGETHER: usize = 1024;
+
+/// A body that is held.
+#[derive(Debug)]
+pub struct Body {
+    /// Its cells.
+    pub lattice: Lattice,
+    springs: Vec<Spring>,
+    /// What the springs tie each corner by.
+    ties: Vec<f64>,
+    /// How much of the body is about each corner.
+    masses: Vec<f64>,
+    /// What resists changes of volume, beside a shear modulus of 1 (Lamé's first parameter).
+    modulus: f64,
+    points: [[DVec3; 8]; 8],
+    middle: [DVec3; 8],
+    /// How much of a cell each of its points stands for.
+    amounts: Vec<[f64; 8]>,
+    multilevel: Multilevel,
+}
+
+/// How all cells are deformed at their points, and in the middle.
+pub type Gradients = Vec<[DMat3; 9]>;
+
+/// What acts on the body.
+#[derive(Debug)]
+pub struct Load<'a> {
+    /// Where the regions are.
+    pub goals: &'a Goals,
+    /// The force on a unit of the body.
+    pub weight: DVec3,
+    /// Where it touches itself.
+    pub touches: &'a [Touch],
+}
+
+impl Body {
+    /// A lattice with what holds it, of a material of this Poisson's ratio.
+    pub fn new(lattice: Lattice, springs: Vec<Spring>, poisson: f64) -> Self {
+        // By how much nearer: see the head of this file.
+        let near = ((1.0 + poisson) / (1.5 * (1.0 + poisson * poisson))).sqrt();
+        let off = |n: usize| 0.5 + (n as f64 - 0.5) * near / 3.0_f64.sqrt();
+        let of = |at: DVec3| slopes(at).map(|slope| slope / lattice.size);
+        let points = CORNERS.map(|c| of(DVec3::from(c.map(off))));
+        let middle = of(DVec3::splat(0.5));
+        let mut masses = vec![0.0; lattice.rest.len()];
+        let whole = lattice.size.element_product();
+        for (corners, moments) in lattice.cells.iter().zip(&lattice.moments) {
+            corners.iter().zip(moments).for_each(|(c, m)| masses[*c as usize] += whole * m.max(LEAST / 8.0));
+        }
+        let amounts = lattice.moments.iter().map(|m| amounts(*m, off(0)).map(|a| a * whole)).collect();
+        let mut ties = vec![0.0; lattice.rest.len()];
+        for spring in &springs {
+            for (row, c) in spring.form.iter().zip(lattice.cells[spring.cell as usize]) {
+                ties[c as usize] += row.iter().sum::<f64>();
+            }
+        }
+        let modulus = 2.0 * poisson / (1.0 - 2.0 * poisson);
+        let multilevel = Multilevel::new(&lattice, &masses, 4.0 / 3.0 + modulus / 3.0);
+        Self { lattice, springs, ties, masses, modulus, points, middle, amounts, multilevel }
+    }
+
+    /// Young's modulus, where the shear modulus is 1.
+    pub fn young(&self) -> f64 {
+        let modulus = self.modulus;
+        (3.0 * modulus + 2.0) / (modulus + 1.0)
+    }
+
+    /// How the cell of a place is deformed there.
+    pub fn gradient(&self, place: Place, x: &[DVec3]) -> DMat3 {
+        let slopes = slopes(place.at).map(|slope| slope / self.lattice.size);
+        deformation(&self.lattice.cells[place.cell as usize].map(|c| x[c as usize]), &slopes)
+    }
+
+    /// How all is deformed.
+    pub fn gradients(&self, x: &[DVec3], host: &Host<'_>) -> PluginResult<Gradients> {
+        let mut all = vec![[DMat3::ZERO; 9]; self.lattice.cells.len()];
+        host.parallel_blocks(&mut all, CELLS, |first, all| {
+            for (out, corners) in all.iter_mut().zip(&self.lattice.cells[first..]) {
+                let at = corners.map(|c| x[c as usize]);
+                (0..8).for_each(|p| out[p] = deformation(&at, &self.points[p]));
+                out[8] = deformation(&at, &self.middle);
+            }
+        })?;
+        Ok(all)
+    }
+
+    /// How the body moves about each corner: to shifts, by the mean of how the cells around are deformed.
+    pub fn corner_maps(&self, x: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DAffine3>> {
+        let gradients = self.gradients(x, host)?;
+        let mut maps = vec![DAffine3::IDENTITY; x.len()];
+        host.parallel_blocks(&mut maps, TOGETHER, |first, maps| {
+            for (i, map) in (first..).zip(maps) {
+                let (mut sum, mut whole) = (DMat3::ZERO, 0.0);
+                for [cell, _] in self.lattice.uses(i) {
+                    let amount: f64 = self.amounts[*cell as usize].iter().sum();
+                    sum += (gradients[*cell as usize][8] - DMat3::IDENTITY) * amount;
+                    whole += amount;
+                }
+                // Half of the slope: so the blend of two corners has what is quadratic between them exactly.
+                let (matrix3, rest) = (sum * (0.5 / whole), self.lattice.rest[i]);
+                *map = DAffine3 { matrix3, translation: x[i] - rest - matrix3 * rest };
+            }
+        })?;
+        Ok(maps)
+    }
+
+    /// The energy, and the forces that would undo it, negative.
+    pub fn energy(
+        &self,
+        x: &[DVec3],
+        gradients: &Gradients,
+        load: &Load<'_>,
+        host: &Host<'_>,
+    ) -> PluginResult<(f64, Vec<DVec3>)> {
+        let mut cells = vec![([DVec3::ZERO; 8], 0.0); gradients.len()];
+        host.parallel_blocks(&mut cells, CELLS, |first, cells| {
+            for (i, (forces, sum)) in (first..).zip(cells) {
+                let amounts = &self.amounts[i];
+                let mut add = |slopes: &[DVec3; 8], (energy, stress): (f64, DMat3), weight: f64| {
+                    *sum += weight * energy;
+                    forces.iter_mut().zip(slopes).for_each(|(f, s)| *f += stress * (*s * weight));
+                };
+                for p in 0..8 {
+                    add(&self.points[p], material::shape(&gradients[i][p]), amounts[p]);
+                }
+                let whole = amounts.iter().sum::<f64>() * self.modulus;
+                add(&self.middle, material::volume(&gradients[i][8]), whole);
+            }
+        })?;
+        let mut forces = vec![DVec3::ZERO; x.len()];
+        self.gather(&mut forces, |cell, corner| cells[cell].0[corner], host)?;
+        let mut energy: f64 = cells.iter().map(|(_, e)| e).sum();
+        for ((f, x), (rest, mass)) in forces.iter_mut().zip(x).zip(self.lattice.rest.iter().zip(&self.masses))
+        {
+            energy -= *mass * load.weight.dot(*x - *rest);
+            *f -= *mass * load.weight;
+        }
+        for spring in &self.springs {
+            let corners = self.lattice.cells[spring.cell as usize];
+            let off =
+                corners.map(|c| x[c as usize] - load.goals.of(spring.target, self.lattice.rest[c as usize]));
+            for (row, (c, own)) in spring.form.iter().zip(corners.iter().zip(&off)) {
+                let force: DVec3 = row.iter().zip(&off).map(|(w, o)| *w * *o).sum();
+                energy += 0.5 * force.dot(*own);
+                forces[*c as usize] += force;
+            }
+        }
+        for touch in load.touches {
+            let depth = touch.depth(&self.lattice, x);
+            if depth > 0.0 {
+                energy += 0.5 * touch.stiffness * depth * depth;
+                touch.spread(&self.lattice, -touch.stiffness * depth, &mut forces);
+            }
+        }
+        Ok((energy, forces))
+    }
+
+    /// How the forces change where corners are moved, if the material is stiffer by a part of its shear modulus than it
+    /// is.
+    pub fn change(
+        &self,
+        gradients: &Gradients,
+        (touches, stiffer): (&[Touch], f64),
+        by: &[DVec3],
+        host: &Host<'_>,
+    ) -> PluginResult<Vec<DVec3>> {
+        let mut cells = vec![[DVec3::ZERO; 8]; gradients.len()];
+        host.parallel_blocks(&mut cells, CELLS, |first, cells| {
+            for (i, forces) in (first..).zip(cells) {
+                let amounts = &self.amounts[i];
+                let by = self.lattice.cells[i].map(|c| by[c as usize]);
+                let mut add = |slopes: &[DVec3; 8], stress: DMat3, weight: f64| {
+                    forces.iter_mut().zip(slopes).for_each(|(f, s)| *f += stress * (*s * weight));
+                };
+                for p in 0..8 {
+                    let slopes = &self.points[p];
+                    let by = deformation(&by, slopes);
+                    add(slopes, material::shape_change(&gradients[i][p], &by) + stiffer * by, amounts[p]);
+                }
+                let change = material::volume_change(&gradients[i][8], &deformation(&by, &self.middle));
+                add(&self.middle, change, amounts.iter().sum::<f64>() * self.modulus);
+            }
+        })?;
+        let mut forces = vec![DVec3::ZERO; by.len()];
+        self.gather(&mut forces, |cell, corner| cells[cell][corner], host)?;
+        self.add_springs(by, &mut forces);
+        for touch in touches {
+            touch.spread(&self.lattice, touch.stiffness * touch.along(&self.lattice, by), &mut forces);
+        }
+        Ok(forces)
+    }
+
+    /// As [`change`](Self::change), of a field that is as even as it can be (the Laplacian instead of the material).
+    pub fn even(&self, by: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
+        let mut cells = vec![[DVec3::ZERO; 8]; self.lattice.cells.len()];
+        host.parallel_blocks(&mut cells, CELLS, |first, cells| {
+            for (i, forces) in (first..).zip(cells) {
+                let by = self.lattice.cells[i].map(|c| by[c as usize]);
+                for (slopes, amount) in self.points.iter().zip(&self.amounts[i]) {
+                    let slope = deformation(&by, slopes);
+                    forces.iter_mut().zip(slopes).for_each(|(f, s)| *f += slope * (*s * *amount));
+                }
+            }
+        })?;
+        let mut forces = vec![DVec3::ZERO; by.len()];
+        self.gather(&mut forces, |cell, corner| cells[cell][corner], host)?;
+        self.add_springs(by, &mut forces);
+        Ok(forces)
+    }
+
+    /// How strongly each target draws at each corner.
+    pub fn draws(&self, target: u32) -> Vec<f64> {
+        let mut draws = vec![0.0; self.lattice.rest.len()];
+        for spring in self.springs.iter().filter(|s| s.target == target) {
+            for (row, c) in spring.form.iter().zip(self.lattice.cells[spring.cell as usize]) {
+                draws[c as usize] += row.iter().sum::<f64>();
+            }
+        }
+        draws
+    }
+
+    fn add_springs(&self, by: &[DVec3], forces: &mut [DVec3]) {
+        for spring in &self.springs {
+            let corners = self.lattice.cells[spring.cell as usize];
+            let by = corners.map(|c| by[c as usize]);
+            for (row, c) in spring.form.iter().zip(corners) {
+                forces[c as usize] += row.iter().zip(&by).map(|(w, b)| *w * *b).sum::<DVec3>();
+            }
+        }
+    }
+
+    /// Sums up at corners what cells give, in the order of these.
+    fn gather(
+        &self,
+        out: &mut [DVec3],
+        of: impl Fn(usize, usize) -> DVec3 + Sync,
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        host.parallel_blocks(out, TOGETHER, |first, out| {
+            for (i, o) in (first..).zip(out) {
+                let all = self.lattice.uses(i).iter();
+                *o = all.map(|[cell, corner]| of(*cell as usize, *corner as usize)).sum();
+            }
+        })
+    }
+
+    /// For [`Multilevel::apply`], by [`precondition`](Self::precondition).
+    pub fn inverse(&self, touches: &[Touch]) -> Inverse {
+        let mut ties = self.ties.clone();
+        touches.iter().for_each(|touch| touch.tie(&self.lattice, &mut ties));
+        self.multilevel.inverse(&ties)
+    }
+
+    /// About what would take a residual away.
+    pub fn precondition(&self, inverse: &Inverse, residual: &[DVec3], out: &mut Vec<DVec3>) {
+        self.multilevel.apply(inverse, residual, out);
+    }
+}
+
+/// How much each point of a cell stands for, so that what is linear is summed up over the filled part as it is (moment
+/// fitting), but none less than next to nothing. The points are `low` and `1 - low` along each axis.
+fn amounts(mut moments: [f64; 8], low: f64) -> [f64; 8] {
+    // Corners are numbered by one bit for each axis.
+    for bit in [1, 2, 4] {
+        for first in (0..8).filter(|c| c & bit == 0) {
+            let second = first + bit;
+            let (a, b) = (moments[first], moments[second]);
+            let over = (b - low * (a + b)) / (1.0 - 2.0 * low);
+            (moments[first], moments[second]) = (a + b - over, over);
+        }
+    }
+    let whole: f64 = moments.iter().sum();
+    let raised = moments.map(|m| m.max(LEAST * whole.max(LEAST)));
+    let sum: f64 = raised.iter().sum();
+    raised.map(|m| m * whole.max(LEAST) / sum)
+}
+
+/// How a cell is deformed where its weights have these slopes.
+fn deformation(corners: &[DVec3; 8], slopes: &[DVec3; 8]) -> DMat3 {
+    let mut sum = DMat3::ZERO;
+    for (x, s) in corners.iter().zip(slopes) {
+        sum.x_axis += *x * s.x;
+        sum.y_axis += *x * s.y;
+        sum.z_axis += *x * s.z;
+    }
+    sum
+}
