@@ -1,10 +1,8 @@
 //! Which deformed samples become which outputs, where a command line names several at once.
 
-use std::cmp::Ordering;
 use std::path::{Component, Path, PathBuf};
 
-use glob::MatchOptions;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result, matching};
 
 /// Stands in an output's name for what tells the versions apart.
 const PLACE: &str = "{}";
@@ -77,34 +75,10 @@ pub fn versions(
 /// matched, and otherwise the file's name without its ending.
 fn files(named: &Path) -> Result<Vec<(PathBuf, String)>> {
     let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let pattern = named.to_str().filter(|text| text.contains(['*', '?', '[']) && !named.exists());
-    let Some(pattern) = pattern else {
+    let Some(paths) = matching(named)? else {
         // Whether there is such a file is told when it is read.
         return Ok(vec![(named.to_owned(), stem(named))]);
     };
-    let refused = |what: String| {
-        let hint = "give a pattern as 'frame-*.ply', in quotes, or the names of files";
-        Error::new(ErrorKind::Argument, what, hint)
-    };
-    // As a shell has it.
-    let options = MatchOptions {
-        case_sensitive: true,
-        require_literal_separator: true,
-        require_literal_leading_dot: true,
-    };
-    let found = glob::glob_with(pattern, options)
-        .map_err(|e| refused(format!("--deformed {pattern} is no pattern: {}", e.msg)))?;
-    let mut paths = Vec::new();
-    for path in found {
-        let path = path.map_err(|e| Error::io("look for files in", e.path(), e.error()))?;
-        if path.is_file() {
-            paths.push(path);
-        }
-    }
-    if paths.is_empty() {
-        return Err(refused(format!("--deformed {pattern} matches no file")));
-    }
-    paths.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
     let name = |path: &Path| matched(named, path).unwrap_or_else(|| stem(path));
     Ok(paths.into_iter().map(|path| (path.clone(), name(&path))).collect())
 }
@@ -124,35 +98,6 @@ fn matched(pattern: &Path, path: &Path) -> Option<String> {
     })
 }
 
-/// The order of people: numbers in names count as numbers, so that frame-2 comes before frame-10.
-fn natural_order(a: &str, b: &str) -> Ordering {
-    let (mut left, mut right) = (a, b);
-    loop {
-        let (Some(x), Some(y)) = (left.chars().next(), right.chars().next()) else {
-            // One of them is at its end. What differs in zeros alone is told apart by them.
-            return left.len().cmp(&right.len()).then_with(|| a.cmp(b));
-        };
-        let order = if x.is_ascii_digit() && y.is_ascii_digit() {
-            let (x, y);
-            ((x, left), (y, right)) = (number(left), number(right));
-            x.len().cmp(&y.len()).then_with(|| x.cmp(y))
-        } else {
-            (left, right) = (&left[x.len_utf8()..], &right[y.len_utf8()..]);
-            x.cmp(&y)
-        };
-        if order.is_ne() {
-            return order;
-        }
-    }
-}
-
-/// The number that a text begins with, without leading zeros, and the rest.
-fn number(text: &str) -> (&str, &str) {
-    let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (digits, rest) = text.split_at(end);
-    (digits.trim_start_matches('0'), rest)
-}
-
 fn is_same_file(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
@@ -160,17 +105,6 @@ fn is_same_file(a: &Path, b: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn numbers_count_as_numbers() {
-        let sorted =
-            ["a", "a-1", "a-02", "a-2", "a-2b", "a-10", "a-010-1", "b-1", "b-99999999999999999999999", "é"];
-        for (i, a) in sorted.iter().enumerate() {
-            for (j, b) in sorted.iter().enumerate() {
-                assert_eq!(natural_order(a, b), i.cmp(&j), "{a} {b}");
-            }
-        }
-    }
 
     #[test]
     fn a_star_is_what_it_matched() {

@@ -7,8 +7,9 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use simod_model::input::{self, Identity};
+use simod_model::resumable_folder::check_target;
 use simod_model::target::{canonical_target, folder_of};
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result, matching};
 
 use crate::sampled_model::{OWN_FILES, SampledModel};
 
@@ -76,6 +77,10 @@ impl Guard {
     /// The command reads this file, or this folder with the files of a sampled model in it. There need not be
     /// one: that is told when it is read.
     pub fn reads(&mut self, path: &Path) {
+        // What is wrong with a pattern is told when it is read.
+        if let Ok(Some(files)) = matching(path) {
+            return self.reads_all(files);
+        }
         if let Some(identity) = Identity::from_path(path) {
             self.inputs.push((path.to_owned(), identity));
         }
@@ -129,6 +134,23 @@ impl Guard {
         }
         self.outputs.push(target);
         Ok(())
+    }
+
+    /// An error if the command may not write a model: a file, or a folder with files of these names, if there are any.
+    ///
+    /// # Errors
+    /// As of [`writes`](Self::writes) and [`replaces_folder`](Self::replaces_folder); the folder holds something else.
+    pub fn writes_model(&mut self, path: &Path, tiles: &[PathBuf]) -> Result<()> {
+        if tiles.is_empty() {
+            return self.writes(path, Kind::Model);
+        }
+        check_target(path, tiles)?;
+        self.replaces_folder(path)?;
+        tiles
+            .iter()
+            .map(|name| path.join(name))
+            .filter(|file| file.exists())
+            .try_for_each(|file| self.writes(&file, Kind::Model))
     }
 
     /// An error if a folder may not be replaced, as an input of the command lies in it.

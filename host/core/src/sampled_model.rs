@@ -11,12 +11,12 @@ use serde::{Deserialize, Serialize};
 use simod_model::bounds::Bounds;
 use simod_model::claim::Claim;
 use simod_model::frame::Frame;
-use simod_model::input::{self, Identity};
+use simod_model::input;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{
-    Attribute, Besides, Cache, Error, ErrorKind, FaceChunk, Model, Progress, Result, Scalar, VertexChunk,
-    output,
+    Attribute, Besides, Cache, Error, ErrorKind, FaceChunk, Model, ModelName, Progress, Result, Scalar, Tile,
+    VertexChunk, output, pattern_of,
 };
 use xxhash_rust::xxh3::Xxh3Default;
 
@@ -82,6 +82,9 @@ pub struct Source {
     /// The file; in `simod.toml` relative to the folder.
     #[serde(with = "any_path")]
     pub path: PathBuf,
+    /// The files that it is made of, where these are several; the file is a pattern that they have in common then.
+    #[serde(default, skip_serializing_if = "Vec::is_empty", rename = "tile")]
+    pub tiles: Vec<SourceTile>,
     /// What the user said that its columns are, if it is a text in columns.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub columns: Option<String>,
@@ -111,6 +114,27 @@ pub struct Source {
     pub fingerprint: String,
 }
 
+/// One of the files that a sampled model is made of.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct SourceTile {
+    /// The file; in `simod.toml` relative to the folder.
+    #[serde(with = "any_path")]
+    pub path: PathBuf,
+    /// Its size.
+    pub bytes: u64,
+    /// Its number of vertices.
+    pub vertices: u64,
+}
+
+impl SourceTile {
+    /// Those of a model, if it is made of tiles.
+    pub(crate) fn of(model: &dyn Model) -> Vec<Self> {
+        let tile = |tile: &Tile| Self { path: tile.path.clone(), bytes: tile.bytes, vertices: tile.vertices };
+        model.tiles().iter().map(tile).collect()
+    }
+}
+
 fn is_none(count: &u64) -> bool {
     *count == 0
 }
@@ -119,6 +143,58 @@ fn is_none(count: &u64) -> bool {
 const MANY: u64 = 500_000;
 
 impl Source {
+    /// The files that were sampled.
+    pub fn files(&self) -> Vec<PathBuf> {
+        if self.tiles.is_empty() {
+            return vec![self.path.clone()];
+        }
+        self.tiles.iter().map(|tile| tile.path.clone()).collect()
+    }
+
+    /// What is named as the model, where it is now: tiles moved to another folder have their names there.
+    ///
+    /// # Errors
+    /// A pattern matches no file.
+    pub fn named(&self, elsewhere: Option<&Path>) -> Result<ModelName> {
+        match elsewhere {
+            None if self.tiles.is_empty() => Ok(ModelName::File(self.path.clone())),
+            None => Ok(ModelName::Tiles(self.files())),
+            Some(folder) if !self.tiles.is_empty() && folder.is_dir() => {
+                let names = ModelName::Tiles(self.files()).tiles();
+                Ok(ModelName::Tiles(names.iter().map(|name| folder.join(name)).collect()))
+            }
+            Some(path) => ModelName::of(path),
+        }
+    }
+
+    /// The same with paths as seen from a folder.
+    fn relative_to(&self, folder: &Path) -> Self {
+        let tiles = self.tiles.iter().map(|tile| {
+            // A link has a name of its own.
+            let path =
+                relative(folder_of(&tile.path), folder).join(tile.path.file_name().unwrap_or_default());
+            SourceTile { path, ..tile.clone() }
+        });
+        Self { path: relative(&self.path, folder), tiles: tiles.collect(), ..self.clone() }
+    }
+
+    /// The same with paths that are as seen from a folder.
+    fn seen_from(mut self, folder: &Path) -> Self {
+        // Without the detours that a relative path makes, where it still exists.
+        let seen = |path: &Path| {
+            let path = folder.join(path);
+            path.canonicalize().unwrap_or(path)
+        };
+        for tile in &mut self.tiles {
+            let path = folder.join(&tile.path);
+            // A link has a name of its own.
+            let known = folder_of(&path).canonicalize().ok().zip(path.file_name());
+            tile.path = known.map_or_else(|| path.clone(), |(folder, name)| folder.join(name));
+        }
+        self.path = if self.tiles.is_empty() { seen(&self.path) } else { pattern_of(&self.files()) };
+        self
+    }
+
     /// What the order of the vertices costs a reconstruction, if it is poor: more than half of them are in
     /// another cell of the coarse grid than the one before.
     pub fn cost_of_order(&self) -> Option<String> {
@@ -426,7 +502,7 @@ impl SampledModel {
                 Scalar::F32 => "float".to_owned(),
                 Scalar::F64 => "double".to_owned(),
             },
-            model: Source { path: relative(&self.source.path, folder), ..self.source.clone() },
+            model: self.source.relative_to(folder),
             sampling: SamplingRecord {
                 target: self.sampling.target,
                 grid: self.sampling.grid,
@@ -574,11 +650,8 @@ impl SampledModel {
             e.saying(what)
         })?;
         set.set_contacts(Contacts::load(&folder.join(SHEETS), &description.samples_fingerprint, set.len())?);
-        let path = folder.join(&description.model.path);
-        // Without the detours that a relative path makes, where it still exists.
-        let path = path.canonicalize().unwrap_or(path);
         Ok(Self {
-            source: Source { path, ..description.model },
+            source: description.model.seen_from(folder),
             sampling: Sampling {
                 target: description.sampling.target,
                 grid: description.sampling.grid,
@@ -784,15 +857,31 @@ impl SampledModel {
     /// reconstruction compares its bytes too; what has to be made of it has no room.
     pub fn open_source(&self, elsewhere: Option<&Path>, progress: &dyn Progress) -> Result<Box<dyn Model>> {
         let path = elsewhere.unwrap_or(&self.source.path);
-        if elsewhere.is_none() && !path.exists() {
+        let named = self.source.named(elsewhere)?;
+        if let Some(gone) = named.files().iter().find(|file| elsewhere.is_none() && !file.exists()) {
             return Err(Error::new(
                 ErrorKind::Io,
-                format!("the sampled model's source {} is gone", path.display()),
+                format!("the sampled model's source {} is gone", gone.display()),
                 "put it back, or say where it is with --model",
             ));
         }
-        let model = simod_model::open_with(path, self.source.columns.as_deref(), &self.cache, progress)?;
+        let model = named.open(self.source.columns.as_deref(), &self.cache, progress)?;
         let info = model.info();
+        let tiles = SourceTile::of(&*model);
+        let is_same = |(now, then): &(&SourceTile, &SourceTile)| {
+            (now.bytes, now.vertices) == (then.bytes, then.vertices)
+        };
+        if let Some((changed, _)) = tiles.iter().zip(&self.source.tiles).find(|both| !is_same(both)) {
+            return Err(self.source_changed(&changed.path));
+        }
+        if tiles.len() != self.source.tiles.len() {
+            let (now, then) = (tiles.len(), self.source.tiles.len());
+            return Err(Error::new(
+                ErrorKind::Mismatch,
+                format!("{} is {}, but {} were sampled", path.display(), files(now), files(then)),
+                "give the tiles that were sampled, or the folder that they were moved to, with --model",
+            ));
+        }
         if (info.bytes, info.vertices) != (self.source.bytes, self.source.vertices) {
             return Err(self.source_changed(path));
         }
@@ -801,11 +890,31 @@ impl SampledModel {
 
     /// The error for a source that is not what was sampled.
     pub(crate) fn source_changed(&self, path: &Path) -> Error {
+        let newer = self.newer_tiles();
+        let which = match &newer[..] {
+            _ if self.source.tiles.is_empty() || path != self.source.path => String::new(),
+            [] => String::new(),
+            [one] => format!(", probably {}", one.display()),
+            [one, others @ ..] => {
+                format!(", probably {} and {} more of its tiles", one.display(), others.len())
+            }
+        };
         Error::new(
             ErrorKind::Mismatch,
-            format!("{} changed since it was sampled", path.display()),
+            format!("{} changed since it was sampled{which}", path.display()),
             "sample it again, or give the file that was sampled with --model",
         )
+    }
+
+    /// The tiles that were written after the samples were.
+    fn newer_tiles(&self) -> Vec<&Path> {
+        let written = |path: &Path| std::fs::metadata(path).and_then(|is| is.modified()).ok();
+        let Some(sampled) = self.folder.as_ref().and_then(|(folder, _)| written(&folder.join(SAMPLES)))
+        else {
+            return Vec::new();
+        };
+        let tiles = self.source.tiles.iter().map(|tile| tile.path.as_path());
+        tiles.filter(|path| written(path).is_some_and(|tile| tile > sampled)).collect()
     }
 
     /// Writes deformed samples, in the model's coordinates, as `samples.ply` is.
@@ -899,6 +1008,15 @@ impl SampledModel {
     }
 }
 
+/// So many files, for people.
+fn files(count: usize) -> String {
+    match count {
+        0 => "one file that is a model by itself".to_owned(),
+        1 => "1 tile".to_owned(),
+        _ => format!("{count} tiles"),
+    }
+}
+
 /// Hash of a whole file.
 fn file_fingerprint(path: &Path) -> Result<String> {
     let failed = |e: std::io::Error| Error::io("read", path, &e);
@@ -910,11 +1028,6 @@ fn file_fingerprint(path: &Path) -> Result<String> {
             n => hash.update(&block[..n]),
         }
     }
-}
-
-/// Whether both paths lead to the same file.
-pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
-    Identity::from_path(a).is_some_and(|a| Some(a) == Identity::from_path(b))
 }
 
 /// What a file of samples holds. For P_S alone, which fits in memory.

@@ -135,7 +135,7 @@ impl Cache {
     }
 
     /// The folder for files without a name.
-    fn folder(&self) -> PathBuf {
+    pub(crate) fn folder(&self) -> PathBuf {
         match &self.place {
             Place::Nameless(folder) => folder.clone(),
             Place::Claimed(file, _) => folder_of(file).to_owned(),

@@ -107,6 +107,14 @@ impl Claim {
         Self::for_places(Places::of_folder(path)?, false)
     }
 
+    /// Claims a folder, whose beginning is gone on with.
+    ///
+    /// # Errors
+    /// As of [`folder`](Self::folder).
+    pub(crate) fn folder_again(path: &Path) -> Result<Self> {
+        Self::for_places(Places::of_folder(path)?, true)
+    }
+
     fn for_places(places: Places, resumes: bool) -> Result<Self> {
         let file = lock(&places, resumes)?;
         let this = Self { places, file, keeps: false };
@@ -118,9 +126,9 @@ impl Claim {
                 fs::rename(old_folder, target)?;
             }
             remove(old_folder)?;
-            remove(new_folder)?;
             remove(new_journal)?;
             if !resumes {
+                remove(new_folder)?;
                 // In this order: a journal never speaks of bytes that are gone.
                 remove(journal)?;
                 this.file.set_len(0)?;
@@ -200,6 +208,11 @@ impl Drop for Claim {
             let _ = fs::remove_file(&self.places.part);
         }
     }
+}
+
+/// Where a folder is written before it takes its name.
+pub(crate) fn new_folder_of(path: &Path) -> PathBuf {
+    Places::of_folder(path).map_or_else(|_| path.to_owned(), |places| places.new_folder)
 }
 
 /// What is claimed by this process and of no use to a later one.

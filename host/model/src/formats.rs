@@ -3,12 +3,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::cache::{Cache, Making};
-use crate::progress::Silent;
+use crate::cache::Making;
+use crate::pool::Pool;
 use crate::source::Source;
-use crate::{
-    Error, ErrorKind, Model, Progress, Result, columns, e57, gltf, las, obj, off, pcd, ply, splats, stl,
-};
+use crate::{Error, ErrorKind, Model, Result, columns, e57, gltf, las, obj, off, pcd, ply, splats, stl};
 
 /// Extensions of all formats, by which names say what a file is.
 const EXTENSIONS: [&str; 12] = [
@@ -58,7 +56,7 @@ pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
 /// # Errors
 /// It cannot be read.
 pub fn is_model(path: &Path) -> Result<bool> {
-    let source = Source::open(path)?;
+    let source = Source::open(path, None)?;
     let start = beginning(&source)?;
     Ok(BY_BEGINNING.iter().any(|(is, _)| is(&start))
         || stl::is_stl(&source)?
@@ -79,37 +77,20 @@ pub(crate) fn extension(path: &Path) -> String {
     path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
 }
 
-/// Opens a model, of whatever format its content is; where that cannot tell, as of plain text, the extension
-/// of its name does.
+/// Opens a model in one file, of whatever format its content is; where that cannot tell, as of plain text, the
+/// extension of its name does. Of text in columns, these are what `columns` says. One of a pool is closed when others
+/// are read.
 ///
 /// # Errors
-/// The file cannot be read, its format is not known, or its content is not what the format says.
-pub fn open(path: &Path) -> Result<Box<dyn Model>> {
-    open_with_columns(path, None)
-}
-
-/// The same; of text in columns, these are what `columns` says, as "x,y,z,_,nx,ny,nz": a name for each from
-/// the first one on, those of position and normal among them.
-///
-/// # Errors
-/// As of [`open`], or columns are given of another format.
-pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn Model>> {
-    open_with(path, columns, &Arc::default(), &Silent)
-}
-
-/// The same; what has to be made of the model to read it from anywhere goes to a cache, whose size `progress` is
-/// told first.
-///
-/// # Errors
-/// As of [`open_with_columns`], there is no room for what is made, or the user cancelled.
-pub fn open_with(
+/// The file cannot be read, its format is not known, or its content is not what the format says; columns are given of
+/// another format; there is no room for what is made to read it from anywhere; the user cancelled.
+pub(crate) fn open_file(
     path: &Path,
+    pool: Option<&Arc<Pool>>,
     columns: Option<&str>,
-    cache: &Arc<Cache>,
-    progress: &dyn Progress,
+    making: &Making<'_>,
 ) -> Result<Box<dyn Model>> {
-    let making = &Making { cache, progress };
-    let source = Source::open(path)?;
+    let source = Source::open(path, pool)?;
     let start = beginning(&source)?;
     let found = BY_BEGINNING.iter().find(|(is, _)| is(&start));
     let extension = extension(path);

@@ -33,6 +33,7 @@ pub mod input;
 mod las;
 pub mod memory;
 mod model;
+mod named;
 mod number;
 mod obj;
 mod off;
@@ -42,10 +43,13 @@ mod pcd;
 mod pipeline;
 mod ply;
 mod polygons;
+mod pool;
 mod positioned;
 pub mod processor;
 pub mod progress;
 pub mod resumable;
+pub mod resumable_folder;
+pub mod resumable_output;
 mod scaled;
 pub mod scratch;
 pub mod shared;
@@ -57,6 +61,7 @@ mod stl;
 mod summary;
 pub mod target;
 mod text;
+mod tiles;
 mod uncached;
 mod unfit;
 
@@ -66,16 +71,19 @@ pub use colors::{ColorScale, Colors};
 pub use convert::Converted;
 pub use error::{Error, ErrorKind, Result};
 pub use form::Conversion;
-pub use formats::{extensions, is_model, is_named_otherwise, open, open_with, open_with_columns};
+pub use formats::{extensions, is_model, is_named_otherwise};
 pub use in_memory::InMemory;
 pub use in_step::{Vertices, in_ranges, in_step, range_in_step};
 pub use model::{
     CHUNK_TRIANGLES, CHUNK_VERTICES, Division, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,
     FaceReader, MAX_VERSIONS, Model, ModelInfo, Normals, Output, PieceRange, RawChunk, Rewriting,
-    SMALL_CHUNK, Scalar, VertexChunk, VertexReader, for_faces, for_faces_at, for_positions, for_vertices,
+    SMALL_CHUNK, Scalar, Tile, VertexChunk, VertexReader, for_faces, for_faces_at, for_positions,
+    for_vertices,
 };
+pub use named::{ModelName, matching, open, open_version, open_with, open_with_columns};
 pub use number::Type;
 pub use ply::{Besides, write_points, write_vertices};
 pub use progress::Progress;
 pub use scaled::ScaledIntegers;
 pub use summary::Summary;
+pub use tiles::pattern_of;

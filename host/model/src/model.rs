@@ -8,7 +8,7 @@
 use std::any::Any;
 use std::io::{self, Write};
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
 use std::thread;
 
@@ -124,6 +124,8 @@ impl ModelInfo {
 pub struct VertexChunk {
     /// Index in the model of the first vertex here.
     pub first: u64,
+    /// Vertices of the model in files before theirs.
+    pub(crate) before: u64,
     /// Positions in the model's coordinates. May be non-finite, where the file says so.
     pub positions: Vec<DVec3>,
     /// Normals as stored, so not always of unit length or finite; empty where the model has none.
@@ -163,6 +165,11 @@ impl VertexChunk {
         self.records.append(&mut behind.records);
         self.raw.append(&mut behind.raw);
         self.of_format.append(&mut behind.of_format);
+    }
+
+    /// Index in its file of the first vertex here.
+    pub(crate) fn first_of_file(&self) -> u64 {
+        self.first - self.before
     }
 
     /// Number of vertices in the chunk.
@@ -258,7 +265,8 @@ pub trait Edit: Sync {
     /// that.
     fn begin_behind(&self, _vertex_bytes: u64) {}
 
-    /// Is told of each chunk before it is decoded: one at a time, in the file's order.
+    /// Is told of each chunk before it is decoded: one at a time, in the file's order. Where the model is made of
+    /// several [tiles](Model::tiles), vertices are counted in each by itself, and one is over before the next begins.
     ///
     /// # Errors
     /// What has been read so far shows that the work is in vain.
@@ -324,6 +332,9 @@ pub struct Rewriting {
     /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them
     /// already.
     pub pieces_done: u64,
+    /// Of a model that is made of [tiles](Model::tiles): so many of them are read, but neither edited nor written;
+    /// pieces are those of the one after them.
+    pub files_done: u64,
     /// These pieces alone are read, edited and written: a part of a file that can be [divided](Model::division).
     pub only: Option<PieceRange>,
 }
@@ -362,6 +373,14 @@ pub trait Output: Send {
         Ok(())
     }
 
+    /// Is told first, where the model is made of [tiles](Model::tiles), which of their files comes next.
+    ///
+    /// # Errors
+    /// Nothing can be written there.
+    fn begin_file(&mut self, _number: usize) -> io::Result<()> {
+        Err(io::Error::new(io::ErrorKind::Unsupported, "a model of several files goes to a folder"))
+    }
+
     /// Takes the next piece of the new file, which stands for `source_bytes` of the model, and what other
     /// places of the file have to know of it. The same model, rewritten in the same way, comes in the same
     /// pieces each time.
@@ -382,7 +401,7 @@ pub trait Output: Send {
     /// They cannot be replaced.
     fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
 
-    /// Is called after the last piece.
+    /// Is called after the last piece of each file.
     ///
     /// # Errors
     /// What is still held cannot be written.
@@ -591,17 +610,36 @@ pub(crate) fn some_by_all(
     Ok(())
 }
 
+/// One of the files that a model is made of, where it is made of several: a model by itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Tile {
+    /// The file.
+    pub path: PathBuf,
+    /// What it is called in a folder of all of them.
+    pub name: PathBuf,
+    /// Its size.
+    pub bytes: u64,
+    /// Its number of vertices, which come after those of the tiles before it.
+    pub vertices: u64,
+}
+
 /// A model on disk that can be streamed any number of times, from several threads.
 pub trait Model: Send + Sync {
     /// What is known without reading the vertices.
     fn info(&self) -> &ModelInfo;
 
-    /// The file.
+    /// The file; of a model that is made of several, a pattern that they have in common.
     fn path(&self) -> &Path;
 
     /// Files beside it that are part of the model.
     fn other_files(&self) -> Vec<&Path> {
         Vec::new()
+    }
+
+    /// The files that it is made of, if these are several, in the order of their vertices: what is
+    /// [rewritten](Self::rewrite) is as many files then.
+    fn tiles(&self) -> &[Tile] {
+        &[]
     }
 
     /// Extensions that names of such files have, in lower case, the usual one first; none if any will do.

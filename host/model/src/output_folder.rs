@@ -24,7 +24,18 @@ impl OutputFolder {
     /// # Errors
     /// The folder that it is to lie in is missing, or cannot be written to; another process writes it.
     pub fn create(target: &Path) -> Result<Self> {
-        let claim = Claim::folder(target)?;
+        Self::create_or_go_on(target, false)
+    }
+
+    /// The same; with `resume`, what an earlier call [kept](Self::keep) of it is there.
+    ///
+    /// # Errors
+    /// As of [`create`](Self::create).
+    pub(crate) fn create_or_go_on(target: &Path, resume: bool) -> Result<Self> {
+        let claim = if resume { Claim::folder_again(target)? } else { Claim::folder(target)? };
+        if claim.new_folder().symlink_metadata().is_ok_and(|is| is.is_dir()) {
+            return Ok(Self { claim, target: target.to_owned() });
+        }
         let mut builder = fs::DirBuilder::new();
         #[cfg(unix)]
         {
@@ -34,6 +45,16 @@ impl OutputFolder {
         }
         builder.create(claim.new_folder()).map_err(|e| claim.failed(&e))?;
         Ok(Self { claim, target: target.to_owned() })
+    }
+
+    /// Leaves what is there to a later call that goes on with it.
+    pub(crate) fn keep(mut self) {
+        self.claim.keep();
+    }
+
+    /// Where the files of a folder are written as long as it is in the making.
+    pub(crate) fn in_the_making(target: &Path) -> PathBuf {
+        crate::claim::new_folder_of(target)
     }
 
     /// Where its files are written for now.
@@ -59,10 +80,15 @@ impl OutputFolder {
     /// # Errors
     /// The operating system refuses; the place is then as it was.
     pub fn commit(self) -> Result<()> {
-        self.put_in_place().map_err(|e| self.claim.failed(&e))
+        self.put_in_place()
     }
 
-    fn put_in_place(&self) -> io::Result<()> {
+    /// The same; what is dropped then removes nothing.
+    pub(crate) fn put_in_place(&self) -> Result<()> {
+        self.replace().map_err(|e| self.claim.failed(&e))
+    }
+
+    fn replace(&self) -> io::Result<()> {
         let places = self.claim.places();
         let (new, target, parent) = (self.path(), &places.target, folder_of(&places.target));
         if target.symlink_metadata().is_err() {

@@ -397,6 +397,13 @@ pub fn is_left(path: &Path) -> bool {
     Places::of_file(path).is_ok_and(|places| places.journal.exists())
 }
 
+/// Removes what tells later calls that the file `path` is finished.
+pub(crate) fn forget(path: &Path) {
+    if let Ok(places) = Places::of_file(path) {
+        places.remove_journal();
+    }
+}
+
 /// What is known to be on the disk.
 #[derive(Debug, Clone, PartialEq)]
 struct Journal {

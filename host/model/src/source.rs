@@ -8,6 +8,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::pool::{Pool, Pooled};
 use crate::positioned::Positioned;
 use crate::scratch::Scratch;
 use crate::{Error, ErrorKind, Result, input};
@@ -15,19 +16,35 @@ use crate::{Error, ErrorKind, Result, input};
 /// An open file of known length that several threads read at once, each where it likes.
 #[derive(Debug, Clone)]
 pub(crate) struct Source {
-    file: Arc<Positioned>,
+    file: Handle,
     path: PathBuf,
     len: u64,
     /// Bytes of the file itself, of which a part may be read.
     file_len: u64,
 }
 
+/// How a file is held.
+#[derive(Debug, Clone)]
+enum Handle {
+    /// Open.
+    Open(Arc<Positioned>),
+    /// Open when it is read, as there are many.
+    Pooled(Arc<Pooled>),
+}
+
 impl Source {
-    /// Opens a regular file that is not empty.
-    pub(crate) fn open(path: &Path) -> Result<Self> {
+    /// Opens a regular file that is not empty; one of a pool is closed when others are read.
+    pub(crate) fn open(path: &Path, pool: Option<&Arc<Pool>>) -> Result<Self> {
         let refused = |e| Error::io("open", path, &e);
-        let file = input::open(path)?;
-        let len = file.metadata().map_err(refused)?.len();
+        let (file, len) = if let Some(pool) = pool {
+            let file = Pooled::open(pool, path)?;
+            let len = file.metadata().map_err(refused)?.len();
+            (Handle::Pooled(Arc::new(file)), len)
+        } else {
+            let file = input::open(path)?;
+            let len = file.metadata().map_err(refused)?.len();
+            (Handle::Open(Arc::new(Positioned::new(file))), len)
+        };
         if len == 0 {
             return Err(Error::new(
                 ErrorKind::Format,
@@ -35,7 +52,16 @@ impl Source {
                 "copy or export the model again",
             ));
         }
-        Ok(Self { file: Arc::new(Positioned::new(file)), path: path.to_owned(), len, file_len: len })
+        Ok(Self { file, path: path.to_owned(), len, file_len: len })
+    }
+
+    /// Opens a file that goes with this one, in the same way.
+    pub(crate) fn open_beside(&self, path: &Path) -> Result<Self> {
+        let pool = match &self.file {
+            Handle::Open(_) => None,
+            Handle::Pooled(file) => Some(file.pool()),
+        };
+        Self::open(path, pool)
     }
 
     /// What was written to a temporary file, in the name of another one.
@@ -46,12 +72,15 @@ impl Source {
     /// The first bytes of a file, in the name of another one.
     pub(crate) fn of_part(file: Positioned, path: &Path, len: u64) -> Self {
         let file_len = file.metadata().map_or(len, |is| is.len());
-        Self { file: Arc::new(file), path: path.to_owned(), len, file_len }
+        Self { file: Handle::Open(Arc::new(file)), path: path.to_owned(), len, file_len }
     }
 
     /// What the system knows of the file.
     pub(crate) fn metadata(&self) -> io::Result<Metadata> {
-        self.file.metadata()
+        match &self.file {
+            Handle::Open(file) => file.metadata(),
+            Handle::Pooled(file) => file.metadata(),
+        }
     }
 
     pub(crate) fn path(&self) -> &Path {
@@ -65,10 +94,18 @@ impl Source {
 
     /// Fills `buffer` from `offset` on; returns how much of it, which is less only at the end of the file.
     pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
+        let again;
+        let file = match &self.file {
+            Handle::Open(file) => file,
+            Handle::Pooled(file) => {
+                again = file.file()?;
+                &again
+            }
+        };
         let wanted = self.len.saturating_sub(offset).min(buffer.len() as u64) as usize;
         let mut done = 0;
         while done < wanted {
-            match self.file.read_at(&mut buffer[done..wanted], offset + done as u64) {
+            match file.read_at(&mut buffer[done..wanted], offset + done as u64) {
                 Ok(0) => break,
                 Ok(n) => done += n,
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}

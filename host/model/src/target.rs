@@ -52,6 +52,19 @@ pub fn canonical_target(path: &Path) -> Result<PathBuf> {
     Ok(folder.join(target.file_name().unwrap_or_default()))
 }
 
+/// The same of a folder, which need not exist.
+///
+/// # Errors
+/// Links lead nowhere, or the folder that it lies in is missing.
+pub(crate) fn canonical_folder(path: &Path) -> Result<PathBuf> {
+    if let Ok(folder) = path.canonicalize() {
+        return Ok(folder);
+    }
+    let target = target_of(path)?;
+    let folder = folder_of(&target).canonicalize().map_err(|e| Error::io("write", path, &e))?;
+    Ok(folder.join(target.file_name().unwrap_or_default()))
+}
+
 /// The file that a path means in the end. It need not exist.
 fn follow_links(path: &Path) -> Result<PathBuf> {
     let mut target = path.to_owned();

@@ -694,7 +694,7 @@ fn pieces_that_are_done_are_read_alone() {
         let model = open(&spec.build(&grid(3 * CHUNK_VERTICES))).unwrap();
         let rewrite = |pieces_done| {
             let (mut out, counting) = (Pieces::default(), Counting::default());
-            let how = Rewriting { normals, pieces_done, only: None };
+            let how = Rewriting { normals, pieces_done, ..Rewriting::default() };
             model.rewrite(&mut [&mut out], how, &counting, &Silent).unwrap();
             let Counting { begun, raw, edited, ended } = counting;
             let [begun, ended] = [begun, ended].map(|firsts| firsts.into_inner().unwrap());

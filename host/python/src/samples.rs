@@ -431,7 +431,7 @@ impl Samples {
         let (sampled, local) = self.now(py)?;
         let write = || {
             let mut guard = simod_core::guard::Guard::default();
-            guard.reads(&sampled.source.path);
+            guard.reads_all(sampled.source.files());
             guard.writes(&path, simod_core::guard::Kind::Model)?;
             let positions = sampled.rounded(&local);
             sampled.write_deformed(&path, &positions, &deformed_normals(&sampled.samples, &positions))

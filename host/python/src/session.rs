@@ -109,10 +109,11 @@ impl Session {
             let output = out.as_deref().map_or_else(|| session.output_beside(&self.path), Ok)?.to_owned();
             let mut guard = Guard::new(overwrite);
             guard.reads(&self.path);
-            guard.reads_all(&session.model);
+            let named = session.named_model()?;
+            guard.reads_all(named.iter().flat_map(|named| named.files()));
             guard.reads_all(inputs(&self.path)?);
             guard.reads_all(plugins.files());
-            guard.writes(&output, Kind::Model)?;
+            guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
             diagnostics.iter().try_for_each(|path| guard.writes(path, Kind::Model))?;
             let run = Run::execute_with(&session, &plugins, &running, &output, watch)?;
             let error = measure.then(|| run.transfer_error(watch)).transpose()?;

@@ -16,7 +16,8 @@ use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_model::follow::Follow;
 use simod_model::target::folder_of;
 use simod_model::{
-    Cache, Conversion, Converted, Error, ErrorKind, Model, Normals, Progress, Result, is_named_otherwise,
+    Cache, Conversion, Converted, Error, ErrorKind, Model, ModelName, Normals, Progress, Result,
+    is_named_otherwise,
 };
 use simod_plugin_api::Effort;
 
@@ -50,21 +51,21 @@ pub(crate) fn open(
     cache: &Arc<Cache>,
     progress: &dyn Progress,
 ) -> Result<Box<dyn Model>> {
-    let path = session.model.as_deref().ok_or_else(|| {
+    let named = session.named_model()?.ok_or_else(|| {
         Error::new(
             ErrorKind::Argument,
             "the session does not name a model",
             "add [model] path = \"…\" to it; the path is relative to the session's folder",
         )
     })?;
-    if !path.exists() {
+    if let Some(gone) = named.files().iter().find(|file| !file.exists()) {
         return Err(Error::new(
             ErrorKind::Io,
-            format!("the session's model {} is gone", path.display()),
+            format!("the session's model {} is gone", gone.display()),
             "put it back, correct [model] path in the session, or say where it is with --model",
         ));
     }
-    simod_model::open_with(path, session.columns.as_deref(), cache, progress)
+    named.open(session.columns.as_deref(), cache, progress)
 }
 
 /// Samples a session's model, which is open, as `sample` does.
@@ -366,7 +367,7 @@ impl Run {
     pub fn transfer_error(&self, progress: &dyn Progress) -> Result<TransferError> {
         let model = self.deformed.sampled.open_source(None, progress)?;
         let columns = model.columns().filter(|_| !is_named_otherwise(&*model, &self.output));
-        let output = simod_model::open_with_columns(&self.output, columns)?;
+        let output = simod_model::open_version(&*model, &self.output, columns)?;
         let diagonal = self.deformed.sampled.bounds.diagonal();
         let map = |points: &mut [DVec3]| self.deformed.stack.evaluate_with(points, progress);
         transfer_error::measure(model.as_ref(), output.as_ref(), (diagonal, None), &map, progress)
@@ -389,8 +390,11 @@ pub(crate) fn converted(
     (normals, lossy): (Normals, bool),
     (cache, progress): (&Arc<Cache>, &dyn Progress),
 ) -> Result<Option<Converted>> {
-    let Some(path) = session.model.as_deref().filter(|path| path.exists()) else { return Ok(None) };
-    let model = simod_model::open_with(path, session.columns.as_deref(), cache, progress)?;
+    let Some(named @ ModelName::File(_)) = session.named_model()? else { return Ok(None) };
+    if !named.files().iter().all(|file| file.exists()) {
+        return Ok(None);
+    }
+    let model = named.open(session.columns.as_deref(), cache, progress)?;
     if !is_named_otherwise(&*model, output) {
         return Ok(None);
     }

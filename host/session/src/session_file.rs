@@ -11,7 +11,7 @@ use simod_core::refinement::Finer;
 use simod_core::sampling::{By, Placement};
 use simod_model::follow::Kind;
 use simod_model::target::{canonical_target, folder_of};
-use simod_model::{Error, ErrorKind, Result, input};
+use simod_model::{Error, ErrorKind, ModelName, Result, input};
 use simod_plugin_api::Time;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
@@ -25,8 +25,8 @@ pub(crate) const LARGEST: u64 = 16 << 20;
 /// The format's version: raised when what a session says could not be understood any more by former versions.
 pub(crate) const VERSION: i64 = 2;
 
-/// The version of those that declare nothing to follow, and whose steps have neither titles nor amounts: former
-/// programs understand them.
+/// The version of those that declare nothing to follow, have no tiles, and whose steps have neither titles nor amounts:
+/// former programs understand them.
 pub(crate) const FIRST_VERSION: i64 = 1;
 
 /// A session. Paths are as the program needs them: relative to the current folder, or absolute.
@@ -34,6 +34,9 @@ pub(crate) const FIRST_VERSION: i64 = 1;
 pub struct SessionFile {
     /// The huge model; may be missing where a sampled model is given otherwise.
     pub model: Option<PathBuf>,
+    /// The files that it is made of, and patterns of such, where it is made of tiles; another `model` that is given
+    /// takes their place.
+    pub tiles: Vec<PathBuf>,
     /// What its columns are, if it is a text in columns that does not say so, as "x,y,z,_,nx,ny,nz".
     pub columns: Option<String>,
     /// Numbers of the vertices that turn with the surface, by what their names begin with.
@@ -480,7 +483,7 @@ pub struct Region {
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct RawSession {
     version: Option<Spanned<i64>>,
-    model: Option<RawModel>,
+    model: Option<Spanned<RawSessionModel>>,
     follow: Option<Spanned<BTreeMap<String, Kind>>>,
     #[serde(default)]
     sampling: Option<Spanned<Sampling>>,
@@ -488,6 +491,33 @@ struct RawSession {
     #[serde(default)]
     step: Vec<Spanned<RawStep>>,
     output: Option<RawPath>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawSessionModel {
+    path: Option<PathBuf>,
+    tiles: Option<Spanned<RawTiles>>,
+    columns: Option<String>,
+    fingerprint: Option<String>,
+}
+
+/// A file or pattern, or several.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum RawTiles {
+    One(PathBuf),
+    Several(Vec<PathBuf>),
+}
+
+impl RawTiles {
+    fn into_paths(self, folder: &Path) -> Vec<PathBuf> {
+        let paths = match self {
+            Self::One(path) => vec![path],
+            Self::Several(paths) => paths,
+        };
+        paths.into_iter().map(|path| folder.join(path)).collect()
+    }
 }
 
 #[derive(Deserialize)]
@@ -568,6 +598,19 @@ impl SessionFile {
         Self::parse(&text, path)
     }
 
+    /// What it names as its model, if it does.
+    ///
+    /// # Errors
+    /// A pattern matches no file.
+    pub fn named_model(&self) -> Result<Option<ModelName>> {
+        match &self.model {
+            Some(model) => ModelName::of(model).map(Some),
+            None if self.tiles.is_empty() => Ok(None),
+            // A list is of tiles, even if there is but one.
+            None => Ok(Some(ModelName::Tiles(ModelName::of_all(&self.tiles)?.files().to_vec()))),
+        }
+    }
+
     /// Where the session itself says that the deformed model goes: beside it, or in a folder beside it.
     /// `path` is the session's. A session may be a stranger's, who has no say about other folders.
     ///
@@ -585,7 +628,10 @@ impl SessionFile {
         // By what it says and, through links, in fact.
         let is_plain = |part| matches!(part, Component::Normal(_) | Component::CurDir);
         if self.named_output.as_deref().is_some_and(|named| named.components().all(is_plain)) {
-            let target = canonical_target(output)?;
+            let target = match output.canonicalize() {
+                Ok(folder) if folder.is_dir() => folder,
+                _ => canonical_target(output)?,
+            };
             if folder.canonicalize().is_ok_and(|folder| target.starts_with(folder)) {
                 return Ok(output);
             }
@@ -614,14 +660,42 @@ impl SessionFile {
             return Err(source.error(&span, &format!("`{key}` is of sessions of version 2"), hint));
         }
         let folder = path.parent().unwrap_or(Path::new(""));
+        let (span, raw_model) = raw.model.map(|model| (model.span(), model.into_inner())).unzip();
+        let (mut model, mut tiles, mut columns, mut fingerprint) = (None, Vec::new(), None, None);
+        if let (Some(span), Some(raw)) = (span, raw_model) {
+            (columns, fingerprint) = (raw.columns, raw.fingerprint);
+            model = raw.path.map(|path| folder.join(path));
+            if let Some(named) = raw.tiles {
+                let span = named.span();
+                if version < VERSION {
+                    let hint =
+                        "write `version = 2` at its beginning: programs that do not know it refuse it then";
+                    return Err(source.error(&span, "`tiles` are of sessions of version 2", hint));
+                }
+                tiles = named.into_inner().into_paths(folder);
+                if tiles.is_empty() || model.is_some() {
+                    let what = if tiles.is_empty() {
+                        "there are no `tiles`"
+                    } else {
+                        "both `path` and `tiles` are given"
+                    };
+                    return Err(source.error(&span, what, "name a file in `path`, or files in `tiles`"));
+                }
+            }
+            if model.is_none() && tiles.is_empty() {
+                let hint = "name a file in `path`, or files in `tiles`";
+                return Err(source.error(&span, "the model has no `path`", hint));
+            }
+        }
         let sampling = match raw.sampling {
             Some(sampling) => source.sampling(sampling)?,
             None => Sampling::default(),
         };
         Ok(Self {
-            columns: raw.model.as_ref().and_then(|m| m.columns.clone()),
-            fingerprint: raw.model.as_ref().and_then(|m| m.fingerprint.clone()),
-            model: raw.model.map(|m| folder.join(m.path)),
+            columns,
+            fingerprint,
+            model,
+            tiles,
             follow: raw.follow.map(Spanned::into_inner).unwrap_or_default(),
             sampling,
             time: raw.time.map_or(Ok(SessionTime::default()), |time| source.time(&time))?,

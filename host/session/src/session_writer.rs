@@ -14,7 +14,7 @@ use serde::Serialize;
 use simod_core::refinement::Finer;
 use simod_core::sampled_model::relative;
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, Result, output};
+use simod_model::{Error, ErrorKind, Result, matching, output};
 use std::path::{Path, PathBuf};
 use toml_edit::ser::ValueSerializer;
 use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table, Value, value};
@@ -31,6 +31,15 @@ impl SessionFile {
         Ok(strokes)
     }
 
+    /// The files or patterns of its model, if that is made of tiles.
+    fn named_tiles(&self) -> &[PathBuf] {
+        match &self.model {
+            Some(model) if matches!(matching(model), Ok(Some(_))) => std::slice::from_ref(model),
+            Some(_) => &[],
+            None => &self.tiles,
+        }
+    }
+
     /// The session's text at this path. Strokes and selections that are too long for it are written beside it, to these
     /// files, unless all has to be in the text.
     pub(crate) fn to_toml(&self, path: &Path, beside: bool) -> Result<(String, Vec<PathBuf>)> {
@@ -38,8 +47,13 @@ impl SessionFile {
         document["version"] = value(self.version());
         let folder = folder_of(path);
         let mut files = Vec::new();
-        if let Some(model) = &self.model {
-            let mut model = path_table(model, folder)?;
+        let tiles = self.named_tiles();
+        let named = match &self.model {
+            _ if !tiles.is_empty() => Some(tiles_table(tiles, folder)?),
+            Some(model) => Some(path_table(model, folder)?),
+            None => None,
+        };
+        if let Some(mut model) = named {
             if let Some(columns) = &self.columns {
                 model["columns"] = value(columns);
             }
@@ -74,8 +88,18 @@ impl SessionFile {
     fn version(&self) -> i64 {
         let has_amount = |step: &Step| step.deformation().is_some_and(|d| d.amount != 1.0);
         let is_newer = self.steps.iter().any(|step| step.title.is_some() || has_amount(step));
-        if is_newer || !self.follow.is_empty() { VERSION } else { FIRST_VERSION }
+        let is_newer = is_newer || !self.follow.is_empty() || !self.named_tiles().is_empty();
+        if is_newer { VERSION } else { FIRST_VERSION }
     }
+}
+
+fn tiles_table(tiles: &[PathBuf], folder: &Path) -> Result<Table> {
+    let mut table = Table::new();
+    // The name of a link is kept, and a pattern is no name of a file.
+    let named = |tile: &PathBuf| relative(folder_of(tile), folder).join(tile.file_name().unwrap_or_default());
+    let paths = tiles.iter().map(|tile| text(&named(tile))).collect::<Result<Array>>()?;
+    table["tiles"] = value(paths);
+    Ok(table)
 }
 
 fn path_table(path: &Path, folder: &Path) -> Result<Table> {
@@ -377,6 +401,7 @@ mod tests {
         let titled = |step: Step| Step { title: Some("Arms, \"up\"".to_owned()), ..step };
         SessionFile {
             model: Some(folder.join("models/nefertiti.ply")),
+            tiles: Vec::new(),
             columns: Some("x,y,z,_,nx,ny,nz".into()),
             follow: [("n1".to_owned(), Kind::Normal), ("t".to_owned(), Kind::Vector)].into(),
             fingerprint: Some("xxh3-128:0".to_owned()),
@@ -427,6 +452,27 @@ mod tests {
         let text = std::fs::read_to_string(&path).unwrap();
         SessionFile::load(&path).unwrap().save(&path).unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+    }
+
+    #[test]
+    fn tiles_come_back_in_version_2() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().canonicalize().unwrap();
+        let path = folder.join("edit.toml");
+        std::fs::create_dir(folder.join("tiles")).unwrap();
+        let tiles = ["tiles/*.laz", "tiles/more.las"].map(|name| folder.join(name)).to_vec();
+        let session = SessionFile { tiles, ..SessionFile::default() };
+        session.save(&path).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.starts_with("version = 2"), "{text}");
+        assert!(text.contains(r#"tiles = ["tiles/*.laz", "tiles/more.las"]"#), "{text}");
+        assert_eq!(SessionFile::load(&path).unwrap(), session);
+        for (wrong, what) in
+            [("[model]\npath = 'a'\ntiles = 'b'", "both"), ("[model]\ncolumns = 'x,y,z'", "no `path`")]
+        {
+            let error = SessionFile::parse(wrong, &path).unwrap_err().to_string();
+            assert!(error.contains(what) && error.contains("edit.toml, line"), "{error}");
+        }
     }
 
     #[test]

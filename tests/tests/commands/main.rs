@@ -25,6 +25,7 @@ mod sampling;
 mod sheets;
 mod shell;
 mod splats;
+mod tiles;
 mod trust;
 mod turntable;
 mod untouched;

@@ -38,7 +38,8 @@ impl Bind {
         let model = sampled.open_source(self.model.as_deref(), report.progress())?;
         let path = self.sampled.join(BINDING);
         let mut guard = self.overwrite.guard();
-        guard.reads_all([model.path(), &sampled.source.path]);
+        guard.reads_all([model.path()].into_iter().chain(model.other_files()));
+        guard.reads_all(sampled.source.files());
         guard.writes(&path, Kind::Binding)?;
         let bytes = bind(&sampled, model.as_ref(), &path, report.progress())?;
         report.figure("vertices", model.info().vertices);

@@ -57,7 +57,7 @@ impl Deform {
         notices(&plugins, &session.steps, report);
         let stack = Stack::build(&session.steps, &plugins)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
-        guard.reads(&sampled.source.path);
+        guard.reads_all(sampled.source.files());
         guard.reads_all(&self.model);
         guard.writes(&self.output, Kind::Model)?;
         let begun = refined.as_deref().map(|folder| {

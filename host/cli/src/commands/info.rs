@@ -1,6 +1,6 @@
 //! `simod info`: what a model or a sampled model is.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
@@ -10,7 +10,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{By, Placement, Target};
 use simod_model::bounds::Bounds;
 use simod_model::follow::Follow;
-use simod_model::{Result, Scalar, ScaledIntegers};
+use simod_model::{ModelName, Result, Scalar, ScaledIntegers};
 use simod_picture::picture;
 use simod_session::sidecar;
 
@@ -21,9 +21,10 @@ use crate::report::{Report, count, length};
 /// Show what a model, or a sampled model, holds
 #[derive(Args)]
 pub struct Info {
-    /// A model (PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns), or the folder of a sampled one
-    #[arg(value_name = "MODEL|DIR")]
-    path: PathBuf,
+    /// A model (PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns), several files or a
+    /// pattern as 'tiles/*.laz' that are one model, or the folder of a sampled one
+    #[arg(value_name = "MODEL|DIR", required = true)]
+    path: Vec<PathBuf>,
     /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
     #[arg(long, value_name = "NAMES")]
     columns: Option<String>,
@@ -31,13 +32,16 @@ pub struct Info {
 
 impl Info {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        if self.path.is_dir() { self.sampled(report) } else { self.model(report) }
+        match &self.path[..] {
+            [folder] if folder.is_dir() => Self::sampled(folder, report),
+            _ => self.model(report),
+        }
     }
 
     fn model(&self, report: &mut Report) -> Result<()> {
         let cache = Arc::default();
         let columns = self.columns.as_deref();
-        let mut model = simod_model::open_with(&self.path, columns, &cache, report.progress())?;
+        let mut model = ModelName::of_all(&self.path)?.open(columns, &cache, report.progress())?;
         tell_cache(&cache, report);
         model.check_complete(report.progress())?;
         if let Err(why) = sidecar::follow(&mut *model, &Follow::default()) {
@@ -46,7 +50,11 @@ impl Info {
         let bounds = picture::bounds(model.as_ref(), report.progress())?;
         let info = model.info();
         let scalar = scalar_name(info.position_type);
-        report.line(format!("{}: {}, {} bytes", self.path.display(), info.format, count(info.bytes)));
+        let shown = match &self.path[..] {
+            [path] => path.as_path(),
+            _ => model.path(),
+        };
+        report.line(format!("{}: {}, {} bytes", shown.display(), info.format, count(info.bytes)));
         let normals = if info.has_normals { "with" } else { "without" };
         report.line(format!("{} vertices, positions in {scalar}, {normals} normals", count(info.vertices)));
         report.line(format!("{} faces", count(info.faces)));
@@ -80,15 +88,18 @@ impl Info {
         report.figure("position_type", scalar);
         report.figure("other_properties", info.other_properties.clone());
         report.figure("bytes", info.bytes);
+        if !model.tiles().is_empty() {
+            report.figure("tiles", model.tiles().len());
+        }
         Ok(())
     }
 
-    fn sampled(&self, report: &mut Report) -> Result<()> {
-        let sampled = SampledModel::load(&self.path)?;
+    fn sampled(folder: &Path, report: &mut Report) -> Result<()> {
+        let sampled = SampledModel::load(folder)?;
         let source = &sampled.source;
         report.line(format!(
             "{}: {} samples of the {} vertices of {}",
-            self.path.display(),
+            folder.display(),
             count(sampled.samples.len() as u64),
             count(source.vertices),
             source.path.display()
@@ -112,7 +123,7 @@ impl Info {
             report.line("placed by the planes of the faces around them");
         }
         source.cost_of_order().into_iter().for_each(|cost| report.line(cost));
-        let kept = SampledModel::kept_cells(&self.path).is_some();
+        let kept = SampledModel::kept_cells(folder).is_some();
         let cells = if kept { "kept" } else { "not kept, or damaged" };
         report.line(format!("{} triangles; cells and trees {cells}", count(sampled.triangles.len() as u64)));
         for refinement in &sampled.refinements {
@@ -137,6 +148,10 @@ impl Info {
         };
         report.figure("refinements", sampled.refinements.iter().map(refinement).collect::<Vec<_>>());
         report.figure("source", source.path.display().to_string());
+        if !source.tiles.is_empty() {
+            report.line(format!("the model is made of {} tiles", count(source.tiles.len() as u64)));
+            report.figure("tiles", source.tiles.len());
+        }
         Ok(())
     }
 }

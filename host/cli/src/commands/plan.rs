@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use simod_core::guard::Kind;
-use simod_model::Result;
 use simod_model::size::human_size;
+use simod_model::{ModelName, Result};
 use simod_session::plan::{Done, Emit, Options, Plan as Units, Stage, do_unit, make};
 use simod_session::session_file::inputs;
 use simod_session::{SessionFile, sidecar};
@@ -95,11 +95,12 @@ impl Plan {
         let plugins = self.plugins.discover(report)?;
         let mut guard = self.overwrite.guard();
         guard.reads(&self.session);
-        guard.reads_all(&session.model);
+        let named = session.named_model()?;
+        guard.reads_all(named.iter().flat_map(ModelName::files));
         guard.reads_all(session.model.as_deref().map(sidecar::of));
         guard.reads_all(inputs(&self.session)?);
         guard.reads_all(plugins.files());
-        guard.writes(&output, Kind::Model)?;
+        guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
         guard.replaces_folder(&self.output)?;
         let mut emit: Vec<Emit> = self.emit.iter().map(|name| (*name).into()).collect();
         emit.sort_unstable();

@@ -35,7 +35,7 @@ pub struct Reconstruct {
     #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
     deformed: Vec<PathBuf>,
     /// The deformed model to write: in the format of the model, or in another one that its extension says (those of
-    /// `simod convert`). {} in it stands for what the * of --deformed matched, or for a file's
+    /// `simod convert`); of a model that is made of tiles a folder, for as many files of the same names. {} in it stands for what the * of --deformed matched, or for a file's
     /// name without its ending
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
@@ -138,11 +138,13 @@ impl Reconstruct {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.sampled);
         // That the model itself is kept is seen to where it is streamed.
-        guard.reads_all(self.model.is_some().then_some(&sampled.source.path));
+        guard.reads_all(self.model.is_some().then(|| sampled.source.files()).into_iter().flatten());
         guard.reads(&sidecar::of(self.model.as_ref().unwrap_or(&sampled.source.path)));
         guard.reads_all(paths.iter().map(|v| &v.deformed));
-        for path in paths.iter().flat_map(|v| [&v.output].into_iter().chain(&v.diagnostics)) {
-            guard.writes(path, Kind::Model)?;
+        let tiles = sampled.source.named(self.model.as_deref())?.tiles();
+        for VersionPaths { output, diagnostics, .. } in &paths {
+            guard.writes_model(output, &tiles)?;
+            diagnostics.iter().try_for_each(|path| guard.writes(path, Kind::Model))?;
         }
         let mut model = sampled.open_source(self.model.as_deref(), report.progress())?;
         sidecar::follow(&mut *model, &self.following.follow(&BTreeMap::new()))?;

@@ -94,7 +94,8 @@ impl Refine {
         let deformed = self.deformed.as_deref().map(|path| sampled.read_deformed(path)).transpose()?;
         let model = sampled.open_source(self.model.as_deref(), report.progress())?;
         let mut guard = self.overwrite.guard();
-        guard.reads_all([model.path(), &sampled.source.path]);
+        guard.reads_all([model.path()].into_iter().chain(model.other_files()));
+        guard.reads_all(sampled.source.files());
         if self.into.is_some() {
             // All else that is read may be replaced in place.
             guard.reads(&self.sampled);

@@ -7,7 +7,7 @@ use serde_json::json;
 use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
-use simod_model::Result;
+use simod_model::{ModelName, Result};
 use simod_session::session_file::inputs;
 use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFile, Tolerance, sidecar};
 
@@ -24,7 +24,7 @@ use crate::report::{Report, count, errors, length, rate};
 pub struct Run {
     /// The session
     session: PathBuf,
-    /// The deformed model to write, instead of the session's own output
+    /// The deformed model to write, instead of the session's own output; of a model that is made of tiles a folder
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// The model, if it is not where the session says
@@ -90,11 +90,12 @@ impl Run {
         let plugins = self.plugins.discover(report)?;
         let mut guard = self.overwrite.guard();
         guard.reads(&self.session);
-        guard.reads_all(&session.model);
+        let named = session.named_model()?;
+        guard.reads_all(named.iter().flat_map(ModelName::files));
         guard.reads_all(session.model.as_deref().map(sidecar::of));
         guard.reads_all(inputs(&self.session)?);
         guard.reads_all(plugins.files());
-        guard.writes(&output, Kind::Model)?;
+        guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
         if let Some(diagnostics) = &self.diagnostics {
             guard.writes(diagnostics, Kind::Model)?;
         }

@@ -6,8 +6,8 @@ use clap::{Args, ValueEnum};
 use simod_core::guard::Guard;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{By, Grouping, Placement, Sampling, Skip, Splitting, Target, sample};
-use simod_model::Result;
 use simod_model::target::folder_of;
+use simod_model::{ModelName, Result};
 
 use super::{tell_cache, tell_transparent, warn_non_finite};
 use crate::report::{Report, count, rate};
@@ -15,8 +15,10 @@ use crate::report::{Report, count, rate};
 /// Stream a model to a small point set that any tool can deform
 #[derive(Args)]
 pub struct Sample {
-    /// The model to sample: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns
-    model: PathBuf,
+    /// The model to sample: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns. Several files,
+    /// or a pattern as 'tiles/*.laz', are one model of as many tiles
+    #[arg(required = true)]
+    model: Vec<PathBuf>,
     /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
     #[arg(long, value_name = "NAMES")]
     columns: Option<String>,
@@ -172,11 +174,12 @@ impl SamplingArguments {
 impl Sample {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let mut guard = Guard::default();
-        guard.reads(&self.model);
+        let named = ModelName::of_all(&self.model)?;
+        guard.reads_all(named.files());
         guard.replaces_folder(&self.output)?;
         let begun = SampledModel::begin(&self.output)?;
         let cache = SampledModel::cache_in(&begun);
-        let opened = simod_model::open_with(&self.model, self.columns.as_deref(), &cache, report.progress());
+        let opened = named.open(self.columns.as_deref(), &cache, report.progress());
         let model = opened.map_err(|e| begun.named(e))?;
         let folder = folder_of(&self.output);
         let sampled = sample(model.as_ref(), &self.sampling.sampling(), folder, report.progress())?;

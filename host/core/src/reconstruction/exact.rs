@@ -7,8 +7,10 @@ use std::sync::Mutex;
 use glam::{DMat3, DVec3, Mat3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
-use simod_model::output::OutputFile;
-use simod_model::{Edit, Edited, Model, Normals, Output, Progress, RawChunk, Result, Rewriting, VertexChunk};
+use simod_model::resumable_output::{OpenedOutput, Place, ResumableOutput};
+use simod_model::{
+    Edit, Edited, Error, Model, Normals, Output, Progress, RawChunk, Result, Rewriting, VertexChunk,
+};
 
 use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
@@ -59,7 +61,12 @@ pub fn write_exact(
     check_targets(model, &[*version], how)?;
     check_reach(sampled, model, [version.deformed])?;
     let info = model.info();
-    let mut file = OutputFile::create(version.output, info.bytes)?;
+    // Nothing is gone on with: the key is of no use to anybody.
+    let place = Place::of(model, version.output);
+    let opened = ResumableOutput::open(&place, "exact".to_owned(), false, u64::MAX, progress)?;
+    let OpenedOutput::Unfinished(mut file) = opened else {
+        return Err(Error::internal("an output is there that was not written", "report this"));
+    };
     let create = |path| DiagnosticsFile::create(path, model, sampled.bounds.diagonal());
     let mut diagnostics = version.diagnostics.map(create).transpose()?;
     let gradients = needs_gradient(model, how.normals, version.diagnostics);
@@ -68,7 +75,7 @@ pub fn write_exact(
     let mut exact = Exact { sampled, field, map, gradients, is_still: false, hash, surveys };
     exact.is_still = field.is_still() && exact.moves_nothing(model, progress)?;
     progress.begin("evaluating every vertex", info.bytes);
-    let outputs: &mut [&mut dyn Output] = &mut [&mut file.replaceable()];
+    let outputs: &mut [&mut dyn Output] = &mut [file.as_output()];
     let rewriting = Rewriting { normals: how.normals, ..Rewriting::default() };
     model.rewrite(outputs, rewriting, &exact, progress)?;
     if sampled.source.fingerprint != locked(&exact.hash).fingerprint() {
@@ -82,6 +89,7 @@ pub fn write_exact(
         (folding.vertices, expected) = (Some(diagnostics.folded), Some(diagnostics.expected.sum(true)));
         diagnostics.commit()?;
     }
+    file.complete(false)?;
     progress.check()?;
     file.commit()?;
     Ok(Reconstructed {

@@ -2,14 +2,15 @@
 //! file with other positions (and normals) (paper §5, "Streaming Deformation Reconstruction"). Several
 //! deformations of the same samples share a reading of the model.
 
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
 use glam::{DVec3, Mat3, Vec3};
+use simod_model::input::Identity;
 use simod_model::output::check_space;
-use simod_model::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
+use simod_model::resumable_output::{FinishedOutput, OpenedOutput, Place, ResumableOutput};
 use simod_model::target::{canonical_target, folder_of};
 use simod_model::{
     Error, ErrorKind, MAX_VERSIONS, Model, Normals, Output, Progress, Result, Rewriting, is_named_otherwise,
@@ -22,7 +23,7 @@ use super::reach::check_reach;
 use super::transfer::{Hashing, Surveys, Transfer, locked};
 use super::{DeformationField, ExpectedError, Method, RestGeometry};
 use crate::fingerprint::{VertexHash, fingerprint};
-use crate::sampled_model::{SampledModel, same_file};
+use crate::sampled_model::SampledModel;
 
 /// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on
 /// with then.
@@ -40,7 +41,7 @@ const MAX_PARTS: u64 = 1024;
 pub struct Version<'a> {
     /// The samples' finite local positions after the deformation.
     pub deformed: &'a [Vec3],
-    /// The file to write, which appears whole or not at all.
+    /// The file to write, which appears whole or not at all; of a model that is made of tiles a folder of as many.
     pub output: &'a Path,
     /// A file that is to say what becomes of the surface at each vertex, likewise: a binary PLY file of the
     /// deformed positions with `displacement` (in the model's unit), `stretch_max` and `stretch_min` (1 at
@@ -178,7 +179,8 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
     // Three numbers take at least six bytes.
     let left_out = if how.normals == Normals::Drop && info.has_normals { 6 * info.vertices } else { 0 };
     let of_model = |output| {
-        model.written_bytes().saturating_sub(left_out).saturating_sub(bytes_there(output, how.resume))
+        let there = Place::of(model, output).bytes_there(how.resume);
+        model.written_bytes().saturating_sub(left_out).saturating_sub(there)
     };
     let mut targets = BTreeMap::new();
     let outputs = versions.iter().flat_map(|v| {
@@ -186,15 +188,9 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
         [(v.output, of_model(v.output))].into_iter().chain(diagnostics)
     });
     for (output, needed) in outputs {
-        let mut files = [model.path()].into_iter().chain(model.other_files());
-        if files.any(|file| same_file(file, output)) {
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!("{} is the model itself", output.display()),
-                "write the deformed model to another file; the samples belong to the original",
-            ));
-        }
         let is_model = versions.iter().any(|v| v.output == output);
+        let place = Place::of(model, output);
+        check_no_source(model, if is_model { place.files() } else { vec![output.to_owned()] })?;
         if is_model && is_named_otherwise(model, output) {
             return Err(Error::new(
                 ErrorKind::Argument,
@@ -209,7 +205,8 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
                 ),
             ));
         }
-        if targets.insert(canonical_target(output)?, (output, needed)).is_some() {
+        let target = if is_model { place.checked()? } else { canonical_target(output)? };
+        if targets.insert(target, (output, needed)).is_some() {
             return Err(Error::new(
                 ErrorKind::Argument,
                 format!("two files go to {}", output.display()),
@@ -224,6 +221,24 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
     rooms.into_iter().try_for_each(|(folder, (output, needed))| check_space(output, folder, needed))
 }
 
+/// An error where a file to write is one that the model is in.
+fn check_no_source(model: &dyn Model, files: Vec<PathBuf>) -> Result<()> {
+    let sources = [model.path()].into_iter().chain(model.other_files());
+    let sources: BTreeSet<Identity> = sources.filter_map(Identity::from_path).collect();
+    let is_source = |file: &PathBuf| Identity::from_path(file).is_some_and(|is| sources.contains(&is));
+    let Some(file) = files.iter().find(|file| is_source(file)) else { return Ok(()) };
+    let (what, hint) = if model.tiles().is_empty() {
+        ("is the model itself", "write the deformed model to another file")
+    } else {
+        ("is one of the model's tiles", "write the deformed tiles to another folder")
+    };
+    Err(Error::new(
+        ErrorKind::Argument,
+        format!("{} {what}", file.display()),
+        format!("{hint}; the samples belong to the original"),
+    ))
+}
+
 /// A call of [`reconstruct`].
 struct ReconstructionCall<'a> {
     sampled: &'a SampledModel,
@@ -233,7 +248,7 @@ struct ReconstructionCall<'a> {
     /// The versions that share a reading: at most [`MAX_VERSIONS`].
     pass: Vec<Begun<'a>>,
     /// The outputs that are in their places. Their journals tell a later call so, should this one be killed.
-    finished: Vec<Finished>,
+    finished: Vec<FinishedOutput>,
     taken_over: u64,
     /// The folding of each version, as far as it is known.
     folding: Vec<Option<Folding>>,
@@ -244,7 +259,7 @@ struct ReconstructionCall<'a> {
 struct Begun<'a> {
     number: usize,
     version: Version<'a>,
-    file: Box<ResumableFile>,
+    file: ResumableOutput,
     diagnostics: Option<DiagnosticsFile>,
 }
 
@@ -253,14 +268,15 @@ impl<'a> ReconstructionCall<'a> {
         for (number, version) in versions.iter().enumerate() {
             let key = key(self.sampled, self.model, self.how, version.deformed)?;
             let part_bytes = self.part_bytes();
-            match ResumableFile::open(version.output, key, self.how.resume, part_bytes, self.progress)? {
-                Opened::Unfinished(file) => {
+            let place = Place::of(self.model, version.output);
+            match ResumableOutput::open(&place, key, self.how.resume, part_bytes, self.progress)? {
+                OpenedOutput::Unfinished(file) => {
                     let diagonal = self.sampled.bounds.diagonal();
                     let create = |path| DiagnosticsFile::create(path, self.model, diagonal);
                     let diagnostics = version.diagnostics.map(create).transpose()?;
                     self.pass.push(Begun { number, version: *version, file, diagnostics });
                 }
-                Opened::Finished(file) => {
+                OpenedOutput::Finished(file) => {
                     self.taken_over += file.bytes();
                     self.finished.push(file);
                 }
@@ -277,9 +293,9 @@ impl<'a> ReconstructionCall<'a> {
         if self.pass.is_empty() {
             return Ok(());
         }
-        let pieces_done = self.pieces_done();
+        let done = self.done();
         for Begun { file, .. } in &mut self.pass {
-            self.taken_over += file.go_on_after(pieces_done)?;
+            self.taken_over += file.go_on_after(done)?;
         }
 
         self.progress.begin("preparing", 0);
@@ -295,7 +311,7 @@ impl<'a> ReconstructionCall<'a> {
         let mut outputs: Vec<&mut dyn Output> = Vec::new();
         let mut surveys = Vec::new();
         for Begun { file, diagnostics, .. } in &mut self.pass {
-            outputs.push(&mut **file);
+            outputs.push(file.as_output());
             surveys.push(diagnostics.as_mut());
         }
         if binding.is_none() {
@@ -312,7 +328,8 @@ impl<'a> ReconstructionCall<'a> {
             progress: self.progress,
         };
         self.progress.begin("reconstructing", self.model.bytes_to_rewrite());
-        let how = Rewriting { normals: self.how.normals, pieces_done, only: None };
+        let how =
+            Rewriting { normals: self.how.normals, files_done: done.0, pieces_done: done.1, only: None };
         self.model.rewrite(&mut outputs, how, &transfer, self.progress)?;
         if let Hashing::All(hash) = &*locked(&transfer.hash)
             && hash.fingerprint() != self.sampled.source.fingerprint
@@ -353,14 +370,15 @@ impl<'a> ReconstructionCall<'a> {
         Ok((None, RestGeometry::new(&self.sampled.samples)))
     }
 
-    /// Number of pieces that every version of the pass has, and that a part ends with in each.
-    fn pieces_done(&self) -> u64 {
-        let mut boundaries = self.pass.iter().map(|begun| begun.file.boundaries().collect::<Vec<_>>());
+    /// Number of files, and of pieces of the next one, that every version of the pass has, and that a part ends with
+    /// in each.
+    fn done(&self) -> (u64, u64) {
+        let mut boundaries = self.pass.iter().map(|begun| begun.file.boundaries());
         let mut common = boundaries.next().unwrap_or_default();
         for others in boundaries {
-            common.retain(|pieces| others.binary_search(pieces).is_ok());
+            common.retain(|done| others.binary_search(done).is_ok());
         }
-        common.last().copied().unwrap_or(0)
+        common.last().copied().unwrap_or_default()
     }
 
     fn part_bytes(&self) -> u64 {
@@ -375,8 +393,10 @@ impl<'a> ReconstructionCall<'a> {
             return error;
         }
         self.pass.into_iter().for_each(|begun| begun.file.keep());
-        self.finished.into_iter().for_each(Finished::keep);
-        if !matches!(error.kind(), Cancelled | Io) || !versions.iter().any(|v| is_left(v.output)) {
+        self.finished.into_iter().for_each(FinishedOutput::keep);
+        if !matches!(error.kind(), Cancelled | Io)
+            || !versions.iter().any(|v| Place::of(self.model, v.output).is_left())
+        {
             return error;
         }
         let then = if error.kind() == Cancelled { "when you like" } else { error.hint() };

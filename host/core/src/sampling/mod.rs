@@ -56,7 +56,7 @@ pub use sample_set::{NEIGHBOURS, SampleSet};
 pub use splitting::Splitting;
 
 use crate::colors::{Picked, Picking};
-use crate::sampled_model::{SampledModel, Source};
+use crate::sampled_model::{SampledModel, Source, SourceTile};
 use crate::sampling::ranges::joined;
 use crate::touching::{Contacts, Islands, Parted, Parting};
 use counted::{Counting, NonFinite, count_range};
@@ -449,6 +449,7 @@ impl<'a> Prepared<'a> {
         let mut sampled = SampledModel::new(
             Source {
                 path: model.path().to_owned(),
+                tiles: SourceTile::of(model),
                 columns: model.columns().map(str::to_owned),
                 bytes: info.bytes,
                 vertices: info.vertices,

@@ -82,13 +82,20 @@ impl Converted {
                 ),
             ));
         };
+        if !model.tiles().is_empty() {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} is a model of several tiles, which are not joined", model.path().display()),
+                "convert each tile by itself",
+            ));
+        }
         model.check_complete(progress)?;
         let (faces, counted) = count_faces(&*model, progress)?;
         let info = model.info().clone();
         let is_las = matches!(extension, "las" | "laz") && as_las(&*model).is_some();
         let keeps_records = is_las && how.step.is_none() && how.offset.is_none();
         let mut converted = Self {
-            source: Source::open(model.path())?,
+            source: Source::open(model.path(), None)?,
             model,
             info,
             extension,

@@ -112,7 +112,7 @@ impl E57Model {
     /// The numbers of the first attributes of a chunk that was read, or of several that were joined.
     pub(super) fn attributes_of(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) {
         to.iter_mut().for_each(Vec::clear);
-        let mut vertex = chunk.first;
+        let mut vertex = chunk.first_of_file();
         for streams in chunk.of_format.iter().filter_map(|of| of.downcast_ref::<Streams>()) {
             let number = self.scan_of(vertex);
             let (Some(scan), Some(places)) = (self.scans.get(number), self.attributes.get(number)) else {

@@ -306,7 +306,7 @@ impl Container {
             return refused("is not a file beside it");
         };
         let folder = crate::target::folder_of(self.source.path());
-        Source::open(&folder.join(path)).map_err(|e| {
+        self.source.open_beside(&folder.join(path)).map_err(|e| {
             let what = format!("buffer {index}, \"{}\": {e}", uri.escape_debug());
             self.source.malformed(what, &format!("{}; or {AS_GLB}", e.hint()))
         })

@@ -86,7 +86,8 @@ impl Model for GltfModel {
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
-        self.read_colours(chunk.first..chunk.first + chunk.len() as u64, to)
+        let first = chunk.first_of_file();
+        self.read_colours(first..first + chunk.len() as u64, to)
     }
 
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {

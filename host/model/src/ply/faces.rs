@@ -665,7 +665,7 @@ mod tests {
         let mut file = NamedTempFile::new().unwrap();
         file.write_all(bytes).unwrap();
         // The open file outlives its name.
-        PlyModel::new(Source::open(file.path())?)
+        PlyModel::new(Source::open(file.path(), None)?)
     }
 
     fn read_by(block: usize, model: &PlyModel) -> Result<Vec<[u32; 3]>> {

@@ -235,7 +235,8 @@ impl Model for PlyModel {
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
         attributes::decode(&self.layout, chunk, to).map_err(|e| {
-            let (vertex, name) = (chunk.first + e.vertex as u64, &self.layout.attributes[e.attribute].name);
+            let (vertex, name) =
+                (chunk.first_of_file() + e.vertex as u64, &self.layout.attributes[e.attribute].name);
             let what = format!("vertex {vertex}: {} {} is no number", header::quoted(name), e.word);
             self.source.malformed(what, header::DAMAGED)
         })

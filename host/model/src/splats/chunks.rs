@@ -167,7 +167,7 @@ impl Chunks {
     /// The splats of a chunk, each with the bounds of its chunk of the file.
     fn splats<'c>(&self, chunk: &'c VertexChunk) -> impl Iterator<Item = (&'c [u8], &'c [u8])> {
         let (size, each) = (self.bounds_bytes(), PACKED + self.harmonics);
-        let (first, mut at, mut i) = (chunk.first, 0, 0);
+        let (first, mut at, mut i) = (chunk.first_of_file(), 0, 0);
         std::iter::from_fn(move || {
             let splat = first + i;
             at += if splat.is_multiple_of(CHUNK) { size } else { 0 };

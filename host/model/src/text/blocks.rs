@@ -338,7 +338,7 @@ mod tests {
     fn file(text: &[u8]) -> Source {
         let mut file = tempfile::NamedTempFile::new().unwrap();
         file.write_all(text).unwrap();
-        Source::open(file.path()).unwrap()
+        Source::open(file.path(), None).unwrap()
     }
 
     proptest! {

@@ -159,7 +159,7 @@ mod tests {
     fn source(bytes: &[u8]) -> Source {
         let mut file = tempfile::NamedTempFile::new().unwrap();
         file.write_all(bytes).unwrap();
-        Source::open(file.path()).unwrap()
+        Source::open(file.path(), None).unwrap()
     }
 
     #[test]

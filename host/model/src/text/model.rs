@@ -244,7 +244,7 @@ impl<G: Grammar> TextModel<G> {
     /// The numbers of the first attributes.
     pub(crate) fn read_attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
         to.iter_mut().for_each(Vec::clear);
-        let mut vertex = chunk.first;
+        let mut vertex = chunk.first_of_file();
         for (start, end) in lines(&chunk.raw, G::CONTINUES) {
             let line = &chunk.raw[start..end];
             if !self.grammar.is_vertex(line) {

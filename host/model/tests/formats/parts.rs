@@ -76,7 +76,7 @@ impl Edit for Twist {
 
 fn write_range(model: &dyn Model, normals: Normals, only: Option<PieceRange>, out: &mut Part) -> Twist {
     let edit = Twist::default();
-    model.rewrite(&mut [out], Rewriting { normals, pieces_done: 0, only }, &edit, &Silent).unwrap();
+    model.rewrite(&mut [out], Rewriting { normals, only, ..Rewriting::default() }, &edit, &Silent).unwrap();
     edit
 }
 

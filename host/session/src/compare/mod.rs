@@ -83,6 +83,16 @@ pub fn compare(
     let folder = OutputFolder::create(output)?;
     let cache = Arc::new(Cache::nameless(folder.path()));
     let rest = simod_model::open_with(&file.model, file.columns.as_deref(), &cache, progress)?;
+    if !rest.tiles().is_empty() {
+        return Err(Error::new(
+            ErrorKind::Argument,
+            format!(
+                "{} is a model of several tiles, by which methods are not compared",
+                file.model.display()
+            ),
+            "compare them by one of the tiles",
+        ));
+    }
     let bench = Bench::new(file, plugins, (folder.path(), cache));
     let made = in_folder(file, bench, how.keep_models, &folder, rest.as_ref(), &target, progress);
     let comparison = made.map_err(|e| folder.named(e))?;

@@ -72,7 +72,11 @@ impl Editor {
         };
         let document = Document::new(session.steps.iter().map(up_to_date));
         let session = SessionFile {
-            model: session.model.or_else(|| Some(sampled.source.path.clone())),
+            // The files that were sampled: a pattern may match others as well by now.
+            tiles: sampled.source.tiles.iter().map(|tile| tile.path.clone()).collect(),
+            model: session
+                .model
+                .or_else(|| sampled.source.tiles.is_empty().then(|| sampled.source.path.clone())),
             columns: session.columns.or_else(|| sampled.source.columns.clone()),
             fingerprint: Some(sampled.source.fingerprint.clone()),
             steps: Vec::new(),
@@ -81,8 +85,8 @@ impl Editor {
         let model = session.model.clone();
         let how = Refinements { model, folder, memory_limit: None, time: session.time.time() };
         let (saved, kept) = (Some(document.steps().clone()), document.steps().clone());
+        let opened = session.model.clone().unwrap_or_else(|| sampled.source.path.clone());
         let evaluation = Evaluation::new(Arc::new(sampled), how);
-        let opened = session.model.clone().unwrap_or_else(|| PathBuf::from("session.toml"));
         (Self { session, path, opened, document, plugins, saved, kept }, evaluation)
     }
 

@@ -11,7 +11,7 @@ use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_target, folder_of};
-use simod_model::{Cache, Error, ErrorKind, Model, Normals, Progress, Result, output};
+use simod_model::{Cache, Error, ErrorKind, Model, ModelName, Normals, Progress, Result, output};
 
 use super::emit::{Emit, emit};
 use super::graph::{
@@ -67,6 +67,13 @@ pub fn make(
     check_target(folder)?;
     // What is wrong with the steps is told now.
     let stack = Stack::build(&session.steps, registry)?;
+    if matches!(session.named_model()?, Some(ModelName::Tiles(_))) {
+        return Err(Error::new(
+            ErrorKind::Argument,
+            "a model of several tiles cannot be planned yet: units are ranges of one file",
+            "do it on one machine by `simod run`, or plan a session for each tile by itself",
+        ));
+    }
     let output = canonical_target(output)?;
     if folder.canonicalize().is_ok_and(|folder| output.starts_with(folder)) {
         let what = format!("{} lies in the plan's folder, which is replaced", output.display());

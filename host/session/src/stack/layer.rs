@@ -344,7 +344,7 @@ impl Layer {
                 continue;
             };
             let Frame { origin, scale } = shape.frame;
-            let key = Key::of(0).and(path.as_path()).and(&stamps(path)).and(&points);
+            let key = Key::from_key(0).and(path.as_path()).and(&stamps(path)).and(&points);
             let key = key.and(&origin).and(&scale).end();
             let model = match kept.others.iter().find(|(known, _)| *known == key) {
                 Some((_, model)) => model.clone(),

@@ -305,6 +305,7 @@ fn session_of(sampled: &SampledModel) -> SessionFile {
     let min_opacity = has_opacity.then(|| sampled.sampling.min_opacity.unwrap_or(0.0));
     let sampling =
         Sampling { samples, error, grid: sampled.sampling.grid, place, by, sheets: None, min_opacity };
-    let model = Some(sampled.source.path.clone());
+    // Tiles are those that were sampled.
+    let model = sampled.source.tiles.is_empty().then(|| sampled.source.path.clone());
     SessionFile { model, columns: sampled.source.columns.clone(), sampling, ..SessionFile::default() }
 }

@@ -1,0 +1,184 @@
+//! What a model is rewritten to, which can be gone on with: a file, or a folder with a file for each tile.
+
+use std::path::{Path, PathBuf};
+
+use crate::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
+use crate::resumable_folder::{
+    FinishedFolder, OpenedFolder, ResumableFolder, bytes_in_folder, check_target, is_folder_left,
+};
+use crate::target::{canonical_folder, canonical_target};
+use crate::{Model, Output, Progress, Result};
+
+/// The output of a model, in the making.
+pub enum ResumableOutput {
+    /// Of a model in one file.
+    File(Box<ResumableFile>),
+    /// Of one that is made of several.
+    Folder(Box<ResumableFolder>),
+}
+
+/// What [`ResumableOutput::open`] finds.
+pub enum OpenedOutput {
+    /// There is something to write.
+    Unfinished(ResumableOutput),
+    /// An earlier call wrote all of it, and it stands in its place.
+    Finished(FinishedOutput),
+}
+
+/// What an output is called, and what its files are called in it, if it is a folder.
+#[derive(Debug, Clone)]
+pub struct Place {
+    path: PathBuf,
+    names: Vec<PathBuf>,
+}
+
+impl Place {
+    /// Where a model's output goes: a file, or a folder of tiles.
+    pub fn of(model: &dyn Model, path: &Path) -> Self {
+        let names = model.tiles().iter().map(|tile| tile.name.clone()).collect();
+        Self { path: path.to_owned(), names }
+    }
+
+    /// The one name that all paths to it share.
+    ///
+    /// # Errors
+    /// It cannot be written, or holds what would be lost.
+    pub fn checked(&self) -> Result<PathBuf> {
+        if self.names.is_empty() {
+            return canonical_target(&self.path);
+        }
+        check_target(&self.path, &self.names)?;
+        canonical_folder(&self.path)
+    }
+
+    /// Bytes of it that the disk holds already.
+    pub fn bytes_there(&self, resume: bool) -> u64 {
+        if self.names.is_empty() {
+            bytes_there(&self.path, resume)
+        } else {
+            bytes_in_folder(&self.path, &self.names, resume)
+        }
+    }
+
+    /// Whether an earlier call left something of it.
+    pub fn is_left(&self) -> bool {
+        if self.names.is_empty() { is_left(&self.path) } else { is_folder_left(&self.path, &self.names) }
+    }
+
+    /// Each file of it.
+    pub fn files(&self) -> Vec<PathBuf> {
+        if self.names.is_empty() {
+            return vec![self.path.clone()];
+        }
+        self.names.iter().map(|name| self.path.join(name)).collect()
+    }
+}
+
+impl ResumableOutput {
+    /// Begins an output whose bytes `key` determines: see [`ResumableFile::open`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn open(
+        place: &Place,
+        key: String,
+        resume: bool,
+        part_bytes: u64,
+        progress: &dyn Progress,
+    ) -> Result<OpenedOutput> {
+        let Place { path, names } = place;
+        if names.is_empty() {
+            return Ok(match ResumableFile::open(path, key, resume, part_bytes, progress)? {
+                Opened::Unfinished(file) => OpenedOutput::Unfinished(Self::File(file)),
+                Opened::Finished(file) => OpenedOutput::Finished(FinishedOutput::File(file)),
+            });
+        }
+        Ok(match ResumableFolder::open(path, names, key, resume, part_bytes, progress)? {
+            OpenedFolder::Unfinished(folder) => OpenedOutput::Unfinished(Self::Folder(folder)),
+            OpenedFolder::Finished(folder) => OpenedOutput::Finished(FinishedOutput::Folder(folder)),
+        })
+    }
+
+    /// After how many files, and how many pieces of the next one, work can be gone on with: ascending.
+    pub fn boundaries(&self) -> Vec<(u64, u64)> {
+        match self {
+            Self::File(file) => file.boundaries().map(|pieces| (0, pieces)).collect(),
+            Self::Folder(folder) => folder.boundaries(),
+        }
+    }
+
+    /// Goes on after one of these: see [`ResumableFile::go_on_after`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn go_on_after(&mut self, done: (u64, u64)) -> Result<u64> {
+        match self {
+            Self::File(file) => file.go_on_after(done.1),
+            Self::Folder(folder) => folder.go_on_after(done),
+        }
+    }
+
+    /// What is written to.
+    pub fn as_output(&mut self) -> &mut dyn Output {
+        match self {
+            Self::File(file) => &mut **file,
+            Self::Folder(folder) => &mut **folder,
+        }
+    }
+
+    /// Says that nothing more comes: see [`ResumableFile::complete`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn complete(&mut self, one_of_several: bool) -> Result<()> {
+        match self {
+            Self::File(file) => file.complete(one_of_several),
+            Self::Folder(folder) => folder.complete(),
+        }
+    }
+
+    /// Puts what is complete in its place.
+    ///
+    /// # Errors
+    /// The operating system refuses.
+    pub fn commit(&mut self) -> Result<FinishedOutput> {
+        match self {
+            Self::File(file) => file.commit().map(FinishedOutput::File),
+            Self::Folder(folder) => folder.commit().map(FinishedOutput::Folder),
+        }
+    }
+
+    /// Leaves what is recorded to a later call, if there is anything.
+    pub fn keep(self) {
+        match self {
+            Self::File(file) => file.keep(),
+            Self::Folder(folder) => folder.keep(),
+        }
+    }
+}
+
+/// An output that stands in its place; what a later call would know it by is removed with this.
+pub enum FinishedOutput {
+    /// A file.
+    File(Finished),
+    /// A folder of tiles.
+    Folder(FinishedFolder),
+}
+
+impl FinishedOutput {
+    /// Its size.
+    pub fn bytes(&self) -> u64 {
+        match self {
+            Self::File(file) => file.bytes(),
+            Self::Folder(folder) => folder.bytes(),
+        }
+    }
+
+    /// Leaves it to a later call, that does the rest, to know this.
+    pub fn keep(self) {
+        match self {
+            Self::File(file) => file.keep(),
+            Self::Folder(folder) => folder.keep(),
+        }
+    }
+}
