@@ -562,7 +562,8 @@ path = "out.ply"
             let session = SessionFile { steps: vec![step], ..SessionFile::default() };
             session.to_toml(Path::new("edit.toml"), true).unwrap().0.lines().next().unwrap().to_owned()
         };
-        let deform = |amount| Step::of(Action::Deform(Deformation { amount, ..Deformation::by_plugin("warp") }));
+        let deform =
+            |amount| Step::of(Action::Deform(Deformation { amount, ..Deformation::by_plugin("warp") }));
         assert_eq!(version(deform(1.0)), "version = 1");
         assert_eq!(version(deform(0.0)), "version = 2");
         assert_eq!(version(Step { title: Some("a".to_owned()), ..deform(1.0) }), "version = 2");

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use simod_model::follow::{Follow, Kind};
 use simod_model::{Model, Result};
 
-use crate::session_file::{Source, read_text};
+use crate::session_file::{SessionText, read_text};
 
 /// Behind the name of the model's file, that of its sidecar.
 const SUFFIX: &str = ".follow.toml";
@@ -38,7 +38,7 @@ pub fn follow(model: &mut dyn Model, asked: &Follow) -> Result<Follow> {
     }
     let hint = "write follow = { tangent = \"direction\" } there, or remove it";
     let text = read_text(&path, "declaration of what follows", hint)?;
-    let source = Source { text: &text, path: &path };
+    let source = SessionText { text: &text, path: &path };
     let declared: Sidecar = toml::from_str(&text).map_err(|e| source.refused(&e))?;
     let follow = asked.clone().or_declared(&declared.follow);
     match model.follow(&follow) {
