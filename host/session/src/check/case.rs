@@ -360,7 +360,7 @@ fn other(set: &SampleSet, bounds: &Bounds) -> Other {
         (p + 0.03 * diagonal * DVec3::new((3.0 * p.y).sin(), 0.5, p.x)).to_array()
     };
     let graph = set.neighbours();
-    let triangle = |i: usize| graph.neighbours(i).get(..2).map(|near| [i as u32, near[0], near[1]]);
+    let triangle = |i: usize| graph.nearest_to(i).get(..2).map(|near| [i as u32, near[0], near[1]]);
     Other {
         positions: set.positions.iter().map(moved).collect(),
         normals: bytemuck::cast_slice(set.normals()).to_vec(),

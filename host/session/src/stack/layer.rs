@@ -333,7 +333,7 @@ impl Layer {
     fn other_models(
         &self,
         shape: &RestShape<'_>,
-        kept: &mut Kept,
+        kept: &mut LayerCache,
         progress: &dyn Progress,
     ) -> Result<Vec<(&str, Arc<OtherModel>)>> {
         let mut others = Vec::new();
