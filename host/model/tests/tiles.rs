@@ -1,5 +1,7 @@
 //! Models of several files: read as one, whatever the files are, and rewritten each as if it was alone.
 
+#![allow(clippy::unwrap_used)] // helpers of tests are tests, too
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
