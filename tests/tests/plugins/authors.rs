@@ -257,7 +257,6 @@ fn colours_and_other_attributes_are_those_of_the_model() {
 #[test]
 fn other_models_come_in_the_first_one_s_coordinates() {
     let work = workplace();
-    let rest = work.ply("model.simod/samples.ply").positions();
     let diagonal = work.ply("model.ply").diagonal();
     let to = |file: &str, reach: f64| now(&format!("mode = \"other\", other = \"{file}\", reach = {reach}"));
     let nearest =
