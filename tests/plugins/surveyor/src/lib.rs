@@ -45,7 +45,12 @@ fn other(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Other> {
     let is_unit = |n: &[f32; 3]| (n.iter().map(|x| x * x).sum::<f32>() - 1.0).abs() < 1e-3;
     let is_known = (other.kind == PointsKind::SAMPLES) == (ids.len() == points.len());
     let fits = other.triangles().as_flattened().iter().all(|i| (*i as usize) < points.len());
-    if points.is_empty() || normals.len() != points.len() || !normals.iter().all(is_unit) || !is_known || !fits {
+    if points.is_empty()
+        || normals.len() != points.len()
+        || !normals.iter().all(is_unit)
+        || !is_known
+        || !fits
+    {
         return Err(PluginError::internal("the other model is not as promised"));
     }
     let path = input.params().model("other")?.ok_or_else(|| PluginError::internal("it has no name"))?;
@@ -78,7 +83,9 @@ impl Deformer for Surveyor {
             .summary("Moves samples to where the host says that something is")
             .author("a third party")
             .param_set::<Self>()
-            .param(ParamDesc::model("other", "Other", POINTS).hint("Where samples go that have another model"))
+            .param(
+                ParamDesc::model("other", "Other", POINTS).hint("Where samples go that have another model"),
+            )
             .consumes(consumes)
     }
 
@@ -163,9 +170,9 @@ impl Deformer for Surveyor {
                     let squared = |q: &[f64; 3]| (0..3).map(|k| (p[k] - q[k]) * (p[k] - q[k])).sum::<f64>();
                     let own = other.iter().find(|(.., id)| *id == Some(i as u64));
                     let near = || other.iter().min_by(|a, b| squared(&a.0).total_cmp(&squared(&b.0)));
-                    let to = own.or_else(near).map_or(p, |(q, n, _)| {
-                        std::array::from_fn(|k| q[k] + reach * f64::from(n[k]))
-                    });
+                    let to = own
+                        .or_else(near)
+                        .map_or(p, |(q, n, _)| std::array::from_fn(|k| q[k] + reach * f64::from(n[k])));
                     *out = to.map(|x| x as f32);
                 }
             }
