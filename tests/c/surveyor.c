@@ -192,5 +192,6 @@ static const void *extension(const char *id)
 
 const SimodPlugin simod_plugin_entry = {
     .interface_major = SIMOD_INTERFACE_MAJOR, .interface_minor = SIMOD_INTERFACE_MINOR, .size = sizeof(SimodPlugin),
-    .describe = describe, .prepare = prepare, .drop_state = drop_state, .new_scratch = new_scratch, .drop_scratch = free, .deform = deform, .extension = extension,
+    .describe = describe, .prepare = prepare, .drop_state = drop_state, .new_scratch = new_scratch,
+    .drop_scratch = free, .deform = deform, .extension = extension,
 };

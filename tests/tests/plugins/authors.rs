@@ -265,11 +265,11 @@ fn other_models_come_in_the_first_one_s_coordinates() {
     // A model of more vertices than are taken, elsewhere: samples go to its points, which are on its surface.
     let shifted: String =
         work.ply("model.ply").positions().iter().fold(String::new(), |text, p| {
-            text + &format!("{} {} {}\n", p.x * 1.5 + 4.0, p.y * 1.5, p.z * 1.5)
+            text + &format!("{} {} {}\n", p.x * 1.5 + 0.2, p.y * 1.5, p.z * 1.5)
         });
     work.write("cloud.xyz", shifted);
     let surface: Vec<DVec3> =
-        work.ply("model.ply").positions().iter().map(|p| *p * 1.5 + DVec3::X * 4.0).collect();
+        work.ply("model.ply").positions().iter().map(|p| *p * 1.5 + DVec3::X * 0.2).collect();
     let found = deformed(&work, "", &to("cloud.xyz", 0.0), "");
     let mut places: Vec<String> = found.iter().map(|p| format!("{p:.4}")).collect();
     places.sort();

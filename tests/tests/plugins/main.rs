@@ -3,9 +3,11 @@
 mod artists_tools;
 mod authors;
 mod bad_plugins;
+mod blendshapes;
 mod c_plugins;
 mod control_points;
 mod curve;
+mod elastic;
 mod first_interface;
 mod hostile_plugins;
 mod isolation;

@@ -238,6 +238,11 @@ mod every_rule_is_kept {
     }
 
     #[test]
+    fn by_blendshapes() {
+        keeps_every_rule("blendshapes");
+    }
+
+    #[test]
     fn by_skinning() {
         keeps_every_rule("skinning");
     }

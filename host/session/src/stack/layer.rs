@@ -350,7 +350,7 @@ impl Layer {
                 Some((_, model)) => model.clone(),
                 None => {
                     let read = OtherModel::read(path, points as u64, &shape.frame, shape.folder, progress);
-                    Arc::new(read.map_err(|e| of_model(&d.id, path, e))?)
+                    Arc::new(read.map_err(|e| of_model(self.plugin.id(), &d.id, path, e))?)
                 }
             };
             others.push((key, d.id.as_str(), model));
@@ -560,15 +560,15 @@ impl Layer {
     }
 }
 
-/// An error of another model, with the parameter that names it, and its file.
-fn of_model(param: &str, path: &Path, e: Error) -> Error {
+/// An error of another model, with whose it is, the parameter that names it, and its file.
+fn of_model(plugin: &str, param: &str, path: &Path, e: Error) -> Error {
     if e.kind() == ErrorKind::Cancelled {
         return e;
     }
     let text = e.to_string();
     let name = path.display().to_string();
     let file = if text.contains(&name) { String::new() } else { format!("{name}: ") };
-    e.saying(format!("parameter `{param}`: {file}{text}"))
+    e.saying(format!("{plugin}: parameter `{param}`: {file}{text}"))
 }
 
 /// Some ids of a list that may be long.
