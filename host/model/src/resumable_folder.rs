@@ -409,6 +409,7 @@ mod tests {
             write(&mut folder, last, u64::MAX);
             folder.complete().unwrap();
             let finished = folder.commit().unwrap();
+            drop(folder);
             assert_eq!(finished.bytes(), 90);
             if stopped % 2 == 0 {
                 // Another version is not done yet: this one is known to be.
@@ -436,6 +437,7 @@ mod tests {
         write(&mut folder, (1, 0), u64::MAX);
         folder.complete().unwrap();
         drop(folder.commit().unwrap());
+        drop(folder);
         check(&path);
         // Over the former one, which stays as it was.
         let mut folder = unfinished(&path, false);
