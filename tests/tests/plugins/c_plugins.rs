@@ -86,7 +86,7 @@ fn wrong_tables_are_refused() {
         ("NEEDS_MORE", "needs the input `simod.smell/9`"),
         ("NO_DEFORM", "lacks `describe` or `deform`"),
         ("SMALL_TABLE", "its table has 24 bytes instead of"),
-        ("NEXT_VERSION", "built for plugin interface 2.3, this program has 1.3"),
+        ("NEXT_VERSION", "built for plugin interface 2.4, this program has 1.4"),
         ("NO_EVALUATE", "offers simod.evaluate/1 without the function"),
     ];
     let work = Workplace::new().with_plugins("plugins");
