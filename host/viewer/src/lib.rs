@@ -14,6 +14,7 @@ pub mod command;
 pub mod detail;
 pub mod engine;
 mod gradients;
+pub mod held;
 pub mod motion;
 pub mod navigation;
 pub mod overlay;
@@ -23,6 +24,7 @@ pub mod scene;
 pub mod selection;
 pub mod state;
 mod tint;
+pub mod transform;
 
 pub use camera::Camera;
 pub use command::Command;

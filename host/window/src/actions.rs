@@ -5,7 +5,8 @@ use crate::panels::Palette;
 use crate::settings::Theme;
 use crate::tools::Tool;
 use crate::window::Window;
-use crate::{regions, theme};
+use crate::{regions, steps, theme};
+use eframe::egui::text_selection::LabelSelectionState;
 use eframe::egui::{self, Event, Key, Modifiers};
 use simod_scene::Mode;
 use simod_session::session_file::Role;
@@ -125,6 +126,17 @@ fn has_colors(w: &Window) -> bool {
 
 fn has_triangles(w: &Window) -> bool {
     w.state().scene().is_some_and(|scene| !scene.sampled.triangles.is_empty())
+}
+
+fn has_step(w: &Window) -> bool {
+    w.state().chosen().is_some()
+}
+
+/// Does something with the chosen step.
+fn of_step(w: &mut Window, run: fn(&mut Window, usize)) {
+    if let Some(at) = w.state().chosen() {
+        run(w, at);
+    }
 }
 
 fn is_deformation(w: &Window) -> bool {
@@ -322,9 +334,9 @@ pub const ALL: &[Action] = &[
     })
     .on(|w| w.state().overlay() == Overlay::Difference),
     tool(Tool::Orbit, &[(NONE, Key::Q)], |w| pick(w, Tool::Orbit), |w| w.tools.tool == Tool::Orbit),
-    tool(Tool::Move, &[(NONE, Key::G)], |w| pick(w, Tool::Move), |w| w.tools.tool == Tool::Move),
-    tool(Tool::Rotate, &[(NONE, Key::R)], |w| pick(w, Tool::Rotate), |w| w.tools.tool == Tool::Rotate),
-    tool(Tool::Scale, &[(NONE, Key::S)], |w| pick(w, Tool::Scale), |w| w.tools.tool == Tool::Scale),
+    tool(Tool::Move, &[(NONE, Key::G)], |w| begin(w, Tool::Move), |w| w.tools.tool == Tool::Move),
+    tool(Tool::Rotate, &[(NONE, Key::R)], |w| begin(w, Tool::Rotate), |w| w.tools.tool == Tool::Rotate),
+    tool(Tool::Scale, &[(NONE, Key::S)], |w| begin(w, Tool::Scale), |w| w.tools.tool == Tool::Scale),
     tool(Tool::Brush, &[(NONE, Key::C)], |w| pick(w, Tool::Brush), |w| w.tools.tool == Tool::Brush),
     tool(Tool::Lasso, &[(NONE, Key::L)], |w| pick(w, Tool::Lasso), |w| w.tools.tool == Tool::Lasso),
     tool(Tool::Box, &[(NONE, Key::B)], |w| pick(w, Tool::Box), |w| w.tools.tool == Tool::Box),
@@ -336,7 +348,22 @@ pub const ALL: &[Action] = &[
     ),
     tool(Tool::Stroke, &[(NONE, Key::D)], |w| pick(w, Tool::Stroke), |w| w.tools.tool == Tool::Stroke),
     tool(Tool::Joint, &[(NONE, Key::J)], |w| pick(w, Tool::Joint), |w| w.tools.tool == Tool::Joint),
-    action(Menu::Edit, "Remove the Chosen Step", &[], is_deformation, |w| {
+    action(Menu::Edit, "Rename the Step", &[(NONE, Key::F2)], has_step, |w| of_step(w, steps::rename))
+        .begins(),
+    action(Menu::Edit, "Duplicate the Step", &[(CTRL, Key::D)], has_step, |w| of_step(w, steps::duplicate)),
+    action(Menu::Edit, "Copy the Step", &[(CTRL, Key::C)], has_step, |w| of_step(w, steps::copy)),
+    action(Menu::Edit, "Paste Steps", &[(CTRL, Key::V)], is_open, |w| {
+        w.ctx().send_viewport_cmd(egui::ViewportCommand::RequestPaste);
+    }),
+    action(Menu::Edit, "Only This Step", &[(SHIFT, Key::S)], is_deformation, |w| of_step(w, steps::solo))
+        .on(|w| w.state().chosen().is_some_and(|at| steps::is_alone(w, at))),
+    action(Menu::Edit, "More of the Step", &[(SHIFT, Key::ArrowUp)], is_deformation, |w| {
+        steps::change_amount(w, 0.1);
+    }),
+    action(Menu::Edit, "Less of the Step", &[(SHIFT, Key::ArrowDown)], is_deformation, |w| {
+        steps::change_amount(w, -0.1);
+    }),
+    action(Menu::Edit, "Remove the Chosen Step", &[], has_step, |w| {
         if let Some(at) = w.state().chosen() {
             w.apply(Command::Edit(simod_session::edit::Command::Remove { at }));
         }
@@ -360,6 +387,13 @@ const fn tool(
     action(Menu::Tool, tool.name(), keys, can, run).on(is_on)
 }
 
+/// Takes a tool that moves what is in the hand; in navigation like Blender's, it begins at once.
+fn begin(w: &mut Window, tool: Tool) {
+    pick(w, tool);
+    let at_once = w.settings.navigation().name.starts_with("Blender");
+    w.tools.begins = Some(tool).filter(|_| at_once && w.tools.target.is_some());
+}
+
 fn pick(w: &mut Window, tool: Tool) {
     w.tools.take(tool);
 }
@@ -367,15 +401,35 @@ fn pick(w: &mut Window, tool: Tool) {
 /// Does what the keys say that were just pressed.
 pub fn keys(window: &mut Window) {
     let ctx = window.ctx().clone();
-    if ctx.egui_wants_keyboard_input() || window.is_asking() {
+    if ctx.egui_wants_keyboard_input() || window.is_asking() || window.tools.transforming.is_some() {
         return;
     }
+    clipboard(window);
     for action in ALL {
         if action.keys.iter().any(|keys| take_key(&ctx, keys)) && (action.can)(window) {
             (action.run)(window);
             if window.is_asking() {
                 return;
             }
+        }
+    }
+}
+
+/// Copies and pastes where the system says so: it keeps the keys for it to itself.
+fn clipboard(window: &mut Window) {
+    let ctx = window.ctx().clone();
+    // What is selected of a label is what is meant first.
+    let selects_text = ctx.plugin::<LabelSelectionState>().lock().has_selection();
+    let is_of_it = |event: &Event| match event {
+        Event::Copy => !selects_text,
+        event => matches!(event, Event::Paste(_)),
+    };
+    let events: Vec<Event> = ctx.input_mut(|i| i.events.extract_if(.., |event| is_of_it(event)).collect());
+    for event in events {
+        match event {
+            Event::Copy => of_step(window, steps::copy),
+            Event::Paste(text) if is_open(window) => steps::paste(window, text),
+            _ => {}
         }
     }
 }

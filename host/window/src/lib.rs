@@ -22,6 +22,7 @@ mod regions;
 pub mod screenshot;
 mod settings;
 mod start;
+mod steps;
 mod theme;
 mod tools;
 pub mod turntable;

@@ -5,6 +5,7 @@ use crate::in_turn::InTurn;
 use crate::panels::{Cause, Palette, Prompt, Report, Toasts};
 use crate::screenshot::mode_of;
 use crate::settings::Settings;
+use crate::steps::Renaming;
 use crate::tools::Tools;
 use crate::turntable::Turning;
 use crate::{example, theme};
@@ -134,6 +135,8 @@ pub struct Window {
     pub report: Option<Report>,
     /// The list of keys, while it is read.
     pub shows_keys: bool,
+    /// A step whose name is being typed.
+    pub renaming: Option<Renaming>,
     /// A path that is typed, where the system has no dialogs.
     pub prompt: Option<Prompt>,
     /// To be answered first.
@@ -184,6 +187,7 @@ impl Window {
             palette: None,
             report: None,
             shows_keys: false,
+            renaming: None,
             prompt: None,
             question: None,
             chooser: dialogs::system(),

@@ -41,14 +41,52 @@ fn options(ui: &mut Ui, rect: Rect, window: &mut Window) {
     let builder = UiBuilder::new().max_rect(area).layout(Layout::left_to_right(Align::Min));
     ui.scope_builder(builder, |ui| {
         card(ui).show(ui, |ui| {
-            ui.horizontal(|ui| {
-                if window.tools.tool == Tool::Stroke { stroke(ui, window) } else { selecting(ui, window) }
+            ui.horizontal(|ui| match window.tools.tool {
+                Tool::Stroke => stroke(ui, window),
+                tool if tool.is_gizmo() => moving(ui, window),
+                _ => selecting(ui, window),
             });
         });
     });
 }
 
+/// Of handles that a plugin placed: how many are in the hand, and how far others go along.
+fn moving(ui: &mut Ui, window: &mut Window) {
+    let Some((_, step, ..)) = window.chosen() else { return };
+    let count = window.tools.handles(step).len();
+    let text = if count == 1 { "1 handle".to_owned() } else { format!("{count} handles") };
+    ui.label(text).on_hover_text("Shift and a click takes another one besides; so does a box (B)");
+    ui.separator();
+    ui.spacing_mut().slider_width = 110.0;
+    ui.label("Falloff");
+    let slider = Slider::new(&mut window.tools.reach, 0.0..=0.5).max_decimals(3);
+    let response = ui.add(slider).on_hover_text(
+        "Handles within this part of the model\u{2019}s diagonal go along, the less the farther they are; none at 0",
+    );
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Falloff around handles"));
+}
+
+/// Whether a box chooses samples or handles, where the step has handles.
+fn what_is_boxed(ui: &mut Ui, window: &mut Window) {
+    let has_handles = window.chosen().is_some_and(|(step, ..)| !window.state().handles(step).is_empty());
+    if window.tools.tool != Tool::Box || !has_handles {
+        window.tools.boxes_handles &= has_handles;
+        return;
+    }
+    for (handles, name, hint) in [
+        (false, "Samples", "The box selects samples"),
+        (true, "Handles", "The box takes handles of the step into the hand"),
+    ] {
+        let button = Button::selectable(window.tools.boxes_handles == handles, name);
+        if ui.add(button).on_hover_text(hint).clicked() {
+            window.tools.boxes_handles = handles;
+        }
+    }
+    ui.separator();
+}
+
 fn selecting(ui: &mut Ui, window: &mut Window) {
+    what_is_boxed(ui, window);
     let tools = &mut window.tools;
     for (combine, name, hint) in [
         (Combine::Replace, "Replace", "What is pointed at is the selection"),

@@ -1,24 +1,25 @@
 //! The chosen step's parameters, made of their descriptions alone.
 
-use super::side;
+use super::parts;
 use crate::dialogs::Purpose;
 use crate::widgets::parameter::{self, Asked};
 use crate::window::Window;
 use eframe::egui::{CollapsingHeader, RichText, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::edit::Change;
+use simod_session::session_file::Deformation;
 use simod_viewer::Command;
 
 /// The parameters.
 pub fn show(ui: &mut Ui, window: &mut Window) {
     let Some((step, _, deformation, plugin)) = window.chosen() else { return };
-    side::part(ui);
+    parts::part(ui);
     let Some(plugin) = plugin else {
-        side::heading(ui, &deformation.deform, |_| ());
+        parts::heading(ui, &deformation.deform, |_| ());
         ui.label(format!("The plugin `{}` is not there; the step stays as it is.", deformation.deform));
         return;
     };
-    side::heading(ui, plugin.name(), |ui| {
+    parts::heading(ui, plugin.name(), |ui| {
         let can_reset = !deformation.params.is_empty();
         let reset = ui.add_enabled(can_reset, eframe::egui::Button::new("Reset All").small());
         if reset.on_hover_text("All parameters get their defaults").clicked() {
@@ -31,6 +32,7 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
         ui.label(RichText::new(plugin.summary()).weak().small()).on_hover_text(super::menu::about(&plugin));
         ui.add_space(4.0);
     }
+    amount(ui, window, step, &deformation);
     if plugin.params().is_empty() {
         ui.label(RichText::new("It has no parameters.").weak());
     }
@@ -54,6 +56,31 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
         } else {
             CollapsingHeader::new(RichText::new(group)).default_open(true).show_unindented(ui, show);
         }
+    }
+}
+
+/// How much of the step is done.
+fn amount(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation) {
+    let Some(scene) = window.state().scene().cloned() else { return };
+    let desc = ParamDesc::float("step-amount", "Amount", 1.0)
+        .hint("How much of the step is done: 0 leaves all at rest, 1 is the whole deformation")
+        .hard(0.0, 1.0)
+        .soft(0.0, 1.0);
+    let value = Some(toml::Value::Float(deformation.amount)).filter(|_| deformation.amount != 1.0);
+    let to = |value: Option<toml::Value>| {
+        let amount = value.as_ref().map_or(1.0, |value| parameter::number_of(&desc, Some(value)));
+        Change::SetAmount(amount.clamp(0.0, 1.0))
+    };
+    match parameter::show(ui, &desc, value.as_ref(), &scene.sampled.bounds) {
+        Some(Asked::Set(value)) => _ = window.change(step, to(value), false),
+        Some(Asked::Drag(value)) => _ = window.change(step, to(Some(value)), true),
+        Some(Asked::Rest(last)) => {
+            if last.is_some() {
+                window.change(step, to(last), true);
+            }
+            window.apply(Command::Rest);
+        }
+        Some(Asked::File) | None => {}
     }
 }
 

@@ -1,6 +1,6 @@
-//! The chosen step's regions, handles, joints and strokes; and the selection, of which regions are made.
+//! The chosen step's regions, handles and joints; and the selection, of which regions are made.
 
-use super::{count, side};
+use super::{count, parts};
 use crate::regions as make;
 use crate::theme;
 use crate::tools::{Target, Tool};
@@ -20,8 +20,8 @@ const ROLES: [Role; 3] = [Role::Fixed, Role::Handle, Role::Mask];
 pub fn show(ui: &mut Ui, window: &mut Window) {
     let chosen = window.chosen();
     if let Some((step, _, deformation, Some(plugin))) = &chosen {
-        side::part(ui);
-        side::heading(ui, "Regions", |_| ());
+        parts::part(ui);
+        parts::heading(ui, "Regions", |_| ());
         let text = "It acts on the whole model. A mask keeps it to a part.";
         if deformation.regions.is_empty() && plugin.consumes().min_handles == 0 {
             ui.label(RichText::new(text).weak());
@@ -34,7 +34,6 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
     if let Some((step, _, deformation, _)) = chosen {
         handle(ui, window, step, &deformation);
         joints(ui, window, step, &deformation);
-        strokes(ui, &deformation);
     }
 }
 
@@ -98,18 +97,13 @@ fn falloff(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformat
     let Some(scene) = window.state().scene() else { return };
     let size = (scene.sampled.bounds.max - scene.sampled.bounds.min).length();
     ui.label(RichText::new("Falloff").small());
-    // While it is dragged it is the panel's own: regions change at once, not with each picture.
     let id = ui.scope_id().with(("falloff", i));
-    let held = ui.data(|data| data.get_temp::<f64>(id));
-    let mut falloff = held.unwrap_or(deformation.regions[i].shapes.falloff);
-    let drag = DragValue::new(&mut falloff).range(0.0..=size).speed(0.001 * size).max_decimals(4);
-    let response = ui.add(drag);
     let name = format!("Falloff of region {}", i + 1);
-    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(name.as_str()));
-    if response.dragged() {
-        ui.data_mut(|data| data.insert_temp(id, falloff));
-    } else if held.is_some() || response.changed() {
-        ui.data_mut(|data| data.remove::<f64>(id));
+    let falloff = deformation.regions[i].shapes.falloff;
+    let (response, changed) = parts::held(ui, id, &name, falloff, |x| {
+        DragValue::new(x).range(0.0..=size).speed(0.001 * size).max_decimals(4)
+    });
+    if let Some(falloff) = changed {
         let mut regions = deformation.regions.clone();
         regions[i].shapes.falloff = falloff;
         window.change(step, Change::SetRegions(regions), false);
@@ -174,8 +168,8 @@ fn selection(ui: &mut Ui, window: &mut Window) {
     if selected == 0 {
         return;
     }
-    side::part(ui);
-    side::heading(ui, &format!("Selection: {} samples", count(selected as u64)), |_| ());
+    parts::part(ui);
+    parts::heading(ui, &format!("Selection: {} samples", count(selected as u64)), |_| ());
     ui.horizontal_wrapped(|ui| {
         for role in ROLES {
             let text = format!("Make {}", theme::role_name(role));
@@ -205,8 +199,8 @@ fn handle(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
             (format!("Handle {id}"), moved.map_or(Motion::default(), |moved| moved.motion))
         }
     };
-    side::part(ui);
-    side::heading(ui, &name, |ui| {
+    parts::part(ui);
+    parts::heading(ui, &name, |ui| {
         if ui.small_button("Reset").on_hover_text("Back to where it is at rest").clicked() {
             crate::tools::gizmo::reset(window);
         }
@@ -253,8 +247,8 @@ fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
     if deformation.joints.is_empty() {
         return;
     }
-    side::part(ui);
-    side::heading(ui, "Joints", |_| ());
+    parts::part(ui);
+    parts::heading(ui, "Joints", |_| ());
     for (i, joint) in deformation.joints.iter().enumerate() {
         ui.horizontal(|ui| {
             let chosen = window.tools.target == Some(Target::Handle(joint.id.clone()));
@@ -282,16 +276,4 @@ fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
             });
         });
     }
-}
-
-fn strokes(ui: &mut Ui, deformation: &Deformation) {
-    if deformation.strokes.is_empty() {
-        return;
-    }
-    side::part(ui);
-    let text = match deformation.strokes.len() {
-        1 => "1 brush stroke".to_owned(),
-        n => format!("{n} brush strokes"),
-    };
-    ui.label(RichText::new(text).weak()).on_hover_text("Undo takes the last one back");
 }

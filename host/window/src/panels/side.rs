@@ -1,8 +1,8 @@
 //! The panel at the right: the steps, and what the chosen one is made of.
 
-use super::{parameters, regions, steps};
+use super::{parameters, refinement, regions, steps, strokes};
 use crate::window::Window;
-use eframe::egui::{Frame, Margin, Panel, RichText, ScrollArea, Ui};
+use eframe::egui::{Frame, Margin, Panel, ScrollArea, Ui};
 
 /// The panel.
 pub fn show(ui: &mut Ui, window: &mut Window) {
@@ -13,24 +13,10 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
             Frame::NONE.inner_margin(Margin { left: 0, right: 12, top: 0, bottom: 8 }).show(ui, |ui| {
                 steps::show(ui, window);
                 parameters::show(ui, window);
+                refinement::show(ui, window);
                 regions::show(ui, window);
+                strokes::show(ui, window);
             });
         });
     });
-}
-
-/// The heading of a part of the panel.
-pub fn heading(ui: &mut Ui, text: &str, right: impl FnOnce(&mut Ui)) {
-    ui.horizontal(|ui| {
-        ui.label(RichText::new(text).strong().size(14.0));
-        ui.with_layout(eframe::egui::Layout::right_to_left(eframe::egui::Align::Center), right);
-    });
-    ui.add_space(2.0);
-}
-
-/// Space and a line between two parts.
-pub fn part(ui: &mut Ui) {
-    ui.add_space(8.0);
-    ui.separator();
-    ui.add_space(4.0);
 }

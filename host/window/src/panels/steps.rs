@@ -1,13 +1,14 @@
 //! The list of steps, and how each fares.
 
-use super::{count, menu, number, side};
+use super::{count, menu, number, parts};
 use crate::regions;
+use crate::steps::{self, Renaming};
 use crate::theme;
 use crate::window::Window;
 use crate::wording::in_window;
 use eframe::egui::{
-    self, Align, Align2, Button, Color32, CornerRadius, CursorIcon, FontId, Frame, LayerId, Layout, Margin,
-    Order, Response, RichText, Sense, Spinner, Stroke, Ui, UiBuilder, vec2,
+    self, Align, Align2, Button, Color32, CornerRadius, CursorIcon, FontId, Frame, Key, LayerId, Layout,
+    Margin, Order, Response, RichText, Sense, Spinner, Stroke, TextEdit, Ui, UiBuilder, vec2,
 };
 use simod_core::refinement::Finer;
 use simod_session::edit::{self, Change, Entry, Status, StepId};
@@ -16,7 +17,7 @@ use simod_viewer::Command;
 
 /// The list.
 pub fn show(ui: &mut Ui, window: &mut Window) {
-    side::heading(ui, "Steps", |ui| {
+    parts::heading(ui, "Steps", |ui| {
         ui.menu_button("+ Add Step", |ui| {
             ui.set_min_width(240.0);
             menu::add_step(ui, window, None);
@@ -109,17 +110,42 @@ fn content(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: us
         let text = RichText::new(name);
         let text = if entry.step.enabled { text.strong() } else { text.weak() };
         let label = Button::new(text).frame(false).truncate();
+        let renamed = window.renaming.take_if(|renaming| renaming.id == entry.id);
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
             more(ui, window, at, entry, count);
             state(ui, window, at);
             ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
-                if ui.add(label).clicked() {
+                if let Some(renaming) = renamed {
+                    rename(ui, window, at, renaming);
+                    return;
+                }
+                let label = ui.add(label);
+                if label.double_clicked() {
+                    steps::rename(window, at);
+                } else if label.clicked() {
                     choose(window, at, chosen);
                 }
             });
         });
     });
     messages(ui, window, entry);
+}
+
+/// A name that is typed, until Enter or Escape, or a click elsewhere.
+fn rename(ui: &mut Ui, window: &mut Window, at: usize, mut renaming: Renaming) {
+    let edit = TextEdit::singleline(&mut renaming.text).desired_width(f32::INFINITY);
+    let response = ui.add(edit.hint_text("as its plugin"));
+    let name = format!("Name of step {}", at + 1);
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(name.as_str()));
+    if std::mem::take(&mut renaming.begins) {
+        response.request_focus();
+    }
+    if !response.lost_focus() {
+        window.renaming = Some(renaming);
+    } else if !ui.input(|i| i.key_pressed(Key::Escape)) {
+        let title = Some(renaming.text.trim().to_owned()).filter(|title| !title.is_empty());
+        window.change(at, Change::SetTitle(title), false);
+    }
 }
 
 fn choose(window: &mut Window, at: usize, chosen: bool) {
@@ -130,6 +156,9 @@ fn choose(window: &mut Window, at: usize, chosen: bool) {
 
 /// What the user calls it.
 fn title(window: &Window, entry: &Entry) -> String {
+    if let Some(title) = &entry.step.title {
+        return title.clone();
+    }
     match &entry.step.action {
         Action::Deform(d) => {
             window.state().plugins().get(&d.deform).map_or_else(|_| d.deform.clone(), |p| p.name().to_owned())
@@ -161,10 +190,20 @@ fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize
                 ui.close();
             }
         }
-        if ui.button("Duplicate").clicked() {
-            let step = Box::new((*entry.step).clone());
-            window.apply(Command::Edit(edit::Command::Add { at: at + 1, step }));
-            ui.close();
+        ui.separator();
+        type Done = fn(&mut Window, usize);
+        let others: [(&str, bool, Done); 5] = [
+            ("Rename\u{2026}", true, steps::rename),
+            ("Duplicate", true, steps::duplicate),
+            ("Copy", true, steps::copy),
+            ("Paste Behind", true, steps::ask_to_paste),
+            (steps::solo_name(window, at), entry.step.deformation().is_some(), steps::solo),
+        ];
+        for (name, can, run) in others {
+            if ui.add_enabled(can, Button::new(name)).clicked() {
+                run(window, at);
+                ui.close();
+            }
         }
         ui.separator();
         if ui.button("Remove").clicked() {

@@ -1,13 +1,16 @@
 //! Arrows and rings that move a handle: a region's, or one that the plugin placed.
 
+use super::transform::held;
 use super::{Target, Tool};
 use crate::viewport::Canvas;
 use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Pos2, Rgba, epaint};
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 use simod_session::Motion;
-use simod_session::edit::Change;
+use simod_session::edit::{Change, StepId};
+use simod_session::session_file::HandleMove;
 use simod_viewer::Command;
+use simod_viewer::held::Held;
 use simod_viewer::motion::{PlacedHandle, handle_matrix, motion_of};
 use transform_gizmo::math::{Pos2 as GizmoPos, Rect as GizmoRect, Transform};
 use transform_gizmo::{EnumSet, GizmoConfig, GizmoInteraction, GizmoMode, GizmoOrientation, GizmoVisuals};
@@ -18,8 +21,10 @@ const SNAP_DEGREES: f32 = 15.0;
 const SNAP_DISTANCE: f32 = 0.05;
 
 /// What the gizmo moves.
-struct Place {
+#[derive(Clone)]
+pub struct Place {
     step: usize,
+    id: StepId,
     target: Target,
     /// Where it is: model coordinates.
     matrix: DAffine3,
@@ -27,13 +32,31 @@ struct Place {
     can: simod_plugin_api::Gizmo,
 }
 
+#[derive(Clone)]
 enum Kind {
     Region { pivot: DVec3 },
     Handle(PlacedHandle),
 }
 
+/// Several handles, as they were when the hand took them, and where the gizmo was.
+pub struct Several {
+    held: Held,
+    from: DAffine3,
+}
+
+impl Several {
+    /// How they go along with the gizmo.
+    fn change_to(&self, matrix: DAffine3) -> Option<Change> {
+        let map = matrix * self.from.inverse();
+        let pivot = self.held.pivot();
+        let there = DAffine3 { translation: map.transform_point3(pivot), ..map };
+        self.held.moved(&motion_of(there, pivot)?).map(Change::MoveHandles)
+    }
+}
+
 impl Place {
-    fn of(window: &mut Window) -> Option<Self> {
+    /// That of what is in the hand, if anything is.
+    pub fn of(window: &mut Window) -> Option<Self> {
         let (step, id, deformation, _) = window.chosen()?;
         let target = window.tools.target.clone()?;
         let all = simod_plugin_api::Gizmo(!0);
@@ -48,18 +71,39 @@ impl Place {
                 };
                 window.tools.pivot = Some((id, *region, pivot));
                 let matrix = handle_matrix(&motion, pivot);
-                Some(Self { step, target, matrix, kind: Kind::Region { pivot }, can: all })
+                Some(Self { step, id, target, matrix, kind: Kind::Region { pivot }, can: all })
             }
-            Target::Handle(id) => {
+            Target::Handle(handle) => {
                 let (desc, placed) =
-                    window.state().handles(step).into_iter().find(|(desc, _)| desc.id == id.as_str())?;
+                    window.state().handles(step).into_iter().find(|(desc, _)| desc.id == handle.as_str())?;
                 let (matrix, can) = (placed.matrix(), desc.gizmo);
-                Some(Self { step, target, matrix, kind: Kind::Handle(placed), can })
+                Some(Self { step, id, target, matrix, kind: Kind::Handle(placed), can })
             }
         }
     }
 
-    fn change_to(&self, matrix: DAffine3) -> Option<Change> {
+    /// What it is.
+    pub fn target(&self) -> &Target {
+        &self.target
+    }
+
+    /// Where it is: model coordinates.
+    pub fn matrix(&self) -> DAffine3 {
+        self.matrix
+    }
+
+    /// Others that move along, as they are now, if any do.
+    fn several(&self, window: &Window) -> Option<Several> {
+        let tools = &window.tools;
+        let alone = tools.reach == 0.0 && tools.handles(self.id).len() < 2;
+        if alone || !matches!(self.kind, Kind::Handle(_)) {
+            return None;
+        }
+        Some(Several { held: held(window, self.step, self.id)?, from: self.matrix })
+    }
+
+    /// What it takes for its gizmo to be there.
+    pub fn change_to(&self, matrix: DAffine3) -> Option<Change> {
         Some(match (&self.kind, &self.target) {
             (Kind::Region { pivot }, Target::Region(region)) => {
                 Change::MoveRegion { region: *region, motion: motion_of(matrix, *pivot)? }
@@ -131,7 +175,14 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     canvas.painter().add(mesh);
     if let Some((_, to)) = moved {
         let matrix = to.first().and_then(|to| affine(to, |p| frame.to_model_exact(p)));
-        if let Some(change) = matrix.and_then(|matrix| place.change_to(matrix)) {
+        if !window.tools.dragging {
+            window.tools.several = place.several(window);
+        }
+        let change = matrix.and_then(|matrix| match &window.tools.several {
+            Some(several) => several.change_to(matrix),
+            None => place.change_to(matrix),
+        });
+        if let Some(change) = change {
             window.tools.dragging = true;
             window.change(place.step, change, true);
         }
@@ -150,7 +201,10 @@ pub fn reset(window: &mut Window) {
         (Kind::Region { pivot }, Target::Region(region)) => {
             Change::MoveRegion { region, motion: Motion { pivot: Some(*pivot), ..Motion::default() } }
         }
-        (_, Target::Handle(id)) => Change::MoveHandle { id, motion: Motion::default() },
+        (_, Target::Handle(_)) => {
+            let still = |id| HandleMove { id, motion: Motion::default() };
+            Change::MoveHandles(window.tools.handles(place.id).into_iter().map(still).collect())
+        }
         _ => return,
     };
     window.change(place.step, change, false);

@@ -4,6 +4,7 @@ pub mod gizmo;
 mod joint;
 mod select;
 mod stroke;
+pub mod transform;
 
 use crate::viewport::Canvas;
 use crate::window::Window;
@@ -11,6 +12,8 @@ use eframe::egui::{CursorIcon, Key, Modifiers};
 use glam::DVec3;
 use simod_session::edit::StepId;
 use simod_viewer::selection::Combine;
+use std::collections::BTreeSet;
+use transform::Transforming;
 
 /// What is in the hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -103,6 +106,15 @@ pub struct Tools {
     pub tool: Tool,
     /// What the gizmo moves.
     pub target: Option<Target>,
+    /// Other handles of a step that are chosen besides a target; of no use once another one is.
+    others: Option<(StepId, Target, BTreeSet<String>)>,
+    /// Within which part of the model's diagonal handles go along with those that are moved; none at 0.
+    pub reach: f64,
+    /// Whether a box chooses handles instead of samples.
+    pub boxes_handles: bool,
+    /// A motion by keys that shall begin with the next picture, and one that is going on.
+    pub begins: Option<Tool>,
+    pub transforming: Option<Transforming>,
     /// What a selection does to the former one, if no key says otherwise.
     pub combine: Combine,
     /// Whether only what is seen is selected.
@@ -123,8 +135,9 @@ pub struct Tools {
     gizmo: transform_gizmo::Gizmo,
     /// About what the gizmo's region turns.
     pivot: Option<(StepId, usize, DVec3)>,
-    /// Whether the gizmo moves something just now.
+    /// Whether the gizmo moves something just now, and what moves along.
     dragging: bool,
+    several: Option<gizmo::Several>,
 }
 
 impl Default for Tools {
@@ -132,6 +145,11 @@ impl Default for Tools {
         Self {
             tool: Tool::Orbit,
             target: None,
+            others: None,
+            reach: 0.0,
+            boxes_handles: false,
+            begins: None,
+            transforming: None,
             combine: Combine::Replace,
             visible: true,
             radius: 30.0,
@@ -144,6 +162,7 @@ impl Default for Tools {
             gizmo: transform_gizmo::Gizmo::default(),
             pivot: None,
             dragging: false,
+            several: None,
         }
     }
 }
@@ -158,18 +177,50 @@ impl Tools {
     /// Another model: nothing is held any more.
     pub fn reset(&mut self) {
         (self.target, self.pivot, self.plane) = (None, None, None);
+        (self.others, self.transforming, self.begins) = (None, None, None);
         self.path.clear();
         (self.dragging, self.painting) = (false, false);
     }
 
     /// Whether something is being dragged.
     pub fn is_dragging(&self) -> bool {
-        self.dragging || self.painting || self.plane.is_some() || !self.path.is_empty()
+        self.transforming.is_some()
+            || self.dragging
+            || self.painting
+            || self.plane.is_some()
+            || !self.path.is_empty()
     }
 
     /// Whether options of the tool are shown over the picture.
     pub fn has_options(&self) -> bool {
-        self.tool.selects() || self.tool == Tool::Stroke
+        let moves = self.tool.is_gizmo() && matches!(self.target, Some(Target::Handle(_)));
+        self.tool.selects() || self.tool == Tool::Stroke || moves
+    }
+
+    /// The handles of the chosen step that its plugin placed and that are in the hand.
+    pub fn handles(&self, step: StepId) -> BTreeSet<String> {
+        let Some(Target::Handle(id)) = &self.target else { return BTreeSet::new() };
+        let known = self
+            .others
+            .as_ref()
+            .filter(|(of, target, _)| *of == step && self.target.as_ref() == Some(target));
+        let others = known.map(|(.., others)| others.clone()).unwrap_or_default();
+        others.into_iter().chain([id.clone()]).collect()
+    }
+
+    /// Takes handles into the hand, the gizmo at the `first` of them.
+    pub fn take_handles(&mut self, step: StepId, first: Option<String>, mut all: BTreeSet<String>) {
+        let first = first.or_else(|| all.first().cloned());
+        self.target = first.map(Target::Handle);
+        if let Some(Target::Handle(id)) = &self.target {
+            all.remove(id);
+        }
+        self.others = self.target.clone().map(|target| (step, target, all));
+    }
+
+    /// Whether a box chooses handles just now.
+    pub fn picks_handles(&self) -> bool {
+        self.tool == Tool::Box && self.boxes_handles
     }
 
     /// What a selection does with these keys held.
@@ -190,6 +241,12 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
         let steps = size(Key::CloseBracket) - size(Key::OpenBracket);
         window.tools.radius = (window.tools.radius * 1.2_f32.powi(steps)).clamp(2.0, 400.0);
         window.tools.stroke_radius = (window.tools.stroke_radius * 1.2_f64.powi(steps)).clamp(1e-3, 1.0);
+    }
+    if let Some(tool) = window.tools.begins.take().filter(|_| canvas.is_hovered()) {
+        transform::begin(canvas, window, tool);
+    }
+    if window.tools.transforming.is_some() && transform::update(canvas, window) {
+        return true;
     }
     match window.tools.tool {
         Tool::Orbit => false,

@@ -2,12 +2,13 @@
 
 use super::Tool;
 use crate::theme;
-use crate::viewport::Canvas;
+use crate::viewport::{Canvas, handles};
 use crate::window::Window;
 use eframe::egui::{Color32, Pos2, Rect, Shape, Stroke, StrokeKind};
 use simod_viewer::Command;
 use simod_viewer::command::Area;
 use simod_viewer::selection::Combine;
+use std::collections::BTreeSet;
 
 /// Points of a lasso are so far apart at least, in pixels.
 const SPACING: f64 = 3.0;
@@ -36,7 +37,11 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     if !window.tools.path.is_empty() {
         follow(canvas, window, combine);
         if !canvas.is_down() {
-            finish(window, combine);
+            if window.tools.picks_handles() {
+                choose(canvas, window, combine);
+            } else {
+                finish(window, combine);
+            }
         }
     }
     draw(canvas, window);
@@ -68,6 +73,26 @@ fn paint(canvas: &Canvas<'_>, window: &mut Window, path: Vec<[f64; 2]>, combine:
     let radius = canvas.pixels(window.tools.radius);
     let visible = window.tools.visible;
     window.apply(Command::Select { area: Area::Brush { path, radius }, combine, visible, goes_on });
+}
+
+/// The handles in the box are chosen, and can be moved.
+fn choose(canvas: &Canvas<'_>, window: &mut Window, combine: Combine) {
+    let path = std::mem::take(&mut window.tools.path);
+    let Some((_, step, ..)) = window.chosen() else { return };
+    let before = window.tools.handles(step);
+    let there: BTreeSet<String> = match path.as_slice() {
+        [from, to] => {
+            let [from, to] = [from, to].map(|p| canvas.at((*p).into()));
+            handles::within(canvas, window, Rect::from_two_pos(from, to))
+        }
+        _ => BTreeSet::new(),
+    };
+    let chosen = match combine {
+        Combine::Replace => there,
+        Combine::Add => &before | &there,
+        Combine::Subtract => &before - &there,
+    };
+    window.tools.take_handles(step, None, chosen);
 }
 
 fn finish(window: &mut Window, combine: Combine) {

@@ -6,14 +6,14 @@ use crate::theme;
 use crate::tools::{Target, Tool};
 use crate::widgets::parameter::{number_of, vector_of};
 use crate::window::Window;
-use eframe::egui::{Color32, CursorIcon, Pos2, Shape, Stroke, pos2};
+use eframe::egui::{Color32, CursorIcon, Pos2, Rect, Shape, Stroke, pos2};
 use glam::DVec3;
 use simod_plugin_api::{ParamDesc, ParamKind, Unit};
 use simod_session::edit::Change;
 use simod_session::session_file::Role;
 use simod_viewer::Command;
 use simod_viewer::motion::handle_matrix;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 /// How near the pointer has to be, in points.
 const REACH: f32 = 11.0;
@@ -60,8 +60,9 @@ fn dots(canvas: &Canvas<'_>, window: &Window) -> Vec<Dot> {
     dots
 }
 
-fn is_shown(tool: Tool) -> bool {
-    !tool.selects() && tool != Tool::Stroke
+fn is_shown(window: &Window) -> bool {
+    let tool = window.tools.tool;
+    !tool.selects() && tool != Tool::Stroke || window.tools.picks_handles()
 }
 
 fn nearest<'a>(canvas: &Canvas<'_>, dots: &'a [Dot]) -> Option<&'a Dot> {
@@ -72,9 +73,10 @@ fn nearest<'a>(canvas: &Canvas<'_>, dots: &'a [Dot]) -> Option<&'a Dot> {
 
 /// Draws them.
 pub fn draw(canvas: &Canvas<'_>, window: &Window) {
-    if !is_shown(window.tools.tool) {
+    if !is_shown(window) {
         return;
     }
+    let in_hand = window.chosen().map(|(_, step, ..)| window.tools.handles(step)).unwrap_or_default();
     let dots = dots(canvas, window);
     let painter = canvas.painter();
     let hovered = nearest(canvas, &dots).map(|dot| dot.target.clone());
@@ -87,7 +89,8 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
         .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], dot| [a.min(dot.depth), b.max(dot.depth)]);
     let many = dots.len() > 200;
     for dot in &dots {
-        let chosen = window.tools.target.as_ref() == Some(&dot.target);
+        let is_held = matches!(&dot.target, Target::Handle(id) if in_hand.contains(id));
+        let chosen = is_held || window.tools.target.as_ref() == Some(&dot.target);
         let hovered = hovered.as_ref() == Some(&dot.target);
         // What is farther is fainter.
         let far = ((dot.depth - nearest) / (farthest - nearest).max(1e-9)) as f32;
@@ -161,12 +164,32 @@ pub fn take(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     };
     let found = target.is_some();
     if found {
-        window.tools.target = target;
+        take_also(canvas, window, target);
         if window.tools.tool == Tool::Orbit {
             window.tools.take(Tool::Move);
         }
     }
     found
+}
+
+/// Takes it instead of what is in the hand; with Shift besides, or no more if it is in the hand.
+fn take_also(canvas: &Canvas<'_>, window: &mut Window, target: Option<Target>) {
+    let (Some(Target::Handle(id)), Some((_, step, ..))) = (&target, window.chosen()) else {
+        window.tools.target = target;
+        return;
+    };
+    let mut all = if canvas.modifiers().shift { window.tools.handles(step) } else { BTreeSet::new() };
+    let first = if all.remove(id) { None } else { Some(id.clone()) };
+    window.tools.take_handles(step, first, all);
+}
+
+/// The handles that the chosen step's plugin placed and that are seen in a part of the picture.
+pub fn within(canvas: &Canvas<'_>, window: &Window, rect: Rect) -> BTreeSet<String> {
+    let id = |dot: Dot| match dot.target {
+        Target::Handle(id) if rect.contains(dot.at) => Some(id),
+        _ => None,
+    };
+    dots(canvas, window).into_iter().filter_map(id).collect()
 }
 
 fn region_under(canvas: &Canvas<'_>, window: &mut Window) -> Option<Target> {
@@ -246,7 +269,7 @@ impl Axis {
 
 /// Draws the axis along which the chosen step works, with its planes.
 pub fn draw_axis(canvas: &Canvas<'_>, window: &Window) {
-    let Some(axis) = Axis::of(window).filter(|_| is_shown(window.tools.tool)) else { return };
+    let Some(axis) = Axis::of(window).filter(|_| is_shown(window)) else { return };
     let (camera, size) = (window.state().camera(), window.state().size());
     let project = |p: DVec3| camera.project(p, size).map(|(pixel, _)| canvas.at(pixel));
     let painter = canvas.painter();
@@ -292,7 +315,7 @@ pub fn draw_axis(canvas: &Canvas<'_>, window: &Window) {
 
 /// The knobs of the planes follow the hand. Whether the pointer is theirs.
 pub fn drag_planes(canvas: &Canvas<'_>, window: &mut Window) -> bool {
-    let Some(axis) = Axis::of(window).filter(|_| is_shown(window.tools.tool)) else {
+    let Some(axis) = Axis::of(window).filter(|_| is_shown(window)) else {
         window.tools.plane = None;
         return false;
     };

@@ -78,6 +78,7 @@ impl Places {
 fn is_held(window: &Window) -> bool {
     let ctx = window.ctx();
     let held = ctx.input(|i| i.key_down(HOLD) && i.modifiers.matches_exact(Modifiers::NONE));
+    let held = held && window.tools.transforming.is_none();
     window.holds_pinned || held && !ctx.egui_wants_keyboard_input() && !window.is_asking()
 }
 

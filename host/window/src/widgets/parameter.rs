@@ -95,7 +95,7 @@ fn control(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds
             let changed = named(ui.checkbox(&mut on, ""), desc).changed();
             changed.then(|| Asked::Set(Some(on.into())))
         }
-        ParamKind::CHOICE => choice(ui, desc, value),
+        ParamKind::CHOICE => choice(ui, desc, &desc.name, value),
         ParamKind::DIRECTION | ParamKind::POINT => vector(ui, desc, value, bounds),
         ParamKind::COLOUR => color(ui, desc, value),
         ParamKind::FILE | ParamKind::MODEL => file(ui, desc, value),
@@ -169,7 +169,8 @@ fn number(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds)
     asked(&response, || if whole { Value::Integer(x.round() as i64) } else { Value::Float(x) })
 }
 
-fn choice(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>) -> Option<Asked> {
+/// One of a list, under a name for those who do not see it.
+pub fn choice(ui: &mut Ui, desc: &ParamDesc, name: &str, value: Option<&Value>) -> Option<Asked> {
     let chosen = value.and_then(Value::as_str).unwrap_or(&desc.default_text);
     let label = |id: &str| desc.choices.iter().find(|c| c.id == id).map_or("", |c| c.label.as_str());
     let mut asked = None;
@@ -181,7 +182,10 @@ fn choice(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>) -> Option<Asked>
             }
         }
     });
-    named(combo.response, desc);
+    combo.response.ctx.accesskit_node_builder(combo.response.id, |node| node.set_label(name));
+    if !desc.hint.is_empty() {
+        combo.response.on_hover_text(desc.hint.as_str());
+    }
     asked
 }
 

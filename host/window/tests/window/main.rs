@@ -9,6 +9,8 @@ mod files;
 mod motion;
 mod parameters;
 mod picture;
+mod steps;
+mod transform;
 
 use egui_kittest::Harness;
 use simod_generate::{ModelOptions, Shape, write_file};

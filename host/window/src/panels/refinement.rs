@@ -1,0 +1,114 @@
+//! How fine the chosen refinement is.
+
+use super::parts;
+use crate::window::Window;
+use eframe::egui::{Button, ComboBox, DragValue, Id, RichText, Ui};
+use simod_core::refinement::Finer;
+use simod_session::edit::Change;
+use simod_session::session_file::{Action, Refine};
+
+/// The ways to say how fine, as the user reads them.
+const FACTOR: &str = "Times as many samples";
+const ERROR: &str = "Down to an error";
+const SAMPLES: &str = "So many samples more";
+const NEEDED: &str = "Where the deformation needs it";
+
+/// What a refinement begins with that was told otherwise before.
+const FIRST_FACTOR: f64 = 4.0;
+const FIRST_SAMPLES: u64 = 10_000;
+
+fn name(finer: Finer) -> &'static str {
+    match finer {
+        Finer::Factor(_) => FACTOR,
+        Finer::Error(_) => ERROR,
+        Finer::Samples(_) => SAMPLES,
+        Finer::Auto { .. } => NEEDED,
+    }
+}
+
+/// Its fineness, if the chosen step is a refinement.
+pub fn show(ui: &mut Ui, window: &mut Window) {
+    let Some(at) = window.state().chosen() else { return };
+    let Some(entry) = window.steps().get(at).cloned() else { return };
+    let Action::Refine(refine) = &entry.step.action else { return };
+    parts::part(ui);
+    parts::heading(ui, "Refinement", |_| ());
+    let finer = ui.horizontal(|ui| {
+        let chosen = way(ui, refine);
+        chosen.or_else(|| amount(ui, refine.finer))
+    });
+    if let Some(finer) = finer.inner {
+        window.change(at, Change::SetRefine(Refine { finer, ..refine.clone() }), false);
+    }
+    let text = match refine.finer {
+        Finer::Factor(_) => "Each sample of the part becomes about so many.",
+        Finer::Error(_) => "A fraction of the diagonal of the model's box; less is finer.",
+        Finer::Samples(_) => "They are put where the error is largest.",
+        Finer::Auto { .. } => "The error that may be left, as a fraction of the diagonal of the model's box.",
+    };
+    ui.label(RichText::new(text).weak().small());
+}
+
+/// Which way it is told; gives another one, with what that begins with.
+fn way(ui: &mut Ui, refine: &Refine) -> Option<Finer> {
+    let finer = refine.finer;
+    let error = match finer {
+        Finer::Error(error) | Finer::Auto { error, .. } if error > 0.0 => error,
+        _ => Finer::ALLOWED,
+    };
+    let needed = Finer::Auto { error, samples: None };
+    let ways = [Finer::Factor(FIRST_FACTOR), Finer::Error(error), Finer::Samples(FIRST_SAMPLES), needed];
+    let mut chosen = None;
+    let combo = ComboBox::from_id_salt("finer").width(190.0).selected_text(name(finer)).show_ui(ui, |ui| {
+        for way in ways {
+            // Without shapes there is only one way to know where.
+            let can = !refine.shapes.shapes.is_empty() || name(way) == NEEDED;
+            let is_it = name(way) == name(finer);
+            if ui.add_enabled(can, Button::selectable(is_it, name(way))).clicked() && !is_it {
+                chosen = Some(way);
+            }
+        }
+    });
+    combo
+        .response
+        .ctx
+        .accesskit_node_builder(combo.response.id, |node| node.set_label("How the refinement is told"));
+    chosen
+}
+
+/// The number; gives another one.
+fn amount(ui: &mut Ui, finer: Finer) -> Option<Finer> {
+    let id = ui.scope_id().with("amount");
+    match finer {
+        Finer::Factor(factor) => {
+            let (_, changed) = parts::held(ui, id, "Factor of the refinement", factor, |x| {
+                kept(DragValue::new(x)).range(1.1..=1000.0).speed(0.05).max_decimals(2).suffix("\u{d7}")
+            });
+            changed.map(Finer::Factor)
+        }
+        Finer::Error(value) => error(ui, id, value).map(Finer::Error),
+        Finer::Samples(samples) => {
+            let (_, changed) = parts::held(ui, id, "Samples of the refinement", samples as f64, |x| {
+                kept(DragValue::new(x)).range(1.0..=1e9).speed(100.0).max_decimals(0)
+            });
+            changed.map(|x| Finer::Samples(x.round().max(1.0) as u64))
+        }
+        Finer::Auto { error: value, samples } => {
+            error(ui, id, value).map(|error| Finer::Auto { error, samples })
+        }
+    }
+}
+
+/// What a session says that the control would not is left as it is.
+fn kept(drag: DragValue<'_>) -> DragValue<'_> {
+    drag.clamp_existing_to_range(false)
+}
+
+/// An error, as a fraction of the diagonal; gives another one.
+fn error(ui: &mut Ui, id: Id, value: f64) -> Option<f64> {
+    let drag = parts::held(ui, id, "Error of the refinement", value, |x| {
+        let drag = kept(DragValue::new(x)).range(1e-9..=1.0).speed(0.01 * value.max(1e-6));
+        drag.custom_formatter(|x, _| format!("{x:.1e}")).custom_parser(|text| text.trim().parse().ok())
+    });
+    drag.1
+}

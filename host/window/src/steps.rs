@@ -1,0 +1,80 @@
+//! What the window knows of steps: what can be done with one, from its row, by keys and by name.
+
+use crate::window::Window;
+use eframe::egui::ViewportCommand;
+use simod_session::edit::{Change, Command as Edit, StepId};
+use simod_viewer::Command;
+
+/// A step whose name is being typed.
+pub struct Renaming {
+    /// Which.
+    pub id: StepId,
+    /// The name so far.
+    pub text: String,
+    /// Whether typing is yet to begin.
+    pub begins: bool,
+}
+
+/// Has a name typed.
+pub fn rename(window: &mut Window, at: usize) {
+    let Some(entry) = window.steps().get(at).cloned() else { return };
+    let text = entry.step.title.clone().unwrap_or_default();
+    window.renaming = Some(Renaming { id: entry.id, text, begins: true });
+}
+
+/// The same once more, behind it.
+pub fn duplicate(window: &mut Window, at: usize) {
+    let Some(entry) = window.steps().get(at).cloned() else { return };
+    if window.apply(Command::Edit(Edit::Add { at: at + 1, step: Box::new((*entry.step).clone()) })) {
+        window.apply(Command::Choose { step: Some(at + 1) });
+        window.tools.target = None;
+    }
+}
+
+/// Puts it on the clipboard, as the text of a session.
+pub fn copy(window: &mut Window, at: usize) {
+    match window.state().copied(at) {
+        Ok(text) => {
+            window.ctx().copy_text(text);
+            window.toasts.note(
+                "The step is copied: paste it into this edit, another one, or a session\u{2019}s file.",
+            );
+        }
+        Err(error) => window.toasts.error(&error),
+    }
+}
+
+/// Has what is on the clipboard given by the system, which becomes steps behind this one.
+pub fn ask_to_paste(window: &mut Window, at: usize) {
+    window.apply(Command::Choose { step: Some(at) });
+    window.ctx().send_viewport_cmd(ViewportCommand::RequestPaste);
+}
+
+/// Steps of a text, behind the chosen one.
+pub fn paste(window: &mut Window, text: String) {
+    if window.apply(Command::Paste { text, at: None }) {
+        window.tools.target = None;
+    }
+}
+
+/// What [`solo`] does with a step.
+pub fn solo_name(window: &Window, at: usize) -> &'static str {
+    if is_alone(window, at) { "With the Others Again" } else { "Only This Step" }
+}
+
+/// Whether all other deformations are switched off.
+pub fn is_alone(window: &Window, at: usize) -> bool {
+    window.state().document().is_some_and(|document| document.is_alone(at))
+}
+
+/// Switches all other deformations off, or on again.
+pub fn solo(window: &mut Window, at: usize) {
+    window.apply(Command::Edit(Edit::Solo { at }));
+}
+
+/// Another amount of the chosen step, in steps of a tenth.
+pub fn change_amount(window: &mut Window, by: f64) {
+    let Some((at, _, deformation, _)) = window.chosen() else { return };
+    let amount = (10.0 * (deformation.amount + by)).round() / 10.0;
+    window.change(at, Change::SetAmount(amount.clamp(0.0, 1.0)), false);
+}
