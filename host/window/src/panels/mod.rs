@@ -85,36 +85,20 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// A number with three digits that matter, as all numbers are written here: thin spaces between thousands, and
-/// powers of ten where it is very large or small.
+/// A number with three digits that matter, as all numbers are written here: thin spaces between thousands, and powers
+/// of ten as the command line has them where it is very large or small.
 pub fn number(x: f64) -> String {
     let minus = if x < 0.0 { "\u{2212}" } else { "" };
     match x.abs() {
         0.0 => "0".to_owned(),
         a if !a.is_finite() => format!("{x}"),
-        a if !(1e-3..1e6).contains(&a) => {
-            let text = format!("{a:.2e}");
-            let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
-            format!("{minus}{digits}\u{b7}10{}", raised(power))
-        }
+        a if !(1e-3..1e6).contains(&a) => format!("{minus}{a:.2e}"),
         a if a >= 999.5 => format!("{minus}{}", count(a.round() as u64)),
         a => {
             let decimals = (2.0 - a.log10().floor()).clamp(0.0, 5.0) as usize;
             format!("{minus}{a:.decimals$}")
         }
     }
-}
-
-/// A power as it is written above the line.
-fn raised(power: &str) -> String {
-    let above = |c: char| match c {
-        '-' => '\u{207b}',
-        '1' => '\u{b9}',
-        '2' => '\u{b2}',
-        '3' => '\u{b3}',
-        digit => char::from_u32(0x2070 + digit.to_digit(10).unwrap_or(0)).unwrap_or(digit),
-    };
-    power.chars().map(above).collect()
 }
 
 /// A count with thin spaces between thousands.
@@ -142,15 +126,7 @@ mod tests {
         assert_eq!(bytes(512e9), "512 GB");
         assert_eq!(bytes(0.0), "0.0 kB");
         let all = [0.0f64, 1.234, 0.01234, 1234.5, 1.2e-6, -3.456e9, 999.7].map(number);
-        let expected = [
-            "0",
-            "1.23",
-            "0.0123",
-            "1\u{2009}235",
-            "1.20\u{b7}10\u{207b}\u{2076}",
-            "\u{2212}3.46\u{b7}10\u{2079}",
-            "1\u{2009}000",
-        ];
+        let expected = ["0", "1.23", "0.0123", "1\u{2009}235", "1.20e-6", "\u{2212}3.46e9", "1\u{2009}000"];
         assert_eq!(all, expected);
         assert_eq!(
             (duration(0.4), duration(59.7), duration(3725.0)),
