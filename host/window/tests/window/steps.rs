@@ -61,6 +61,7 @@ fn a_step_is_named_blended_looked_at_alone_and_copied() {
 
     // Less of the first one, by keys; the slider shows it, and its button takes it back.
     done(&mut harness, Command::Choose { step: Some(0) });
+    press(&mut harness, egui::Modifiers::SHIFT, egui::Key::S);
     let whole = state(&harness).scene().unwrap().positions.clone();
     for _ in 0..5 {
         press(&mut harness, egui::Modifiers::SHIFT, egui::Key::ArrowDown);
@@ -71,6 +72,7 @@ fn a_step_is_named_blended_looked_at_alone_and_copied() {
     for (p, (w, q)) in rest.iter().zip(whole.iter().zip(scene.positions.iter())) {
         assert!(p.midpoint(*w).distance(*q) < 1e-5, "{p} went to {q}, not halfway to {w}");
     }
+    press(&mut harness, egui::Modifiers::SHIFT, egui::Key::S);
     harness.get_by_label("Reset Amount").click();
     settle(&mut harness);
     assert_eq!(step(&harness, 0).deformation().unwrap().amount, 1.0);

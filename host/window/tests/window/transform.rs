@@ -147,8 +147,8 @@ fn a_box_takes_handles_and_others_go_along() {
     settle(&mut harness);
     super::compare::drag(
         &mut harness,
-        model.left_top() + egui::vec2(10.0, 90.0),
         model.right_bottom() - egui::vec2(10.0, 10.0),
+        model.left_top() + egui::vec2(10.0, 10.0),
     );
     assert_eq!(in_hand(&harness), ids.iter().cloned().collect());
     assert!(harness.state().window().state().selection().is_empty(), "no samples");
