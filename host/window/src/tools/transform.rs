@@ -187,7 +187,7 @@ impl Transforming {
         let motion = self.last.unwrap_or_default();
         let axis = self.transform.axis();
         let typed = self.transform.typed();
-        let value = |shown: String| if typed.is_empty() { shown } else { format!("{typed}\u{258f}") };
+        let value = |shown: String| if typed.is_empty() { shown } else { format!("{typed}|") };
         let text = match (self.transform.kind(), axis) {
             (Kind::Move, Some(axis)) => {
                 format!("Move along {}: {}", NAMES[axis], value(number(motion.translate[axis])))

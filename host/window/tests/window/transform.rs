@@ -5,6 +5,7 @@ use super::*;
 use egui_kittest::kittest::Queryable;
 use glam::DVec3;
 use simod_session::session_file::HandleMove;
+use simod_viewer::command::CameraMove;
 use simod_window::Tool;
 use std::collections::BTreeSet;
 
@@ -142,6 +143,10 @@ fn a_box_takes_handles_and_others_go_along() {
     let folder = tempfile::tempdir().unwrap();
     let (mut harness, ids) = lattice(folder.path());
     let model = harness.get_by_label("Model").rect();
+    // All points of the lattice are seen, and no control lies over one of them.
+    let at = harness.state().window().state().size().map(|s| 0.5 * s);
+    let zoom = CameraMove::Zoom { factor: 0.5, at };
+    done(&mut harness, Command::Camera(zoom));
     press(&mut harness, egui::Key::B);
     harness.get_by_label("Handles").click();
     settle(&mut harness);
