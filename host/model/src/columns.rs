@@ -32,10 +32,13 @@ const NAMES: [&[&str]; 6] = [
 pub(crate) struct Columns {
     /// What separates them; blanks and tabs if nothing else.
     separator: Option<u8>,
-    /// For each column up to the last one of a component, which component it is.
+    /// For each column up to the last one that is written anew, which of a vertex' numbers it is: a component, or
+    /// behind these one that turns.
     roles: Vec<Option<usize>>,
     /// 3, or 6 with a normal.
     components: usize,
+    /// Those that turn.
+    following: usize,
     /// Columns of the attributes.
     attributes: Vec<usize>,
     /// Lines with a single word are numbers of points.
@@ -51,6 +54,7 @@ impl Columns {
             separator: None,
             roles: (0..components).map(Some).collect(),
             components,
+            following: 0,
             attributes: (components..components + attributes).collect(),
             is_counted: false,
             wanted: None,
@@ -82,6 +86,7 @@ impl Columns {
             separator,
             roles,
             components: columns.len(),
+            following: 0,
             attributes: Vec::new(),
             is_counted,
             wanted: None,
@@ -158,6 +163,21 @@ impl Grammar for Columns {
         self.components
     }
 
+    fn follow(&mut self, attributes: &[usize]) {
+        self.roles.iter_mut().filter(|role| **role >= Some(self.components)).for_each(|role| *role = None);
+        let columns: Vec<usize> = attributes.iter().map(|attribute| self.attributes[*attribute]).collect();
+        let end = columns.iter().max().map_or(0, |last| last + 1);
+        self.roles.resize(self.roles.len().max(end), None);
+        for (number, column) in (self.components..).zip(&columns) {
+            self.roles[*column] = Some(number);
+        }
+        self.following = columns.len();
+    }
+
+    fn numbers(&self) -> usize {
+        self.components + self.following
+    }
+
     #[inline]
     fn is_vertex(&self, line: &[u8]) -> bool {
         !is_blank(line) && (!self.is_counted || self.fields(line).nth(1).is_some())
@@ -166,8 +186,8 @@ impl Grammar for Columns {
     #[inline]
     fn words(&self, line: &[u8], spans: &mut [[usize; 2]]) {
         for (role, (start, end)) in self.roles.iter().zip(self.fields(line)) {
-            if let Some(component) = role {
-                spans[*component] = [start, end];
+            if let Some(number) = role {
+                spans[*number] = [start, end];
             }
         }
     }

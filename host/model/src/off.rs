@@ -195,6 +195,14 @@ impl Grammar for Off {
         self.columns.components()
     }
 
+    fn follow(&mut self, attributes: &[usize]) {
+        self.columns.follow(attributes);
+    }
+
+    fn numbers(&self) -> usize {
+        self.columns.numbers()
+    }
+
     #[inline]
     fn is_vertex(&self, line: &[u8]) -> bool {
         has_content(line)

@@ -7,10 +7,11 @@ use std::fs;
 use std::io::{self, Cursor, Seek, Write};
 use std::path::Path;
 
-use glam::DVec3;
+use glam::{DVec3, Mat3, Vec3};
 use laz::las::{Point1, Point3, Point6, Point7};
 use laz::{LasZipCompressor, LasZipDecompressor, LazItem, LazItemRecordBuilder, LazVlr, LazVlrBuilder};
 use proptest::prelude::*;
+use simod_model::follow::{Follow, Kind};
 use simod_model::progress::Silent;
 use simod_model::{
     CHUNK_VERTICES, Colors, Edited, Error, ErrorKind, FaceChunk, Model, Output, Result, Rewriting, Summary,
@@ -908,6 +909,95 @@ fn extra_bytes_that_are_called_colours_are_read_as_such() {
         for _ in 0..2 {
             assert_eq!(read_colors(model.as_ref(), 0).1, places.map(|place| all[place].clone()));
         }
+    }
+}
+
+/// Descriptions of scaled numbers of 16 bits, three of a vector and one of a whole number with 64 bits beside them,
+/// which say how far they reach.
+fn described_vector(positions: &[[i32; 3]], spec: &Spec) -> Vec<u8> {
+    let mut all = Vec::new();
+    let records = spec.records(positions);
+    for (i, name) in [&b"v_x"[..], b"v_y", b"v_z"].into_iter().enumerate() {
+        let mut one = vec![0; 192];
+        one[2..4].copy_from_slice(&[4, 2 | 4 | 8 | 16]);
+        one[4..4 + name.len()].copy_from_slice(name);
+        let reach = reach(&records, spec, i);
+        one[64..72].copy_from_slice(&reach[0].to_le_bytes());
+        one[88..96].copy_from_slice(&reach[1].to_le_bytes());
+        one[112..120].copy_from_slice(&0.25f64.to_le_bytes());
+        one[136..144].copy_from_slice(&0.0f64.to_le_bytes());
+        all.extend_from_slice(&one);
+    }
+    for name in [&b"w_x"[..], b"w_y", b"w_z"] {
+        let mut one = vec![0; 192];
+        one[2] = 8;
+        one[4..4 + name.len()].copy_from_slice(name);
+        all.extend_from_slice(&one);
+    }
+    all
+}
+
+/// One of the numbers of 16 bits in each record.
+fn shorts(records: &[u8], spec: &Spec, i: usize) -> Vec<i64> {
+    let at = RECORD_BYTES[usize::from(spec.format)] + 2 * i;
+    let short = |record: &[u8]| i64::from(i16::from_le_bytes(record[at..at + 2].try_into().unwrap()));
+    records.chunks_exact(spec.record()).map(short).collect()
+}
+
+fn reach(records: &[u8], spec: &Spec, i: usize) -> [i64; 2] {
+    let numbers = shorts(records, spec, i);
+    [*numbers.iter().min().unwrap(), *numbers.iter().max().unwrap()]
+}
+
+#[test]
+fn extra_bytes_turn_and_say_how_far_they_reach() {
+    let positions = hills(1000);
+    for packing in [Packing::Plain, Packing::Fixed(300), Packing::Variable(50)] {
+        let mut spec = Spec { extra: 30, ..Spec::new(4, 6) }.packed(packing);
+        spec.described = described_vector(&positions, &spec);
+        let bytes = spec.build(&positions);
+        let before = parse(&bytes);
+        let file = file(&bytes);
+        let mut model = open(file.path()).unwrap();
+        assert!(model.following().is_none());
+        let declared = |name: &str| {
+            let declared = [(name.to_owned(), Kind::Vector)].into();
+            Follow { declared, ..Follow::default() }
+        };
+        let error = model.follow(&declared("w")).unwrap_err();
+        assert!(error.to_string().contains("w_x is a whole number of 64 bits"), "{error:?}");
+        model.follow(&declared("v")).unwrap();
+        // A quarter turn about z for half of the vertices.
+        let turn = Mat3::from_cols(Vec3::Y, -Vec3::X, Vec3::Z);
+        let edit = |chunk: &VertexChunk, versions: &mut [Edited]| {
+            for (i, gradient) in versions[0].gradients.iter_mut().enumerate() {
+                *gradient = if (chunk.first as usize + i) % 2 == 0 { turn } else { Mat3::IDENTITY };
+            }
+            Ok(())
+        };
+        let mut out = Memory::default();
+        model.rewrite(&mut [&mut out], Rewriting::default(), &edit, &Silent).unwrap();
+        let after = parse(&out.0);
+        let [x, y, z] = [0, 1, 2].map(|i| shorts(&before.records, &spec, i));
+        let found = [0, 1, 2].map(|i| shorts(&after.records, &spec, i));
+        for i in 0..positions.len() {
+            // What does not fit stays.
+            let opposite = if y[i] == -32768 { x[i] } else { -y[i] };
+            let expected = if i % 2 == 0 { [opposite, x[i], z[i]] } else { [x[i], y[i], z[i]] };
+            assert_eq!(found.each_ref().map(|of| of[i]), expected);
+        }
+        let told = after.vlrs.iter().find(|vlr| vlr[2..].starts_with(b"LASF_Spec")).unwrap();
+        for i in 0..3 {
+            let at = |at: usize| i64::from_le_bytes(told[54 + 192 * i + at..][..8].try_into().unwrap());
+            assert_eq!([at(64), at(88)], reach(&after.records, &spec, i));
+        }
+        // Beside the vector and what is told of it, nothing changed.
+        let extra = RECORD_BYTES[6];
+        let rest = |records: &[u8]| -> Vec<u8> {
+            let records = records.chunks_exact(spec.record());
+            records.flat_map(|record| [&record[..extra], &record[extra + 6..]].concat()).collect()
+        };
+        assert!(rest(&before.records) == rest(&after.records) && before.bounds == after.bounds);
     }
 }
 

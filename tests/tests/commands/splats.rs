@@ -609,23 +609,49 @@ fn declared_numbers_of_point_clouds_turn() {
     };
     let table = Table { names: names.into(), rows: (0..splats.rows.len()).map(row).collect() };
     let work = Workplace::new();
-    work.write("model.ply", table.ply(Kind::Little));
-    work.simod("convert model.ply model.pcd");
-    work.simod("sample model.pcd -o model.simod --samples 2000");
-    work.move_samples("model.simod", |p| stretch() * p);
-    let session = "version = 2\n[model]\npath = \"model.pcd\"\n[follow]\nt = \"vector\"\n";
-    work.write("edit.toml", session);
-    work.simod("reconstruct model.simod --deformed deformed.ply -o out.pcd --follow t=vector");
-    work.simod("convert out.pcd out.ply");
-    let found = table.read(&work.read("out.ply"), Kind::Little);
-    let off = |row: usize| {
-        let t = DVec3::from_array(found.numbers(["t_x", "t_y", "t_z"], row));
-        assert_eq!(found.numbers(["other"], row), [7.0]);
-        t.distance(stretch() * DVec3::new(0.5, -2.0, 1.0))
-    };
-    assert!((0..found.rows.len()).map(off).fold(0.0, f64::max) < 0.1);
-    work.simod("run edit.toml -o still.pcd");
-    assert!(work.read("still.pcd") == work.read("model.pcd"));
+    work.write("table.ply", table.ply(Kind::Little));
+    for format in ["pcd", "csv", "las", "laz"] {
+        let model = format!("model.{format}");
+        work.simod(&format!("convert table.ply {model} --step 1e-7"));
+        work.simod(&format!("sample {model} -o {format}.simod --samples 2000"));
+        work.move_samples(&format!("{format}.simod"), |p| stretch() * p);
+        let followed =
+            format!("reconstruct {format}.simod --deformed deformed.ply -o out.{format} --follow t=vector");
+        work.simod(&followed);
+        work.simod(&format!("convert out.{format} {format}.text.csv --lossy"));
+        let (names, rows) = csv(&work.read(&format!("{format}.text.csv")));
+        let column = |name: &str| names.iter().position(|known| known == name).expect("a column");
+        let [x, y, z, other] = ["t_x", "t_y", "t_z", "other"].map(column);
+        assert_eq!(rows.len(), table.rows.len(), "{format}");
+        let off = |row: &Vec<f64>| {
+            assert_eq!(row[other], 7.0, "{format}");
+            DVec3::new(row[x], row[y], row[z]).distance(stretch() * DVec3::new(0.5, -2.0, 1.0))
+        };
+        assert!(rows.iter().map(off).fold(0.0, f64::max) < 0.1, "{format}");
+        work.refuses(
+            &followed.replace("--follow t", "--follow missing"),
+            &["missing_x, missing_y, missing_z"],
+        );
+        // Nothing moves, and a sidecar declares.
+        work.write(
+            "edit.toml",
+            format!("version = 2\n[model]\npath = \"{model}\"\n[follow]\nt = \"vector\"\n"),
+        );
+        work.simod(&format!("run edit.toml -o still.{format}"));
+        assert!(work.read(&format!("still.{format}")) == work.read(&model), "{format}");
+        work.write(&format!("{model}.follow.toml"), "follow = { t = \"vector\" }\n");
+        let before = work.read(&format!("out.{format}"));
+        work.simod(followed.strip_suffix(" --follow t=vector").expect("the end"));
+        assert!(work.read(&format!("out.{format}")) == before, "{format}");
+    }
+}
+
+/// The names of columns, and the numbers in them.
+fn csv(text: &[u8]) -> (Vec<String>, Vec<Vec<f64>>) {
+    let mut lines = std::str::from_utf8(text).expect("text").lines();
+    let names = lines.next().expect("names").split(',').map(str::to_owned).collect();
+    let numbers = |line: &str| line.split(',').map(|word| word.parse().expect("a number")).collect();
+    (names, lines.map(numbers).collect())
 }
 
 #[test]

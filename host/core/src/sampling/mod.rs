@@ -79,7 +79,7 @@ pub struct Sampling {
     /// Most cells of the coarse grid along an axis; by the model's size where not given.
     pub grid: Option<u32>,
     /// Bytes of memory to stay below, for any order of the vertices; a quarter of the machine's, and at most
-    /// 2 GiB, where not given.
+    /// 2 GiB, where not given, of which open cells take 64 MiB at most.
     pub memory_limit: Option<u64>,
     /// How clusters are split.
     pub splitting: Splitting,
@@ -123,6 +123,9 @@ const GROUPS_AT_EASE: u64 = 256 << 20;
 /// Least memory for samples of open cells.
 const LEAST_FOR_CELLS: u64 = 4 << 20;
 
+/// Most of it where there is no limit. More saves no time: what is spilled goes to the page cache first.
+const CELLS_AT_EASE: u64 = 64 << 20;
+
 impl Sampling {
     fn limit(&self) -> u64 {
         self.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30))
@@ -146,7 +149,9 @@ impl Sampling {
             .saturating_add(finalization::work_memory(largest));
         let left = self.limit().saturating_sub(taken);
         // A complete cell is copied out of what is held.
-        (left - largest.min(left / 2)).max(LEAST_FOR_CELLS)
+        let left = left - largest.min(left / 2);
+        let most = self.memory_limit.map_or(CELLS_AT_EASE, |_| u64::MAX);
+        left.min(most).max(LEAST_FOR_CELLS)
     }
 }
 

@@ -10,7 +10,7 @@ use super::names;
 use super::rules::{Follow, Kind, Opacity};
 use super::splat::Splat;
 use super::turn::Turn;
-use crate::{Attribute, Progress};
+use crate::{Attribute, Error, ErrorKind, Progress, Result};
 
 /// A group of numbers that turn together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,6 +29,8 @@ pub struct Following {
     descriptions: Vec<String>,
     opacity: Opacity,
     max_anisotropy: Option<f64>,
+    /// Why it is not known what turns.
+    misfit: Option<String>,
     tally: Tally,
 }
 
@@ -47,11 +49,27 @@ struct Tally {
 const NEEDLE: f64 = 10.0;
 
 impl Following {
-    /// Finds what is to follow among the attributes of a model.
+    /// What turns among the attributes of a model without being declared: splats, told by their properties. Where
+    /// they lack one, nothing does, and [`check`](Self::check) says so.
+    pub(crate) fn recognised(attributes: &[Attribute]) -> Self {
+        let found = Self::find(&Follow::default(), attributes);
+        found.unwrap_or_else(|why| Self { misfit: Some(why), ..Self::default() })
+    }
+
+    /// What is to turn among the attributes of the model in `file`.
     ///
     /// # Errors
     /// What is declared is not there, or is not of floating-point numbers; splats lack a property.
-    pub(crate) fn of(follow: &Follow, attributes: &[Attribute]) -> Result<Self, String> {
+    pub(crate) fn declared(follow: &Follow, attributes: &[Attribute], file: &Path) -> Result<Self> {
+        Self::find(follow, attributes).map_err(|why| misfit(&why, file))
+    }
+
+    /// An error where it is not known what turns.
+    pub(crate) fn check(&self, file: &Path) -> Result<()> {
+        self.misfit.as_ref().map_or(Ok(()), |why| Err(misfit(why, file)))
+    }
+
+    fn find(follow: &Follow, attributes: &[Attribute]) -> Result<Self, String> {
         let mut following =
             Self { opacity: follow.opacity, max_anisotropy: follow.max_anisotropy, ..Self::default() };
         for (name, kind) in &follow.declared {
@@ -107,6 +125,11 @@ impl Following {
         &self.places
     }
 
+    /// Which of the [`places`](Self::places) turn together.
+    pub(crate) fn groups(&self) -> impl Iterator<Item = Range<usize>> + '_ {
+        self.groups.iter().map(|(_, range)| range.clone())
+    }
+
     /// Turns the numbers of a vertex, which are those of [`places`](Self::places).
     pub(crate) fn turn(&self, gradient: &Mat3, mirrored: bool, numbers: &mut [f64]) {
         if *gradient == Mat3::IDENTITY || !gradient.is_finite() {
@@ -159,4 +182,10 @@ impl Following {
         }
         notes
     }
+}
+
+/// An error where it is not known what turns.
+fn misfit(why: &str, file: &Path) -> Error {
+    let hint = "correct the file or the names, or give --follow none: all but positions and normals keep their bytes then";
+    Error::new(ErrorKind::Argument, format!("{}: {why}", file.display()), hint)
 }

@@ -40,6 +40,10 @@ fn spelt(style: usize, name: &str, i: usize, part: &str) -> String {
     }
 }
 
+fn capitals(parts: &[&str]) -> Vec<String> {
+    parts.iter().map(|part| part.to_ascii_uppercase()).collect()
+}
+
 /// The attributes that are meant by a declared name, in the order of its numbers.
 pub(super) fn declared(name: &str, kind: Kind, attributes: &[Attribute]) -> Result<Vec<usize>, String> {
     let parts: &[&str] = match kind {
@@ -49,10 +53,13 @@ pub(super) fn declared(name: &str, kind: Kind, attributes: &[Attribute]) -> Resu
         Kind::Covariance => &["xx", "xy", "xz", "yy", "yz", "zz"],
     };
     for style in 0..STYLES {
-        let names: Vec<String> =
-            parts.iter().enumerate().map(|(i, part)| spelt(style, name, i, part)).collect();
-        if let Some(places) = all(&names, attributes)? {
-            return Ok(places);
+        // LAS has NormalX where others have normal_x.
+        for parts in [parts.iter().map(|part| (*part).to_owned()).collect(), capitals(parts)] {
+            let names: Vec<String> =
+                parts.iter().enumerate().map(|(i, part)| spelt(style, name, i, part)).collect();
+            if let Some(places) = all(&names, attributes)? {
+                return Ok(places);
+            }
         }
     }
     let wanted: Vec<String> = parts.iter().map(|part| format!("{name}_{part}")).collect();
@@ -115,6 +122,10 @@ mod tests {
         assert_eq!(declared("q", Kind::QuaternionXyzw, &all).unwrap(), [3, 0, 1, 2]);
         assert_eq!(declared("t", Kind::Vector, &all).unwrap(), [4, 5, 6]);
         assert_eq!(declared("n1", Kind::Normal, &all).unwrap(), [7, 8, 9]);
+        assert_eq!(
+            declared("Normal", Kind::Normal, &floats(&["NormalZ", "NormalX", "NormalY"])).unwrap(),
+            [1, 2, 0]
+        );
         let missing = declared("t", Kind::Covariance, &all).unwrap_err();
         assert!(missing.ends_with("t_xx, t_xy, t_xz, t_yy, t_yz, t_zz"), "{missing}");
         let mut whole = all;

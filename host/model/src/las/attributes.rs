@@ -5,11 +5,22 @@ use std::ops::Range;
 use super::header::{Header, RECORD_BYTES, bytes_at};
 use crate::{Attribute, Type};
 
+/// Bytes of the description of extra bytes.
+const DESCRIPTION: usize = 192;
+
 /// Where a number stands in a record, and how.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Place {
     at: usize,
     how: How,
+    limits: Option<Limits>,
+}
+
+/// Where the descriptions of extra bytes say how far a number reaches as it is stored, if they do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Limits {
+    pub least: Option<usize>,
+    pub most: Option<usize>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,6 +65,36 @@ impl Whole {
         match self {
             Self::Of(kind) => kind.size(),
             Self::U64 | Self::I64 => 8,
+        }
+    }
+
+    /// The bytes of a number, which is rounded to a whole one where the type has no others, and how many they are;
+    /// nothing where it does not fit.
+    fn bytes(self, value: f64) -> Option<([u8; 8], usize)> {
+        let mut bytes = [0; 8];
+        macro_rules! put {
+            ($number:expr) => {{
+                let number = $number.to_le_bytes();
+                bytes[..number.len()].copy_from_slice(&number);
+                Some((bytes, number.len()))
+            }};
+        }
+        // Whole numbers up to 2⁶⁴ fit 128 bits, and conversion cuts off at the ends.
+        let rounded = value.round_ties_even() as i128;
+        if !value.is_finite() {
+            return None;
+        }
+        match self {
+            Self::Of(Type::I8) => put!(i8::try_from(rounded).ok()?),
+            Self::Of(Type::U8) => put!(u8::try_from(rounded).ok()?),
+            Self::Of(Type::I16) => put!(i16::try_from(rounded).ok()?),
+            Self::Of(Type::U16) => put!(u16::try_from(rounded).ok()?),
+            Self::Of(Type::I32) => put!(i32::try_from(rounded).ok()?),
+            Self::Of(Type::U32) => put!(u32::try_from(rounded).ok()?),
+            Self::U64 => put!(u64::try_from(rounded).ok()?),
+            Self::I64 => put!(i64::try_from(rounded).ok()?),
+            Self::Of(Type::F32) => put!(Some(value as f32).filter(|value| value.is_finite())?),
+            Self::Of(Type::F64) => put!(value),
         }
     }
 
@@ -161,7 +202,7 @@ impl Places {
     fn add(&mut self, name: &str, kind: Type, at: usize, how: How) {
         if Attribute::is_name(name) && !self.attributes.iter().any(|known| known.name == name) {
             self.attributes.push(Attribute { name: name.to_owned(), kind });
-            self.places.push(Place { at, how });
+            self.places.push(Place { at, how, limits: None });
         }
     }
 
@@ -169,7 +210,7 @@ impl Places {
     fn add_extra(&mut self, header: &Header, descriptions: &[u8]) {
         let mut at = RECORD_BYTES[usize::from(header.format)];
         self.standard_bytes = at;
-        for one in descriptions.chunks_exact(192) {
+        for (number, one) in descriptions.chunks_exact(DESCRIPTION).enumerate() {
             let (code, options) = (one[2], one[3]);
             let bytes = match code {
                 // Bytes without a meaning, as many as the options say.
@@ -184,14 +225,16 @@ impl Places {
             let Some(behind) = at.checked_add(bytes).filter(|behind| *behind <= header.record) else {
                 return;
             };
-            if let Some(number) = Whole::of_code(code) {
+            if let Some(whole) = Whole::of_code(code) {
                 let name = one[4..36].split(|byte| *byte == 0).next().unwrap_or_default();
                 let name = String::from_utf8_lossy(name);
                 let [scale, offset] = [112, 136].map(|at| f64::from_le_bytes(bytes_at(one, at)));
                 let scale = if options & 8 != 0 { scale } else { 1.0 };
                 let offset = if options & 16 != 0 { offset } else { 0.0 };
-                let (kind, how) = match number {
-                    _ if (scale, offset) != (1.0, 0.0) => (Type::F64, How::Scaled { number, scale, offset }),
+                let (kind, how) = match whole {
+                    number if (scale, offset) != (1.0, 0.0) => {
+                        (Type::F64, How::Scaled { number, scale, offset })
+                    }
                     Whole::Of(kind) => (kind, How::Number(kind)),
                     Whole::U64 => (Type::F64, How::U64),
                     Whole::I64 => (Type::F64, How::I64),
@@ -199,9 +242,11 @@ impl Places {
                 let known = self.attributes.len();
                 self.add(name.trim(), kind, at, how);
                 // Whole numbers of 64 bits lose digits.
-                let is_exact = !matches!(number, Whole::U64 | Whole::I64);
-                if self.attributes.len() > known && is_exact {
-                    self.extra_bytes += bytes;
+                let is_exact = !matches!(whole, Whole::U64 | Whole::I64);
+                if self.attributes.len() > known {
+                    self.extra_bytes += if is_exact { bytes } else { 0 };
+                    let told = |bit: u8, at| (options & bit != 0).then_some(number * DESCRIPTION + at);
+                    self.places[known].limits = Some(Limits { least: told(2, 64), most: told(4, 88) });
                 }
             }
             at = behind;
@@ -220,6 +265,64 @@ impl Places {
     /// The bytes of a record that an attribute is in.
     pub fn bytes_of(&self, attribute: usize) -> Range<usize> {
         self.places.get(attribute).map_or(0..0, |place| place.at..place.at + place.how.size())
+    }
+
+    /// Whether an attribute can be written: a float, a double, or a number of extra bytes that is scaled.
+    pub fn is_writable(&self, attribute: usize) -> bool {
+        self.places
+            .get(attribute)
+            .is_some_and(|place| matches!(place.how, How::Number(Type::F32 | Type::F64) | How::Scaled { .. }))
+    }
+
+    /// An attribute of a record.
+    pub fn number(&self, attribute: usize, record: &[u8]) -> f64 {
+        self.places[attribute].number(record)
+    }
+
+    /// The same as it is stored.
+    pub fn stored(&self, attribute: usize, record: &[u8]) -> f64 {
+        let Place { at, how, .. } = self.places[attribute];
+        match how {
+            How::Scaled { number, .. } => whole(number, &record[at..]),
+            _ => self.places[attribute].number(record),
+        }
+    }
+
+    /// Puts a number into a record, unless it does not fit its type; whether the record is another one now.
+    pub fn put(&self, attribute: usize, record: &mut [u8], value: f64) -> bool {
+        let Place { at, how, .. } = self.places[attribute];
+        let (kind, value) = match how {
+            How::Number(kind) => (Whole::Of(kind), value),
+            How::Scaled { number, scale, offset } => (number, (value - offset) / scale),
+            _ => return false,
+        };
+        let Some((bytes, length)) = kind.bytes(value) else { return false };
+        let place = &mut record[at..at + length];
+        let changed = *place != bytes[..length];
+        place.copy_from_slice(&bytes[..length]);
+        changed
+    }
+
+    /// Where it is told how far an attribute reaches as it is stored, among the descriptions of extra bytes.
+    pub fn limits(&self, attribute: usize) -> Option<Limits> {
+        let limits = self.places.get(attribute)?.limits?;
+        (limits.least.is_some() || limits.most.is_some()).then_some(limits)
+    }
+
+    /// The bytes by which such a place says how far an attribute reaches: of a double, or of a whole number with 64
+    /// bits.
+    pub fn limit(&self, attribute: usize, stored: f64) -> Vec<u8> {
+        let wide = match self.places[attribute].how {
+            How::Scaled { number: Whole::Of(kind), .. } | How::Number(kind) => match kind {
+                Type::F32 | Type::F64 => Whole::Of(Type::F64),
+                Type::U8 | Type::U16 | Type::U32 => Whole::U64,
+                Type::I8 | Type::I16 | Type::I32 => Whole::I64,
+            },
+            How::Scaled { number, .. } => number,
+            How::Bits { .. } | How::U64 => Whole::U64,
+            How::I64 => Whole::I64,
+        };
+        wide.bytes(stored).map_or(Vec::new(), |(bytes, _)| bytes.to_vec())
     }
 
     /// Extra bytes of a record that are not among the attributes as they are.

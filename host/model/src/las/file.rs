@@ -10,6 +10,7 @@ use super::kept::KeptFields;
 use super::laszip::Laszip;
 use super::points;
 use super::vlrs::{Kind, Records};
+use crate::follow::Following;
 use crate::source::Source;
 use crate::{Attribute, Colors, ModelInfo, Result, Scalar, ScaledIntegers, VertexChunk};
 
@@ -23,6 +24,8 @@ pub struct LasModel {
     pub(super) header: Header,
     pub(super) records: Records,
     pub(super) places: Places,
+    /// What of the attributes turns with the surface.
+    pub(super) following: Following,
     /// Where the points are compressed.
     pub(super) compressed: Option<(Laszip, Blocks)>,
     pub(super) info: ModelInfo,
@@ -43,6 +46,7 @@ impl LasModel {
         let records = Records::read(&source, &header)?;
         let extra = records.content(&source, Kind::ExtraBytes, MOST_DESCRIPTIONS)?.unwrap_or_default();
         let places = Places::new(&header, &extra);
+        let following = Following::recognised(&places.attributes);
         let compressed = compression(&source, &header, &records)?;
         let vertex_bytes = match &compressed {
             Some((_, blocks)) => blocks.bytes(),
@@ -70,7 +74,17 @@ impl LasModel {
             ranges: Vec::new(),
             crs: records.crs(&source)?,
         };
-        Ok(Self { source, header, records, places, compressed, info, shift: [0; 3], kept: Mutex::default() })
+        Ok(Self {
+            source,
+            header,
+            records,
+            places,
+            following,
+            compressed,
+            info,
+            shift: [0; 3],
+            kept: Mutex::default(),
+        })
     }
 
     /// How positions are stored in what is written.

@@ -12,7 +12,7 @@
 //! | `points` | positions in and out of records; `attributes` the other numbers |
 //! | `laszip` | a block of compressed points, in and out; `blocks` where they are; `kept` what was found in them |
 //! | `reader` | chunks of vertices from anywhere in the file |
-//! | `rewrite` | the whole file anew; `form` one made of another format, and
+//! | `rewrite` | the whole file anew, `turning` what of its extra bytes turns; `form` one made of another format, and
 //! | | `same_records` the same points compressed, or not |
 
 mod attributes;
@@ -26,6 +26,7 @@ mod points;
 mod reader;
 mod rewrite;
 pub(crate) mod same_records;
+mod turning;
 mod vlrs;
 
 use std::any::Any;
@@ -40,6 +41,7 @@ use reader::Reader;
 use vlrs::Kind;
 
 use crate::bounds::Bounds;
+use crate::follow::{Follow, Following};
 use crate::pipeline::Rewritable;
 use crate::{
     Division, Edit, Error, ErrorKind, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
@@ -155,6 +157,24 @@ impl Model for LasModel {
         )))
     }
 
+    fn following(&self) -> Option<&Following> {
+        (!self.following.is_empty()).then_some(&self.following)
+    }
+
+    fn follow(&mut self, follow: &Follow) -> Result<()> {
+        let following = Following::declared(follow, &self.places.attributes, self.source.path())?;
+        if let Some(place) = following.places().iter().find(|place| !self.places.is_writable(**place)) {
+            let name = &self.places.attributes[*place].name;
+            let what = format!(
+                "{}: {name} is a whole number of 64 bits, and what turns has to be float, double or scaled",
+                self.source.path().display()
+            );
+            return Err(Error::new(ErrorKind::Argument, what, "leave it out"));
+        }
+        self.following = following;
+        Ok(())
+    }
+
     fn division(&self, normals: Normals) -> Option<Division> {
         Rewritable::division(self, normals)
     }
@@ -166,8 +186,11 @@ impl Model for LasModel {
         edit: &dyn Edit,
         progress: &dyn Progress,
     ) -> Result<()> {
+        self.following.check(self.source.path())?;
         self.tell_of_octree(progress);
-        pipeline::rewrite(self, outputs, how, edit, progress)
+        pipeline::rewrite(self, outputs, how, edit, progress)?;
+        self.following.tell(self.source.path(), progress);
+        Ok(())
     }
 }
 

@@ -42,6 +42,7 @@ impl Rewritable for LasModel {
     }
 
     fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
+        chunk.follows = !self.following.is_empty();
         if let Some((laszip, blocks)) = &self.compressed {
             let first = blocks.of_vertex(chunk.first);
             let VertexChunk { raw, records, blocks, .. } = chunk;
@@ -61,6 +62,7 @@ impl Rewritable for LasModel {
             version.begin_with(raw);
             let moved = (&positions[..], &edited.positions[..]);
             points::patch(grid, version.bytes, record, moved, version.summary).map_err(unfit)?;
+            self.turn((edited, 0..positions.len()), positions, version.bytes, version.summary);
             return Ok(());
         };
         let Version { is_last, bytes: buffer, summary, .. } = version;
@@ -81,6 +83,7 @@ impl Rewritable for LasModel {
             let moved = (&positions[vertices.clone()], &edited.positions[vertices.clone()]);
             let changed = points::patch(grid, records, record, moved, summary)
                 .map_err(|e| unfit(Unfit { vertex: vertices.start + e.vertex, ..e }))?;
+            let changed = self.turn((edited, vertices), positions, records, summary) || changed;
             let before = buffer.len();
             if changed {
                 let block = laszip.compress(records).map_err(|e| {
@@ -102,6 +105,7 @@ impl Rewritable for LasModel {
 
     fn patches(&self, all: &Summary, is_still: bool) -> Result<Vec<(u64, Vec<u8>)>> {
         let mut patches = self.bounds(all);
+        patches.extend(self.limits(all));
         let Some((_, blocks)) = &self.compressed else { return Ok(patches) };
         let points = self.moved(blocks.start(0).1);
         let mut end = points + all.lengths.iter().map(|length| u64::from(*length)).sum::<u64>();

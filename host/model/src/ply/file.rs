@@ -17,8 +17,6 @@ pub struct PlyModel {
     pub(super) layout: Layout,
     /// What of the layout's attributes turns with the surface.
     pub(super) following: Following,
-    /// Why it is not known what turns.
-    pub(super) misfit: Option<String>,
     /// Where in the file the vertices begin.
     pub(super) vertices_start: u64,
     /// In a binary file, where each element begins, and after them the end of the last one. Empty in a text

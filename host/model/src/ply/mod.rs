@@ -49,7 +49,7 @@ use super::{
 use crate::follow::{Follow, Following};
 use crate::pipeline::Rewritable;
 use crate::progress::Silent;
-use crate::{Error, ErrorKind, Normals, Progress, Result};
+use crate::{Normals, Progress, Result};
 use faces::{Faces, SomeFaces};
 use glam::DVec3;
 use layout::Layout;
@@ -86,10 +86,7 @@ impl PlyModel {
     ) -> Result<Self> {
         let (vertex, element) = header.vertex(&source)?;
         let mut layout = Layout::new(&source, header.encoding, element)?;
-        let (following, misfit) = match Following::of(&Follow::default(), &layout.attributes) {
-            Ok(following) => (following, None),
-            Err(why) => (Following::default(), Some(why)),
-        };
+        let following = Following::recognised(&layout.attributes);
         layout.follow(following.places());
         let faces = header.elements.iter().filter(|e| e.name == "face" || e.name == "tristrips");
         let mut info = ModelInfo {
@@ -126,7 +123,6 @@ impl PlyModel {
             vertex,
             layout,
             following,
-            misfit,
             vertices_start,
             starts,
             offsets: Offsets::new(),
@@ -141,12 +137,6 @@ impl PlyModel {
         }
         model.info.face_bytes = faces::bytes(&model);
         Ok(model)
-    }
-
-    /// An error where it is not known what turns with the surface.
-    fn misfit(&self, why: &str) -> Error {
-        let hint = "correct the file or the names, or give --follow none: all but positions and normals keep their bytes then";
-        Error::new(ErrorKind::Argument, format!("{}: {why}", self.source.path().display()), hint)
     }
 
     /// Comments, and what is neither vertex nor face.
@@ -271,8 +261,7 @@ impl Model for PlyModel {
     }
 
     fn follow(&mut self, follow: &Follow) -> Result<()> {
-        self.following = Following::of(follow, &self.layout.attributes).map_err(|why| self.misfit(&why))?;
-        self.misfit = None;
+        self.following = Following::declared(follow, &self.layout.attributes, self.source.path())?;
         self.layout.follow(self.following.places());
         Ok(())
     }
@@ -288,9 +277,7 @@ impl Model for PlyModel {
         edit: &dyn Edit,
         progress: &dyn Progress,
     ) -> Result<()> {
-        if let Some(why) = &self.misfit {
-            return Err(self.misfit(why));
-        }
+        self.following.check(self.source.path())?;
         if let Some(note) = self.note {
             progress.note(&format!("{}: {note}", self.source.path().display()));
         }

@@ -13,7 +13,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::{HARMONICS, Layout, Places, Reader, following, gradient, info, packing, turn};
+use super::{HARMONICS, Layout, Places, Reader, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
 use crate::ply::{Element, Encoding, Header, PlyModel, Shape};
@@ -138,7 +138,7 @@ impl Chunks {
             harmonics,
         );
         info.vertex_bytes += sizes[0];
-        let following = following(&Follow::default(), &source, &info)?;
+        let following = Following::declared(&Follow::default(), &info.attributes, source.path())?;
         let mut model = Self { source, info, following, starts, groups, harmonics };
         model.info.step = model.step()?;
         Ok(model)
@@ -439,7 +439,7 @@ impl Model for Chunks {
     }
 
     fn follow(&mut self, follow: &Follow) -> Result<()> {
-        self.following = following(follow, &self.source, &self.info)?;
+        self.following = Following::declared(follow, &self.info.attributes, self.source.path())?;
         Ok(())
     }
 

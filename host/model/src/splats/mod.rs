@@ -17,12 +17,11 @@ use std::ops::Range;
 
 use glam::{DVec3, Mat3};
 
-use crate::follow::{Follow, Following};
+use crate::follow::Following;
 use crate::pipeline::Rewritable;
 use crate::source::Source;
 use crate::{
-    Attribute, CHUNK_VERTICES, Edited, Error, ErrorKind, Model, ModelInfo, Result, Scalar, Type, VertexChunk,
-    VertexReader,
+    Attribute, CHUNK_VERTICES, Edited, Model, ModelInfo, Result, Scalar, Type, VertexChunk, VertexReader,
 };
 
 /// What the numbers of a splat are called, with so many harmonics beyond the first three.
@@ -116,14 +115,6 @@ impl<L: Layout> VertexReader for Reader<'_, L> {
         self.model.decode(chunk)?;
         Ok(!chunk.is_empty())
     }
-}
-
-/// What turns in such a file.
-fn following(follow: &Follow, source: &Source, info: &ModelInfo) -> Result<Following> {
-    Following::of(follow, &info.attributes).map_err(|why| {
-        let what = format!("{}: {why}", source.path().display());
-        Error::new(ErrorKind::Argument, what, "leave it out: splats turn by themselves")
-    })
 }
 
 /// The gradient by which a splat of a chunk turns, if it does.

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
-use super::{Layout, Places, Reader, following, gradient, info, packing, turn};
+use super::{Layout, Places, Reader, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Skipped, Version};
 use crate::source::Source;
@@ -48,7 +48,7 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
     }
     let info =
         info("SPLAT, 32 bytes a splat".into(), &source, source.len() / RECORD as u64, RECORD as u64, 0);
-    let following = following(&Follow::default(), &source, &info)?;
+    let following = Following::declared(&Follow::default(), &info.attributes, source.path())?;
     Ok(Box::new(Records { source, info, following }))
 }
 
@@ -145,7 +145,7 @@ impl Model for Records {
     }
 
     fn follow(&mut self, follow: &Follow) -> Result<()> {
-        self.following = following(follow, &self.source, &self.info)?;
+        self.following = Following::declared(follow, &self.info.attributes, self.source.path())?;
         Ok(())
     }
 

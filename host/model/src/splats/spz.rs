@@ -15,7 +15,7 @@ use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use glam::DVec3;
 
-use super::{HARMONICS, Layout, Places, Reader, following, gradient, info, packing, turn};
+use super::{HARMONICS, Layout, Places, Reader, gradient, info, packing, turn};
 use crate::cache::{Making, Need};
 use crate::follow::{Follow, Following};
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
@@ -124,7 +124,7 @@ pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>
     let mut info = info(format!("SPZ {version}"), &source, u64::from(count), each as u64, harmonics);
     let unit = 2f64.powi(fraction);
     info.step = DVec3::splat(1.0 / unit);
-    let following = following(&Follow::default(), &source, &info)?;
+    let following = Following::declared(&Follow::default(), &info.attributes, source.path())?;
     Ok(Box::new(Spz { source, unpacked, info, following, sizes, unit }))
 }
 
@@ -357,7 +357,7 @@ impl Model for Spz {
     }
 
     fn follow(&mut self, follow: &Follow) -> Result<()> {
-        self.following = following(follow, &self.source, &self.info)?;
+        self.following = Following::declared(follow, &self.info.attributes, self.source.path())?;
         Ok(())
     }
 

@@ -134,10 +134,9 @@ impl Grammar for Stl {
     }
 
     fn encode(
-        &self,
+        model: &TextModel<Self>,
         chunk: &VertexChunk,
         edited: &Edited,
-        digits: &[Digits; 2],
         text: &mut Vec<u8>,
     ) -> Result<(), Unfit> {
         let VertexChunk { positions, raw, spans, .. } = chunk;
@@ -180,7 +179,7 @@ impl Grammar for Stl {
                 let (old, new) = (rest[i / 3][i % 3], corners[i / 3][i % 3]);
                 if old.to_bits() != new.to_bits() {
                     text.extend_from_slice(&raw[copied..start]);
-                    digits[0].write(text, &raw[start..end], new);
+                    model.digits[i % 3].write(text, &raw[start..end], new);
                     copied = end;
                 }
             }

@@ -25,11 +25,13 @@ pub(crate) struct Survey {
     mantissa: usize,
     /// The least and the largest number for each coordinate.
     ranges: [(f64, f64); 3],
+    /// The largest one without its sign.
+    largest: f64,
 }
 
 impl Default for Survey {
     fn default() -> Self {
-        Self { decimals: 0, mantissa: 6, ranges: [(f64::INFINITY, f64::NEG_INFINITY); 3] }
+        Self { decimals: 0, mantissa: 6, ranges: [(f64::INFINITY, f64::NEG_INFINITY); 3], largest: 0.0 }
     }
 }
 
@@ -39,10 +41,16 @@ impl Survey {
         let Some(value) = text::parse(crate::Scalar::F64, word).filter(|v| v.is_finite()) else { return };
         let range = &mut self.ranges[coordinate % 3];
         *range = (range.0.min(value), range.1.max(value));
+        self.largest = self.largest.max(value.abs());
         match decimals_of(word) {
             (decimals, None) => self.decimals = self.decimals.max(decimals),
             (decimals, Some(_)) => self.mantissa = self.mantissa.max(decimals),
         }
+    }
+
+    /// The largest number without its sign.
+    pub(crate) fn largest(&self) -> f64 {
+        self.largest
     }
 
     /// The digits, where the extent may be known.

@@ -3,12 +3,13 @@
 use std::ops::Range;
 use std::path::Path;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 
 use super::blocks::{BlockPiece, BlockPieces, BlockReader, Blocks, changed};
 use super::digits::{Digits, Survey};
 use super::lines::{line_end, lines, wrong_line};
 use super::{DAMAGED, parse, quoted};
+use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
 use crate::source::Source;
@@ -37,21 +38,29 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         3
     }
 
+    /// Is told which attributes turn with the surface: their numbers come behind the components.
+    fn follow(&mut self, _attributes: &[usize]) {}
+
+    /// Numbers of a vertex whose places are noted: its components, and those that turn.
+    fn numbers(&self) -> usize {
+        self.components()
+    }
+
     /// Whether a line is a vertex.
     fn is_vertex(&self, line: &[u8]) -> bool;
 
-    /// Notes where a vertex' components stand in its line. Those that are missing are left as they are.
+    /// Notes where a vertex' numbers stand in its line. Those that are missing are left as they are.
     fn words(&self, line: &[u8], spans: &mut [[usize; 2]]);
 
-    /// Notes where the components of all vertices stand in whole lines; returns how many vertices there are.
+    /// Notes where the numbers of all vertices stand in whole lines; returns how many vertices there are.
     fn find(&self, raw: &[u8], spans: &mut Vec<[u32; 2]>) -> usize {
-        let (mut count, components) = (0, self.components());
+        let (mut count, mut words) = (0, vec![[0; 2]; self.numbers()]);
         for (start, end) in lines(raw, Self::CONTINUES) {
             let line = &raw[start..end];
             if self.is_vertex(line) {
-                let mut words = [[0; 2]; 6];
+                words.fill([0; 2]);
                 self.words(line, &mut words);
-                spans.extend(words[..components].iter().map(|word| word.map(|at| (start + at) as u32)));
+                spans.extend(words.iter().map(|word| word.map(|at| (start + at) as u32)));
                 count += 1;
             }
         }
@@ -76,13 +85,12 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
 
     /// Appends a chunk with other numbers to `text`.
     fn encode(
-        &self,
+        model: &TextModel<Self>,
         chunk: &VertexChunk,
         edited: &Edited,
-        digits: &[Digits; 2],
         text: &mut Vec<u8>,
     ) -> Result<(), Unfit> {
-        splice(self.components(), chunk, edited, digits, text)
+        model.splice(chunk, edited, text)
     }
 
     /// A reader of the faces between some bytes, or of all.
@@ -105,8 +113,10 @@ pub(crate) struct TextModel<G> {
     pub(crate) source: Source,
     pub(crate) grammar: G,
     pub(crate) blocks: Blocks,
-    /// The digits of positions and of normals.
-    pub(crate) digits: [Digits; 2],
+    /// What of the attributes turns with the surface.
+    following: Following,
+    /// The digits of each of a vertex' numbers.
+    pub(crate) digits: Vec<Digits>,
     pub(crate) info: ModelInfo,
 }
 
@@ -142,16 +152,33 @@ impl<G: Grammar> TextModel<G> {
             has_normals: grammar.components() == 6,
             ..info
         };
-        let mut model = Self { source, grammar, blocks, digits: [Digits::default(); 2], info };
-        model.digits = model.survey()?;
+        let following = Following::recognised(&info.attributes);
+        let mut model = Self { source, grammar, blocks, following, digits: Vec::new(), info };
+        model.note_what_follows()?;
         Ok(model)
     }
 
-    /// The digits of numbers all over the file.
-    fn survey(&self) -> Result<[Digits; 2]> {
+    /// Has the places and the digits of all numbers noted that are written anew.
+    fn note_what_follows(&mut self) -> Result<()> {
+        self.grammar.follow(self.following.places());
+        self.digits = self.survey()?;
+        Ok(())
+    }
+
+    /// The numbers of a vertex that have as many digits: its position, its normal, and what turns together.
+    fn sorts(&self) -> Vec<Range<usize>> {
+        let components = self.grammar.components();
+        let following = self.following.groups().map(|group| group.start + components..group.end + components);
+        let own = (0..components).step_by(3).map(|first| first..first + 3);
+        own.chain(following).collect()
+    }
+
+    /// The digits of numbers all over the file, for each of a vertex.
+    fn survey(&self) -> Result<Vec<Digits>> {
         const BLOCKS: usize = 32;
         const OF_A_BLOCK: u64 = 64;
-        let (mut positions, mut normals) = (Survey::default(), Survey::default());
+        let sorts = self.sorts();
+        let mut surveys: Vec<Survey> = sorts.iter().map(|_| Survey::default()).collect();
         let (mut raw, mut spans) = (Vec::new(), Vec::new());
         for (vertices, bytes) in self.blocks.spread(BLOCKS) {
             raw.clear();
@@ -160,13 +187,24 @@ impl<G: Grammar> TextModel<G> {
             let wanted = OF_A_BLOCK.min(vertices.end - vertices.start).next_multiple_of(G::UNIT);
             let end = self.grammar.cut(&raw, wanted).unwrap_or(raw.len());
             self.grammar.find(&raw[..end], &mut spans);
-            for (i, [start, end]) in spans.iter().enumerate() {
-                let word = &raw[*start as usize..*end as usize];
-                let component = i % self.grammar.components();
-                if component < 3 { &mut positions } else { &mut normals }.take(component, word);
+            for spans in spans.chunks_exact(self.grammar.numbers()) {
+                for (survey, sort) in surveys.iter_mut().zip(&sorts) {
+                    let words = spans[sort.clone()].iter().map(|span| word(&raw, *span));
+                    words.enumerate().for_each(|(coordinate, word)| survey.take(coordinate, word));
+                }
             }
         }
-        Ok([positions.digits(None), normals.digits(Some(1.0))])
+        let components = self.grammar.components();
+        let of_sort = |(survey, sort): (&Survey, &Range<usize>)| {
+            let extent = match sort.start {
+                0 => None,
+                first if first < components => Some(1.0),
+                // What turns may be any share of its length along any axis.
+                _ => Some(survey.largest()),
+            };
+            vec![survey.digits(extent); sort.len()]
+        };
+        Ok(surveys.iter().zip(&sorts).flat_map(of_sort).collect())
     }
 
     /// Fills a chunk's positions and normals from its bytes, which hold as many vertices as it has places
@@ -180,9 +218,9 @@ impl<G: Grammar> TextModel<G> {
             return Err(changed(&self.source));
         }
         let components = self.grammar.components();
-        for (vertex, spans) in spans.chunks_exact(components).enumerate() {
+        for (vertex, spans) in spans.chunks_exact(self.grammar.numbers()).enumerate() {
             let mut values = [0.0; 6];
-            for (value, [start, end]) in values.iter_mut().zip(spans) {
+            for (value, [start, end]) in values.iter_mut().zip(&spans[..components]) {
                 let word = &raw[*start as usize..*end as usize];
                 let Some(number) = parse(Scalar::F64, word) else {
                     return Err(self.not_a_number(chunk.first + vertex as u64, word));
@@ -263,59 +301,87 @@ impl<G: Grammar> TextModel<G> {
         }
         Ok(())
     }
-}
 
-/// Appends a chunk's bytes to `text`, with those numbers replaced that were edited.
-pub(crate) fn splice(
-    components: usize,
-    chunk: &VertexChunk,
-    edited: &Edited,
-    digits: &[Digits; 2],
-    text: &mut Vec<u8>,
-) -> Result<(), Unfit> {
-    let VertexChunk { positions, normals, raw, spans, .. } = chunk;
-    let mut copied = 0;
-    // Words come in the file's order, but for columns that do not.
-    let mut order: Vec<usize> = (0..components).collect();
-    if let Some(first) = spans.first_chunk::<3>() {
-        let of_vertex = spans.get(..components).unwrap_or(first);
-        order.sort_by_key(|c| of_vertex[*c][0]);
-    }
-    let mut words: Vec<(usize, usize, usize, f64)> = Vec::with_capacity(components);
-    for (vertex, spans) in spans.chunks_exact(components).enumerate() {
-        if !positions[vertex].is_finite() {
-            continue;
+    /// Appends a chunk's bytes to `text`, with those numbers replaced that were edited, or turn.
+    pub(crate) fn splice(
+        &self,
+        chunk: &VertexChunk,
+        edited: &Edited,
+        text: &mut Vec<u8>,
+    ) -> Result<(), Unfit> {
+        let VertexChunk { positions, normals, raw, spans, .. } = chunk;
+        let (components, numbers) = (self.grammar.components(), self.grammar.numbers());
+        let mut copied = 0;
+        // Words come in the file's order, but for columns that do not.
+        let mut order: Vec<usize> = (0..numbers).collect();
+        if let Some(of_vertex) = spans.get(..numbers) {
+            order.sort_by_key(|n| of_vertex[*n][0]);
         }
-        words.clear();
-        for &c in &order {
-            let [start, end] = spans[c].map(|at| at as usize);
-            if c < 3 {
-                let (old, new) = (positions[vertex][c], edited.positions[vertex][c]);
-                if !new.is_finite() {
-                    return Err(Unfit { vertex, axis: c, value: new });
-                }
-                if new.to_bits() != old.to_bits() {
-                    words.push((start, end, 0, new));
-                }
-            } else {
-                let old = normals[vertex][c - 3];
-                let new = edited.normals.get(vertex).map_or(old, |n| n[c - 3]);
-                if !same_normal(old, new) {
-                    words.push((start, end, 1, f64::from(new)));
+        // Those that turn, before and after.
+        let mut turned = [Vec::new(), Vec::new()];
+        let mut words: Vec<(usize, f64)> = Vec::with_capacity(numbers);
+        for (vertex, spans) in spans.chunks_exact(numbers).enumerate() {
+            if !positions[vertex].is_finite() {
+                continue;
+            }
+            self.turn(vertex, edited, (raw, &spans[components..]), &mut turned);
+            words.clear();
+            for &n in &order {
+                if n < 3 {
+                    let (old, new) = (positions[vertex][n], edited.positions[vertex][n]);
+                    if !new.is_finite() {
+                        return Err(Unfit { vertex, axis: n, value: new });
+                    }
+                    if new.to_bits() != old.to_bits() {
+                        words.push((n, new));
+                    }
+                } else if n < components {
+                    let old = normals[vertex][n - 3];
+                    let new = edited.normals.get(vertex).map_or(old, |normal| normal[n - 3]);
+                    if !same_normal(old, new) {
+                        words.push((n, f64::from(new)));
+                    }
+                } else if let [Some(old), Some(new)] = turned.each_ref().map(|of| of.get(n - components))
+                    && new.to_bits() != old.to_bits()
+                    && new.is_finite()
+                {
+                    words.push((n, *new));
                 }
             }
+            if words.windows(2).any(|pair| spans[pair[0].0][0] > spans[pair[1].0][0]) {
+                words.sort_by_key(|(n, _)| spans[*n][0]);
+            }
+            for &(n, value) in &words {
+                let [start, end] = spans[n].map(|at| at as usize);
+                text.extend_from_slice(&raw[copied..start]);
+                self.digits[n].write(text, &raw[start..end], value);
+                copied = end;
+            }
         }
-        if words.windows(2).any(|pair| pair[0].0 > pair[1].0) {
-            words.sort_by_key(|word| word.0);
-        }
-        for &(start, end, sort, value) in &words {
-            text.extend_from_slice(&raw[copied..start]);
-            digits[sort].write(text, &raw[start..end], value);
-            copied = end;
-        }
+        text.extend_from_slice(&raw[copied..]);
+        Ok(())
     }
-    text.extend_from_slice(&raw[copied..]);
-    Ok(())
+
+    /// Makes the lists what a vertex' numbers that turn were, and what they become; empty where they stay.
+    fn turn(
+        &self,
+        vertex: usize,
+        edited: &Edited,
+        (raw, spans): (&[u8], &[[u32; 2]]),
+        [old, new]: &mut [Vec<f64>; 2],
+    ) {
+        old.clear();
+        new.clear();
+        let Some(gradient) = edited.gradients.get(vertex).filter(|g| **g != Mat3::IDENTITY) else { return };
+        // A word that is no number stays, as nothing that it belongs to is finite.
+        old.extend(spans.iter().map(|span| parse(Scalar::F64, word(raw, *span)).unwrap_or(f64::NAN)));
+        new.clone_from(old);
+        self.following.turn(gradient, edited.mirrored, new);
+    }
+}
+
+fn word(raw: &[u8], [start, end]: [u32; 2]) -> &[u8] {
+    &raw[start as usize..end as usize]
 }
 
 /// Whether a coordinate of a normal was left as it was. Any NaN is as good as another: keep the file's.
@@ -400,6 +466,15 @@ impl<G: Grammar> Model for TextModel<G> {
         self.source.check_unchanged()
     }
 
+    fn following(&self) -> Option<&Following> {
+        (!self.following.is_empty()).then_some(&self.following)
+    }
+
+    fn follow(&mut self, follow: &Follow) -> Result<()> {
+        self.following = Following::declared(follow, &self.info.attributes, self.source.path())?;
+        self.note_what_follows()
+    }
+
     fn rewrite(
         &self,
         outputs: &mut [&mut dyn Output],
@@ -408,7 +483,10 @@ impl<G: Grammar> Model for TextModel<G> {
         progress: &dyn Progress,
     ) -> Result<()> {
         self.check_normals(how.normals)?;
-        pipeline::rewrite(self, outputs, how, edit, progress)
+        self.following.check(self.source.path())?;
+        pipeline::rewrite(self, outputs, how, edit, progress)?;
+        self.following.tell(self.source.path(), progress);
+        Ok(())
     }
 }
 
@@ -419,6 +497,7 @@ impl<G: Grammar> Rewritable for TextModel<G> {
     }
 
     fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
+        chunk.follows = !self.following.is_empty();
         // The piece has a place for each vertex.
         let vertices = chunk.spans.len();
         TextModel::decode(self, chunk, vertices)
@@ -427,7 +506,7 @@ impl<G: Grammar> Rewritable for TextModel<G> {
     fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
         version.bytes.clear();
         let unfit = |unfit: Unfit| unfit.error(&self.source, chunk.first);
-        self.grammar.encode(chunk, version.edited, &self.digits, version.bytes).map_err(unfit)
+        G::encode(self, chunk, version.edited, version.bytes).map_err(unfit)
     }
 
     fn source(&self) -> &Source {
