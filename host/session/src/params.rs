@@ -274,8 +274,9 @@ fn nearest_whole(d: &ParamDesc, value: &toml::Value) -> String {
 /// A range in words.
 fn range_text([min, max]: [f64; 2]) -> String {
     match (min.is_finite(), max.is_finite()) {
-        (true, true) => format!("from {min} to {max}"),
         // Some parameters are positive, with the least positive number as their bound.
+        (true, true) if min == f64::MIN_POSITIVE => format!("above 0, {max} at most"),
+        (true, true) => format!("from {min} to {max}"),
         (true, false) if min == f64::MIN_POSITIVE => "above 0".to_owned(),
         (true, false) => format!("of at least {min}"),
         (false, true) => format!("of at most {max}"),
