@@ -3,14 +3,19 @@
 //! journal there until all of them are.
 
 use std::collections::BTreeSet;
-use std::fs;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::thread;
 
+use crate::output::sync_folder;
 use crate::output_folder::OutputFolder;
 use crate::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
 use crate::target::folder_of;
 use crate::{Error, ErrorKind, Output, Progress, Result, Summary};
+
+/// Files that are brought to the disk at a time.
+const SYNCED_AT_ONCE: usize = 16;
 
 /// Files of a folder in the making, one after the other. Dropped before [`commit`](Self::commit), it leaves no trace,
 /// unless it is to be [kept](Self::keep).
@@ -95,7 +100,8 @@ impl ResumableFolder {
                     self.finished += 1;
                     file.keep();
                 }
-                Opened::Unfinished(file) => {
+                Opened::Unfinished(mut file) => {
+                    file.leave_syncing();
                     self.current = Some(file);
                     break;
                 }
@@ -156,9 +162,27 @@ impl ResumableFolder {
         let target = self.folder.target().to_owned();
         check_target(&target, &self.names)?;
         let files = self.names.iter().map(|name| target.join(name)).collect();
+        self.sync().map_err(|e| Error::io("write", &target, &e))?;
         self.folder.put_in_place()?;
         self.is_in_place = true;
         Ok(FinishedFolder { files, leave: false })
+    }
+
+    /// Brings all files to the disk, several at a time, for which file systems write their own journal once.
+    fn sync(&self) -> io::Result<()> {
+        let folders: BTreeSet<&Path> = self.names.iter().flat_map(|name| name.ancestors().skip(1)).collect();
+        let share = self.names.len().div_ceil(SYNCED_AT_ONCE).max(1);
+        thread::scope(|scope| {
+            let sync = |names: &[PathBuf]| -> io::Result<()> {
+                names.iter().try_for_each(|name| File::open(self.folder.path().join(name))?.sync_all())
+            };
+            let shares: Vec<_> =
+                self.names.chunks(share).map(|names| scope.spawn(move || sync(names))).collect();
+            shares
+                .into_iter()
+                .try_for_each(|share| share.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+        })?;
+        folders.iter().try_for_each(|folder| sync_folder(&self.folder.path().join(folder)))
     }
 
     /// Leaves what is recorded to a later call, if there is anything.
@@ -204,7 +228,10 @@ impl Output for ResumableFolder {
         fs::create_dir_all(folder_of(&path))?;
         let (key, silent) = (key_of(&self.key, number), &crate::progress::Silent);
         match ResumableFile::open(&path, key, false, self.part_bytes, silent).map_err(|e| self.packed(e))? {
-            Opened::Unfinished(file) => self.current = Some(file),
+            Opened::Unfinished(mut file) => {
+                file.leave_syncing();
+                self.current = Some(file);
+            }
             Opened::Finished(_) => return Err(io::Error::other("a tile is there that was not written")),
         }
         Ok(())
