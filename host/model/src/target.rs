@@ -56,7 +56,7 @@ pub fn canonical_target(path: &Path) -> Result<PathBuf> {
 ///
 /// # Errors
 /// Links lead nowhere, or the folder that it lies in is missing.
-pub(crate) fn canonical_folder(path: &Path) -> Result<PathBuf> {
+pub fn canonical_folder(path: &Path) -> Result<PathBuf> {
     if let Ok(folder) = path.canonicalize() {
         return Ok(folder);
     }

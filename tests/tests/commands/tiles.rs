@@ -200,8 +200,29 @@ fn formats_are_mixed_in_a_session() {
     for name in ["tiles/t-1.laz", "tiles/u.ply", "more/v.las"] {
         assert!(work.read(&format!("out/{name}")) != work.read(name), "{name} did not move");
     }
+    // The same by units, which sample ranges, and of which one writes.
+    for units in [1, 3] {
+        work.simod(&format!("plan edit.toml --units {units} -o plan --to planned"));
+        let text = work.read("plan/plan.toml");
+        let plan: toml::Table = toml::from_str(std::str::from_utf8(&text).expect("text")).expect("TOML");
+        let stages = plan["unit"].as_array().expect("units").iter();
+        let stages: Vec<&str> = stages.map(|unit| unit["stage"].as_str().expect("a stage")).collect();
+        assert_eq!(
+            stages.iter().filter(|stage| **stage == "cluster").count(),
+            if units == 1 { 0 } else { 3 }
+        );
+        for unit in 0..stages.len() {
+            work.simod(&format!("unit plan {unit}"));
+        }
+        for name in ["tiles/t-1.laz", "tiles/u.ply", "more/v.las"] {
+            assert!(
+                work.read(&format!("planned/{name}")) == work.read(&format!("out/{name}")),
+                "{name} by {units}"
+            );
+        }
+        std::fs::remove_dir_all(work.path("planned")).expect("a folder");
+    }
     // What cannot be done says so.
-    work.refuses("plan edit.toml --units 2 -o plan", &["several tiles cannot be planned"]);
     work.refuses("convert tiles/* joined.ply", &["several tiles, which are not joined"]);
 }
 

@@ -53,8 +53,11 @@ pub struct Plan {
     pub(super) session_hash: String,
     /// Where the deformed model goes.
     pub(super) output: PathBuf,
-    /// The model, where it is.
+    /// The model, where it is; of one of several tiles, a pattern that they have in common.
     pub(super) model: PathBuf,
+    /// These, if it has any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) tiles: Vec<PathBuf>,
     /// Its size.
     pub(super) model_bytes: u64,
     /// Number of its vertices.

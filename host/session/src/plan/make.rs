@@ -10,7 +10,7 @@ use simod_core::sampling::divided::{exchanged_at_most, ranges_of, undivided};
 use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
 use simod_model::output_folder::OutputFolder;
-use simod_model::target::{canonical_target, folder_of};
+use simod_model::target::{canonical_folder, canonical_target, folder_of};
 use simod_model::{Cache, Error, ErrorKind, Model, ModelName, Normals, Progress, Result, output};
 
 use super::emit::{Emit, emit};
@@ -67,14 +67,10 @@ pub fn make(
     check_target(folder)?;
     // What is wrong with the steps is told now.
     let stack = Stack::build(&session.steps, registry)?;
-    if matches!(session.named_model()?, Some(ModelName::Tiles(_))) {
-        return Err(Error::new(
-            ErrorKind::Argument,
-            "a model of several tiles cannot be planned yet: units are ranges of one file",
-            "do it on one machine by `simod run`, or plan a session for each tile by itself",
-        ));
-    }
-    let output = canonical_target(output)?;
+    let output = match session.named_model()? {
+        Some(ModelName::Tiles(_)) => canonical_folder(output)?,
+        _ => canonical_target(output)?,
+    };
     if folder.canonicalize().is_ok_and(|folder| output.starts_with(folder)) {
         let what = format!("{} lies in the plan's folder, which is replaced", output.display());
         return Err(Error::new(ErrorKind::Argument, what, "write it to another folder"));
@@ -87,13 +83,15 @@ pub fn make(
     let sampling = sampling_of(session, skipped(session, &stack, options.whole_samples));
     let undivided = why_undivided(&*model, becomes.is_some(), options.normals);
     let info = model.info();
+    let tiles: Vec<PathBuf> = model.tiles().iter().map(|tile| absolute(&tile.path)).collect::<Result<_>>()?;
     let plan = Plan {
         format: FORMAT.to_owned(),
         program: env!("CARGO_PKG_VERSION").to_owned(),
         session: absolute(path)?,
         session_hash: hash_of(path)?,
         output: text(output)?,
-        model: absolute(model.path())?,
+        model: if tiles.is_empty() { absolute(model.path())? } else { text(model.path().to_owned())? },
+        tiles,
         model_bytes: info.bytes,
         vertices: info.vertices,
         options: Recorded {
@@ -137,10 +135,18 @@ fn why_undivided(model: &dyn Model, is_converted: bool, normals: Normals) -> Opt
     if is_converted {
         return Some("it becomes another format, whose parts follow from each other".to_owned());
     }
+    if !model.tiles().is_empty() {
+        return Some("its tiles are written one after the other".to_owned());
+    }
     model
         .division(normals)
         .is_none()
         .then(|| format!("it is {}, whose parts cannot be written by themselves", model.info().format))
+}
+
+/// Whether each unit can read its own vertices: others would have to be unpacked, or gone over, by each.
+fn is_read_anywhere(model: &dyn Model, normals: Normals) -> bool {
+    model.info().random_access && (model.division(normals).is_some() || !model.tiles().is_empty())
 }
 
 /// Most units that cluster ranges, each of which every group of cells comes after.
@@ -149,7 +155,7 @@ const MOST_CLUSTERING: u64 = 1000;
 /// How many units cluster ranges of the model, and how many groups of cells that these share; none if it is sampled
 /// by one.
 fn clustering(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> u64 {
-    let is_divided = model.division(options.normals).is_some() && undivided(model, sampling).is_none();
+    let is_divided = is_read_anywhere(model, options.normals) && undivided(model, sampling).is_none();
     let count = if is_divided { ranges_of(model, options.units.min(MOST_CLUSTERING)) } else { 0 };
     if count > 1 { count } else { 0 }
 }
@@ -186,8 +192,7 @@ fn units(model: &dyn Model, sampling: &Sampling, undivided: bool, options: &Opti
     };
     let mut before = Vec::new();
     let info = model.info();
-    // Others would have to be unpacked, or gone over, by each unit.
-    if info.random_access && model.division(options.normals).is_some() {
+    if is_read_anywhere(model, options.normals) {
         for (number, range) in shares(info.vertices, options.units).enumerate() {
             let writes = PathBuf::from(format!("count-{number}.bin"));
             before.push(add(Stage::Count, Vec::new(), Of::Vertices(range), writes));

@@ -237,7 +237,7 @@ impl UnitRun<'_> {
     fn write(&self) -> Result<Done> {
         let mut edit = self.edit()?;
         let output = &self.plan.output;
-        if is_named_otherwise(&*edit.model, output) {
+        if self.plan.tiles.is_empty() && is_named_otherwise(&*edit.model, output) {
             let drops_normals = edit.normals == Normals::Drop;
             let how = Conversion { lossy: self.plan.options.lossy, drops_normals, ..Conversion::default() };
             let converted = Converted::new(edit.model, output, how, self.progress)?;
@@ -266,7 +266,12 @@ impl UnitRun<'_> {
             return Err(self.changed(path));
         }
         let mut session = SessionFile::load(path)?;
-        (session.model, session.time) = (Some(self.plan.model.clone()), self.plan.options.time);
+        if self.plan.tiles.is_empty() {
+            session.model = Some(self.plan.model.clone());
+        } else {
+            (session.model, session.tiles) = (None, self.plan.tiles.clone());
+        }
+        session.time = self.plan.options.time;
         Ok(session)
     }
 
@@ -337,12 +342,30 @@ impl UnitRun<'_> {
         all.chain(&self.shared()).for_each(|file| drop(std::fs::remove_file(file)));
     }
 
+    /// Bytes of the output, or of all its tiles.
+    fn written_bytes(&self) -> u64 {
+        let Plan { output, tiles, .. } = self.plan;
+        let of_file = |path: &Path| std::fs::metadata(path).map_or(0, |meta| meta.len());
+        if tiles.is_empty() { of_file(output) } else { bytes_below(output) }
+    }
+
     /// Says in the plan's folder that the output is in its place.
     fn finished(&self) -> Result<()> {
-        let bytes = std::fs::metadata(&self.plan.output).map_or(0, |meta| meta.len());
+        let bytes = self.written_bytes();
         let text = format!("output = {:?}\nbytes = {bytes}\n", self.plan.output.display().to_string());
         output::write_file(&self.path(FINISHED), text.as_bytes())
     }
+}
+
+/// Bytes of all files in a folder and the folders in it.
+fn bytes_below(folder: &Path) -> u64 {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let of_entry = |entry: std::fs::DirEntry| match entry.metadata() {
+        Ok(is) if is.is_dir() => bytes_below(&entry.path()),
+        Ok(is) => is.len(),
+        Err(_) => 0,
+    };
+    entries.map(of_entry).sum()
 }
 
 /// All that the writing of the model needs.
