@@ -971,7 +971,7 @@ fn extra_bytes_turn_and_say_how_far_they_reach() {
         let turn = Mat3::from_cols(Vec3::Y, -Vec3::X, Vec3::Z);
         let edit = |chunk: &VertexChunk, versions: &mut [Edited]| {
             for (i, gradient) in versions[0].gradients.iter_mut().enumerate() {
-                *gradient = if (chunk.first as usize + i) % 2 == 0 { turn } else { Mat3::IDENTITY };
+                *gradient = if (chunk.first as usize + i).is_multiple_of(2) { turn } else { Mat3::IDENTITY };
             }
             Ok(())
         };
