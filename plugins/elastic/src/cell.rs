@@ -111,14 +111,13 @@ impl Slopes {
     pub fn add(&self, stresses: &Deformed, forces: &mut Forces) {
         let mut sums = *forces;
         for (point, slopes) in self.corners.iter().enumerate() {
-            for axis in 0..3 {
-                for row in 0..3 {
-                    let stress = if point < 8 {
-                        stresses.points[axis][row].0[point]
-                    } else {
-                        stresses.middle.col(axis)[row]
+            for (axis, slopes) in slopes.iter().enumerate() {
+                for (row, sum) in sums.iter_mut().enumerate() {
+                    let stress = match stresses.points[axis][row].0.get(point) {
+                        Some(stress) => *stress,
+                        None => stresses.middle.col(axis)[row],
                     };
-                    sums[row] = sums[row] + Eight::all(stress) * slopes[axis];
+                    *sum = *sum + Eight::all(stress) * *slopes;
                 }
             }
         }
