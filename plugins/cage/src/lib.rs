@@ -1,12 +1,16 @@
 //! Deformation by a cage: a coarse closed surface about the model, whose vertices are handles.
 //!
-//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005. Each
-//! sample's coordinates are found once, in `prepare`; a motion then costs one product for each sample and
-//! each vertex that does not move as it did the last time.
+//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005, or, where details
+//! are to keep their shape, J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates*, SIGGRAPH 2023. Each sample's
+//! coordinates are found once, in `prepare`; a motion then costs one product for each sample and each vertex, with mean
+//! value coordinates each that does not move as it did the last time.
 
 mod made;
 mod mean_value;
 mod mesh;
+mod panels;
+mod pose;
+mod somigliana;
 mod sums;
 
 use glam::DVec3;
@@ -16,13 +20,14 @@ use simod_plugin_api::{
     Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host,
     IsIdentity, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
 };
+use somigliana::{Body, Coordinates};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use sums::Sums;
 
 /// Samples whose coordinates lie together: those for one vertex follow each other, so that a vertex which
 /// does not move is not read.
 const TILE: usize = 1024;
-/// The bound of the table of coordinates, in bytes: four for each sample and vertex.
+/// The bound of the table of coordinates, in bytes: four for each sample and vertex, or 40.
 const LARGEST_TABLE: usize = 1 << 30;
 /// Points between two looks at the host's wish to stop.
 const BLOCK: usize = 256;
@@ -52,13 +57,41 @@ enum Kind {
     Box,
 }
 
+/// What coordinates samples have in a cage.
+#[derive(ParamSet)]
+struct Followed {
+    /// Somigliana: as an elastic body goes; details keep their shape, where mean values shear them. It takes more memory
+    /// and time
+    #[param(default = Kept::MeanValue, invalidates_preparation)]
+    coordinates: Kept,
+    /// Somigliana: Poisson's ratio. A low one keeps the shape of details, a high one the volume where single vertices
+    /// are drawn out
+    #[param(default = -0.25, hard = -0.9..=0.49, soft = -0.5..=0.45, invalidates_preparation)]
+    poisson: f64,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Kept {
+    #[choice(label = "Mean value")]
+    MeanValue,
+    #[choice(label = "Somigliana")]
+    Somigliana,
+}
+
 /// A cage with the coordinates of all samples.
 struct Prepared {
     cage: Cage,
-    /// Tile by tile, vertex by vertex, sample by sample; the last tile is as long as the others.
-    table: Vec<f32>,
+    table: Table,
     /// Tells it from other states of this process.
     id: u64,
+}
+
+/// Coordinates of all samples.
+enum Table {
+    /// Tile by tile, vertex by vertex, sample by sample; the last tile is as long as the others.
+    MeanValue(Vec<f32>),
+    /// As [`Body::tabulate`] has them.
+    Somigliana(Body, Vec<f32>),
 }
 
 /// The cage that the parameters describe.
@@ -94,6 +127,36 @@ fn displacements(cage: &Cage, motions: &[Affine]) -> PluginResult<Vec<DVec3>> {
     Ok(cage.vertices.iter().zip(motions).map(displacement).collect())
 }
 
+/// Refuses tables beyond the bound: of so many numbers for a sample.
+fn check_size(samples: usize, vertices: usize, numbers: usize) -> PluginResult<()> {
+    let most = LARGEST_TABLE / size_of::<f32>() / numbers;
+    if samples.div_ceil(TILE).saturating_mul(TILE) <= most {
+        return Ok(());
+    }
+    let message = format!("{samples} samples times {vertices} vertices of the cage are too many");
+    Err(PluginError::input(&message)
+        .hint(format!("take less than {most} samples, or a cage with less vertices")))
+}
+
+/// Mean value coordinates of samples, and how many lie outside.
+fn tabulate(cage: &Cage, samples: &[[f32; 3]], host: &Host<'_>) -> PluginResult<(Vec<f32>, usize)> {
+    let vertices = cage.vertices.len();
+    let mut table = vec![0.0; samples.len().div_ceil(TILE) * TILE * vertices];
+    let (outside, total) = (AtomicUsize::new(0), samples.len().max(1) as f64);
+    host.parallel_blocks(&mut table, TILE * vertices, |first, tile| {
+        let first = first / vertices;
+        // Whether to go on is looked after by whoever hands out the blocks.
+        let _ = host.progress(first as f64 / total);
+        let (mut view, mut weights) = (View::default(), vec![0.0; vertices]);
+        for (i, p) in samples[first..].iter().take(TILE).enumerate() {
+            let is_outside = cage.coordinates(DVec3::from(p.map(f64::from)), &mut view, &mut weights);
+            outside.fetch_add(usize::from(is_outside), Ordering::Relaxed);
+            weights.iter().enumerate().for_each(|(v, w)| tile[v * TILE + i] = *w as f32);
+        }
+    })?;
+    Ok((table, outside.into_inner()))
+}
+
 impl Deformer for CagePlugin {
     type State = Prepared;
     type Scratch = Sums;
@@ -102,9 +165,11 @@ impl Deformer for CagePlugin {
         Descriptor::new("cage", "Cage", env!("CARGO_PKG_VERSION"))
             .summary("Bends the model by the vertices of a coarse cage about it")
             .citation(
-                "T. Ju, S. Schaefer, J. Warren, Mean value coordinates for closed triangular meshes, SIGGRAPH 2005",
+                "T. Ju, S. Schaefer, J. Warren, Mean value coordinates for closed triangular meshes, SIGGRAPH 2005; J. Chen, \
+                 F. de Goes, M. Desbrun, Somigliana coordinates, SIGGRAPH 2023",
             )
             .param_set::<Made>()
+            .param_set::<Followed>()
             .param(
                 ParamDesc::file("file", "File", &["obj"])
                     .hint("A closed surface of polygons in the model's coordinates; its vertices are the handles 0, 1, 2, ..."),
@@ -114,29 +179,22 @@ impl Deformer for CagePlugin {
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
         let cage = cage(input)?;
+        let Followed { coordinates, poisson } = input.params().read()?;
         let (samples, vertices) = (input.samples.positions(), cage.vertices.len());
-        let entries = samples.len().div_ceil(TILE).saturating_mul(TILE).saturating_mul(vertices);
-        if entries > LARGEST_TABLE / size_of::<f32>() {
-            let message =
-                format!("{} samples times {vertices} vertices of the cage are too many", samples.len());
-            let most = LARGEST_TABLE / size_of::<f32>() / vertices;
-            return Err(PluginError::input(&message)
-                .hint(format!("take less than {most} samples, or a cage with less vertices")));
-        }
-        let mut table = vec![0.0; entries];
-        let (outside, total) = (AtomicUsize::new(0), samples.len().max(1) as f64);
-        host.parallel_blocks(&mut table, TILE * vertices, |first, tile| {
-            let first = first / vertices;
-            // Whether to go on is looked after by whoever hands out the blocks.
-            let _ = host.progress(first as f64 / total);
-            let (mut view, mut weights) = (View::default(), vec![0.0; vertices]);
-            for (i, p) in samples[first..].iter().take(TILE).enumerate() {
-                let is_outside = cage.coordinates(DVec3::from(p.map(f64::from)), &mut view, &mut weights);
-                outside.fetch_add(usize::from(is_outside), Ordering::Relaxed);
-                weights.iter().enumerate().for_each(|(v, w)| tile[v * TILE + i] = *w as f32);
+        let (table, outside) = match coordinates {
+            Kept::MeanValue => {
+                check_size(samples.len(), vertices, vertices)?;
+                let (table, outside) = tabulate(&cage, samples, host)?;
+                (Table::MeanValue(table), outside)
             }
-        })?;
-        match outside.into_inner() {
+            Kept::Somigliana => {
+                let body = Body::new(&cage, poisson);
+                check_size(samples.len(), vertices, somigliana::NUMBERS * vertices)?;
+                let (table, outside) = body.tabulate(&cage, samples, host)?;
+                (Table::Somigliana(body, table), outside)
+            }
+        };
+        match outside {
             0 => {}
             all if all == samples.len() => host.warn(
                 "the model lies outside of the cage: the file has to be in the model's own coordinates",
@@ -158,11 +216,31 @@ impl Deformer for CagePlugin {
         host: &Host<'_>,
     ) -> PluginResult<()> {
         let displacements = displacements(&state.cage, input.handle_motions())?;
-        let (rest, vertices) = (input.samples.positions(), state.cage.vertices.len());
-        if rest.len() != out.len() || state.table.len() != out.len().div_ceil(TILE) * TILE * vertices {
-            return Err(PluginError::internal("the samples are not those of the preparation"));
-        }
-        sums.update(state.id, &state.table, &displacements, host)?;
+        let (cage, rest, vertices) = (&state.cage, input.samples.positions(), state.cage.vertices.len());
+        let expect = |length: usize, tile: usize, numbers: usize| {
+            let is_right = rest.len() == out.len() && length == out.len().div_ceil(tile) * tile * numbers;
+            is_right
+                .then_some(())
+                .ok_or_else(|| PluginError::internal("the samples are not those of the preparation"))
+        };
+        let table = match &state.table {
+            Table::MeanValue(table) => table,
+            Table::Somigliana(body, table) => {
+                let numbers = somigliana::NUMBERS * vertices;
+                expect(table.len(), somigliana::TILE, numbers)?;
+                if displacements.iter().all(|d| *d == DVec3::ZERO) {
+                    out.copy_from_slice(rest);
+                    return Ok(());
+                }
+                let pose = body.pose(cage, &displacements);
+                return host.parallel_blocks(out, somigliana::TILE, |first, out| {
+                    let table = &table[first * numbers..][..somigliana::TILE * numbers];
+                    somigliana::deform(cage, &pose, table, &rest[first..][..out.len()], out);
+                });
+            }
+        };
+        expect(table.len(), TILE, vertices)?;
+        sums.update(state.id, table, &displacements, host)?;
         let sums = sums.all();
         host.parallel_blocks(out, TILE, |first, out| {
             let tile = &sums[first / TILE];
@@ -181,13 +259,28 @@ impl Evaluate for CagePlugin {
         host: &Host<'_>,
     ) -> PluginResult<()> {
         let displacements = displacements(&state.cage, input.handle_motions())?;
-        let (mut view, mut weights) = (View::default(), vec![0.0; state.cage.vertices.len()]);
+        if displacements.iter().all(|d| *d == DVec3::ZERO) {
+            return Ok(());
+        }
+        let cage = &state.cage;
+        let (mut view, mut weights) = (View::default(), vec![0.0; cage.vertices.len()]);
+        let mut found = Coordinates::default();
+        let posed = match &state.table {
+            Table::MeanValue(_) => None,
+            Table::Somigliana(body, _) => Some((body, body.pose(cage, &displacements))),
+        };
         for points in points.chunks_mut(BLOCK) {
             host.progress(0.0)?;
             for p in points {
                 let x = DVec3::from(*p);
-                state.cage.coordinates(x, &mut view, &mut weights);
-                *p = displacements.iter().zip(&weights).fold(x, |q, (d, w)| q + *w * *d).into();
+                *p = if let Some((body, pose)) = &posed {
+                    body.coordinates(cage, x, &mut found);
+                    found.apply(cage, pose, x)
+                } else {
+                    cage.coordinates(x, &mut view, &mut weights);
+                    displacements.iter().zip(&weights).fold(x, |q, (d, w)| q + *w * *d)
+                }
+                .into();
             }
         }
         Ok(())

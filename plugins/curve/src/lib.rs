@@ -151,8 +151,19 @@ impl Deformer for CurvePlugin {
         let Settings { ends, .. } = input.params().read()?;
         let knots = spline::knots(&rest);
         let rest = Nearest::new(Spline::new(knots.clone(), rest), ends == Ends::Follow);
-        if let Some(warning) = comes_back(&rest, input.bounds.diagonal()) {
-            host.warn(&warning);
+        let diagonal = input.bounds.diagonal();
+        if let Some(across) = comes_back(&rest, diagonal) {
+            host.warn(&format!(
+                "the wire comes back to within {across:.1} % of the model's diagonal of itself: what lies between its two parts \
+                 may be torn if they go different ways; several wires, a step for each, do not have that"
+            ));
+        } else if let Some(across) =
+            comes_back(&Nearest::new(Spline::new(knots.clone(), placed.clone()), false), diagonal)
+        {
+            host.warn(&format!(
+                "the moved wire comes back to within {across:.1} % of the model's diagonal of itself: what goes along with \
+                 its two parts may be in one place"
+            ));
         }
         let samples = input.samples.positions();
         let mut feet = vec![Foot { piece: 0, t: 0.0, distance: 0.0 }; samples.len()];
@@ -225,8 +236,9 @@ impl IsIdentity for CurvePlugin {
     }
 }
 
-/// What to say of a wire of which two parts reach the same places, where space is torn if they go different ways.
-fn comes_back(rest: &Nearest, diagonal: f64) -> Option<String> {
+/// How far a wire is from itself, in percent of the diagonal, where two parts of it reach the same places: there space is torn if
+/// they go different ways, or comes to be in one place.
+fn comes_back(rest: &Nearest, diagonal: f64) -> Option<f64> {
     let stride = rest.nodes().len().div_ceil(MOST_COMPARED);
     let nodes: Vec<DVec3> = rest.nodes().iter().copied().step_by(stride).collect();
     let mut lengths = vec![0.0];
@@ -240,12 +252,7 @@ fn comes_back(rest: &Nearest, diagonal: f64) -> Option<String> {
     };
     let [i, j] =
         (0..nodes.len()).find_map(|i| (i + 1..nodes.len()).find(|&j| is_back(i, j)).map(|j| [i, j]))?;
-    let across = nodes[i].distance(nodes[j]);
-    Some(format!(
-        "the wire comes back to within {:.1} % of the model's diagonal of itself: what lies between its two parts may be \
-         torn if they go different ways; several wires, a step for each, do not have that",
-        100.0 * across / diagonal
-    ))
+    Some(100.0 * nodes[i].distance(nodes[j]) / diagonal)
 }
 
 simod_plugin_api::export_plugin!(CurvePlugin, evaluate, handles, is_identity);

@@ -285,6 +285,36 @@ fn a_wire_that_comes_back_to_itself_is_told() {
     assert!(!told(circle(0.9)) && told(circle(1.0)) && told(circle(1.5)));
 }
 
+/// What a host hears.
+#[derive(Default)]
+struct Listener(std::sync::Mutex<String>);
+
+impl simod_plugin_api::HostCalls for Listener {
+    fn progress(&self, _: f64) -> bool {
+        true
+    }
+    fn log(&self, _: simod_plugin_api::LogLevel, message: &str) {
+        *self.0.lock().unwrap() += message;
+    }
+}
+
+#[test]
+fn a_moved_wire_that_crosses_itself_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let [rest, moved] = ["rest.csv", "moved.csv"].map(|name| folder.path().join(name));
+    std::fs::write(&rest, "10,18,30\n10,19,30\n10,20,30\n10,21,30\n").unwrap();
+    let told = |to: &str| {
+        std::fs::write(&moved, to).unwrap();
+        let [wire, moved] = [&rest, &moved].map(|path| path.to_str().unwrap().to_owned());
+        let host = Listener::default();
+        let setup = Setup { wire, moved, ..Setup::new(4) };
+        setup.with(|input, _| CurvePlugin::prepare(input, &Host::new(&host)).map(drop)).unwrap();
+        host.0.into_inner().unwrap()
+    };
+    assert_eq!(told("10,18,30\n11,19,30\n11,20,30\n10,21,30\n"), "");
+    assert!(told("10,18,30\n11,20,30\n9,20,30\n10,18,30.01\n").contains("moved wire comes back"));
+}
+
 proptest! {
     #[test]
     fn the_nearest_place_is_no_farther_than_any_other(

@@ -8,12 +8,14 @@
 //! stabilization of
 //! the eight node hexahedral element*, CMAME 105, 1993, choose this by the same bend).
 
+use crate::cell::{Deformed, Eight, Forces, Matrices, Slopes};
 use crate::contact::Touch;
 use crate::held::{Goals, Spring};
 use crate::lattice::{CORNERS, Lattice, Place, slopes};
 use crate::material;
 use crate::multilevel::{Inverse, Multilevel};
 use glam::{DAffine3, DMat3, DVec3};
+use pulp::{Arch, Simd, WithSimd};
 use simod_plugin_api::{Host, PluginResult};
 
 /// Cells at once on one thread.
@@ -35,15 +37,14 @@ pub struct Body {
     masses: Vec<f64>,
     /// What resists changes of volume, beside a shear modulus of 1 (Lamé's first parameter).
     modulus: f64,
-    points: [[DVec3; 8]; 8],
-    middle: [DVec3; 8],
+    slopes: Slopes,
     /// How much of a cell each of its points stands for.
     amounts: Vec<[f64; 8]>,
     multilevel: Multilevel,
 }
 
-/// How all cells are deformed at their points, and in the middle.
-pub type Gradients = Vec<[DMat3; 9]>;
+/// How all cells are deformed.
+pub type Gradients = Vec<Deformed>;
 
 /// What acts on the body.
 #[derive(Debug)]
@@ -64,7 +65,7 @@ impl Body {
         let off = |n: usize| 0.5 + (n as f64 - 0.5) * near / 3.0_f64.sqrt();
         let of = |at: DVec3| slopes(at).map(|slope| slope / lattice.size);
         let points = CORNERS.map(|c| of(DVec3::from(c.map(off))));
-        let middle = of(DVec3::splat(0.5));
+        let slopes = Slopes::new(&points, &of(DVec3::splat(0.5)));
         let mut masses = vec![0.0; lattice.rest.len()];
         let whole = lattice.size.element_product();
         for (corners, moments) in lattice.cells.iter().zip(&lattice.moments) {
@@ -79,7 +80,7 @@ impl Body {
         }
         let modulus = 2.0 * poisson / (1.0 - 2.0 * poisson);
         let multilevel = Multilevel::new(&lattice, &masses, 4.0 / 3.0 + modulus / 3.0);
-        Self { lattice, springs, ties, masses, modulus, points, middle, amounts, multilevel }
+        Self { lattice, springs, ties, masses, modulus, slopes, amounts, multilevel }
     }
 
     /// Young's modulus, where the shear modulus is 1.
@@ -96,13 +97,14 @@ impl Body {
 
     /// How all is deformed.
     pub fn gradients(&self, x: &[DVec3], host: &Host<'_>) -> PluginResult<Gradients> {
-        let mut all = vec![[DMat3::ZERO; 9]; self.lattice.cells.len()];
+        let mut all = vec![Deformed::NONE; self.lattice.cells.len()];
         host.parallel_blocks(&mut all, CELLS, |first, all| {
-            for (out, corners) in all.iter_mut().zip(&self.lattice.cells[first..]) {
-                let at = corners.map(|c| x[c as usize]);
-                (0..8).for_each(|p| out[p] = deformation(&at, &self.points[p]));
-                out[8] = deformation(&at, &self.middle);
-            }
+            Arch::new().dispatch(Deforms {
+                slopes: &self.slopes,
+                cells: &self.lattice.cells[first..],
+                x,
+                out: all,
+            });
         })?;
         Ok(all)
     }
@@ -116,7 +118,7 @@ impl Body {
                 let (mut sum, mut whole) = (DMat3::ZERO, 0.0);
                 for [cell, _] in self.lattice.uses(i) {
                     let amount: f64 = self.amounts[*cell as usize].iter().sum();
-                    sum += (gradients[*cell as usize][8] - DMat3::IDENTITY) * amount;
+                    sum += (gradients[*cell as usize].middle - DMat3::IDENTITY) * amount;
                     whole += amount;
                 }
                 // Half of the slope: so the blend of two corners has what is quadratic between them exactly.
@@ -135,23 +137,12 @@ impl Body {
         load: &Load<'_>,
         host: &Host<'_>,
     ) -> PluginResult<(f64, Vec<DVec3>)> {
-        let mut cells = vec![([DVec3::ZERO; 8], 0.0); gradients.len()];
+        let mut cells = vec![([Eight::ZERO; 3], 0.0); gradients.len()];
         host.parallel_blocks(&mut cells, CELLS, |first, cells| {
-            for (i, (forces, sum)) in (first..).zip(cells) {
-                let amounts = &self.amounts[i];
-                let mut add = |slopes: &[DVec3; 8], (energy, stress): (f64, DMat3), weight: f64| {
-                    *sum += weight * energy;
-                    forces.iter_mut().zip(slopes).for_each(|(f, s)| *f += stress * (*s * weight));
-                };
-                for p in 0..8 {
-                    add(&self.points[p], material::shape(&gradients[i][p]), amounts[p]);
-                }
-                let whole = amounts.iter().sum::<f64>() * self.modulus;
-                add(&self.middle, material::volume(&gradients[i][8]), whole);
-            }
+            Arch::new().dispatch(Energies { body: self, gradients, first, out: cells });
         })?;
         let mut forces = vec![DVec3::ZERO; x.len()];
-        self.gather(&mut forces, |cell, corner| cells[cell].0[corner], host)?;
+        self.gather(&mut forces, |cell| &cells[cell].0, host)?;
         let mut energy: f64 = cells.iter().map(|(_, e)| e).sum();
         for ((f, x), (rest, mass)) in forces.iter_mut().zip(x).zip(self.lattice.rest.iter().zip(&self.masses))
         {
@@ -187,25 +178,18 @@ impl Body {
         by: &[DVec3],
         host: &Host<'_>,
     ) -> PluginResult<Vec<DVec3>> {
-        let mut cells = vec![[DVec3::ZERO; 8]; gradients.len()];
+        let mut cells = vec![[Eight::ZERO; 3]; gradients.len()];
         host.parallel_blocks(&mut cells, CELLS, |first, cells| {
-            for (i, forces) in (first..).zip(cells) {
-                let amounts = &self.amounts[i];
-                let by = self.lattice.cells[i].map(|c| by[c as usize]);
-                let mut add = |slopes: &[DVec3; 8], stress: DMat3, weight: f64| {
-                    forces.iter_mut().zip(slopes).for_each(|(f, s)| *f += stress * (*s * weight));
-                };
-                for p in 0..8 {
-                    let slopes = &self.points[p];
-                    let by = deformation(&by, slopes);
-                    add(slopes, material::shape_change(&gradients[i][p], &by) + stiffer * by, amounts[p]);
-                }
-                let change = material::volume_change(&gradients[i][8], &deformation(&by, &self.middle));
-                add(&self.middle, change, amounts.iter().sum::<f64>() * self.modulus);
-            }
+            Arch::new().dispatch(Changes {
+                body: self,
+                of: Some((gradients, stiffer)),
+                by,
+                first,
+                out: cells,
+            });
         })?;
         let mut forces = vec![DVec3::ZERO; by.len()];
-        self.gather(&mut forces, |cell, corner| cells[cell][corner], host)?;
+        self.gather(&mut forces, |cell| &cells[cell], host)?;
         self.add_springs(by, &mut forces);
         for touch in touches {
             touch.spread(&self.lattice, touch.stiffness * touch.along(&self.lattice, by), &mut forces);
@@ -215,18 +199,12 @@ impl Body {
 
     /// As [`change`](Self::change), of a field that is as even as it can be (the Laplacian instead of the material).
     pub fn even(&self, by: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
-        let mut cells = vec![[DVec3::ZERO; 8]; self.lattice.cells.len()];
+        let mut cells = vec![[Eight::ZERO; 3]; self.lattice.cells.len()];
         host.parallel_blocks(&mut cells, CELLS, |first, cells| {
-            for (i, forces) in (first..).zip(cells) {
-                let by = self.lattice.cells[i].map(|c| by[c as usize]);
-                for (slopes, amount) in self.points.iter().zip(&self.amounts[i]) {
-                    let slope = deformation(&by, slopes);
-                    forces.iter_mut().zip(slopes).for_each(|(f, s)| *f += slope * (*s * *amount));
-                }
-            }
+            Arch::new().dispatch(Changes { body: self, of: None, by, first, out: cells });
         })?;
         let mut forces = vec![DVec3::ZERO; by.len()];
-        self.gather(&mut forces, |cell, corner| cells[cell][corner], host)?;
+        self.gather(&mut forces, |cell| &cells[cell], host)?;
         self.add_springs(by, &mut forces);
         Ok(forces)
     }
@@ -253,16 +231,18 @@ impl Body {
     }
 
     /// Sums up at corners what cells give, in the order of these.
-    fn gather(
+    fn gather<'a>(
         &self,
         out: &mut [DVec3],
-        of: impl Fn(usize, usize) -> DVec3 + Sync,
+        of: impl Fn(usize) -> &'a Forces + Sync,
         host: &Host<'_>,
     ) -> PluginResult<()> {
         host.parallel_blocks(out, TOGETHER, |first, out| {
             for (i, o) in (first..).zip(out) {
-                let all = self.lattice.uses(i).iter();
-                *o = all.map(|[cell, corner]| of(*cell as usize, *corner as usize)).sum();
+                let force = |[cell, corner]: &[u32; 2]| {
+                    DVec3::from(of(*cell as usize).map(|forces| forces.0[*corner as usize]))
+                };
+                *o = self.lattice.uses(i).iter().map(force).sum();
             }
         })
     }
@@ -278,6 +258,86 @@ impl Body {
     pub fn precondition(&self, inverse: &Inverse, residual: &[DVec3], out: &mut Vec<DVec3>) {
         self.multilevel.apply(inverse, residual, out);
     }
+}
+
+/// How cells are deformed.
+struct Deforms<'a> {
+    slopes: &'a Slopes,
+    cells: &'a [[u32; 8]],
+    x: &'a [DVec3],
+    out: &'a mut [Deformed],
+}
+
+impl WithSimd for Deforms<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (out, corners) in self.out.iter_mut().zip(self.cells) {
+            *out = self.slopes.deform(&corners.map(|c| self.x[c as usize]));
+        }
+    }
+}
+
+/// The forces and energies of cells.
+struct Energies<'a> {
+    body: &'a Body,
+    gradients: &'a Gradients,
+    first: usize,
+    out: &'a mut [(Forces, f64)],
+}
+
+impl WithSimd for Energies<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (i, (forces, sum)) in (self.first..).zip(self.out) {
+            let (amounts, deformed) = (self.body.amounts[i], &self.gradients[i]);
+            let whole = amounts.iter().sum::<f64>() * self.body.modulus;
+            let (energies, points) = material::shape(&deformed.points);
+            let (energy, middle) = material::volume(&deformed.middle);
+            self.body.slopes.add(&weighted(points, amounts, middle * whole), forces);
+            *sum = (energies * Eight(amounts)).0.iter().sum::<f64>() + energy * whole;
+        }
+    }
+}
+
+/// How the forces of cells change: of the material, that is deformed and stiffer by a part, or of what evens out.
+struct Changes<'a> {
+    body: &'a Body,
+    of: Option<(&'a Gradients, f64)>,
+    by: &'a [DVec3],
+    first: usize,
+    out: &'a mut [Forces],
+}
+
+impl WithSimd for Changes<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let body = self.body;
+        for (i, forces) in (self.first..).zip(self.out) {
+            let amounts = body.amounts[i];
+            let by = body.slopes.deform(&body.lattice.cells[i].map(|c| self.by[c as usize]));
+            let stresses = if let Some((gradients, stiffer)) = self.of {
+                let whole = amounts.iter().sum::<f64>() * body.modulus;
+                let points = material::shape_change(&gradients[i].points, &by.points, stiffer);
+                let middle = material::volume_change(&gradients[i].middle, &by.middle);
+                weighted(points, amounts, middle * whole)
+            } else {
+                weighted(by.points, amounts, DMat3::ZERO)
+            };
+            body.slopes.add(&stresses, forces);
+        }
+    }
+}
+
+/// Stresses by how much their points stand for, and that of the middle.
+#[inline(always)]
+fn weighted(points: Matrices, amounts: [f64; 8], middle: DMat3) -> Deformed {
+    Deformed { points: points.map(|column| column.map(|entry| entry * Eight(amounts))), middle }
 }
 
 /// How much each point of a cell stands for, so that what is linear is summed up over the filled part as it is (moment

@@ -7,6 +7,8 @@ use crate::occupancy::Occupancy;
 use glam::{DVec3, I64Vec3};
 use simod_plugin_api::{Host, PluginResult};
 use std::collections::HashSet;
+use std::f64::consts::PI;
+use std::ops::Range;
 
 /// Points in contact are so far apart, as a part of a cell's size.
 const APART: f64 = 0.4;
@@ -125,32 +127,45 @@ impl Surface {
             }
         })?;
         let reach = REACH * self.size;
-        let cells = Cells::new(now.iter().map(|n| n.map(|(_, at, _)| (at / reach).floor().as_i64vec3())));
+        let places = |(_, at, out): (Place, DVec3, DVec3)| ((at / reach).floor().as_i64vec3(), out);
+        let cells = Cells::new(now.iter().map(|n| n.map(places)));
         let (near, gap) = (NEAR * self.size, GAP * self.size);
         let beside = BESIDE * self.size;
         let stiffness = STIFFNESS * self.size * APART * APART;
-        let mut touches = vec![None; now.len()];
-        host.parallel_blocks(&mut touches, TOGETHER, |first, touches| {
-            for (i, touch) in (first..).zip(touches) {
+        // Cell by cell, as those around it are the same for all its points.
+        let mut found = vec![None; cells.points.len()];
+        host.parallel_blocks(&mut found, TOGETHER, |first, found| {
+            let (mut around, mut last) = (Vec::new(), None);
+            for (at, found) in (first..).zip(found) {
+                if last != Some(cells.keys[at]) {
+                    last = Some(cells.keys[at]);
+                    cells.around(cells.keys[at], &mut around);
+                }
+                let i = cells.points[at] as usize;
                 let Some((place, at, normal)) = now[i] else { continue };
                 let mut best: Option<(f64, Place, DVec3)> = None;
-                cells.around((at / reach).floor().as_i64vec3(), |j| {
-                    let Some((other, to, out)) = now[j] else { return };
+                for slot in around.iter().cloned().flatten() {
+                    if normal.dot(cells.normals[slot]) >= 0.0 {
+                        continue;
+                    }
+                    let j = cells.points[slot] as usize;
+                    let Some((other, to, out)) = now[j] else { continue };
                     let far = at.distance(to);
                     // Points beside each other are in front of others.
                     let aside = far * far - (at - to).dot(out).powi(2);
                     if aside < beside * beside
                         && far < best.map_or(reach, |b| b.0)
-                        && normal.dot(out) < 0.0
                         && self.points[i].rest.distance(self.points[j].rest) > near
                     {
                         best = Some((far, other, out));
                     }
-                });
-                *touch =
-                    best.map(|(_, other, normal)| Touch { places: [place, other], normal, gap, stiffness });
+                }
+                *found = best
+                    .map(|(_, other, normal)| (i, Touch { places: [place, other], normal, gap, stiffness }));
             }
         })?;
+        let mut touches = vec![None; now.len()];
+        found.into_iter().flatten().for_each(|(i, touch)| touches[i] = Some(touch));
         let mut touches: Vec<Touch> = touches.into_iter().flatten().collect();
         touches.retain(|touch| touch.depth(lattice, x) > -gap);
         Ok(touches)
@@ -162,38 +177,69 @@ struct Cells {
     starts: Vec<u32>,
     points: Vec<u32>,
     keys: Vec<I64Vec3>,
+    normals: Vec<DVec3>,
+    /// Of each place the mean direction of its normals, and the widest angle with it.
+    cones: Vec<(DVec3, f64)>,
 }
 
 impl Cells {
-    fn new(cells: impl Iterator<Item = Option<I64Vec3>>) -> Self {
-        let known: Vec<(u32, I64Vec3)> = (0..).zip(cells).filter_map(|(i, c)| Some((i, c?))).collect();
+    /// By their cells and normals.
+    fn new(cells: impl Iterator<Item = Option<(I64Vec3, DVec3)>>) -> Self {
+        let known: Vec<(u32, (I64Vec3, DVec3))> =
+            (0..).zip(cells).filter_map(|(i, c)| Some((i, c?))).collect();
         let places = known.len().next_power_of_two();
         let mut starts = vec![0_u32; places + 1];
-        known.iter().for_each(|(_, c)| starts[hash(*c, places) + 1] += 1);
+        known.iter().for_each(|(_, (c, _))| starts[hash(*c, places) + 1] += 1);
         (0..places).for_each(|i| starts[i + 1] += starts[i]);
         let mut next = starts.clone();
         let (mut points, mut keys) = (vec![0; known.len()], vec![I64Vec3::ZERO; known.len()]);
-        for (i, c) in known {
-            let at = &mut next[hash(c, places)];
-            (points[*at as usize], keys[*at as usize]) = (i, c);
-            *at += 1;
+        let mut normals = vec![DVec3::ZERO; known.len()];
+        for (i, (c, normal)) in known {
+            let at = next[hash(c, places)] as usize;
+            (points[at], keys[at], normals[at]) = (i, c, normal);
+            next[hash(c, places)] += 1;
         }
-        Self { starts, points, keys }
+        let cone = |ends: &[u32]| {
+            let normals = &normals[ends[0] as usize..ends[1] as usize];
+            let mean = normals.iter().sum::<DVec3>().normalize_or_zero();
+            (mean, normals.iter().map(|n| angle(mean, *n)).fold(0.0, f64::max))
+        };
+        let cones = starts.windows(2).map(cone).collect();
+        Self { starts, points, keys, normals, cones }
     }
 
-    /// Calls with each point of a cell and those around it.
-    fn around(&self, cell: I64Vec3, mut call: impl FnMut(usize)) {
+    /// Where the points of a cell and of those around it are that may look against some of its own: what lies beside them on
+    /// the same side of the body does not, and that is most. A few of other cells are among them.
+    fn around(&self, cell: I64Vec3, out: &mut Vec<Range<usize>>) {
         let places = self.starts.len() - 1;
-        for n in 0..27 {
-            let cell = cell + I64Vec3::new(n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1);
-            let place = hash(cell, places);
-            for at in self.starts[place] as usize..self.starts[place + 1] as usize {
-                if self.keys[at] == cell {
-                    call(self.points[at] as usize);
-                }
+        let (own, width) = self.cones[hash(cell, places)];
+        let of = |n: i64| {
+            let place = hash(cell + I64Vec3::new(n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1), places);
+            let (mean, other) = self.cones[place];
+            // With room for rounding.
+            if angle(own, mean) + width + other < 0.499 * PI {
+                return (0, 0);
+            }
+            (self.starts[place] as usize, self.starts[place + 1] as usize)
+        };
+        let mut all = [(0, 0); 27];
+        (0..27).for_each(|n| all[n as usize] = of(n));
+        // In one place of the table may be more than one of these cells.
+        all.sort_unstable();
+        out.clear();
+        let mut end = 0;
+        for (first, last) in all {
+            if first.max(end) < last {
+                out.push(first..last);
+                end = last;
             }
         }
     }
+}
+
+/// Between unit vectors; a half turn with what is none.
+fn angle(a: DVec3, b: DVec3) -> f64 {
+    if a == DVec3::ZERO || b == DVec3::ZERO { PI } else { a.dot(b).clamp(-1.0, 1.0).acos() }
 }
 
 fn hash(cell: I64Vec3, places: usize) -> usize {

@@ -7,6 +7,7 @@
 //! | `occupancy` | what of space the body takes up |
 //! | `lattice` | cells about that, whose corners move; samples go along with their cells |
 //! | `material` | stable neo-Hookean energy: Smith, de Goes and Kim 2018; Macklin and Müller 2021 |
+//! | `cell` | how a cell is deformed, and the forces at its corners |
 //! | `body` | the energy of all cells, and its derivatives |
 //! | `held`, `path` | regions as springs, and the ways of handles |
 //! | `contact` | what comes near to other parts of the surface |
@@ -17,6 +18,7 @@
 //! coarse lattice, and each time the energy is minimised; then finer lattices go on from there.
 
 mod body;
+mod cell;
 mod contact;
 mod held;
 mod lattice;
@@ -81,7 +83,7 @@ struct Parameters {
     #[param(default = true)]
     contact: bool,
     /// Cells of the lattice along the longest side of the model
-    #[param(default = 24, hard = 4..=64, soft = 8..=48, group = "Accuracy", invalidates_preparation)]
+    #[param(default = 32, hard = 4..=64, soft = 8..=48, group = "Accuracy", invalidates_preparation)]
     resolution: i64,
     /// It is at rest when no corner of the lattice would move farther
     #[param(default = 1e-4, unit = "diagonal", hard = 1e-9..=1.0, soft = 1e-6..=1e-2, group = "Accuracy")]

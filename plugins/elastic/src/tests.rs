@@ -54,7 +54,7 @@ impl Setup {
             handle: Vec::new(),
             poisson: 0.45,
             weight: 0.0,
-            resolution: 24.0,
+            resolution: 32.0,
             contact: true,
             effort: Effort::FULL,
         }
@@ -216,7 +216,6 @@ fn bars_sag_as_finite_elements_do() {
     let points: Vec<DVec3> = figures["points"].as_array().unwrap().iter().map(point).collect();
     for case in figures["cases"].as_array().unwrap() {
         let mut setup = bar(0.2, 40).held(|p| p.x < 1e-6, |_| false);
-        setup.resolution = 32.0;
         setup.poisson = case["poisson"].as_f64().unwrap();
         setup.weight = case["load"].as_f64().unwrap() * setup.bounds_diagonal();
         let out = setup.run(Affine::IDENTITY, &Listener::default()).unwrap();
@@ -258,7 +257,6 @@ fn volume_is_kept() {
 #[test]
 fn a_half_turn_passes_nowhere_through_itself() {
     let mut setup = ends(bar(0.12, 50));
-    setup.resolution = 32.0;
     let motion = turn(DVec3::Y, -180.0, DVec3::new(0.55, 0.0, 0.03), DVec3::ZERO);
     let crossing =
         |setup: &Setup| crossings(&setup.run(motion, &Listener::default()).unwrap(), &setup.triangles);

@@ -85,7 +85,7 @@ const fn by_session(name: &'static str, key: &'static str) -> Method {
     Method { name, key, by_regions: None }
 }
 
-pub const METHODS: [Method; 15] = [
+pub const METHODS: [Method; 16] = [
     by_regions("rbf", "rbf", "rbf", ""),
     by_regions("rbf, compact", "rbf-compact", "rbf", "kernel = 'compact-c2'\nsupport = 1.0"),
     by_regions("laplacian, smooth-arap", "smooth-arap", "laplacian", "mode = 'smooth-arap'"),
@@ -96,6 +96,7 @@ pub const METHODS: [Method; 15] = [
     by_regions("elastic", "elastic", "elastic", ""),
     by_session("lattice", "lattice"),
     by_session("cage", "cage"),
+    by_session("cage, somigliana", "somigliana"),
     by_session("skinning", "skinning"),
     by_session("warp", "warp"),
     by_session("curve", "curve"),

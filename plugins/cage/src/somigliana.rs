@@ -1,0 +1,386 @@
+//! Coordinates of a closed cage that come from linear elasticity, and keep the shape of details.
+//!
+//! After J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates: an elasticity-derived approach for cage deformation*,
+//! SIGGRAPH 2023: by Somigliana's identity, what a body does at a point follows from the displacements of its boundary,
+//! by a matrix for each vertex, and from the tractions there. Elasticity is linear in a frame that goes along with the
+//! cage around the point: the similarity that is nearest to what the faces at each vertex do, by the angle at which the
+//! point sees them. Displacements are what is left in that frame.
+//!
+//! It differs from the paper in what tractions are taken. Nobody knows them, and those that follow from each face's
+//! stretch, rotated along, are wrong by the moduli where materials are nearly incompressible; here there are none in the
+//! frame, which needs no modulus, and half of the memory. And what stretch the cage has as a whole belongs to the frame,
+//! so that not only similarities but all affine maps come back.
+
+use crate::mesh::Cage;
+use crate::panels::{Panel, Sight};
+use crate::pose::Pose;
+use glam::{DMat3, DVec3};
+use pulp::{Arch, Simd, WithSimd};
+use simod_plugin_api::{Host, PluginResult};
+use std::array::from_fn;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Samples whose coordinates lie together.
+pub const TILE: usize = 64;
+/// Points that are nearer to the surface than this, in radii of the cage, or outside, have the coordinates of a point
+/// within by what is nearest of it.
+const SKIN: f64 = 1e-5;
+/// How deep that one is below its face, in radii.
+const DEPTH: f64 = 1e-6;
+/// How far it is from the edge, as a part of the way to the face's centre: beyond an edge another face may be near.
+const ASIDE: f64 = 1e-3;
+
+/// A cage and its material.
+#[derive(Debug)]
+pub struct Body {
+    panels: Vec<Panel>,
+    poisson: f64,
+}
+
+/// The coordinates of a point: for each vertex a matrix, and its share of the sphere that the faces cover as seen from the
+/// point. Both sum to 1.
+#[derive(Debug, Default)]
+pub struct Coordinates {
+    sight: Sight,
+    vertices: Vec<DMat3>,
+    shares: Vec<f64>,
+    /// Of the faces.
+    angles: Vec<f64>,
+}
+
+/// Numbers of each sample for each vertex.
+pub const NUMBERS: usize = 10;
+
+impl Body {
+    /// A body with Poisson's ratio below 0.5.
+    pub fn new(cage: &Cage, poisson: f64) -> Self {
+        Self { panels: Panel::all(cage), poisson }
+    }
+
+    /// How the cage was moved.
+    pub fn pose(&self, cage: &Cage, displacements: &[DVec3]) -> Pose {
+        Pose::new(cage, &self.panels, displacements)
+    }
+
+    /// Finds the coordinates of a point. Says whether it lies outside.
+    pub fn coordinates(&self, cage: &Cage, x: DVec3, out: &mut Coordinates) -> bool {
+        let skin = SKIN * cage.radius;
+        let total = self.look(cage, x, out);
+        let is_outside = total < 0.5;
+        if is_outside || self.panels.iter().any(|p| p.distance(&out.sight).abs() < skin) {
+            let (distance, within) = self.within(cage, x);
+            if is_outside || distance < skin {
+                self.look(cage, within, out);
+            }
+        }
+        out.vertices.clear();
+        out.vertices.resize(cage.vertices.len(), DMat3::ZERO);
+        out.shares.clear();
+        out.shares.resize(cage.vertices.len(), 0.0);
+        for (panel, angle) in self.panels.iter().zip(&out.angles) {
+            let weights = panel.weights(&out.sight, *angle, self.poisson);
+            for (v, (weight, share)) in panel.corners.into_iter().zip(weights) {
+                out.vertices[v] += weight;
+                out.shares[v] += share;
+            }
+        }
+        is_outside
+    }
+
+    /// The angles of the faces from a point, and their sum.
+    fn look(&self, cage: &Cage, x: DVec3, out: &mut Coordinates) -> f64 {
+        out.sight.look(x, cage);
+        out.angles.clear();
+        out.angles.extend(self.panels.iter().map(|p| p.angle(&out.sight)));
+        out.angles.iter().sum()
+    }
+
+    /// How far the surface is, and a point just below what is nearest of it.
+    fn within(&self, cage: &Cage, x: DVec3) -> (f64, DVec3) {
+        let mut best = (f64::INFINITY, x);
+        for panel in &self.panels {
+            let p = panel.nearest(x, &cage.vertices);
+            let distance = p.distance(x);
+            if distance < best.0 {
+                let centre = panel.corners.iter().map(|v| cage.vertices[*v]).sum::<DVec3>() / 3.0;
+                best = (distance, p + ASIDE * (centre - p) - DEPTH * cage.radius * panel.normal);
+            }
+        }
+        best
+    }
+
+    /// The table of coordinates: tile by tile, for each vertex rows of its matrix' nine entries, row by row, and then
+    /// for each of its share. With it how many samples lie outside.
+    pub fn tabulate(
+        &self,
+        cage: &Cage,
+        samples: &[[f32; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<(Vec<f32>, usize)> {
+        let size = NUMBERS * cage.vertices.len() * TILE;
+        let mut table = vec![0.0; samples.len().div_ceil(TILE) * size];
+        let outside = AtomicUsize::new(0);
+        host.parallel_blocks(&mut table, size, |first, tile| {
+            let first = first / size * TILE;
+            // Whether to go on is looked after by whoever hands out the blocks.
+            let _ = host.progress(first as f64 / samples.len() as f64);
+            let mut found = Coordinates::default();
+            for (i, p) in samples[first..].iter().take(TILE).enumerate() {
+                let is_outside = self.coordinates(cage, DVec3::from(p.map(f64::from)), &mut found);
+                outside.fetch_add(usize::from(is_outside), Ordering::Relaxed);
+                let entries = found.vertices.iter().flat_map(|m| m.transpose().to_cols_array());
+                let rows = tile.chunks_exact_mut(TILE);
+                rows.zip(entries.chain(found.shares.iter().copied())).for_each(|(row, x)| row[i] = x as f32);
+            }
+        })?;
+        Ok((table, outside.into_inner()))
+    }
+}
+
+impl Coordinates {
+    /// Where a point goes that has these coordinates.
+    pub fn apply(&self, cage: &Cage, pose: &Pose, x: DVec3) -> DVec3 {
+        let sum =
+            self.shares.iter().zip(&pose.maps).fold(DMat3::ZERO, |sum, (share, map)| sum + *map * *share);
+        let scale = self.shares.iter().zip(&pose.scales).map(|(share, scale)| share * scale).sum();
+        let frame = pose.frame(sum, scale);
+        let back = frame.inverse();
+        let vertices = self.vertices.iter().zip(pose.vertices.iter().zip(&cage.vertices));
+        let x =
+            vertices.fold(x - cage.mean, |x, (w, (to, from))| x + *w * (back * *to - (*from - cage.mean)));
+        pose.mean + frame * x
+    }
+}
+
+/// Where the samples of a tile go; those behind the last one are left out.
+pub fn deform(cage: &Cage, pose: &Pose, table: &[f32], samples: &[[f32; 3]], out: &mut [[f32; 3]]) {
+    Arch::new().dispatch(Tile { cage, pose, table, samples, out });
+}
+
+struct Tile<'a> {
+    cage: &'a Cage,
+    pose: &'a Pose,
+    table: &'a [f32],
+    samples: &'a [[f32; 3]],
+    out: &'a mut [[f32; 3]],
+}
+
+impl WithSimd for Tile<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        // Plain loops, which the compiler makes vectors of; the same numbers come out of any.
+        let Self { cage, pose, table, samples, out } = self;
+        let (vertices, shares) = table.split_at(9 * TILE * pose.vertices.len());
+        // Nine entries, and the scale.
+        let mut maps = [[0.0; TILE]; 10];
+        for (row, (map, scale)) in shares.chunks_exact(TILE).zip(pose.maps.iter().zip(&pose.scales)) {
+            let entries = map.to_cols_array().into_iter().chain([*scale]);
+            for (sums, entry) in maps.iter_mut().zip(entries) {
+                for i in 0..TILE {
+                    sums[i] += entry * f64::from(row[i]);
+                }
+            }
+        }
+        let mut frames = [DMat3::IDENTITY; TILE];
+        // Row by row.
+        let mut back = [[0.0; TILE]; 9];
+        for i in 0..samples.len() {
+            frames[i] = pose.frame(DMat3::from_cols_array(&from_fn(|k| maps[k][i])), maps[9][i]);
+            let inverse = frames[i].inverse().transpose().to_cols_array();
+            back.iter_mut().zip(inverse).for_each(|(row, x)| row[i] = x);
+        }
+        let mut moved = [[0.0; TILE]; 3];
+        let pairs = pose.vertices.iter().zip(&cage.vertices);
+        for (weights, (to, from)) in vertices.chunks_exact(9 * TILE).zip(pairs) {
+            let from = *from - cage.mean;
+            for i in 0..TILE {
+                let at = |row: usize| {
+                    back[3 * row][i] * to.x + back[3 * row + 1][i] * to.y + back[3 * row + 2][i] * to.z
+                };
+                let (x, y, z) = (at(0) - from.x, at(1) - from.y, at(2) - from.z);
+                for (row, moved) in moved.iter_mut().enumerate() {
+                    let w = |column: usize| f64::from(weights[(3 * row + column) * TILE + i]);
+                    moved[i] += w(0) * x + w(1) * y + w(2) * z;
+                }
+            }
+        }
+        for (i, (out, p)) in out.iter_mut().zip(samples).enumerate() {
+            let x =
+                DVec3::from(p.map(f64::from)) - cage.mean + DVec3::new(moved[0][i], moved[1][i], moved[2][i]);
+            *out = (pose.mean + frames[i] * x).as_vec3().into();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::made;
+    use crate::mean_value::View;
+    use proptest::prelude::*;
+    use simod_plugin_api::Bounds;
+    use std::path::Path;
+
+    /// A cage with dents.
+    fn dented() -> Cage {
+        Cage::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/reference/cage.obj"), |p| p)
+            .unwrap()
+    }
+
+    /// Of a bar along x.
+    fn box_of_bar(detail: usize) -> Cage {
+        let (min, max) = ([-1.0, -0.2, -0.2], [1.0, 0.2, 0.2]);
+        made::divided_box(&Bounds { min, max }, &[min.map(|x| x as f32), max.map(|x| x as f32)], 0.05, detail)
+            .unwrap()
+    }
+
+    fn displacements(cage: &Cage, map: impl Fn(DVec3) -> DVec3) -> Vec<DVec3> {
+        cage.vertices.iter().map(|p| map(*p) - *p).collect()
+    }
+
+    fn bend(p: DVec3) -> DVec3 {
+        let radius = 2.0 / 120_f64.to_radians();
+        let (sine, cosine) = (p.x / radius).sin_cos();
+        DVec3::new((radius - p.y) * sine, radius - (radius - p.y) * cosine, p.z)
+    }
+
+    fn twist(p: DVec3) -> DVec3 {
+        let (sine, cosine) = (0.5 * 135_f64.to_radians() * p.x).sin_cos();
+        DVec3::new(p.x, p.y * cosine - p.z * sine, p.y * sine + p.z * cosine)
+    }
+
+    /// A vertex of a side drawn out.
+    fn draw(p: DVec3) -> DVec3 {
+        if p.x.abs() < 0.2 && p.y > 0.0 && p.z.abs() < 0.1 { p + 0.3 * DVec3::Y } else { p }
+    }
+
+    /// Of a map of the bar: the changes of volume, in the mean and as a root mean square, and how far it is from a similarity in
+    /// the mean, by the squares of its stretches: 0 where angles are kept.
+    fn distortion(mut map: impl FnMut(DVec3) -> DVec3) -> [f64; 3] {
+        const POINTS: usize = 300;
+        const STEP: f64 = 1e-4;
+        let mut sums = [0.0; 3];
+        for i in 0..POINTS {
+            let at = |k: f64| 2.0 * (i as f64 * k).fract() - 1.0;
+            let x = DVec3::new(0.97 * at(0.618_034), 0.2 * at(0.754_878), 0.2 * at(0.569_840));
+            let mut along = |axis: DVec3| (map(x + STEP * axis) - map(x - STEP * axis)) / (2.0 * STEP);
+            let columns = [along(DVec3::X), along(DVec3::Y), along(DVec3::Z)];
+            let volume = DMat3::from_cols(columns[0], columns[1], columns[2]).determinant();
+            let squares: f64 = columns.iter().map(|c| c.length_squared()).sum();
+            sums[0] += volume - 1.0;
+            sums[1] += (volume - 1.0).powi(2);
+            sums[2] += squares / 3.0 / volume.abs().powf(2.0 / 3.0) - 1.0;
+        }
+        let [mean, square, shape] = sums.map(|sum| sum / POINTS as f64);
+        [mean, square.sqrt(), shape]
+    }
+
+    fn both(cage: &Cage, poisson: f64, map: impl Fn(DVec3) -> DVec3) -> [[f64; 3]; 2] {
+        let (displacements, body) = (displacements(cage, map), Body::new(cage, poisson));
+        let (mut view, mut weights) = (View::default(), vec![0.0; cage.vertices.len()]);
+        let mean_value = distortion(|x| {
+            cage.coordinates(x, &mut view, &mut weights);
+            displacements.iter().zip(&weights).fold(x, |q, (d, w)| q + *w * *d)
+        });
+        let (pose, mut found) = (body.pose(cage, &displacements), Coordinates::default());
+        let somigliana = distortion(|x| {
+            body.coordinates(cage, x, &mut found);
+            found.apply(cage, &pose, x)
+        });
+        [mean_value, somigliana]
+    }
+
+    /// What the method is for: `docs/methods.md` has the figures.
+    #[test]
+    fn volume_and_details_are_kept_better_than_by_mean_values() {
+        let maps: [fn(DVec3) -> DVec3; 3] = [bend, twist, draw];
+        for detail in [80, 150] {
+            let cage = box_of_bar(detail);
+            for (name, map) in ["bend", "twist", "draw"].into_iter().zip(maps) {
+                for poisson in [-0.5, -0.25, 0.0, 0.3, 0.45] {
+                    let [before, now] = both(&cage, poisson, map);
+                    assert!(now[2] < 0.9 * before[2], "{detail} {name} {poisson}: {before:?} {now:?}");
+                    if poisson == -0.25 {
+                        assert!(now[1] < 0.9 * before[1], "{detail} {name}: {before:?} {now:?}");
+                        assert!(now[0].abs() < 0.9 * before[0].abs(), "{detail} {name}: {before:?} {now:?}");
+                    }
+                }
+            }
+        }
+    }
+
+    fn at(cage: &Cage, body: &Body, x: DVec3) -> Coordinates {
+        let mut found = Coordinates::default();
+        body.coordinates(cage, x, &mut found);
+        found
+    }
+
+    /// How far coordinates are from giving affine maps back, each by itself: those of the identity in the sum of both.
+    fn miss(found: &Coordinates) -> f64 {
+        let sum = found.vertices.iter().fold(-DMat3::IDENTITY, |sum, w| sum + *w);
+        let shares: f64 = found.shares.iter().sum();
+        sum.to_cols_array().iter().map(|x| x.abs()).fold((shares - 1.0).abs(), f64::max)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Somigliana's identity: with the displacements of an affine map and its tractions the map comes back. Of a turn
+        /// about no axis but by a matrix that is not symmetric, as of any other one, tractions are those of the symmetric
+        /// part; so here is one that has none.
+        #[test]
+        fn what_makes_no_traction_comes_back(
+            x in prop::array::uniform3(-0.4..0.4_f64), spin in prop::array::uniform3(-1.0..1.0_f64), poisson in -0.9..0.49_f64,
+        ) {
+            let cage = box_of_bar(60);
+            let x = DVec3::from(x) * DVec3::new(2.0, 0.4, 0.4);
+            let found = at(&cage, &Body::new(&cage, poisson), x);
+            let spin = DVec3::from(spin);
+            let sum = found.vertices.iter().zip(&cage.vertices).fold(DVec3::ZERO, |sum, (w, p)| sum + *w * spin.cross(*p));
+            prop_assert!(sum.distance(spin.cross(x)) < 1e-10 && miss(&found) < 1e-10, "{x} {poisson}");
+        }
+
+        /// As near to a vertex, an edge or a face as it gets, on both sides of it.
+        #[test]
+        fn the_surface_is_no_exception(
+            triangle in 0..72_usize, u in 0.0..1.0_f64, v in 0.0..1.0_f64, kind in 0..3, nearness in 1.0..17.0_f64,
+            toward in prop::array::uniform3(-1.0..1.0_f64), poisson in -0.9..0.49_f64,
+        ) {
+            let cage = dented();
+            let body = Body::new(&cage, poisson);
+            let [a, b, c] = cage.triangles[triangle].corners.map(|v| cage.vertices[v]);
+            let on = match kind {
+                0 => a,
+                1 => a.lerp(b, u),
+                _ => a.lerp(b, u).lerp(c, v),
+            };
+            let x = on + 10_f64.powf(-nearness) * DVec3::from(toward);
+            let found = at(&cage, &body, x);
+            prop_assert!(miss(&found) < 1e-6, "{x} {}", miss(&found));
+            let wave = |p: DVec3| p + 0.2 * DVec3::new((5.0 * p.y).sin(), (4.0 * p.z).cos(), (3.0 * p.x).sin());
+            let pose = body.pose(&cage, &displacements(&cage, wave));
+            let gap = at(&cage, &body, on).apply(&cage, &pose, on).distance(found.apply(&cage, &pose, x));
+            prop_assert!(gap < 3e-3 + 30.0 * 10_f64.powf(-nearness), "{gap} at 1e-{nearness}");
+        }
+
+        /// Whatever the vertices do: flat, mirrored, in one point.
+        #[test]
+        fn all_poses_have_finite_places(
+            to in prop::collection::vec(prop::array::uniform3(-1.0..1.0_f64), 38),
+            flat in prop::array::uniform3(prop::bool::ANY), mirrored in prop::bool::ANY, wild in 0.0..1.0_f64,
+        ) {
+            let cage = dented();
+            let body = Body::new(&cage, 0.3);
+            let scale = DVec3::from(flat.map(|f| if f { 0.0 } else { 1.0 })) * if mirrored { DVec3::new(-1.0, 1.0, 1.0) } else { DVec3::ONE };
+            let moved: Vec<DVec3> = cage.vertices.iter().zip(&to)
+                .map(|(p, to)| scale * (*p + wild * DVec3::from(*to)) - *p).collect();
+            let pose = body.pose(&cage, &moved);
+            for x in [DVec3::ZERO, DVec3::splat(0.1), DVec3::splat(3.0), DVec3::X * 1e6, cage.vertices[3]] {
+                let y = at(&cage, &body, x).apply(&cage, &pose, x);
+                prop_assert!(y.is_finite() && y.length() < 1e3 * (1.0 + x.length()), "{x} {y}");
+            }
+        }
+    }
+}
