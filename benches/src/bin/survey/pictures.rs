@@ -18,7 +18,7 @@ const FIXED: [u8; 3] = [120, 140, 175];
 const HANDLE: [u8; 3] = [230, 175, 60];
 const PAPER: [u8; 3] = [244, 244, 242];
 /// Pictures beside each other.
-const COLUMNS: usize = 5;
+const COLUMNS: usize = 6;
 
 pub struct Gallery<'a> {
     case: &'a Case,
