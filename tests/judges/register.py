@@ -204,7 +204,8 @@ def by_pycpd(samples, source, target):
 def by_probreg(samples, source, target):
     from probreg import cpd
 
-    found = cpd.registration_cpd(source, target, tf_type_name="nonrigid", w=0.1, maxiter=150, tol=1e-5, beta=2, lmd=3)
+    # Its kernel is exp(-d² / (2 beta)): the square of the paper's width.
+    found = cpd.registration_cpd(source, target, tf_type_name="nonrigid", w=0.1, maxiter=150, tol=1e-5, beta=4, lmd=3)
     return carried(samples, source, found.transformation.w, 2)
 
 

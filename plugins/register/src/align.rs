@@ -4,21 +4,27 @@
 
 use crate::points::{Extent, Pair, similarity, some};
 use crate::tree::Tree;
-use crate::{Align, Place, Settings};
+use crate::{Align, Method, Place, Settings};
 use glam::{DAffine3, DMat3, DVec3};
 use simod_plugin_api::{Host, LogLevel, PluginError, PluginResult};
 
 /// Points of the model that are looked at, and of the target: in the search, and in the end.
 const SEARCHED: [usize; 2] = [300, 2000];
 const REFINED: [usize; 2] = [1500, 20_000];
-/// Steps from each first turn, and in the end.
-const STEPS: [usize; 2] = [12, 30];
+/// Most steps from each first turn, and in the end.
+const STEPS: [usize; 2] = [20, 100];
+/// A step that moves no point by more than this part of the target's size is the last one.
+const STILL: f64 = 1e-5;
 /// The part of the pairs that count: the others may have no counterpart.
 const FITTING: f64 = 0.7;
+/// As many more are tried from where the model lies, by which it comes from farther away.
+const PARTS: [f64; 2] = [FITTING, 1.0];
 /// Another turn has to fit so much better than none.
 const BETTER: f64 = 0.8;
+/// The best turns of the search, which are compared by more points, where they are only told and where they are taken.
+const FINALISTS: [usize; 2] = [1, 5];
 /// Another turn that fits so much better is told.
-const TURNED: f64 = 0.2;
+const TURNED: f64 = 0.4;
 /// Sizes that differ by more than this factor are taken for different units, and by less, for something to be told.
 const UNITS: [f64; 2] = [5.0, 2.0];
 /// Boxes that are so many diagonals of the model apart do not overlap.
@@ -55,6 +61,9 @@ pub fn aligned(
     let gap = own.gap(&other) / own.diagonal();
     let is_beside = gap > APART;
     if settings.align == Align::None {
+        if settings.method == Method::Align {
+            host.warn("the model is aligned alone, and that by nothing: nothing moves");
+        }
         if is_beside {
             return Err(PluginError::input(format!(
                 "the target lies {gap:.1} diagonals of the model beside it: they do not overlap"
@@ -128,30 +137,42 @@ impl Alignment<'_> {
             DAffine3::from_mat3_translation(scale * turn, to.middle - scale * turn * from.middle)
         };
         let differs = !(1.0 / UNITS[1]..=UNITS[1]).contains(&scale);
-        let mut best = search.improved(at_middles(DMat3::IDENTITY));
+        let start = || progress(0.0);
+        let mut firsts = vec![at_middles(DMat3::IDENTITY)];
         if !is_beside && !differs {
-            let as_it_lies = search.improved(DAffine3::IDENTITY);
-            if as_it_lies.score <= best.score / BETTER {
-                best = as_it_lies;
+            firsts.insert(0, DAffine3::IDENTITY);
+        }
+        let mut best: Option<Fit> = None;
+        for (first, part) in firsts.iter().flat_map(|first| PARTS.map(|part| (*first, part))) {
+            let brought = search.improved(first, part, STEPS[0], &start)?.map;
+            let fit = search.improved(brought, FITTING, STEPS[0], &start)?;
+            if best.is_none_or(|best| fit.score < BETTER * best.score) {
+                best = Some(fit);
             }
         }
-        let mut turned = best;
+        let best = best.unwrap_or_else(|| search.score(firsts[0]));
         let turns = search.turns(from.middle, to.middle);
+        let mut turned = Vec::new();
         for (i, turn) in turns.iter().enumerate() {
-            progress(i as f64 / turns.len() as f64)?;
-            let fit = search.improved(at_middles(*turn));
-            if fit.score < BETTER * turned.score {
-                turned = fit;
-            }
+            let told = || progress(i as f64 / turns.len() as f64);
+            turned.push(search.improved(at_middles(*turn), FITTING, STEPS[0], &told)?);
         }
-        if self.settings.any_turn {
-            best = turned;
-        } else if turned.score < TURNED * best.score && best.score > (0.05 * to.radius).powi(2) {
+        turned.sort_by(|a, b| a.score.total_cmp(&b.score));
+        let search = Search::new(self.model.0, self.target.0, REFINED, with_scale);
+        let refined = |fit: &Fit| search.improved(fit.map, FITTING, STEPS[1], &|| progress(1.0));
+        let best = refined(&best)?;
+        let finalists = FINALISTS[usize::from(self.settings.any_turn)];
+        let finalists = turned.iter().take(finalists).map(refined).collect::<PluginResult<Vec<_>>>()?;
+        let Some(turned) = finalists.into_iter().min_by(|a, b| a.score.total_cmp(&b.score)) else {
+            return Ok(best.map);
+        };
+        if self.settings.any_turn && turned.score < BETTER * best.score {
+            return Ok(turned.map);
+        }
+        if turned.score < TURNED * best.score && best.score > (0.05 * to.radius).powi(2) {
             host.warn("the model fits better when it is turned: `any-turn = true` does so");
         }
-        progress(1.0)?;
-        let search = Search::new(self.model.0, self.target.0, REFINED, with_scale);
-        Ok(search.refined(best.map, STEPS[1], host)?.map)
+        Ok(best.map)
     }
 }
 
@@ -161,13 +182,15 @@ struct Search {
     target: Vec<DVec3>,
     tree: Tree,
     with_scale: bool,
+    /// Of the target.
+    size: f64,
 }
 
 impl Search {
     fn new(source: &[DVec3], target: &[DVec3], most: [usize; 2], with_scale: bool) -> Self {
         let [source, target] = [(source, most[0]), (target, most[1])]
             .map(|(points, most)| some(points.len(), most).map(|i| points[i]).collect::<Vec<_>>());
-        Self { tree: Tree::new(&target), source, target, with_scale }
+        Self { tree: Tree::new(&target), size: Extent::of(&target).radius, source, target, with_scale }
     }
 
     /// Turns to begin with: those of the axes, and of the principal ones.
@@ -179,39 +202,38 @@ impl Search {
         turns
     }
 
-    /// By closest points, from a first map.
-    fn improved(&self, first: DAffine3) -> Fit {
+    /// By closest points, from a first map, of which a part counts, in at most so many steps.
+    ///
+    /// # Errors
+    /// The user cancelled.
+    fn improved(
+        &self,
+        first: DAffine3,
+        part: f64,
+        steps: usize,
+        goes_on: &dyn Fn() -> PluginResult<()>,
+    ) -> PluginResult<Fit> {
         let mut best = self.score(first);
         let mut map = first;
-        for _ in 0..STEPS[0] {
-            let Some(next) = self.step(map) else { break };
+        for _ in 0..steps {
+            goes_on()?;
+            let Some(next) = self.step(map, part) else { break };
+            let moves = |p: &DVec3| next.transform_point3(*p).distance(map.transform_point3(*p));
+            let most = self.source.iter().map(moves).fold(0.0, f64::max);
             map = next;
             let fit = self.score(map);
             if fit.score < best.score {
                 best = fit;
             }
-        }
-        best
-    }
-
-    /// The same in small steps that can be cancelled.
-    fn refined(&self, first: DAffine3, steps: usize, host: &Host<'_>) -> PluginResult<Fit> {
-        let mut best = self.score(first);
-        let mut map = first;
-        for _ in 0..steps {
-            host.progress(0.15)?;
-            let Some(next) = self.step(map) else { break };
-            map = next;
-            let fit = self.score(map);
-            if fit.score < best.score {
-                best = fit;
+            if most < STILL * self.size {
+                break;
             }
         }
         Ok(best)
     }
 
     /// The map that fits the closest points of a former one.
-    fn step(&self, map: DAffine3) -> Option<DAffine3> {
+    fn step(&self, map: DAffine3, part: f64) -> Option<DAffine3> {
         let mut pairs: Vec<(f64, Pair)> = self
             .source
             .iter()
@@ -221,7 +243,7 @@ impl Search {
             })
             .collect();
         pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
-        pairs.truncate(fitting(pairs.len()));
+        pairs.truncate(fitting(part, pairs.len()));
         let pairs: Vec<Pair> = pairs.into_iter().map(|(_, pair)| pair).collect();
         similarity(&pairs, self.with_scale)
     }
@@ -233,8 +255,8 @@ impl Search {
         Fit { map, score: best_of(&self.tree, &moved) + best_of(&back, &some) }
     }
 }
-fn fitting(count: usize) -> usize {
-    ((count as f64 * FITTING) as usize).max(3).min(count)
+fn fitting(part: f64, count: usize) -> usize {
+    ((count as f64 * part) as usize).max(3).min(count)
 }
 
 /// The mean of the squares of the best fitting distances.
@@ -242,7 +264,7 @@ fn best_of(tree: &Tree, points: &[DVec3]) -> f64 {
     let mut all: Vec<f64> =
         points.iter().filter_map(|p| tree.nearest(*p, &|_| true).map(|(_, squared)| squared)).collect();
     all.sort_by(f64::total_cmp);
-    let best = &all[..fitting(all.len())];
+    let best = &all[..fitting(FITTING, all.len())];
     best.iter().sum::<f64>() / best.len().max(1) as f64
 }
 

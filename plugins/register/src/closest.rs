@@ -10,8 +10,8 @@ use crate::tree::Tree;
 use glam::{DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
-/// Degrees of stiffness, and steps at each.
-const DEGREES: usize = 8;
+/// Degrees of stiffness for each power of ten, and steps at each.
+const DEGREES: f64 = 3.0;
 const STEPS: usize = 6;
 /// The least cosine between normals of a pair.
 const AGREE: f64 = 0.5;
@@ -74,13 +74,20 @@ pub struct Fit {
     pub matched: [f64; 2],
     /// See [`Graph::strain`].
     pub strain: f64,
+    /// How far landmarks are from where they belong: the root of the mean square; nothing where there are none.
+    pub landmarks: Option<f64>,
 }
 
 impl Fit {
-    /// The lower the better: what does not match, as a part of it, and strain.
+    /// What of the ways to a fit the best one has least of. Strain tells those that stretch a part over the whole, or bend
+    /// what should only be turned. A part may be missing on one side, but hardly on both: the side that is matched better
+    /// counts most. Distances count little, in those between the target's points, as far as there is a match.
     pub fn cost(&self, spacing: f64) -> f64 {
-        let missing = (1.0 - self.matched[0].max(self.matched[1])) + 0.3 * (1.0 - self.matched[0].min(self.matched[1]));
-        missing + 0.1 * self.rms / spacing + self.strain
+        let [less, more] = {
+            let [a, b] = self.matched;
+            [a.min(b), a.max(b)]
+        };
+        (1.0 - more) + 0.3 * (1.0 - less) + 0.1 * self.rms / spacing + self.strain + self.landmarks.unwrap_or(0.0)
     }
 }
 
@@ -92,21 +99,23 @@ impl<'a> Closest<'a> {
         Self { source, target, landmarks, tree, spacing, carried }
     }
 
-    /// Draws the graph from where it is, from a first stiffness to a last one.
+    /// Draws the graph from where it is, to a stiffness, from one that is so much stiffer.
     ///
     /// # Errors
     /// The user cancelled; the equations have no solution.
     pub fn draw(
         &self,
         graph: &mut Graph,
-        [first, last]: [f64; 2],
+        stiffness: f64,
+        stiffer: f64,
         host: &Host<'_>,
         progress: &dyn Fn(f64) -> PluginResult<()>,
     ) -> PluginResult<()> {
-        for degree in 0..DEGREES {
-            let stiffness = first * (last / first).powf(degree as f64 / (DEGREES - 1) as f64);
+        let degrees = 1 + (DEGREES * stiffer.log10()).ceil() as usize;
+        for degree in 0..degrees {
+            let stiffness = stiffness * stiffer.powf(1.0 - degree as f64 / (degrees - 1).max(1) as f64);
             for step in 0..STEPS {
-                progress((degree * STEPS + step) as f64 / (DEGREES * STEPS) as f64)?;
+                progress((degree * STEPS + step) as f64 / (degrees * STEPS) as f64)?;
                 let terms = self.terms(graph, host)?;
                 let before = graph.clone();
                 graph.settle(&terms, stiffness, 2)?;
@@ -137,7 +146,15 @@ impl<'a> Closest<'a> {
             rms: (squares / count.max(1) as f64).sqrt(),
             matched: matched.map(|(near, all)| near.len() as f64 / all.max(1) as f64),
             strain: graph.strain(),
+            landmarks: self.missed_by(graph),
         })
+    }
+
+    fn missed_by(&self, graph: &Graph) -> Option<f64> {
+        let whole: f64 = self.landmarks.iter().map(|l| l.weight).sum();
+        let squares: f64 =
+            self.landmarks.iter().map(|l| l.weight * graph.apply(l.source).distance_squared(l.target)).sum();
+        (whole > 0.0).then(|| (squares / whole).sqrt())
     }
 
     /// The distance between neighbours of the target's points.

@@ -14,14 +14,24 @@ use crate::points::{Extent, Pair, farthest, some};
 use crate::{Method, Place, Settings};
 use glam::{DAffine3, DVec3};
 use simod_plugin_api::{Host, LogLevel, OtherModel, PluginError, PluginResult, PrepareInput};
+use std::fmt;
 
 /// Of the samples, most that are looked at, and that closest points take.
 const MODEL: usize = 20_000;
 const CLOSEST: usize = 4000;
 /// Centres of a drift's displacement at most.
 const CENTERS: usize = 400;
-/// How much stiffer closest points begin than they end: from where the model lies, and from where a drift took it.
-const STIFFER: [f64; 2] = [1e3, 1e2];
+/// What is tried, and the best of it taken: closest points alone; from a drift, stiff enough to undo what it did wrong; and
+/// from a drift as it is, also from afar.
+const WAYS: [Way; 4] = [
+    Way { drift: None, closest: Some(1e3) },
+    Way { drift: Some(Start::Near), closest: Some(100.0) },
+    Way { drift: Some(Start::Near), closest: Some(3.0) },
+    Way { drift: Some(Start::Wide), closest: Some(3.0) },
+];
+/// The same of drift alone.
+const DRIFTS: [Way; 2] =
+    [Way { drift: Some(Start::Near), closest: None }, Way { drift: Some(Start::Wide), closest: None }];
 /// Samples match that are as near to the target as so many distances between its points.
 const MATCHED: f64 = 2.0;
 /// Less than this part of the samples is told.
@@ -151,6 +161,28 @@ pub fn register(
     Ok(Map { to, bent, from })
 }
 
+/// A way to bend.
+struct Way {
+    /// Begins with a drift, from this variance.
+    drift: Option<Start>,
+    /// Goes on by closest points, which begin so much stiffer than they end.
+    closest: Option<f64>,
+}
+
+impl fmt::Display for Way {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let drift = match self.drift {
+            Some(Start::Near) => "drift from the nearest points",
+            Some(Start::Wide) => "drift from afar",
+            None => "no drift",
+        };
+        match self.closest {
+            Some(stiffer) => write!(f, "{drift}, then closest points from {stiffer} times as stiff,"),
+            None => write!(f, "{drift}"),
+        }
+    }
+}
+
 /// What is bent to what, about 0 and of unit spread.
 struct Task<'a> {
     settings: &'a Settings,
@@ -168,21 +200,26 @@ struct Task<'a> {
 impl Task<'_> {
     /// The best of what is found from several starts.
     fn best(&self) -> PluginResult<(Bent, Fit)> {
-        let starts: &[Option<Start>] = match self.settings.method {
+        let ways: &[Way] = match self.settings.method {
             Method::Align => &[],
-            Method::Icp => &[None],
-            Method::Cpd => &[Some(Start::Near), Some(Start::Wide)],
-            Method::CpdIcp => &[None, Some(Start::Near), Some(Start::Wide)],
+            Method::Cpd => &DRIFTS,
+            Method::Icp => &WAYS[..1],
+            Method::CpdIcp => &WAYS,
         };
+        let starts = [Start::Near, Start::Wide].into_iter().filter(|s| ways.iter().any(|way| way.drift == Some(*s)));
+        let starts: Vec<Start> = starts.collect();
+        let (parts, mut fields) = (starts.len() + ways.len(), Vec::new());
+        let progress = |number: usize, done: f64| self.host.progress(0.15 + 0.8 * (number as f64 + done) / parts as f64);
+        for (number, start) in starts.iter().enumerate() {
+            fields.push((*start, self.drift(*start, &|done| progress(number, done))?));
+        }
         let mut best: Option<(f64, Bent, Fit)> = None;
-        for (number, start) in (0..).zip(starts) {
-            let begin = 0.15 + 0.8 * f64::from(number) / starts.len() as f64;
-            let length = 0.8 / starts.len() as f64;
-            let (bent, graph) =
-                self.bend(*start, &|done| self.host.progress(begin + length * done))?;
+        for (number, way) in ways.iter().enumerate() {
+            let field = fields.iter().find(|(start, _)| way.drift == Some(*start)).map(|(_, field)| field);
+            let (bent, graph) = self.bend(field, way.closest, &|done| progress(starts.len() + number, done))?;
             let fit = self.closest.fit(&graph, MATCHED, self.host)?;
             let cost = fit.cost(self.closest.spacing());
-            self.host.log(LogLevel::INFO, &format!("{start:?}: {fit:?}, {cost}"));
+            self.host.log(LogLevel::INFO, &format!("{way} costs {cost:.3}: {:.3} of it is strain", fit.strain));
             if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
                 best = Some((cost, bent, fit));
             }
@@ -193,34 +230,36 @@ impl Task<'_> {
         }
     }
 
-    /// Bends from a start, by drift, closest points, or one after the other; and the graph where it takes it.
+    fn drift(&self, start: Start, progress: &dyn Fn(f64) -> PluginResult<()>) -> PluginResult<Field> {
+        let settings = self.settings;
+        let drift = Drift {
+            width: self.width,
+            stiffness: settings.smoothness,
+            centers: CENTERS,
+            outliers: settings.outliers,
+            most_iterations: settings.iterations as usize,
+        };
+        let [source, goal] = [self.model, self.target].map(|p| p.farthest(settings.points as usize).points);
+        Ok(drift.run((&source, &goal), self.pairs, start, self.host, progress)?.0)
+    }
+
+    /// Bends by a drift, by closest points, or by both; and the graph where that takes it.
     fn bend(
         &self,
-        start: Option<Start>,
+        drift: Option<&Field>,
+        stiffer: Option<f64>,
         progress: &dyn Fn(f64) -> PluginResult<()>,
     ) -> PluginResult<(Bent, Graph)> {
-        let settings = self.settings;
-        let mut graph = self.graph.clone();
-        if let Some(start) = start {
-            let drift = Drift {
-                width: self.width,
-                stiffness: settings.smoothness,
-                centers: CENTERS,
-                outliers: settings.outliers,
-                most_iterations: settings.iterations as usize,
-            };
-            let [source, goal] = [self.model, self.target].map(|p| p.farthest(settings.points as usize).points);
-            let (field, _) =
-                drift.run((&source, &goal), self.pairs, start, self.host, &|done| progress(0.5 * done))?;
+        let (mut graph, mut bent) = (self.graph.clone(), Bent::Not);
+        if let Some(field) = drift {
             graph = graph.moved(|p| field.apply(p));
-            if settings.method == Method::Cpd {
-                return Ok((Bent::Drift(field), graph));
-            }
+            bent = Bent::Drift(field.clone());
         }
-        let stiffer = STIFFER[usize::from(start.is_some())];
-        let stiffness = [settings.stiffness * stiffer, settings.stiffness];
-        self.closest.draw(&mut graph, stiffness, self.host, &|done| progress(0.5 + 0.5 * done))?;
-        Ok((Bent::Graph(graph.clone()), graph))
+        if let Some(stiffer) = stiffer {
+            self.closest.draw(&mut graph, self.settings.stiffness, stiffer, self.host, progress)?;
+            bent = Bent::Graph(graph.clone());
+        }
+        Ok((bent, graph))
     }
 }
 
@@ -268,6 +307,9 @@ fn tell(fit: &Fit, spacing: f64, unit: f64, host: &Host<'_>) {
             spacing * unit
         ),
     );
+    if let Some(off) = fit.landmarks {
+        host.log(LogLevel::INFO, &format!("landmarks are {:.4} from where they belong (rms)", off * unit));
+    }
     if fit.matched[0] < FEW {
         host.warn(
             "few of the samples match: the target may be turned (`any-turn`), in another unit (`align = \"similarity\"`), or \
