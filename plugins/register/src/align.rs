@@ -91,7 +91,9 @@ pub fn aligned(
         return Err(PluginError::input(format!(
             "the target lies {away:.0} diagonals of the model away: there the model's details would be lost"
         ))
-        .hint("give `place = \"model\"`, which leaves the model where it is, or a target in its coordinates"));
+        .hint(
+            "give `place = \"model\"`, which leaves the model where it is, or a target in its coordinates",
+        ));
     }
     let scale = map.matrix3.determinant().cbrt();
     let (_, turn, _) = map.to_scale_rotation_translation();

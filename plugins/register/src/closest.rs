@@ -87,7 +87,11 @@ impl Fit {
             let [a, b] = self.matched;
             [a.min(b), a.max(b)]
         };
-        (1.0 - more) + 0.3 * (1.0 - less) + 0.1 * self.rms / spacing + self.strain + self.landmarks.unwrap_or(0.0)
+        (1.0 - more)
+            + 0.3 * (1.0 - less)
+            + 0.1 * self.rms / spacing
+            + self.strain
+            + self.landmarks.unwrap_or(0.0)
     }
 }
 
@@ -200,8 +204,7 @@ impl<'a> Closest<'a> {
             for (i, found) in (first..).zip(there) {
                 let (p, n) = (moved.points[i], moved.normals[i]);
                 let near = self.tree.nearest(p, &|j| agrees(n, target.normals[j as usize]));
-                let near =
-                    near.map(|(j, d)| Match { source: i, target: j as usize, distance: d.sqrt() });
+                let near = near.map(|(j, d)| Match { source: i, target: j as usize, distance: d.sqrt() });
                 *found = near.filter(|m| {
                     aside(p - target.points[m.target], target.normals[m.target]) < ASIDE * self.spacing
                 });
@@ -213,8 +216,7 @@ impl<'a> Closest<'a> {
             for (j, found) in some[first..].iter().zip(back) {
                 let x = target.points[*j];
                 let near = moved.tree.nearest(x, &|i| agrees(moved.normals[i as usize], target.normals[*j]));
-                let near =
-                    near.map(|(i, d)| Match { source: i as usize, target: *j, distance: d.sqrt() });
+                let near = near.map(|(i, d)| Match { source: i as usize, target: *j, distance: d.sqrt() });
                 *found = near.filter(|m| {
                     aside(x - moved.points[m.source], moved.normals[m.source]) < ASIDE * moved.spacing
                 });

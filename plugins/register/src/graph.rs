@@ -105,7 +105,8 @@ impl Graph {
 
     /// The root of the mean square of how far nodes are from where they are in another one.
     pub fn apart(&self, other: &Self) -> f64 {
-        let squares: f64 = self.nodes.iter().zip(&other.nodes).map(|(a, b)| a.now.distance_squared(b.now)).sum();
+        let squares: f64 =
+            self.nodes.iter().zip(&other.nodes).map(|(a, b)| a.now.distance_squared(b.now)).sum();
         (squares / self.nodes.len().max(1) as f64).sqrt()
     }
 
@@ -126,56 +127,70 @@ impl Graph {
     /// # Errors
     /// The equations have no solution.
     pub fn settle(&mut self, terms: &[Term], stiffness: f64, times: usize) -> PluginResult<()> {
+        faer::set_global_parallelism(faer::Par::Seq);
+        // Turns change the right side alone.
+        let factor = Llt::new(self.normal(terms, stiffness).as_ref(), Side::Lower).map_err(|_| {
+            PluginError::internal("the equations of the nodes are not positive")
+                .hint("take a larger `stiffness`")
+        })?;
         for _ in 0..times {
-            self.shift(terms, stiffness)?;
+            let mut places = self.wanted(terms, stiffness);
+            factor.solve_in_place(places.as_mut());
+            for (i, node) in self.nodes.iter_mut().enumerate() {
+                node.now = DVec3::new(places[(3 * i, 0)], places[(3 * i + 1, 0)], places[(3 * i + 2, 0)]);
+            }
             self.turn();
         }
         Ok(())
     }
 
-    fn shift(&mut self, terms: &[Term], stiffness: f64) -> PluginResult<()> {
-        let size = 3 * self.nodes.len();
-        let (mut normal, mut right) = (Mat::<f64>::zeros(size, size), Mat::<f64>::zeros(size, 1));
+    /// What an edge counts, and how much nodes stay that nothing else holds.
+    fn weights(&self, stiffness: f64) -> (f64, f64) {
+        (stiffness / self.edges.len().max(1) as f64, 1e-9 * (1.0 + stiffness))
+    }
+
+    /// The lower half of the equations' matrix.
+    fn normal(&self, terms: &[Term], stiffness: f64) -> Mat<f64> {
+        let mut normal = Mat::<f64>::zeros(3 * self.nodes.len(), 3 * self.nodes.len());
         let mut add = |a: usize, b: usize, block: DMat3| {
             for (i, j) in (0..9).map(|k| (k % 3, k / 3)) {
                 normal[(3 * a + i, 3 * b + j)] += block.col(j)[i];
             }
         };
-        let mut wants = |a: usize, v: DVec3| (0..3).for_each(|i| right[(3 * a + i, 0)] += v[i]);
         for term in terms {
-            let to = term.metric * (term.target - self.turned(term.source, &term.carried));
             for (a, wa) in &term.carried {
-                wants(*a, *wa * to);
                 for (b, wb) in term.carried.iter().filter(|(b, _)| b <= a) {
                     add(*a, *b, *wa * *wb * term.metric);
                 }
             }
         }
-        let each = stiffness / self.edges.len().max(1) as f64;
+        let (each, hold) = self.weights(stiffness);
+        for (a, b) in &self.edges {
+            add(*a, *a, 2.0 * each * DMat3::IDENTITY);
+            add(*b, *b, 2.0 * each * DMat3::IDENTITY);
+            add(*a.max(b), *a.min(b), -2.0 * each * DMat3::IDENTITY);
+        }
+        (0..self.nodes.len()).for_each(|i| add(i, i, hold * DMat3::IDENTITY));
+        normal
+    }
+
+    /// Their right side, as the nodes are turned.
+    fn wanted(&self, terms: &[Term], stiffness: f64) -> Mat<f64> {
+        let mut right = Mat::<f64>::zeros(3 * self.nodes.len(), 1);
+        let mut wants = |a: usize, v: DVec3| (0..3).for_each(|i| right[(3 * a + i, 0)] += v[i]);
+        for term in terms {
+            let to = term.metric * (term.target - self.turned(term.source, &term.carried));
+            term.carried.iter().for_each(|(a, wa)| wants(*a, *wa * to));
+        }
+        let (each, hold) = self.weights(stiffness);
         for (a, b) in &self.edges {
             let [na, nb] = [self.nodes[*a], self.nodes[*b]];
             let apart = each * ((na.turn + nb.turn) * (na.rest - nb.rest));
             wants(*a, apart);
             wants(*b, -apart);
-            add(*a, *a, 2.0 * each * DMat3::IDENTITY);
-            add(*b, *b, 2.0 * each * DMat3::IDENTITY);
-            add(*a.max(b), *a.min(b), -2.0 * each * DMat3::IDENTITY);
         }
-        // What nothing holds stays.
-        let hold = 1e-9 * (1.0 + stiffness);
-        for (i, node) in self.nodes.iter().enumerate() {
-            add(i, i, hold * DMat3::IDENTITY);
-            wants(i, hold * node.now);
-        }
-        faer::set_global_parallelism(faer::Par::Seq);
-        let llt = Llt::new(normal.as_ref(), Side::Lower).map_err(|_| {
-            PluginError::internal("the equations of the nodes are not positive").hint("take a larger `stiffness`")
-        })?;
-        llt.solve_in_place(right.as_mut());
-        for (i, node) in self.nodes.iter_mut().enumerate() {
-            node.now = DVec3::new(right[(3 * i, 0)], right[(3 * i + 1, 0)], right[(3 * i + 2, 0)]);
-        }
-        Ok(())
+        self.nodes.iter().enumerate().for_each(|(i, node)| wants(i, hold * node.now));
+        right
     }
 
     /// Turns each node as its neighbours' places tell.

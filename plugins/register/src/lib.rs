@@ -56,16 +56,16 @@ struct Settings {
     #[param(default = 3.0, hard = 1e-6..=1e6, soft = 0.1..=10.0, group = "Drift", invalidates_preparation)]
     smoothness: f64,
     /// Points of the model, and of the target, that take part
-    #[param(default = 1500, hard = 10..=10000, soft = 200..=3000, group = "Drift", invalidates_preparation)]
+    #[param(default = 1500, hard = 10..=4000, soft = 200..=3000, group = "Drift", invalidates_preparation)]
     points: i64,
     /// Iterations at most
-    #[param(default = 150, hard = 1..=10000, soft = 20..=300, group = "Drift", invalidates_preparation)]
+    #[param(default = 150, hard = 1..=1000, soft = 20..=300, group = "Drift", invalidates_preparation)]
     iterations: i64,
     /// How much the model resists bending in the end
     #[param(default = 0.01, hard = 1e-6..=1e3, soft = 0.001..=1.0, group = "Closest points", invalidates_preparation)]
     stiffness: f64,
     /// Nodes of the graph that bends
-    #[param(default = 250, hard = 4..=800, soft = 50..=400, group = "Closest points", invalidates_preparation)]
+    #[param(default = 250, hard = 4..=500, soft = 50..=400, group = "Closest points", invalidates_preparation)]
     nodes: i64,
 }
 

@@ -136,12 +136,18 @@ pub fn register(
     let to = DAffine3::from_scale(DVec3::splat(1.0 / own.radius)) * DAffine3::from_translation(-own.middle);
     let bring = to * align.inverse();
     if !(bring.is_finite() && to.is_finite()) {
-        return Err(PluginError::input("the target's size is beyond what can be worked with").hint("check its unit"));
+        return Err(
+            PluginError::input("the target's size is beyond what can be worked with").hint("check its unit")
+        );
     }
     let from = if settings.place == Place::Model { to.inverse() } else { align * to.inverse() };
     let pairs: Vec<Pair> = pairs
         .into_iter()
-        .map(|p| Pair { source: to.transform_point3(p.source), target: bring.transform_point3(p.target), ..p })
+        .map(|p| Pair {
+            source: to.transform_point3(p.source),
+            target: bring.transform_point3(p.target),
+            ..p
+        })
         .collect();
     let (model, target) = (model.mapped(&to), target.mapped(&bring));
     let source = model.farthest(CLOSEST);
@@ -206,20 +212,24 @@ impl Task<'_> {
             Method::Icp => &WAYS[..1],
             Method::CpdIcp => &WAYS,
         };
-        let starts = [Start::Near, Start::Wide].into_iter().filter(|s| ways.iter().any(|way| way.drift == Some(*s)));
+        let starts =
+            [Start::Near, Start::Wide].into_iter().filter(|s| ways.iter().any(|way| way.drift == Some(*s)));
         let starts: Vec<Start> = starts.collect();
         let (parts, mut fields) = (starts.len() + ways.len(), Vec::new());
-        let progress = |number: usize, done: f64| self.host.progress(0.15 + 0.8 * (number as f64 + done) / parts as f64);
+        let progress =
+            |number: usize, done: f64| self.host.progress(0.15 + 0.8 * (number as f64 + done) / parts as f64);
         for (number, start) in starts.iter().enumerate() {
             fields.push((*start, self.drift(*start, &|done| progress(number, done))?));
         }
         let mut best: Option<(f64, Bent, Fit)> = None;
         for (number, way) in ways.iter().enumerate() {
             let field = fields.iter().find(|(start, _)| way.drift == Some(*start)).map(|(_, field)| field);
-            let (bent, graph) = self.bend(field, way.closest, &|done| progress(starts.len() + number, done))?;
+            let (bent, graph) =
+                self.bend(field, way.closest, &|done| progress(starts.len() + number, done))?;
             let fit = self.closest.fit(&graph, MATCHED, self.host)?;
             let cost = fit.cost(self.closest.spacing());
-            self.host.log(LogLevel::INFO, &format!("{way} costs {cost:.3}: {:.3} of it is strain", fit.strain));
+            self.host
+                .log(LogLevel::INFO, &format!("{way} costs {cost:.3}: {:.3} of it is strain", fit.strain));
             if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
                 best = Some((cost, bent, fit));
             }
