@@ -226,22 +226,23 @@ def judge(simod, folder, name, condition, words, points, faces, image):
     def run(*command):
         done = subprocess.run([str(simod), *map(str, command)], cwd=folder, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-        return done
 
     box, generator = Box(points), np.random.default_rng(7)
-    cut = points[:, box.along] > box.low[box.along] + 0.67 * box.size[box.along]
-    gone = lambda p: p[:, box.along] > box.low[box.along] + 0.67 * box.size[box.along]
-    cloud, normals = cloud_on(points, faces, generator)
-    # Normals of the map's image: of the triangles there.
-    moved, normals = cloud_on(image(points), faces, np.random.default_rng(7))
+
+    def gone(p):
+        return p[:, box.along] > box.low[box.along] + 0.67 * box.size[box.along]
+
+    moved, normals = cloud_on(image(points), faces, generator)
     if condition == "noise":
         moved += generator.normal(size=moved.shape) * NOISE * box.diagonal
         normals = None
     if condition == "third of target gone":
-        kept = ~gone(cloud)
+        # By where the points come from: the same ones of the same triangles at rest, but for the areas that choose them.
+        at_rest = cKDTree(image(points)).query(moved)[1]
+        kept = ~gone(points[at_rest])
         moved, normals = moved[kept], normals[kept]
     if condition == "third of model gone":
-        faces = faces[~cut[faces].any(1)]
+        faces = faces[~gone(points)[faces].any(1)]
     used = np.unique(faces)
     number = np.zeros(len(points), int)
     number[used] = np.arange(len(used))
@@ -259,8 +260,9 @@ def judge(simod, folder, name, condition, words, points, faces, image):
         start, found = time.time(), samples
         if params is not None:
             params = ", ".join(['target = "target.ply"', *filter(None, [params])])
-            (folder / "edit.toml").write_text(f'[model]\npath = "model.ply"\n[[step]]\ndeform = "register"\nparams = {{ {params} }}\n')
-            done = run("deform", "model.simod", "--session", "edit.toml", "-o", "out.ply", "--force")
+            step = f'[[step]]\ndeform = "register"\nparams = {{ {params} }}\n'
+            (folder / "edit.toml").write_text(f'[model]\npath = "model.ply"\n{step}')
+            run("deform", "model.simod", "--session", "edit.toml", "-o", "out.ply", "--force")
             found = positions(ply_files.vertices(folder / "out.ply"))
         results.append((method, found, time.time() - start))
     for method, by in OTHERS.items():

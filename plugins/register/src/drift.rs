@@ -84,7 +84,7 @@ impl Drift {
             }
             let mut expected = self.expect(&moved, target, variance, host)?;
             let sum: f64 = expected.own.iter().map(|(p, _)| p).sum();
-            if !(sum > 1e-9) {
+            if sum.is_nan() || sum <= 1e-9 {
                 return Err(nothing_in_common());
             }
             let sure = variance / (LANDMARKS * LANDMARKS);

@@ -49,7 +49,7 @@ fn body(d: DVec3) -> DVec3 {
         ([-0.9, -0.2, 0.1], -0.1),
     ];
     let knob = |(at, height): ([f64; 3], f64)| {
-        height * (-d.distance_squared(DVec3::from(at).normalize()) / 0.06).exp()
+        height * (-d.distance_squared(DVec3::from(at).normalize_or_zero()) / 0.06).exp()
     };
     (0.4 + KNOBS.map(knob).iter().sum::<f64>()) * d * DVec3::new(1.0, 0.8, 0.6)
 }
@@ -72,10 +72,10 @@ fn directions(count: usize) -> impl Iterator<Item = DVec3> {
 fn surface(count: usize, map: &dyn Fn(DVec3) -> DVec3) -> (Vec<[f64; 3]>, Vec<[f32; 3]>) {
     let point = |d: DVec3| {
         let (a, b) = d.any_orthonormal_pair();
-        let at = |d: DVec3| map(body(d.normalize()));
+        let at = |d: DVec3| map(body(d.normalize_or_zero()));
         let normal = (at(d + 1e-5 * a) - at(d - 1e-5 * a)).cross(at(d + 1e-5 * b) - at(d - 1e-5 * b));
         let outward = normal * normal.dot(at(d) - map(DVec3::ZERO)).signum();
-        (at(d).to_array(), outward.normalize().as_vec3().to_array())
+        (at(d).to_array(), outward.normalize_or_zero().as_vec3().to_array())
     };
     directions(count).map(point).unzip()
 }
