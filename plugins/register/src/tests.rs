@@ -97,8 +97,8 @@ struct Case {
 
 const SAMPLES: usize = 1200;
 const DIAGONAL: f64 = 1.5;
-/// How well the target is met: its points are some 0.026 of the diagonal from each other.
-const MET: f64 = 0.016;
+/// As a part of the diagonal, the target's points are so far from each other: nearer than that it is met.
+const MET: f64 = 0.026;
 
 impl Case {
     fn new(method: &'static str, map: &dyn Fn(DVec3) -> DVec3) -> Self {
@@ -137,7 +137,7 @@ impl Case {
             number("points", ParamKind::INT, &[400.0]),
             number("iterations", ParamKind::INT, &[100.0]),
             number("stiffness", ParamKind::FLOAT, &[0.01]),
-            number("nodes", ParamKind::INT, &[80.0]),
+            number("nodes", ParamKind::INT, &[120.0]),
         ];
         let (points, target_normals) = &self.target;
         let of = ("target", PointsKind::SAMPLED, points.len() as u64);
@@ -258,12 +258,12 @@ fn other_units_places_and_turns_are_told_and_found() {
     (case.align, case.any_turn) = ("rigid", true);
     let error = case.error(&beside, EVERYWHERE);
     assert!(error < 0.01, "{error}");
-    // Turned where it is, or beside: that is told.
-    for at in [DVec3::ZERO, 4.0 * DVec3::X] {
-        let turned = DMat3::from_rotation_y(std::f64::consts::FRAC_PI_2);
-        let case = Case::new("align", &|p| turned * p + at);
-        case.moved(EVERYWHERE).expect("a map");
-        assert!(case.told().contains("`any-turn"), "{}", case.told());
+    // Turned where it is: that is found, or told; beside, it is told.
+    for (at, is_found) in [(DVec3::ZERO, true), (4.0 * DVec3::X, false)] {
+        let turned = |p| DMat3::from_rotation_y(std::f64::consts::FRAC_PI_2) * p + at;
+        let case = Case::new("align", &turned);
+        let error = case.error(&turned, EVERYWHERE);
+        assert!(case.told().contains("`any-turn") || (is_found && error < MET), "{error}, {}", case.told());
     }
     // Twice and a half as large.
     let case = Case::new("align", &|p| 2.5 * p);
