@@ -17,7 +17,7 @@ Points = NDArray[np.float64]
 def test_all_plugins_are_there() -> None:
     shipped = {
         "blendshapes", "cage", "control-points", "curve", "displacement-paint", "elastic", "laplacian", "lattice", "rbf",
-        "skinning", "smooth", "smooth-handle", "warp",
+        "register", "skinning", "smooth", "smooth-handle", "warp",
     }
     assert shipped <= set(simod.plugins) and len(simod.plugins) >= 8
     assert "smooth_handle" in dir(simod.plugins) and simod.plugins.smooth_handle.id == "smooth-handle"

@@ -14,5 +14,6 @@ mod isolation;
 mod own_handles;
 mod plugin_check;
 mod plugin_new;
+mod register;
 mod smooth;
 mod survey;

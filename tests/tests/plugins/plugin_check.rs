@@ -243,6 +243,11 @@ mod every_rule_is_kept {
     }
 
     #[test]
+    fn by_register() {
+        keeps_every_rule("register");
+    }
+
+    #[test]
     fn by_skinning() {
         keeps_every_rule("skinning");
     }

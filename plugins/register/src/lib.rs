@@ -1,0 +1,190 @@
+//! Non-rigid registration: the samples are deformed to another model, a mesh or a cloud, as far as both have something
+//! in common.
+//!
+//! A rigid motion or a similarity lays the model on the target (`align`); coherent point drift (`drift`, with the field of
+//! `gaussian`) finds what belongs together from afar; closest points draw a graph that is as rigid as possible (`closest`,
+//! `graph`) from there to the target. All are of some of the points, and maps of space, which any sample goes through
+//! (`registration`).
+
+mod align;
+mod closest;
+mod drift;
+mod gaussian;
+mod graph;
+#[path = "../../control-points/src/landmarks.rs"]
+mod landmarks;
+mod points;
+mod registration;
+mod tree;
+
+use glam::DVec3;
+use registration::{Map, register};
+use simod_plugin_api::{
+    Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, IsIdentity, ParamDesc, ParamSet,
+    PluginError, PluginResult, PrepareInput,
+};
+
+/// Most points that are taken of the target.
+const TARGET: u32 = 20_000;
+/// Samples that are deformed at once on one thread.
+const BLOCK: usize = 256;
+
+/// The plugin.
+struct Register;
+
+#[derive(ParamSet)]
+struct Settings {
+    /// Drift finds what lies far apart; closest points meet the surface, and leave alone what has no counterpart
+    #[param(default = Method::CpdIcp, invalidates_preparation)]
+    method: Method,
+    /// Lays the model on the target first: by a motion, or at another size as well, as where units differ
+    #[param(default = Align::Rigid, invalidates_preparation)]
+    align: Align,
+    /// Tries many turns to lay the model on the target: where it is not known how they are turned to each other
+    #[param(default = false, invalidates_preparation)]
+    any_turn: bool,
+    /// Where the result is: at the target, or where and as large as the model was
+    #[param(default = Place::Target, invalidates_preparation)]
+    place: Place,
+    /// The part of the target's points that are noise, or have no counterpart
+    #[param(default = 0.1, hard = 0.0..=0.95, group = "Drift", invalidates_preparation)]
+    outliers: f64,
+    /// How far a displacement carries what is around along (β)
+    #[param(default = 0.5, unit = "diagonal", hard = 0.02..=10.0, soft = 0.1..=1.0, group = "Drift", invalidates_preparation)]
+    width: f64,
+    /// How much displacements are shunned (λ): more is smoother, and fits less
+    #[param(default = 3.0, hard = 1e-6..=1e6, soft = 0.1..=10.0, group = "Drift", invalidates_preparation)]
+    smoothness: f64,
+    /// Points of the model, and of the target, that take part
+    #[param(default = 1500, hard = 10..=4000, soft = 200..=3000, group = "Drift", invalidates_preparation)]
+    points: i64,
+    /// Iterations at most
+    #[param(default = 150, hard = 1..=1000, soft = 20..=300, group = "Drift", invalidates_preparation)]
+    iterations: i64,
+    /// How much the model resists bending in the end
+    #[param(default = 0.01, hard = 1e-6..=1e3, soft = 0.001..=1.0, group = "Closest points", invalidates_preparation)]
+    stiffness: f64,
+    /// Nodes of the graph that bends
+    #[param(default = 250, hard = 4..=500, soft = 50..=400, group = "Closest points", invalidates_preparation)]
+    nodes: i64,
+}
+
+#[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
+enum Method {
+    #[choice(label = "Drift, then closest points")]
+    CpdIcp,
+    #[choice(label = "Coherent point drift")]
+    Cpd,
+    #[choice(label = "Closest points, as rigid as possible")]
+    Icp,
+    #[choice(label = "Alignment alone")]
+    Align,
+}
+
+#[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
+enum Align {
+    None,
+    Rigid,
+    #[choice(label = "Similarity (with scale)")]
+    Similarity,
+}
+
+#[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    Target,
+    Model,
+}
+
+/// Where everything goes, and the samples, once and for all: 12 bytes for each.
+#[derive(Debug, Default)]
+struct State {
+    map: Option<Map>,
+    samples: Vec<[f32; 3]>,
+}
+
+impl Deformer for Register {
+    type State = State;
+    type Scratch = ();
+
+    fn descriptor() -> Descriptor {
+        Descriptor::new("register", "Register", env!("CARGO_PKG_VERSION"))
+            .summary("Deforms the model to another one, a mesh or a cloud, also where parts of either are missing")
+            .citation(
+                "A. Myronenko, X. Song, Point Set Registration: Coherent Point Drift, PAMI 2010; R. W. Sumner, J. Schmid, \
+                 M. Pauly, Embedded Deformation for Shape Manipulation, SIGGRAPH 2007; B. Amberg, S. Romdhani, T. Vetter, \
+                 Optimal Step Nonrigid ICP Algorithms for Surface Registration, CVPR 2007",
+            )
+            .param(
+                ParamDesc::model("target", "Target", TARGET)
+                    .hint("The model or cloud that the samples are deformed to"),
+            )
+            .param(
+                ParamDesc::file("landmarks", "Landmarks", &["csv", "txt"])
+                    .hint("Lines of a name, x, y, z, where these belong on the target, and maybe a weight"),
+            )
+            .param_set::<Settings>()
+            .consumes(Consumes { frame: true, normals: true, ..Consumes::default() })
+    }
+
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<State> {
+        let Some(target) = input.other_model("target") else {
+            host.warn("there is no target: nothing moves");
+            return Ok(State::default());
+        };
+        let map = register(input, target, &input.params().read()?, host)?;
+        let rest = input.samples.positions();
+        let mut samples = vec![[0.0; 3]; rest.len()];
+        host.parallel_blocks(&mut samples, BLOCK, |first, samples| {
+            for (q, p) in samples.iter_mut().zip(&rest[first..]) {
+                *q = map.apply(DVec3::from(p.map(f64::from))).as_vec3().into();
+            }
+        })?;
+        if samples.iter().flatten().any(|x| !x.is_finite()) {
+            return Err(PluginError::input("the result is not finite")
+                .hint("check units, or give `align = \"similarity\"`"));
+        }
+        Ok(State { map: Some(map), samples })
+    }
+
+    fn deform(
+        state: &State,
+        input: &DeformInput<'_>,
+        _: &mut (),
+        out: &mut [[f32; 3]],
+        _: &Host<'_>,
+    ) -> PluginResult<()> {
+        let from = if state.map.is_some() { &state.samples[..] } else { input.samples.positions() };
+        if from.len() != out.len() {
+            return Err(PluginError::internal("the samples are not those of the preparation"));
+        }
+        out.copy_from_slice(from);
+        Ok(())
+    }
+}
+
+impl Evaluate for Register {
+    fn evaluate(
+        state: &State,
+        _: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let Some(map) = &state.map else { return Ok(()) };
+        for points in points.chunks_mut(BLOCK) {
+            host.progress(0.0)?;
+            points.iter_mut().for_each(|p| *p = map.apply(DVec3::from(*p)).into());
+        }
+        Ok(())
+    }
+}
+
+impl IsIdentity for Register {
+    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
+        Ok(input.params().model("target")?.is_none())
+    }
+}
+
+simod_plugin_api::export_plugin!(Register, evaluate, is_identity);
+
+#[cfg(test)]
+mod tests;

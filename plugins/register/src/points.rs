@@ -1,0 +1,114 @@
+//! Point sets: some of their points, how large they are, and the similarity that takes one to another.
+
+use faer::Mat;
+use glam::{DAffine3, DMat3, DVec3};
+
+/// Indices of at most so many of `count` things, spread evenly over their order.
+pub fn some(count: usize, most: usize) -> impl Iterator<Item = usize> {
+    let taken = count.min(most);
+    (0..taken).map(move |i| i * count / taken)
+}
+
+/// At most so many of the points, as far from each other as can be, the first one first; none twice.
+pub fn farthest(points: &[DVec3], count: usize) -> Vec<usize> {
+    let mut apart = vec![f64::INFINITY; points.len()];
+    let (mut found, mut next) = (Vec::new(), 0);
+    while found.len() < count.min(points.len()) && apart[next] > 0.0 {
+        found.push(next);
+        let from = points[next];
+        let mut most = (0, -1.0);
+        for (i, (d, p)) in apart.iter_mut().zip(points).enumerate() {
+            *d = d.min(p.distance_squared(from));
+            if *d > most.1 {
+                most = (i, *d);
+            }
+        }
+        next = most.0;
+    }
+    found
+}
+
+/// Where points are, and how far they spread.
+#[derive(Debug, Clone, Copy)]
+pub struct Extent {
+    pub middle: DVec3,
+    /// The root of the mean square of distances from the middle.
+    pub radius: f64,
+    pub low: DVec3,
+    pub high: DVec3,
+}
+
+impl Extent {
+    /// Of at least one point.
+    pub fn of(points: &[DVec3]) -> Self {
+        let count = points.len().max(1) as f64;
+        let low = points.iter().fold(DVec3::INFINITY, |a, p| a.min(*p));
+        let high = points.iter().fold(DVec3::NEG_INFINITY, |a, p| a.max(*p));
+        // About a point of theirs, so that what is far away keeps its digits.
+        let from = points.first().copied().unwrap_or_default();
+        let middle = from + points.iter().map(|p| (*p - from) / count).sum::<DVec3>();
+        let radius = points.iter().map(|p| p.distance_squared(middle) / count).sum::<f64>().sqrt();
+        Self { middle, radius, low, high }
+    }
+
+    /// The distance between two boxes; 0 where they overlap.
+    pub fn gap(&self, other: &Self) -> f64 {
+        (other.low - self.high).max(self.low - other.high).max(DVec3::ZERO).length()
+    }
+
+    pub fn diagonal(&self) -> f64 {
+        self.low.distance(self.high)
+    }
+}
+
+/// A pair of points that belong together, and how much it counts.
+#[derive(Debug, Clone, Copy)]
+pub struct Pair {
+    pub source: DVec3,
+    pub target: DVec3,
+    pub weight: f64,
+}
+
+/// Weighted means of sources and targets, and the sum of weights.
+fn means(pairs: &[Pair]) -> (DVec3, DVec3, f64) {
+    let whole: f64 = pairs.iter().map(|p| p.weight).sum();
+    let mean = |of: &dyn Fn(&Pair) -> DVec3| pairs.iter().map(|p| p.weight / whole * of(p)).sum();
+    (mean(&|p| p.source), mean(&|p| p.target), whole)
+}
+
+/// The sum of weighted products of `a` by `b`.
+fn products(pairs: &[Pair], of: impl Fn(&Pair) -> (DVec3, DVec3)) -> DMat3 {
+    pairs.iter().fold(DMat3::ZERO, |sum, p| {
+        let (a, b) = of(p);
+        sum + DMat3::from_cols(a * (p.weight * b.x), a * (p.weight * b.y), a * (p.weight * b.z))
+    })
+}
+
+/// The turn that is nearest to a matrix, and the sum of its singular values, those of a mirror taken off (S. Umeyama,
+/// PAMI 1991); nothing where it is not determined.
+pub fn nearest_turn(matrix: DMat3) -> Option<(DMat3, f64)> {
+    let svd = Mat::<f64>::from_fn(3, 3, |i, j| matrix.col(j)[i]).svd().ok()?;
+    let dense =
+        |m: faer::MatRef<'_, f64>| DMat3::from_cols_array(&std::array::from_fn(|k| m[(k % 3, k / 3)]));
+    let (u, v) = (dense(svd.U()), dense(svd.V()));
+    let values = DVec3::from_array(std::array::from_fn(|i| svd.S().column_vector()[i]));
+    if !(values.y > 1e-12 * values.x && values.x > 0.0) {
+        return None;
+    }
+    let signs = DVec3::new(1.0, 1.0, (u.determinant() * v.determinant()).signum());
+    Some((u * DMat3::from_diagonal(signs) * v.transpose(), values.dot(signs)))
+}
+
+/// The similarity that takes sources to targets best, or the rigid motion; nothing where they lie on a line, or nearly.
+pub fn similarity(pairs: &[Pair], with_scale: bool) -> Option<DAffine3> {
+    let (source, target, whole) = means(pairs);
+    if !(whole.is_finite() && whole > 0.0) {
+        return None;
+    }
+    let (turn, sum) = nearest_turn(products(pairs, |p| (p.target - target, p.source - source)))?;
+    let spread: f64 = pairs.iter().map(|p| p.weight * p.source.distance_squared(source)).sum();
+    let scale = if with_scale { sum / spread } else { 1.0 };
+    let matrix = scale * turn;
+    let map = DAffine3::from_mat3_translation(matrix, target - matrix * source);
+    (map.is_finite() && scale > 0.0).then_some(map)
+}
