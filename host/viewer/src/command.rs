@@ -1,6 +1,7 @@
 //! All that a user can do. A list of commands, one JSON object a line, is a recording of an edit.
 
 use crate::camera::{Camera, Projection, Standard, Up};
+use crate::clip::Clip;
 use crate::detail::Previewed;
 use crate::engine::Job;
 use crate::overlay::Overlay;
@@ -167,6 +168,15 @@ pub enum Command {
     Show(Overlay),
     /// Shows the model's own colours where no numbers are shown, or does not: shown at first.
     ShowOwnColors(bool),
+    /// Cuts the model open, to be looked into, or closes it again. What is cut away is not seen, and cannot be pointed
+    /// at; the edit is as it was.
+    Clip(Option<Clip>),
+    /// Measures along these points instead of the former ones; none measure nothing.
+    Measure {
+        /// Where they are before all steps, model coordinates: they go along with the surface; see
+        /// [`State::at_rest`](crate::State::at_rest).
+        points: Vec<DVec3>,
+    },
     /// Shows a part of the model in full instead of its samples: its vertices are streamed, again each time
     /// the edit rests after they have moved. It is no part of the edit.
     Preview {

@@ -10,11 +10,13 @@
 
 mod appended;
 pub mod camera;
+mod clip;
 pub mod command;
 pub mod detail;
 pub mod engine;
 mod gradients;
 pub mod held;
+pub mod measured;
 pub mod motion;
 pub mod navigation;
 pub mod overlay;
@@ -27,6 +29,7 @@ mod tint;
 pub mod transform;
 
 pub use camera::Camera;
+pub use clip::Clip;
 pub use command::Command;
 pub use detail::{Detail, Previewed};
 pub use engine::{Engine, Event};

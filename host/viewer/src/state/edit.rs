@@ -32,6 +32,7 @@ impl State {
         (self.selection, self.selections) = (Selection::none(scene.len()), Default::default());
         (self.chosen, self.stroke, self.depth, self.named) = (None, None, None, None);
         self.fields = [None, None];
+        (self.clip, self.measured) = (None, Vec::new());
         self.unpin();
         (self.shown, self.floor) = (self.requested, self.requested);
         let bounds = scene.bounds().map(|corner| corner.as_dvec3());
