@@ -35,4 +35,5 @@ pub use app::App;
 pub use arguments::main;
 pub use settings::Settings;
 pub use tools::Tool;
+pub use tools::measure::summary as measure_summary;
 pub use window::Window;

@@ -70,6 +70,7 @@ fn entries(ui: &mut Ui, window: &mut Window, menu: Menu) {
     }
     if menu == Menu::View {
         ui.separator();
+        ui.menu_button("Light", |ui| entries(ui, window, Menu::Light));
         ui.menu_button("Navigation", |ui| navigation(ui, window));
     }
 }

@@ -1,6 +1,8 @@
 //! What is around the picture, and over it.
 
+pub mod clip;
 mod detail;
+mod film;
 mod keys;
 pub mod legend;
 pub mod menu;
@@ -8,12 +10,14 @@ pub mod over;
 mod palette;
 mod parameters;
 mod parts;
+mod picture;
 mod pinned;
 pub mod progress;
 mod prompt;
 mod questions;
 mod refinement;
 mod regions;
+mod render;
 mod report;
 pub mod side;
 pub mod status;
@@ -27,6 +31,7 @@ pub mod welcome;
 use crate::window::Window;
 use eframe::egui;
 pub use palette::Palette;
+pub use picture::Picture;
 pub use prompt::Prompt;
 pub use report::Report;
 use std::time::SystemTime;
@@ -36,6 +41,8 @@ pub use turntable::Turntable;
 /// Windows over all the rest.
 pub fn floating(ctx: &egui::Context, window: &mut Window) {
     turntable::show(ctx, window);
+    picture::show(ctx, window);
+    film::show(ctx, window);
     prompt::show(ctx, window);
     questions::show(ctx, window);
     palette::show(ctx, window);

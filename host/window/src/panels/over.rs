@@ -1,7 +1,8 @@
 //! Over the picture: options of the tool, what is being done, and what colours mean.
 
-use super::{pinned, progress};
+use super::{clip, pinned, progress};
 use crate::tools::Tool;
+use crate::tools::measure::{self, Measuring};
 use crate::window::Window;
 use eframe::egui::{
     Align, Button, Color32, Frame, Layout, Margin, Rect, RichText, Slider, Ui, UiBuilder, pos2, vec2,
@@ -19,6 +20,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     }
     progress::show(ui, rect, window);
     pinned::show(ui, rect, window);
+    clip::show(ui, rect, window);
 }
 
 /// A panel over the picture.
@@ -43,6 +45,7 @@ fn options(ui: &mut Ui, rect: Rect, window: &mut Window) {
         card(ui).show(ui, |ui| {
             ui.horizontal(|ui| match window.tools.tool {
                 Tool::Stroke => stroke(ui, window),
+                Tool::Measure => measuring(ui, window),
                 tool if tool.is_gizmo() => moving(ui, window),
                 _ => selecting(ui, window),
             });
@@ -64,6 +67,36 @@ fn moving(ui: &mut Ui, window: &mut Window) {
         "Handles within this part of the model\u{2019}s diagonal go along, the less the farther they are; none at 0",
     );
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Falloff around handles"));
+}
+
+/// What is measured, and what it comes to.
+fn measuring(ui: &mut Ui, window: &mut Window) {
+    for (measuring, name, hint) in [
+        (Measuring::Distance, "Distance", "Between two points; a third click begins anew"),
+        (Measuring::Angle, "Angle", "At the second of three points"),
+        (Measuring::Path, "Path", "Along as many points as are clicked"),
+    ] {
+        let button = Button::selectable(window.tools.measuring == measuring, name);
+        let response = ui.add(button).on_hover_text(hint);
+        response.ctx.accesskit_node_builder(response.id, |node| node.set_label(format!("Measure {name}")));
+        if response.clicked() {
+            window.tools.measuring = measuring;
+        }
+    }
+    ui.separator();
+    match measure::summary(window) {
+        Some(text) => ui.label(RichText::new(text).strong()),
+        None => ui.label(RichText::new("Click points on the surface.").weak()),
+    };
+    if !window.state().measured().is_empty() {
+        ui.separator();
+        if ui.button("Remove Last").on_hover_text("The last point goes away (Backspace)").clicked() {
+            measure::remove_last(window);
+        }
+        if ui.button("Clear").on_hover_text("All points go away (Escape)").clicked() {
+            measure::clear(window);
+        }
+    }
 }
 
 /// Whether a box chooses samples or handles, where the step has handles.

@@ -146,7 +146,9 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         offered(ui, &mut prompt, &names);
         if let Some(wrong) = &prompt.wrong {
             ui.label(RichText::new(wrong).color(ui.visuals().error_fg_color));
-        } else if matches!(prompt.purpose, Purpose::Save | Purpose::Write) && prompt.path().is_file() {
+        } else if matches!(prompt.purpose, Purpose::Save | Purpose::Write | Purpose::Picture)
+            && prompt.path().is_file()
+        {
             ui.label(RichText::new("This file is there: it is replaced.").color(ui.visuals().warn_fg_color));
         }
         ui.add_space(8.0);

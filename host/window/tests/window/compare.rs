@@ -167,7 +167,7 @@ fn a_turntable_is_whole_or_not_there() {
     turntable::write(&shot, &turn, 3, &Silent).unwrap();
     let frames = ["frame-0001.png", "frame-0002.png", "frame-0003.png"];
     assert_eq!(names(&turn), frames);
-    simod_window::screenshot::write(&mut state, &plain).unwrap();
+    simod_window::screenshot::write(&mut state, &plain, Default::default()).unwrap();
     let read = |name: &str| std::fs::read(turn.join(name)).unwrap();
     assert!(std::fs::read(&plain).unwrap() == read(frames[0]), "the first frame is the picture");
     let again = folder.path().join("again");
