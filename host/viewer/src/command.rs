@@ -99,6 +99,14 @@ pub enum Command {
         #[serde(default)]
         replaces: Option<usize>,
     },
+    /// Makes a handle region of what is selected, and a fixed one of what is farther from it along the surface than
+    /// a band, which bends.
+    MakeHandle {
+        /// The step.
+        step: usize,
+        /// How wide the band is, in the model's unit.
+        band: f64,
+    },
     /// More samples where it is selected, as a new step behind the others.
     RefineSelection {
         /// How fine.

@@ -17,6 +17,7 @@ mod arguments;
 pub mod dialogs;
 mod example;
 mod in_turn;
+pub mod lessons;
 mod panels;
 mod regions;
 pub mod screenshot;

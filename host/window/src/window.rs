@@ -8,7 +8,7 @@ use crate::settings::Settings;
 use crate::steps::Renaming;
 use crate::tools::Tools;
 use crate::turntable::{Film, Turning};
-use crate::{example, theme};
+use crate::{example, lessons, theme};
 use eframe::egui;
 use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind};
@@ -131,6 +131,8 @@ pub struct Window {
     pub turning: Option<Turning>,
     /// One that was stopped, until the frame that it was at is drawn.
     pub stopping: Option<Turning>,
+    /// The lesson that is being done.
+    pub lesson: Option<lessons::Running>,
     /// Messages that go away.
     pub toasts: Toasts,
     /// Commands by name, while they are looked for.
@@ -185,6 +187,7 @@ impl Window {
             looks: Looks::default(),
             holds_pinned: false,
             turning: None,
+            lesson: None,
             stopping: None,
             turntable: None,
             picture: None,
@@ -332,6 +335,7 @@ impl Window {
         if self.stopping.as_ref().is_some_and(Turning::is_over) {
             self.stopping = None;
         }
+        lessons::update(self);
         self.name();
         self.take_answer();
         self.go_on_replaying();
@@ -446,8 +450,13 @@ impl Window {
 
     /// Opens something, after questions that have to be asked before.
     pub fn ask_to_open(&mut self, path: PathBuf) {
-        self.after = None;
         let sampling = crate::arguments::sampling(Some(self.settings.samples));
+        self.ask_to_open_sampled(path, sampling);
+    }
+
+    /// Opens something, sampled so if it is a model, after questions that have to be asked before.
+    pub fn ask_to_open_sampled(&mut self, path: PathBuf, sampling: Sampling) {
+        self.after = None;
         if self.is_unsaved() {
             self.question = Some(Question::Unsaved(Leaving::Open(path, sampling)));
         } else {

@@ -179,6 +179,7 @@ impl State {
             Command::MakeRegion { step, role, falloff, replaces } => {
                 self.make_region(step, role, falloff, replaces)
             }
+            Command::MakeHandle { step, band } => self.make_handle(step, band),
             Command::RefineSelection { finer } => self.refine_selection(finer),
             Command::PlaceJoint { step, id, at, parent } => self.place_joint(step, id, at, parent),
             Command::BeginStroke { step, radius, strength, params } => {

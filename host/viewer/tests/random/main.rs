@@ -117,6 +117,7 @@ fn command() -> impl Strategy<Value = Command> {
         2 => (step.clone(), role, -0.1..0.5_f64, prop::option::of(0..2_usize)).prop_map(
             |(step, role, falloff, replaces)| Command::MakeRegion { step, role, falloff, replaces }
         ),
+        1 => (step.clone(), -0.1..0.8_f64).prop_map(|(step, band)| Command::MakeHandle { step, band }),
         1 => (1.5..2.5_f64).prop_map(|f| Command::RefineSelection { finer: Finer::Factor(f) }),
         1 => (step.clone(), point.clone()).prop_map(|(step, at)| Command::PlaceJoint {
             step, id: "joint".into(), at, parent: None

@@ -5,6 +5,7 @@ mod detail;
 mod film;
 mod keys;
 pub mod legend;
+pub mod lesson;
 pub mod menu;
 pub mod over;
 mod palette;

@@ -1,6 +1,6 @@
 //! Over the picture: options of the tool, what is being done, and what colours mean.
 
-use super::{clip, pinned, progress};
+use super::{clip, lesson, pinned, progress};
 use crate::tools::Tool;
 use crate::tools::measure::{self, Measuring};
 use crate::window::Window;
@@ -21,6 +21,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     progress::show(ui, rect, window);
     pinned::show(ui, rect, window);
     clip::show(ui, rect, window);
+    lesson::show(ui, rect, window);
 }
 
 /// A panel over the picture.

@@ -1,6 +1,6 @@
 //! What takes its time: stage, rate, and a button that stops it.
 
-use super::{bytes, clip, duration, over::card};
+use super::{bytes, clip, duration, lesson, over::card};
 use crate::window::Window;
 use eframe::egui::{Align, Layout, ProgressBar, Rect, RichText, Spinner, Ui, UiBuilder, pos2};
 use simod_viewer::Command;
@@ -14,7 +14,9 @@ const SIZE: [f32; 2] = [340.0, 92.0];
 pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     // Above what lies in the lower corners.
     let below = window.state().clipped().is_some() || window.state().pinned().is_some();
-    let mut bottom = rect.bottom() - 12.0 - if below { clip::HEIGHT } else { 0.0 };
+    let below =
+        if below { clip::HEIGHT } else { 0.0 } + if window.lesson.is_some() { lesson::HEIGHT } else { 0.0 };
+    let mut bottom = rect.bottom() - 12.0 - below;
     for (job, what) in [
         (Job::Open, "Opening"),
         (Job::Write, "Writing"),

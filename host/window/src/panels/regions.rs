@@ -6,7 +6,8 @@ use crate::theme;
 use crate::tools::{Target, Tool};
 use crate::window::Window;
 use eframe::egui::{
-    self, Align, Button, CornerRadius, DragValue, Frame, Layout, Margin, RichText, Sense, Stroke, Ui, vec2,
+    self, Align, Button, CornerRadius, DragValue, Frame, Layout, Margin, RichText, Sense, Slider, Stroke, Ui,
+    vec2,
 };
 use simod_session::edit::Change;
 use simod_session::session_file::{Deformation, Region, Role};
@@ -183,6 +184,20 @@ fn selection(ui: &mut Ui, window: &mut Window) {
         if ui.button("Refine").on_hover_text("More samples there, as a step of its own").clicked() {
             make::refine(window);
         }
+    });
+    if !(make::can_make(window, Role::Handle) && make::takes(window, Role::Fixed)) {
+        return;
+    }
+    ui.horizontal(|ui| {
+        let hint = "A handle of the selection, and what is farther from it than the band that bends is fixed";
+        if ui.button("Make Handle, Fix Around").on_hover_text(hint).clicked() {
+            make::make_handle(window);
+        }
+        ui.spacing_mut().slider_width = 60.0;
+        let slider = Slider::new(&mut window.tools.band, 0.01..=0.5).logarithmic(true).max_decimals(2);
+        let hint = "How wide the band is, as a part of the model\u{2019}s diagonal";
+        let response = ui.add(slider).on_hover_text(hint);
+        response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Band that bends"));
     });
 }
 

@@ -11,6 +11,8 @@ use simod_viewer::measured::{Measure, MeasuredPoint, angle, distance};
 const NEAR: f32 = 9.0;
 /// Of the lines.
 const COLOR: Color32 = Color32::from_rgb(255, 226, 120);
+/// Lines that are seen shorter than this have no number on them, in points of the screen.
+const SHORT: f32 = 50.0;
 /// Part of the shorter side that an angle's arc is away from its corner, and lines of an arc.
 const ARC: f64 = 0.28;
 const ARC_LINES: usize = 24;
@@ -166,7 +168,9 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
         }
     }
     for pair in measured.windows(2) {
-        if let Some(at) = place(0.5 * (pair[0].now + pair[1].now)) {
+        let ends = (place(pair[0].now), place(pair[1].now));
+        let is_short = matches!(ends, (Some(a), Some(b)) if a.distance(b) < SHORT);
+        if let Some(at) = place(0.5 * (pair[0].now + pair[1].now)).filter(|_| !is_short) {
             label(canvas, at, &exact(distance(&pair[0], &pair[1]).now));
         }
     }

@@ -132,6 +132,8 @@ pub struct Tools {
     pub stroke_radius: f64,
     /// Of strokes.
     pub strength: f64,
+    /// How wide the band around a new handle is that bends, as a part of the model's diagonal.
+    pub band: f64,
     /// What is measured, and the point of it that is held.
     pub measuring: Measuring,
     pub measured_point: Option<usize>,
@@ -165,6 +167,7 @@ impl Default for Tools {
             radius: 30.0,
             stroke_radius: 0.06,
             strength: 1.0,
+            band: 0.1,
             measuring: Measuring::Distance,
             measured_point: None,
             path: Vec::new(),

@@ -228,6 +228,11 @@ fn a_turntable_is_rendered_from_the_menu_and_stopped() {
             harness.run_steps(1);
             std::thread::sleep(Duration::from_millis(20));
         }
+        if !stops {
+            harness.run_steps(2);
+            harness.get_by_label("Close").click();
+            harness.run_steps(2);
+        }
         // The first one stays where the second one was stopped.
         assert_eq!(names(&turn).len(), 2);
         assert_eq!(names(folder.path()), ["model.ply", "turn"]);

@@ -6,6 +6,7 @@ use egui_kittest::kittest::Queryable;
 use glam::DVec3;
 use simod_session::Motion;
 use simod_session::edit::{self, Change};
+use simod_session::session_file::{Region, Role};
 use simod_viewer::command::Area;
 use simod_window::Tool;
 
@@ -215,4 +216,87 @@ fn a_click_that_is_quicker_than_a_picture_selects() {
     settle(&mut harness);
     let state = harness.state().window().state();
     assert_eq!(state.selection().count(), state.scene().unwrap().len());
+}
+
+/// A handle with what is around it fixed is made at once, and undone at once; a band that is too wide says so.
+#[test]
+fn a_handle_is_made_with_what_is_around_it_fixed() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+    done(&mut harness, Command::AddStep { plugin: "laplacian".to_owned(), at: None });
+    let scene = harness.state().window().state().scene().unwrap().clone();
+    let [min, max] = scene.bounds();
+    let top = |p: &glam::Vec3| p.y > max.y - 0.2 * (max.y - min.y);
+    let marks: Vec<bool> = scene.positions.iter().map(top).collect();
+    let area = Area::Runs(simod_viewer::Selection::of(marks.clone()).runs());
+    let select = Command::Select { area, combine: Default::default(), visible: false, goes_on: false };
+    done(&mut harness, select.clone());
+    harness.run_steps(3);
+    assert!(harness.query_by_label("Band that bends").is_some());
+    harness.get_by_label("Make Handle, Fix Around").click();
+    settle(&mut harness);
+    let regions = || harness.state().window().chosen().unwrap().2.regions;
+    let made = regions();
+    let roles: Vec<Role> = made.iter().map(|region| region.role).collect();
+    assert_eq!(roles, [Role::Handle, Role::Fixed]);
+    // What is fixed is beyond the band, along the surface, and all of that is.
+    let diagonal = (scene.sampled.bounds.max - scene.sampled.bounds.min).length();
+    let height = |p: &glam::Vec3| scene.frame().to_model(*p).y;
+    let lowest = scene.positions.iter().filter(|p| top(p)).map(height).fold(f64::INFINITY, f64::min);
+    for p in scene.positions.iter().filter(|p| !top(p)) {
+        let below = lowest - height(p);
+        let fixed = made[1].shapes.weight(scene.frame().to_model(*p)) > 0.5;
+        // Samples are this far apart, and ways along them are not straight.
+        assert!(!fixed || below > 0.1 * diagonal * 0.7, "{below} of {diagonal}");
+        assert!(fixed || below < 0.1 * diagonal * 1.3, "{below} of {diagonal}");
+    }
+    assert!(harness.state().window().state().selection().is_empty());
+    done(&mut harness, Command::Undo);
+    assert!(harness.state().window().chosen().unwrap().2.regions.is_empty());
+    // Nothing is beyond so wide a band.
+    done(&mut harness, select);
+    assert!(!harness.state_mut().window_mut().apply(Command::MakeHandle { step: 0, band: 100.0 }));
+    let texts: Vec<String> = harness.state().window().toasts.texts().map(str::to_owned).collect();
+    assert!(texts.iter().any(|text| text.contains("nothing is left to be fixed")), "{texts:?}");
+}
+
+/// What a plugin says to do about its parameters is a button.
+#[test]
+fn what_a_plugin_says_to_do_is_a_button() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+    done(&mut harness, Command::AddStep { plugin: "rbf".to_owned(), at: None });
+    // A handle that turns beside what stays, by far too few centres.
+    let sphere = |y: f64, radius: f64| simod_session::Shape::Sphere { center: glam::DVec3::Y * y, radius };
+    let region = |role, shape, motion| Region {
+        role,
+        shapes: simod_session::Shapes { shapes: vec![shape], falloff: 0.0 },
+        motion,
+    };
+    let turn = simod_session::Motion {
+        axis: glam::DVec3::Y,
+        degrees: 170.0,
+        pivot: Some(glam::DVec3::Y),
+        ..Default::default()
+    };
+    let regions = vec![
+        region(Role::Handle, sphere(1.6, 0.5), turn),
+        region(Role::Fixed, sphere(0.5, 0.5), Default::default()),
+    ];
+    for change in [
+        Change::SetRegions(regions),
+        Change::SetParam { id: "max-centers".into(), value: Some(8.into()) },
+        Change::SetParam { id: "tolerance".into(), value: Some(1e-6.into()) },
+    ] {
+        done(&mut harness, Command::Edit(simod_session::edit::Command::Change { at: 0, change }));
+    }
+    harness.run_steps(3);
+    let told = harness.query_by_label_contains("motion is met to").is_some();
+    assert!(told, "{:?}", harness.state().window().state().scene().unwrap().statuses);
+    harness.get_by_label("Raise Most centres to 32").click();
+    settle(&mut harness);
+    let params = harness.state().window().chosen().unwrap().2.params;
+    assert_eq!(params.get("max-centers"), Some(&32.into()));
 }

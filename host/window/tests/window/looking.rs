@@ -124,7 +124,7 @@ fn the_model_is_cut_open_and_closed() {
 #[test]
 fn lengths_and_angles_are_clicked_and_go_along() {
     let folder = tempfile::tempdir().unwrap();
-    let mut harness = window();
+    let mut harness = if can_draw() { drawn_window() } else { window() };
     open(&mut harness, &model(folder.path()));
     for step in [CameraMove::Look(Standard::Front), CameraMove::FrameAll] {
         done(&mut harness, Command::Camera(step));
@@ -162,6 +162,9 @@ fn lengths_and_angles_are_clicked_and_go_along() {
     harness.state_mut().window_mut().tools.take(Tool::Measure);
     harness.run_steps(3);
     assert!(text(&harness).contains("at rest"), "{}", text(&harness));
+    if can_draw() {
+        drawn(&mut harness, "measure");
+    }
     assert!(harness.query_by_label(&text(&harness)).is_some());
 
     harness.get_by_label("Remove Last").click();
@@ -188,7 +191,7 @@ fn pictures_are_saved_in_any_size_and_cut_out() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let mut harness = window();
+    let mut harness = drawn_window();
     open(&mut harness, &model(folder.path()));
     let file = folder.path().join("shot.png");
     for transparent in [false, true] {
@@ -203,6 +206,7 @@ fn pictures_are_saved_in_any_size_and_cut_out() {
             harness.get_by_label("Transparent background").click();
             harness.run_steps(2);
         }
+        drawn(&mut harness, "save-picture");
         harness.get_by_label("Save").click();
         harness.run_steps(2);
         until_drawn(&mut harness);
@@ -233,7 +237,7 @@ fn a_turntable_tells_how_it_becomes_a_film() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let mut harness = window();
+    let mut harness = drawn_window();
     open(&mut harness, &model(folder.path()));
     choose(&mut harness, &["File", "Render Turntable\u{2026}"]);
     let turn = folder.path().join("turn");
@@ -245,6 +249,7 @@ fn a_turntable_tells_how_it_becomes_a_film() {
     until_drawn(&mut harness);
     assert_eq!(read(&turn.join("frame-0002.png")).0, [102, 64], "films take even sizes alone");
     assert!(harness.query_by_label("Command line for a film").is_some());
+    drawn(&mut harness, "film");
     let film = harness.state().window().film.clone().unwrap();
     assert_eq!((film.frames, film.rate, film.folder), (2, 30, turn));
     harness.get_by_label("Copy the Command Line").click();
