@@ -24,6 +24,7 @@ pub mod pick;
 pub mod record;
 pub mod scene;
 pub mod selection;
+pub mod skeleton;
 pub mod state;
 mod tint;
 pub mod transform;

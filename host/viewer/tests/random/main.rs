@@ -75,6 +75,8 @@ fn change() -> impl Strategy<Value = edit::Command> {
         Just(Change::SetParam { id: "nonsense".into(), value: None }),
         Just(Change::SetRegions(Vec::new())),
         (0..3_usize, motion.clone()).prop_map(|(region, motion)| Change::MoveRegion { region, motion }),
+        prop::sample::select(vec!["joint", "a b", "other"])
+            .prop_map(|to| Change::RenameJoint { from: "joint".into(), to: to.into() }),
         motion.prop_map(|motion| Change::MoveHandle { id: "0,0,0".into(), motion }),
     ];
     prop_oneof![

@@ -13,11 +13,10 @@ use simod_viewer::{Command, Selection};
 /// The last step of a plugin: its place, which it is, and what it does.
 pub fn step(window: &Window, plugin: &str) -> Option<(usize, StepId, Deformation)> {
     let steps = window.steps();
-    let found = steps.iter().enumerate().rev().find_map(|(at, entry)| {
+    steps.iter().enumerate().rev().find_map(|(at, entry)| {
         let deformation = entry.step.deformation().filter(|d| d.deform == plugin)?;
         Some((at, entry.id, deformation.clone()))
-    });
-    found
+    })
 }
 
 /// Adds a step of a plugin, with the tool for it, as the menu does.

@@ -5,7 +5,8 @@ use crate::tools::Tool;
 use crate::tools::measure::{self, Measuring};
 use crate::window::Window;
 use eframe::egui::{
-    Align, Button, Color32, Frame, Layout, Margin, Rect, RichText, Slider, Ui, UiBuilder, pos2, vec2,
+    Align, Button, Color32, DragValue, Frame, Layout, Margin, Rect, RichText, Slider, Ui, UiBuilder, pos2,
+    vec2,
 };
 use simod_viewer::Command;
 use simod_viewer::command::Area;
@@ -47,6 +48,7 @@ fn options(ui: &mut Ui, rect: Rect, window: &mut Window) {
             ui.horizontal(|ui| match window.tools.tool {
                 Tool::Stroke => stroke(ui, window),
                 Tool::Measure => measuring(ui, window),
+                Tool::Joint => chaining(ui, window),
                 tool if tool.is_gizmo() => moving(ui, window),
                 _ => selecting(ui, window),
             });
@@ -68,6 +70,17 @@ fn moving(ui: &mut Ui, window: &mut Window) {
         "Handles within this part of the model\u{2019}s diagonal go along, the less the farther they are; none at 0",
     );
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Falloff around handles"));
+}
+
+/// How many joints a drag places.
+fn chaining(ui: &mut Ui, window: &mut Window) {
+    if !Tool::Joint.is_of_use(window) {
+        ui.label(RichText::new("The chosen step takes no joints.").weak());
+        return;
+    }
+    ui.label("A click places a joint, a drag a chain of");
+    let field = ui.add(DragValue::new(&mut window.tools.chain).range(2..=64));
+    field.ctx.accesskit_node_builder(field.id, |node| node.set_label("Joints of a chain"));
 }
 
 /// What is measured, and what it comes to.

@@ -64,7 +64,9 @@ impl Tool {
             Self::Box => "Draw a box round samples. Shift adds, Ctrl takes away.",
             Self::Connected => "Click a part. Shift adds, Ctrl takes away.",
             Self::Stroke => "Paint on the surface. [ and ] change the size.",
-            Self::Joint => "Click the surface to place a joint; it hangs on the one that is chosen.",
+            Self::Joint => {
+                "Click to place a joint, drag to place a chain; it hangs on the one that is chosen."
+            }
             Self::Measure => {
                 "Click points on the surface: how far apart, and at which angle. Drag one to move it."
             }
@@ -132,6 +134,11 @@ pub struct Tools {
     pub stroke_radius: f64,
     /// Of strokes.
     pub strength: f64,
+    /// Joints of a chain that is dragged, and where its drag began, in pixels.
+    pub chain: usize,
+    chain_from: Option<[f64; 2]>,
+    /// A joint whose name is typed, and the name so far.
+    pub naming: Option<(String, String)>,
     /// How wide the band around a new handle is that bends, as a part of the model's diagonal.
     pub band: f64,
     /// What is measured, and the point of it that is held.
@@ -167,6 +174,9 @@ impl Default for Tools {
             radius: 30.0,
             stroke_radius: 0.06,
             strength: 1.0,
+            chain: 4,
+            chain_from: None,
+            naming: None,
             band: 0.1,
             measuring: Measuring::Distance,
             measured_point: None,
@@ -193,7 +203,7 @@ impl Tools {
     pub fn reset(&mut self) {
         (self.target, self.pivot, self.plane) = (None, None, None);
         (self.others, self.transforming, self.begins) = (None, None, None);
-        self.measured_point = None;
+        (self.measured_point, self.chain_from, self.naming) = (None, None, None);
         self.path.clear();
         (self.dragging, self.painting) = (false, false);
     }
@@ -211,7 +221,7 @@ impl Tools {
     /// Whether options of the tool are shown over the picture.
     pub fn has_options(&self) -> bool {
         let moves = self.tool.is_gizmo() && matches!(self.target, Some(Target::Handle(_)));
-        self.tool.selects() || matches!(self.tool, Tool::Stroke | Tool::Measure) || moves
+        self.tool.selects() || matches!(self.tool, Tool::Stroke | Tool::Measure | Tool::Joint) || moves
     }
 
     /// The handles of the chosen step that its plugin placed and that are in the hand.

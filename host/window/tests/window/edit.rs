@@ -300,3 +300,85 @@ fn what_a_plugin_says_to_do_is_a_button() {
     let params = harness.state().window().chosen().unwrap().2.params;
     assert_eq!(params.get("max-centers"), Some(&32.into()));
 }
+
+/// A drag places a chain, whose joints are renamed, and mirrored to the other side.
+#[test]
+fn a_chain_of_joints_is_dragged_renamed_and_mirrored() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    // All of the panel is seen.
+    harness.set_size(egui::vec2(1440.0, 1700.0));
+    harness.run_steps(3);
+    open(&mut harness, &model(folder.path()));
+    for step in [
+        simod_viewer::command::CameraMove::Look(simod_viewer::camera::Standard::Front),
+        simod_viewer::command::CameraMove::FrameAll,
+    ] {
+        done(&mut harness, Command::Camera(step));
+    }
+    done(&mut harness, Command::AddStep { plugin: "skinning".to_owned(), at: None });
+    harness.state_mut().window_mut().tools.take(Tool::Joint);
+    harness.run_steps(3);
+    assert_eq!(harness.state().window().tools.chain, 4);
+    assert!(harness.query_by_label("Joints of a chain").is_some());
+    let middle = harness.get_by_label("Model").rect().center() + egui::vec2(30.0, 0.0);
+    let [from, to] = [150.0, -150.0].map(|y| middle + egui::vec2(0.0, y));
+    drag(&mut harness, from, to);
+    let joints = |harness: &Harness<'_, App>| harness.state().window().chosen().unwrap().2.joints;
+    let chain = joints(&harness);
+    assert_eq!(chain.len(), 4);
+    for (i, pair) in chain.windows(2).enumerate() {
+        assert_eq!(pair[1].parent.as_ref(), Some(&pair[0].id), "{i}");
+        assert!(pair[1].at.y > pair[0].at.y, "upwards");
+    }
+    assert_eq!(chain[0].parent, None);
+    // In the middle of the bar as it is deep, beside it as it is wide.
+    assert!(chain.iter().all(|joint| joint.at.z.abs() < 0.03 && joint.at.x > 0.02), "{chain:?}");
+
+    harness.get_by_label("Rename joint-2").click();
+    harness.run_steps(3);
+    harness.get_by_label("Name of joint-2").focus();
+    harness.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::A);
+    harness.event(egui::Event::Text("left-arm".to_owned()));
+    harness.run_steps(2);
+    harness.key_press(egui::Key::Enter);
+    settle(&mut harness);
+    let renamed = joints(&harness);
+    assert_eq!((&*renamed[1].id, renamed[2].parent.as_deref()), ("left-arm", Some("left-arm")));
+
+    harness.get_by_label("Mirror").click();
+    harness.run_steps(3);
+    harness.get_by_label_contains("left and right").click();
+    settle(&mut harness);
+    let both = joints(&harness);
+    assert_eq!(both.len(), 8);
+    let right = both.iter().find(|joint| joint.id == "right-arm").unwrap();
+    assert!((right.at.x + renamed[1].at.x).abs() < 0.02 && right.at.y == renamed[1].at.y, "{right:?}");
+    // A chain that begins at a joint goes on from it: the first is not placed twice.
+    harness.state_mut().window_mut().tools.take(Tool::Joint);
+    harness.run_steps(2);
+    drag(&mut harness, to, from + egui::vec2(-60.0, 0.0));
+    let more = joints(&harness);
+    assert_eq!(more.len(), 12);
+    assert_eq!(more[8].parent.as_deref(), Some(&*chain[3].id));
+}
+
+fn drag(harness: &mut Harness<'_, App>, from: egui::Pos2, to: egui::Pos2) {
+    let button = |pos, pressed| egui::Event::PointerButton {
+        pos,
+        button: egui::PointerButton::Primary,
+        pressed,
+        modifiers: egui::Modifiers::NONE,
+    };
+    harness.event(egui::Event::PointerMoved(from));
+    harness.run_steps(1);
+    harness.event(button(from, true));
+    harness.run_steps(1);
+    for i in 1..=4 {
+        harness.event(egui::Event::PointerMoved(from.lerp(to, i as f32 / 4.0)));
+        harness.run_steps(1);
+    }
+    harness.event(button(to, false));
+    harness.run_steps(2);
+    settle(harness);
+}
