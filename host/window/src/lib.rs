@@ -18,6 +18,7 @@ pub mod dialogs;
 mod example;
 mod in_turn;
 pub mod lessons;
+mod numbers;
 mod panels;
 mod regions;
 pub mod screenshot;

@@ -1,6 +1,5 @@
 //! A turntable: frames of a full turn about the model's upright axis, drawn in the background; and single pictures.
 
-use crate::panels;
 use crate::screenshot::{self, Format, Shot, shown_size};
 use crate::window::Window;
 use simod_model::progress::Progress;
@@ -52,7 +51,7 @@ pub fn ask(window: &mut Window) {
     });
     let folder = beside.unwrap_or_else(|| PathBuf::from("turntable")).display().to_string();
     let format = Format { size: shown_size(window), transparent: false };
-    window.turntable = Some(panels::Turntable { folder, frames: FRAMES, format });
+    window.turntable = Some(AskedTurntable { folder, frames: FRAMES, format });
 }
 
 /// Asks how large a picture is, and where it goes.
@@ -61,7 +60,27 @@ pub fn ask_for_picture(window: &mut Window) {
     let beside = editor.path().or(editor.model()).map(|path| path.with_extension("png"));
     let file = beside.unwrap_or_else(|| PathBuf::from("picture.png")).display().to_string();
     let format = Format { size: shown_size(window), transparent: false };
-    window.picture = Some(panels::Picture { file, format });
+    window.picture = Some(AskedPicture { file, format });
+}
+
+/// What is asked before a turntable is drawn.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AskedTurntable {
+    /// The folder, which is to be made.
+    pub folder: String,
+    /// Frames of the turn.
+    pub frames: u32,
+    /// How large they are, and their background.
+    pub format: Format,
+}
+
+/// What is asked before a picture is drawn.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AskedPicture {
+    /// The file, which is to be made.
+    pub file: String,
+    /// How large it is, and its background.
+    pub format: Format,
 }
 
 /// Frames of a turntable, of which a film can be made.
@@ -94,9 +113,12 @@ pub fn film(folder: &Path, rate: u32, transparent: bool) -> String {
 
 /// Begins one, as the window looks.
 pub fn begin(window: &mut Window, folder: &Path, frames: u32, format: Format) {
-    // Films take even sizes alone.
-    let format = Format { size: format.size.map(|side| side.next_multiple_of(2)), ..format };
-    begin_work(window, Work::Turntable(frames), folder, format);
+    begin_work(window, Work::Turntable(frames), folder, of_film(format));
+}
+
+/// The format with even sides, as films take no others.
+pub fn of_film(format: Format) -> Format {
+    Format { size: format.size.map(|side| side.next_multiple_of(2)), ..format }
 }
 
 /// Begins a picture, as the window looks.

@@ -7,7 +7,7 @@ use crate::screenshot::mode_of;
 use crate::settings::Settings;
 use crate::steps::Renaming;
 use crate::tools::Tools;
-use crate::turntable::{Film, Turning};
+use crate::turntable::{AskedPicture, AskedTurntable, Film, Turning};
 use crate::{example, lessons, theme};
 use eframe::egui;
 use simod_model::target::folder_of;
@@ -122,9 +122,9 @@ pub struct Window {
     /// Whether a button is held that shows the pinned version.
     pub holds_pinned: bool,
     /// What is asked before a turntable is drawn, while it is.
-    pub turntable: Option<crate::panels::Turntable>,
+    pub turntable: Option<AskedTurntable>,
     /// What is asked before a picture is drawn, while it is.
-    pub picture: Option<crate::panels::Picture>,
+    pub picture: Option<AskedPicture>,
     /// What makes a film of the last turntable, while it is read.
     pub film: Option<Film>,
     /// The turntable or picture that is being drawn.

@@ -1,7 +1,7 @@
 //! What steps and their plugins say, in the window's words: they speak of session files, which users of the window
 //! may never have seen.
 
-use crate::panels::{count, number};
+use crate::numbers::{count, number};
 use crate::widgets::parameter::number_of;
 use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::Plugin;

@@ -1,6 +1,6 @@
 //! The plane that cuts the model open: along what, and where.
 
-use super::over::card;
+use super::card;
 use crate::window::Window;
 use eframe::egui::{Align2, Area, Button, Id, Order, Rect, RichText, Slider, Ui, vec2};
 use glam::DVec3;

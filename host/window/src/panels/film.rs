@@ -1,5 +1,6 @@
 //! What makes a film of the frames of a turntable, once they are there.
 
+use super::frames::modal;
 use crate::turntable::{Film, film};
 use crate::window::Window;
 use eframe::egui::{self, DragValue, Id, Modal, RichText, TextEdit};
@@ -8,7 +9,7 @@ use eframe::egui::{self, DragValue, Id, Modal, RichText, TextEdit};
 pub fn show(ctx: &egui::Context, window: &mut Window) {
     let Some(Film { folder, frames, transparent, mut rate }) = window.film.clone() else { return };
     let mut close = false;
-    let modal = Modal::new(Id::unique("film")).frame(super::modal(ctx)).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("film")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(520.0);
         ui.heading("The turntable is there");
         ui.label(RichText::new(format!("{frames} frames in {}", folder.display())).weak());

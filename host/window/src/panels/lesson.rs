@@ -1,7 +1,7 @@
 //! The lesson that is being done: what to do next.
 
+use super::card;
 use super::clip;
-use super::over::card;
 use crate::lessons::{self, ALL, Running};
 use crate::theme;
 use crate::window::Window;

@@ -1,13 +1,10 @@
 //! Over the picture: options of the tool, what is being done, and what colours mean.
 
-use super::{clip, lesson, pinned, progress};
+use super::{card, clip, lesson, pinned, progress};
 use crate::tools::Tool;
 use crate::tools::measure::{self, Measuring};
 use crate::window::Window;
-use eframe::egui::{
-    Align, Button, Color32, DragValue, Frame, Layout, Margin, Rect, RichText, Slider, Ui, UiBuilder, pos2,
-    vec2,
-};
+use eframe::egui::{Align, Button, DragValue, Layout, Rect, RichText, Slider, Ui, UiBuilder, pos2, vec2};
 use simod_viewer::Command;
 use simod_viewer::command::Area;
 use simod_viewer::selection::Combine;
@@ -23,21 +20,6 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     pinned::show(ui, rect, window);
     clip::show(ui, rect, window);
     lesson::show(ui, rect, window);
-}
-
-/// A panel over the picture.
-pub fn card(ui: &Ui) -> Frame {
-    let fill = ui.visuals().panel_fill;
-    Frame::NONE
-        .fill(Color32::from_rgba_unmultiplied(fill.r(), fill.g(), fill.b(), 236))
-        .corner_radius(6.0)
-        .inner_margin(Margin::symmetric(10, 6))
-        .shadow(eframe::egui::Shadow {
-            offset: [0, 2],
-            blur: 8,
-            spread: 0,
-            color: Color32::from_black_alpha(60),
-        })
 }
 
 fn options(ui: &mut Ui, rect: Rect, window: &mut Window) {

@@ -1,22 +1,14 @@
 //! How large a picture of the model is, and where it goes.
 
+use super::frames::modal;
 use super::render;
 use crate::dialogs::Purpose;
-use crate::screenshot::{Format, shown_size};
+use crate::screenshot::shown_size;
 use crate::theme;
 use crate::turntable::begin_picture;
 use crate::window::Window;
 use eframe::egui::{self, Button, Color32, Id, Modal, RichText, TextEdit};
 use std::path::Path;
-
-/// What is asked.
-#[derive(Clone)]
-pub struct Picture {
-    /// The file, which is to be made.
-    pub file: String,
-    /// How large it is, and its background.
-    pub format: Format,
-}
 
 enum Answer {
     Save,
@@ -29,7 +21,7 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
     let Some(mut picture) = window.picture.clone() else { return };
     let shown = shown_size(window);
     let mut done = None;
-    let modal = Modal::new(Id::unique("picture")).frame(super::modal(ctx)).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("picture")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(460.0);
         ui.heading("Save a picture");
         let what = "The model as it is seen now, without selection, handles and what is measured.";

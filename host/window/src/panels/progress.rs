@@ -1,6 +1,6 @@
 //! What takes its time: stage, rate, and a button that stops it.
 
-use super::{bytes, clip, duration, lesson, over::card};
+use super::{bytes, card, clip, duration, lesson};
 use crate::window::Window;
 use eframe::egui::{Align, Layout, ProgressBar, Rect, RichText, Spinner, Ui, UiBuilder, pos2};
 use simod_viewer::Command;

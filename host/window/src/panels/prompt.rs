@@ -1,5 +1,6 @@
 //! A path that is typed, where the system has no dialogs for files.
 
+use super::frames::modal;
 use crate::dialogs::Purpose;
 use crate::theme;
 use crate::window::Window;
@@ -128,7 +129,7 @@ fn common(names: &[String]) -> Option<String> {
 pub fn show(ctx: &egui::Context, window: &mut Window) {
     let Some(mut prompt) = window.prompt.take() else { return };
     let mut done = None;
-    let modal = Modal::new(Id::unique("prompt")).frame(super::modal(ctx)).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("prompt")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(560.0);
         ui.heading(prompt.purpose.title());
         if !prompt.why.is_empty() {

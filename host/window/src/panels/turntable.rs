@@ -1,8 +1,9 @@
 //! How many frames a turntable has, and where they go.
 
+use super::frames::modal;
 use super::render;
 use crate::dialogs::Purpose;
-use crate::screenshot::{Format, shown_size};
+use crate::screenshot::shown_size;
 use crate::theme;
 use crate::turntable::{RATE, begin};
 use crate::window::Window;
@@ -10,23 +11,12 @@ use eframe::egui::{self, Button, Color32, DragValue, Id, Modal, RichText, TextEd
 use simod_picture::FrameFolder;
 use std::path::Path;
 
-/// What is asked.
-#[derive(Clone)]
-pub struct Turntable {
-    /// The folder, which is to be made.
-    pub folder: String,
-    /// Frames of the turn.
-    pub frames: u32,
-    /// How large they are, and their background.
-    pub format: Format,
-}
-
 /// Shows it while it is asked.
 pub fn show(ctx: &egui::Context, window: &mut Window) {
     let Some(mut turntable) = window.turntable.clone() else { return };
     let shown = shown_size(window);
     let mut done = None;
-    let modal = Modal::new(Id::unique("turntable")).frame(super::modal(ctx)).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("turntable")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(460.0);
         ui.heading("Render a turntable");
         ui.label(RichText::new("PNG pictures of a full turn, as the model is seen now.").weak());
