@@ -35,13 +35,21 @@ impl FrameFolder {
     /// # Errors
     /// It cannot be written, or there are too many.
     pub fn push(&mut self, image: &Image) -> Result<()> {
+        self.push_png(&image.to_png()?)
+    }
+
+    /// Writes the next frame, which is the content of a PNG file already.
+    ///
+    /// # Errors
+    /// It cannot be written, or there are too many.
+    pub fn push_png(&mut self, png: &[u8]) -> Result<()> {
         if self.count == Self::MOST {
             let what = format!("there are more than {} frames", Self::MOST);
             return Err(Error::new(ErrorKind::Argument, what, "make fewer"));
         }
         self.count += 1;
         let path = self.folder.path().join(format!("frame-{:04}.png", self.count));
-        write_file(&path, &image.to_png()?).map_err(|e| self.folder.named(e))
+        write_file(&path, png).map_err(|e| self.folder.named(e))
     }
 
     /// Puts the folder in its place.

@@ -71,18 +71,7 @@ impl Image {
     /// # Errors
     /// It is too large for the format.
     pub fn to_png(&self) -> Result<Vec<u8>> {
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, self.width, self.height);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder
-            .write_header()
-            .and_then(|mut writer| writer.write_image_data(self.pixels.as_flattened()))
-            .map_err(|error| {
-                let what = format!("cannot encode a picture of {} by {}: {error}", self.width, self.height);
-                Error::new(ErrorKind::Argument, what, "make the picture smaller")
-            })?;
-        Ok(bytes)
+        encode(self.width, self.height, png::ColorType::Rgb, self.pixels.as_flattened())
     }
 
     /// Pictures in a row, each with its caption below. Captions are drawn in capitals; what the font does not
@@ -142,6 +131,19 @@ impl Image {
             self.pixels[y as usize * self.width as usize + x as usize] = color;
         }
     }
+}
+
+/// The content of a PNG file of 8 bits a channel.
+pub(crate) fn encode(width: u32, height: u32, color: png::ColorType, pixels: &[u8]) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(color);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.write_header().and_then(|mut writer| writer.write_image_data(pixels)).map_err(|error| {
+        let what = format!("cannot encode a picture of {width} by {height}: {error}");
+        Error::new(ErrorKind::Argument, what, "make the picture smaller")
+    })?;
+    Ok(bytes)
 }
 
 /// From linear to 8-bit sRGB, with the brightest parts rolled off instead of cut.

@@ -20,6 +20,7 @@
 //! ```
 
 mod camera;
+mod cut_out;
 mod facet;
 mod font;
 mod frames;
@@ -37,6 +38,7 @@ mod style;
 mod view;
 
 pub use camera::Camera;
+pub use cut_out::CutOut;
 pub use frames::FrameFolder;
 pub use image::Image;
 pub use paint::{Coloring, Paint};

@@ -111,7 +111,7 @@ def test_the_same_bytes_as_the_command(plane: Path, tmp_path: Path) -> None:
     assert (tmp_path / "loaded.ply").read_bytes() == (tmp_path / "theirs.ply").read_bytes()
 
 
-@pytest.mark.filterwarnings("ignore:rbf. the smooth solution")
+@pytest.mark.filterwarnings("ignore:rbf. the handles")
 def test_plugins_give_the_same_bytes_as_a_session(plane: Path, tmp_path: Path) -> None:
     (tmp_path / "plane.ply").write_bytes(plane.read_bytes())
     (tmp_path / "edit.toml").write_text(SESSION)

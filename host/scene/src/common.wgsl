@@ -13,6 +13,8 @@ struct Frame {
     // sRGB.
     background_top: vec4f,
     background_bottom: vec4f,
+    // What lies beyond it is cut away: normal and distance, in the view's space.
+    clip: vec4f,
     // Pixels of the picture while it is drawn, and of the finished one.
     size: vec2f,
     finished: vec2f,
@@ -28,6 +30,9 @@ const OWN_COLORS = 1u;
 const OCCLUSION = 2u;
 const ONE_SIDED = 4u;
 const GHOST = 8u;
+const CLIP = 16u;
+// Above these, which light it is.
+const LIGHT = 8u;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 
@@ -50,6 +55,11 @@ fn point_at(pixel: vec2f, depth: f32) -> vec3f {
     let clip = (pixel / frame.size * vec2f(2.0, -2.0) + vec2f(-1.0, 1.0)) * clip_w(depth);
     let shear = frame.projection[3].xy - frame.projection[2].xy * depth;
     return vec3f((clip - shear) / vec2f(frame.projection[0].x, frame.projection[1].y), -depth);
+}
+
+// Whether a point in the view's space is cut away.
+fn is_clipped(point: vec3f) -> bool {
+    return (frame.flags & CLIP) != 0u && dot(frame.clip.xyz, point) > frame.clip.w;
 }
 
 // The direction to the eye from a point in the view's space.

@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{Mat4, Vec3, Vec4};
 
-use crate::view::{Background, Light, Style, View};
+use crate::view::{Background, Light, Matcap, Style, View};
 
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
@@ -16,6 +16,7 @@ pub(crate) struct Frame {
     ghost_color: Vec4,
     background_top: Vec4,
     background_bottom: Vec4,
+    clip: Vec4,
     size: [f32; 2],
     finished: [f32; 2],
     pub radius_scale: f32,
@@ -35,6 +36,8 @@ const GHOST: Vec3 = Vec3::new(0.22, 0.42, 0.72);
 /// Backgrounds, above and below, in sRGB.
 const PAPER: [Vec3; 2] = [Vec3::new(0.925, 0.930, 0.935), Vec3::new(0.845, 0.850, 0.860)];
 const SLATE: [Vec3; 2] = [Vec3::new(0.260, 0.270, 0.290), Vec3::new(0.140, 0.145, 0.160)];
+/// The place of the light among the flags.
+const LIGHT: u32 = 8;
 /// How far the occlusion reaches, as a share of the surface's radius.
 const REACH: f32 = 0.13;
 
@@ -51,9 +54,23 @@ impl Frame {
         let (key, strength) = match style.light {
             Light::Key => (KEY_LIGHT, 1.0),
             Light::Head => (HEAD_LIGHT, 0.7),
+            Light::Matcap(_) => (KEY_LIGHT, 1.0),
         };
-        let [top, bottom] = if style.background == Background::Dark { SLATE } else { PAPER };
-        let flags = [style.own_colors, style.occlusion, !style.two_sided, ghost];
+        let [top, bottom] = match style.background {
+            Background::Light => PAPER,
+            Background::Dark => SLATE,
+            Background::Black => [Vec3::ZERO; 2],
+            Background::White => [Vec3::ONE; 2],
+        };
+        let light = match style.light {
+            Light::Key | Light::Head => 0,
+            Light::Matcap(Matcap::Ceramic) => 1,
+            Light::Matcap(Matcap::Metal) => 2,
+            Light::Matcap(Matcap::Wax) => 3,
+            Light::Matcap(Matcap::Stripes) => 4,
+        };
+        let flags = [style.own_colors, style.occlusion, !style.two_sided, ghost, style.clip.is_some()];
+        let flags: u32 = flags.iter().zip(0..).map(|(flag, bit)| u32::from(*flag) << bit).sum();
         Self {
             view: view.view,
             projection: view.projection,
@@ -62,13 +79,20 @@ impl Frame {
             clay: CLAY.extend(1.0),
             background_top: top.extend(1.0),
             background_bottom: bottom.extend(1.0),
+            clip: style.clip.map_or(Vec4::ZERO, |plane| seen_plane(&view.view, plane)),
             ghost_color: GHOST.extend(1.0),
             size: size.map(|s| s as f32),
             finished: finished.map(|s| s as f32),
             radius_scale: 1.0,
             ghost_opacity: style.ghost_opacity.clamp(0.0, 1.0),
             reach: REACH * radius,
-            flags: flags.iter().zip(0..).map(|(flag, bit)| u32::from(*flag) << bit).sum(),
+            flags: flags | light << LIGHT,
         }
     }
+}
+
+/// A plane (n, d) of local coordinates as the eye sees it.
+fn seen_plane(view: &Mat4, plane: Vec4) -> Vec4 {
+    let normal = view.transform_vector3(plane.truncate());
+    normal.extend(plane.w + normal.dot(view.w_axis.truncate()))
 }

@@ -51,7 +51,7 @@ pub use cloud::{BadSurface, Surface};
 pub use gpu::{Gpu, NoGpu};
 pub use marks::{Dot, Line};
 pub use scene::{Drawn, Scene};
-pub use view::{Background, Light, Mode, Scale, Style, View};
+pub use view::{Background, Light, Matcap, Mode, Scale, Style, View};
 
 /// The format of the texture that [`Scene::render`] gives: 8 bits a channel, which hold sRGB values as they
 /// are (as in a PNG file; what egui takes as a texture of the user).

@@ -43,5 +43,14 @@ fn long_axis_of(shape: u32) -> vec3f {
 }
 
 fn color_of(look: vec2u) -> vec3f {
+    // What is cut open tells its inside by colours, so that all has some.
+    if (frame.flags & (CLIP | OWN_COLORS)) == CLIP {
+        return srgb_of(frame.clay.rgb);
+    }
     return unpack4x8unorm(look.y).rgb;
+}
+
+// What is seen of the inside of a surface that is cut open.
+fn inside(color: vec3f) -> vec3f {
+    return select(color, mix(color, vec3f(0.62, 0.24, 0.20), 0.62), (frame.flags & CLIP) != 0u);
 }

@@ -30,9 +30,15 @@ fn pixel(@builtin(position) position: vec4f) -> @location(0) vec4f {
     var light = linear_of(paper);
     if depth > 0.0 {
         let own = linear_of(textureLoad(colors, at, 0).rgb);
-        let color = select(frame.clay.rgb, own, (frame.flags & OWN_COLORS) != 0u);
+        let color = select(frame.clay.rgb, own, (frame.flags & (OWN_COLORS | CLIP)) != 0u);
         let normal = textureLoad(normals, at, 0).xyz;
-        light = lit(color, normal, to_eye(point_at(position.xy, depth)), occlusion(at, depth));
+        let eye = to_eye(point_at(position.xy, depth));
+        let which = frame.flags >> LIGHT;
+        if which == 0u {
+            light = lit(color, normal, eye, occlusion(at, depth));
+        } else {
+            light = lit_by_ball(which, color, normal, eye, occlusion(at, depth));
+        }
     }
     if ghost > 0.0 {
         light = with_ghost(light, position.xy, depth, ghost);
@@ -44,7 +50,8 @@ fn pixel(@builtin(position) position: vec4f) -> @location(0) vec4f {
 // courses, 2014) is below what a byte tells apart, and breaks up its steps.
 fn background(pixel: vec2f) -> vec3f {
     let noise = fract(52.9829189 * fract(dot(pixel, vec2f(0.06711056, 0.00583715)))) - 0.5;
-    return mix(frame.background_top.rgb, frame.background_bottom.rgb, pixel.y / frame.size.y) + noise / 255.0;
+    let even = mix(frame.background_top.rgb, frame.background_bottom.rgb, pixel.y / frame.size.y);
+    return even + select(0.0, noise / 255.0, any(frame.background_top != frame.background_bottom));
 }
 
 // The mean over the tile around a pixel, of what lies on its surface.
@@ -80,6 +87,41 @@ fn lit(color: vec3f, normal: vec3f, eye: vec3f, occlusion: f32) -> vec3f {
     let highlight = pow(max(dot(normal, halfway), 0.0), 40.0) * 0.10 * key * occlusion;
     let rim = pow(1.0 - clamp(dot(normal, eye), 0.0, 1.0), 4.0) * 0.10 * occlusion;
     return color * light + highlight + rim * sky;
+}
+
+// As a ball before the eye looks where it is turned alike: `Matcap` in view.rs.
+fn lit_by_ball(which: u32, color: vec3f, normal: vec3f, eye: vec3f, occlusion: f32) -> vec3f {
+    // Beside the middle of the picture the eye looks aside; the ball is turned with it.
+    let right = normalize(cross(vec3f(0.0, 1.0, 0.0), eye));
+    let n = vec3f(dot(normal, right), dot(normal, cross(eye, right)), clamp(dot(normal, eye), 0.0, 1.0));
+    let mirrored = vec3f(2.0 * n.z * n.xy, 2.0 * n.z * n.z - 1.0);
+    let lamp = normalize(vec3f(-0.42, 0.62, 0.66));
+    let facing = dot(n, lamp);
+    let rim = pow(1.0 - n.z, 4.0);
+    switch which {
+        case 1u: {
+            let soft = 0.30 + 1.05 * pow(max(0.5 + 0.5 * facing, 0.0), 2.2);
+            let gloss = 0.42 * smoothstep(0.86, 0.94, dot(mirrored, lamp)) + 0.22 * rim * (0.5 + 0.5 * n.y);
+            return color * soft * occlusion + gloss * occlusion;
+        }
+        case 2u: {
+            let sky = mix(1.25, 0.30, clamp(mirrored.y, 0.0, 1.0));
+            let floor = mix(0.42, 0.05, sqrt(clamp(-mirrored.y, 0.0, 1.0)));
+            let around = mix(floor, sky, smoothstep(-0.06, 0.06, mirrored.y));
+            return color * (1.55 * around + 0.35 * rim) * (0.4 + 0.6 * occlusion)
+                + 0.8 * smoothstep(0.90, 0.97, dot(mirrored, lamp)) * occlusion;
+        }
+        case 3u: {
+            let t = smoothstep(0.0, 1.0, 0.5 + 0.5 * facing);
+            let warm = mix(vec3f(0.14, 0.035, 0.025), vec3f(1.50, 0.82, 0.62), t);
+            let gloss = 0.28 * pow(max(dot(mirrored, lamp), 0.0), 18.0) + 0.10 * rim;
+            return (color * warm + gloss * vec3f(1.0, 0.85, 0.8)) * (0.25 + 0.75 * occlusion);
+        }
+        default: {
+            let stripe = smoothstep(-0.3, 0.3, sin(14.0 * asin(clamp(mirrored.y, -1.0, 1.0))));
+            return color * mix(0.06, 1.35, stripe) * (0.6 + 0.4 * n.z);
+        }
+    }
 }
 
 // The ghost in front of the surface, or fainter through it; not where the two are one.

@@ -105,6 +105,9 @@ fn corner(index: u32, hiding_part: bool) -> Corner {
         out.normal = normalize(mix(-across, normal, smoothstep(0.0, 0.5, facing)));
     }
     out.color = color_of(own);
+    if back {
+        out.color = inside(out.color);
+    }
     out.hiding = hiding * hiding;
     out.seen = select(1.0, max(facing, 0.02), known);
     return out;
@@ -118,7 +121,7 @@ fn depth_corner(@builtin(vertex_index) index: u32) -> Corner {
 // The nearest surface: its depth.
 @fragment
 fn depth_pixel(in: Corner) -> @location(0) vec4f {
-    if dot(in.disc, in.disc) > in.hiding {
+    if dot(in.disc, in.disc) > in.hiding || is_clipped(point_at(in.position.xy, in.depth)) {
         discard;
     }
     return vec4f(in.depth);
@@ -140,7 +143,7 @@ struct Sums {
 @fragment
 fn blend_pixel(in: Corner) -> Sums {
     let t = 1.0 - dot(in.disc, in.disc);
-    if t <= 0.0 {
+    if t <= 0.0 || is_clipped(point_at(in.position.xy, in.depth)) {
         discard;
     }
     let weight = t * t * in.seen;

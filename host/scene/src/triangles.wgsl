@@ -31,7 +31,7 @@ struct Seen {
 @fragment
 fn pixel(in: Corner, @builtin(front_facing) front: bool) -> Seen {
     var derived = cross(dpdy(in.point), dpdx(in.point));
-    if in.hidden > 0.0 || (!front && (frame.flags & ONE_SIDED) != 0u) {
+    if in.hidden > 0.0 || (!front && (frame.flags & ONE_SIDED) != 0u) || is_clipped(in.point) {
         discard;
     }
     derived = select(derived, -derived, dot(derived, in.point) > 0.0);
@@ -42,5 +42,6 @@ fn pixel(in: Corner, @builtin(front_facing) front: bool) -> Seen {
     // The side that is seen, as the triangle lies: a normal may lean a little behind the silhouette.
     normal = select(normal, -normal, !front);
     normal = normal / max(length(normal), 1e-12);
-    return Seen(vec4f(in.color, 1.0), vec4f(normal, 1.0), vec4f(max(-in.point.z, 1e-9)));
+    let color = select(inside(in.color), in.color, front);
+    return Seen(vec4f(color, 1.0), vec4f(normal, 1.0), vec4f(max(-in.point.z, 1e-9)));
 }

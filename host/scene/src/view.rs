@@ -1,6 +1,6 @@
 //! From where and how a scene is shown.
 
-use glam::Mat4;
+use glam::{Mat4, Vec4};
 
 /// From where.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,6 +29,9 @@ pub struct Style {
     pub occlusion: bool,
     /// Whether the surface is seen from its back, too: for what is not closed.
     pub two_sided: bool,
+    /// What lies beyond a plane is cut away: where `n · p > d`, for the plane (n, d) in local coordinates. What is seen
+    /// of the inside is reddish then.
+    pub clip: Option<Vec4>,
     /// How much the ghost hides, from 0 to 1.
     pub ghost_opacity: f32,
     /// How finely it is drawn.
@@ -44,6 +47,7 @@ impl Default for Style {
             light: Light::Key,
             occlusion: true,
             two_sided: true,
+            clip: None,
             ghost_opacity: 0.5,
             scale: Scale::Full,
         }
@@ -66,6 +70,10 @@ pub enum Background {
     Light,
     /// Slate.
     Dark,
+    /// One colour, for pictures that are [cut out](simod_picture::CutOut) of two.
+    Black,
+    /// Another one.
+    White,
 }
 
 /// Where light comes from, as the eye sees it.
@@ -75,6 +83,22 @@ pub enum Light {
     Key,
     /// From the eye.
     Head,
+    /// From all around, as it would lie on a ball before the eye (P.-P. Sloan, W. Martin, A. Gooch, B. Gooch, *The Lit
+    /// Sphere*, Graphics Interface 2001), by a formula instead of a picture of the ball.
+    Matcap(Matcap),
+}
+
+/// What the ball looks like by which the surface is lit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Matcap {
+    /// Glossy, below a wide lamp: forms are read easily.
+    Ceramic,
+    /// A polished one, in which a horizon is mirrored.
+    Metal,
+    /// Soft and warm: dark where it turns away.
+    Wax,
+    /// Stripes that are mirrored: they have kinks where the surface is not smooth.
+    Stripes,
 }
 
 /// How many pixels are drawn for a pixel of the picture.

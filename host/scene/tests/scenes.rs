@@ -8,10 +8,11 @@ use std::time::Duration;
 use common::{
     Model, RED, apart, at, difference, draw, draw_from, gpu, is_red, plain, project, same, sphere, view,
 };
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 use simod_picture::Image;
 use simod_scene::{
-    Background, BadSurface, Budget, Dot, Gpu, Line, Mode, NoGpu, Scale, Scene, Style, Surface, View,
+    Background, BadSurface, Budget, Dot, Gpu, Light, Line, Matcap, Mode, NoGpu, Scale, Scene, Style, Surface,
+    View,
 };
 
 fn scene_of(gpu: &Gpu, model: &Model) -> Scene {
@@ -364,4 +365,79 @@ fn stretched_discs_close_a_stretched_surface() {
     scene.set_colors(&radii, model.colors.as_deref()).unwrap();
     assert_eq!(holes(&shot(&mut scene, &plain())), 0);
     assert!(scene.set_axes(&axes[1..]).is_err());
+}
+
+/// What lies beyond a plane is cut away, of discs and triangles alike, and shows its reddish inside.
+#[test]
+fn a_plane_cuts_the_surface_open() {
+    let Some(gpu) = gpu() else { return };
+    let model = sphere(Vec3::ZERO, 1.0, 100).colored([60, 120, 200]);
+    for mode in [Mode::Splats, Mode::Triangles] {
+        let style = Style { mode, ..plain() };
+        let mut scene = scene_of(gpu, &model);
+        let whole = shot(&mut scene, &style);
+        let nothing = shot(&mut scene, &Style { clip: Some(Vec3::X.extend(-1.1)), ..style });
+        let right = project(&view(), Vec3::new(0.5, 0.0, 0.0));
+        let left = project(&view(), Vec3::new(-0.5, 0.0, 0.0));
+        // The right half is away, up to a border that is straight to a pixel.
+        let half = shot(&mut scene, &Style { clip: Some(Vec3::X.extend(0.0)), ..style });
+        assert_eq!(at(&half, right), at(&nothing, right));
+        assert_eq!(at(&half, left), at(&whole, left));
+        let middle = project(&view(), Vec3::ZERO);
+        let [before, behind] = [-2.0, 2.0].map(|x| at(&half, [middle[0] + x, middle[1]]));
+        assert!(apart(before, at(&whole, middle)) < 8, "{before:?}");
+        assert!(apart(behind, at(&nothing, middle)) < 8, "{behind:?}");
+        // The half that faces the eye is away: its inside is seen, with colours of its own and without.
+        for own_colors in [true, false] {
+            let style = Style { own_colors, clip: Some(Vec3::Z.extend(0.0)), ..style };
+            let open = shot(&mut scene, &style);
+            assert!(is_red(&open, middle) && !is_red(&whole, middle), "{mode:?} {:?}", at(&open, middle));
+        }
+        // A plane beyond all of it cuts nothing.
+        let beyond = shot(&mut scene, &Style { clip: Some(Vec4::new(0.0, 0.6, 0.8, 1.2)), ..style });
+        let (_, changed) = difference(&beyond, &whole, 2);
+        assert!(changed < 0.02, "{mode:?}: {changed}");
+    }
+}
+
+/// A ball of light is turned with the eye: the same form looks the same from all sides, and not as by lamps.
+#[test]
+fn balls_of_light_face_the_eye() {
+    let Some(gpu) = gpu() else { return };
+    let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 1.0, 100));
+    let lamps = shot(&mut scene, &Style { occlusion: false, ..Style::default() });
+    let turned = View { view: view().view * glam::Mat4::from_rotation_y(1.1), ..view() };
+    let mut seen: Vec<Image> = vec![lamps];
+    for ball in [Matcap::Ceramic, Matcap::Metal, Matcap::Wax, Matcap::Stripes] {
+        let style = Style { light: Light::Matcap(ball), occlusion: false, ..Style::default() };
+        let picture = shot(&mut scene, &style);
+        scene.render(&turned, &style, None);
+        let (_, beyond) = difference(&picture, &scene.read().unwrap(), 10);
+        assert!(beyond < 0.02, "{ball:?}: {beyond}");
+        for other in &seen {
+            assert!(difference(&picture, other, 12).1 > 0.1, "{ball:?}");
+        }
+        seen.push(picture);
+    }
+    // Stripes: dark and light ones from above to below.
+    let column = |y: f32| at(&seen[4], [120.0, y])[1];
+    let flips = (30..210).filter(|y| (column(*y as f32) > 90) != (column(*y as f32 + 1.0) > 90)).count();
+    assert!((6..40).contains(&flips), "{flips}");
+}
+
+/// Of two flat backgrounds, what is before them is cut out, with borders half seen through.
+#[test]
+fn a_picture_is_cut_out_of_its_background() {
+    let Some(gpu) = gpu() else { return };
+    let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 1.0, 100).colored(RED));
+    let style = Style { scale: Scale::Double, ..plain() };
+    let mut over = |background| shot(&mut scene, &Style { background, ..style });
+    let [black, white] = [Background::Black, Background::White].map(&mut over);
+    let cut = simod_picture::CutOut::of(&black, &white).unwrap();
+    let opacity = |x: usize, y: usize| cut.pixels()[y * 240 + x][3];
+    assert_eq!((opacity(0, 0), opacity(239, 120), opacity(120, 120)), (0, 0, 255));
+    let part = cut.pixels().iter().filter(|p| (8..247).contains(&p[3])).count();
+    assert!((100..2000).contains(&part), "{part}");
+    // The background leaves no seam: half of a border's pixel is as red as the whole ones beside it.
+    assert!(cut.pixels().iter().filter(|p| p[3] > 60).all(|p| p[0] > p[2]));
 }

@@ -1,6 +1,7 @@
 //! All that a user can do. A list of commands, one JSON object a line, is a recording of an edit.
 
 use crate::camera::{Camera, Projection, Standard, Up};
+use crate::clip::Clip;
 use crate::detail::Previewed;
 use crate::engine::Job;
 use crate::overlay::Overlay;
@@ -98,6 +99,14 @@ pub enum Command {
         #[serde(default)]
         replaces: Option<usize>,
     },
+    /// Makes a handle region of what is selected, and a fixed one of what is farther from it along the surface than
+    /// a band, which bends.
+    MakeHandle {
+        /// The step.
+        step: usize,
+        /// How wide the band is, in the model's unit.
+        band: f64,
+    },
     /// More samples where it is selected, as a new step behind the others.
     RefineSelection {
         /// How fine.
@@ -167,6 +176,15 @@ pub enum Command {
     Show(Overlay),
     /// Shows the model's own colours where no numbers are shown, or does not: shown at first.
     ShowOwnColors(bool),
+    /// Cuts the model open, to be looked into, or closes it again. What is cut away is not seen, and cannot be pointed
+    /// at; the edit is as it was.
+    Clip(Option<Clip>),
+    /// Measures along these points instead of the former ones; none measure nothing.
+    Measure {
+        /// Where they are before all steps, model coordinates: they go along with the surface; see
+        /// [`State::at_rest`](crate::State::at_rest).
+        points: Vec<DVec3>,
+    },
     /// Shows a part of the model in full instead of its samples: its vertices are streamed, again each time
     /// the edit rests after they have moved. It is no part of the edit.
     Preview {

@@ -10,11 +10,13 @@
 
 mod appended;
 pub mod camera;
+mod clip;
 pub mod command;
 pub mod detail;
 pub mod engine;
 mod gradients;
 pub mod held;
+pub mod measured;
 pub mod motion;
 pub mod navigation;
 pub mod overlay;
@@ -22,11 +24,13 @@ pub mod pick;
 pub mod record;
 pub mod scene;
 pub mod selection;
+pub mod skeleton;
 pub mod state;
 mod tint;
 pub mod transform;
 
 pub use camera::Camera;
+pub use clip::Clip;
 pub use command::Command;
 pub use detail::{Detail, Previewed};
 pub use engine::{Engine, Event};

@@ -2,6 +2,7 @@
 //! the other, so that it is the same everywhere.
 
 use crate::camera::{Camera, Projection, Ray};
+use crate::clip::cuts;
 use crate::scene::Scene;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -44,6 +45,8 @@ pub struct DepthBuffer {
     camera: Camera,
     /// The picture's size, in pixels of the window, and those of the buffer.
     size: [f64; 2],
+    /// What lies beyond this plane is not there: unit normal and distance, local coordinates.
+    clip: Option<(DVec3, f64)>,
     lens: Lens,
     width: usize,
     height: usize,
@@ -122,8 +125,9 @@ impl Lens {
 }
 
 impl DepthBuffer {
-    /// Of the samples as a picture of so many pixels shows them.
-    pub fn new(scene: &Scene, camera: &Camera, size: [f64; 2]) -> Self {
+    /// Of the samples as a picture of so many pixels shows them, but those beyond a plane (unit normal and distance,
+    /// local coordinates).
+    pub fn new(scene: &Scene, camera: &Camera, size: [f64; 2], clip: Option<(DVec3, f64)>) -> Self {
         let shrink = (LONGEST / size[0].max(size[1]).max(1.0)).min(1.0);
         let pixels = |length: f64| ((length * shrink).ceil() as usize).max(1);
         let (width, height) = (pixels(size[0]), pixels(size[1]));
@@ -137,7 +141,7 @@ impl DepthBuffer {
         let radii: Vec<f32> = (0..scene.len()).into_par_iter().map(radius).collect();
         let nearest = vec![(f32::INFINITY, NOBODY); width * height];
         let lens = Lens::new(camera, [width as f64, height as f64]);
-        let mut this = Self { camera: *camera, size, lens, width, height, nearest, radii };
+        let mut this = Self { camera: *camera, size, clip, lens, width, height, nearest, radii };
         for i in 0..scene.len() {
             if let Some(disc) = this.disc(scene, i) {
                 this.draw(i as u32, &disc);
@@ -146,12 +150,16 @@ impl DepthBuffer {
         this
     }
 
-    /// Whether it is of this camera and size.
-    pub fn is_of(&self, camera: &Camera, size: [f64; 2]) -> bool {
-        self.camera == *camera && self.size == size
+    /// Whether it is of this camera, size and plane.
+    pub fn is_of(&self, camera: &Camera, size: [f64; 2], clip: Option<(DVec3, f64)>) -> bool {
+        self.camera == *camera && self.size == size && self.clip == clip
     }
 
+    /// What is seen of a sample; nothing where it is cut away, or behind the eye.
     fn disc(&self, scene: &Scene, i: usize) -> Option<Disc> {
+        if cuts(self.clip, scene.positions[i]) {
+            return None;
+        }
         let (center, normal) = (scene.positions[i].as_dvec3(), scene.normals[i].as_dvec3());
         self.lens.disc(center, normal, f64::from(self.radii[i]))
     }

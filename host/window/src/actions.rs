@@ -2,7 +2,7 @@
 
 use crate::dialogs::Purpose;
 use crate::panels::Palette;
-use crate::settings::Theme;
+use crate::settings::{Lighting, Theme};
 use crate::tools::Tool;
 use crate::window::Window;
 use crate::{regions, steps, theme};
@@ -21,6 +21,8 @@ pub enum Menu {
     Edit,
     Select,
     View,
+    /// Within that of the view.
+    Light,
     Compare,
     Overlay,
     Tool,
@@ -120,6 +122,11 @@ fn set_theme(w: &mut Window, theme: Theme) {
     w.keep_settings();
 }
 
+fn light(w: &mut Window, light: Lighting) {
+    w.settings.light = light;
+    w.keep_settings();
+}
+
 fn has_colors(w: &Window) -> bool {
     w.state().scene().is_some_and(|scene| !scene.sampled.colors.is_empty())
 }
@@ -155,6 +162,10 @@ pub const ALL: &[Action] = &[
     action(Menu::File, "Save Session As\u{2026}", &[(CTRL_SHIFT, Key::S)], is_open, |w| w.ask(Purpose::Save)),
     action(Menu::File, "Write Deformed Model\u{2026}", &[(CTRL, Key::E)], is_open, |w| w.ask(Purpose::Write))
         .begins(),
+    action(Menu::File, "Save Picture\u{2026}", &[(NONE, Key::F12)], crate::turntable::can_begin, |w| {
+        crate::turntable::ask_for_picture(w);
+    })
+    .begins(),
     action(Menu::File, "Render Turntable\u{2026}", &[], crate::turntable::can_begin, crate::turntable::ask),
     action(Menu::File, "Quit", &[(CTRL, Key::Q)], always, |w| {
         w.ctx().send_viewport_cmd(egui::ViewportCommand::Close);
@@ -273,6 +284,21 @@ pub const ALL: &[Action] = &[
         w.keep_settings();
     })
     .on(|w| w.settings.occlusion),
+    action(Menu::View, "Cut Open", &[(ALT, Key::B)], is_open, crate::panels::clip::switch)
+        .on(|w| w.state().clipped().is_some()),
+    action(Menu::Light, "Lit by Lamps", &[], always, |w| light(w, Lighting::Lamps))
+        .on(|w| w.settings.light == Lighting::Lamps),
+    action(Menu::Light, "Lit from the Camera", &[], always, |w| light(w, Lighting::Camera))
+        .on(|w| w.settings.light == Lighting::Camera),
+    action(Menu::Light, "Ceramic", &[], always, |w| light(w, Lighting::Ceramic))
+        .on(|w| w.settings.light == Lighting::Ceramic)
+        .begins(),
+    action(Menu::Light, "Polished Metal", &[], always, |w| light(w, Lighting::Metal))
+        .on(|w| w.settings.light == Lighting::Metal),
+    action(Menu::Light, "Warm Wax", &[], always, |w| light(w, Lighting::Wax))
+        .on(|w| w.settings.light == Lighting::Wax),
+    action(Menu::Light, "Mirrored Stripes", &[], always, |w| light(w, Lighting::Stripes))
+        .on(|w| w.settings.light == Lighting::Stripes),
     action(Menu::View, "Full Detail of What Is Seen", &[(NONE, Key::I)], is_open, |w| {
         w.apply(Command::Preview { what: Previewed::Seen });
     })
@@ -347,6 +373,7 @@ pub const ALL: &[Action] = &[
         |w| w.tools.tool == Tool::Connected,
     ),
     tool(Tool::Stroke, &[(NONE, Key::D)], |w| pick(w, Tool::Stroke), |w| w.tools.tool == Tool::Stroke),
+    tool(Tool::Measure, &[(NONE, Key::M)], |w| pick(w, Tool::Measure), |w| w.tools.tool == Tool::Measure),
     tool(Tool::Joint, &[(NONE, Key::J)], |w| pick(w, Tool::Joint), |w| w.tools.tool == Tool::Joint),
     action(Menu::Edit, "Rename the Step", &[(NONE, Key::F2)], has_step, |w| of_step(w, steps::rename))
         .begins(),

@@ -79,7 +79,7 @@ impl eframe::App for App {
             panels::legend::show(ui, window);
         }
         viewport::show(ui, window, &mut self.viewport);
-        panels::floating(ui.ctx(), window);
+        panels::floating::show(ui.ctx(), window);
     }
 
     fn on_exit(&mut self) {

@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::screenshot::Shot;
+use crate::screenshot::{Format, LARGEST, Shot};
 use crate::settings::Settings;
 use crate::turntable::FRAMES;
 use crate::{screenshot, start, turntable};
@@ -45,6 +45,12 @@ pub struct Arguments {
     /// Draw what there is after that to a PNG file, and end
     #[arg(long, value_name = "PNG")]
     pub screenshot: Option<PathBuf>,
+    /// Width and height of what is drawn, in pixels
+    #[arg(long, value_name = "WxH", default_value = "1600x1000", value_parser = size)]
+    pub size: [u32; 2],
+    /// Draw it before a background that is seen through
+    #[arg(long)]
+    pub transparent: bool,
     /// Draw frames of a full turn of it into a folder, and end
     #[arg(long, value_name = "DIR")]
     pub turntable: Option<PathBuf>,
@@ -106,13 +112,25 @@ fn execute(arguments: Arguments) -> Result<()> {
             return Err(error);
         }
     }
+    let format = Format { size: arguments.size, transparent: arguments.transparent };
     if let Some(file) = &arguments.screenshot {
-        screenshot::write(&mut state, file)?;
+        screenshot::write(&mut state, file, format)?;
     }
     if let Some(folder) = &arguments.turntable {
-        turntable::write(&Shot::of(&mut state)?, folder, arguments.frames, &Silent)?;
+        let shot = Shot::of(&mut state)?.formatted(turntable::of_film(format));
+        turntable::write(&shot, folder, arguments.frames, &Silent)?;
+        let command = turntable::film(folder, turntable::RATE, arguments.transparent);
+        let _ = writeln!(std::io::stdout(), "film: {command}");
     }
     Ok(())
+}
+
+/// Width and height, as `1920x1080`.
+fn size(text: &str) -> std::result::Result<[u32; 2], String> {
+    let sides =
+        text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
+    let sides = sides.filter(|sides: &[u32; 2]| sides.iter().all(|side| (1..=LARGEST).contains(side)));
+    sides.ok_or_else(|| format!("give width and height, as 1920x1080, of at most {LARGEST} pixels each"))
 }
 
 /// Whether it says itself how it is sampled: a session, or the folder of a sampled model.

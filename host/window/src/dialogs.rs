@@ -22,6 +22,8 @@ pub enum Purpose {
     Pin,
     /// The folder for the frames of a turntable.
     Turntable,
+    /// Where a picture goes.
+    Picture,
     /// Where a model is that something remembers at another place.
     Locate {
         /// What was to be opened.
@@ -49,6 +51,7 @@ impl Purpose {
             Self::Save => "Save the session",
             Self::Write => "Write the deformed model",
             Self::Pin => "Pin a session",
+            Self::Picture => "Save the picture",
             Self::Turntable => "A new folder for the frames",
             Self::Locate { .. } => "Locate the model",
             Self::Parameter { .. } => "Choose a file",
@@ -57,7 +60,7 @@ impl Purpose {
 
     /// Whether the path is of something that will be made.
     pub fn makes(&self) -> bool {
-        matches!(self, Self::Save | Self::Write | Self::Turntable)
+        matches!(self, Self::Save | Self::Write | Self::Turntable | Self::Picture)
     }
 
     /// Extensions of files that are of use; all are where there is none.
@@ -66,6 +69,7 @@ impl Purpose {
             Self::Open => simod_model::extensions().chain(["toml"]).collect(),
             Self::Locate { .. } => simod_model::extensions().collect(),
             Self::Pin | Self::Save => vec!["toml"],
+            Self::Picture => vec!["png"],
             Self::Parameter { extensions, .. } => extensions.iter().map(String::as_str).collect(),
             Self::OpenFolder | Self::Write | Self::Turntable => Vec::new(),
         }
@@ -229,6 +233,7 @@ fn chosen(purpose: &Purpose, at: Option<&Path>) -> Option<PathBuf> {
         Purpose::Save => dialog.set_file_name(name("session.toml")).save_file(),
         Purpose::Write => dialog.set_file_name(name("deformed.ply")).save_file(),
         Purpose::Turntable => dialog.set_file_name(name("turntable")).save_file(),
+        Purpose::Picture => dialog.set_file_name(name("picture.png")).save_file(),
         Purpose::Pin | Purpose::Parameter { .. } => dialog.pick_file(),
     }
 }

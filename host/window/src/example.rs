@@ -1,4 +1,4 @@
-//! A model for those who have none at hand.
+//! Models for those who have none at hand.
 
 use simod_generate::{ModelOptions, Shape};
 use simod_model::progress::Silent;
@@ -13,12 +13,20 @@ const VERTICES: u64 = 400_000;
 /// # Errors
 /// It cannot be written.
 pub fn file() -> Result<PathBuf> {
+    model("amphora.ply", Shape::Amphora, VERTICES)
+}
+
+/// The file of a generated model, which is made if it is not there yet.
+///
+/// # Errors
+/// It cannot be written.
+pub fn model(name: &str, shape: Shape, vertices: u64) -> Result<PathBuf> {
     let folders = directories::ProjectDirs::from("", "", "simod");
     let folder = folders.map_or_else(std::env::temp_dir, |f| f.cache_dir().to_owned());
-    let file = folder.join("amphora.ply");
+    let file = folder.join(name);
     if !file.exists() {
         std::fs::create_dir_all(&folder).map_err(|e| Error::io("make the folder", &folder, &e))?;
-        let options = ModelOptions { shape: Shape::Amphora, vertices: VERTICES, ..ModelOptions::default() };
+        let options = ModelOptions { shape, vertices, ..ModelOptions::default() };
         simod_generate::write_file(&options, &file, &Silent)?;
     }
     Ok(file)

@@ -50,18 +50,41 @@ pub fn make(window: &mut Window, role: Role) {
     let falloff = 0.0;
     if window.apply(Command::MakeRegion { step, role, falloff, replaces: None }) {
         if role == Role::Handle {
-            window.tools.target = Some(Target::Region(deformation.regions.len()));
-            if !window.tools.tool.is_gizmo() {
-                window.tools.take(Tool::Move);
-            }
+            take_into_hand(window, deformation.regions.len());
+        } else {
+            select_none(window);
         }
-        window.apply(Command::Select {
-            area: simod_viewer::command::Area::None,
-            combine: Default::default(),
-            visible: false,
-            goes_on: true,
-        });
     }
+}
+
+/// Makes a handle of the selection, and fixes all that is farther from it than the band that bends. The handle is taken
+/// into the hand.
+pub fn make_handle(window: &mut Window) {
+    let Some((step, _, deformation, _)) = window.chosen() else { return };
+    let Some(scene) = window.state().scene() else { return };
+    let bounds = &scene.sampled.bounds;
+    let band = window.tools.band * (bounds.max - bounds.min).length();
+    if window.apply(Command::MakeHandle { step, band }) {
+        take_into_hand(window, deformation.regions.len());
+    }
+}
+
+/// Takes a handle region that was made of the selection into the hand; nothing is selected any more.
+fn take_into_hand(window: &mut Window, region: usize) {
+    window.tools.target = Some(Target::Region(region));
+    if !window.tools.tool.is_gizmo() {
+        window.tools.take(Tool::Move);
+    }
+    select_none(window);
+}
+
+fn select_none(window: &mut Window) {
+    window.apply(Command::Select {
+        area: simod_viewer::command::Area::None,
+        combine: Default::default(),
+        visible: false,
+        goes_on: true,
+    });
 }
 
 /// More samples where it is selected.

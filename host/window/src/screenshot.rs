@@ -3,9 +3,9 @@
 use crate::viewport::colors::VertexColors;
 use crate::viewport::detail::{Splats, sample_colors, sample_dots, sample_radii, splats};
 use crate::window::Window;
-use glam::DVec3;
+use glam::{DVec3, Vec4};
 use simod_model::{Error, ErrorKind, Result};
-use simod_picture::Image;
+use simod_picture::{CutOut, Image};
 use simod_scene::{Background, Dot, Gpu, Mode, NoGpu, Scale, Scene, Style, Surface, View};
 use simod_viewer::camera::Camera;
 use simod_viewer::{State, Version};
@@ -14,6 +14,8 @@ use std::sync::Arc;
 
 /// Width and height, in pixels.
 const SIZE: [u32; 2] = [1600, 1000];
+/// Longest side of a picture that is saved, in pixels.
+pub const LARGEST: u32 = 8192;
 /// Radius of a disc over the spacing of samples, in the window, too: enough that no gap is left.
 const RADIUS: f32 = 1.35;
 
@@ -37,13 +39,45 @@ pub fn mode_of(shown: &simod_viewer::Scene) -> Mode {
     if shown.sampled.triangles.is_empty() { Mode::Splats } else { Mode::Triangles }
 }
 
+/// The plane that cuts the model open, as the renderer takes it.
+pub fn seen_clip(state: &State) -> Option<Vec4> {
+    state.local_clip().map(|(normal, distance)| normal.extend(distance).as_vec4())
+}
+
+/// How large a picture that is saved is, and what is behind the model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Format {
+    /// Width and height in pixels.
+    pub size: [u32; 2],
+    /// The background is seen through.
+    pub transparent: bool,
+}
+
+impl Default for Format {
+    fn default() -> Self {
+        Self { size: SIZE, transparent: false }
+    }
+}
+
+/// The size of a window's picture, even as films have to be.
+pub fn shown_size(window: &Window) -> [u32; 2] {
+    window.state().size().map(|pixels| 2 * (0.5 * pixels).clamp(1.0, 4096.0) as u32)
+}
+
 /// Draws what the state shows, as its camera sees it.
 ///
 /// # Errors
 /// Nothing is open, there is nothing to draw with, or the file cannot be written.
-pub fn write(state: &mut State, file: &Path) -> Result<()> {
-    let picture = Shot::of(state)?.studio()?.picture(0.0)?;
-    simod_model::output::write_file(file, &picture.to_png()?)
+pub fn write(state: &mut State, file: &Path, format: Format) -> Result<()> {
+    write_shot(&Shot::of(state)?.formatted(format), file)
+}
+
+/// Draws a picture to a PNG file.
+///
+/// # Errors
+/// There is nothing to draw with, or the file cannot be written.
+pub fn write_shot(shot: &Shot, file: &Path) -> Result<()> {
+    simod_model::output::write_file(file, &shot.studio()?.png(0.0)?)
 }
 
 /// What is drawn, and how: it does not change with what it was taken of.
@@ -56,7 +90,7 @@ pub struct Shot {
     /// Samples over that.
     dots: Vec<Dot>,
     camera: Camera,
-    size: [u32; 2],
+    format: Format,
     style: Style,
     ghost: bool,
 }
@@ -92,6 +126,7 @@ impl Shot {
             own_colors: colors.is_some(),
             background: Background::Dark,
             scale: Scale::Double,
+            clip: seen_clip(state),
             ..Style::default()
         };
         let camera = *state.camera();
@@ -102,7 +137,7 @@ impl Shot {
             detail: in_full,
             dots: Vec::new(),
             camera,
-            size: SIZE,
+            format: Format::default(),
             style,
             ghost: false,
         })
@@ -116,12 +151,24 @@ impl Shot {
     pub fn of_window(window: &mut Window) -> Result<Self> {
         let (looks, settings) = (window.looks, &window.settings);
         let (theme, occlusion, mode) = (settings.theme, settings.occlusion, window.mode());
+        let light = settings.light.light();
         let shot = Self::of(window.state_mut())?;
-        let size = window.state().size().map(|pixels| 2 * (0.5 * pixels).clamp(1.0, 4096.0) as u32);
-        let style = Style { mode, background: theme.background(), occlusion, ..shot.style };
+        let format = Format { size: shown_size(window), transparent: false };
+        let style = Style { mode, background: theme.background(), light, occlusion, ..shot.style };
         let detail = window.state().detail().filter(|_| looks.samples);
         let dots = sample_dots(&shot.shown.positions, detail);
-        Ok(Self { size, style, dots, ghost: looks.ghost, ..shot })
+        Ok(Self { format, style, dots, ghost: looks.ghost, ..shot })
+    }
+
+    /// The same in another size, or before another background.
+    pub fn formatted(self, format: Format) -> Self {
+        let size = format.size.map(|side| side.clamp(1, LARGEST));
+        Self { format: Format { size, ..format }, ..self }
+    }
+
+    /// Whether the background is seen through.
+    pub fn is_transparent(&self) -> bool {
+        self.format.transparent
     }
 
     /// Gives it to a device of its own.
@@ -172,9 +219,28 @@ impl Studio<'_> {
     /// # Errors
     /// The device was lost.
     pub fn picture(&mut self, turn: f64) -> Result<Image> {
-        let Shot { camera, size, style, .. } = self.shot;
+        self.drawn(turn, self.shot.style.background)
+    }
+
+    /// The same as the content of a PNG file, in the shot's [format](Format).
+    ///
+    /// # Errors
+    /// The device was lost.
+    pub fn png(&mut self, turn: f64) -> Result<Vec<u8>> {
+        if !self.shot.format.transparent {
+            return self.picture(turn)?.to_png();
+        }
+        let black = self.drawn(turn, Background::Black)?;
+        let white = self.drawn(turn, Background::White)?;
+        let differ = || Error::internal("two pictures of the same differ in size", "report this");
+        CutOut::of(&black, &white).ok_or_else(differ)?.to_png()
+    }
+
+    fn drawn(&mut self, turn: f64, background: Background) -> Result<Image> {
+        let Shot { camera, format, style, .. } = self.shot;
         let camera = Camera { yaw: camera.yaw + turn, ..*camera };
-        self.scene.render(&view(&camera, size.map(f64::from), self.bounds), style, None);
+        let style = Style { background, ..*style };
+        self.scene.render(&view(&camera, format.size.map(f64::from), self.bounds), &style, None);
         let lost = || Error::new(ErrorKind::Io, "the picture cannot be drawn", NoGpu::HINT);
         self.scene.read().ok_or_else(lost)
     }

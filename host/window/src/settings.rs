@@ -1,6 +1,7 @@
 //! What the user likes, kept from one day to the next in a small file.
 
 use serde::{Deserialize, Serialize};
+use simod_scene::{Light, Matcap};
 use simod_viewer::Navigation;
 use std::path::{Path, PathBuf};
 
@@ -16,6 +17,33 @@ pub enum Theme {
     Light,
 }
 
+/// What the surface is lit by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Lighting {
+    #[default]
+    Lamps,
+    Camera,
+    Ceramic,
+    Metal,
+    Wax,
+    Stripes,
+}
+
+impl Lighting {
+    /// As the renderer knows it.
+    pub fn light(self) -> Light {
+        match self {
+            Self::Lamps => Light::Key,
+            Self::Camera => Light::Head,
+            Self::Ceramic => Light::Matcap(Matcap::Ceramic),
+            Self::Metal => Light::Matcap(Matcap::Metal),
+            Self::Wax => Light::Matcap(Matcap::Wax),
+            Self::Stripes => Light::Matcap(Matcap::Stripes),
+        }
+    }
+}
+
 /// What the user likes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", default)]
@@ -24,6 +52,8 @@ pub struct Settings {
     pub theme: Theme,
     /// The name of the way to move the camera; see [`Navigation::ALL`].
     pub navigation: String,
+    /// What the surface is lit by.
+    pub light: Lighting,
     /// Whether crevices are darker.
     pub occlusion: bool,
     /// About how many samples are taken of a model that is opened.
@@ -40,6 +70,7 @@ impl Default for Settings {
         Self {
             theme: Theme::default(),
             navigation: Navigation::ALL[0].name.to_owned(),
+            light: Lighting::default(),
             occlusion: true,
             samples: 150_000,
             recent: Vec::new(),

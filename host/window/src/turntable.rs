@@ -1,7 +1,6 @@
-//! A turntable: frames of a full turn about the model's upright axis, drawn in the background.
+//! A turntable: frames of a full turn about the model's upright axis, drawn in the background; and single pictures.
 
-use crate::panels;
-use crate::screenshot::Shot;
+use crate::screenshot::{self, Format, Shot, shown_size};
 use crate::window::Window;
 use simod_model::progress::Progress;
 use simod_model::{Error, Result, memory};
@@ -17,6 +16,8 @@ use std::time::Instant;
 
 /// So many frames unless told otherwise: four seconds of a film.
 pub const FRAMES: u32 = 120;
+/// Frames a second of a film unless told otherwise.
+pub const RATE: u32 = 30;
 
 /// Draws so many frames into a folder, which appears whole or not at all. The first is the picture as it is;
 /// the camera goes to the right, round its target.
@@ -30,7 +31,7 @@ pub fn write(shot: &Shot, folder: &Path, frames: u32, progress: &dyn Progress) -
     let mut studio = shot.studio()?;
     for k in 0..frames {
         progress.check()?;
-        folder.push(&studio.picture(TAU * f64::from(k) / f64::from(frames))?)?;
+        folder.push_png(&studio.png(TAU * f64::from(k) / f64::from(frames))?)?;
         progress.advance(1);
     }
     folder.commit()
@@ -49,19 +50,100 @@ pub fn ask(window: &mut Window) {
         path.with_file_name(format!("{stem}-turntable"))
     });
     let folder = beside.unwrap_or_else(|| PathBuf::from("turntable")).display().to_string();
-    window.turntable = Some(panels::Turntable { folder, frames: FRAMES });
+    let format = Format { size: shown_size(window), transparent: false };
+    window.turntable = Some(AskedTurntable { folder, frames: FRAMES, format });
+}
+
+/// Asks how large a picture is, and where it goes.
+pub fn ask_for_picture(window: &mut Window) {
+    let Some(editor) = window.state().editor() else { return };
+    let beside = editor.path().or(editor.model()).map(|path| path.with_extension("png"));
+    let file = beside.unwrap_or_else(|| PathBuf::from("picture.png")).display().to_string();
+    let format = Format { size: shown_size(window), transparent: false };
+    window.picture = Some(AskedPicture { file, format });
+}
+
+/// What is asked before a turntable is drawn.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AskedTurntable {
+    /// The folder, which is to be made.
+    pub folder: String,
+    /// Frames of the turn.
+    pub frames: u32,
+    /// How large they are, and their background.
+    pub format: Format,
+}
+
+/// What is asked before a picture is drawn.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AskedPicture {
+    /// The file, which is to be made.
+    pub file: String,
+    /// How large it is, and its background.
+    pub format: Format,
+}
+
+/// Frames of a turntable, of which a film can be made.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Film {
+    /// Where they are.
+    pub folder: PathBuf,
+    /// How many.
+    pub frames: u32,
+    /// Their background is seen through.
+    pub transparent: bool,
+    /// Frames a second of the film.
+    pub rate: u32,
+}
+
+/// The command line by which FFmpeg makes a film of the frames in a folder, beside it: H.264, which is played
+/// everywhere, or ProRes where the background is seen through.
+pub fn film(folder: &Path, rate: u32, transparent: bool) -> String {
+    let quoted = |text: &str| format!("'{}'", text.replace('\'', "'\\''"));
+    let folder = folder.display().to_string();
+    let folder = folder.trim_end_matches(['/', '\\']);
+    // A number of digits is told by a percent sign.
+    let frames = quoted(&format!("{}/frame-%04d.png", folder.replace('%', "%%")));
+    let (codec, extension) = match transparent {
+        true => ("-c:v prores_ks -profile:v 4444 -pix_fmt yuva444p10le", "mov"),
+        false => ("-c:v libx264 -crf 16 -pix_fmt yuv420p", "mp4"),
+    };
+    format!("ffmpeg -framerate {rate} -i {frames} {codec} {}", quoted(&format!("{folder}.{extension}")))
 }
 
 /// Begins one, as the window looks.
-pub fn begin(window: &mut Window, folder: &Path, frames: u32) {
+pub fn begin(window: &mut Window, folder: &Path, frames: u32, format: Format) {
+    begin_work(window, Work::Turntable(frames), folder, of_film(format));
+}
+
+/// The format with even sides, as films take no others.
+pub fn of_film(format: Format) -> Format {
+    Format { size: format.size.map(|side| side.next_multiple_of(2)), ..format }
+}
+
+/// Begins a picture, as the window looks.
+pub fn begin_picture(window: &mut Window, file: &Path, format: Format) {
+    begin_work(window, Work::Picture, file, format);
+}
+
+fn begin_work(window: &mut Window, work: Work, target: &Path, format: Format) {
     match Shot::of_window(window) {
         Ok(shot) => {
             let ctx = window.ctx().clone();
-            let turning = Turning::begin(shot, folder, frames, move || ctx.request_repaint());
-            window.turning = Some(turning);
+            let shot = shot.formatted(format);
+            window.turning = Some(Turning::begin(shot, work, target, move || ctx.request_repaint()));
         }
         Err(error) => window.toasts.error(&error),
     }
+}
+
+/// What is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Work {
+    /// So many frames, into a folder.
+    Turntable(u32),
+    /// One, to a file.
+    Picture,
 }
 
 /// One that is being drawn. Dropped, it is stopped, and leaves nothing.
@@ -69,8 +151,9 @@ pub struct Turning {
     watch: Arc<Watch>,
     made: Receiver<Result<()>>,
     thread: Option<JoinHandle<()>>,
-    folder: PathBuf,
-    frames: u32,
+    work: Work,
+    target: PathBuf,
+    transparent: bool,
     since: Instant,
 }
 
@@ -94,19 +177,22 @@ impl Progress for Watch {
 }
 
 impl Turning {
-    fn begin(shot: Shot, folder: &Path, frames: u32, wake: impl Fn() + Send + Sync + 'static) -> Self {
+    fn begin(shot: Shot, work: Work, target: &Path, wake: impl Fn() + Send + Sync + 'static) -> Self {
         let (done, cancelled) = (AtomicU32::new(0), AtomicBool::new(false));
         let watch = Arc::new(Watch { done, cancelled, wake: Box::new(wake) });
         let (sender, made) = channel();
-        let (to, progress) = (folder.to_owned(), watch.clone());
+        let (to, progress, transparent) = (target.to_owned(), watch.clone(), shot.is_transparent());
         let thread = std::thread::spawn(move || {
             // Nobody waits any more once the window is closed.
-            let _ = sender.send(write(&shot, &to, frames, &*progress));
+            let _ = sender.send(match work {
+                Work::Turntable(frames) => write(&shot, &to, frames, &*progress),
+                Work::Picture => screenshot::write_shot(&shot, &to),
+            });
             drop(sender);
             (progress.wake)();
         });
-        let folder = folder.to_owned();
-        Self { watch, made, thread: Some(thread), folder, frames, since: Instant::now() }
+        let target = target.to_owned();
+        Self { watch, made, thread: Some(thread), work, target, transparent, since: Instant::now() }
     }
 
     /// How far it is.
@@ -114,8 +200,8 @@ impl Turning {
         let (done, frames) = self.progress();
         let seconds = self.since.elapsed().as_secs_f64();
         Activity {
-            stage: "drawing frames",
-            fraction: Some(done as f32 / frames as f32),
+            stage: if frames > 1 { "drawing frames" } else { "drawing" },
+            fraction: (frames > 1).then_some(done as f32 / frames as f32),
             rate: None,
             seconds,
             memory: memory::anonymous(),
@@ -124,7 +210,11 @@ impl Turning {
 
     /// Frames that are drawn, of how many.
     pub fn progress(&self) -> (u32, u32) {
-        (self.watch.done.load(Relaxed), self.frames)
+        let frames = match self.work {
+            Work::Turntable(frames) => frames,
+            Work::Picture => 1,
+        };
+        (self.watch.done.load(Relaxed), frames)
     }
 
     /// Whether its thread is over.
@@ -151,7 +241,25 @@ impl Turning {
 
     /// What the user reads when it is there.
     pub fn done(&self) -> String {
-        format!("{} frames are in {}.", self.frames, self.folder.display())
+        match self.work {
+            Work::Turntable(frames) => format!("{frames} frames are in {}.", self.target.display()),
+            Work::Picture => format!("The picture is in {}.", self.target.display()),
+        }
+    }
+
+    /// What it is called.
+    pub fn name(&self) -> &'static str {
+        match self.work {
+            Work::Turntable(_) => "Turntable",
+            Work::Picture => "Picture",
+        }
+    }
+
+    /// What a film can be made of, where it is frames.
+    pub fn film(&self) -> Option<Film> {
+        let Work::Turntable(frames) = self.work else { return None };
+        let (folder, transparent) = (self.target.clone(), self.transparent);
+        Some(Film { folder, frames, transparent, rate: RATE })
     }
 }
 
@@ -161,5 +269,20 @@ impl Drop for Turning {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::film;
+    use std::path::Path;
+
+    #[test]
+    fn a_film_is_made_of_any_folder() {
+        let text = film(Path::new("/a b/it's 5%/turn/"), 25, false);
+        let frames = "'/a b/it'\\''s 5%%/turn/frame-%04d.png'";
+        assert!(text.starts_with(&format!("ffmpeg -framerate 25 -i {frames} ")), "{text}");
+        assert!(text.ends_with("'/a b/it'\\''s 5%/turn.mp4'"), "{text}");
+        assert!(film(Path::new("turn"), 30, true).ends_with("yuva444p10le 'turn.mov'"));
     }
 }

@@ -7,8 +7,8 @@ use crate::screenshot::mode_of;
 use crate::settings::Settings;
 use crate::steps::Renaming;
 use crate::tools::Tools;
-use crate::turntable::Turning;
-use crate::{example, theme};
+use crate::turntable::{AskedPicture, AskedTurntable, Film, Turning};
+use crate::{example, lessons, theme};
 use eframe::egui;
 use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind};
@@ -122,11 +122,17 @@ pub struct Window {
     /// Whether a button is held that shows the pinned version.
     pub holds_pinned: bool,
     /// What is asked before a turntable is drawn, while it is.
-    pub turntable: Option<crate::panels::Turntable>,
-    /// The turntable that is being drawn.
+    pub turntable: Option<AskedTurntable>,
+    /// What is asked before a picture is drawn, while it is.
+    pub picture: Option<AskedPicture>,
+    /// What makes a film of the last turntable, while it is read.
+    pub film: Option<Film>,
+    /// The turntable or picture that is being drawn.
     pub turning: Option<Turning>,
     /// One that was stopped, until the frame that it was at is drawn.
     pub stopping: Option<Turning>,
+    /// The lesson that is being done.
+    pub lesson: Option<lessons::Running>,
     /// Messages that go away.
     pub toasts: Toasts,
     /// Commands by name, while they are looked for.
@@ -181,8 +187,11 @@ impl Window {
             looks: Looks::default(),
             holds_pinned: false,
             turning: None,
+            lesson: None,
             stopping: None,
             turntable: None,
+            picture: None,
+            film: None,
             toasts,
             palette: None,
             report: None,
@@ -232,7 +241,8 @@ impl Window {
 
     /// Whether something has to be answered before anything else.
     pub fn is_asking(&self) -> bool {
-        let asks = self.question.is_some() || self.turntable.is_some();
+        let asks = self.question.is_some() || self.turntable.is_some() || self.picture.is_some();
+        let asks = asks || self.film.is_some();
         asks || self.palette.is_some() || self.prompt.is_some() || self.shows_keys
     }
 
@@ -313,7 +323,10 @@ impl Window {
         if let Some(made) = self.turning.as_ref().and_then(Turning::made) {
             let turning = self.turning.take();
             match (made, turning) {
-                (Ok(()), Some(turning)) => self.toasts.note(turning.done()),
+                (Ok(()), Some(turning)) => {
+                    self.toasts.note(turning.done());
+                    self.film = turning.film();
+                }
                 (Err(error), _) if error.kind() == ErrorKind::Cancelled => self.toasts.note("Stopped."),
                 (Err(error), _) => self.toasts.error(&error),
                 _ => {}
@@ -322,6 +335,7 @@ impl Window {
         if self.stopping.as_ref().is_some_and(Turning::is_over) {
             self.stopping = None;
         }
+        lessons::update(self);
         self.name();
         self.take_answer();
         self.go_on_replaying();
@@ -375,7 +389,7 @@ impl Window {
         if let Some(turning) = self.turning.take() {
             turning.cancel();
             self.stopping = Some(turning);
-            self.toasts.note("Stopped: no frames are left of the turntable.");
+            self.toasts.note("Stopped: nothing is left of it.");
         }
     }
 
@@ -436,8 +450,13 @@ impl Window {
 
     /// Opens something, after questions that have to be asked before.
     pub fn ask_to_open(&mut self, path: PathBuf) {
-        self.after = None;
         let sampling = crate::arguments::sampling(Some(self.settings.samples));
+        self.ask_to_open_sampled(path, sampling);
+    }
+
+    /// Opens something, sampled so if it is a model, after questions that have to be asked before.
+    pub fn ask_to_open_sampled(&mut self, path: PathBuf, sampling: Sampling) {
+        self.after = None;
         if self.is_unsaved() {
             self.question = Some(Question::Unsaved(Leaving::Open(path, sampling)));
         } else {
@@ -578,6 +597,7 @@ impl Window {
                 editor.and_then(|e| e.path().map(Path::to_owned)).or_else(|| beside("*-session.toml"))
             }
             Purpose::Turntable => beside("*-turntable"),
+            Purpose::Picture => beside("*.png"),
             Purpose::Pin => beside("*.toml"),
             Purpose::Locate { path, model } => {
                 Some(folder_of(path).join(model.file_name().unwrap_or_default()))
@@ -644,6 +664,11 @@ impl Window {
             Purpose::Turntable => {
                 if let Some(turntable) = &mut self.turntable {
                     turntable.folder = path.display().to_string();
+                }
+            }
+            Purpose::Picture => {
+                if let Some(picture) = &mut self.picture {
+                    picture.file = path.display().to_string();
                 }
             }
             Purpose::Parameter { step, id, .. } => {

@@ -1,7 +1,11 @@
 //! What steps and their plugins say, in the window's words: they speak of session files, which users of the window
 //! may never have seen.
 
+use crate::numbers::{count, number};
+use crate::widgets::parameter::number_of;
+use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::Plugin;
+use toml::{Table, Value};
 
 /// Tables of a step in a session file, and what the window has for them.
 const TABLES: [(&str, &str); 4] =
@@ -29,9 +33,110 @@ pub fn in_window(text: &str, plugin: Option<&Plugin>) -> String {
     text
 }
 
+/// What mends something that a plugin tells: another value of a parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Remedy {
+    /// The parameter's id.
+    pub id: String,
+    /// What it becomes.
+    pub value: Value,
+    /// What the user reads.
+    pub text: String,
+}
+
+/// What a plugin's text says to do about parameters: to "raise `id`", or "lower `id` to 3", as many as it names. Where
+/// it says no number, it is twice or half of what it is, within its range.
+pub fn remedies(text: &str, params: &[ParamDesc], values: &Table) -> Vec<Remedy> {
+    let pieces: Vec<&str> = text.split('`').collect();
+    let mut raises = None;
+    let mut found = Vec::new();
+    for at in (1..pieces.len()).step_by(2) {
+        raises = match [pieces[at - 1].rfind("raise "), pieces[at - 1].rfind("lower ")] {
+            [None, None] => raises,
+            [up, down] => Some(up > down),
+        };
+        let desc = params.iter().find(|desc| desc.id == pieces[at]);
+        if let (Some(raises), Some(desc)) = (raises, desc) {
+            let after = pieces.get(at + 1).copied().unwrap_or_default();
+            found.extend(remedy(desc, values.get(pieces[at]), raises, after));
+        }
+    }
+    found
+}
+
+fn remedy(desc: &ParamDesc, value: Option<&Value>, raises: bool, after: &str) -> Option<Remedy> {
+    let is_whole = desc.kind == ParamKind::INT;
+    if !is_whole && desc.kind != ParamKind::FLOAT {
+        return None;
+    }
+    let now = number_of(desc, value);
+    let said = after.strip_prefix(" to ").and_then(|rest| {
+        let end = rest.find(|c: char| c == ',' || c.is_whitespace()).unwrap_or(rest.len());
+        rest[..end].trim_end_matches('.').parse::<f64>().ok()
+    });
+    let to = said.unwrap_or(if raises { 2.0 * now } else { 0.5 * now });
+    let to = to.clamp(desc.hard_range[0], desc.hard_range[1]);
+    let to = if is_whole { to.round() } else { to };
+    let is_better = if raises { to > now } else { to < now };
+    let value = if is_whole { Value::Integer(to as i64) } else { Value::Float(to) };
+    let verb = if raises { "Raise" } else { "Lower" };
+    let shown = if is_whole { count(to as u64) } else { number(to) };
+    let text = format!("{verb} {} to {shown}", desc.name);
+    is_better.then(|| Remedy { id: desc.id.to_string(), value, text })
+}
+
+/// What a plugin that comes with the program is for, for those who do not know its method; empty for others.
+pub fn purpose(plugin: &str) -> &'static str {
+    match plugin {
+        "blendshapes" => "For expressions and variants: mix shapes that others made.",
+        "cage" => "For limbs and bodies that shall bend softly as a whole, by few points around them.",
+        "control-points" => "For bringing a scan into line with landmarks that are known.",
+        "curve" => "For hems, rims, cables: draw a line, and bend what is around it.",
+        "displacement-paint" => {
+            "For touching up by hand: swell, dig, smooth or sharpen what the brush meets."
+        }
+        "elastic" => "For flesh and cloth: what sags, bulges and touches itself.",
+        "laplacian" => "For posing a surface with few handles: its details turn along.",
+        "lattice" => "For proportions: make parts longer, thicker or leaning, by points about them.",
+        "rbf" => "For soft changes of anything, scans and clouds too: move some parts, hold others.",
+        "skinning" => "For characters and plants: bend them by bones.",
+        "smooth" => "For noise of scans, or for more or less detail.",
+        "smooth-handle" => "For quick drags of large parts with a soft border.",
+        "warp" => "For twists, bends and tapers of the whole model along a line.",
+        _ => "",
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::in_window;
+    use super::*;
+
+    #[test]
+    fn what_a_text_says_of_parameters_can_be_done() {
+        let params = [
+            ParamDesc::int("max-centers", "Most centres", 1000).hard(8.0, 3000.0),
+            ParamDesc::float("tolerance", "Tolerance", 1e-3).hard(0.0, 1.0),
+            ParamDesc::float("support", "Support", 0.25).hard(0.0, 0.4),
+        ];
+        let told = |text: &str, values: &str| -> Vec<(String, Value, String)> {
+            let found = remedies(text, &params, &toml::from_str(values).unwrap());
+            found.into_iter().map(|r| (r.id, r.value, r.text)).collect()
+        };
+        let text = "it is met to 88 %: raise `max-centers` to 2000, or `tolerance` to 0.2. They are held all the same";
+        let found = told(text, "");
+        assert_eq!(found[0].1, Value::Integer(2000));
+        assert_eq!(found[0].2, "Raise Most centres to 2\u{2009}000");
+        assert_eq!((&*found[1].0, &found[1].1), ("tolerance", &Value::Float(0.2)));
+        // What is so already, or cannot be, is no remedy.
+        assert_eq!(told(text, "max-centers = 2000").len(), 1);
+        assert_eq!(told("raise `max-centers` to 9000", "")[0].1, Value::Integer(3000));
+        assert_eq!(told("bumps of their own: raise `support`", "")[0].1, Value::Float(0.4));
+        assert_eq!(told("bumps of their own: raise `support`", "support = 0.4").len(), 0);
+        assert_eq!(told("lower `support`, please", "")[0].1, Value::Float(0.125));
+        assert!(told("`support` is what it is", "").is_empty());
+        assert!(told("raise `nothing` or the roof", "").is_empty());
+        assert!(told("raise `", "").is_empty());
+    }
 
     #[test]
     fn nobody_reads_of_tables() {

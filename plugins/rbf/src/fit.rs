@@ -37,6 +37,9 @@ const LEFT: f64 = 0.5;
 /// Two centres nearer than this in the unit box are one: single-precision positions do not tell them apart.
 const COINCIDENT: f64 = 1e-7;
 
+/// Centres beyond which no preparation would end.
+pub const MOST_CENTERS: i64 = 50_000;
+
 /// What to reach, and at what expense: the plugin's parameters.
 #[derive(ParamSet, Debug, Clone, Copy)]
 pub struct Goal {
@@ -50,7 +53,7 @@ pub struct Goal {
     #[param(default = 1e-3, hard = 1e-9..=1.0, soft = 1e-5..=1e-2, group = "Accuracy", invalidates_preparation)]
     pub tolerance: f64,
     /// Limits the time of the preparation
-    #[param(name = "Most centres", default = 1000, hard = 8..=50_000, soft = 100..=20_000)]
+    #[param(name = "Most centres", default = 1000, hard = 8..=MOST_CENTERS, soft = 100..=20_000)]
     #[param(group = "Accuracy", invalidates_preparation)]
     pub max_centers: i64,
 }

@@ -21,7 +21,7 @@ mod side;
 mod sums;
 
 use constraints::{Constraints, HandleFrame, PER_HANDLE};
-use fit::{Fit, Goal};
+use fit::{Fit, Goal, MOST_CENTERS};
 use held::Held;
 use kernel::{BLOCK, Frame, Point};
 use simod_plugin_api::{
@@ -181,14 +181,43 @@ fn mean(transforms: &[Affine]) -> Affine {
     Affine { rows: std::array::from_fn(|i| std::array::from_fn(|j| first.rows[i][j] + rest(i, j))) }
 }
 
+/// What is left over of a motion, beyond which regions that move apart may touch each other, so that no centres help.
+const CONTRADICTION: f64 = 0.4;
+
+/// What is met where so much of a motion is left over, in percent, with as many digits as tell it from all of it.
+fn met(left: f64) -> String {
+    let decimals = (-left.max(1e-12).log10() - 2.0).ceil().clamp(0.0, 8.0) as usize;
+    format!("{:.decimals$} %", 100.0 * (1.0 - left.min(1.0)))
+}
+
+/// The next tolerance above what is left over, of one digit.
+fn tolerance_above(left: f64) -> f64 {
+    let digit = 10f64.powf(left.max(1e-9).log10().floor());
+    let above = (left / digit + 0.01).ceil();
+    // As it is written: 0.3, not 0.30000000000000004.
+    format!("{:.0e}", (above * digit).min(1.0)).parse().unwrap_or(1.0)
+}
+
 /// Tells what the user may not want.
 fn warn(constraints: &Constraints, fit: &Fit, goal: &Goal, host: &Host<'_>) {
     let centers = fit.functions.centers.len();
     if fit.residual > goal.tolerance {
+        let more = goal.max_centers.saturating_mul(4).min(MOST_CENTERS);
+        let raise = if more > goal.max_centers {
+            format!("raise `max-centers` to {more}, or ")
+        } else {
+            String::new()
+        };
+        let advice = if fit.residual > CONTRADICTION {
+            format!("{raise}leave room between regions that move apart")
+        } else {
+            format!("{raise}raise `tolerance` to {}", tolerance_above(fit.residual))
+        };
         host.warn(&format!(
-            "the smooth solution meets the regions to {:.1e} of the handles' motion, not {:.1e}, with {centers} \
-             centres: their samples are held all the same, which may show at the rims",
-            fit.residual, goal.tolerance
+            "the handles' motion is met to {} by {centers} centres, where {} was asked for: {advice}. Samples of \
+             regions are held all the same, which may show at the rims",
+            met(fit.residual),
+            met(goal.tolerance),
         ));
     }
     if goal.kernel.is_compact() && constraints.is_sparse(0.5 * fit.functions.support) {

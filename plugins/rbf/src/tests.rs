@@ -225,7 +225,11 @@ fn contradictions_end_in_a_warning() {
     let log = Log::default();
     let state = setup.prepare(&log).unwrap();
     assert!(state.fit.residual > 0.4);
-    assert_eq!(log.0.lock().unwrap().len(), 1);
+    let told = log.0.lock().unwrap().clone();
+    let [text] = &told[..] else { panic!("{told:?}") };
+    let percent: f64 = text.split_once("met to ").unwrap().1.split_once(" %").unwrap().0.parse().unwrap();
+    assert!((percent - 100.0 * (1.0 - state.fit.residual).max(0.0)).abs() <= 0.5, "{text}");
+    assert!(text.contains("raise `max-centers` to 800, or leave room between regions"), "{text}");
 }
 
 #[test]
@@ -446,7 +450,13 @@ fn long_borders_are_met_by_more_centres_than_can_be_chosen() {
     let state = setup.prepare(&log).unwrap();
     assert!(state.fit.functions.centers.len() <= 1500);
     let told = log.0.lock().unwrap().concat();
-    assert!(told.contains(" centres: "), "{told}");
+    assert!(told.contains("raise `max-centers` to 6000, or raise `tolerance` to "), "{told}");
+    // With the tolerance that it says, there is nothing to be told any more.
+    let tolerance =
+        told.split_once("`tolerance` to ").unwrap().1.split_once(". ").unwrap().0.parse().unwrap();
+    let log = Log::default();
+    Setup { tolerance, ..setup }.prepare(&log).unwrap();
+    assert!(log.0.lock().unwrap().is_empty(), "{tolerance}");
 }
 
 /// `cargo test --release -p simod-plugin-rbf cost -- --ignored --nocapture`

@@ -2,7 +2,7 @@
 
 use crate::motion::Motion;
 use crate::session_file::{
-    Action, HandleMove, Joint, Refine, Region, Role, Step, Stroke, is_amount, title_defect,
+    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Step, Stroke, is_amount, title_defect,
 };
 use serde::{Deserialize, Serialize};
 use simod_model::{Error, ErrorKind, Result};
@@ -101,6 +101,13 @@ pub enum Change {
     /// Other joints take the place of those that are there, each after the one that it hangs on. Motions of
     /// those that are gone go with them.
     SetJoints(Vec<Joint>),
+    /// A joint is called otherwise, with its motion and what hangs on it.
+    RenameJoint {
+        /// Its id.
+        from: String,
+        /// Its id afterwards.
+        to: String,
+    },
     /// A handle that the plugin placed is moved.
     MoveHandle {
         /// The handle's id.
@@ -358,6 +365,7 @@ impl Document {
                     Change::SetRegions(_) => format!("change regions of {name}"),
                     Change::MoveRegion { .. } => format!("move a handle of {name}"),
                     Change::SetJoints(_) => format!("change joints of {name}"),
+                    Change::RenameJoint { from, .. } => format!("rename {from} of {name}"),
                     Change::MoveHandle { id, .. } => format!("move {id} of {name}"),
                     Change::MoveHandles(handles) => match handles.as_slice() {
                         [one] => format!("move {} of {name}", one.id),
@@ -396,6 +404,21 @@ fn is_alone(steps: &[Entry], at: usize) -> bool {
     others.peek().is_some()
         && others.all(|(_, entry)| !entry.step.enabled)
         && steps.get(at).is_some_and(|entry| entry.step.enabled)
+}
+
+fn rename_joint(step: &mut Deformation, from: &str, to: String) -> Result<()> {
+    if step.joints.iter().all(|joint| joint.id != from) {
+        return Err(refused(format!("there is no joint `{from}`"), "choose another one"));
+    }
+    let is_there = to != from && step.joints.iter().any(|joint| joint.id == to);
+    if to.is_empty() || to.contains(char::is_whitespace) || is_there {
+        let what = format!("`{to}` is no id for a joint, or is there twice");
+        return Err(refused(what, "give each joint one word of its own"));
+    }
+    let ids = step.joints.iter_mut().flat_map(|joint| [Some(&mut joint.id), joint.parent.as_mut()]).flatten();
+    let moved = step.handles.iter_mut().map(|handle| &mut handle.id);
+    ids.chain(moved).filter(|id| **id == from).for_each(|id| id.clone_from(&to));
+    Ok(())
 }
 
 fn no_stroke(stroke: usize, count: usize) -> Error {
@@ -457,6 +480,7 @@ fn edit(step: &mut Step, change: Change) -> Result<()> {
             step.handles.retain(|handle| !gone(&handle.id));
             step.joints = joints;
         }
+        (Action::Deform(step), Change::RenameJoint { from, to }) => rename_joint(step, &from, to)?,
         (Action::Deform(step), Change::MoveHandle { id, motion }) => {
             sound(&motion)?;
             step.handles.retain(|handle| handle.id != id);

@@ -392,6 +392,7 @@ fn what_makes_no_sense_changes_nothing() {
         change(0, Change::SetJoints(vec![joint("a", Some("a"))])),
         change(0, Change::SetJoints(vec![joint("a", None), joint("a", None)])),
         change(0, Change::SetJoints(vec![joint("a b", None)])),
+        change(0, Change::RenameJoint { from: "a".into(), to: "b".into() }),
         change(
             0,
             Change::SetRefine(some_refine(&Document::new([refine(DVec3::ZERO, 1.0, Finer::Error(1.0))]), 0)),
@@ -402,6 +403,31 @@ fn what_makes_no_sense_changes_nothing() {
         assert!(!error.hint().is_empty(), "{command:?}");
         assert!(Arc::ptr_eq(document.steps(), &before) && document.can_undo().is_none(), "{command:?}");
     }
+}
+
+#[test]
+fn a_joint_is_renamed_with_its_motion_and_what_hangs_on_it() {
+    let mut document = Document::new([step("")]);
+    let joint = |id: &str, parent: Option<&str>| crate::session_file::Joint {
+        id: id.to_owned(),
+        at: DVec3::ZERO,
+        parent: parent.map(str::to_owned),
+    };
+    document.apply(change(0, Change::SetJoints(vec![joint("a", None), joint("b", Some("a"))]))).unwrap();
+    let motion = Motion { degrees: 20.0, ..Motion::default() };
+    document.apply(change(0, Change::MoveHandle { id: "a".into(), motion })).unwrap();
+    let before = document.steps().clone();
+    let rename = |from: &str, to: &str| change(0, Change::RenameJoint { from: from.into(), to: to.into() });
+    for wrong in [rename("c", "d"), rename("a", "b"), rename("a", ""), rename("a", "two words")] {
+        let error = document.apply(wrong.clone()).unwrap_err();
+        assert!(!error.hint().is_empty() && Arc::ptr_eq(document.steps(), &before), "{wrong:?}");
+    }
+    document.apply(rename("a", "hip")).unwrap();
+    let after = document.steps()[0].step.deformation().unwrap().clone();
+    assert_eq!(after.joints, [joint("hip", None), joint("b", Some("hip"))]);
+    assert_eq!(after.handles, [HandleMove { id: "hip".into(), motion }]);
+    document.undo();
+    assert_eq!(document.steps()[0].step, before[0].step);
 }
 
 #[test]

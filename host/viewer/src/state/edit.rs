@@ -32,6 +32,7 @@ impl State {
         (self.selection, self.selections) = (Selection::none(scene.len()), Default::default());
         (self.chosen, self.stroke, self.depth, self.named) = (None, None, None, None);
         self.fields = [None, None];
+        (self.clip, self.measured) = (None, Vec::new());
         self.unpin();
         (self.shown, self.floor) = (self.requested, self.requested);
         let bounds = scene.bounds().map(|corner| corner.as_dvec3());
@@ -192,7 +193,7 @@ impl State {
         match command {
             Command::Select { goes_on, .. } => self.resolved_selection(goes_on),
             Command::Camera(_) => Command::Camera(crate::command::CameraMove::Set(self.camera)),
-            Command::MakeRegion { step: at, .. } => {
+            Command::MakeRegion { step: at, .. } | Command::MakeHandle { step: at, .. } => {
                 let regions = steps.get(at).and_then(|e| Some(e.step.deformation()?.regions.clone()));
                 let change = regions.map(Change::SetRegions);
                 same(change.map(|change| edit::Command::Change { at, change }), command)

@@ -12,6 +12,7 @@ mod view;
 
 use crate::appended::{former, owners};
 use crate::camera::Camera;
+use crate::clip::Clip;
 use crate::command::Command;
 use crate::engine::{Activity, Emerged, Engine, Event, Job, Opening, Wake};
 use crate::overlay::Overlay;
@@ -19,6 +20,7 @@ use crate::pick::DepthBuffer;
 use crate::record::Recorder;
 use crate::scene::Scene;
 use crate::selection::{Adjacency, Selection};
+use glam::DVec3;
 use pinned::Pinned;
 pub use pinned::Version;
 use simod_core::reconstruction::Reconstructed;
@@ -67,6 +69,9 @@ pub struct State {
     chosen: Option<StepId>,
     stroke: Option<OpenStroke>,
     overlay: Overlay,
+    clip: Option<Clip>,
+    /// What is measured along, before all steps; model coordinates.
+    measured: Vec<DVec3>,
     /// The model's own colours are shown where no numbers are.
     own_colors: bool,
     /// The last request for steps to be done, and the last one whose result is shown.
@@ -111,6 +116,8 @@ impl State {
             chosen: None,
             stroke: None,
             overlay: Overlay::default(),
+            clip: None,
+            measured: Vec::new(),
             own_colors: true,
             requested: 0,
             shown: 0,
@@ -172,6 +179,7 @@ impl State {
             Command::MakeRegion { step, role, falloff, replaces } => {
                 self.make_region(step, role, falloff, replaces)
             }
+            Command::MakeHandle { step, band } => self.make_handle(step, band),
             Command::RefineSelection { finer } => self.refine_selection(finer),
             Command::PlaceJoint { step, id, at, parent } => self.place_joint(step, id, at, parent),
             Command::BeginStroke { step, radius, strength, params } => {
@@ -193,6 +201,8 @@ impl State {
             Command::Camera(step) => self.move_camera(step),
             Command::Show(overlay) => self.show(overlay),
             Command::ShowOwnColors(own) => self.show_own_colors(own),
+            Command::Clip(clip) => self.clip(clip),
+            Command::Measure { points } => self.measure(points),
             Command::Preview { what } => self.preview(what),
             Command::Pin => self.pin(),
             Command::PinSession { path } => self.pin_session(&path),

@@ -5,6 +5,7 @@ use super::{Open, State, refused};
 use crate::appended::{as_found, owner_of};
 use crate::motion::{PlacedHandle, placed_handles};
 use crate::pick::Hit;
+use crate::selection::Selection;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_core::refinement::Finer;
@@ -13,6 +14,8 @@ use simod_plugin_api::HandleDesc;
 use simod_session::edit::{Change, StepId};
 use simod_session::session_file::{Action, Joint, Refine, Region, Role};
 use simod_session::{Motion, PickedPoints, Shape, Shapes};
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
 
 /// Neighbours of a selected sample that tell where the selection ends.
 const RING: usize = 8;
@@ -43,10 +46,10 @@ impl State {
         Ok(&region.shapes)
     }
 
-    /// What is selected, as a step finds it, as geometry.
-    fn picked(&self, positions: &[Vec3]) -> Result<PickedPoints> {
+    /// Some samples, as a step finds them, as geometry.
+    fn picked(&self, positions: &[Vec3], selection: &Selection) -> Result<PickedPoints> {
         let open = self.open()?;
-        let (scene, selection, frame) = (&open.scene, &self.selection, open.scene.frame());
+        let (scene, frame) = (&open.scene, open.scene.frame());
         let positions = &*as_found(scene, positions).positions;
         let count = positions.len().min(scene.len());
         let point = |i: usize| frame.to_model(positions[i]);
@@ -70,6 +73,62 @@ impl State {
         Ok(PickedPoints::new(inside, outside(&next)))
     }
 
+    pub(super) fn make_handle(&mut self, at: usize, band: f64) -> Result<()> {
+        if !(band.is_finite() && band > 0.0) {
+            return Err(refused("the band that bends cannot be of that width", "give one above 0"));
+        }
+        let before = self.before(at)?;
+        let handle = self.picked(before, &self.selection)?;
+        let fixed = self.beyond(before, band)?;
+        let fixed = self.picked(before, &fixed).map_err(|_| {
+            refused(
+                "nothing is left to be fixed around the handle",
+                "have it bend within less, or select less",
+            )
+        })?;
+        let mut regions = self.deformation(at)?.regions.clone();
+        let middle = handle.inside().iter().sum::<DVec3>() / handle.inside().len() as f64;
+        for (role, picked) in [(Role::Handle, handle), (Role::Fixed, fixed)] {
+            let shapes = Shapes { shapes: vec![Shape::Selection(picked)], falloff: 0.0 };
+            let motion = Motion { pivot: (role == Role::Handle).then_some(middle), ..Motion::default() };
+            regions.push(Region { role, shapes, motion });
+        }
+        self.change(at, Change::SetRegions(regions))
+    }
+
+    /// The samples that are farther from the selection than so much, in the model's unit, from neighbour to neighbour as
+    /// a step finds them (E. W. Dijkstra, *A note on two problems in connexion with graphs*, 1959). What is not
+    /// connected with it is.
+    fn beyond(&self, before: &[Vec3], band: f64) -> Result<Selection> {
+        let open = self.open()?;
+        let positions = &*as_found(&open.scene, before).positions;
+        let count = positions.len().min(open.scene.len());
+        let neighbours = open.scene.sampled.samples.neighbours();
+        let band = (band / open.scene.frame().scale) as f32;
+        let mut distance = vec![f32::INFINITY; count];
+        let mut next = BinaryHeap::new();
+        for i in (0..count).filter(|i| self.selection.contains(*i as u32)) {
+            distance[i] = 0.0;
+            next.push(Reverse((0, i)));
+        }
+        while let Some(Reverse((reached, i))) = next.pop() {
+            // Bits of floats that are not negative are in their order.
+            if f32::from_bits(reached) > distance[i] {
+                continue;
+            }
+            let around = neighbours.nearest_to(i).iter().take(RING).chain(open.adjacency.of(i));
+            for j in around.map(|j| *j as usize).filter(|j| *j < count) {
+                let there = distance[i] + positions[i].distance(positions[j]);
+                if there <= band && there < distance[j] {
+                    distance[j] = there;
+                    next.push(Reverse((there.to_bits(), j)));
+                }
+            }
+        }
+        let is_beyond = |i: usize| distance.get(i).is_some_and(|distance| distance.is_infinite());
+        Ok(Selection::of((0..self.selection.marks().len()).map(is_beyond).collect()))
+    }
+
     pub(super) fn make_region(
         &mut self,
         at: usize,
@@ -77,7 +136,7 @@ impl State {
         falloff: f64,
         replaces: Option<usize>,
     ) -> Result<()> {
-        let picked = self.picked(self.before(at)?)?;
+        let picked = self.picked(self.before(at)?, &self.selection)?;
         let mut regions = self.deformation(at)?.regions.clone();
         let middle = picked.inside().iter().sum::<DVec3>() / picked.inside().len() as f64;
         let shapes = Shapes { shapes: vec![Shape::Selection(picked)], falloff };
@@ -98,7 +157,7 @@ impl State {
 
     pub(super) fn refine_selection(&mut self, finer: Finer) -> Result<()> {
         let open = self.open()?;
-        let picked = self.picked(&open.scene.positions)?;
+        let picked = self.picked(&open.scene.positions, &self.selection)?;
         let shapes = Shapes { shapes: vec![Shape::Selection(picked)], falloff: 0.0 };
         let refine = Refine { shapes, finer };
         refine.check().map_err(|(what, hint)| refused(what, hint))?;

@@ -1,6 +1,7 @@
 //! What is selected, and what is seen.
 
 use super::State;
+use crate::clip::cuts;
 use crate::command::Area;
 use crate::overlay;
 use crate::pick::{DepthBuffer, Hit, in_lasso, near_path, within};
@@ -30,9 +31,9 @@ impl State {
 
     /// The depth buffer of what is shown.
     pub(super) fn depth(&mut self, scene: &Arc<Scene>) -> &DepthBuffer {
-        let (camera, size) = (self.camera, self.size);
-        let known = self.depth.take().filter(|(r, d)| *r == scene.revision && d.is_of(&camera, size));
-        let made = known.unwrap_or_else(|| (scene.revision, DepthBuffer::new(scene, &camera, size)));
+        let (camera, size, clip) = (self.camera, self.size, self.local_clip());
+        let known = self.depth.take().filter(|(r, d)| *r == scene.revision && d.is_of(&camera, size, clip));
+        let made = known.unwrap_or_else(|| (scene.revision, DepthBuffer::new(scene, &camera, size, clip)));
         &self.depth.insert(made).1
     }
 
@@ -72,11 +73,16 @@ impl State {
             },
         };
         let is_pointed_at = matches!(area, Area::Brush { .. } | Area::Lasso { .. } | Area::Box { .. });
-        let seen = if visible && is_pointed_at {
-            let seen = self.depth(&scene).visible(&scene);
-            Selection::of(pointed.marks().iter().zip(seen).map(|(a, b)| *a && b).collect())
-        } else {
+        let both = |seen: &[bool]| pointed.marks().iter().zip(seen).map(|(a, b)| *a && *b).collect();
+        let seen = if !is_pointed_at {
             pointed
+        } else if visible {
+            Selection::of(both(&self.depth(&scene).visible(&scene)))
+        } else {
+            // Through the model, but not through what is cut away.
+            let clip = self.local_clip();
+            let is_there: Vec<bool> = scene.positions.iter().map(|p| !cuts(clip, *p)).collect();
+            Selection::of(both(&is_there))
         };
         let replaces = matches!(area, Area::Inverse | Area::Grown | Area::Shrunk);
         let combine = if replaces { Combine::Replace } else { combine };

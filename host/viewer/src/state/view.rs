@@ -2,12 +2,18 @@
 
 use super::{State, refused};
 use crate::camera::Camera;
+use crate::clip::Clip;
 use crate::command::CameraMove;
+use crate::measured::{MeasuredPoint, at_rest, carried};
 use crate::overlay::Overlay;
+use crate::pick::Hit;
 use crate::tint::Tint;
 use glam::{DVec2, DVec3};
 use simod_model::{Attribute, Colors, Result};
 use simod_plugin_api::Effort;
+
+/// Points that are measured along, at most.
+const MOST_MEASURED: usize = 1000;
 
 impl State {
     /// The camera.
@@ -48,6 +54,49 @@ impl State {
     pub(super) fn show_own_colors(&mut self, own: bool) -> Result<()> {
         self.own_colors = own;
         self.tint_detail();
+        Ok(())
+    }
+
+    /// The plane that cuts the model open.
+    pub fn clipped(&self) -> Option<Clip> {
+        self.clip
+    }
+
+    /// The same as unit normal and distance, in local coordinates.
+    pub fn local_clip(&self) -> Option<(DVec3, f64)> {
+        Some(self.clip?.local(&self.scene()?.frame()))
+    }
+
+    pub(super) fn clip(&mut self, clip: Option<Clip>) -> Result<()> {
+        self.open()?;
+        if clip.is_some_and(|clip| !clip.is_plane()) {
+            return Err(refused(
+                "that is no plane to cut by",
+                "give finite numbers, and a normal with a length",
+            ));
+        }
+        self.clip = clip;
+        Ok(())
+    }
+
+    /// The points that are measured along, as the steps are now.
+    pub fn measured(&self) -> Vec<MeasuredPoint> {
+        let Some(scene) = self.scene() else { return Vec::new() };
+        self.measured.iter().map(|rest| carried(scene, *rest)).collect()
+    }
+
+    /// Where a point that is shown was before all steps. Model coordinates.
+    pub fn at_rest(&self, hit: &Hit) -> Option<DVec3> {
+        Some(at_rest(self.scene()?, hit))
+    }
+
+    pub(super) fn measure(&mut self, points: Vec<DVec3>) -> Result<()> {
+        self.open()?;
+        if points.len() > MOST_MEASURED || !points.iter().all(|p| p.is_finite()) {
+            let what = "these points cannot be measured along";
+            return Err(refused(what, &format!("give finite numbers, of {MOST_MEASURED} points at most")));
+        }
+        self.measured = points;
         Ok(())
     }
 

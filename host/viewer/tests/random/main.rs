@@ -20,7 +20,7 @@ use simod_viewer::camera::{Projection, Standard};
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::engine::Job;
 use simod_viewer::selection::Combine;
-use simod_viewer::{Command, Overlay, Previewed, State, Version};
+use simod_viewer::{Clip, Command, Overlay, Previewed, State, Version};
 use std::collections::BTreeSet;
 
 fn area() -> impl Strategy<Value = Area> {
@@ -66,17 +66,23 @@ fn change() -> impl Strategy<Value = edit::Command> {
     });
     let one = prop_oneof![
         any::<bool>().prop_map(Change::Enable),
+        prop::option::of(prop::sample::select(vec!["Neck", "", " ", "a\nb", "\u{1f40e}"]))
+            .prop_map(|title| Change::SetTitle(title.map(str::to_owned))),
+        prop::sample::select(vec![0.0, 0.3, 1.0, -0.1, 1.5, f64::NAN]).prop_map(Change::SetAmount),
         (-200.0..200.0_f64)
             .prop_map(|angle| Change::SetParam { id: "angle".into(), value: Some(angle.into()) }),
         Just(Change::SetParam { id: "nonsense".into(), value: Some("x".into()) }),
         Just(Change::SetParam { id: "nonsense".into(), value: None }),
         Just(Change::SetRegions(Vec::new())),
         (0..3_usize, motion.clone()).prop_map(|(region, motion)| Change::MoveRegion { region, motion }),
+        prop::sample::select(vec!["joint", "a b", "other"])
+            .prop_map(|to| Change::RenameJoint { from: "joint".into(), to: to.into() }),
         motion.prop_map(|motion| Change::MoveHandle { id: "0,0,0".into(), motion }),
     ];
     prop_oneof![
         6 => (at.clone(), one).prop_map(|(at, change)| edit::Command::Change { at, change }),
         2 => at.clone().prop_map(|at| edit::Command::Remove { at }),
+        2 => at.clone().prop_map(|at| edit::Command::Solo { at }),
         1 => (at.clone(), at).prop_map(|(from, to)| edit::Command::Move { from, to }),
     ]
 }
@@ -113,6 +119,7 @@ fn command() -> impl Strategy<Value = Command> {
         2 => (step.clone(), role, -0.1..0.5_f64, prop::option::of(0..2_usize)).prop_map(
             |(step, role, falloff, replaces)| Command::MakeRegion { step, role, falloff, replaces }
         ),
+        1 => (step.clone(), -0.1..0.8_f64).prop_map(|(step, band)| Command::MakeHandle { step, band }),
         1 => (1.5..2.5_f64).prop_map(|f| Command::RefineSelection { finer: Finer::Factor(f) }),
         1 => (step.clone(), point.clone()).prop_map(|(step, at)| Command::PlaceJoint {
             step, id: "joint".into(), at, parent: None
@@ -120,7 +127,7 @@ fn command() -> impl Strategy<Value = Command> {
         1 => (step, -0.1..0.5_f64).prop_map(|(step, radius)| Command::BeginStroke {
             step, radius, strength: 1.0, params: toml::Table::new()
         }),
-        2 => point.prop_map(|at| Command::StrokePoint { at, pressure: None }),
+        2 => point.clone().prop_map(|at| Command::StrokePoint { at, pressure: None }),
         1 => Just(Command::EndStroke),
         1 => Just(Command::DropStroke),
         1 => Just(Command::Cancel { job: Job::Evaluate }),
@@ -129,10 +136,41 @@ fn command() -> impl Strategy<Value = Command> {
         2 => camera().prop_map(Command::Camera),
         1 => overlay.prop_map(Command::Show),
         1 => Just(Command::Pin),
+        1 => prop::option::of((point.clone(), point.clone())).prop_map(|plane| {
+            Command::Clip(plane.map(|(normal, through)| Clip { normal, through }))
+        }),
+        1 => prop::collection::vec(point.clone(), 0..4).prop_map(|points| Command::Measure { points }),
+        1 => (text(), prop::option::of(0..4_usize)).prop_map(|(text, at)| Command::Paste { text, at }),
+        2 => (0..3_usize).prop_map(|step| Command::Paste { text: format!("{COPIED}{step}"), at: None }),
         1 => Just(Command::SwapPinned),
         1 => Just(Command::Unpin),
         1 => prop::array::uniform2(-10.0..2000.0_f64).prop_map(|size| Command::Resize { size }),
     ]
+}
+
+/// Texts that somebody might paste: a step, two of them, and what is none.
+fn text() -> impl Strategy<Value = String> {
+    prop::sample::select(vec![
+        "version = 1\n[[step]]\ndeform = \"warp\"\n[step.params]\nangle = 20.0\n",
+        "version = 2\n[[step]]\ndeform = \"rbf\"\ntitle = \"b\"\namount = 0.5\n[[step]]\ndeform = \"nobody\"\n",
+        "[[step]]\nrefine = { shapes = [{ sphere = { center = [0, 0, 0], radius = 0.1 } }], factor = 2.0 }\n",
+        "version = 1\n",
+        "not a session",
+        "",
+    ])
+    .prop_map(str::to_owned)
+}
+
+/// Begins a text that stands for the copy of a step that is there, whose place follows.
+const COPIED: &str = "the copy of step ";
+
+/// The command, with the text of a copy where it speaks of one; as it is where there is no such step.
+fn with_copy(state: &State, command: Command) -> Command {
+    let copy = |text: &str| state.copied(text.strip_prefix(COPIED)?.parse().ok()?).ok();
+    match command {
+        Command::Paste { text, at } => Command::Paste { text: copy(&text).unwrap_or(text), at },
+        other => other,
+    }
 }
 
 /// Of the model.
@@ -146,6 +184,7 @@ fn check(state: &mut State) {
     assert!(scene.positions.iter().all(|p| p.is_finite()));
     assert!(scene.normals.iter().all(|n| n.is_finite()));
     assert!(state.camera().is_valid());
+    assert!(state.measured().iter().all(|point| point.rest.is_finite() && point.now.is_finite()));
     if let Some(detail) = state.detail() {
         assert_eq!(detail.covered().len(), scene.len());
         let mut shown = BTreeSet::new();
@@ -185,7 +224,7 @@ fn soak(commands: usize) -> Vec<u64> {
     let strategy = command();
     let mut accepted = 0;
     for i in 0..commands {
-        let command = strategy.new_tree(&mut runner).unwrap().current();
+        let command = with_copy(&state, strategy.new_tree(&mut runner).unwrap().current());
         // Errors are fine, and have a hint.
         match state.apply(command.clone()) {
             Ok(()) => accepted += 1,

@@ -6,6 +6,7 @@ mod comparing;
 mod edits;
 mod errors;
 mod helpers;
+mod looking;
 mod preview;
 mod selecting;
 

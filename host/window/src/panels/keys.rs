@@ -1,5 +1,6 @@
 //! What keys and the mouse do: a sheet, in groups.
 
+use super::frames::modal;
 use crate::actions::{ALL, Action, Menu};
 use crate::window::Window;
 use eframe::egui::{self, Grid, Id, Key, Modal, Modifiers, RichText, ScrollArea, Ui};
@@ -39,7 +40,7 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
     let preset = preset(window.settings.navigation().name);
     let mut close = ctx.input_mut(|i| i.consume_key(Modifiers::NONE, Key::F1));
     let height = (ctx.content_rect().height() - 140.0).max(160.0);
-    let modal = Modal::new(Id::unique("keys")).frame(super::modal(ctx)).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("keys")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(760.0_f32.min(ctx.content_rect().width() - 60.0));
         ui.horizontal(|ui| {
             ui.heading("Keys and Mouse");

@@ -2,8 +2,10 @@
 
 use super::Palette;
 use crate::actions::{ALL, Action, Menu};
+use crate::lessons::{ALL as ALL_LESSONS, begin};
 use crate::settings::Settings;
 use crate::window::Window;
+use crate::wording::purpose;
 use eframe::egui::{self, Button, Frame, Margin, MenuBar, Panel, RichText, Ui};
 use simod_session::Plugin;
 use simod_viewer::{Command, Navigation, Overlay};
@@ -68,8 +70,13 @@ fn entries(ui: &mut Ui, window: &mut Window, menu: Menu) {
         ui.separator();
         ui.menu_button("Attribute", |ui| attributes(ui, window));
     }
+    if menu == Menu::Help {
+        ui.separator();
+        ui.menu_button("Lessons", |ui| lessons(ui, window));
+    }
     if menu == Menu::View {
         ui.separator();
+        ui.menu_button("Light", |ui| entries(ui, window, Menu::Light));
         ui.menu_button("Navigation", |ui| navigation(ui, window));
     }
 }
@@ -116,6 +123,15 @@ fn attributes(ui: &mut Ui, window: &mut Window) {
     }
 }
 
+fn lessons(ui: &mut Ui, window: &mut Window) {
+    for (i, lesson) in ALL_LESSONS.iter().enumerate() {
+        if ui.button(lesson.title).on_hover_text(lesson.about).clicked() {
+            begin(window, i);
+            ui.close();
+        }
+    }
+}
+
 fn navigation(ui: &mut Ui, window: &mut Window) {
     for preset in Navigation::ALL {
         let chosen = window.settings.navigation().name == preset.name;
@@ -143,9 +159,9 @@ pub fn add_step(ui: &mut Ui, window: &mut Window, at: Option<usize>) {
     }
 }
 
-/// What there is to know of a plugin.
+/// What there is to know of a plugin: what it does and is for, before who found it.
 pub fn about(plugin: &Plugin) -> String {
-    let lines = [plugin.summary(), plugin.citation(), plugin.author()];
+    let lines = [plugin.summary(), purpose(plugin.id()), plugin.citation(), plugin.author()];
     lines.into_iter().filter(|line| !line.is_empty()).collect::<Vec<_>>().join("\n")
 }
 

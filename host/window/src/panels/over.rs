@@ -1,11 +1,10 @@
 //! Over the picture: options of the tool, what is being done, and what colours mean.
 
-use super::{pinned, progress};
+use super::{card, clip, lesson, pinned, progress};
 use crate::tools::Tool;
+use crate::tools::measure::{self, Measuring};
 use crate::window::Window;
-use eframe::egui::{
-    Align, Button, Color32, Frame, Layout, Margin, Rect, RichText, Slider, Ui, UiBuilder, pos2, vec2,
-};
+use eframe::egui::{Align, Button, DragValue, Layout, Rect, RichText, Slider, Ui, UiBuilder, pos2, vec2};
 use simod_viewer::Command;
 use simod_viewer::command::Area;
 use simod_viewer::selection::Combine;
@@ -19,21 +18,8 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     }
     progress::show(ui, rect, window);
     pinned::show(ui, rect, window);
-}
-
-/// A panel over the picture.
-pub fn card(ui: &Ui) -> Frame {
-    let fill = ui.visuals().panel_fill;
-    Frame::NONE
-        .fill(Color32::from_rgba_unmultiplied(fill.r(), fill.g(), fill.b(), 236))
-        .corner_radius(6.0)
-        .inner_margin(Margin::symmetric(10, 6))
-        .shadow(eframe::egui::Shadow {
-            offset: [0, 2],
-            blur: 8,
-            spread: 0,
-            color: Color32::from_black_alpha(60),
-        })
+    clip::show(ui, rect, window);
+    lesson::show(ui, rect, window);
 }
 
 fn options(ui: &mut Ui, rect: Rect, window: &mut Window) {
@@ -43,6 +29,8 @@ fn options(ui: &mut Ui, rect: Rect, window: &mut Window) {
         card(ui).show(ui, |ui| {
             ui.horizontal(|ui| match window.tools.tool {
                 Tool::Stroke => stroke(ui, window),
+                Tool::Measure => measuring(ui, window),
+                Tool::Joint => chaining(ui, window),
                 tool if tool.is_gizmo() => moving(ui, window),
                 _ => selecting(ui, window),
             });
@@ -64,6 +52,47 @@ fn moving(ui: &mut Ui, window: &mut Window) {
         "Handles within this part of the model\u{2019}s diagonal go along, the less the farther they are; none at 0",
     );
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Falloff around handles"));
+}
+
+/// How many joints a drag places.
+fn chaining(ui: &mut Ui, window: &mut Window) {
+    if !Tool::Joint.is_of_use(window) {
+        ui.label(RichText::new("The chosen step takes no joints.").weak());
+        return;
+    }
+    ui.label("A click places a joint, a drag a chain of");
+    let field = ui.add(DragValue::new(&mut window.tools.chain).range(2..=64));
+    field.ctx.accesskit_node_builder(field.id, |node| node.set_label("Joints of a chain"));
+}
+
+/// What is measured, and what it comes to.
+fn measuring(ui: &mut Ui, window: &mut Window) {
+    for (measuring, name, hint) in [
+        (Measuring::Distance, "Distance", "Between two points; a third click begins anew"),
+        (Measuring::Angle, "Angle", "At the second of three points"),
+        (Measuring::Path, "Path", "Along as many points as are clicked"),
+    ] {
+        let button = Button::selectable(window.tools.measuring == measuring, name);
+        let response = ui.add(button).on_hover_text(hint);
+        response.ctx.accesskit_node_builder(response.id, |node| node.set_label(format!("Measure {name}")));
+        if response.clicked() {
+            window.tools.measuring = measuring;
+        }
+    }
+    ui.separator();
+    match measure::summary(window) {
+        Some(text) => ui.label(RichText::new(text).strong()),
+        None => ui.label(RichText::new("Click points on the surface.").weak()),
+    };
+    if !window.state().measured().is_empty() {
+        ui.separator();
+        if ui.button("Remove Last").on_hover_text("The last point goes away (Backspace)").clicked() {
+            measure::remove_last(window);
+        }
+        if ui.button("Clear").on_hover_text("All points go away (Escape)").clicked() {
+            measure::clear(window);
+        }
+    }
 }
 
 /// Whether a box chooses samples or handles, where the step has handles.

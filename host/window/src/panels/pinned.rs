@@ -1,6 +1,6 @@
 //! The pinned version: what it is, and what can be done with it.
 
-use super::over::card;
+use super::card;
 use crate::actions::{ALL, Action, Menu};
 use crate::window::Window;
 use eframe::egui::{Align2, Area, Button, Id, Label, Order, Rect, RichText, Ui, vec2};

@@ -1,6 +1,6 @@
 //! What takes its time: stage, rate, and a button that stops it.
 
-use super::{bytes, duration, over::card};
+use super::{bytes, card, clip, duration, lesson};
 use crate::window::Window;
 use eframe::egui::{Align, Layout, ProgressBar, Rect, RichText, Spinner, Ui, UiBuilder, pos2};
 use simod_viewer::Command;
@@ -12,7 +12,11 @@ const SIZE: [f32; 2] = [340.0, 92.0];
 
 /// Each job that is running and takes its time, above each other at the lower edge.
 pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
-    let mut bottom = rect.bottom() - 12.0;
+    // Above what lies in the lower corners.
+    let below = window.state().clipped().is_some() || window.state().pinned().is_some();
+    let below =
+        if below { clip::HEIGHT } else { 0.0 } + if window.lesson.is_some() { lesson::HEIGHT } else { 0.0 };
+    let mut bottom = rect.bottom() - 12.0 - below;
     for (job, what) in [
         (Job::Open, "Opening"),
         (Job::Write, "Writing"),
@@ -33,8 +37,8 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     }
     if let Some(turning) = &window.turning {
         let (done, frames) = turning.progress();
-        let line = format!("frame {} of {frames}", (done + 1).min(frames));
-        if shown(ui, rect, &mut bottom, "Turntable", &turning.activity(), Some(line)) {
+        let line = (frames > 1).then(|| format!("frame {} of {frames}", (done + 1).min(frames)));
+        if shown(ui, rect, &mut bottom, turning.name(), &turning.activity(), line) {
             window.stop_turning();
         }
     }

@@ -1,5 +1,6 @@
 //! A path that is typed, where the system has no dialogs for files.
 
+use super::frames::modal;
 use crate::dialogs::Purpose;
 use crate::theme;
 use crate::window::Window;
@@ -128,7 +129,7 @@ fn common(names: &[String]) -> Option<String> {
 pub fn show(ctx: &egui::Context, window: &mut Window) {
     let Some(mut prompt) = window.prompt.take() else { return };
     let mut done = None;
-    let modal = Modal::new(Id::unique("prompt")).frame(super::modal(ctx)).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("prompt")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(560.0);
         ui.heading(prompt.purpose.title());
         if !prompt.why.is_empty() {
@@ -146,7 +147,9 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         offered(ui, &mut prompt, &names);
         if let Some(wrong) = &prompt.wrong {
             ui.label(RichText::new(wrong).color(ui.visuals().error_fg_color));
-        } else if matches!(prompt.purpose, Purpose::Save | Purpose::Write) && prompt.path().is_file() {
+        } else if matches!(prompt.purpose, Purpose::Save | Purpose::Write | Purpose::Picture)
+            && prompt.path().is_file()
+        {
             ui.label(RichText::new("This file is there: it is replaced.").color(ui.visuals().warn_fg_color));
         }
         ui.add_space(8.0);

@@ -1,7 +1,8 @@
 //! What has to be answered before something goes on.
 
-use super::ago;
+use super::frames::modal;
 use crate::dialogs::Purpose;
+use crate::numbers::ago;
 use crate::theme;
 use crate::window::{Kept, Leaving, Question, Window};
 use eframe::egui::{self, Button, Color32, Id, Modal, RichText, Ui};
@@ -16,7 +17,7 @@ fn first(ui: &mut Ui, text: &str) -> bool {
 pub fn show(ctx: &egui::Context, window: &mut Window) {
     let Some(question) = window.question.take() else { return };
     let mut again = true;
-    let modal = Modal::new(Id::unique("question")).frame(super::modal(ctx)).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("question")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(380.0);
         match &question {
             Question::Unsaved(leaving) => again = unsaved(ui, window, leaving),

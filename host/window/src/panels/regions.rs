@@ -6,13 +6,18 @@ use crate::theme;
 use crate::tools::{Target, Tool};
 use crate::window::Window;
 use eframe::egui::{
-    self, Align, Button, CornerRadius, DragValue, Frame, Layout, Margin, RichText, Sense, Stroke, Ui, vec2,
+    self, Align, Button, CornerRadius, DragValue, Frame, Key, Layout, Margin, RichText, Sense, Slider,
+    Stroke, TextEdit, Ui, vec2,
 };
 use simod_session::edit::Change;
 use simod_session::session_file::{Deformation, Region, Role};
 use simod_session::{Motion, Shape};
 use simod_viewer::command::Area;
+use simod_viewer::skeleton::mirrored;
 use simod_viewer::{Command, Overlay};
+
+/// Joints that are nearer to the middle than this part of the model's diagonal have no other side.
+const NEAR_MIDDLE: f64 = 0.01;
 
 const ROLES: [Role; 3] = [Role::Fixed, Role::Handle, Role::Mask];
 
@@ -184,6 +189,20 @@ fn selection(ui: &mut Ui, window: &mut Window) {
             make::refine(window);
         }
     });
+    if !(make::can_make(window, Role::Handle) && make::takes(window, Role::Fixed)) {
+        return;
+    }
+    ui.horizontal(|ui| {
+        let hint = "A handle of the selection, and what is farther from it than the band that bends is fixed";
+        if ui.button("Make Handle, Fix Around").on_hover_text(hint).clicked() {
+            make::make_handle(window);
+        }
+        ui.spacing_mut().slider_width = 60.0;
+        let slider = Slider::new(&mut window.tools.band, 0.01..=0.5).logarithmic(true).max_decimals(2);
+        let hint = "How wide the band is, as a part of the model\u{2019}s diagonal";
+        let response = ui.add(slider).on_hover_text(hint);
+        response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Band that bends"));
+    });
 }
 
 /// Numbers of what the gizmo moves.
@@ -248,11 +267,19 @@ fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
         return;
     }
     parts::part(ui);
-    parts::heading(ui, "Joints", |_| ());
+    parts::heading(ui, "Joints", |ui| {
+        ui.menu_button("Mirror", |ui| mirror(ui, window, step, deformation));
+    });
     for (i, joint) in deformation.joints.iter().enumerate() {
         ui.horizontal(|ui| {
+            if name(ui, window, step, &joint.id) {
+                return;
+            }
             let chosen = window.tools.target == Some(Target::Handle(joint.id.clone()));
-            if ui.selectable_label(chosen, &joint.id).clicked() {
+            let label = ui.selectable_label(chosen, &joint.id).on_hover_text("A double click renames it");
+            if label.double_clicked() {
+                window.tools.naming = Some((joint.id.clone(), joint.id.clone()));
+            } else if label.clicked() {
                 window.tools.target = Some(Target::Handle(joint.id.clone()));
             }
             if let Some(parent) = &joint.parent {
@@ -263,6 +290,13 @@ fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
                 remove.widget_info(|| {
                     egui::WidgetInfo::labeled(egui::Role::Button, true, format!("Remove {}", joint.id))
                 });
+                let rename = ui.small_button("Rename");
+                rename.widget_info(|| {
+                    egui::WidgetInfo::labeled(egui::Role::Button, true, format!("Rename {}", joint.id))
+                });
+                if rename.clicked() {
+                    window.tools.naming = Some((joint.id.clone(), joint.id.clone()));
+                }
                 if remove.clicked() {
                     let mut joints = deformation.joints.clone();
                     let gone = joints.remove(i);
@@ -276,4 +310,43 @@ fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
             });
         });
     }
+}
+
+/// Joints of one side on the other one, too.
+fn mirror(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation) {
+    let Some(scene) = window.state().scene() else { return };
+    let bounds = scene.sampled.bounds;
+    let near = NEAR_MIDDLE * (bounds.max - bounds.min).length();
+    ui.label(RichText::new("Across the middle of the model").weak().small());
+    for (axis, text) in
+        ["X: left and right", "Y: below and above", "Z: front and back"].into_iter().enumerate()
+    {
+        if ui.button(text).clicked() {
+            let middle = 0.5 * (bounds.min[axis] + bounds.max[axis]);
+            let joints = mirrored(&deformation.joints, axis, middle, near);
+            window.change(step, Change::SetJoints(joints), false);
+            ui.close();
+        }
+    }
+}
+
+/// A joint's name while it is typed, until Enter or Escape, or a click elsewhere. Whether it is.
+fn name(ui: &mut Ui, window: &mut Window, step: usize, id: &str) -> bool {
+    let Some((of, mut text)) = window.tools.naming.take_if(|(of, _)| of == id) else { return false };
+    let response = ui.add(TextEdit::singleline(&mut text).desired_width(180.0));
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(format!("Name of {id}")));
+    if !response.lost_focus() {
+        response.request_focus();
+        window.tools.naming = Some((of, text));
+    } else if !ui.input(|i| i.key_pressed(Key::Escape)) {
+        let to = text.trim().to_owned();
+        let was_target = window.tools.target == Some(Target::Handle(of.clone()));
+        if to != of
+            && window.change(step, Change::RenameJoint { from: of, to: to.clone() }, false)
+            && was_target
+        {
+            window.tools.target = Some(Target::Handle(to));
+        }
+    }
+    true
 }

@@ -1,6 +1,7 @@
 //! What became of the model that was written.
 
-use super::{bytes, count};
+use super::frames::modal;
+use crate::numbers::{bytes, count};
 use crate::window::Window;
 use eframe::egui::{self, Grid, Id, Modal, RichText};
 use simod_core::reconstruction::Reconstructed;
@@ -24,7 +25,7 @@ impl Report {
 pub fn show(ctx: &egui::Context, window: &mut Window) {
     let Some(Report { output, report, seconds }) = &window.report else { return };
     let mut done = false;
-    let modal = Modal::new(Id::unique("report")).frame(super::modal(ctx)).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("report")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(420.0);
         ui.heading("The deformed model is written");
         ui.add_space(6.0);

@@ -5,7 +5,7 @@ use crate::regions;
 use crate::steps::{self, Renaming};
 use crate::theme;
 use crate::window::Window;
-use crate::wording::in_window;
+use crate::wording::{in_window, remedies};
 use eframe::egui::{
     self, Align, Align2, Button, Color32, CornerRadius, CursorIcon, FontId, Frame, Key, LayerId, Layout,
     Margin, Order, Response, RichText, Sense, Spinner, Stroke, TextEdit, Ui, UiBuilder, vec2,
@@ -129,6 +129,7 @@ fn content(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: us
         });
     });
     messages(ui, window, entry);
+    mend(ui, window, at, entry);
 }
 
 /// A name that is typed, until Enter or Escape, or a click elsewhere.
@@ -213,6 +214,27 @@ fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize
     });
     let name = format!("More on step {}", at + 1);
     menu.response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &name));
+}
+
+/// Buttons for what the step's plugin says to do about its parameters.
+fn mend(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry) {
+    let Some(deformation) = entry.step.deformation() else { return };
+    let Ok(plugin) = window.state().plugins().get(&deformation.deform).cloned() else { return };
+    let Some(scene) = window.state().scene().cloned() else { return };
+    let texts: Vec<&str> = match scene.statuses.iter().find(|(id, _)| *id == entry.id) {
+        Some((_, Status::Done(messages))) => {
+            messages.iter().filter(|m| m.is_warning()).take(3).map(|m| m.text.as_str()).collect()
+        }
+        Some((_, Status::Failed(error))) => vec![error.hint()],
+        _ => return,
+    };
+    for text in texts {
+        for remedy in remedies(text, plugin.params(), &deformation.params) {
+            if ui.small_button(&remedy.text).clicked() {
+                window.change(at, Change::SetParam { id: remedy.id, value: Some(remedy.value) }, false);
+            }
+        }
+    }
 }
 
 fn messages(ui: &mut Ui, window: &Window, entry: &Entry) {

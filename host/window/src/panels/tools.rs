@@ -7,10 +7,11 @@ use crate::window::Window;
 use eframe::egui::{Color32, Frame, Margin, Panel, Role, Sense, Ui, WidgetInfo, vec2};
 
 /// In groups.
-const GROUPS: [&[Tool]; 3] = [
+const GROUPS: [&[Tool]; 4] = [
     &[Tool::Orbit, Tool::Move, Tool::Rotate, Tool::Scale],
     &[Tool::Brush, Tool::Lasso, Tool::Box, Tool::Connected],
     &[Tool::Stroke, Tool::Joint],
+    &[Tool::Measure],
 ];
 const SIZE: f32 = 36.0;
 

@@ -1,30 +1,22 @@
 //! How many frames a turntable has, and where they go.
 
+use super::frames::modal;
+use super::render;
 use crate::dialogs::Purpose;
+use crate::screenshot::shown_size;
 use crate::theme;
-use crate::turntable::begin;
+use crate::turntable::{RATE, begin};
 use crate::window::Window;
 use eframe::egui::{self, Button, Color32, DragValue, Id, Modal, RichText, TextEdit};
 use simod_picture::FrameFolder;
 use std::path::Path;
 
-/// Frames of a second, for the time that is shown.
-const RATE: f64 = 30.0;
-
-/// What is asked.
-#[derive(Clone)]
-pub struct Turntable {
-    /// The folder, which is to be made.
-    pub folder: String,
-    /// Frames of the turn.
-    pub frames: u32,
-}
-
 /// Shows it while it is asked.
 pub fn show(ctx: &egui::Context, window: &mut Window) {
     let Some(mut turntable) = window.turntable.clone() else { return };
+    let shown = shown_size(window);
     let mut done = None;
-    let modal = Modal::new(Id::unique("turntable")).frame(super::modal(ctx)).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("turntable")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(460.0);
         ui.heading("Render a turntable");
         ui.label(RichText::new("PNG pictures of a full turn, as the model is seen now.").weak());
@@ -34,9 +26,11 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
             let frames = DragValue::new(&mut turntable.frames).range(2..=FrameFolder::MOST);
             let frames = ui.add(frames);
             frames.ctx.accesskit_node_builder(frames.id, |node| node.set_label("Frames"));
-            let seconds = f64::from(turntable.frames) / RATE;
+            let seconds = f64::from(turntable.frames) / f64::from(RATE);
             ui.label(RichText::new(format!("{seconds:.1} s at 30 frames a second")).weak());
         });
+        ui.add_space(4.0);
+        render::fields(ui, &mut turntable.format, shown);
         ui.add_space(4.0);
         ui.horizontal(|ui| {
             ui.label("Folder");
@@ -65,7 +59,7 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
     match done {
         Some(Answer::Render) => {
             window.turntable = None;
-            begin(window, Path::new(turntable.folder.trim()), turntable.frames);
+            begin(window, Path::new(turntable.folder.trim()), turntable.frames, turntable.format);
         }
         Some(Answer::Cancel) => window.turntable = None,
         Some(Answer::Browse) => {

@@ -1,6 +1,6 @@
 //! What is shown where nothing is open.
 
-use super::{ago, progress};
+use super::{ago, lesson, progress};
 use crate::dialogs::Purpose;
 use crate::theme;
 use crate::window::Window;
@@ -11,7 +11,7 @@ use simod_viewer::engine::Job;
 use simod_viewer::state;
 
 /// Recent files that are offered.
-const RECENT: usize = 6;
+const RECENT: usize = 5;
 const SIZE: Vec2 = vec2(440.0, 440.0);
 
 /// Ways to begin.
@@ -54,6 +54,12 @@ fn content(ui: &mut Ui, window: &mut Window) {
     ui.label(RichText::new("or drop a model, a session, or a folder of samples here").weak().small());
     ui.add_space(14.0);
     samples(ui, window);
+    ui.add_space(14.0);
+    ui.label(RichText::new("Lessons").strong());
+    ui.label(
+        RichText::new("A few minutes each, done on a small model with what to do beside it").weak().small(),
+    );
+    lesson::list(ui, window);
     recent(ui, window);
 }
 

@@ -1,10 +1,17 @@
-//! Joints, placed by clicks.
+//! Joints, placed by clicks, and chains of them by drags.
 
 use super::Target;
 use crate::viewport::{Canvas, handles};
 use crate::window::Window;
-use eframe::egui::CursorIcon;
+use eframe::egui::{Color32, CursorIcon, Pos2, Shape, Stroke};
+use glam::{DVec2, DVec3};
+use simod_session::edit::Change;
+use simod_session::session_file::Deformation;
 use simod_viewer::Command;
+use simod_viewer::skeleton::chained;
+
+/// From so many points of the screen on, a press that moves is a drag.
+const LEAST: f32 = 14.0;
 
 pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     let Some((step, _, deformation, plugin)) = window.chosen() else { return false };
@@ -14,23 +21,32 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     if canvas.is_hovered() {
         canvas.ctx().set_cursor_icon(CursorIcon::Crosshair);
     }
+    if canvas.is_pressed() {
+        window.tools.chain_from = canvas.press();
+    }
+    if let Some(from) = window.tools.chain_from.map(DVec2::from)
+        && let Some(to) = canvas.pointer()
+    {
+        let is_drag = canvas.at(from).distance(canvas.at(to)) > LEAST;
+        if canvas.is_down() {
+            if is_drag {
+                draw(canvas, from, to, window.tools.chain);
+            }
+            return is_drag;
+        }
+        window.tools.chain_from = None;
+        if is_drag {
+            chain(canvas, window, step, &deformation, from, to);
+            return true;
+        }
+    }
     if !canvas.is_clicked() || handles::take(canvas, window) {
         return false;
     }
     let Some(pixel) = canvas.pointer() else { return false };
-    // Bones lie in the middle of what they carry; with Shift, on the surface.
-    let at = if canvas.modifiers().shift {
-        let hit = window.state_mut().pick(pixel);
-        hit.and_then(|hit| window.state().in_step(step, &hit))
-    } else {
-        window.state_mut().pick_middle(step, pixel)
-    };
-    let Some(at) = at else { return false };
+    let Some(at) = place(canvas, window, step, pixel) else { return false };
+    let parent = parent(window, &deformation);
     let is_joint = |id: &String| deformation.joints.iter().any(|joint| joint.id == *id);
-    let parent = match &window.tools.target {
-        Some(Target::Handle(id)) if is_joint(id) => Some(id.clone()),
-        _ => deformation.joints.last().map(|joint| joint.id.clone()),
-    };
     let id = (1..).map(|i| format!("joint-{i}")).find(|id| !is_joint(id));
     if let Some(id) = id
         && window.apply(Command::PlaceJoint { step, id: id.clone(), at, parent })
@@ -38,4 +54,65 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
         window.tools.target = Some(Target::Handle(id));
     }
     false
+}
+
+/// Bones lie in the middle of what they carry; with Shift, on the surface.
+fn place(canvas: &Canvas<'_>, window: &mut Window, step: usize, pixel: DVec2) -> Option<DVec3> {
+    if canvas.modifiers().shift {
+        let hit = window.state_mut().pick(pixel);
+        hit.and_then(|hit| window.state().in_step(step, &hit))
+    } else {
+        window.state_mut().pick_middle(step, pixel)
+    }
+}
+
+/// What a new joint hangs on: the one in the hand, or the last one.
+fn parent(window: &Window, deformation: &Deformation) -> Option<String> {
+    match &window.tools.target {
+        Some(Target::Handle(id)) if deformation.joints.iter().any(|joint| joint.id == *id) => {
+            Some(id.clone())
+        }
+        _ => deformation.joints.last().map(|joint| joint.id.clone()),
+    }
+}
+
+/// Where the joints of a chain are between the ends of a drag.
+fn pixels(from: DVec2, to: DVec2, count: usize) -> impl Iterator<Item = DVec2> {
+    (0..count).map(move |i| from.lerp(to, i as f64 / (count - 1).max(1) as f64))
+}
+
+fn chain(
+    canvas: &Canvas<'_>,
+    window: &mut Window,
+    step: usize,
+    deformation: &Deformation,
+    from: DVec2,
+    to: DVec2,
+) {
+    // One that begins at a joint goes on from there.
+    let begins = handles::joint_at(canvas, window, from);
+    let skipped = usize::from(begins.is_some());
+    let parent = begins.or_else(|| parent(window, deformation));
+    let places: Vec<DVec3> = pixels(from, to, window.tools.chain + skipped)
+        .skip(skipped)
+        .filter_map(|pixel| place(canvas, window, step, pixel))
+        .collect();
+    if places.is_empty() {
+        return;
+    }
+    let joints = chained(&deformation.joints, &places, parent);
+    let last = joints.last().map(|joint| joint.id.clone());
+    if window.change(step, Change::SetJoints(joints), false) {
+        window.tools.target = last.map(Target::Handle);
+    }
+}
+
+/// The chain that would be placed.
+fn draw(canvas: &Canvas<'_>, from: DVec2, to: DVec2, count: usize) {
+    let points: Vec<Pos2> = pixels(from, to, count).map(|pixel| canvas.at(pixel)).collect();
+    let painter = canvas.painter();
+    painter.add(Shape::line(points.clone(), Stroke::new(2.0, Color32::WHITE)));
+    for at in points {
+        painter.circle(at, 4.5, Color32::WHITE, Stroke::new(1.4, Color32::from_black_alpha(200)));
+    }
 }

@@ -2,6 +2,7 @@
 
 pub mod gizmo;
 mod joint;
+pub mod measure;
 mod select;
 mod stroke;
 pub mod transform;
@@ -10,6 +11,7 @@ use crate::viewport::Canvas;
 use crate::window::Window;
 use eframe::egui::{CursorIcon, Key, Modifiers};
 use glam::DVec3;
+use measure::Measuring;
 use simod_session::edit::StepId;
 use simod_viewer::selection::Combine;
 use std::collections::BTreeSet;
@@ -29,6 +31,7 @@ pub enum Tool {
     Connected,
     Stroke,
     Joint,
+    Measure,
 }
 
 impl Tool {
@@ -45,6 +48,7 @@ impl Tool {
             Self::Connected => "Select Connected",
             Self::Stroke => "Brush Stroke",
             Self::Joint => "Place Joints",
+            Self::Measure => "Measure",
         }
     }
 
@@ -60,7 +64,12 @@ impl Tool {
             Self::Box => "Draw a box round samples. Shift adds, Ctrl takes away.",
             Self::Connected => "Click a part. Shift adds, Ctrl takes away.",
             Self::Stroke => "Paint on the surface. [ and ] change the size.",
-            Self::Joint => "Click the surface to place a joint; it hangs on the one that is chosen.",
+            Self::Joint => {
+                "Click to place a joint, drag to place a chain; it hangs on the one that is chosen."
+            }
+            Self::Measure => {
+                "Click points on the surface: how far apart, and at which angle. Drag one to move it."
+            }
         }
     }
 
@@ -125,6 +134,16 @@ pub struct Tools {
     pub stroke_radius: f64,
     /// Of strokes.
     pub strength: f64,
+    /// Joints of a chain that is dragged, and where its drag began, in pixels.
+    pub chain: usize,
+    chain_from: Option<[f64; 2]>,
+    /// A joint whose name is typed, and the name so far.
+    pub naming: Option<(String, String)>,
+    /// How wide the band around a new handle is that bends, as a part of the model's diagonal.
+    pub band: f64,
+    /// What is measured, and the point of it that is held.
+    pub measuring: Measuring,
+    pub measured_point: Option<usize>,
     /// Pixels that the pointer went along, while a selection is drawn.
     path: Vec<[f64; 2]>,
     /// Whether the button is held that paints, wherever it was pressed.
@@ -155,6 +174,12 @@ impl Default for Tools {
             radius: 30.0,
             stroke_radius: 0.06,
             strength: 1.0,
+            chain: 4,
+            chain_from: None,
+            naming: None,
+            band: 0.1,
+            measuring: Measuring::Distance,
+            measured_point: None,
             path: Vec::new(),
             painting: false,
             plane: None,
@@ -178,6 +203,7 @@ impl Tools {
     pub fn reset(&mut self) {
         (self.target, self.pivot, self.plane) = (None, None, None);
         (self.others, self.transforming, self.begins) = (None, None, None);
+        (self.measured_point, self.chain_from, self.naming) = (None, None, None);
         self.path.clear();
         (self.dragging, self.painting) = (false, false);
     }
@@ -188,13 +214,14 @@ impl Tools {
             || self.dragging
             || self.painting
             || self.plane.is_some()
+            || self.measured_point.is_some()
             || !self.path.is_empty()
     }
 
     /// Whether options of the tool are shown over the picture.
     pub fn has_options(&self) -> bool {
         let moves = self.tool.is_gizmo() && matches!(self.target, Some(Target::Handle(_)));
-        self.tool.selects() || self.tool == Tool::Stroke || moves
+        self.tool.selects() || matches!(self.tool, Tool::Stroke | Tool::Measure | Tool::Joint) || moves
     }
 
     /// The handles of the chosen step that its plugin placed and that are in the hand.
@@ -259,5 +286,6 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
         }
         Tool::Stroke => stroke::update(canvas, window),
         Tool::Joint => joint::update(canvas, window),
+        Tool::Measure => measure::update(canvas, window),
     }
 }

@@ -3,7 +3,7 @@
 
 use super::gizmo::Place;
 use super::{Target, Tool};
-use crate::panels::number;
+use crate::numbers::number;
 use crate::viewport::Canvas;
 use crate::window::Window;
 use eframe::egui::{self, Align2, Color32, CursorIcon, Event, FontId, Key, PointerButton, Stroke};

@@ -60,6 +60,7 @@ impl Emerging {
         let view = view(&camera, size, self.bounds);
         let style = Style {
             background: window.settings.theme.background(),
+            light: window.settings.light.light(),
             occlusion: window.settings.occlusion,
             ..Style::default()
         };

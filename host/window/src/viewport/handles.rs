@@ -154,6 +154,17 @@ fn bone(canvas: &Canvas<'_>, from: Pos2, to: Pos2) {
     ));
 }
 
+/// The joint of the chosen step that is seen at a pixel.
+pub fn joint_at(canvas: &Canvas<'_>, window: &Window, pixel: glam::DVec2) -> Option<String> {
+    let (_, _, deformation, _) = window.chosen()?;
+    let at = canvas.at(pixel);
+    let is_joint = |id: &String| deformation.joints.iter().any(|joint| joint.id == *id);
+    dots(canvas, window).into_iter().find_map(|dot| match dot.target {
+        Target::Handle(id) if dot.at.distance(at) < REACH && is_joint(&id) => Some(id),
+        _ => None,
+    })
+}
+
 /// Takes the handle under the pointer, or the handle region that the surface there belongs to. Whether there
 /// is one.
 pub fn take(canvas: &Canvas<'_>, window: &mut Window) -> bool {

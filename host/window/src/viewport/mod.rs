@@ -183,6 +183,9 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         } else if !taken {
             navigate::update(&canvas(main, false), window, window.tools.tool);
         }
+        if places.now.is_some() {
+            tools::measure::draw(&canvas(main, false), window);
+        }
         let pictures = places.pictures(viewport, window);
         whole.set(picture, egui::Shape::Vec(pictures));
         versions::captions(ui, rect, &places, window);

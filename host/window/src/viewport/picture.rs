@@ -5,7 +5,7 @@ use super::colors::Colors;
 use super::detail::{Pieces, sample_dots, sample_radii};
 use super::emerging::Emerging;
 use super::texture::Texture;
-use crate::screenshot::{disc_radii, view};
+use crate::screenshot::{disc_radii, seen_clip, view};
 use crate::settings::Theme;
 use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
@@ -184,7 +184,9 @@ impl Drawing {
             mode: window.mode(),
             own_colors: self.colors_are_own(),
             background: window.settings.theme.background(),
+            light: window.settings.light.light(),
             occlusion: window.settings.occlusion,
+            clip: seen_clip(window.state()),
             ..Style::default()
         };
         let started = Instant::now();

@@ -167,7 +167,7 @@ fn a_turntable_is_whole_or_not_there() {
     turntable::write(&shot, &turn, 3, &Silent).unwrap();
     let frames = ["frame-0001.png", "frame-0002.png", "frame-0003.png"];
     assert_eq!(names(&turn), frames);
-    simod_window::screenshot::write(&mut state, &plain).unwrap();
+    simod_window::screenshot::write(&mut state, &plain, Default::default()).unwrap();
     let read = |name: &str| std::fs::read(turn.join(name)).unwrap();
     assert!(std::fs::read(&plain).unwrap() == read(frames[0]), "the first frame is the picture");
     let again = folder.path().join("again");
@@ -227,6 +227,11 @@ fn a_turntable_is_rendered_from_the_menu_and_stopped() {
             assert!(Instant::now() < end, "it takes too long");
             harness.run_steps(1);
             std::thread::sleep(Duration::from_millis(20));
+        }
+        if !stops {
+            harness.run_steps(2);
+            harness.get_by_label("Close").click();
+            harness.run_steps(2);
         }
         // The first one stays where the second one was stopped.
         assert_eq!(names(&turn).len(), 2);

@@ -6,6 +6,7 @@ use egui_kittest::kittest::Queryable;
 use glam::DVec3;
 use simod_session::Motion;
 use simod_session::edit::{self, Change};
+use simod_session::session_file::{Region, Role};
 use simod_viewer::command::Area;
 use simod_window::Tool;
 
@@ -215,4 +216,169 @@ fn a_click_that_is_quicker_than_a_picture_selects() {
     settle(&mut harness);
     let state = harness.state().window().state();
     assert_eq!(state.selection().count(), state.scene().unwrap().len());
+}
+
+/// A handle with what is around it fixed is made at once, and undone at once; a band that is too wide says so.
+#[test]
+fn a_handle_is_made_with_what_is_around_it_fixed() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+    done(&mut harness, Command::AddStep { plugin: "laplacian".to_owned(), at: None });
+    let scene = harness.state().window().state().scene().unwrap().clone();
+    let [min, max] = scene.bounds();
+    let top = |p: &glam::Vec3| p.y > max.y - 0.2 * (max.y - min.y);
+    let marks: Vec<bool> = scene.positions.iter().map(top).collect();
+    let area = Area::Runs(simod_viewer::Selection::of(marks.clone()).runs());
+    let select = Command::Select { area, combine: Default::default(), visible: false, goes_on: false };
+    done(&mut harness, select.clone());
+    harness.run_steps(3);
+    assert!(harness.query_by_label("Band that bends").is_some());
+    harness.get_by_label("Make Handle, Fix Around").click();
+    settle(&mut harness);
+    let regions = || harness.state().window().chosen().unwrap().2.regions;
+    let made = regions();
+    let roles: Vec<Role> = made.iter().map(|region| region.role).collect();
+    assert_eq!(roles, [Role::Handle, Role::Fixed]);
+    // What is fixed is beyond the band, along the surface, and all of that is.
+    let diagonal = (scene.sampled.bounds.max - scene.sampled.bounds.min).length();
+    let height = |p: &glam::Vec3| scene.frame().to_model(*p).y;
+    let lowest = scene.positions.iter().filter(|p| top(p)).map(height).fold(f64::INFINITY, f64::min);
+    for p in scene.positions.iter().filter(|p| !top(p)) {
+        let below = lowest - height(p);
+        let fixed = made[1].shapes.weight(scene.frame().to_model(*p)) > 0.5;
+        // Samples are this far apart, and ways along them are not straight.
+        assert!(!fixed || below > 0.1 * diagonal * 0.7, "{below} of {diagonal}");
+        assert!(fixed || below < 0.1 * diagonal * 1.3, "{below} of {diagonal}");
+    }
+    assert!(harness.state().window().state().selection().is_empty());
+    done(&mut harness, Command::Undo);
+    assert!(harness.state().window().chosen().unwrap().2.regions.is_empty());
+    // Nothing is beyond so wide a band.
+    done(&mut harness, select);
+    assert!(!harness.state_mut().window_mut().apply(Command::MakeHandle { step: 0, band: 100.0 }));
+    let texts: Vec<String> = harness.state().window().toasts.texts().map(str::to_owned).collect();
+    assert!(texts.iter().any(|text| text.contains("nothing is left to be fixed")), "{texts:?}");
+}
+
+/// What a plugin says to do about its parameters is a button.
+#[test]
+fn what_a_plugin_says_to_do_is_a_button() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+    done(&mut harness, Command::AddStep { plugin: "rbf".to_owned(), at: None });
+    // A handle that turns beside what stays, by far too few centres.
+    let sphere = |y: f64, radius: f64| simod_session::Shape::Sphere { center: glam::DVec3::Y * y, radius };
+    let region = |role, shape, motion| Region {
+        role,
+        shapes: simod_session::Shapes { shapes: vec![shape], falloff: 0.0 },
+        motion,
+    };
+    let turn = simod_session::Motion {
+        axis: glam::DVec3::Y,
+        degrees: 170.0,
+        pivot: Some(glam::DVec3::Y),
+        ..Default::default()
+    };
+    let regions = vec![
+        region(Role::Handle, sphere(1.6, 0.5), turn),
+        region(Role::Fixed, sphere(0.5, 0.5), Default::default()),
+    ];
+    for change in [
+        Change::SetRegions(regions),
+        Change::SetParam { id: "max-centers".into(), value: Some(8.into()) },
+        Change::SetParam { id: "tolerance".into(), value: Some(1e-6.into()) },
+    ] {
+        done(&mut harness, Command::Edit(simod_session::edit::Command::Change { at: 0, change }));
+    }
+    harness.run_steps(3);
+    let told = harness.query_by_label_contains("motion is met to").is_some();
+    assert!(told, "{:?}", harness.state().window().state().scene().unwrap().statuses);
+    harness.get_by_label("Raise Most centres to 32").click();
+    settle(&mut harness);
+    let params = harness.state().window().chosen().unwrap().2.params;
+    assert_eq!(params.get("max-centers"), Some(&32.into()));
+}
+
+/// A drag places a chain, whose joints are renamed, and mirrored to the other side.
+#[test]
+fn a_chain_of_joints_is_dragged_renamed_and_mirrored() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    // All of the panel is seen.
+    harness.set_size(egui::vec2(1440.0, 1700.0));
+    harness.run_steps(3);
+    open(&mut harness, &model(folder.path()));
+    for step in [
+        simod_viewer::command::CameraMove::Look(simod_viewer::camera::Standard::Front),
+        simod_viewer::command::CameraMove::FrameAll,
+    ] {
+        done(&mut harness, Command::Camera(step));
+    }
+    done(&mut harness, Command::AddStep { plugin: "skinning".to_owned(), at: None });
+    harness.state_mut().window_mut().tools.take(Tool::Joint);
+    harness.run_steps(3);
+    assert_eq!(harness.state().window().tools.chain, 4);
+    assert!(harness.query_by_label("Joints of a chain").is_some());
+    let middle = harness.get_by_label("Model").rect().center() + egui::vec2(30.0, 0.0);
+    let [from, to] = [150.0, -150.0].map(|y| middle + egui::vec2(0.0, y));
+    drag(&mut harness, from, to);
+    let joints = |harness: &Harness<'_, App>| harness.state().window().chosen().unwrap().2.joints;
+    let chain = joints(&harness);
+    assert_eq!(chain.len(), 4);
+    for (i, pair) in chain.windows(2).enumerate() {
+        assert_eq!(pair[1].parent.as_ref(), Some(&pair[0].id), "{i}");
+        assert!(pair[1].at.y > pair[0].at.y, "upwards");
+    }
+    assert_eq!(chain[0].parent, None);
+    // In the middle of the bar as it is deep, beside it as it is wide.
+    assert!(chain.iter().all(|joint| joint.at.z.abs() < 0.03 && joint.at.x > 0.02), "{chain:?}");
+
+    harness.get_by_label("Rename joint-2").click();
+    harness.run_steps(3);
+    harness.get_by_label("Name of joint-2").focus();
+    harness.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::A);
+    harness.event(egui::Event::Text("left-arm".to_owned()));
+    harness.run_steps(2);
+    harness.key_press(egui::Key::Enter);
+    settle(&mut harness);
+    let renamed = joints(&harness);
+    assert_eq!((&*renamed[1].id, renamed[2].parent.as_deref()), ("left-arm", Some("left-arm")));
+
+    harness.get_by_label("Mirror").click();
+    harness.run_steps(3);
+    harness.get_by_label_contains("left and right").click();
+    settle(&mut harness);
+    let both = joints(&harness);
+    assert_eq!(both.len(), 8);
+    let right = both.iter().find(|joint| joint.id == "right-arm").unwrap();
+    assert!((right.at.x + renamed[1].at.x).abs() < 0.02 && right.at.y == renamed[1].at.y, "{right:?}");
+    // A chain that begins at a joint goes on from it: the first is not placed twice.
+    harness.state_mut().window_mut().tools.take(Tool::Joint);
+    harness.run_steps(2);
+    drag(&mut harness, to, from + egui::vec2(-60.0, 0.0));
+    let more = joints(&harness);
+    assert_eq!(more.len(), 12);
+    assert_eq!(more[8].parent.as_deref(), Some(&*chain[3].id));
+}
+
+fn drag(harness: &mut Harness<'_, App>, from: egui::Pos2, to: egui::Pos2) {
+    let button = |pos, pressed| egui::Event::PointerButton {
+        pos,
+        button: egui::PointerButton::Primary,
+        pressed,
+        modifiers: egui::Modifiers::NONE,
+    };
+    harness.event(egui::Event::PointerMoved(from));
+    harness.run_steps(1);
+    harness.event(button(from, true));
+    harness.run_steps(1);
+    for i in 1..=4 {
+        harness.event(egui::Event::PointerMoved(from.lerp(to, i as f32 / 4.0)));
+        harness.run_steps(1);
+    }
+    harness.event(button(to, false));
+    harness.run_steps(2);
+    settle(harness);
 }

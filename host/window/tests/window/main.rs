@@ -6,6 +6,8 @@ mod compare;
 mod detail;
 mod edit;
 mod files;
+mod lessons;
+mod looking;
 mod motion;
 mod parameters;
 mod picture;

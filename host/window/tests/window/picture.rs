@@ -18,6 +18,18 @@ pub fn can_draw() -> bool {
     }
 }
 
+/// What the window looks like. It is kept to be looked at, where `SIMOD_PICTURES` names a folder for it.
+pub fn drawn(harness: &mut Harness<'_, App>, name: &str) -> Image {
+    let shown = harness.render().unwrap();
+    let pixels = shown.pixels().map(|p| [p.0[0], p.0[1], p.0[2]]).collect();
+    let image = Image::from_pixels(shown.width(), shown.height(), pixels).unwrap();
+    if let Some(folder) = std::env::var_os("SIMOD_PICTURES") {
+        let file = Path::new(&folder).join(format!("{name}.png"));
+        std::fs::write(file, image.to_png().unwrap()).unwrap();
+    }
+    image
+}
+
 /// A window with nothing open, and something to draw with.
 pub fn drawn_window() -> Harness<'static, App> {
     let plugins = plugins();
@@ -32,20 +44,15 @@ fn the_window_shows_the_model() {
     }
     let folder = tempfile::tempdir().unwrap();
     let mut harness = drawn_window();
-    let empty = harness.render().unwrap();
+    let empty = drawn(&mut harness, "empty");
     open(&mut harness, &model(folder.path()));
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
     harness.run_steps(8);
-    let shown = harness.render().unwrap();
-    if let Some(folder) = std::env::var_os("SIMOD_PICTURES") {
-        let pixels = shown.pixels().map(|p| [p.0[0], p.0[1], p.0[2]]).collect();
-        let image = Image::from_pixels(shown.width(), shown.height(), pixels).unwrap();
-        std::fs::write(Path::new(&folder).join("window.png"), image.to_png().unwrap()).unwrap();
-    }
+    let shown = drawn(&mut harness, "window");
     assert_eq!((shown.width(), shown.height()), (1280, 800));
-    assert_ne!(empty.as_raw(), shown.as_raw());
+    assert!(empty != shown);
     // The bar stands in the middle of the picture, lighter than the dark background around it.
-    let light = |x: u32, y: u32| shown.get_pixel(x, y).0[..3].iter().map(|c| u32::from(*c)).sum::<u32>();
+    let light = |x: u32, y: u32| shown.pixel(x, y).unwrap().iter().map(|c| u32::from(*c)).sum::<u32>();
     let middle = (48 + (1280 - 324)) / 2;
     assert!(light(middle, 400) > light(80, 400) + 60, "{} and {}", light(middle, 400), light(80, 400));
 }

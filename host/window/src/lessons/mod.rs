@@ -1,0 +1,119 @@
+//! Lessons: edits of generated models, done by the user with the window beside. Each part says what to do, and goes on
+//! as soon as it is done, by whatever way; or does it itself, by the commands that the user would give.
+
+mod doing;
+mod texts;
+
+use crate::example;
+use crate::tools::Tool;
+use crate::window::Window;
+use simod_generate::Shape;
+use simod_model::Result;
+use simod_session::session_file::Sampling;
+use simod_viewer::{Camera, Command, Overlay, state};
+use std::path::PathBuf;
+pub use texts::ALL;
+
+/// Enough for smooth surfaces, and few enough that all answers at once.
+const VERTICES: u64 = 60_000;
+const SAMPLES: u64 = 20_000;
+
+/// One lesson.
+pub struct Lesson {
+    /// What the user reads of it in menus.
+    pub title: &'static str,
+    /// What is learnt.
+    pub about: &'static str,
+    /// The model that it is done on.
+    shape: Shape,
+    file: &'static str,
+    /// What is done.
+    pub parts: &'static [Part],
+    /// What is left to say.
+    pub ends: &'static str,
+}
+
+/// One thing to do.
+pub struct Part {
+    /// What the user reads.
+    pub text: &'static str,
+    /// Whether it is done, from where the camera was when it began.
+    done: fn(&Window, &Camera) -> bool,
+    /// Does it.
+    run: fn(&mut Window),
+}
+
+/// The lesson that is being done.
+pub struct Running {
+    /// Its place among [`ALL`].
+    pub lesson: usize,
+    /// The part that is to be done; as many as there are parts once all are.
+    pub part: usize,
+    model: PathBuf,
+    /// Where the camera was when the part began.
+    began: Option<Camera>,
+}
+
+impl Running {
+    /// What is being done.
+    pub fn lesson(&self) -> &'static Lesson {
+        &ALL[self.lesson]
+    }
+
+    /// What is to be done now; nothing once all is.
+    pub fn part(&self) -> Option<&'static Part> {
+        self.lesson().parts.get(self.part)
+    }
+
+    /// Whether its model is open.
+    pub fn is_open(&self, window: &Window) -> bool {
+        let is_it = |path: PathBuf| window.opened() == Some(&*path);
+        is_it(self.model.clone()) && window.state().scene().is_some() && !window.state().is_opening()
+    }
+}
+
+/// Opens a lesson's model, and begins.
+pub fn begin(window: &mut Window, lesson: usize) {
+    match open(window, lesson) {
+        Ok(model) => {
+            // What the lesson before showed is not what this one is about.
+            window.apply(Command::Show(Overlay::None));
+            (window.looks.side_by_side, window.looks.pinned_in_place) = (false, false);
+            window.tools.take(Tool::Orbit);
+            window.lesson = Some(Running { lesson, part: 0, model, began: None });
+        }
+        Err(error) => window.toasts.error(&error),
+    }
+}
+
+fn open(window: &mut Window, lesson: usize) -> Result<PathBuf> {
+    let Lesson { shape, file, .. } = &ALL[lesson];
+    let model = example::model(file, *shape, VERTICES)?;
+    // What was left of the lesson before is not what it begins with.
+    state::forget(&model)?;
+    window.ask_to_open_sampled(model.clone(), Sampling { samples: Some(SAMPLES), ..Sampling::default() });
+    Ok(model)
+}
+
+/// Goes on where something is done. To be called before each picture.
+pub fn update(window: &mut Window) {
+    let Some(mut running) = window.lesson.take() else { return };
+    if running.is_open(window) {
+        let began = *running.began.get_or_insert(*window.state().camera());
+        // What a hand is doing is done once it rests.
+        let rests = !window.tools.is_dragging() && !window.state().is_drawing();
+        if rests && running.part().is_some_and(|part| (part.done)(window, &began)) {
+            (running.part, running.began) = (running.part + 1, None);
+            window.ctx().request_repaint();
+        }
+    }
+    window.lesson = Some(running);
+}
+
+/// Does the part that is to be done.
+pub fn do_it(window: &mut Window) {
+    let part = window.lesson.as_ref().filter(|running| running.is_open(window)).and_then(Running::part);
+    if let Some(part) = part {
+        (part.run)(window);
+    }
+}

@@ -1,0 +1,102 @@
+//! The lesson that is being done: what to do next.
+
+use super::card;
+use super::clip;
+use crate::lessons::{self, ALL, Running};
+use crate::theme;
+use crate::window::Window;
+use eframe::egui::{Align2, Area, Button, Color32, Id, Order, Rect, RichText, Sense, Ui, vec2};
+
+const MARGIN: f32 = 12.0;
+const WIDTH: f32 = 300.0;
+/// How much of the picture's height it takes at most.
+pub const HEIGHT: f32 = 170.0;
+
+enum Answer {
+    DoIt,
+    Begin(usize),
+    End,
+}
+
+/// At the lower left, while one is done.
+pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
+    let Some(running) = window.lesson.take() else { return };
+    let below = if window.state().clipped().is_some() { clip::HEIGHT } else { 0.0 };
+    let area = Area::new(Id::unique("lesson")).order(Order::Middle).movable(false);
+    let area = area.pivot(Align2::LEFT_BOTTOM).fixed_pos(rect.left_bottom() + vec2(MARGIN, -MARGIN - below));
+    let mut answer = None;
+    area.show(ui.ctx(), |ui| {
+        card(ui).show(ui, |ui| {
+            ui.set_width(WIDTH.min(rect.width() - 60.0));
+            answer = content(ui, window, &running);
+        });
+    });
+    window.lesson = Some(running);
+    match answer {
+        Some(Answer::DoIt) => lessons::do_it(window),
+        Some(Answer::Begin(lesson)) => lessons::begin(window, lesson),
+        Some(Answer::End) => window.lesson = None,
+        None => {}
+    }
+}
+
+fn content(ui: &mut Ui, window: &Window, running: &Running) -> Option<Answer> {
+    let lesson = running.lesson();
+    ui.horizontal(|ui| {
+        ui.label(RichText::new(lesson.title).strong());
+        for i in 0..lesson.parts.len() {
+            let (dot, _) = ui.allocate_exact_size(vec2(9.0, 9.0), Sense::hover());
+            let color = match i {
+                i if i < running.part => theme::ACCENT,
+                i if i == running.part => ui.visuals().strong_text_color(),
+                _ => ui.visuals().weak_text_color().gamma_multiply(0.5),
+            };
+            ui.painter().circle_filled(dot.center(), 3.5, color);
+        }
+    });
+    ui.add_space(3.0);
+    if !running.is_open(window) {
+        ui.label(RichText::new("Its model is not open.").weak());
+        return ui
+            .horizontal(|ui| {
+                let again = ui.button("Open It").clicked().then_some(Answer::Begin(running.lesson));
+                again.or(ui.button("End Lesson").clicked().then_some(Answer::End))
+            })
+            .inner;
+    }
+    let Some(part) = running.part() else {
+        ui.label(lesson.ends);
+        ui.add_space(4.0);
+        return ui
+            .horizontal(|ui| {
+                let next = running.lesson + 1;
+                let text = RichText::new("Next Lesson").color(Color32::WHITE);
+                let goes_on = next < ALL.len() && ui.add(Button::new(text).fill(theme::ACCENT)).clicked();
+                goes_on
+                    .then_some(Answer::Begin(next))
+                    .or(ui.button("End Lesson").clicked().then_some(Answer::End))
+            })
+            .inner;
+    };
+    ui.label(part.text);
+    ui.add_space(4.0);
+    ui.horizontal(|ui| {
+        let does = ui.button("Do It for Me").on_hover_text("Does this part as you would").clicked();
+        let end = ui.button("End Lesson").clicked();
+        let count = format!("{} of {}", running.part + 1, lesson.parts.len());
+        ui.label(RichText::new(count).weak().small());
+        does.then_some(Answer::DoIt).or(end.then_some(Answer::End))
+    })
+    .inner
+}
+
+/// The lessons, each to be begun.
+pub fn list(ui: &mut Ui, window: &mut Window) {
+    for (i, lesson) in ALL.iter().enumerate() {
+        ui.horizontal(|ui| {
+            if ui.link(format!("{}. {}", i + 1, lesson.title)).on_hover_text(lesson.about).clicked() {
+                lessons::begin(window, i);
+            }
+        });
+    }
+}

@@ -1,0 +1,73 @@
+//! How large a picture of the model is, and where it goes.
+
+use super::frames::modal;
+use super::render;
+use crate::dialogs::Purpose;
+use crate::screenshot::shown_size;
+use crate::theme;
+use crate::turntable::begin_picture;
+use crate::window::Window;
+use eframe::egui::{self, Button, Color32, Id, Modal, RichText, TextEdit};
+use std::path::Path;
+
+enum Answer {
+    Save,
+    Browse,
+    Cancel,
+}
+
+/// Shows it while it is asked.
+pub fn show(ctx: &egui::Context, window: &mut Window) {
+    let Some(mut picture) = window.picture.clone() else { return };
+    let shown = shown_size(window);
+    let mut done = None;
+    let modal = Modal::new(Id::unique("picture")).frame(modal(ctx)).show(ctx, |ui| {
+        ui.set_width(460.0);
+        ui.heading("Save a picture");
+        let what = "The model as it is seen now, without selection, handles and what is measured.";
+        ui.label(RichText::new(what).weak());
+        ui.add_space(8.0);
+        render::fields(ui, &mut picture.format, shown);
+        ui.add_space(4.0);
+        ui.horizontal(|ui| {
+            ui.label("File");
+            if ui.button("Browse\u{2026}").clicked() {
+                done = Some(Answer::Browse);
+            }
+            let field = TextEdit::singleline(&mut picture.file).desired_width(f32::INFINITY);
+            let field = ui.add(field.hint_text("A PNG file"));
+            field.ctx.accesskit_node_builder(field.id, |node| node.set_label("File of the picture"));
+        });
+        if Path::new(picture.file.trim()).is_file() {
+            ui.label(RichText::new("This file is there: it is replaced.").color(ui.visuals().warn_fg_color));
+        }
+        ui.add_space(10.0);
+        ui.horizontal(|ui| {
+            let save = Button::new(RichText::new("Save").color(Color32::WHITE)).fill(theme::ACCENT);
+            let named = !picture.file.trim().is_empty();
+            if ui.add_enabled(named, save.min_size(egui::vec2(80.0, 0.0))).clicked() {
+                done = Some(Answer::Save);
+            }
+            if ui.button("Cancel").clicked() {
+                done = Some(Answer::Cancel);
+            }
+        });
+    });
+    if modal.should_close() && window.prompt.is_none() {
+        done = done.or(Some(Answer::Cancel));
+    }
+    match done {
+        Some(Answer::Save) => {
+            window.picture = None;
+            let path = Path::new(picture.file.trim());
+            let path = if path.extension().is_some() { path.to_owned() } else { path.with_extension("png") };
+            begin_picture(window, &path, picture.format);
+        }
+        Some(Answer::Cancel) => window.picture = None,
+        Some(Answer::Browse) => {
+            window.picture = Some(picture);
+            window.ask(Purpose::Picture);
+        }
+        None => window.picture = Some(picture),
+    }
+}
