@@ -786,7 +786,7 @@ pub trait Model: Send + Sync {
                 self.path().display(),
                 self.info().format
             ),
-            "properties follow in PLY, PCD, LAS and columns of text: have `simod convert` make such a file first",
+            "properties follow in PLY, PCD, LAS, E57 and columns of text: have `simod convert` make such a file first",
         ))
     }
 

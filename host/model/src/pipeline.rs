@@ -354,7 +354,8 @@ impl<'a, 'o, F: Rewritable> RewriteCall<'a, 'o, F> {
     /// Appends to the versions of a chunk what becomes of the vertices [beside](VertexChunk::beside) it.
     fn edit_beside(&self, chunk: &VertexChunk, edited: &mut [Edited]) -> Result<()> {
         let (beside, mut first) = (&chunk.beside, 0);
-        let (mut group, mut versions) = (VertexChunk::default(), Vec::new());
+        let (mut group, mut versions) =
+            (VertexChunk { follows: chunk.follows, ..VertexChunk::default() }, Vec::new());
         versions.resize_with(edited.len(), Edited::default);
         for count in &beside.groups {
             let range = first..first + count;
@@ -369,6 +370,7 @@ impl<'a, 'o, F: Rewritable> RewriteCall<'a, 'o, F> {
                 of_group.check(&group, self.how.normals)?;
                 version.positions.extend_from_slice(&of_group.positions);
                 version.normals.extend_from_slice(&of_group.normals);
+                version.gradients.extend_from_slice(&of_group.gradients);
             }
         }
         Ok(())

@@ -8,6 +8,7 @@ use super::header::{Header, LENGTH};
 use super::packets::{Packets, Walk};
 use super::pages::{DAMAGED, Window, physical};
 use super::scan::{NUMBER, Scan, TooWide};
+use crate::follow::Following;
 use crate::source::Source;
 use crate::{Attribute, Error, ErrorKind, ModelInfo, Result, Scalar, Type};
 use glam::DVec3;
@@ -27,6 +28,8 @@ pub struct E57Model {
     pub(super) images: usize,
     /// For each scan, those attributes that it has, and which of its fields they are; ascending.
     pub(super) attributes: Vec<Vec<(usize, usize)>>,
+    /// What of the attributes turns with the surface.
+    pub(super) following: Following,
     pub(super) info: ModelInfo,
 }
 
@@ -86,7 +89,19 @@ impl E57Model {
             taken = (section.clone(), &scan.described.name);
         }
         let (info, attributes) = info(&source, &header, &scans, (vertices, crs));
-        Ok(Self { source, header, xml, scans, images, attributes, info })
+        let following = Following::recognised(&info.attributes);
+        let mut this = Self { source, header, xml, scans, images, attributes, following, info };
+        this.note_what_follows();
+        Ok(this)
+    }
+
+    /// Has each scan know which of its fields turn.
+    pub(super) fn note_what_follows(&mut self) {
+        for (scan, attributes) in self.scans.iter_mut().zip(&self.attributes) {
+            let field =
+                |place: &usize| attributes.iter().find(|(known, _)| known == place).map(|(_, field)| *field);
+            scan.turning = self.following.places().iter().map(field).collect();
+        }
     }
 
     /// The scan that a vertex is of.

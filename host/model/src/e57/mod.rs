@@ -37,6 +37,7 @@ use file::E57Model;
 use glam::DVec3;
 use reader::Reader;
 
+use crate::follow::{Follow, Following};
 use crate::source::Source;
 use crate::{
     Edit, Model, ModelInfo, Output, Progress, Result, Rewriting, VertexChunk, VertexReader, pipeline,
@@ -91,6 +92,16 @@ impl Model for E57Model {
         self.choose_ranges(moves, margin)
     }
 
+    fn following(&self) -> Option<&Following> {
+        (!self.following.is_empty()).then_some(&self.following)
+    }
+
+    fn follow(&mut self, follow: &Follow) -> Result<()> {
+        self.following = Following::declared(follow, &self.info.attributes, self.source.path())?;
+        self.note_what_follows();
+        Ok(())
+    }
+
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
         self.source.check_unchanged()
     }
@@ -102,6 +113,9 @@ impl Model for E57Model {
         edit: &dyn Edit,
         progress: &dyn Progress,
     ) -> Result<()> {
-        pipeline::rewrite(self, outputs, how, edit, progress)
+        self.following.check(self.source.path())?;
+        pipeline::rewrite(self, outputs, how, edit, progress)?;
+        self.following.tell(self.source.path(), progress);
+        Ok(())
     }
 }

@@ -179,7 +179,8 @@ impl<'a> E57Pieces<'a> {
         // Never backwards, whatever became of the file meanwhile.
         let own = own.start..own.end.max(own.start);
         let (mut points, mut alone) = (own.clone(), Vec::new());
-        for field in &scan.row {
+        let patched = scan.patched();
+        for field in &patched {
             let width = u64::from(scan.described.fields[*field].bits());
             if width == 0 {
                 continue;
@@ -197,13 +198,13 @@ impl<'a> E57Pieces<'a> {
         alone.dedup();
         let mut segment = Segment { scan: number, own, alone, ..Segment::default() };
         let walk = self.model.walk(scan, &mut self.window);
-        segment.streams.read(walk, scan, points, &scan.row)?;
-        segment.runs = self.runs(scan, &bytes)?;
+        segment.streams.read(walk, scan, points, &patched)?;
+        segment.runs = self.runs(scan, &patched, &bytes)?;
         Ok(segment)
     }
 
-    /// Where the bytes of a scan's positions and normals are in some bytes of the file.
-    fn runs(&mut self, scan: &Scan, bytes: &Range<u64>) -> Result<Vec<Run>> {
+    /// Where the bytes of those fields of a scan that are written anew are in some bytes of the file.
+    fn runs(&mut self, scan: &Scan, patched: &[usize], bytes: &Range<u64>) -> Result<Vec<Run>> {
         let mut runs = Vec::new();
         let Some(mut place) = scan.packets.last_place(|at, _| at <= bytes.start) else { return Ok(runs) };
         let mut walk = self.model.walk(scan, &mut self.window);
@@ -211,7 +212,7 @@ impl<'a> E57Pieces<'a> {
             walk.next(&mut place, scan.packets.section.end, |part| {
                 let end = part.at + (part.of_stream.end - part.of_stream.start);
                 let here = part.at.max(bytes.start)..end.min(bytes.end);
-                if here.start < here.end && scan.row.contains(&part.stream) {
+                if here.start < here.end && patched.contains(&part.stream) {
                     let of_stream = |at: u64| part.of_stream.start + (at - part.at);
                     runs.push(Run {
                         field: part.stream,
@@ -320,7 +321,8 @@ impl E57Model {
         let Some(of_format) = chunk.of_format.pop() else { return };
         let Some(layout) = of_format.downcast_ref::<Layout>() else { return };
         let normals = self.info.has_normals;
-        let VertexChunk { positions, normals: of_normals, raw, beside, .. } = chunk;
+        let VertexChunk { positions, normals: of_normals, raw, beside, follows, .. } = chunk;
+        *follows = !self.following.is_empty();
         let Beside { positions: positions_beside, normals: normals_beside, groups } = beside;
         positions.clear();
         of_normals.clear();

@@ -1,6 +1,6 @@
 //! Where a scan stands: from its own frame to the one that all scans share.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3, Mat3};
 
 /// A rotation, and then a translation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,6 +45,13 @@ impl Pose {
     #[inline]
     pub fn turned_back(&self, v: DVec3) -> DVec3 {
         DVec3::from(self.axes.map(|axis| axis.dot(v)))
+    }
+
+    /// A gradient of the common frame in that of the scan.
+    pub fn gradient_in_scan(&self, gradient: &Mat3) -> Mat3 {
+        let [x, y, z] = self.axes;
+        let axes = DMat3::from_cols(x, y, z);
+        (axes.transpose() * gradient.as_dmat3() * axes).as_mat3()
     }
 
     /// A position of the scan's frame in the common one.

@@ -1,5 +1,7 @@
 //! Writing an E57 file anew, with other positions.
 
+use glam::Mat3;
+
 use super::file::E57Model;
 use super::pages::{PAYLOAD, append_pages};
 use super::pieces::{E57Pieces, Layout, Segment};
@@ -101,10 +103,10 @@ impl Moving<'_, '_> {
         let (mut rows, mut changed) = (Vec::new(), Vec::new());
         segment.streams.rows(&scan.row, points.clone(), &mut rows);
         let (mut before, mut after) = (Reach::default(), Reach::default());
-        for ((point, row), vertex) in points.clone().zip(rows.chunks_exact_mut(width)).zip(vertices) {
+        for ((point, row), vertex) in points.clone().zip(rows.chunks_exact_mut(width)).zip(&vertices) {
             let is_own = scan.wants_reach() && segment.own.contains(&point);
             let was = is_own.then(|| scan.reach(row));
-            let moves = self.move_vertex(segment, point, row, vertex)?;
+            let moves = self.move_vertex(segment, point, row, *vertex)?;
             if moves {
                 changed.push((point - points.start) as usize);
             }
@@ -120,25 +122,33 @@ impl Moving<'_, '_> {
                 self.version.summary.absorb(&one);
             }
         }
-        if changed.is_empty() {
+        put(segment, &scan.row, &rows, &changed, pages);
+        let fields: Vec<usize> = scan.turning.iter().flatten().copied().collect();
+        if fields.is_empty() {
             return Ok(());
         }
-        for (i, field) in scan.row.iter().enumerate() {
-            let Some(Some(packed)) = segment.streams.packed.get(*field) else { continue };
-            let mut packed = packed.clone();
-            changed.iter().for_each(|index| packed.put(*index, rows[index * width + i]));
-            for run in segment.runs.iter().filter(|run| run.field == *field) {
-                // Behind the last number there may be more bytes.
-                let end = packed.first + packed.bytes().len() as u64;
-                let (start, end) = (run.of_stream.start.max(packed.first), run.of_stream.end.min(end));
-                if start < end {
-                    let new = &packed.bytes()[(start - packed.first) as usize..(end - packed.first) as usize];
-                    let at = run.at + (start - run.of_stream.start) as usize;
-                    pages[at..at + new.len()].copy_from_slice(new);
-                }
+        rows.clear();
+        changed.clear();
+        segment.streams.rows(&fields, points, &mut rows);
+        for (index, (row, vertex)) in rows.chunks_exact_mut(fields.len()).zip(&vertices).enumerate() {
+            if self.turn_vertex(segment, row, *vertex) {
+                changed.push(index);
             }
         }
+        put(segment, &fields, &rows, &changed, pages);
         Ok(())
+    }
+
+    /// Turns what follows of a vertex; whether any bits changed.
+    fn turn_vertex(&self, segment: &Segment, bits: &mut [u64], vertex: usize) -> bool {
+        let edited = self.version.edited;
+        let moves = of(self.from, vertex).is_some_and(|from| from.is_finite());
+        let gradient = edited.gradients.get(vertex).filter(|gradient| moves && **gradient != Mat3::IDENTITY);
+        let following = &self.model.following;
+        gradient.is_some_and(|gradient| {
+            self.model.scans[segment.scan]
+                .turn(bits, gradient, |gradient, numbers| following.turn(gradient, edited.mirrored, numbers))
+        })
     }
 
     /// Moves the vertex of a row; whether any bits changed.
@@ -176,6 +186,28 @@ impl Moving<'_, '_> {
             "move it less, give --offset auto, which chooses other ranges, or export the model with coordinates as floats \
              (of type Float) first",
         )
+    }
+}
+
+/// Puts the rows of `fields` that changed into the pages of a piece.
+fn put(segment: &Segment, fields: &[usize], rows: &[u64], changed: &[usize], pages: &mut [u8]) {
+    if changed.is_empty() {
+        return;
+    }
+    for (i, field) in fields.iter().enumerate() {
+        let Some(Some(packed)) = segment.streams.packed.get(*field) else { continue };
+        let mut packed = packed.clone();
+        changed.iter().for_each(|index| packed.put(*index, rows[index * fields.len() + i]));
+        for run in segment.runs.iter().filter(|run| run.field == *field) {
+            // Behind the last number there may be more bytes.
+            let end = packed.first + packed.bytes().len() as u64;
+            let (start, end) = (run.of_stream.start.max(packed.first), run.of_stream.end.min(end));
+            if start < end {
+                let new = &packed.bytes()[(start - packed.first) as usize..(end - packed.first) as usize];
+                let at = run.at + (start - run.of_stream.start) as usize;
+                pages[at..at + new.len()].copy_from_slice(new);
+            }
+        }
     }
 }
 

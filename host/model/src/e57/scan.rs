@@ -5,7 +5,7 @@
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 
 use super::description::{CARTESIAN, Corner, Described, SPHERICAL};
 use super::fields::{Field, Kind, range_over};
@@ -28,6 +28,9 @@ pub(super) struct Scan {
     pub first: u64,
     /// The fields of a row.
     pub row: Vec<usize>,
+    /// The fields of what turns with the surface besides normals, in the order of its numbers; none where the scan
+    /// lacks one.
+    pub turning: Vec<Option<usize>>,
     /// How they are stored, and how they are written, which is with other ranges where these were chosen.
     kinds: Vec<Kind>,
     written: Vec<Kind>,
@@ -121,7 +124,25 @@ impl Scan {
             .map(|is_spherical| described.slots.iter().any(|slot| slot.corner.is_spherical == is_spherical));
         let kinds: Vec<Kind> = row.iter().map(|field| fields[*field].kind).collect();
         let written = kinds.clone();
-        Some(Self { described, packets, first, row, kinds, written, roles, lead, has_normals, wants })
+        Some(Self {
+            described,
+            packets,
+            first,
+            row,
+            turning: Vec::new(),
+            kinds,
+            written,
+            roles,
+            lead,
+            has_normals,
+            wants,
+        })
+    }
+
+    /// The fields that are written anew: those of a row, and what turns.
+    pub fn patched(&self) -> Vec<usize> {
+        let others = self.turning.iter().flatten().filter(|field| !self.row.contains(field));
+        self.row.iter().chain(others).copied().collect()
     }
 
     /// The model's numbers of its points.
@@ -403,6 +424,31 @@ impl Scan {
             if turned[axis] != before[axis] {
                 let (least, most) = self.field(of_row).range();
                 changed |= self.put(row, of_row, &[turned[axis].clamp(least, most)]).unwrap_or(false);
+            }
+        }
+        changed
+    }
+
+    /// Turns the numbers that `turn` is for, by a gradient in the frame of all scans: `bits` are those of
+    /// [`turning`](Self::turning) that the scan has. Whether any changed; what a field cannot hold stays.
+    pub fn turn(&self, bits: &mut [u64], gradient: &Mat3, turn: impl FnOnce(&Mat3, &mut [f64])) -> bool {
+        let fields = &self.described.fields;
+        let mut there = bits.iter();
+        let bits_of = |field: &Option<usize>| {
+            field.and_then(|field| Some(fields[field].value(*there.next()?))).unwrap_or(f64::NAN)
+        };
+        let old: Vec<f64> = self.turning.iter().map(bits_of).collect();
+        let mut new = old.clone();
+        turn(&self.described.pose.gradient_in_scan(gradient), &mut new);
+        let mut changed = false;
+        let own = self.turning.iter().zip(old.iter().zip(&new));
+        let own = own.filter_map(|(field, numbers)| field.map(|field| (&fields[field], numbers)));
+        for (bits, (field, (old, new))) in bits.iter_mut().zip(own) {
+            if old.to_bits() != new.to_bits()
+                && let Some(nearest) = field.kind.nearest(*new)
+            {
+                changed |= *bits != nearest;
+                *bits = nearest;
             }
         }
         changed

@@ -6,8 +6,9 @@ use std::io::Cursor;
 use std::sync::Mutex;
 
 use ::e57::{E57Reader, E57Writer, Record, RecordDataType, RecordName, RecordValue};
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec3, Mat3, Vec3};
 use proptest::prelude::*;
+use simod_model::follow::{Follow, Kind};
 use simod_model::{Output, Rewriting, Summary, progress::Silent};
 
 use super::*;
@@ -716,6 +717,50 @@ fn normals_turn_in_their_scan_and_cannot_be_left_out() {
     let how = Rewriting { normals: Normals::Drop, ..Rewriting::default() };
     let error = message(model.rewrite(&mut [&mut Target::default()], how, &edit, &Silent));
     assert_eq!(error, "normals cannot be left out of a file of this format");
+}
+
+/// Single, scaled in odd bits, and double, over several pieces; the second scan has no such numbers.
+#[test]
+fn declared_numbers_turn_in_their_scan() {
+    let count = 60_000;
+    let mut next = random(9);
+    let mut list = |size: f64| (0..count).map(|_| size * (next() - 0.5)).collect::<Vec<f64>>();
+    let positions = ["cartesianX", "cartesianY", "cartesianZ"].map(|name| Made::double(name, list(20.0)));
+    let mut posed = MadeScan { fields: positions.to_vec(), xml: POSE.to_owned(), ..MadeScan::default() };
+    posed.fields.push(Made::single("nor:v_x", list(2.0)));
+    posed.fields.push(Made::integer("colorRed", 8, (0..count as u64).map(|i| i * 7)));
+    posed.fields.push(Made::scaled("nor:v_y", 19, 1e-5, 0.0, list(2.0)));
+    posed.fields.push(Made::double("nor:v_z", list(2.0)));
+    let other = MadeScan { fields: positions.to_vec(), ..MadeScan::default() };
+    let bytes = make(&[posed, other], At::End, |left| left / 3 + 1);
+    let mut model = open(&bytes, ".e57").unwrap();
+    let follow =
+        |name: &str| Follow { declared: [(name.to_owned(), Kind::Vector)].into(), ..Follow::default() };
+    let error = message(model.follow(&follow("w")));
+    assert!(error.contains("w_x, w_y, w_z"), "{error}");
+    model.follow(&follow("nor:v")).unwrap();
+    // What stands still keeps all bytes.
+    assert!(move_points(model.as_ref(), |p| p).unwrap() == bytes);
+    let gradient =
+        Mat3::from_cols(Vec3::new(0.1, 1.2, 0.0), Vec3::new(-0.9, 0.1, 0.3), Vec3::new(0.0, 0.1, 1.1));
+    let mut out = Target::default();
+    let edit = |_: &VertexChunk, versions: &mut [Edited]| {
+        versions[0].gradients.iter_mut().for_each(|g| *g = gradient);
+        Ok(())
+    };
+    model.rewrite(&mut [&mut out], Rewriting::default(), &edit, &Silent).unwrap();
+    let ((before, _), (after, _)) = (by_crate(&bytes), by_crate(&out.0));
+    let (rotation, _) = pose();
+    let vector = |row: &[u64]| {
+        let scaled = (row[5] as f64 - f64::from(1 << 18)) * 1e-5;
+        DVec3::new(f64::from(f32::from_bits(row[3] as u32)), scaled, f64::from_bits(row[6]))
+    };
+    for (old, new) in before[0].iter().zip(&after[0]) {
+        let expected = rotation.inverse() * (gradient.as_dmat3() * (rotation * vector(old)));
+        assert!((vector(new) - expected).length() < 1e-5, "{} {expected}", vector(new));
+        assert!(old[..3] == new[..3] && old[4] == new[4]);
+    }
+    assert!(before[1] == after[1]);
 }
 
 /// A file of the crate's, with 20 000 points, an image and an extension.
