@@ -9,6 +9,7 @@
 
 mod cases;
 mod figures;
+mod others;
 mod pictures;
 mod sessions;
 
@@ -28,7 +29,7 @@ use simod_model::progress::Silent;
 #[derive(Parser)]
 #[command(max_term_width = 100)]
 struct Arguments {
-    /// Only these cases
+    /// Only these cases, or pictures of these tools that take no handles
     #[arg(long, value_delimiter = ',', value_name = "CASE,...")]
     only: Vec<String>,
     /// Vertices of the generated models
@@ -63,6 +64,10 @@ fn measure(arguments: &Arguments) -> Result<()> {
             let folder = tempfile::tempdir_in(&arguments.folder)?;
             measure_case(case, arguments, &simod, folder.path())?;
         }
+    }
+    if let Some(pictures) = &arguments.pictures {
+        let Arguments { vertices, only, sessions, folder, .. } = arguments;
+        others::draw(&simod, (*vertices, only), sessions, folder, pictures)?;
     }
     Ok(())
 }

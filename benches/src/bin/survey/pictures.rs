@@ -17,7 +17,7 @@ const CLAY: [u8; 3] = [205, 198, 190];
 const FIXED: [u8; 3] = [120, 140, 175];
 const HANDLE: [u8; 3] = [230, 175, 60];
 const PAPER: [u8; 3] = [244, 244, 242];
-/// Pictures beside each other.
+/// Most pictures beside each other.
 const COLUMNS: usize = 6;
 
 pub struct Gallery<'a> {
@@ -76,7 +76,8 @@ impl<'a> Gallery<'a> {
 
     pub fn write(mut self, path: &Path) -> Result<()> {
         let [width, height] = self.case.size;
-        while !self.pictures.len().is_multiple_of(COLUMNS) {
+        let columns = COLUMNS.min(self.pictures.len());
+        while !self.pictures.len().is_multiple_of(columns) {
             self.pictures.push((Image::new(width, height, PAPER), String::new()));
         }
         // Captions of one length, so that all are of one size.
@@ -88,7 +89,7 @@ impl<'a> Gallery<'a> {
                 pictures.iter().map(|(image, text)| (image, &**text)).collect();
             Image::side_by_side(&pictures)
         };
-        let rows: Vec<Image> = captioned.chunks(COLUMNS).map(row).collect();
+        let rows: Vec<Image> = captioned.chunks(columns).map(row).collect();
         let width = rows.first().map_or(0, Image::width);
         let height = rows.iter().map(Image::height).sum();
         let pixels: Vec<[u8; 3]> = rows.iter().flat_map(|row| row.pixels().iter().copied()).collect();
