@@ -8,10 +8,18 @@ use simod_tests::{Ply, Workplace, workspace};
 
 /// A workplace with the sessions, on fewer samples, and the models that they name.
 fn with_sessions() -> (Workplace, Vec<String>) {
+    with_sessions_of("benches/survey")
+}
+
+/// The same of the sessions in another folder.
+fn with_sessions_of(folder: &str) -> (Workplace, Vec<String>) {
     let work = Workplace::new();
     let mut sessions = Vec::new();
-    for entry in fs::read_dir(workspace().join("benches/survey")).expect("the folder of the sessions") {
+    for entry in fs::read_dir(workspace().join(folder)).expect("the folder of the sessions") {
         let path: PathBuf = entry.expect("an entry").path();
+        if path.is_dir() {
+            continue;
+        }
         let name = path.file_name().and_then(|n| n.to_str()).expect("a name").to_owned();
         let text = fs::read_to_string(&path).expect("a text");
         work.write(&name, text.replace("samples = 20000", "samples = 4000"));
@@ -49,6 +57,27 @@ fn every_session_can_be_run() {
         let edited = work.ply("edited.ply").positions();
         let far = rest.iter().zip(&edited).filter(|(p, q)| p.distance(**q) > 0.1).count();
         assert!(10 * far > rest.len(), "{session}: {far} of {} vertices moved", rest.len());
+    }
+}
+
+/// Those of tools that take no handles, with what their pages say has to be made first.
+#[test]
+fn sessions_without_handles_can_be_run() {
+    let (work, sessions) = with_sessions_of("benches/survey/others");
+    let lifting = fs::read_to_string(workspace().join("benches/survey/bumpy-plane.toml")).expect("a text");
+    work.write("bumpy-plane.toml", lifting.replace("samples = 20000", "samples = 4000"));
+    work.simod("sample bumpy-plane.ply -o bumpy-plane.simod --samples 4000");
+    work.simod("deform bumpy-plane.simod --session bumpy-plane.toml -o bumpy-plane-samples.ply");
+    work.simod("run cactus-target.toml -o cactus-target.edited.ply");
+    assert!(sessions.len() >= 7, "{sessions:?}");
+    for session in sessions {
+        work.simod(&format!("run {session} -o edited.ply"));
+        let model = ["bumpy-plane", "cactus"].iter().find(|m| session.starts_with(**m));
+        let rest = work.ply(&format!("{}.ply", model.expect("a shape")));
+        let edited = work.ply("edited.ply").positions();
+        let far = 0.003 * rest.diagonal();
+        let moved = rest.positions().iter().zip(&edited).filter(|(p, q)| p.distance(**q) > far).count();
+        assert!(10 * moved > edited.len(), "{session}: {moved} of {} vertices moved", edited.len());
     }
 }
 

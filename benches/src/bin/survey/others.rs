@@ -74,6 +74,7 @@ impl Other {
         let options = ModelOptions { shape: self.case.shape, vertices, ..ModelOptions::default() };
         write_file(&options, &at(".ply"), &Silent)?;
         sessions::copy(from, folder)?;
+        sessions::copy(&from.join("others"), folder)?;
         if let Some(key) = self.samples {
             let sample = ["--samples", "20000"];
             report(
