@@ -24,6 +24,9 @@ impl LasModel {
         summary: &mut Summary,
     ) -> bool {
         let attributes = self.following.places();
+        if attributes.is_empty() {
+            return false;
+        }
         let says_reach = attributes.iter().any(|place| self.places.limits(*place).is_some());
         let (mut changed, mut reach) = (false, Reach::new(attributes.len()));
         let (mut old, mut new) = (Vec::new(), Vec::new());
