@@ -7,7 +7,7 @@ use glam::{DVec3, Mat3, Vec3};
 use super::layout::{Component, Layout, Slot};
 use super::patch::same_normal;
 use crate::follow::Following;
-use crate::text::{drop_word, next_word, parse, quoted, round, write_number};
+use crate::text::{drop_word, next_word, parse, quoted, round, word, write_number};
 use crate::unfit::Unfit;
 use crate::{Edited, VertexChunk};
 
@@ -138,10 +138,6 @@ pub(super) fn splice(
     }
     text.extend_from_slice(&raw[copied..]);
     Ok(())
-}
-
-fn word(raw: &[u8], span: [u32; 2]) -> &[u8] {
-    &raw[span[0] as usize..span[1] as usize]
 }
 
 /// Three numbers, or which of them is none.

@@ -89,6 +89,12 @@ pub(crate) fn integer(word: &[u8]) -> Option<i64> {
     Some(if negative { -value } else { value })
 }
 
+/// The word that was noted to stand there.
+#[inline]
+pub(crate) fn word(raw: &[u8], [start, end]: [u32; 2]) -> &[u8] {
+    &raw[start as usize..end as usize]
+}
+
 pub(crate) fn round(scalar: Scalar, value: f64) -> f64 {
     match scalar {
         Scalar::F32 => f64::from(value as f32),

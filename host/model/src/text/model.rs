@@ -8,7 +8,7 @@ use glam::{DVec3, Mat3, Vec3};
 use super::blocks::{BlockPiece, BlockPieces, BlockReader, Blocks, changed};
 use super::digits::{Digits, Survey};
 use super::lines::{line_end, lines, wrong_line};
-use super::{DAMAGED, parse, quoted};
+use super::{DAMAGED, parse, quoted, word};
 use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
@@ -378,10 +378,6 @@ impl<G: Grammar> TextModel<G> {
         new.clone_from(old);
         self.following.turn(gradient, edited.mirrored, new);
     }
-}
-
-fn word(raw: &[u8], [start, end]: [u32; 2]) -> &[u8] {
-    &raw[start as usize..end as usize]
 }
 
 /// Whether a coordinate of a normal was left as it was. Any NaN is as good as another: keep the file's.

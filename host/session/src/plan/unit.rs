@@ -12,6 +12,7 @@ use simod_core::sampling::divided::{
     Division, cluster, cluster_shared, merge_counts, sample_clustered, shared,
 };
 use simod_core::sampling::{Sampling, count, sample_counted};
+use simod_model::resumable_output::Place;
 use simod_model::{
     Cache, Conversion, Converted, Error, ErrorKind, Model, Normals, Progress, Result, input,
     is_named_otherwise, output,
@@ -229,7 +230,7 @@ impl UnitRun<'_> {
         let version = Version { deformed, output: &self.plan.output, diagnostics: None };
         let files = (&parts[..], &*self.path(SHARED));
         let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)?;
-        self.finished()?;
+        self.finished(&**model)?;
         self.tidy(&parts);
         Ok(Done { written: Some(written), ..Done::default() })
     }
@@ -249,7 +250,7 @@ impl UnitRun<'_> {
         let Edit { sampled, model, deformed, .. } = &edit;
         let version = Version { deformed, output, diagnostics: None };
         let written = reconstruct(sampled, &**model, &[version], &edit.how(), self.progress)?;
-        self.finished()?;
+        self.finished(&**model)?;
         self.tidy(&[]);
         Ok(Done { written: Some(written), ..Done::default() })
     }
@@ -342,30 +343,13 @@ impl UnitRun<'_> {
         all.chain(&self.shared()).for_each(|file| drop(std::fs::remove_file(file)));
     }
 
-    /// Bytes of the output, or of all its tiles.
-    fn written_bytes(&self) -> u64 {
-        let Plan { output, tiles, .. } = self.plan;
-        let of_file = |path: &Path| std::fs::metadata(path).map_or(0, |meta| meta.len());
-        if tiles.is_empty() { of_file(output) } else { bytes_below(output) }
-    }
-
     /// Says in the plan's folder that the output is in its place.
-    fn finished(&self) -> Result<()> {
-        let bytes = self.written_bytes();
+    fn finished(&self, model: &dyn Model) -> Result<()> {
+        let files = Place::of(model, &self.plan.output).files();
+        let bytes: u64 = files.iter().map(|file| std::fs::metadata(file).map_or(0, |meta| meta.len())).sum();
         let text = format!("output = {:?}\nbytes = {bytes}\n", self.plan.output.display().to_string());
         output::write_file(&self.path(FINISHED), text.as_bytes())
     }
-}
-
-/// Bytes of all files in a folder and the folders in it.
-fn bytes_below(folder: &Path) -> u64 {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let of_entry = |entry: std::fs::DirEntry| match entry.metadata() {
-        Ok(is) if is.is_dir() => bytes_below(&entry.path()),
-        Ok(is) => is.len(),
-        Err(_) => 0,
-    };
-    entries.map(of_entry).sum()
 }
 
 /// All that the writing of the model needs.

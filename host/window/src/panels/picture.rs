@@ -1,20 +1,13 @@
 //! How large a picture of the model is, and where it goes.
 
 use super::frames::modal;
-use super::render;
+use super::render::{self, Answer};
 use crate::dialogs::Purpose;
 use crate::screenshot::shown_size;
-use crate::theme;
 use crate::turntable::begin_picture;
 use crate::window::Window;
-use eframe::egui::{self, Button, Color32, Id, Modal, RichText, TextEdit};
+use eframe::egui::{self, Id, Modal, RichText};
 use std::path::Path;
-
-enum Answer {
-    Save,
-    Browse,
-    Cancel,
-}
 
 /// Shows it while it is asked.
 pub fn show(ctx: &egui::Context, window: &mut Window) {
@@ -29,35 +22,17 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         ui.add_space(8.0);
         render::fields(ui, &mut picture.format, shown);
         ui.add_space(4.0);
-        ui.horizontal(|ui| {
-            ui.label("File");
-            if ui.button("Browse\u{2026}").clicked() {
-                done = Some(Answer::Browse);
-            }
-            let field = TextEdit::singleline(&mut picture.file).desired_width(f32::INFINITY);
-            let field = ui.add(field.hint_text("A PNG file"));
-            field.ctx.accesskit_node_builder(field.id, |node| node.set_label("File of the picture"));
-        });
+        render::place(ui, ["File", "A PNG file", "File of the picture"], &mut picture.file, &mut done);
         if Path::new(picture.file.trim()).is_file() {
             ui.label(RichText::new("This file is there: it is replaced.").color(ui.visuals().warn_fg_color));
         }
-        ui.add_space(10.0);
-        ui.horizontal(|ui| {
-            let save = Button::new(RichText::new("Save").color(Color32::WHITE)).fill(theme::ACCENT);
-            let named = !picture.file.trim().is_empty();
-            if ui.add_enabled(named, save.min_size(egui::vec2(80.0, 0.0))).clicked() {
-                done = Some(Answer::Save);
-            }
-            if ui.button("Cancel").clicked() {
-                done = Some(Answer::Cancel);
-            }
-        });
+        render::buttons(ui, "Save", &picture.file, &mut done);
     });
     if modal.should_close() && window.prompt.is_none() {
         done = done.or(Some(Answer::Cancel));
     }
     match done {
-        Some(Answer::Save) => {
+        Some(Answer::Do) => {
             window.picture = None;
             let path = Path::new(picture.file.trim());
             let path = if path.extension().is_some() { path.to_owned() } else { path.with_extension("png") };

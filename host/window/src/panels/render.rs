@@ -1,7 +1,9 @@
-//! What pictures that are saved have in common: how large they are, and whether their background is seen through.
+//! What pictures that are saved have in common: how large they are, whether their background is seen through, and where
+//! they go.
 
 use crate::screenshot::{Format, LARGEST};
-use eframe::egui::{Button, DragValue, RichText, Ui};
+use crate::theme;
+use eframe::egui::{self, Button, Color32, DragValue, RichText, TextEdit, Ui};
 
 /// Sizes that have a name.
 const SIZES: [(&str, [u32; 2]); 3] =
@@ -29,4 +31,41 @@ pub fn fields(ui: &mut Ui, format: &mut Format, shown: [u32; 2]) {
     });
     ui.add_space(2.0);
     ui.checkbox(&mut format.transparent, "Transparent background");
+}
+
+/// What was answered.
+pub enum Answer {
+    /// It shall be done.
+    Do,
+    /// Where it goes shall be chosen.
+    Browse,
+    /// It shall not.
+    Cancel,
+}
+
+/// A field for where it goes, with a button to choose that.
+pub fn place(ui: &mut Ui, [label, hint, name]: [&str; 3], path: &mut String, answer: &mut Option<Answer>) {
+    ui.horizontal(|ui| {
+        ui.label(label);
+        if ui.button("Browse\u{2026}").clicked() {
+            *answer = Some(Answer::Browse);
+        }
+        let field = ui.add(TextEdit::singleline(path).desired_width(f32::INFINITY).hint_text(hint));
+        field.ctx.accesskit_node_builder(field.id, |node| node.set_label(name));
+    });
+}
+
+/// The buttons below, of which the first one `does` it, where it is known to where.
+pub fn buttons(ui: &mut Ui, does: &str, path: &str, answer: &mut Option<Answer>) {
+    ui.add_space(10.0);
+    ui.horizontal(|ui| {
+        let button = Button::new(RichText::new(does).color(Color32::WHITE)).fill(theme::ACCENT);
+        let is_named = !path.trim().is_empty();
+        if ui.add_enabled(is_named, button.min_size(egui::vec2(80.0, 0.0))).clicked() {
+            *answer = Some(Answer::Do);
+        }
+        if ui.button("Cancel").clicked() {
+            *answer = Some(Answer::Cancel);
+        }
+    });
 }

@@ -1,13 +1,12 @@
 //! How many frames a turntable has, and where they go.
 
 use super::frames::modal;
-use super::render;
+use super::render::{self, Answer};
 use crate::dialogs::Purpose;
 use crate::screenshot::shown_size;
-use crate::theme;
 use crate::turntable::{RATE, begin};
 use crate::window::Window;
-use eframe::egui::{self, Button, Color32, DragValue, Id, Modal, RichText, TextEdit};
+use eframe::egui::{self, DragValue, Id, Modal, RichText};
 use simod_picture::FrameFolder;
 use std::path::Path;
 
@@ -32,32 +31,19 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         ui.add_space(4.0);
         render::fields(ui, &mut turntable.format, shown);
         ui.add_space(4.0);
-        ui.horizontal(|ui| {
-            ui.label("Folder");
-            if ui.button("Browse\u{2026}").clicked() {
-                done = Some(Answer::Browse);
-            }
-            let field = TextEdit::singleline(&mut turntable.folder).desired_width(f32::INFINITY);
-            let field = ui.add(field.hint_text("A new folder"));
-            field.ctx.accesskit_node_builder(field.id, |node| node.set_label("Folder of the frames"));
-        });
-        ui.add_space(10.0);
-        ui.horizontal(|ui| {
-            let render = Button::new(RichText::new("Render").color(Color32::WHITE)).fill(theme::ACCENT);
-            let named = !turntable.folder.trim().is_empty();
-            if ui.add_enabled(named, render.min_size(egui::vec2(80.0, 0.0))).clicked() {
-                done = Some(Answer::Render);
-            }
-            if ui.button("Cancel").clicked() {
-                done = Some(Answer::Cancel);
-            }
-        });
+        render::place(
+            ui,
+            ["Folder", "A new folder", "Folder of the frames"],
+            &mut turntable.folder,
+            &mut done,
+        );
+        render::buttons(ui, "Render", &turntable.folder, &mut done);
     });
     if modal.should_close() && window.prompt.is_none() {
         done = done.or(Some(Answer::Cancel));
     }
     match done {
-        Some(Answer::Render) => {
+        Some(Answer::Do) => {
             window.turntable = None;
             begin(window, Path::new(turntable.folder.trim()), turntable.frames, turntable.format);
         }
@@ -68,10 +54,4 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         }
         None => window.turntable = Some(turntable),
     }
-}
-
-enum Answer {
-    Render,
-    Browse,
-    Cancel,
 }
