@@ -89,6 +89,7 @@
 // Capabilities that a plugin's `extension` is asked for.
 #define SIMOD_EVALUATE "simod.evaluate/1"
 #define SIMOD_HANDLES "simod.handles/1"
+#define SIMOD_HANDLE_FACES "simod.handle-faces/1"
 #define SIMOD_IS_IDENTITY "simod.is-identity/1"
 #define SIMOD_MIGRATION "simod.migration/1"
 
@@ -103,7 +104,7 @@
 #define SIMOD_INTERFACE_MAJOR 1
 
 // See SIMOD_INTERFACE_MAJOR.
-#define SIMOD_INTERFACE_MINOR 4
+#define SIMOD_INTERFACE_MINOR 5
 
 // What a call returns if all is well. Everything else is an error.
 #define SIMOD_OK 0
@@ -528,6 +529,24 @@ typedef struct SimodHandles {
                         struct SimodHandleList *list,
                         const struct SimodHost *host);
 } SimodHandles;
+
+// Where a plugin puts the faces between its handles.
+typedef struct SimodFaceList {
+    // The host's own.
+    void *context;
+    // Adds a face of `count` corners, three at least: indices of handles, around it. Not by several threads at once.
+    // The host copies them.
+    void (*add)(struct SimodFaceList *list, const uint32_t *corners, size_t count);
+} SimodFaceList;
+
+// SIMOD_HANDLE_FACES: the handles are the corners of a surface, as those of a cage.
+typedef struct SimodHandleFaces {
+    // Adds the faces between the handles that SIMOD_HANDLES gives for the same input; the host draws them with their
+    // edges. Called as `handles` is, after it. Required.
+    uint32_t (*handle_faces)(const struct SimodPrepareInput *input,
+                             struct SimodFaceList *list,
+                             const struct SimodHost *host);
+} SimodHandleFaces;
 
 // SIMOD_IS_IDENTITY: the plugin knows when it does nothing.
 typedef struct SimodIsIdentity {

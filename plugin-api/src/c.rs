@@ -16,7 +16,7 @@ use std::ffi::{c_char, c_void};
 /// nothing later.
 pub const SIMOD_INTERFACE_MAJOR: u32 = 1;
 /// See SIMOD_INTERFACE_MAJOR.
-pub const SIMOD_INTERFACE_MINOR: u32 = 4;
+pub const SIMOD_INTERFACE_MINOR: u32 = 5;
 
 /// What a call returns if all is well. Everything else is an error.
 pub const SIMOD_OK: u32 = 0;
@@ -649,6 +649,32 @@ pub struct SimodHandles {
         unsafe extern "C" fn(
             input: *const SimodPrepareInput,
             list: *mut SimodHandleList,
+            host: *const SimodHost,
+        ) -> u32,
+    >,
+}
+
+/// Where a plugin puts the faces between its handles.
+#[repr(C)]
+#[derive(Debug)]
+pub struct SimodFaceList {
+    /// The host's own.
+    pub context: *mut c_void,
+    /// Adds a face of `count` corners, three at least: indices of handles, around it. Not by several threads at once.
+    /// The host copies them.
+    pub add: unsafe extern "C" fn(list: *mut SimodFaceList, corners: *const u32, count: usize),
+}
+
+/// SIMOD_HANDLE_FACES: the handles are the corners of a surface, as those of a cage.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodHandleFaces {
+    /// Adds the faces between the handles that SIMOD_HANDLES gives for the same input; the host draws them with their
+    /// edges. Called as `handles` is, after it. Required.
+    pub handle_faces: Option<
+        unsafe extern "C" fn(
+            input: *const SimodPrepareInput,
+            list: *mut SimodFaceList,
             host: *const SimodHost,
         ) -> u32,
     >,

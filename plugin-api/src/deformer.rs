@@ -65,6 +65,16 @@ pub trait Handles: Deformer {
     fn handles(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Vec<HandleDesc>>;
 }
 
+/// A deformation whose handles are the corners of a surface, as those of a cage.
+pub trait HandleFaces: Handles {
+    /// The faces between the handles that [`Handles::handles`] gives for the same input: for each its corners, three at
+    /// least, as indices of handles, around it. Hosts draw them with their edges; where a plugin has none, handles
+    /// are dots, and bones to their parents.
+    ///
+    /// Called as `handles` is, after it.
+    fn handle_faces(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Vec<Vec<u32>>>;
+}
+
 /// A deformation that knows when it does nothing.
 pub trait IsIdentity: Deformer {
     /// Whether `deform` would leave all samples where they are, whatever they are: the host then calls
@@ -149,6 +159,13 @@ extern "C" fn handles<D: Handles>(
     guarded(|| D::handles(input, host).map(RVec::from))
 }
 
+extern "C" fn handle_faces<D: HandleFaces>(
+    input: &PrepareInput<'_>,
+    host: &Host<'_>,
+) -> RResult<RVec<RVec<u32>>, PluginError> {
+    guarded(|| D::handle_faces(input, host).map(|faces| faces.into_iter().map(RVec::from).collect()))
+}
+
 extern "C" fn is_identity<D: IsIdentity>(input: &DeformInput<'_>) -> RResult<bool, PluginError> {
     guarded(|| D::is_identity(input))
 }
@@ -168,9 +185,10 @@ extern "C" fn migrate<D: Migrate>(from: u32, settings: RVec<Setting>) -> RResult
 /// The capabilities that `export_plugin!` knows, by the words that it takes for them.
 #[doc(hidden)]
 pub mod capability {
-    use super::{Evaluate, Handles, IsIdentity};
+    use super::{Evaluate, HandleFaces, Handles, IsIdentity};
     use crate::{
-        EvaluateExtension, Extension, HandlesExtension, IsIdentityExtension, Migrate, MigrationExtension,
+        EvaluateExtension, Extension, HandleFacesExtension, HandlesExtension, IsIdentityExtension, Migrate,
+        MigrationExtension,
     };
 
     pub fn evaluate<D: Evaluate>() -> Extension {
@@ -179,6 +197,10 @@ pub mod capability {
 
     pub fn handles<D: Handles>() -> Extension {
         const { Extension::new(&HandlesExtension { handles: super::handles::<D> }) }
+    }
+
+    pub fn handle_faces<D: HandleFaces>() -> Extension {
+        const { Extension::new(&HandleFacesExtension { handle_faces: super::handle_faces::<D> }) }
     }
 
     pub fn is_identity<D: IsIdentity>() -> Extension {
@@ -221,8 +243,8 @@ pub fn root_module<D: Deformer>(extension: extern "C" fn(RStr<'_>) -> ROption<Ex
 }
 
 /// Exports a [`Deformer`] as this library's plugin: `export_plugin!(Shift)`, or with what else it implements,
-/// `export_plugin!(Shift, evaluate, handles, is_identity, migrate)`: [`Evaluate`], [`Handles`],
-/// [`IsIdentity`], [`Migrate`]. Once per library.
+/// `export_plugin!(Shift, evaluate, handles, handle_faces, is_identity, migrate)`: [`Evaluate`], [`Handles`],
+/// [`HandleFaces`], [`IsIdentity`], [`Migrate`]. Once per library.
 #[macro_export]
 macro_rules! export_plugin {
     ($deformer:ty $(, $capability:ident)* $(,)?) => {

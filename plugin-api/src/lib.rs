@@ -118,7 +118,7 @@ mod root;
 mod services;
 
 pub use curve::Curve;
-pub use deformer::{Deformer, Evaluate, Handles, IsIdentity};
+pub use deformer::{Deformer, Evaluate, HandleFaces, Handles, IsIdentity};
 pub use descriptor::{Consumes, Descriptor, InputDesc};
 pub use error::{ErrorCode, PluginError, PluginResult};
 pub use handles::{Gizmo, HandleDesc};
@@ -134,7 +134,8 @@ pub use parts::{
 };
 pub use plugin_api_derive::{Choice, ParamSet};
 pub use root::{
-    EvaluateExtension, HandlesExtension, IsIdentityExtension, MigrationExtension, PluginMod, PluginModRef,
+    EvaluateExtension, HandleFacesExtension, HandlesExtension, IsIdentityExtension, MigrationExtension,
+    PluginMod, PluginModRef,
 };
 pub use services::{Lookups, Nearest, NearestService, Pose, Surface, SurfacePoint, SurfaceService};
 

@@ -7,10 +7,10 @@
 #![allow(unsafe_code, reason = "type-erased pointers cross the boundary; each block has its argument")]
 
 use crate::{
-    Attributes, Effort, EvaluateExtension, Graph, HandleMotions, HandlesExtension, HostCalls,
-    IsIdentityExtension, Joints, LogLevel, Lookups, MigrationExtension, ModelFrame, NearestService,
-    OtherModels, PluginError, PluginResult, Pose, RestPositions, Strokes, SurfacePoint, SurfaceService, Time,
-    Triangles,
+    Attributes, Effort, EvaluateExtension, Graph, HandleFacesExtension, HandleMotions, HandlesExtension,
+    HostCalls, IsIdentityExtension, Joints, LogLevel, Lookups, MigrationExtension, ModelFrame,
+    NearestService, OtherModels, PluginError, PluginResult, Pose, RestPositions, Strokes, SurfacePoint,
+    SurfaceService, Time, Triangles,
 };
 use abi_stable::{
     StableAbi,
@@ -334,6 +334,11 @@ unsafe impl ExtensionInterface for EvaluateExtension {
 // SAFETY: as above.
 unsafe impl ExtensionInterface for HandlesExtension {
     const ID: &'static str = "simod.handles/1";
+}
+
+// SAFETY: as above.
+unsafe impl ExtensionInterface for HandleFacesExtension {
+    const ID: &'static str = "simod.handle-faces/1";
 }
 
 // SAFETY: as above.

@@ -65,6 +65,14 @@ pub struct HandlesExtension {
     pub handles: extern "C" fn(&PrepareInput<'_>, &Host<'_>) -> RResult<RVec<HandleDesc>, PluginError>,
 }
 
+/// The extension `simod.handle-faces/1`: faces between the handles that the plugin places.
+#[repr(C)]
+#[derive(StableAbi)]
+pub struct HandleFacesExtension {
+    /// [`HandleFaces::handle_faces`](crate::HandleFaces::handle_faces).
+    pub handle_faces: extern "C" fn(&PrepareInput<'_>, &Host<'_>) -> RResult<RVec<RVec<u32>>, PluginError>,
+}
+
 /// The extension `simod.is-identity/1`: whether there is anything to do at all.
 #[repr(C)]
 #[derive(StableAbi)]

@@ -10,9 +10,9 @@ use cbindgen::{Builder, Config};
 use simod_plugin_api::c::*;
 use simod_plugin_api::{
     AttributeKind, Attributes, Consumes, Effort, ErrorCode, EvaluateExtension, ExtensionInterface, Gizmo,
-    Graph, HandleDesc, HandleMotions, HandlesExtension, InputPart, IsIdentityExtension, Joint, Joints,
-    LogLevel, MigrationExtension, ModelFrame, NearestService, OtherModels, ParamKind, PointsKind, Pose,
-    RestPositions, Role, Strokes, SurfaceService, Time, Triangles, Unit,
+    Graph, HandleDesc, HandleFacesExtension, HandleMotions, HandlesExtension, InputPart, IsIdentityExtension,
+    Joint, Joints, LogLevel, MigrationExtension, ModelFrame, NearestService, OtherModels, ParamKind,
+    PointsKind, Pose, RestPositions, Role, Strokes, SurfaceService, Time, Triangles, Unit,
 };
 
 /// A path in this crate.
@@ -111,6 +111,7 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         ("INPUT_OTHER_MODELS", <OtherModels<'_> as InputPart<'_>>::ID),
         ("EVALUATE", EvaluateExtension::ID),
         ("HANDLES", HandlesExtension::ID),
+        ("HANDLE_FACES", HandleFacesExtension::ID),
         ("IS_IDENTITY", IsIdentityExtension::ID),
         ("MIGRATION", MigrationExtension::ID),
         ("NEAREST", NearestService::ID),
@@ -198,6 +199,8 @@ fn a_c_compiler_sees_the_same_structs() {
         SimodHandleDesc { id, name, position, gizmo, parent }
         SimodHandleList { context, add }
         SimodHandles { handles }
+        SimodFaceList { context, add }
+        SimodHandleFaces { handle_faces }
         SimodIsIdentity { is_identity }
         SimodAlias { former, now }
         SimodSettingList { context, set }

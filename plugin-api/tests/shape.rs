@@ -11,9 +11,9 @@ use std::path::Path;
 use abi_stable::StableAbi;
 use abi_stable::type_layout::{TLField, TypeLayout};
 use simod_plugin_api::{
-    Attributes, Effort, EvaluateExtension, Graph, HandleMotions, HandlesExtension, IsIdentityExtension,
-    Joints, MigrationExtension, ModelFrame, NearestService, OtherModels, PluginModRef, RestPositions,
-    Strokes, SurfaceService, Time, Triangles,
+    Attributes, Effort, EvaluateExtension, Graph, HandleFacesExtension, HandleMotions, HandlesExtension,
+    IsIdentityExtension, Joints, MigrationExtension, ModelFrame, NearestService, OtherModels, PluginModRef,
+    RestPositions, Strokes, SurfaceService, Time, Triangles,
 };
 
 /// Each type of ours by name: its size and alignment (on 64 bits), and its fields in order.
@@ -80,6 +80,7 @@ fn the_shape_changes_with_the_version_alone() {
     let others = [
         EvaluateExtension::LAYOUT,
         HandlesExtension::LAYOUT,
+        HandleFacesExtension::LAYOUT,
         IsIdentityExtension::LAYOUT,
         Triangles::LAYOUT,
         Graph::LAYOUT,

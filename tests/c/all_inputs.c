@@ -191,6 +191,21 @@ static uint32_t place(const SimodPrepareInput *input, SimodHandleList *list, con
     return SIMOD_OK;
 }
 
+// The first three joints, if there are so many, are the corners of a face, WRONG_FACE of one more that there is not.
+static uint32_t connect(const SimodPrepareInput *input, SimodFaceList *list, const SimodHost *host)
+{
+    const SimodJoints *joints = simod_part(input->parts, input->part_count, SIMOD_INPUT_JOINTS);
+    EXPECT(joints && input->regions == NULL);
+#ifdef WRONG_FACE
+    const uint32_t corners[4] = { 0, 1, 2, (uint32_t)joints->count };
+    list->add(list, WRONG_FACE ? corners : NULL, 4);
+#else
+    const uint32_t corners[3] = { 0, 1, 2 };
+    if (joints->count >= 3) list->add(list, corners, 3);
+#endif
+    return SIMOD_OK;
+}
+
 static uint8_t does_nothing(const SimodDeformInput *input)
 {
     double shift[3] = { 0, 0, 0 };
@@ -206,7 +221,9 @@ static const void *extension(const char *id)
 {
     static const SimodHandles handles = { place };
     static const SimodIsIdentity identity = { does_nothing };
+    static const SimodHandleFaces faces = { connect };
     if (strcmp(id, SIMOD_HANDLES) == 0) return &handles;
+    if (strcmp(id, SIMOD_HANDLE_FACES) == 0) return &faces;
     return strcmp(id, SIMOD_IS_IDENTITY) == 0 ? &identity : NULL;
 }
 

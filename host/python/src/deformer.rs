@@ -7,10 +7,10 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde::Deserialize;
 use simod_plugin_api::{
-    Affine, Consumes, DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, ModelFrame, ParamDesc,
+    Affine, Consumes, DeformInput, Descriptor, ErrorCode, HostCalls, ModelFrame, ParamDesc,
     Params, PluginError, PluginResult, PrepareInput, Role, Scratch, Setting, State,
 };
-use simod_session::{Capabilities, Code, Migration, Plugin};
+use simod_session::{Capabilities, Code, Migration, OwnHandles, Plugin};
 
 use crate::errors::OrRaise;
 use crate::work::keep_raised;
@@ -241,8 +241,8 @@ impl Code for Function {
         Ok(())
     }
 
-    fn handles(&self, _input: &PrepareInput<'_>, _calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
-        Ok(Vec::new())
+    fn handles(&self, _input: &PrepareInput<'_>, _calls: &dyn HostCalls) -> PluginResult<OwnHandles> {
+        Ok(OwnHandles::default())
     }
 
     fn is_identity(&self, _input: &DeformInput<'_>) -> PluginResult<bool> {

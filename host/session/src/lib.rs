@@ -35,7 +35,7 @@ mod vector;
 #[cfg(unix)]
 pub mod worker;
 
-pub use deformer::{Capabilities, Code, Message, Migration, Plugin, is_raw};
+pub use deformer::{Capabilities, Code, Message, Migration, OwnHandles, Plugin, is_raw};
 pub use motion::Motion;
 pub use params::{ParamValue, Params, describe_params, param_data};
 pub use picked::PickedPoints;

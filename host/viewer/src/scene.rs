@@ -5,7 +5,8 @@ use rayon::prelude::*;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_core::sampled_model::SampledModel;
 use simod_model::frame::Frame;
-use simod_plugin_api::{Effort, HandleDesc};
+use simod_plugin_api::Effort;
+use simod_session::OwnHandles;
 use simod_session::edit::{Evaluated, Evaluation, Status, StepId};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -34,7 +35,7 @@ pub struct Scene {
     /// What each step began with: see [`Evaluated::before`].
     pub before: Vec<Arc<[Vec3]>>,
     /// The handles that the steps' plugins placed, at rest.
-    pub handles: HashMap<StepId, Vec<HandleDesc>>,
+    pub handles: HashMap<StepId, OwnHandles>,
     /// What it was worth: a draft may differ a little from the result.
     pub effort: Effort,
     /// The transfer error to be expected around each sample, local units, if it was asked for.
@@ -48,8 +49,8 @@ impl Scene {
     pub(crate) fn new(evaluated: Evaluated, evaluation: &Evaluation, effort: Effort, revision: u64) -> Self {
         let Evaluated { sampled, positions, statuses, before, .. } = evaluated;
         let handles = |(id, _): &(StepId, Status)| {
-            let handles = evaluation.handles(*id);
-            (!handles.is_empty()).then(|| (*id, handles.to_vec()))
+            let handles = evaluation.handles(*id).filter(|handles| !handles.descs.is_empty());
+            handles.map(|handles| (*id, handles.clone()))
         };
         let handles = statuses.iter().filter_map(handles).collect();
         let (normals, axes) = turned(&sampled, &positions);

@@ -17,8 +17,8 @@ use glam::DVec3;
 use mean_value::View;
 use mesh::Cage;
 use simod_plugin_api::{
-    Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host,
-    IsIdentity, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
+    Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, HandleFaces, Handles,
+    Host, IsIdentity, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
 };
 use somigliana::{Body, Coordinates};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -295,13 +295,19 @@ impl Handles for CagePlugin {
     }
 }
 
+impl HandleFaces for CagePlugin {
+    fn handle_faces(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Vec<Vec<u32>>> {
+        Ok(cage(input)?.faces)
+    }
+}
+
 impl IsIdentity for CagePlugin {
     fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
         Ok(input.handle_motions().iter().all(|motion| *motion == Affine::IDENTITY))
     }
 }
 
-simod_plugin_api::export_plugin!(CagePlugin, evaluate, handles, is_identity);
+simod_plugin_api::export_plugin!(CagePlugin, evaluate, handles, handle_faces, is_identity);
 
 #[cfg(test)]
 mod tests;

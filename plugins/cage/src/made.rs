@@ -54,7 +54,7 @@ pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: u
         }
     }
     let n = best;
-    let mut mesh = Corners::default();
+    let (mut mesh, mut faces) = (Corners::default(), Vec::new());
     for axis in 0..3 {
         let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
         for side in [0, n[axis]] {
@@ -71,6 +71,7 @@ pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: u
                     if (2 * i < n[b]) == (2 * j < n[c]) {
                         quad.rotate_left(1);
                     }
+                    faces.push(quad.map(|v| v as u32).to_vec());
                     let [p, q, r, s] = quad;
                     mesh.triangle([p, q, r], side == 0);
                     mesh.triangle([p, r, s], side == 0);
@@ -79,7 +80,7 @@ pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: u
         }
     }
     let vertex = |g: &IVec3| around.centre + around.half * (2.0 * g.as_dvec3() / n.as_dvec3() - 1.0);
-    Cage::new(mesh.grid.iter().map(vertex).collect(), mesh.triangles)
+    Ok(Cage::new(mesh.grid.iter().map(vertex).collect(), mesh.triangles)?.with_faces(faces))
 }
 
 /// A hull as it is seen from the centre, with about `detail` vertices in fixed directions: those of an

@@ -23,6 +23,8 @@ pub struct Triangle {
 pub struct Cage {
     pub vertices: Vec<DVec3>,
     pub triangles: Vec<Triangle>,
+    /// The polygons that the triangles are parts of, as they are to be seen.
+    pub faces: Vec<Vec<u32>>,
     /// The vertices at both ends.
     pub edges: Vec<[usize; 2]>,
     /// Of the vertices' box.
@@ -75,6 +77,7 @@ impl Cage {
             mean,
             scatter_inverse,
             triangles: Vec::with_capacity(corners.len()),
+            faces: corners.iter().map(|corners| corners.map(|v| v as u32).to_vec()).collect(),
             edges: Vec::new(),
             centre,
             radius,
@@ -86,6 +89,11 @@ impl Cage {
             Some(v) => Err(refused(format!("has a vertex in no face, number {}", v + 1))),
             None => Ok(this),
         }
+    }
+
+    /// The same, of which these polygons are to be seen.
+    pub fn with_faces(self, faces: Vec<Vec<u32>>) -> Self {
+        Self { faces, ..self }
     }
 
     /// Finds the edges.
@@ -132,7 +140,7 @@ impl Cage {
             PluginError::parameter("file", &format!("cannot be read: {}: {e}", path.display()))
                 .hint("give an OBJ file")
         })?;
-        let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+        let (mut vertices, mut triangles, mut faces) = (Vec::new(), Vec::new(), Vec::new());
         for (number, line) in text.lines().enumerate() {
             let wrong = || {
                 PluginError::parameter(
@@ -151,11 +159,12 @@ impl Cage {
                     let corners: Option<Vec<usize>> = words.map(|w| corner(w, vertices.len())).collect();
                     let corners = corners.filter(|c| c.len() >= 3).ok_or_else(wrong)?;
                     triangles.extend(corners[1..].windows(2).map(|pair| [corners[0], pair[0], pair[1]]));
+                    faces.push(corners.iter().map(|v| *v as u32).collect());
                 }
                 _ => {}
             }
         }
-        Self::new(vertices, triangles)
+        Ok(Self::new(vertices, triangles)?.with_faces(faces))
     }
 }
 
@@ -208,7 +217,9 @@ mod tests {
         // A face of four corners, of a pyramid.
         let pyramid =
             "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nf 1 4 3 2\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5";
-        assert_eq!(read(pyramid).unwrap().triangles.len(), 6);
+        let cage = read(pyramid).unwrap();
+        assert_eq!((cage.triangles.len(), cage.faces.len()), (6, 5));
+        assert_eq!(cage.faces[0], [0, 3, 2, 1]);
     }
 
     #[test]

@@ -95,7 +95,7 @@ fn a_plugin_of_another_abi_version() {
     let profile = built().file_name().expect("a profile's folder");
     let file = outside_target().join(profile).join(format!("{DLL_PREFIX}from_the_future{DLL_SUFFIX}"));
     install(&work, "from_the_future", std::fs::read(file).expect("a library"));
-    check_rejected(&work, "from_the_future", "interface 2.0.0, this program has 1.4.0");
+    check_rejected(&work, "from_the_future", "interface 2.0.0, this program has 1.5.0");
 }
 
 const FROM_THE_FUTURE: &str = r#"

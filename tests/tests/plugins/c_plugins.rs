@@ -29,6 +29,11 @@ fn all_that_there_is_arrives() {
     {
         assert!(passed.contains(&rule), "{rule}: {report}");
     }
+    let handles = rules(&report, "pass").into_iter().find(|(rule, _)| *rule == "handles");
+    assert!(
+        handles.is_some_and(|(_, found)| found.ends_with("handles, and 1 faces between them")),
+        "{handles:?}"
+    );
     // No input is refused: all is as promised, but where a rule breaks the promise.
     let broken = ["no-samples", "not-a-number"];
     for rule in report["rules"]
@@ -45,6 +50,19 @@ fn all_that_there_is_arrives() {
     let info = work.report("plugin info all-inputs");
     assert_eq!(info["version"], "1.2.3");
     assert_eq!(info["parameters"].as_array().unwrap().len(), 9);
+}
+
+/// Faces between handles that there are not, or that are NULL, fail the rule.
+#[test]
+fn wrong_faces_between_handles_are_told() {
+    let work = Workplace::new();
+    let wrongs =
+        [("1", "the face 0 has the corner"), ("0", "the corners of a face are said to be 4, and are NULL")];
+    for (wrong, reason) in wrongs {
+        let library = work.build_c("tests/c/all_inputs.c", "all_inputs", &[&format!("-DWRONG_FACE={wrong}")]);
+        let outcome = work.run(&format!("plugin check {} --json", library.display()));
+        assert!(outcome.stdout.contains(reason), "{}", outcome.stdout);
+    }
 }
 
 #[test]
@@ -86,7 +104,7 @@ fn wrong_tables_are_refused() {
         ("NEEDS_MORE", "needs the input `simod.smell/9`"),
         ("NO_DEFORM", "lacks `describe` or `deform`"),
         ("SMALL_TABLE", "its table has 24 bytes instead of"),
-        ("NEXT_VERSION", "built for plugin interface 2.4, this program has 1.4"),
+        ("NEXT_VERSION", "built for plugin interface 2.5, this program has 1.5"),
         ("NO_EVALUATE", "offers simod.evaluate/1 without the function"),
     ];
     let work = Workplace::new().with_plugins("plugins");

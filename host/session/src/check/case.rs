@@ -2,7 +2,7 @@
 
 use super::subject::{Listener, Refusal, answer};
 use super::{Checked, Finding};
-use crate::deformer::{Plugin, check_handles};
+use crate::deformer::{OwnHandles, Plugin, check_handles};
 use crate::key::Key;
 use crate::params::{LocalParams, Params};
 use crate::stack::{neighbour_lists, rows};
@@ -11,8 +11,8 @@ use simod_core::sampling::SampleSet;
 use simod_model::bounds::Bounds;
 use simod_model::frame::Frame;
 use simod_plugin_api::{
-    Affine, Attribute, AttributeKind, Attributes, DeformInput, Graph, HandleDesc, HandleMotions, Joint,
-    Joints, ModelFrame, OtherModel, OtherModels, Param, ParamKind, Part, PointsKind, PrepareInput, Region,
+    Affine, Attribute, AttributeKind, Attributes, DeformInput, Graph, HandleMotions, Joint, Joints,
+    ModelFrame, OtherModel, OtherModels, Param, ParamKind, Part, PointsKind, PrepareInput, Region,
     RestPositions, Role, Samples, Stroke, Strokes, Time, Triangles,
 };
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -114,14 +114,14 @@ impl Case {
         let placed = self.placed_handles(plugin)?;
         let corner = DVec3::from_array;
         let bounds = Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) };
-        self.handles = (0..placed.len()).map(|i| rows(motion(&bounds, i % 3))).collect();
+        self.handles = (0..placed.descs.len()).map(|i| rows(motion(&bounds, i % 3))).collect();
         Ok(())
     }
 
     /// The handles that the plugin places.
-    pub fn placed_handles(&self, plugin: &Plugin) -> Checked<Vec<HandleDesc>> {
+    pub fn placed_handles(&self, plugin: &Plugin) -> Checked<OwnHandles> {
         if !plugin.capabilities().handles {
-            return Ok(Vec::new());
+            return Ok(OwnHandles::default());
         }
         let call =
             |input: &PrepareInput<'_>| plugin.code().handles(&input.without_regions(), &Listener::patient());

@@ -218,14 +218,18 @@ pub(super) fn handles(subject: &Subject) -> Checked<Finding> {
         Ok(bits(&subject.run_ordinary(&one)?.1) == bits(&still))
     };
     const TRIED: usize = 8;
-    let step = placed.len().div_ceil(TRIED).max(1);
-    for i in (0..placed.len()).step_by(step) {
+    let step = placed.descs.len().div_ceil(TRIED).max(1);
+    for i in (0..placed.descs.len()).step_by(step) {
         if dead(i)? {
             let hint = "place handles where they reach something, or leave them out";
-            return Ok(Finding::warn(format!("the handle `{}` moves nothing", placed[i].id), hint));
+            return Ok(Finding::warn(format!("the handle `{}` moves nothing", placed.descs[i].id), hint));
         }
     }
-    Ok(Finding::pass(format!("{} handles", placed.len())))
+    let faces = match placed.faces.len() {
+        0 => String::new(),
+        faces => format!(", and {faces} faces between them"),
+    };
+    Ok(Finding::pass(format!("{} handles{faces}", placed.descs.len())))
 }
 
 pub(super) fn is_identity(subject: &Subject) -> Checked<Finding> {

@@ -5,10 +5,9 @@
 //! means: see `docs/plugins.md`.
 
 use super::registers::{Modes, clear_upper_halves};
-use super::{Capabilities, Code, Migration};
+use super::{Capabilities, Code, Migration, OwnHandles};
 use simod_plugin_api::{
-    DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginResult, PrepareInput, Scratch,
-    Setting, State,
+    DeformInput, Descriptor, HostCalls, PluginError, PluginResult, PrepareInput, Scratch, Setting, State,
 };
 
 /// How much is undone.
@@ -208,7 +207,7 @@ impl<C: Code> Code for CarefulCode<C> {
         self.code.evaluate(state, input, points, calls)
     }
 
-    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<OwnHandles> {
         let _kept = self.care.enter();
         self.code.handles(input, calls)
     }

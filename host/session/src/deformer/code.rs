@@ -2,9 +2,9 @@
 
 use super::Migration;
 use simod_plugin_api::{
-    DeformInput, Descriptor, EvaluateExtension, ExtensionInterface, HandleDesc, HandlesExtension, Host,
-    HostCalls, IsIdentityExtension, MigrationExtension, PluginModRef, PluginResult, PrepareInput, Scratch,
-    Setting, State,
+    DeformInput, Descriptor, EvaluateExtension, ExtensionInterface, HandleDesc, HandleFacesExtension,
+    HandlesExtension, Host, HostCalls, IsIdentityExtension, MigrationExtension, PluginModRef, PluginResult,
+    PrepareInput, Scratch, Setting, State,
 };
 
 /// What a plugin can do besides deforming samples.
@@ -16,6 +16,15 @@ pub struct Capabilities {
     pub handles: bool,
     /// It tells when it would do nothing.
     pub is_identity: bool,
+}
+
+/// The handles that a plugin places.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct OwnHandles {
+    /// Where they are at rest, local coordinates, and how they may be moved.
+    pub descs: Vec<HandleDesc>,
+    /// The faces between them, for each its corners as indices of handles; none where the plugin knows of no surface.
+    pub faces: Vec<Vec<u32>>,
 }
 
 /// The calls of the plugin interface. Those of what a plugin cannot do, as
@@ -67,8 +76,9 @@ pub trait Code: Send + Sync {
         calls: &dyn HostCalls,
     ) -> PluginResult<()>;
 
-    /// See [`Handles::handles`](simod_plugin_api::Handles::handles).
-    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>>;
+    /// See [`Handles::handles`](simod_plugin_api::Handles::handles), and
+    /// [`HandleFaces::handle_faces`](simod_plugin_api::HandleFaces::handle_faces), which not all have.
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<OwnHandles>;
 
     /// See [`IsIdentity::is_identity`](simod_plugin_api::IsIdentity::is_identity).
     fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool>;
@@ -83,6 +93,7 @@ pub(crate) struct RustCode {
     module: PluginModRef,
     evaluate: Option<&'static EvaluateExtension>,
     handles: Option<&'static HandlesExtension>,
+    handle_faces: Option<&'static HandleFacesExtension>,
     is_identity: Option<&'static IsIdentityExtension>,
     migration: Option<&'static MigrationExtension>,
 }
@@ -97,6 +108,7 @@ impl RustCode {
             module,
             evaluate: extension(module),
             handles: extension(module),
+            handle_faces: extension(module),
             is_identity: extension(module),
             migration: extension(module),
         }
@@ -153,9 +165,12 @@ impl Code for RustCode {
         evaluate(state, input, points.into(), &Host::new(&calls)).into_result()
     }
 
-    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
-        let handles = self.handles.expect(OFFERED).handles;
-        handles(input, &Host::new(&calls)).into_result().map(Into::into)
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<OwnHandles> {
+        let host = Host::new(&calls);
+        let descs = (self.handles.expect(OFFERED).handles)(input, &host).into_result()?;
+        let faces = self.handle_faces.map(|e| (e.handle_faces)(input, &host).into_result()).transpose()?;
+        let faces = faces.unwrap_or_default().into_iter().map(Into::into).collect();
+        Ok(OwnHandles { descs: descs.into(), faces })
     }
 
     fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool> {

@@ -5,13 +5,13 @@
 //! asks for positions at rest; 20 a sample once samples were looked up, and 150 a triangle once the surface
 //! was, for each pose.
 
-use super::{Capabilities, Code, Migration};
+use super::{Capabilities, Code, Migration, OwnHandles};
 use glam::{DVec3, Vec3};
 use simod_core::sampling::KdTree;
 use simod_measure::{OnSurface, Surface};
 use simod_plugin_api::{
-    DeformInput, Descriptor, Extension, HandleDesc, HostCalls, LogLevel, Lookups, PluginError, PluginResult,
-    Pose, PrepareInput, Scratch, Setting, State, SurfacePoint, Triangles,
+    DeformInput, Descriptor, Extension, HostCalls, LogLevel, Lookups, PluginError, PluginResult, Pose,
+    PrepareInput, Scratch, Setting, State, SurfacePoint, Triangles,
 };
 use std::sync::OnceLock;
 
@@ -214,7 +214,7 @@ impl<C: Code> Code for LookingCode<C> {
         self.0.evaluate(state, input, points, &looking)
     }
 
-    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<OwnHandles> {
         let trees = Trees::of(input);
         let looking = Looking { calls, positions: input.samples.positions(), trees: &trees };
         self.0.handles(input, &looking)

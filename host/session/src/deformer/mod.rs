@@ -32,7 +32,7 @@ pub use about::Migration;
 pub(crate) use c::{CCode, load_whole};
 pub(crate) use care::{Care, CarefulCode};
 pub(crate) use code::RustCode;
-pub use code::{Capabilities, Code};
+pub use code::{Capabilities, Code, OwnHandles};
 pub use limits::is_raw;
 pub(crate) use lookups::LookingCode;
 
@@ -288,9 +288,9 @@ impl Plugin {
     }
 
     /// The handles that the plugin places for this input; none where it has no such.
-    pub(crate) fn handles(&self, input: &PrepareInput<'_>, watch: &Watch<'_>) -> Result<Vec<HandleDesc>> {
+    pub(crate) fn handles(&self, input: &PrepareInput<'_>, watch: &Watch<'_>) -> Result<OwnHandles> {
         if !self.capabilities.handles {
-            return Ok(Vec::new());
+            return Ok(OwnHandles::default());
         }
         let handles = self.code.handles(input, watch);
         watch.progress.check()?;
@@ -400,9 +400,9 @@ pub(crate) fn is_usable(p: [f64; 3]) -> bool {
 }
 
 /// What is wrong with the handles that a plugin places.
-pub(crate) fn check_handles(handles: &[HandleDesc]) -> std::result::Result<(), String> {
+pub(crate) fn check_handles(OwnHandles { descs, faces }: &OwnHandles) -> std::result::Result<(), String> {
     let mut ids = HashSet::new();
-    for (i, handle) in handles.iter().enumerate() {
+    for (i, handle) in descs.iter().enumerate() {
         if [&handle.id, &handle.name].iter().any(|text| text.len() >= limits::LONGEST_TEXT) {
             return Err(format!("the id or name of the handle `{}` is too long", line(&handle.id)));
         }
@@ -417,6 +417,17 @@ pub(crate) fn check_handles(handles: &[HandleDesc]) -> std::result::Result<(), S
         }
         if handle.parent != HandleDesc::ROOT && handle.parent as usize >= i {
             return Err(format!("the handle `{}` hangs on one that does not come before it", handle.id));
+        }
+    }
+    for (i, corners) in faces.iter().enumerate() {
+        if corners.len() < 3 {
+            return Err(format!("the face {i} between its handles has {} corners", corners.len()));
+        }
+        if let Some(beyond) = corners.iter().find(|corner| **corner as usize >= descs.len()) {
+            return Err(format!(
+                "the face {i} has the corner {beyond}, and there are {} handles",
+                descs.len()
+            ));
         }
     }
     Ok(())

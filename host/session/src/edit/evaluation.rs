@@ -2,7 +2,7 @@
 
 use super::around::Around;
 use super::document::{Entry, StepId};
-use crate::deformer::Message;
+use crate::deformer::{Message, OwnHandles};
 use crate::key::Key;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Refine, Step};
@@ -17,7 +17,7 @@ use simod_core::refinement::{Refining, Selection, appended_deformed, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_model::follow::Follow;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
-use simod_plugin_api::{Effort, HandleDesc, Time};
+use simod_plugin_api::{Effort, Time};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -290,10 +290,10 @@ impl Evaluation {
 
     /// The handles that a step's plugin placed the last time, local coordinates; none where it was not done
     /// yet.
-    pub fn handles(&self, id: StepId) -> &[HandleDesc] {
+    pub fn handles(&self, id: StepId) -> Option<&OwnHandles> {
         match self.known.get(&id) {
             Some(StepState::Deform { kept, .. }) => kept.handles(),
-            _ => &[],
+            _ => None,
         }
     }
 

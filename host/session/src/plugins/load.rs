@@ -2,14 +2,14 @@
 
 use super::library_file::{self, Kind};
 use crate::deformer::{
-    About, CCode, Capabilities, Care, CarefulCode, Code, LookingCode, Migration, Plugin, RustCode,
-    cannot_load, load_whole,
+    About, CCode, Capabilities, Care, CarefulCode, Code, LookingCode, Migration, OwnHandles, Plugin,
+    RustCode, cannot_load, load_whole,
 };
 use abi_stable::library::{LibraryError, RootModule, lib_header_from_path};
 use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::{
-    DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginModRef, PluginResult, PrepareInput,
-    Scratch, Setting, State,
+    DeformInput, Descriptor, HostCalls, PluginError, PluginModRef, PluginResult, PrepareInput, Scratch,
+    Setting, State,
 };
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -135,7 +135,7 @@ impl Code for LazyCode {
         self.code()?.evaluate(state, input, points, calls)
     }
 
-    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<OwnHandles> {
         self.code()?.handles(input, calls)
     }
 

@@ -1,7 +1,7 @@
 //! One layer of a stack: a plugin with its parameters, regions, joints, handles and strokes.
 
 use super::{Moment, Rest, RestShape, neighbour_lists, not_one_per_sample, rows};
-use crate::deformer::{Message, Plugin, Watch};
+use crate::deformer::{Message, OwnHandles, Plugin, Watch};
 use crate::key::Key;
 use crate::migration::{in_its_words, migrated};
 use crate::motion::to_local;
@@ -100,7 +100,7 @@ struct Preparation {
 /// What is kept of a layer from one time to the next, each with a hash of all that it depends on.
 #[derive(Debug, Default)]
 pub(crate) struct LayerCache {
-    placed: Option<(u64, Vec<api::HandleDesc>)>,
+    placed: Option<(u64, OwnHandles)>,
     others: Vec<(u64, Arc<OtherModel>)>,
     preparation: Option<(u64, Arc<Preparation>)>,
     strokes: Vec<(Arc<Stroke>, Arc<Params>, Arc<LocalStroke>)>,
@@ -109,8 +109,8 @@ pub(crate) struct LayerCache {
 
 impl LayerCache {
     /// The handles that the plugin placed the last time.
-    pub fn handles(&self) -> &[api::HandleDesc] {
-        self.placed.as_ref().map_or(&[], |(_, placed)| placed)
+    pub fn handles(&self) -> Option<&OwnHandles> {
+        self.placed.as_ref().map(|(_, placed)| placed)
     }
 }
 
@@ -468,7 +468,7 @@ impl Layer {
         Ok(Motions {
             params: self.params.to_local(frame, bounds),
             transforms: self.transforms.iter().map(|&t| rows(to_local(t, frame))).collect(),
-            handles: self.handle_motions(kept.handles(), frame)?,
+            handles: self.handle_motions(kept.handles().map_or(&[], |placed| &placed.descs), frame)?,
             strokes: kept.strokes.iter().map(|(.., local)| local.clone()).collect(),
             effort: self.plugin.consumes().effort.then_some(moment.effort),
             time: self.plugin.consumes().time.then_some(moment.time),

@@ -10,13 +10,13 @@ mod protocol;
 mod serve;
 
 use crate::child::{Ended, Tail, describe, ran_out_of_memory};
-use crate::deformer::{About, Capabilities, Code, Migration};
+use crate::deformer::{About, Capabilities, Code, Migration, OwnHandles};
 use arena::{Arena, ControlMap, Range};
 use protocol::{InputRecord, MotionRecord, Refusal, Reply, Request, SettingRecord, Slice};
 use simod_model::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{
-    DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, PluginError, PluginResult,
-    PrepareInput, Scratch, Setting, State,
+    DeformInput, Descriptor, ErrorCode, HostCalls, LogLevel, PluginError, PluginResult, PrepareInput,
+    Scratch, Setting, State,
 };
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
@@ -293,11 +293,11 @@ impl Code for WorkerCode {
         self.take_back(&worker, &mut link, "evaluate", &request, range, array, calls)
     }
 
-    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<OwnHandles> {
         let (worker, range, reply) = self.call_with_input("handles", input, calls, Request::Handles)?;
         lock(&worker.link).arena.release(range);
         match reply {
-            Reply::Handles(Ok(handles)) => Ok(handles.into_iter().map(HandleDesc::from).collect()),
+            Reply::Handles(Ok(handles)) => Ok(handles.into()),
             Reply::Handles(Err(failure)) => Err(failure.into()),
             _ => Err(confused()),
         }

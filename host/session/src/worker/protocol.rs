@@ -2,7 +2,7 @@
 //! shared memory.
 
 use super::arena::Range;
-use crate::deformer::About;
+use crate::deformer::{About, OwnHandles};
 use crate::params::is_text;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -61,7 +61,7 @@ pub(super) enum Reply {
     /// A number for what was made.
     Made(std::result::Result<u64, Failure>),
     Done(std::result::Result<(), Failure>),
-    Handles(std::result::Result<Vec<HandleRecord>, Failure>),
+    Handles(std::result::Result<HandlesRecord, Failure>),
     Identity(std::result::Result<bool, Failure>),
     Settings(std::result::Result<Vec<SettingRecord>, Failure>),
 }
@@ -115,9 +115,28 @@ impl From<Failure> for PluginError {
     }
 }
 
+/// What a plugin places.
+#[derive(Serialize, Deserialize)]
+pub(super) struct HandlesRecord {
+    descs: Vec<HandleRecord>,
+    faces: Vec<Vec<u32>>,
+}
+
+impl From<OwnHandles> for HandlesRecord {
+    fn from(OwnHandles { descs, faces }: OwnHandles) -> Self {
+        Self { descs: descs.into_iter().map(HandleRecord::from).collect(), faces }
+    }
+}
+
+impl From<HandlesRecord> for OwnHandles {
+    fn from(HandlesRecord { descs, faces }: HandlesRecord) -> Self {
+        Self { descs: descs.into_iter().map(HandleDesc::from).collect(), faces }
+    }
+}
+
 /// A [`HandleDesc`].
 #[derive(Serialize, Deserialize)]
-pub(super) struct HandleRecord {
+struct HandleRecord {
     id: String,
     name: String,
     position: [f64; 3],
@@ -505,13 +524,14 @@ mod tests {
         let failure = || Failure { code: 1, message: "what".to_owned(), hint: "why".to_owned() };
         let setting =
             SettingRecord { id: "a".to_owned(), kind: 1, numbers: vec![1.0; 9], text: String::new() };
-        let handle = HandleDesc::new("3,3", [1.0, 2.0, 3.0]);
+        let descs = [0, 1, 2].map(|i| HandleDesc::new(&format!("{i},3"), [1.0, 2.0, 3.0])).to_vec();
+        let handles = OwnHandles { descs, faces: vec![vec![0, 1, 2]] };
         let replies = [
             Reply::Loaded(Ok(Box::new(about))),
             Reply::Log { level: 2, text: "a line".to_owned() },
             Reply::Made(Ok(7)),
             Reply::Done(Err(failure())),
-            Reply::Handles(Ok(vec![handle.into()])),
+            Reply::Handles(Ok(handles.into())),
             Reply::Settings(Ok(vec![setting])),
         ];
         let good = replies.map(|reply| {
@@ -526,9 +546,7 @@ mod tests {
             // for it.
             let short = bytes.get(..4).is_some_and(|len| len[3] == 0 && len[2] < 16);
             if short && let Ok(Some(Reply::Handles(Ok(handles)))) = receive::<Reply>(&mut &bytes[..]) {
-                drop(crate::deformer::check_handles(
-                    &handles.into_iter().map(HandleDesc::from).collect::<Vec<_>>(),
-                ));
+                drop(crate::deformer::check_handles(&handles.into()));
             }
             Ok(())
         });

@@ -2,7 +2,7 @@
 
 use super::arena::{ControlMap, Shared};
 use super::protocol::{
-    self, Failure, HandleRecord, InputRecord, Refusal, Reply, Request, SettingRecord, Slice,
+    self, Failure, HandlesRecord, InputRecord, Refusal, Reply, Request, SettingRecord, Slice,
 };
 use crate::child::{end_with, limit_memory};
 use crate::deformer::{Care, Code, Plugin};
@@ -137,8 +137,7 @@ impl Workshop {
             }
             Request::Handles(input) => {
                 let handles = self.with_input(&input, |input| self.code.handles(input, &self.calls));
-                let records = handles.map(|all| all.into_iter().map(HandleRecord::from).collect());
-                Reply::Handles(wrap(records))
+                Reply::Handles(wrap(handles.map(HandlesRecord::from)))
             }
             Request::Migrate(from, settings) => {
                 let settings = settings.into_iter().map(Setting::from).collect();

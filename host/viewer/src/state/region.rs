@@ -13,7 +13,7 @@ use simod_model::Result;
 use simod_plugin_api::HandleDesc;
 use simod_session::edit::{Change, StepId};
 use simod_session::session_file::{Action, Joint, Refine, Region, Role};
-use simod_session::{Motion, PickedPoints, Shape, Shapes};
+use simod_session::{Motion, OwnHandles, PickedPoints, Shape, Shapes};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -213,9 +213,13 @@ impl State {
     /// The handles that a step's plugin placed, and where they are; none where it was not done yet.
     pub fn handles(&self, step: usize) -> Vec<(HandleDesc, PlacedHandle)> {
         let (Some(open), Ok(deformation)) = (&self.open, self.deformation(step)) else { return Vec::new() };
-        let placed = self.entry(step).ok().and_then(|entry| open.scene.handles.get(&entry.id));
-        let Some(handles) = placed else { return Vec::new() };
-        let moved = placed_handles(handles, &deformation.handles, &open.scene.frame());
-        handles.iter().cloned().zip(moved).collect()
+        let Some(OwnHandles { descs, .. }) = self.own_handles(step) else { return Vec::new() };
+        let moved = placed_handles(descs, &deformation.handles, &open.scene.frame());
+        descs.iter().cloned().zip(moved).collect()
+    }
+
+    /// The handles that a step's plugin placed, at rest, with the faces between them; none where it was not done yet.
+    pub fn own_handles(&self, step: usize) -> Option<&OwnHandles> {
+        self.open.as_ref()?.scene.handles.get(&self.entry(step).ok()?.id)
     }
 }

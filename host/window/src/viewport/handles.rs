@@ -84,9 +84,8 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
         bone(canvas, b, a);
     }
     grid(canvas, &dots);
-    let [nearest, farthest] = dots
-        .iter()
-        .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], dot| [a.min(dot.depth), b.max(dot.depth)]);
+    surface(canvas, window, &dots);
+    let [nearest, farthest] = depths(&dots);
     let many = dots.len() > 200;
     for dot in &dots {
         let is_held = matches!(&dot.target, Target::Handle(id) if in_hand.contains(id));
@@ -138,6 +137,46 @@ fn grid(canvas: &Canvas<'_>, dots: &[Dot]) {
             canvas.painter().line_segment([*at, *to], Stroke::new(width, DOT.gamma_multiply(share)));
         }
     }
+}
+
+/// The faces between handles that the plugin knows, with their edges: a cage.
+fn surface(canvas: &Canvas<'_>, window: &Window, dots: &[Dot]) {
+    let own = window.chosen().and_then(|(step, ..)| window.state().own_handles(step));
+    let Some(own) = own.filter(|own| !own.faces.is_empty()) else { return };
+    let seen: HashMap<&str, &Dot> = dots
+        .iter()
+        .filter_map(|dot| match &dot.target {
+            Target::Handle(id) => Some((id.as_str(), dot)),
+            Target::Region(_) => None,
+        })
+        .collect();
+    let dot = |corner: &u32| seen.get(own.descs.get(*corner as usize)?.id.as_str()).copied();
+    let painter = canvas.painter();
+    let mut edges = BTreeSet::new();
+    for face in &own.faces {
+        // With a corner behind the eye it is not drawn.
+        let corners: Option<Vec<&Dot>> = face.iter().map(dot).collect();
+        let Some(corners) = corners else { continue };
+        // A fan, as the picture of a face that is bent need not be convex.
+        for pair in corners[1..].windows(2) {
+            let triangle = vec![corners[0].at, pair[0].at, pair[1].at];
+            painter.add(Shape::convex_polygon(triangle, DOT.gamma_multiply(0.05), Stroke::NONE));
+        }
+        let ends = face.iter().zip(face.iter().cycle().skip(1));
+        edges.extend(ends.map(|(a, b)| [*a.min(b), *a.max(b)]));
+    }
+    let [near, far] = depths(dots);
+    for [a, b] in edges {
+        let (Some(a), Some(b)) = (dot(&a), dot(&b)) else { continue };
+        let share = ((0.5 * (a.depth + b.depth) - near) / (far - near).max(1e-9)) as f32;
+        painter.line_segment([a.at, b.at], Stroke::new(1.5, DOT.gamma_multiply(0.9 - 0.6 * share)));
+    }
+}
+
+/// How far the nearest and the farthest dot are.
+fn depths(dots: &[Dot]) -> [f64; 2] {
+    let wider = |[a, b]: [f64; 2], dot: &Dot| [a.min(dot.depth), b.max(dot.depth)];
+    dots.iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
 }
 
 /// Thick at the parent, thin at the child, as bones are drawn.

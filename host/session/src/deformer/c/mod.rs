@@ -9,14 +9,14 @@ mod give;
 mod listen;
 mod read;
 
-use super::{Capabilities, Code, Migration, cannot_load, limits, line};
+use super::{Capabilities, Code, Migration, OwnHandles, cannot_load, limits, line};
 use give::{with_deform_input, with_prepare_input, with_settings};
 use libloading::Library;
 use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::c::{
-    SIMOD_INTERFACE_MAJOR, SIMOD_INTERFACE_MINOR, SIMOD_OK, SimodDeformInput, SimodEvaluate, SimodHandleDesc,
-    SimodHandleList, SimodHandles, SimodHost, SimodIsIdentity, SimodMigration, SimodParam, SimodPlugin,
-    SimodPrepareInput, SimodSettingList,
+    SIMOD_INTERFACE_MAJOR, SIMOD_INTERFACE_MINOR, SIMOD_OK, SimodDeformInput, SimodEvaluate, SimodFaceList,
+    SimodHandleDesc, SimodHandleFaces, SimodHandleList, SimodHandles, SimodHost, SimodIsIdentity,
+    SimodMigration, SimodParam, SimodPlugin, SimodPrepareInput, SimodSettingList,
 };
 use simod_plugin_api::{
     DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginResult, PrepareInput, Scratch,
@@ -38,6 +38,8 @@ type Evaluate = unsafe extern "C" fn(
     *const SimodHost,
 ) -> u32;
 type Handles = unsafe extern "C" fn(*const SimodPrepareInput, *mut SimodHandleList, *const SimodHost) -> u32;
+type HandleFaces =
+    unsafe extern "C" fn(*const SimodPrepareInput, *mut SimodFaceList, *const SimodHost) -> u32;
 type Migrate =
     unsafe extern "C" fn(u32, *const SimodParam, usize, *mut SimodSettingList, *const SimodHost) -> u32;
 type IsIdentity = unsafe extern "C" fn(*const SimodDeformInput) -> u8;
@@ -55,6 +57,7 @@ pub(crate) struct CCode {
     ) -> u32,
     evaluate: Option<Evaluate>,
     handles: Option<Handles>,
+    handle_faces: Option<HandleFaces>,
     is_identity: Option<IsIdentity>,
     migration: Option<(Migration, Option<Migrate>)>,
     /// What may be missing.
@@ -158,10 +161,11 @@ impl CCode {
             Error::new(ErrorKind::Plugin, format!("{}: {what}", path.display()), bug)
         };
         // SAFETY: the header says which struct has which id.
-        let (evaluate, handles, is_identity, migration) = unsafe {
+        let (evaluate, handles, handle_faces, is_identity, migration) = unsafe {
             (
                 extension::<SimodEvaluate>(&plugin, c"simod.evaluate/1"),
                 extension::<SimodHandles>(&plugin, c"simod.handles/1"),
+                extension::<SimodHandleFaces>(&plugin, c"simod.handle-faces/1"),
                 extension::<SimodIsIdentity>(&plugin, c"simod.is-identity/1"),
                 extension::<SimodMigration>(&plugin, c"simod.migration/1")
                     .map(|m| Ok((describe::migration(&m)?, m.migrate))),
@@ -170,6 +174,9 @@ impl CCode {
         Ok(Self {
             evaluate: evaluate.map(|e| e.evaluate.ok_or_else(|| missing(c"simod.evaluate/1"))).transpose()?,
             handles: handles.map(|e| e.handles.ok_or_else(|| missing(c"simod.handles/1"))).transpose()?,
+            handle_faces: handle_faces
+                .map(|e| e.handle_faces.ok_or_else(|| missing(c"simod.handle-faces/1")))
+                .transpose()?,
             is_identity: is_identity
                 .map(|e| e.is_identity.ok_or_else(|| missing(c"simod.is-identity/1")))
                 .transpose()?,
@@ -295,15 +302,10 @@ impl Code for CCode {
         })?
     }
 
-    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
-        let handles = self.handles.expect(OFFERED);
-        let mut found: PluginResult<Vec<HandleDesc>> = Ok(Vec::new());
-        let mut list = SimodHandleList { context: (&raw mut found).cast(), add: add_handle };
-        with_prepare_input(input, |input| {
-            // SAFETY: all pointers are good for the length of the call.
-            call(calls, |host| unsafe { handles(input, &raw mut list, host) })
-        })??;
-        found
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<OwnHandles> {
+        let descs = self.handle_descs(input, calls)?;
+        let faces = self.handle_faces.map(|function| handle_faces(function, input, calls)).transpose()?;
+        Ok(OwnHandles { descs, faces: faces.unwrap_or_default() })
     }
 
     fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool> {
@@ -322,6 +324,51 @@ impl Code for CCode {
             call(&(), |host| unsafe { migrate(from, settings, count, &raw mut list, host) })
         })??;
         found.map_err(|e| e.hint(crate::deformer::TELL_AUTHOR))
+    }
+}
+
+impl CCode {
+    fn handle_descs(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
+        let handles = self.handles.expect(OFFERED);
+        let mut found: PluginResult<Vec<HandleDesc>> = Ok(Vec::new());
+        let mut list = SimodHandleList { context: (&raw mut found).cast(), add: add_handle };
+        with_prepare_input(input, |input| {
+            // SAFETY: all pointers are good for the length of the call.
+            call(calls, |host| unsafe { handles(input, &raw mut list, host) })
+        })??;
+        found
+    }
+}
+
+/// The faces that a plugin puts between its handles.
+fn handle_faces(
+    function: HandleFaces,
+    input: &PrepareInput<'_>,
+    calls: &dyn HostCalls,
+) -> PluginResult<Vec<Vec<u32>>> {
+    let mut found: PluginResult<Vec<Vec<u32>>> = Ok(Vec::new());
+    let mut list = SimodFaceList { context: (&raw mut found).cast(), add: add_face };
+    with_prepare_input(input, |input| {
+        // SAFETY: all pointers are good for the length of the call.
+        call(calls, |host| unsafe { function(input, &raw mut list, host) })
+    })??;
+    found
+}
+
+/// What `SimodFaceList::add` does: the first face that cannot be read is what is told.
+unsafe extern "C" fn add_face(list: *mut SimodFaceList, corners: *const u32, count: usize) {
+    if list.is_null() {
+        return;
+    }
+    // SAFETY: the plugin passes the list that it was given, whose context is the one that `handle_faces` made; it adds
+    // faces one by one.
+    let found = unsafe { &mut *(*list).context.cast::<PluginResult<Vec<Vec<u32>>>>() };
+    if let Ok(faces) = found {
+        // SAFETY: the header asks for so many good numbers.
+        match unsafe { read::list(corners, count, "the corners of a face") } {
+            Ok(corners) => faces.push(corners.to_vec()),
+            Err(error) => *found = Err(error),
+        }
     }
 }
 
