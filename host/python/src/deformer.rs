@@ -7,8 +7,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde::Deserialize;
 use simod_plugin_api::{
-    Affine, Consumes, DeformInput, Descriptor, ErrorCode, HostCalls, ModelFrame, ParamDesc,
-    Params, PluginError, PluginResult, PrepareInput, Role, Scratch, Setting, State,
+    Affine, Consumes, DeformInput, Descriptor, ErrorCode, HostCalls, ModelFrame, ParamDesc, Params,
+    PluginError, PluginResult, PrepareInput, Role, Scratch, Setting, State,
 };
 use simod_session::{Capabilities, Code, Migration, OwnHandles, Plugin};
 

@@ -80,7 +80,7 @@ fn a_plugin_of_another_abi_version() {
     let derive = std::fs::read(workspace().join("plugin-api/derive/Cargo.toml")).expect("a manifest");
     work.write("next/plugin-api/derive/Cargo.toml", derive);
     let api = std::fs::read_to_string(workspace().join("plugin-api/Cargo.toml")).expect("a manifest");
-    let api = api.replace("version = \"1.4.0\"", "version = \"2.0.0\"");
+    let api = api.replace("version = \"1.5.0\"", "version = \"2.0.0\"");
     work.write("next/plugin-api/Cargo.toml", api);
     work.write(
         "next/plugin/Cargo.toml",
