@@ -81,7 +81,7 @@
 //! | [`Deformer::prepare`] | a worker; several instances at once | may take seconds; reports progress, obeys cancel |
 //! | [`Deformer::deform`] | one at a time per scratch; several scratches of a state at once | interactive |
 //! | [`Evaluate::evaluate`] | several threads at once on one state | nanoseconds to microseconds per point |
-//! | [`Handles::handles`] | any | milliseconds |
+//! | [`Handles::handles`], [`HandleFaces::handle_faces`] | any | milliseconds |
 //! | [`IsIdentity::is_identity`] | any | microseconds |
 //! | [`Migrate::migrate`] | any | microseconds |
 //!

@@ -35,7 +35,7 @@ pub struct Scene {
     /// What each step began with: see [`Evaluated::before`].
     pub before: Vec<Arc<[Vec3]>>,
     /// The handles that the steps' plugins placed, at rest.
-    pub handles: HashMap<StepId, OwnHandles>,
+    pub handles: HashMap<StepId, Arc<OwnHandles>>,
     /// What it was worth: a draft may differ a little from the result.
     pub effort: Effort,
     /// The transfer error to be expected around each sample, local units, if it was asked for.

@@ -49,6 +49,13 @@ struct Made {
     margin: f64,
 }
 
+impl Made {
+    /// About how many vertices it has.
+    fn vertices(&self) -> PluginResult<usize> {
+        usize::try_from(self.detail).map_err(|_| PluginError::parameter("detail", "is negative"))
+    }
+}
+
 #[derive(Choice, Clone, Copy)]
 enum Kind {
     #[choice(label = "About the model")]
@@ -104,13 +111,12 @@ fn cage(input: &PrepareInput<'_>) -> PluginResult<Cage> {
         })?;
         return Cage::read(path, |p| frame.to_local(p.into()).into());
     }
-    let Made { cage, detail, margin } = params.read()?;
-    let detail = usize::try_from(detail).map_err(|_| PluginError::parameter("detail", "is negative"))?;
-    let make = match cage {
+    let made: Made = params.read()?;
+    let make = match made.cage {
         Kind::Hull => made::hull,
         Kind::Box => made::divided_box,
     };
-    make(&input.bounds, input.samples.positions(), margin * input.bounds.diagonal(), detail)
+    make(&input.bounds, input.samples.positions(), made.margin * input.bounds.diagonal(), made.vertices()?)
 }
 
 /// How far each vertex was moved.
@@ -297,6 +303,11 @@ impl Handles for CagePlugin {
 
 impl HandleFaces for CagePlugin {
     fn handle_faces(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Vec<Vec<u32>>> {
+        let (params, made) = (input.params(), input.params().read::<Made>()?);
+        // A hull takes several looks at all samples, for its vertices alone.
+        if params.file("file")?.is_none() && matches!(made.cage, Kind::Hull) {
+            return Ok(made::hull_faces(made.vertices()?));
+        }
         Ok(cage(input)?.faces)
     }
 }

@@ -91,9 +91,7 @@ pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: u
 /// inverse radii `x` these are linear, and a sample has to do with one triangle alone.
 pub fn hull(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: usize) -> PluginResult<Cage> {
     let around = Around::new(bounds, samples, 0.0);
-    // 4 n² + 2 vertices.
-    let n = ((detail.saturating_sub(2) as f64 / 4.0).sqrt().round() as i32).max(1);
-    let sphere = Octahedron::new(n);
+    let sphere = Octahedron::with_about(detail);
     let seen = |p: &[f32; 3]| {
         let x = DVec3::from(p.map(f64::from)) - around.centre;
         let pushed = x + margin * x.normalize_or_zero();
@@ -134,6 +132,12 @@ pub fn hull(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: usize) -
     x.iter_mut().zip(&limits).for_each(|(x, limit)| *x /= limit.max(1.0));
     let vertex = |(v, x): (&IVec3, &f64)| around.centre + around.half * v.as_dvec3() / *x;
     Cage::new(sphere.mesh.grid.iter().zip(&x).map(vertex).collect(), sphere.mesh.triangles)
+}
+
+/// The faces of a [`hull`], which the samples have no say in.
+pub fn hull_faces(detail: usize) -> Vec<Vec<u32>> {
+    let triangles = Octahedron::with_about(detail).mesh.triangles;
+    triangles.iter().map(|corners| corners.map(|v| v as u32).to_vec()).collect()
 }
 
 /// Triangles between points of a grid.
@@ -198,6 +202,12 @@ struct Seen {
 }
 
 impl Octahedron {
+    /// That of about so many vertices.
+    fn with_about(vertices: usize) -> Self {
+        // 4 n² + 2 of them.
+        Self::new(((vertices.saturating_sub(2) as f64 / 4.0).sqrt().round() as i32).max(1))
+    }
+
     fn new(n: i32) -> Self {
         let mut this = Self { n, mesh: Corners::default(), by_place: Vec::new() };
         this.by_place.resize(16 * (n * n) as usize, usize::MAX);
@@ -294,7 +304,7 @@ mod tests {
         for (detail, of_hull) in [(6, 6), (20, 18), (40, 38), (100, 102), (400, 402)] {
             for margin in [1e-3, 0.1] {
                 let cage = hull(&bounds, &samples, margin, detail).unwrap();
-                assert_eq!(cage.vertices.len(), of_hull);
+                assert_eq!((cage.vertices.len(), &cage.faces), (of_hull, &hull_faces(detail)));
                 assert!(holds(&cage, &samples), "{detail} {margin}");
                 let cage = divided_box(&bounds, &samples, margin, detail).unwrap();
                 let many = cage.vertices.len();

@@ -290,7 +290,7 @@ impl Evaluation {
 
     /// The handles that a step's plugin placed the last time, local coordinates; none where it was not done
     /// yet.
-    pub fn handles(&self, id: StepId) -> Option<&OwnHandles> {
+    pub fn handles(&self, id: StepId) -> Option<&Arc<OwnHandles>> {
         match self.known.get(&id) {
             Some(StepState::Deform { kept, .. }) => kept.handles(),
             _ => None,

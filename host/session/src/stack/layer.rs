@@ -100,7 +100,7 @@ struct Preparation {
 /// What is kept of a layer from one time to the next, each with a hash of all that it depends on.
 #[derive(Debug, Default)]
 pub(crate) struct LayerCache {
-    placed: Option<(u64, OwnHandles)>,
+    placed: Option<(u64, Arc<OwnHandles>)>,
     others: Vec<(u64, Arc<OtherModel>)>,
     preparation: Option<(u64, Arc<Preparation>)>,
     strokes: Vec<(Arc<Stroke>, Arc<Params>, Arc<LocalStroke>)>,
@@ -109,7 +109,7 @@ pub(crate) struct LayerCache {
 
 impl LayerCache {
     /// The handles that the plugin placed the last time.
-    pub fn handles(&self) -> Option<&OwnHandles> {
+    pub fn handles(&self) -> Option<&Arc<OwnHandles>> {
         self.placed.as_ref().map(|(_, placed)| placed)
     }
 }
@@ -455,7 +455,7 @@ impl Layer {
         if kept.placed.as_ref().is_none_or(|(known, _)| *known != key) {
             let placed =
                 self.prepare_input(rest, shape, (&[], &[]), |input| self.plugin.handles(input, watch))?;
-            kept.placed = Some((key, placed));
+            kept.placed = Some((key, Arc::new(placed)));
         }
         let local = |(i, (stroke, params)): (usize, &(Arc<Stroke>, Arc<Params>))| match kept.strokes.get(i) {
             Some(known) if Arc::ptr_eq(&known.0, stroke) && known.1 == *params => known.clone(),

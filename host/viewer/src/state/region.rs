@@ -220,6 +220,6 @@ impl State {
 
     /// The handles that a step's plugin placed, at rest, with the faces between them; none where it was not done yet.
     pub fn own_handles(&self, step: usize) -> Option<&OwnHandles> {
-        self.open.as_ref()?.scene.handles.get(&self.entry(step).ok()?.id)
+        self.open.as_ref()?.scene.handles.get(&self.entry(step).ok()?.id).map(|handles| &**handles)
     }
 }

@@ -84,15 +84,18 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
         bone(canvas, b, a);
     }
     grid(canvas, &dots);
-    surface(canvas, window, &dots);
-    let [nearest, farthest] = depths(&dots);
+    let [nearest, farthest] = dots
+        .iter()
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], dot| [a.min(dot.depth), b.max(dot.depth)]);
+    let share = |depth: f64| ((depth - nearest) / (farthest - nearest).max(1e-9)) as f32;
+    surface(canvas, window, &dots, share);
     let many = dots.len() > 200;
     for dot in &dots {
         let is_held = matches!(&dot.target, Target::Handle(id) if in_hand.contains(id));
         let chosen = is_held || window.tools.target.as_ref() == Some(&dot.target);
         let hovered = hovered.as_ref() == Some(&dot.target);
         // What is farther is fainter.
-        let far = ((dot.depth - nearest) / (farthest - nearest).max(1e-9)) as f32;
+        let far = share(dot.depth);
         let (color, radius) = match (chosen, hovered) {
             (true, _) => (theme::color(theme::SELECTED), 6.0),
             (_, true) => (Color32::WHITE, 6.5),
@@ -139,8 +142,9 @@ fn grid(canvas: &Canvas<'_>, dots: &[Dot]) {
     }
 }
 
-/// The faces between handles that the plugin knows, with their edges: a cage.
-fn surface(canvas: &Canvas<'_>, window: &Window, dots: &[Dot]) {
+/// The faces between handles that the plugin knows, with their edges: a cage. How far a depth is between that of the
+/// nearest dot, 0, and of the farthest one, 1, `far` says.
+fn surface(canvas: &Canvas<'_>, window: &Window, dots: &[Dot], far: impl Fn(f64) -> f32) {
     let own = window.chosen().and_then(|(step, ..)| window.state().own_handles(step));
     let Some(own) = own.filter(|own| !own.faces.is_empty()) else { return };
     let seen: HashMap<&str, &Dot> = dots
@@ -165,18 +169,11 @@ fn surface(canvas: &Canvas<'_>, window: &Window, dots: &[Dot]) {
         let ends = face.iter().zip(face.iter().cycle().skip(1));
         edges.extend(ends.map(|(a, b)| [*a.min(b), *a.max(b)]));
     }
-    let [near, far] = depths(dots);
     for [a, b] in edges {
         let (Some(a), Some(b)) = (dot(&a), dot(&b)) else { continue };
-        let share = ((0.5 * (a.depth + b.depth) - near) / (far - near).max(1e-9)) as f32;
-        painter.line_segment([a.at, b.at], Stroke::new(1.5, DOT.gamma_multiply(0.9 - 0.6 * share)));
+        let shade = 0.9 - 0.6 * far(0.5 * (a.depth + b.depth));
+        painter.line_segment([a.at, b.at], Stroke::new(1.5, DOT.gamma_multiply(shade)));
     }
-}
-
-/// How far the nearest and the farthest dot are.
-fn depths(dots: &[Dot]) -> [f64; 2] {
-    let wider = |[a, b]: [f64; 2], dot: &Dot| [a.min(dot.depth), b.max(dot.depth)];
-    dots.iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
 }
 
 /// Thick at the parent, thin at the child, as bones are drawn.
