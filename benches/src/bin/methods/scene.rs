@@ -127,7 +127,11 @@ impl<'m> Scene<'m> {
         }
         let input = PrepareInput::new(self.samples(), self.bounds, &regions, &params).with_parts(&parts);
         let placed = if plugin.capabilities().handles {
-            code.handles(&input.without_regions(), &())?.iter().map(|h| DVec3::from(h.position)).collect()
+            code.handles(&input.without_regions(), &())?
+                .descs
+                .iter()
+                .map(|h| DVec3::from(h.position))
+                .collect()
         } else {
             Vec::new()
         };
