@@ -146,6 +146,13 @@ pub enum Event {
     },
 }
 
+impl Event {
+    /// Whether it says what became of a model that was to be opened.
+    fn ends_opening(&self) -> bool {
+        matches!(self, Self::Opened(_) | Self::Failed { job: Job::Open, .. })
+    }
+}
+
 /// Steps to be done.
 struct Request {
     number: u64,
@@ -191,7 +198,7 @@ struct Running {
     compare: Option<Arc<Watch>>,
     /// The place of the step that is being done.
     step: Arc<std::sync::atomic::AtomicUsize>,
-    /// Events that were sent, and not taken yet; and models among them.
+    /// Events that were sent, and not taken yet; and those among them that say what became of a model.
     events: usize,
     opened: usize,
 }
@@ -387,7 +394,7 @@ impl Engine {
         }
     }
 
-    /// Whether another model may be there before long, or is there and was not taken yet.
+    /// Whether another model may be there before long, or what became of one was not taken yet.
     pub fn is_opening(&self) -> bool {
         let (wanted, running) = &*self.shared.lock();
         wanted.open.is_some() || running.open.is_some() || running.opened > 0
@@ -398,7 +405,7 @@ impl Engine {
         let event = self.events.try_recv().ok()?;
         let Running { events, opened, .. } = &mut self.shared.lock().1;
         *events -= 1;
-        *opened -= usize::from(matches!(event, Event::Opened(_)));
+        *opened -= usize::from(event.ends_opening());
         Some(event)
     }
 

@@ -73,7 +73,7 @@ impl Teller {
         };
         for event in notes.chain(event.filter(is_news)) {
             running.events += 1;
-            running.opened += usize::from(matches!(event, Event::Opened(_)));
+            running.opened += usize::from(event.ends_opening());
             // Nobody listens any more once the window is closed.
             drop(self.events.send(event));
         }

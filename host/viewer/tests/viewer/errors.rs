@@ -44,6 +44,22 @@ fn what_cannot_be_opened_leaves_what_is_open() {
     assert!(state.apply(Command::Save { path: None }).unwrap_err().to_string().contains("no file yet"));
 }
 
+/// Until a failure was taken, nobody takes the model for opened.
+#[test]
+fn a_failure_that_was_not_taken_yet_is_no_model() {
+    let (tell, told) = std::sync::mpsc::channel();
+    let tell = std::sync::Mutex::new(tell);
+    // Nobody listens any more in the end.
+    let mut state = State::new(plugins(), Arc::new(move || _ = tell.lock().unwrap().send(())));
+    let folder = tempfile::tempdir().unwrap();
+    state.apply(open(&folder.path().join("nowhere.ply"), 100)).unwrap();
+    told.recv_timeout(LONG).unwrap();
+    assert!(!state.is_settled(), "it failed, and nobody was told");
+    state.settle(LONG).unwrap();
+    assert!(state.is_settled());
+    assert_eq!(failure(&mut state).0, Job::Open);
+}
+
 #[test]
 fn steps_of_plugins_that_are_missing_stay() {
     let folder = tempfile::tempdir().unwrap();
