@@ -122,7 +122,7 @@ impl<T: Stored> Factor<T> {
                 Err(Failure::Indefinite) => {}
             }
         }
-        Err(PluginError::new(ErrorCode::NOT_CONVERGED, "the surface's equations are singular")
+        Err(PluginError::new(ErrorCode::NOT_CONVERGED, "nothing tells where some part of the surface goes")
             .hint("add a fixed region, or sample the model anew"))
     }
 

@@ -80,7 +80,7 @@ pub fn aligned(
             if is_beside && !settings.any_turn {
                 host.warn(&format!(
                     "the target lies {gap:.1} diagonals of the model beside it, and is brought to it as it is turned; \
-                     `any-turn` would look for the best turn"
+                     `any-turn = true` looks for the best turn"
                 ));
             }
             task.by_closest_points(with_scale, is_beside, host, progress)?

@@ -322,7 +322,7 @@ fn tell(fit: &Fit, spacing: f64, unit: f64, host: &Host<'_>) {
     }
     if fit.matched[0] < FEW {
         host.warn(
-            "few of the samples match: the target may be turned (`any-turn`), in another unit (`align = \"similarity\"`), or \
+            "few of the samples match: the target may be turned (`any-turn = true`), in another unit (`align = \"similarity\"`), or \
              elsewhere, or the model too stiff for it",
         );
     }

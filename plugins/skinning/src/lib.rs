@@ -70,8 +70,9 @@ struct Pose {
     /// joint comes there
     #[param(default = Reach::Ends, group = "Reaching", invalidates_preparation)]
     reach: Reach,
-    /// Most bones of a chain that reaches; 0 for all up to the root, or up to where the skeleton branches
-    #[param(default = 0, hard = 0..=1000, soft = 0..=8, group = "Reaching")]
+    /// Most bones of a chain that reaches, two for an arm or a leg, so that a hand does not turn the body; 0 for all up
+    /// to the root, or up to where the skeleton branches
+    #[param(default = 2, hard = 0..=1000, soft = 0..=8, group = "Reaching")]
     reach_length: i64,
 }
 
@@ -393,15 +394,19 @@ impl Handles for Skinning {
 }
 
 impl Migrate for Skinning {
-    /// In the first version weights were geodesic: sessions that say how stay with these.
+    /// In the first version weights were geodesic: sessions that say how stay with these. In the second, chains that
+    /// reach went up to the root.
     fn migration() -> MigrationDesc {
-        MigrationDesc::new(2)
+        MigrationDesc::new(3)
     }
 
-    fn migrate(_: u32, settings: &mut Settings) -> PluginResult<()> {
+    fn migrate(from: u32, settings: &mut Settings) -> PluginResult<()> {
         let says_how = ["falloff", "smoothing"].iter().any(|id| settings.get(id).is_some());
-        if says_how && settings.get("binding").is_none() {
+        if from < 2 && says_how && settings.get("binding").is_none() {
             settings.set_text("binding", "geodesic");
+        }
+        if settings.get("reach-length").is_none() {
+            settings.set_number("reach-length", 0.0);
         }
         Ok(())
     }
