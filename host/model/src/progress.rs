@@ -1,6 +1,6 @@
 //! How long work tells where it is, and learns that it shall stop.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use crate::bounds::Bounds;
 use crate::frame::Frame;
@@ -29,6 +29,31 @@ impl<'a> Emerging<'a> {
     /// Each sample's position, local, and its unit normal, zero where it is unknown.
     pub fn for_each(&self, mut visit: impl FnMut(Vec3, Vec3)) {
         (self.visit)(&mut visit);
+    }
+}
+
+/// Vertices of a model that is going to be sampled: see [`Progress::glimpse`].
+pub struct Glimpse<'a> {
+    /// How many there are.
+    pub vertices: u64,
+    read: ReadVertex<'a>,
+}
+
+/// Gives the position and the normal of a vertex, if there is one of this number.
+type ReadVertex<'a> = &'a mut dyn FnMut(u64) -> Result<Option<(DVec3, Vec3)>>;
+
+impl<'a> Glimpse<'a> {
+    /// So many vertices, which `read` reads.
+    pub fn new(vertices: u64, read: ReadVertex<'a>) -> Self {
+        Self { vertices, read }
+    }
+
+    /// The vertex of a number: its position in the model's coordinates, and its normal, zero where it has none.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn vertex(&mut self, number: u64) -> Result<Option<(DVec3, Vec3)>> {
+        (self.read)(number)
     }
 }
 
@@ -61,6 +86,10 @@ pub trait Progress: Sync {
     /// Samples that sampling found in a cell that is complete: for those who like to see them come. They are
     /// not the last word: where their number is aimed at, fewer may be left in the end.
     fn emerge(&self, _samples: &Emerging<'_>) {}
+
+    /// A model is going to be sampled whose vertices can be read from anywhere: for those who like to see some of them
+    /// before. Sampling begins once this is done.
+    fn glimpse(&self, _model: &mut Glimpse<'_>) {}
 
     /// An error of kind [`Cancelled`](crate::ErrorKind::Cancelled) once the user asked to stop.
     fn check(&self) -> Result<()> {

@@ -13,6 +13,7 @@ pub mod divided;
 mod face_ranges;
 pub(crate) mod finalization;
 pub(crate) mod gather;
+mod glimpse;
 pub mod grid;
 pub(crate) mod kd_tree;
 pub mod kept_cells;
@@ -209,6 +210,7 @@ fn sample_kept(
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<SampledModel> {
+    glimpse::offer(model, progress);
     model.check_complete(progress)?;
     let prepared = Prepared::new(model, sampling, counted, folder, progress)?;
     let found = prepared.clustered()?;

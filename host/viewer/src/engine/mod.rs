@@ -18,7 +18,7 @@ mod watch;
 use crate::scene::Scene;
 use crate::tint::Tint;
 pub use comparing::{Carried, Comparing};
-pub use emerged::Emerged;
+pub use emerged::{Emerged, Points};
 pub use preview::Pose;
 use preview::Streaming;
 use serde::{Deserialize, Serialize};

@@ -4,7 +4,7 @@ use super::Wake;
 use super::emerged::Emerged;
 use simod_model::Progress;
 use simod_model::memory::anonymous;
-use simod_model::progress::Emerging;
+use simod_model::progress::{Emerging, Glimpse};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -157,6 +157,12 @@ impl Progress for Watch {
 
     fn emerge(&self, samples: &Emerging<'_>) {
         lock(&self.emerged).get_or_insert_default().add(samples);
+    }
+
+    fn glimpse(&self, model: &mut Glimpse<'_>) {
+        let seen = Emerged::glimpse(model, || self.is_cancelled());
+        *lock(&self.emerged) = seen;
+        (self.wake)();
     }
 
     fn note(&self, text: &str) {

@@ -187,10 +187,10 @@ fn samples_emerge_while_a_model_is_opened() {
     while state.is_opening() {
         state.emerged(|emerged| {
             let [low, high] = emerged.bounds.map(|corner| corner.as_vec3());
-            inside &=
-                emerged.positions.iter().all(|p| p.cmpge(low - 1e-3).all() && p.cmple(high + 1e-3).all());
-            assert_eq!([emerged.normals.len(), emerged.spacing.len()], [emerged.positions.len(); 2]);
-            counts.push(emerged.positions.len());
+            let seen = emerged.points();
+            inside &= seen.positions.iter().all(|p| p.cmpge(low - 1e-3).all() && p.cmple(high + 1e-3).all());
+            assert_eq!([seen.normals.len(), seen.spacing.len()], [seen.positions.len(); 2]);
+            counts.push(seen.positions.len());
         });
         state.poll();
     }

@@ -9,7 +9,7 @@ use eframe::egui::Shape;
 use eframe::egui_wgpu::RenderState;
 use glam::DVec3;
 use simod_scene::{BadSurface, Budget, Gpu, Scene, Style, Surface, View};
-use simod_viewer::engine::Emerged;
+use simod_viewer::engine::{Emerged, Points};
 use std::time::{Duration, Instant};
 
 /// How often those that came meanwhile are shown, at most ...
@@ -22,8 +22,8 @@ pub struct Emerging {
     scene: Scene,
     budget: Budget,
     texture: Texture,
-    /// How many are shown, and since when.
-    shown: usize,
+    /// Up to which change they are shown, and since when.
+    shown: u64,
     since: Option<Instant>,
     /// How long the last picture took, and from where it was.
     took: Duration,
@@ -74,14 +74,19 @@ impl Emerging {
     }
 
     fn upload(&mut self, emerged: &Emerged) -> Result<(), BadSurface> {
-        if emerged.positions.len() == self.shown {
+        if emerged.changes == self.shown {
             return Ok(());
         }
-        let Emerged { bounds, positions, normals, spacing, .. } = emerged;
-        (self.bounds, self.seen) = (*bounds, None);
-        let radii = disc_radii(spacing);
-        (self.shown, self.since) = (positions.len(), Some(Instant::now()));
-        self.scene.set_surface(&Surface { positions, normals, radii: &radii, ..Surface::default() })
+        let Points { positions, normals, spacing } = emerged.points();
+        (self.bounds, self.seen) = (emerged.bounds, None);
+        let radii = disc_radii(&spacing);
+        (self.shown, self.since) = (emerged.changes, Some(Instant::now()));
+        self.scene.set_surface(&Surface {
+            positions: &positions,
+            normals: &normals,
+            radii: &radii,
+            ..Surface::default()
+        })
     }
 }
 
