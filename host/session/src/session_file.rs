@@ -25,7 +25,7 @@ pub(crate) const LARGEST: u64 = 16 << 20;
 /// The format's version: raised when what a session says could not be understood any more by former versions.
 pub(crate) const VERSION: i64 = 2;
 
-/// The version of those that declare nothing to follow, have no tiles, and whose steps have neither titles nor amounts:
+/// The version of those that declare nothing to follow, have no tiles, and whose steps have no titles, amounts or groups:
 /// former programs understand them.
 pub(crate) const FIRST_VERSION: i64 = 1;
 
@@ -119,6 +119,9 @@ pub struct Step {
     /// What the user calls it, if anything.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub title: Option<String>,
+    /// What the group is called that it is in, with those before and behind it that say the same.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<String>,
     /// Where in the file it stands, as `session.toml, line 7`; for errors.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub place: String,
@@ -324,13 +327,13 @@ impl Deformation {
     }
 }
 
-/// Longest title of a step, in characters.
-const LONGEST_TITLE: usize = 200;
+/// Longest title of a step, or name of a group, in characters.
+const LONGEST_NAME: usize = 200;
 
 impl Step {
     /// One that is done, in no file, and that nobody has given a title.
     pub fn of(action: Action) -> Self {
-        Self { action, enabled: true, title: None, place: String::new() }
+        Self { action, enabled: true, title: None, group: None, place: String::new() }
     }
 
     /// The plugin's id, or what else the step is.
@@ -360,17 +363,18 @@ impl Step {
     }
 }
 
-/// What is wrong with a step's title, if anything.
-pub(crate) fn title_defect(title: &str) -> Option<&'static str> {
-    if title.trim().is_empty() {
-        Some("a `title` is empty")
-    } else if title.chars().count() > LONGEST_TITLE {
-        Some("a `title` is longer than 200 characters")
-    } else if title.chars().any(char::is_control) {
-        Some("a `title` has a character that is none to be read, such as the end of a line")
+/// What is wrong with a step's `title`, or the name of its `group`, if anything.
+pub(crate) fn name_defect(key: &str, name: &str) -> Option<String> {
+    let what = if name.trim().is_empty() {
+        "is empty"
+    } else if name.chars().count() > LONGEST_NAME {
+        "is longer than 200 characters"
+    } else if name.chars().any(char::is_control) {
+        "has a character that is none to be read, such as the end of a line"
     } else {
-        None
-    }
+        return None;
+    };
+    Some(format!("a `{key}` {what}"))
 }
 
 /// Whether a step can be done by this amount.
@@ -553,6 +557,7 @@ struct RawStep {
     strokes: Option<Spanned<side_file::Reference>>,
     enabled: Option<bool>,
     title: Option<Spanned<String>>,
+    group: Option<Spanned<String>>,
     amount: Option<Spanned<f64>>,
     refine: Option<Spanned<RawRefine>>,
 }
@@ -560,8 +565,9 @@ struct RawStep {
 impl RawStep {
     /// What of it the first version of the format does not know.
     fn of_version_2(&self) -> Option<(&'static str, Range<usize>)> {
-        let title = self.title.as_ref().map(|title| ("title", title.span()));
-        title.or_else(|| self.amount.as_ref().map(|amount| ("amount", amount.span())))
+        let text = |key, text: &Option<Spanned<String>>| text.as_ref().map(|text| (key, text.span()));
+        let amount = || self.amount.as_ref().map(|amount| ("amount", amount.span()));
+        text("title", &self.title).or_else(|| text("group", &self.group)).or_else(amount)
     }
 }
 
@@ -818,17 +824,22 @@ impl SessionText<'_> {
     fn step(&self, step: Spanned<RawStep>) -> Result<Step> {
         let (span, mut raw) = (step.span(), step.into_inner());
         let (enabled, place) = (raw.enabled.unwrap_or(true), self.place(&span));
-        let title = raw.title.take();
-        if let Some((title, what)) = title.as_ref().and_then(|t| Some((t, title_defect(t.get_ref())?))) {
-            return Err(self.error(&title.span(), what, "give it a few words, or leave it out"));
-        }
-        let title = title.map(Spanned::into_inner);
+        let title = self.name("title", raw.title.take())?;
+        let group = self.name("group", raw.group.take())?;
         let action = if raw.refine.is_some() {
             Action::Refine(self.refine(&span, raw)?)
         } else {
             Action::Deform(self.deformation(&span, raw)?)
         };
-        Ok(Step { action, enabled, title, place })
+        Ok(Step { action, enabled, title, group, place })
+    }
+
+    /// What the user calls a step, or a group.
+    fn name(&self, key: &str, name: Option<Spanned<String>>) -> Result<Option<String>> {
+        match name.as_ref().and_then(|name| Some((name.span(), name_defect(key, name.get_ref())?))) {
+            Some((span, what)) => Err(self.error(&span, &what, "give it a few words, or leave it out")),
+            None => Ok(name.map(Spanned::into_inner)),
+        }
     }
 
     fn refine(&self, span: &Range<usize>, raw: RawStep) -> Result<Refine> {
@@ -1161,7 +1172,9 @@ path = "/elsewhere/out.ply"
         }
         told(&format!("version = 1\n{step}amount = 0.5"), 4, "`amount` is of sessions of version 2");
         told(&format!("version = 1\n{step}title = \"a\""), 4, "`title` is of sessions of version 2");
-        told(&format!("{step}title = \" \""), 3, "empty");
+        told(&format!("version = 1\n{step}group = \"a\""), 4, "`group` is of sessions of version 2");
+        told(&format!("{step}group = \"\""), 3, "a `group` is empty");
+        told(&format!("{step}title = \" \""), 3, "a `title` is empty");
         told(&format!("{step}title = \"a\\nb\""), 3, "none to be read");
         told(&format!("{step}title = \"{}\"", "ab".repeat(101)), 3, "longer");
         told(&format!("{}\namount = 0.5", refine(&format!("{shapes}, error = 1"))), 1, "nothing else");

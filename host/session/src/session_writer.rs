@@ -87,7 +87,8 @@ impl SessionFile {
     /// The first version of the format that knows all that it says.
     fn version(&self) -> i64 {
         let has_amount = |step: &Step| step.deformation().is_some_and(|d| d.amount != 1.0);
-        let is_newer = self.steps.iter().any(|step| step.title.is_some() || has_amount(step));
+        let is_newer =
+            self.steps.iter().any(|step| step.title.is_some() || step.group.is_some() || has_amount(step));
         let is_newer = is_newer || !self.follow.is_empty() || !self.named_tiles().is_empty();
         if is_newer { VERSION } else { FIRST_VERSION }
     }
@@ -160,6 +161,9 @@ fn step(from: &Step, session: Option<&Path>, files: &mut Vec<PathBuf>) -> Result
     let mut table = Table::new();
     if let Some(title) = &from.title {
         table["title"] = value(title);
+    }
+    if let Some(group) = &from.group {
+        table["group"] = value(group);
     }
     if !from.enabled {
         table["enabled"] = value(false);
@@ -398,7 +402,11 @@ mod tests {
         let refine =
             |finer| Action::Refine(Refine { shapes: Shapes { shapes: shapes.clone(), falloff: 0.0 }, finer });
         let step = |action, enabled| Step { enabled, ..Step::of(action) };
-        let titled = |step: Step| Step { title: Some("Arms, \"up\"".to_owned()), ..step };
+        let titled = |step: Step| Step {
+            title: Some("Arms, \"up\"".to_owned()),
+            group: Some("Both arms".to_owned()),
+            ..step
+        };
         SessionFile {
             model: Some(folder.join("models/nefertiti.ply")),
             tiles: Vec::new(),
@@ -546,6 +554,7 @@ move = { translate = [1.0, 0.0, 0.0], axis = [0.0, 0.0, 1.0], degrees = 0.0 }
 
 [[step]]
 title = 'Arms, "up"'
+group = "Both arms"
 refine = { shapes = [{ half-space = { point = [0.0, 0.0, 0.0], normal = [0.0, -1.0, 0.0] } }, { sphere = { center = [0.1, 300.0, 0.0], radius = 0.3333333333333333 } }, { box = { min = [0.0, 0.0, 0.0], max = [1.0, 1.0, 1.0] } }], factor = 4.0 }
 
 [output]
@@ -567,5 +576,6 @@ path = "out.ply"
         assert_eq!(version(deform(1.0)), "version = 1");
         assert_eq!(version(deform(0.0)), "version = 2");
         assert_eq!(version(Step { title: Some("a".to_owned()), ..deform(1.0) }), "version = 2");
+        assert_eq!(version(Step { group: Some("a".to_owned()), ..deform(1.0) }), "version = 2");
     }
 }

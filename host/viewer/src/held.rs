@@ -1,6 +1,7 @@
 //! Handles that a hand holds: several that a plugin placed, moved together, and those around them that go along.
 
 use crate::motion::{PlacedHandle, motion_of};
+use crate::skeleton::is_pin;
 use glam::{DAffine3, DVec3};
 use simod_plugin_api::{Gizmo, HandleDesc};
 use simod_session::Motion;
@@ -26,7 +27,7 @@ struct HeldHandle {
 impl Held {
     /// Holds those that were `chosen`, by their ids; others that are nearer to one of them than `reach` go along, the
     /// less the farther they are. What hangs on another that is held goes with that, and is not held itself; nor are
-    /// those that hang on anything drawn along. Nothing where none of them is there. Lengths are of the model.
+    /// those that hang on anything drawn along, nor pins. Nothing where none of them is there. Lengths are of the model.
     pub fn new(all: &[(HandleDesc, PlacedHandle)], chosen: &BTreeSet<String>, reach: f64) -> Option<Self> {
         let is_chosen = |(desc, _): &(HandleDesc, PlacedHandle)| chosen.contains(desc.id.as_str());
         let places: Vec<DVec3> = all.iter().filter(|h| is_chosen(h)).map(|(_, h)| h.position()).collect();
@@ -38,7 +39,7 @@ impl Held {
         for (i, handle) in all.iter().enumerate() {
             let weight = if is_chosen(handle) {
                 if above(all, i).any(is_chosen) { 0.0 } else { 1.0 }
-            } else if above(all, i).next().is_some() {
+            } else if above(all, i).next().is_some() || is_pin(&handle.0.id) {
                 0.0
             } else {
                 falloff(&places, handle.1.position(), reach)
@@ -173,6 +174,16 @@ mod tests {
         assert_eq!((heights[0], &heights[3..]), (1.0, &[0.0; 3][..]));
         assert!(heights[0] > heights[1] && heights[1] > heights[2] && heights[2] > 0.0, "{heights:?}");
         assert_eq!(moves.len(), 3, "what does not move is not told");
+        let pinned: Vec<HandleDesc> = handles
+            .iter()
+            .enumerate()
+            .map(|(i, handle)| HandleDesc {
+                id: if i == 1 { "pin-1".into() } else { handle.id.clone() },
+                ..handle.clone()
+            })
+            .collect();
+        let held = Held::new(&with_places(&pinned, &[]), &chosen(&["0"]), 3.0).unwrap();
+        assert_eq!(held.moved(&up).unwrap().len(), 2, "a pin stays");
     }
 
     #[test]

@@ -9,6 +9,7 @@
 //! file that this crate writes differs from what `simod run` makes of the saved session.
 
 mod appended;
+pub mod body;
 pub mod camera;
 mod clip;
 pub mod command;

@@ -1,10 +1,50 @@
-//! Skeletons of the user's: joints mirrored from one side of the body to the other, and chains of them.
+//! Skeletons of the user's: joints mirrored from one side of the body to the other, chains of them, and pins.
+//!
+//! A pin is a joint that hangs on nothing, that nothing hangs on, and that nobody moves: what is around it stays. As long
+//! as a skeleton is that of a limb alone, pins in the middle of the body keep that from turning along.
 
+use crate::body::Ball;
 use glam::DVec3;
 use simod_session::session_file::Joint;
 
 /// The words by which sides are told in names, in pairs.
 const SIDES: [[&str; 2]; 4] = [["left", "right"], ["Left", "Right"], [".L", ".R"], ["_l", "_r"]];
+
+/// What ids of pins begin with.
+const PIN: &str = "pin-";
+
+/// What ids of pins begin with that hold the body.
+const BODY: &str = "pin-body-";
+
+/// Whether a joint of this id is a pin.
+pub fn is_pin(id: &str) -> bool {
+    id.starts_with(PIN)
+}
+
+/// An id of a joint, or of a pin, that none has.
+pub fn free_id(joints: &[Joint], pin: bool) -> String {
+    let word = if pin { PIN } else { "joint-" };
+    let is_free = |id: &String| joints.iter().all(|joint| joint.id != *id);
+    (1..).map(|i| format!("{word}{i}")).find(is_free).unwrap_or_default()
+}
+
+/// The joints with a pin in the middle of each ball of the body, if none of their bones is in any; without, if any is,
+/// or there are no joints besides.
+pub fn with_body_held(mut joints: Vec<Joint>, body: &[Ball]) -> Vec<Joint> {
+    joints.retain(|joint| !joint.id.starts_with(BODY));
+    let place = |id: &String| joints.iter().find(|joint| joint.id == *id).map(|joint| joint.at);
+    let is_within = |joint: &Joint| {
+        let upper = joint.parent.as_ref().and_then(place).unwrap_or(joint.at);
+        body.iter().any(|ball| ball.holds_some_of([upper, joint.at]))
+    };
+    let limbs = || joints.iter().filter(|joint| !is_pin(&joint.id));
+    if limbs().next().is_some() && !limbs().any(is_within) {
+        let pin =
+            |(i, ball): (usize, &Ball)| Joint { id: format!("{BODY}{i}"), at: ball.center, parent: None };
+        joints.extend((1..).zip(body).map(pin));
+    }
+    joints
+}
 
 /// The name on the other side: `left-hand` of `right-hand`; with a word of its own where none tells the side.
 pub fn mirrored_name(name: &str) -> String {
@@ -30,7 +70,7 @@ pub fn mirrored(joints: &[Joint], axis: usize, middle: f64, near: f64) -> Vec<Jo
     let is_aside = |joint: &Joint| (joint.at[axis] - middle).abs() > near;
     let mut all = joints.to_vec();
     let mut done: Vec<String> = Vec::new();
-    for joint in joints.iter().filter(|joint| is_aside(joint)) {
+    for joint in joints.iter().filter(|joint| is_aside(joint) && !joint.id.starts_with(BODY)) {
         if done.contains(&joint.id) {
             continue;
         }
@@ -54,8 +94,7 @@ pub fn chained(joints: &[Joint], places: &[DVec3], parent: Option<String>) -> Ve
     let mut all = joints.to_vec();
     let mut parent = parent;
     for at in places {
-        let is_free = |id: &String| all.iter().all(|joint| joint.id != *id);
-        let Some(id) = (1..).map(|i| format!("joint-{i}")).find(is_free) else { break };
+        let id = free_id(&all, false);
         all.push(Joint { id: id.clone(), at: *at, parent: parent.replace(id) });
     }
     all
@@ -97,6 +136,26 @@ mod tests {
         moved[2].at.y = 7.0;
         assert_eq!(mirrored(&moved, 0, 1.0, 0.01)[4].at.y, 7.0);
         assert!(mirrored(&[], 1, 0.0, 0.1).is_empty());
+    }
+
+    #[test]
+    fn the_body_is_held_as_long_as_no_bone_is_in_it() {
+        let body = [DVec3::ZERO, DVec3::Y * 1.5].map(|center| Ball { center, radius: 1.0 });
+        let arm =
+            vec![joint("joint-1", [3.0, 0.0, 0.0], None), joint("joint-2", [5.0, 0.0, 0.0], Some("joint-1"))];
+        let held = with_body_held(arm.clone(), &body);
+        assert_eq!(held[..2], arm);
+        assert_eq!(held[2], joint("pin-body-1", [0.0; 3], None));
+        assert_eq!(held[3..], [joint("pin-body-2", [0.0, 1.5, 0.0], None)]);
+        assert_eq!(with_body_held(held.clone(), &body), held);
+        assert_eq!(mirrored(&held, 0, 7.0, 0.1).iter().filter(|joint| is_pin(&joint.id)).count(), 2);
+        // A bone through it, with no joint in it.
+        let across = [held, vec![joint("joint-3", [-3.0, 0.2, 0.0], Some("joint-1"))]].concat();
+        assert!(with_body_held(across, &body).iter().all(|joint| !is_pin(&joint.id)));
+        // Pins alone are nothing that could turn it.
+        let pin = vec![joint(&free_id(&[], true), [3.0, 0.0, 0.0], None)];
+        assert_eq!(with_body_held(pin.clone(), &body), pin);
+        assert_eq!(free_id(&arm, false), "joint-3");
     }
 
     #[test]

@@ -382,6 +382,9 @@ pub const ALL: &[Action] = &[
     action(Menu::Edit, "Paste Steps", &[(CTRL, Key::V)], is_open, |w| {
         w.ctx().send_viewport_cmd(egui::ViewportCommand::RequestPaste);
     }),
+    action(Menu::Edit, "Group with the Step Above", &[(CTRL, Key::G)], has_step, |w| {
+        of_step(w, steps::group)
+    }),
     action(Menu::Edit, "Only This Step", &[(SHIFT, Key::S)], is_deformation, |w| of_step(w, steps::solo))
         .on(|w| w.state().chosen().is_some_and(|at| steps::is_alone(w, at))),
     action(Menu::Edit, "More of the Step", &[(SHIFT, Key::ArrowUp)], is_deformation, |w| {

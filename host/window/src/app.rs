@@ -86,6 +86,10 @@ impl eframe::App for App {
         // What was saved, or is not wanted, is kept no more.
         self.window.keep();
         self.window.keep_settings();
+        let slowest = self.window.state().slowest();
+        if slowest.felt > 0 {
+            eprintln!("{slowest}");
+        }
     }
 
     fn clear_color(&self, _: &egui::Visuals) -> [f32; 4] {

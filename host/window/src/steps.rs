@@ -2,13 +2,16 @@
 
 use crate::window::Window;
 use eframe::egui::ViewportCommand;
-use simod_session::edit::{Change, Command as Edit, StepId};
+use simod_model::Result;
+use simod_session::edit::{Change, Command as Edit, StepId, free_name, group_at};
 use simod_viewer::Command;
 
-/// A step whose name is being typed.
+/// A step, or a group, whose name is being typed.
 pub struct Renaming {
-    /// Which.
+    /// Which, or the first of it.
     pub id: StepId,
+    /// Whether it is of the group that begins with the step.
+    pub of_group: bool,
     /// The name so far.
     pub text: String,
     /// Whether typing is yet to begin.
@@ -19,7 +22,39 @@ pub struct Renaming {
 pub fn rename(window: &mut Window, at: usize) {
     let Some(entry) = window.steps().get(at).cloned() else { return };
     let text = entry.step.title.clone().unwrap_or_default();
-    window.renaming = Some(Renaming { id: entry.id, text, begins: true });
+    window.renaming = Some(Renaming { id: entry.id, of_group: false, text, begins: true });
+}
+
+/// Has the name of the group typed that a step begins.
+pub fn rename_group(window: &mut Window, at: usize) {
+    let Some(entry) = window.steps().get(at).cloned() else { return };
+    let text = entry.step.group.clone().unwrap_or_default();
+    window.renaming = Some(Renaming { id: entry.id, of_group: true, text, begins: true });
+}
+
+/// Puts a step into the group of the one above, or makes a group of both.
+pub fn group(window: &mut Window, at: usize) {
+    let (Some(above), all) = (at.checked_sub(1), window.steps()) else { return };
+    let same = group_at(&all, above).is_some_and(|group| group.contains(&at));
+    if same || at >= all.len() {
+        return;
+    }
+    let command = match all[above].step.group {
+        Some(_) => Edit::JoinGroup { from: at, at: above },
+        None => Edit::Group { steps: above..at + 1, name: Some(free_name(&all, "Group")) },
+    };
+    window.apply(Command::Edit(command));
+}
+
+/// Takes a step out of its group.
+pub fn ungroup(window: &mut Window, at: usize) {
+    window.apply(Command::Edit(Edit::Group { steps: at..at + 1, name: None }));
+}
+
+/// Puts all steps of a group on the clipboard, as the text of a session.
+pub fn copy_group(window: &mut Window, at: usize) {
+    let text = window.state().copied_group(at);
+    put_on_clipboard(window, text, "The group is copied");
 }
 
 /// The same once more, behind it.
@@ -33,12 +68,16 @@ pub fn duplicate(window: &mut Window, at: usize) {
 
 /// Puts it on the clipboard, as the text of a session.
 pub fn copy(window: &mut Window, at: usize) {
-    match window.state().copied(at) {
+    let text = window.state().copied(at);
+    put_on_clipboard(window, text, "The step is copied");
+}
+
+fn put_on_clipboard(window: &mut Window, text: Result<String>, done: &str) {
+    match text {
         Ok(text) => {
             window.ctx().copy_text(text);
-            window.toasts.note(
-                "The step is copied: paste it into this edit, another one, or a session\u{2019}s file.",
-            );
+            let then = "paste it into this edit, another one, or a session\u{2019}s file.";
+            window.toasts.note(format!("{done}: {then}"));
         }
         Err(error) => window.toasts.error(&error),
     }

@@ -20,7 +20,7 @@ use simod_viewer::engine::Job;
 use simod_viewer::record::Recorder;
 use simod_viewer::state::{self, Notice};
 use simod_viewer::{Command, State, Version};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -141,8 +141,10 @@ pub struct Window {
     pub report: Option<Report>,
     /// The list of keys, while it is read.
     pub shows_keys: bool,
-    /// A step whose name is being typed.
+    /// A step, or a group of them, whose name is being typed.
     pub renaming: Option<Renaming>,
+    /// Names of the groups whose steps are not shown.
+    pub folded: BTreeSet<String>,
     /// A path that is typed, where the system has no dialogs.
     pub prompt: Option<Prompt>,
     /// To be answered first.
@@ -197,6 +199,7 @@ impl Window {
             report: None,
             shows_keys: false,
             renaming: None,
+            folded: BTreeSet::new(),
             prompt: None,
             question: None,
             chooser: dialogs::system(),
@@ -627,6 +630,15 @@ impl Window {
             Answer::Absent(why) => {
                 self.prompt = Some(Prompt::new(dialog.purpose, dialog.at.as_deref(), &why));
             }
+        }
+    }
+
+    /// Shows the steps of a group, or its heading alone.
+    pub fn fold(&mut self, group: &str, folded: bool) {
+        if folded {
+            self.folded.insert(group.to_owned());
+        } else {
+            self.folded.remove(group);
         }
     }
 

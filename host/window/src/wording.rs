@@ -27,10 +27,62 @@ pub fn in_window(text: &str, plugin: Option<&Plugin>) -> String {
         text = text.replace(&format!("some by [[step.{table}]]"), &format!("some {name}{tool}"));
         text = text.replace(&format!("[[step.{table}]]"), name);
     }
-    for param in plugin.into_iter().flat_map(|plugin| plugin.params()) {
+    let params = plugin.map(|plugin| plugin.params()).unwrap_or_default();
+    for param in params {
         text = text.replace(&format!("`{}`", param.id), &format!("\u{201c}{}\u{201d}", param.name));
     }
+    for piece in text.clone().split('`').skip(1).step_by(2) {
+        if let Some((param, value)) = assigned(piece, params) {
+            let told = format!("\u{201c}{}: {}\u{201d}", param.name, shown(param, &value));
+            text = text.replace(&format!("`{piece}`"), &told);
+        }
+    }
     text
+}
+
+/// The parameter and its value of a text such as `align = "rigid"`: one that is switched, or has choices.
+fn assigned<'a>(text: &str, params: &'a [ParamDesc]) -> Option<(&'a ParamDesc, Value)> {
+    let table: Table = toml::from_str(text).ok()?;
+    let (id, value) = table.into_iter().next()?;
+    let desc = params.iter().find(|desc| desc.id == id.as_str())?;
+    let is_sound = match &value {
+        Value::Boolean(_) => desc.kind == ParamKind::BOOL,
+        Value::String(choice) => {
+            desc.kind == ParamKind::CHOICE && desc.choices.iter().any(|known| known.id == choice.as_str())
+        }
+        _ => false,
+    };
+    is_sound.then_some((desc, value))
+}
+
+/// A value as the panel shows it.
+fn shown(desc: &ParamDesc, value: &Value) -> String {
+    match value {
+        Value::Boolean(true) => "on".to_owned(),
+        Value::Boolean(false) => "off".to_owned(),
+        other => {
+            let id = other.as_str().unwrap_or_default();
+            let label =
+                desc.choices.iter().find(|choice| choice.id == id).map(|choice| choice.label.to_string());
+            label.unwrap_or_else(|| id.to_owned())
+        }
+    }
+}
+
+/// What sets a parameter to a choice, or switches it, unless it is so already.
+fn setting(desc: &ParamDesc, value: Value, now: Option<&Value>) -> Option<Remedy> {
+    let is_default = || match &value {
+        Value::Boolean(on) => desc.default_numbers.first().is_some_and(|x| *x != 0.0) == *on,
+        other => other.as_str() == Some(desc.default_text.as_str()),
+    };
+    if now.map_or_else(is_default, |now| *now == value) {
+        return None;
+    }
+    let text = match &value {
+        Value::Boolean(on) => format!("Switch {} {}", desc.name, if *on { "on" } else { "off" }),
+        _ => format!("Set {} to {}", desc.name, shown(desc, &value)),
+    };
+    Some(Remedy { id: desc.id.to_string(), value, text })
 }
 
 /// What mends something that a plugin tells: another value of a parameter.
@@ -44,8 +96,9 @@ pub struct Remedy {
     pub text: String,
 }
 
-/// What a plugin's text says to do about parameters: to "raise `id`", or "lower `id` to 3", as many as it names. Where
-/// it says no number, it is twice or half of what it is, within its range.
+/// What a plugin's text says to do about parameters: to "raise `id`", or "lower `id` to 3", or what `id = "choice"` or
+/// `id = true` would do, as many as it names. Where it says no number, it is twice or half of what it is, within its
+/// range.
 pub fn remedies(text: &str, params: &[ParamDesc], values: &Table) -> Vec<Remedy> {
     let pieces: Vec<&str> = text.split('`').collect();
     let mut raises = None;
@@ -55,6 +108,10 @@ pub fn remedies(text: &str, params: &[ParamDesc], values: &Table) -> Vec<Remedy>
             [None, None] => raises,
             [up, down] => Some(up > down),
         };
+        if let Some((desc, value)) = assigned(pieces[at], params) {
+            found.extend(setting(desc, value, values.get(desc.id.as_str())));
+            continue;
+        }
         let desc = params.iter().find(|desc| desc.id == pieces[at]);
         if let (Some(raises), Some(desc)) = (raises, desc) {
             let after = pieces.get(at + 1).copied().unwrap_or_default();
@@ -136,6 +193,32 @@ mod tests {
         assert!(told("`support` is what it is", "").is_empty());
         assert!(told("raise `nothing` or the roof", "").is_empty());
         assert!(told("raise `", "").is_empty());
+    }
+
+    #[test]
+    fn choices_that_a_text_names_are_buttons() {
+        let choices = [("none", "As It Is"), ("rigid", "Turned and Moved")];
+        let params = [
+            ParamDesc::choice("align", "Alignment", "none", &choices),
+            ParamDesc::bool("any-turn", "Any turn", false),
+        ];
+        let told = |text: &str, values: &str| -> Vec<(Value, String)> {
+            let found = remedies(text, &params, &toml::from_str(values).unwrap());
+            found.into_iter().map(|r| (r.value, r.text)).collect()
+        };
+        let text = "they do not overlap: give `align = \"rigid\"`, or `any-turn = true`";
+        let expected = [
+            (Value::String("rigid".to_owned()), "Set Alignment to Turned and Moved".to_owned()),
+            (Value::Boolean(true), "Switch Any turn on".to_owned()),
+        ];
+        assert_eq!(told(text, ""), expected);
+        assert_eq!(told(text, "align = \"rigid\""), expected[1..]);
+        assert!(told("`align = \"none\"` or `any-turn = false`", "").is_empty(), "it is so already");
+        for nothing in ["`align = \"best\"`", "`align = 3`", "`other = true`", "`any-turn = \"yes\"`"] {
+            assert!(told(nothing, "").is_empty(), "{nothing}");
+        }
+        let (desc, value) = assigned("align = \"rigid\"", &params).unwrap();
+        assert_eq!(shown(desc, &value), "Turned and Moved");
     }
 
     #[test]

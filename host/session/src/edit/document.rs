@@ -1,12 +1,14 @@
 //! The steps of an edit as a user changes them: every change is a command, and can be undone.
 
+use super::groups;
 use crate::motion::Motion;
 use crate::session_file::{
-    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Step, Stroke, is_amount, title_defect,
+    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Step, Stroke, is_amount, name_defect,
 };
 use serde::{Deserialize, Serialize};
 use simod_model::{Error, ErrorKind, Result};
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Changes that can be undone. Each holds the list of steps as it was, which shares all steps that did not
@@ -60,6 +62,40 @@ pub enum Command {
     /// or all where that is not known.
     Solo {
         /// The step's place.
+        at: usize,
+    },
+    /// Steps that follow each other become a group, or are of none any more.
+    Group {
+        /// Their places.
+        steps: Range<usize>,
+        /// What the group is called.
+        #[serde(default)]
+        name: Option<String>,
+    },
+    /// The step becomes the last one of a group.
+    JoinGroup {
+        /// Its place.
+        from: usize,
+        /// The place of one of the group.
+        at: usize,
+    },
+    /// All steps of a group are switched on, or off.
+    EnableGroup {
+        /// The place of one of them.
+        at: usize,
+        /// Which.
+        enabled: bool,
+    },
+    /// The steps of a group get other places, one after the other.
+    MoveGroup {
+        /// The place of one of them.
+        at: usize,
+        /// The place of the first of them afterwards.
+        to: usize,
+    },
+    /// The steps of a group go away.
+    RemoveGroup {
+        /// The place of one of them.
         at: usize,
     },
     /// The step becomes another one.
@@ -287,6 +323,7 @@ impl Document {
                 check(at, count + 1)?;
                 let entry = self.entry(*step);
                 steps.insert(at, entry);
+                groups::settle(&mut steps, at);
             }
             Command::Remove { at } => {
                 check(at, count)?;
@@ -297,16 +334,55 @@ impl Document {
                 check(to, count)?;
                 let entry = steps.remove(from);
                 steps.insert(to, entry);
+                groups::settle(&mut steps, to);
             }
             Command::Insert { at, steps: new } => {
                 check(at, count + 1)?;
                 let new: Vec<Entry> = new.into_iter().map(|step| self.entry(step)).collect();
+                let places = at..at + new.len();
                 steps.splice(at..at, new);
+                groups::settle_new(&mut steps, places);
             }
             Command::Solo { at } => {
                 check(at, count)?;
                 self.solo(&mut steps, at)?;
             }
+            Command::Group { steps: places, name } => {
+                check(places.start, places.end)?;
+                check(places.end - 1, count)?;
+                if let Some(what) = name.as_deref().and_then(|name| name_defect("group", name)) {
+                    return Err(refused(what, "give it a few words"));
+                }
+                groups::set(&mut steps[places.clone()], name.as_ref());
+                groups::part(&mut steps, places);
+            }
+            Command::JoinGroup { from, at } => {
+                check(from, count)?;
+                let to = group(&steps, at)?;
+                let name = steps[to.start].step.group.clone();
+                if !to.contains(&from) {
+                    let entry = steps.remove(from);
+                    let to = if from < to.start { to.end - 1 } else { to.end };
+                    steps.insert(to, entry);
+                    groups::set(&mut steps[to..=to], name.as_ref());
+                }
+            }
+            Command::EnableGroup { at, enabled } => {
+                let group = group(&steps, at)?;
+                for entry in steps[group].iter_mut().filter(|entry| entry.step.enabled != enabled) {
+                    Arc::make_mut(&mut entry.step).enabled = enabled;
+                }
+            }
+            Command::MoveGroup { at, to } => {
+                let group = group(&steps, at)?;
+                let length = group.len();
+                check(to, count + 1 - length)?;
+                let moved: Vec<Entry> = steps.drain(group).collect();
+                // A group has none within, so it goes behind one that it would come into.
+                let to = groups::gap_at(&steps, to);
+                steps.splice(to..to, moved);
+            }
+            Command::RemoveGroup { at } => drop(steps.drain(group(&steps, at)?)),
             Command::Change { at, change } => {
                 check(at, count)?;
                 edit(Arc::make_mut(&mut steps[at].step), change)?;
@@ -345,6 +421,10 @@ impl Document {
     fn label(&self, command: &Command) -> String {
         let called = |step: &Step| step.title.clone().unwrap_or_else(|| step.name().to_owned());
         let name = |at: &usize| self.steps.get(*at).map_or_else(|| "step".to_owned(), |e| called(&e.step));
+        let group_name = |at: &usize| {
+            let group = self.steps.get(*at).and_then(|entry| entry.step.group.clone());
+            group.unwrap_or_else(|| "a group".to_owned())
+        };
         match command {
             Command::Add { step, .. } => format!("add {}", called(step)),
             Command::Remove { at } => format!("remove {}", name(at)),
@@ -354,6 +434,14 @@ impl Document {
                 steps => format!("paste {} steps", steps.len()),
             },
             Command::Solo { at } => format!("only {}", name(at)),
+            Command::Group { name: Some(name), .. } => format!("group as {name}"),
+            Command::Group { name: None, .. } => "ungroup".to_owned(),
+            Command::JoinGroup { from, at } => format!("move {} to {}", name(from), group_name(at)),
+            Command::EnableGroup { at, enabled } => {
+                format!("switch {} {}", group_name(at), if *enabled { "on" } else { "off" })
+            }
+            Command::MoveGroup { at, .. } => format!("move {}", group_name(at)),
+            Command::RemoveGroup { at } => format!("remove {}", group_name(at)),
             Command::Change { at, change } => {
                 let name = name(at);
                 match change {
@@ -397,6 +485,12 @@ impl Document {
     }
 }
 
+/// The group of the step at a place, which there has to be.
+fn group(steps: &[Entry], at: usize) -> Result<Range<usize>> {
+    let none = || refused(format!("step {at} is in no group"), "choose one that is");
+    groups::group_at(steps, at).ok_or_else(none)
+}
+
 /// Whether all deformations but that at a place are switched off, and there are others.
 fn is_alone(steps: &[Entry], at: usize) -> bool {
     let is_other = |(place, entry): &(usize, &Entry)| *place != at && entry.step.deformation().is_some();
@@ -433,7 +527,7 @@ fn edit(step: &mut Step, change: Change) -> Result<()> {
     match (&mut step.action, change) {
         (_, Change::Enable(enabled)) => step.enabled = enabled,
         (_, Change::SetTitle(title)) => {
-            if let Some(what) = title.as_deref().and_then(title_defect) {
+            if let Some(what) = title.as_deref().and_then(|title| name_defect("title", title)) {
                 return Err(refused(what, "give it a few words, or none for what its plugin is called"));
             }
             step.title = title;

@@ -5,6 +5,7 @@ mod clipboard;
 mod document;
 mod editor;
 mod evaluation;
+mod groups;
 #[cfg(test)]
 mod tests;
 
@@ -13,3 +14,4 @@ pub use document::{Change, Command, Document, Entry, StepId};
 pub use editor::{Editor, forget, kept_at, recover, saved_at};
 pub use evaluation::{Evaluated, Evaluation, Refinements, Status};
 pub(crate) use evaluation::{messages, turning_gradients};
+pub use groups::{free_name, group_at};

@@ -510,6 +510,68 @@ fn one_step_alone_and_the_others_again() {
 }
 
 #[test]
+fn groups_are_switched_moved_and_removed_as_one() {
+    let one = |id: usize| step(&format!("shift = {id}.0"));
+    let mut document = Document::new((0..6).map(one));
+    // Each step by its number, in brackets where a group begins and ends.
+    let seen = |document: &Document| {
+        let steps = document.steps();
+        let mut text = String::new();
+        for (at, entry) in steps.iter().enumerate() {
+            let group = group_at(steps, at);
+            let is = |place: Option<usize>| place == Some(at);
+            let shift = &entry.step.deformation().unwrap().params["shift"];
+            text += if is(group.as_ref().map(|group| group.start)) { "(" } else { "" };
+            text += &format!("{}", shift.as_float().unwrap());
+            text += if is(group.map(|group| group.end - 1)) { ")" } else { "" };
+        }
+        text
+    };
+    let named = |steps, name: &str| Command::Group { steps, name: Some(name.to_owned()) };
+    let mut done = |command, expected: &str| {
+        document.apply(command).unwrap();
+        assert_eq!(seen(&document), expected);
+    };
+    done(named(1..3, "arms"), "0(12)345");
+    done(named(4..6, "legs"), "0(12)3(45)");
+    // What comes into a group is of it, what leaves it is not, and what stays beside it is.
+    done(Command::Move { from: 3, to: 2 }, "0(132)(45)");
+    done(Command::Move { from: 2, to: 0 }, "30(12)(45)");
+    done(Command::Move { from: 2, to: 3 }, "30(21)(45)");
+    done(Command::Add { at: 3, step: Box::new(one(6)) }, "30(261)(45)");
+    // A group has none within.
+    done(Command::MoveGroup { at: 3, to: 3 }, "30(45)(261)");
+    done(Command::MoveGroup { at: 2, to: 0 }, "(45)30(261)");
+    done(Command::MoveGroup { at: 5, to: 1 }, "(45)(261)30");
+    let twin = Step { group: Some("legs".to_owned()), ..one(7) };
+    done(Command::Insert { at: 7, steps: vec![twin.clone(), twin, one(8)] }, "(45)(261)30(77)8");
+    done(Command::Group { steps: 1..4, name: None }, "(4)526(1)30(77)8");
+    done(Command::JoinGroup { from: 0, at: 4 }, "526(14)30(77)8");
+    done(Command::JoinGroup { from: 9, at: 3 }, "526(148)30(77)");
+    done(Command::JoinGroup { from: 3, at: 4 }, "526(148)30(77)");
+    done(Command::Group { steps: 4..5, name: None }, "526(1)4(8)30(77)");
+    done(Command::RemoveGroup { at: 3 }, "5264(8)30(77)");
+    done(Command::Remove { at: 4 }, "526430(77)");
+    done(Command::Remove { at: 0 }, "26430(77)");
+    assert_eq!(document.steps()[5].step.group.as_deref(), Some("legs 2"));
+    document.apply(Command::EnableGroup { at: 6, enabled: false }).unwrap();
+    let off = |at: usize| !document.steps()[at].step.enabled;
+    assert_eq!((0..7).map(off).filter(|off| *off).count(), 2);
+    assert!(off(5) && off(6));
+    for none in [
+        Command::EnableGroup { at: 1, enabled: true },
+        Command::MoveGroup { at: 1, to: 0 },
+        Command::MoveGroup { at: 5, to: 7 },
+        Command::RemoveGroup { at: 9 },
+        named(7..9, "a"),
+        named(3..3, "a"),
+        named(0..1, " "),
+    ] {
+        assert!(document.apply(none.clone()).is_err(), "{none:?}");
+    }
+}
+
+#[test]
 fn steps_go_by_the_clipboard_to_another_edit() {
     let folder = tempfile::tempdir().unwrap();
     let points = (0..3000).map(|x| DVec3::new(f64::from(x), 0.0, 0.5)).collect::<Vec<_>>();
@@ -753,6 +815,13 @@ fn command() -> impl Strategy<Value = Command> {
         (at.clone(), any::<bool>()).prop_map(|(at, on)| change(at, Change::Enable(on))),
         (at.clone(), -0.5..1.5_f64).prop_map(|(at, x)| change(at, Change::SetAmount(x))),
         at.clone().prop_map(|at| Command::Solo { at }),
+        (at.clone(), at.clone(), any::<bool>()).prop_map(|(from, to, some)| Command::Group {
+            steps: from..to,
+            name: some.then(|| "both".to_owned())
+        }),
+        (at.clone(), any::<bool>()).prop_map(|(at, enabled)| Command::EnableGroup { at, enabled }),
+        (at.clone(), at.clone()).prop_map(|(at, to)| Command::MoveGroup { at, to }),
+        at.clone().prop_map(|at| Command::RemoveGroup { at }),
         (at.clone(), any::<bool>())
             .prop_map(|(at, some)| change(at, Change::SetTitle(some.then(|| "up".to_owned())))),
         (at.clone(), small.clone()).prop_map(|(at, x)| Command::Insert {

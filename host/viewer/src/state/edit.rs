@@ -131,12 +131,25 @@ impl State {
         Ok(folder_of(editor.path().or(editor.model()).unwrap_or(Path::new(""))).to_owned())
     }
 
-    /// A step as a text, to be [pasted](Command::Paste) into another edit.
+    /// A step as a text, to be [pasted](Command::Paste) into another edit, where it is of the group that it comes into.
     ///
     /// # Errors
     /// There is no such step; it is too long for a text.
     pub fn copied(&self, at: usize) -> Result<String> {
-        edit::copied(std::slice::from_ref(&*self.entry(at)?.step), &self.plugins)
+        let step = Step { group: None, ..(*self.entry(at)?.step).clone() };
+        edit::copied(&[step], &self.plugins)
+    }
+
+    /// The same of all steps of the group that one is in.
+    ///
+    /// # Errors
+    /// It is in none; they are too long for a text.
+    pub fn copied_group(&self, at: usize) -> Result<String> {
+        let steps = self.open()?.steps();
+        let none = || refused(format!("step {at} is in no group"), "choose one that is");
+        let group = edit::group_at(steps, at).ok_or_else(none)?;
+        let steps: Vec<Step> = steps[group].iter().map(|entry| (*entry.step).clone()).collect();
+        edit::copied(&steps, &self.plugins)
     }
 
     pub(super) fn paste(&mut self, text: &str, at: Option<usize>) -> Result<()> {

@@ -7,6 +7,7 @@ mod pinned;
 mod preview;
 mod region;
 mod select;
+mod slowest;
 mod stroke;
 mod view;
 
@@ -28,9 +29,10 @@ use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::Effort;
 use simod_session::edit::{Document, Editor, Entry, StepId};
 use simod_session::{PluginRegistry, SessionFile};
+pub use slowest::Slowest;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 use stroke::OpenStroke;
 
 /// Notices that are kept until the window takes them.
@@ -92,6 +94,7 @@ pub struct State {
     pins: u64,
     /// What steps are called that were pinned before.
     named: Option<(String, Arc<[Entry]>)>,
+    slowest: Slowest,
 }
 
 fn refused(what: impl Into<String>, hint: &str) -> Error {
@@ -130,6 +133,7 @@ impl State {
             pinned: None,
             pins: 0,
             named: None,
+            slowest: Slowest::default(),
         }
     }
 
@@ -144,8 +148,10 @@ impl State {
     /// It makes no sense, or a file cannot be written; nothing has changed then. What takes its time fails
     /// later, with a [`Notice`].
     pub fn apply(&mut self, command: Command) -> Result<()> {
-        let settled = self.is_settled();
-        self.perform(command.clone())?;
+        let (settled, begun) = (self.is_settled(), Instant::now());
+        let done = self.perform(command.clone());
+        self.slowest.note(&command, begun.elapsed());
+        done?;
         if self.recorder.is_some() {
             let command = if settled { command } else { self.resolved(command) };
             if let Some(Err(error)) = self.recorder.as_mut().map(|recorder| recorder.push(&command)) {
@@ -154,6 +160,11 @@ impl State {
             }
         }
         Ok(())
+    }
+
+    /// The commands that took longest so far.
+    pub fn slowest(&self) -> &Slowest {
+        &self.slowest
     }
 
     fn perform(&mut self, command: Command) -> Result<()> {

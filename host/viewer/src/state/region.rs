@@ -3,6 +3,7 @@
 use super::edit::missing;
 use super::{Open, State, refused};
 use crate::appended::{as_found, owner_of};
+use crate::body::{Ball, largest_balls};
 use crate::motion::{PlacedHandle, placed_handles};
 use crate::pick::Hit;
 use crate::selection::Selection;
@@ -177,6 +178,20 @@ impl State {
             None => joints.push(Joint { id, at, parent }),
         }
         self.change(step, Change::SetJoints(joints))
+    }
+
+    /// The largest balls inside of the model, as a step finds it, model coordinates; none where it encloses nothing.
+    pub fn body(&self, step: usize) -> Vec<Ball> {
+        let (Ok(before), Some(scene)) = (self.before(step), self.scene()) else { return Vec::new() };
+        let (samples, frame) = (&scene.sampled.samples, scene.frame());
+        // Where they have gone until then, about as the samples that are nearest.
+        let moved = |ball: Ball| {
+            let nearest = samples.nearest(ball.center.as_vec3()) as usize;
+            let way = before.get(nearest).map_or(Vec3::ZERO, |to| *to - samples.positions[nearest]);
+            let center = frame.to_model_exact(ball.center + way.as_dvec3());
+            Ball { center, radius: ball.radius * frame.scale }
+        };
+        largest_balls(samples).into_iter().map(moved).collect()
     }
 
     /// A point of the surface that is shown, where a step finds it: for strokes and joints. Model

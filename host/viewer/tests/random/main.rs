@@ -83,6 +83,13 @@ fn change() -> impl Strategy<Value = edit::Command> {
         6 => (at.clone(), one).prop_map(|(at, change)| edit::Command::Change { at, change }),
         2 => at.clone().prop_map(|at| edit::Command::Remove { at }),
         2 => at.clone().prop_map(|at| edit::Command::Solo { at }),
+        1 => (at.clone(), at.clone()).prop_map(|(from, to)| edit::Command::Group {
+            steps: from..to + 1,
+            name: (from < 2).then(|| "group".to_owned()),
+        }),
+        1 => (at.clone(), any::<bool>()).prop_map(|(at, enabled)| edit::Command::EnableGroup { at, enabled }),
+        1 => (at.clone(), at.clone()).prop_map(|(at, to)| edit::Command::MoveGroup { at, to }),
+        1 => at.clone().prop_map(|at| edit::Command::RemoveGroup { at }),
         1 => (at.clone(), at).prop_map(|(from, to)| edit::Command::Move { from, to }),
     ]
 }
@@ -254,6 +261,7 @@ fn soak(commands: usize) -> Vec<u64> {
     state.settle(LONG).unwrap();
     check(&mut state);
     assert!(accepted > commands / 4, "{accepted} of {commands}");
+    println!("of {commands}, {}", state.slowest());
     // All that can be undone is a thousand changes, and some selections, and leads to some earlier state.
     let mut undone = 0;
     while state.can_undo().is_some() {

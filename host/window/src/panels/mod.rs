@@ -5,6 +5,7 @@ mod detail;
 mod film;
 pub mod floating;
 mod frames;
+mod groups;
 mod keys;
 pub mod legend;
 pub mod lesson;

@@ -27,7 +27,8 @@ fn options(ui: &mut Ui, rect: Rect, window: &mut Window) {
     let builder = UiBuilder::new().max_rect(area).layout(Layout::left_to_right(Align::Min));
     ui.scope_builder(builder, |ui| {
         card(ui).show(ui, |ui| {
-            ui.horizontal(|ui| match window.tools.tool {
+            // In a narrow picture, in several lines.
+            ui.horizontal_wrapped(|ui| match window.tools.tool {
                 Tool::Stroke => stroke(ui, window),
                 Tool::Measure => measuring(ui, window),
                 Tool::Joint => chaining(ui, window),
@@ -60,9 +61,29 @@ fn chaining(ui: &mut Ui, window: &mut Window) {
         ui.label(RichText::new("The chosen step takes no joints.").weak());
         return;
     }
-    ui.label("A click places a joint, a drag a chain of");
+    for (pins, name, hint) in [
+        (false, "Joints", "Clicks place joints, drags chains of them"),
+        (true, "Pins", "Clicks place pins: what is around one stays, whatever the joints do"),
+    ] {
+        let button = Button::selectable(window.tools.places_pins == pins, name);
+        let response = ui.add(button).on_hover_text(hint);
+        response.ctx.accesskit_node_builder(response.id, |node| node.set_label(format!("Place {name}")));
+        if response.clicked() {
+            window.tools.places_pins = pins;
+        }
+    }
+    ui.separator();
+    if window.tools.places_pins {
+        ui.label(RichText::new("Click where the body shall stay.").weak());
+        return;
+    }
+    ui.label("A drag places a chain of");
     let field = ui.add(DragValue::new(&mut window.tools.chain).range(2..=64));
     field.ctx.accesskit_node_builder(field.id, |node| node.set_label("Joints of a chain"));
+    ui.separator();
+    ui.checkbox(&mut window.tools.holds_body, "Hold the Body").on_hover_text(
+        "As long as no bone is in its middle, pins there keep the body from turning with a limb",
+    );
 }
 
 /// What is measured, and what it comes to.

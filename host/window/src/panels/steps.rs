@@ -1,6 +1,6 @@
 //! The list of steps, and how each fares.
 
-use super::{count, menu, number, parts};
+use super::{count, groups, menu, number, parts};
 use crate::regions;
 use crate::steps::{self, Renaming};
 use crate::theme;
@@ -8,10 +8,10 @@ use crate::window::Window;
 use crate::wording::{in_window, remedies};
 use eframe::egui::{
     self, Align, Align2, Button, Color32, CornerRadius, CursorIcon, FontId, Frame, Key, LayerId, Layout,
-    Margin, Order, Response, RichText, Sense, Spinner, Stroke, TextEdit, Ui, UiBuilder, vec2,
+    Margin, Order, Pos2, Response, RichText, Sense, Spinner, Stroke, TextEdit, Ui, UiBuilder, vec2,
 };
 use simod_core::refinement::Finer;
-use simod_session::edit::{self, Change, Entry, Status, StepId};
+use simod_session::edit::{self, Change, Entry, Status, StepId, group_at};
 use simod_session::session_file::Action;
 use simod_viewer::Command;
 
@@ -29,12 +29,23 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
             RichText::new("A step deforms the model, or refines its samples. Add the first one.").weak(),
         );
     }
-    for (at, entry) in steps.iter().enumerate() {
-        row(ui, window, at, entry, steps.len());
+    let mut at = 0;
+    while let Some(entry) = steps.get(at) {
+        let Some(group) = group_at(&steps, at) else {
+            row(ui, window, at, entry, &steps);
+            at += 1;
+            continue;
+        };
+        if groups::show(ui, window, group.clone(), &steps) {
+            ui.indent(("steps of a group", entry.id), |ui| {
+                group.clone().for_each(|at| row(ui, window, at, &steps[at], &steps));
+            });
+        }
+        at = group.end;
     }
 }
 
-fn row(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize) {
+fn row(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, steps: &[Entry]) {
     let chosen = window.state().chosen() == Some(at);
     let visuals = ui.visuals();
     let (fill, stroke) = if chosen {
@@ -51,7 +62,7 @@ fn row(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize)
     // What is in the row comes later, and before it: it takes its clicks first.
     let builder = UiBuilder::new().id_salt(entry.id).sense(Sense::click_and_drag());
     let whole = ui.scope_builder(builder, |ui| {
-        frame.show(ui, |ui| content(ui, window, at, entry, count, &name));
+        frame.show(ui, |ui| content(ui, window, at, entry, steps, &name));
     });
     if whole.response.clicked() {
         choose(window, at, chosen);
@@ -60,59 +71,98 @@ fn row(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize)
     ui.add_space(1.0);
 }
 
-/// A step that is dragged to another place.
-struct Dragged(StepId);
+/// What is dragged to another place.
+pub enum Dragged {
+    /// A step.
+    Step(StepId),
+    /// The group that begins with a step.
+    Group(StepId),
+}
+
+impl Dragged {
+    /// Where it, or its first step, is now.
+    pub fn place(&self, window: &Window) -> Option<usize> {
+        let (Self::Step(id) | Self::Group(id)) = self;
+        window.steps().iter().position(|entry| entry.id == *id)
+    }
+
+    /// Puts it into the gap before the step that is at a place now.
+    pub fn put(&self, window: &mut Window, gap: usize) {
+        let Some(from) = self.place(window) else { return };
+        let steps = window.steps();
+        let length = match self {
+            Self::Step(_) => 1,
+            Self::Group(_) => group_at(&steps, from).map_or(1, |group| group.len()),
+        };
+        if (from..=from + length).contains(&gap) {
+            return;
+        }
+        // Its place once it has left the one where it is.
+        let to = if gap > from { gap - length } else { gap };
+        window.apply(Command::Edit(match self {
+            Self::Step(_) => edit::Command::Move { from, to },
+            Self::Group(_) => edit::Command::MoveGroup { at: from, to },
+        }));
+    }
+}
+
+/// The name of what is dragged goes with the pointer.
+pub fn carried(ui: &Ui, row: &Response, name: &str, pointer: Pos2) {
+    ui.set_cursor_icon(CursorIcon::Grabbing);
+    let layer = LayerId::new(Order::Tooltip, row.id);
+    let (font, color) = (FontId::proportional(13.0), ui.visuals().strong_text_color());
+    ui.layer_painter(layer).text(pointer + vec2(14.0, 2.0), Align2::LEFT_TOP, name, font, color);
+}
 
 /// The row can be dragged between others, and others beside it.
 fn reorder(ui: &Ui, window: &mut Window, at: usize, id: StepId, name: &str, row: &Response) {
-    row.dnd_set_drag_payload(Dragged(id));
+    row.dnd_set_drag_payload(Dragged::Step(id));
     let Some(pointer) = ui.input(|i| i.pointer.latest_pos()) else { return };
     if row.dragged() {
-        ui.set_cursor_icon(CursorIcon::Grabbing);
-        let layer = LayerId::new(Order::Tooltip, row.id);
-        let (font, color) = (FontId::proportional(13.0), ui.visuals().strong_text_color());
-        let place = pointer + vec2(14.0, 2.0);
-        ui.layer_painter(layer).text(place, Align2::LEFT_TOP, name, font, color);
+        carried(ui, row, name, pointer);
     }
     let Some(dragged) = row.dnd_hover_payload::<Dragged>() else { return };
     let below = pointer.y > row.rect.center().y;
     let y = if below { row.rect.bottom() } else { row.rect.top() };
     ui.painter().hline(row.rect.x_range(), y, Stroke::new(2.0, theme::ACCENT));
-    if row.dnd_release_payload::<Dragged>().is_none() {
-        return;
-    }
-    let Some(from) = window.steps().iter().position(|entry| entry.id == dragged.0) else { return };
-    // Its place once it has left the one where it is.
-    let gap = at + usize::from(below);
-    let to = if gap > from { gap - 1 } else { gap };
-    if to != from {
-        window.apply(Command::Edit(edit::Command::Move { from, to }));
+    if row.dnd_release_payload::<Dragged>().is_some() {
+        dragged.put(window, at + usize::from(below));
     }
 }
 
-fn content(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize, name: &str) {
+/// A box that says whether steps are done: what it becomes, if it was clicked.
+pub fn switch(ui: &mut Ui, name: &str, is_on: bool, hint: &str) -> Option<bool> {
+    let mut enabled = is_on;
+    let check = ui.checkbox(&mut enabled, "");
+    let text = format!("Enable {name}");
+    check.widget_info(|| egui::WidgetInfo::selected(egui::Role::CheckBox, true, is_on, text.clone()));
+    check.on_hover_text(hint).changed().then_some(enabled)
+}
+
+/// A name that is typed: whether it is wanted, once Enter, Escape or a click elsewhere ends it.
+pub fn name_field(ui: &mut Ui, renaming: &mut Renaming, hint: &str, label: &str) -> Option<bool> {
+    let edit = TextEdit::singleline(&mut renaming.text).desired_width(f32::INFINITY);
+    let response = ui.add(edit.hint_text(hint));
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(label));
+    if std::mem::take(&mut renaming.begins) {
+        response.request_focus();
+    }
+    response.lost_focus().then(|| !ui.input(|i| i.key_pressed(Key::Escape)))
+}
+
+fn content(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, steps: &[Entry], name: &str) {
     let chosen = window.state().chosen() == Some(at);
     ui.set_min_width(ui.available_width());
     ui.horizontal(|ui| {
-        let mut enabled = entry.step.enabled;
-        let check = ui.checkbox(&mut enabled, "");
-        check.widget_info(|| {
-            egui::WidgetInfo::selected(
-                egui::Role::CheckBox,
-                true,
-                entry.step.enabled,
-                format!("Enable {name}"),
-            )
-        });
-        if check.on_hover_text("Do this step, or leave it out").changed() {
+        if let Some(enabled) = switch(ui, name, entry.step.enabled, "Do this step, or leave it out") {
             window.change(at, Change::Enable(enabled), false);
         }
         let text = RichText::new(name);
         let text = if entry.step.enabled { text.strong() } else { text.weak() };
         let label = Button::new(text).frame(false).truncate();
-        let renamed = window.renaming.take_if(|renaming| renaming.id == entry.id);
+        let renamed = window.renaming.take_if(|renaming| !renaming.of_group && renaming.id == entry.id);
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            more(ui, window, at, entry, count);
+            more(ui, window, at, entry, steps);
             state(ui, window, at);
             ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
                 if let Some(renaming) = renamed {
@@ -132,20 +182,14 @@ fn content(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: us
     mend(ui, window, at, entry);
 }
 
-/// A name that is typed, until Enter or Escape, or a click elsewhere.
 fn rename(ui: &mut Ui, window: &mut Window, at: usize, mut renaming: Renaming) {
-    let edit = TextEdit::singleline(&mut renaming.text).desired_width(f32::INFINITY);
-    let response = ui.add(edit.hint_text("as its plugin"));
-    let name = format!("Name of step {}", at + 1);
-    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(name.as_str()));
-    if std::mem::take(&mut renaming.begins) {
-        response.request_focus();
-    }
-    if !response.lost_focus() {
-        window.renaming = Some(renaming);
-    } else if !ui.input(|i| i.key_pressed(Key::Escape)) {
-        let title = Some(renaming.text.trim().to_owned()).filter(|title| !title.is_empty());
-        window.change(at, Change::SetTitle(title), false);
+    match name_field(ui, &mut renaming, "as its plugin", &format!("Name of step {}", at + 1)) {
+        None => window.renaming = Some(renaming),
+        Some(true) => {
+            let title = Some(renaming.text.trim().to_owned()).filter(|title| !title.is_empty());
+            window.change(at, Change::SetTitle(title), false);
+        }
+        Some(false) => {}
     }
 }
 
@@ -180,9 +224,10 @@ fn state(ui: &mut Ui, window: &Window, at: usize) {
 }
 
 /// What a step can do besides.
-fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize) {
+fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, all: &[Entry]) {
     let menu = ui.menu_button("\u{2026}", |ui| {
-        let moves = [("Move Up", at.checked_sub(1)), ("Move Down", Some(at + 1).filter(|to| *to < count))];
+        let moves =
+            [("Move Up", at.checked_sub(1)), ("Move Down", Some(at + 1).filter(|to| *to < all.len()))];
         for (name, to) in moves {
             if ui.add_enabled(to.is_some(), Button::new(name)).clicked()
                 && let Some(to) = to
@@ -199,6 +244,17 @@ fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize
             ("Copy", true, steps::copy),
             ("Paste Behind", true, steps::ask_to_paste),
             (steps::solo_name(window, at), entry.step.deformation().is_some(), steps::solo),
+        ];
+        for (name, can, run) in others {
+            if ui.add_enabled(can, Button::new(name)).clicked() {
+                run(window, at);
+                ui.close();
+            }
+        }
+        ui.separator();
+        let others: [(&str, bool, Done); 2] = [
+            ("Group with the Step Above", at > 0, steps::group),
+            ("Take Out of Its Group", entry.step.group.is_some(), steps::ungroup),
         ];
         for (name, can, run) in others {
             if ui.add_enabled(can, Button::new(name)).clicked() {

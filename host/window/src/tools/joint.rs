@@ -1,4 +1,4 @@
-//! Joints, placed by clicks, and chains of them by drags.
+//! Joints and pins, placed by clicks, and chains of joints by drags.
 
 use super::Target;
 use crate::viewport::{Canvas, handles};
@@ -6,9 +6,9 @@ use crate::window::Window;
 use eframe::egui::{Color32, CursorIcon, Pos2, Shape, Stroke};
 use glam::{DVec2, DVec3};
 use simod_session::edit::Change;
-use simod_session::session_file::Deformation;
+use simod_session::session_file::{Deformation, Joint};
 use simod_viewer::Command;
-use simod_viewer::skeleton::chained;
+use simod_viewer::skeleton::{chained, free_id, is_pin, with_body_held};
 
 /// From so many points of the screen on, a press that moves is a drag.
 const LEAST: f32 = 14.0;
@@ -27,7 +27,7 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     if let Some(from) = window.tools.chain_from.map(DVec2::from)
         && let Some(to) = canvas.pointer()
     {
-        let is_drag = canvas.at(from).distance(canvas.at(to)) > LEAST;
+        let is_drag = !window.tools.places_pins && canvas.at(from).distance(canvas.at(to)) > LEAST;
         if canvas.is_down() {
             if is_drag {
                 draw(canvas, from, to, window.tools.chain);
@@ -45,15 +45,24 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     }
     let Some(pixel) = canvas.pointer() else { return false };
     let Some(at) = place(canvas, window, step, pixel) else { return false };
-    let parent = parent(window, &deformation);
-    let is_joint = |id: &String| deformation.joints.iter().any(|joint| joint.id == *id);
-    let id = (1..).map(|i| format!("joint-{i}")).find(|id| !is_joint(id));
-    if let Some(id) = id
-        && window.apply(Command::PlaceJoint { step, id: id.clone(), at, parent })
-    {
-        window.tools.target = Some(Target::Handle(id));
+    if window.tools.places_pins {
+        let id = free_id(&deformation.joints, true);
+        window.apply(Command::PlaceJoint { step, id, at, parent: None });
+    } else {
+        let parent = parent(window, &deformation);
+        put(window, step, chained(&deformation.joints, &[at], parent));
     }
     false
+}
+
+/// Takes other joints, the last of which was placed now; the body is held by pins, if that is wanted.
+fn put(window: &mut Window, step: usize, joints: Vec<Joint>) {
+    let last = joints.last().map(|joint| joint.id.clone());
+    let joints =
+        if window.tools.holds_body { with_body_held(joints, &window.state().body(step)) } else { joints };
+    if window.change(step, Change::SetJoints(joints), false) {
+        window.tools.target = last.map(Target::Handle);
+    }
 }
 
 /// Bones lie in the middle of what they carry; with Shift, on the surface.
@@ -72,7 +81,10 @@ fn parent(window: &Window, deformation: &Deformation) -> Option<String> {
         Some(Target::Handle(id)) if deformation.joints.iter().any(|joint| joint.id == *id) => {
             Some(id.clone())
         }
-        _ => deformation.joints.last().map(|joint| joint.id.clone()),
+        _ => {
+            let last = deformation.joints.iter().rev().find(|joint| !is_pin(&joint.id));
+            last.map(|joint| joint.id.clone())
+        }
     }
 }
 
@@ -100,11 +112,7 @@ fn chain(
     if places.is_empty() {
         return;
     }
-    let joints = chained(&deformation.joints, &places, parent);
-    let last = joints.last().map(|joint| joint.id.clone());
-    if window.change(step, Change::SetJoints(joints), false) {
-        window.tools.target = last.map(Target::Handle);
-    }
+    put(window, step, chained(&deformation.joints, &places, parent));
 }
 
 /// The chain that would be placed.

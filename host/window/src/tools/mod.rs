@@ -134,6 +134,9 @@ pub struct Tools {
     pub stroke_radius: f64,
     /// Of strokes.
     pub strength: f64,
+    /// Whether clicks place pins instead of joints, and whether the body is held where a skeleton is of a limb alone.
+    pub places_pins: bool,
+    pub holds_body: bool,
     /// Joints of a chain that is dragged, and where its drag began, in pixels.
     pub chain: usize,
     chain_from: Option<[f64; 2]>,
@@ -174,6 +177,8 @@ impl Default for Tools {
             radius: 30.0,
             stroke_radius: 0.06,
             strength: 1.0,
+            places_pins: false,
+            holds_body: true,
             chain: 4,
             chain_from: None,
             naming: None,

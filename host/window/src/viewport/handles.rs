@@ -6,13 +6,14 @@ use crate::theme;
 use crate::tools::{Target, Tool};
 use crate::widgets::parameter::{number_of, vector_of};
 use crate::window::Window;
-use eframe::egui::{Color32, CursorIcon, Pos2, Rect, Shape, Stroke, pos2};
+use eframe::egui::{Color32, CursorIcon, Pos2, Rect, Shape, Stroke, pos2, vec2};
 use glam::DVec3;
 use simod_plugin_api::{ParamDesc, ParamKind, Unit};
 use simod_session::edit::Change;
 use simod_session::session_file::Role;
 use simod_viewer::Command;
 use simod_viewer::motion::handle_matrix;
+use simod_viewer::skeleton::is_pin;
 use std::collections::{BTreeSet, HashMap};
 
 /// How near the pointer has to be, in points.
@@ -28,6 +29,13 @@ struct Dot {
     depth: f64,
     /// Of the dot that it hangs on.
     parent: Option<Pos2>,
+}
+
+impl Dot {
+    /// Whether it is of a pin, which nobody moves.
+    fn is_pin(&self) -> bool {
+        matches!(&self.target, Target::Handle(id) if is_pin(id))
+    }
 }
 
 fn dots(canvas: &Canvas<'_>, window: &Window) -> Vec<Dot> {
@@ -67,7 +75,7 @@ fn is_shown(window: &Window) -> bool {
 
 fn nearest<'a>(canvas: &Canvas<'_>, dots: &'a [Dot]) -> Option<&'a Dot> {
     let pointer = canvas.pointer_pos().filter(|_| canvas.is_hovered())?;
-    let near = dots.iter().filter(|dot| dot.at.distance(pointer) < REACH);
+    let near = dots.iter().filter(|dot| !dot.is_pin() && dot.at.distance(pointer) < REACH);
     near.min_by(|a, b| a.at.distance(pointer).total_cmp(&b.at.distance(pointer)))
 }
 
@@ -91,6 +99,10 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
     surface(canvas, window, &dots, share);
     let many = dots.len() > 200;
     for dot in &dots {
+        if dot.is_pin() {
+            pin(canvas, dot.at);
+            continue;
+        }
         let is_held = matches!(&dot.target, Target::Handle(id) if in_hand.contains(id));
         let chosen = is_held || window.tools.target.as_ref() == Some(&dot.target);
         let hovered = hovered.as_ref() == Some(&dot.target);
@@ -176,6 +188,15 @@ fn surface(canvas: &Canvas<'_>, window: &Window, dots: &[Dot], far: impl Fn(f64)
     }
 }
 
+/// A pin: its point is where it holds.
+fn pin(canvas: &Canvas<'_>, at: Pos2) {
+    let (head, color) = (at + vec2(0.0, -13.0), theme::color(theme::role_color(Role::Fixed)));
+    let outline = Stroke::new(1.2, Color32::from_black_alpha(200));
+    canvas.painter().line_segment([at, head], Stroke::new(2.5, color));
+    canvas.painter().circle(head, 5.0, color, outline);
+    canvas.painter().circle_filled(at, 1.8, color);
+}
+
 /// Thick at the parent, thin at the child, as bones are drawn.
 fn bone(canvas: &Canvas<'_>, from: Pos2, to: Pos2) {
     let way = to - from;
@@ -196,7 +217,7 @@ pub fn joint_at(canvas: &Canvas<'_>, window: &Window, pixel: glam::DVec2) -> Opt
     let at = canvas.at(pixel);
     let is_joint = |id: &String| deformation.joints.iter().any(|joint| joint.id == *id);
     dots(canvas, window).into_iter().find_map(|dot| match dot.target {
-        Target::Handle(id) if dot.at.distance(at) < REACH && is_joint(&id) => Some(id),
+        Target::Handle(id) if dot.at.distance(at) < REACH && is_joint(&id) && !is_pin(&id) => Some(id),
         _ => None,
     })
 }
@@ -233,7 +254,7 @@ fn take_also(canvas: &Canvas<'_>, window: &mut Window, target: Option<Target>) {
 /// The handles that the chosen step's plugin placed and that are seen in a part of the picture.
 pub fn within(canvas: &Canvas<'_>, window: &Window, rect: Rect) -> BTreeSet<String> {
     let id = |dot: Dot| match dot.target {
-        Target::Handle(id) if rect.contains(dot.at) => Some(id),
+        Target::Handle(id) if rect.contains(dot.at) && !is_pin(&id) => Some(id),
         _ => None,
     };
     dots(canvas, window).into_iter().filter_map(id).collect()

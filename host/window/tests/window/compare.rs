@@ -43,6 +43,21 @@ pub fn drag(harness: &mut Harness<'_, App>, from: egui::Pos2, to: egui::Pos2) {
     settle(harness);
 }
 
+/// Clicks with the left button.
+pub fn click_at(harness: &mut Harness<'_, App>, at: egui::Pos2) {
+    harness.event(egui::Event::PointerMoved(at));
+    harness.run_steps(2);
+    for pressed in [true, false] {
+        harness.event(egui::Event::PointerButton {
+            pos: at,
+            button: egui::PointerButton::Primary,
+            pressed,
+            modifiers: egui::Modifiers::NONE,
+        });
+    }
+    settle(harness);
+}
+
 #[test]
 fn versions_are_pinned_seen_swapped_and_let_go() {
     let folder = tempfile::tempdir().unwrap();

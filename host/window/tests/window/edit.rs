@@ -1,5 +1,6 @@
 //! A whole edit by names, and what it comes to without the window.
 
+use super::compare::click_at;
 use super::*;
 
 use egui_kittest::kittest::Queryable;
@@ -301,6 +302,89 @@ fn what_a_plugin_says_to_do_is_a_button() {
     assert_eq!(params.get("max-centers"), Some(&32.into()));
 }
 
+/// A limb's joint does not turn the body: a pin in it holds it, until a bone is there; others are placed by clicks.
+#[test]
+fn a_limb_turns_without_the_body() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cactus.ply");
+    let options = ModelOptions { shape: Shape::Cactus, vertices: 30_000, ..ModelOptions::default() };
+    write_file(&options, &path, &Silent).unwrap();
+    let mut harness = window();
+    open(&mut harness, &path);
+    for step in [
+        simod_viewer::command::CameraMove::Look(simod_viewer::camera::Standard::Front),
+        simod_viewer::command::CameraMove::FrameAll,
+    ] {
+        done(&mut harness, Command::Camera(step));
+    }
+    done(&mut harness, Command::AddStep { plugin: "skinning".to_owned(), at: None });
+    harness.state_mut().window_mut().tools.take(Tool::Joint);
+    harness.run_steps(3);
+    let pixel = |harness: &Harness<'_, App>, p: glam::Vec3| {
+        let state = harness.state().window().state();
+        let at = state.camera().project(p.as_dvec3(), state.size()).unwrap().0;
+        harness.get_by_label("Model").rect().min + egui::vec2(at.x as f32, at.y as f32)
+    };
+    let joints = |harness: &Harness<'_, App>| harness.state().window().chosen().unwrap().2.joints;
+    let ids = |harness: &Harness<'_, App>| joints(harness).into_iter().map(|j| j.id).collect::<Vec<_>>();
+    let positions = harness.state().window().state().scene().unwrap().positions.clone();
+    let highest = |side: f32| {
+        // The top of an arm: the highest of what is far to a side.
+        let far = positions.iter().map(|p| side * p.x).fold(0.0, f32::max);
+        let aside = positions.iter().filter(|p| side * p.x > 0.8 * far);
+        *aside.max_by(|a, b| a.y.total_cmp(&b.y)).unwrap()
+    };
+    let hand = highest(1.0) - glam::Vec3::Y * 0.03;
+    let at = pixel(&harness, hand);
+    click_at(&mut harness, at);
+    let held = ids(&harness);
+    let is_of_body = |id: &String| id.starts_with("pin-body-");
+    assert!(held[0] == "joint-1" && held.len() > 2 && held[1..].iter().all(is_of_body), "{held:?}");
+    let stem = joints(&harness)[1].at;
+    assert!(joints(&harness)[1..].iter().all(|pin| pin.at.x.abs() < 0.1), "all in the stem");
+
+    // Turned, the hand goes, and the stem stays.
+    let motion = simod_session::Motion { axis: glam::DVec3::Z, degrees: 90.0, ..Default::default() };
+    let turn = Change::MoveHandle { id: "joint-1".to_owned(), motion };
+    done(&mut harness, Command::Edit(edit::Command::Change { at: 0, change: turn }));
+    let scene = harness.state().window().state().scene().unwrap().clone();
+    let moved = |p: &glam::Vec3, q: &glam::Vec3| p.distance(*q);
+    let ways = || scene.sampled.samples.positions.iter().zip(scene.positions.iter());
+    let near = |p: &glam::Vec3, far: f32| p.distance(hand) < far;
+    let of_hand = ways().filter(|(p, _)| near(p, 0.1)).map(|(p, q)| moved(p, q)).fold(0.0, f32::max);
+    let pin = scene.frame().to_local(stem);
+    // The side of the stem on which the arm is not.
+    let is_stem = |p: &glam::Vec3| p.distance(pin) < 0.3 && p.x < pin.x;
+    let of_stem = ways().filter(|(p, _)| is_stem(p)).map(|(p, q)| moved(p, q)).fold(0.0, f32::max);
+    assert!(of_hand > 10.0 * of_stem, "{of_hand} {of_stem}");
+    done(&mut harness, Command::Undo);
+
+    // A pin by hand, which is taken by no click and no box.
+    harness.get_by_label("Place Pins").click();
+    harness.run_steps(2);
+    let at = pixel(&harness, highest(-1.0));
+    click_at(&mut harness, at - egui::vec2(0.0, -8.0));
+    assert_eq!(ids(&harness), [held, vec!["pin-1".to_owned()]].concat());
+    harness.state_mut().window_mut().tools.take(Tool::Move);
+    harness.state_mut().window_mut().tools.target = None;
+    click_at(&mut harness, at - egui::vec2(0.0, -8.0));
+    assert_eq!(harness.state().window().tools.target, None);
+
+    // A chain along the stem has the body turn: nothing holds it any more.
+    harness.state_mut().window_mut().tools.take(Tool::Joint);
+    harness.state_mut().window_mut().tools.places_pins = false;
+    harness.run_steps(2);
+    let ends = [0.1, 0.9].map(|part| {
+        let [low, high] = scene.bounds();
+        glam::Vec3::new(pin.x, low.y + part * (high.y - low.y), pin.z)
+    });
+    let [from, to] = ends.map(|p| pixel(&harness, p));
+    drag(&mut harness, from, to);
+    settle(&mut harness);
+    let all = ids(&harness);
+    assert!(!all.iter().any(is_of_body) && all.contains(&"pin-1".to_owned()), "{all:?}");
+}
+
 /// A drag places a chain, whose joints are renamed, and mirrored to the other side.
 #[test]
 fn a_chain_of_joints_is_dragged_renamed_and_mirrored() {
@@ -320,6 +404,8 @@ fn a_chain_of_joints_is_dragged_renamed_and_mirrored() {
     harness.state_mut().window_mut().tools.take(Tool::Joint);
     harness.run_steps(3);
     assert_eq!(harness.state().window().tools.chain, 4);
+    harness.get_by_label("Hold the Body").click();
+    harness.run_steps(2);
     assert!(harness.query_by_label("Joints of a chain").is_some());
     let middle = harness.get_by_label("Model").rect().center() + egui::vec2(30.0, 0.0);
     let [from, to] = [150.0, -150.0].map(|y| middle + egui::vec2(0.0, y));

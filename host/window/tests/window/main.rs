@@ -13,6 +13,7 @@ mod parameters;
 mod picture;
 mod steps;
 mod transform;
+mod whole;
 
 use egui_kittest::Harness;
 use simod_generate::{ModelOptions, Shape, write_file};

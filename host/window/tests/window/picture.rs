@@ -32,8 +32,13 @@ pub fn drawn(harness: &mut Harness<'_, App>, name: &str) -> Image {
 
 /// A window with nothing open, and something to draw with.
 pub fn drawn_window() -> Harness<'static, App> {
+    drawn_window_of([1280.0, 800.0])
+}
+
+/// The same, of a size.
+pub fn drawn_window_of(size: [f32; 2]) -> Harness<'static, App> {
     let plugins = plugins();
-    let builder = Harness::builder().with_size([1280.0, 800.0]).wgpu();
+    let builder = Harness::builder().with_size(size).wgpu();
     builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())))
 }
 

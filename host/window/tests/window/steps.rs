@@ -113,6 +113,83 @@ fn a_step_is_named_blended_looked_at_alone_and_copied() {
 }
 
 #[test]
+fn steps_are_grouped_folded_switched_and_moved_as_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+    for at in 0..3 {
+        add(&mut harness, "warp");
+        change(&mut harness, at, Change::SetTitle(Some(format!("Turn {at}"))));
+    }
+    let groups = |harness: &Harness<'_, App>| {
+        let group = |at: usize| step(harness, at).group.unwrap_or_default();
+        (0..harness.state().window().steps().len()).map(group).collect::<Vec<_>>()
+    };
+    let titles = |harness: &Harness<'_, App>| [0, 1, 2].map(|at| step(harness, at).title.unwrap());
+    let click = |harness: &mut Harness<'_, App>, name: &str| {
+        harness.get_by_label(name).click();
+        settle(harness);
+    };
+    done(&mut harness, Command::Choose { step: Some(1) });
+    press(&mut harness, egui::Modifiers::COMMAND, egui::Key::G);
+    assert_eq!(groups(&harness), ["Group", "Group", ""]);
+
+    // A name of its own; Escape leaves it.
+    for (key, text, name) in [
+        (egui::Key::Enter, "Arms", "Arms"),
+        (egui::Key::Escape, "nonsense", "Arms"),
+        (egui::Key::Enter, " ", "Arms"),
+    ] {
+        harness.get_by_label_contains("More on the group").click();
+        harness.run_steps(2);
+        harness.get_by_label("Rename\u{2026}").click();
+        harness.run_steps(2);
+        harness.get_by_label_contains("Name of the group");
+        press(&mut harness, egui::Modifiers::COMMAND, egui::Key::A);
+        harness.event(egui::Event::Text(text.to_owned()));
+        harness.run_steps(2);
+        press(&mut harness, egui::Modifiers::NONE, key);
+        assert_eq!(groups(&harness), [name, name, ""], "{text:?}");
+    }
+
+    // Folded, its steps are not in the list; they are switched together.
+    assert!(harness.query_by_label("Enable Turn 0").is_some());
+    click(&mut harness, "Fold Arms");
+    assert!(harness.query_by_label("Enable Turn 0").is_none());
+    assert!(harness.query_by_label("Enable Turn 2").is_some());
+    click(&mut harness, "Enable Arms");
+    assert_eq!([0, 1, 2].map(|at| step(&harness, at).enabled), [false, false, true]);
+    click(&mut harness, "Enable Arms");
+    click(&mut harness, "More on the group Arms");
+    click(&mut harness, "Move Down");
+    assert_eq!(titles(&harness), ["Turn 2", "Turn 0", "Turn 1"]);
+    click(&mut harness, "Unfold Arms");
+
+    // By the clipboard behind itself, it is a group of its own.
+    click(&mut harness, "More on the group Arms");
+    harness.get_by_label("Copy").click();
+    harness.step();
+    let commands = harness.output().platform_output.commands.clone();
+    let text = commands.into_iter().find_map(|command| match command {
+        egui::OutputCommand::CopyText(text) => Some(text),
+        _ => None,
+    });
+    done(&mut harness, Command::Choose { step: Some(2) });
+    harness.event(egui::Event::Paste(text.expect("a text was copied")));
+    settle(&mut harness);
+    assert_eq!(groups(&harness), ["", "Arms", "Arms", "Arms 2", "Arms 2"]);
+
+    click(&mut harness, "More on step 3");
+    click(&mut harness, "Take Out of Its Group");
+    assert_eq!(groups(&harness), ["", "Arms", "", "Arms 2", "Arms 2"]);
+    click(&mut harness, "More on the group Arms 2");
+    click(&mut harness, "Remove All");
+    click(&mut harness, "More on the group Arms");
+    click(&mut harness, "Ungroup");
+    assert_eq!(groups(&harness), ["", "", ""]);
+}
+
+#[test]
 fn a_refinement_is_told_otherwise() {
     let folder = tempfile::tempdir().unwrap();
     let mut harness = window();

@@ -1,0 +1,74 @@
+//! How long commands hold up the thread that gives them, which is the window's.
+
+use crate::command::Command;
+use std::fmt::{self, Write};
+use std::time::Duration;
+
+/// What takes longer is felt.
+const FELT: Duration = Duration::from_millis(50);
+
+/// Most characters of a command that are told.
+const LONGEST: usize = 60;
+
+/// The commands that took longest.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Slowest {
+    /// The beginning of the command that took longest, as a recording's reader knows it; empty where there was none.
+    pub command: String,
+    /// How long that took.
+    pub took: Duration,
+    /// How many took longer than 50 ms.
+    pub felt: u64,
+}
+
+impl Slowest {
+    pub(super) fn note(&mut self, command: &Command, took: Duration) {
+        self.felt += u64::from(took > FELT);
+        if took > self.took {
+            (self.command, self.took) = (beginning(command), took);
+        }
+    }
+}
+
+impl fmt::Display for Slowest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { command, took, felt } = self;
+        write!(f, "{felt} commands held the window up for more than {} ms", FELT.as_millis())?;
+        write!(f, "; the slowest: {:.0} ms, {command}", 1e3 * took.as_secs_f64())
+    }
+}
+
+/// The beginning of a command: it may have a million numbers.
+fn beginning(command: &Command) -> String {
+    struct Beginning(String);
+    impl Write for Beginning {
+        fn write_str(&mut self, text: &str) -> fmt::Result {
+            self.0.extend(text.chars().take(LONGEST - self.0.chars().count()));
+            if self.0.chars().count() < LONGEST { Ok(()) } else { Err(fmt::Error) }
+        }
+    }
+    let mut text = Beginning(String::new());
+    // It ends with an error once there is enough.
+    let _ = write!(text, "{command:?}");
+    text.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::Area;
+
+    #[test]
+    fn the_slowest_is_told_by_its_beginning() {
+        let mut slowest = Slowest::default();
+        slowest.note(&Command::Undo, Duration::from_millis(51));
+        slowest.note(&Command::Redo, Duration::from_millis(3));
+        let area = Area::Runs(vec![1; 1 << 20]);
+        let select = Command::Select { area, combine: Default::default(), visible: false, goes_on: false };
+        slowest.note(&select, Duration::from_millis(70));
+        assert_eq!(slowest.felt, 2);
+        let told = slowest.to_string();
+        assert!(told.contains("2 commands") && told.contains("70 ms, Select { area: Runs("), "{told}");
+        assert_eq!(slowest.command.chars().count(), LONGEST);
+    }
+}
