@@ -180,7 +180,7 @@ fn ellipse(radii: [Vec3; 2], normal: Vec3) -> [Vec3; 2] {
 /// Sine and cosine of half the angle of a point, which is between a quarter turn to either side: there is one for
 /// each sample in each picture, and arc tangents take long.
 fn half_angle(y: f32, x: f32) -> (f32, f32) {
-    let far = f32::hypot(y, x);
+    let far = (y * y + x * x).sqrt();
     if far == 0.0 {
         return (0.0, 1.0);
     }
