@@ -53,6 +53,7 @@ pub mod resumable_output;
 mod scaled;
 pub mod scratch;
 pub mod shared;
+pub mod shared_folder;
 mod shared_normal;
 pub mod size;
 mod source;

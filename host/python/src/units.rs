@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use pyo3::prelude::*;
 use serde_json::json;
-use simod_core::guard::{Guard, Kind};
+use simod_core::guard::Guard;
+use simod_model::ModelName;
 use simod_model::follow::Follow;
 use simod_session::SessionFile;
 use simod_session::plan::{Done, Options, Plan, do_unit, make};
@@ -42,10 +43,11 @@ pub fn plan(
         let output = out.as_deref().map_or_else(|| file.output_beside(&session), Ok)?.to_owned();
         let mut guard = Guard::new(overwrite);
         guard.reads(&session);
-        guard.reads_all(&file.model);
+        let named = file.named_model()?;
+        guard.reads_all(named.iter().flat_map(ModelName::files));
         guard.reads_all(inputs(&session)?);
         guard.reads_all(plugins.files());
-        guard.writes(&output, Kind::Model)?;
+        guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
         guard.replaces_folder(&folder)?;
         let options = Options {
             method: how.method,
@@ -74,9 +76,10 @@ pub fn unit(py: Python<'_>, folder: PathBuf, number: usize) -> PyResult<bool> {
     let (Done { was_done, messages, .. }, mut notes) = work(py, None, |watch| {
         let plan = Plan::load(&folder)?;
         let mut guard = Guard::new(plan.force());
-        guard.reads_all(plan.inputs());
-        guard.reads_all(inputs(plan.inputs()[0])?);
-        guard.writes(plan.output(), Kind::Model)?;
+        guard.reads(plan.session());
+        guard.reads_all(plan.model().files());
+        guard.reads_all(inputs(plan.session())?);
+        guard.writes_model(plan.output(), &plan.model().tiles())?;
         do_unit(&plan, (&folder, number), &plugins, watch)
     })?;
     let said = messages.iter().filter(|m| m.is_warning());

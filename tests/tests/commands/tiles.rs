@@ -60,7 +60,7 @@ fn write(work: &Workplace, name: &str, (offset, system): (f64, &str), points: im
 }
 
 /// Strips side by side, `tiles/t-1` and so on, of so many points each, and all their points as one file.
-fn strips(work: &Workplace, extension: &str, count: usize, points: usize) {
+pub(crate) fn strips(work: &Workplace, extension: &str, count: usize, points: usize) {
     for number in 0..count {
         let offset = 10.0 * number as f64;
         write(work, &format!("tiles/t-{}.{extension}", number + 1), (offset, SYSTEM), strip(number, points));
@@ -99,7 +99,7 @@ fn alone(work: &Workplace, tile: &str) -> Vec<u8> {
     work.read(&format!("alone.{extension}"))
 }
 
-fn names(work: &Workplace, folder: &str) -> Vec<String> {
+pub(crate) fn names(work: &Workplace, folder: &str) -> Vec<String> {
     let entries = std::fs::read_dir(work.path(folder)).expect("a folder");
     let mut names: Vec<String> =
         entries.map(|e| e.expect("an entry").file_name().into_string().expect("a name")).collect();
