@@ -69,7 +69,7 @@ mod unfit;
 pub use attribute::Attribute;
 pub use cache::Cache;
 pub use colors::{ColorScale, Colors};
-pub use convert::Converted;
+pub use convert::{Converted, ConvertedTiles, convert_tiles, converted_names};
 pub use error::{Error, ErrorKind, Result};
 pub use form::Conversion;
 pub use formats::{extensions, is_model, is_named_otherwise};
