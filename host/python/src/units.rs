@@ -15,8 +15,8 @@ use crate::options::reconstruction;
 use crate::plugins::registry;
 use crate::work::{warn, work};
 
-/// Writes the plan of a session to a folder; its units and where the result goes, as JSON. `whole` samples have all
-/// that samples of a model have, and not only what the steps need.
+/// Writes the plan of a session to a folder; its units, where the result goes, and what its samples are of, as JSON.
+/// `whole` samples have all that samples of a model have, and not only what the steps need.
 #[pyfunction(name = "_plan")]
 #[pyo3(signature = (session, folder, out = None, *, units, model = None, normals = "transform", method = "blended-jets",
     choose_offset = false, lossy = false, overwrite = false, whole = false))]
@@ -37,7 +37,7 @@ pub fn plan(
 ) -> PyResult<String> {
     let how = reconstruction(py, normals, method)?;
     let plugins = registry(py)?;
-    let (plan, notes) = work(py, None, |watch| {
+    let ((plan, sampled), notes) = work(py, None, |watch| {
         let mut file = SessionFile::load(&session)?;
         file.model = model.or(file.model);
         let output = out.as_deref().map_or_else(|| file.output_beside(&session), Ok)?.to_owned();
@@ -61,12 +61,15 @@ pub fn plan(
             units,
             emit: &[],
         };
-        make(&file, &session, &plugins, &output, &options, &folder, watch)
+        let plan = make(&file, &session, &plugins, &output, &options, &folder, watch)?;
+        // Plans of which this is the same take the same samples.
+        let sampled = json!([plan.model().files(), file.columns, file.sampling]).to_string();
+        Ok((plan, sampled))
     })?;
     warn(py, &notes)?;
     let units: Vec<_> =
         plan.units().iter().map(|unit| json!({"number": unit.number, "stage": unit.stage.name()})).collect();
-    Ok(json!({"output": plan.output(), "units": units}).to_string())
+    Ok(json!({"output": plan.output(), "sampled": sampled, "units": units}).to_string())
 }
 
 /// Does a unit of the plan in a folder; whether it was not done before.
