@@ -268,3 +268,27 @@ fn tiles_of_text_are_written_by_one_unit() {
     do_all(&work);
     assert!(written(&work, "out") == written(&work, "one-machine"));
 }
+
+/// Where the plan is on another disk than the output, the tiles are copied.
+#[cfg(target_os = "linux")]
+#[test]
+fn tiles_come_from_another_disk() {
+    use std::os::unix::fs::MetadataExt;
+    let work = survey("las");
+    let elsewhere = tempfile::tempdir_in("/dev/shm").ok();
+    let device = |path: &std::path::Path| fs::metadata(path).expect("a folder").dev();
+    let Some(elsewhere) = elsewhere.filter(|folder| device(folder.path()) != device(&work.path("."))) else {
+        return simod_tests::skip("there is no other disk");
+    };
+    let plan = elsewhere.path().join("plan");
+    for turn in 0..2 {
+        let line = format!("plan edit.toml -o {} --units 2 --to out", plan.display());
+        let units = work.report(&line)["units"].as_u64().expect("a number");
+        for unit in 0..units {
+            work.simod(&format!("unit {} {unit}", plan.display()));
+        }
+        assert!(written(&work, "out") == written(&work, "run"), "turn {turn}");
+        assert!(!plan.join("output.tiles").exists());
+        assert!(!work.names().iter().any(|name| name.starts_with(".simod")), "{:?}", work.names());
+    }
+}

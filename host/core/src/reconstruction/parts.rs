@@ -7,7 +7,7 @@
 //! checksum, what other places of the file have to know of them, and what the vertices that were read add to the model's
 //! hash.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -72,6 +72,8 @@ pub fn write_part(
     check_reach(sampled, model, std::iter::once(deformed))?;
     let bytes_of = |all: u64| part_of(all, pieces, model, how.normals);
     let own_file = OutputFile::create(own, bytes_of(model.written_bytes()))?;
+    // What is there speaks of bytes that are written over from here on; if there is nothing, so much the better.
+    let _ = fs::remove_file(own);
     let to = if !model.tiles().is_empty() {
         Bytes::Tiles(SharedFiles::new(shared, model.tiles()))
     } else if model.division(how.normals).is_some_and(|division| division.in_place) {
