@@ -11,9 +11,7 @@ use pyo3::prelude::*;
 use serde_json::{Value, json};
 use simod_core::guard::{Guard, Kind};
 use simod_core::sampling::{Sampling, sample};
-use simod_model::{
-    Error, ErrorKind, ModelInfo, ModelName, Result, Scalar, VertexChunk, open_with_columns,
-};
+use simod_model::{Error, ErrorKind, ModelInfo, ModelName, Result, Scalar, VertexChunk, open_with_columns};
 use simod_session::{Running, pipeline};
 
 use crate::arrays;
