@@ -78,10 +78,10 @@ pub fn convert_tiles(
             let within = folder_of(&path);
             fs::create_dir_all(within).map_err(|e| Error::io("make the folder", within, &e))?;
             let cache = Arc::new(Cache::nameless(within));
-            let quietly = Quietly(progress);
-            let model = open_file(tile, None, columns, &Making { cache: &cache, progress: &quietly })?;
-            let converted = Converted::new(model, &path, how, &quietly)?;
-            converted.write(&path, &quietly)?;
+            let within_tile = WithinTile(progress);
+            let model = open_file(tile, None, columns, &Making { cache: &cache, progress: &within_tile })?;
+            let converted = Converted::new(model, &path, how, &within_tile)?;
+            converted.write(&path, &within_tile)?;
             Ok(converted)
         };
         let converted = convert().map_err(|e| folder.named(e))?;
@@ -102,9 +102,9 @@ pub fn convert_tiles(
 }
 
 /// Progress of which a tile is a step: its own stages are not told.
-struct Quietly<'a>(&'a dyn Progress);
+struct WithinTile<'a>(&'a dyn Progress);
 
-impl Progress for Quietly<'_> {
+impl Progress for WithinTile<'_> {
     fn begin(&self, _stage: &'static str, _total_bytes: u64) {}
 
     fn advance(&self, _bytes: u64) {}
