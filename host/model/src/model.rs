@@ -349,7 +349,8 @@ pub struct PieceRange {
     pub end: Option<u64>,
 }
 
-/// How the rewriting of a file can be divided among calls that know nothing of each other.
+/// How the rewriting of a model can be divided among calls that know nothing of each other. The pieces of a model that is
+/// made of [tiles](Model::tiles) are these, each as a whole.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Division {
     /// So many pieces, from the file's beginning on, each follow from the model alone. Those behind them, if
@@ -357,8 +358,8 @@ pub struct Division {
     pub pieces: u64,
     /// The pieces that hold vertices; the others are copied.
     pub vertices: Range<u64>,
-    /// Whether each of them has as many bytes in the new file as in the old one, so that it is known beforehand where
-    /// it goes, and nothing is replaced in them in the end but before the vertices.
+    /// Whether it is known beforehand where each of them goes: as it has as many bytes in the new file as in the old one,
+    /// and nothing is replaced in them in the end but before the vertices; or as it is a file by itself.
     pub in_place: bool,
 }
 

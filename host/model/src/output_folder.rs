@@ -85,12 +85,21 @@ impl OutputFolder {
 
     /// The same; what is dropped then removes nothing.
     pub(crate) fn put_in_place(&self) -> Result<()> {
-        self.replace().map_err(|e| self.claim.failed(&e))
+        self.replace_by(self.path()).map_err(|e| self.claim.failed(&e))
     }
 
-    fn replace(&self) -> io::Result<()> {
+    /// The same of another folder; `false` if that is on another disk.
+    pub(crate) fn put_other_in_place(&self, other: &Path) -> Result<bool> {
+        match self.replace_by(other) {
+            Ok(()) => Ok(true),
+            Err(e) if e.kind() == io::ErrorKind::CrossesDevices => Ok(false),
+            Err(e) => Err(self.claim.failed(&e)),
+        }
+    }
+
+    fn replace_by(&self, new: &Path) -> io::Result<()> {
         let places = self.claim.places();
-        let (new, target, parent) = (self.path(), &places.target, folder_of(&places.target));
+        let (target, parent) = (&places.target, folder_of(&places.target));
         if target.symlink_metadata().is_err() {
             fs::rename(new, target)?;
             return sync_folder(parent);

@@ -16,8 +16,8 @@ use crate::follow::{Follow, Following};
 use crate::formats::open_file;
 use crate::input::Identity;
 use crate::model::{
-    CHUNK_VERTICES, Edit, FaceChunk, FaceReader, Model, ModelInfo, Output, Rewriting, Scalar, Tile,
-    VertexChunk, VertexReader, some_by_all,
+    CHUNK_VERTICES, Division, Edit, FaceChunk, FaceReader, Model, ModelInfo, Normals, Output, Rewriting,
+    Scalar, Tile, VertexChunk, VertexReader, some_by_all,
 };
 use crate::pool::Pool;
 use crate::target::folder_of;
@@ -573,6 +573,13 @@ impl Model for TiledModel {
         self.tiles.iter_mut().try_for_each(|part| part.model.follow(follow))
     }
 
+    fn division(&self, normals: Normals) -> Option<Division> {
+        // Of others, the bytes of their vertices are not known beforehand, or they have to be unpacked first.
+        let are_divided = self.tiles.iter().all(|part| part.model.division(normals).is_some());
+        let pieces = self.tiles.len() as u64;
+        are_divided.then_some(Division { pieces, vertices: 0..pieces, in_place: true })
+    }
+
     fn rewrite(
         &self,
         outputs: &mut [&mut dyn Output],
@@ -580,14 +587,20 @@ impl Model for TiledModel {
         edit: &dyn Edit,
         progress: &dyn Progress,
     ) -> Result<()> {
-        if how.only.is_some() {
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!("{}: tiles cannot be rewritten in parts by themselves", self.path.display()),
-                "rewrite all of them at once",
-            ));
+        let mut numbers = 0..self.tiles.len() as u64;
+        if let Some(only) = how.only {
+            if self.division(how.normals).is_none() {
+                return Err(Error::new(
+                    ErrorKind::Argument,
+                    format!("{}: the tiles cannot be rewritten by themselves", self.path.display()),
+                    "rewrite all of them at once",
+                ));
+            }
+            numbers = only.first.min(numbers.end)..only.end.unwrap_or(numbers.end).min(numbers.end);
+            edit.begin_behind(self.infos().take(numbers.start as usize).map(|info| info.vertex_bytes).sum());
         }
-        for (number, part) in self.tiles.iter().enumerate() {
+        let some = self.tiles.iter().enumerate().take(numbers.end as usize).skip(numbers.start as usize);
+        for (number, part) in some {
             let of_tile = Rewriting { normals: how.normals, ..Rewriting::default() };
             if (number as u64) < how.files_done {
                 // They are read for what they are compared with.

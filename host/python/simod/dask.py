@@ -8,6 +8,7 @@
     s.points[:] = my_numpy_function(s.points)
     simod.dask.apply(client, "scan.laz", s, "out.laz", units=64)
     simod.dask.run(client, "edit.toml")             # or a whole session
+    simod.dask.run(client, ["a.toml", "b.toml"])    # or several ones, which share samples where they can
 
 The work is divided into units, from files to files (``simod plan``): all workers have to see the model, the output and
 the folder of the plan by the same names, and to have this package in the same version. A unit that fails, or whose
@@ -18,15 +19,17 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 try:
     from distributed import Client, Future, as_completed, get_worker
@@ -34,7 +37,7 @@ except ImportError as _missing:  # pragma: no cover
     raise ImportError("simod.dask needs Dask: pip install 'dask[distributed]'") from _missing
 
 from ._bar import Bar
-from ._errors import Error, FileError
+from ._errors import ArgumentError, Error, FileError
 from ._simod import Samples, _plan, _unit, load
 
 if TYPE_CHECKING:
@@ -43,6 +46,7 @@ if TYPE_CHECKING:
 __all__ = ["Report", "apply", "run", "sample"]
 
 _Path = str | PathLike[str]
+_Paths = list[str] | list[Path] | list[_Path]
 _Progress = bool | Callable[[str, float | None], object] | None
 
 
@@ -83,8 +87,8 @@ def sample(
     path = Path(model).absolute()
     sampling = {"samples": samples, "error": error, "by": by, "place": place, "grid": grid}
     with _planned(path, path, sampling, folder, units, None) as plan:
-        _Work(client, plan, retries, resources, progress).do(before="deform")
-        return load(plan.folder / "sampled.simod")
+        _Work(client, retries, resources, progress).do([plan], before="deform")
+        return load(plan.samples)
 
 
 def apply(
@@ -110,11 +114,12 @@ def apply(
     path, output = Path(model).absolute(), Path(out).absolute()
     how = {"normals": normals, "method": method, "choose_offset": choose_offset, "overwrite": overwrite}
     with _planned(path, output, {}, folder, units, output, **how) as plan:
-        samples.save(plan.folder / "sampled.simod")
+        samples.save(plan.samples)
         samples.write(plan.folder / "deformed.ply")
-        return _Work(client, plan, retries, resources, progress).do(after="deform")
+        return _Work(client, retries, resources, progress).do([plan], after="deform")[0]
 
 
+@overload
 def run(
     client: Client,
     session: _Path,
@@ -131,30 +136,71 @@ def run(
     retries: int = 5,
     resources: Mapping[str, float] | None = None,
     progress: _Progress = None,
-) -> Report:
+) -> Report: ...
+
+
+@overload
+def run(
+    client: Client,
+    session: _Paths,
+    out: _Paths | None = None,
+    *,
+    model: _Path | None = None,
+    normals: _Normals = "transform",
+    method: _Method = "blended-jets",
+    choose_offset: bool = False,
+    lossy: bool = False,
+    overwrite: bool = False,
+    units: int = 16,
+    folder: _Path | None = None,
+    retries: int = 5,
+    resources: Mapping[str, float] | None = None,
+    progress: _Progress = None,
+) -> list[Report]: ...
+
+
+def run(
+    client: Client,
+    session: _Path | _Paths,
+    out: _Path | _Paths | None = None,
+    *,
+    units: int = 16,
+    folder: _Path | None = None,
+    retries: int = 5,
+    resources: Mapping[str, float] | None = None,
+    progress: _Progress = None,
+    **how: Any,
+) -> Report | list[Report]:
     """Does a session, as ``simod.Session.run`` does: the rest is as of `apply`.
+
+    Of a list of sessions, `out` is a list of as many files. Those of one model and one sampling share its samples, and
+    what is done for one of them is done beside what is done for others; each is divided into as many units. An error of
+    one ends all, but what was finished stays.
 
     Functions that ``simod.deformer`` registered have to be so on the workers, too.
     """
-    path = Path(session).absolute()
-    with _folder(folder, path) as where:
-        begun = _plan(
-            path,
-            where,
-            out,
-            units=units,
-            model=model,
-            normals=normals,
-            method=method,
-            choose_offset=choose_offset,
-            lossy=lossy,
-            overwrite=overwrite,
-        )
-        return _Work(client, _Plan.of(where, begun), retries, resources, progress).do()
+    several = isinstance(session, list)
+    sessions = session if isinstance(session, list) else [session]
+    outs = out if isinstance(out, list) else [out] * len(sessions)
+    if not sessions or len(outs) != len(sessions) or (isinstance(out, list) != several and out is not None):
+        raise ArgumentError("`out` does not name a file for each session", "give as many, or leave it out")
+    paths = [Path(one).absolute() for one in sessions]
+    with _folder(folder, paths[0]) as where:
+        plans: list[_Plan] = []
+        for number, (path, output) in enumerate(zip(paths, outs, strict=True)):
+            own = where.with_name(f"plan-{number}") if several else where
+            # Samples of several have what any of them needs.
+            plan = _Plan.of(own, _plan(path, own, output, units=units, whole=several, **how))
+            if any(plan.output == other.output for other in plans):
+                raise ArgumentError(f"two sessions go to {plan.output}", "give each of them an output of its own")
+            plans.append(plan)
+        reports = _Work(client, retries, resources, progress).do(plans)
+        return reports if several else reports[0]
 
 
 @dataclass(frozen=True)
 class _Unit:
+    folder: Path
     number: int
     stage: str
 
@@ -163,22 +209,19 @@ class _Unit:
 class _Plan:
     folder: Path
     output: Path
-    units: tuple[_Unit, ...]
+    sampled: str
+    """Plans of the same text here take the same samples."""
+    units: tuple[tuple[int, str], ...]
 
     @classmethod
     def of(cls, folder: Path, content: str) -> _Plan:
         values: dict[str, Any] = json.loads(content)
-        units = (_Unit(unit["number"], unit["stage"]) for unit in values["units"])
-        return cls(folder, Path(values["output"]), tuple(units))
+        units = ((unit["number"], unit["stage"]) for unit in values["units"])
+        return cls(folder, Path(values["output"]), values["sampled"], tuple(units))
 
-    def stages(self) -> list[list[_Unit]]:
-        """The units of each stage, each of which needs those before alone."""
-        stages: list[list[_Unit]] = []
-        for unit in self.units:
-            if not stages or stages[-1][0].stage != unit.stage:
-                stages.append([])
-            stages[-1].append(unit)
-        return stages
+    @property
+    def samples(self) -> Path:
+        return self.folder / "sampled.simod"
 
 
 @contextmanager
@@ -188,7 +231,11 @@ def _folder(given: _Path | None, beside: Path) -> Iterator[Path]:
         folder = Path(given).absolute()
         folder.mkdir(parents=True)
     else:
-        folder = Path(tempfile.mkdtemp(prefix=f".simod-{beside.name}-", suffix=".plan", dir=beside.parent))
+        name, place = re.sub(r"[*?\[]", "_", beside.name), beside.parent
+        # The wildcards of a pattern are of no place.
+        while re.search(r"[*?\[]", fspath(place)) and not place.exists():
+            place = place.parent
+        folder = Path(tempfile.mkdtemp(prefix=f".simod-{name}-", suffix=".plan", dir=place))
     try:
         # A plan appears whole: as a folder in this one, beside what it is made of.
         yield folder / "plan"
@@ -217,45 +264,58 @@ def _planned(
         yield _Plan.of(where, _plan(session, where, output, units=units, whole=True, **how))
 
 
+#: The stages in the order of a run.
+_STAGES = ("count", "merge", "cluster", "cluster-shared", "cut", "sample", "deform", "apply", "finish", "write")
+
+
 class _Work:
-    """The units of a plan, stage by stage."""
+    """The units of plans, stage by stage."""
 
     def __init__(
         self,
         client: Client,
-        plan: _Plan,
         retries: int,
         resources: Mapping[str, float] | None,
         progress: _Progress,
     ) -> None:
-        self.client, self.plan, self.retries = client, plan, retries
+        self.client, self.retries = client, retries
         self.resources = None if resources is None else dict(resources)
         self.progress = Bar() if progress is True else progress or None
-        self.done = self.again = 0
+        self.done: Counter[Path] = Counter()
+        self.again: Counter[Path] = Counter()
         self.key = f"{os.getpid()}-{time.time_ns():x}"
 
-    def do(self, *, after: str | None = None, before: str | None = None) -> Report:
-        """Does the stages behind one, up to before another."""
+    def do(self, plans: list[_Plan], *, after: str | None = None, before: str | None = None) -> list[Report]:
+        """Does the stages of all plans behind one, up to before another; one of those that sample alike samples."""
         start = time.monotonic()
-        stages = self.plan.stages()
-        names = [stage[0].stage for stage in stages]
-        first = 0 if after is None else names.index(after) + 1
-        last = len(names) if before is None else names.index(before)
+        sampling: dict[str, _Plan] = {}
+        for plan in plans:
+            sampling.setdefault(plan.sampled, plan)
+        first = 0 if after is None else _STAGES.index(after) + 1
+        last = len(_STAGES) if before is None else _STAGES.index(before)
         try:
-            for stage in stages[first:last]:
-                self._stage(stage)
+            for stage in _STAGES[first:last]:
+                if stage == "deform":
+                    for plan in plans:
+                        if plan is not sampling[plan.sampled]:
+                            shutil.copytree(sampling[plan.sampled].samples, plan.samples)
+                whose = list(sampling.values()) if _STAGES.index(stage) < _STAGES.index("deform") else plans
+                units = [_Unit(plan.folder, number, of) for plan in whose for number, of in plan.units if of == stage]
+                if units:
+                    self._stage(units)
         finally:
             if isinstance(self.progress, Bar):
                 self.progress.close()
-        return Report(self.plan.output, self.done, self.again, time.monotonic() - start)
+        seconds = time.monotonic() - start
+        return [Report(plan.output, self.done[plan.folder], self.again[plan.folder], seconds) for plan in plans]
 
     def _submit(self, unit: _Unit, attempt: int, avoid: set[str]) -> Future[Any]:
         others = [address for address in self._workers() if address not in avoid] if avoid else []
         # The dashboard calls tasks by what is before the key's first number.
-        key = (f"simod-{unit.stage}-{self.key}-{attempt}", unit.number)
+        key = (f"simod-{unit.stage}-{self.key}-{attempt}", unit.folder.name, unit.number)
         return self.client.submit(
             _do_unit,
-            fspath(self.plan.folder),
+            fspath(unit.folder),
             unit.number,
             key=key,
             pure=False,
@@ -282,14 +342,14 @@ class _Work:
                     address, failure = None, error
                 if failure is None:
                     finished += 1
-                    self.done += 1
+                    self.done[unit.folder] += 1
                     if self.progress is not None:
                         self.progress(name, finished / len(units))
                     continue
                 failed[unit] += 1
                 if failed[unit] > self.retries or not _may_pass(failure):
                     raise failure
-                self.again += 1
+                self.again[unit.folder] += 1
                 if address is not None:
                     avoid[unit].add(address)
                 again = self._submit(unit, failed[unit], avoid[unit])

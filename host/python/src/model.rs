@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use serde_json::{Value, json};
 use simod_core::guard::{Guard, Kind};
 use simod_core::sampling::{Sampling, sample};
-use simod_model::{Error, ErrorKind, ModelInfo, Result, Scalar, VertexChunk, open_with_columns};
+use simod_model::{Error, ErrorKind, ModelInfo, ModelName, Result, Scalar, VertexChunk, open_with_columns};
 use simod_session::{Running, pipeline};
 
 use crate::arrays;
@@ -182,9 +182,10 @@ impl Model {
             let start = std::time::Instant::now();
             let mut guard = Guard::new(overwrite);
             guard.reads(&self.path);
-            guard.writes(&out, Kind::Model)?;
+            let named = ModelName::of(&self.path)?;
+            guard.writes_model(&out, &named.tiles())?;
             diagnostics.iter().try_for_each(|path| guard.writes(path, Kind::Model))?;
-            if !self.path.exists() {
+            if !named.files().iter().all(|file| file.exists()) {
                 let what = format!("the model {} is gone since it was opened", self.path.display());
                 let hint = "put it back, or open it where it is now: its samples are good for that";
                 return Err(Error::new(ErrorKind::Io, what, hint));

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use pyo3::prelude::*;
 use serde_json::json;
-use simod_core::guard::{Guard, Kind};
+use simod_core::guard::Guard;
+use simod_model::ModelName;
 use simod_model::follow::Follow;
 use simod_session::SessionFile;
 use simod_session::plan::{Done, Options, Plan, do_unit, make};
@@ -14,8 +15,8 @@ use crate::options::reconstruction;
 use crate::plugins::registry;
 use crate::work::{warn, work};
 
-/// Writes the plan of a session to a folder; its units and where the result goes, as JSON. `whole` samples have all
-/// that samples of a model have, and not only what the steps need.
+/// Writes the plan of a session to a folder; its units, where the result goes, and what its samples are of, as JSON.
+/// `whole` samples have all that samples of a model have, and not only what the steps need.
 #[pyfunction(name = "_plan")]
 #[pyo3(signature = (session, folder, out = None, *, units, model = None, normals = "transform", method = "blended-jets",
     choose_offset = false, lossy = false, overwrite = false, whole = false))]
@@ -36,16 +37,17 @@ pub fn plan(
 ) -> PyResult<String> {
     let how = reconstruction(py, normals, method)?;
     let plugins = registry(py)?;
-    let (plan, notes) = work(py, None, |watch| {
+    let ((plan, sampled), notes) = work(py, None, |watch| {
         let mut file = SessionFile::load(&session)?;
         file.model = model.or(file.model);
         let output = out.as_deref().map_or_else(|| file.output_beside(&session), Ok)?.to_owned();
         let mut guard = Guard::new(overwrite);
         guard.reads(&session);
-        guard.reads_all(&file.model);
+        let named = file.named_model()?;
+        guard.reads_all(named.iter().flat_map(ModelName::files));
         guard.reads_all(inputs(&session)?);
         guard.reads_all(plugins.files());
-        guard.writes(&output, Kind::Model)?;
+        guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
         guard.replaces_folder(&folder)?;
         let options = Options {
             method: how.method,
@@ -59,12 +61,15 @@ pub fn plan(
             units,
             emit: &[],
         };
-        make(&file, &session, &plugins, &output, &options, &folder, watch)
+        let plan = make(&file, &session, &plugins, &output, &options, &folder, watch)?;
+        // Plans of which this is the same take the same samples.
+        let sampled = json!([plan.model().files(), file.columns, file.sampling]).to_string();
+        Ok((plan, sampled))
     })?;
     warn(py, &notes)?;
     let units: Vec<_> =
         plan.units().iter().map(|unit| json!({"number": unit.number, "stage": unit.stage.name()})).collect();
-    Ok(json!({"output": plan.output(), "units": units}).to_string())
+    Ok(json!({"output": plan.output(), "sampled": sampled, "units": units}).to_string())
 }
 
 /// Does a unit of the plan in a folder; whether it was not done before.
@@ -74,9 +79,10 @@ pub fn unit(py: Python<'_>, folder: PathBuf, number: usize) -> PyResult<bool> {
     let (Done { was_done, messages, .. }, mut notes) = work(py, None, |watch| {
         let plan = Plan::load(&folder)?;
         let mut guard = Guard::new(plan.force());
-        guard.reads_all(plan.inputs());
-        guard.reads_all(inputs(plan.inputs()[0])?);
-        guard.writes(plan.output(), Kind::Model)?;
+        guard.reads(plan.session());
+        guard.reads_all(plan.model().files());
+        guard.reads_all(inputs(plan.session())?);
+        guard.writes_model(plan.output(), &plan.model().tiles())?;
         do_unit(&plan, (&folder, number), &plugins, watch)
     })?;
     let said = messages.iter().filter(|m| m.is_warning());

@@ -108,6 +108,67 @@ def edit(cloud: Path, folder: Path) -> tuple[Path, bytes]:
     return session, (folder / "expected.ply").read_bytes()
 
 
+def test_versions_share_their_samples(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
+    mesh = tmp_path / "mesh.ply"
+    command("generate", "--vertices", 250_000, "-o", mesh)
+    texts = {
+        "a": SESSION.format(model=cloud.as_posix()),
+        "b": SESSION.format(model=cloud.as_posix()).replace("60", "-20")
+        + "[[step]]\nrefine = { shapes = [{ sphere = { center = [0, 0.5, 0.3], radius = 0.4 } }], factor = 3 }\n",
+        "c": SESSION.format(model=mesh.as_posix()),
+        "d": SESSION.format(model=mesh.as_posix()).replace("60", "90"),
+    }
+    sessions = [tmp_path / f"{name}.toml" for name in texts]
+    for session, text in zip(sessions, texts.values(), strict=True):
+        session.write_text(text)
+    seen: list[tuple[str, float | None]] = []
+    outs = [tmp_path / f"{name}.ply" for name in texts]
+    reports = simod.dask.run(
+        client, sessions, outs, units=4, progress=lambda stage, part: seen.append((stage, part))
+    )
+    assert [report.output for report in reports] == outs
+    for session, out in zip(sessions, outs, strict=True):
+        simod.Session(session).run(tmp_path / "expected.ply", overwrite=True)
+        assert out.read_bytes() == (tmp_path / "expected.ply").read_bytes(), out.name
+    # Two have the samples of others: they are deformed, applied by four units, and finished.
+    assert [report.units for report in reports] == [4 + 1 + 4 + 4 + 1 + 6, 6, 4 + 1 + 6, 6]
+    parts = {stage: [part for of, part in seen if of == stage] for stage in ("count", "apply")}
+    assert parts["count"] == [n / 8 for n in range(1, 9)] and parts["apply"] == [n / 16 for n in range(1, 17)]
+    assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
+    with pytest.raises(simod.ArgumentError, match="each session"):
+        simod.dask.run(client, sessions, outs[:2])
+    with pytest.raises(simod.ArgumentError, match="two sessions go to"):
+        simod.dask.run(client, sessions[:2], [outs[0], outs[0]])
+
+
+def test_tiles_are_written_by_units(client: distributed.Client, tmp_path: Path) -> None:
+    (tmp_path / "tiles").mkdir()
+    for number, vertices in enumerate((30_000, 60_000, 45_000)):
+        command("generate", "--vertices", vertices, "--no-faces", "-o", tmp_path / "tiles" / f"t-{number}.ply")
+    pattern = tmp_path / "tiles" / "t-*.ply"
+
+    def tiles(folder: str) -> dict[str, bytes]:
+        return {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()}
+
+    session = tmp_path / "edit.toml"
+    session.write_text(SESSION.format(model=pattern.as_posix()))
+    simod.Session(session).run(tmp_path / "expected")
+    for turn in range(2):  # over the former folder, too
+        report = simod.dask.run(client, session, tmp_path / "out", units=3)
+        assert tiles("out") == tiles("expected"), turn
+    assert report.units == 3 + 1 + 3 + 3 + 1 + 1 + 3 + 1
+
+    model = simod.open(pattern)
+    expected, samples = model.sample(1000), simod.dask.sample(client, pattern, 1000, units=3)
+    assert np.array_equal(samples.rest, expected.rest)
+    for array in (samples, expected):
+        array.points[:, 0] += 0.1 * array.points[:, 1] ** 2
+    model.apply(expected, tmp_path / "moved")
+    simod.dask.apply(client, pattern, samples, tmp_path / "by-units", units=2)
+    assert tiles("by-units") == tiles("moved")
+    assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
 def run_with(
     client: distributed.Client, cloud: Path, folder: Path, meanwhile: Callable[[threading.Event], None], retries: int = 5
 ) -> simod.dask.Report:

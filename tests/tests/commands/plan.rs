@@ -54,7 +54,7 @@ fn plan(work: &Workplace) -> toml::Table {
 }
 
 /// The units of each stage, by the stages' order.
-fn stages(work: &Workplace) -> Vec<Vec<usize>> {
+pub(crate) fn stages(work: &Workplace) -> Vec<Vec<usize>> {
     let mut stages: Vec<(String, Vec<usize>)> = Vec::new();
     for unit in plan(work)["unit"].as_array().expect("units") {
         let stage = unit["stage"].as_str().expect("a stage");
@@ -68,7 +68,7 @@ fn stages(work: &Workplace) -> Vec<Vec<usize>> {
 }
 
 /// Does all units, each stage from its end, and each unit twice.
-fn do_all(work: &Workplace) {
+pub(crate) fn do_all(work: &Workplace) {
     for stage in stages(work) {
         for unit in stage.iter().rev() {
             let first = work.report(&format!("unit plan {unit}"));
@@ -80,7 +80,7 @@ fn do_all(work: &Workplace) {
 }
 
 /// Names in the plan's folder, hidden ones as well.
-fn left(work: &Workplace) -> Vec<String> {
+pub(crate) fn left(work: &Workplace) -> Vec<String> {
     let entries = std::fs::read_dir(work.path("plan")).expect("a folder");
     let mut names: Vec<String> =
         entries.map(|entry| entry.expect("an entry").file_name().into_string().expect("UTF-8")).collect();
@@ -236,7 +236,7 @@ echo "$number;cluster"
 }
 
 /// Runs a line of the shell, which has to succeed.
-fn shell(work: &Workplace, line: &str) {
+pub(crate) fn shell(work: &Workplace, line: &str) {
     let done =
         work.prepared(Command::new("/bin/sh")).args(["-c", line]).env("PATH", "/usr/bin:/bin").output();
     let done = done.expect("a shell");

@@ -1,5 +1,6 @@
 //! A model that is made of several files, through the program: sampled as one, and written tile by tile.
 
+use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
@@ -60,7 +61,7 @@ fn write(work: &Workplace, name: &str, (offset, system): (f64, &str), points: im
 }
 
 /// Strips side by side, `tiles/t-1` and so on, of so many points each, and all their points as one file.
-fn strips(work: &Workplace, extension: &str, count: usize, points: usize) {
+pub(crate) fn strips(work: &Workplace, extension: &str, count: usize, points: usize) {
     for number in 0..count {
         let offset = 10.0 * number as f64;
         write(work, &format!("tiles/t-{}.{extension}", number + 1), (offset, SYSTEM), strip(number, points));
@@ -99,7 +100,7 @@ fn alone(work: &Workplace, tile: &str) -> Vec<u8> {
     work.read(&format!("alone.{extension}"))
 }
 
-fn names(work: &Workplace, folder: &str) -> Vec<String> {
+pub(crate) fn names(work: &Workplace, folder: &str) -> Vec<String> {
     let entries = std::fs::read_dir(work.path(folder)).expect("a folder");
     let mut names: Vec<String> =
         entries.map(|e| e.expect("an entry").file_name().into_string().expect("a name")).collect();
@@ -344,4 +345,98 @@ fn thousands_of_tiles_with_few_files_open() {
     limited("reconstruct model.simod --deformed deformed.ply -o out");
     assert_eq!(names(&work, "out").len(), 100);
     assert!(work.read("out/99.ply") == alone(&work, "tiles/99.ply"));
+}
+
+/// Tiles become another format one by one, in a folder that appears whole or not at all.
+#[test]
+fn tiles_are_converted_each_by_itself() {
+    let work = Workplace::new();
+    strips(&work, "laz", 3, 4_000);
+    fs::create_dir_all(work.path("more")).expect("a folder");
+    fs::rename(work.path("tiles/t-3.laz"), work.path("more/t-3.laz")).expect("a tile");
+    let line = "convert */t-*.laz out --to las";
+    let report = work.report(line);
+    assert_eq!((report["vertices"].as_u64(), report["tiles"].as_u64()), (Some(12_000), Some(3)));
+    assert_eq!(report["lost"].as_array().map(Vec::len), Some(0));
+    assert_eq!((names(&work, "out/tiles").len(), names(&work, "out/more").len()), (2, 1));
+    let mut bytes = 0;
+    for tile in ["tiles/t-1", "tiles/t-2", "more/t-3"] {
+        work.simod(&format!("convert {tile}.laz alone.las"));
+        let written = work.read(&format!("out/{tile}.las"));
+        assert!(written == work.read("alone.las"), "{tile} is not what it becomes alone");
+        bytes += written.len() as u64;
+    }
+    assert_eq!(report["bytes"].as_u64(), Some(bytes));
+    // A former folder is replaced, but not what else may be there.
+    work.simod(line);
+    work.write("out/notes.txt", "precious");
+    work.refuses(line, &["out holds notes.txt"]);
+    // What is lost is listed once, and has to be allowed.
+    work.refuses("convert tiles/*.laz lost --to ply", &["lost/t-1.ply would lose", "reference system"]);
+    let report = work.report("convert tiles/*.laz lost --to ply --lossy");
+    assert_eq!(report["lost"].as_array().map(Vec::len), Some(1), "{report}");
+    // What is wrong is told, and nothing is left.
+    work.refuses("convert tiles/*.laz folder --to ../x", &["../x is no format"]);
+    work.refuses("convert tiles/t-1.laz one.las --to las", &["--to las is for tiles"]);
+    work.refuses("convert tiles/*.laz joined.las", &["several tiles, which are not joined"]);
+    work.refuses("convert tiles/*.laz tiles --to laz", &["tiles"]);
+    fs::copy(work.path("tiles/t-1.laz"), work.path("tiles/t-1.copc")).expect("a copy");
+    work.refuses("convert tiles/t-1.* twice --to las", &["two tiles would become t-1.las"]);
+    let tile = work.read("tiles/t-2.laz");
+    work.write("tiles/t-2.laz", &tile[..tile.len() / 2]);
+    work.refuses("convert tiles/*.laz broken --to las", &["t-2.laz"]);
+    assert!(!work.names().iter().any(|name| name.starts_with(".simod")), "{:?}", work.names());
+}
+
+/// Methods are compared on tiles as on the same points in one file.
+#[test]
+fn methods_are_compared_on_tiles() {
+    let work = Workplace::new();
+    strips(&work, "las", 3, 6_000);
+    let methods = r#"
+        [[method]]
+        name = "twist"
+        deform = "warp"
+        params = { operation = "twist", axis = [1, 0, 0], angle = 20 }
+        [[method]]
+        name = "bend"
+        deform = "warp"
+        params = { operation = "bend", axis = [1, 0, 0], direction = [0, 0, 1], angle = 20 }
+        reconstruction = "projected-barycentric"
+    "#;
+    let head = |model: &str| {
+        format!("[model]\npath = \"{model}\"\n[sampling]\nsamples = 600\n[camera]\nsize = [64, 64]\n")
+    };
+    let page = |model: &str, to: &str, options: &str| -> serde_json::Value {
+        work.write("compare.toml", head(model) + methods);
+        work.simod(&format!("compare compare.toml -o {to} {options}"));
+        serde_json::from_slice(&work.read(&format!("{to}/compare.json"))).expect("JSON")
+    };
+    let tiles = page("tiles/*.las", "of-tiles", "--keep-models");
+    let whole = page("whole.las", "of-whole", "");
+    assert_eq!(tiles["model"]["vertices"], whole["model"]["vertices"]);
+    for i in [0, 1] {
+        for figure in ["samples", "displacement", "to_first", "folded_samples"] {
+            let [a, b] = [&tiles, &whole].map(|page| &page["methods"][i]["figures"][figure]);
+            assert_eq!(a, b, "{figure}");
+            assert!(!a.is_null() || (i, figure) == (0, "to_first"), "method {i} has no {figure}");
+        }
+    }
+    for picture in ["rest.png", "twist.png", "bend-difference.png"] {
+        let [a, b] = ["of-tiles", "of-whole"].map(|page| work.read(&format!("{page}/{picture}")));
+        assert!(a == b, "{picture}");
+    }
+    assert_eq!(names(&work, "of-tiles/bend"), ["t-1.las", "t-2.las", "t-3.las"]);
+    // What another program made is a folder of tiles, too; the page is replaced by another one.
+    let made = "[[method]]\nname = \"made\"\nmodel = \"of-tiles/bend\"\n";
+    work.write("made.toml", head("tiles/*.las") + made + methods);
+    for _ in 0..2 {
+        let report = work.report("compare made.toml -o page");
+        assert_eq!((report["done"].as_u64(), report["failed"].as_u64()), (Some(3), Some(0)));
+        assert!(!work.path("page/twist").exists());
+    }
+    work.refuses("compare made.toml -o tiles", &["tiles"]);
+    let command = "[[method]]\nname = \"program\"\ncommand = \"cp {model} {output}\"\n";
+    work.write("made.toml", head("tiles/*.las") + command);
+    work.refuses("compare made.toml -o other --allow-commands", &["program", "several tiles"]);
 }

@@ -8,7 +8,9 @@ use glam::DVec3;
 use serde_json::json;
 use simod_core::guard::Kind;
 use simod_model::target::folder_of;
-use simod_model::{Cache, Conversion, Converted, Model, Result};
+use simod_model::{
+    Cache, Conversion, Converted, Error, ErrorKind, Model, ModelName, Result, convert_tiles, converted_names,
+};
 
 use super::overwrite::Overwrite;
 use super::tell_cache;
@@ -17,11 +19,14 @@ use crate::report::{Report, count, rate};
 /// Write a model in another format, streamed, as it is
 #[derive(Args)]
 pub struct Convert {
-    /// The model: of any format that is read
+    /// The model: of any format that is read, or a pattern of several tiles, as 'tiles/*.laz'
     model: PathBuf,
     /// The file to write; its extension says the format: ply, las, laz, obj, stl, off, pcd, csv, tsv, txt, xyz,
-    /// xyzn, xyzrgb
+    /// xyzn, xyzrgb. Of tiles, the folder for them
     output: PathBuf,
+    /// For tiles: the format that each of them becomes, by its extension; they keep their names but for that
+    #[arg(long, value_name = "EXTENSION")]
+    to: Option<String>,
     /// What the columns of a text are, as x,y,z,_,nx,ny,nz
     #[arg(long, value_name = "NAMES")]
     columns: Option<String>,
@@ -49,6 +54,41 @@ fn point(text: &str) -> std::result::Result<DVec3, String> {
 
 impl Convert {
     pub fn execute(self, report: &mut Report) -> Result<()> {
+        let named = ModelName::of(&self.model)?;
+        match (&self.to, &named) {
+            (Some(to), ModelName::Tiles(_)) => self.tiles(&named, to, report),
+            (Some(to), ModelName::File(_)) => Err(Error::new(
+                ErrorKind::Argument,
+                format!("--to {to} is for tiles, and {} is one file", self.model.display()),
+                "leave it out: the extension of the file to write says the format",
+            )),
+            (None, _) => self.file(report),
+        }
+    }
+
+    /// Each tile to a file of its own.
+    fn tiles(&self, named: &ModelName, to: &str, report: &mut Report) -> Result<()> {
+        let mut guard = self.overwrite.guard();
+        guard.reads_all(named.files());
+        guard.writes_model(&self.output, &converted_names(named, to)?)?;
+        let how = (self.columns.as_deref(), self.how());
+        let done = convert_tiles(named, to, how, &self.output, report.progress())?;
+        tell_losses(&done.losses, report);
+        let tiles = named.files().len();
+        report.figure("tiles", tiles);
+        self.tell(
+            (done.vertices, done.triangles, done.bytes),
+            &format!("{} tiles in ", count(tiles as u64)),
+            report,
+        );
+        Ok(())
+    }
+
+    fn how(&self) -> Conversion {
+        Conversion { lossy: self.lossy, step: self.step, offset: self.origin, drops_normals: false }
+    }
+
+    fn file(&self, report: &mut Report) -> Result<()> {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.model);
         let progress = report.progress();
@@ -56,31 +96,34 @@ impl Convert {
         let model = simod_model::open_with(&self.model, self.columns.as_deref(), &cache, progress)?;
         guard.reads_all(model.other_files());
         guard.writes(&self.output, Kind::Model)?;
-        let how =
-            Conversion { lossy: self.lossy, step: self.step, offset: self.origin, drops_normals: false };
-        let converted = Converted::new(model, &self.output, how, progress)?;
+        let converted = Converted::new(model, &self.output, self.how(), progress)?;
         converted.write(&self.output, progress)?;
-        let vertices = converted.info().vertices;
-        tell_losses(&converted, report);
+        tell_losses(converted.losses(), report);
         tell_cache(&cache, report);
+        let bytes = std::fs::metadata(&self.output).map_or(0, |meta| meta.len());
+        self.tell((converted.info().vertices, converted.triangles(), bytes), "", report);
+        Ok(())
+    }
+
+    /// Says what was written.
+    fn tell(&self, (vertices, triangles, bytes): (u64, u64, u64), tiles: &str, report: &mut Report) {
         report.figure("vertices", vertices);
-        report.figure("triangles", converted.triangles());
-        report.figure("bytes", std::fs::metadata(&self.output).map_or(0, |meta| meta.len()));
+        report.figure("triangles", triangles);
+        report.figure("bytes", bytes);
         report.line(format!(
-            "{} vertices and {} triangles in {}, {}",
+            "{} vertices and {} triangles in {tiles}{}, {}",
             count(vertices),
-            count(converted.triangles()),
+            count(triangles),
             self.output.display(),
             rate(vertices, report.seconds())
         ));
-        Ok(())
     }
 }
 
 /// Says what a converted model lacks.
-pub fn tell_losses(converted: &Converted, report: &mut Report) {
-    report.figure("lost", json!(converted.losses()));
-    if !converted.losses().is_empty() {
-        report.warn(format!("what was lost: {}", converted.losses().join("; ")));
+pub fn tell_losses(losses: &[String], report: &mut Report) {
+    report.figure("lost", json!(losses));
+    if !losses.is_empty() {
+        report.warn(format!("what was lost: {}", losses.join("; ")));
     }
 }

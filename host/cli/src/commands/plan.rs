@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use simod_core::guard::Kind;
 use simod_model::size::human_size;
 use simod_model::{ModelName, Result};
 use simod_session::plan::{Done, Emit, Options, Plan as Units, Stage, do_unit, make};
@@ -167,9 +166,10 @@ impl Unit {
         let plan = Units::load(&self.plan)?;
         let plugins = self.plugins.or_chosen(plan.plugins()).discover(report)?;
         let mut guard = Overwrite::forcing(plan.force()).guard();
-        guard.reads_all(plan.inputs());
-        guard.reads_all(inputs(plan.inputs()[0])?);
-        guard.writes(plan.output(), Kind::Model)?;
+        guard.reads(plan.session());
+        guard.reads_all(plan.model().files());
+        guard.reads_all(inputs(plan.session())?);
+        guard.writes_model(plan.output(), &plan.model().tiles())?;
         let Done { was_done, messages, shared_vertices, written } =
             do_unit(&plan, (&self.plan, self.number), &plugins, report.progress())?;
         tell(&messages, report);

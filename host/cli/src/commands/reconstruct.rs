@@ -157,7 +157,7 @@ impl Reconstruct {
             let drops_normals = self.normals == NormalsName::Drop;
             let how = Conversion { lossy: self.lossy, drops_normals, ..Conversion::default() };
             let converted = Converted::new(model, output, how, report.progress())?;
-            tell_losses(&converted, report);
+            tell_losses(converted.losses(), report);
             model = Box::new(converted);
         }
         let versions: Vec<Version<'_>> = paths

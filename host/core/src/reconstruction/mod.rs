@@ -31,6 +31,7 @@ mod least_squares;
 mod limiter;
 mod neighbourhood;
 mod packets;
+mod part_file;
 mod parts;
 mod projected_barycentric;
 mod reach;

@@ -2,71 +2,43 @@
 //! often as one likes; and the whole of them, the same bytes as [`reconstruct`](super::reconstruct) writes.
 //!
 //! Where it is known beforehand where the bytes of each part go, they go there at once, into a file that all parts
-//! share, and that becomes the output in the end. Otherwise each part has them in a file of its own, and they are
-//! copied. Behind them stands a record: what they are of, their checksum, what other places of the file have to know of
-//! them, and what the vertices that were read add to the model's hash.
+//! share, and that becomes the output in the end; tiles go to a folder that parts share. Otherwise each part has them in a
+//! [file of its own](super::part_file), and they are copied. Behind them stands a record: what they are of, their
+//! checksum, what other places of the file have to know of them, and what the vertices that were read add to the model's
+//! hash.
 
-use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::fs::{self, File};
+use std::io::{self, Seek, SeekFrom};
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 use glam::{DVec3, Vec3};
-use serde::{Deserialize, Serialize};
 use simod_model::output::OutputFile;
 use simod_model::shared::{SharedFile, reaches};
+use simod_model::shared_folder::{SharedFiles, become_output, settle};
 use simod_model::{
-    Division, Edit, Edited, Error, ErrorKind, Model, Output, PieceRange, Progress, Result, Rewriting,
-    Summary, VertexChunk, input,
+    Division, Edit, Edited, Error, ErrorKind, Model, Normals, Output, PieceRange, Progress, Result,
+    Rewriting, Summary, VertexChunk, input,
 };
-use xxhash_rust::xxh3::Xxh3Default;
 
+use super::part_file::{Bytes, Content, PartFile, Record, copy, open, refused};
 use super::reach::check_reach;
-use super::stream::{check_targets, field, key};
+use super::stream::{check_targets, checked_targets, field, key};
 use super::transfer::{Hashing, Surveys, Transfer, locked};
 use super::{Folding, Reconstructed, Reconstruction, RestGeometry, Version};
 use crate::fingerprint::{Blocks, HashedPart};
 use crate::sampled_model::SampledModel;
-use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
-
-/// What the record of a part begins with.
-const LETTERS: &[u8; 8] = b"simodprt";
-
-const VERSION: u32 = 1;
-
-/// No record is longer: of a part of 256 TiB.
-const LONGEST: u64 = 16 << 30;
-
-/// Bytes that are copied at a time.
-const BLOCK: usize = 1 << 20;
-
-/// What stands behind the bytes of a part.
-#[derive(Serialize, Deserialize)]
-struct Record {
-    /// Hash of all that determines the bytes of the whole.
-    key: String,
-    /// Which pieces of the model these are.
-    pieces: Range<u64>,
-    /// Where the bytes are in the file that parts share, if they are there.
-    place: Option<u64>,
-    bytes: u64,
-    checksum: u128,
-    /// What other places of the file have to know of them, in a word.
-    summary: Option<String>,
-    hashed: HashedPart,
-    /// How many samples are folded, and where the first of them is, in the model's coordinates.
-    folded: (u64, Option<[f64; 3]>),
-}
 
 /// Which part of a model is written, and where.
 #[derive(Debug, Clone)]
 pub struct Part<'a> {
-    /// Pieces of those that can be written [by themselves](Model::division), from the first with vertices on.
+    /// Pieces of those that can be written [by themselves](Model::division), from the first with vertices on; tiles, of a
+    /// model that is made of these.
     pub pieces: Range<u64>,
     /// The part's own file, which appears whole or not at all, and tells that it is done.
     pub own: &'a Path,
-    /// The file that all parts share.
+    /// The file that all parts share, or the folder for tiles.
     pub shared: &'a Path,
 }
 
@@ -93,22 +65,23 @@ pub fn write_part(
         && there.key == key
         && there.pieces == *pieces
         && there.place.is_none_or(|place| reaches(shared, place + there.bytes))
+        && lost_tile(&there, model, shared).is_none()
     {
         return Ok(false);
     }
     check_reach(sampled, model, std::iter::once(deformed))?;
-    let division = model.division(how.normals);
-    let all = division.as_ref().map_or(1, |division| division.pieces).max(1);
-    let of_part = |bytes: u64| (bytes as f64 * (pieces.end - pieces.start) as f64 / all as f64) as u64;
-    let in_place = division.is_some_and(|division| division.in_place);
-    let mut part = PartFile {
-        own: OutputFile::create(own, of_part(model.written_bytes()))?,
-        shared: in_place.then(|| SharedFile::open(shared)).transpose()?,
-        place: 0,
-        bytes: 0,
-        hash: Xxh3Default::new(),
-        summary: Summary::default(),
+    let bytes_of = |all: u64| part_of(all, pieces, model, how.normals);
+    let own_file = OutputFile::create(own, bytes_of(model.written_bytes()))?;
+    // What is there speaks of bytes that are written over from here on; if there is nothing, so much the better.
+    let _ = fs::remove_file(own);
+    let to = if !model.tiles().is_empty() {
+        Bytes::Tiles(SharedFiles::new(shared, model.tiles()))
+    } else if model.division(how.normals).is_some_and(|division| division.in_place) {
+        Bytes::Shared(SharedFile::open(shared)?)
+    } else {
+        Bytes::Own
     };
+    let mut part = PartFile::new(own_file, to);
 
     progress.begin("preparing", 0);
     let surroundings = RestGeometry::new(&sampled.samples);
@@ -124,7 +97,7 @@ pub fn write_part(
         surveys: Surveys::new([None]),
         progress,
     };
-    progress.begin("reconstructing", of_part(model.info().bytes));
+    progress.begin("reconstructing", bytes_of(model.bytes_to_rewrite()));
     let only = PieceRange { first: pieces.start, end: Some(pieces.end) };
     let rewriting = Rewriting { normals: how.normals, only: Some(only), ..Rewriting::default() };
     model.rewrite(&mut [&mut part], rewriting, &transfer, progress)?;
@@ -134,14 +107,33 @@ pub fn write_part(
     };
     let Folding { samples, first, .. } = Folding::of_samples(&fields[0], sampled);
     let folded = (samples, first.map(|p| p.to_array()));
-    part.commit(key, pieces.clone(), hashed, folded, own)?;
+    part.commit(Content { key, pieces: pieces.clone(), hashed, folded }, own)?;
     Ok(true)
+}
+
+/// How many of all bytes a part has, about.
+fn part_of(all: u64, pieces: &Range<u64>, model: &dyn Model, normals: Normals) -> u64 {
+    let (part, whole) = if model.tiles().is_empty() {
+        let whole = model.division(normals).map_or(1, |division| division.pieces);
+        (pieces.end - pieces.start, whole)
+    } else {
+        let some = model.tiles().iter().take(pieces.end as usize).skip(pieces.start as usize);
+        (some.map(|tile| tile.bytes).sum(), model.info().bytes)
+    };
+    (all as f64 * part as f64 / whole.max(1) as f64) as u64
+}
+
+/// The first tile of a part that is not in the folder that parts share.
+fn lost_tile(record: &Record, model: &dyn Model, shared: &Path) -> Option<PathBuf> {
+    let own = model.tiles().iter().skip(record.pieces.start as usize);
+    let paths = own.map(|tile| shared.join(&tile.name));
+    paths.zip(&record.tiles).find(|(path, written)| !written.fits(path)).map(|(path, _)| path)
 }
 
 /// Puts parts together, which are of all pieces that can be written by themselves from the first with vertices on, in
 /// their order: the whole model, which appears at once. `shared` is the file that they share.
 ///
-/// Memory: 4 MiB, and the record of a part: see [`write_part`].
+/// Memory: 4 MiB, and the record of a part: see [`write_part`]; of tiles, 32 bytes and a name for each.
 ///
 /// # Errors
 /// A part is missing, damaged, or of other samples, options or pieces; the model is not what was sampled; the
@@ -154,7 +146,6 @@ pub fn join_parts(
     (parts, shared): (&[impl AsRef<Path>], &Path),
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
-    check_targets(model, std::slice::from_ref(version), how)?;
     let Some(Division { pieces, vertices, in_place }) = model.division(how.normals) else {
         let what = format!("{} cannot be written in parts", version.output.display());
         return Err(Error::new(ErrorKind::Argument, what, "write all of it at once"));
@@ -170,7 +161,11 @@ pub fn join_parts(
     let paths: Vec<&Path> = parts.iter().map(AsRef::as_ref).collect();
     let key = key(sampled, model, how, version.deformed)?;
     let joining = Joining { key, next: vertices.start, end: pieces, output: version.output };
-    let folding = if in_place {
+    let folding = if !model.tiles().is_empty() {
+        checked_targets(model, std::slice::from_ref(version), how)?;
+        join_tiles(joining, &paths, sampled, model, shared, progress)?
+    } else if in_place {
+        checked_targets(model, std::slice::from_ref(version), how)?;
         let found = joining.check(&paths, sampled, model, |_, _, _| Ok(()))?;
         if !shared.exists() {
             // Killed when the output was in its place, and nobody had been told so.
@@ -192,6 +187,7 @@ pub fn join_parts(
         rest.to.become_output(version.output)?;
         found.folding
     } else {
+        check_targets(model, std::slice::from_ref(version), how)?;
         let mut file = OutputFile::create(version.output, model.written_bytes())?;
         progress.begin("putting the parts together", model.written_bytes());
         rewrite(before, &mut file)?;
@@ -214,6 +210,37 @@ fn done(sampled: &SampledModel, model: &dyn Model, folding: Option<Folding>) -> 
         folding: vec![folding],
         expected: vec![None],
     }
+}
+
+/// Puts the folder of all tiles in its place.
+fn join_tiles(
+    joining: Joining<'_>,
+    paths: &[&Path],
+    sampled: &SampledModel,
+    model: &dyn Model,
+    shared: &Path,
+    progress: &dyn Progress,
+) -> Result<Option<Folding>> {
+    let (output, mut lost, mut written) = (joining.output, None, Vec::new());
+    let found = joining.check(paths, sampled, model, |path, _, record| {
+        if record.tiles.len() as u64 != record.pieces.end - record.pieces.start {
+            return Err(refused(path, "is of other tiles"));
+        }
+        lost = lost.take().or_else(|| lost_tile(record, model, shared).map(|tile| (path.to_owned(), tile)));
+        written.extend_from_slice(&record.tiles);
+        Ok(())
+    })?;
+    let names: Vec<PathBuf> = model.tiles().iter().map(|tile| tile.name.clone()).collect();
+    // Killed when the output was in its place, and nobody had been told so.
+    if names.iter().zip(&written).all(|(name, file)| file.is(&output.join(name))) {
+        settle(shared, output)?;
+        return Ok(found.folding);
+    }
+    if let Some((part, tile)) = lost {
+        return Err(refused(&part, &format!("speaks of {}, which is not there as a whole", tile.display())));
+    }
+    become_output(shared, &names, output, progress)?;
+    Ok(found.folding)
 }
 
 /// What parts have to be.
@@ -298,67 +325,6 @@ fn is_there(output: &Path, parts: &[&Path], progress: &dyn Progress) -> Result<(
     Ok(())
 }
 
-/// A part in the making.
-struct PartFile {
-    own: OutputFile,
-    shared: Option<SharedFile>,
-    /// Where it begins in the file that is read.
-    place: u64,
-    bytes: u64,
-    hash: Xxh3Default,
-    summary: Summary,
-}
-
-impl PartFile {
-    fn commit(
-        mut self,
-        key: String,
-        pieces: Range<u64>,
-        hashed: HashedPart,
-        folded: (u64, Option<[f64; 3]>),
-        path: &Path,
-    ) -> Result<()> {
-        // First, so that no record speaks of bytes that are not on the disk.
-        self.shared.as_mut().map_or(Ok(()), |shared| shared.sync(false))?;
-        let (bytes, checksum, summary) = (self.bytes, self.hash.digest128(), self.summary.encode());
-        let place = self.shared.is_some().then_some(self.place);
-        let record = Record { key, pieces, place, bytes, checksum, summary, hashed, folded };
-        let sealed = seal(LETTERS, VERSION, &record).map_err(|e| {
-            Error::internal(format!("cannot write {}: {e}", path.display()), "report this").because(e)
-        })?;
-        let length = (sealed.len() as u64).to_le_bytes();
-        let written = self.own.write_all(&sealed).and_then(|()| self.own.write_all(&length));
-        written.map_err(|e| Error::io("write", path, &e))?;
-        self.own.commit()
-    }
-}
-
-impl Output for PartFile {
-    fn begin_at(&mut self, at: u64) -> io::Result<()> {
-        self.place = at;
-        self.shared.as_mut().map_or(Ok(()), |shared| shared.begin_at(at))
-    }
-
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
-        match &mut self.shared {
-            Some(shared) => shared.write_piece(bytes, source_bytes, summary)?,
-            None => self.own.write_all(bytes)?,
-        }
-        self.hash.update(bytes);
-        self.bytes += bytes.len() as u64;
-        self.summary.absorb(summary);
-        Ok(())
-    }
-
-    fn patch(&mut self, _at: u64, _bytes: &[u8]) -> io::Result<()> {
-        Err(io::Error::new(io::ErrorKind::Unsupported, "nothing is replaced in a part"))
-    }
-
-    fn finish(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
 /// What comes behind the parts, which have told so much of themselves.
 struct Rest<O> {
     to: O,
@@ -400,66 +366,4 @@ impl Edit for Nothing {
     fn is_still(&self, _version: usize) -> bool {
         self.is_still
     }
-}
-
-fn refused(path: &Path, what: &str) -> Error {
-    Error::new(
-        ErrorKind::Mismatch,
-        format!("{} {what}", path.display()),
-        "remove it, and write that part again",
-    )
-}
-
-/// A part's file, at its beginning, and its record.
-fn open(path: &Path) -> Result<(File, Record)> {
-    let failed = |e: io::Error| Error::io("read", path, &e);
-    let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
-    let mut file = input::open(path)?;
-    let length = file.metadata().map_err(failed)?.len();
-    let Some(end) = length.checked_sub(8) else { return Err(damaged("it is cut off")) };
-    let mut number = [0; 8];
-    file.seek(SeekFrom::Start(end)).and_then(|_| file.read_exact(&mut number)).map_err(failed)?;
-    let of_record = u64::from_le_bytes(number);
-    let Some(start) = end.checked_sub(of_record).filter(|_| of_record <= LONGEST) else {
-        return Err(damaged("it is cut off"));
-    };
-    let mut sealed = Vec::new();
-    file.seek(SeekFrom::Start(start)).map_err(failed)?;
-    Read::by_ref(&mut file).take(of_record).read_to_end(&mut sealed).map_err(failed)?;
-    let (version, content) = unseal(&sealed, LETTERS).map_err(damaged)?;
-    if version != VERSION {
-        return Err(damaged(UNKNOWN_VERSION));
-    }
-    let record: Record = postcard::from_bytes(content).map_err(|_| damaged("its record makes no sense"))?;
-    let own = if record.place.is_some() { 0 } else { record.bytes };
-    if own != start || record.pieces.start > record.pieces.end {
-        return Err(damaged("its record makes no sense"));
-    }
-    file.seek(SeekFrom::Start(0)).map_err(failed)?;
-    Ok((file, record))
-}
-
-/// Appends the bytes of a part, and checks them.
-fn copy(
-    mut part: File,
-    record: &Record,
-    path: &Path,
-    to: &mut impl Write,
-    progress: &dyn Progress,
-) -> Result<()> {
-    let (mut left, mut hash, mut block) = (record.bytes, Xxh3Default::new(), vec![0; BLOCK]);
-    while left > 0 {
-        progress.check()?;
-        let some = &mut block[..left.min(BLOCK as u64) as usize];
-        part.read_exact(some).map_err(|e| Error::io("read", path, &e))?;
-        hash.update(some);
-        to.write_all(some)
-            .map_err(|e| e.downcast::<Error>().unwrap_or_else(|e| Error::io("write", path, &e)))?;
-        left -= some.len() as u64;
-        progress.advance(some.len() as u64);
-    }
-    if hash.digest128() != record.checksum {
-        return Err(refused(path, "is damaged: its checksum is wrong"));
-    }
-    Ok(())
 }

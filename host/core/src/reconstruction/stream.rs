@@ -168,6 +168,21 @@ pub fn reconstruct(
 
 /// An error where an output is the model or two are the same, or the disk has no room for them.
 pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &Reconstruction) -> Result<()> {
+    let targets = checked_targets(model, versions, how)?;
+    let mut rooms: BTreeMap<&Path, (&Path, u64)> = BTreeMap::new();
+    for (target, (output, needed)) in &targets {
+        rooms.entry(folder_of(target)).or_insert((output, 0)).1 += needed;
+    }
+    rooms.into_iter().try_for_each(|(folder, (output, needed))| check_space(output, folder, needed))
+}
+
+/// What is written, by the one name that all paths to it share, with the bytes that it needs; or an error where it is the
+/// model or two are the same.
+pub(super) fn checked_targets<'a>(
+    model: &dyn Model,
+    versions: &[Version<'a>],
+    how: &Reconstruction,
+) -> Result<BTreeMap<PathBuf, (&'a Path, u64)>> {
     if how.resume && versions.iter().any(|v| v.diagnostics.is_some()) {
         return Err(Error::new(
             ErrorKind::Argument,
@@ -214,11 +229,7 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
             ));
         }
     }
-    let mut rooms: BTreeMap<&Path, (&Path, u64)> = BTreeMap::new();
-    for (target, (output, needed)) in &targets {
-        rooms.entry(folder_of(target)).or_insert((output, 0)).1 += needed;
-    }
-    rooms.into_iter().try_for_each(|(folder, (output, needed))| check_space(output, folder, needed))
+    Ok(targets)
 }
 
 /// An error where a file to write is one that the model is in.

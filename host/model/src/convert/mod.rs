@@ -7,10 +7,12 @@
 //! |---|---|
 //! | `records` | PLY and PCD; `text` OBJ, OFF and columns; `stl`; LAS is in its [folder](crate::las); each is a [form](crate::form) |
 //! | `work` | the stream from one to the other, for the [pipeline](crate::pipeline) |
+//! | `tiles` | each tile of a model by itself |
 
 mod records;
 mod stl;
 mod text;
+mod tiles;
 mod work;
 
 use std::ops::Range;
@@ -32,6 +34,7 @@ use crate::{
     Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
     Rewriting, Scalar, VertexChunk, VertexReader, for_faces, pipeline,
 };
+pub use tiles::{ConvertedTiles, convert_tiles, converted_names};
 use work::ConversionCall;
 
 /// Extensions of what can be written.
@@ -86,7 +89,7 @@ impl Converted {
             return Err(Error::new(
                 ErrorKind::Argument,
                 format!("{} is a model of several tiles, which are not joined", model.path().display()),
-                "convert each tile by itself",
+                "have each tile written by itself: name a folder, and say with --to what they become, as --to ply",
             ));
         }
         model.check_complete(progress)?;

@@ -40,11 +40,11 @@ struct Former {
 impl Target {
     /// Checks a place, before any work is done: nothing is there, or a former comparison, which does not hold
     /// the model.
-    pub fn check(folder: &Path, model: &Path) -> Result<Self> {
+    pub fn check(folder: &Path, model: &[PathBuf]) -> Result<Self> {
         let this = Self(folder.to_owned());
         this.check_again()?;
-        if let (Ok(folder), Ok(model)) = (folder.canonicalize(), model.canonicalize())
-            && model.starts_with(folder)
+        if let Ok(folder) = folder.canonicalize()
+            && model.iter().any(|file| file.canonicalize().is_ok_and(|file| file.starts_with(&folder)))
         {
             return Err(this.refused("holds the model itself"));
         }
@@ -136,7 +136,7 @@ mod tests {
     fn only_former_comparisons_are_replaced() {
         let place = tempfile::tempdir().unwrap();
         let at = |name: &str| place.path().join(name);
-        let check = |name: &str| Target::check(&at(name), &at("out/a.ply")).map(|_| ());
+        let check = |name: &str| Target::check(&at(name), &[at("out/a.ply")]).map(|_| ());
         let write = |name: &str, text: &str| {
             std::fs::create_dir_all(at(name).parent().unwrap()).unwrap();
             simod_model::output::write_file(&at(name), text.as_bytes()).unwrap();

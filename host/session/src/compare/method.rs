@@ -16,6 +16,7 @@ use simod_core::reconstruction::{ExpectedError, Reconstruction, Version, reconst
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::Skip;
 use simod_model::memory::MemoryWatch;
+use simod_model::resumable_output::Place;
 use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result, processor};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -59,6 +60,8 @@ struct Once {
     sampled: Arc<SampledModel>,
     positions: Option<Vec<Vec3>>,
     output: PathBuf,
+    /// What the deformed model is in: `output`, or the tiles there.
+    files: Vec<PathBuf>,
     /// What plugins had to say.
     messages: Vec<Message>,
     seconds: RunSeconds,
@@ -124,7 +127,7 @@ impl<'a> Bench<'a> {
         let (rest, sample) = self.sampling(method.sampling, progress)?;
         let known = Known { method, name, steps, rest };
 
-        let mut first: Option<(Once, String)> = None;
+        let mut first: Option<(Once, (u64, String))> = None;
         let (mut runs, mut peak, mut repeats) = (Vec::new(), None, None);
         for number in 0..self.file.runs {
             if self.file.runs > 1 {
@@ -133,19 +136,18 @@ impl<'a> Bench<'a> {
             let once = self.once(&known, number == 0, progress)?;
             runs.push(once.seconds);
             peak = peak.max(once.peak_memory_bytes);
-            let hash = hash_of(&once.output, progress)?;
+            let hash = hash_of(&once.files, progress)?;
             match &first {
                 Some((_, former)) => repeats = Some(repeats.unwrap_or(true) && hash == *former),
                 None => first = Some((once, hash)),
             }
         }
         let peak_memory_bytes = memory.peak().map(|own| own.max(peak.unwrap_or(0)));
-        let Some((once, hash)) = first else {
+        let Some((once, (bytes, hash))) = first else {
             return Err(Error::internal("a method was not run", "report this"));
         };
         let Once { sampled, positions, output, .. } = once;
         let is_model = positions.is_none();
-        let bytes = std::fs::metadata(&output).map_err(|e| Error::io("read", &output, &e))?.len();
         record.figures = Some(Figures {
             samples: if is_model { 0 } else { sampled.samples.len() },
             triangles: if is_model { 0 } else { sampled.triangles.len() },
@@ -199,7 +201,7 @@ impl<'a> Bench<'a> {
         progress: &dyn Progress,
     ) -> Result<Once> {
         let source = known.rest.open_source(Some(&self.file.model), progress)?;
-        let made = simod_model::open_with_columns(&output, source.columns())?;
+        let made = simod_model::open_version(source.as_ref(), &output, source.columns())?;
         let (there, needed) = (made.info().vertices, source.info().vertices);
         if there != needed {
             return Err(Error::new(
@@ -212,6 +214,7 @@ impl<'a> Bench<'a> {
         Ok(Once {
             sampled: known.rest.clone(),
             positions: None,
+            files: Place::of(source.as_ref(), &output).files(),
             output,
             messages: Vec::new(),
             seconds: seconds.unwrap_or_default(),
@@ -251,12 +254,13 @@ impl<'a> Bench<'a> {
         let exact = stack.filter(|stack| measure && stack.can_evaluate());
         let transfer_error = exact.map(|stack| {
             let map = |points: &mut [glam::DVec3]| stack.evaluate_with(points, progress);
-            let deformed = simod_model::open_with_columns(&output, source.columns())?;
+            let deformed = simod_model::open_version(source.as_ref(), &output, source.columns())?;
             let how = (sampled.bounds.diagonal(), Some(MEASURED));
             transfer_error::measure(source.as_ref(), deformed.as_ref(), how, &map, progress)
         });
         Ok(Once {
             positions: Some(positions),
+            files: Place::of(source.as_ref(), &output).files(),
             output,
             messages,
             seconds,
@@ -392,22 +396,31 @@ fn since(before: Option<f64>) -> Option<f64> {
     Some(processor::seconds()? - before?)
 }
 
-/// The hash of a file.
-fn hash_of(path: &Path, progress: &dyn Progress) -> Result<String> {
-    let failed = |e: std::io::Error| Error::io("read", path, &e);
-    let mut file = std::fs::File::open(path).map_err(failed)?;
-    let (mut hash, mut block) = (Xxh3Default::new(), vec![0; 1 << 20]);
-    loop {
-        progress.check()?;
-        match file.read(&mut block).map_err(failed)? {
-            0 => return Ok(format!("xxh3-128:{:032x}", hash.digest128())),
-            count => hash.update(&block[..count]),
+/// The size of files, and the hash of all their bytes, one after the other.
+fn hash_of(files: &[PathBuf], progress: &dyn Progress) -> Result<(u64, String)> {
+    let (mut bytes, mut hash, mut block) = (0, Xxh3Default::new(), vec![0; 1 << 20]);
+    for path in files {
+        let failed = |e: std::io::Error| Error::io("read", path, &e);
+        let mut file = std::fs::File::open(path).map_err(failed)?;
+        loop {
+            progress.check()?;
+            match file.read(&mut block).map_err(failed)? {
+                0 => break,
+                count => {
+                    hash.update(&block[..count]);
+                    bytes += count as u64;
+                }
+            }
         }
     }
+    Ok((bytes, format!("xxh3-128:{:032x}", hash.digest128())))
 }
 
-/// What a method's model is called: with an extension of the model's format, its own if it is one.
+/// What a method's model is called: with an extension of the model's format, its own if it is one; of tiles a folder.
 fn file_name(method: &str, model: &dyn Model) -> String {
+    if !model.tiles().is_empty() {
+        return method.to_owned();
+    }
     let all = model.extensions();
     let own = model.path().extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let extension = if all.contains(&own.as_str()) { &own } else { all.first().copied().unwrap_or("ply") };

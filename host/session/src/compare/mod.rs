@@ -45,7 +45,7 @@ use method::{Bench, Deformed};
 use pictures::Easel;
 use simod_model::output::write_file;
 use simod_model::output_folder::OutputFolder;
-use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result, Vertices};
+use simod_model::{Cache, Error, ErrorKind, Model, ModelName, Progress, Result, Vertices};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -79,20 +79,23 @@ pub fn compare(
             "if you know it, allow it with --allow-commands (from Python allow_commands=True)",
         ));
     }
-    let target = Target::check(output, &file.model)?;
-    let folder = OutputFolder::create(output)?;
-    let cache = Arc::new(Cache::nameless(folder.path()));
-    let rest = simod_model::open_with(&file.model, file.columns.as_deref(), &cache, progress)?;
-    if !rest.tiles().is_empty() {
+    let named = ModelName::of(&file.model)?;
+    if let Some((method, _)) = file.commands().find(|(_, command)| command.makes_model())
+        && matches!(named, ModelName::Tiles(_))
+    {
         return Err(Error::new(
             ErrorKind::Argument,
             format!(
-                "{} is a model of several tiles, by which methods are not compared",
-                file.model.display()
+                "{}: the method `{}` takes a model of several tiles as one file",
+                method.place, method.name
             ),
-            "compare them by one of the tiles",
+            "have it deform {samples}, or name the folder of tiles that it made with `model`",
         ));
     }
+    let target = Target::check(output, named.files())?;
+    let folder = OutputFolder::create(output)?;
+    let cache = Arc::new(Cache::nameless(folder.path()));
+    let rest = named.open(file.columns.as_deref(), &cache, progress)?;
     let bench = Bench::new(file, plugins, (folder.path(), cache));
     let made = in_folder(file, bench, how.keep_models, &folder, rest.as_ref(), &target, progress);
     let comparison = made.map_err(|e| folder.named(e))?;
@@ -125,7 +128,7 @@ fn in_folder(
     let Some((_, first)) = done.first() else { return Err(none_done(&records)) };
     let mut comparison = Comparison::new(file, &first.sampled, records);
     let deformed: Vec<&Deformed> = done.iter().map(|(_, deformed)| deformed).collect();
-    let open = |d: &&Deformed| simod_model::open_with_columns(&d.output, rest.columns());
+    let open = |d: &&Deformed| simod_model::open_version(rest, &d.output, rest.columns());
     let models = deformed.iter().map(open).collect::<Result<Vec<_>>>()?;
     let models: Vec<&dyn Model> = [rest].into_iter().chain(models.iter().map(|m| &**m)).collect();
 
@@ -168,7 +171,9 @@ fn in_folder(
             let name = deformed.output.file_name().unwrap_or_default();
             comparison.files.push(name.to_string_lossy().into_owned());
         } else {
-            std::fs::remove_file(&deformed.output).map_err(|e| Error::io("remove", &deformed.output, &e))?;
+            let is_folder = deformed.output.is_dir();
+            let remove = if is_folder { std::fs::remove_dir_all } else { std::fs::remove_file };
+            remove(&deformed.output).map_err(|e| Error::io("remove", &deformed.output, &e))?;
         }
     }
     comparison.files.extend([INDEX, RECORD, CSV, LATEX].map(str::to_owned));

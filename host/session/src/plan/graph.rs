@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::Method;
 use simod_model::follow::{Follow, Kind, Opacity};
-use simod_model::{Error, ErrorKind, Normals, Result, input};
+use simod_model::{Error, ErrorKind, ModelName, Normals, Result, input};
 
 use crate::session_file::SessionTime;
 
@@ -34,6 +34,9 @@ pub(super) const DEFORMED: &str = "deformed.ply";
 
 /// The output in the making, where it is known beforehand where each part goes.
 pub(super) const SHARED: &str = "output.bin";
+
+/// The same of tiles: their folder.
+pub(super) const SHARED_TILES: &str = "output.tiles";
 
 /// The deformation's gradients at the samples, where anything turns by them.
 pub(super) const GRADIENTS: &str = "gradients.bin";
@@ -127,7 +130,7 @@ pub struct Unit {
     /// Which range of the vertices, or which group of cells that ranges share, if it clusters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) part: Option<u64>,
-    /// The pieces of the file that it writes, if it applies the deformation.
+    /// The pieces of the file that it writes, or the tiles, if it applies the deformation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) pieces: Option<Range<u64>>,
     /// The file in the plan's folder that is there once it is done.
@@ -152,9 +155,9 @@ pub enum Stage {
     Sample,
     /// The samples are deformed, and refined where the steps say so.
     Deform,
-    /// A range of the file is written.
+    /// A range of the file is written, or some of the tiles.
     Apply,
-    /// The ranges are put together.
+    /// These are put together.
     Finish,
     /// The whole file is written, where it cannot be divided.
     Write,
@@ -289,9 +292,18 @@ impl Plan {
         &self.output
     }
 
-    /// The session that it does, and the model.
-    pub fn inputs(&self) -> [&Path; 2] {
-        [&self.session, &self.model]
+    /// The session that it does.
+    pub fn session(&self) -> &Path {
+        &self.session
+    }
+
+    /// The model.
+    pub fn model(&self) -> ModelName {
+        if self.tiles.is_empty() {
+            ModelName::File(self.model.clone())
+        } else {
+            ModelName::Tiles(self.tiles.clone())
+        }
     }
 
     /// Number of the model's vertices.

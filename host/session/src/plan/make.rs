@@ -11,12 +11,12 @@ use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_folder, canonical_target, folder_of};
-use simod_model::{Cache, Error, ErrorKind, Model, ModelName, Normals, Progress, Result, output};
+use simod_model::{Cache, Division, Error, ErrorKind, Model, ModelName, Normals, Progress, Result, output};
 
 use super::emit::{Emit, emit};
 use super::graph::{
     COUNTS, DEFORMED, Exchange, FINISHED, FORMAT, GRADIENTS, METHODS, NORMALS, PLAN, Plan, REFINED, Recorded,
-    SAMPLED, SHARED, Stage, Unit, hash_of, name_of,
+    SAMPLED, SHARED, SHARED_TILES, Stage, Unit, hash_of, name_of,
 };
 use crate::pipeline::{converted, needed, open, sampling_of};
 use crate::plugins::PluginRegistry;
@@ -135,18 +135,16 @@ fn why_undivided(model: &dyn Model, is_converted: bool, normals: Normals) -> Opt
     if is_converted {
         return Some("it becomes another format, whose parts follow from each other".to_owned());
     }
-    if !model.tiles().is_empty() {
-        return Some("its tiles are written one after the other".to_owned());
-    }
+    let of = if model.tiles().is_empty() { "whose parts" } else { "of which some" };
     model
         .division(normals)
         .is_none()
-        .then(|| format!("it is {}, whose parts cannot be written by themselves", model.info().format))
+        .then(|| format!("it is {}, {of} cannot be written by themselves", model.info().format))
 }
 
 /// Whether each unit can read its own vertices: others would have to be unpacked, or gone over, by each.
 fn is_read_anywhere(model: &dyn Model, normals: Normals) -> bool {
-    model.info().random_access && (model.division(normals).is_some() || !model.tiles().is_empty())
+    model.info().random_access && model.division(normals).is_some()
 }
 
 /// Most units that cluster ranges, each of which every group of cells comes after.
@@ -219,14 +217,45 @@ fn units(model: &dyn Model, sampling: &Sampling, undivided: bool, options: &Opti
         return units;
     };
     let mut parts = Vec::new();
-    let first = division.vertices.start;
-    for (number, share) in shares(division.pieces - first, options.units).enumerate() {
-        let range = first + share.start..first + share.end;
+    for (number, range) in pieces(model, &division, options.units).into_iter().enumerate() {
         let writes = PathBuf::from(format!("part-{number}.bin"));
         parts.push(add(Stage::Apply, vec![deform], Of::Pieces(range), writes));
     }
     add(Stage::Finish, parts, Of::All, FINISHED.into());
     units
+}
+
+/// The pieces of a model, tiles among them, that units write.
+fn pieces(model: &dyn Model, division: &Division, units: u64) -> Vec<Range<u64>> {
+    if !model.tiles().is_empty() {
+        let bytes: Vec<u64> = model.tiles().iter().map(|tile| tile.bytes).collect();
+        return runs(&bytes, units);
+    }
+    let first = division.vertices.start;
+    let range = |share: Range<u64>| first + share.start..first + share.end;
+    shares(division.pieces - first, units).map(range).collect()
+}
+
+/// Runs of tiles of about as many bytes, none of them empty.
+fn runs(bytes: &[u64], count: u64) -> Vec<Range<u64>> {
+    let (tiles, all) = (bytes.len() as u64, bytes.iter().map(|bytes| u128::from(*bytes)).sum::<u128>());
+    let count = count.clamp(1, tiles.max(1));
+    let (mut next, mut before) = (0, 0);
+    let run = |share: u64| {
+        let (start, end) = (next, all * u128::from(share + 1) / u128::from(count));
+        // Those behind it have one each.
+        let most = tiles - (count - 1 - share);
+        for tile in &bytes[start as usize..most as usize] {
+            let tile = u128::from(*tile);
+            if next > start && before + tile / 2 > end {
+                break;
+            }
+            before += tile;
+            next += 1;
+        }
+        start..next
+    };
+    (0..count).map(run).collect()
 }
 
 /// Ranges of about the same length, none of them empty.
@@ -259,7 +288,7 @@ fn check_target(folder: &Path) -> Result<()> {
 
 /// Whether a file in a plan's folder is of the plan, its units or its engines.
 fn is_own(name: &str) -> bool {
-    let fixed = [PLAN, FINISHED, COUNTS, SAMPLED, REFINED, DEFORMED, SHARED, GRADIENTS];
+    let fixed = [PLAN, FINISHED, COUNTS, SAMPLED, REFINED, DEFORMED, SHARED, SHARED_TILES, GRADIENTS];
     let is_numbered = |(before, behind)| name.starts_with(before) && name.ends_with(behind);
     fixed.contains(&name)
         || Emit::FILES.contains(&name)
@@ -305,6 +334,27 @@ mod tests {
             prop_assert!(shares.len() as u64 <= count.max(1));
             let lengths = shares.iter().map(|share| share.end - share.start);
             prop_assert!(lengths.clone().max().unwrap() - lengths.min().unwrap() <= 1);
+        }
+
+        #[test]
+        fn runs_have_all_tiles_and_about_as_many_bytes(
+            bytes in proptest::collection::vec(prop_oneof![0..1000u64, Just(u64::MAX / 64)], 1..60),
+            count in 0u64..80,
+        ) {
+            let runs = runs(&bytes, count);
+            prop_assert_eq!(runs.len() as u64, count.clamp(1, bytes.len() as u64));
+            let mut next = 0;
+            for run in &runs {
+                prop_assert!(run.start == next && run.end > run.start);
+                next = run.end;
+            }
+            prop_assert_eq!(next, bytes.len() as u64);
+        }
+
+        #[test]
+        fn runs_of_tiles_that_are_alike_are_alike(tiles in 1usize..500, count in 1u64..80) {
+            let lengths: Vec<u64> = runs(&vec![1000; tiles], count).iter().map(|run| run.end - run.start).collect();
+            prop_assert!(lengths.iter().max().unwrap() - lengths.iter().min().unwrap() <= 1);
         }
     }
 }

@@ -19,7 +19,7 @@ use simod_model::{
 };
 
 use super::graph::{
-    COUNTS, DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, SHARED, Stage, Unit, hash_of,
+    COUNTS, DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES, Stage, Unit, hash_of,
 };
 use super::make::skipped;
 use crate::deformer::Message;
@@ -217,7 +217,7 @@ impl UnitRun<'_> {
         let edit = self.edit()?;
         let pieces = self.unit.pieces.clone().unwrap_or_default();
         let Edit { sampled, model, deformed, .. } = &edit;
-        let (own, shared) = (&*self.at_own(), &*self.path(SHARED));
+        let (own, shared) = (&*self.at_own(), &*self.output_in_the_making());
         let part = Part { pieces, own, shared };
         let did = write_part(sampled, &**model, deformed, &edit.how(), &part, self.progress)?;
         Ok(Done { was_done: !did, ..Done::default() })
@@ -228,7 +228,7 @@ impl UnitRun<'_> {
         let Edit { sampled, model, deformed, .. } = &edit;
         let parts = self.plan.files_of(self.folder, Stage::Apply);
         let version = Version { deformed, output: &self.plan.output, diagnostics: None };
-        let files = (&parts[..], &*self.path(SHARED));
+        let files = (&parts[..], &*self.output_in_the_making());
         let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)?;
         self.finished(&**model)?;
         self.tidy(&parts);
@@ -253,6 +253,11 @@ impl UnitRun<'_> {
         self.finished(&**model)?;
         self.tidy(&[]);
         Ok(Done { written: Some(written), ..Done::default() })
+    }
+
+    /// What apply units share.
+    fn output_in_the_making(&self) -> PathBuf {
+        self.path(if self.plan.tiles.is_empty() { SHARED } else { SHARED_TILES })
     }
 
     /// The file that this unit writes.

@@ -1,0 +1,223 @@
+//! The file of a part: its bytes, unless they are in a file or a folder that parts share, and behind them a record of what
+//! they are.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use simod_model::output::OutputFile;
+use simod_model::shared::SharedFile;
+use simod_model::shared_folder::{SharedFiles, WrittenFile};
+use simod_model::{Error, ErrorKind, Output, Progress, Result, Summary, input};
+use xxhash_rust::xxh3::Xxh3Default;
+
+use crate::fingerprint::HashedPart;
+use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
+
+/// What the record of a part begins with.
+const LETTERS: &[u8; 8] = b"simodprt";
+
+const VERSION: u32 = 2;
+
+/// No record is longer: of a part of 256 TiB.
+const LONGEST: u64 = 16 << 30;
+
+/// Bytes that are copied at a time.
+const BLOCK: usize = 1 << 20;
+
+/// What stands behind the bytes of a part.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Record {
+    /// Hash of all that determines the bytes of the whole.
+    pub(super) key: String,
+    /// Which pieces of the model these are.
+    pub(super) pieces: Range<u64>,
+    /// Where the bytes are in the file that parts share, if they are there.
+    pub(super) place: Option<u64>,
+    /// How many there are here or there.
+    pub(super) bytes: u64,
+    checksum: u128,
+    /// The files in the folder that parts share, if the pieces are tiles: 25 bytes each.
+    pub(super) tiles: Vec<WrittenFile>,
+    /// What other places of the file have to know of them, in a word.
+    pub(super) summary: Option<String>,
+    pub(super) hashed: HashedPart,
+    /// How many samples are folded, and where the first of them is, in the model's coordinates.
+    pub(super) folded: (u64, Option<[f64; 3]>),
+}
+
+/// What a part is of, and what is known of it beside its bytes.
+pub(super) struct Content {
+    pub(super) key: String,
+    pub(super) pieces: Range<u64>,
+    pub(super) hashed: HashedPart,
+    pub(super) folded: (u64, Option<[f64; 3]>),
+}
+
+/// Where the bytes of a part go.
+pub(super) enum Bytes<'a> {
+    /// To its own file.
+    Own,
+    /// To a place in a file that parts share.
+    Shared(SharedFile),
+    /// To a folder that parts share, a file for each tile.
+    Tiles(SharedFiles<'a>),
+}
+
+/// A part in the making. Dropped before it is [committed](Self::commit), it leaves nothing but what it wrote to the
+/// shared file.
+pub(super) struct PartFile<'a> {
+    // Dropped first, while nobody else can begin the part.
+    to: Bytes<'a>,
+    own: OutputFile,
+    /// Where it begins in the file that is read.
+    place: u64,
+    bytes: u64,
+    hash: Xxh3Default,
+    summary: Summary,
+}
+
+impl<'a> PartFile<'a> {
+    /// Begins a part, whose bytes go elsewhere.
+    pub(super) fn new(own: OutputFile, to: Bytes<'a>) -> Self {
+        let (hash, summary) = (Xxh3Default::new(), Summary::default());
+        Self { to, own, place: 0, bytes: 0, hash, summary }
+    }
+
+    /// Says in the part's own file, which is called `path`, that it is done.
+    pub(super) fn commit(mut self, content: Content, path: &Path) -> Result<()> {
+        // First, so that no record speaks of bytes that are not on the disk.
+        let (place, tiles) = match &mut self.to {
+            Bytes::Own => (None, Vec::new()),
+            Bytes::Shared(file) => {
+                file.sync(false)?;
+                (Some(self.place), Vec::new())
+            }
+            Bytes::Tiles(files) => (None, files.written()),
+        };
+        let Content { key, pieces, hashed, folded } = content;
+        let (bytes, checksum, summary) = (self.bytes, self.hash.digest128(), self.summary.encode());
+        let record = Record { key, pieces, place, bytes, checksum, tiles, summary, hashed, folded };
+        let sealed = seal(LETTERS, VERSION, &record).map_err(|e| {
+            Error::internal(format!("cannot write {}: {e}", path.display()), "report this").because(e)
+        })?;
+        let length = (sealed.len() as u64).to_le_bytes();
+        let written = self.own.write_all(&sealed).and_then(|()| self.own.write_all(&length));
+        written.map_err(|e| Error::io("write", path, &e))?;
+        self.own.commit()?;
+        if let Bytes::Tiles(files) = self.to {
+            files.keep();
+        }
+        Ok(())
+    }
+}
+
+impl Output for PartFile<'_> {
+    fn begin_at(&mut self, at: u64) -> io::Result<()> {
+        self.place = at;
+        match &mut self.to {
+            Bytes::Shared(file) => file.begin_at(at),
+            Bytes::Own | Bytes::Tiles(_) => Ok(()),
+        }
+    }
+
+    fn begin_file(&mut self, number: usize) -> io::Result<()> {
+        match &mut self.to {
+            Bytes::Tiles(files) => files.begin_file(number),
+            Bytes::Own | Bytes::Shared(_) => Err(io::Error::other("the part is of a model in one file")),
+        }
+    }
+
+    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
+        match &mut self.to {
+            Bytes::Own => self.own.write_all(bytes)?,
+            Bytes::Shared(file) => file.write_piece(bytes, source_bytes, summary)?,
+            Bytes::Tiles(files) => return files.write_piece(bytes, source_bytes, summary),
+        }
+        self.hash.update(bytes);
+        self.bytes += bytes.len() as u64;
+        self.summary.absorb(summary);
+        Ok(())
+    }
+
+    fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        match &mut self.to {
+            Bytes::Tiles(files) => files.patch(at, bytes),
+            Bytes::Own | Bytes::Shared(_) => {
+                Err(io::Error::new(io::ErrorKind::Unsupported, "nothing is replaced in a part"))
+            }
+        }
+    }
+
+    fn finish(&mut self) -> io::Result<()> {
+        match &mut self.to {
+            Bytes::Tiles(files) => files.finish(),
+            Bytes::Own | Bytes::Shared(_) => Ok(()),
+        }
+    }
+}
+
+/// What is wrong with a part.
+pub(super) fn refused(path: &Path, what: &str) -> Error {
+    Error::new(
+        ErrorKind::Mismatch,
+        format!("{} {what}", path.display()),
+        "remove it, and write that part again",
+    )
+}
+
+/// A part's file, at its beginning, and its record.
+pub(super) fn open(path: &Path) -> Result<(File, Record)> {
+    let failed = |e: io::Error| Error::io("read", path, &e);
+    let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
+    let mut file = input::open(path)?;
+    let length = file.metadata().map_err(failed)?.len();
+    let Some(end) = length.checked_sub(8) else { return Err(damaged("it is cut off")) };
+    let mut number = [0; 8];
+    file.seek(SeekFrom::Start(end)).and_then(|_| file.read_exact(&mut number)).map_err(failed)?;
+    let of_record = u64::from_le_bytes(number);
+    let Some(start) = end.checked_sub(of_record).filter(|_| of_record <= LONGEST) else {
+        return Err(damaged("it is cut off"));
+    };
+    let mut sealed = Vec::new();
+    file.seek(SeekFrom::Start(start)).map_err(failed)?;
+    Read::by_ref(&mut file).take(of_record).read_to_end(&mut sealed).map_err(failed)?;
+    let (version, content) = unseal(&sealed, LETTERS).map_err(damaged)?;
+    if version != VERSION {
+        return Err(damaged(UNKNOWN_VERSION));
+    }
+    let record: Record = postcard::from_bytes(content).map_err(|_| damaged("its record makes no sense"))?;
+    let own = if record.place.is_some() { 0 } else { record.bytes };
+    if own != start || record.pieces.start > record.pieces.end {
+        return Err(damaged("its record makes no sense"));
+    }
+    file.seek(SeekFrom::Start(0)).map_err(failed)?;
+    Ok((file, record))
+}
+
+/// Appends the bytes of a part, and checks them.
+pub(super) fn copy(
+    mut part: File,
+    record: &Record,
+    path: &Path,
+    to: &mut impl Write,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let (mut left, mut hash, mut block) = (record.bytes, Xxh3Default::new(), vec![0; BLOCK]);
+    while left > 0 {
+        progress.check()?;
+        let some = &mut block[..left.min(BLOCK as u64) as usize];
+        part.read_exact(some).map_err(|e| Error::io("read", path, &e))?;
+        hash.update(some);
+        to.write_all(some)
+            .map_err(|e| e.downcast::<Error>().unwrap_or_else(|e| Error::io("write", path, &e)))?;
+        left -= some.len() as u64;
+        progress.advance(some.len() as u64);
+    }
+    if hash.digest128() != record.checksum {
+        return Err(refused(path, "is damaged: its checksum is wrong"));
+    }
+    Ok(())
+}
