@@ -95,10 +95,9 @@ impl Renderer {
     /// The same of ellipses: each point has two half axes at right angles to each other and to its normal, the longer
     /// one as long as its radius. Where there are no axes, points are discs.
     pub fn depth_of(&mut self, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
-        self.canvas.depth(&self.camera, points, axes);
-        if let Some(ground) = &mut self.ground {
-            ground.add(points);
-        }
+        let Self { canvas, camera, ground, .. } = self;
+        let shadow = || ground.iter_mut().for_each(|ground| ground.add(points));
+        rayon::join(|| canvas.depth(camera, points, axes), shadow);
     }
 
     /// Second pass: blends normals and colours of the points on the nearest surface. What was not in the

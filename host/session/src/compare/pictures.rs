@@ -8,6 +8,7 @@ use super::html::round_percent;
 use super::record::Comparison;
 use crate::session_file::{Region, Role};
 use glam::DVec3;
+use rayon::prelude::*;
 use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, Vertices};
 use simod_picture::picture::{ColorOf, Crop, Drawn, PaintBy, View, of_painted, of_some};
@@ -96,13 +97,17 @@ impl<'a> Easel<'a> {
         let names = std::iter::once(REST).chain(files.iter().map(|(_, file)| file.as_str()));
         for (version, file) in names.enumerate() {
             let Drawings { by_region, by_distance } = brush.draw(version)?;
-            for (end, image) in ends.iter().zip(by_region) {
-                pictures.push((format!("{file}{end}.png"), image.to_png()?));
-            }
-            for (end, image) in ends.iter().zip(by_distance) {
-                let name = format!("{}{end}.png", difference(file));
-                pictures.push((name, image.with_scale(color, labels).to_png()?));
-            }
+            let plain =
+                ends.iter().zip(by_region).map(|(end, image)| (format!("{file}{end}.png"), image, false));
+            let with_scale = ends.iter().zip(by_distance);
+            let with_scale =
+                with_scale.map(|(end, image)| (format!("{}{end}.png", difference(file)), image, true));
+            let drawn: Vec<(String, Image, bool)> = plain.chain(with_scale).collect();
+            let encoded = drawn.into_par_iter().map(|(name, image, has_scale)| {
+                let image = if has_scale { image.with_scale(color, labels) } else { image };
+                Ok((name, image.to_png()?))
+            });
+            pictures.extend(encoded.collect::<Result<Vec<_>>>()?);
         }
         comparison.files.extend(pictures.iter().map(|(name, _)| name.clone()));
         Ok(pictures)
