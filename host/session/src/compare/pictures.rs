@@ -146,13 +146,11 @@ impl Brush<'_> {
             let point = |i: usize| chosen.point(i, version);
             let region = |i: usize| point(i).color;
             let distance = |i: usize| self.color(point(i).position.distance(chosen.point(i, 1).position));
-            let colorings: [&ColorOf<'_>; 2] = [&region, &distance];
-            let colorings = if has_distance { &colorings[..] } else { &colorings[..1] };
+            let distance: Option<&ColorOf<'_>> = if has_distance { Some(&distance) } else { None };
             let bounds = &self.bounds[version];
-            let drawn = of_some((chosen.len(), &point), colorings, bounds, whole, self.progress)?;
-            let mut drawn = drawn.into_iter();
-            by_region.extend(drawn.next());
-            by_distance.extend(drawn);
+            let drawn = of_some((chosen.len(), &point), (&region, distance), bounds, whole, self.progress)?;
+            by_region.push(drawn.0);
+            by_distance.extend(drawn.1);
             views = crops;
         }
         let region = |parts: &[Vertices<'_>], i: usize| self.easel.color(parts, 1, i);
