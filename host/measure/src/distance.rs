@@ -45,6 +45,7 @@ pub struct Surface {
 struct Facet([DVec3; 3], u32);
 
 /// A part of the tree.
+#[derive(Clone)]
 struct Node {
     low: DVec3,
     high: DVec3,
@@ -58,6 +59,8 @@ struct Node {
 
 /// Most triangles of a leaf.
 const LEAF: usize = 4;
+/// More triangles than these are worth another thread.
+const APART: usize = 1 << 12;
 /// Most triangles that have a disc around them: more seldom lie in a plane.
 const FLAT: usize = 64;
 
@@ -143,6 +146,10 @@ impl Disc {
 }
 
 impl Node {
+    /// One that is still to be written.
+    const EMPTY: Self =
+        Self { low: DVec3::ZERO, high: DVec3::ZERO, next: 0, count: 0, around: Disc::ENDLESS };
+
     /// The square of the distance of a point; 0 inside.
     #[inline]
     fn distance_2(&self, p: DVec3) -> f64 {
@@ -150,11 +157,21 @@ impl Node {
     }
 }
 
-/// Adds the tree of some triangles, by their boxes' middles, to `nodes`; `place` is that of the first in the order.
+/// How many nodes the tree of so many triangles has.
+fn nodes_of(triangles: usize) -> usize {
+    if triangles <= LEAF {
+        return 1;
+    }
+    let half = triangles / 2;
+    1 + nodes_of(half) + nodes_of(triangles - half)
+}
+
+/// Writes the tree of some triangles, by their boxes' middles, to its `nodes`; `this` is the first one's place among those of
+/// the whole tree, and `place` that of the first triangle in the order. Large halves grow beside each other.
 fn grow(
-    nodes: &mut Vec<Node>,
+    nodes: &mut [Node],
     order: &mut [u32],
-    place: u32,
+    [this, place]: [u32; 2],
     of @ (facets, middles, unit): (&[Facet], &[DVec3], &Unit),
 ) {
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
@@ -165,25 +182,32 @@ fn grow(
         }
         (least, most) = (least.min(middles[i]), most.max(middles[i]));
     }
-    let this = nodes.len();
+    let Some((root, parts)) = nodes.split_first_mut() else { return };
     let count = if order.len() <= LEAF { order.len() as u32 } else { 0 };
     let corners = order.iter().map(|i| facets[*i as usize].0);
     let around = if order.len() <= FLAT { Disc::around(corners, unit) } else { Disc::ENDLESS };
-    nodes.push(Node { low, high, next: place, count, around });
+    *root = Node { low, high, next: place, count, around };
     if count > 0 {
         return;
     }
     let longest = (most - least).to_array();
     let axis = (0..3).max_by(|a, b| longest[*a].total_cmp(&longest[*b])).unwrap_or(0);
-    let half = order.len() / 2;
+    let (is_large, half) = (order.len() > APART, order.len() / 2);
     order.select_nth_unstable_by(half, |a, b| {
         let [x, y] = [a, b].map(|i| middles[*i as usize][axis]);
         x.total_cmp(&y).then(a.cmp(b))
     });
     let (first, second) = order.split_at_mut(half);
-    grow(nodes, first, place, of);
-    nodes[this].next = nodes.len() as u32;
-    grow(nodes, second, place + half as u32, of);
+    let (of_first, of_second) = parts.split_at_mut(nodes_of(half));
+    let ahead = [this + 1 + of_first.len() as u32, place + half as u32];
+    root.next = ahead[0];
+    let mut behind = || grow(of_first, first, [this + 1, place], of);
+    if is_large {
+        rayon::join(behind, || grow(of_second, second, ahead, of));
+    } else {
+        behind();
+        grow(of_second, second, ahead, of);
+    }
 }
 
 /// A point of a surface.
@@ -207,14 +231,14 @@ impl Surface {
             return None;
         }
         let middle = |f: &Facet| 0.5 * (f.0[0].min(f.0[1]).min(f.0[2]) + f.0[0].max(f.0[1]).max(f.0[2]));
-        let middles: Vec<DVec3> = facets.iter().map(middle).collect();
+        let middles: Vec<DVec3> = facets.par_iter().map(middle).collect();
         let mut order: Vec<u32> = (0..facets.len() as u32).collect();
-        let mut nodes = Vec::with_capacity(facets.len());
+        let mut nodes = vec![Node::EMPTY; nodes_of(facets.len())];
         let unit = Unit::of(&facets);
-        grow(&mut nodes, &mut order, 0, (&facets, &middles, &unit));
+        grow(&mut nodes, &mut order, [0, 0], (&facets, &middles, &unit));
         let sorted = |i: &u32| Facet(facets[*i as usize].0, facets[*i as usize].1);
-        let facets: Vec<Facet> = order.iter().map(sorted).collect();
-        let around = facets.iter().map(|facet| Disc::around([facet.0].into_iter(), &unit)).collect();
+        let facets: Vec<Facet> = order.par_iter().map(sorted).collect();
+        let around = facets.par_iter().map(|facet| Disc::around([facet.0].into_iter(), &unit)).collect();
         Some(Self { facets, around, nodes, unit })
     }
 

@@ -126,11 +126,12 @@ struct AtRest<'a> {
 
 impl<'a> AtRest<'a> {
     fn new(rest: &'a [DVec3], triangles: &'a [[u32; 3]]) -> Self {
-        let closed = is_closed(triangles);
+        let (closed, details) =
+            rayon::join(|| is_closed(triangles), || Details::new(rest, triangles, DETAIL));
         Self {
             rest,
             triangles,
-            details: Details::new(rest, triangles, DETAIL),
+            details,
             volume: closed.then(|| volume(rest, triangles)),
             open: if closed { None } else { Open::of(rest, triangles) },
         }
