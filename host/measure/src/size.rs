@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::spread::Spread;
-use super::triangle::{corners, cross, edges};
+use super::triangle::{corners, cross, edges, either_way, pair, sides, sorted};
 
 /// The volume that a closed mesh holds, by signed tetrahedra: negative for one that is inside out.
 pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
@@ -18,15 +18,19 @@ pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
 /// Whether a mesh holds a volume: but for one side in a hundred, each side of a triangle is also one of
 /// another, the other way round. That much a mesh may lack that was made of a closed one by joining vertices.
 pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
-    let sides = triangles.iter().flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]);
-    let mut sides: Vec<([u32; 2], i8)> =
-        sides.map(|[a, b]| ([a.min(b), a.max(b)], if a < b { 1 } else { -1 })).collect();
-    sides.sort_unstable();
-    let open: usize = sides
-        .chunk_by(|a, b| a.0 == b.0)
-        .map(|same| same.iter().map(|(_, way)| isize::from(*way)).sum::<isize>().unsigned_abs())
-        .sum();
-    !sides.is_empty() && open * 100 <= sides.len()
+    let going = |up: bool| {
+        let sides = sides(triangles.iter().copied()).filter(|[a, b]| (a < b) == up);
+        sorted(sides.map(either_way))
+    };
+    // Those of one way and of the other, each two that are the same taken off together.
+    let (up, down) = (going(true), going(false));
+    let (mut i, mut k, mut closed) = (0, 0, 0);
+    while i < up.len() && k < down.len() {
+        let (a, b) = (up[i], down[k]);
+        (i, k, closed) = (i + usize::from(a <= b), k + usize::from(b <= a), closed + 2 * usize::from(a == b));
+    }
+    let all = up.len() + down.len();
+    all > 0 && (all - closed) * 100 <= all
 }
 
 /// An open mesh, which holds a volume with the plane of its border: between each triangle and that plane, more where it
@@ -40,14 +44,9 @@ impl Open {
     /// The plane in the middle of the border at rest, at right angles to what the triangles' normals add up to; nothing
     /// where there is no border, or the sum is nothing.
     pub fn of(rest: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
-        let mut sides: Vec<[u32; 2]> = triangles
-            .iter()
-            .filter(|t| corners(rest, **t).is_some())
-            .flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]])
-            .map(|[a, b]| [a.min(b), a.max(b)])
-            .collect();
-        sides.sort_unstable();
-        let border = sides.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).map(|same| same[0]);
+        let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
+        let sides = sorted(sides(valid.copied()).map(either_way));
+        let border = sides.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).map(|same| pair(same[0]));
         let (mut sum, mut length) = (DVec3::ZERO, 0.0);
         for [a, b] in border.map(|side| side.map(|i| rest[i as usize])) {
             sum += a.distance(b) * 0.5 * (a + b);

@@ -1,6 +1,9 @@
 //! Versions of a model beside each other, vertex by vertex, in one streaming reading of all of them.
 
+use std::ops::Range;
+
 use glam::{DVec3, Vec3};
+use pulp::{Arch, Simd, WithSimd};
 use serde::Serialize;
 use simod_model::bounds::Bounds;
 use simod_model::histogram::Histogram;
@@ -39,59 +42,198 @@ pub struct Beside {
     pub differences: Vec<((usize, usize), Difference)>,
 }
 
+/// Vertices that are compared at once.
+const BLOCK: usize = 64;
+/// Sums that are kept side by side, each of every so many vertices of a block.
+const LANES: usize = 8;
+
+/// As many vertices as a block has, of one version, coordinate by coordinate.
+struct Block {
+    positions: [[f64; BLOCK]; 3],
+    normals: [[f64; BLOCK]; 3],
+    /// All positions are finite.
+    has_positions: bool,
+    /// All normals are directions.
+    has_normals: bool,
+}
+
+impl Block {
+    const EMPTY: Self = Self {
+        positions: [[0.0; BLOCK]; 3],
+        normals: [[0.0; BLOCK]; 3],
+        has_positions: false,
+        has_normals: false,
+    };
+
+    fn fill(&mut self, of: &Vertices<'_>, range: Range<usize>) {
+        let is_whole = range.len() == BLOCK;
+        let (positions, normals) = (&of.positions[range.clone()], of.normals.get(range).unwrap_or_default());
+        self.has_positions = is_whole && positions.iter().all(|p| p.is_finite());
+        self.has_normals = is_whole && normals.len() == BLOCK && normals.iter().all(|n| is_direction(*n));
+        if self.has_positions {
+            for (i, p) in positions.iter().enumerate() {
+                (0..3).for_each(|axis| self.positions[axis][i] = p[axis]);
+            }
+        }
+        if self.has_normals {
+            for (i, n) in normals.iter().enumerate() {
+                (0..3).for_each(|axis| self.normals[axis][i] = f64::from(n[axis]));
+            }
+        }
+    }
+}
+
+/// A sum and the greatest of numbers, in lanes.
+#[derive(Default)]
+struct Lanes {
+    sums: [f64; LANES],
+    greatest: [f64; LANES],
+}
+
+impl Lanes {
+    #[inline(always)]
+    fn add(&mut self, lane: usize, square: f64, x: f64) {
+        self.sums[lane] += square;
+        self.greatest[lane] = if x > self.greatest[lane] { x } else { self.greatest[lane] };
+    }
+
+    /// In one order, so that the sum is the same whatever the processor takes at once.
+    fn sum(&self) -> f64 {
+        self.sums.iter().sum()
+    }
+
+    fn greatest(&self) -> f64 {
+        self.greatest.iter().copied().fold(0.0, f64::max)
+    }
+
+    fn merge(&mut self, other: &Self) {
+        for lane in 0..LANES {
+            self.add(lane, other.sums[lane], other.greatest[lane]);
+        }
+    }
+}
+
 /// What is known of a pair so far.
 #[derive(Default)]
 struct Pair {
     histogram: Histogram,
     vertices: u64,
-    squares: f64,
-    max: f64,
+    /// Of the distances' squares.
+    squares: Lanes,
     normals: u64,
-    angle_squares: f64,
-    angle_max: f64,
+    /// Of the angles' squares, but the greatest of the angles.
+    angles: Lanes,
+}
+
+/// Distances of the vertices of a block, of which the squares are added to the lanes.
+struct Distances<'a>([&'a Block; 2], f64, &'a mut Lanes);
+
+impl WithSimd for Distances<'_> {
+    type Output = [f64; BLOCK];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> [f64; BLOCK] {
+        let Self([a, b], scale, lanes) = self;
+        let ([ax, ay, az], [bx, by, bz]) = (&a.positions, &b.positions);
+        let mut squares = [0.0; BLOCK];
+        for i in 0..BLOCK {
+            let [x, y, z] = [ax[i] - bx[i], ay[i] - by[i], az[i] - bz[i]];
+            squares[i] = (x * x + y * y + z * z) * (scale * scale);
+        }
+        for some in squares.chunks_exact(LANES) {
+            for (lane, square) in some.iter().enumerate() {
+                lanes.add(lane, *square, *square);
+            }
+        }
+        for square in &mut squares {
+            *square = square.sqrt();
+        }
+        squares
+    }
+}
+
+/// Angles between the normals of a block.
+struct Turns<'a>([&'a Block; 2], &'a mut Lanes);
+
+impl WithSimd for Turns<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self([a, b], lanes) = self;
+        let ([ax, ay, az], [bx, by, bz]) = (&a.normals, &b.normals);
+        let mut angles = [0.0; BLOCK];
+        for i in 0..BLOCK {
+            angles[i] = angle(DVec3::new(ax[i], ay[i], az[i]), DVec3::new(bx[i], by[i], bz[i]));
+        }
+        for some in angles.chunks_exact(LANES) {
+            for (lane, angle) in some.iter().enumerate() {
+                lanes.add(lane, angle * angle, *angle);
+            }
+        }
+    }
 }
 
 impl Pair {
-    fn add(&mut self, [a, b]: [&Vertices<'_>; 2], scale: f64) {
-        for (p, q) in a.positions.iter().zip(b.positions).filter(|(p, q)| p.is_finite() && q.is_finite()) {
+    /// Vertices of both versions, in the blocks if these have them.
+    fn add(
+        &mut self,
+        blocks: [&Block; 2],
+        [a, b]: [&Vertices<'_>; 2],
+        range: Range<usize>,
+        scale: f64,
+        arch: Arch,
+    ) {
+        if blocks.iter().all(|block| block.has_positions) {
+            let distances = arch.dispatch(Distances(blocks, scale, &mut self.squares));
+            distances.iter().for_each(|distance| self.histogram.add(*distance));
+            self.vertices += BLOCK as u64;
+        } else {
+            self.add_positions([&a.positions[range.clone()], &b.positions[range.clone()]], scale);
+        }
+        if blocks.iter().all(|block| block.has_normals) {
+            arch.dispatch(Turns(blocks, &mut self.angles));
+            self.normals += BLOCK as u64;
+        } else {
+            self.add_normals([a, b].map(|part| part.normals.get(range.clone()).unwrap_or_default()));
+        }
+    }
+
+    fn add_positions(&mut self, [a, b]: [&[DVec3]; 2], scale: f64) {
+        for (p, q) in a.iter().zip(b).filter(|(p, q)| p.is_finite() && q.is_finite()) {
             let square = p.distance_squared(*q) * (scale * scale);
             self.vertices += 1;
-            self.squares += square;
-            self.max = self.max.max(square);
+            self.squares.add(0, square, square);
             self.histogram.add(square.sqrt());
         }
-        for (m, n) in a.normals.iter().zip(b.normals) {
-            if m == n && is_direction(*m) {
-                self.normals += 1;
-            } else if is_direction(*m) && is_direction(*n) {
-                let angle = angle(m.as_dvec3(), n.as_dvec3());
-                self.normals += 1;
-                self.angle_squares += angle * angle;
-                self.angle_max = self.angle_max.max(angle);
-            }
+    }
+
+    fn add_normals(&mut self, [a, b]: [&[Vec3]; 2]) {
+        for (m, n) in a.iter().zip(b).filter(|(m, n)| is_direction(**m) && is_direction(**n)) {
+            let angle = angle(m.as_dvec3(), n.as_dvec3());
+            self.normals += 1;
+            self.angles.add(0, angle * angle, angle);
         }
     }
 
     fn merge(&mut self, other: &Self) {
         self.histogram.merge(&other.histogram);
         self.vertices += other.vertices;
-        self.squares += other.squares;
-        self.max = self.max.max(other.max);
+        self.squares.merge(&other.squares);
         self.normals += other.normals;
-        self.angle_squares += other.angle_squares;
-        self.angle_max = self.angle_max.max(other.angle_max);
+        self.angles.merge(&other.angles);
     }
 
     fn finish(&self) -> Difference {
-        let rms = |squares: f64, count: u64| (squares / count.max(1) as f64).sqrt();
+        let rms = |squares: &Lanes, count: u64| (squares.sum() / count.max(1) as f64).sqrt();
         let angles = Angles {
-            rms: rms(self.angle_squares, self.normals).to_degrees(),
-            max: self.angle_max.to_degrees(),
+            rms: rms(&self.angles, self.normals).to_degrees(),
+            max: self.angles.greatest().to_degrees(),
         };
-        let max = self.max.sqrt();
+        let max = self.squares.greatest().sqrt();
         Difference {
             vertices: self.vertices,
-            rms: rms(self.squares, self.vertices),
+            rms: rms(&self.squares, self.vertices),
             // A bin's middle may be beyond all that is in it.
             p99: self.histogram.quantile(0.99).min(max),
             max,
@@ -107,8 +249,8 @@ fn is_direction(n: Vec3) -> bool {
     square > 0.0 && square.is_finite()
 }
 
-/// The angle between two directions, in radians; exact for small angles.
-#[inline]
+/// The angle between two directions, in radians; exact for small angles, and 0 between a direction and itself.
+#[inline(always)]
 fn angle(a: DVec3, b: DVec3) -> f64 {
     // Their lengths cancel out.
     let (across, along) = (a.cross(b).length(), a.dot(b));
@@ -139,8 +281,15 @@ impl Found {
         for (bounds, part) in self.bounds.iter_mut().zip(parts) {
             part.positions.iter().filter(|p: &&DVec3| p.is_finite()).for_each(|p| bounds.include(*p));
         }
-        for (pair, (a, b)) in self.pairs.iter_mut().zip(each_two(parts.len())) {
-            pair.add([&parts[a], &parts[b]], scale);
+        let arch = Arch::new();
+        let count = parts.first().map_or(0, |part| part.positions.len());
+        let mut blocks: Vec<Block> = parts.iter().map(|_| Block::EMPTY).collect();
+        for first in (0..count).step_by(BLOCK) {
+            let range = first..count.min(first + BLOCK);
+            blocks.iter_mut().zip(parts).for_each(|(block, part)| block.fill(part, range.clone()));
+            for (pair, (a, b)) in self.pairs.iter_mut().zip(each_two(parts.len())) {
+                pair.add([&blocks[a], &blocks[b]], [&parts[a], &parts[b]], range.clone(), scale, arch);
+            }
         }
     }
 

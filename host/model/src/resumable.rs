@@ -101,7 +101,7 @@ impl ResumableFile {
             this.claim.keep();
             let places = this.claim.places().clone();
             let _ = fs::remove_file(&places.part);
-            return Ok(Opened::Finished(Finished { places, leave: false }));
+            return Ok(Opened::Finished(Finished { places, hash: None, leave: false }));
         }
         if found.parts.is_empty() {
             // In this order: a journal never speaks of bytes that are gone.
@@ -247,11 +247,17 @@ impl ResumableFile {
     /// The operating system refuses; the target is then what it was.
     pub fn commit(&mut self) -> Result<Finished> {
         self.claim.put_in_place().map_err(|e| self.failed(&e))?;
-        let finished = Finished { places: self.claim.places().clone(), leave: false };
+        let finished = Finished { places: self.claim.places().clone(), hash: self.hash(), leave: false };
         if self.syncs {
             sync_folder(folder_of(&finished.places.target)).map_err(|e| self.failed(&e))?;
         }
         Ok(finished)
+    }
+
+    /// The hash of the whole file, where all of it was written as one part and nothing is replaced in it.
+    fn hash(&self) -> Option<u128> {
+        let is_whole = self.journal.parts.is_empty() && self.journal.patches.is_empty();
+        is_whole.then(|| self.hash.digest128())
     }
 
     /// Leaves the recorded parts to a later call, if there are any.
@@ -325,6 +331,7 @@ impl Drop for ResumableFile {
 /// A file that stands in its place; its journal is removed with this.
 pub struct Finished {
     places: Places,
+    hash: Option<u128>,
     leave: bool,
 }
 
@@ -332,6 +339,12 @@ impl Finished {
     /// Size of the file.
     pub fn bytes(&self) -> u64 {
         fs::metadata(&self.places.target).map_or(0, |m| m.len())
+    }
+
+    /// The XXH3 hash of 128 bits of all its bytes, where it is known without reading them: of a file that this call
+    /// wrote as one part, and in which nothing was replaced.
+    pub fn hash(&self) -> Option<u128> {
+        self.hash
     }
 
     /// Leaves the journal, for a later call that does the rest.
@@ -757,6 +770,24 @@ mod tests {
             }
             assert_eq!(fs::read(&path).unwrap(), whole, "stage {stage}");
             fs::remove_file(&path).unwrap();
+        }
+    }
+
+    #[test]
+    fn the_hash_is_known_of_what_was_written_as_one_part() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        for (part_bytes, replaces) in [(100, false), (100, true), (10, false)] {
+            let opened = ResumableFile::open(&path, "k".into(), false, part_bytes, &Silent).unwrap();
+            let Opened::Unfinished(mut file) = opened else { panic!("it is finished") };
+            write(&mut file, 0..7);
+            if replaces {
+                file.patch(3, b"AB").unwrap();
+            }
+            file.complete(false).unwrap();
+            let hash = file.commit().unwrap().hash();
+            let is_known = part_bytes == 100 && !replaces;
+            assert_eq!(hash, is_known.then(|| xxh3_128(&fs::read(&path).unwrap())));
         }
     }
 

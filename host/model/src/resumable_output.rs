@@ -174,6 +174,14 @@ impl FinishedOutput {
         }
     }
 
+    /// The hash of its bytes, of a file of which it is known without reading them: see [`Finished::hash`].
+    pub fn hash(&self) -> Option<u128> {
+        match self {
+            Self::File(file) => file.hash(),
+            Self::Folder(_) => None,
+        }
+    }
+
     /// Leaves it to a later call, that does the rest, to know this.
     pub fn keep(self) {
         match self {

@@ -1,6 +1,7 @@
 //! Finished pictures.
 
 use glam::Vec3;
+use rayon::prelude::*;
 use simod_model::{Error, ErrorKind, Result};
 
 use super::font;
@@ -36,12 +37,12 @@ impl Image {
         let mut image = Self::new(width, height, [0; 3]);
         let factor = factor as usize;
         let (wide, share) = (width as usize * factor, 1.0 / (factor * factor) as f32);
-        for (i, pixel) in image.pixels.iter_mut().enumerate() {
+        image.pixels.par_iter_mut().enumerate().with_min_len(1 << 10).for_each(|(i, pixel)| {
             let (x, y) = (i % width as usize * factor, i / width as usize * factor);
             let sum: Vec3 =
                 (0..factor).flat_map(|v| (0..factor).map(move |u| samples[(y + v) * wide + x + u])).sum();
             *pixel = (sum * share).to_array().map(srgb);
-        }
+        });
         image
     }
 

@@ -50,7 +50,7 @@ pub use style::Style;
 use facet::Facets;
 use glam::Vec3;
 use ground::Ground;
-use splat::Canvas;
+use splat::{Canvas, Pixel};
 
 /// Draws one picture: [`depth`](Self::depth) for all points, then [`blend`](Self::blend) for all points
 /// again, then [`finish`](Self::finish).
@@ -62,9 +62,6 @@ pub struct Renderer {
     canvas: Canvas,
     facets: Facets,
     ground: Option<Ground>,
-    /// What was found for the light: the ground's shadow, and how much of the surroundings each sample sees.
-    shadow: Option<Ground>,
-    occlusion: Option<Vec<f32>>,
 }
 
 /// Samples per pixel in each direction.
@@ -82,8 +79,6 @@ impl Renderer {
             canvas: Canvas::new(width * SUPERSAMPLING, height * SUPERSAMPLING),
             facets: Facets::default(),
             ground: style.ground.map(|height| Ground::new(height, &camera)),
-            shadow: None,
-            occlusion: None,
         }
     }
 
@@ -95,10 +90,9 @@ impl Renderer {
     /// The same of ellipses: each point has two half axes at right angles to each other and to its normal, the longer
     /// one as long as its radius. Where there are no axes, points are discs.
     pub fn depth_of(&mut self, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
-        self.canvas.depth(&self.camera, points, axes);
-        if let Some(ground) = &mut self.ground {
-            ground.add(points);
-        }
+        let Self { canvas, camera, ground, .. } = self;
+        let shadow = || ground.iter_mut().for_each(|ground| ground.add(points));
+        rayon::join(|| canvas.depth(camera, points, axes), shadow);
     }
 
     /// Second pass: blends normals and colours of the points on the nearest surface. What was not in the
@@ -110,6 +104,12 @@ impl Renderer {
     /// The same of ellipses, as in [`depth_of`](Self::depth_of).
     pub fn blend_of(&mut self, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
         self.canvas.blend(&self.camera, points, axes);
+    }
+
+    /// [`blend`](Self::blend) for two pictures at once, in the points' colours and in others, of which there are as many:
+    /// [`finish_both`](Self::finish_both) gives both.
+    pub fn blend_both(&mut self, points: &[SurfacePoint], others: &[[u8; 3]]) {
+        self.canvas.blend_both(&self.camera, points, others);
     }
 
     /// The first pass of triangles, whose corners' normals and colours are mixed; what is said of a radius does not
@@ -127,22 +127,20 @@ impl Renderer {
         self.facets.blend(&mut self.canvas, &self.camera, triangles);
     }
 
-    /// Lights the picture. The same points and triangles can then be blended once more, in other colours, for
-    /// another picture, which has neither to find the nearest surface nor the light anew.
-    ///
-    /// Memory: what is kept for that are 16 bytes for each pixel.
-    pub fn light(&mut self) -> Image {
-        if let Some(ground) = self.ground.take() {
-            self.shadow = Some(ground.finish());
-        }
-        let shadow = self.shadow.as_ref();
-        let lit = shade::shade(&self.canvas, &self.camera, &self.style, shadow, &mut self.occlusion);
-        self.canvas.forget_blended();
-        Image::downsampled(self.width, self.height, SUPERSAMPLING, &lit)
+    /// Lights the picture.
+    pub fn finish(self) -> Image {
+        let [image] = self.lit([Pixel::color]);
+        image
     }
 
-    /// Lights the picture.
-    pub fn finish(mut self) -> Image {
-        self.light()
+    /// Lights two pictures of the same, the other one in the other colours.
+    pub fn finish_both(self) -> [Image; 2] {
+        self.lit([Pixel::color, Pixel::other_color])
+    }
+
+    fn lit<const N: usize>(self, colors: [fn(&Pixel) -> Vec3; N]) -> [Image; N] {
+        let shadow = self.ground.map(Ground::finish);
+        let lit = shade::shade(&self.canvas, &self.camera, &self.style, shadow.as_ref(), colors);
+        lit.map(|samples| Image::downsampled(self.width, self.height, SUPERSAMPLING, &samples))
     }
 }

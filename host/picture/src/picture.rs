@@ -205,8 +205,8 @@ fn draw(
 pub type ColorOf<'a> = dyn Fn(usize) -> [u8; 3] + Sync + 'a;
 
 /// Draws points of a model that are not all of its vertices, as discs: so many, which `point` gives by their numbers, in
-/// the model's axes; once in each of the colourings. Of what it says of their radii and colours nothing counts: discs
-/// cover the surface by how many there are.
+/// the model's axes; in one colouring, and if it is wanted in another one, which takes little more. Of what it says of
+/// their radii and colours nothing counts: discs cover the surface by how many there are.
 ///
 /// Memory: besides the picture's, 4 bytes for each point.
 ///
@@ -214,11 +214,11 @@ pub type ColorOf<'a> = dyn Fn(usize) -> [u8; 3] + Sync + 'a;
 /// The user cancelled.
 pub fn of_some(
     (count, point): (usize, &(dyn Fn(usize) -> SurfacePoint + Sync)),
-    colorings: &[&ColorOf<'_>],
+    (color, other): (&ColorOf<'_>, Option<&ColorOf<'_>>),
     bounds: &Bounds,
     view: &View,
     progress: &dyn Progress,
-) -> Result<Vec<Image>> {
+) -> Result<(Image, Option<Image>)> {
     progress.begin("drawing", 0);
     let mut spacing = Spacing::new([bounds.min, bounds.max]);
     spacing.add((0..count).map(|i| point(i).position));
@@ -236,22 +236,28 @@ pub fn of_some(
         }
     };
     // In the same memory each time: to get it anew takes the system longer than to fill it.
-    let mut points = Vec::new();
+    let (mut points, mut others) = (Vec::new(), Vec::new());
     for chunk in chunks() {
         progress.check()?;
         chunk.into_par_iter().map(|i| drawn(i, [0; 3])).collect_into_vec(&mut points);
         renderer.depth(&points);
     }
-    let mut images = Vec::with_capacity(colorings.len());
-    for color in colorings {
-        for chunk in chunks() {
-            progress.check()?;
-            chunk.into_par_iter().map(|i| drawn(i, color(i))).collect_into_vec(&mut points);
-            renderer.blend(&points);
+    for chunk in chunks() {
+        progress.check()?;
+        chunk.clone().into_par_iter().map(|i| drawn(i, color(i))).collect_into_vec(&mut points);
+        match other {
+            Some(other) => {
+                chunk.into_par_iter().map(other).collect_into_vec(&mut others);
+                renderer.blend_both(&points, &others);
+            }
+            None => renderer.blend(&points),
         }
-        images.push(renderer.light());
     }
-    Ok(images)
+    if other.is_none() {
+        return Ok((renderer.finish(), None));
+    }
+    let [image, other] = renderer.finish_both();
+    Ok((image, Some(other)))
 }
 
 /// Draws samples at local `positions`, in colours of which there is one for each, if there are any: the triangles

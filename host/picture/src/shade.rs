@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::camera::{Camera, Lens};
 use super::ground::Ground;
-use super::splat::Canvas;
+use super::splat::{Canvas, Pixel};
 use super::style::{KEY_LIGHT, Style};
 
 /// Direction to the fill light.
@@ -20,31 +20,29 @@ const OCCLUSION_TILE: usize = 4;
 /// How far the occlusion reaches, as a share of the model's radius.
 const OCCLUSION_REACH: f32 = 0.13;
 
-/// Lights all samples; linear colours, row by row. The occlusion is found where it is not there yet.
-pub(super) fn shade(
+/// Lights all samples, in each of some colours of theirs; linear colours, row by row.
+pub(super) fn shade<const N: usize>(
     canvas: &Canvas,
     camera: &Camera,
     style: &Style,
     ground: Option<&Ground>,
-    occlusion: &mut Option<Vec<f32>>,
-) -> Vec<Vec3> {
+    colors: [fn(&Pixel) -> Vec3; N],
+) -> [Vec<Vec3>; N] {
     let surface = Surface::new(canvas, camera);
-    let occlusion = occlusion
-        .get_or_insert_with(|| surface.blurred(&surface.occlusion(camera.radius() as f32 * OCCLUSION_REACH)));
-    let pixels = canvas.width * canvas.height;
-    (0..pixels)
-        .into_par_iter()
-        .map(|i| {
+    let occlusion = surface.blurred(&surface.occlusion(camera.radius() as f32 * OCCLUSION_REACH));
+    colors.map(|color| {
+        let at = |(i, pixel): (usize, &Pixel)| {
             let (x, y) = (i % canvas.width, i / canvas.width);
             if surface.depths[i].is_finite() {
-                let albedo = if style.own_colors { linear(canvas.pixels[i].color()) } else { CLAY };
+                let albedo = if style.own_colors { linear(color(pixel)) } else { CLAY };
                 let eye = -surface.lens.ray(x, y).normalize_or_zero();
                 lit(albedo, surface.normals[i], eye, occlusion[i])
             } else {
                 background(canvas, camera, &surface.lens, ground, x, y)
             }
-        })
-        .collect()
+        };
+        canvas.pixels.par_iter().enumerate().map(at).collect()
+    })
 }
 
 /// The surface as the picture sees it.
@@ -132,7 +130,9 @@ impl Surface {
                 for [dx, dy, share] in &spirals[turn] {
                     let radius = 1.0 + pixels * share;
                     let (sx, sy) = (x as f32 + radius * dx, y as f32 + radius * dy);
-                    if let Some(there) = self.point(sx.round() as isize, sy.round() as isize) {
+                    // As `round` does it, which calls a library for each.
+                    let [sx, sy] = [sx, sy].map(|s| (s + if s < 0.0 { -0.5 } else { 0.5 }) as isize);
+                    if let Some(there) = self.point(sx, sy) {
                         let way = there - here;
                         let distance = way.length();
                         if distance > 0.0 {

@@ -1,6 +1,9 @@
 //! How far apart the points of a model are, from place to place.
 
+use std::sync::OnceLock;
+
 use glam::{DVec3, IVec3};
+use rayon::prelude::*;
 
 /// Cells of the grid along the longest side of the model: 8 MiB of counters for a cube.
 const CELLS: f64 = 128.0;
@@ -17,6 +20,8 @@ pub struct Spacing {
     cell: f64,
     size: IVec3,
     counts: Vec<u32>,
+    /// The discs' radius in each cell that has points, once somebody asks: 4 bytes for each cell.
+    radii: OnceLock<Vec<f32>>,
 }
 
 impl Spacing {
@@ -27,11 +32,13 @@ impl Spacing {
         let cell = if longest.is_finite() && longest > 0.0 { longest / CELLS } else { 1.0 };
         let size = (extent / cell).floor().as_ivec3().clamp(IVec3::ZERO, IVec3::splat(CELLS as i32)) + 1;
         let origin = if bounds[0].is_finite() { bounds[0] } else { DVec3::ZERO };
-        Self { origin, cell, size, counts: vec![0; size.as_usizevec3().element_product()] }
+        let counts = vec![0; size.as_usizevec3().element_product()];
+        Self { origin, cell, size, counts, radii: OnceLock::new() }
     }
 
     /// Counts points, in any order and any number of calls; those outside the box or not finite are left out.
     pub fn add(&mut self, positions: impl IntoIterator<Item = DVec3>) {
+        self.radii.take();
         for position in positions {
             if let Some(index) = self.cell_of(position).and_then(|cell| self.index(cell)) {
                 self.counts[index] = self.counts[index].saturating_add(1);
@@ -42,7 +49,10 @@ impl Spacing {
     /// The mean distance of neighbouring points around a position, no longer than a cell; a cell where there
     /// are none.
     pub fn at(&self, position: DVec3) -> f64 {
-        let Some(cell) = self.cell_of(position) else { return self.cell };
+        self.cell_of(position).map_or(self.cell, |cell| self.in_cell(cell))
+    }
+
+    fn in_cell(&self, cell: IVec3) -> f64 {
         let (mut points, mut cells) = (0.0, 0.0f64);
         for offset in (0..27).map(|i| IVec3::new(i % 3, i / 3 % 3, i / 9) - 1) {
             if let Some(index) = self.index(cell + offset) {
@@ -58,12 +68,25 @@ impl Spacing {
     /// Radius of discs that cover the surface around a position without holes: wider than the spacing, as
     /// points are not on a perfect grid.
     pub fn radius_at(&self, position: DVec3) -> f32 {
-        (1.35 * self.at(position)) as f32
+        let radius = |spacing: f64| (1.35 * spacing) as f32;
+        let in_cell = |i: usize| if self.counts[i] > 0 { radius(self.in_cell(self.cell_at(i))) } else { 0.0 };
+        let radii = || (0..self.counts.len()).into_par_iter().with_min_len(1 << 12).map(in_cell).collect();
+        let index = self.cell_of(position).and_then(|cell| self.index(cell));
+        match index.filter(|index| self.counts[*index] > 0) {
+            Some(index) => self.radii.get_or_init(radii)[index],
+            None => radius(self.at(position)),
+        }
     }
 
     fn cell_of(&self, position: DVec3) -> Option<IVec3> {
         let cell = ((position - self.origin) / self.cell).floor();
         cell.is_finite().then(|| cell.as_ivec3())
+    }
+
+    /// The cell of an index.
+    fn cell_at(&self, index: usize) -> IVec3 {
+        let (index, [x, y]) = (index as i32, [self.size.x, self.size.y]);
+        IVec3::new(index % x, index / x % y, index / (x * y))
     }
 
     fn index(&self, cell: IVec3) -> Option<usize> {
@@ -92,6 +115,24 @@ mod tests {
             for i in 0..20 {
                 let measured = spacing.at((across + along) * (0.2 + 0.03 * f64::from(i)));
                 assert!((0.00085..0.0013).contains(&measured), "{measured} for {across}, {along}");
+            }
+        }
+    }
+
+    #[test]
+    fn radii_are_told_of_where_points_are_now() {
+        let mut spacing = Spacing::new([DVec3::ZERO, DVec3::new(3.0, 2.0, 1.0)]);
+        let point = |i: u32| {
+            let [x, y, z] = [7u32, 11, 13].map(|n| f64::from(i * n % 101) / 101.0);
+            DVec3::new(3.0 * x, 2.0 * y, z * z)
+        };
+        for more in [0..500, 500..20_000] {
+            spacing.add(more.map(point));
+            for i in 0..1000 {
+                // Beside points as well, and outside of the box.
+                for p in [point(i), point(i) * 1.02, point(i) + 1.5] {
+                    assert_eq!(spacing.radius_at(p), (1.35 * spacing.at(p)) as f32, "{p}");
+                }
             }
         }
     }

@@ -19,11 +19,16 @@ const HIDING: [f32; 2] = [0.74, 0.6];
 /// A splat reaches at most so many pixels: a wrong radius costs no minutes.
 const MOST_REACH: f32 = 256.0;
 
-/// What the picture shows at each sample, before it is lit.
+/// What the picture shows at each sample, before it is lit. Splats are always drawn by the same memory: to get it anew
+/// takes the system longer than to fill it.
+///
+/// Memory: 48 bytes for each sample, and some 130 for each splat of a batch, 8 MB at most.
 pub(super) struct Canvas {
     pub width: usize,
     pub height: usize,
     pub pixels: Vec<Pixel>,
+    batch: Vec<Option<Splat>>,
+    bands: Bands,
 }
 
 /// One sample of the picture.
@@ -35,12 +40,20 @@ pub(super) struct Pixel {
     depth: f32,
     normal: Vec3,
     color: Vec3,
+    /// Of the other colour, where there are two pictures of the same.
+    other: Vec3,
     weight: f32,
 }
 
 impl Pixel {
-    const EMPTY: Self =
-        Self { nearest: f32::INFINITY, depth: 0.0, normal: Vec3::ZERO, color: Vec3::ZERO, weight: 0.0 };
+    const EMPTY: Self = Self {
+        nearest: f32::INFINITY,
+        depth: 0.0,
+        normal: Vec3::ZERO,
+        color: Vec3::ZERO,
+        other: Vec3::ZERO,
+        weight: 0.0,
+    };
 
     /// A surface hides what is farther.
     #[inline]
@@ -77,6 +90,11 @@ impl Pixel {
     pub fn color(&self) -> Vec3 {
         if self.weight > 0.0 { self.color / self.weight } else { Vec3::ZERO }
     }
+
+    /// The other one.
+    pub fn other_color(&self) -> Vec3 {
+        if self.weight > 0.0 { self.other / self.weight } else { Vec3::ZERO }
+    }
 }
 
 /// A disc, or an ellipse, in view coordinates.
@@ -85,6 +103,8 @@ struct Splat {
     /// Unit normal towards the eye; zero where it is not known.
     normal: Vec3,
     color: Vec3,
+    /// In another picture of the same.
+    other: Vec3,
     radius: f32,
     /// The half axes of an ellipse, over the squares of their lengths.
     axes: Option<[Vec3; 2]>,
@@ -120,7 +140,7 @@ impl Splat {
         let normal = camera.direction_to_view(point.normal.as_dvec3()).as_vec3().normalize_or_zero();
         let seen_from_back = normal.dot(center) > 0.0;
         let normal = if seen_from_back { -normal } else { normal };
-        let color = Vec3::from(point.color.map(f32::from)) / 255.0;
+        let color = color_of(point.color);
         // A splat as small as a sample hides wherever it is drawn: else it could fall between samples.
         let share = HIDING[usize::from(seen_from_back)].max(LEAST_REACH / reach);
         let (radius, hiding) = (reach / scale, weight(share * share));
@@ -131,7 +151,8 @@ impl Splat {
                 axis / axis.length_squared()
             })
         });
-        Some(Self { center, normal, color, radius, axes, hiding, pixel, reach, columns, rows })
+        let other = Vec3::ZERO;
+        Some(Self { center, normal, color, other, radius, axes, hiding, pixel, reach, columns, rows })
     }
 
     /// The least depth that any of it has.
@@ -163,6 +184,10 @@ impl Splat {
     }
 }
 
+fn color_of(color: [u8; 3]) -> Vec3 {
+    Vec3::from(color.map(f32::from)) / 255.0
+}
+
 /// Weight by squared distance, in units of the radius.
 fn weight(distance: f32) -> f32 {
     let t = (1.0 - distance).max(0.0);
@@ -172,14 +197,8 @@ fn weight(distance: f32) -> f32 {
 impl Canvas {
     pub fn new(width: u32, height: u32) -> Self {
         let (width, height) = (width as usize, height as usize);
-        Self { width, height, pixels: vec![Pixel::EMPTY; width * height] }
-    }
-
-    /// Forgets what was blended, but not where the nearest surface is.
-    pub fn forget_blended(&mut self) {
-        self.pixels
-            .par_iter_mut()
-            .for_each(|pixel| *pixel = Pixel { nearest: pixel.nearest, ..Pixel::EMPTY });
+        let pixels = vec![Pixel::EMPTY; width * height];
+        Self { width, height, pixels, batch: Vec::new(), bands: Bands::default() }
     }
 
     pub fn lens(&self, camera: &Camera) -> Lens {
@@ -189,7 +208,7 @@ impl Canvas {
     /// First pass: the depth of the nearest surface.
     pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
         let may_show = |pixel: &Pixel, splat: &Splat| splat.least_depth() < pixel.nearest;
-        self.draw(camera, points, axes, may_show, |pixel, splat, depth, weight| {
+        self.draw(camera, (points, axes, &[]), may_show, |pixel, splat, depth, weight| {
             if weight >= splat.hiding {
                 pixel.come_near(depth);
             }
@@ -199,7 +218,7 @@ impl Canvas {
     /// Second pass: what lies on the nearest surface.
     pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
         let may_show = |pixel: &Pixel, splat: &Splat| pixel.is_near(splat.least_depth(), splat.radius);
-        self.draw(camera, points, axes, may_show, |pixel, splat, depth, weight| {
+        self.draw(camera, (points, axes, &[]), may_show, |pixel, splat, depth, weight| {
             // Neighbouring discs of one surface differ in depth by less than they are wide.
             if pixel.is_near(depth, splat.radius) {
                 pixel.blend(weight, depth, splat.normal, splat.color);
@@ -207,25 +226,39 @@ impl Canvas {
         });
     }
 
+    /// The same for two pictures at once, in the points' colours and in others, of which there are as many.
+    pub fn blend_both(&mut self, camera: &Camera, points: &[SurfacePoint], others: &[[u8; 3]]) {
+        let may_show = |pixel: &Pixel, splat: &Splat| pixel.is_near(splat.least_depth(), splat.radius);
+        self.draw(camera, (points, &[], others), may_show, |pixel, splat, depth, weight| {
+            if pixel.is_near(depth, splat.radius) {
+                pixel.blend(weight, depth, splat.normal, splat.color);
+                pixel.other += splat.other * weight;
+            }
+        });
+    }
+
     fn draw(
         &mut self,
         camera: &Camera,
-        points: &[SurfacePoint],
-        axes: &[[Vec3; 2]],
+        (points, axes, others): (&[SurfacePoint], &[[Vec3; 2]], &[[u8; 3]]),
         may_show: impl Fn(&Pixel, &Splat) -> bool + Sync,
         hit: impl Fn(&mut Pixel, &Splat, f32, f32) + Sync,
     ) {
         let lens = self.lens(camera);
         let size = [self.width, self.height];
-        let mut bands = Bands::default();
         for (number, batch) in points.chunks(BATCH).enumerate() {
             let axes = axes.get(number * BATCH..).unwrap_or_default();
-            let splat = |(i, point)| Splat::new(camera, &lens, size, point, axes.get(i));
-            let splats: Vec<Splat> = batch.par_iter().enumerate().filter_map(splat).collect();
-            bands.sort(size[1], &splats, |splat| Some(splat.rows));
-            self.pixels.par_chunks_mut(BAND * self.width).enumerate().for_each(|(band, pixels)| {
+            let others = others.get(number * BATCH..).unwrap_or_default();
+            let splat = |(i, point)| {
+                let splat = Splat::new(camera, &lens, size, point, axes.get(i))?;
+                Some(Splat { other: others.get(i).map_or(Vec3::ZERO, |color| color_of(*color)), ..splat })
+            };
+            batch.par_iter().enumerate().map(splat).collect_into_vec(&mut self.batch);
+            self.bands.sort(size[1], &self.batch, |splat| splat.as_ref().map(|splat| splat.rows));
+            let Self { pixels, batch: splats, bands, .. } = self;
+            pixels.par_chunks_mut(BAND * size[0]).enumerate().for_each(|(band, pixels)| {
                 let first = band * BAND;
-                for splat in bands.of(band, &splats) {
+                for splat in bands.of(band, splats).flatten() {
                     let [left, right] = splat.columns;
                     for y in splat.rows[0].max(first)..splat.rows[1].min(first + BAND) {
                         let row = &mut pixels[(y - first) * size[0]..][..size[0]];

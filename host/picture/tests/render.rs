@@ -55,20 +55,20 @@ fn sphere(count: u32) -> Vec<SurfacePoint> {
 
 #[test]
 fn other_colours_of_the_same_points_are_another_picture() {
-    let (points, bounds) = points(Shape::Amphora, 20_000);
+    // More than are drawn at a time.
+    let (points, bounds) = points(Shape::Amphora, 80_000);
     let camera = Camera::frame(bounds, 0.4, 0.2, 0.8);
     let style = Style { own_colors: true, ground: Some(0.0) };
-    let recolored = |by: u8| {
-        let color = |point: &SurfacePoint| point.color.map(|c| c.wrapping_mul(by));
-        points.iter().map(|point| SurfacePoint { color: color(point), ..*point }).collect::<Vec<_>>()
-    };
+    let other = |point: &SurfacePoint| point.color.map(|c| c.wrapping_mul(7).wrapping_add(c / 2));
+    let others: Vec<[u8; 3]> = points.iter().map(other).collect();
     let mut renderer = Renderer::new(96, 120, camera, style);
     renderer.depth(&points);
-    for by in [1, 7, 1] {
-        let own = recolored(by);
-        renderer.blend(&own);
-        assert_eq!(renderer.light(), draw([96, 120], camera, style, &own, usize::MAX), "{by}");
-    }
+    renderer.blend_both(&points, &others);
+    let recolored: Vec<SurfacePoint> =
+        points.iter().map(|point| SurfacePoint { color: other(point), ..*point }).collect();
+    let each = [&points, &recolored].map(|points| draw([96, 120], camera, style, points, usize::MAX));
+    assert_ne!(each[0], each[1]);
+    assert_eq!(renderer.finish_both(), each);
 }
 
 #[test]

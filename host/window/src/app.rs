@@ -6,6 +6,7 @@ use crate::viewport::Viewport;
 use crate::window::Window;
 use crate::{actions, viewport};
 use eframe::egui;
+use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -88,7 +89,8 @@ impl eframe::App for App {
         self.window.keep_settings();
         let slowest = self.window.state().slowest();
         if slowest.felt > 0 {
-            eprintln!("{slowest}");
+            // Where nobody reads it, it need not be told.
+            let _ = writeln!(std::io::stderr(), "{slowest}");
         }
     }
 

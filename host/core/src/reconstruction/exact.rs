@@ -91,13 +91,14 @@ pub fn write_exact(
     }
     file.complete(false)?;
     progress.check()?;
-    file.commit()?;
+    let file = file.commit()?;
     Ok(Reconstructed {
         vertices: info.vertices,
         non_finite: sampled.source.non_finite,
         taken_over: 0,
         folding: vec![Some(folding)],
         expected: vec![expected],
+        hashes: vec![file.hash()],
     })
 }
 

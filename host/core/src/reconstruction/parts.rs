@@ -209,6 +209,7 @@ fn done(sampled: &SampledModel, model: &dyn Model, folding: Option<Folding>) -> 
         taken_over: 0,
         folding: vec![folding],
         expected: vec![None],
+        hashes: vec![None],
     }
 }
 

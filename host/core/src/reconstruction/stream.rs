@@ -114,6 +114,9 @@ pub struct Reconstructed {
     /// finished, nor of another method than blended jets without diagnostics. What an earlier call wrote of a
     /// version is not counted.
     pub expected: Vec<Option<ExpectedError>>,
+    /// The XXH3 hash of 128 bits of each output, where it came about by the way: of one file that was written as one
+    /// [part](Reconstruction::part_bytes), and in which nothing was replaced in the end.
+    pub hashes: Vec<Option<u128>>,
 }
 
 /// Transfers each deformation of the samples to their model and writes it to its output. Up to
@@ -143,6 +146,7 @@ pub fn reconstruct(
         progress.note(&cost);
     }
     let (folding, expected) = (vec![None; versions.len()], vec![None; versions.len()]);
+    let hashes = vec![None; versions.len()];
     let mut work = ReconstructionCall {
         sampled,
         model,
@@ -153,6 +157,7 @@ pub fn reconstruct(
         taken_over: 0,
         folding,
         expected,
+        hashes,
     };
     match work.write(versions) {
         Ok(()) => Ok(Reconstructed {
@@ -161,6 +166,7 @@ pub fn reconstruct(
             taken_over: work.taken_over,
             folding: work.folding,
             expected: work.expected,
+            hashes: work.hashes,
         }),
         Err(error) => Err(work.stop(error, versions)),
     }
@@ -264,6 +270,7 @@ struct ReconstructionCall<'a> {
     /// The folding of each version, as far as it is known.
     folding: Vec<Option<Folding>>,
     expected: Vec<Option<ExpectedError>>,
+    hashes: Vec<Option<u128>>,
 }
 
 /// A version that is being written.
@@ -363,7 +370,9 @@ impl<'a> ReconstructionCall<'a> {
                     self.folding[*number].map(|f| Folding { vertices: Some(diagnostics.folded), ..f });
                 diagnostics.commit()?;
             }
-            self.finished.push(file.commit()?);
+            let file = file.commit()?;
+            self.hashes[*number] = file.hash();
+            self.finished.push(file);
         }
         self.pass.clear();
         Ok(())

@@ -97,6 +97,7 @@ pub(super) fn on_samples(deformed: &[&Deformed], progress: &dyn Progress) -> Res
             continue;
         }
         let rest = in_diagonals(&one.sampled, &one.sampled.samples.positions);
+        progress.check()?;
         let shape = AtRest::new(&rest, triangles);
         let own: Vec<(usize, &[Vec3])> = deformed
             .iter()
@@ -125,11 +126,12 @@ struct AtRest<'a> {
 
 impl<'a> AtRest<'a> {
     fn new(rest: &'a [DVec3], triangles: &'a [[u32; 3]]) -> Self {
-        let closed = is_closed(triangles);
+        let (closed, details) =
+            rayon::join(|| is_closed(triangles), || Details::new(rest, triangles, DETAIL));
         Self {
             rest,
             triangles,
-            details: Details::new(rest, triangles, DETAIL),
+            details,
             volume: closed.then(|| volume(rest, triangles)),
             open: if closed { None } else { Open::of(rest, triangles) },
         }
@@ -249,8 +251,10 @@ pub(super) fn pairs(
     beside: &Beside,
     progress: &dyn Progress,
 ) -> Result<Vec<Pair>> {
-    progress.begin("comparing surfaces", 0);
     let count = deformed.len();
+    let has_surface = |d: &&&Deformed| d.positions.is_some() && !d.sampled.triangles.is_empty();
+    let points: usize = deformed.iter().filter(has_surface).map(|d| d.sampled.samples.len()).sum();
+    progress.begin_parts("comparing surfaces", (points * count.saturating_sub(1)) as u64);
     // One way: row by row from one method to each other one.
     let mut ways: Vec<Option<Distances>> = vec![None; count * count];
     for (to, target) in deformed.iter().enumerate() {

@@ -70,6 +70,8 @@ struct Once {
     transfer_error: Option<TransferError>,
     expected_error: Option<ExpectedError>,
     folded_samples: Option<u64>,
+    /// Of the output, where it came about while that was written.
+    hash: Option<u128>,
 }
 
 /// Where samples went, by whatever.
@@ -136,7 +138,12 @@ impl<'a> Bench<'a> {
             let once = self.once(&known, number == 0, progress)?;
             runs.push(once.seconds);
             peak = peak.max(once.peak_memory_bytes);
-            let hash = hash_of(&once.files, progress)?;
+            let bytes = size_of_all(&once.files)?;
+            let hash = match once.hash {
+                Some(hash) => hash,
+                None => hash_of(&once.files, bytes, progress)?,
+            };
+            let hash = (bytes, format!("xxh3-128:{hash:032x}"));
             match &first {
                 Some((_, former)) => repeats = Some(repeats.unwrap_or(true) && hash == *former),
                 None => first = Some((once, hash)),
@@ -222,6 +229,7 @@ impl<'a> Bench<'a> {
             transfer_error: None,
             expected_error: None,
             folded_samples: None,
+            hash: None,
         })
     }
 
@@ -240,8 +248,9 @@ impl<'a> Bench<'a> {
             stack.as_ref().map(|stack| turning_gradients(&sampled, stack, source.as_ref(), progress));
         let gradients = gradients.transpose()?.flatten();
         let gradients = gradients.as_deref();
-        let how =
-            Reconstruction { method: known.method.reconstruction, gradients, ..Reconstruction::default() };
+        let method = known.method.reconstruction;
+        // As one part: nobody goes on with what a comparison left, and its hash comes about by the way.
+        let how = Reconstruction { method, gradients, part_bytes: u64::MAX, ..Reconstruction::default() };
         let done = reconstruct(&sampled, source.as_ref(), &[version], &how, progress)?;
         let seconds = RunSeconds {
             deform: Some(deform),
@@ -268,6 +277,7 @@ impl<'a> Bench<'a> {
             transfer_error: transfer_error.transpose()?,
             expected_error: done.expected.into_iter().next().flatten(),
             folded_samples: done.folding.first().copied().flatten().map(|f| f.samples),
+            hash: done.hashes.first().copied().flatten(),
             sampled,
         })
     }
@@ -396,9 +406,17 @@ fn since(before: Option<f64>) -> Option<f64> {
     Some(processor::seconds()? - before?)
 }
 
-/// The size of files, and the hash of all their bytes, one after the other.
-fn hash_of(files: &[PathBuf], progress: &dyn Progress) -> Result<(u64, String)> {
-    let (mut bytes, mut hash, mut block) = (0, Xxh3Default::new(), vec![0; 1 << 20]);
+/// Bytes of all files together.
+fn size_of_all(files: &[PathBuf]) -> Result<u64> {
+    let size =
+        |path: &PathBuf| std::fs::metadata(path).map(|is| is.len()).map_err(|e| Error::io("read", path, &e));
+    files.iter().map(size).sum()
+}
+
+/// The hash of all bytes of files, one after the other, which are read for it.
+fn hash_of(files: &[PathBuf], bytes: u64, progress: &dyn Progress) -> Result<u128> {
+    progress.begin("hashing the result", bytes);
+    let (mut hash, mut block) = (Xxh3Default::new(), vec![0; 1 << 20]);
     for path in files {
         let failed = |e: std::io::Error| Error::io("read", path, &e);
         let mut file = std::fs::File::open(path).map_err(failed)?;
@@ -408,12 +426,12 @@ fn hash_of(files: &[PathBuf], progress: &dyn Progress) -> Result<(u64, String)> 
                 0 => break,
                 count => {
                     hash.update(&block[..count]);
-                    bytes += count as u64;
+                    progress.advance(count as u64);
                 }
             }
         }
     }
-    Ok((bytes, format!("xxh3-128:{:032x}", hash.digest128())))
+    Ok(hash.digest128())
 }
 
 /// What a method's model is called: with an extension of the model's format, its own if it is one; of tiles a folder.

@@ -8,6 +8,7 @@ use super::html::round_percent;
 use super::record::Comparison;
 use crate::session_file::{Region, Role};
 use glam::DVec3;
+use rayon::prelude::*;
 use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, Vertices};
 use simod_picture::picture::{ColorOf, Crop, Drawn, PaintBy, View, of_painted, of_some};
@@ -96,13 +97,17 @@ impl<'a> Easel<'a> {
         let names = std::iter::once(REST).chain(files.iter().map(|(_, file)| file.as_str()));
         for (version, file) in names.enumerate() {
             let Drawings { by_region, by_distance } = brush.draw(version)?;
-            for (end, image) in ends.iter().zip(by_region) {
-                pictures.push((format!("{file}{end}.png"), image.to_png()?));
-            }
-            for (end, image) in ends.iter().zip(by_distance) {
-                let name = format!("{}{end}.png", difference(file));
-                pictures.push((name, image.with_scale(color, labels).to_png()?));
-            }
+            let plain =
+                ends.iter().zip(by_region).map(|(end, image)| (format!("{file}{end}.png"), image, false));
+            let with_scale = ends.iter().zip(by_distance);
+            let with_scale =
+                with_scale.map(|(end, image)| (format!("{}{end}.png", difference(file)), image, true));
+            let drawn: Vec<(String, Image, bool)> = plain.chain(with_scale).collect();
+            let encoded = drawn.into_par_iter().map(|(name, image, has_scale)| {
+                let image = if has_scale { image.with_scale(color, labels) } else { image };
+                Ok((name, image.to_png()?))
+            });
+            pictures.extend(encoded.collect::<Result<Vec<_>>>()?);
         }
         comparison.files.extend(pictures.iter().map(|(name, _)| name.clone()));
         Ok(pictures)
@@ -141,13 +146,11 @@ impl Brush<'_> {
             let point = |i: usize| chosen.point(i, version);
             let region = |i: usize| point(i).color;
             let distance = |i: usize| self.color(point(i).position.distance(chosen.point(i, 1).position));
-            let colorings: [&ColorOf<'_>; 2] = [&region, &distance];
-            let colorings = if has_distance { &colorings[..] } else { &colorings[..1] };
+            let distance: Option<&ColorOf<'_>> = if has_distance { Some(&distance) } else { None };
             let bounds = &self.bounds[version];
-            let drawn = of_some((chosen.len(), &point), colorings, bounds, whole, self.progress)?;
-            let mut drawn = drawn.into_iter();
-            by_region.extend(drawn.next());
-            by_distance.extend(drawn);
+            let drawn = of_some((chosen.len(), &point), (&region, distance), bounds, whole, self.progress)?;
+            by_region.push(drawn.0);
+            by_distance.extend(drawn.1);
             views = crops;
         }
         let region = |parts: &[Vertices<'_>], i: usize| self.easel.color(parts, 1, i);
