@@ -36,6 +36,8 @@ mod model;
 mod named;
 mod number;
 mod obj;
+pub mod object;
+pub mod object_output;
 mod off;
 pub mod output;
 pub mod output_folder;

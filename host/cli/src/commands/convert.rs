@@ -7,7 +7,7 @@ use clap::Args;
 use glam::DVec3;
 use serde_json::json;
 use simod_core::guard::Kind;
-use simod_model::target::folder_of;
+use simod_model::target::scratch_folder;
 use simod_model::{Cache, Conversion, Converted, Model, Result};
 
 use super::overwrite::Overwrite;
@@ -52,7 +52,7 @@ impl Convert {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.model);
         let progress = report.progress();
-        let cache = Arc::new(Cache::nameless(folder_of(&self.output)));
+        let cache = Arc::new(Cache::nameless(&scratch_folder(&self.output)));
         let model = simod_model::open_with(&self.model, self.columns.as_deref(), &cache, progress)?;
         guard.reads_all(model.other_files());
         guard.writes(&self.output, Kind::Model)?;

@@ -27,7 +27,7 @@ use crate::las::same_records::SameRecords;
 use crate::output::OutputFile;
 use crate::polygons::{Counted, Joining, MOST_CORNERS, Polygons};
 use crate::source::Source;
-use crate::target::folder_of;
+use crate::target::scratch_folder;
 use crate::{
     Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
     Rewriting, Scalar, VertexChunk, VertexReader, for_faces, pipeline,
@@ -101,7 +101,7 @@ impl Converted {
             extension,
             how,
             faces,
-            folder: folder_of(target).to_owned(),
+            folder: scratch_folder(target),
             keeps_records,
             losses: Vec::new(),
             bytes: 0,

@@ -9,6 +9,7 @@ use simod_core::reconstruction::Method;
 use simod_core::sampling::divided::{exchanged_at_most, ranges_of, undivided};
 use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
+use simod_model::object::is_object;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_folder, canonical_target, folder_of};
 use simod_model::{Cache, Error, ErrorKind, Model, ModelName, Normals, Progress, Result, output};
@@ -74,6 +75,14 @@ pub fn make(
     if folder.canonicalize().is_ok_and(|folder| output.starts_with(folder)) {
         let what = format!("{} lies in the plan's folder, which is replaced", output.display());
         return Err(Error::new(ErrorKind::Argument, what, "write it to another folder"));
+    }
+    if is_object(&output) {
+        let what = format!("{} is an object, which units do not write", output.display());
+        return Err(Error::new(
+            ErrorKind::Argument,
+            what,
+            "give a file with --to, or write the object by `simod run`",
+        ));
     }
     let new = OutputFolder::create(folder)?;
     let cache = &Arc::new(Cache::nameless(folder_of(folder)));
@@ -271,6 +280,9 @@ fn is_own(name: &str) -> bool {
 
 /// A path that does not depend on where a unit is done.
 fn absolute(path: &Path) -> Result<PathBuf> {
+    if is_object(path) {
+        return text(path.to_owned());
+    }
     text(path.canonicalize().map_err(|e| Error::io("read", path, &e))?)
 }
 
