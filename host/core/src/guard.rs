@@ -114,6 +114,9 @@ impl Guard {
     /// model; or it is there, of another kind, and may not be replaced.
     pub fn writes(&mut self, path: &Path, kind: Kind) -> Result<()> {
         let target = canonical_target(path)?;
+        if kind == Kind::Model && is_object(&target) {
+            object::check_output(&target)?;
+        }
         let refused = |what: String, hint: &str| Err(Error::new(ErrorKind::Argument, what, hint));
         if let Some((input, _)) = self.input_at(&target) {
             let what = if canonical_target(input).is_ok_and(|input| input == target) && !path.is_symlink() {

@@ -12,7 +12,7 @@ use simod_model::bounds::Bounds;
 use simod_model::claim::Claim;
 use simod_model::frame::Frame;
 use simod_model::input;
-use simod_model::object::is_object;
+use simod_model::object::{self, is_object};
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{
@@ -555,6 +555,7 @@ impl SampledModel {
     /// # Errors
     /// Something is there that is no sampled model, or holds other files as well.
     pub fn check_target(folder: &Path) -> Result<()> {
+        object::check_file("write", folder)?;
         let refused = |what: String| {
             let hint = "give the name of a new folder, or of a sampled model to replace";
             Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))

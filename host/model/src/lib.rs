@@ -38,6 +38,7 @@ mod number;
 mod obj;
 pub mod object;
 pub mod object_output;
+pub mod object_range;
 mod off;
 pub mod output;
 pub mod output_folder;

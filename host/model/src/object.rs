@@ -121,10 +121,7 @@ fn without_secrets(url: &str) -> String {
     let Some((scheme, rest)) = url.split_once("://") else { return url.to_owned() };
     let (host, path) = rest.split_at(rest.find('/').unwrap_or(rest.len()));
     // In Azure's URLs, what stands before the host is the container.
-    let host = match host.rsplit_once('@') {
-        Some((_, host)) if scheme.starts_with("http") => host,
-        _ => host,
-    };
+    let host = if scheme.starts_with("http") { host.rsplit('@').next().unwrap_or(host) } else { host };
     format!("{scheme}://{host}{path}")
 }
 
@@ -250,18 +247,26 @@ pub(crate) fn abandon_all() {
     }
 }
 
+/// An error unless an object can be written; whether the store lets it be is told later.
+///
+/// # Errors
+/// As of [`begin`].
+pub fn check_output(path: &Path) -> Result<()> {
+    go_on(path, "").map(drop)
+}
+
 /// An error where an object is named and only a file will do; `action` completes "cannot …".
-pub(crate) fn check_file(action: &str, path: &Path) -> Result<()> {
+///
+/// # Errors
+/// That.
+pub fn check_file(action: &str, path: &Path) -> Result<()> {
     if !is_object(path) {
         return Ok(());
     }
     Err(Error::new(
         ErrorKind::Argument,
-        format!(
-            "cannot {action} {}: only single models are read from and written to a store",
-            path.display()
-        ),
-        "give the path of a file or folder",
+        format!("cannot {action} {}: it is an object, and here a file is needed", path.display()),
+        "give the path of a file or folder; in a store are models alone, which `run`, `reconstruct` and `convert` write there",
     ))
 }
 

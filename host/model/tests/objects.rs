@@ -7,6 +7,7 @@ use std::sync::{Arc, LazyLock, Mutex, MutexGuard};
 use proptest::prelude::*;
 use simod_model::object::{self, Object, Store, Upload};
 use simod_model::object_output::{ObjectOutput, part_bytes};
+use simod_model::object_range::ObjectRange;
 use simod_model::{Error, ErrorKind, Output, Result, Summary};
 
 /// The objects, and the parts of those that are begun.
@@ -187,6 +188,61 @@ proptest! {
         prop_assert_eq!(output.commit().unwrap(), length as u64);
         prop_assert!(there(path) == Some(bytes));
         prop_assert!(!is_begun(path));
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Ranges in any order, twice, of any length: what is before them, between them and behind them is put together.
+    #[test]
+    fn ranges_are_sent_beside_each_other(
+        length in 1..900usize,
+        cuts in proptest::collection::vec(0.0..1.0f64, 2..7),
+        part in 1..120u64,
+        piece in 1..150usize,
+        order in 0..6usize,
+    ) {
+        install();
+        let path = Path::new("s3://bucket/ranges");
+        content().objects.clear();
+        let bytes: Vec<u8> = (0..length).map(|i| (i * 37 % 241) as u8).collect();
+        let mut ends: Vec<usize> = cuts.iter().map(|cut| (cut * length as f64) as usize).collect();
+        ends.sort_unstable();
+        let id = object::begin(path).unwrap().leave();
+        let ranges = ends.len() - 1;
+        let mut sent = vec![None; ranges];
+        for turn in 0..2 * ranges {
+            let number = (turn * 5 + order) % ranges;
+            let mut range = ObjectRange::open(path, &id, part).unwrap();
+            range.begin_at(ends[number] as u64);
+            for piece in bytes[ends[number]..ends[number + 1]].chunks(piece) {
+                range.write(piece).unwrap();
+            }
+            sent[number] = Some(range.finish().unwrap());
+        }
+        // The order may have left some out.
+        for number in 0..ranges {
+            if sent[number].is_none() {
+                let mut range = ObjectRange::open(path, &id, part).unwrap();
+                range.begin_at(ends[number] as u64);
+                range.write(&bytes[ends[number]..ends[number + 1]]).unwrap();
+                sent[number] = Some(range.finish().unwrap());
+            }
+        }
+        let mut output = ObjectOutput::of(path, object::go_on(path, &id).unwrap(), part);
+        output.write(&bytes[..ends[0]]).unwrap();
+        for sent in sent.into_iter().flatten() {
+            prop_assert!(sent.before.len() < part as usize && sent.behind.len() < part as usize);
+            output.write(&sent.before).unwrap();
+            sent.tags.into_iter().try_for_each(|tag| output.pass(tag)).unwrap();
+            output.write(&sent.behind).unwrap();
+        }
+        output.write(&bytes[ends[ranges]..]).unwrap();
+        prop_assert_eq!(there(path), None);
+        output.complete().unwrap();
+        output.commit().unwrap();
+        prop_assert!(there(path) == Some(bytes));
     }
 }
 

@@ -24,7 +24,8 @@ impl Failure {
 
     /// Bytes stopped too early, again and again.
     pub fn broken(wanted: &str) -> Self {
-        Self { kind: ErrorKind::Io, what: format!("{wanted}: {BROKEN}"), hint: NETWORK.to_owned() }
+        let (what, hint) = (format!("{wanted}: {BROKEN}"), NETWORK.to_owned());
+        Self { kind: ErrorKind::Io, what, hint }
     }
 
     /// The object has another version by now.

@@ -1,11 +1,12 @@
 """What is written to a store has the bytes of a file, and is there whole or not at all."""
 
 import signal
+import subprocess
 import time
 from pathlib import Path
 
 import pytest
-from conftest import BUCKET, Local, Store, local
+from conftest import BUCKET, SIMOD, Local, Store, local
 from faults import PASSED, Proxy
 
 
@@ -17,6 +18,9 @@ def test_every_format_is_written(store: Store, tmp_path: Path, name: str) -> Non
     assert store.get(f"out/{name}") == made.output.read_bytes()
     store.good("run", made.session, "-o", url)
     assert store.get(f"out/{name}") == made.output.read_bytes()
+    store.good("convert", "--lossy", made.output, f"s3://{BUCKET}/converted.{name}")
+    subprocess.run([SIMOD, "convert", "--lossy", made.output, tmp_path / f"converted.{name}"], check=True)
+    assert store.get(f"converted.{name}") == (tmp_path / f"converted.{name}").read_bytes()
     assert store.uploads() == []
 
 
@@ -63,9 +67,9 @@ def test_what_is_not_written_to_a_store_is_refused(store: Store, tmp_path: Path)
     url = f"s3://{BUCKET}/x"
     write = ("reconstruct", made.sampled, "--deformed", made.deformed)
     assert "--resume" in store.refused(*write, "-o", f"{url}.ply", "--resume")
-    assert "only single models" in store.refused(*write, "-o", tmp_path / "o.ply", "--diagnostics", f"{url}.ply")
-    assert "cannot" in store.refused("sample", made.path, "-o", f"{url}.simod")
-    assert "only single models" in store.refused("render", made.path, "-o", f"{url}.png")
+    assert "here a file is needed" in store.refused(*write, "-o", tmp_path / "o.ply", "--diagnostics", f"{url}.ply")
+    assert "here a file is needed" in store.refused("sample", made.path, "-o", f"{url}.simod")
+    assert "here a file is needed" in store.refused("render", made.path, "-o", f"{url}.png")
     assert "can only be read" in store.refused(*write, "-o", f"{store.url}/{BUCKET}/x.ply")
     session = tmp_path / "stranger.toml"
     session.write_text(made.session.read_text() + f'[output]\npath = "{url}.ply"\n')

@@ -7,6 +7,7 @@ use clap::Args;
 use glam::DVec3;
 use serde_json::json;
 use simod_core::guard::Kind;
+use simod_model::object::{self, is_object};
 use simod_model::target::scratch_folder;
 use simod_model::{Cache, Conversion, Converted, Model, Result};
 
@@ -65,7 +66,12 @@ impl Convert {
         tell_cache(&cache, report);
         report.figure("vertices", vertices);
         report.figure("triangles", converted.triangles());
-        report.figure("bytes", std::fs::metadata(&self.output).map_or(0, |meta| meta.len()));
+        let bytes = if is_object(&self.output) {
+            object::open(&self.output)?.bytes()
+        } else {
+            std::fs::metadata(&self.output).map_or(0, |meta| meta.len())
+        };
+        report.figure("bytes", bytes);
         report.line(format!(
             "{} vertices and {} triangles in {}, {}",
             count(vertices),

@@ -5,19 +5,19 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use simod_core::reconstruction::Method;
+use simod_core::reconstruction::{Method, abort_object};
 use simod_core::sampling::divided::{exchanged_at_most, ranges_of, undivided};
 use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
 use simod_model::object::is_object;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_folder, canonical_target, folder_of};
-use simod_model::{Cache, Error, ErrorKind, Model, ModelName, Normals, Progress, Result, output};
+use simod_model::{Cache, Error, ErrorKind, Model, ModelName, Normals, Progress, Result, input, output};
 
 use super::emit::{Emit, emit};
 use super::graph::{
-    COUNTS, DEFORMED, Exchange, FINISHED, FORMAT, GRADIENTS, METHODS, NORMALS, PLAN, Plan, REFINED, Recorded,
-    SAMPLED, SHARED, Stage, Unit, hash_of, name_of,
+    COUNTS, DEFORMED, Exchange, FINISHED, FORMAT, GRADIENTS, LONGEST_ID, METHODS, NORMALS, PLAN, Plan,
+    REFINED, Recorded, SAMPLED, SHARED, Stage, UPLOAD, Unit, hash_of, name_of,
 };
 use crate::pipeline::{converted, needed, open, sampling_of};
 use crate::plugins::PluginRegistry;
@@ -76,14 +76,6 @@ pub fn make(
         let what = format!("{} lies in the plan's folder, which is replaced", output.display());
         return Err(Error::new(ErrorKind::Argument, what, "write it to another folder"));
     }
-    if is_object(&output) {
-        let what = format!("{} is an object, which units do not write", output.display());
-        return Err(Error::new(
-            ErrorKind::Argument,
-            what,
-            "give a file with --to, or write the object by `simod run`",
-        ));
-    }
     let new = OutputFolder::create(folder)?;
     let cache = &Arc::new(Cache::nameless(folder_of(folder)));
     let becomes = converted(session, &output, (options.normals, options.lossy), (cache, progress))?;
@@ -130,8 +122,20 @@ pub fn make(
         output::write_file(&new.path().join(name), script.as_bytes()).map_err(named)?;
     }
     check_target(folder)?;
+    let before = upload(folder);
     new.commit()?;
+    if let Some((output, id)) = before
+        && let Err(e) = abort_object(&output, &id)
+    {
+        progress.note(&format!("what the former plan has sent of {} stays: {e}", output.display()));
+    }
     Ok(plan)
+}
+
+/// The object that units of the plan in a folder have begun, and its upload.
+fn upload(folder: &Path) -> Option<(PathBuf, String)> {
+    let id = input::read_text(&folder.join(UPLOAD), LONGEST_ID).ok()?;
+    Some((Plan::load(folder).ok()?.output, id))
 }
 
 /// What of the samples is left out.
@@ -268,7 +272,7 @@ fn check_target(folder: &Path) -> Result<()> {
 
 /// Whether a file in a plan's folder is of the plan, its units or its engines.
 fn is_own(name: &str) -> bool {
-    let fixed = [PLAN, FINISHED, COUNTS, SAMPLED, REFINED, DEFORMED, SHARED, GRADIENTS];
+    let fixed = [PLAN, FINISHED, COUNTS, SAMPLED, REFINED, DEFORMED, SHARED, UPLOAD, GRADIENTS];
     let is_numbered = |(before, behind)| name.starts_with(before) && name.ends_with(behind);
     fixed.contains(&name)
         || Emit::FILES.contains(&name)
