@@ -123,6 +123,7 @@ fn arrows_go_one_way() {
     crates.expect_members("host/core", &["simod-model"]);
     crates.expect_members("host/generate", &["simod-model"]);
     crates.expect_members("host/measure", &["simod-model"]);
+    crates.expect_members("host/storage", &["simod-model"]);
     crates.expect_members("host/picture", &["simod-core", "simod-model"]);
     let engine = ["simod-core", "simod-model"];
     let session = [&engine[..], &["simod-measure", "simod-picture", "simod-plugin-api"]].concat();
@@ -135,6 +136,10 @@ fn arrows_go_one_way() {
     let window = ["simod-generate", "simod-picture", "simod-plugin-api", "simod-scene", "simod-session"];
     crates.expect_members("host/window", &[&engine[..], &window, &["simod-viewer"]].concat());
 
+    // What talks to stores is in the program if it is asked for, and nowhere else.
+    for folder in ["plugins", "host/core", "host/session", "host/viewer", "host/cli"] {
+        crates.expect_none(folder, &["simod-storage", "object_store", "tokio"]);
+    }
     crates.expect_none("host/core", &["abi_stable", "libloading", "clap", "simod-plugin-api"]);
     for folder in ["plugin-api", "plugins", "host/picture", "host/session", "host/viewer", "host/cli"] {
         crates.expect_none(folder, &WINDOWS);
@@ -188,11 +193,25 @@ fn no_vector_instruction_is_a_function() {
 #[test]
 fn what_the_program_needs_is_built_once() {
     let program = Packages::of("normal,build", &[]);
-    let tests = ["--workspace", "--exclude", "simod-scene", "--exclude", "simod-window"];
-    for choice in [&tests[..], &["-p", "simod-scene", "-p", "simod-window"]] {
+    let heavy = ["simod-scene", "simod-storage", "simod-window"];
+    let tests: Vec<&str> =
+        ["--workspace"].into_iter().chain(heavy.into_iter().flat_map(|name| ["--exclude", name])).collect();
+    let storage = [
+        "-p",
+        "simod-storage",
+        "-p",
+        "simod-plugin-*",
+        "-p",
+        "simod-cli",
+        "--features",
+        "simod-cli/object-storage",
+    ];
+    for choice in [&tests[..], &["-p", "simod-scene", "-p", "simod-window"], &storage] {
         let others = Packages::of("normal,build,dev", choice);
+        // What is asked for is a feature of the program itself.
+        let libraries = program.0.iter().filter(|p| !p.starts_with("simod-cli "));
         let again: Vec<&String> =
-            program.0.iter().filter(|p| others.has_kind_of(p) && !others.0.contains(*p)).collect();
+            libraries.filter(|p| others.has_kind_of(p) && !others.0.contains(*p)).collect();
         assert!(again.is_empty(), "{choice:?} has other features of {again:?}");
     }
 }

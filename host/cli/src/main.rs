@@ -5,10 +5,11 @@ mod console;
 mod report;
 mod versions;
 
+use std::ffi::{OsStr, OsString};
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use simod_model::{ErrorKind, memory};
+use simod_model::{ErrorKind, memory, object};
 
 use commands::{
     bind, compare, convert, deform, demo, generate, info, plan, plugin, reconstruct, refine, render, run,
@@ -60,7 +61,9 @@ enum Command {
 
 fn main() -> ExitCode {
     memory::return_large_blocks();
-    let arguments = Arguments::parse();
+    #[cfg(feature = "object-storage")]
+    simod_storage::install();
+    let arguments = Arguments::parse_from(std::env::args_os().map(without_secrets));
     // A process that answers another one is stopped by that.
     let is_worker = matches!(&arguments.command, Command::Plugin(plugin) if plugin.is_worker());
     let console = if is_worker { Console::of_worker() } else { Console::new() };
@@ -74,6 +77,18 @@ fn main() -> ExitCode {
                 ExitCode::FAILURE
             }
         }
+    }
+}
+
+/// An argument without what may be secret in the URL of an object, so that nothing can tell it.
+fn without_secrets(argument: OsString) -> OsString {
+    let option =
+        argument.to_str().filter(|text| text.starts_with("--")).and_then(|text| text.split_once('='));
+    match option {
+        Some((name, value)) => {
+            [OsStr::new(name), OsStr::new("="), &object::admit(value)].into_iter().collect()
+        }
+        None => object::admit(argument),
     }
 }
 

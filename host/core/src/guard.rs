@@ -7,6 +7,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use simod_model::input::{self, Identity};
+use simod_model::object::{self, is_object};
 use simod_model::resumable_folder::check_target;
 use simod_model::target::{canonical_target, folder_of};
 use simod_model::{Error, ErrorKind, Result, matching};
@@ -34,6 +35,17 @@ impl Kind {
             Self::Picture => "PNG file",
             Self::Session => "session",
             Self::Binding => "binding",
+        }
+    }
+
+    /// Whether nothing of another kind is there.
+    fn may_replace(self, path: &Path) -> Result<bool> {
+        match self {
+            Self::Model if is_object(path) => match object::find(path)? {
+                Some(object) => Ok(object.bytes() == 0 || simod_model::is_model(path)?),
+                None => Ok(true),
+            },
+            _ => Ok(!path.exists() || self.is_of(path)?),
         }
     }
 
@@ -102,6 +114,9 @@ impl Guard {
     /// model; or it is there, of another kind, and may not be replaced.
     pub fn writes(&mut self, path: &Path, kind: Kind) -> Result<()> {
         let target = canonical_target(path)?;
+        if kind == Kind::Model && is_object(&target) {
+            object::check_output(&target)?;
+        }
         let refused = |what: String, hint: &str| Err(Error::new(ErrorKind::Argument, what, hint));
         if let Some((input, _)) = self.input_at(&target) {
             let what = if canonical_target(input).is_ok_and(|input| input == target) && !path.is_symlink() {
@@ -128,7 +143,7 @@ impl Guard {
             );
         }
         // A binding that is damaged is one all the same.
-        if !self.force && !is_own && target.exists() && !kind.is_of(&target)? {
+        if !self.force && !is_own && !kind.may_replace(&target)? {
             let what = format!("{} is there, and is no {}", path.display(), kind.name());
             return refused(what, "write to another file, or give --force to replace it");
         }

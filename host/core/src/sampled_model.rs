@@ -12,6 +12,7 @@ use simod_model::bounds::Bounds;
 use simod_model::claim::Claim;
 use simod_model::frame::Frame;
 use simod_model::input;
+use simod_model::object::{self, is_object};
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{
@@ -182,11 +183,11 @@ impl Source {
     fn seen_from(mut self, folder: &Path) -> Self {
         // Without the detours that a relative path makes, where it still exists.
         let seen = |path: &Path| {
-            let path = folder.join(path);
+            let path = input::seen_from(folder, path);
             path.canonicalize().unwrap_or(path)
         };
         for tile in &mut self.tiles {
-            let path = folder.join(&tile.path);
+            let path = input::seen_from(folder, &tile.path);
             // A link has a name of its own.
             let known = folder_of(&path).canonicalize().ok().zip(path.file_name());
             tile.path = known.map_or_else(|| path.clone(), |(folder, name)| folder.join(name));
@@ -554,6 +555,7 @@ impl SampledModel {
     /// # Errors
     /// Something is there that is no sampled model, or holds other files as well.
     pub fn check_target(folder: &Path) -> Result<()> {
+        object::check_file("write", folder)?;
         let refused = |what: String| {
             let hint = "give the name of a new folder, or of a sampled model to replace";
             Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))
@@ -858,7 +860,9 @@ impl SampledModel {
     pub fn open_source(&self, elsewhere: Option<&Path>, progress: &dyn Progress) -> Result<Box<dyn Model>> {
         let path = elsewhere.unwrap_or(&self.source.path);
         let named = self.source.named(elsewhere)?;
-        if let Some(gone) = named.files().iter().find(|file| elsewhere.is_none() && !file.exists()) {
+        if let Some(gone) =
+            named.files().iter().find(|file| elsewhere.is_none() && !input::may_be_there(file))
+        {
             return Err(Error::new(
                 ErrorKind::Io,
                 format!("the sampled model's source {} is gone", gone.display()),
@@ -1070,8 +1074,12 @@ fn rounded(p: DVec3, to: Scalar) -> DVec3 {
     }
 }
 
-/// The path of `file` as seen from `folder`, so that both can be moved together; absolute where it has to be.
+/// The path of `file` as seen from `folder`, so that both can be moved together; absolute where it has to be. An object's
+/// is the same from everywhere.
 pub fn relative(file: &Path, folder: &Path) -> PathBuf {
+    if is_object(file) {
+        return file.to_owned();
+    }
     let absolute = |p: &Path| std::path::absolute(p).unwrap_or_else(|_| p.to_owned());
     let (file, folder) = (file.canonicalize().unwrap_or_else(|_| absolute(file)), absolute(folder));
     let folder = match (folder.parent().and_then(|p| p.canonicalize().ok()), folder.file_name()) {

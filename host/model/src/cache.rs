@@ -6,10 +6,8 @@
 //! with the size and the hash of the model that it was made of, and with a hash of its own: it is of use as
 //! long as both are right, and filled anew otherwise.
 
-use std::fs::Metadata;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::SystemTime;
 
 use xxhash_rust::xxh3::Xxh3Default;
 
@@ -19,7 +17,7 @@ use crate::output_folder::OutputFolder;
 use crate::positioned::Positioned;
 use crate::scratch::Scratch;
 use crate::size::human_size;
-use crate::source::Source;
+use crate::source::{Source, Stamp};
 use crate::target::folder_of;
 use crate::{Error, Progress, Result, input};
 
@@ -58,16 +56,6 @@ struct Cached {
     stamp: Option<Stamp>,
     of: Made,
     file: Source,
-}
-
-/// A file's size and when it was written.
-#[derive(Debug, PartialEq, Eq)]
-struct Stamp(u64, SystemTime);
-
-impl Stamp {
-    fn from_metadata(is: &Metadata) -> Option<Self> {
-        Some(Self(is.len(), is.modified().ok()?))
-    }
 }
 
 /// What was made of what.
@@ -161,7 +149,7 @@ impl Cache {
         fill: impl FnOnce(&Scratch) -> Result<u64>,
     ) -> Result<Source> {
         let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
-        let stamp = source.metadata().ok().and_then(|is| Stamp::from_metadata(&is));
+        let stamp = source.stamp();
         if let Some(known) = made.as_ref().filter(|known| stamp.is_some() && known.stamp == stamp) {
             return Ok(known.file.clone());
         }

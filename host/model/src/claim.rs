@@ -18,6 +18,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use xxhash_rust::xxh3::xxh3_128;
 
 use crate::input::Identity;
+use crate::object;
 use crate::target::{regular_target, target_of};
 use crate::{Error, ErrorKind, Result};
 
@@ -224,6 +225,7 @@ fn claimed() -> MutexGuard<'static, Vec<Places>> {
 
 /// Removes what this process is writing, as it ends at once. What is to be gone on with stays.
 pub fn abandon_all() {
+    object::abandon_all();
     for places in claimed().drain(..) {
         let _ = remove(&places.new_folder);
         places.remove_journal();

@@ -4,20 +4,32 @@
 
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use crate::object::{check_file, is_object};
 use crate::size::human_size;
 use crate::{Error, ErrorKind, Result};
 
 /// Opens a regular file to read it, by way of links.
 ///
 /// # Errors
-/// There is none, or it is a folder, a pipe or a device. This never waits.
+/// There is none, or it is a folder, a pipe or a device, or an object. This never waits.
 pub fn open(path: &Path) -> Result<File> {
+    check_file("open", path)?;
     let file = open_at_once(path, true).map_err(|e| Error::io("open", path, &e))?;
     let is = file.metadata().map_err(|e| Error::io("open", path, &e))?;
     check_regular(path, &is)?;
     Ok(file)
+}
+
+/// Whether a model may be there; whether an object is, is told when it is opened.
+pub fn may_be_there(path: &Path) -> bool {
+    is_object(path) || path.exists()
+}
+
+/// A path that is as seen from a folder; an object's is a whole one.
+pub fn seen_from(folder: &Path, path: &Path) -> PathBuf {
+    if is_object(path) { path.to_owned() } else { folder.join(path) }
 }
 
 /// Reads a whole file of at most `most` bytes.
@@ -87,25 +99,38 @@ pub(crate) fn open_at_once(path: &Path, follow: bool) -> io::Result<File> {
 
 /// What tells a file from all others, whatever it is called.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Identity(#[cfg(unix)] (u64, u64), #[cfg(not(unix))] std::path::PathBuf);
+pub struct Identity(Known);
+
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+enum Known {
+    /// Device and number.
+    #[cfg(unix)]
+    File(u64, u64),
+    /// The one name of an object or, where files have no numbers, of a file.
+    Name(PathBuf),
+}
 
 impl Identity {
-    /// The identity of the file or folder that a path leads to, by way of links; `None` where there is none.
+    /// The identity of the file or folder that a path leads to, by way of links; `None` where there is none. An object
+    /// has one whether it is there or not.
     pub fn from_path(path: &Path) -> Option<Self> {
+        if is_object(path) {
+            return Some(Self(Known::Name(path.to_owned())));
+        }
         #[cfg(unix)]
         {
             std::fs::metadata(path).ok().map(|is| Self::known(&is))
         }
         #[cfg(not(unix))]
         {
-            path.canonicalize().ok().map(Self)
+            path.canonicalize().ok().map(|path| Self(Known::Name(path)))
         }
     }
 
     #[cfg(unix)]
     fn known(is: &Metadata) -> Self {
         use std::os::unix::fs::MetadataExt;
-        Self((is.dev(), is.ino()))
+        Self(Known::File(is.dev(), is.ino()))
     }
 
     /// Whether an open file is the one of this name, which is no link.

@@ -8,6 +8,7 @@ use glob::MatchOptions;
 
 use crate::cache::{Cache, Making};
 use crate::formats::open_file;
+use crate::input::may_be_there;
 use crate::progress::Silent;
 use crate::tiles::{TiledModel, names};
 use crate::{Error, ErrorKind, Model, Progress, Result};
@@ -138,14 +139,13 @@ pub fn open_version(of: &dyn Model, path: &Path, columns: Option<&str>) -> Resul
 }
 
 /// The files that a pattern matches, as a shell has it, in the order of people; `None` where a path has no wildcard
-/// (`*`, `?`, `[`), or is the name of something that is there.
+/// (`*`, `?`, `[`), or is the name of something that is there, or of an object.
 ///
 /// # Errors
 /// It is no pattern, or matches no file; a folder cannot be read.
 pub fn matching(path: &Path) -> Result<Option<Vec<PathBuf>>> {
-    let Some(pattern) = path.to_str().filter(|text| text.contains(['*', '?', '[']) && !path.exists()) else {
-        return Ok(None);
-    };
+    let is_pattern = |text: &&str| text.contains(['*', '?', '[']) && !may_be_there(path);
+    let Some(pattern) = path.to_str().filter(is_pattern) else { return Ok(None) };
     let refused = |what: String| {
         let hint = "give a pattern as 'frame-*.ply', in quotes, or the names of files";
         Error::new(ErrorKind::Argument, what, hint)

@@ -1,13 +1,15 @@
-//! What a model is rewritten to, which can be gone on with: a file, or a folder with a file for each tile.
+//! What a model is rewritten to: a file, or a folder with a file for each tile, which can be gone on with; or an object.
 
 use std::path::{Path, PathBuf};
 
+use crate::object::is_object;
+use crate::object_output::ObjectOutput;
 use crate::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
 use crate::resumable_folder::{
     FinishedFolder, OpenedFolder, ResumableFolder, bytes_in_folder, check_target, is_folder_left,
 };
 use crate::target::{canonical_folder, canonical_target};
-use crate::{Model, Output, Progress, Result};
+use crate::{Error, ErrorKind, Model, Output, Progress, Result};
 
 /// The output of a model, in the making.
 pub enum ResumableOutput {
@@ -15,6 +17,8 @@ pub enum ResumableOutput {
     File(Box<ResumableFile>),
     /// Of one that is made of several.
     Folder(Box<ResumableFolder>),
+    /// Of a model in one file, in a store.
+    Object(Box<ObjectOutput>),
 }
 
 /// What [`ResumableOutput::open`] finds.
@@ -30,13 +34,15 @@ pub enum OpenedOutput {
 pub struct Place {
     path: PathBuf,
     names: Vec<PathBuf>,
+    /// Its size, about.
+    bytes: u64,
 }
 
 impl Place {
     /// Where a model's output goes: a file, or a folder of tiles.
     pub fn of(model: &dyn Model, path: &Path) -> Self {
         let names = model.tiles().iter().map(|tile| tile.name.clone()).collect();
-        Self { path: path.to_owned(), names }
+        Self { path: path.to_owned(), names, bytes: model.written_bytes() }
     }
 
     /// The one name that all paths to it share.
@@ -78,7 +84,7 @@ impl ResumableOutput {
     /// Begins an output whose bytes `key` determines: see [`ResumableFile::open`].
     ///
     /// # Errors
-    /// As there.
+    /// As there; an object cannot be gone on with.
     pub fn open(
         place: &Place,
         key: String,
@@ -86,7 +92,17 @@ impl ResumableOutput {
         part_bytes: u64,
         progress: &dyn Progress,
     ) -> Result<OpenedOutput> {
-        let Place { path, names } = place;
+        let Place { path, names, bytes } = place;
+        if is_object(path) && names.is_empty() {
+            if resume {
+                return Err(Error::new(
+                    ErrorKind::Argument,
+                    format!("{} is an object, whose beginning cannot be gone on with", path.display()),
+                    "leave out --resume, or write to a file",
+                ));
+            }
+            return Ok(OpenedOutput::Unfinished(Self::Object(Box::new(ObjectOutput::begin(path, *bytes)?))));
+        }
         if names.is_empty() {
             return Ok(match ResumableFile::open(path, key, resume, part_bytes, progress)? {
                 Opened::Unfinished(file) => OpenedOutput::Unfinished(Self::File(file)),
@@ -104,6 +120,7 @@ impl ResumableOutput {
         match self {
             Self::File(file) => file.boundaries().map(|pieces| (0, pieces)).collect(),
             Self::Folder(folder) => folder.boundaries(),
+            Self::Object(_) => Vec::new(),
         }
     }
 
@@ -115,6 +132,7 @@ impl ResumableOutput {
         match self {
             Self::File(file) => file.go_on_after(done.1),
             Self::Folder(folder) => folder.go_on_after(done),
+            Self::Object(_) => Ok(0),
         }
     }
 
@@ -123,6 +141,7 @@ impl ResumableOutput {
         match self {
             Self::File(file) => &mut **file,
             Self::Folder(folder) => &mut **folder,
+            Self::Object(object) => &mut **object,
         }
     }
 
@@ -134,6 +153,7 @@ impl ResumableOutput {
         match self {
             Self::File(file) => file.complete(one_of_several),
             Self::Folder(folder) => folder.complete(),
+            Self::Object(object) => object.complete(),
         }
     }
 
@@ -145,6 +165,7 @@ impl ResumableOutput {
         match self {
             Self::File(file) => file.commit().map(FinishedOutput::File),
             Self::Folder(folder) => folder.commit().map(FinishedOutput::Folder),
+            Self::Object(object) => object.commit().map(FinishedOutput::Object),
         }
     }
 
@@ -153,6 +174,7 @@ impl ResumableOutput {
         match self {
             Self::File(file) => file.keep(),
             Self::Folder(folder) => folder.keep(),
+            Self::Object(_) => {}
         }
     }
 }
@@ -163,6 +185,8 @@ pub enum FinishedOutput {
     File(Finished),
     /// A folder of tiles.
     Folder(FinishedFolder),
+    /// An object of so many bytes.
+    Object(u64),
 }
 
 impl FinishedOutput {
@@ -171,6 +195,7 @@ impl FinishedOutput {
         match self {
             Self::File(file) => file.bytes(),
             Self::Folder(folder) => folder.bytes(),
+            Self::Object(bytes) => *bytes,
         }
     }
 
@@ -178,7 +203,7 @@ impl FinishedOutput {
     pub fn hash(&self) -> Option<u128> {
         match self {
             Self::File(file) => file.hash(),
-            Self::Folder(_) => None,
+            Self::Folder(_) | Self::Object(_) => None,
         }
     }
 
@@ -187,6 +212,7 @@ impl FinishedOutput {
         match self {
             Self::File(file) => file.keep(),
             Self::Folder(folder) => folder.keep(),
+            Self::Object(_) => {}
         }
     }
 }

@@ -3,11 +3,12 @@
 //! Files are read, never mapped into memory: a mapped file that another program shortens kills the process
 //! (SIGBUS), whereas a read returns an error; and mapped pages count as memory of the process.
 
-use std::fs::Metadata;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::SystemTime;
 
+use crate::object::{self, Object};
 use crate::pool::{Pool, Pooled};
 use crate::positioned::Positioned;
 use crate::scratch::Scratch;
@@ -30,13 +31,26 @@ enum Handle {
     Open(Arc<Positioned>),
     /// Open when it is read, as there are many.
     Pooled(Arc<Pooled>),
+    /// In a store.
+    Object(Arc<dyn Object>),
+}
+
+/// What tells whether a file or an object is what it was: its size, and when it was written or its version.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Stamp {
+    File(u64, SystemTime),
+    Object(u64, String),
 }
 
 impl Source {
-    /// Opens a regular file that is not empty; one of a pool is closed when others are read.
+    /// Opens a regular file, or an object, that is not empty; a file of a pool is closed when others are read.
     pub(crate) fn open(path: &Path, pool: Option<&Arc<Pool>>) -> Result<Self> {
         let refused = |e| Error::io("open", path, &e);
-        let (file, len) = if let Some(pool) = pool {
+        let (file, len) = if object::is_object(path) {
+            let object = object::open(path)?;
+            let len = object.bytes();
+            (Handle::Object(object), len)
+        } else if let Some(pool) = pool {
             let file = Pooled::open(pool, path)?;
             let len = file.metadata().map_err(refused)?.len();
             (Handle::Pooled(Arc::new(file)), len)
@@ -58,7 +72,7 @@ impl Source {
     /// Opens a file that goes with this one, in the same way.
     pub(crate) fn open_beside(&self, path: &Path) -> Result<Self> {
         let pool = match &self.file {
-            Handle::Open(_) => None,
+            Handle::Open(_) | Handle::Object(_) => None,
             Handle::Pooled(file) => Some(file.pool()),
         };
         Self::open(path, pool)
@@ -75,12 +89,17 @@ impl Source {
         Self { file: Handle::Open(Arc::new(file)), path: path.to_owned(), len, file_len }
     }
 
-    /// What the system knows of the file.
-    pub(crate) fn metadata(&self) -> io::Result<Metadata> {
-        match &self.file {
+    /// What tells whether it is what it was, where that is known.
+    pub(crate) fn stamp(&self) -> Option<Stamp> {
+        let is = match &self.file {
             Handle::Open(file) => file.metadata(),
             Handle::Pooled(file) => file.metadata(),
-        }
+            Handle::Object(object) => {
+                return Some(Stamp::Object(object.bytes(), object.version().to_owned()));
+            }
+        };
+        let is = is.ok()?;
+        Some(Stamp::File(is.len(), is.modified().ok()?))
     }
 
     pub(crate) fn path(&self) -> &Path {
@@ -94,6 +113,7 @@ impl Source {
 
     /// Fills `buffer` from `offset` on; returns how much of it, which is less only at the end of the file.
     pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
+        let wanted = self.len.saturating_sub(offset).min(buffer.len() as u64) as usize;
         let again;
         let file = match &self.file {
             Handle::Open(file) => file,
@@ -101,8 +121,8 @@ impl Source {
                 again = file.file()?;
                 &again
             }
+            Handle::Object(object) => return object.read_at(&mut buffer[..wanted], offset).map(|()| wanted),
         };
-        let wanted = self.len.saturating_sub(offset).min(buffer.len() as u64) as usize;
         let mut done = 0;
         while done < wanted {
             match file.read_at(&mut buffer[done..wanted], offset + done as u64) {
@@ -124,9 +144,15 @@ impl Source {
         self.read_at(&mut buffer[old..], offset)
     }
 
-    /// An error where the file is not as long any more as when it was opened.
+    /// An error where the file is not as long any more as when it was opened. Of an object, all reads are of the version
+    /// that was.
     pub(crate) fn check_unchanged(&self) -> Result<()> {
-        let len = self.metadata().map_err(|e| Error::io("read", &self.path, &e))?.len();
+        let is = match &self.file {
+            Handle::Open(file) => file.metadata(),
+            Handle::Pooled(file) => file.metadata(),
+            Handle::Object(_) => return Ok(()),
+        };
+        let len = is.map_err(|e| Error::io("read", &self.path, &e))?.len();
         if len == self.file_len { Ok(()) } else { Err(self.changed()) }
     }
 

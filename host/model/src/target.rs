@@ -4,6 +4,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::object::{check_file, is_object};
 use crate::{Error, ErrorKind, Result};
 
 /// Links followed from one to the next, before it is a circle.
@@ -12,8 +13,9 @@ const MAX_LINKS: usize = 40;
 /// The file that `path` means in the end: one that need not exist, but can be created or replaced.
 ///
 /// # Errors
-/// It is a folder or a device, or links lead nowhere.
+/// It is a folder or a device, or an object, or links lead nowhere.
 pub(crate) fn regular_target(path: &Path) -> Result<PathBuf> {
+    check_file("write", path)?;
     // Asked of the path: what it leads to may have no name, as a pipe behind `/dev/stdout`.
     let is = fs::metadata(path);
     let target = target_of(path)?;
@@ -32,6 +34,7 @@ pub(crate) fn regular_target(path: &Path) -> Result<PathBuf> {
 
 /// What `path` means in the end, whatever it is; it has a name.
 pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
+    check_file("write", path)?;
     let target = follow_links(path)?;
     if target.file_name().is_none() {
         return Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into()));
@@ -39,11 +42,14 @@ pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
     Ok(target)
 }
 
-/// The file by the one name that all paths to it share, where its folder exists.
+/// The file by the one name that all paths to it share, where its folder exists. An object has one name.
 ///
 /// # Errors
 /// It is a folder or a device, links lead nowhere, or the folder is missing.
 pub fn canonical_target(path: &Path) -> Result<PathBuf> {
+    if is_object(path) {
+        return Ok(path.to_owned());
+    }
     let target = regular_target(path)?;
     let folder = folder_of(&target).canonicalize().map_err(|e| Error::io("write", path, &e))?;
     if !folder.is_dir() {
@@ -81,6 +87,11 @@ fn follow_links(path: &Path) -> Result<PathBuf> {
         format!("cannot write {}: too many links from one to the next", path.display()),
         "give the path of the file itself",
     ))
+}
+
+/// The folder for temporary files of what is written: the one that holds it, or for an object the system's.
+pub fn scratch_folder(path: &Path) -> PathBuf {
+    if is_object(path) { std::env::temp_dir() } else { folder_of(path).to_owned() }
 }
 
 /// The folder that holds a file: that of the same name but for its last part.

@@ -14,7 +14,8 @@ use simod_core::reconstruction::{
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_model::follow::Follow;
-use simod_model::target::folder_of;
+use simod_model::input::may_be_there;
+use simod_model::target::scratch_folder;
 use simod_model::{
     Cache, Conversion, Converted, Error, ErrorKind, Model, ModelName, Normals, Progress, Result,
     is_named_otherwise,
@@ -58,7 +59,7 @@ pub(crate) fn open(
             "add [model] path = \"…\" to it; the path is relative to the session's folder",
         )
     })?;
-    if let Some(gone) = named.files().iter().find(|file| !file.exists()) {
+    if let Some(gone) = named.files().iter().find(|file| !may_be_there(file)) {
         return Err(Error::new(
             ErrorKind::Io,
             format!("the session's model {} is gone", gone.display()),
@@ -313,7 +314,7 @@ impl Run {
                 "leave out --tolerance, or --exact and --method",
             ));
         }
-        let folder = folder_of(output);
+        let folder = &*scratch_folder(output);
         let time = session.time.time();
         let skip = needed(session, &stack, tolerance.is_some());
         let cache = &Arc::new(Cache::nameless(folder));
@@ -391,7 +392,7 @@ pub(crate) fn converted(
     (cache, progress): (&Arc<Cache>, &dyn Progress),
 ) -> Result<Option<Converted>> {
     let Some(named @ ModelName::File(_)) = session.named_model()? else { return Ok(None) };
-    if !named.files().iter().all(|file| file.exists()) {
+    if !named.files().iter().all(|file| may_be_there(file)) {
         return Ok(None);
     }
     let model = named.open(session.columns.as_deref(), cache, progress)?;

@@ -11,7 +11,7 @@ use simod_core::refinement::Finer;
 use simod_core::sampling::{By, Placement};
 use simod_model::follow::Kind;
 use simod_model::target::{canonical_target, folder_of};
-use simod_model::{Error, ErrorKind, ModelName, Result, input};
+use simod_model::{Error, ErrorKind, ModelName, Result, input, object};
 use simod_plugin_api::Time;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
@@ -520,7 +520,7 @@ impl RawTiles {
             Self::One(path) => vec![path],
             Self::Several(paths) => paths,
         };
-        paths.into_iter().map(|path| folder.join(path)).collect()
+        paths.iter().map(|path| named_from(folder, path)).collect()
     }
 }
 
@@ -670,7 +670,7 @@ impl SessionFile {
         let (mut model, mut tiles, mut columns, mut fingerprint) = (None, Vec::new(), None, None);
         if let (Some(span), Some(raw)) = (span, raw_model) {
             (columns, fingerprint) = (raw.columns, raw.fingerprint);
-            model = raw.path.map(|path| folder.join(path));
+            model = raw.path.map(|path| named_from(folder, &path));
             if let Some(named) = raw.tiles {
                 let span = named.span();
                 if version < VERSION {
@@ -706,10 +706,15 @@ impl SessionFile {
             sampling,
             time: raw.time.map_or(Ok(SessionTime::default()), |time| source.time(&time))?,
             steps: raw.step.into_iter().map(|s| source.step(s)).collect::<Result<_>>()?,
-            output: raw.output.as_ref().map(|o| folder.join(&o.path)),
+            output: raw.output.as_ref().map(|o| named_from(folder, &o.path)),
             named_output: raw.output.map(|o| o.path),
         })
     }
+}
+
+/// A path that a session in a folder names. What is secret in the URL of an object is not remembered in it.
+fn named_from(folder: &Path, path: &Path) -> PathBuf {
+    input::seen_from(folder, Path::new(&object::admit(path)))
 }
 
 /// The text of a small file; `what` it should be, and what to give, for errors.

@@ -45,6 +45,34 @@ fn a_model_that_is_none() {
     }
 }
 
+/// The program as it is built for these tests talks to no store, and says which one does; what is secret in a URL, it
+/// does not.
+#[test]
+fn objects_without_object_storage() {
+    let work = sampled();
+    work.write("none.toml", "");
+    work.simod("deform model.simod --session none.toml -o deformed.ply");
+    for name in ["s3://bucket/a.ply", "https://me:5ecret@host.example/a.ply?sig=5ecret", "gs://bucket/a.ply"]
+    {
+        let shown = &name.replace("me:5ecret@", "").replace("?sig=5ecret", "");
+        work.write_session(name, 100, "");
+        for line in [
+            &format!("sample {name} -o out.simod"),
+            &format!("info {name}"),
+            "run edit.toml",
+            &format!("{RECONSTRUCT} --model={name}"),
+            &format!("reconstruct model.simod --deformed deformed.ply -o {name}"),
+            &format!("convert model.ply {name}"),
+        ] {
+            let outcome = work.refuses(line, &[shown, "this build"]);
+            assert!(outcome.hint().contains("--features object-storage"), "{}", outcome.stderr);
+            assert!(!outcome.stderr.contains("5ecret"), "{}", outcome.stderr);
+        }
+        // What is no model stays in files.
+        work.refuses(&format!("render model.ply -o {name}"), &[shown, "here a file is needed"]);
+    }
+}
+
 /// Text cannot be measured beforehand: what is missing is noticed wherever it is.
 #[test]
 fn a_text_that_ends_early() {

@@ -7,7 +7,8 @@ use clap::Args;
 use glam::DVec3;
 use serde_json::json;
 use simod_core::guard::Kind;
-use simod_model::target::folder_of;
+use simod_model::object::{self, is_object};
+use simod_model::target::scratch_folder;
 use simod_model::{
     Cache, Conversion, Converted, Error, ErrorKind, Model, ModelName, Result, convert_tiles, converted_names,
 };
@@ -92,7 +93,7 @@ impl Convert {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.model);
         let progress = report.progress();
-        let cache = Arc::new(Cache::nameless(folder_of(&self.output)));
+        let cache = Arc::new(Cache::nameless(&scratch_folder(&self.output)));
         let model = simod_model::open_with(&self.model, self.columns.as_deref(), &cache, progress)?;
         guard.reads_all(model.other_files());
         guard.writes(&self.output, Kind::Model)?;
@@ -100,7 +101,11 @@ impl Convert {
         converted.write(&self.output, progress)?;
         tell_losses(converted.losses(), report);
         tell_cache(&cache, report);
-        let bytes = std::fs::metadata(&self.output).map_or(0, |meta| meta.len());
+        let bytes = if is_object(&self.output) {
+            object::open(&self.output)?.bytes()
+        } else {
+            std::fs::metadata(&self.output).map_or(0, |meta| meta.len())
+        };
         self.tell((converted.info().vertices, converted.triangles(), bytes), "", report);
         Ok(())
     }

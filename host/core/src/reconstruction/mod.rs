@@ -71,7 +71,7 @@ pub(crate) use homes::RING as TANGENT_RING;
 use least_squares::Unresolved;
 use limiter::{Limiter, outer};
 use neighbourhood::Neighbourhood;
-pub use parts::{Part, join_parts, write_part};
+pub use parts::{Part, Shared, abort_object, begin_object, join_parts, write_part};
 pub use reach::choose_offset;
 use sheets::Sheets;
 pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, sheet_distance};

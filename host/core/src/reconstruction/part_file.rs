@@ -1,5 +1,5 @@
-//! The file of a part: its bytes, unless they are in a file or a folder that parts share, and behind them a record of what
-//! they are.
+//! The file of a part: its bytes, unless they are in a file, a folder or an object that parts share, and behind them a
+//! record of what they are.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -7,6 +7,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use simod_model::object_range::{ObjectRange, SentRange};
 use simod_model::output::OutputFile;
 use simod_model::shared::SharedFile;
 use simod_model::shared_folder::{SharedFiles, WrittenFile};
@@ -34,11 +35,13 @@ pub(super) struct Record {
     pub(super) key: String,
     /// Which pieces of the model these are.
     pub(super) pieces: Range<u64>,
-    /// Where the bytes are in the file that parts share, if they are there.
+    /// Where the bytes are in the file, or the object, that parts share, if they are there.
     pub(super) place: Option<u64>,
+    /// What of them is in an object, if parts share one; the others are here.
+    pub(super) sent: Option<Sent>,
     /// How many there are here or there.
     pub(super) bytes: u64,
-    checksum: u128,
+    pub(super) checksum: u128,
     /// The files in the folder that parts share, if the pieces are tiles: 25 bytes each.
     pub(super) tiles: Vec<WrittenFile>,
     /// What other places of the file have to know of them, in a word.
@@ -46,6 +49,30 @@ pub(super) struct Record {
     pub(super) hashed: HashedPart,
     /// How many samples are folded, and where the first of them is, in the model's coordinates.
     pub(super) folded: (u64, Option<[f64; 3]>),
+}
+
+/// What of a part was sent to an object.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Sent {
+    /// The upload.
+    pub(super) id: String,
+    /// So many bytes come before it, and behind it: they are of parts of the object that others have the rest of.
+    pub(super) before: u64,
+    pub(super) behind: u64,
+    pub(super) checksum: u128,
+    /// What the store knows the object's parts between these by.
+    pub(super) tags: Vec<String>,
+}
+
+impl Record {
+    /// Bytes in the part's own file.
+    pub(super) fn own(&self) -> u64 {
+        match (&self.sent, self.place) {
+            (Some(sent), _) => sent.before.saturating_add(sent.behind),
+            (None, Some(_)) => 0,
+            (None, None) => self.bytes,
+        }
+    }
 }
 
 /// What a part is of, and what is known of it beside its bytes.
@@ -64,6 +91,8 @@ pub(super) enum Bytes<'a> {
     Shared(SharedFile),
     /// To a folder that parts share, a file for each tile.
     Tiles(SharedFiles<'a>),
+    /// To an object that parts share, by an upload of this id.
+    Object(ObjectRange, String),
 }
 
 /// A part in the making. Dropped before it is [committed](Self::commit), it leaves nothing but what it wrote to the
@@ -88,18 +117,30 @@ impl<'a> PartFile<'a> {
 
     /// Says in the part's own file, which is called `path`, that it is done.
     pub(super) fn commit(mut self, content: Content, path: &Path) -> Result<()> {
-        // First, so that no record speaks of bytes that are not on the disk.
-        let (place, tiles) = match &mut self.to {
-            Bytes::Own => (None, Vec::new()),
-            Bytes::Shared(file) => {
-                file.sync(false)?;
-                (Some(self.place), Vec::new())
-            }
-            Bytes::Tiles(files) => (None, files.written()),
-        };
-        let Content { key, pieces, hashed, folded } = content;
         let (bytes, checksum, summary) = (self.bytes, self.hash.digest128(), self.summary.encode());
-        let record = Record { key, pieces, place, bytes, checksum, tiles, summary, hashed, folded };
+        // First, so that no record speaks of bytes that are not on the disk, or in the store.
+        let (place, sent, kept) = match self.to {
+            Bytes::Own => (None, None, None),
+            Bytes::Shared(mut file) => {
+                file.sync(false)?;
+                (Some(self.place), None, None)
+            }
+            Bytes::Tiles(files) => (None, None, Some(files)),
+            Bytes::Object(range, id) => {
+                let SentRange { before, tags, behind } = range.finish()?;
+                let mut hash = Xxh3Default::new();
+                for edge in [&before, &behind] {
+                    hash.update(edge);
+                    self.own.write_all(edge).map_err(|e| Error::io("write", path, &e))?;
+                }
+                let (before, behind) = (before.len() as u64, behind.len() as u64);
+                let checksum = hash.digest128();
+                (Some(self.place), Some(Sent { id, before, behind, checksum, tags }), None)
+            }
+        };
+        let tiles = kept.as_ref().map(SharedFiles::written).unwrap_or_default();
+        let Content { key, pieces, hashed, folded } = content;
+        let record = Record { key, pieces, place, sent, bytes, checksum, tiles, summary, hashed, folded };
         let sealed = seal(LETTERS, VERSION, &record).map_err(|e| {
             Error::internal(format!("cannot write {}: {e}", path.display()), "report this").because(e)
         })?;
@@ -107,7 +148,7 @@ impl<'a> PartFile<'a> {
         let written = self.own.write_all(&sealed).and_then(|()| self.own.write_all(&length));
         written.map_err(|e| Error::io("write", path, &e))?;
         self.own.commit()?;
-        if let Bytes::Tiles(files) = self.to {
+        if let Some(files) = kept {
             files.keep();
         }
         Ok(())
@@ -119,6 +160,10 @@ impl Output for PartFile<'_> {
         self.place = at;
         match &mut self.to {
             Bytes::Shared(file) => file.begin_at(at),
+            Bytes::Object(range, _) => {
+                range.begin_at(at);
+                Ok(())
+            }
             Bytes::Own | Bytes::Tiles(_) => Ok(()),
         }
     }
@@ -126,7 +171,7 @@ impl Output for PartFile<'_> {
     fn begin_file(&mut self, number: usize) -> io::Result<()> {
         match &mut self.to {
             Bytes::Tiles(files) => files.begin_file(number),
-            Bytes::Own | Bytes::Shared(_) => Err(io::Error::other("the part is of a model in one file")),
+            _ => Err(io::Error::other("the part is of a model in one file")),
         }
     }
 
@@ -134,6 +179,7 @@ impl Output for PartFile<'_> {
         match &mut self.to {
             Bytes::Own => self.own.write_all(bytes)?,
             Bytes::Shared(file) => file.write_piece(bytes, source_bytes, summary)?,
+            Bytes::Object(range, _) => range.write(bytes).map_err(io::Error::other)?,
             Bytes::Tiles(files) => return files.write_piece(bytes, source_bytes, summary),
         }
         self.hash.update(bytes);
@@ -145,16 +191,14 @@ impl Output for PartFile<'_> {
     fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
         match &mut self.to {
             Bytes::Tiles(files) => files.patch(at, bytes),
-            Bytes::Own | Bytes::Shared(_) => {
-                Err(io::Error::new(io::ErrorKind::Unsupported, "nothing is replaced in a part"))
-            }
+            _ => Err(io::Error::new(io::ErrorKind::Unsupported, "nothing is replaced in a part")),
         }
     }
 
     fn finish(&mut self) -> io::Result<()> {
         match &mut self.to {
             Bytes::Tiles(files) => files.finish(),
-            Bytes::Own | Bytes::Shared(_) => Ok(()),
+            _ => Ok(()),
         }
     }
 }
@@ -189,34 +233,32 @@ pub(super) fn open(path: &Path) -> Result<(File, Record)> {
         return Err(damaged(UNKNOWN_VERSION));
     }
     let record: Record = postcard::from_bytes(content).map_err(|_| damaged("its record makes no sense"))?;
-    let own = if record.place.is_some() { 0 } else { record.bytes };
-    if own != start || record.pieces.start > record.pieces.end {
+    if record.own() != start || record.pieces.start > record.pieces.end {
         return Err(damaged("its record makes no sense"));
     }
     file.seek(SeekFrom::Start(0)).map_err(failed)?;
     Ok((file, record))
 }
 
-/// Appends the bytes of a part, and checks them.
+/// Hands on so many bytes, and looks whether they have their checksum.
 pub(super) fn copy(
-    mut part: File,
-    record: &Record,
+    mut from: impl Read,
+    (mut left, checksum): (u64, u128),
     path: &Path,
-    to: &mut impl Write,
+    to: &mut dyn FnMut(&[u8]) -> Result<()>,
     progress: &dyn Progress,
 ) -> Result<()> {
-    let (mut left, mut hash, mut block) = (record.bytes, Xxh3Default::new(), vec![0; BLOCK]);
+    let (mut hash, mut block) = (Xxh3Default::new(), vec![0; BLOCK]);
     while left > 0 {
         progress.check()?;
         let some = &mut block[..left.min(BLOCK as u64) as usize];
-        part.read_exact(some).map_err(|e| Error::io("read", path, &e))?;
+        from.read_exact(some).map_err(|e| Error::io("read", path, &e))?;
         hash.update(some);
-        to.write_all(some)
-            .map_err(|e| e.downcast::<Error>().unwrap_or_else(|e| Error::io("write", path, &e)))?;
+        to(some)?;
         left -= some.len() as u64;
         progress.advance(some.len() as u64);
     }
-    if hash.digest128() != record.checksum {
+    if hash.digest128() != checksum {
         return Err(refused(path, "is damaged: its checksum is wrong"));
     }
     Ok(())

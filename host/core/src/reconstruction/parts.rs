@@ -2,18 +2,21 @@
 //! often as one likes; and the whole of them, the same bytes as [`reconstruct`](super::reconstruct) writes.
 //!
 //! Where it is known beforehand where the bytes of each part go, they go there at once, into a file that all parts
-//! share, and that becomes the output in the end; tiles go to a folder that parts share. Otherwise each part has them in a
-//! [file of its own](super::part_file), and they are copied. Behind them stands a record: what they are of, their
-//! checksum, what other places of the file have to know of them, and what the vertices that were read add to the model's
-//! hash.
+//! share, and that becomes the output in the end; or into an object, by one upload of all; tiles go to a folder that parts
+//! share. Otherwise each part has them in a [file of its own](super::part_file), and they are copied. Behind them stands a
+//! record: what they are of, their checksum, what other places of the file have to know of them, and what the vertices
+//! that were read add to the model's hash.
 
 use std::fs::{self, File};
-use std::io::{self, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use glam::{DVec3, Vec3};
+use simod_model::object::{self, Object, is_object};
+use simod_model::object_output::{ObjectOutput, part_bytes};
+use simod_model::object_range::ObjectRange;
 use simod_model::output::OutputFile;
 use simod_model::shared::{SharedFile, reaches};
 use simod_model::shared_folder::{SharedFiles, become_output, settle};
@@ -30,6 +33,45 @@ use super::{Folding, Reconstructed, Reconstruction, RestGeometry, Version};
 use crate::fingerprint::{Blocks, HashedPart};
 use crate::sampled_model::SampledModel;
 
+/// What parts share.
+#[derive(Debug, Clone, Copy)]
+pub enum Shared<'a> {
+    /// A file, or a folder for tiles.
+    File(&'a Path),
+    /// The output, which is an object, by an upload of this id.
+    Object(&'a Path, &'a str),
+}
+
+impl Shared<'_> {
+    /// Whether it has what a record of a model speaks of.
+    fn has(&self, record: &Record, model: &dyn Model) -> bool {
+        match (self, &record.sent, record.place) {
+            (Self::Object(_, id), Some(sent), _) => sent.id == *id,
+            (Self::File(path), None, Some(place)) => reaches(path, place + record.bytes),
+            (Self::File(path), None, None) => lost_tile(record, model, path).is_none(),
+            (Self::Object(..), None, None) => true,
+            _ => false,
+        }
+    }
+}
+
+/// Begins the object that parts are to share; the upload's id. Whoever begins it, has it completed by
+/// [`join_parts`], or [aborts](abort_object) it.
+///
+/// # Errors
+/// The store cannot be reached, refuses, or takes no parts.
+pub fn begin_object(path: &Path) -> Result<String> {
+    Ok(object::begin(path)?.leave())
+}
+
+/// Leaves nothing of such an object.
+///
+/// # Errors
+/// The store cannot be reached.
+pub fn abort_object(path: &Path, id: &str) -> Result<()> {
+    object::go_on(path, id)?.upload().abort()
+}
+
 /// Which part of a model is written, and where.
 #[derive(Debug, Clone)]
 pub struct Part<'a> {
@@ -38,8 +80,8 @@ pub struct Part<'a> {
     pub pieces: Range<u64>,
     /// The part's own file, which appears whole or not at all, and tells that it is done.
     pub own: &'a Path,
-    /// The file that all parts share, or the folder for tiles.
-    pub shared: &'a Path,
+    /// What all parts share.
+    pub shared: Shared<'a>,
 }
 
 /// Writes a part. Of `how`, `resume`, `part_bytes` and `binding` are not looked at. Nothing is done if the part is
@@ -64,8 +106,7 @@ pub fn write_part(
     if let Ok((_, there)) = open(own)
         && there.key == key
         && there.pieces == *pieces
-        && there.place.is_none_or(|place| reaches(shared, place + there.bytes))
-        && lost_tile(&there, model, shared).is_none()
+        && shared.has(&there, model)
     {
         return Ok(false);
     }
@@ -74,12 +115,17 @@ pub fn write_part(
     let own_file = OutputFile::create(own, bytes_of(model.written_bytes()))?;
     // What is there speaks of bytes that are written over from here on; if there is nothing, so much the better.
     let _ = fs::remove_file(own);
-    let to = if !model.tiles().is_empty() {
-        Bytes::Tiles(SharedFiles::new(shared, model.tiles()))
-    } else if model.division(how.normals).is_some_and(|division| division.in_place) {
-        Bytes::Shared(SharedFile::open(shared)?)
-    } else {
-        Bytes::Own
+    let in_place = model.division(how.normals).is_some_and(|division| division.in_place);
+    let to = match shared {
+        Shared::File(folder) if !model.tiles().is_empty() => {
+            Bytes::Tiles(SharedFiles::new(folder, model.tiles()))
+        }
+        _ if !in_place => Bytes::Own,
+        Shared::File(path) => Bytes::Shared(SharedFile::open(path)?),
+        Shared::Object(path, id) => {
+            let range = ObjectRange::open(path, id, part_bytes(model.written_bytes()))?;
+            Bytes::Object(range, (*id).to_owned())
+        }
     };
     let mut part = PartFile::new(own_file, to);
 
@@ -131,9 +177,10 @@ fn lost_tile(record: &Record, model: &dyn Model, shared: &Path) -> Option<PathBu
 }
 
 /// Puts parts together, which are of all pieces that can be written by themselves from the first with vertices on, in
-/// their order: the whole model, which appears at once. `shared` is the file that they share.
+/// their order: the whole model, which appears at once. `shared` is what they share.
 ///
-/// Memory: 4 MiB, and the record of a part: see [`write_part`]; of tiles, 32 bytes and a name for each.
+/// Memory: 4 MiB, and the record of a part: see [`write_part`]; of tiles, 32 bytes and a name for each; of an object, as
+/// of [`ObjectOutput`].
 ///
 /// # Errors
 /// A part is missing, damaged, or of other samples, options or pieces; the model is not what was sampled; the
@@ -143,7 +190,7 @@ pub fn join_parts(
     model: &dyn Model,
     version: &Version<'_>,
     how: &Reconstruction<'_>,
-    (parts, shared): (&[impl AsRef<Path>], &Path),
+    (parts, shared): (&[impl AsRef<Path>], Shared<'_>),
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
     let Some(Division { pieces, vertices, in_place }) = model.division(how.normals) else {
@@ -160,44 +207,58 @@ pub fn join_parts(
     let behind = PieceRange { first: pieces, end: None };
     let paths: Vec<&Path> = parts.iter().map(AsRef::as_ref).collect();
     let key = key(sampled, model, how, version.deformed)?;
-    let joining = Joining { key, next: vertices.start, end: pieces, output: version.output };
-    let folding = if !model.tiles().is_empty() {
-        checked_targets(model, std::slice::from_ref(version), how)?;
-        join_tiles(joining, &paths, sampled, model, shared, progress)?
-    } else if in_place {
-        checked_targets(model, std::slice::from_ref(version), how)?;
-        let found = joining.check(&paths, sampled, model, |_, _, _| Ok(()))?;
-        if !shared.exists() {
-            // Killed when the output was in its place, and nobody had been told so.
-            is_there(version.output, &paths, progress)?;
-            return Ok(done(sampled, model, found.folding));
+    let joining = Joining { key, first: vertices.start, end: pieces, output: version.output };
+    let folding = match shared {
+        Shared::File(folder) if !model.tiles().is_empty() => {
+            checked_targets(model, std::slice::from_ref(version), how)?;
+            join_tiles(&joining, &paths, sampled, model, folder, progress)?
         }
-        progress.begin("putting the parts together", 0);
-        let mut file = SharedFile::open(shared)?;
-        rewrite(before, &mut file)?;
-        // Nothing of the parts is written here: how far they reach is in their records.
-        let end = found.end.max(file.position());
-        if !reaches(shared, end) {
-            return Err(refused(shared, "is cut off: remove all parts"));
+        Shared::File(shared) if in_place => {
+            checked_targets(model, std::slice::from_ref(version), how)?;
+            let found = joining.check(&paths, sampled, model, |_, _, _| Ok(()))?;
+            if !shared.exists() {
+                // Killed when the output was in its place, and nobody had been told so.
+                is_there(version.output, &paths, progress)?;
+                return Ok(done(sampled, model, found.folding));
+            }
+            progress.begin("putting the parts together", 0);
+            let mut file = SharedFile::open(shared)?;
+            rewrite(before, &mut file)?;
+            // Nothing of the parts is written here: how far they reach is in their records.
+            let end = found.end.max(file.position());
+            if !reaches(shared, end) {
+                return Err(refused(shared, "is cut off: remove all parts"));
+            }
+            rewrite(behind, &mut Rest { to: &mut file, before: &found.summary })?;
+            file.sync(true)?;
+            progress.check()?;
+            file.become_output(version.output)?;
+            found.folding
         }
-        let mut rest = Rest { to: file, before: found.summary };
-        rewrite(behind, &mut rest)?;
-        rest.to.sync(true)?;
-        progress.check()?;
-        rest.to.become_output(version.output)?;
-        found.folding
-    } else {
-        check_targets(model, std::slice::from_ref(version), how)?;
-        let mut file = OutputFile::create(version.output, model.written_bytes())?;
-        progress.begin("putting the parts together", model.written_bytes());
-        rewrite(before, &mut file)?;
-        let copy = |path: &Path, part, record: &Record| copy(part, record, path, &mut file, progress);
-        let found = joining.check(&paths, sampled, model, copy)?;
-        let mut rest = Rest { to: file.replaceable(), before: found.summary };
-        rewrite(behind, &mut rest)?;
-        progress.check()?;
-        file.commit()?;
-        found.folding
+        _ => {
+            check_targets(model, std::slice::from_ref(version), how)?;
+            let sent = if let (Shared::Object(_, id), true) = (shared, in_place) { Some(id) } else { None };
+            let join = || -> Result<Found> {
+                let mut whole = Joined::create(version.output, sent, model.written_bytes())?;
+                progress.begin("putting the parts together", model.written_bytes());
+                rewrite(before, &mut whole)?;
+                let take = |path: &Path, part, record: &Record| whole.take(path, part, record, progress);
+                let found = joining.check(&paths, sampled, model, take)?;
+                rewrite(behind, &mut Rest { to: &mut whole, before: &found.summary })?;
+                progress.check()?;
+                whole.commit()?;
+                Ok(found)
+            };
+            let found = match join() {
+                // The upload may be over as the output is in its place, and nobody had been told so.
+                Err(e) if sent.is_some() && e.kind() == ErrorKind::Io => {
+                    is_there(version.output, &paths, progress).map_err(|_| e)?;
+                    joining.check(&paths, sampled, model, |_, _, _| Ok(()))?
+                }
+                joined => joined?,
+            };
+            found.folding
+        }
     };
     Ok(done(sampled, model, folding))
 }
@@ -215,7 +276,7 @@ fn done(sampled: &SampledModel, model: &dyn Model, folding: Option<Folding>) -> 
 
 /// Puts the folder of all tiles in its place.
 fn join_tiles(
-    joining: Joining<'_>,
+    joining: &Joining<'_>,
     paths: &[&Path],
     sampled: &SampledModel,
     model: &dyn Model,
@@ -244,11 +305,103 @@ fn join_tiles(
     Ok(found.folding)
 }
 
+/// The whole that parts are put together to, where they are not in their places in a file.
+struct Joined {
+    to: Whole,
+    /// The upload by which parts have sent what of them they could, if they have.
+    sent: Option<String>,
+}
+
+enum Whole {
+    File(OutputFile),
+    Object(Box<ObjectOutput>),
+}
+
+impl Joined {
+    fn create(output: &Path, sent: Option<&str>, bytes: u64) -> Result<Self> {
+        let to = match sent {
+            Some(id) => Whole::Object(Box::new(ObjectOutput::go_on(output, id, bytes)?)),
+            None if is_object(output) => Whole::Object(Box::new(ObjectOutput::begin(output, bytes)?)),
+            None => Whole::File(OutputFile::create(output, bytes)?),
+        };
+        Ok(Self { to, sent: sent.map(str::to_owned) })
+    }
+
+    /// Appends the bytes of a part, which has them or has sent them.
+    fn take(&mut self, path: &Path, part: File, record: &Record, progress: &dyn Progress) -> Result<()> {
+        match (&mut self.to, &record.sent) {
+            (to, None) if record.place.is_none() && self.sent.is_none() => {
+                let bytes = (record.bytes, record.checksum);
+                match to {
+                    Whole::File(file) => copy(part, bytes, path, &mut |some| written(file, some), progress),
+                    Whole::Object(object) => {
+                        copy(part, bytes, path, &mut |some| object.write(some), progress)
+                    }
+                }
+            }
+            (Whole::Object(object), Some(sent))
+                if self.sent.as_ref() == Some(&sent.id) && record.place == Some(object.position()) =>
+            {
+                // At most as long as two parts of the object.
+                let mut edges = Vec::new();
+                let keep = &mut |some: &[u8]| {
+                    edges.extend_from_slice(some);
+                    Ok(())
+                };
+                copy(part, (record.own(), sent.checksum), path, keep, progress)?;
+                let (before, behind) = edges.split_at(sent.before as usize);
+                object.write(before)?;
+                sent.tags.iter().try_for_each(|tag| object.pass(tag.clone()))?;
+                object.write(behind)
+            }
+            _ => Err(refused(path, "has its bytes in another place")),
+        }
+    }
+
+    fn commit(self) -> Result<()> {
+        match self.to {
+            Whole::File(file) => file.commit(),
+            Whole::Object(mut object) => {
+                object.complete()?;
+                object.commit().map(|_| ())
+            }
+        }
+    }
+}
+
+impl Output for Joined {
+    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
+        match &mut self.to {
+            Whole::File(file) => file.replaceable().write_piece(bytes, source_bytes, summary),
+            Whole::Object(object) => object.write_piece(bytes, source_bytes, summary),
+        }
+    }
+
+    fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        match &mut self.to {
+            Whole::File(file) => file.replaceable().patch(at, bytes),
+            Whole::Object(object) => object.patch(at, bytes),
+        }
+    }
+
+    fn finish(&mut self) -> io::Result<()> {
+        match &mut self.to {
+            Whole::File(file) => file.replaceable().finish(),
+            Whole::Object(object) => object.finish(),
+        }
+    }
+}
+
+fn written(file: &mut OutputFile, bytes: &[u8]) -> Result<()> {
+    file.write_all(bytes)
+        .map_err(|e| e.downcast::<Error>().unwrap_or_else(|e| Error::internal(e.to_string(), "report this")))
+}
+
 /// What parts have to be.
 struct Joining<'a> {
     key: String,
-    /// The pieces that they are of.
-    next: u64,
+    /// The first of the pieces that they are of, and the one behind the last.
+    first: u64,
     end: u64,
     output: &'a Path,
 }
@@ -264,13 +417,13 @@ struct Found {
 impl Joining<'_> {
     /// Takes the parts in their order, and what they say together.
     fn check(
-        mut self,
+        &self,
         paths: &[&Path],
         sampled: &SampledModel,
         model: &dyn Model,
         mut take: impl FnMut(&Path, File, &Record) -> Result<()>,
     ) -> Result<Found> {
-        let mut hash = Blocks::default();
+        let (mut hash, mut next) = (Blocks::default(), self.first);
         let mut found = Found { summary: Summary::default(), folding: None, end: 0 };
         for path in paths {
             let (part, record) = open(path)?;
@@ -278,10 +431,10 @@ impl Joining<'_> {
             if record.key != self.key {
                 return Err(refused("is of another model, other samples or other options"));
             }
-            if record.pieces.start != self.next || record.place.is_some_and(|place| place < found.end) {
+            if record.pieces.start != next || record.place.is_some_and(|place| place < found.end) {
                 return Err(refused("is not the part that comes next"));
             }
-            self.next = record.pieces.end;
+            next = record.pieces.end;
             found.end = record.place.map_or(0, |place| place + record.bytes);
             take(path, part, &record)?;
             let of_part = record.summary.as_deref().map_or(Some(Summary::default()), Summary::decode);
@@ -293,7 +446,7 @@ impl Joining<'_> {
             let first = first.map(DVec3::from_array);
             found.folding.get_or_insert(Folding { samples, first, vertices: None });
         }
-        if self.next != self.end {
+        if next != self.end {
             return Err(Error::new(
                 ErrorKind::Argument,
                 format!("parts of {} are missing", self.output.display()),
@@ -309,30 +462,53 @@ impl Joining<'_> {
 
 /// An error unless a file has the bytes of all parts in their places.
 fn is_there(output: &Path, parts: &[&Path], progress: &dyn Progress) -> Result<()> {
-    let gone = |_| {
+    let gone = || {
         Error::new(
             ErrorKind::Mismatch,
             format!("the bytes of the parts of {} are gone", output.display()),
             "remove the parts, and write all of them again",
         )
     };
+    let object = is_object(output).then(|| object::open(output)).transpose()?;
     for path in parts {
         let record = open(path)?.1;
-        let mut file = input::open(output).map_err(gone)?;
-        let place = SeekFrom::Start(record.place.unwrap_or_default());
-        file.seek(place).map_err(|e| Error::io("read", output, &e))?;
-        copy(file, &record, output, &mut io::sink(), progress).map_err(gone)?;
+        let (at, bytes) = (record.place.unwrap_or_default(), (record.bytes, record.checksum));
+        let nowhere = &mut |_: &[u8]| Ok(());
+        let read = match &object {
+            Some(object) => copy(Reading { object, at }, bytes, output, nowhere, progress),
+            None => {
+                let mut file = input::open(output).map_err(|_| gone())?;
+                file.seek(SeekFrom::Start(at)).map_err(|e| Error::io("read", output, &e))?;
+                copy(file, bytes, output, nowhere, progress)
+            }
+        };
+        read.map_err(|_| gone())?;
     }
     Ok(())
 }
 
-/// What comes behind the parts, which have told so much of themselves.
-struct Rest<O> {
-    to: O,
-    before: Summary,
+/// An object from some place on.
+struct Reading<'a> {
+    object: &'a Arc<dyn Object>,
+    at: u64,
 }
 
-impl<O: Output> Output for Rest<O> {
+impl Read for Reading<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.object.bytes().saturating_sub(self.at).min(buffer.len() as u64) as usize;
+        self.object.read_at(&mut buffer[..count], self.at).map_err(io::Error::other)?;
+        self.at += count as u64;
+        Ok(count)
+    }
+}
+
+/// What comes behind the parts, which have told so much of themselves.
+struct Rest<'a> {
+    to: &'a mut dyn Output,
+    before: &'a Summary,
+}
+
+impl Output for Rest<'_> {
     fn begin_at(&mut self, at: u64) -> io::Result<()> {
         self.to.begin_at(at)
     }

@@ -9,6 +9,7 @@ use std::time::UNIX_EPOCH;
 
 use glam::{DVec3, Mat3, Vec3};
 use simod_model::input::Identity;
+use simod_model::object::{self, is_object};
 use simod_model::output::check_space;
 use simod_model::resumable_output::{FinishedOutput, OpenedOutput, Place, ResumableOutput};
 use simod_model::target::{canonical_target, folder_of};
@@ -438,7 +439,12 @@ pub(super) fn key(
         let time = std::fs::metadata(path).and_then(|meta| meta.modified()).ok()?;
         time.duration_since(UNIX_EPOCH).ok()
     };
-    let changed: Vec<_> = [model.path()].into_iter().chain(model.other_files()).map(changed).collect();
+    let files = || [model.path()].into_iter().chain(model.other_files());
+    let changed: Vec<_> = files().map(changed).collect();
+    // Of tiles, the first of these is no file, but a pattern.
+    let objects = files().skip(usize::from(!model.tiles().is_empty())).filter(|path| is_object(path));
+    let objects =
+        objects.map(|path| Ok(object::open(path)?.version().to_owned())).collect::<Result<Vec<_>>>()?;
     let method = match how.method {
         Method::ProjectedBarycentric => 0u8,
         Method::BlendedJets => 1,
@@ -463,7 +469,14 @@ pub(super) fn key(
     let following = following.as_ref().map(|text| text.as_bytes());
     let known: Option<&[u8]> = how.gradients.map(bytemuck::cast_slice);
     let mut hash = Xxh3Default::new();
-    for bytes in [&small[..]].into_iter().chain(points).chain(contacts).chain(following).chain(known) {
+    for bytes in [&small[..]]
+        .into_iter()
+        .chain(points)
+        .chain(contacts)
+        .chain(following)
+        .chain(known)
+        .chain(objects.iter().map(String::as_bytes))
+    {
         hash.update(&(bytes.len() as u64).to_le_bytes());
         hash.update(bytes);
     }

@@ -26,10 +26,12 @@ use crate::formats::extension;
 use crate::las::LasModel;
 use crate::las::form::LasForm;
 use crate::las::same_records::SameRecords;
+use crate::object::is_object;
+use crate::object_output::ObjectOutput;
 use crate::output::OutputFile;
 use crate::polygons::{Counted, Joining, MOST_CORNERS, Polygons};
 use crate::source::Source;
-use crate::target::folder_of;
+use crate::target::scratch_folder;
 use crate::{
     Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
     Rewriting, Scalar, VertexChunk, VertexReader, for_faces, pipeline,
@@ -104,7 +106,7 @@ impl Converted {
             extension,
             how,
             faces,
-            folder: folder_of(target).to_owned(),
+            folder: scratch_folder(target),
             keeps_records,
             losses: Vec::new(),
             bytes: 0,
@@ -151,19 +153,29 @@ impl Converted {
         self.faces.triangles
     }
 
-    /// Writes the model as it is; the file appears whole or not at all.
+    /// Writes the model as it is; the file, or object, appears whole or not at all.
     ///
     /// # Errors
     /// The model cannot be read; a position does not fit; the file cannot be written; the user cancelled.
     pub fn write(&self, target: &Path, progress: &dyn Progress) -> Result<()> {
+        if is_object(target) {
+            let mut object = ObjectOutput::begin(target, self.bytes)?;
+            self.write_to(&mut object, progress)?;
+            object.complete()?;
+            return object.commit().map(drop);
+        }
         let mut file = OutputFile::create(target, self.bytes)?;
+        self.write_to(&mut file.replaceable(), progress)?;
+        file.commit()
+    }
+
+    fn write_to(&self, output: &mut dyn Output, progress: &dyn Progress) -> Result<()> {
         progress.begin("converting", self.info.vertex_bytes + self.info.face_bytes);
         let normals = if self.how.drops_normals { Normals::Drop } else { Normals::Keep };
         let keep = |_: &VertexChunk, _: &mut [Edited]| Ok(());
         let how = Rewriting { normals, ..Rewriting::default() };
-        self.rewrite(&mut [&mut file.replaceable()], how, &keep, progress)?;
-        progress.check()?;
-        file.commit()
+        self.rewrite(&mut [output], how, &keep, progress)?;
+        progress.check()
     }
 
     fn form(&self, drops_normals: bool, losses: &mut Vec<String>) -> Result<Box<dyn Form + '_>> {

@@ -38,6 +38,13 @@ pub(super) const SHARED: &str = "output.bin";
 /// The same of tiles: their folder.
 pub(super) const SHARED_TILES: &str = "output.tiles";
 
+/// The id of the upload that all send their parts by, where the output is an object and it is known beforehand where each
+/// part goes.
+pub(super) const UPLOAD: &str = "upload.txt";
+
+/// No id of an upload is longer.
+pub(super) const LONGEST_ID: u64 = 1 << 16;
+
 /// The deformation's gradients at the samples, where anything turns by them.
 pub(super) const GRADIENTS: &str = "gradients.bin";
 

@@ -5,18 +5,21 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use simod_core::reconstruction::Method;
+use simod_core::reconstruction::{Method, abort_object};
 use simod_core::sampling::divided::{exchanged_at_most, ranges_of, undivided};
 use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
+use simod_model::object::is_object;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_folder, canonical_target, folder_of};
-use simod_model::{Cache, Division, Error, ErrorKind, Model, ModelName, Normals, Progress, Result, output};
+use simod_model::{
+    Cache, Division, Error, ErrorKind, Model, ModelName, Normals, Progress, Result, input, output,
+};
 
 use super::emit::{Emit, emit};
 use super::graph::{
-    COUNTS, DEFORMED, Exchange, FINISHED, FORMAT, GRADIENTS, METHODS, NORMALS, PLAN, Plan, REFINED, Recorded,
-    SAMPLED, SHARED, SHARED_TILES, Stage, Unit, hash_of, name_of,
+    COUNTS, DEFORMED, Exchange, FINISHED, FORMAT, GRADIENTS, LONGEST_ID, METHODS, NORMALS, PLAN, Plan,
+    REFINED, Recorded, SAMPLED, SHARED, SHARED_TILES, Stage, UPLOAD, Unit, hash_of, name_of,
 };
 use crate::pipeline::{converted, needed, open, sampling_of};
 use crate::plugins::PluginRegistry;
@@ -121,8 +124,20 @@ pub fn make(
         output::write_file(&new.path().join(name), script.as_bytes()).map_err(named)?;
     }
     check_target(folder)?;
+    let before = upload(folder);
     new.commit()?;
+    if let Some((output, id)) = before
+        && let Err(e) = abort_object(&output, &id)
+    {
+        progress.note(&format!("what the former plan has sent of {} stays: {e}", output.display()));
+    }
     Ok(plan)
+}
+
+/// The object that units of the plan in a folder have begun, and its upload.
+fn upload(folder: &Path) -> Option<(PathBuf, String)> {
+    let id = input::read_text(&folder.join(UPLOAD), LONGEST_ID).ok()?;
+    Some((Plan::load(folder).ok()?.output, id))
 }
 
 /// What of the samples is left out.
@@ -288,7 +303,7 @@ fn check_target(folder: &Path) -> Result<()> {
 
 /// Whether a file in a plan's folder is of the plan, its units or its engines.
 fn is_own(name: &str) -> bool {
-    let fixed = [PLAN, FINISHED, COUNTS, SAMPLED, REFINED, DEFORMED, SHARED, SHARED_TILES, GRADIENTS];
+    let fixed = [PLAN, FINISHED, COUNTS, SAMPLED, REFINED, DEFORMED, SHARED, SHARED_TILES, UPLOAD, GRADIENTS];
     let is_numbered = |(before, behind)| name.starts_with(before) && name.ends_with(behind);
     fixed.contains(&name)
         || Emit::FILES.contains(&name)
@@ -300,6 +315,9 @@ fn is_own(name: &str) -> bool {
 
 /// A path that does not depend on where a unit is done.
 fn absolute(path: &Path) -> Result<PathBuf> {
+    if is_object(path) {
+        return text(path.to_owned());
+    }
     text(path.canonicalize().map_err(|e| Error::io("read", path, &e))?)
 }
 

@@ -5,13 +5,15 @@ use std::sync::Arc;
 
 use glam::{Mat3, Vec3};
 use simod_core::reconstruction::{
-    Part, Reconstructed, Reconstruction, Version, choose_offset, join_parts, reconstruct, write_part,
+    Part, Reconstructed, Reconstruction, Shared, Version, abort_object, begin_object, choose_offset,
+    join_parts, reconstruct, write_part,
 };
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::divided::{
     Division, cluster, cluster_shared, merge_counts, sample_clustered, shared,
 };
 use simod_core::sampling::{Sampling, count, sample_counted};
+use simod_model::object::{self, is_object};
 use simod_model::resumable_output::Place;
 use simod_model::{
     Cache, Conversion, Converted, Error, ErrorKind, Model, Normals, Progress, Result, input,
@@ -19,7 +21,8 @@ use simod_model::{
 };
 
 use super::graph::{
-    COUNTS, DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES, Stage, Unit, hash_of,
+    COUNTS, DEFORMED, FINISHED, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES, Stage,
+    UPLOAD, Unit, hash_of,
 };
 use super::make::skipped;
 use crate::deformer::Message;
@@ -208,6 +211,7 @@ impl UnitRun<'_> {
             })?;
             output::write_file(&self.path(GRADIENTS), &sealed(bytes))?;
         }
+        self.begin_upload(&*model)?;
         // In the end, as it tells that all is there.
         sampled.write_deformed(&self.path(DEFORMED), &positions, &normals)?;
         Ok(Done { messages, ..Done::default() })
@@ -217,8 +221,8 @@ impl UnitRun<'_> {
         let edit = self.edit()?;
         let pieces = self.unit.pieces.clone().unwrap_or_default();
         let Edit { sampled, model, deformed, .. } = &edit;
-        let (own, shared) = (&*self.at_own(), &*self.output_in_the_making());
-        let part = Part { pieces, own, shared };
+        let (own, file, upload) = (&*self.at_own(), self.output_in_the_making(), self.upload()?);
+        let part = Part { pieces, own, shared: self.shared_by(&file, upload.as_deref()) };
         let did = write_part(sampled, &**model, deformed, &edit.how(), &part, self.progress)?;
         Ok(Done { was_done: !did, ..Done::default() })
     }
@@ -228,11 +232,39 @@ impl UnitRun<'_> {
         let Edit { sampled, model, deformed, .. } = &edit;
         let parts = self.plan.files_of(self.folder, Stage::Apply);
         let version = Version { deformed, output: &self.plan.output, diagnostics: None };
-        let files = (&parts[..], &*self.output_in_the_making());
+        let (file, upload) = (self.output_in_the_making(), self.upload()?);
+        let files = (&parts[..], self.shared_by(&file, upload.as_deref()));
         let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)?;
         self.finished(&**model)?;
         self.tidy(&parts);
         Ok(Done { written: Some(written), ..Done::default() })
+    }
+
+    /// Begins the upload that units will send their parts by, if they will.
+    fn begin_upload(&self, model: &dyn Model) -> Result<()> {
+        let (_, normals) = self.plan.recorded().map_err(|e| Error::internal(e, "report this"))?;
+        let is_divided = self.plan.units().iter().any(|unit| unit.stage == Stage::Apply);
+        let is_in_place = is_divided && model.division(normals).is_some_and(|division| division.in_place);
+        if is_in_place
+            && self.plan.tiles.is_empty()
+            && is_object(&self.plan.output)
+            && self.upload()?.is_none()
+        {
+            let id = begin_object(&self.plan.output)?;
+            output::write_file(&self.path(UPLOAD), id.as_bytes())
+                .inspect_err(|_| drop(abort_object(&self.plan.output, &id)))?;
+        }
+        Ok(())
+    }
+
+    fn upload(&self) -> Result<Option<String>> {
+        let path = self.path(UPLOAD);
+        if path.exists() { input::read_text(&path, LONGEST_ID).map(Some) } else { Ok(None) }
+    }
+
+    /// What parts share: the output itself, if it is an object.
+    fn shared_by<'b>(&'b self, file: &'b Path, upload: Option<&'b str>) -> Shared<'b> {
+        upload.map_or(Shared::File(file), |id| Shared::Object(&self.plan.output, id))
     }
 
     fn write(&self) -> Result<Done> {
@@ -345,13 +377,20 @@ impl UnitRun<'_> {
         let [ranges, groups] =
             [Stage::Cluster, Stage::ClusterShared].map(|stage| self.plan.files_of(self.folder, stage));
         let all = parts.iter().chain(&ranges).chain(&groups);
-        all.chain(&self.shared()).for_each(|file| drop(std::fs::remove_file(file)));
+        all.chain(&self.shared())
+            .chain([&self.path(UPLOAD)])
+            .for_each(|file| drop(std::fs::remove_file(file)));
     }
 
     /// Says in the plan's folder that the output is in its place.
     fn finished(&self, model: &dyn Model) -> Result<()> {
-        let files = Place::of(model, &self.plan.output).files();
-        let bytes: u64 = files.iter().map(|file| std::fs::metadata(file).map_or(0, |meta| meta.len())).sum();
+        let output = &self.plan.output;
+        let bytes = if is_object(output) {
+            object::open(output)?.bytes()
+        } else {
+            let files = Place::of(model, output).files();
+            files.iter().map(|file| std::fs::metadata(file).map_or(0, |meta| meta.len())).sum()
+        };
         let text = format!("output = {:?}\nbytes = {bytes}\n", self.plan.output.display().to_string());
         output::write_file(&self.path(FINISHED), text.as_bytes())
     }

@@ -1,0 +1,83 @@
+//! A range of an object that several processes write at the same time, each a range of its own. The object is divided into
+//! parts of one length. Those that lie wholly in a range are sent by its process; what a range has of others, at its two
+//! edges, is left to the one that puts all together.
+
+use std::path::Path;
+
+use crate::Result;
+use crate::object::{self, Begun};
+
+/// A range in the making.
+///
+/// Memory: two parts, and what is on its way: see [`ObjectOutput`](crate::object_output::ObjectOutput).
+pub struct ObjectRange {
+    begun: Begun,
+    part_bytes: u64,
+    /// Where the next byte goes.
+    at: u64,
+    /// What belongs to a part that begins before the range.
+    before: Vec<u8>,
+    /// The part that is being filled.
+    open: Vec<u8>,
+}
+
+/// What a range has become.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SentRange {
+    /// Its first bytes, of a part that begins before it.
+    pub before: Vec<u8>,
+    /// The tags of the parts that were sent, in a row.
+    pub tags: Vec<String>,
+    /// Its last bytes, of a part that ends behind it.
+    pub behind: Vec<u8>,
+}
+
+impl ObjectRange {
+    /// Goes on with an upload, whose parts have so many bytes, from its beginning on.
+    ///
+    /// # Errors
+    /// The store takes no parts.
+    pub fn open(path: &Path, id: &str, part_bytes: u64) -> Result<Self> {
+        let begun = object::go_on(path, id)?;
+        Ok(Self { begun, part_bytes, at: 0, before: Vec::new(), open: Vec::new() })
+    }
+
+    /// Says, before anything is written, where the range begins.
+    pub fn begin_at(&mut self, at: u64) {
+        self.at = at;
+    }
+
+    /// Appends bytes.
+    ///
+    /// # Errors
+    /// A part did not arrive.
+    pub fn write(&mut self, mut bytes: &[u8]) -> Result<()> {
+        while !bytes.is_empty() {
+            let room = self.part_bytes - self.at % self.part_bytes;
+            let (now, later) = bytes.split_at(bytes.len().min(room as usize));
+            // Whether this part begins before the range: nothing of it was there when it began.
+            let begins_before = self.open.is_empty() && !self.at.is_multiple_of(self.part_bytes);
+            if begins_before {
+                self.before.extend_from_slice(now)
+            } else {
+                self.open.extend_from_slice(now)
+            }
+            self.at += now.len() as u64;
+            bytes = later;
+            if self.open.len() as u64 == self.part_bytes {
+                let number = (self.at / self.part_bytes) as usize - 1;
+                self.begun.upload().send(number, std::mem::take(&mut self.open))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits until all that was sent has arrived.
+    ///
+    /// # Errors
+    /// A part did not arrive.
+    pub fn finish(mut self) -> Result<SentRange> {
+        let tags = self.begun.upload().sent()?.into_values().collect();
+        Ok(SentRange { before: self.before, tags, behind: self.open })
+    }
+}

@@ -1,0 +1,246 @@
+//! Blocks of objects, as they came from stores: one cache for all objects of the process. Where an object is read in order,
+//! the next blocks are on their way before they are asked for.
+//!
+//! Memory: at most [`AHEAD`] + 1 blocks of 4 MiB for each thread, and 8 more: 64 MiB with two threads, 288 MiB with 16.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::available_parallelism;
+
+use bytes::Bytes;
+use simod_model::Result;
+
+use crate::failure::Failure;
+use crate::runtime::runtime;
+use crate::version::Version;
+
+/// How many blocks behind one that is read in order are on their way.
+const AHEAD: u64 = 3;
+
+/// The blocks, and who waits for one.
+pub(crate) struct Blocks {
+    held: Mutex<Held>,
+    arrived: Condvar,
+}
+
+/// Those that are there or on their way, the last one that was used first.
+struct Held {
+    blocks: VecDeque<Block>,
+    most: usize,
+}
+
+struct Block {
+    of: Arc<Version>,
+    number: u64,
+    state: State,
+}
+
+enum State {
+    Coming,
+    There { bytes: Bytes, was_read: bool },
+    Failed(Failure),
+}
+
+impl Blocks {
+    /// The one cache. Each thread reads at one place at most.
+    pub fn of_process() -> &'static Self {
+        static BLOCKS: OnceLock<Blocks> = OnceLock::new();
+        BLOCKS.get_or_init(|| {
+            let threads = available_parallelism().map_or(1, usize::from);
+            Self::with_room_for(threads * (AHEAD as usize + 1) + 8)
+        })
+    }
+
+    fn with_room_for(most: usize) -> Self {
+        Self { held: Mutex::new(Held { blocks: VecDeque::new(), most }), arrived: Condvar::new() }
+    }
+
+    fn locked(&self) -> MutexGuard<'_, Held> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps a block that came by itself.
+    pub fn put(&self, of: &Arc<Version>, number: u64, bytes: Bytes) {
+        self.locked().insert(of, number, State::There { bytes, was_read: false });
+    }
+
+    /// A block, once it is there.
+    ///
+    /// # Errors
+    /// It cannot be brought, or the object has another version by now.
+    pub fn get(&'static self, of: &Arc<Version>, number: u64) -> Result<Bytes> {
+        let mut held = self.locked();
+        if held.is_new(of, number) {
+            let is_in_order = number.checked_sub(1).is_some_and(|before| held.find(of, before).is_some());
+            let last = if is_in_order { (number + AHEAD).min(of.blocks() - 1) } else { number };
+            for coming in number..=last {
+                self.begin(&mut held, of, coming)?;
+            }
+        }
+        loop {
+            match held.find(of, number) {
+                Some(at) => match &mut held.blocks[at].state {
+                    State::Coming => {
+                        held = self.arrived.wait(held).unwrap_or_else(PoisonError::into_inner);
+                    }
+                    State::There { bytes, was_read } => {
+                        *was_read = true;
+                        let bytes = bytes.clone();
+                        held.use_now(at);
+                        return Ok(bytes);
+                    }
+                    State::Failed(failure) => {
+                        let failure = failure.clone();
+                        held.blocks.remove(at);
+                        return Err(failure.into());
+                    }
+                },
+                // Gone since, as others needed the room.
+                None => self.begin(&mut held, of, number)?,
+            }
+        }
+    }
+
+    /// Has a block brought that is not here.
+    fn begin(&'static self, held: &mut Held, of: &Arc<Version>, number: u64) -> Result<()> {
+        if held.find(of, number).is_some() {
+            return Ok(());
+        }
+        held.insert(of, number, State::Coming);
+        let of = of.clone();
+        runtime()?.spawn(async move {
+            let state = match of.fetch(number).await {
+                Ok(bytes) => State::There { bytes, was_read: false },
+                Err(failure) => State::Failed(failure),
+            };
+            let mut held = self.locked();
+            if let Some(at) = held.find(&of, number) {
+                held.blocks[at].state = state;
+            }
+            drop(held);
+            self.arrived.notify_all();
+        });
+        Ok(())
+    }
+}
+
+impl Held {
+    fn find(&self, of: &Version, number: u64) -> Option<usize> {
+        let is_it = |block: &Block| {
+            block.number == number && block.of.name() == of.name() && block.of.tag() == of.tag()
+        };
+        self.blocks.iter().position(is_it)
+    }
+
+    /// Whether nobody has read a block, as far as is known.
+    fn is_new(&self, of: &Version, number: u64) -> bool {
+        let found = self.find(of, number).map(|at| &self.blocks[at].state);
+        !matches!(found, Some(State::There { was_read: true, .. }))
+    }
+
+    fn use_now(&mut self, at: usize) {
+        if let Some(block) = self.blocks.remove(at) {
+            self.blocks.push_front(block);
+        }
+    }
+
+    /// Adds a block, in the place of those that were used least.
+    fn insert(&mut self, of: &Arc<Version>, number: u64, state: State) {
+        while self.blocks.len() >= self.most {
+            // What is on its way is waited for.
+            let idle = self.blocks.iter().rposition(|block| !matches!(block.state, State::Coming));
+            let Some(idle) = idle else { break };
+            self.blocks.remove(idle);
+        }
+        self.blocks.push_front(Block { of: of.clone(), number, state });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::place::Place;
+    use crate::runtime::wait;
+    use crate::version::BLOCK;
+    use object_store::memory::InMemory;
+    use object_store::{ObjectStore, ObjectStoreExt, PutPayload};
+
+    /// An object of so many bytes, and the store that it is in.
+    fn object(bytes: usize) -> (Place, Vec<u8>) {
+        let store: Arc<dyn ObjectStore> = Arc::new(InMemory::new());
+        let place = Place { name: "s3://b/a".to_owned(), store, parts: None, path: "a".into() };
+        let content: Vec<u8> =
+            (0..bytes as u64).map(|i| (i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 56) as u8).collect();
+        put(&place, content.clone());
+        (place, content)
+    }
+
+    fn put(place: &Place, content: Vec<u8>) {
+        wait(place.store.put(&place.path, PutPayload::from(content))).unwrap().unwrap();
+    }
+
+    fn version(place: &Place) -> Arc<Version> {
+        let meta = wait(place.store.head(&place.path)).unwrap().unwrap();
+        Arc::new(Version::of(place.clone(), &meta))
+    }
+
+    #[test]
+    fn threads_read_anywhere_and_little_is_held() {
+        let (place, content) = object(10 * BLOCK as usize + 7);
+        let version = version(&place);
+        assert_eq!(version.blocks(), 11);
+        // Less than all, and more than two threads have on their way.
+        let blocks: &'static Blocks = Box::leak(Box::new(Blocks::with_room_for(10)));
+        std::thread::scope(|scope| {
+            for thread in 0..2u64 {
+                let (version, content) = (&version, &content);
+                scope.spawn(move || {
+                    for turn in 0..60 {
+                        // In order, with jumps.
+                        let number = (thread * 3 + turn + turn / 7 * 4) % 11;
+                        let start = (number * BLOCK) as usize;
+                        let block = blocks.get(version, number).unwrap();
+                        assert!(block[..] == content[start..content.len().min(start + BLOCK as usize)]);
+                        assert!(blocks.locked().blocks.len() <= 10);
+                    }
+                });
+            }
+        });
+    }
+
+    #[test]
+    fn the_next_blocks_are_on_their_way_where_reading_is_in_order() {
+        let (place, _) = object(9 * BLOCK as usize);
+        let version = version(&place);
+        let blocks: &'static Blocks = Box::leak(Box::new(Blocks::with_room_for(9)));
+        let numbers = || {
+            let mut numbers: Vec<u64> = blocks.locked().blocks.iter().map(|block| block.number).collect();
+            numbers.sort_unstable();
+            numbers
+        };
+        blocks.get(&version, 2).unwrap();
+        assert_eq!(numbers(), [2]);
+        blocks.get(&version, 3).unwrap();
+        assert_eq!(numbers(), [2, 3, 4, 5, 6]);
+        blocks.get(&version, 3).unwrap();
+        assert_eq!(numbers(), [2, 3, 4, 5, 6]);
+        blocks.get(&version, 4).unwrap();
+        assert_eq!(numbers(), [2, 3, 4, 5, 6, 7]);
+        blocks.get(&version, 0).unwrap();
+        assert_eq!(numbers(), [0, 2, 3, 4, 5, 6, 7]);
+    }
+
+    #[test]
+    fn another_version_of_an_object_is_not_read() {
+        let (place, mut content) = object(3 * BLOCK as usize);
+        let version = version(&place);
+        let blocks: &'static Blocks = Box::leak(Box::new(Blocks::with_room_for(4)));
+        blocks.get(&version, 1).unwrap();
+        content[0] ^= 1;
+        put(&place, content);
+        let error = blocks.get(&version, 0).unwrap_err().to_string();
+        assert_eq!(error, "s3://b/a changed while it was read");
+        // What came before is of the version that was opened.
+        blocks.get(&version, 1).unwrap();
+    }
+}

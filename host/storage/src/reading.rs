@@ -1,0 +1,75 @@
+//! An object that is read: always the version that was there when it was opened.
+
+use std::sync::Arc;
+
+use object_store::{Error as StoreError, GetOptions, GetRange};
+use simod_model::object::Object;
+use simod_model::{Error, Result};
+
+use crate::blocks::Blocks;
+use crate::failure::{Failure, is_beyond_end};
+use crate::place::Place;
+use crate::runtime::wait;
+use crate::version::{BLOCK, Version};
+
+/// An object that is open.
+#[derive(Debug)]
+pub(crate) struct StoredObject {
+    version: Arc<Version>,
+}
+
+impl StoredObject {
+    /// Opens it; `None` where there is none.
+    ///
+    /// # Errors
+    /// The store cannot be reached, or refuses.
+    pub fn open(place: Place) -> Result<Option<Self>> {
+        // As bytes, and not what is known of it, as a URL that was signed allows nothing else.
+        let first = GetOptions { range: Some(GetRange::Bounded(0..BLOCK)), ..GetOptions::default() };
+        let answer = wait(async {
+            let answer = place.store.get_opts(&place.path, first).await?;
+            Ok((answer.meta.clone(), answer.bytes().await))
+        })?;
+        let (meta, block) = match answer {
+            Ok(found) => found,
+            Err(StoreError::NotFound { .. }) => return Ok(None),
+            Err(e) if is_beyond_end(&e) => {
+                return Ok(Some(Self { version: Arc::new(Version::empty(place)) }));
+            }
+            Err(e) => return Err(Failure::new(&format!("cannot open {}", place.name), &e).into()),
+        };
+        let version = Arc::new(Version::of(place, &meta));
+        // It comes again if it did not come whole.
+        if let Ok(block) = block
+            && block.len() as u64 == BLOCK.min(version.bytes())
+        {
+            Blocks::of_process().put(&version, 0, block);
+        }
+        Ok(Some(Self { version }))
+    }
+}
+
+impl Object for StoredObject {
+    fn bytes(&self) -> u64 {
+        self.version.bytes()
+    }
+
+    fn version(&self) -> &str {
+        self.version.tag()
+    }
+
+    fn read_at(&self, mut buffer: &mut [u8], mut offset: u64) -> Result<()> {
+        while !buffer.is_empty() {
+            let block = Blocks::of_process().get(&self.version, offset / BLOCK)?;
+            let there = block.get((offset % BLOCK) as usize..).filter(|there| !there.is_empty());
+            let there = there.ok_or_else(|| {
+                Error::internal(format!("{} is read beyond its end", self.version.name()), "report this")
+            })?;
+            let count = there.len().min(buffer.len());
+            buffer[..count].copy_from_slice(&there[..count]);
+            buffer = &mut buffer[count..];
+            offset += count as u64;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,95 @@
+//! A version of an object: what tells it from others of its name, and its blocks, as they are brought.
+
+use bytes::Bytes;
+use object_store::{Error as StoreError, GetOptions, GetRange, ObjectMeta};
+
+use crate::failure::Failure;
+use crate::place::Place;
+
+/// Bytes of a block.
+pub(crate) const BLOCK: u64 = 4 << 20;
+
+/// How often a block is asked for whose bytes stop too early, where the library does not see to it itself.
+const TRIES: usize = 4;
+
+/// A version of an object, and how it is asked for.
+#[derive(Debug)]
+pub(crate) struct Version {
+    place: Place,
+    bytes: u64,
+    /// What tells it from others: its tag or, where the store gives none, when it was written.
+    tag: String,
+    /// What says so in a request.
+    only: GetOptions,
+}
+
+impl Version {
+    /// What a store says of an object.
+    pub fn of(place: Place, meta: &ObjectMeta) -> Self {
+        Self { place, bytes: meta.size, tag: tag_of(meta), only: only(meta) }
+    }
+
+    /// An object without bytes.
+    pub fn empty(place: Place) -> Self {
+        Self { place, bytes: 0, tag: "empty".to_owned(), only: GetOptions::default() }
+    }
+
+    /// Its length.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// What it is called.
+    pub fn name(&self) -> &str {
+        &self.place.name
+    }
+
+    /// What tells it from other versions of the same name.
+    pub fn tag(&self) -> &str {
+        &self.tag
+    }
+
+    /// How many blocks it has.
+    pub fn blocks(&self) -> u64 {
+        self.bytes.div_ceil(BLOCK)
+    }
+
+    /// Brings a block from the store.
+    pub async fn fetch(&self, number: u64) -> Result<Bytes, Failure> {
+        let range = number * BLOCK..self.bytes.min((number + 1) * BLOCK);
+        let length = range.end - range.start;
+        let wanted = GetOptions { range: Some(GetRange::Bounded(range)), ..self.only.clone() };
+        let what = format!("cannot read {}", self.name());
+        let mut failure = Failure::broken(&what);
+        for _ in 0..TRIES {
+            let answer = match self.place.store.get_opts(&self.place.path, wanted.clone()).await {
+                Ok(answer) => answer,
+                Err(StoreError::Precondition { .. }) => return Err(Failure::changed(self.name())),
+                Err(e) => return Err(Failure::new(&what, &e)),
+            };
+            // Not all stores look at what they are asked for.
+            if tag_of(&answer.meta) != self.tag || answer.meta.size != self.bytes {
+                return Err(Failure::changed(self.name()));
+            }
+            match answer.bytes().await {
+                Ok(bytes) if bytes.len() as u64 == length => return Ok(bytes),
+                Ok(_) => {}
+                Err(e) => failure = Failure::new(&what, &e),
+            }
+        }
+        Err(failure)
+    }
+}
+
+fn tag_of(meta: &ObjectMeta) -> String {
+    meta.e_tag.clone().unwrap_or_else(|| meta.last_modified.to_string())
+}
+
+/// What a request says so that no other version answers it.
+fn only(meta: &ObjectMeta) -> GetOptions {
+    // Weak ones never match.
+    let tag = meta.e_tag.clone().filter(|tag| !tag.starts_with("W/"));
+    let is_dated = tag.is_none() && meta.last_modified.timestamp() > 0;
+    let if_unmodified_since = is_dated.then_some(meta.last_modified);
+    GetOptions { if_match: tag, if_unmodified_since, ..GetOptions::default() }
+}

@@ -1,0 +1,29 @@
+#!/usr/bin/env bash
+# Builds the program with object storage, starts a server that speaks S3, and runs the tests against it, with what goes wrong
+# on networks in between. Needs python3 (3.11 or later) with venv; `cargo build --release` came before.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+env=$(mktemp -d)
+trap 'rm -rf "$env"' EXIT
+
+cargo build --release --locked --features object-storage
+cargo test --release --locked -p simod-storage -- --show-output
+
+python3 -m venv "$env/venv"
+python="$env/venv/bin/python"
+"$python" -m pip install --quiet --disable-pip-version-check -r host/storage/tests/requirements.txt
+
+# What other programs add to pytest is none of ours.
+export PYTEST_DISABLE_PLUGIN_AUTOLOAD=1
+export SIMOD="${CARGO_TARGET_DIR:-$PWD/target}/release/simod"
+status=0
+"$python" -m pytest -p no:cacheprovider -rs host/storage/tests | tee "$env/log" || status=$?
+
+# As cargo's tests have it, for the line over all.
+"$python" - "$env/log" <<'END'
+import re, sys
+last = open(sys.argv[1]).read().splitlines()[-1]
+count = lambda what: sum(int(n) for n in re.findall(rf"(\d+) (?:{what})", last))
+print(f"test result: storage. {count('passed')} passed; {count('failed|error')} failed; {count('skipped')} ignored")
+END
+exit "$status"
