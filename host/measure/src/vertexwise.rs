@@ -125,10 +125,10 @@ struct Pair {
     angles: Lanes,
 }
 
-/// Distances of the vertices of a block, of which the squares are added to the lanes.
-struct Distances<'a>([&'a Block; 2], f64, &'a mut Lanes);
+/// How far the vertices of a block are from each other; the squares are added to the lanes.
+struct Lengths<'a>([&'a Block; 2], f64, &'a mut Lanes);
 
-impl WithSimd for Distances<'_> {
+impl WithSimd for Lengths<'_> {
     type Output = [f64; BLOCK];
 
     #[inline(always)]
@@ -185,7 +185,7 @@ impl Pair {
         arch: Arch,
     ) {
         if blocks.iter().all(|block| block.has_positions) {
-            let distances = arch.dispatch(Distances(blocks, scale, &mut self.squares));
+            let distances = arch.dispatch(Lengths(blocks, scale, &mut self.squares));
             distances.iter().for_each(|distance| self.histogram.add(*distance));
             self.vertices += BLOCK as u64;
         } else {
