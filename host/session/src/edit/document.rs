@@ -1,5 +1,6 @@
 //! The steps of an edit as a user changes them: every change is a command, and can be undone.
 
+use super::entry::{Entry, StepId};
 use super::groups;
 use crate::motion::Motion;
 use crate::session_file::{
@@ -14,19 +15,6 @@ use std::sync::Arc;
 /// Changes that can be undone. Each holds the list of steps as it was, which shares all steps that did not
 /// change.
 const LONGEST_HISTORY: usize = 1000;
-
-/// Which step it is: the same after others were added, moved or removed, and after undo.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct StepId(u64);
-
-/// A step of a [`Document`].
-#[derive(Debug, Clone)]
-pub struct Entry {
-    /// Which one it is.
-    pub id: StepId,
-    /// What it does.
-    pub step: Arc<Step>,
-}
 
 /// One change of a document. Steps are known by their place, 0 for the first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -213,7 +201,7 @@ impl Document {
 
     fn entry(&mut self, step: Step) -> Entry {
         self.next += 1;
-        Entry { id: StepId(self.next), step: Arc::new(step) }
+        Entry { id: StepId::new(self.next), step: Arc::new(step) }
     }
 
     /// The steps, first to last. Two lists with the same pointer are the same.

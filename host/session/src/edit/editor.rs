@@ -1,6 +1,7 @@
 //! An edit as a user works on it: a model, the steps on it, and the files that keep them.
 
-use super::document::{Document, Entry};
+use super::document::Document;
+use super::entry::Entry;
 use super::evaluation::{Evaluation, Refinements};
 use crate::params::is_path;
 use crate::pipeline::sampled;

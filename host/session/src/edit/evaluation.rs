@@ -1,7 +1,7 @@
 //! The steps of an edit, done on a sampled model: each as far as it, or what comes before it, has changed.
 
 use super::around::Around;
-use super::document::{Entry, StepId};
+use super::entry::{Entry, StepId};
 use crate::deformer::{Message, OwnHandles};
 use crate::key::Key;
 use crate::plugins::PluginRegistry;

@@ -1,7 +1,7 @@
 //! Groups of steps: steps that follow each other and have the same word for it. Steps do the same in a group as out of
 //! it; a group is switched, moved and named as one.
 
-use super::document::Entry;
+use super::entry::Entry;
 use std::ops::Range;
 use std::sync::Arc;
 

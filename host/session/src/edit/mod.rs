@@ -4,14 +4,16 @@ mod around;
 mod clipboard;
 mod document;
 mod editor;
+mod entry;
 mod evaluation;
 mod groups;
 #[cfg(test)]
 mod tests;
 
 pub use clipboard::{copied, pasted};
-pub use document::{Change, Command, Document, Entry, StepId};
+pub use document::{Change, Command, Document};
 pub use editor::{Editor, forget, kept_at, recover, saved_at};
+pub use entry::{Entry, StepId};
 pub use evaluation::{Evaluated, Evaluation, Refinements, Status};
 pub(crate) use evaluation::{messages, turning_gradients};
 pub use groups::{free_name, group_at};

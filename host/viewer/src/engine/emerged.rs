@@ -207,7 +207,7 @@ mod tests {
         let side = 1100;
         let at = |number: u64| DVec3::new((number % side) as f64, (number / side) as f64, 3e6);
         let mut read = |number: u64| {
-            let nowhere = number % 5 == 0;
+            let nowhere = number.is_multiple_of(5);
             Ok(Some((if nowhere { DVec3::NAN } else { at(number) }, Vec3::ZERO)))
         };
         let mut emerged = Emerged::glimpse(&mut Glimpse::new(side * side, &mut read), || false).unwrap();

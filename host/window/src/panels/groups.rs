@@ -1,6 +1,6 @@
 //! The heading of a group of steps: folded or not, switched, named and moved as one.
 
-use super::steps::{Dragged, carried, name_field, switch};
+use super::rows::{Dragged, carried, name_field, switch};
 use crate::steps::{self, Renaming};
 use crate::theme;
 use crate::window::Window;

@@ -23,6 +23,7 @@ mod refinement;
 mod regions;
 mod render;
 mod report;
+mod rows;
 pub mod side;
 pub mod status;
 mod steps;

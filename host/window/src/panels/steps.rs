@@ -1,5 +1,6 @@
 //! The list of steps, and how each fares.
 
+use super::rows::{Dragged, carried, name_field, switch};
 use super::{count, groups, menu, number, parts};
 use crate::regions;
 use crate::steps::{self, Renaming};
@@ -7,8 +8,8 @@ use crate::theme;
 use crate::window::Window;
 use crate::wording::{in_window, remedies};
 use eframe::egui::{
-    self, Align, Align2, Button, Color32, CornerRadius, CursorIcon, FontId, Frame, Key, LayerId, Layout,
-    Margin, Order, Pos2, Response, RichText, Sense, Spinner, Stroke, TextEdit, Ui, UiBuilder, vec2,
+    self, Align, Button, Color32, CornerRadius, Frame, Layout, Margin, Response, RichText, Sense, Spinner,
+    Stroke, Ui, UiBuilder,
 };
 use simod_core::refinement::Finer;
 use simod_session::edit::{self, Change, Entry, Status, StepId, group_at};
@@ -71,49 +72,6 @@ fn row(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, steps: &[Entr
     ui.add_space(1.0);
 }
 
-/// What is dragged to another place.
-pub enum Dragged {
-    /// A step.
-    Step(StepId),
-    /// The group that begins with a step.
-    Group(StepId),
-}
-
-impl Dragged {
-    /// Where it, or its first step, is now.
-    pub fn place(&self, window: &Window) -> Option<usize> {
-        let (Self::Step(id) | Self::Group(id)) = self;
-        window.steps().iter().position(|entry| entry.id == *id)
-    }
-
-    /// Puts it into the gap before the step that is at a place now.
-    pub fn put(&self, window: &mut Window, gap: usize) {
-        let Some(from) = self.place(window) else { return };
-        let steps = window.steps();
-        let length = match self {
-            Self::Step(_) => 1,
-            Self::Group(_) => group_at(&steps, from).map_or(1, |group| group.len()),
-        };
-        if (from..=from + length).contains(&gap) {
-            return;
-        }
-        // Its place once it has left the one where it is.
-        let to = if gap > from { gap - length } else { gap };
-        window.apply(Command::Edit(match self {
-            Self::Step(_) => edit::Command::Move { from, to },
-            Self::Group(_) => edit::Command::MoveGroup { at: from, to },
-        }));
-    }
-}
-
-/// The name of what is dragged goes with the pointer.
-pub fn carried(ui: &Ui, row: &Response, name: &str, pointer: Pos2) {
-    ui.set_cursor_icon(CursorIcon::Grabbing);
-    let layer = LayerId::new(Order::Tooltip, row.id);
-    let (font, color) = (FontId::proportional(13.0), ui.visuals().strong_text_color());
-    ui.layer_painter(layer).text(pointer + vec2(14.0, 2.0), Align2::LEFT_TOP, name, font, color);
-}
-
 /// The row can be dragged between others, and others beside it.
 fn reorder(ui: &Ui, window: &mut Window, at: usize, id: StepId, name: &str, row: &Response) {
     row.dnd_set_drag_payload(Dragged::Step(id));
@@ -128,26 +86,6 @@ fn reorder(ui: &Ui, window: &mut Window, at: usize, id: StepId, name: &str, row:
     if row.dnd_release_payload::<Dragged>().is_some() {
         dragged.put(window, at + usize::from(below));
     }
-}
-
-/// A box that says whether steps are done: what it becomes, if it was clicked.
-pub fn switch(ui: &mut Ui, name: &str, is_on: bool, hint: &str) -> Option<bool> {
-    let mut enabled = is_on;
-    let check = ui.checkbox(&mut enabled, "");
-    let text = format!("Enable {name}");
-    check.widget_info(|| egui::WidgetInfo::selected(egui::Role::CheckBox, true, is_on, text.clone()));
-    check.on_hover_text(hint).changed().then_some(enabled)
-}
-
-/// A name that is typed: whether it is wanted, once Enter, Escape or a click elsewhere ends it.
-pub fn name_field(ui: &mut Ui, renaming: &mut Renaming, hint: &str, label: &str) -> Option<bool> {
-    let edit = TextEdit::singleline(&mut renaming.text).desired_width(f32::INFINITY);
-    let response = ui.add(edit.hint_text(hint));
-    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(label));
-    if std::mem::take(&mut renaming.begins) {
-        response.request_focus();
-    }
-    response.lost_focus().then(|| !ui.input(|i| i.key_pressed(Key::Escape)))
 }
 
 fn content(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, steps: &[Entry], name: &str) {

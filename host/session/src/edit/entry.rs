@@ -1,0 +1,24 @@
+//! A step of a document, and what it is known by.
+
+use crate::session_file::Step;
+use std::sync::Arc;
+
+/// Which step it is: the same after others were added, moved or removed, and after undo.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct StepId(u64);
+
+impl StepId {
+    /// That of a number, which a document gives but once.
+    pub(super) fn new(number: u64) -> Self {
+        Self(number)
+    }
+}
+
+/// A step of a [`Document`].
+#[derive(Debug, Clone)]
+pub struct Entry {
+    /// Which one it is.
+    pub id: StepId,
+    /// What it does.
+    pub step: Arc<Step>,
+}

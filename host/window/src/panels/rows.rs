@@ -1,0 +1,73 @@
+//! What rows of the list of steps have in common, be they of steps or of groups: a box, a name that is typed, and that
+//! they can be dragged.
+
+use crate::steps::Renaming;
+use crate::window::Window;
+use eframe::egui::{
+    self, Align2, CursorIcon, FontId, Key, LayerId, Order, Pos2, Response, TextEdit, Ui, vec2,
+};
+use simod_session::edit::{self, StepId, group_at};
+use simod_viewer::Command;
+
+/// What is dragged to another place.
+pub enum Dragged {
+    /// A step.
+    Step(StepId),
+    /// The group that begins with a step.
+    Group(StepId),
+}
+
+impl Dragged {
+    /// Where it, or its first step, is now.
+    pub fn place(&self, window: &Window) -> Option<usize> {
+        let (Self::Step(id) | Self::Group(id)) = self;
+        window.steps().iter().position(|entry| entry.id == *id)
+    }
+
+    /// Puts it into the gap before the step that is at a place now.
+    pub fn put(&self, window: &mut Window, gap: usize) {
+        let Some(from) = self.place(window) else { return };
+        let steps = window.steps();
+        let length = match self {
+            Self::Step(_) => 1,
+            Self::Group(_) => group_at(&steps, from).map_or(1, |group| group.len()),
+        };
+        if (from..=from + length).contains(&gap) {
+            return;
+        }
+        // Its place once it has left the one where it is.
+        let to = if gap > from { gap - length } else { gap };
+        window.apply(Command::Edit(match self {
+            Self::Step(_) => edit::Command::Move { from, to },
+            Self::Group(_) => edit::Command::MoveGroup { at: from, to },
+        }));
+    }
+}
+
+/// The name of what is dragged goes with the pointer.
+pub fn carried(ui: &Ui, row: &Response, name: &str, pointer: Pos2) {
+    ui.set_cursor_icon(CursorIcon::Grabbing);
+    let layer = LayerId::new(Order::Tooltip, row.id);
+    let (font, color) = (FontId::proportional(13.0), ui.visuals().strong_text_color());
+    ui.layer_painter(layer).text(pointer + vec2(14.0, 2.0), Align2::LEFT_TOP, name, font, color);
+}
+
+/// A box that says whether steps are done: what it becomes, if it was clicked.
+pub fn switch(ui: &mut Ui, name: &str, is_on: bool, hint: &str) -> Option<bool> {
+    let mut enabled = is_on;
+    let check = ui.checkbox(&mut enabled, "");
+    let text = format!("Enable {name}");
+    check.widget_info(|| egui::WidgetInfo::selected(egui::Role::CheckBox, true, is_on, text.clone()));
+    check.on_hover_text(hint).changed().then_some(enabled)
+}
+
+/// A name that is typed: whether it is wanted, once Enter, Escape or a click elsewhere ends it.
+pub fn name_field(ui: &mut Ui, renaming: &mut Renaming, hint: &str, label: &str) -> Option<bool> {
+    let edit = TextEdit::singleline(&mut renaming.text).desired_width(f32::INFINITY);
+    let response = ui.add(edit.hint_text(hint));
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(label));
+    if std::mem::take(&mut renaming.begins) {
+        response.request_focus();
+    }
+    response.lost_focus().then(|| !ui.input(|i| i.key_pressed(Key::Escape)))
+}
