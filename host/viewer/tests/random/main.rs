@@ -20,6 +20,7 @@ use simod_viewer::camera::{Projection, Standard};
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::engine::Job;
 use simod_viewer::selection::Combine;
+use simod_viewer::state::Slowest;
 use simod_viewer::{Clip, Command, Overlay, Previewed, State, Version};
 use std::collections::BTreeSet;
 
@@ -221,8 +222,8 @@ fn check(state: &mut State) {
 const SPELL: usize = 1000;
 
 /// Does so many random commands. How much memory is held after each thousand, when nothing is left of the
-/// steps but what can be undone.
-fn soak(commands: usize) -> Vec<u64> {
+/// steps but what can be undone; and what took longest.
+fn soak(commands: usize) -> (Vec<u64>, Slowest) {
     let mut held = Vec::new();
     let folder = tempfile::tempdir().unwrap();
     let mut state = state(plugins());
@@ -261,7 +262,6 @@ fn soak(commands: usize) -> Vec<u64> {
     state.settle(LONG).unwrap();
     check(&mut state);
     assert!(accepted > commands / 4, "{accepted} of {commands}");
-    println!("of {commands}, {}", state.slowest());
     // All that can be undone is a thousand changes, and some selections, and leads to some earlier state.
     let mut undone = 0;
     while state.can_undo().is_some() {
@@ -271,12 +271,13 @@ fn soak(commands: usize) -> Vec<u64> {
     assert!(undone <= 1200);
     state.settle(LONG).unwrap();
     check(&mut state);
-    held
+    (held, state.slowest().clone())
 }
 
 #[test]
 fn anything_in_any_order() {
-    let held = soak(10_000);
+    let (held, slowest) = soak(10_000);
+    println!("{slowest}");
     println!("MB held after each thousand commands: {:?}", held.iter().map(|b| b >> 20).collect::<Vec<_>>());
     // The first thousands fill the list of what can be undone; after that no more is needed.
     if let (Some(early), Some(late)) = (held.get(1..4), held.get(7..)) {
