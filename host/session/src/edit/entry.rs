@@ -14,7 +14,7 @@ impl StepId {
     }
 }
 
-/// A step of a [`Document`].
+/// A step of a [`Document`](super::Document).
 #[derive(Debug, Clone)]
 pub struct Entry {
     /// Which one it is.
