@@ -277,6 +277,39 @@ fn killed_units_are_done_again() {
     assert!(!hidden.iter().any(|name| name.starts_with(".simod")), "{hidden:?}");
 }
 
+/// `finish` is killed when the output is in its place, before it has said so; then a part is done once more, to a file
+/// of its own that has nothing else. Whatever comes next, the output stays.
+#[test]
+fn a_part_that_is_done_again_behind_a_killed_finish_takes_nothing_along() {
+    let work = jar("made.ply", "--no-faces", STEPS);
+    work.simod("run edit.toml -o run.ply");
+    work.simod("plan edit.toml -o plan --units 3 --to edited.ply");
+    let all = stages(&work);
+    let (finish, before) = all.split_last().expect("stages");
+    before.concat().iter().for_each(|unit| drop(work.simod(&format!("unit plan {unit}"))));
+    let parts: Vec<String> = left(&work).into_iter().filter(|name| name.starts_with("part-")).collect();
+    let kept: Vec<Vec<u8>> = parts.iter().map(|name| work.read(&format!("plan/{name}"))).collect();
+    work.simod(&format!("unit plan {}", finish[0]));
+    for (apply, lost) in before.last().expect("units of apply").iter().zip(&parts) {
+        // As the plan was when `finish` was killed, but for one part.
+        std::fs::remove_file(work.path("plan/finished.toml")).expect("it is there");
+        for (name, bytes) in parts.iter().zip(&kept).filter(|(name, _)| *name != lost) {
+            work.write(&format!("plan/{name}"), bytes);
+        }
+        work.simod(&format!("unit plan {apply}"));
+        work.simod(&format!("unit plan {}", finish[0]));
+        assert!(work.read("edited.ply") == work.read("run.ply"), "{lost}");
+        assert!(!left(&work).iter().any(|name| name == "output.bin"), "{:?}", left(&work));
+    }
+    // Where the output is gone as well, that is told, and nothing takes its place.
+    std::fs::remove_file(work.path("plan/finished.toml")).expect("it is there");
+    std::fs::remove_file(work.path("edited.ply")).expect("it is there");
+    parts[..2].iter().zip(&kept).for_each(|(name, bytes)| work.write(&format!("plan/{name}"), bytes));
+    work.simod(&format!("unit plan {}", before.last().expect("units of apply")[2]));
+    work.refuses(&format!("unit plan {}", finish[0]), &["the bytes of the parts of", "are gone"]);
+    assert!(!work.path("edited.ply").exists());
+}
+
 #[test]
 fn what_is_wrong_is_told() {
     let work = jar("made.ply", "", STEPS);

@@ -216,10 +216,17 @@ pub fn join_parts(
         Shared::File(shared) if in_place => {
             checked_targets(model, std::slice::from_ref(version), how)?;
             let found = joining.check(&paths, sampled, model, |_, _, _| Ok(()))?;
-            if !shared.exists() {
-                // Killed when the output was in its place, and nobody had been told so.
-                is_there(version.output, &paths, progress)?;
-                return Ok(done(sampled, model, found.folding));
+            if !reaches(shared, found.end) || has_holes(shared) {
+                // Killed when the output was in its place, and nobody had been told so: then there is no file, or one
+                // that a part has begun anew since, without the others.
+                match is_there(version.output, &paths, progress) {
+                    Ok(()) => {
+                        let _ = fs::remove_file(shared);
+                        return Ok(done(sampled, model, found.folding));
+                    }
+                    Err(e) if !shared.exists() => return Err(e),
+                    Err(_) => is_there(shared, &paths, progress)?,
+                }
             }
             progress.begin("putting the parts together", 0);
             let mut file = SharedFile::open(shared)?;
@@ -485,6 +492,20 @@ fn is_there(output: &Path, parts: &[&Path], progress: &dyn Progress) -> Result<(
         read.map_err(|_| gone())?;
     }
     Ok(())
+}
+
+/// Whether less of a file is on the disk than its length says: parts of it were not written, or the disk compresses.
+fn has_holes(path: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        fs::metadata(path).is_ok_and(|is| is.blocks().saturating_mul(512) < is.len())
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = path;
+        true
+    }
 }
 
 /// An object from some place on.
