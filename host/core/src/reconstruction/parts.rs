@@ -216,7 +216,8 @@ pub fn join_parts(
         Shared::File(shared) if in_place => {
             checked_targets(model, std::slice::from_ref(version), how)?;
             let found = joining.check(&paths, sampled, model, |_, _, _| Ok(()))?;
-            if !reaches(shared, found.end) || has_holes(shared) {
+            let is_short = !reaches(shared, found.end);
+            if is_short || has_holes(shared) {
                 // Killed when the output was in its place, and nobody had been told so: then there is no file, or one
                 // that a part has begun anew since, without the others.
                 match is_there(version.output, &paths, progress) {
@@ -225,6 +226,7 @@ pub fn join_parts(
                         return Ok(done(sampled, model, found.folding));
                     }
                     Err(e) if !shared.exists() => return Err(e),
+                    Err(_) if is_short => return Err(refused(shared, "is cut off: remove all parts")),
                     Err(_) => is_there(shared, &paths, progress)?,
                 }
             }
