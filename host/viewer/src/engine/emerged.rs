@@ -71,10 +71,13 @@ impl Emerged {
     /// Vertices from places spread over the file, as many as can be read in little time; nothing of a model that is
     /// sampled as quickly, or where it is `cancelled`.
     pub(super) fn glimpse(model: &mut Glimpse<'_>, cancelled: impl Fn() -> bool) -> Option<Self> {
+        if model.vertices < LARGE {
+            return None;
+        }
         let until = Instant::now() + PATIENCE;
         let (mut positions, mut normals) = (Vec::new(), Vec::new());
         for i in 0..VERTICES {
-            if model.vertices < LARGE || Instant::now() > until || cancelled() {
+            if Instant::now() > until || cancelled() {
                 break;
             }
             // Wherever it ends, they are spread evenly.

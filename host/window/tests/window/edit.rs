@@ -302,6 +302,19 @@ fn what_a_plugin_says_to_do_is_a_button() {
     assert_eq!(params.get("max-centers"), Some(&32.into()));
 }
 
+/// Looks at the model from the front, with a skeleton's step and the tool that places its joints.
+fn take_joints(harness: &mut Harness<'_, App>) {
+    for step in [
+        simod_viewer::command::CameraMove::Look(simod_viewer::camera::Standard::Front),
+        simod_viewer::command::CameraMove::FrameAll,
+    ] {
+        done(harness, Command::Camera(step));
+    }
+    done(harness, Command::AddStep { plugin: "skinning".to_owned(), at: None });
+    harness.state_mut().window_mut().tools.take(Tool::Joint);
+    harness.run_steps(3);
+}
+
 /// A limb's joint does not turn the body: a pin in it holds it, until a bone is there; others are placed by clicks.
 #[test]
 fn a_limb_turns_without_the_body() {
@@ -311,15 +324,7 @@ fn a_limb_turns_without_the_body() {
     write_file(&options, &path, &Silent).unwrap();
     let mut harness = window();
     open(&mut harness, &path);
-    for step in [
-        simod_viewer::command::CameraMove::Look(simod_viewer::camera::Standard::Front),
-        simod_viewer::command::CameraMove::FrameAll,
-    ] {
-        done(&mut harness, Command::Camera(step));
-    }
-    done(&mut harness, Command::AddStep { plugin: "skinning".to_owned(), at: None });
-    harness.state_mut().window_mut().tools.take(Tool::Joint);
-    harness.run_steps(3);
+    take_joints(&mut harness);
     let pixel = |harness: &Harness<'_, App>, p: glam::Vec3| {
         let state = harness.state().window().state();
         let at = state.camera().project(p.as_dvec3(), state.size()).unwrap().0;
@@ -394,15 +399,7 @@ fn a_chain_of_joints_is_dragged_renamed_and_mirrored() {
     harness.set_size(egui::vec2(1440.0, 1700.0));
     harness.run_steps(3);
     open(&mut harness, &model(folder.path()));
-    for step in [
-        simod_viewer::command::CameraMove::Look(simod_viewer::camera::Standard::Front),
-        simod_viewer::command::CameraMove::FrameAll,
-    ] {
-        done(&mut harness, Command::Camera(step));
-    }
-    done(&mut harness, Command::AddStep { plugin: "skinning".to_owned(), at: None });
-    harness.state_mut().window_mut().tools.take(Tool::Joint);
-    harness.run_steps(3);
+    take_joints(&mut harness);
     assert_eq!(harness.state().window().tools.chain, 4);
     harness.get_by_label("Hold the Body").click();
     harness.run_steps(2);
