@@ -1,6 +1,7 @@
 //! A scene: what is shown, and what has changed since the last picture.
 
 mod drawing;
+mod stage;
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -18,7 +19,7 @@ use crate::pipeline::{Given, layout};
 use crate::splats::Splats;
 use crate::triangles::TriangleMesh;
 use crate::view::{Scale, Style, View};
-use drawing::{Filled, Stage, Uniform};
+use stage::{Filled, Stage, Uniform};
 
 /// In so many frames for each pass, at most, all splats are drawn at rest.
 const MOST_STEPS: usize = 64;

@@ -1,12 +1,8 @@
-//! Recordings of edits: commands, one JSON object a line; and replaying them without a window.
+//! Recordings of edits: commands, one JSON object a line.
 
 use crate::command::Command;
-use crate::state::State;
 use simod_model::{Error, ErrorKind, Result};
-use simod_session::PluginRegistry;
 use std::io::Write;
-use std::sync::Arc;
-use std::time::Duration;
 
 /// Writes commands down as they are done. Whatever was shown when they were: what depends on where samples
 /// were just then is written as what it came to.
@@ -44,23 +40,4 @@ pub fn parse(text: &str) -> Result<Vec<Command>> {
         })
     };
     text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()).map(command).collect()
-}
-
-/// How long a single command may take before a replay gives up.
-const PATIENCE: Duration = Duration::from_secs(24 * 3600);
-
-/// Does commands one after the other, waiting each time until all that they ask for is done.
-///
-/// # Errors
-/// A command cannot be done; it is named.
-pub fn replay(commands: &[Command], plugins: &Arc<PluginRegistry>) -> Result<State> {
-    let mut state = State::new(plugins.clone(), Arc::new(|| ()));
-    for (i, command) in commands.iter().enumerate() {
-        state.apply(command.clone()).map_err(|e| {
-            let what = format!("command {} of the recording cannot be done: {e}", i + 1);
-            e.saying(what)
-        })?;
-        state.settle(PATIENCE)?;
-    }
-    Ok(state)
 }

@@ -1,10 +1,9 @@
 //! All that has a name: one table for the menus, the keys, and the palette.
 
 use crate::dialogs::Purpose;
-use crate::panels::Palette;
 use crate::settings::{Lighting, Theme};
-use crate::tools::Tool;
-use crate::window::Window;
+use crate::tools::{Tool, is_of_use};
+use crate::window::{Palette, Window};
 use crate::{regions, steps, theme};
 use eframe::egui::text_selection::LabelSelectionState;
 use eframe::egui::{self, Event, Key, Modifiers};
@@ -162,11 +161,11 @@ pub const ALL: &[Action] = &[
     action(Menu::File, "Save Session As\u{2026}", &[(CTRL_SHIFT, Key::S)], is_open, |w| w.ask(Purpose::Save)),
     action(Menu::File, "Write Deformed Model\u{2026}", &[(CTRL, Key::E)], is_open, |w| w.ask(Purpose::Write))
         .begins(),
-    action(Menu::File, "Save Picture\u{2026}", &[(NONE, Key::F12)], crate::turntable::can_begin, |w| {
-        crate::turntable::ask_for_picture(w);
+    action(Menu::File, "Save Picture\u{2026}", &[(NONE, Key::F12)], crate::rendering::can_begin, |w| {
+        crate::rendering::ask_for_picture(w);
     })
     .begins(),
-    action(Menu::File, "Render Turntable\u{2026}", &[], crate::turntable::can_begin, crate::turntable::ask),
+    action(Menu::File, "Render Turntable\u{2026}", &[], crate::rendering::can_begin, crate::rendering::ask),
     action(Menu::File, "Quit", &[(CTRL, Key::Q)], always, |w| {
         w.ctx().send_viewport_cmd(egui::ViewportCommand::Close);
     })
@@ -284,7 +283,7 @@ pub const ALL: &[Action] = &[
         w.keep_settings();
     })
     .on(|w| w.settings.occlusion),
-    action(Menu::View, "Cut Open", &[(ALT, Key::B)], is_open, crate::panels::clip::switch)
+    action(Menu::View, "Cut Open", &[(ALT, Key::B)], is_open, crate::clip::switch)
         .on(|w| w.state().clipped().is_some()),
     action(Menu::Light, "Lit by Lamps", &[], always, |w| light(w, Lighting::Lamps))
         .on(|w| w.settings.light == Lighting::Lamps),
@@ -410,8 +409,8 @@ const fn tool(
     is_on: fn(&Window) -> bool,
 ) -> Action {
     let can: fn(&Window) -> bool = match tool {
-        Tool::Stroke => |w| Tool::Stroke.is_of_use(w),
-        Tool::Joint => |w| Tool::Joint.is_of_use(w),
+        Tool::Stroke => |w| is_of_use(Tool::Stroke, w),
+        Tool::Joint => |w| is_of_use(Tool::Joint, w),
         _ => is_open,
     };
     action(Menu::Tool, tool.name(), keys, can, run).on(is_on)

@@ -4,7 +4,7 @@ use crate::panels;
 use crate::settings::Theme;
 use crate::viewport::Viewport;
 use crate::window::Window;
-use crate::{actions, viewport};
+use crate::{actions, lessons, viewport};
 use eframe::egui;
 use std::io::Write;
 use std::sync::Arc;
@@ -60,6 +60,7 @@ impl eframe::App for App {
     fn logic(&mut self, ctx: &egui::Context, _: &mut eframe::Frame) {
         self.look_after_the_device();
         self.window.update();
+        lessons::update(&mut self.window);
         let dropped = ctx.input(|i| i.raw.dropped_files.first().map(|file| file.path().to_owned()));
         if let Some(path) = dropped {
             self.window.ask_to_open(path);

@@ -14,13 +14,16 @@
 mod actions;
 mod app;
 mod arguments;
+mod clip;
 pub mod dialogs;
 mod example;
 mod in_turn;
 pub mod lessons;
 mod numbers;
 mod panels;
+mod plugins;
 mod regions;
+mod rendering;
 pub mod screenshot;
 mod settings;
 mod start;
@@ -34,8 +37,9 @@ mod window;
 mod wording;
 
 pub use app::App;
-pub use arguments::main;
+
 pub use settings::Settings;
+pub use start::main;
 pub use tools::Tool;
 pub use tools::measure::summary as measure_summary;
 pub use window::Window;

@@ -1,12 +1,12 @@
 //! Pictures of the model without a window, or beside it.
 
-use crate::viewport::colors::VertexColors;
-use crate::viewport::detail::{Splats, sample_colors, sample_dots, sample_radii, splats};
-use crate::window::Window;
-use glam::{DVec3, Vec4};
+use crate::viewport::detail::{Splats, sample_colors, sample_radii, splats};
+use crate::viewport::seen::{disc_radii, mode_of, seen_clip, view};
+use crate::viewport::vertex_colors::VertexColors;
+use glam::{DVec3, Vec3};
 use simod_model::{Error, ErrorKind, Result};
 use simod_picture::{CutOut, Image};
-use simod_scene::{Background, Dot, Gpu, Mode, NoGpu, Scale, Scene, Style, Surface, View};
+use simod_scene::{Background, Dot, Gpu, NoGpu, Scale, Scene, Style, Surface};
 use simod_viewer::camera::Camera;
 use simod_viewer::{State, Version};
 use std::path::Path;
@@ -16,34 +16,6 @@ use std::sync::Arc;
 const SIZE: [u32; 2] = [1600, 1000];
 /// Longest side of a picture that is saved, in pixels.
 pub const LARGEST: u32 = 8192;
-/// Radius of a disc over the spacing of samples, in the window, too: enough that no gap is left.
-const RADIUS: f32 = 1.35;
-
-/// From where a camera sees what is between two corners, in a picture of so many pixels.
-pub fn view(camera: &Camera, size: [f64; 2], bounds: [DVec3; 2]) -> View {
-    View {
-        view: camera.view().as_mat4(),
-        projection: camera.projection(size, camera.near_far(bounds)).as_mat4(),
-        size: size.map(|s| s as u32),
-    }
-}
-
-/// The discs' radii of samples so far apart.
-pub fn disc_radii(spacing: &[f32]) -> Vec<f32> {
-    spacing.iter().map(|s| RADIUS * s).collect()
-}
-
-/// How samples are drawn unless the user says otherwise: as triangles where there are any, as these keep together
-/// however they are stretched.
-pub fn mode_of(shown: &simod_viewer::Scene) -> Mode {
-    if shown.sampled.triangles.is_empty() { Mode::Splats } else { Mode::Triangles }
-}
-
-/// The plane that cuts the model open, as the renderer takes it.
-pub fn seen_clip(state: &State) -> Option<Vec4> {
-    state.local_clip().map(|(normal, distance)| normal.extend(distance).as_vec4())
-}
-
 /// How large a picture that is saved is, and what is behind the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Format {
@@ -57,11 +29,6 @@ impl Default for Format {
     fn default() -> Self {
         Self { size: SIZE, transparent: false }
     }
-}
-
-/// The size of a window's picture, even as films have to be.
-pub fn shown_size(window: &Window) -> [u32; 2] {
-    window.state().size().map(|pixels| 2 * (0.5 * pixels).clamp(1.0, 4096.0) as u32)
 }
 
 /// Draws what the state shows, as its camera sees it.
@@ -88,11 +55,11 @@ pub struct Shot {
     /// What is shown in full.
     detail: Vec<Splats>,
     /// Samples over that.
-    dots: Vec<Dot>,
+    pub(crate) dots: Vec<Dot>,
     camera: Camera,
-    format: Format,
-    style: Style,
-    ghost: bool,
+    pub(crate) format: Format,
+    pub(crate) style: Style,
+    pub(crate) ghost: bool,
 }
 
 /// A shot with the device that draws it.
@@ -143,21 +110,9 @@ impl Shot {
         })
     }
 
-    /// Of what a window shows, as it looks there, but for what is marked for the work on it: the selection,
-    /// and regions. Width and height are even, as films have to be.
-    ///
-    /// # Errors
-    /// Nothing is open.
-    pub fn of_window(window: &mut Window) -> Result<Self> {
-        let (looks, settings) = (window.looks, &window.settings);
-        let (theme, occlusion, mode) = (settings.theme, settings.occlusion, window.mode());
-        let light = settings.light.light();
-        let shot = Self::of(window.state_mut())?;
-        let format = Format { size: shown_size(window), transparent: false };
-        let style = Style { mode, background: theme.background(), light, occlusion, ..shot.style };
-        let detail = window.state().detail().filter(|_| looks.samples);
-        let dots = sample_dots(&shot.shown.positions, detail);
-        Ok(Self { format, style, dots, ghost: looks.ghost, ..shot })
+    /// Where its samples are: local coordinates.
+    pub fn positions(&self) -> &[Vec3] {
+        &self.shown.positions
     }
 
     /// The same in another size, or before another background.

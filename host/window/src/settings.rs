@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use simod_scene::{Light, Matcap};
+use simod_session::session_file::Sampling;
 use simod_viewer::Navigation;
 use std::path::{Path, PathBuf};
 
@@ -119,6 +120,16 @@ impl Settings {
         let whole = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         self.recent.retain(|other| *other != whole && other != path);
     }
+}
+
+/// Whether it says itself how it is sampled: a session, or the folder of a sampled model.
+pub fn is_sampled(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e == "toml") || path.is_dir()
+}
+
+/// How finely a model is sampled, if `--samples` says so.
+pub fn sampling(samples: Option<u64>) -> Sampling {
+    Sampling { samples, ..Sampling::default() }
 }
 
 #[cfg(test)]

@@ -1,22 +1,85 @@
-//! Opens the window, or says why there is none.
+//! The program: opens the window, or says why there is none, or does without one what the command line asks for.
 
 use crate::app::App;
-use crate::arguments::{Arguments, sampling};
-use crate::settings::Settings;
+use crate::arguments::Arguments;
+use crate::plugins::{SERVE, discover, serve};
+use crate::screenshot::{Format, Shot};
+use crate::settings::{Settings, is_sampled, sampling};
 use crate::window::Window;
+use crate::{screenshot, turntable};
+use clap::Parser;
 use eframe::{NativeOptions, Renderer, egui};
+use simod_model::progress::Silent;
 use simod_model::{Error, ErrorKind, Result};
 use simod_scene::NoGpu;
 use simod_session::PluginRegistry;
-use simod_viewer::Command;
 use simod_viewer::record::Recorder;
+use simod_viewer::state::Notice;
+use simod_viewer::{Command, record, replay};
+use std::io::Write;
+use std::process::ExitCode;
 use std::sync::Arc;
+
+/// What `simod-viewer` does: everything but `main` itself.
+pub fn main() -> ExitCode {
+    // A plugin that did not come with the program is run by this program once more.
+    let mut plain = std::env::args_os().skip(1);
+    let ended = if plain.next().is_some_and(|first| first == SERVE) {
+        serve(plain.collect())
+    } else {
+        execute(Arguments::parse())
+    };
+    match ended {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            let _ = writeln!(std::io::stderr(), "error: {error}\nhint: {}", error.hint());
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn execute(arguments: Arguments) -> Result<()> {
+    let plugins = Arc::new(discover());
+    let recorded = match &arguments.replay {
+        Some(file) => {
+            let text = std::fs::read_to_string(file).map_err(|e| Error::io("read", file, &e))?;
+            record::parse(&text)?
+        }
+        None => Vec::new(),
+    };
+    if !arguments.no_window && arguments.screenshot.is_none() && arguments.turntable.is_none() {
+        return open_window(arguments, recorded, plugins);
+    }
+    let open = arguments.path.map(|path| {
+        let sampling =
+            sampling(arguments.samples.or((!is_sampled(&path)).then_some(Settings::default().samples)));
+        Command::Open { path, sampling, recover: false }
+    });
+    let commands: Vec<Command> = open.into_iter().chain(recorded).collect();
+    let mut state = replay(&commands, &plugins)?;
+    for notice in state.take_notices() {
+        if let Notice::Failed(_, error) = notice {
+            return Err(error);
+        }
+    }
+    let format = Format { size: arguments.size, transparent: arguments.transparent };
+    if let Some(file) = &arguments.screenshot {
+        screenshot::write(&mut state, file, format)?;
+    }
+    if let Some(folder) = &arguments.turntable {
+        let shot = Shot::of(&mut state)?.formatted(turntable::of_film(format));
+        turntable::write(&shot, folder, arguments.frames, &Silent)?;
+        let command = turntable::film(folder, turntable::RATE, arguments.transparent);
+        let _ = writeln!(std::io::stdout(), "film: {command}");
+    }
+    Ok(())
+}
 
 /// The window, until it is closed.
 ///
 /// # Errors
 /// There is nothing to draw with, no screen, or a file cannot be read.
-pub fn open_window(arguments: Arguments, recorded: Vec<Command>, plugins: Arc<PluginRegistry>) -> Result<()> {
+fn open_window(arguments: Arguments, recorded: Vec<Command>, plugins: Arc<PluginRegistry>) -> Result<()> {
     let recorder = match &arguments.record {
         Some(file) => {
             let made = std::fs::File::create(file).map_err(|e| Error::io("write", file, &e))?;

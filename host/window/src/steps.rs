@@ -1,21 +1,29 @@
 //! What the window knows of steps: what can be done with one, from its row, by keys and by name.
 
-use crate::window::Window;
+use crate::tools::Tool;
+use crate::window::{Renaming, Window};
 use eframe::egui::ViewportCommand;
 use simod_model::Result;
-use simod_session::edit::{Change, Command as Edit, StepId, free_name, group_at};
+use simod_session::Plugin;
+use simod_session::edit::{Change, Command as Edit, free_name, group_at};
 use simod_viewer::Command;
 
-/// A step, or a group, whose name is being typed.
-pub struct Renaming {
-    /// Which, or the first of it.
-    pub id: StepId,
-    /// Whether it is of the group that begins with the step.
-    pub of_group: bool,
-    /// The name so far.
-    pub text: String,
-    /// Whether typing is yet to begin.
-    pub begins: bool,
+/// Adds a step, and takes the tool that it needs.
+pub fn added(window: &mut Window, plugin: &Plugin, at: Option<usize>) {
+    if !window.apply(Command::AddStep { plugin: plugin.id().to_owned(), at }) {
+        return;
+    }
+    window.tools.target = None;
+    let consumes = plugin.consumes();
+    if consumes.strokes {
+        window.tools.take(Tool::Stroke);
+    } else if consumes.joints {
+        window.tools.take(Tool::Joint);
+    } else if consumes.handle_regions && window.state().selection().is_empty() {
+        window.tools.take(Tool::Brush);
+    } else if !window.tools.tool.grabs() {
+        window.tools.take(Tool::Move);
+    }
 }
 
 /// Has a name typed.

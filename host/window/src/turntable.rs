@@ -1,7 +1,6 @@
 //! A turntable: frames of a full turn about the model's upright axis, drawn in the background; and single pictures.
 
-use crate::screenshot::{self, Format, Shot, shown_size};
-use crate::window::Window;
+use crate::screenshot::{self, Format, Shot};
 use simod_model::progress::Progress;
 use simod_model::{Error, Result, memory};
 use simod_picture::FrameFolder;
@@ -35,32 +34,6 @@ pub fn write(shot: &Shot, folder: &Path, frames: u32, progress: &dyn Progress) -
         progress.advance(1);
     }
     folder.commit()
-}
-
-/// Whether one can be begun.
-pub fn can_begin(window: &Window) -> bool {
-    window.state().scene().is_some() && window.turning.is_none() && window.stopping.is_none()
-}
-
-/// Asks how many frames, and where they go.
-pub fn ask(window: &mut Window) {
-    let Some(editor) = window.state().editor() else { return };
-    let beside = editor.path().or(editor.model()).map(|path| {
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-        path.with_file_name(format!("{stem}-turntable"))
-    });
-    let folder = beside.unwrap_or_else(|| PathBuf::from("turntable")).display().to_string();
-    let format = Format { size: shown_size(window), transparent: false };
-    window.turntable = Some(AskedTurntable { folder, frames: FRAMES, format });
-}
-
-/// Asks how large a picture is, and where it goes.
-pub fn ask_for_picture(window: &mut Window) {
-    let Some(editor) = window.state().editor() else { return };
-    let beside = editor.path().or(editor.model()).map(|path| path.with_extension("png"));
-    let file = beside.unwrap_or_else(|| PathBuf::from("picture.png")).display().to_string();
-    let format = Format { size: shown_size(window), transparent: false };
-    window.picture = Some(AskedPicture { file, format });
 }
 
 /// What is asked before a turntable is drawn.
@@ -111,35 +84,14 @@ pub fn film(folder: &Path, rate: u32, transparent: bool) -> String {
     format!("ffmpeg -framerate {rate} -i {frames} {codec} {}", quoted(&format!("{folder}.{extension}")))
 }
 
-/// Begins one, as the window looks.
-pub fn begin(window: &mut Window, folder: &Path, frames: u32, format: Format) {
-    begin_work(window, Work::Turntable(frames), folder, of_film(format));
-}
-
 /// The format with even sides, as films take no others.
 pub fn of_film(format: Format) -> Format {
     Format { size: format.size.map(|side| side.next_multiple_of(2)), ..format }
 }
 
-/// Begins a picture, as the window looks.
-pub fn begin_picture(window: &mut Window, file: &Path, format: Format) {
-    begin_work(window, Work::Picture, file, format);
-}
-
-fn begin_work(window: &mut Window, work: Work, target: &Path, format: Format) {
-    match Shot::of_window(window) {
-        Ok(shot) => {
-            let ctx = window.ctx().clone();
-            let shot = shot.formatted(format);
-            window.turning = Some(Turning::begin(shot, work, target, move || ctx.request_repaint()));
-        }
-        Err(error) => window.toasts.error(&error),
-    }
-}
-
 /// What is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Work {
+pub enum Work {
     /// So many frames, into a folder.
     Turntable(u32),
     /// One, to a file.
@@ -177,7 +129,8 @@ impl Progress for Watch {
 }
 
 impl Turning {
-    fn begin(shot: Shot, work: Work, target: &Path, wake: impl Fn() + Send + Sync + 'static) -> Self {
+    /// Begins to draw, in a thread of its own, which calls `wake` after each frame.
+    pub fn begin(shot: Shot, work: Work, target: &Path, wake: impl Fn() + Send + Sync + 'static) -> Self {
         let (done, cancelled) = (AtomicU32::new(0), AtomicBool::new(false));
         let watch = Arc::new(Watch { done, cancelled, wake: Box::new(wake) });
         let (sender, made) = channel();

@@ -2,7 +2,7 @@
 //! may never have seen.
 
 use crate::numbers::{count, number};
-use crate::widgets::parameter::number_of;
+use crate::widgets::values::number_of;
 use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::Plugin;
 use toml::{Table, Value};

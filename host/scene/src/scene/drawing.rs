@@ -2,18 +2,15 @@
 
 use std::ops::Range;
 
-use bytemuck::bytes_of;
-use wgpu::{BindGroup, BindGroupLayout, Buffer, BufferUsages, CommandEncoder};
+use wgpu::CommandEncoder;
 
+use super::stage::{Filled, Shares, Stage};
 use super::{Drawn, Scene};
 use crate::cloud::Cloud;
 use crate::frame::Frame;
-use crate::gpu::Gpu;
-use crate::pipeline::bind;
 use crate::splats::CloudRange;
 use crate::targets::{Seen, Targets, texture};
 use crate::view::{Mode, Scale, Style, View};
-use crate::{passes, splats};
 
 /// Discs of a part of the samples are so much wider than their number says, as they are not quite evenly
 /// spread.
@@ -24,13 +21,6 @@ const GHOST_SPLATS: usize = 200_000;
 /// splats.
 const TRIANGLES_PER_SPLAT: usize = 4;
 
-/// Textures of a size.
-pub(super) struct Stage {
-    targets: Targets,
-    splats: splats::Groups,
-    passes: passes::Groups,
-}
-
 /// The most often that details are halved for a frame.
 const MOST_HALVED: usize = 24;
 
@@ -38,30 +28,6 @@ const MOST_HALVED: usize = 24;
 const FINER: usize = 3;
 /// ... unless that is so large a part of all (one in so many) that all are as good.
 const NEARLY_ALL: usize = 2;
-
-/// What a frame shows of the surface and its details.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-struct Shares {
-    /// Splats of the surface.
-    surface: usize,
-    /// How often the details are halved.
-    halved: usize,
-}
-
-/// Splats of the next picture at rest that both passes have drawn.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Filled {
-    /// What that picture shows; not chosen yet before its first splats.
-    shares: Option<Shares>,
-    depth: usize,
-    blend: usize,
-}
-
-/// A `Frame` in the device's memory.
-pub(super) struct Uniform {
-    buffer: Buffer,
-    group: BindGroup,
-}
 
 impl Scene {
     /// Whether triangles are shown, in a frame of so many splats.
@@ -284,21 +250,4 @@ impl Scene {
 /// How much wider the discs of a part of the samples are than those of all.
 fn part_scale(part: usize, all: usize) -> f32 {
     if part >= all { 1.0 } else { PART_SLACK * (all as f32 / part.max(1) as f32).sqrt() }
-}
-
-impl Uniform {
-    pub(super) fn new(gpu: &Gpu, layout: &BindGroupLayout) -> Self {
-        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("frame"),
-            size: size_of::<Frame>() as u64,
-            usage: BufferUsages::UNIFORM | BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let group = bind(&gpu.device, "frame", layout, &[buffer.as_entire_binding()]);
-        Self { buffer, group }
-    }
-
-    fn write(&self, gpu: &Gpu, frame: &Frame) {
-        gpu.queue.write_buffer(&self.buffer, 0, bytes_of(frame));
-    }
 }

@@ -1,6 +1,6 @@
 //! Another version of the edit, made to be compared with the one that is shown.
 
-use super::Event;
+use super::requests::{Carried, Comparing, Event};
 use crate::scene::{Scene, common};
 use glam::Vec3;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
@@ -9,34 +9,8 @@ use simod_core::sampled_model::SampledModel;
 use simod_model::{Error, Progress, Result};
 use simod_plugin_api::Effort;
 use simod_session::PluginRegistry;
-use simod_session::edit::{Entry, Evaluation};
+use simod_session::edit::Evaluation;
 use std::sync::Arc;
-
-/// What is wanted of another version.
-#[derive(Clone)]
-pub struct Comparing {
-    /// Which version it is; comes back with the result.
-    pub number: u64,
-    /// Its steps.
-    pub steps: Arc<[Entry]>,
-    /// Its samples, if they are known already.
-    pub scene: Option<Arc<Scene>>,
-    /// Whether a step that cannot be done makes it worthless.
-    pub whole: bool,
-    /// Whether the error to be expected is wanted, too.
-    pub measure: bool,
-    /// Other samples of the model, of which it is wanted where this version has them.
-    pub onto: Option<Arc<SampledModel>>,
-}
-
-/// Where a version has other samples than its own.
-#[derive(Clone)]
-pub struct Carried {
-    /// The model with these samples.
-    pub sampled: Arc<SampledModel>,
-    /// Where they are, one for each: local positions.
-    pub positions: Arc<[Vec3]>,
-}
 
 impl Comparing {
     /// Does what is missing. `revision` counts up with every scene.

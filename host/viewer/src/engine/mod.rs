@@ -11,217 +11,34 @@
 mod comparing;
 mod emerged;
 mod preview;
+mod requests;
+mod shared;
 mod thread;
 mod wasted;
 mod watch;
 
-use crate::scene::Scene;
 use crate::tint::Tint;
-pub use comparing::{Carried, Comparing};
 pub use emerged::{Emerged, Points};
-pub use preview::Pose;
-use preview::Streaming;
-use serde::{Deserialize, Serialize};
-use simod_core::detail::{Batch, Chosen, Streamed};
-use simod_core::reconstruction::{Method, Normals, Reconstructed};
-use simod_model::follow::Follow;
+
+pub use requests::{Carried, Comparing, Event, Extra, Job, Opening, Pose, Writing};
+use requests::{Request, Streaming};
+use shared::{Running, Shared, Wanted, is_idle};
+use simod_core::detail::Chosen;
 use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
 use simod_session::PluginRegistry;
-use simod_session::edit::{Editor, Entry};
-use simod_session::session_file::Sampling;
+use simod_session::edit::Entry;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::{Receiver, channel};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use thread::{Teller, Thread};
-pub use watch::Activity;
-use watch::Watch;
+pub use watch::{Activity, Wake};
 
 /// How long work may go on when the window is closed.
 const PARTING: Duration = Duration::from_secs(5);
-
-/// Called from any thread when there is something new to be looked at: an event, or progress.
-pub type Wake = Arc<dyn Fn() + Send + Sync>;
-
-/// What is to be opened.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Opening {
-    /// A model, the folder of a sampled one, or a session.
-    pub path: PathBuf,
-    /// How finely a model is sampled.
-    pub sampling: Sampling,
-    /// Takes what was kept of it against a crash, if there is something.
-    pub recover: bool,
-    /// Where the model is, if it was moved.
-    pub model: Option<PathBuf>,
-}
-
-/// How the deformed model is written.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Writing {
-    /// The file.
-    pub output: PathBuf,
-    /// The model, if it was moved since it was sampled.
-    pub model: Option<PathBuf>,
-    /// What turns with the surface besides normals.
-    pub follow: Follow,
-    /// How vertices are carried over.
-    pub method: Method,
-    /// What becomes of the model's normals.
-    pub normals: Normals,
-}
-
-/// The jobs that there are: at most one of each runs at a time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Job {
-    /// A model is read and sampled.
-    Open,
-    /// Steps are done.
-    Evaluate,
-    /// The deformed model is written.
-    Write,
-    /// Vertices are streamed to be seen.
-    Preview,
-    /// Another version is made, to be compared with.
-    Compare,
-}
-
-/// What became of a request.
-pub enum Event {
-    /// A model is there, with its samples at rest.
-    Opened(Box<(Editor, Scene)>),
-    /// Steps were done.
-    Evaluated {
-        /// Which request it was.
-        request: u64,
-        /// Where the samples are.
-        scene: Box<Scene>,
-    },
-    /// Another version is there.
-    Compared {
-        /// Which, as it was asked for.
-        number: u64,
-        /// Its samples.
-        scene: Arc<Scene>,
-        /// Where it has the others that were asked for.
-        carried: Option<Carried>,
-    },
-    /// The deformed model was written.
-    Written {
-        /// The file.
-        output: PathBuf,
-        /// What was done.
-        report: Box<Reconstructed>,
-        /// How long it took.
-        seconds: f64,
-    },
-    /// Some vertices of the model are there to be seen.
-    Detail {
-        /// Which request for them it was.
-        request: u64,
-        /// The vertices.
-        batch: Box<Batch>,
-    },
-    /// All vertices are that were asked for.
-    Streamed {
-        /// Which request it was.
-        request: u64,
-        /// How many, and what was read.
-        report: Streamed,
-        /// How long it took.
-        seconds: f64,
-    },
-    /// Something that the user should know.
-    Note(String),
-    /// A job came to nothing; what was there before still holds. Of kind
-    /// [`Cancelled`](simod_model::ErrorKind::Cancelled) if the user stopped it.
-    Failed {
-        /// Which.
-        job: Job,
-        /// Why.
-        error: Error,
-    },
-}
-
-impl Event {
-    /// Whether it says what became of a model that was to be opened.
-    fn ends_opening(&self) -> bool {
-        matches!(self, Self::Opened(_) | Self::Failed { job: Job::Open, .. })
-    }
-}
-
-/// Steps to be done.
-struct Request {
-    number: u64,
-    steps: Arc<[Entry]>,
-    effort: Effort,
-    extra: Extra,
-}
-
-/// What is wanted with a scene that takes its time.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub enum Extra {
-    /// Nothing.
-    #[default]
-    Nothing,
-    /// The error to be expected between the samples.
-    ExpectedError,
-    /// The [attributes](simod_core::sampled_model::SampledModel::attributes) of the samples, by the model, if it was moved
-    /// since it was sampled.
-    Attributes(Option<PathBuf>),
-}
-
-/// What the thread shall do next.
-#[derive(Default)]
-struct Wanted {
-    open: Option<Opening>,
-    evaluate: Option<Request>,
-    write: Option<(Arc<[Entry]>, Writing)>,
-    preview: Option<Streaming>,
-    /// Nothing is to be seen in full any more.
-    forget: bool,
-    compare: Option<Comparing>,
-    plugins: Option<Arc<PluginRegistry>>,
-    end: bool,
-}
-
-/// What is running.
-#[derive(Default)]
-struct Running {
-    open: Option<Arc<Watch>>,
-    evaluate: Option<(Arc<Watch>, Arc<[Entry]>, Effort)>,
-    write: Option<Arc<Watch>>,
-    preview: Option<Arc<Watch>>,
-    compare: Option<Arc<Watch>>,
-    /// The place of the step that is being done.
-    step: Arc<std::sync::atomic::AtomicUsize>,
-    /// Events that were sent, and not taken yet; and those among them that say what became of a model.
-    events: usize,
-    opened: usize,
-}
-
-#[derive(Default)]
-struct Shared {
-    inner: Mutex<(Wanted, Running)>,
-    changed: Condvar,
-}
-
-fn is_idle(wanted: &Wanted, running: &Running) -> bool {
-    let waiting = wanted.open.is_some() || wanted.evaluate.is_some() || wanted.write.is_some();
-    let busy = running.open.is_some() || running.evaluate.is_some() || running.write.is_some();
-    let compares = wanted.compare.is_some() || running.compare.is_some();
-    let previews = wanted.preview.is_some() || running.preview.is_some();
-    !waiting && !busy && !compares && !previews && running.events == 0
-}
-
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, (Wanted, Running)> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
 
 /// The window's end of it.
 pub struct Engine {
@@ -261,8 +78,8 @@ impl Engine {
     pub fn open(&mut self, opening: Opening) {
         self.want(|wanted, running| {
             (wanted.open, wanted.evaluate, wanted.write) = (Some(opening), None, None);
-            running.open.iter().for_each(|watch| watch.supersede());
-            running.evaluate.iter().for_each(|(watch, ..)| watch.supersede());
+            running.supersede(Job::Open);
+            running.supersede(Job::Evaluate);
         });
         self.forget_preview();
         self.compare(None);
@@ -274,7 +91,7 @@ impl Engine {
         self.requests += 1;
         let number = self.requests;
         self.want(|wanted, running| {
-            running.preview.iter().for_each(|watch| watch.supersede());
+            running.supersede(Job::Preview);
             wanted.preview = Some(Streaming { number, pose, chosen, tint, model });
         });
         number
@@ -284,7 +101,7 @@ impl Engine {
     pub fn pause_preview(&mut self) {
         self.want(|wanted, running| {
             wanted.preview = None;
-            running.preview.iter().for_each(|watch| watch.supersede());
+            running.supersede(Job::Preview);
         });
     }
 
@@ -298,7 +115,7 @@ impl Engine {
     pub fn compare(&mut self, comparing: Option<Comparing>) {
         self.want(|wanted, running| {
             wanted.compare = comparing;
-            running.compare.iter().for_each(|watch| watch.supersede());
+            running.supersede(Job::Compare);
         });
     }
 
@@ -308,8 +125,8 @@ impl Engine {
         self.requests += 1;
         let number = self.requests;
         self.want(|wanted, running| {
-            if let Some((watch, before, was)) = &running.evaluate {
-                let at = running.step.load(std::sync::atomic::Ordering::Relaxed);
+            if let (Some(watch), Some((before, was))) = (running.of(Job::Evaluate), &running.evaluated) {
+                let at = running.step.load(Relaxed);
                 if wasted::is_wasted(before, *was, &steps, effort, at, watch.stage()) {
                     watch.supersede();
                 }
@@ -332,72 +149,38 @@ impl Engine {
     /// Stops a job, and what waits to become one. A plugin in a process of its own is stopped even if it
     /// hangs.
     pub fn cancel(&mut self, job: Job) {
-        self.want(|wanted, running| match job {
-            Job::Open => {
-                wanted.open = None;
-                running.open.iter().for_each(|watch| watch.cancel());
-            }
-            Job::Evaluate => {
-                wanted.evaluate = None;
-                running.evaluate.iter().for_each(|(watch, ..)| watch.cancel());
-            }
-            Job::Write => {
-                wanted.write = None;
-                running.write.iter().for_each(|watch| watch.cancel());
-            }
-            Job::Preview => {
-                wanted.preview = None;
-                running.preview.iter().for_each(|watch| watch.cancel());
-            }
-            Job::Compare => {
-                wanted.compare = None;
-                running.compare.iter().for_each(|watch| watch.cancel());
-            }
+        self.want(|wanted, running| {
+            wanted.give_up(job);
+            running.of(job).iter().for_each(|watch| watch.cancel());
         });
     }
 
     /// What a job is doing, if it is running.
     pub fn activity(&self, job: Job) -> Option<Activity> {
-        let inner = self.shared.lock();
-        let running = &inner.1;
-        let watch = match job {
-            Job::Open => running.open.as_ref(),
-            Job::Evaluate => running.evaluate.as_ref().map(|(watch, ..)| watch),
-            Job::Write => running.write.as_ref(),
-            Job::Preview => running.preview.as_ref(),
-            Job::Compare => running.compare.as_ref(),
-        };
-        watch.map(|watch| watch.activity())
+        self.shared.lock().1.of(job).map(|watch| watch.activity())
     }
 
     /// Looks at those samples of the model that is being opened that are there by now, if there are any.
     pub fn emerged<T>(&self, look: impl FnOnce(&Emerged) -> T) -> Option<T> {
-        let watch = self.shared.lock().1.open.clone()?;
+        let watch = self.shared.lock().1.of(Job::Open)?.clone();
         watch.emerged(look)
     }
 
     /// The place of the step that is being done, if any is.
     pub fn step(&self) -> Option<usize> {
-        let inner = self.shared.lock();
-        inner.1.evaluate.as_ref().map(|_| inner.1.step.load(std::sync::atomic::Ordering::Relaxed))
+        let running = &self.shared.lock().1;
+        running.of(Job::Evaluate).map(|_| running.step.load(Relaxed))
     }
 
     /// Whether something is going to be done that was asked for.
     pub fn wants(&self, job: Job) -> bool {
-        let wanted = &self.shared.lock().0;
-        match job {
-            Job::Open => wanted.open.is_some(),
-            Job::Evaluate => wanted.evaluate.is_some(),
-            Job::Write => wanted.write.is_some(),
-            Job::Preview => wanted.preview.is_some(),
-            Job::Compare => wanted.compare.is_some(),
-        }
+        self.shared.lock().0.has(job)
     }
 
     /// Whether another model may be there before long, or what became of one was not taken yet.
     pub fn is_opening(&self) -> bool {
         let (wanted, running) = &*self.shared.lock();
-        wanted.open.is_some() || running.open.is_some() || running.opened > 0
+        wanted.has(Job::Open) || running.of(Job::Open).is_some() || running.opened > 0
     }
 
     /// The next thing that happened, if any; never waits.
@@ -444,7 +227,7 @@ impl Engine {
 
 impl Drop for Engine {
     fn drop(&mut self) {
-        for job in [Job::Open, Job::Evaluate, Job::Write, Job::Preview, Job::Compare] {
+        for job in Job::ALL {
             self.cancel(job);
         }
         self.want(|wanted, _| wanted.end = true);

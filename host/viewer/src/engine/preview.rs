@@ -1,46 +1,17 @@
 //! A thread that streams vertices of the model to be seen, so that the edit goes on meanwhile.
 
+use super::requests::{Event, Job, Pose, Streaming};
+use super::shared::Shared;
 use super::thread::{Teller, guarded};
 use super::watch::Watch;
-use super::{Event, Job, Shared};
 use crate::tint::Tint;
-use glam::Vec3;
 use simod_core::colors;
-use simod_core::detail::{self, Chosen, Shown};
+use simod_core::detail::{self, Shown};
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
-use simod_core::sampled_model::SampledModel;
 use simod_model::{Progress, Result};
 use std::cell::OnceCell;
-use std::path::PathBuf;
 use std::sync::{Arc, PoisonError};
 use std::time::Instant;
-
-/// Vertices to be streamed.
-pub(super) struct Streaming {
-    pub number: u64,
-    pub pose: Pose,
-    pub chosen: Chosen,
-    /// What the vertices are coloured by.
-    pub tint: Tint,
-    /// The model, if it was moved since it was sampled.
-    pub model: Option<PathBuf>,
-}
-
-/// Samples somewhere: what vertices are carried over by.
-#[derive(Clone)]
-pub struct Pose {
-    /// The samples at rest.
-    pub sampled: Arc<SampledModel>,
-    /// Where they are.
-    pub positions: Arc<[Vec3]>,
-}
-
-impl Pose {
-    /// Whether it is the very same; others may be equal nevertheless.
-    pub fn is(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.sampled, &other.sampled) && Arc::ptr_eq(&self.positions, &other.positions)
-    }
-}
 
 /// What to do next.
 enum Task {
@@ -79,7 +50,7 @@ impl Thread {
             }
             if let Some(streaming) = wanted.preview.take() {
                 let watch = Arc::new(Watch::new(self.tell.wake()));
-                running.preview = Some(watch.clone());
+                running.begin(Job::Preview, &watch);
                 return Some(Task::Stream(streaming, watch));
             }
             inner = self.shared.changed.wait(inner).unwrap_or_else(PoisonError::into_inner);

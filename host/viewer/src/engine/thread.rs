@@ -1,7 +1,8 @@
 //! The engine's other end: a thread that opens, does steps, and has models written, one after the other.
 
-use super::watch::Watch;
-use super::{Comparing, Event, Extra, Job, Opening, Request, Running, Shared, Wake, Writing};
+use super::requests::{Comparing, Event, Extra, Job, Opening, Request, Writing};
+use super::shared::{Running, Shared};
+use super::watch::{Wake, Watch};
 use crate::scene::Scene;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::sampled_model::SampledModel;
@@ -77,13 +78,7 @@ impl Teller {
             // Nobody listens any more once the window is closed.
             drop(self.events.send(event));
         }
-        match job {
-            Job::Open => running.open = None,
-            Job::Evaluate => running.evaluate = None,
-            Job::Write => running.write = None,
-            Job::Preview => running.preview = None,
-            Job::Compare => running.compare = None,
-        }
+        running.end(job);
         self.shared.changed.notify_all();
         drop(inner);
         (self.wake)();
@@ -153,21 +148,22 @@ impl Thread {
             }
             let watch = Arc::new(Watch::new(self.tell.wake.clone()));
             if let Some(opening) = wanted.open.take() {
-                running.open = Some(watch.clone());
+                running.begin(Job::Open, &watch);
                 return Some((Task::Open(opening), watch));
             }
             if let Some(request) = wanted.evaluate.take() {
-                running.evaluate = Some((watch.clone(), request.steps.clone(), request.effort));
+                running.begin(Job::Evaluate, &watch);
+                running.evaluated = Some((request.steps.clone(), request.effort));
                 return Some((Task::Evaluate(request), watch));
             }
             if let Some(comparing) = wanted.compare.take() {
-                running.compare = Some(watch.clone());
+                running.begin(Job::Compare, &watch);
                 return Some((Task::Compare(comparing), watch));
             }
-            if running.write.is_none()
+            if running.of(Job::Write).is_none()
                 && let Some((steps, writing)) = wanted.write.take()
             {
-                running.write = Some(watch.clone());
+                running.begin(Job::Write, &watch);
                 return Some((Task::Write(steps, writing), watch));
             }
             inner = self.shared.changed.wait(inner).unwrap_or_else(PoisonError::into_inner);

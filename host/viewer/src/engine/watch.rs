@@ -1,13 +1,15 @@
 //! Where a job is, as the window reads it and the job's thread tells it.
 
-use super::Wake;
 use super::emerged::Emerged;
 use simod_model::Progress;
 use simod_model::memory::anonymous;
 use simod_model::progress::{Emerging, Glimpse};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
+
+/// Called from any thread when there is something new to be looked at: an event, or progress.
+pub type Wake = Arc<dyn Fn() + Send + Sync>;
 
 /// What a job is doing.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,6 +1,7 @@
 //! Steps: added, changed, undone; saved and written.
 
-use super::{Open, State, nothing_open, refused};
+use super::State;
+use super::open::{Open, nothing_open, refused};
 use crate::command::Command;
 use crate::engine::{Extra, Writing};
 use crate::overlay::Overlay;

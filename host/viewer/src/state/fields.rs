@@ -1,30 +1,10 @@
 //! The numbers that are shown on the surface, of both versions on one scale.
 
+use super::known::{Key, Known};
 use super::{State, Version};
 use crate::overlay::{self, Field, Overlay};
 use crate::scene::Scene;
-use crate::selection::Selection;
-use simod_session::edit::Entry;
 use std::sync::Arc;
-
-/// The numbers of a version, as they were found last.
-pub(super) struct Known {
-    key: Key,
-    field: Field,
-    /// Of these numbers alone.
-    range: [f32; 2],
-}
-
-/// What a field depends on.
-struct Key {
-    overlay: Overlay,
-    revision: u64,
-    /// The other version's revision, and whether it is known at all samples; where they are compared.
-    other: Option<(u64, bool)>,
-    selection: Selection,
-    steps: Arc<[Entry]>,
-    chosen: Option<usize>,
-}
 
 impl State {
     /// The numbers that are shown on the surface; nothing where only the surface is.

@@ -2,13 +2,19 @@
 
 mod edit;
 mod fields;
+mod full;
 mod history;
+mod known;
+mod open;
+mod open_stroke;
 mod pinned;
 mod preview;
 mod region;
 mod select;
+mod selections;
 mod slowest;
 mod stroke;
+mod version;
 mod view;
 
 use crate::appended::{former, owners};
@@ -21,11 +27,14 @@ use crate::pick::DepthBuffer;
 use crate::record::Recorder;
 use crate::scene::Scene;
 use crate::selection::{Adjacency, Selection};
+use full::Preview;
 use glam::DVec3;
-use pinned::Pinned;
-pub use pinned::Version;
+use known::Known;
+use open::{Open, refused};
+use open_stroke::OpenStroke;
+use selections::Selections;
 use simod_core::reconstruction::Reconstructed;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
 use simod_session::edit::{Document, Editor, Entry, StepId};
 use simod_session::{PluginRegistry, SessionFile};
@@ -33,7 +42,8 @@ pub use slowest::Slowest;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
-use stroke::OpenStroke;
+use version::Pinned;
+pub use version::Version;
 
 /// Notices that are kept until the window takes them.
 const MOST_NOTICES: usize = 100;
@@ -49,14 +59,6 @@ pub enum Notice {
     Written(PathBuf, Box<Reconstructed>, f64),
 }
 
-/// What is open.
-struct Open {
-    editor: Editor,
-    scene: Arc<Scene>,
-    /// Who is next to whom, of the scene's samples.
-    adjacency: Arc<Adjacency>,
-}
-
 /// A window's state, without the window.
 pub struct State {
     engine: Engine,
@@ -64,7 +66,7 @@ pub struct State {
     open: Option<Open>,
     selection: Selection,
     /// The former ones.
-    selections: history::Selections,
+    selections: Selections,
     camera: Camera,
     /// Of the picture, in pixels.
     size: [f64; 2],
@@ -85,9 +87,9 @@ pub struct State {
     recorder: Option<Recorder>,
     /// The depth buffer of a scene.
     depth: Option<(u64, DepthBuffer)>,
-    preview: preview::Preview,
+    preview: Preview,
     /// The numbers of both versions.
-    fields: [Option<fields::Known>; 2],
+    fields: [Option<Known>; 2],
     /// The version to compare with.
     pinned: Option<Pinned>,
     /// How many were pinned so far.
@@ -95,14 +97,6 @@ pub struct State {
     /// What steps are called that were pinned before.
     named: Option<(String, Arc<[Entry]>)>,
     slowest: Slowest,
-}
-
-fn refused(what: impl Into<String>, hint: &str) -> Error {
-    Error::new(ErrorKind::Argument, what, hint)
-}
-
-fn nothing_open() -> Error {
-    refused("no model is open", "open one")
 }
 
 impl State {
@@ -128,7 +122,7 @@ impl State {
             notices: Vec::new(),
             recorder: None,
             depth: None,
-            preview: preview::Preview::default(),
+            preview: Preview::default(),
             fields: [None, None],
             pinned: None,
             pins: 0,
@@ -431,15 +425,4 @@ pub fn forget(path: &Path) -> Result<()> {
 /// There is something, but it cannot be read.
 pub fn recoverable(path: &Path) -> Result<Option<SessionFile>> {
     simod_session::edit::recover(path)
-}
-
-impl Open {
-    fn new(editor: Editor, scene: Scene) -> Self {
-        let adjacency = Arc::new(Adjacency::of_model(&scene.sampled));
-        Self { editor, scene: Arc::new(scene), adjacency }
-    }
-
-    fn steps(&self) -> &Arc<[Entry]> {
-        self.editor.document().steps()
-    }
 }

@@ -1,62 +1,21 @@
 //! The pinned version: other steps on the same samples, to compare with those that are worked on.
 
-use super::{Open, State, nothing_open, refused};
+use super::State;
+use super::open::{Open, nothing_open, refused};
+use super::version::{Pinned, Steps, Version};
 use crate::engine::{Carried, Comparing};
 use crate::overlay::Overlay;
 use crate::scene::{Scene, common};
-use glam::Vec3;
 use simod_core::fingerprint::are_same;
 use simod_core::sampled_model::SampledModel;
 use simod_model::Result;
 use simod_plugin_api::Effort;
 use simod_session::SessionFile;
-use simod_session::edit::Entry;
 use std::path::Path;
 use std::sync::Arc;
 
 /// What the user reads where a swap is undone.
 const SWAP: &str = "go on with the pinned version";
-
-/// One of the two versions that are compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Version {
-    /// The one that is worked on.
-    Now,
-    /// The one that is pinned.
-    Pinned,
-}
-
-/// A version to compare with. Its samples are shared with the scene that they were shown in.
-pub(super) struct Pinned {
-    /// Which one, for the engine.
-    number: u64,
-    version: Steps,
-    /// Whether it is of no use with a step that cannot be done.
-    whole: bool,
-    /// Where it has the samples of the other version, which was refined otherwise.
-    carried: Option<Carried>,
-    /// What the engine was asked for last: the error to be expected, and where it has these samples.
-    asked: Option<(bool, Option<Arc<SampledModel>>)>,
-}
-
-/// Steps with a name, and the samples that they come to, once these are known.
-pub(super) struct Steps {
-    name: String,
-    steps: Arc<[Entry]>,
-    scene: Option<Arc<Scene>>,
-}
-
-impl Pinned {
-    pub fn scene(&self) -> Option<&Arc<Scene>> {
-        self.version.scene.as_ref()
-    }
-
-    /// Where it has all samples of a scene, if that is known.
-    pub fn carried(&self, onto: &Arc<SampledModel>) -> Option<&Arc<[Vec3]>> {
-        let known = self.carried.as_ref().filter(|carried| Arc::ptr_eq(&carried.sampled, onto));
-        known.map(|carried| &carried.positions)
-    }
-}
 
 impl State {
     /// What is there to be drawn of a version, if it is there.

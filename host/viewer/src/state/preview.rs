@@ -1,36 +1,17 @@
 //! Parts of the model in full: asked for, streamed again once the edit rests, and shown in the place of
 //! samples.
 
-use super::{State, nothing_open};
+use super::State;
+use super::full::{Asked, Preview};
+use super::open::nothing_open;
 use crate::detail::{Detail, Previewed};
 use crate::engine::{Job, Pose};
-use crate::tint::Tint;
 use rayon::prelude::*;
 use simod_core::detail::{Batch, Chosen, ENOUGH, Streamed};
 use simod_model::Result;
 
 /// Samples around those that are seen, whose vertices may be.
 const RING: usize = 8;
-
-/// What is shown in full, and on its way.
-#[derive(Default)]
-pub(super) struct Preview {
-    detail: Option<Detail>,
-    streaming: Option<Asked>,
-    /// The user stopped it.
-    stopped: bool,
-    /// The last that was streamed to its end, and how long it took.
-    last: Option<(Streamed, f64)>,
-}
-
-/// What is being streamed.
-struct Asked {
-    request: u64,
-    /// By what samples, one of how many vertices, and with what.
-    pose: Pose,
-    stride: u64,
-    tint: Tint,
-}
 
 impl State {
     /// What is shown in full, if anything is.

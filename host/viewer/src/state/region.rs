@@ -1,7 +1,8 @@
 //! Regions of what is selected, and the handles that move.
 
+use super::State;
 use super::edit::missing;
-use super::{Open, State, refused};
+use super::open::{Open, refused};
 use crate::appended::{as_found, owner_of};
 use crate::body::{Ball, largest_balls};
 use crate::motion::{PlacedHandle, placed_handles};

@@ -1,32 +1,14 @@
 //! A brush stroke while it is drawn: shown, but not yet one of the steps'.
 
-use super::{State, refused};
+use super::State;
+use super::open::refused;
+use super::open_stroke::OpenStroke;
 use glam::DVec3;
 use simod_model::Result;
 use simod_plugin_api::Effort;
-use simod_session::edit::{Change, Entry, StepId};
-use simod_session::session_file::{Action, Stroke};
+use simod_session::edit::Change;
+use simod_session::session_file::Stroke;
 use std::sync::Arc;
-
-/// A stroke that is being drawn.
-pub(super) struct OpenStroke {
-    step: StepId,
-    stroke: Stroke,
-}
-
-impl OpenStroke {
-    /// The steps with the stroke as far as it is.
-    pub fn preview(&self, steps: &Arc<[Entry]>) -> Option<Arc<[Entry]>> {
-        if self.stroke.defect().is_some() {
-            return None;
-        }
-        let mut steps = steps.to_vec();
-        let entry = steps.iter_mut().find(|entry| entry.id == self.step)?;
-        let Action::Deform(deformation) = &mut Arc::make_mut(&mut entry.step).action else { return None };
-        deformation.strokes.push(Arc::new(self.stroke.clone()));
-        Some(steps.into())
-    }
-}
 
 fn none() -> simod_model::Error {
     refused("no stroke was begun", "put the brush on the surface first")

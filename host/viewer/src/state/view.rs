@@ -1,6 +1,7 @@
 //! The camera, and what is shown on the surface.
 
-use super::{State, refused};
+use super::State;
+use super::open::refused;
 use crate::camera::Camera;
 use crate::clip::Clip;
 use crate::command::CameraMove;

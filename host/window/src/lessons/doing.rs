@@ -23,7 +23,7 @@ pub fn step(window: &Window, plugin: &str) -> Option<(usize, StepId, Deformation
 pub fn add(window: &mut Window, plugin: &str) {
     let found = window.state().plugins().get(plugin).cloned();
     match found {
-        Ok(plugin) => crate::panels::menu::added(window, &plugin, None),
+        Ok(plugin) => crate::steps::added(window, &plugin, None),
         Err(error) => window.toasts.error(&error),
     }
 }

@@ -2,15 +2,16 @@
 //! as soon as it is done, by whatever way; or does it itself, by the commands that the user would give.
 
 mod doing;
+mod lesson;
 mod texts;
 
 use crate::example;
 use crate::tools::Tool;
-use crate::window::Window;
-use simod_generate::Shape;
+use crate::window::{Running, Window};
+pub use lesson::{Lesson, Part};
 use simod_model::Result;
 use simod_session::session_file::Sampling;
-use simod_viewer::{Camera, Command, Overlay, state};
+use simod_viewer::{Command, Overlay, state};
 use std::path::PathBuf;
 pub use texts::ALL;
 
@@ -18,58 +19,20 @@ pub use texts::ALL;
 const VERTICES: u64 = 60_000;
 const SAMPLES: u64 = 20_000;
 
-/// One lesson.
-pub struct Lesson {
-    /// What the user reads of it in menus.
-    pub title: &'static str,
-    /// What is learnt.
-    pub about: &'static str,
-    /// The model that it is done on.
-    shape: Shape,
-    file: &'static str,
-    /// What is done.
-    pub parts: &'static [Part],
-    /// What is left to say.
-    pub ends: &'static str,
-}
-
-/// One thing to do.
-pub struct Part {
-    /// What the user reads.
-    pub text: &'static str,
-    /// Whether it is done, from where the camera was when it began.
-    done: fn(&Window, &Camera) -> bool,
-    /// Does it.
-    run: fn(&mut Window),
-}
-
 /// The lesson that is being done.
-pub struct Running {
-    /// Its place among [`ALL`].
-    pub lesson: usize,
-    /// The part that is to be done; as many as there are parts once all are.
-    pub part: usize,
-    model: PathBuf,
-    /// Where the camera was when the part began.
-    began: Option<Camera>,
+pub fn lesson_of(running: &Running) -> &'static Lesson {
+    &ALL[running.lesson]
 }
 
-impl Running {
-    /// What is being done.
-    pub fn lesson(&self) -> &'static Lesson {
-        &ALL[self.lesson]
-    }
+/// What is to be done now; nothing once all is.
+pub fn part_of(running: &Running) -> Option<&'static Part> {
+    lesson_of(running).parts.get(running.part)
+}
 
-    /// What is to be done now; nothing once all is.
-    pub fn part(&self) -> Option<&'static Part> {
-        self.lesson().parts.get(self.part)
-    }
-
-    /// Whether its model is open.
-    pub fn is_open(&self, window: &Window) -> bool {
-        let is_it = |path: PathBuf| window.opened() == Some(&*path);
-        is_it(self.model.clone()) && window.state().scene().is_some() && !window.state().is_opening()
-    }
+/// Whether the lesson's model is open.
+pub fn is_open(running: &Running, window: &Window) -> bool {
+    let is_it = window.opened() == Some(&*running.model);
+    is_it && window.state().scene().is_some() && !window.state().is_opening()
 }
 
 /// Opens a lesson's model, and begins.
@@ -98,11 +61,11 @@ fn open(window: &mut Window, lesson: usize) -> Result<PathBuf> {
 /// Goes on where something is done. To be called before each picture.
 pub fn update(window: &mut Window) {
     let Some(mut running) = window.lesson.take() else { return };
-    if running.is_open(window) {
+    if is_open(&running, window) {
         let began = *running.began.get_or_insert(*window.state().camera());
         // What a hand is doing is done once it rests.
         let rests = !window.tools.is_dragging() && !window.state().is_drawing();
-        if rests && running.part().is_some_and(|part| (part.done)(window, &began)) {
+        if rests && part_of(&running).is_some_and(|part| (part.done)(window, &began)) {
             (running.part, running.began) = (running.part + 1, None);
             window.ctx().request_repaint();
         }
@@ -112,7 +75,7 @@ pub fn update(window: &mut Window) {
 
 /// Does the part that is to be done.
 pub fn do_it(window: &mut Window) {
-    let part = window.lesson.as_ref().filter(|running| running.is_open(window)).and_then(Running::part);
+    let part = window.lesson.as_ref().filter(|running| is_open(running, window)).and_then(part_of);
     if let Some(part) = part {
         (part.run)(window);
     }

@@ -1,9 +1,9 @@
 //! The heading of a group of steps: folded or not, switched, named and moved as one.
 
 use super::rows::{Dragged, carried, name_field, switch};
-use crate::steps::{self, Renaming};
+use crate::steps;
 use crate::theme;
-use crate::window::Window;
+use crate::window::{Renaming, Window};
 use eframe::egui::{
     self, Align, Button, Layout, Response, RichText, Sense, Stroke, StrokeKind, Ui, UiBuilder, Vec2,
     collapsing_header::paint_default_icon,

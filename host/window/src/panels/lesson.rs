@@ -2,9 +2,9 @@
 
 use super::card;
 use super::clip;
-use crate::lessons::{self, ALL, Running};
+use crate::lessons::{self, ALL};
 use crate::theme;
-use crate::window::Window;
+use crate::window::{Running, Window};
 use eframe::egui::{Align2, Area, Button, Color32, Id, Order, Rect, RichText, Sense, Ui, vec2};
 
 const MARGIN: f32 = 12.0;
@@ -41,7 +41,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
 }
 
 fn content(ui: &mut Ui, window: &Window, running: &Running) -> Option<Answer> {
-    let lesson = running.lesson();
+    let lesson = lessons::lesson_of(running);
     ui.horizontal(|ui| {
         ui.label(RichText::new(lesson.title).strong());
         for i in 0..lesson.parts.len() {
@@ -55,7 +55,7 @@ fn content(ui: &mut Ui, window: &Window, running: &Running) -> Option<Answer> {
         }
     });
     ui.add_space(3.0);
-    if !running.is_open(window) {
+    if !lessons::is_open(running, window) {
         ui.label(RichText::new("Its model is not open.").weak());
         return ui
             .horizontal(|ui| {
@@ -64,7 +64,7 @@ fn content(ui: &mut Ui, window: &Window, running: &Running) -> Option<Answer> {
             })
             .inner;
     }
-    let Some(part) = running.part() else {
+    let Some(part) = lessons::part_of(running) else {
         ui.label(lesson.ends);
         ui.add_space(4.0);
         return ui

@@ -1,10 +1,10 @@
 //! The menus.
 
-use super::Palette;
 use crate::actions::{ALL, Action, Menu};
 use crate::lessons::{ALL as ALL_LESSONS, begin};
 use crate::settings::Settings;
-use crate::window::Window;
+use crate::steps;
+use crate::window::{Palette, Window};
 use crate::wording::purpose;
 use eframe::egui::{self, Button, Frame, Margin, MenuBar, Panel, RichText, Ui};
 use simod_session::Plugin;
@@ -153,7 +153,7 @@ pub fn add_step(ui: &mut Ui, window: &mut Window, at: Option<usize>) {
     for plugin in plugins.plugins() {
         let button = Button::new(plugin.name()).right_text(RichText::new(plugin.id()).weak().small());
         if ui.add_enabled(enabled, button).on_hover_text(about(plugin)).clicked() {
-            added(window, plugin, at);
+            steps::added(window, plugin, at);
             ui.close();
         }
     }
@@ -163,23 +163,4 @@ pub fn add_step(ui: &mut Ui, window: &mut Window, at: Option<usize>) {
 pub fn about(plugin: &Plugin) -> String {
     let lines = [plugin.summary(), purpose(plugin.id()), plugin.citation(), plugin.author()];
     lines.into_iter().filter(|line| !line.is_empty()).collect::<Vec<_>>().join("\n")
-}
-
-/// A step is added, and a tool that it needs taken.
-pub fn added(window: &mut Window, plugin: &Plugin, at: Option<usize>) {
-    use crate::tools::Tool;
-    if !window.apply(Command::AddStep { plugin: plugin.id().to_owned(), at }) {
-        return;
-    }
-    window.tools.target = None;
-    let consumes = plugin.consumes();
-    if consumes.strokes {
-        window.tools.take(Tool::Stroke);
-    } else if consumes.joints {
-        window.tools.take(Tool::Joint);
-    } else if consumes.handle_regions && window.state().selection().is_empty() {
-        window.tools.take(Tool::Brush);
-    } else if !window.tools.tool.grabs() {
-        window.tools.take(Tool::Move);
-    }
 }

@@ -35,7 +35,3 @@ pub mod welcome;
 
 pub use crate::numbers::{ago, bytes, count, duration, number};
 pub use frames::card;
-pub use palette::Palette;
-pub use prompt::Prompt;
-pub use report::Report;
-pub use toasts::{Cause, Toasts};

@@ -1,8 +1,9 @@
 //! Over the picture: options of the tool, what is being done, and what colours mean.
 
 use super::{card, clip, lesson, pinned, progress};
-use crate::tools::Tool;
-use crate::tools::measure::{self, Measuring};
+use crate::tools::hand::Measuring;
+use crate::tools::measure;
+use crate::tools::{Tool, is_of_use};
 use crate::window::Window;
 use eframe::egui::{Align, Button, DragValue, Layout, Rect, RichText, Slider, Ui, UiBuilder, pos2, vec2};
 use simod_viewer::Command;
@@ -57,7 +58,7 @@ fn moving(ui: &mut Ui, window: &mut Window) {
 
 /// How many joints a drag places.
 fn chaining(ui: &mut Ui, window: &mut Window) {
-    if !Tool::Joint.is_of_use(window) {
+    if !is_of_use(Tool::Joint, window) {
         ui.label(RichText::new("The chosen step takes no joints.").weak());
         return;
     }

@@ -1,7 +1,7 @@
 //! All commands by name: looked for by typing.
 
-use super::menu;
 use crate::actions::ALL;
+use crate::steps::added;
 use crate::window::Window;
 use eframe::egui::{self, Align2, Button, Id, Key, Modal, RichText, ScrollArea, TextEdit, vec2};
 use simod_session::Plugin;
@@ -9,13 +9,6 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 const MOST: usize = 60;
-
-/// The search.
-#[derive(Default)]
-pub struct Palette {
-    text: String,
-    at: usize,
-}
 
 /// Something that is found.
 enum Entry {
@@ -36,7 +29,7 @@ impl Entry {
     fn run(self, window: &mut Window) {
         match self {
             Self::Action(action) => (action.run)(window),
-            Self::Add(plugin) => menu::added(window, &plugin, None),
+            Self::Add(plugin) => added(window, &plugin, None),
             Self::Open(path) => window.ask_to_open(path),
         }
     }

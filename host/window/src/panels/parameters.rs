@@ -2,7 +2,8 @@
 
 use super::parts;
 use crate::dialogs::Purpose;
-use crate::widgets::parameter::{self, Asked};
+use crate::widgets::parameter;
+use crate::widgets::values::{Asked, number_of};
 use crate::window::Window;
 use eframe::egui::{CollapsingHeader, RichText, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};
@@ -68,7 +69,7 @@ fn amount(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
         .soft(0.0, 1.0);
     let value = Some(toml::Value::Float(deformation.amount)).filter(|_| deformation.amount != 1.0);
     let to = |value: Option<toml::Value>| {
-        let amount = value.as_ref().map_or(1.0, |value| parameter::number_of(&desc, Some(value)));
+        let amount = value.as_ref().map_or(1.0, |value| number_of(&desc, Some(value)));
         Change::SetAmount(amount.clamp(0.0, 1.0))
     };
     match parameter::show(ui, &desc, value.as_ref(), &scene.sampled.bounds) {

@@ -3,8 +3,7 @@
 use super::frames::modal;
 use super::render::{self, Answer};
 use crate::dialogs::Purpose;
-use crate::screenshot::shown_size;
-use crate::turntable::begin_picture;
+use crate::rendering::{begin_picture, shown_size};
 use crate::window::Window;
 use eframe::egui::{self, Id, Modal, RichText};
 use std::path::Path;

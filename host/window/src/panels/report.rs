@@ -2,24 +2,8 @@
 
 use super::frames::modal;
 use crate::numbers::{bytes, count};
-use crate::window::Window;
+use crate::window::{Report, Window};
 use eframe::egui::{self, Grid, Id, Modal, RichText};
-use simod_core::reconstruction::Reconstructed;
-use std::path::PathBuf;
-
-/// A report.
-pub struct Report {
-    output: PathBuf,
-    report: Reconstructed,
-    seconds: f64,
-}
-
-impl Report {
-    /// Of a file that was written in so many seconds.
-    pub fn new(output: PathBuf, report: Reconstructed, seconds: f64) -> Self {
-        Self { output, report, seconds }
-    }
-}
 
 /// Shows it until it is closed.
 pub fn show(ctx: &egui::Context, window: &mut Window) {

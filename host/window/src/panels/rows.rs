@@ -1,8 +1,7 @@
 //! What rows of the list of steps have in common, be they of steps or of groups: a box, a name that is typed, and that
 //! they can be dragged.
 
-use crate::steps::Renaming;
-use crate::window::Window;
+use crate::window::{Renaming, Window};
 use eframe::egui::{
     self, Align2, CursorIcon, FontId, Key, LayerId, Order, Pos2, Response, TextEdit, Ui, vec2,
 };

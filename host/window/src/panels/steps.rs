@@ -3,9 +3,9 @@
 use super::rows::{Dragged, carried, name_field, switch};
 use super::{count, groups, menu, number, parts};
 use crate::regions;
-use crate::steps::{self, Renaming};
+use crate::steps;
 use crate::theme;
-use crate::window::Window;
+use crate::window::{Renaming, Window};
 use crate::wording::{in_window, remedies};
 use eframe::egui::{
     self, Align, Button, Color32, CornerRadius, Frame, Layout, Margin, Response, RichText, Sense, Spinner,

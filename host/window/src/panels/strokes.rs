@@ -1,7 +1,8 @@
 //! The brush strokes of the chosen step, as a list.
 
 use super::{count, parts};
-use crate::widgets::parameter::{self, Asked};
+use crate::widgets::parameter;
+use crate::widgets::values::Asked;
 use crate::window::Window;
 use eframe::egui::{self, Button, DragValue, RichText, ScrollArea, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};

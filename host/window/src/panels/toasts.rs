@@ -1,80 +1,11 @@
 //! Messages that go away, with what to do.
 
 use crate::window::Window;
-use crate::wording::in_window;
 use eframe::egui::{self, Align2, Area, Color32, Frame, Id, Margin, Order, RichText, Stroke, vec2};
-use simod_model::Error;
-use simod_viewer::engine::Job;
-use std::time::{Duration, Instant};
-
-/// How long a note stays, and an error.
-const STAYS: [Duration; 2] = [Duration::from_secs(5), Duration::from_secs(20)];
-const MOST: usize = 5;
-
-struct Toast {
-    text: String,
-    hint: String,
-    is_error: bool,
-    /// Once it is mended, the message goes away.
-    cause: Option<Cause>,
-    since: Instant,
-}
-
-/// What an error came of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Cause {
-    /// A command that could not be done: the next one mends it.
-    Command,
-    /// A job that came to nothing, until it does not.
-    Job(Job),
-}
-
-/// The messages, oldest first.
-#[derive(Default)]
-pub struct Toasts(Vec<Toast>);
-
-impl Toasts {
-    /// Good to know.
-    pub fn note(&mut self, text: impl Into<String>) {
-        self.push(text.into(), String::new(), false, None);
-    }
-
-    /// Something came to nothing.
-    pub fn error(&mut self, error: &Error) {
-        self.push(error.to_string(), error.hint().to_owned(), true, None);
-    }
-
-    /// Something came to nothing, which may be mended.
-    pub fn error_of(&mut self, cause: Cause, error: &Error) {
-        let [text, hint] = [&error.to_string(), error.hint()].map(|text| in_window(text, None));
-        self.push(text, hint, true, Some(cause));
-    }
-
-    /// What some errors came of is mended.
-    pub fn leave(&mut self, cause: Cause) {
-        self.0.retain(|toast| toast.cause != Some(cause));
-    }
-
-    /// What is there to be read.
-    pub fn texts(&self) -> impl Iterator<Item = &str> {
-        self.0.iter().map(|toast| toast.text.as_str())
-    }
-
-    fn push(&mut self, text: String, hint: String, is_error: bool, cause: Option<Cause>) {
-        // The same again stays longer.
-        self.0.retain(|toast| toast.text != text);
-        self.0.push(Toast { text, hint, is_error, cause, since: Instant::now() });
-        let surplus = self.0.len().saturating_sub(MOST);
-        self.0.drain(..surplus);
-    }
-}
 
 /// Shows them at the lower right of the picture.
 pub fn show(ctx: &egui::Context, window: &mut Window) {
-    let stays = |toast: &Toast| STAYS[usize::from(toast.is_error)];
-    let toasts = &mut window.toasts.0;
-    toasts.retain(|toast| toast.since.elapsed() < stays(toast));
-    let Some(next) = toasts.iter().map(|t| stays(t).saturating_sub(t.since.elapsed())).min() else { return };
+    let (toasts, Some(next)) = window.toasts.young() else { return };
     ctx.request_repaint_after(next);
     let mut closed = None;
     let area = Area::new(Id::unique("toasts")).order(Order::Foreground);
@@ -107,6 +38,6 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         }
     });
     if let Some(i) = closed {
-        toasts.remove(i);
+        window.toasts.close(i);
     }
 }

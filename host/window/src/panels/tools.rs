@@ -1,7 +1,7 @@
 //! The strip of tools at the left.
 
 use crate::actions::{ALL, Menu};
-use crate::tools::Tool;
+use crate::tools::{Tool, is_of_use};
 use crate::widgets::icons;
 use crate::window::Window;
 use eframe::egui::{Color32, Frame, Margin, Panel, Role, Sense, Ui, WidgetInfo, vec2};
@@ -34,7 +34,7 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
 }
 
 fn button(ui: &mut Ui, window: &mut Window, tool: Tool) {
-    let enabled = tool.is_of_use(window);
+    let enabled = is_of_use(tool, window);
     let chosen = window.tools.tool == tool;
     let sense = if enabled { Sense::click() } else { Sense::hover() };
     let (rect, response) = ui.allocate_exact_size(vec2(SIZE, SIZE), sense);

@@ -3,8 +3,8 @@
 use super::frames::modal;
 use super::render::{self, Answer};
 use crate::dialogs::Purpose;
-use crate::screenshot::shown_size;
-use crate::turntable::{RATE, begin};
+use crate::rendering::{begin, shown_size};
+use crate::turntable::RATE;
 use crate::window::Window;
 use eframe::egui::{self, DragValue, Id, Modal, RichText};
 use simod_picture::FrameFolder;

@@ -99,7 +99,7 @@ fn recent(ui: &mut Ui, window: &mut Window) {
                 let text = RichText::new("recover").color(ui.visuals().warn_fg_color);
                 let hint = format!("An edit of it was kept against a crash, {}", ago(made));
                 if ui.link(text).on_hover_text(hint).clicked() {
-                    let sampling = crate::arguments::sampling(None);
+                    let sampling = crate::settings::sampling(None);
                     window.open_now(path, sampling, true);
                 }
             }

@@ -1,6 +1,6 @@
 //! Arrows and rings that move a handle: a region's, or one that the plugin placed.
 
-use super::transform::held;
+use super::place::{Kind, Place, Several};
 use super::{Target, Tool};
 use crate::viewport::Canvas;
 use crate::window::Window;
@@ -11,7 +11,7 @@ use simod_session::edit::{Change, StepId};
 use simod_session::session_file::HandleMove;
 use simod_viewer::Command;
 use simod_viewer::held::Held;
-use simod_viewer::motion::{PlacedHandle, handle_matrix, motion_of};
+use simod_viewer::motion::handle_matrix;
 use transform_gizmo::math::{Pos2 as GizmoPos, Rect as GizmoRect, Transform};
 use transform_gizmo::{EnumSet, GizmoConfig, GizmoInteraction, GizmoMode, GizmoOrientation, GizmoVisuals};
 
@@ -20,100 +20,48 @@ const SNAP_DEGREES: f32 = 15.0;
 /// Steps of a shift, as a part of the model's size.
 const SNAP_DISTANCE: f32 = 0.05;
 
-/// What the gizmo moves.
-#[derive(Clone)]
-pub struct Place {
-    step: usize,
-    id: StepId,
-    target: Target,
-    /// Where it is: model coordinates.
-    matrix: DAffine3,
-    kind: Kind,
-    can: simod_plugin_api::Gizmo,
-}
-
-#[derive(Clone)]
-enum Kind {
-    Region { pivot: DVec3 },
-    Handle(PlacedHandle),
-}
-
-/// Several handles, as they were when the hand took them, and where the gizmo was.
-pub struct Several {
-    held: Held,
-    from: DAffine3,
-}
-
-impl Several {
-    /// How they go along with the gizmo.
-    fn change_to(&self, matrix: DAffine3) -> Option<Change> {
-        let map = matrix * self.from.inverse();
-        let pivot = self.held.pivot();
-        let there = DAffine3 { translation: map.transform_point3(pivot), ..map };
-        self.held.moved(&motion_of(there, pivot)?).map(Change::MoveHandles)
-    }
-}
-
-impl Place {
-    /// That of what is in the hand, if anything is.
-    pub fn of(window: &mut Window) -> Option<Self> {
-        let (step, id, deformation, _) = window.chosen()?;
-        let target = window.tools.target.clone()?;
-        let all = simod_plugin_api::Gizmo(!0);
-        match &target {
-            Target::Region(region) => {
-                let motion = deformation.regions.get(*region)?.motion;
-                let known = window.tools.pivot.filter(|(of, i, _)| (*of, *i) == (id, *region));
-                let pivot = match (motion.pivot, known) {
-                    (Some(pivot), _) | (None, Some((_, _, pivot))) => pivot,
-                    // It takes all samples to find it.
-                    (None, None) => window.state().handle_pivot(step, *region)?,
-                };
-                window.tools.pivot = Some((id, *region, pivot));
-                let matrix = handle_matrix(&motion, pivot);
-                Some(Self { step, id, target, matrix, kind: Kind::Region { pivot }, can: all })
-            }
-            Target::Handle(handle) => {
-                let (desc, placed) =
-                    window.state().handles(step).into_iter().find(|(desc, _)| desc.id == handle.as_str())?;
-                let (matrix, can) = (placed.matrix(), desc.gizmo);
-                Some(Self { step, id, target, matrix, kind: Kind::Handle(placed), can })
-            }
+/// The place of what is in the hand, if anything is.
+pub fn place(window: &mut Window) -> Option<Place> {
+    let (step, id, deformation, _) = window.chosen()?;
+    let target = window.tools.target.clone()?;
+    let all = simod_plugin_api::Gizmo(!0);
+    match &target {
+        Target::Region(region) => {
+            let motion = deformation.regions.get(*region)?.motion;
+            let known = window.tools.pivot.filter(|(of, i, _)| (*of, *i) == (id, *region));
+            let pivot = match (motion.pivot, known) {
+                (Some(pivot), _) | (None, Some((_, _, pivot))) => pivot,
+                // It takes all samples to find it.
+                (None, None) => window.state().handle_pivot(step, *region)?,
+            };
+            window.tools.pivot = Some((id, *region, pivot));
+            let matrix = handle_matrix(&motion, pivot);
+            Some(Place { step, id, target, matrix, kind: Kind::Region { pivot }, can: all })
+        }
+        Target::Handle(handle) => {
+            let (desc, placed) =
+                window.state().handles(step).into_iter().find(|(desc, _)| desc.id == handle.as_str())?;
+            let (matrix, can) = (placed.matrix(), desc.gizmo);
+            Some(Place { step, id, target, matrix, kind: Kind::Handle(placed), can })
         }
     }
+}
 
-    /// What it is.
-    pub fn target(&self) -> &Target {
-        &self.target
-    }
+/// The handles that the hand holds, with those around them that go along.
+pub fn held(window: &Window, step: usize, id: StepId) -> Option<Held> {
+    let bounds = window.state().scene()?.sampled.bounds;
+    let reach = window.tools.reach * (bounds.max - bounds.min).length();
+    Held::new(&window.state().handles(step), &window.tools.handles(id), reach)
+}
 
-    /// Where it is: model coordinates.
-    pub fn matrix(&self) -> DAffine3 {
-        self.matrix
+/// Other handles that move along, as they are now, if any do.
+fn several(place: &Place, window: &Window) -> Option<Several> {
+    let tools = &window.tools;
+    let alone = tools.reach == 0.0 && tools.handles(place.id).len() < 2;
+    if alone || !matches!(place.kind, Kind::Handle(_)) {
+        return None;
     }
-
-    /// Others that move along, as they are now, if any do.
-    fn several(&self, window: &Window) -> Option<Several> {
-        let tools = &window.tools;
-        let alone = tools.reach == 0.0 && tools.handles(self.id).len() < 2;
-        if alone || !matches!(self.kind, Kind::Handle(_)) {
-            return None;
-        }
-        Some(Several { held: held(window, self.step, self.id)?, from: self.matrix })
-    }
-
-    /// What it takes for its gizmo to be there.
-    pub fn change_to(&self, matrix: DAffine3) -> Option<Change> {
-        Some(match (&self.kind, &self.target) {
-            (Kind::Region { pivot }, Target::Region(region)) => {
-                Change::MoveRegion { region: *region, motion: motion_of(matrix, *pivot)? }
-            }
-            (Kind::Handle(placed), Target::Handle(id)) => {
-                Change::MoveHandle { id: id.clone(), motion: placed.motion_to(matrix)? }
-            }
-            _ => return None,
-        })
-    }
+    Some(Several { held: held(window, place.step, place.id)?, from: place.matrix })
 }
 
 /// The modes of a tool that a handle takes; shifting if it takes none of them.
@@ -130,7 +78,7 @@ fn rows(m: DMat4) -> [[f64; 4]; 4] {
 }
 
 pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
-    let Some(place) = Place::of(window) else { return false };
+    let Some(place) = place(window) else { return false };
     let Some(scene) = window.state().scene().cloned() else { return false };
     let (frame, camera) = (scene.frame(), *window.state().camera());
     let size = window.state().size();
@@ -176,7 +124,7 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     if let Some((_, to)) = moved {
         let matrix = to.first().and_then(|to| affine(to, |p| frame.to_model_exact(p)));
         if !window.tools.dragging {
-            window.tools.several = place.several(window);
+            window.tools.several = several(&place, window);
         }
         let change = matrix.and_then(|matrix| match &window.tools.several {
             Some(several) => several.change_to(matrix),
@@ -196,7 +144,7 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
 
 /// What was moved goes back to where it is at rest.
 pub fn reset(window: &mut Window) {
-    let Some(place) = Place::of(window) else { return };
+    let Some(place) = place(window) else { return };
     let change = match (&place.kind, place.target) {
         (Kind::Region { pivot }, Target::Region(region)) => {
             Change::MoveRegion { region, motion: Motion { pivot: Some(*pivot), ..Motion::default() } }

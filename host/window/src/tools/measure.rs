@@ -1,5 +1,6 @@
 //! Lengths and angles, between points on the surface that are clicked and dragged; they go along with it.
 
+use super::hand::Measuring;
 use crate::viewport::Canvas;
 use crate::window::Window;
 use eframe::egui::{Align2, Color32, CursorIcon, FontId, Key, Pos2, Shape, Stroke, pos2, vec2};
@@ -16,28 +17,6 @@ const SHORT: f32 = 50.0;
 /// Part of the shorter side that an angle's arc is away from its corner, and lines of an arc.
 const ARC: f64 = 0.28;
 const ARC_LINES: usize = 24;
-
-/// What is measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Measuring {
-    /// Between two points; a third one begins anew.
-    Distance,
-    /// At the second of three points; a fourth one begins anew.
-    Angle,
-    /// Along all of them.
-    Path,
-}
-
-impl Measuring {
-    /// Points that it takes, at most.
-    fn points(self) -> usize {
-        match self {
-            Self::Distance => 2,
-            Self::Angle => 3,
-            Self::Path => usize::MAX,
-        }
-    }
-}
 
 /// A length or an angle with five digits that matter.
 pub fn exact(x: f64) -> String {

@@ -1,14 +1,12 @@
-//! The samples' colours: overlay or the model's own, regions of the chosen step, selection; and those of vertices
-//! that are shown in full, which have numbers of their own.
+//! The samples' colours: overlay or the model's own, regions of the chosen step, selection.
 
 use super::detail::sample_colors;
+use super::vertex_colors::{Mixing, VertexColors};
 use crate::theme;
 use crate::window::Window;
-use simod_core::detail::Values;
 use simod_session::Shapes;
 use simod_session::edit::StepId;
 use simod_session::session_file::Role;
-use simod_viewer::detail::Piece;
 use simod_viewer::overlay::{self, Field, Scale};
 use simod_viewer::{Overlay, Scene, Selection, Tint, Version};
 use std::sync::Arc;
@@ -16,67 +14,6 @@ use std::sync::Arc;
 /// How much of a selected sample's colour is that of the selection.
 const SELECTED: f32 = 0.75;
 const REGION: f32 = 0.62;
-
-/// What is done to a colour: it is mixed with others.
-#[derive(Debug, Clone, Copy)]
-struct Mixing {
-    /// How much of it is left.
-    keep: f32,
-    /// What comes to it.
-    add: [f32; 3],
-}
-
-impl Mixing {
-    const NONE: Self = Self { keep: 1.0, add: [0.0; 3] };
-
-    fn with(self, color: [u8; 3], share: f32) -> Self {
-        let add = |i: usize| self.add[i] * (1.0 - share) + f32::from(color[i]) * share;
-        Self { keep: self.keep * (1.0 - share), add: [0, 1, 2].map(add) }
-    }
-
-    fn of(self, color: [u8; 3]) -> [u8; 3] {
-        std::array::from_fn(|i| (f32::from(color[i]) * self.keep + self.add[i]).round() as u8)
-    }
-}
-
-/// The colours of vertices that are shown in full.
-#[derive(Clone, Copy, Default)]
-pub struct VertexColors<'a> {
-    /// Those that samples have, if they are not all the same.
-    samples: Option<&'a [[u8; 3]]>,
-    /// What is done to the colour of each sample, if anything is.
-    mixing: Option<&'a [Mixing]>,
-    /// What is shown of the vertices themselves, and what numbers look like.
-    tint: Tint,
-    scale: Option<Scale>,
-}
-
-impl<'a> VertexColors<'a> {
-    /// Where samples have these, and nothing is done to them.
-    pub fn new(samples: Option<&'a [[u8; 3]]>, tint: Tint, scale: Option<Scale>) -> Self {
-        Self { samples, mixing: None, tint, scale }
-    }
-
-    /// Of all vertices of a piece: their own, as far as they came with it, or those of their samples.
-    pub fn of(&self, piece: &Piece) -> Vec<[u8; 3]> {
-        let batch = &piece.batch;
-        let mixed = |(i, color): (usize, [u8; 3])| {
-            let mixing = self.mixing.and_then(|all| all.get(batch.homes[i] as usize));
-            mixing.map_or(color, |mixing| mixing.of(color))
-        };
-        let is_theirs = piece.tint == self.tint;
-        match (&batch.values, self.scale) {
-            (Values::Colors(own), _) if is_theirs => own.iter().copied().enumerate().map(mixed).collect(),
-            (Values::Numbers(all), Some(scale)) if is_theirs => {
-                all.iter().map(|number| scale.color(*number)).enumerate().map(mixed).collect()
-            }
-            _ => {
-                let of = |home: &u32| self.samples.and_then(|all| all.get(*home as usize)).copied();
-                batch.homes.iter().map(|home| of(home).unwrap_or(theme::CLAY)).collect()
-            }
-        }
-    }
-}
 
 /// What the colours depend on.
 #[derive(PartialEq, Default)]

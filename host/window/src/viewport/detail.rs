@@ -1,7 +1,7 @@
 //! The vertices that are shown in full, as the graphics card has them.
 
-use super::colors::VertexColors;
-use crate::screenshot::disc_radii;
+use super::seen::disc_radii;
+use super::vertex_colors::VertexColors;
 use crate::theme;
 use glam::Vec3;
 use simod_core::detail::Batch;

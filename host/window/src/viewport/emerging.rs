@@ -1,8 +1,8 @@
 //! The samples of a model that is being opened, as they come.
 
 use super::Canvas;
+use super::seen::{disc_radii, view};
 use super::texture::Texture;
-use crate::screenshot::{disc_radii, view};
 use crate::settings::Theme;
 use crate::window::Window;
 use eframe::egui::Shape;

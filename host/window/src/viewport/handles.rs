@@ -4,7 +4,7 @@
 use super::Canvas;
 use crate::theme;
 use crate::tools::{Target, Tool};
-use crate::widgets::parameter::{number_of, vector_of};
+use crate::widgets::values::{number_of, vector_of};
 use crate::window::Window;
 use eframe::egui::{Color32, CursorIcon, Pos2, Rect, Shape, Stroke, pos2, vec2};
 use glam::DVec3;

@@ -1,6 +1,6 @@
 //! A curve through points that are dragged.
 
-use super::parameter::{Asked, list};
+use super::values::{Asked, list};
 use eframe::egui::{Color32, Id, Pos2, Rect, Role, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, vec2};
 use simod_plugin_api::Curve;
 use toml::Value;

@@ -3,3 +3,4 @@
 pub mod curve;
 pub mod icons;
 pub mod parameter;
+pub mod values;

@@ -1,5 +1,6 @@
 //! A control for a parameter, whatever it holds.
 
+use super::values::{Asked, as_number, list, numbers, points, vector_of};
 use super::{curve, icons};
 use eframe::egui::{
     self, Button, ComboBox, DragValue, Response, RichText, Role, Slider, Ui, WidgetInfo, color_picker,
@@ -7,19 +8,6 @@ use eframe::egui::{
 use simod_model::bounds::Bounds;
 use simod_plugin_api::{ParamDesc, ParamKind, Unit};
 use toml::Value;
-
-/// What the user asks for.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Asked {
-    /// Another value; nothing for the default.
-    Set(Option<Value>),
-    /// Another value, while it is dragged.
-    Drag(Value),
-    /// The drag is over, maybe with a last value.
-    Rest(Option<Value>),
-    /// A dialog that chooses a file.
-    File,
-}
 
 /// A row with the parameter's name and a control. `value` is what the user gave, if anything.
 pub fn show(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<Asked> {
@@ -118,10 +106,6 @@ fn asked(response: &Response, value: impl FnOnce() -> Value) -> Option<Asked> {
     }
 }
 
-fn as_number(value: &Value) -> Option<f64> {
-    value.as_float().or_else(|| value.as_integer().map(|i| i as f64))
-}
-
 fn suffix(unit: Unit) -> &'static str {
     match unit {
         Unit::DEGREES => "\u{b0}",
@@ -189,43 +173,10 @@ pub fn choice(ui: &mut Ui, desc: &ParamDesc, name: &str, value: Option<&Value>) 
     asked
 }
 
-fn numbers<const N: usize>(value: &Value) -> Option<[f64; N]> {
-    let numbers: Option<Vec<f64>> = value.as_array()?.iter().map(as_number).collect();
-    numbers?.try_into().ok()
-}
-
-fn points(value: &Value) -> Option<Vec<[f64; 2]>> {
-    value.as_array()?.iter().map(numbers).collect()
-}
-
-/// The value of numbers.
-pub fn list(numbers: &[f64]) -> Value {
-    Value::Array(numbers.iter().map(|x| Value::Float(*x)).collect())
-}
-
 /// Three decimals; what they do not show is not to be read as minus zero.
 fn short(x: f64) -> String {
     let text = format!("{x:.3}");
     if text == "-0.000" { "0.000".to_owned() } else { text }
-}
-
-/// The number that a parameter has, given or not.
-pub fn number_of(desc: &ParamDesc, value: Option<&Value>) -> f64 {
-    let default = desc.default_numbers.first().copied().unwrap_or(0.0);
-    value.and_then(as_number).unwrap_or(default)
-}
-
-/// The direction or point that a parameter has, given or not; points in model coordinates.
-pub fn vector_of(desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> [f64; 3] {
-    let size = bounds.max - bounds.min;
-    let default = || {
-        std::array::from_fn(|i| {
-            let x = desc.default_numbers.get(i).copied().unwrap_or(0.0);
-            // A point's default is a fraction of the model's box.
-            if desc.kind == ParamKind::POINT { bounds.min[i] + x * size[i] } else { x }
-        })
-    };
-    value.and_then(numbers::<3>).unwrap_or_else(default)
 }
 
 fn vector(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<Asked> {

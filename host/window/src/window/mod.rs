@@ -1,15 +1,21 @@
 //! The state, and what is the window's own.
 
+mod asked;
+mod looks;
+mod prompt;
+mod toasts;
+
 use crate::dialogs::{self, Answer, Chooser, Dialog, Purpose};
 use crate::in_turn::InTurn;
-use crate::panels::{Cause, Palette, Prompt, Report, Toasts};
-use crate::screenshot::mode_of;
-use crate::settings::Settings;
-use crate::steps::Renaming;
+use crate::settings::{self, Settings};
 use crate::tools::Tools;
 use crate::turntable::{AskedPicture, AskedTurntable, Film, Turning};
-use crate::{example, lessons, theme};
+use crate::viewport::seen::mode_of;
+use crate::{example, plugins, theme};
+pub use asked::{Kept, Leaving, Palette, Question, Renaming, Report, Running};
 use eframe::egui;
+pub use looks::Looks;
+pub use prompt::{Prompt, common};
 use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind};
 use simod_scene::{Drawn, Mode};
@@ -24,71 +30,11 @@ use std::collections::{BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
+pub use toasts::{Cause, Toasts};
 
 /// How often an edit is kept against a crash.
 const KEEP: Duration = Duration::from_secs(20);
-
-/// What is shown besides the surface.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Looks {
-    /// Triangles or discs, where the user said which; see [`Window::mode`].
-    pub triangles: Option<bool>,
-    /// The shape at rest.
-    pub ghost: bool,
-    /// Dots for samples in whose place vertices are shown.
-    pub samples: bool,
-    /// The regions of the chosen step, in colours.
-    pub regions: bool,
-    /// The handles that the chosen step's plugin placed.
-    pub handles: bool,
-    /// The pinned version beside the one that is worked on.
-    pub side_by_side: bool,
-    /// The pinned version in its place.
-    pub pinned_in_place: bool,
-}
-
-impl Default for Looks {
-    fn default() -> Self {
-        Self {
-            triangles: None,
-            ghost: false,
-            samples: false,
-            regions: true,
-            handles: true,
-            side_by_side: false,
-            pinned_in_place: false,
-        }
-    }
-}
-
-/// A question that has to be answered before something goes on.
-pub enum Question {
-    /// The edit is not saved, and this would lose it.
-    Unsaved(Leaving),
-    /// An edit of this path was kept against a crash.
-    Recover(Kept),
-    /// The model of what was opened is not where it was.
-    Moved {
-        /// What was opened.
-        path: PathBuf,
-        /// Where the model was.
-        model: PathBuf,
-        /// It is open nevertheless, by its samples.
-        is_open: bool,
-    },
-}
-
-/// An edit that was kept against a crash.
-pub struct Kept {
-    /// Of what.
-    pub path: PathBuf,
-    /// How it is sampled.
-    pub sampling: Sampling,
-    /// When it was kept, and how many steps it has.
-    pub made: SystemTime,
-    pub steps: usize,
-}
 
 /// What is being opened.
 struct Awaited {
@@ -96,15 +42,6 @@ struct Awaited {
     recover: bool,
     /// What was open before.
     former: Option<PathBuf>,
-}
-
-/// What was about to be done when there was something to be saved.
-#[derive(Clone)]
-pub enum Leaving {
-    /// The window is closed.
-    Close,
-    /// Something else is opened.
-    Open(PathBuf, Sampling),
 }
 
 /// A window, but for its picture.
@@ -132,7 +69,7 @@ pub struct Window {
     /// One that was stopped, until the frame that it was at is drawn.
     pub stopping: Option<Turning>,
     /// The lesson that is being done.
-    pub lesson: Option<lessons::Running>,
+    pub lesson: Option<Running>,
     /// Messages that go away.
     pub toasts: Toasts,
     /// Commands by name, while they are looked for.
@@ -314,7 +251,7 @@ impl Window {
                 Notice::Failed(job, error) => self.failed(job, &error),
                 Notice::Written(output, report, seconds) => {
                     self.toasts.leave(Cause::Job(Job::Write));
-                    self.report = Some(Report::new(output, *report, seconds));
+                    self.report = Some(Report { output, report: *report, seconds });
                 }
             }
         }
@@ -338,7 +275,6 @@ impl Window {
         if self.stopping.as_ref().is_some_and(Turning::is_over) {
             self.stopping = None;
         }
-        lessons::update(self);
         self.name();
         self.take_answer();
         self.go_on_replaying();
@@ -410,7 +346,7 @@ impl Window {
 
     /// Looks for plugins once more.
     pub fn look_for_plugins(&mut self) {
-        let plugins = crate::arguments::discover();
+        let plugins = plugins::discover();
         self.toasts.note(format!("{} plugins are there.", plugins.plugins().len()));
         plugins.rejected().iter().for_each(|rejected| self.toasts.error(&rejected.error));
         self.state.set_plugins(Arc::new(plugins));
@@ -453,7 +389,7 @@ impl Window {
 
     /// Opens something, after questions that have to be asked before.
     pub fn ask_to_open(&mut self, path: PathBuf) {
-        let sampling = crate::arguments::sampling(Some(self.settings.samples));
+        let sampling = settings::sampling(Some(self.settings.samples));
         self.ask_to_open_sampled(path, sampling);
     }
 
@@ -502,7 +438,7 @@ impl Window {
             return;
         }
         // A session says itself how its model is sampled.
-        let is_session = crate::arguments::is_sampled(&path);
+        let is_session = settings::is_sampled(&path);
         let samples = sampling.samples.or((!is_session).then_some(self.settings.samples));
         let sampling = if is_session { Sampling::default() } else { Sampling { samples, ..sampling } };
         self.begin_opening(Command::Open { path: path.clone(), sampling, recover }, path, recover);

@@ -1,0 +1,58 @@
+//! What drawing keeps from one frame to the next: textures, how far splats are summed up, values for the shaders.
+
+use bytemuck::bytes_of;
+use wgpu::{BindGroup, BindGroupLayout, Buffer, BufferUsages};
+
+use crate::frame::Frame;
+use crate::gpu::Gpu;
+use crate::pipeline::bind;
+use crate::targets::Targets;
+use crate::{passes, splats};
+
+/// Textures of a size.
+pub(super) struct Stage {
+    pub targets: Targets,
+    pub splats: splats::Groups,
+    pub passes: passes::Groups,
+}
+
+/// What a frame shows of the surface and its details.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Shares {
+    /// Splats of the surface.
+    pub surface: usize,
+    /// How often the details are halved.
+    pub halved: usize,
+}
+
+/// Splats of the next picture at rest that both passes have drawn.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Filled {
+    /// What that picture shows; not chosen yet before its first splats.
+    pub shares: Option<Shares>,
+    pub depth: usize,
+    pub blend: usize,
+}
+
+/// A `Frame` in the device's memory.
+pub(super) struct Uniform {
+    buffer: Buffer,
+    pub group: BindGroup,
+}
+
+impl Uniform {
+    pub fn new(gpu: &Gpu, layout: &BindGroupLayout) -> Self {
+        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("frame"),
+            size: size_of::<Frame>() as u64,
+            usage: BufferUsages::UNIFORM | BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let group = bind(&gpu.device, "frame", layout, &[buffer.as_entire_binding()]);
+        Self { buffer, group }
+    }
+
+    pub fn write(&self, gpu: &Gpu, frame: &Frame) {
+        gpu.queue.write_buffer(&self.buffer, 0, bytes_of(frame));
+    }
+}

@@ -1,0 +1,101 @@
+//! What the window and the engine's threads share: what is wanted, and what is running.
+
+use super::requests::{Comparing, Job, Opening, Request, Streaming, Writing};
+use super::watch::Watch;
+use simod_plugin_api::Effort;
+use simod_session::PluginRegistry;
+use simod_session::edit::Entry;
+use std::sync::atomic::AtomicUsize;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+/// What the threads shall do next.
+#[derive(Default)]
+pub(super) struct Wanted {
+    pub open: Option<Opening>,
+    pub evaluate: Option<Request>,
+    pub write: Option<(Arc<[Entry]>, Writing)>,
+    pub preview: Option<Streaming>,
+    pub compare: Option<Comparing>,
+    /// Nothing is to be seen in full any more.
+    pub forget: bool,
+    pub plugins: Option<Arc<PluginRegistry>>,
+    pub end: bool,
+}
+
+impl Wanted {
+    /// Whether a job waits to be begun.
+    pub fn has(&self, job: Job) -> bool {
+        match job {
+            Job::Open => self.open.is_some(),
+            Job::Evaluate => self.evaluate.is_some(),
+            Job::Write => self.write.is_some(),
+            Job::Preview => self.preview.is_some(),
+            Job::Compare => self.compare.is_some(),
+        }
+    }
+
+    /// The job that waits is wanted no more.
+    pub fn give_up(&mut self, job: Job) {
+        match job {
+            Job::Open => self.open = None,
+            Job::Evaluate => self.evaluate = None,
+            Job::Write => self.write = None,
+            Job::Preview => self.preview = None,
+            Job::Compare => self.compare = None,
+        }
+    }
+}
+
+/// What is running.
+#[derive(Default)]
+pub(super) struct Running {
+    /// The progress of each job that runs, by its number.
+    watches: [Option<Arc<Watch>>; Job::ALL.len()],
+    /// The steps that are being done, or were last, and how well.
+    pub evaluated: Option<(Arc<[Entry]>, Effort)>,
+    /// The place of the step that is being done.
+    pub step: Arc<AtomicUsize>,
+    /// Events that were sent, and not taken yet; and those among them that say what became of a model.
+    pub events: usize,
+    pub opened: usize,
+}
+
+impl Running {
+    /// The progress of a job, if it runs.
+    pub fn of(&self, job: Job) -> Option<&Arc<Watch>> {
+        self.watches[job as usize].as_ref()
+    }
+
+    /// A job runs from now on.
+    pub fn begin(&mut self, job: Job, watch: &Arc<Watch>) {
+        self.watches[job as usize] = Some(watch.clone());
+    }
+
+    /// A job is over.
+    pub fn end(&mut self, job: Job) {
+        self.watches[job as usize] = None;
+    }
+
+    /// Stops a job, if it runs, for something newer.
+    pub fn supersede(&self, job: Job) {
+        self.of(job).iter().for_each(|watch| watch.supersede());
+    }
+}
+
+/// Both, and who waits for a change of them.
+#[derive(Default)]
+pub(super) struct Shared {
+    inner: Mutex<(Wanted, Running)>,
+    pub changed: Condvar,
+}
+
+impl Shared {
+    pub fn lock(&self) -> MutexGuard<'_, (Wanted, Running)> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Whether nothing is running, nothing waits, and all events were taken.
+pub(super) fn is_idle(wanted: &Wanted, running: &Running) -> bool {
+    Job::ALL.iter().all(|job| !wanted.has(*job) && running.of(*job).is_none()) && running.events == 0
+}

@@ -1,0 +1,26 @@
+//! What is shown in full, and on its way.
+
+use crate::detail::Detail;
+use crate::engine::Pose;
+use crate::tint::Tint;
+use simod_core::detail::Streamed;
+
+/// What is shown in full, and on its way.
+#[derive(Default)]
+pub(super) struct Preview {
+    pub detail: Option<Detail>,
+    pub streaming: Option<Asked>,
+    /// The user stopped it.
+    pub stopped: bool,
+    /// The last that was streamed to its end, and how long it took.
+    pub last: Option<(Streamed, f64)>,
+}
+
+/// What is being streamed.
+pub(super) struct Asked {
+    pub request: u64,
+    /// By what samples, one of how many vertices, and with what.
+    pub pose: Pose,
+    pub stride: u64,
+    pub tint: Tint,
+}

@@ -1,0 +1,25 @@
+//! The numbers that are shown on the surface, as they were found last.
+
+use crate::overlay::{Field, Overlay};
+use crate::selection::Selection;
+use simod_session::edit::Entry;
+use std::sync::Arc;
+
+/// The numbers of a version, as they were found last.
+pub(super) struct Known {
+    pub key: Key,
+    pub field: Field,
+    /// Of these numbers alone.
+    pub range: [f32; 2],
+}
+
+/// What a field depends on.
+pub(super) struct Key {
+    pub overlay: Overlay,
+    pub revision: u64,
+    /// The other version's revision, and whether it is known at all samples; where they are compared.
+    pub other: Option<(u64, bool)>,
+    pub selection: Selection,
+    pub steps: Arc<[Entry]>,
+    pub chosen: Option<usize>,
+}

@@ -1,0 +1,36 @@
+//! What is open, and what is told where nothing is.
+
+use crate::scene::Scene;
+use crate::selection::Adjacency;
+use simod_model::{Error, ErrorKind};
+use simod_session::edit::{Editor, Entry};
+use std::sync::Arc;
+
+/// What is open.
+pub(super) struct Open {
+    pub editor: Editor,
+    pub scene: Arc<Scene>,
+    /// Who is next to whom, of the scene's samples.
+    pub adjacency: Arc<Adjacency>,
+}
+
+impl Open {
+    pub fn new(editor: Editor, scene: Scene) -> Self {
+        let adjacency = Arc::new(Adjacency::of_model(&scene.sampled));
+        Self { editor, scene: Arc::new(scene), adjacency }
+    }
+
+    pub fn steps(&self) -> &Arc<[Entry]> {
+        self.editor.document().steps()
+    }
+}
+
+/// A command that makes no sense.
+pub(super) fn refused(what: impl Into<String>, hint: &str) -> Error {
+    Error::new(ErrorKind::Argument, what, hint)
+}
+
+/// A command that needs a model.
+pub(super) fn nothing_open() -> Error {
+    refused("no model is open", "open one")
+}

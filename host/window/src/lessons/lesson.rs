@@ -1,0 +1,31 @@
+//! What a lesson is: parts to be done on a generated model.
+
+use crate::window::Window;
+use simod_generate::Shape;
+use simod_viewer::Camera;
+
+/// One lesson.
+pub struct Lesson {
+    /// What the user reads of it in menus.
+    pub title: &'static str,
+    /// What is learnt.
+    pub about: &'static str,
+    /// The model that it is done on.
+    pub shape: Shape,
+    /// The name of its file.
+    pub file: &'static str,
+    /// What is done.
+    pub parts: &'static [Part],
+    /// What is left to say.
+    pub ends: &'static str,
+}
+
+/// One thing to do.
+pub struct Part {
+    /// What the user reads.
+    pub text: &'static str,
+    /// Whether it is done, from where the camera was when it began.
+    pub done: fn(&Window, &Camera) -> bool,
+    /// Does it.
+    pub run: fn(&mut Window),
+}

@@ -1,0 +1,79 @@
+//! Pictures and turntables of what the window shows: what is asked before, and their beginning.
+
+use crate::screenshot::{Format, Shot};
+use crate::turntable::{AskedPicture, AskedTurntable, FRAMES, Turning, Work, of_film};
+use crate::viewport::detail::sample_dots;
+use crate::window::Window;
+use simod_model::Result;
+use simod_scene::Style;
+use std::path::{Path, PathBuf};
+
+/// The size of a window's picture, even as films have to be.
+pub fn shown_size(window: &Window) -> [u32; 2] {
+    window.state().size().map(|pixels| 2 * (0.5 * pixels).clamp(1.0, 4096.0) as u32)
+}
+
+/// Whether one can be begun.
+pub fn can_begin(window: &Window) -> bool {
+    window.state().scene().is_some() && window.turning.is_none() && window.stopping.is_none()
+}
+
+/// Asks how many frames, and where they go.
+pub fn ask(window: &mut Window) {
+    let Some(editor) = window.state().editor() else { return };
+    let beside = editor.path().or(editor.model()).map(|path| {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        path.with_file_name(format!("{stem}-turntable"))
+    });
+    let folder = beside.unwrap_or_else(|| PathBuf::from("turntable")).display().to_string();
+    let format = Format { size: shown_size(window), transparent: false };
+    window.turntable = Some(AskedTurntable { folder, frames: FRAMES, format });
+}
+
+/// Asks how large a picture is, and where it goes.
+pub fn ask_for_picture(window: &mut Window) {
+    let Some(editor) = window.state().editor() else { return };
+    let beside = editor.path().or(editor.model()).map(|path| path.with_extension("png"));
+    let file = beside.unwrap_or_else(|| PathBuf::from("picture.png")).display().to_string();
+    let format = Format { size: shown_size(window), transparent: false };
+    window.picture = Some(AskedPicture { file, format });
+}
+
+/// Begins one, as the window looks.
+pub fn begin(window: &mut Window, folder: &Path, frames: u32, format: Format) {
+    begin_work(window, Work::Turntable(frames), folder, of_film(format));
+}
+
+/// Begins a picture, as the window looks.
+pub fn begin_picture(window: &mut Window, file: &Path, format: Format) {
+    begin_work(window, Work::Picture, file, format);
+}
+
+fn begin_work(window: &mut Window, work: Work, target: &Path, format: Format) {
+    match shot_of(window) {
+        Ok(shot) => {
+            let ctx = window.ctx().clone();
+            let shot = shot.formatted(format);
+            window.turning = Some(Turning::begin(shot, work, target, move || ctx.request_repaint()));
+        }
+        Err(error) => window.toasts.error(&error),
+    }
+}
+
+/// The picture that a window shows, as it looks there, but for what is marked for the work on it: the selection,
+/// and regions. Width and height are even, as films have to be.
+///
+/// # Errors
+/// Nothing is open.
+fn shot_of(window: &mut Window) -> Result<Shot> {
+    let (looks, settings) = (window.looks, &window.settings);
+    let (theme, occlusion, mode) = (settings.theme, settings.occlusion, window.mode());
+    let light = settings.light.light();
+    let mut shot = Shot::of(window.state_mut())?;
+    let detail = window.state().detail().filter(|_| looks.samples);
+    shot.dots = sample_dots(shot.positions(), detail);
+    shot.format = Format { size: shown_size(window), transparent: false };
+    shot.style = Style { mode, background: theme.background(), light, occlusion, ..shot.style };
+    shot.ghost = looks.ghost;
+    Ok(shot)
+}

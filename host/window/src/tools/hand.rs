@@ -1,0 +1,259 @@
+//! What is in the hand: the tool, what it moves, and what is going on with it.
+
+use super::place::{Several, Target};
+use super::transforming::Transforming;
+use eframe::egui::Modifiers;
+use glam::DVec3;
+use simod_session::edit::StepId;
+use simod_viewer::selection::Combine;
+use std::collections::BTreeSet;
+
+/// What is in the hand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(missing_docs, reason = "they say it")]
+pub enum Tool {
+    Orbit,
+    Move,
+    Rotate,
+    Scale,
+    Brush,
+    Lasso,
+    Box,
+    Connected,
+    Stroke,
+    Joint,
+    Measure,
+}
+
+impl Tool {
+    /// What the user reads.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Orbit => "Look Around",
+            Self::Move => "Move",
+            Self::Rotate => "Rotate",
+            Self::Scale => "Scale",
+            Self::Brush => "Select by Brush",
+            Self::Lasso => "Select by Lasso",
+            Self::Box => "Select by Box",
+            Self::Connected => "Select Connected",
+            Self::Stroke => "Brush Stroke",
+            Self::Joint => "Place Joints",
+            Self::Measure => "Measure",
+        }
+    }
+
+    /// What to do with it.
+    pub fn hint(self) -> &'static str {
+        match self {
+            Self::Orbit => "Drag to look around; click a handle to grab it.",
+            Self::Move => "Click a handle, and drag its arrows.",
+            Self::Rotate => "Click a handle, and drag its rings.",
+            Self::Scale => "Click a handle, and drag its ring.",
+            Self::Brush => "Paint over samples. Shift adds, Ctrl takes away. [ and ] change the size.",
+            Self::Lasso => "Draw a line round samples. Shift adds, Ctrl takes away.",
+            Self::Box => "Draw a box round samples. Shift adds, Ctrl takes away.",
+            Self::Connected => "Click a part. Shift adds, Ctrl takes away.",
+            Self::Stroke => "Paint on the surface. [ and ] change the size.",
+            Self::Joint => {
+                "Click to place a joint, drag to place a chain; it hangs on the one that is chosen."
+            }
+            Self::Measure => {
+                "Click points on the surface: how far apart, and at which angle. Drag one to move it."
+            }
+        }
+    }
+
+    /// Whether it moves handles.
+    pub fn is_gizmo(self) -> bool {
+        matches!(self, Self::Move | Self::Rotate | Self::Scale)
+    }
+
+    /// Whether it selects samples.
+    pub fn selects(self) -> bool {
+        matches!(self, Self::Brush | Self::Lasso | Self::Box | Self::Connected)
+    }
+
+    /// Whether a click takes a handle, and a drag moves the camera.
+    pub fn grabs(self) -> bool {
+        self.is_gizmo() || self == Self::Orbit
+    }
+}
+
+/// The tools, and what is going on with them.
+pub struct Tools {
+    /// What is in the hand.
+    pub tool: Tool,
+    /// What the gizmo moves.
+    pub target: Option<Target>,
+    /// Other handles of a step that are chosen besides a target; of no use once another one is.
+    pub others: Option<(StepId, Target, BTreeSet<String>)>,
+    /// Within which part of the model's diagonal handles go along with those that are moved; none at 0.
+    pub reach: f64,
+    /// Whether a box chooses handles instead of samples.
+    pub boxes_handles: bool,
+    /// A motion by keys that shall begin with the next picture, and one that is going on.
+    pub begins: Option<Tool>,
+    pub transforming: Option<Transforming>,
+    /// What a selection does to the former one, if no key says otherwise.
+    pub combine: Combine,
+    /// Whether only what is seen is selected.
+    pub visible: bool,
+    /// Of the selecting brush, in points of the screen.
+    pub radius: f32,
+    /// Of strokes, as a part of the model's size.
+    pub stroke_radius: f64,
+    /// Of strokes.
+    pub strength: f64,
+    /// Whether clicks place pins instead of joints, and whether the body is held where a skeleton is of a limb alone.
+    pub places_pins: bool,
+    pub holds_body: bool,
+    /// Joints of a chain that is dragged, and where its drag began, in pixels.
+    pub chain: usize,
+    pub chain_from: Option<[f64; 2]>,
+    /// A joint whose name is typed, and the name so far.
+    pub naming: Option<(String, String)>,
+    /// How wide the band around a new handle is that bends, as a part of the model's diagonal.
+    pub band: f64,
+    /// What is measured, and the point of it that is held.
+    pub measuring: Measuring,
+    pub measured_point: Option<usize>,
+    /// Pixels that the pointer went along, while a selection is drawn.
+    pub path: Vec<[f64; 2]>,
+    /// Whether the button is held that paints, wherever it was pressed.
+    pub painting: bool,
+    /// Which plane of a step's axis is held, and whether it was moved.
+    pub plane: Option<usize>,
+    pub drags_plane: bool,
+    pub gizmo: transform_gizmo::Gizmo,
+    /// About what the gizmo's region turns.
+    pub pivot: Option<(StepId, usize, DVec3)>,
+    /// Whether the gizmo moves something just now, and what moves along.
+    pub dragging: bool,
+    pub several: Option<Several>,
+}
+
+impl Default for Tools {
+    fn default() -> Self {
+        Self {
+            tool: Tool::Orbit,
+            target: None,
+            others: None,
+            reach: 0.0,
+            boxes_handles: false,
+            begins: None,
+            transforming: None,
+            combine: Combine::Replace,
+            visible: true,
+            radius: 30.0,
+            stroke_radius: 0.06,
+            strength: 1.0,
+            places_pins: false,
+            holds_body: true,
+            chain: 4,
+            chain_from: None,
+            naming: None,
+            band: 0.1,
+            measuring: Measuring::Distance,
+            measured_point: None,
+            path: Vec::new(),
+            painting: false,
+            plane: None,
+            drags_plane: false,
+            gizmo: transform_gizmo::Gizmo::default(),
+            pivot: None,
+            dragging: false,
+            several: None,
+        }
+    }
+}
+
+impl Tools {
+    /// Takes a tool.
+    pub fn take(&mut self, tool: Tool) {
+        self.tool = tool;
+        self.path.clear();
+    }
+
+    /// Another model: nothing is held any more.
+    pub fn reset(&mut self) {
+        (self.target, self.pivot, self.plane) = (None, None, None);
+        (self.others, self.transforming, self.begins) = (None, None, None);
+        (self.measured_point, self.chain_from, self.naming) = (None, None, None);
+        self.path.clear();
+        (self.dragging, self.painting) = (false, false);
+    }
+
+    /// Whether something is being dragged.
+    pub fn is_dragging(&self) -> bool {
+        self.transforming.is_some()
+            || self.dragging
+            || self.painting
+            || self.plane.is_some()
+            || self.measured_point.is_some()
+            || !self.path.is_empty()
+    }
+
+    /// Whether options of the tool are shown over the picture.
+    pub fn has_options(&self) -> bool {
+        let moves = self.tool.is_gizmo() && matches!(self.target, Some(Target::Handle(_)));
+        self.tool.selects() || matches!(self.tool, Tool::Stroke | Tool::Measure | Tool::Joint) || moves
+    }
+
+    /// The handles of the chosen step that its plugin placed and that are in the hand.
+    pub fn handles(&self, step: StepId) -> BTreeSet<String> {
+        let Some(Target::Handle(id)) = &self.target else { return BTreeSet::new() };
+        let known = self
+            .others
+            .as_ref()
+            .filter(|(of, target, _)| *of == step && self.target.as_ref() == Some(target));
+        let others = known.map(|(.., others)| others.clone()).unwrap_or_default();
+        others.into_iter().chain([id.clone()]).collect()
+    }
+
+    /// Takes handles into the hand, the gizmo at the `first` of them.
+    pub fn take_handles(&mut self, step: StepId, first: Option<String>, mut all: BTreeSet<String>) {
+        let first = first.or_else(|| all.first().cloned());
+        self.target = first.map(Target::Handle);
+        if let Some(Target::Handle(id)) = &self.target {
+            all.remove(id);
+        }
+        self.others = self.target.clone().map(|target| (step, target, all));
+    }
+
+    /// Whether a box chooses handles just now.
+    pub fn picks_handles(&self) -> bool {
+        self.tool == Tool::Box && self.boxes_handles
+    }
+
+    /// What a selection does with these keys held.
+    pub fn combine_with(&self, modifiers: Modifiers) -> Combine {
+        match (modifiers.shift, modifiers.command) {
+            (true, _) => Combine::Add,
+            (_, true) => Combine::Subtract,
+            _ => self.combine,
+        }
+    }
+}
+
+/// What is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Measuring {
+    /// Between two points; a third one begins anew.
+    Distance,
+    /// At the second of three points; a fourth one begins anew.
+    Angle,
+    /// Along all of them.
+    Path,
+}
+
+impl Measuring {
+    /// Points that it takes, at most.
+    pub fn points(self) -> usize {
+        match self {
+            Self::Distance => 2,
+            Self::Angle => 3,
+            Self::Path => usize::MAX,
+        }
+    }
+}

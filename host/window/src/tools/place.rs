@@ -1,0 +1,69 @@
+//! What the gizmo moves, and the changes that bring it elsewhere.
+
+use glam::{DAffine3, DVec3};
+use simod_session::edit::{Change, StepId};
+use simod_viewer::held::Held;
+use simod_viewer::motion::{PlacedHandle, motion_of};
+
+/// What the gizmo moves, of the chosen step.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Target {
+    /// A handle region, by its place among the regions.
+    Region(usize),
+    /// A handle that the plugin placed, by its id.
+    Handle(String),
+}
+
+/// What the gizmo moves, and where it is.
+#[derive(Clone)]
+pub struct Place {
+    /// Of which step.
+    pub step: usize,
+    pub id: StepId,
+    pub target: Target,
+    /// Where it is: model coordinates.
+    pub matrix: DAffine3,
+    pub kind: Kind,
+    /// How it may be moved.
+    pub can: simod_plugin_api::Gizmo,
+}
+
+/// What kind of thing it moves.
+#[derive(Clone)]
+pub enum Kind {
+    /// A region, which turns about its pivot: model coordinates.
+    Region { pivot: DVec3 },
+    /// A handle that the plugin placed.
+    Handle(PlacedHandle),
+}
+
+/// Several handles, as they were when the hand took them, and where the gizmo was.
+pub struct Several {
+    pub held: Held,
+    pub from: DAffine3,
+}
+
+impl Several {
+    /// How they go along with the gizmo.
+    pub fn change_to(&self, matrix: DAffine3) -> Option<Change> {
+        let map = matrix * self.from.inverse();
+        let pivot = self.held.pivot();
+        let there = DAffine3 { translation: map.transform_point3(pivot), ..map };
+        self.held.moved(&motion_of(there, pivot)?).map(Change::MoveHandles)
+    }
+}
+
+impl Place {
+    /// What it takes for its gizmo to be there.
+    pub fn change_to(&self, matrix: DAffine3) -> Option<Change> {
+        Some(match (&self.kind, &self.target) {
+            (Kind::Region { pivot }, Target::Region(region)) => {
+                Change::MoveRegion { region: *region, motion: motion_of(matrix, *pivot)? }
+            }
+            (Kind::Handle(placed), Target::Handle(id)) => {
+                Change::MoveHandle { id: id.clone(), motion: placed.motion_to(matrix)? }
+            }
+            _ => return None,
+        })
+    }
+}

@@ -1,0 +1,137 @@
+//! A motion by keys that is going on: what it moves, what keys say, and how it is drawn.
+
+use super::place::Place;
+use crate::numbers::number;
+use crate::viewport::Canvas;
+use eframe::egui::{self, Align2, Color32, Event, FontId, Key, PointerButton, Stroke};
+use glam::{DAffine3, DVec3};
+use simod_session::Motion;
+use simod_session::edit::{Change, StepId};
+use simod_viewer::held::Held;
+use simod_viewer::transform::{Kind, Seen, Transform};
+
+/// Of the axes, as the gizmo has them.
+const COLORS: [Color32; 3] =
+    [Color32::from_rgb(226, 62, 68), Color32::from_rgb(96, 172, 40), Color32::from_rgb(52, 120, 232)];
+const KEYS: [(Key, usize); 3] = [(Key::X, 0), (Key::Y, 1), (Key::Z, 2)];
+const NAMES: [&str; 3] = ["X", "Y", "Z"];
+
+/// A motion that is going on.
+pub struct Transforming {
+    /// What the pointer and the keys said so far, of which step, and what moves.
+    pub transform: Transform,
+    pub step: StepId,
+    pub of: Of,
+    /// The middle, local coordinates.
+    pub middle: DVec3,
+    /// The motion that was done last.
+    pub last: Option<Motion>,
+    /// Whether the button is held that ends it.
+    pub pressed: bool,
+}
+
+/// What moves.
+pub enum Of {
+    /// Handles that the plugin placed.
+    Handles(Held),
+    /// A handle region, from its gizmo's place.
+    Region(Box<Place>, DAffine3),
+}
+
+impl Of {
+    /// What it takes to move it so from where it was.
+    pub fn change(&self, motion: &Motion) -> Option<Change> {
+        match self {
+            Self::Handles(held) => held.moved(motion).map(Change::MoveHandles),
+            Self::Region(place, from) => place.change_to(motion.to_affine(from.translation) * *from),
+        }
+    }
+}
+
+/// What comes of it.
+pub enum Next {
+    GoesOn,
+    Done,
+    Back,
+}
+
+impl Transforming {
+    /// What keys and buttons say.
+    pub fn next(&mut self, ctx: &egui::Context) -> Next {
+        let events = ctx.input_mut(|i| std::mem::take(&mut i.events));
+        let mut next = Next::GoesOn;
+        for event in events {
+            match event {
+                Event::Key { key: Key::Enter, pressed: true, .. } => next = Next::Done,
+                Event::Key { key: Key::Escape, pressed: true, .. }
+                | Event::PointerButton { button: PointerButton::Secondary, pressed: false, .. } => {
+                    next = Next::Back;
+                }
+                Event::PointerButton { button: PointerButton::Primary, pressed: true, .. } => {
+                    self.pressed = true
+                }
+                Event::PointerButton { button: PointerButton::Primary, pressed: false, .. }
+                    if self.pressed =>
+                {
+                    next = Next::Done;
+                }
+                Event::Key { key: Key::Backspace, pressed: true, .. } => self.transform.erase(),
+                Event::Key { key, pressed: true, repeat: false, .. } => {
+                    let axis = KEYS.iter().find(|(known, _)| *known == key);
+                    axis.iter().for_each(|(_, axis)| self.transform.toggle_axis(*axis));
+                }
+                Event::Text(text) => text.chars().for_each(|c| self.transform.type_in(c)),
+                _ => {}
+            }
+        }
+        next
+    }
+
+    /// The axis, and what is done, in numbers.
+    pub fn draw(&self, canvas: &Canvas<'_>, seen: Seen<'_>) {
+        let painter = canvas.painter();
+        if let Some(axis) = self.transform.axis() {
+            let end = |far: f64| {
+                let pixel = seen.camera.project(self.middle + far * DVec3::AXES[axis], seen.size)?.0;
+                Some(canvas.at(pixel))
+            };
+            // In short pieces, as a line may go behind the eye.
+            let ends: Vec<_> = (-40..=40).map(|i| end(f64::from(i) * 0.1)).collect();
+            for pair in ends.windows(2) {
+                if let [Some(a), Some(b)] = pair {
+                    painter.line_segment([*a, *b], Stroke::new(1.5, COLORS[axis]));
+                }
+            }
+        }
+        let text = self.text();
+        let at = canvas.rect().left_bottom() + egui::vec2(16.0, -18.0);
+        let galley = painter.layout_no_wrap(text, FontId::proportional(15.0), Color32::WHITE);
+        let rect = Align2::LEFT_BOTTOM.anchor_size(at, galley.size());
+        painter.rect_filled(rect.expand(7.0), 5.0, Color32::from_black_alpha(190));
+        painter.galley(rect.min, galley, Color32::WHITE);
+    }
+
+    fn text(&self) -> String {
+        let motion = self.last.unwrap_or_default();
+        let axis = self.transform.axis();
+        let typed = self.transform.typed();
+        let value = |shown: String| if typed.is_empty() { shown } else { format!("{typed}|") };
+        let text = match (self.transform.kind(), axis) {
+            (Kind::Move, Some(axis)) => {
+                format!("Move along {}: {}", NAMES[axis], value(number(motion.translate[axis])))
+            }
+            (Kind::Move, None) => {
+                let all = motion.translate.to_array().map(number).join(", ");
+                format!("Move: {}", value(all))
+            }
+            (Kind::Turn, axis) => {
+                let about = axis.map_or_else(String::new, |axis| format!(" about {}", NAMES[axis]));
+                format!("Turn{about}: {}\u{b0}", value(format!("{:.1}", motion.degrees)))
+            }
+            (Kind::Scale, _) => format!("Scale: {}", value(number(motion.scale))),
+        };
+        format!(
+            "{text}     X, Y, Z: axis \u{b7} digits: how far \u{b7} Enter, click: done \u{b7} Escape: back"
+        )
+    }
+}

@@ -1,0 +1,34 @@
+//! What the renderer takes, in the window and for pictures that are saved: the view, the discs' radii, the plane that cuts.
+
+use glam::{DVec3, Vec4};
+use simod_scene::{Mode, View};
+use simod_viewer::State;
+use simod_viewer::camera::Camera;
+
+/// Radius of a disc over the spacing of samples: enough that no gap is left.
+const RADIUS: f32 = 1.35;
+
+/// From where a camera sees what is between two corners, in a picture of so many pixels.
+pub fn view(camera: &Camera, size: [f64; 2], bounds: [DVec3; 2]) -> View {
+    View {
+        view: camera.view().as_mat4(),
+        projection: camera.projection(size, camera.near_far(bounds)).as_mat4(),
+        size: size.map(|s| s as u32),
+    }
+}
+
+/// The discs' radii of samples so far apart.
+pub fn disc_radii(spacing: &[f32]) -> Vec<f32> {
+    spacing.iter().map(|s| RADIUS * s).collect()
+}
+
+/// How samples are drawn unless the user says otherwise: as triangles where there are any, as these keep together
+/// however they are stretched.
+pub fn mode_of(shown: &simod_viewer::Scene) -> Mode {
+    if shown.sampled.triangles.is_empty() { Mode::Splats } else { Mode::Triangles }
+}
+
+/// The plane that cuts the model open, as the renderer takes it.
+pub fn seen_clip(state: &State) -> Option<Vec4> {
+    state.local_clip().map(|(normal, distance)| normal.extend(distance).as_vec4())
+}

@@ -1,0 +1,88 @@
+//! What is asked, being typed, or read, before something goes on.
+
+use simod_core::reconstruction::Reconstructed;
+use simod_session::edit::StepId;
+use simod_session::session_file::Sampling;
+use simod_viewer::Camera;
+use std::path::PathBuf;
+use std::time::SystemTime;
+
+/// A question that has to be answered before something goes on.
+pub enum Question {
+    /// The edit is not saved, and this would lose it.
+    Unsaved(Leaving),
+    /// An edit of this path was kept against a crash.
+    Recover(Kept),
+    /// The model of what was opened is not where it was.
+    Moved {
+        /// What was opened.
+        path: PathBuf,
+        /// Where the model was.
+        model: PathBuf,
+        /// It is open nevertheless, by its samples.
+        is_open: bool,
+    },
+}
+
+/// An edit that was kept against a crash.
+pub struct Kept {
+    /// Of what.
+    pub path: PathBuf,
+    /// How it is sampled.
+    pub sampling: Sampling,
+    /// When it was kept, and how many steps it has.
+    pub made: SystemTime,
+    pub steps: usize,
+}
+
+/// What was about to be done when there was something to be saved.
+#[derive(Clone)]
+pub enum Leaving {
+    /// The window is closed.
+    Close,
+    /// Something else is opened.
+    Open(PathBuf, Sampling),
+}
+
+/// A step, or a group, whose name is being typed.
+pub struct Renaming {
+    /// Which, or the first of it.
+    pub id: StepId,
+    /// Whether it is of the group that begins with the step.
+    pub of_group: bool,
+    /// The name so far.
+    pub text: String,
+    /// Whether typing is yet to begin.
+    pub begins: bool,
+}
+
+/// The search for commands by name.
+#[derive(Default)]
+pub struct Palette {
+    /// What was typed.
+    pub text: String,
+    /// Which of those that are found is chosen.
+    pub at: usize,
+}
+
+/// What became of the model that was written.
+pub struct Report {
+    /// The file.
+    pub output: PathBuf,
+    /// What was found while it was written.
+    pub report: Reconstructed,
+    /// How long it took.
+    pub seconds: f64,
+}
+
+/// The lesson that is being done.
+pub struct Running {
+    /// Its place among [all](crate::lessons::ALL).
+    pub lesson: usize,
+    /// The part that is to be done; as many as there are parts once all are.
+    pub part: usize,
+    /// Its model.
+    pub model: PathBuf,
+    /// Where the camera was when the part began.
+    pub began: Option<Camera>,
+}

@@ -1,0 +1,91 @@
+//! Messages that go away.
+
+use crate::wording::in_window;
+use simod_model::Error;
+use simod_viewer::engine::Job;
+use std::time::{Duration, Instant};
+
+/// How long a note stays, and an error.
+const STAYS: [Duration; 2] = [Duration::from_secs(5), Duration::from_secs(20)];
+/// How many there are at most.
+const MOST: usize = 5;
+
+/// One message.
+pub struct Toast {
+    /// What is so.
+    pub text: String,
+    /// What to do; may be empty.
+    pub hint: String,
+    /// Something came to nothing.
+    pub is_error: bool,
+    /// Once it is mended, the message goes away.
+    cause: Option<Cause>,
+    since: Instant,
+}
+
+impl Toast {
+    fn stays(&self) -> Duration {
+        STAYS[usize::from(self.is_error)]
+    }
+}
+
+/// What an error came of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// A command that could not be done: the next one mends it.
+    Command,
+    /// A job that came to nothing, until it does not.
+    Job(Job),
+}
+
+/// The messages, oldest first.
+#[derive(Default)]
+pub struct Toasts(Vec<Toast>);
+
+impl Toasts {
+    /// Good to know.
+    pub fn note(&mut self, text: impl Into<String>) {
+        self.push(text.into(), String::new(), false, None);
+    }
+
+    /// Something came to nothing.
+    pub fn error(&mut self, error: &Error) {
+        self.push(error.to_string(), error.hint().to_owned(), true, None);
+    }
+
+    /// Something came to nothing, which may be mended.
+    pub fn error_of(&mut self, cause: Cause, error: &Error) {
+        let [text, hint] = [&error.to_string(), error.hint()].map(|text| in_window(text, None));
+        self.push(text, hint, true, Some(cause));
+    }
+
+    /// What some errors came of is mended.
+    pub fn leave(&mut self, cause: Cause) {
+        self.0.retain(|toast| toast.cause != Some(cause));
+    }
+
+    /// Those that are not too old, and how long until the next one is.
+    pub fn young(&mut self) -> (&[Toast], Option<Duration>) {
+        self.0.retain(|toast| toast.since.elapsed() < toast.stays());
+        let left = self.0.iter().map(|toast| toast.stays().saturating_sub(toast.since.elapsed())).min();
+        (&self.0, left)
+    }
+
+    /// Takes one away.
+    pub fn close(&mut self, i: usize) {
+        self.0.remove(i);
+    }
+
+    /// What is there to be read.
+    pub fn texts(&self) -> impl Iterator<Item = &str> {
+        self.0.iter().map(|toast| toast.text.as_str())
+    }
+
+    fn push(&mut self, text: String, hint: String, is_error: bool, cause: Option<Cause>) {
+        // The same again stays longer.
+        self.0.retain(|toast| toast.text != text);
+        self.0.push(Toast { text, hint, is_error, cause, since: Instant::now() });
+        let surplus = self.0.len().saturating_sub(MOST);
+        self.0.drain(..surplus);
+    }
+}
