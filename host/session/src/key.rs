@@ -10,9 +10,6 @@ use simod_core::refinement::Finer;
 use simod_plugin_api as api;
 use xxhash_rust::xxh3::Xxh3Default;
 
-use crate::params::ParamValue;
-use crate::session_file::{Joint, Refine};
-use crate::shapes::{Shape, Shapes};
 use crate::side_file::Reference;
 
 /// A key in the making.
@@ -165,35 +162,10 @@ impl Keyed for api::Time {
     }
 }
 
-impl Keyed for Joint {
-    fn add_to(&self, key: &mut Key) {
-        let Self { id, at, parent } = self;
-        ((id, at), parent).add_to(key);
-    }
-}
-
 impl Keyed for Reference {
     fn add_to(&self, key: &mut Key) {
         let Self { file, fingerprint } = self;
         (file.as_path(), fingerprint).add_to(key);
-    }
-}
-
-impl Keyed for Shape {
-    fn add_to(&self, key: &mut Key) {
-        match self {
-            Self::HalfSpace { point, normal } => (0u8, [point, normal]).add_to(key),
-            Self::Sphere { center, radius } => (1u8, (center, radius)).add_to(key),
-            Self::Box { min, max } => (2u8, [min, max]).add_to(key),
-            Self::Selection(picked) => (3u8, picked).add_to(key),
-        }
-    }
-}
-
-impl Keyed for Shapes {
-    fn add_to(&self, key: &mut Key) {
-        let Self { shapes, falloff } = self;
-        (shapes, falloff).add_to(key);
     }
 }
 
@@ -208,34 +180,11 @@ impl Keyed for Finer {
     }
 }
 
-impl Keyed for Refine {
-    fn add_to(&self, key: &mut Key) {
-        let Self { shapes, finer } = self;
-        (shapes, finer).add_to(key);
-    }
-}
-
-impl Keyed for ParamValue {
-    fn add_to(&self, key: &mut Key) {
-        match self {
-            Self::Float(x) => (0u8, x).add_to(key),
-            Self::Length(x) => (1u8, x).add_to(key),
-            Self::Int(i) => (2u8, i).add_to(key),
-            Self::Bool(b) => (3u8, b).add_to(key),
-            Self::Choice(id) => (4u8, id).add_to(key),
-            Self::Direction(v) => (5u8, v).add_to(key),
-            Self::Point(p) => (6u8, p).add_to(key),
-            Self::PointInBox(t) => (7u8, t).add_to(key),
-            Self::Colour(colour) => (8u8, colour).add_to(key),
-            Self::Curve(points) => (9u8, points).add_to(key),
-            Self::File(path) => (10u8, path.as_deref()).add_to(key),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::params::ParamValue;
+    use crate::shapes::{Shape, Shapes};
     use std::collections::HashSet;
 
     fn key(what: &(impl Keyed + ?Sized)) -> u64 {

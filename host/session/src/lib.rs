@@ -12,6 +12,7 @@
 pub mod check;
 pub mod child;
 pub mod compare;
+pub mod deformed_samples;
 pub mod deformer;
 pub mod edit;
 mod key;
@@ -29,17 +30,19 @@ pub mod shapes;
 mod side_file;
 pub mod sidecar;
 pub mod stack;
+mod stroke;
 mod strokes_file;
 pub mod tolerance;
 mod vector;
 #[cfg(unix)]
 pub mod worker;
 
+pub use deformed_samples::{DeformedSamples, deform};
 pub use deformer::{Capabilities, Code, Message, Migration, OwnHandles, Plugin, is_raw};
 pub use motion::Motion;
 pub use params::{ParamValue, Params, describe_params, param_data};
 pub use picked::PickedPoints;
-pub use pipeline::{DeformedSamples, ExactCost, Run, Running, deform};
+pub use pipeline::{ExactCost, Run, Running};
 pub use plugins::{Isolation, PluginOptions, PluginRegistry, Rejected};
 pub use session_file::SessionFile;
 pub use shapes::{Shape, Shapes};

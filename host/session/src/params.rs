@@ -1,6 +1,6 @@
 //! Parameters: checked against the plugin's descriptions, completed by defaults, made local.
 
-use crate::deformer::{Migration, Plugin, limits};
+use crate::deformer::{Migration, limits};
 use crate::key::{Key, Keyed};
 use glam::DVec3;
 use simod_model::bounds::Bounds;
@@ -132,6 +132,24 @@ impl Keyed for LocalParams {
         self.0.len().add_to(key);
         for (id, kind, numbers, text) in &self.0 {
             ((id, kind.0), (numbers, text)).add_to(key);
+        }
+    }
+}
+
+impl Keyed for ParamValue {
+    fn add_to(&self, key: &mut Key) {
+        match self {
+            Self::Float(x) => (0u8, x).add_to(key),
+            Self::Length(x) => (1u8, x).add_to(key),
+            Self::Int(i) => (2u8, i).add_to(key),
+            Self::Bool(b) => (3u8, b).add_to(key),
+            Self::Choice(id) => (4u8, id).add_to(key),
+            Self::Direction(v) => (5u8, v).add_to(key),
+            Self::Point(p) => (6u8, p).add_to(key),
+            Self::PointInBox(t) => (7u8, t).add_to(key),
+            Self::Colour(colour) => (8u8, colour).add_to(key),
+            Self::Curve(points) => (9u8, points).add_to(key),
+            Self::File(path) => (10u8, path.as_deref()).add_to(key),
         }
     }
 }
@@ -441,11 +459,11 @@ pub struct ParamText {
     pub text: String,
 }
 
-/// A plugin's parameters in words.
-pub fn describe_params(plugin: &Plugin) -> Vec<ParamText> {
+/// Parameters in words.
+pub fn describe_params(params: &[ParamDesc]) -> Vec<ParamText> {
     let text =
         |d: &ParamDesc| ParamText { id: d.id.to_string(), group: d.group.to_string(), text: describe(d) };
-    plugin.params().iter().map(text).collect()
+    params.iter().map(text).collect()
 }
 
 fn describe(d: &ParamDesc) -> String {

@@ -9,7 +9,7 @@ use simod_core::fingerprint::are_same;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{
     DeformationField, EVALUATIONS_WITH_GRADIENT, Method, Reconstructed, Reconstruction, RestGeometry,
-    Version, choose_offset, deformed_normals, needs_gradient, reconstruct, write_exact,
+    Version, choose_offset, needs_gradient, reconstruct, write_exact,
 };
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
@@ -22,12 +22,13 @@ use simod_model::{
 };
 use simod_plugin_api::Effort;
 
+pub use crate::deformed_samples::{DeformedSamples, deform};
 use crate::deformer::Message;
-use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages, turning_gradients};
+use crate::edit::{Document, Evaluation, Refinements, messages, turning_gradients};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{self, SessionFile, Step};
 use crate::sidecar;
-use crate::stack::{PreparedStack, Stack};
+use crate::stack::Stack;
 use crate::tolerance::{self, Certificate, Tolerance};
 
 /// Samples a session's model, which comes with it. Temporary files without a name are made in `folder`.
@@ -92,41 +93,6 @@ pub(crate) fn sampling_of(session: &SessionFile, skip: Skip) -> Sampling {
     let sampling = Sampling::from(session.sampling);
     let skip = Skip { sheets: sampling.skip.sheets, ..skip };
     Sampling { skip, ..sampling }
-}
-
-/// P_S*: the samples of a model after the steps of a session.
-pub struct DeformedSamples {
-    /// The model with its samples at rest, with those that steps appended.
-    pub sampled: Arc<SampledModel>,
-    /// Local positions, one per sample, rounded to what a file of them holds.
-    pub positions: Vec<Vec3>,
-    /// Unit normals, derived from the positions.
-    pub normals: Vec<Vec3>,
-    /// The exact map, where all plugins know it.
-    pub stack: PreparedStack,
-    /// What the plugins had to say.
-    pub messages: Vec<Message>,
-}
-
-/// Does steps on a sampled model, which [holds its cells](SampledModel::hold_cells) if any of them refines.
-///
-/// # Errors
-/// A step cannot be done, or the user cancelled.
-pub fn deform(
-    sampled: impl Into<Arc<SampledModel>>,
-    steps: &[Step],
-    plugins: &PluginRegistry,
-    how: Refinements,
-    progress: &dyn Progress,
-) -> Result<DeformedSamples> {
-    let document = Document::new(steps.iter().cloned());
-    let mut evaluation = Evaluation::new(sampled.into(), how);
-    let Evaluated { sampled, positions, statuses, stack, .. } =
-        evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
-    let messages = messages(statuses)?;
-    let positions = sampled.rounded(&positions);
-    let normals = deformed_normals(&sampled.samples, &positions);
-    Ok(DeformedSamples { sampled, positions, normals, stack, messages })
 }
 
 /// Samples after steps that something else may go on from.

@@ -1,5 +1,6 @@
 //! Shapes that say where in space something holds: geometry, not sample indices, so they fit any sampling.
 
+use crate::key::{Key, Keyed};
 use crate::picked::PickedPoints;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -144,6 +145,24 @@ impl Shapes {
         } else {
             0.0
         }
+    }
+}
+
+impl Keyed for Shape {
+    fn add_to(&self, key: &mut Key) {
+        match self {
+            Self::HalfSpace { point, normal } => (0u8, [point, normal]).add_to(key),
+            Self::Sphere { center, radius } => (1u8, (center, radius)).add_to(key),
+            Self::Box { min, max } => (2u8, [min, max]).add_to(key),
+            Self::Selection(picked) => (3u8, picked).add_to(key),
+        }
+    }
+}
+
+impl Keyed for Shapes {
+    fn add_to(&self, key: &mut Key) {
+        let Self { shapes, falloff } = self;
+        (shapes, falloff).add_to(key);
     }
 }
 

@@ -1,7 +1,7 @@
 //! Brush strokes in a file [beside](crate::side_file) a session: `NAME-HASH.strokes`.
 
-use crate::session_file::Stroke;
 use crate::side_file::{Kind, MOST_IN_SESSION, Reference, write as write_file};
+use crate::stroke::Stroke;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use simod_model::Result;

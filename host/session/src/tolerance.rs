@@ -13,8 +13,8 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::SampleSet;
 use simod_model::{Error, ErrorKind, Model, Progress, Result, Scalar};
 
+use crate::deformed_samples::{DeformedSamples, deform};
 use crate::edit::Refinements;
-use crate::pipeline::{DeformedSamples, deform};
 use crate::plugins::PluginRegistry;
 use crate::session_file::Step;
 use simod_plugin_api::Time;

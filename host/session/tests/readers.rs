@@ -202,7 +202,7 @@ fn a_damaged_memory_of_plugins_does_no_harm() {
         // Each library is used or refused, and what is used can be shown.
         for plugin in found.plugins() {
             assert!(!plugin.id().is_empty());
-            simod_session::describe_params(plugin);
+            simod_session::describe_params(plugin.params());
             plugin.params().iter().for_each(|d| drop(simod_session::param_data(d)));
         }
         Ok(())

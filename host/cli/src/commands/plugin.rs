@@ -149,7 +149,7 @@ fn info(plugin: &Loaded, report: &mut Report) {
     let needs = if needs.is_empty() { "nothing but the samples".to_owned() } else { needs.join("; ") };
     report.line(format!("takes {needs}"));
     let mut group = String::new();
-    for param in simod_session::describe_params(plugin) {
+    for param in simod_session::describe_params(plugin.params()) {
         if param.group != group {
             // What stands in no group after one that does is told apart as well.
             let title = if param.group.is_empty() { "others" } else { param.group.as_str() };

@@ -1,7 +1,7 @@
 //! What a plugin is given: samples, regions, motions and parameters, made the same way each time.
 
-use super::subject::{Listener, Refusal, answer};
-use super::{Checked, Finding};
+use super::answer::{Listener, Refusal, answer};
+use super::finding::{Checked, Finding};
 use crate::deformer::{OwnHandles, Plugin, check_handles};
 use crate::key::Key;
 use crate::params::{LocalParams, Params};

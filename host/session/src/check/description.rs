@@ -1,7 +1,8 @@
 //! Rules on the library and what it says about itself.
 
-use super::subject::{Subject, answer};
-use super::{Checked, Finding};
+use super::answer::answer;
+use super::finding::{Checked, Finding};
+use super::subject::Subject;
 use crate::deformer::{is_raw, limits};
 use crate::params::{check_description, check_migration, is_id};
 use crate::plugins::{aborts_on_panic, standard_folders};

@@ -1,8 +1,9 @@
 //! Rules on unusual input: a plugin gives finite positions, or an error that says why not.
 
+use super::answer::{Answer, Listener};
 use super::case::Case;
-use super::subject::{Answer, Listener, Subject, unwritten};
-use super::{Checked, Finding};
+use super::finding::{Checked, Finding};
+use super::subject::{Subject, unwritten};
 use crate::deformer::line;
 use glam::Vec3;
 use simod_plugin_api::ErrorCode;

@@ -1,9 +1,10 @@
 //! Rules on time and talk.
 
+use super::answer::{Listener, Refusal, answer, panicked};
 use super::case::Case;
+use super::finding::{Checked, Finding};
 use super::inputs::{LARGE, ORDINARY};
-use super::subject::{Listener, Refusal, Subject, answer, panicked, unwritten};
-use super::{Checked, Finding};
+use super::subject::{Subject, unwritten};
 use simod_plugin_api::{ErrorCode, PluginResult};
 use std::time::{Duration, Instant};
 

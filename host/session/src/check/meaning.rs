@@ -1,9 +1,10 @@
 //! Rules on what a deformation means: nothing for nothing, the same for the same.
 
+use super::answer::{Refusal, answer};
 use super::case::{Case, Other, motion};
+use super::finding::{Checked, Finding};
 use super::inputs::ORDINARY;
-use super::subject::{Refusal, Subject, answer};
-use super::{Checked, Finding};
+use super::subject::Subject;
 use crate::stack::rows;
 use glam::DVec3;
 use simod_model::bounds::Bounds;

@@ -1,7 +1,8 @@
 //! The rule on sessions that are older than the plugin.
 
-use super::subject::{Subject, answer};
-use super::{Checked, Finding};
+use super::answer::answer;
+use super::finding::{Checked, Finding};
+use super::subject::Subject;
 use crate::migration::migrated;
 use crate::params::check_migration;
 use crate::session_file::Deformation;

@@ -4,6 +4,7 @@
 //! runs each rule in a process of its own (as `simod plugin check` does), and takes what is left of it for an
 //! answer.
 
+mod answer;
 mod case;
 mod description;
 mod finding;

@@ -1,11 +1,12 @@
 //! Rules on parameters: any value in range is answered, and the preparation depends on what it says it does.
 
+use super::answer::Refusal;
 use super::case::Case;
+use super::finding::{Checked, Finding, Verdict};
 use super::inputs::all_calls;
 use super::meaning::difference;
 use super::random::Random;
-use super::subject::{Refusal, Subject};
-use super::{Checked, Finding, Verdict};
+use super::subject::Subject;
 use simod_plugin_api::{ParamDesc, ParamKind};
 use toml::Value;
 

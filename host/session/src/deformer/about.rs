@@ -1,6 +1,5 @@
 //! What a plugin says about itself and can do, in a form that can be kept and sent.
 
-use super::Capabilities;
 use serde::{Deserialize, Serialize};
 use simod_plugin_api::{
     AliasDesc, ChoiceDesc, Descriptor, InputDesc, MigrationDesc, ParamDesc, ParamKind, Unit,
@@ -14,6 +13,17 @@ pub(crate) struct About {
     pub capabilities: Capabilities,
     /// Of a plugin whose older sessions keep working.
     pub migration: Option<Migration>,
+}
+
+/// What a plugin can do besides deforming samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Capabilities {
+    /// It knows its map at any point of space.
+    pub evaluate: bool,
+    /// It places handles of its own.
+    pub handles: bool,
+    /// It tells when it would do nothing.
+    pub is_identity: bool,
 }
 
 /// A [`MigrationDesc`].

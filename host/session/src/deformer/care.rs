@@ -91,7 +91,7 @@ mod process {
             let mut inside = self.inside.lock().unwrap_or_else(PoisonError::into_inner);
             *inside -= 1;
             if let Some(output) = self.output.as_ref().filter(|_| *inside == 0) {
-                super::flush();
+                flush();
                 let _ = rustix::stdio::dup2_stdout(output);
             }
             if let Some(folder) = &self.folder {
@@ -99,22 +99,21 @@ mod process {
             }
         }
     }
-}
 
-/// Has the C library write what it was told to print, while that goes where it should.
-#[cfg(unix)]
-#[allow(unsafe_code, reason = "a function of the C library; the block has its argument")]
-fn flush() {
-    #[cfg(any(target_os = "linux", target_os = "macos"))]
-    {
-        use std::ffi::{c_int, c_void};
-        unsafe extern "C" {
-            #[cfg_attr(target_os = "macos", link_name = "__stdoutp")]
-            static stdout: *mut c_void;
-            fn fflush(stream: *mut c_void) -> c_int;
+    /// Has the C library write what it was told to print, while that goes where it should.
+    #[allow(unsafe_code, reason = "a function of the C library; the block has its argument")]
+    fn flush() {
+        #[cfg(any(target_os = "linux", target_os = "macos"))]
+        {
+            use std::ffi::{c_int, c_void};
+            unsafe extern "C" {
+                #[cfg_attr(target_os = "macos", link_name = "__stdoutp")]
+                static stdout: *mut c_void;
+                fn fflush(stream: *mut c_void) -> c_int;
+            }
+            // SAFETY: the C library's own stream, which it locks.
+            unsafe { fflush(stdout) };
         }
-        // SAFETY: the C library's own stream, which it locks.
-        unsafe { fflush(stdout) };
     }
 }
 

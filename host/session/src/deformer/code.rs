@@ -1,22 +1,11 @@
 //! A plugin's code, however it is reached, as the plugin answers: checked by nobody yet.
 
-use super::Migration;
+use super::about::{Capabilities, Migration};
 use simod_plugin_api::{
     DeformInput, Descriptor, EvaluateExtension, ExtensionInterface, HandleDesc, HandleFacesExtension,
     HandlesExtension, Host, HostCalls, IsIdentityExtension, MigrationExtension, PluginModRef, PluginResult,
     PrepareInput, Scratch, Setting, State,
 };
-
-/// What a plugin can do besides deforming samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-pub struct Capabilities {
-    /// It knows its map at any point of space.
-    pub evaluate: bool,
-    /// It places handles of its own.
-    pub handles: bool,
-    /// It tells when it would do nothing.
-    pub is_identity: bool,
-}
 
 /// The handles that a plugin places.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -28,11 +28,11 @@ use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3Default;
 
 pub(crate) use about::About;
-pub use about::Migration;
+pub use about::{Capabilities, Migration};
 pub(crate) use c::{CCode, load_whole};
 pub(crate) use care::{Care, CarefulCode};
 pub(crate) use code::RustCode;
-pub use code::{Capabilities, Code, OwnHandles};
+pub use code::{Code, OwnHandles};
 pub use limits::is_raw;
 pub(crate) use lookups::LookingCode;
 

@@ -1,6 +1,6 @@
 //! One layer of a stack: a plugin with its parameters, regions, joints, handles and strokes.
 
-use super::{Moment, Rest, RestShape, neighbour_lists, not_one_per_sample, rows};
+use super::rest::{Moment, Rest, RestShape, neighbour_lists, not_one_per_sample, rows};
 use crate::deformer::{Message, OwnHandles, Plugin, Watch};
 use crate::key::Key;
 use crate::migration::{in_its_words, migrated};

@@ -4,63 +4,25 @@
 //! the plugin: `p* = p + a m(p) (D(p) - p)`.
 
 mod layer;
+mod rest;
 
 use crate::deformer::{Message, Plugin, Watch};
 use crate::params::Params;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Deformation, Step};
-use glam::{DAffine3, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 pub(crate) use layer::{Done, Layer, LayerCache};
 use rayon::prelude::*;
-use simod_core::attributes::Attributes;
-use simod_core::sampling::NeighbourGraph;
-use simod_model::bounds::Bounds;
+pub(crate) use rest::{Moment, Rest, at, neighbour_lists, rows};
+pub use rest::{Renormal, RestShape};
 use simod_model::frame::Frame;
 use simod_model::progress::Silent;
-use simod_model::{Error, ErrorKind, Progress, Result};
+use simod_model::{Progress, Result};
 use simod_plugin_api as api;
-use std::path::Path;
 use std::sync::Arc;
 
 /// Points evaluated at once on one thread.
 const BLOCK: usize = 4096;
-
-/// Derives unit normals, one per sample, from changed positions (local coordinates).
-pub type Renormal<'a> = dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync + 'a;
-
-/// For what a deformation is, and when in a sequence.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Moment {
-    pub effort: api::Effort,
-    pub time: api::Time,
-}
-
-/// The samples as they were taken, and where.
-#[derive(Clone, Copy)]
-pub struct RestShape<'a> {
-    /// Local positions; all finite.
-    pub positions: &'a [Vec3],
-    /// Unit normals, one per sample, or none at all.
-    pub normals: &'a [Vec3],
-    /// Distance to the nearest other samples, one per sample, or none at all.
-    pub spacing: &'a [f32],
-    /// Triangles between the samples, or none.
-    pub triangles: &'a [[u32; 3]],
-    /// The samples' nearest neighbours.
-    pub neighbours: Option<&'a NeighbourGraph>,
-    /// Colours and other attributes of the samples, where they were asked for.
-    pub attributes: Option<&'a Arc<Attributes>>,
-    /// Where temporary files without a name are made, for other models that plugins take; the system's own place if
-    /// it is empty.
-    pub folder: &'a Path,
-    /// The map between model and local coordinates.
-    pub frame: Frame,
-    /// The model's box, model coordinates.
-    pub bounds: Bounds,
-    /// Normals for changed positions, for layers that need them after others. Without it they get the old
-    /// ones.
-    pub renormal: Option<&'a Renormal<'a>>,
-}
 
 /// A checked list of deformations, not tied to any samples.
 #[derive(Debug)]
@@ -84,29 +46,6 @@ pub struct Deformed {
 pub struct PreparedStack {
     pub(crate) layers: Vec<Arc<Done>>,
     pub(crate) frame: Frame,
-}
-
-/// A layer's rest shape, local coordinates.
-#[derive(Debug, Clone)]
-pub(crate) struct Rest {
-    pub positions: Arc<[Vec3]>,
-    normals: Arc<[Vec3]>,
-    /// Whether the normals are those of the positions.
-    normals_fit: bool,
-    spacing: Arc<[f32]>,
-    bounds: api::Bounds,
-    /// Stands for all of it: a hash of what it came from.
-    pub key: u64,
-}
-
-impl Rest {
-    fn samples(&self) -> api::Samples<'_> {
-        api::Samples::new(
-            bytemuck::cast_slice(&self.positions),
-            bytemuck::cast_slice(&self.normals),
-            &self.spacing,
-        )
-    }
 }
 
 impl Stack {
@@ -173,73 +112,6 @@ impl Stack {
     }
 }
 
-fn not_one_per_sample(what: &str) -> Error {
-    let what = format!("there is not one {what} per sample");
-    Error::new(ErrorKind::Mismatch, what, "sample the model again")
-}
-
-impl RestShape<'_> {
-    /// What the first layer starts from; `key` stands for it.
-    pub(crate) fn rest(&self, key: u64) -> Result<Rest> {
-        self.rest_at(self.positions.into(), key)
-    }
-
-    /// The same at other positions, as layers before have left them.
-    pub(crate) fn rest_at(&self, positions: Arc<[Vec3]>, key: u64) -> Result<Rest> {
-        self.check()?;
-        let corner = |p| self.frame.to_local_exact(p).to_array();
-        Ok(Rest {
-            normals_fit: *positions == *self.positions,
-            positions,
-            normals: self.normals.into(),
-            spacing: self.spacing.into(),
-            bounds: api::Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) },
-            key,
-        })
-    }
-
-    fn check(&self) -> Result<()> {
-        let count = self.positions.len();
-        if count == 0 {
-            let hint = "sample the model more finely";
-            return Err(Error::new(ErrorKind::Degenerate, "there are no samples to deform", hint));
-        }
-        if ![0, count].contains(&self.normals.len()) {
-            return Err(not_one_per_sample("normal"));
-        }
-        if ![0, count].contains(&self.spacing.len()) {
-            return Err(not_one_per_sample("spacing distance"));
-        }
-        let finite = self.positions.par_iter().all(|p| p.is_finite());
-        if !(finite && self.frame.is_valid() && self.bounds.min.is_finite() && self.bounds.max.is_finite()) {
-            let what = "a sample, the frame or the bounding box is not finite";
-            return Err(Error::new(ErrorKind::Degenerate, what, "sample the model again"));
-        }
-        Ok(())
-    }
-}
-
-/// Where the neighbours of each sample begin, and all of them.
-pub(crate) fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u32]) {
-    ((0..=samples).map(|i| (i * graph.k()) as u32).collect(), graph.all())
-}
-
-/// An error of a layer, with its place; a cancel has none.
-pub(crate) fn at(place: &str, e: Error) -> Error {
-    if e.kind() == ErrorKind::Cancelled {
-        return e;
-    }
-    let what = format!("{place}: {e}");
-    e.saying(what)
-}
-
-/// As plugins take it.
-pub(crate) fn rows(map: DAffine3) -> api::Affine {
-    let (m, t) = (map.matrix3, map.translation);
-    let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];
-    api::Affine { rows: [row(0), row(1), row(2)] }
-}
-
 impl PreparedStack {
     /// Whether all layers know their map at any point of space.
     pub fn can_evaluate(&self) -> bool {
@@ -283,7 +155,9 @@ mod tests {
     use super::*;
     use crate::SessionFile;
     use simod_core::sampling::SampleSet;
+    use simod_model::bounds::Bounds;
     use simod_plugin_api::__private::{abi_stable, capability, find_extension, no_extension, root_module};
+    use std::path::Path;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     /// Moves each sample to the mean of its neighbours and of the corners of its triangles.

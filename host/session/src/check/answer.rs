@@ -1,0 +1,86 @@
+//! What a plugin under check is told by the host, and answers.
+
+use super::finding::{Checked, Finding};
+use crate::deformer::line;
+use rayon::prelude::*;
+use simod_plugin_api::{ErrorCode, HostCalls, LogLevel, PluginError, PluginResult};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// The host as the plugin under check sees it.
+pub(super) struct Listener {
+    /// Whether the plugin may go on.
+    go_on: bool,
+    /// How many lines it said.
+    lines: AtomicUsize,
+}
+
+impl Listener {
+    /// Lets the plugin do its work.
+    pub fn patient() -> Self {
+        Self { go_on: true, lines: AtomicUsize::new(0) }
+    }
+
+    /// Asks the plugin to stop, from the first.
+    pub fn impatient() -> Self {
+        Self { go_on: false, ..Self::patient() }
+    }
+
+    /// How many lines the plugin said.
+    pub fn lines(&self) -> usize {
+        self.lines.load(Ordering::Relaxed)
+    }
+}
+
+impl HostCalls for Listener {
+    fn progress(&self, _: f64) -> bool {
+        self.go_on
+    }
+
+    fn parallel_for(&self, count: usize, body: &(dyn Fn(usize) + Sync)) -> bool {
+        if self.go_on {
+            (0..count).into_par_iter().for_each(body);
+        }
+        self.go_on
+    }
+
+    fn log(&self, _: LogLevel, _: &str) {
+        self.lines.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// What a plugin politely says instead of an answer.
+pub(super) struct Refusal(pub String);
+
+/// An answer, or a polite error.
+pub(super) type Answer<T> = Result<T, Refusal>;
+
+impl Refusal {
+    /// The finding where something ordinary is refused: the rule cannot be checked.
+    pub fn of_ordinary(self) -> Finding {
+        Finding::skip(format!("it refuses the ordinary model: {}", self.0))
+    }
+}
+
+/// What a call gave: a panic and a stop unasked end the rule, other errors are polite.
+pub(super) fn answer<T>(call: &str, result: PluginResult<T>) -> Checked<Answer<T>> {
+    match result {
+        Ok(value) => Ok(Ok(value)),
+        Err(error) if error.code == ErrorCode::PANICKED => Err(panicked(call, &error)),
+        Err(error) if error.code == ErrorCode::CANCELLED => Err(Finding::fail(
+            format!("{call} says that it was cancelled, and nobody asked it to stop"),
+            "return `cancelled` where the host's `progress` says so, and nowhere else",
+        )),
+        Err(error) => Ok(Err(Refusal(match line(&error.message) {
+            text if text.is_empty() => "an error without a message".to_owned(),
+            text => text,
+        }))),
+    }
+}
+
+/// A panic, as a finding.
+pub(super) fn panicked(call: &str, error: &PluginError) -> Finding {
+    Finding::fail(
+        format!("{call} {}", line(&error.message)),
+        "return an error instead; `RUST_BACKTRACE=1 simod plugin check-rule FILE RULE` shows where it panics",
+    )
+}

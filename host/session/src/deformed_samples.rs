@@ -1,0 +1,48 @@
+//! The deformation: P_S goes through the steps to P_S*.
+
+use crate::deformer::Message;
+use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages};
+use crate::plugins::PluginRegistry;
+use crate::session_file::Step;
+use crate::stack::PreparedStack;
+use glam::Vec3;
+use simod_core::reconstruction::deformed_normals;
+use simod_core::sampled_model::SampledModel;
+use simod_model::{Progress, Result};
+use simod_plugin_api::Effort;
+use std::sync::Arc;
+
+/// P_S*: the samples of a model after the steps of a session.
+pub struct DeformedSamples {
+    /// The model with its samples at rest, with those that steps appended.
+    pub sampled: Arc<SampledModel>,
+    /// Local positions, one per sample, rounded to what a file of them holds.
+    pub positions: Vec<Vec3>,
+    /// Unit normals, derived from the positions.
+    pub normals: Vec<Vec3>,
+    /// The exact map, where all plugins know it.
+    pub stack: PreparedStack,
+    /// What the plugins had to say.
+    pub messages: Vec<Message>,
+}
+
+/// Does steps on a sampled model, which [holds its cells](SampledModel::hold_cells) if any of them refines.
+///
+/// # Errors
+/// A step cannot be done, or the user cancelled.
+pub fn deform(
+    sampled: impl Into<Arc<SampledModel>>,
+    steps: &[Step],
+    plugins: &PluginRegistry,
+    how: Refinements,
+    progress: &dyn Progress,
+) -> Result<DeformedSamples> {
+    let document = Document::new(steps.iter().cloned());
+    let mut evaluation = Evaluation::new(sampled.into(), how);
+    let Evaluated { sampled, positions, statuses, stack, .. } =
+        evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
+    let messages = messages(statuses)?;
+    let positions = sampled.rounded(&positions);
+    let normals = deformed_normals(&sampled.samples, &positions);
+    Ok(DeformedSamples { sampled, positions, normals, stack, messages })
+}
