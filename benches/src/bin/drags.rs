@@ -170,7 +170,7 @@ impl Hand {
         let [low, high] = scene.bounds();
         let height = |y: f32| (y - low.y) / (high.y - low.y);
         let marks = scene.positions.iter().map(|p| heights.contains(&height(p.y))).collect();
-        let area = Area::Runs(Selection::of(marks).runs());
+        let area = Area::Runs(Selection::from_marks(marks).runs());
         self.done(Command::Select { area, combine: Default::default(), visible: false, goes_on: false })
     }
 

@@ -164,7 +164,7 @@ impl Source {
                 let names = ModelName::Tiles(self.files()).tiles();
                 Ok(ModelName::Tiles(names.iter().map(|name| folder.join(name)).collect()))
             }
-            Some(path) => ModelName::of(path),
+            Some(path) => ModelName::from_path(path),
         }
     }
 

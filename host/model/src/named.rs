@@ -27,7 +27,7 @@ impl ModelName {
     ///
     /// # Errors
     /// As of [`matching`].
-    pub fn of(path: &Path) -> Result<Self> {
+    pub fn from_path(path: &Path) -> Result<Self> {
         Ok(match matching(path)? {
             Some(files) => Self::Tiles(files),
             None => Self::File(path.to_owned()),
@@ -40,11 +40,11 @@ impl ModelName {
     /// As of [`matching`], or there is none.
     pub fn of_all<P: AsRef<Path>>(paths: &[P]) -> Result<Self> {
         if let [path] = paths {
-            return Self::of(path.as_ref());
+            return Self::from_path(path.as_ref());
         }
         let mut files = Vec::new();
         for path in paths {
-            match Self::of(path.as_ref())? {
+            match Self::from_path(path.as_ref())? {
                 Self::File(file) => files.push(file),
                 Self::Tiles(more) => files.extend(more),
             }
@@ -123,7 +123,7 @@ pub fn open_with(
     cache: &Arc<Cache>,
     progress: &dyn Progress,
 ) -> Result<Box<dyn Model>> {
-    ModelName::of(path)?.open(columns, cache, progress)
+    ModelName::from_path(path)?.open(columns, cache, progress)
 }
 
 /// Opens what was written of a model of the same format, at a path: a file, or a folder with its tiles.

@@ -42,7 +42,7 @@ impl ObjectOutput {
     /// # Errors
     /// The store cannot be reached, refuses, or takes no parts.
     pub fn begin(path: &Path, bytes: u64) -> Result<Self> {
-        Ok(Self::of(path, object::begin(path)?, part_bytes(bytes)))
+        Ok(Self::with_parts(path, object::begin(path)?, part_bytes(bytes)))
     }
 
     /// The same by an upload that was begun for others as well, who send ranges of it. Dropped, it leaves that as it is.
@@ -50,11 +50,11 @@ impl ObjectOutput {
     /// # Errors
     /// The store takes no parts.
     pub fn go_on(path: &Path, id: &str, bytes: u64) -> Result<Self> {
-        Ok(Self::of(path, object::go_on(path, id)?, part_bytes(bytes)))
+        Ok(Self::with_parts(path, object::go_on(path, id)?, part_bytes(bytes)))
     }
 
     /// The same with parts of so many bytes.
-    pub fn of(path: &Path, begun: Begun, part_bytes: u64) -> Self {
+    pub fn with_parts(path: &Path, begun: Begun, part_bytes: u64) -> Self {
         let (held, tags) = (BTreeMap::new(), BTreeMap::new());
         Self { path: path.to_owned(), begun, part_bytes, at: 0, held, tags }
     }

@@ -51,7 +51,7 @@ pub(crate) struct Pooled {
 struct Stamp(Option<Identity>, u64, Option<SystemTime>);
 
 impl Stamp {
-    fn of(path: &Path, is: &Metadata) -> Self {
+    fn new(path: &Path, is: &Metadata) -> Self {
         Self(Identity::from_path(path), is.len(), is.modified().ok())
     }
 }
@@ -65,7 +65,7 @@ impl Pooled {
         let file = input::open(path)?;
         let is = file.metadata().map_err(|e| Error::io("open", path, &e))?;
         pool.keep(path, &Arc::new(Positioned::new(file)));
-        Ok(Self { pool: pool.clone(), path: path.to_owned(), stamp: Stamp::of(path, &is) })
+        Ok(Self { pool: pool.clone(), path: path.to_owned(), stamp: Stamp::new(path, &is) })
     }
 
     /// The files among which this one is.
@@ -83,7 +83,7 @@ impl Pooled {
         }
         let file = input::open(&self.path)?;
         let is = file.metadata().map_err(|e| Error::io("open", &self.path, &e))?;
-        if Stamp::of(&self.path, &is) != self.stamp {
+        if Stamp::new(&self.path, &is) != self.stamp {
             return Err(Error::new(
                 ErrorKind::Mismatch,
                 format!("{} changed while it was read", self.path.display()),

@@ -40,7 +40,7 @@ pub struct Place {
 
 impl Place {
     /// Where a model's output goes: a file, or a folder of tiles.
-    pub fn of(model: &dyn Model, path: &Path) -> Self {
+    pub fn for_model(model: &dyn Model, path: &Path) -> Self {
         let names = model.tiles().iter().map(|tile| tile.name.clone()).collect();
         Self { path: path.to_owned(), names, bytes: model.written_bytes() }
     }

@@ -26,7 +26,7 @@ pub struct WrittenFile {
 
 impl WrittenFile {
     /// The file at a path.
-    fn at(path: &Path) -> io::Result<Self> {
+    fn read_stamp(path: &Path) -> io::Result<Self> {
         let is = fs::metadata(path)?;
         let changed = is.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
         Ok(Self { bytes: is.len(), changed })
@@ -39,12 +39,12 @@ impl WrittenFile {
 
     /// Whether a file of its size is at a path.
     pub fn fits(&self, path: &Path) -> bool {
-        Self::at(path).is_ok_and(|file| file.bytes == self.bytes)
+        Self::read_stamp(path).is_ok_and(|file| file.bytes == self.bytes)
     }
 
     /// Whether it is the file at a path.
     pub fn is(&self, path: &Path) -> bool {
-        Self::at(path).is_ok_and(|file| file == *self)
+        Self::read_stamp(path).is_ok_and(|file| file == *self)
     }
 }
 
@@ -113,7 +113,7 @@ impl Output for SharedFiles<'_> {
         let file = self.current.take().ok_or_else(none_begun)?;
         let path = file.path().to_owned();
         file.commit().map_err(packed)?;
-        let written = WrittenFile::at(&path)?;
+        let written = WrittenFile::read_stamp(&path)?;
         self.written.push((path, written));
         Ok(())
     }

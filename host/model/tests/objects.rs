@@ -154,7 +154,7 @@ proptest! {
             begun.upload().send(number, bytes[range].to_vec()).unwrap();
         }
         tags.extend(begun.upload().sent().unwrap());
-        let mut output = ObjectOutput::of(path, begun, part);
+        let mut output = ObjectOutput::with_parts(path, begun, part);
         let (first, last) = (passed.start * part as usize, passed.end * part as usize);
         for piece in bytes[..first].chunks(piece) {
             output.write_piece(piece, 0, &Summary::default()).unwrap();
@@ -230,7 +230,7 @@ proptest! {
                 sent[number] = Some(range.finish().unwrap());
             }
         }
-        let mut output = ObjectOutput::of(path, object::go_on(path, &id).unwrap(), part);
+        let mut output = ObjectOutput::with_parts(path, object::go_on(path, &id).unwrap(), part);
         output.write(&bytes[..ends[0]]).unwrap();
         for sent in sent.into_iter().flatten() {
             prop_assert!(sent.before.len() < part as usize && sent.behind.len() < part as usize);

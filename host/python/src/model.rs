@@ -182,7 +182,7 @@ impl Model {
             let start = std::time::Instant::now();
             let mut guard = Guard::new(overwrite);
             guard.reads(&self.path);
-            let named = ModelName::of(&self.path)?;
+            let named = ModelName::from_path(&self.path)?;
             guard.writes_model(&out, &named.tiles())?;
             diagnostics.iter().try_for_each(|path| guard.writes(path, Kind::Model))?;
             if !named.files().iter().all(|file| file.exists()) {

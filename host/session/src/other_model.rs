@@ -57,7 +57,7 @@ impl OtherModel {
                 return Err(too_many(count));
             }
             let kind = (api::PointsKind::SAMPLES, count);
-            return Self::of(
+            return Self::from_samples(
                 kind,
                 sampled.samples,
                 &sampled.frame,
@@ -76,7 +76,7 @@ impl OtherModel {
         let sampling = Sampling { target: Target::Samples(points), skip, ..Sampling::default() };
         let sampled = sample(&*model, &sampling, folder, progress)?;
         let kind = (api::PointsKind::SAMPLED, model.info().vertices);
-        Self::of(kind, sampled.samples, &sampled.frame, Vec::new(), sampled.triangles, frame)
+        Self::from_samples(kind, sampled.samples, &sampled.frame, Vec::new(), sampled.triangles, frame)
     }
 
     /// Of the samples in a file. Their normals there may be those of before something moved them.
@@ -98,11 +98,11 @@ impl OtherModel {
         })?;
         triangles.retain(|corners| corners.iter().all(|corner| (*corner as usize) < positions.len()));
         let kind = (api::PointsKind::SAMPLES, positions.len() as u64);
-        Self::of(kind, SampleSet::new(local, Vec::new())?, &theirs, ids, triangles, frame)
+        Self::from_samples(kind, SampleSet::new(local, Vec::new())?, &theirs, ids, triangles, frame)
     }
 
     /// Of samples in local coordinates of their own.
-    fn of(
+    fn from_samples(
         (kind, vertices): (api::PointsKind, u64),
         samples: SampleSet,
         theirs: &Frame,

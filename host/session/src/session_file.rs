@@ -334,7 +334,7 @@ const LONGEST_NAME: usize = 200;
 
 impl Step {
     /// One that is done, in no file, and that nobody has given a title.
-    pub fn of(action: Action) -> Self {
+    pub fn new(action: Action) -> Self {
         Self { action, enabled: true, title: None, group: None, place: String::new() }
     }
 
@@ -587,7 +587,7 @@ impl SessionFile {
     /// A pattern matches no file.
     pub fn named_model(&self) -> Result<Option<ModelName>> {
         match &self.model {
-            Some(model) => ModelName::of(model).map(Some),
+            Some(model) => ModelName::from_path(model).map(Some),
             None if self.tiles.is_empty() => Ok(None),
             // A list is of tiles, even if there is but one.
             None => Ok(Some(ModelName::Tiles(ModelName::of_all(&self.tiles)?.files().to_vec()))),

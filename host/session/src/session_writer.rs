@@ -401,7 +401,7 @@ mod tests {
         }
         let refine =
             |finer| Action::Refine(Refine { shapes: Shapes { shapes: shapes.clone(), falloff: 0.0 }, finer });
-        let step = |action, enabled| Step { enabled, ..Step::of(action) };
+        let step = |action, enabled| Step { enabled, ..Step::new(action) };
         let titled = |step: Step| Step {
             title: Some("Arms, \"up\"".to_owned()),
             group: Some("Both arms".to_owned()),
@@ -572,7 +572,7 @@ path = "out.ply"
             session.to_toml(Path::new("edit.toml"), true).unwrap().0.lines().next().unwrap().to_owned()
         };
         let deform =
-            |amount| Step::of(Action::Deform(Deformation { amount, ..Deformation::by_plugin("warp") }));
+            |amount| Step::new(Action::Deform(Deformation { amount, ..Deformation::by_plugin("warp") }));
         assert_eq!(version(deform(1.0)), "version = 1");
         assert_eq!(version(deform(0.0)), "version = 2");
         assert_eq!(version(Step { title: Some("a".to_owned()), ..deform(1.0) }), "version = 2");

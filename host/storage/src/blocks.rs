@@ -181,7 +181,7 @@ mod tests {
 
     fn version(place: &Place) -> Arc<Version> {
         let meta = wait(place.store.head(&place.path)).unwrap().unwrap();
-        Arc::new(Version::of(place.clone(), &meta))
+        Arc::new(Version::from_meta(place.clone(), &meta))
     }
 
     #[test]

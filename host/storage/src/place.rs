@@ -46,7 +46,7 @@ impl Place {
     /// # Errors
     /// It is no URL of an object, or settings in the environment make no sense.
     pub fn to_read(url: &str) -> Result<Self> {
-        Self::of(url, READING)
+        Self::from_url(url, READING)
     }
 
     /// Of an object that is written.
@@ -54,10 +54,10 @@ impl Place {
     /// # Errors
     /// As of [`to_read`](Self::to_read).
     pub fn to_write(url: &str) -> Result<Self> {
-        Self::of(url, WRITING)
+        Self::from_url(url, WRITING)
     }
 
-    fn of(url: &str, timeout: &str) -> Result<Self> {
+    fn from_url(url: &str, timeout: &str) -> Result<Self> {
         let name = object::admit(url).to_string_lossy().into_owned();
         let refused = |e: object_store::Error| Error::from(Failure::new(&format!("cannot open {name}"), &e));
         // Of another provider none is linked, so that it is this one or an equal one.

@@ -38,7 +38,7 @@ impl StoredObject {
             }
             Err(e) => return Err(Failure::new(&format!("cannot open {}", place.name), &e).into()),
         };
-        let version = Arc::new(Version::of(place, &meta));
+        let version = Arc::new(Version::from_meta(place, &meta));
         // It comes again if it did not come whole.
         if let Ok(block) = block
             && block.len() as u64 == BLOCK.min(version.bytes())

@@ -25,7 +25,7 @@ pub(crate) struct Version {
 
 impl Version {
     /// What a store says of an object.
-    pub fn of(place: Place, meta: &ObjectMeta) -> Self {
+    pub fn from_meta(place: Place, meta: &ObjectMeta) -> Self {
         Self { place, bytes: meta.size, tag: tag_of(meta), only: only(meta) }
     }
 

@@ -93,7 +93,7 @@ impl Detail {
     }
 
     /// What it is of.
-    pub fn of(&self) -> Previewed {
+    pub fn previewed(&self) -> Previewed {
         self.of
     }
 

@@ -30,7 +30,7 @@ pub struct Measure {
 }
 
 impl Measure {
-    fn of(of: impl Fn(&dyn Fn(&MeasuredPoint) -> DVec3) -> f64) -> Self {
+    fn compute(of: impl Fn(&dyn Fn(&MeasuredPoint) -> DVec3) -> f64) -> Self {
         Self { now: of(&|point| point.now), rest: of(&|point| point.rest) }
     }
 
@@ -42,12 +42,12 @@ impl Measure {
 
 /// The distance of two points, in the model's unit.
 pub fn distance(a: &MeasuredPoint, b: &MeasuredPoint) -> Measure {
-    Measure::of(|at| at(a).distance(at(b)))
+    Measure::compute(|at| at(a).distance(at(b)))
 }
 
 /// The angle at the second of three points, in degrees; 0 where two of them are one.
 pub fn angle(a: &MeasuredPoint, b: &MeasuredPoint, c: &MeasuredPoint) -> Measure {
-    Measure::of(|at| {
+    Measure::compute(|at| {
         let (u, v) = (at(a) - at(b), at(c) - at(b));
         // Exact for small angles, too, as the cosine alone is not.
         f64::atan2(u.cross(v).length(), u.dot(v)).to_degrees()

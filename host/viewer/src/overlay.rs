@@ -71,7 +71,7 @@ impl Scale {
 
 impl Field {
     /// Numbers with a range that most of them are in: a few of the largest are beyond it.
-    fn of(values: Vec<f32>, from: f32) -> Self {
+    fn ranged(values: Vec<f32>, from: f32) -> Self {
         let values: Vec<f32> = values.into_iter().map(|x| if x.is_finite() { x } else { from }).collect();
         let mut sorted = values.clone();
         let last = sorted.len().saturating_sub(1);
@@ -135,7 +135,7 @@ pub fn difference(scene: &Scene, other: &Scene, carried: Option<&[Vec3]>) -> Fie
     let pairs = scene.positions.par_iter().zip(to).take(known);
     let mut values: Vec<f32> = pairs.map(|(p, q)| p.distance(*q) * scale).collect();
     spread(&mut values, scene);
-    Field::of(values, 0.0)
+    Field::ranged(values, 0.0)
 }
 
 /// Numbers for the samples behind those that have one: the mean of the neighbours that have, from these
@@ -167,7 +167,7 @@ fn spread(values: &mut Vec<f32>, scene: &Scene) {
 pub fn displacement(scene: &Scene) -> Field {
     let scale = scene.frame().scale as f32;
     let pairs = scene.positions.par_iter().zip(&scene.sampled.samples.positions);
-    Field::of(pairs.map(|(p, q)| p.distance(*q) * scale).collect(), 0.0)
+    Field::ranged(pairs.map(|(p, q)| p.distance(*q) * scale).collect(), 0.0)
 }
 
 /// How much the surface is stretched or squeezed.
@@ -179,7 +179,7 @@ pub fn stretch(scene: &Scene) -> Field {
         let [most, least] = principal_stretches(&map, normals[i]);
         most.max(1.0 / least)
     };
-    Field::of((0..scene.len()).into_par_iter().map(of).collect(), 1.0)
+    Field::ranged((0..scene.len()).into_par_iter().map(of).collect(), 1.0)
 }
 
 /// How far samples are apart at rest.
@@ -187,14 +187,14 @@ pub fn density(scene: &Scene) -> Field {
     let scale = scene.frame().scale as f32;
     let values: Vec<f32> = scene.sampled.samples.spacing().iter().map(|s| s * scale).collect();
     let least = values.iter().copied().fold(f32::INFINITY, f32::min);
-    Field::of(values, if least.is_finite() { least } else { 0.0 })
+    Field::ranged(values, if least.is_finite() { least } else { 0.0 })
 }
 
 /// The error to be expected between the samples; nothing where the scene does not have it yet.
 pub fn transfer_error(scene: &Scene) -> Option<Field> {
     let scale = scene.frame().scale as f32;
     let expected = scene.expected_error.as_ref()?;
-    Some(Field::of(expected.iter().map(|e| e * scale).collect(), 0.0))
+    Some(Field::ranged(expected.iter().map(|e| e * scale).collect(), 0.0))
 }
 
 /// An attribute of the vertices, of each sample; nothing where it is not known yet, or none of them has a number.
@@ -209,5 +209,5 @@ pub fn attribute(scene: &Scene, place: usize) -> Option<Field> {
     let few = sorted.len() / 100;
     let (_, least, _) = sorted.select_nth_unstable_by(few, f32::total_cmp);
     let least = *least;
-    Some(Field::of(values, least))
+    Some(Field::ranged(values, least))
 }

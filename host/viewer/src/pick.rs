@@ -185,7 +185,7 @@ impl DepthBuffer {
     pub fn visible(&self, scene: &Scene) -> Vec<bool> {
         let is_seen = |i: usize| {
             let Some(disc) = self.disc(scene, i) else { return false };
-            let Some((depth, _)) = self.at(disc.pixel) else { return false };
+            let Some((depth, _)) = self.look_up(disc.pixel) else { return false };
             // Depths are those of the pixels' middles.
             let pixel = disc.radius / disc.reach;
             disc.center.z <= f64::from(depth) + BEHIND[usize::from(!disc.faces)] * disc.radius + pixel
@@ -202,7 +202,7 @@ impl DepthBuffer {
     }
 
     /// Depth and sample at a pixel of the buffer.
-    fn at(&self, pixel: DVec2) -> Option<(f32, u32)> {
+    fn look_up(&self, pixel: DVec2) -> Option<(f32, u32)> {
         let inside = pixel.x >= 0.0 && pixel.y >= 0.0;
         let (x, y) = (pixel.x as usize, pixel.y as usize);
         (inside && x < self.width && y < self.height).then(|| self.nearest[y * self.width + x])
@@ -210,7 +210,7 @@ impl DepthBuffer {
 
     /// The point of the surface under a pixel of the window; nothing where there is none.
     pub fn pick(&self, scene: &Scene, pixel: DVec2) -> Option<Hit> {
-        let (_, sample) = self.at(self.shrunk(pixel)).filter(|(_, sample)| *sample != NOBODY)?;
+        let (_, sample) = self.look_up(self.shrunk(pixel)).filter(|(_, sample)| *sample != NOBODY)?;
         Some(self.hit(scene, pixel, sample))
     }
 
@@ -218,7 +218,7 @@ impl DepthBuffer {
     /// looks away. Nothing where there is none, as in an open scan.
     pub fn pick_far_side(&self, scene: &Scene, pixel: DVec2) -> Option<Hit> {
         let at = self.shrunk(pixel);
-        let (front, first) = self.at(at).filter(|(_, sample)| *sample != NOBODY)?;
+        let (front, first) = self.look_up(at).filter(|(_, sample)| *sample != NOBODY)?;
         let from = front + self.radii[first as usize];
         let behind = |i: usize| {
             let disc = self.disc(scene, i).filter(|disc| !disc.faces)?;

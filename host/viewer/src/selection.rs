@@ -33,7 +33,7 @@ impl Selection {
     }
 
     /// Those that are marked.
-    pub fn of(marks: Vec<bool>) -> Self {
+    pub fn from_marks(marks: Vec<bool>) -> Self {
         let count = marks.iter().filter(|m| **m).count();
         Self { marks, count }
     }
@@ -71,29 +71,29 @@ impl Selection {
             Combine::Add => *a || *b,
             Combine::Subtract => *a && !*b,
         };
-        Self::of(self.marks.iter().zip(&others.marks).map(both).collect())
+        Self::from_marks(self.marks.iter().zip(&others.marks).map(both).collect())
     }
 
     /// All others.
     #[must_use]
     pub fn inverted(&self) -> Self {
-        Self::of(self.marks.iter().map(|m| !m).collect())
+        Self::from_marks(self.marks.iter().map(|m| !m).collect())
     }
 
     /// With all that are next to one that is selected.
     #[must_use]
     pub fn grown(&self, adjacency: &Adjacency) -> Self {
-        self.changed(|i| self.marks[i] || adjacency.of(i).iter().any(|j| self.contains(*j)))
+        self.changed(|i| self.marks[i] || adjacency.neighbours(i).iter().any(|j| self.contains(*j)))
     }
 
     /// Without those that are next to one that is not.
     #[must_use]
     pub fn shrunk(&self, adjacency: &Adjacency) -> Self {
-        self.changed(|i| self.marks[i] && adjacency.of(i).iter().all(|j| self.contains(*j)))
+        self.changed(|i| self.marks[i] && adjacency.neighbours(i).iter().all(|j| self.contains(*j)))
     }
 
     fn changed(&self, is_selected: impl Fn(usize) -> bool) -> Self {
-        Self::of((0..self.marks.len()).map(is_selected).collect())
+        Self::from_marks((0..self.marks.len()).map(is_selected).collect())
     }
 
     /// For another sampling of the same model, of each of whose samples `former` says which one of this one it is, if
@@ -101,7 +101,7 @@ impl Selection {
     #[must_use]
     pub fn carried(&self, former: &[Option<u32>], owners: &[u32]) -> Self {
         let of = |owner: &u32| former[*owner as usize].is_some_and(|i| self.contains(i));
-        Self::of(owners.iter().map(of).collect())
+        Self::from_marks(owners.iter().map(of).collect())
     }
 
     /// As lengths of runs that are not selected and selected in turn: what a recording keeps.
@@ -128,7 +128,7 @@ impl Selection {
             marks.resize(end, i % 2 == 1);
         }
         marks.resize(samples, false);
-        Self::of(marks)
+        Self::from_marks(marks)
     }
 }
 
@@ -169,7 +169,7 @@ impl Adjacency {
     }
 
     /// The samples next to one, in ascending order.
-    pub fn of(&self, i: usize) -> &[u32] {
+    pub fn neighbours(&self, i: usize) -> &[u32] {
         &self.lists[self.starts[i] as usize..self.starts[i + 1] as usize]
     }
 
@@ -192,13 +192,13 @@ impl Adjacency {
             open.push(from);
         }
         while let Some(next) = open.pop() {
-            for j in self.of(next as usize) {
+            for j in self.neighbours(next as usize) {
                 if !std::mem::replace(&mut marks[*j as usize], true) {
                     open.push(*j);
                 }
             }
         }
-        Selection::of(marks)
+        Selection::from_marks(marks)
     }
 }
 
@@ -223,7 +223,7 @@ mod tests {
 
     #[test]
     fn grown_and_shrunk_by_one() {
-        let some = Selection::of((0..20).map(|i| (3..6).contains(&i)).collect());
+        let some = Selection::from_marks((0..20).map(|i| (3..6).contains(&i)).collect());
         assert_eq!(some.grown(&rows()).samples().collect::<Vec<_>>(), [2, 3, 4, 5, 6]);
         assert_eq!(some.shrunk(&rows()).samples().collect::<Vec<_>>(), [4]);
     }
@@ -231,7 +231,7 @@ mod tests {
     proptest! {
         #[test]
         fn what_was_grown_and_shrunk_holds_what_it_was(marks in prop::collection::vec(any::<bool>(), 20)) {
-            let (rows, some) = (rows(), Selection::of(marks));
+            let (rows, some) = (rows(), Selection::from_marks(marks));
             let back = some.grown(&rows).shrunk(&rows);
             prop_assert!(some.samples().all(|i| back.contains(i)));
             prop_assert_eq!(some.inverted().grown(&rows).inverted(), some.shrunk(&rows));
@@ -242,7 +242,7 @@ mod tests {
         fn combinations_are_those_of_sets(
             a in prop::collection::vec(any::<bool>(), 20), b in prop::collection::vec(any::<bool>(), 20),
         ) {
-            let (a, b) = (Selection::of(a), Selection::of(b));
+            let (a, b) = (Selection::from_marks(a), Selection::from_marks(b));
             for i in 0..20 {
                 prop_assert_eq!(a.combined(&b, Combine::Add).contains(i), a.contains(i) || b.contains(i));
                 prop_assert_eq!(a.combined(&b, Combine::Subtract).contains(i), a.contains(i) && !b.contains(i));

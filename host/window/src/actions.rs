@@ -301,12 +301,12 @@ pub const ALL: &[Action] = &[
     action(Menu::View, "Full Detail of What Is Seen", &[(NONE, Key::I)], is_open, |w| {
         w.apply(Command::Preview { what: Previewed::Seen });
     })
-    .on(|w| w.state().detail().is_some_and(|detail| detail.of() == Previewed::Seen))
+    .on(|w| w.state().detail().is_some_and(|detail| detail.previewed() == Previewed::Seen))
     .begins(),
     action(Menu::View, "Full Detail of the Selection", &[(SHIFT, Key::I)], is_selected, |w| {
         w.apply(Command::Preview { what: Previewed::Selection });
     })
-    .on(|w| w.state().detail().is_some_and(|detail| detail.of() == Previewed::Selection)),
+    .on(|w| w.state().detail().is_some_and(|detail| detail.previewed() == Previewed::Selection)),
     action(
         Menu::View,
         "Samples Only",

@@ -69,7 +69,7 @@ fn shot_of(window: &mut Window) -> Result<Shot> {
     let (looks, settings) = (window.looks, &window.settings);
     let (theme, occlusion, mode) = (settings.theme, settings.occlusion, window.mode());
     let light = settings.light.light();
-    let mut shot = Shot::of(window.state_mut())?;
+    let mut shot = Shot::take(window.state_mut())?;
     let detail = window.state().detail().filter(|_| looks.samples);
     shot.dots = sample_dots(shot.positions(), detail);
     shot.format = Format { size: shown_size(window), transparent: false };

@@ -36,7 +36,7 @@ impl Default for Format {
 /// # Errors
 /// Nothing is open, there is nothing to draw with, or the file cannot be written.
 pub fn write(state: &mut State, file: &Path, format: Format) -> Result<()> {
-    write_shot(&Shot::of(state)?.formatted(format), file)
+    write_shot(&Shot::take(state)?.formatted(format), file)
 }
 
 /// Draws a picture to a PNG file.
@@ -74,7 +74,7 @@ impl Shot {
     ///
     /// # Errors
     /// Nothing is open.
-    pub fn of(state: &mut State) -> Result<Self> {
+    pub fn take(state: &mut State) -> Result<Self> {
         let none = || Error::new(ErrorKind::Argument, "there is no model to be drawn", "name one");
         let shown = state.scene().cloned().ok_or_else(none)?;
         let (colors, tint) = (state.sample_colors(Version::Now), state.tint());

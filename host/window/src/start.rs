@@ -67,7 +67,7 @@ fn execute(arguments: Arguments) -> Result<()> {
         screenshot::write(&mut state, file, format)?;
     }
     if let Some(folder) = &arguments.turntable {
-        let shot = Shot::of(&mut state)?.formatted(turntable::of_film(format));
+        let shot = Shot::take(&mut state)?.formatted(turntable::of_film(format));
         turntable::write(&shot, folder, arguments.frames, &Silent)?;
         let command = turntable::film(folder, turntable::RATE, arguments.transparent);
         let _ = writeln!(std::io::stdout(), "film: {command}");

@@ -175,7 +175,7 @@ fn are_near(landmarks: &[Landmark], bounds: &Bounds, host: &Host<'_>) -> PluginR
 /// Tells what the user may not want.
 fn warn(map: &Map, method: Kind, landmarks: &[Landmark], host: &Host<'_>) {
     let used: Vec<DVec3> = landmarks.iter().filter(|l| l.weight > 0.0).map(|l| l.source).collect();
-    let extent = Extent::of(&used);
+    let extent = Extent::measure(&used);
     if matches!(method, Kind::Affine | Kind::ThinPlate) && extent.is_uncertain() {
         host.warn(&format!(
             "the landmarks lie nearly in a plane ({:.1e} of their extent across it): what happens across it is \

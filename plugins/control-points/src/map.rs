@@ -77,7 +77,7 @@ pub struct Extent {
 }
 
 impl Extent {
-    pub fn of(points: &[DVec3]) -> Self {
+    pub fn measure(points: &[DVec3]) -> Self {
         let count = points.len().max(1) as f64;
         let mean = points.iter().sum::<DVec3>() / count;
         let covariance = Mat::<f64>::from_fn(3, 3, |i, j| {
@@ -157,7 +157,7 @@ impl Map {
 
     fn of_kind(kind: Kind, landmarks: &[Landmark], smoothing: f64) -> Result<Self, Why> {
         let used: Vec<&Landmark> = landmarks.iter().filter(|l| l.weight > 0.0).collect();
-        let extent = Extent::of(&used.iter().map(|l| l.source).collect::<Vec<_>>());
+        let extent = Extent::measure(&used.iter().map(|l| l.source).collect::<Vec<_>>());
         let needed = match kind {
             Kind::ThinPlate | Kind::Affine => 3,
             Kind::Similarity => 2,

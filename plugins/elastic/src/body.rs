@@ -151,8 +151,8 @@ impl Body {
         }
         for spring in &self.springs {
             let corners = self.lattice.cells[spring.cell as usize];
-            let off =
-                corners.map(|c| x[c as usize] - load.goals.of(spring.target, self.lattice.rest[c as usize]));
+            let off = corners
+                .map(|c| x[c as usize] - load.goals.image(spring.target, self.lattice.rest[c as usize]));
             for (row, (c, own)) in spring.form.iter().zip(corners.iter().zip(&off)) {
                 let force: DVec3 = row.iter().zip(&off).map(|(w, o)| *w * *o).sum();
                 energy += 0.5 * force.dot(*own);

@@ -108,7 +108,7 @@ pub struct Goals(pub Vec<DAffine3>);
 
 impl Goals {
     /// Of a place at rest.
-    pub fn of(&self, target: u32, at: DVec3) -> DVec3 {
+    pub fn image(&self, target: u32, at: DVec3) -> DVec3 {
         self.0[target as usize].transform_point3(at)
     }
 }

@@ -298,7 +298,7 @@ struct Motion {
 
 impl Motion {
     fn goals(&self, part: f64) -> Goals {
-        Goals(std::iter::once(DAffine3::IDENTITY).chain(self.paths.iter().map(|p| p.at(part))).collect())
+        Goals(std::iter::once(DAffine3::IDENTITY).chain(self.paths.iter().map(|p| p.pose(part))).collect())
     }
 
     fn task<'a>(&self, goals: &'a Goals, part: f64, state: &'a Prepared, level: &'a Level) -> Task<'a> {
@@ -332,7 +332,7 @@ impl Motion {
             let goals = self.goals(part);
             for (handle, shares) in (1_u32..).zip(&state.shares) {
                 for ((x, rest), share) in x.iter_mut().zip(rest).zip(shares) {
-                    *x += *share * (goals.of(handle, *rest) - before.of(handle, *rest));
+                    *x += *share * (goals.image(handle, *rest) - before.image(handle, *rest));
                 }
             }
             let until = if is_draft {

@@ -98,7 +98,7 @@ impl Multilevel {
         for (n, level) in self.levels.iter().enumerate().rev() {
             let (below, above) = all.split_at_mut(n + 1);
             for (i, b) in below[n].iter_mut().enumerate() {
-                *b += level.of(i).iter().map(|(id, w)| *w * above[0][*id as usize]).sum::<DVec3>();
+                *b += level.weights(i).iter().map(|(id, w)| *w * above[0][*id as usize]).sum::<DVec3>();
             }
         }
         *out = all.swap_remove(0);
@@ -106,7 +106,7 @@ impl Multilevel {
 }
 
 impl Level {
-    fn of(&self, corner: usize) -> &[(u32, f64)] {
+    fn weights(&self, corner: usize) -> &[(u32, f64)] {
         &self.above[self.starts[corner] as usize..self.starts[corner + 1] as usize]
     }
 
@@ -117,7 +117,7 @@ impl Level {
     {
         let mut sums = vec![T::default(); count];
         for (i, v) in values.iter().enumerate() {
-            self.of(i).iter().for_each(|(id, w)| sums[*id as usize] += *v * *w);
+            self.weights(i).iter().for_each(|(id, w)| sums[*id as usize] += *v * *w);
         }
         sums
     }

@@ -42,7 +42,7 @@ impl Path {
         };
         set(&mut this, axis);
         if let Some(away) = away.filter(|_| angle > PI - HALF) {
-            let far = |this: &Self| this.at(0.5).transform_point3(middle).distance(away);
+            let far = |this: &Self| this.pose(0.5).transform_point3(middle).distance(away);
             let there = far(&this);
             set(&mut this, -axis);
             if far(&this) <= there {
@@ -53,7 +53,7 @@ impl Path {
     }
 
     /// Where it is after a part of its way, 0 to 1.
-    pub fn at(&self, part: f64) -> DAffine3 {
+    pub fn pose(&self, part: f64) -> DAffine3 {
         if part >= 1.0 {
             return self.whole;
         }

@@ -192,7 +192,7 @@ impl Search {
     fn new(source: &[DVec3], target: &[DVec3], most: [usize; 2], with_scale: bool) -> Self {
         let [source, target] = [(source, most[0]), (target, most[1])]
             .map(|(points, most)| some(points.len(), most).map(|i| points[i]).collect::<Vec<_>>());
-        Self { tree: Tree::new(&target), size: Extent::of(&target).radius, source, target, with_scale }
+        Self { tree: Tree::new(&target), size: Extent::measure(&target).radius, source, target, with_scale }
     }
 
     /// Turns to begin with: those of the axes, and of the principal ones.

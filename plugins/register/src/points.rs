@@ -40,7 +40,7 @@ pub struct Extent {
 
 impl Extent {
     /// Of at least one point.
-    pub fn of(points: &[DVec3]) -> Self {
+    pub fn measure(points: &[DVec3]) -> Self {
         let count = points.len().max(1) as f64;
         let low = points.iter().fold(DVec3::INFINITY, |a, p| a.min(*p));
         let high = points.iter().fold(DVec3::NEG_INFINITY, |a, p| a.max(*p));

@@ -77,7 +77,7 @@ pub struct Points {
 
 impl Points {
     /// At most so many of `count`.
-    fn of(points: impl Fn(usize) -> [f64; 3], normals: &[[f32; 3]], count: usize, most: usize) -> Self {
+    fn gather(points: impl Fn(usize) -> [f64; 3], normals: &[[f32; 3]], count: usize, most: usize) -> Self {
         let taken: Vec<usize> = some(count, most).collect();
         let normal = |i: &usize| normals.get(*i).map_or(DVec3::ZERO, |n| DVec3::from(n.map(f64::from)));
         Self {
@@ -118,10 +118,10 @@ pub fn register(
     host: &Host<'_>,
 ) -> PluginResult<Map> {
     let (rest, count) = (input.samples.positions(), input.samples.positions().len());
-    let model = Points::of(|i| rest[i].map(f64::from), input.samples.normals(), count, MODEL);
+    let model = Points::gather(|i| rest[i].map(f64::from), input.samples.normals(), count, MODEL);
     let there = target.positions();
-    let target = Points::of(|i| there[i], target.normals(), there.len(), there.len());
-    let (own, other) = (Extent::of(&model.points), Extent::of(&target.points));
+    let target = Points::gather(|i| there[i], target.normals(), there.len(), there.len());
+    let (own, other) = (Extent::measure(&model.points), Extent::measure(&target.points));
     if !(own.radius > 0.0 && other.radius > 0.0 && other.radius.is_finite()) || count < 4 || there.len() < 4 {
         return Err(PluginError::input("the model or the target is a point, or less than four")
             .hint("give a target of more points, and sample the model more finely"));

@@ -55,7 +55,7 @@ fn point(text: &str) -> std::result::Result<DVec3, String> {
 
 impl Convert {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let named = ModelName::of(&self.model)?;
+        let named = ModelName::from_path(&self.model)?;
         match (&self.to, &named) {
             (Some(to), ModelName::Tiles(_)) => self.tiles(&named, to, report),
             (Some(to), ModelName::File(_)) => Err(Error::new(

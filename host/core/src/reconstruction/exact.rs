@@ -62,7 +62,7 @@ pub fn write_exact(
     check_reach(sampled, model, [version.deformed])?;
     let info = model.info();
     // Nothing is gone on with: the key is of no use to anybody.
-    let place = Place::of(model, version.output);
+    let place = Place::for_model(model, version.output);
     let opened = ResumableOutput::open(&place, "exact".to_owned(), false, u64::MAX, progress)?;
     let OpenedOutput::Unfinished(mut file) = opened else {
         return Err(Error::internal("an output is there that was not written", "report this"));

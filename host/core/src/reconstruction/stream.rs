@@ -201,7 +201,7 @@ pub(super) fn checked_targets<'a>(
     // Three numbers take at least six bytes.
     let left_out = if how.normals == Normals::Drop && info.has_normals { 6 * info.vertices } else { 0 };
     let of_model = |output| {
-        let there = Place::of(model, output).bytes_there(how.resume);
+        let there = Place::for_model(model, output).bytes_there(how.resume);
         model.written_bytes().saturating_sub(left_out).saturating_sub(there)
     };
     let mut targets = BTreeMap::new();
@@ -211,7 +211,7 @@ pub(super) fn checked_targets<'a>(
     });
     for (output, needed) in outputs {
         let is_model = versions.iter().any(|v| v.output == output);
-        let place = Place::of(model, output);
+        let place = Place::for_model(model, output);
         check_no_source(model, if is_model { place.files() } else { vec![output.to_owned()] })?;
         if is_model && is_named_otherwise(model, output) {
             return Err(Error::new(
@@ -287,7 +287,7 @@ impl<'a> ReconstructionCall<'a> {
         for (number, version) in versions.iter().enumerate() {
             let key = key(self.sampled, self.model, self.how, version.deformed)?;
             let part_bytes = self.part_bytes();
-            let place = Place::of(self.model, version.output);
+            let place = Place::for_model(self.model, version.output);
             match ResumableOutput::open(&place, key, self.how.resume, part_bytes, self.progress)? {
                 OpenedOutput::Unfinished(file) => {
                     let diagonal = self.sampled.bounds.diagonal();
@@ -416,7 +416,7 @@ impl<'a> ReconstructionCall<'a> {
         self.pass.into_iter().for_each(|begun| begun.file.keep());
         self.finished.into_iter().for_each(FinishedOutput::keep);
         if !matches!(error.kind(), Cancelled | Io)
-            || !versions.iter().any(|v| Place::of(self.model, v.output).is_left())
+            || !versions.iter().any(|v| Place::for_model(self.model, v.output).is_left())
         {
             return error;
         }

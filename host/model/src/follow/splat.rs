@@ -59,7 +59,7 @@ impl Splat {
         let (shape, colours) = numbers.split_at_mut(4 + self.scales);
         let (harmonics, transparency) = colours.split_at_mut(3 * self.coefficients());
         let polar = turn.polar?;
-        let rest = Ellipsoid::of(shape)?;
+        let rest = Ellipsoid::from_shape(shape)?;
 
         let frame = DMat3::from_quat(rest.quaternion);
         let [a, b, c] = rest.scales;
@@ -94,7 +94,7 @@ impl Splat {
 
 impl Ellipsoid {
     /// By quaternion and logarithms of scales.
-    fn of(shape: &[f64]) -> Option<Self> {
+    fn from_shape(shape: &[f64]) -> Option<Self> {
         let q = DQuat::from_xyzw(shape[1], shape[2], shape[3], shape[0]);
         let length = q.length();
         let logs = &shape[4..];

@@ -221,7 +221,7 @@ impl<'a> Bench<'a> {
         Ok(Once {
             sampled: known.rest.clone(),
             positions: None,
-            files: Place::of(source.as_ref(), &output).files(),
+            files: Place::for_model(source.as_ref(), &output).files(),
             output,
             messages: Vec::new(),
             seconds: seconds.unwrap_or_default(),
@@ -269,7 +269,7 @@ impl<'a> Bench<'a> {
         });
         Ok(Once {
             positions: Some(positions),
-            files: Place::of(source.as_ref(), &output).files(),
+            files: Place::for_model(source.as_ref(), &output).files(),
             output,
             messages,
             seconds,
@@ -372,7 +372,7 @@ impl<'a> Bench<'a> {
                     folder: folder.clone(),
                     ..Deformation::by_plugin(deform)
                 });
-                Ok(vec![Step { place: method.place.clone(), ..Step::of(action) }])
+                Ok(vec![Step { place: method.place.clone(), ..Step::new(action) }])
             }
         }
     }

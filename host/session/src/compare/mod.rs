@@ -79,7 +79,7 @@ pub fn compare(
             "if you know it, allow it with --allow-commands (from Python allow_commands=True)",
         ));
     }
-    let named = ModelName::of(&file.model)?;
+    let named = ModelName::from_path(&file.model)?;
     if let Some((method, _)) = file.commands().find(|(_, command)| command.makes_model())
         && matches!(named, ModelName::Tiles(_))
     {

@@ -43,7 +43,7 @@ struct WithTrees {
 pub(crate) struct LookingCode<C>(pub C);
 
 impl Trees {
-    fn of(input: &PrepareInput<'_>) -> Self {
+    fn build(input: &PrepareInput<'_>) -> Self {
         Self {
             triangles: input.triangles().map(Triangles::indices).unwrap_or_default().to_vec(),
             rest: input.rest_positions().map(<[_]>::to_vec),
@@ -179,7 +179,7 @@ impl<C: Code> Code for LookingCode<C> {
     }
 
     fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
-        let trees = Trees::of(input);
+        let trees = Trees::build(input);
         let looking = Looking { calls, positions: input.samples.positions(), trees: &trees };
         let state = self.0.prepare(input, &looking)?;
         Ok(State::new(WithTrees { state, trees }))
@@ -215,7 +215,7 @@ impl<C: Code> Code for LookingCode<C> {
     }
 
     fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<OwnHandles> {
-        let trees = Trees::of(input);
+        let trees = Trees::build(input);
         let looking = Looking { calls, positions: input.samples.positions(), trees: &trees };
         self.0.handles(input, &looking)
     }

@@ -158,7 +158,7 @@ fn steps() -> [Step; 3] {
 fn refine(center: DVec3, radius: f64, finer: Finer) -> Step {
     let shapes = Shapes { shapes: vec![Shape::Sphere { center, radius }], falloff: 0.0 };
     let action = Action::Refine(Refine { shapes, finer });
-    Step { place: "s.toml, line 9".to_owned(), ..Step::of(action) }
+    Step { place: "s.toml, line 9".to_owned(), ..Step::new(action) }
 }
 
 fn evaluation() -> Evaluation {

@@ -388,7 +388,7 @@ impl UnitRun<'_> {
         let bytes = if is_object(output) {
             object::open(output)?.bytes()
         } else {
-            let files = Place::of(model, output).files();
+            let files = Place::for_model(model, output).files();
             files.iter().map(|file| std::fs::metadata(file).map_or(0, |meta| meta.len())).sum()
         };
         let text = format!("output = {:?}\nbytes = {bytes}\n", self.plan.output.display().to_string());

@@ -130,7 +130,7 @@ impl Emerged {
             all += 1;
         });
         let new = &samples.positions[first..];
-        let Some(plane) = Plane::of(new) else { return };
+        let Some(plane) = Plane::fit(new) else { return };
         samples.spacing.resize(samples.positions.len(), plane.spacing);
         let low = new.iter().copied().fold(Vec3::INFINITY, Vec3::min) - plane.spacing;
         let high = new.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max) + plane.spacing;
@@ -157,7 +157,7 @@ struct Plane {
 
 impl Plane {
     /// By their principal components; nothing where there is no point.
-    fn of(points: &[Vec3]) -> Option<Self> {
+    fn fit(points: &[Vec3]) -> Option<Self> {
         let n = points.len() as f64;
         let middle = points.iter().map(|p| p.as_dvec3()).sum::<DVec3>() / n;
         let mut covariance = DMat3::ZERO;
@@ -196,12 +196,12 @@ mod tests {
         let tilt = glam::Quat::from_rotation_x(0.7);
         let point = |i: u32| tilt * Vec3::new(spacing * (i % 40) as f32, spacing * (i / 40) as f32, 0.5);
         let points: Vec<Vec3> = (0..1600).map(point).collect();
-        let plane = Plane::of(&points).unwrap();
+        let plane = Plane::fit(&points).unwrap();
         assert!(plane.normal.dot(tilt * Vec3::Z).abs() > 0.9999);
         assert!((plane.spacing / spacing - 1.0).abs() < 0.01, "{}", plane.spacing);
-        let alone = Plane::of(&points[..1]).unwrap();
+        let alone = Plane::fit(&points[..1]).unwrap();
         assert!(alone.spacing == 0.0 && alone.middle == points[0]);
-        assert!(Plane::of(&[]).is_none());
+        assert!(Plane::fit(&[]).is_none());
     }
 
     #[test]

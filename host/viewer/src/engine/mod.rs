@@ -125,7 +125,7 @@ impl Engine {
         self.requests += 1;
         let number = self.requests;
         self.want(|wanted, running| {
-            if let (Some(watch), Some((before, was))) = (running.of(Job::Evaluate), &running.evaluated) {
+            if let (Some(watch), Some((before, was))) = (running.watch(Job::Evaluate), &running.evaluated) {
                 let at = running.step.load(Relaxed);
                 if wasted::is_wasted(before, *was, &steps, effort, at, watch.stage()) {
                     watch.supersede();
@@ -151,25 +151,25 @@ impl Engine {
     pub fn cancel(&mut self, job: Job) {
         self.want(|wanted, running| {
             wanted.give_up(job);
-            running.of(job).iter().for_each(|watch| watch.cancel());
+            running.watch(job).iter().for_each(|watch| watch.cancel());
         });
     }
 
     /// What a job is doing, if it is running.
     pub fn activity(&self, job: Job) -> Option<Activity> {
-        self.shared.lock().1.of(job).map(|watch| watch.activity())
+        self.shared.lock().1.watch(job).map(|watch| watch.activity())
     }
 
     /// Looks at those samples of the model that is being opened that are there by now, if there are any.
     pub fn emerged<T>(&self, look: impl FnOnce(&Emerged) -> T) -> Option<T> {
-        let watch = self.shared.lock().1.of(Job::Open)?.clone();
+        let watch = self.shared.lock().1.watch(Job::Open)?.clone();
         watch.emerged(look)
     }
 
     /// The place of the step that is being done, if any is.
     pub fn step(&self) -> Option<usize> {
         let running = &self.shared.lock().1;
-        running.of(Job::Evaluate).map(|_| running.step.load(Relaxed))
+        running.watch(Job::Evaluate).map(|_| running.step.load(Relaxed))
     }
 
     /// Whether something is going to be done that was asked for.
@@ -180,7 +180,7 @@ impl Engine {
     /// Whether another model may be there before long, or what became of one was not taken yet.
     pub fn is_opening(&self) -> bool {
         let (wanted, running) = &*self.shared.lock();
-        wanted.has(Job::Open) || running.of(Job::Open).is_some() || running.opened > 0
+        wanted.has(Job::Open) || running.watch(Job::Open).is_some() || running.opened > 0
     }
 
     /// The next thing that happened, if any; never waits.

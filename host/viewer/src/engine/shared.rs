@@ -62,7 +62,7 @@ pub(super) struct Running {
 
 impl Running {
     /// The progress of a job, if it runs.
-    pub fn of(&self, job: Job) -> Option<&Arc<Watch>> {
+    pub fn watch(&self, job: Job) -> Option<&Arc<Watch>> {
         self.watches[job as usize].as_ref()
     }
 
@@ -78,7 +78,7 @@ impl Running {
 
     /// Stops a job, if it runs, for something newer.
     pub fn supersede(&self, job: Job) {
-        self.of(job).iter().for_each(|watch| watch.supersede());
+        self.watch(job).iter().for_each(|watch| watch.supersede());
     }
 }
 
@@ -97,5 +97,5 @@ impl Shared {
 
 /// Whether nothing is running, nothing waits, and all events were taken.
 pub(super) fn is_idle(wanted: &Wanted, running: &Running) -> bool {
-    Job::ALL.iter().all(|job| !wanted.has(*job) && running.of(*job).is_none()) && running.events == 0
+    Job::ALL.iter().all(|job| !wanted.has(*job) && running.watch(*job).is_none()) && running.events == 0
 }

@@ -160,7 +160,7 @@ impl Thread {
                 running.begin(Job::Compare, &watch);
                 return Some((Task::Compare(comparing), watch));
             }
-            if running.of(Job::Write).is_none()
+            if running.watch(Job::Write).is_none()
                 && let Some((steps, writing)) = wanted.write.take()
             {
                 running.begin(Job::Write, &watch);

@@ -175,7 +175,7 @@ impl State {
     }
 
     pub(super) fn add(&mut self, at: usize, action: Action) -> Result<()> {
-        self.edit(edit::Command::Add { at, step: Box::new(Step::of(action)) }, false)
+        self.edit(edit::Command::Add { at, step: Box::new(Step::new(action)) }, false)
     }
 
     pub(super) fn save(&mut self, path: Option<PathBuf>) -> Result<()> {

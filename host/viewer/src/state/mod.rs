@@ -300,7 +300,7 @@ impl State {
         // What was appended belongs to what is around it.
         if before.samples.positions != after.samples.positions {
             let former = former(&before, after);
-            let owners = owners(&after.samples, |i| former[i].is_some(), |i| adjacency.of(i));
+            let owners = owners(&after.samples, |i| former[i].is_some(), |i| adjacency.neighbours(i));
             self.selection = self.selection.carried(&former, &owners);
         }
         open.adjacency = Arc::new(adjacency);

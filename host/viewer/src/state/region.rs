@@ -63,7 +63,7 @@ impl State {
         let neighbours = scene.sampled.samples.neighbours();
         let mut next = vec![false; count];
         for i in (0..count).filter(|i| selected(*i)) {
-            let near = neighbours.nearest_to(i).iter().take(RING).chain(open.adjacency.of(i));
+            let near = neighbours.nearest_to(i).iter().take(RING).chain(open.adjacency.neighbours(i));
             near.map(|j| *j as usize).filter(|j| *j < count && !selected(*j)).for_each(|j| next[j] = true);
         }
         let outside = |next: &[bool]| (0..count).filter(|i| next[*i]).map(point).collect();
@@ -118,7 +118,7 @@ impl State {
             if f32::from_bits(reached) > distance[i] {
                 continue;
             }
-            let around = neighbours.nearest_to(i).iter().take(RING).chain(open.adjacency.of(i));
+            let around = neighbours.nearest_to(i).iter().take(RING).chain(open.adjacency.neighbours(i));
             for j in around.map(|j| *j as usize).filter(|j| *j < count) {
                 let there = distance[i] + positions[i].distance(positions[j]);
                 if there <= band && there < distance[j] {
@@ -128,7 +128,7 @@ impl State {
             }
         }
         let is_beyond = |i: usize| distance.get(i).is_some_and(|distance| distance.is_infinite());
-        Ok(Selection::of((0..self.selection.marks().len()).map(is_beyond).collect()))
+        Ok(Selection::from_marks((0..self.selection.marks().len()).map(is_beyond).collect()))
     }
 
     pub(super) fn make_region(

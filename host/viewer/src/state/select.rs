@@ -48,24 +48,28 @@ impl State {
         let (scene, adjacency) = (open.scene.clone(), open.adjacency.clone());
         let (camera, size, count) = (self.camera, self.size, scene.len());
         let pointed = match area {
-            Area::All => Selection::of(vec![true; count]),
+            Area::All => Selection::from_marks(vec![true; count]),
             Area::None => Selection::none(count),
             Area::Inverse => self.selection.inverted(),
             Area::Grown => self.selection.grown(&adjacency),
             Area::Shrunk => self.selection.shrunk(&adjacency),
             Area::Runs(runs) => Selection::from_runs(runs, count),
             Area::Brush { path, radius } => {
-                Selection::of(within(&scene, &camera, size, |p| near_path(path, *radius, p)))
+                Selection::from_marks(within(&scene, &camera, size, |p| near_path(path, *radius, p)))
             }
-            Area::Lasso { path } => Selection::of(within(&scene, &camera, size, |p| in_lasso(path, p))),
+            Area::Lasso { path } => {
+                Selection::from_marks(within(&scene, &camera, size, |p| in_lasso(path, p)))
+            }
             Area::Box { from, to } => {
                 let (a, b) = (DVec2::from(*from), DVec2::from(*to));
                 let (min, max) = (a.min(b), a.max(b));
-                Selection::of(within(&scene, &camera, size, |p| p.cmpge(min).all() && p.cmple(max).all()))
+                Selection::from_marks(within(&scene, &camera, size, |p| {
+                    p.cmpge(min).all() && p.cmple(max).all()
+                }))
             }
             Area::Region { step, region } => {
                 let weights = overlay::region(&scene, self.before(*step)?, self.shapes(*step, *region)?);
-                Selection::of(weights.values.iter().map(|w| *w >= 0.5).collect())
+                Selection::from_marks(weights.values.iter().map(|w| *w >= 0.5).collect())
             }
             Area::Connected { at } => match self.pick(DVec2::from(*at)) {
                 Some(hit) => adjacency.connected(hit.sample),
@@ -77,12 +81,12 @@ impl State {
         let seen = if !is_pointed_at {
             pointed
         } else if visible {
-            Selection::of(both(&self.depth(&scene).visible(&scene)))
+            Selection::from_marks(both(&self.depth(&scene).visible(&scene)))
         } else {
             // Through the model, but not through what is cut away.
             let clip = self.local_clip();
             let is_there: Vec<bool> = scene.positions.iter().map(|p| !cuts(clip, *p)).collect();
-            Selection::of(both(&is_there))
+            Selection::from_marks(both(&is_there))
         };
         let replaces = matches!(area, Area::Inverse | Area::Grown | Area::Shrunk);
         let combine = if replaces { Combine::Replace } else { combine };

@@ -32,7 +32,7 @@ fn sheared(folder: &Path) -> State {
 
 fn refined(factor: f64) -> Command {
     let action = Action::Refine(Refine { shapes: Shapes::default(), finer: Finer::Factor(factor) });
-    let step = Box::new(Step::of(action));
+    let step = Box::new(Step::new(action));
     Command::Edit(edit::Command::Add { at: 0, step })
 }
 

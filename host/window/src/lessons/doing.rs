@@ -67,7 +67,7 @@ pub fn select_between(window: &mut Window, [from, to]: [f32; 2]) {
     let [min, max] = scene.bounds();
     let height = |y: f32| (y - min.y) / (max.y - min.y);
     let marks = scene.positions.iter().map(|p| (from..=to).contains(&height(p.y))).collect();
-    let area = Area::Runs(Selection::of(marks).runs());
+    let area = Area::Runs(Selection::from_marks(marks).runs());
     window.apply(Command::Select { area, combine: Default::default(), visible: false, goes_on: false });
 }
 

@@ -24,7 +24,8 @@ fn words(of: Previewed, Figures { vertices, stride, stale, .. }: Figures) -> Str
 
 /// In a line, from the right.
 pub fn show(ui: &mut Ui, window: &mut Window) {
-    let Some((of, figures)) = window.state().detail().map(|detail| (detail.of(), detail.figures())) else {
+    let Some((of, figures)) = window.state().detail().map(|detail| (detail.previewed(), detail.figures()))
+    else {
         return;
     };
     let line = if window.state().is_streaming() {

@@ -34,7 +34,7 @@ fn title(window: &Window) -> Option<(String, &'static str)> {
 /// Below the picture, so that nothing of the model is covered: the scale of an overlay, or the colours of regions,
 /// and how much is shown in full; nothing where all is of one colour.
 pub fn show(ui: &mut Ui, window: &mut Window) {
-    let legend = Legend::of(window);
+    let legend = Legend::find(window);
     let has_detail = window.state().detail().is_some();
     if legend.is_none() && !has_detail {
         return;
@@ -70,7 +70,7 @@ enum Legend {
 }
 
 impl Legend {
-    fn of(window: &mut Window) -> Option<Self> {
+    fn find(window: &mut Window) -> Option<Self> {
         let Some((title, unit)) = title(window) else { return roles(window).map(Self::Roles) };
         let field = window.state_mut().field()?;
         Some(match field.are_classes {

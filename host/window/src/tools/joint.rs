@@ -27,7 +27,8 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     if let Some(from) = window.tools.chain_from.map(DVec2::from)
         && let Some(to) = canvas.pointer()
     {
-        let is_drag = !window.tools.places_pins && canvas.at(from).distance(canvas.at(to)) > LEAST;
+        let is_drag =
+            !window.tools.places_pins && canvas.in_points(from).distance(canvas.in_points(to)) > LEAST;
         if canvas.is_down() {
             if is_drag {
                 draw(canvas, from, to, window.tools.chain);
@@ -117,7 +118,7 @@ fn chain(
 
 /// The chain that would be placed.
 fn draw(canvas: &Canvas<'_>, from: DVec2, to: DVec2, count: usize) {
-    let points: Vec<Pos2> = pixels(from, to, count).map(|pixel| canvas.at(pixel)).collect();
+    let points: Vec<Pos2> = pixels(from, to, count).map(|pixel| canvas.in_points(pixel)).collect();
     let painter = canvas.painter();
     painter.add(Shape::line(points.clone(), Stroke::new(2.0, Color32::WHITE)));
     for at in points {

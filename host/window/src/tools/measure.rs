@@ -58,7 +58,7 @@ pub fn clear(window: &mut Window) {
 /// Where the points are seen.
 fn seen(canvas: &Canvas<'_>, window: &Window, local: DVec3) -> Option<Pos2> {
     let (camera, size) = (window.state().camera(), window.state().size());
-    camera.project(local, size).map(|(pixel, _)| canvas.at(pixel))
+    camera.project(local, size).map(|(pixel, _)| canvas.in_points(pixel))
 }
 
 pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {

@@ -82,7 +82,7 @@ fn choose(canvas: &Canvas<'_>, window: &mut Window, combine: Combine) {
     let before = window.tools.handles(step);
     let there: BTreeSet<String> = match path.as_slice() {
         [from, to] => {
-            let [from, to] = [from, to].map(|p| canvas.at((*p).into()));
+            let [from, to] = [from, to].map(|p| canvas.in_points((*p).into()));
             handles::within(canvas, window, Rect::from_two_pos(from, to))
         }
         _ => BTreeSet::new(),
@@ -111,7 +111,7 @@ fn finish(window: &mut Window, combine: Combine) {
 fn draw(canvas: &Canvas<'_>, window: &Window) {
     let painter = canvas.painter();
     let stroke = Stroke::new(1.5, theme::color(theme::SELECTED));
-    let points: Vec<Pos2> = window.tools.path.iter().map(|p| canvas.at((*p).into())).collect();
+    let points: Vec<Pos2> = window.tools.path.iter().map(|p| canvas.in_points((*p).into())).collect();
     match (window.tools.tool, points.as_slice()) {
         (Tool::Brush, _) if canvas.is_hovered() => {
             if let Some(at) = canvas.pointer_pos() {

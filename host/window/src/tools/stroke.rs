@@ -87,13 +87,13 @@ fn draw(canvas: &Canvas<'_>, window: &Window, hit: &Hit) {
     let point = |i: usize| {
         let (sin, cos) = (i as f64 / CORNERS as f64 * std::f64::consts::TAU).sin_cos();
         let pixel = camera.project(hit.local + radius * (x * cos + y * sin), size)?.0;
-        Some(canvas.at(pixel))
+        Some(canvas.in_points(pixel))
     };
     let points: Vec<Pos2> = (0..CORNERS).filter_map(point).collect();
     let painter = canvas.painter();
     painter.add(Shape::closed_line(points.clone(), Stroke::new(3.0, Color32::from_black_alpha(90))));
     painter.add(Shape::closed_line(points, Stroke::new(1.4, Color32::WHITE)));
     if let Some((middle, _)) = camera.project(hit.local, size) {
-        painter.circle_filled(canvas.at(middle), 2.0, Color32::WHITE);
+        painter.circle_filled(canvas.in_points(middle), 2.0, Color32::WHITE);
     }
 }

@@ -93,7 +93,7 @@ impl Transforming {
         if let Some(axis) = self.transform.axis() {
             let end = |far: f64| {
                 let pixel = seen.camera.project(self.middle + far * DVec3::AXES[axis], seen.size)?.0;
-                Some(canvas.at(pixel))
+                Some(canvas.in_points(pixel))
             };
             // In short pieces, as a line may go behind the eye.
             let ends: Vec<_> = (-40..=40).map(|i| end(f64::from(i) * 0.1)).collect();

@@ -86,7 +86,7 @@ impl Canvas<'_> {
     }
 
     /// Where a pixel is, in points.
-    pub fn at(&self, pixel: DVec2) -> Pos2 {
+    pub fn in_points(&self, pixel: DVec2) -> Pos2 {
         let p = pixel.as_vec2() / self.pixels_per_point;
         self.rect.min + egui::vec2(p.x, p.y)
     }

@@ -94,7 +94,7 @@ impl Colors {
             None => vec![theme::CLAY; scene.len()],
         };
         if let Some(mixing) = &self.mixing {
-            colors.iter_mut().zip(mixing).for_each(|(color, mixing)| *color = mixing.of(*color));
+            colors.iter_mut().zip(mixing).for_each(|(color, mixing)| *color = mixing.applied_to(*color));
         }
         Some(colors)
     }

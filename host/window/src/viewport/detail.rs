@@ -75,7 +75,7 @@ impl Splats {
 
 /// A piece as it looks in these colours.
 pub fn splats(piece: &Piece, colors: VertexColors<'_>) -> Splats {
-    Splats { batch: piece.batch.clone(), radii: radii(piece), colors: colors.of(piece) }
+    Splats { batch: piece.batch.clone(), radii: radii(piece), colors: colors.colors(piece) }
 }
 
 fn radii(piece: &Piece) -> Vec<f32> {

@@ -46,7 +46,7 @@ fn dots(canvas: &Canvas<'_>, window: &Window) -> Vec<Dot> {
     let (frame, camera, size) = (scene.frame(), state.camera(), state.size());
     let project = |p: DVec3| {
         let (pixel, depth) = camera.project(frame.to_local_exact(p), size)?;
-        Some((canvas.at(pixel), depth))
+        Some((canvas.in_points(pixel), depth))
     };
     let mut dots = Vec::new();
     for (i, region) in deformation.regions.iter().enumerate().filter(|(_, r)| r.role == Role::Handle) {
@@ -214,7 +214,7 @@ fn bone(canvas: &Canvas<'_>, from: Pos2, to: Pos2) {
 /// The joint of the chosen step that is seen at a pixel.
 pub fn joint_at(canvas: &Canvas<'_>, window: &Window, pixel: glam::DVec2) -> Option<String> {
     let (_, _, deformation, _) = window.chosen()?;
-    let at = canvas.at(pixel);
+    let at = canvas.in_points(pixel);
     let is_joint = |id: &String| deformation.joints.iter().any(|joint| joint.id == *id);
     dots(canvas, window).into_iter().find_map(|dot| match dot.target {
         Target::Handle(id) if dot.at.distance(at) < REACH && is_joint(&id) && !is_pin(&id) => Some(id),
@@ -295,7 +295,7 @@ struct Axis {
 
 impl Axis {
     /// That of the chosen step, if it works along one.
-    fn of(window: &Window) -> Option<Self> {
+    fn find(window: &Window) -> Option<Self> {
         let (step, _, deformation, plugin) = window.chosen()?;
         let (plugin, scene) = (plugin?, window.state().scene()?);
         let param = |id: &str, kind: ParamKind| plugin.params().iter().find(|d| d.id == id && d.kind == kind);
@@ -320,7 +320,7 @@ impl Axis {
         })
     }
 
-    fn at(&self, place: f64) -> DVec3 {
+    fn point(&self, place: f64) -> DVec3 {
         self.center + self.direction * place
     }
 
@@ -337,12 +337,12 @@ impl Axis {
 
 /// Draws the axis along which the chosen step works, with its planes.
 pub fn draw_axis(canvas: &Canvas<'_>, window: &Window) {
-    let Some(axis) = Axis::of(window).filter(|_| is_shown(window)) else { return };
+    let Some(axis) = Axis::find(window).filter(|_| is_shown(window)) else { return };
     let (camera, size) = (window.state().camera(), window.state().size());
-    let project = |p: DVec3| camera.project(p, size).map(|(pixel, _)| canvas.at(pixel));
+    let project = |p: DVec3| camera.project(p, size).map(|(pixel, _)| canvas.in_points(pixel));
     let painter = canvas.painter();
     let line = |from: f64, to: f64, stroke: Stroke| {
-        let place = |i: usize| axis.at(from + (to - from) * i as f64 / SEGMENTS as f64);
+        let place = |i: usize| axis.point(from + (to - from) * i as f64 / SEGMENTS as f64);
         let points: Vec<Option<Pos2>> = (0..=SEGMENTS).map(|i| project(place(i))).collect();
         for pair in points.windows(2) {
             if let [Some(a), Some(b)] = pair {
@@ -358,7 +358,7 @@ pub fn draw_axis(canvas: &Canvas<'_>, window: &Window) {
     let side = SIDE * axis.diagonal;
     let hovered = canvas.pointer_pos().filter(|_| canvas.is_hovered());
     for (k, place) in axis.places.into_iter().enumerate() {
-        let middle = axis.at(place);
+        let middle = axis.point(place);
         let corners = [u + v, v - u, -u - v, u - v].map(|way| project(middle + way * side));
         let corners: Vec<Pos2> = corners.into_iter().flatten().collect();
         if corners.len() == 4 {
@@ -383,14 +383,14 @@ pub fn draw_axis(canvas: &Canvas<'_>, window: &Window) {
 
 /// The knobs of the planes follow the hand. Whether the pointer is theirs.
 pub fn drag_planes(canvas: &Canvas<'_>, window: &mut Window) -> bool {
-    let Some(axis) = Axis::of(window).filter(|_| is_shown(window)) else {
+    let Some(axis) = Axis::find(window).filter(|_| is_shown(window)) else {
         window.tools.plane = None;
         return false;
     };
     let (camera, size) = (*window.state().camera(), window.state().size());
     let under = |p: Pos2| {
         let near = |place: f64| {
-            let at = canvas.at(camera.project(axis.at(place), size)?.0);
+            let at = canvas.in_points(camera.project(axis.point(place), size)?.0);
             Some(at.distance(p)).filter(|distance| *distance < REACH)
         };
         let [a, b] = axis.places.map(near);

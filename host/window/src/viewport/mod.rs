@@ -27,7 +27,7 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         let rect = ui.available_rect_before_wrap();
         let response = ui.allocate_rect(rect, Sense::click_and_drag());
         response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, "Model"));
-        let places = Places::of(rect, window);
+        let places = Places::divide(rect, window);
         let main = places.main().unwrap_or(rect);
         let pixels_per_point = ui.pixels_per_point();
         let size = main.size() * pixels_per_point;

@@ -22,7 +22,7 @@ pub struct Places {
 
 impl Places {
     /// In the part of the window that shows the model.
-    pub fn of(rect: Rect, window: &Window) -> Self {
+    pub fn divide(rect: Rect, window: &Window) -> Self {
         let state = window.state();
         // While another model is opened, that one is shown.
         if state.is_opening() || state.scene_of(Version::Pinned).is_none() {

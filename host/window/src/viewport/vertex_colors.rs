@@ -26,7 +26,7 @@ impl Mixing {
     }
 
     /// What becomes of a colour.
-    pub fn of(self, color: [u8; 3]) -> [u8; 3] {
+    pub fn applied_to(self, color: [u8; 3]) -> [u8; 3] {
         std::array::from_fn(|i| (f32::from(color[i]) * self.keep + self.add[i]).round() as u8)
     }
 }
@@ -50,11 +50,11 @@ impl<'a> VertexColors<'a> {
     }
 
     /// Of all vertices of a piece: their own, as far as they came with it, or those of their samples.
-    pub fn of(&self, piece: &Piece) -> Vec<[u8; 3]> {
+    pub fn colors(&self, piece: &Piece) -> Vec<[u8; 3]> {
         let batch = &piece.batch;
         let mixed = |(i, color): (usize, [u8; 3])| {
             let mixing = self.mixing.and_then(|all| all.get(batch.homes[i] as usize));
-            mixing.map_or(color, |mixing| mixing.of(color))
+            mixing.map_or(color, |mixing| mixing.applied_to(color))
         };
         let is_theirs = piece.tint == self.tint;
         match (&batch.values, self.scale) {

@@ -21,7 +21,7 @@ fn what_is_seen_or_selected_is_shown_in_full_by_a_key() {
 
     press(&mut harness, egui::Modifiers::NONE);
     let figures = |harness: &Harness<'_, App>| {
-        harness.state().window().state().detail().map(|detail| (detail.of(), detail.figures()))
+        harness.state().window().state().detail().map(|detail| (detail.previewed(), detail.figures()))
     };
     let (of, seen) = figures(&harness).unwrap();
     assert!(of == Previewed::Seen && seen.vertices > 1000 && seen.vertices == seen.wanted, "{seen:?}");

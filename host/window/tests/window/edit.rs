@@ -14,7 +14,7 @@ use simod_window::Tool;
 fn select(harness: &mut Harness<'_, App>, is_in: impl Fn(DVec3) -> bool) {
     let scene = harness.state().window().state().scene().unwrap().clone();
     let marks: Vec<bool> = scene.positions.iter().map(|p| is_in(scene.frame().to_model(*p))).collect();
-    let runs = simod_viewer::Selection::of(marks).runs();
+    let runs = simod_viewer::Selection::from_marks(marks).runs();
     done(
         harness,
         Command::Select {
@@ -230,7 +230,7 @@ fn a_handle_is_made_with_what_is_around_it_fixed() {
     let [min, max] = scene.bounds();
     let top = |p: &glam::Vec3| p.y > max.y - 0.2 * (max.y - min.y);
     let marks: Vec<bool> = scene.positions.iter().map(top).collect();
-    let area = Area::Runs(simod_viewer::Selection::of(marks.clone()).runs());
+    let area = Area::Runs(simod_viewer::Selection::from_marks(marks.clone()).runs());
     let select = Command::Select { area, combine: Default::default(), visible: false, goes_on: false };
     done(&mut harness, select.clone());
     harness.run_steps(3);

@@ -196,7 +196,7 @@ fn a_refinement_is_told_otherwise() {
     open(&mut harness, &model(folder.path()));
     let shapes = vec![Place::Sphere { center: DVec3::Y, radius: 0.4 }];
     let refine = Refine { shapes: Shapes { shapes, falloff: 0.0 }, finer: Finer::Factor(1.5) };
-    let step = Box::new(Step::of(Action::Refine(refine)));
+    let step = Box::new(Step::new(Action::Refine(refine)));
     done(&mut harness, Command::Edit(edit::Command::Add { at: 0, step }));
     done(&mut harness, Command::Choose { step: Some(0) });
     let samples = |harness: &Harness<'_, App>| state(harness).scene().unwrap().len();

@@ -45,7 +45,7 @@ fn c_text(text: &str) -> PluginResult<CString> {
 struct Texts(Vec<(CString, CString)>);
 
 impl Texts {
-    fn of(params: Params<'_>) -> PluginResult<Self> {
+    fn gather(params: Params<'_>) -> PluginResult<Self> {
         params
             .iter()
             .map(|p| Ok((c_text(p.id())?, c_text(p.as_text())?)))
@@ -93,7 +93,7 @@ fn part<T>(id: &'static CStr, data: &T) -> SimodPart {
 struct Named(Vec<CString>, Vec<SimodAttribute>);
 
 impl Named {
-    fn of(attributes: Option<&Attributes<'_>>) -> PluginResult<Option<Self>> {
+    fn gather(attributes: Option<&Attributes<'_>>) -> PluginResult<Option<Self>> {
         let Some(all) = attributes.map(Attributes::all) else { return Ok(None) };
         let names: Vec<CString> = all.iter().map(|a| c_text(a.name())).collect::<PluginResult<_>>()?;
         let attribute = |(a, name): (&Attribute<'_>, &CString)| SimodAttribute {
@@ -131,7 +131,7 @@ pub(super) fn with_prepare_input<T>(
     input: &PrepareInput<'_>,
     call: impl FnOnce(*const SimodPrepareInput) -> T,
 ) -> PluginResult<T> {
-    let texts = Texts::of(input.params())?;
+    let texts = Texts::gather(input.params())?;
     let params = texts.params(input.params());
     let regions = input.regions().iter().map(|r| SimodRegion { role: r.role.0, weights: start(r.weights()) });
     let regions: Vec<_> = regions.collect();
@@ -155,7 +155,7 @@ pub(super) fn with_prepare_input<T>(
     parts.extend(frame.as_ref().map(|f| part(c"simod.model-frame/1", f)));
     let rest = input.rest_positions().map(|p| SimodRestPositions { positions: start(p) });
     parts.extend(rest.as_ref().map(|r| part(c"simod.rest-positions/1", r)));
-    let attributes = Named::of(input.part())?;
+    let attributes = Named::gather(input.part())?;
     let attributes = attributes.as_ref().map(Named::input);
     parts.extend(attributes.as_ref().map(|a| part(c"simod.attributes/1", a)));
     parts.extend((joints.count > 0).then(|| part(c"simod.joints/1", &joints)));
@@ -182,12 +182,12 @@ pub(super) fn with_deform_input<T>(
     input: &DeformInput<'_>,
     call: impl FnOnce(*const SimodDeformInput) -> T,
 ) -> PluginResult<T> {
-    let texts = Texts::of(input.params())?;
+    let texts = Texts::gather(input.params())?;
     let params = texts.params(input.params());
     let motions = input.handle_motions();
     let motions = SimodHandleMotions { motions: affine(motions), count: motions.len() };
     let stroke_texts: Vec<Texts> =
-        input.strokes().iter().map(|s| Texts::of(s.params())).collect::<PluginResult<_>>()?;
+        input.strokes().iter().map(|s| Texts::gather(s.params())).collect::<PluginResult<_>>()?;
     let stroke_params = input.strokes().iter().zip(&stroke_texts).map(|(s, texts)| texts.params(s.params()));
     let stroke_params: Vec<Vec<SimodParam>> = stroke_params.collect();
     let stroke = |(s, params): (&Stroke<'_>, &Vec<SimodParam>)| SimodStroke {
@@ -210,7 +210,7 @@ pub(super) fn with_deform_input<T>(
     parts.extend(effort.as_ref().map(|e| part(c"simod.effort/1", e)));
     let time = input.part::<Time>().map(|t| SimodTime { frame: t.frame, seconds: t.seconds });
     parts.extend(time.as_ref().map(|t| part(c"simod.time/1", t)));
-    let attributes = Named::of(input.part())?;
+    let attributes = Named::gather(input.part())?;
     let attributes = attributes.as_ref().map(Named::input);
     parts.extend(attributes.as_ref().map(|a| part(c"simod.attributes/1", a)));
     let input = SimodDeformInput {
