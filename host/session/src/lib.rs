@@ -24,6 +24,7 @@ mod picked;
 pub mod pipeline;
 pub mod plan;
 pub mod plugins;
+pub mod refining;
 pub mod session_file;
 pub mod session_writer;
 pub mod shapes;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use simod_core::reconstruction::transfer_error::{Places, TransferError, measure_some};
 use simod_core::reconstruction::{Beyond, DeformationField, Method, RestGeometry};
-use simod_core::refinement::{Finer, Refining, Selection, refine};
+use simod_core::refinement::Finer;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::SampleSet;
 use simod_model::{Error, ErrorKind, Model, Progress, Result, Scalar};
@@ -16,7 +16,9 @@ use simod_model::{Error, ErrorKind, Model, Progress, Result, Scalar};
 use crate::deformed_samples::{DeformedSamples, deform};
 use crate::edit::Refinements;
 use crate::plugins::PluginRegistry;
-use crate::session_file::Step;
+use crate::refining::{Pose, Room};
+use crate::session_file::{Refine, Step};
+use crate::shapes::Shapes;
 use simod_plugin_api::Time;
 
 /// Rounds of refinement; the number of samples may double in each.
@@ -218,14 +220,10 @@ pub(crate) fn meet(
                 return Err(not_met(tolerance, beyond.worst, &why, Some(&beyond)));
             }
             let budget = (most - samples).min(samples);
-            let how = Refining {
-                finer: Finer::Auto { error: asked, samples: Some(budget) },
-                memory_limit: None,
-                shapes: Vec::new(),
-            };
-            let everywhere = |_: DVec3| -1.0;
-            let selection = Selection { distance: &everywhere, so_far: Some(&field), at_rest: true };
-            let done = refine(&of, model, selection, &how, folder, progress)?;
+            let finer = Finer::Auto { error: asked, samples: Some(budget) };
+            let everywhere = Refine { shapes: Shapes::default(), finer };
+            let room = Room { memory_limit: None, folder };
+            let done = everywhere.refine(&of, model, Pose::Rest(Some(&field)), room, progress)?;
             let Some(refined) = done.sampled else {
                 let none_left = || "there are no vertices left there that could be samples".to_owned();
                 let why = of_deformation().unwrap_or_else(none_left);

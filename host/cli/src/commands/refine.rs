@@ -7,10 +7,12 @@ use glam::{DVec3, Vec3};
 use serde_json::json;
 use simod_core::guard::Kind;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deformed_normals};
-use simod_core::refinement::{Finer, Refining, Selection, appended_deformed, refine};
+use simod_core::refinement::{Finer, Need, Refined, appended_deformed};
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Model, Progress, Result};
+use simod_session::refining::{Pose, Room};
+use simod_session::session_file::Refine as Refinement;
 use simod_session::{Shape, Shapes};
 
 use super::overwrite::Overwrite;
@@ -85,7 +87,7 @@ fn numbers<const N: usize>(text: &str) -> std::result::Result<[f64; N], String> 
 
 impl Refine {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let shapes = self.shapes()?;
+        let how = Refinement { shapes: self.shapes()?, finer: self.finer() };
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         SampledModel::check_target(target)?;
         // From here on nobody else refines it, or what this one does would be lost.
@@ -93,110 +95,72 @@ impl Refine {
         let mut sampled = SampledModel::load(&self.sampled)?;
         let deformed = self.deformed.as_deref().map(|path| sampled.read_deformed(path)).transpose()?;
         let model = sampled.open_source(self.model.as_deref(), report.progress())?;
-        let mut guard = self.overwrite.guard();
-        guard.reads_all([model.path()].into_iter().chain(model.other_files()));
-        guard.reads_all(sampled.source.files());
-        if self.into.is_some() {
-            // All else that is read may be replaced in place.
-            guard.reads(&self.sampled);
-            guard.replaces_folder(target)?;
-        }
-        guard.reads(&self.sampled);
-        guard.reads_all(&self.deformed);
-        if let Some(output) = &self.output {
-            guard.writes(output, Kind::Model)?;
-        }
+        self.guard(&sampled, model.as_ref())?;
         let progress = report.progress();
         sampled.hold_cells(sampled.cells(&self.sampled, self.model.as_deref(), progress)?);
-
-        let how = Refining {
-            finer: match (self.error, self.factor, self.samples) {
-                (error, _, samples) if self.auto => {
-                    Finer::Auto { error: error.unwrap_or(Finer::ALLOWED), samples }
-                }
-                (Some(e), ..) => Finer::Error(e),
-                (None, Some(f), _) => Finer::Factor(f),
-                (None, None, n) => Finer::Samples(n.unwrap_or(0)),
-            },
-            memory_limit: self.memory_limit,
-            shapes: shapes.tables(),
-        };
-        let everywhere = shapes.shapes.is_empty();
-        let distance = |p| if everywhere { -1.0 } else { shapes.signed_distance(p) };
-        let done = {
-            let around = deformed.as_ref().filter(|_| self.auto).map(|_| RestGeometry::new(&sampled.samples));
-            let field = around
-                .as_ref()
-                .zip(deformed.as_deref())
-                .map(|(around, deformed)| DeformationField::new(around, deformed, Method::default()));
-            let selection = Selection { distance: &distance, so_far: field.as_ref(), at_rest: true };
-            refine(&sampled, model.as_ref(), selection, &how, folder_of(target), progress)?
-        };
-        let refined = done.sampled.as_ref();
+        let done = self.refined(&how, &sampled, model.as_ref(), deformed.as_deref(), progress)?;
         // First what belongs to the refined model: it would be of no use without, but harms nobody.
         if let (Some(from), Some(deformed), Some(to)) = (&self.deformed, deformed, &self.output) {
             progress.begin("deforming the new samples", 0);
-            write_deformed(&sampled, refined.unwrap_or(&sampled), from, deformed, to)?;
+            write_deformed(&sampled, done.sampled.as_ref().unwrap_or(&sampled), from, deformed, to)?;
         }
         progress.check()?;
         let was_bound = self.into.is_none() && self.sampled.join(BINDING).exists();
-        if let Some(refined) = refined {
+        if let Some(refined) = &done.sampled {
             progress.begin("writing", 0);
             refined.save_in(begun)?;
         }
-
-        let samples = refined.unwrap_or(&sampled).samples.len();
         tell_cache(sampled.cache(), report);
-        let (info, diagonal) = (model.info(), sampled.bounds.diagonal());
-        let read = done.vertex_bytes + done.face_bytes;
-        report.figure("vertices", info.vertices);
-        report.figure("samples", samples);
-        report.figure("added", done.added);
-        report.figure("error", done.error);
-        report.figure("cells_read", done.cells);
-        report.figure("bytes_read", json!({"vertices": done.vertex_bytes, "faces": done.face_bytes}));
-        report.figure("model_bytes", info.bytes);
-        if let Some(need) = done.need {
-            report.figure("expected_transfer_error", need.expected);
-            report.figure("allowed_transfer_error", need.allowed);
-            report.figure("needy_samples", need.samples);
-            report.line(if need.samples == 0 {
-                format!(
-                    "vertices are expected to be off by {} at most: the deformation needs no more samples. Nothing is \
-                     changed",
-                    length(need.expected, diagonal)
-                )
-            } else {
-                format!(
-                    "vertices are expected to be off by up to {}: by more than {:.1e} around {} samples",
-                    length(need.expected, diagonal),
-                    need.allowed,
-                    count(need.samples)
-                )
-            });
-        }
-        if refined.is_none() && done.need.is_none_or(|need| need.samples > 0) {
-            report.line("nothing to refine: no cluster there has a larger error. Nothing is changed");
-        } else if refined.is_some() {
-            report.line(format!(
-                "{} samples more, {} in all, in {}; the error there is {}",
-                count(done.added),
-                count(samples as u64),
-                target.display(),
-                length(done.error, diagonal)
-            ));
-        }
-        report.line(format!(
-            "read {} bytes of {} for {} of {} cells",
-            count(read),
-            count(info.bytes),
-            count(done.cells),
-            count(sampled.cells)
-        ));
-        if refined.is_some() && was_bound {
+        tell(report, &sampled, model.as_ref(), &done, target);
+        if done.sampled.is_some() && was_bound {
             report.warn(format!("{BINDING} was of the samples before and is gone: run `simod bind` again"));
         }
         Ok(())
+    }
+
+    /// Nothing is replaced that is read.
+    fn guard(&self, sampled: &SampledModel, model: &dyn Model) -> Result<()> {
+        let mut guard = self.overwrite.guard();
+        guard.reads_all([model.path()].into_iter().chain(model.other_files()));
+        guard.reads_all(sampled.source.files());
+        if let Some(into) = &self.into {
+            // All else that is read may be replaced in place.
+            guard.reads(&self.sampled);
+            guard.replaces_folder(into)?;
+        }
+        guard.reads(&self.sampled);
+        guard.reads_all(&self.deformed);
+        self.output.iter().try_for_each(|output| guard.writes(output, Kind::Model))
+    }
+
+    fn finer(&self) -> Finer {
+        match (self.error, self.factor, self.samples) {
+            (error, _, samples) if self.auto => {
+                Finer::Auto { error: error.unwrap_or(Finer::ALLOWED), samples }
+            }
+            (Some(e), ..) => Finer::Error(e),
+            (None, Some(f), _) => Finer::Factor(f),
+            (None, None, n) => Finer::Samples(n.unwrap_or(0)),
+        }
+    }
+
+    /// The shapes are meant at rest; what the deformation needs is told by the deformed samples.
+    fn refined(
+        &self,
+        how: &Refinement,
+        sampled: &SampledModel,
+        model: &dyn Model,
+        deformed: Option<&[Vec3]>,
+        progress: &dyn Progress,
+    ) -> Result<Refined> {
+        let around = deformed.filter(|_| self.auto).map(|_| RestGeometry::new(&sampled.samples));
+        let field = around
+            .as_ref()
+            .zip(deformed)
+            .map(|(around, deformed)| DeformationField::new(around, deformed, Method::default()));
+        let target = self.into.as_deref().unwrap_or(&self.sampled);
+        let room = Room { memory_limit: self.memory_limit, folder: folder_of(target) };
+        how.refine(sampled, model, Pose::Rest(field.as_ref()), room, progress)
     }
 
     fn shapes(&self) -> Result<Shapes> {
@@ -230,4 +194,58 @@ fn write_deformed(
     deformed.extend(more.iter().map(|p| refined.frame.to_local(*p)));
     let normals = deformed_normals(&refined.samples, &deformed);
     refined.write_more_deformed(to, from, &more, &normals)
+}
+
+/// Tells what was read, and what came of it.
+fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &Refined, target: &Path) {
+    let samples = done.sampled.as_ref().unwrap_or(sampled).samples.len();
+    let (info, diagonal) = (model.info(), sampled.bounds.diagonal());
+    report.figure("vertices", info.vertices);
+    report.figure("samples", samples);
+    report.figure("added", done.added);
+    report.figure("error", done.error);
+    report.figure("cells_read", done.cells);
+    report.figure("bytes_read", json!({"vertices": done.vertex_bytes, "faces": done.face_bytes}));
+    report.figure("model_bytes", info.bytes);
+    if let Some(need) = &done.need {
+        tell_need(report, need, diagonal);
+    }
+    if done.sampled.is_some() {
+        report.line(format!(
+            "{} samples more, {} in all, in {}; the error there is {}",
+            count(done.added),
+            count(samples as u64),
+            target.display(),
+            length(done.error, diagonal)
+        ));
+    } else if done.need.is_none_or(|need| need.samples > 0) {
+        report.line("nothing to refine: no cluster there has a larger error. Nothing is changed");
+    }
+    report.line(format!(
+        "read {} bytes of {} for {} of {} cells",
+        count(done.vertex_bytes + done.face_bytes),
+        count(info.bytes),
+        count(done.cells),
+        count(sampled.cells)
+    ));
+}
+
+/// Tells how far vertices are expected to be off.
+fn tell_need(report: &mut Report, need: &Need, diagonal: f64) {
+    report.figure("expected_transfer_error", need.expected);
+    report.figure("allowed_transfer_error", need.allowed);
+    report.figure("needy_samples", need.samples);
+    let expected = length(need.expected, diagonal);
+    report.line(if need.samples == 0 {
+        format!(
+            "vertices are expected to be off by {expected} at most: the deformation needs no more samples. Nothing is \
+             changed"
+        )
+    } else {
+        format!(
+            "vertices are expected to be off by up to {expected}: by more than {:.1e} around {} samples",
+            need.allowed,
+            count(need.samples)
+        )
+    });
 }

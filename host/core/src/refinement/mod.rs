@@ -13,6 +13,7 @@ mod needs;
 mod record;
 mod regrowing;
 mod selection;
+mod sizing;
 #[cfg(test)]
 pub(crate) mod tests;
 
@@ -42,7 +43,8 @@ use faces::Members;
 use gathering::{Gathered, Gathering};
 use needs::Needs;
 use regrowing::{Changed, Regrowing, Regrown};
-use selection::{Nearest, Selected, Sizing};
+use selection::{Nearest, Selected};
+use sizing::Sizing;
 
 /// How fine P_S shall be where it is selected.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -18,7 +18,7 @@ use std::ops::Range;
 use glam::Vec3;
 
 use super::gathering::{Gathered, VERTICES_OF_A_PART};
-use super::selection::Sizing;
+use super::sizing::Sizing;
 
 /// A cluster below a sample of the first sampling.
 #[derive(Debug, Clone, Copy)]

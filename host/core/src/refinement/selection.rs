@@ -9,7 +9,6 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 
-use super::needs::Needs;
 use crate::reconstruction::{DeformationField, carry_positions};
 use crate::sampled_model::SampledModel;
 use crate::sampling::cluster::REACH_WEIGHT;
@@ -44,33 +43,6 @@ impl<'a> Selection<'a> {
     }
 }
 
-/// How large clusters may be, and where.
-pub(super) enum Sizing<'a> {
-    /// Small inside a selection, and larger away from it.
-    Selected(Selected<'a>),
-    /// As a deformation needs them.
-    Needed(Needs<'a>),
-}
-
-impl Sizing<'_> {
-    /// How much the bound of clusters in this ball is larger than the least one; local units.
-    pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
-        match self {
-            Self::Selected(selected) => selected.slack(center, radius),
-            Self::Needed(needs) => needs.slack(center, radius),
-        }
-    }
-
-    /// A bound for the slack of each leaf of each cell, from what is known of them without the model; and
-    /// whether a leaf may reach to where the bound is the least.
-    pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
-        match self {
-            Self::Selected(selected) => selected.leaves(sampled, kept),
-            Self::Needed(needs) => needs.leaves(kept),
-        }
-    }
-}
-
 /// The selection in the local coordinates of a model at rest.
 pub(super) struct Selected<'a> {
     selection: Selection<'a>,
@@ -93,11 +65,11 @@ impl<'a> Selected<'a> {
     }
 
     /// How much the bound of clusters in this ball is larger than inside the selection; local units.
-    fn slack(&self, center: Vec3, radius: f32) -> f32 {
+    pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
         slack(self.distance(center) - f64::from(radius))
     }
 
-    fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
+    pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
         let positions = &sampled.samples.positions;
         let of_sample: Vec<f64> = match self.selection.pose() {
             Some(field) => {

@@ -5,6 +5,7 @@ use super::entry::{Entry, StepId};
 use crate::deformer::{Message, OwnHandles};
 use crate::key::Key;
 use crate::plugins::PluginRegistry;
+use crate::refining::{Pose, Room};
 use crate::session_file::{Action, Deformation, Refine, Step};
 use crate::sidecar;
 use crate::stack::{Done, Layer, LayerCache, Moment, PreparedStack, Rest, RestShape, at};
@@ -13,7 +14,7 @@ use simod_core::reconstruction::{
     DeformationField, Method, Reconstructed, Reconstruction, RestGeometry, Version, deformed_normals,
     known_gradients, reconstruct,
 };
-use simod_core::refinement::{Refining, Selection, appended_deformed, refine};
+use simod_core::refinement::appended_deformed;
 use simod_core::sampled_model::SampledModel;
 use simod_model::follow::Follow;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
@@ -408,14 +409,9 @@ impl Evaluation {
         progress: &dyn Progress,
     ) -> Result<(Arc<SampledModel>, Arc<[Vec3]>)> {
         let model = sampled.open_source(self.how.model.as_deref(), progress)?;
-        // Without shapes, everywhere.
-        let everywhere = step.shapes.shapes.is_empty();
-        let distance = |p| if everywhere { -1.0 } else { step.shapes.signed_distance(p) };
-        let memory_limit = self.how.memory_limit;
-        let how = Refining { finer: step.finer, memory_limit, shapes: step.shapes.tables() };
         with_field(sampled, positions, |field| {
-            let selection = Selection { distance: &distance, so_far: field, at_rest: false };
-            let refined = refine(sampled, model.as_ref(), selection, &how, &self.how.folder, progress)?;
+            let room = Room { memory_limit: self.how.memory_limit, folder: &self.how.folder };
+            let refined = step.refine(sampled, model.as_ref(), Pose::Deformed(field), room, progress)?;
             if refined.need.is_some_and(|need| need.samples == 0) {
                 progress.note("the deformation needs no more samples");
             }

@@ -1,0 +1,34 @@
+//! How large clusters may be, and where: small inside a selection, or as a deformation needs them.
+
+use super::needs::Needs;
+use super::selection::{Nearest, Selected};
+use crate::sampled_model::SampledModel;
+use crate::sampling::kept_cells::KeptCells;
+use glam::Vec3;
+
+/// How large clusters may be, and where.
+pub(super) enum Sizing<'a> {
+    /// Small inside a selection, and larger away from it.
+    Selected(Selected<'a>),
+    /// As a deformation needs them.
+    Needed(Needs<'a>),
+}
+
+impl Sizing<'_> {
+    /// How much the bound of clusters in this ball is larger than the least one; local units.
+    pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
+        match self {
+            Self::Selected(selected) => selected.slack(center, radius),
+            Self::Needed(needs) => needs.slack(center, radius),
+        }
+    }
+
+    /// A bound for the slack of each leaf of each cell, from what is known of them without the model; and
+    /// whether a leaf may reach to where the bound is the least.
+    pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
+        match self {
+            Self::Selected(selected) => selected.leaves(sampled, kept),
+            Self::Needed(needs) => needs.leaves(kept),
+        }
+    }
+}
