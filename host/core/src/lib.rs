@@ -15,7 +15,6 @@ pub mod deformed_file;
 pub mod detail;
 pub mod ellipses;
 pub mod fingerprint;
-pub mod geometry;
 pub mod guard;
 pub mod reconstruction;
 pub mod refinement;
@@ -24,3 +23,5 @@ pub mod sampling;
 mod sealed;
 pub mod touching;
 mod varint;
+
+pub use simod_geometry as geometry;

@@ -9,9 +9,9 @@ use crate::cells::{Cells, covariances};
 use crate::coarse::Prolongation;
 use crate::constraints::{Motion, Soft};
 use crate::descent::Past;
-use crate::factor::Factor;
 use crate::problem::Problem;
 use glam::{DMat3, DVec3};
+use simod_cholesky::Factor;
 use simod_plugin_api::{Host, PluginResult};
 use std::ops::Range;
 

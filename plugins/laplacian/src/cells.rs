@@ -9,10 +9,10 @@
 //! surface leaves these smoothly. The aim is that of Z. Levi, C. Gotsman, *Smooth Rotation Enhanced
 //! As-Rigid-As-Possible Mesh Animation*, TVCG 2015, who add a term for it.
 
-use crate::factor::Factor;
 use crate::problem::Problem;
 use crate::rotation;
 use glam::{DMat3, DVec3};
+use simod_cholesky::Factor;
 use simod_plugin_api::{Host, PluginResult};
 
 /// Nodes at once on one thread.

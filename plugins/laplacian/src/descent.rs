@@ -1,8 +1,8 @@
 //! What earlier steps of a descent tell of the energy (J. Nocedal, S. Wright, *Numerical Optimization*,
 //! §7.2).
 
-use crate::factor::Factor;
 use glam::DVec3;
+use simod_cholesky::Factor;
 use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
 

@@ -5,10 +5,9 @@
 //! combinations of four solutions per handle, found beforehand.
 
 use crate::constraints::{Motion, Soft, Target};
-use crate::factor::Factor;
-use crate::problem::Problem;
-use crate::structure::out_of_memory;
+use crate::problem::{Problem, out_of_memory};
 use glam::DVec3;
+use simod_cholesky::Factor;
 use simod_plugin_api::{Host, PluginResult};
 use std::ops::Range;
 

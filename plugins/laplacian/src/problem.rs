@@ -2,11 +2,10 @@
 
 use crate::constraints::{Soft, Target};
 use crate::elements::Element;
-use crate::factor::{Factor, Symmetric};
-use crate::kernels::Stored;
 use crate::operators::Operators;
 use glam::DVec3;
-use simod_plugin_api::{Host, PluginResult};
+use simod_cholesky::{Factor, Refusal, Stored, Symmetric};
+use simod_plugin_api::{ErrorCode, Host, PluginError, PluginResult};
 use std::ops::Range;
 
 /// Rows at once on one thread.
@@ -171,6 +170,25 @@ impl Problem {
         }
         let mut matrix = Symmetric::default();
         rows.into_iter().for_each(|row| matrix.push_row(row));
-        Factor::new(matrix, &self.rest[..self.free], told, host)
+        Factor::new(matrix, &self.rest[..self.free], told, host).map_err(refused)
     }
+}
+
+/// What is told where there is no factor.
+fn refused(refusal: Refusal) -> PluginError {
+    match refusal {
+        Refusal::Indefinite => {
+            let what = "nothing tells where some part of the surface goes";
+            PluginError::new(ErrorCode::NOT_CONVERGED, what)
+                .hint("add a fixed region, or sample the model anew")
+        }
+        Refusal::TooLarge => out_of_memory(),
+        Refusal::Stopped(error) => error,
+    }
+}
+
+/// What is told where the equations would need more memory than there is.
+pub fn out_of_memory() -> PluginError {
+    PluginError::new(ErrorCode::INVALID_INPUT, "there is not enough memory for the surface's equations")
+        .hint("take fewer samples, or repair the model: where many triangles join samples in one place, equations grow")
 }

@@ -4,8 +4,8 @@
 //! Splitting*, SCA 2018, from the rotation of the step before, which is near; and B. Horn's *Closed-form
 //! Solution of Absolute Orientation Using Unit Quaternions*, 1987, where that does not settle.
 
-use crate::eigen;
 use glam::{DMat3, DQuat, DVec3};
+use simod_geometry::jacobi_eigen;
 
 /// Steps of Newton's method; two or three are usual.
 const STEPS: usize = 12;
@@ -72,7 +72,7 @@ fn horn(s: DMat3) -> DMat3 {
         [at(0, 2) - at(2, 0), at(0, 1) + at(1, 0), yy - xx - zz, at(1, 2) + at(2, 1)],
         [at(1, 0) - at(0, 1), at(0, 2) + at(2, 0), at(1, 2) + at(2, 1), zz - xx - yy],
     ];
-    let (values, vectors) = eigen::symmetric(n);
+    let (values, vectors) = jacobi_eigen(n);
     let largest = (0..4).max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
     let [w, x, y, z] = vectors[largest];
     DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())

@@ -6,8 +6,8 @@
 //! Laplacian symmetric: the Delaunay triangulation's own where the stars agree. Where they do not, weights
 //! may be negative, and the energy of each triangle is not.
 
-use crate::eigen;
 use glam::{DVec2, DVec3};
+use simod_geometry::jacobi_eigen;
 
 /// Neighbours that are looked at: enough to surround a sample.
 const MOST: usize = 20;
@@ -58,7 +58,7 @@ fn plane(near: &[(u32, DVec3)], reach: f64) -> [DVec3; 2] {
         let v = (v - mean) / reach;
         (0..3).for_each(|r| (0..3).for_each(|c| covariance[r][c] += v[r] * v[c]));
     }
-    let (values, vectors) = eigen::symmetric(covariance);
+    let (values, vectors) = jacobi_eigen(covariance);
     let mut order = [0, 1, 2];
     order.sort_by(|a, b| values[*b].total_cmp(&values[*a]));
     [order[0], order[1]].map(|k| DVec3::from(vectors[k]))

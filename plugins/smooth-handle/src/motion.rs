@@ -8,6 +8,7 @@
 //! which it was.
 
 use glam::{DMat3, DQuat, DVec3};
+use simod_geometry::symmetric_eigen;
 use simod_plugin_api::Affine;
 
 /// Stretches below this are rounding.
@@ -68,7 +69,7 @@ impl Motion {
         }
         // Polar decomposition, of A / scale: its square root is that of the symmetric AᵀA.
         let shape = matrix * scale.recip();
-        let (squares, axes) = eigen(shape.transpose() * shape);
+        let (squares, axes) = symmetric_eigen(shape.transpose() * shape);
         if squares.min_element() <= f64::EPSILON * squares.max_element() {
             return None;
         }
@@ -184,30 +185,6 @@ fn integral_of_exp(re: f64, im: f64) -> (f64, f64) {
     let size = re.exp();
     let (a, b) = (size * im.cos() - 1.0, size * im.sin());
     ((a * re + b * im) / square, (b * re - a * im) / square)
-}
-
-/// Eigenvalues and orthonormal eigenvectors of a symmetric matrix, by Jacobi's rotations.
-fn eigen(matrix: DMat3) -> (DVec3, DMat3) {
-    const SWEEPS: usize = 12;
-    let (mut a, mut axes) = (matrix, DMat3::IDENTITY);
-    for _ in 0..SWEEPS {
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            let off = a.col(q)[p];
-            if off.abs() <= f64::EPSILON * 1e-3 * (a.col(p)[p].abs() + a.col(q)[q].abs()) {
-                continue;
-            }
-            let theta = (a.col(q)[q] - a.col(p)[p]) / (2.0 * off);
-            let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
-            let c = 1.0 / t.hypot(1.0);
-            let s = t * c;
-            let mut turn = DMat3::IDENTITY;
-            (turn.col_mut(p)[p], turn.col_mut(q)[q]) = (c, c);
-            (turn.col_mut(q)[p], turn.col_mut(p)[q]) = (s, -s);
-            a = turn.transpose() * a * turn;
-            axes *= turn;
-        }
-    }
-    (DVec3::new(a.x_axis.x, a.y_axis.y, a.z_axis.z), axes)
 }
 
 #[cfg(test)]

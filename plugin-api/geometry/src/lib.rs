@@ -1,6 +1,10 @@
-//! Small dense geometry: symmetric eigenproblems and definite systems, the kernel.
+//! simod-geometry: small dense geometry that plugins and the host share: symmetric eigenproblems, definite systems, the
+//! kernel.
+
+mod jacobi;
 
 use glam::{DMat3, DVec3};
+pub use jacobi::jacobi_eigen;
 
 /// Eigenvalues, ascending, and the unit eigenvectors (as columns) of a symmetric matrix. The lower triangle
 /// is not read.

@@ -5,7 +5,7 @@
 const SWEEPS: usize = 30;
 
 /// Eigenvalues in no order, and the unit eigenvector of each.
-pub fn symmetric<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
+pub fn jacobi_eigen<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
     let mut v: [[f64; N]; N] = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
     let scale: f64 = a.as_flattened().iter().map(|x| x.abs()).fold(0.0, f64::max);
     for _ in 0..SWEEPS {
@@ -49,7 +49,7 @@ mod tests {
         fn eigenvectors_diagonalise(entries in proptest::array::uniform10(-5.0..5.0_f64)) {
             let at = |i: usize, j: usize| entries[i.max(j) * (i.max(j) + 1) / 2 + i.min(j)];
             let a: [[f64; 4]; 4] = std::array::from_fn(|i| std::array::from_fn(|j| at(i, j)));
-            let (values, vectors) = symmetric(a);
+            let (values, vectors) = jacobi_eigen(a);
             for (value, v) in values.iter().zip(vectors) {
                 let norm: f64 = v.iter().map(|x| x * x).sum();
                 prop_assert!((norm - 1.0).abs() < 1e-12);

@@ -6,7 +6,8 @@
 //! refused here.
 
 use crate::dissection::{Supernode, Tree};
-use simod_plugin_api::{ErrorCode, Host, PluginError, PluginResult};
+use crate::refusal::Refusal;
+use simod_plugin_api::Host;
 use std::ops::Range;
 
 /// Bytes of a factorisation, at most: several times what a million samples of a surface take.
@@ -36,7 +37,7 @@ impl Structure {
         columns: impl Fn(usize) -> &'a [u32] + Sync,
         size: usize,
         host: &Host<'_>,
-    ) -> PluginResult<Self> {
+    ) -> Result<Self, Refusal> {
         let size = size as u64;
         let mut tasks: Vec<_> =
             tree.subtrees.iter().map(|parts| (parts.clone(), Vec::new(), Ok(Taken::default()))).collect();
@@ -70,7 +71,7 @@ fn add<'a>(
     taken: &mut Taken,
     (columns, size): (&impl Fn(usize) -> &'a [u32], u64),
     host: &Host<'_>,
-) -> PluginResult<()> {
+) -> Result<(), Refusal> {
     let square = |count: usize| 8 * (count as u64).pow(2);
     for part in &parts[range] {
         let mut own: Vec<u32> = part.children.iter().flat_map(|c| &rows[*c - first]).copied().collect();
@@ -82,7 +83,7 @@ fn add<'a>(
         taken.kept += size * width * (height + width.div_ceil(2));
         taken.waiting += square(own.len());
         if taken.kept + taken.waiting + 8 * width * (width + height) > MOST {
-            return Err(out_of_memory());
+            return Err(Refusal::TooLarge);
         }
         taken.waiting -= part.children.iter().map(|c| square(rows[*c - first].len())).sum::<u64>();
         rows.push(own);
@@ -91,10 +92,4 @@ fn add<'a>(
         }
     }
     Ok(())
-}
-
-/// What is told where the equations would need more memory than there is.
-pub fn out_of_memory() -> PluginError {
-    PluginError::new(ErrorCode::INVALID_INPUT, "there is not enough memory for the surface's equations")
-        .hint("take fewer samples, or repair the model: where many triangles join samples in one place, equations grow")
 }

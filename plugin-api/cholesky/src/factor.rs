@@ -10,10 +10,11 @@
 use crate::dissection::{Pattern, Supernode, Tree};
 use crate::front::{Front, Update, places};
 use crate::kernels::Stored;
+use crate::refusal::Refusal;
 use crate::solve::Run;
 use crate::structure::Structure;
 use glam::DVec3;
-use simod_plugin_api::{ErrorCode, Host, PluginError, PluginResult};
+use simod_plugin_api::{Host, PluginResult};
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -93,24 +94,13 @@ pub struct Factor<T> {
     runs: Vec<Run<T>>,
 }
 
-/// Why there is no factor.
-enum Failure {
-    /// The matrix is not positive definite.
-    Indefinite,
-    /// As told.
-    Told(PluginError),
-}
-
-impl From<PluginError> for Failure {
-    fn from(error: PluginError) -> Self {
-        Self::Told(error)
-    }
-}
-
 impl<T: Stored> Factor<T> {
     /// Factorises. `at` are places of the unknowns: those that share an entry are near each other. Tells its
     /// progress as that from one fraction to the other.
-    pub fn new(matrix: Symmetric, at: &[DVec3], told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
+    ///
+    /// # Errors
+    /// The matrix is not positive definite, or the factor is too large; or the host has stopped it.
+    pub fn new(matrix: Symmetric, at: &[DVec3], told: Range<f64>, host: &Host<'_>) -> Result<Self, Refusal> {
         let tree = Tree::new(&Pattern::new(&matrix.starts, &matrix.columns), at, host)?;
         let matrix = matrix.in_order(&tree.order);
         let structure = Structure::new(&tree, |i| matrix.columns(i), size_of::<T>(), host)?;
@@ -118,16 +108,18 @@ impl<T: Stored> Factor<T> {
             let (matrix, tree, structure, told) = (&matrix, &tree, &structure, &told);
             match (Elimination { matrix, ridge, tree, structure, told, host }).run() {
                 Ok(runs) => return Ok(Self { order: tree.order.clone(), runs }),
-                Err(Failure::Told(error)) => return Err(error),
-                Err(Failure::Indefinite) => {}
+                Err(Refusal::Indefinite) => {}
+                Err(refusal) => return Err(refusal),
             }
         }
-        Err(PluginError::new(ErrorCode::NOT_CONVERGED, "nothing tells where some part of the surface goes")
-            .hint("add a fixed region, or sample the model anew"))
+        Err(Refusal::Indefinite)
     }
 
     /// Replaces three right-hand sides by solutions, all in one pass over the factor: that is what takes the
     /// time.
+    ///
+    /// # Errors
+    /// The host has stopped it.
     pub fn solve(&self, sides: &mut [DVec3], host: &Host<'_>) -> PluginResult<()> {
         let mut x: Vec<DVec3> = self.order.iter().map(|i| sides[*i as usize]).collect();
         let Some((top, subtrees)) = self.runs.split_last() else { return Ok(()) };
@@ -174,11 +166,11 @@ struct Task<T> {
     run: Run<T>,
     /// Of its last part.
     update: Option<Update>,
-    result: Result<(), Failure>,
+    result: Result<(), Refusal>,
 }
 
 impl Elimination<'_> {
-    fn run<T: Stored>(&self) -> Result<Vec<Run<T>>, Failure> {
+    fn run<T: Stored>(&self) -> Result<Vec<Run<T>>, Refusal> {
         let Tree { parts, subtrees, .. } = self.tree;
         let mut tasks: Vec<Task<T>> = subtrees.iter().map(|parts| self.task(parts.clone())).collect();
         let done = AtomicUsize::new(0);
@@ -220,7 +212,7 @@ impl Elimination<'_> {
         Task { parts, run: Run::new(columns), update: None, result: Ok(()) }
     }
 
-    fn subtree<T: Stored>(&self, task: &mut Task<T>, done: &AtomicUsize) -> Result<(), Failure> {
+    fn subtree<T: Stored>(&self, task: &mut Task<T>, done: &AtomicUsize) -> Result<(), Refusal> {
         let parts = &self.tree.parts[task.parts.clone()];
         let mut updates: Vec<Option<Update>> = parts.iter().map(|_| None).collect();
         let rows = &self.structure.rows[task.parts.clone()];
@@ -246,7 +238,7 @@ impl Elimination<'_> {
         children: Vec<Update>,
         run: &mut Run<T>,
         together: bool,
-    ) -> Result<Update, Failure> {
+    ) -> Result<Update, Refusal> {
         let (start, end) = (part.columns.start, part.columns.end);
         let entries = |i: usize| self.matrix.row(i);
         let mut front = Front::new(part.columns.len(), rows.to_vec());
@@ -262,7 +254,7 @@ impl Elimination<'_> {
             front.add(&child, &places, together.then_some(self.host))?;
         }
         if !front.factorise(together.then_some(self.host))? {
-            return Err(Failure::Indefinite);
+            return Err(Refusal::Indefinite);
         }
         Ok(run.push(part.columns.clone(), front))
     }
@@ -353,7 +345,7 @@ mod tests {
             given.push_row(others.into_iter().map(|j| (j, -1.0)).chain([(i, n as f64)]));
         }
         let error = Factor::<f64>::new(given, &vec![DVec3::ONE; n], 0.0..1.0, &host).unwrap_err();
-        assert!(error.message.contains("memory") && !error.hint.is_empty(), "{error:?}");
+        assert!(matches!(error, Refusal::TooLarge), "{error:?}");
     }
 
     #[test]
@@ -363,7 +355,6 @@ mod tests {
         singular.push_row([(0, 1.0)]);
         singular.push_row([(0, -2.0), (1, 1.0)]);
         let error = Factor::<f64>::new(singular, &[DVec3::ZERO; 2], 0.0..1.0, &host).unwrap_err();
-        assert_eq!(error.code, ErrorCode::NOT_CONVERGED);
-        assert!(!error.hint.is_empty());
+        assert!(matches!(error, Refusal::Indefinite), "{error:?}");
     }
 }

@@ -6,8 +6,8 @@
 //! set is halved across its longest extent (J. Gilbert, G. Miller, S.-H. Teng, *Geometric Mesh Partitioning*,
 //! SISC 1998).
 
-use crate::eigen;
 use glam::DVec3;
+use simod_geometry::jacobi_eigen;
 use simod_plugin_api::{Host, PluginResult};
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -226,7 +226,7 @@ fn longest_axis(nodes: &[u32], at: &[DVec3]) -> DVec3 {
         let v = at[*i as usize] - mean;
         (0..3).for_each(|r| (0..3).for_each(|c| covariance[r][c] += v[r] * v[c]));
     }
-    let (values, vectors) = eigen::symmetric(covariance);
+    let (values, vectors) = jacobi_eigen(covariance);
     let longest = (0..3).max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
     DVec3::from(vectors[longest])
 }
