@@ -18,6 +18,7 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 use simod_model::{Error, ErrorKind, Result};
 
 use super::cluster::{Moments, REACH_WEIGHT};
@@ -194,7 +195,7 @@ impl Forest {
 }
 
 /// P_S as it comes from the trees.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 pub struct Cut {
     /// Positions in local coordinates.
     pub positions: Vec<Vec3>,

@@ -189,9 +189,14 @@ impl Unlike {
     }
 }
 
+/// Faces whose planes are summed up by themselves, in single precision: so that sums are those of ranges of the faces
+/// that begin at a multiple of this number, whoever reads which of them.
+pub const FACES_OF_A_SUM: u64 = 1 << 16;
+
 /// The planes of the faces around each sample's cluster, summed up.
 ///
-/// Memory: 48 bytes per sample.
+/// Memory: 148 bytes per sample; without its own sums 52, and 44 bytes for each of the listed ones, of which a sum has
+/// three for each face at most.
 pub struct Planes<'a> {
     /// Where the vertices of P_L are, local coordinates.
     vertices: &'a [Vec3],
@@ -199,10 +204,23 @@ pub struct Planes<'a> {
     samples: &'a [Vec3],
     /// The number of the first of these: those before it stay where they are.
     first: u32,
+    /// Of the faces at hand, and the places of those samples that have any.
     quadrics: Vec<Quadric>,
+    met: Vec<u32>,
+    /// How many faces these are.
+    faces: u64,
+    sums: Sums,
 }
 
-/// Σ w (n·(x − p))² as a function of x, about a sample: sums in single precision over the faces around it.
+/// What becomes of the sums of some faces.
+enum Sums {
+    /// They are added up, in double precision.
+    Added(Vec<[f64; 10]>),
+    /// They are listed for who [adds](Planes::add_listed) them.
+    Listed(Vec<u32>),
+}
+
+/// Σ w (n·(x − p))² as a function of x, about a sample: sums in single precision over some faces around it.
 #[derive(Clone, Copy, Default)]
 struct Quadric {
     /// Σ w n nᵀ: xx, yy, zz, and Σ w |p|² for corners p in the sample's cluster.
@@ -213,10 +231,64 @@ struct Quadric {
     toward: Vec4,
 }
 
+impl Quadric {
+    fn numbers(&self) -> [f32; 10] {
+        let ([a, b, c, d], [e, f, g, _], [h, i, j, _]) =
+            (self.squares.to_array(), self.products.to_array(), self.toward.to_array());
+        [a, b, c, d, e, f, g, h, i, j]
+    }
+}
+
+/// Numbers of a sum that is listed: its sample, and those of its quadric.
+pub const LISTED: usize = 11;
+
 impl<'a> Planes<'a> {
     /// Planes of no face yet, around the samples from number `first` on.
     pub fn new(vertices: &'a [Vec3], samples: &'a [Vec3], first: u32) -> Self {
-        Self { vertices, samples, first, quadrics: vec![Quadric::default(); samples.len()] }
+        let sums = Sums::Added(vec![[0.0; 10]; samples.len()]);
+        let quadrics = vec![Quadric::default(); samples.len()];
+        Self { vertices, samples, first, quadrics, met: Vec::new(), faces: 0, sums }
+    }
+
+    /// The same of a part of the faces, which begins at a multiple of [`FACES_OF_A_SUM`].
+    pub fn listed(vertices: &'a [Vec3], samples: &'a [Vec3]) -> Self {
+        Self { sums: Sums::Listed(Vec::new()), ..Self::new(vertices, samples, 0) }
+    }
+
+    /// The sums that were listed, [`LISTED`] numbers each, in the order of the faces; at the end all.
+    pub fn take_listed(&mut self, is_end: bool) -> Vec<u32> {
+        if is_end {
+            self.sum_up();
+        }
+        match &mut self.sums {
+            Sums::Listed(list) => std::mem::take(list),
+            Sums::Added(_) => Vec::new(),
+        }
+    }
+
+    /// Adds sums that were listed, in the order of the faces; `false` if there are not such samples.
+    pub fn add_listed(&mut self, listed: &[u32]) -> bool {
+        let Sums::Added(sums) = &mut self.sums else { return false };
+        let (all, rest) = listed.as_chunks::<LISTED>();
+        rest.is_empty()
+            && all.iter().all(|[sample, numbers @ ..]| {
+                let sum = sums.get_mut(*sample as usize);
+                let known = sum.is_some();
+                sum.into_iter()
+                    .flatten()
+                    .zip(numbers)
+                    .for_each(|(sum, n)| *sum += f64::from(f32::from_bits(*n)));
+                known
+            })
+    }
+
+    /// A face that tells nothing.
+    #[inline]
+    pub fn pass(&mut self) {
+        self.faces += 1;
+        if self.faces == FACES_OF_A_SUM {
+            self.sum_up();
+        }
     }
 
     /// Adds a face across the border of clusters, once, to each sample that one of its corners belongs to.
@@ -224,9 +296,14 @@ impl<'a> Planes<'a> {
     /// clusters meet: faces inside of them add nothing to that, and would take most of the time.
     #[inline]
     pub fn take(&mut self, corners: [u32; 3], of: [u32; 3]) {
-        if of[0] == of[1] && of[1] == of[2] {
-            return;
+        if of[0] != of[1] || of[1] != of[2] {
+            self.add_plane(corners, of);
         }
+        self.pass();
+    }
+
+    #[inline]
+    fn add_plane(&mut self, corners: [u32; 3], of: [u32; 3]) {
         let [a, b, c] = corners.map(|vertex| Vec3A::from(self.vertices[vertex as usize]));
         // Its length is twice the area.
         let across = (b - a).cross(c - a);
@@ -255,6 +332,10 @@ impl<'a> Planes<'a> {
         let Some((sample, quadric)) = self.samples.get(place).zip(self.quadrics.get_mut(place)) else {
             return;
         };
+        // One that is met twice, as its planes were nothing, is summed up once: nothing is left of it then.
+        if quadric.squares == Vec4::ZERO {
+            self.met.push(place as u32);
+        }
         let p = corner - Vec3A::from(*sample);
         let weight = plane.squares.x + plane.squares.y + plane.squares.z;
         quadric.squares += plane.squares + Vec4::new(0.0, 0.0, 0.0, weight * p.length_squared());
@@ -262,12 +343,33 @@ impl<'a> Planes<'a> {
         quadric.toward += plane.toward * normal.dot(p);
     }
 
+    /// Adds the faces at hand to the sums.
+    #[cold]
+    fn sum_up(&mut self) {
+        for place in self.met.drain(..) {
+            let numbers = std::mem::take(&mut self.quadrics[place as usize]).numbers();
+            match &mut self.sums {
+                Sums::Added(sums) => {
+                    let sum = sums[place as usize].iter_mut().zip(numbers);
+                    sum.for_each(|(sum, number)| *sum += f64::from(number));
+                }
+                Sums::Listed(list) => {
+                    list.push(place);
+                    list.extend(numbers.map(f32::to_bits));
+                }
+            }
+        }
+        self.faces = 0;
+    }
+
     /// Where the samples are by the faces: as far from where they were as the corners in their clusters are
     /// (rms), and as `most` allows, at most.
-    pub fn place(self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Vec3> {
-        let moved = |(i, (quadric, sample)): (usize, (&Quadric, &Vec3))| {
-            let way = quadric.least();
-            let most = quadric.radius().min(f64::from(most(i)));
+    pub fn place(mut self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Vec3> {
+        self.sum_up();
+        let Sums::Added(sums) = self.sums else { return self.samples.to_vec() };
+        let moved = |(i, (sum, sample)): (usize, (&[f64; 10], &Vec3))| {
+            let way = least(sum);
+            let most = radius(sum).min(f64::from(most(i)));
             // Around some there are no planes.
             if way.is_finite() && most > 0.0 {
                 (sample.as_dvec3() + way.clamp_length_max(most)).as_vec3()
@@ -275,28 +377,25 @@ impl<'a> Planes<'a> {
                 *sample
             }
         };
-        self.quadrics.par_iter().zip(self.samples).enumerate().map(moved).collect()
+        sums.par_iter().zip(self.samples).enumerate().map(moved).collect()
     }
 }
 
-impl Quadric {
-    /// Σ w: normals are of unit length.
-    fn weight(&self) -> f64 {
-        self.squares.as_dvec4().truncate().element_sum()
-    }
+/// Σ w of a quadric: normals are of unit length.
+fn weight([xx, yy, zz, ..]: &[f64; 10]) -> f64 {
+    xx + yy + zz
+}
 
-    fn radius(&self) -> f64 {
-        (f64::from(self.squares.w) / self.weight()).max(0.0).sqrt()
-    }
+fn radius(sum: &[f64; 10]) -> f64 {
+    (sum[3] / weight(sum)).max(0.0).sqrt()
+}
 
-    /// Its minimum, with the ridge.
-    fn least(&self) -> DVec3 {
-        let scale = self.weight().recip();
-        let [squares, products, toward] =
-            [self.squares, self.products, self.toward].map(|sum| sum.as_dvec4().truncate() * scale);
-        let ridge = DMat3::from_diagonal(DVec3::splat(RIDGE));
-        (symmetric(squares, products) + ridge).inverse() * toward
-    }
+/// The minimum of a quadric, with the ridge.
+fn least(sum: &[f64; 10]) -> DVec3 {
+    let scale = weight(sum).recip();
+    let vector = |i: usize| DVec3::from_slice(&sum[i..]) * scale;
+    let ridge = DMat3::from_diagonal(DVec3::splat(RIDGE));
+    (symmetric(vector(0), vector(4)) + ridge).inverse() * vector(7)
 }
 
 #[cfg(test)]
