@@ -211,6 +211,17 @@ pub struct Cut {
 }
 
 impl Cut {
+    /// Whether its parts fit together: what was read may be anything.
+    pub fn is_sound(&self) -> bool {
+        let samples = self.samples();
+        let inner = |tree: &CutTree| tree.children.iter().filter(|children| **children > 0).count();
+        self.normals.len() == samples
+            && self.trees.iter().all(|tree| tree.defect(samples).is_none())
+            && self.trees.iter().map(inner).sum::<usize>() == self.inner.len()
+            && self.starts.is_sorted()
+            && self.starts.iter().all(|(_, sample)| (*sample as usize) < samples)
+    }
+
     pub fn samples(&self) -> usize {
         self.positions.len()
     }

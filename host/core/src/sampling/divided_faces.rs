@@ -233,7 +233,7 @@ impl Divided<'_> {
         let cells = prepared.grid.keys.len();
         let known = shares.ranges().len() + shares.groups() as usize;
         let fits = file.cut.trees.len() == cells && file.ranges.len() == cells && file.trees.len() == known;
-        if file.alone.is_none() && !fits {
+        if file.alone.is_none() && !(fits && file.cut.is_sound()) {
             return Err(damaged("it has not what the others have"));
         }
         Ok(CutFile { mark: mark_of(&bytes), ..file })
@@ -331,8 +331,8 @@ mod list {
 /// Finds what a range of the faces tells, of so many [ranges](face_ranges_of), to a file. Nothing is done if it is there
 /// already; `false` then.
 ///
-/// Memory: that of the cut; 350 bytes per sample, most of them for triangles and links; chunks of faces. Temporary files
-/// of 8 bytes for each vertex between the least and the greatest corner, and 12 more where faces place the samples: where
+/// Memory: that of the cut; per sample 140 bytes, 12 for each of at most 32 triangles, twice while the list grows, and 8 for
+/// each of at most 32 links; 16 bytes per cell; chunks of faces. Temporary files of 8 bytes for each vertex between the least and the greatest corner, and 12 more where faces place the samples: where
 /// vertices come in no order, these are all vertices.
 ///
 /// # Errors
@@ -677,8 +677,7 @@ fn take(
         corners.iter().all(|corner| (*corner as usize) < known)
     })?;
     all.add(&found);
-    let Wanted { ranges, islands, planes, .. } = all.wanted();
-    if let Some(ranges) = ranges {
+    if let Some(ranges) = &mut all.wanted().ranges {
         records(file, list::RANGES, progress, |[cell, a, b, c, d]: &[u32; 5]| {
             let range = whole(*a, *b)..whole(*c, *d);
             let is_one = (*cell as usize) < cells && !range.is_empty();
@@ -688,22 +687,19 @@ fn take(
             is_one
         })?;
     }
-    if let Some(planes) = planes {
+    if let Some(planes) = &mut all.wanted().planes {
         records(file, list::PLANES, progress, |one: &[u32; LISTED]| planes.add_listed(one))?;
     }
-    if let Some(islands) = islands {
-        let is_known = |pair: &[u32; 2]| pair.iter().all(|vertex| (*vertex as usize) < vertices);
-        records(file, list::ISLANDS, progress, |pair: &[u32; 2]| {
-            if is_known(pair) {
-                islands.unite_both(pair[0], pair[1]);
+    for list in [list::ISLANDS, list::LINKS] {
+        records(file, list, progress, |[u, v]: &[u32; 2]| {
+            let (Some(a), Some(b)) = (all.sample(*u), all.sample(*v)) else { return false };
+            let Some(islands) = &mut all.wanted().islands else { return true };
+            match list {
+                list::ISLANDS if a == b => islands.unite_both(*u, *v),
+                list::LINKS if a != b => islands.add_link([*u, *v]),
+                _ => return false,
             }
-            is_known(pair)
-        })?;
-        records(file, list::LINKS, progress, |pair: &[u32; 2]| {
-            if is_known(pair) {
-                islands.add_link(*pair);
-            }
-            is_known(pair)
+            true
         })?;
     }
     Ok(())

@@ -42,7 +42,7 @@ const ADVICE: &str = "do without the faces, by --skip triangles,sheets and --pla
 
 /// While the model streams.
 ///
-/// Memory: 4 bytes per cell, and two buffers.
+/// Memory: 4 bytes per cell, 16 for each list of vertices, and two buffers.
 pub struct Membership {
     leaves: Arc<Leaves>,
     items: Scratch,

@@ -689,6 +689,7 @@ impl Reindexed {
                     planes.take(*corners, [*a, *b, *c]);
                 }
             }
+            planes.count(chunk.triangles.len());
             Ok(())
         };
         match &self.faces {

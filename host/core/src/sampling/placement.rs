@@ -282,11 +282,15 @@ impl<'a> Planes<'a> {
             })
     }
 
-    /// A face that tells nothing.
-    #[inline]
-    pub fn pass(&mut self) {
-        self.faces += 1;
-        if self.faces == FACES_OF_A_SUM {
+    /// How many faces may be [taken](Self::take) until they have to be [counted](Self::count).
+    pub fn room(&self) -> usize {
+        (FACES_OF_A_SUM - self.faces) as usize
+    }
+
+    /// So many faces were taken, or passed over.
+    pub fn count(&mut self, faces: usize) {
+        self.faces += faces as u64;
+        if self.faces >= FACES_OF_A_SUM {
             self.sum_up();
         }
     }
@@ -296,14 +300,9 @@ impl<'a> Planes<'a> {
     /// clusters meet: faces inside of them add nothing to that, and would take most of the time.
     #[inline]
     pub fn take(&mut self, corners: [u32; 3], of: [u32; 3]) {
-        if of[0] != of[1] || of[1] != of[2] {
-            self.add_plane(corners, of);
+        if of[0] == of[1] && of[1] == of[2] {
+            return;
         }
-        self.pass();
-    }
-
-    #[inline]
-    fn add_plane(&mut self, corners: [u32; 3], of: [u32; 3]) {
         let [a, b, c] = corners.map(|vertex| Vec3A::from(self.vertices[vertex as usize]));
         // Its length is twice the area.
         let across = (b - a).cross(c - a);
@@ -332,15 +331,23 @@ impl<'a> Planes<'a> {
         let Some((sample, quadric)) = self.samples.get(place).zip(self.quadrics.get_mut(place)) else {
             return;
         };
-        // One that is met twice, as its planes were nothing, is summed up once: nothing is left of it then.
-        if quadric.squares == Vec4::ZERO {
-            self.met.push(place as u32);
-        }
         let p = corner - Vec3A::from(*sample);
         let weight = plane.squares.x + plane.squares.y + plane.squares.z;
+        let is_first = quadric.squares == Vec4::ZERO;
         quadric.squares += plane.squares + Vec4::new(0.0, 0.0, 0.0, weight * p.length_squared());
         quadric.products += plane.products;
         quadric.toward += plane.toward * normal.dot(p);
+        if is_first {
+            self.meet(place as u32);
+        }
+    }
+
+    /// A sample has its first planes, of which nothing may be left, so that it is met once more: it is summed up once,
+    /// as it has nothing then.
+    #[cold]
+    #[inline(never)]
+    fn meet(&mut self, place: u32) {
+        self.met.push(place);
     }
 
     /// Adds the faces at hand to the sums.
@@ -412,6 +419,7 @@ mod tests {
             planes.take(*corners, [6, 8, u32::MAX]);
             // Inside, it is for no triangle of P_S.
             planes.take([1, 2, 3], [7; 3]);
+            planes.count(3);
         }
         planes.place(|_| most)[0]
     }
@@ -455,5 +463,41 @@ mod tests {
         // Sums beyond what a number holds.
         let far = placed(&vertices, &[[0, 1, 6], [2, 6, 3]], sample, f32::INFINITY);
         assert!(far.is_finite(), "{far}");
+    }
+
+    /// Whoever reads which faces, sums are of the same ones.
+    #[test]
+    fn ranges_of_faces_add_up_to_the_sums_of_one_reading() {
+        let random =
+            |i: u32, axis: u32| f64::from((i * 3 + axis).wrapping_mul(2_654_435_761) >> 8) as f32 / 1e7;
+        let vertices: Vec<Vec3> =
+            (0..997).map(|i| Vec3::from([0, 1, 2].map(|axis| random(i, axis)))).collect();
+        let samples = &vertices[..50];
+        let faces: Vec<[u32; 3]> = (0..3 * FACES_OF_A_SUM as u32 - 77)
+            .map(|i| [i, i * 7 + 1, i * i % 991].map(|v| v % 997))
+            .collect();
+        let of = |corners: [u32; 3]| corners.map(|corner| corner % 53);
+        let read = |planes: &mut Planes<'_>, mut faces: &[[u32; 3]], mut taken: Vec<u32>| {
+            while let Some(some) = faces.split_off(..planes.room().min(faces.len()).min(10_007))
+                && !some.is_empty()
+            {
+                some.iter().for_each(|corners| planes.take(*corners, of(*corners)));
+                planes.count(some.len());
+                taken.extend(planes.take_listed(false));
+            }
+            taken.extend(planes.take_listed(true));
+            taken
+        };
+        let mut whole = Planes::new(&vertices, samples, 0);
+        assert!(read(&mut whole, &faces, Vec::new()).is_empty());
+        let mut parts = Planes::new(&vertices, samples, 0);
+        let (first, second) = faces.split_at(2 * FACES_OF_A_SUM as usize);
+        for faces in [first, second] {
+            let listed = read(&mut Planes::listed(&vertices, samples), faces, Vec::new());
+            assert!(!listed.is_empty() && parts.add_listed(&listed));
+        }
+        assert!(!parts.add_listed(&[50; LISTED]) && !parts.add_listed(&[1]));
+        let [whole, parts] = [whole, parts].map(|planes| planes.place(|_| f32::INFINITY));
+        assert!(whole == parts && whole != samples);
     }
 }

@@ -138,15 +138,23 @@ impl<'a, 'p> Reindexing<'a, 'p> {
         };
         let mut add_planes = || {
             let Some(planes) = planes else { return };
-            for corners in triangles {
-                match known(*corners) {
-                    Some(of) => planes.take(*corners, of),
-                    None => planes.pass(),
+            let mut left = triangles;
+            while !left.is_empty() {
+                let (some, behind) = left.split_at(left.len().min(planes.room()));
+                for corners in some {
+                    known(*corners).into_iter().for_each(|of| planes.take(*corners, of));
                 }
+                planes.count(some.len());
+                left = behind;
             }
         };
         // Side by side, each in the file's order.
         rayon::join(&mut reindex, || rayon::join(&mut join, &mut add_planes));
+    }
+
+    /// The sample of a vertex, if it has any.
+    pub fn sample(&self, vertex: u32) -> Option<u32> {
+        self.sample_of.get(vertex as usize).copied().filter(|sample| (*sample as usize) < self.samples)
     }
 
     /// What was wanted besides the triangles.

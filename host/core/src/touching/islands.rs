@@ -606,4 +606,41 @@ mod tests {
         let graph = islands.graph(&sample_of).expect("a file");
         assert!(graph.joined.is_empty() && islands.tangled);
     }
+
+    /// Two rows of vertices, each a cluster, whose links come before what makes an island of each row.
+    #[test]
+    fn links_that_find_no_room_until_islands_are_whole_are_no_tangle() {
+        let pairs = LINKS_AT_EASE as u32 + 1000;
+        let sample_of: Vec<u32> = (0..2 * pairs).map(|v| v % 2).collect();
+        let of = |vertex: u32| (vertex, vertex % 2);
+        let linked = || {
+            let twins = no_twins(sample_of.len());
+            let mut islands = Islands::new(twins, &sample_of, 2, &std::env::temp_dir());
+            (0..pairs).for_each(|i| islands.join(of(2 * i), of(2 * i + 1)));
+            assert!(islands.spilled.count > 0);
+            islands
+        };
+        let mut one = linked();
+        (2..2 * pairs).for_each(|vertex| one.join(of(vertex - 2), of(vertex)));
+        // Another one has found what makes the islands, and is told of the links.
+        let (mut two, mut from) =
+            (Islands::new(no_twins(sample_of.len()), &sample_of, 2, &std::env::temp_dir()), linked());
+        (2..2 * pairs).for_each(|vertex| two.unite_both(vertex, vertex - 2));
+        let mut count = 0;
+        let take = |links: &[[u32; 2]]| {
+            count += links.len();
+            links.iter().for_each(|link| two.add_link(*link));
+            Ok(())
+        };
+        from.drain_links(take).expect("a file");
+        assert_eq!(count, pairs as usize);
+        for islands in [&mut one, &mut two] {
+            let graph = islands.graph(&sample_of).expect("a file");
+            assert!(!islands.tangled && graph.further.is_empty());
+            assert_eq!((graph.joined(0), graph.joined(1)), (&[1][..], &[0][..]));
+        }
+        // Without what makes islands of them, they are one.
+        let mut tangle = linked();
+        assert!(tangle.graph(&sample_of).expect("a file").joined.is_empty() && tangle.tangled);
+    }
 }
