@@ -94,7 +94,7 @@ fn units_write_what_one_command_writes() {
         ("made.ply", "", STEPS, 3),
         ("made.ply", "", STEPS, 1),
         ("made.ply", "", REFINED, 2),
-        ("made.ply", "--no-normals", STEPS, 7),
+        ("made.ply", "--no-normals", STEPS, 6),
         ("made.ply", "--no-normals --no-faces", REFINED, 2),
         ("made.ply", "--no-faces", STEPS, 3),
         ("made.laz", "", REFINED, 4),
