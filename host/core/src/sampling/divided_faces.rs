@@ -331,9 +331,10 @@ mod list {
 /// Finds what a range of the faces tells, of so many [ranges](face_ranges_of), to a file. Nothing is done if it is there
 /// already; `false` then.
 ///
-/// Memory: that of the cut; per sample 140 bytes, 12 for each of at most 32 triangles, twice while the list grows, and 8 for
-/// each of at most 32 links; 16 bytes per cell; chunks of faces. Temporary files of 8 bytes for each vertex between the least and the greatest corner, and 12 more where faces place the samples: where
-/// vertices come in no order, these are all vertices.
+/// Memory: that of the cut; per sample 140 bytes, 12 for each of at most 32 triangles, twice while the list grows, and 8
+/// for each of at most 32 links; 16 bytes per cell; chunks of faces. Temporary files of 8 bytes for each vertex between
+/// the least and the greatest corner, and 12 more where faces place the samples: where vertices come in no order, these
+/// are all vertices.
 ///
 /// # Errors
 /// A file is missing, damaged, or of something else, or cannot be written, or another process writes it; the model cannot
@@ -611,35 +612,8 @@ pub fn complete(
 
     let sheets = !sampling.skip.sheets;
     let mut sample_of = if sheets { Some(divided.samples_of(&cut, files, 0..info.vertices)?) } else { None };
-    let mut islands = None;
-    {
-        let sample_of: &[u32] = sample_of.as_ref().map_or(&[], |map| cast_slice(map));
-        let (trees, samples) = (&reindexed.cut.trees, reindexed.cut.samples());
-        if sheets {
-            let twins = FoundTwins::none(info.vertices, folder)?;
-            islands = Some(Islands::new(twins, sample_of, samples, folder));
-        }
-        let triangles = !sampling.skip.triangles;
-        let mut face_ranges = (triangles && !sampling.skip.cells).then(|| FaceRanges::new(trees, samples));
-        let places = sampling.placement == Placement::Faces;
-        let mut planes = places.then(|| Planes::new(&[], &reindexed.cut.positions, 0));
-        let wanted = Wanted {
-            triangles,
-            ranges: face_ranges.as_mut(),
-            islands: islands.as_mut(),
-            planes: planes.as_mut(),
-        };
-        let mut reindexing = Reindexing::new(sample_of, samples, wanted);
-        let corners = [samples, sample_of.len()];
-        for (number, path) in (0..).zip(files.faces) {
-            let file = Numbers::open(path, cut.key_of("faces", number))?;
-            take(&file, &mut reindexing, corners, trees.len(), progress)?;
-        }
-        let triangles = reindexing.finish();
-        let placed = planes.map(|planes| reindexed.place(&read, planes));
-        let faces = face_ranges.filter(|_| !triangles.triangles.is_empty()).and_then(|r| r.into_cells(trees));
-        (reindexed.triangles, reindexed.placed, reindexed.faces) = (triangles, placed, faces);
-    }
+    let known: &[u32] = sample_of.as_ref().map_or(&[], |map| cast_slice(map));
+    let islands = divided.take_faces(&cut, files, &read, known, &mut reindexed)?;
     if let (Some(islands), Some(map)) = (islands, &mut sample_of) {
         let sample_of: &mut [u32] = cast_slice_mut(map);
         let changed = reindexed.part_sheets(&read, islands, sample_of, false)?;
@@ -652,6 +626,44 @@ pub fn complete(
     let found =
         Found { cut: Cut::default(), fingerprint, jumps, ranges, membership: None, picked: None, grouping };
     divided.prepared.assemble(found, reindexed, sample_of.map(SampleOf::of_all))
+}
+
+impl Divided<'_> {
+    /// Takes what all ranges of the faces told; what hangs together, if sheets are told apart, by the samples of all
+    /// vertices.
+    fn take_faces(
+        &self,
+        cut: &CutFile,
+        files: &FaceFiles<'_>,
+        read: &Read<'_>,
+        sample_of: &[u32],
+        reindexed: &mut Reindexed,
+    ) -> Result<Option<Islands>> {
+        let Prepared { model, sampling, folder, progress, .. } = &self.prepared;
+        let (trees, samples) = (&reindexed.cut.trees, reindexed.cut.samples());
+        let triangles = !sampling.skip.triangles;
+        let mut ranges = (triangles && !sampling.skip.cells).then(|| FaceRanges::new(trees, samples));
+        let places = sampling.placement == Placement::Faces;
+        let mut planes = places.then(|| Planes::new(&[], &reindexed.cut.positions, 0));
+        let mut islands = if sampling.skip.sheets {
+            None
+        } else {
+            let twins = FoundTwins::none(model.info().vertices, folder)?;
+            Some(Islands::new(twins, sample_of, samples, folder))
+        };
+        let wanted =
+            Wanted { triangles, ranges: ranges.as_mut(), islands: islands.as_mut(), planes: planes.as_mut() };
+        let mut reindexing = Reindexing::new(sample_of, samples, wanted);
+        for (number, path) in (0..).zip(files.faces) {
+            let file = Numbers::open(path, cut.key_of("faces", number))?;
+            take(&file, &mut reindexing, [samples, sample_of.len()], trees.len(), *progress)?;
+        }
+        let triangles = reindexing.finish();
+        let placed = planes.map(|planes| reindexed.place(read, planes));
+        let faces = ranges.filter(|_| !triangles.triangles.is_empty()).and_then(|r| r.into_cells(trees));
+        (reindexed.triangles, reindexed.placed, reindexed.faces) = (triangles, placed, faces);
+        Ok(islands)
+    }
 }
 
 /// Takes what a range of the faces told. There are so many samples and vertices, and so many cells.
