@@ -740,6 +740,13 @@ pub trait Model: Send + Sync {
         Ok(Box::new(NoFaces))
     }
 
+    /// The byte of the file at which a face begins, or the last one ends, where reading can [begin](Self::faces_at) at
+    /// any of them: as they are triangles, and all of one length, if the size of the file tells the truth. Who reads
+    /// them sees whether each of so many bytes was one.
+    fn face_at(&self, _face: u64) -> Option<u64> {
+        None
+    }
+
     /// Checks that the file holds all that its header speaks of. Most formats know once the file is open, and
     /// this takes no time; text has to be read to its end, as a stage of its own, which
     /// [`rewrite`](Self::rewrite) does as well.

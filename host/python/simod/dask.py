@@ -265,7 +265,10 @@ def _planned(
 
 
 #: The stages in the order of a run.
-_STAGES = ("count", "merge", "cluster", "cluster-shared", "cut", "sample", "deform", "apply", "finish", "write")
+_STAGES = (
+    *("count", "merge", "cluster", "cluster-shared", "cut", "members", "faces", "complete", "sample"),
+    *("deform", "apply", "finish", "write"),
+)
 
 
 class _Work:

@@ -93,6 +93,8 @@ fn units_write_what_one_command_writes() {
     for (name, options, steps, units) in [
         ("made.ply", "", STEPS, 3),
         ("made.ply", "", STEPS, 1),
+        ("made.ply", "", REFINED, 2),
+        ("made.ply", "--no-normals", STEPS, 6),
         ("made.ply", "--no-normals --no-faces", REFINED, 2),
         ("made.ply", "--no-faces", STEPS, 3),
         ("made.laz", "", REFINED, 4),
@@ -108,15 +110,17 @@ fn units_write_what_one_command_writes() {
         // Text is counted and written by one unit.
         let is_divided = name != "made.xyz";
         assert_eq!(planned["writing_units"], if is_divided { units } else { 1 }, "{name}: {planned}");
-        // Ranges are clustered, and groups of the cells that they share, where no faces have a say in it.
-        let is_cloud = name == "made.laz" || options.contains("--no-faces");
-        let clustering = if is_cloud { 2 * units } else { 0 };
+        // Ranges are clustered, and groups of the cells that they share; but of a soup.
+        let is_clustered = units > 1 && ["made.ply", "made.laz"].contains(&name);
+        let clustering = if is_clustered { 2 * units } else { 0 };
         assert_eq!(planned["clustering_units"], clustering, "{name}: {planned}");
+        let has_faces = name == "made.ply" && !options.contains("--no-faces");
+        assert_eq!(planned["face_units"], if has_faces { clustering } else { 0 }, "{name}: {planned}");
         let exchange = planned["exchange_at_most_bytes"].as_u64().expect("a number");
-        assert!(if is_cloud { exchange > 12 * VERTICES } else { exchange == 0 }, "{name}: {planned}");
+        assert!(if is_clustered { exchange > 12 * VERTICES } else { exchange == 0 }, "{name}: {planned}");
         do_all(&work);
         assert!(work.read(&to) == work.read(&expected), "{name} by {units} units differs");
-        let removed = [".", "part-", "cluster-", "shared-", "group-"];
+        let removed = [".", "part-", "cluster-", "shared-", "group-", "leaves-", "members-", "faces-"];
         let stays = |name: &String| removed.iter().any(|prefix| name.starts_with(prefix));
         assert!(!left(&work).iter().any(stays), "{:?}", left(&work));
         // When all is done, no unit does anything.
@@ -184,9 +188,15 @@ fn a_scheduler_of_arrays_gets_stages_with_their_dependencies() {
     let mesh = [
         "101 after none: 0 to 2",
         "102 after 101: one to one",
-        "103 after 102: one to one",
-        "104 after 103: 5 to 7",
-        "105 after 104: one to one",
+        "103 after 102: 4 to 6",
+        "104 after 103: 7 to 9",
+        "105 after 103:104: one to one",
+        "106 after 105: 11 to 13",
+        "107 after 106: 14 to 16",
+        "108 after 107: one to one",
+        "109 after 108: one to one",
+        "110 after 109: 19 to 21",
+        "111 after 110: one to one",
     ];
     let cloud = [
         "101 after none: 0 to 2",
@@ -246,9 +256,15 @@ pub(crate) fn shell(work: &Workplace, line: &str) {
 /// Units that are killed at any time leave nothing that hurts: done again, they do what they would have done.
 #[test]
 fn killed_units_are_done_again() {
-    let work = jar("made.laz", "", STEPS);
-    work.simod("run edit.toml -o run.laz");
-    work.simod("plan edit.toml -o plan --units 3 --to edited.laz");
+    ["laz", "ply"].into_iter().for_each(killed);
+}
+
+fn killed(format: &str) {
+    let work = jar(&format!("made.{format}"), "", STEPS);
+    let [run, edited] = ["run", "edited"].map(|name| format!("{name}.{format}"));
+    work.simod(&format!("run edit.toml -o {run}"));
+    work.simod(&format!("plan edit.toml -o plan --units 3 --to {edited}"));
+    let last = stages(&work).concat().len() - 1;
     let mut state = 12345u64;
     let (mut killed, mut spared) = (BTreeMap::new(), 0);
     for stage in stages(&work) {
@@ -266,12 +282,12 @@ fn killed_units_are_done_again() {
                     break;
                 }
                 *killed.entry(unit).or_insert(0) += 1;
-                assert!(!work.path("edited.laz").exists() || unit == 15, "unit {unit} wrote the output");
+                assert!(!work.path(&edited).exists() || unit == last, "unit {unit} wrote the output");
             }
             work.simod(&format!("unit plan {unit}"));
         }
     }
-    assert!(work.read("edited.laz") == work.read("run.laz"), "{killed:?} {spared}");
+    assert!(work.read(&edited) == work.read(&run), "{killed:?} {spared}");
     assert!(killed.values().sum::<i32>() > 10, "{killed:?}");
     let hidden: Vec<String> = left(&work).into_iter().chain(work.names()).collect();
     assert!(!hidden.iter().any(|name| name.starts_with(".simod")), "{hidden:?}");
@@ -323,51 +339,51 @@ fn what_is_wrong_is_told() {
     work.write("plan/notes.txt", "precious");
     work.refuses("plan edit.toml -o plan", &["notes.txt", "beside the plan"]);
     std::fs::remove_file(work.path("plan/notes.txt")).expect("notes");
-    work.refuses("unit plan 7", &["no unit 7"]);
-    for unit in 2..7 {
+    work.refuses("unit plan 17", &["no unit 17"]);
+    for unit in 2..17 {
         work.refuses(&format!("unit plan {unit}"), &["has to be done before"]);
     }
-    for unit in 0..4 {
+    for unit in 0..14 {
         work.simod(&format!("unit plan {unit}"));
     }
     // A part that is not what was written is noticed, and is written again.
-    work.simod("unit plan 4");
-    work.simod("unit plan 5");
+    work.simod("unit plan 14");
+    work.simod("unit plan 15");
     let mut part = work.read("plan/part-1.bin");
     let good = part.clone();
     part[100] ^= 1;
     work.write("plan/part-1.bin", &part);
-    work.refuses("unit plan 6", &["part-1.bin", "checksum"]);
+    work.refuses("unit plan 16", &["part-1.bin", "checksum"]);
     std::fs::remove_file(work.path("plan/part-1.bin")).expect("a part");
-    work.refuses("unit plan 6", &["unit 5 (apply) has to be done before"]);
-    work.simod("unit plan 5");
+    work.refuses("unit plan 16", &["unit 15 (apply) has to be done before"]);
+    work.simod("unit plan 15");
     assert!(work.read("plan/part-1.bin") == good);
     // The session, the model, and the plan itself.
     let session = work.read("edit.toml");
     work.write("edit.toml", [&session[..], b"\n# changed\n"].concat());
     std::fs::remove_dir_all(work.path("plan/sampled.simod")).expect("samples");
-    work.refuses("unit plan 2", &["edit.toml", "changed since the plan was made"]);
+    work.refuses("unit plan 12", &["edit.toml", "changed since the plan was made"]);
     work.write("edit.toml", &session);
-    work.simod("unit plan 2");
+    work.simod("unit plan 12");
     let model = work.read("made.ply");
     work.write("made.ply", &model[..model.len() - 1]);
-    work.refuses("unit plan 6", &["made.ply"]);
+    work.refuses("unit plan 16", &["made.ply"]);
     // The same length, and another place of one vertex.
     let mut other = model.clone();
     let at = model.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
     other[at + 1000 * 15 + 1] ^= 1;
     work.write("made.ply", &other);
-    work.refuses("unit plan 6", &["part-0.bin", "another model"]);
-    work.simod("unit plan 4");
-    work.simod("unit plan 5");
-    work.refuses("unit plan 6", &["made.ply", "changed since it was sampled"]);
+    work.refuses("unit plan 16", &["part-0.bin", "another model"]);
+    work.simod("unit plan 14");
+    work.simod("unit plan 15");
+    work.refuses("unit plan 16", &["made.ply", "changed since it was sampled"]);
     let text = String::from_utf8(work.read("plan/plan.toml")).expect("UTF-8");
     for (from, to) in [
         ("simod-plan/1", "simod-plan/9"),
-        ("stage = \"sample\"", "stage = \"dance\""),
+        ("stage = \"complete\"", "stage = \"dance\""),
         ("number = 3", "number = 4"),
         ("part-1.bin", "../part-1.bin"),
-        ("after = [3]", "after = [9]"),
+        ("after = [13]", "after = [19]"),
         ("blended-jets", "magic"),
         ("program = \"", "program = \"9"),
     ] {

@@ -129,6 +129,7 @@ impl Plan {
         report.figure("units", plan.units().len());
         report.figure("counting_units", of(Stage::Count));
         report.figure("clustering_units", of(Stage::Cluster) + of(Stage::ClusterShared));
+        report.figure("face_units", of(Stage::Members) + of(Stage::Faces));
         report.figure("exchange_at_most_bytes", exchange.at_most_bytes);
         report.figure("writing_units", of(Stage::Apply) + of(Stage::Write));
         report.figure("vertices", plan.vertices());
@@ -140,7 +141,7 @@ impl Plan {
         ));
         if exchange.at_most_bytes > 0 {
             report.line(format!(
-                "they write down at most {} of vertices for each other, which it comes to where these are in no order",
+                "they write down at most {} for each other, which it comes to where vertices, and faces, are in no order",
                 human_size(exchange.at_most_bytes)
             ));
         }

@@ -155,6 +155,9 @@ impl SampleOf<'_> {
                     found.push(first_least([a.0, b.0, c.0]));
                 }
             }
+            if let Some(planes) = &mut planes {
+                planes.count(chunk.triangles.len());
+            }
             if found.len() > limit {
                 once_each(&mut found);
                 limit = 2 * found.len().max(1 << 16);

@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use simod_model::{Error, ErrorKind, Result, input, output};
+use simod_model::{Error, ErrorKind, Result, input};
 
 use super::cluster::Moments;
 use super::vs_tree::VsTree;
@@ -38,6 +38,9 @@ pub struct ClusteredFile {
     /// What the range adds to the hash of all vertices.
     pub hashed: Option<HashedPart>,
     pub cells: Vec<CellOfFile>,
+    /// The hash of all this, once it was read: what belongs to these trees goes by it.
+    #[serde(skip)]
+    pub mark: u128,
 }
 
 /// A cell with its tree.
@@ -65,26 +68,31 @@ impl ClusteredFile {
         if version != VERSION {
             return Err(damaged(UNKNOWN_VERSION));
         }
-        let file: Self = postcard::from_bytes(content).map_err(|_| damaged("its content makes no sense"))?;
+        let mut file: Self =
+            postcard::from_bytes(content).map_err(|_| damaged("its content makes no sense"))?;
         if file.key != key {
             return Err(refused(path, "has clusters of another model, or for other samples"));
         }
         if !file.cells.iter().all(|cell| cell.tree.is_sound()) {
             return Err(damaged("a tree is none"));
         }
+        file.mark = mark_of(&bytes);
         Ok(file)
     }
 
-    /// Writes it, whole or not at all.
+    /// What is written.
     ///
     /// # Errors
-    /// The disk is full, or another process writes it.
-    pub fn write(&self, path: &Path) -> Result<()> {
-        let bytes = seal(LETTERS, VERSION, self).map_err(|e| {
-            Error::internal(format!("cannot write {}: {e}", path.display()), "report this").because(e)
-        })?;
-        output::write_file(path, &bytes)
+    /// Never, for what clustering makes.
+    pub fn sealed(&self) -> Result<Vec<u8>> {
+        seal(LETTERS, VERSION, self)
+            .map_err(|e| Error::internal("trees cannot be held in a file", "report this").because(e))
     }
+}
+
+/// The hash at the end of what is sealed.
+pub fn mark_of(sealed: &[u8]) -> u128 {
+    sealed.last_chunk().map_or(0, |mark| u128::from_le_bytes(*mark))
 }
 
 /// An error about a file, and what to do.

@@ -18,6 +18,7 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 use simod_model::{Error, ErrorKind, Result};
 
 use super::cluster::{Moments, REACH_WEIGHT};
@@ -194,7 +195,7 @@ impl Forest {
 }
 
 /// P_S as it comes from the trees.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 pub struct Cut {
     /// Positions in local coordinates.
     pub positions: Vec<Vec3>,
@@ -210,6 +211,17 @@ pub struct Cut {
 }
 
 impl Cut {
+    /// Whether its parts fit together: what was read may be anything.
+    pub fn is_sound(&self) -> bool {
+        let samples = self.samples();
+        let inner = |tree: &CutTree| tree.children.iter().filter(|children| **children > 0).count();
+        self.normals.len() == samples
+            && self.trees.iter().all(|tree| tree.defect(samples).is_none())
+            && self.trees.iter().map(inner).sum::<usize>() == self.inner.len()
+            && self.starts.is_sorted()
+            && self.starts.iter().all(|(_, sample)| (*sample as usize) < samples)
+    }
+
     pub fn samples(&self) -> usize {
         self.positions.len()
     }

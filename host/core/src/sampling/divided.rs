@@ -9,18 +9,20 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use simod_model::{Error, ErrorKind, Model, Progress, Result, input};
+use simod_model::{Error, ErrorKind, Model, Progress, Result, input, output};
 use xxhash_rust::xxh3::Xxh3Default;
 
-use super::clustered_file::{CellOfFile, ClusteredFile, refused};
+use super::clustered_file::{CellOfFile, ClusteredFile, mark_of, refused};
 use super::cut::{ClusteredCell, Forest};
 use super::finalization::{Clustered, Hashing, Job, changed};
 use super::gather::{Grouping, find_room};
+use super::numbers_file::{NumbersWriter, is_there};
 use super::shared_vertices::{self, SharedReader, SharedWriter};
 use super::shares::{Owner, Shares, ranges};
-use super::{Found, Prepared, Sampling, counted, counting};
+use super::{Found, Prepared, Sampling, are_told, can_tell, counted, counting};
 use crate::fingerprint::Blocks;
 use crate::sampled_model::SampledModel;
+use crate::touching::twins_may_be_there;
 
 /// The factor by which the samples of a part of the vertices, of which so many times the square root gets its
 /// share, are more than are kept of a part of the stream on one machine: parts are fewer, and one that is too rich
@@ -45,17 +47,38 @@ pub fn ranges_of(model: &dyn Model, units: u64) -> u64 {
 }
 
 /// Why pass 2 of a model cannot be divided, if it cannot.
-pub fn undivided(model: &dyn Model, sampling: &Sampling) -> Option<&'static str> {
+///
+/// # Errors
+/// The vertices cannot be read, some of which may be compared with faces.
+pub fn undivided(model: &dyn Model, sampling: &Sampling) -> Result<Option<&'static str>> {
     let info = model.info();
-    if !info.random_access {
+    Ok(if !info.random_access {
         Some("its vertices cannot be read from anywhere")
-    } else if info.faces > 0 {
-        Some("its faces tell which samples hang together, and are read over a table of all vertices")
     } else if !sampling.skip.colors && simod_model::Colors::seen(&info.attributes).is_some() {
         Some("colours of its samples are wanted")
+    } else if reads_faces(model, sampling)? {
+        if model.face_at(info.faces).is_none() {
+            Some(
+                "its faces, which tell of the samples, cannot be read from anywhere, as triangles of a binary file can",
+            )
+        } else if !sampling.skip.sheets && twins_may_be_there(info.vertices, info.faces) {
+            Some(
+                "its faces share few of their vertices, so that what hangs together is told by a stream of all positions",
+            )
+        } else {
+            None
+        }
     } else {
         None
-    }
+    })
+}
+
+/// Whether the faces of a model have a say in its samples.
+///
+/// # Errors
+/// As of [`undivided`].
+pub fn reads_faces(model: &dyn Model, sampling: &Sampling) -> Result<bool> {
+    Ok(can_tell(model.info()) && are_told(sampling.placement.resolve(model)?, &sampling.skip))
 }
 
 /// Most bytes that ranges write down of cells that they share, which is where vertices come in no order.
@@ -82,21 +105,21 @@ pub fn merge_counts(
 }
 
 /// A division of a model that was counted.
-struct Divided<'a> {
-    prepared: Prepared<'a>,
-    shares: Shares,
+pub(super) struct Divided<'a> {
+    pub(super) prepared: Prepared<'a>,
+    pub(super) shares: Shares,
     key: u128,
 }
 
 impl<'a> Divided<'a> {
-    fn new(
+    pub(super) fn new(
         model: &'a dyn Model,
         sampling: &Sampling,
         division: &Division<'_>,
         folder: &'a Path,
         progress: &'a dyn Progress,
     ) -> Result<Self> {
-        if let Some(why) = undivided(model, sampling) {
+        if let Some(why) = undivided(model, sampling)? {
             let what = format!("the sampling of {} cannot be divided: {why}", model.path().display());
             return Err(Error::new(ErrorKind::Argument, what, "sample it at once"));
         }
@@ -111,8 +134,13 @@ impl<'a> Divided<'a> {
         Ok(Self { prepared, shares, key: hash.digest128() })
     }
 
+    /// The key of the division.
+    pub(super) fn key(&self) -> u128 {
+        self.key
+    }
+
     /// The key of what an owner leaves.
-    fn key_of(&self, owner: Owner) -> u128 {
+    pub(super) fn key_of(&self, owner: Owner) -> u128 {
         let (kind, number) = match owner {
             Owner::Range(number) => (1, number),
             Owner::Group(number) => (2, number),
@@ -121,7 +149,7 @@ impl<'a> Divided<'a> {
     }
 
     /// An owner of a number, which there has to be.
-    fn owner(&self, owner: impl Fn(u32) -> Owner, number: u64) -> Result<Owner> {
+    pub(super) fn owner(&self, owner: impl Fn(u32) -> Owner, number: u64) -> Result<Owner> {
         let known = u32::try_from(number).ok().filter(|number| *number < self.shares.groups());
         known.map(owner).ok_or_else(|| {
             let what = format!("there is no part {number} of {}", self.shares.groups());
@@ -129,21 +157,27 @@ impl<'a> Divided<'a> {
         })
     }
 
-    /// What is left for the cut of what was clustered, or that groups found no room.
-    fn leave(&self, owner: Owner, clustered: Option<Clustered>, path: &Path) -> Result<()> {
+    /// Leaves for the cut what was clustered, or that groups found no room; and before that, which leaf each vertex is
+    /// in, if that shall be known.
+    fn leave(
+        &self,
+        owner: Owner,
+        clustered: Option<Clustered>,
+        (trees, leaves): (&Path, &Path),
+    ) -> Result<()> {
         let key = self.key_of(owner);
-        let Some(Clustered { forest, hash, ranges, items, ends, .. }) = clustered else {
-            let bound = f32::INFINITY;
+        let Some(Clustered { forest, hash, ranges, items, ends, membership, .. }) = clustered else {
             let none = ClusteredFile {
                 key,
                 has_room: false,
-                bound,
+                bound: f32::INFINITY,
                 ends: None,
                 jumps: 0,
                 hashed: None,
                 cells: Vec::new(),
+                mark: 0,
             };
-            return none.write(path);
+            return output::write_file(trees, &none.sealed()?);
         };
         let hashed = match hash {
             Hashing::Part(hash) => Some(hash.finish().ok_or_else(|| changed(self.prepared.model))?),
@@ -151,14 +185,40 @@ impl<'a> Divided<'a> {
         };
         let jumps = ranges.jumps();
         let mut ranges: Vec<_> = ranges.into_cells().collect();
-        let (bound, trees) = forest.into_trees();
+        let (bound, forest) = forest.into_trees();
         let cell = |ClusteredCell { cell, tree, moments }| {
             let at = cell as usize;
             CellOfFile { cell, items: items[at], ranges: std::mem::take(&mut ranges[at]), moments, tree }
         };
-        let cells = trees.map(cell).collect();
-        ClusteredFile { key, has_room: true, bound, ends, jumps, hashed, cells }.write(path)
+        let cells = forest.map(cell).collect();
+        let file = ClusteredFile { key, has_room: true, bound, ends, jumps, hashed, cells, mark: 0 };
+        let sealed = file.sealed()?;
+        if let Some(members) = membership {
+            let lists = match owner {
+                Owner::Range(_) => 1,
+                Owner::Group(_) => self.shares.ranges().len(),
+            };
+            let mut writer = NumbersWriter::create(leaves, leaves_key(mark_of(&sealed)), lists)?;
+            members.each_leaf(|list, some| writer.push(list as usize, some))?;
+            writer.commit()?;
+        }
+        // In the end, as it tells that all is there.
+        output::write_file(trees, &sealed)
     }
+
+    /// Whether an owner has left all that it leaves.
+    fn is_left(&self, owner: Owner, (trees, leaves): (&Path, &Path)) -> bool {
+        let file = ClusteredFile::read(trees, self.key_of(owner));
+        file.is_ok_and(|file| {
+            !file.has_room || !self.prepared.with_members() || is_there(leaves, leaves_key(file.mark))
+        })
+    }
+}
+
+/// The key of the leaves that belong to trees: how deep these were built, and so which leaves they have, depends on what
+/// was clustered meanwhile.
+pub(super) fn leaves_key(mark_of_trees: u128) -> u128 {
+    mark_of_trees ^ 3 << 32
 }
 
 /// Number of vertices in cells that ranges share: what these write down for each other, of 12 bytes each, or 24 with
@@ -190,14 +250,14 @@ pub fn cluster(
     model: &dyn Model,
     sampling: &Sampling,
     (division, range): (&Division<'_>, u64),
-    (trees, vertices): (&Path, &Path),
+    (trees, vertices, leaves): (&Path, &Path, &Path),
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<bool> {
     let divided = Divided::new(model, sampling, division, folder, progress)?;
     let owner = divided.owner(Owner::Range, range)?;
     let (key, grouping) = (divided.key_of(owner), divided.prepared.sampling.grouping);
-    if shared_vertices::is_there(vertices, key) && ClusteredFile::read(trees, key).is_ok() {
+    if shared_vertices::is_there(vertices, key) && divided.is_left(owner, (trees, leaves)) {
         return Ok(false);
     }
     let writer = Mutex::new(SharedWriter::create(vertices, key, divided.shares.groups())?);
@@ -206,8 +266,7 @@ pub fn cluster(
     model.check_complete(progress)?;
     let writer = writer.into_inner().unwrap_or_else(PoisonError::into_inner);
     writer.commit(clustered.is_some())?;
-    // In the end, as it tells that both are there.
-    divided.leave(owner, clustered, trees)?;
+    divided.leave(owner, clustered, (trees, leaves))?;
     Ok(true)
 }
 
@@ -222,13 +281,14 @@ pub fn cluster_shared(
     model: &dyn Model,
     sampling: &Sampling,
     (division, group): (&Division<'_>, u64),
-    (vertices, trees): (&[PathBuf], &Path),
+    vertices: &[PathBuf],
+    (trees, leaves): (&Path, &Path),
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<bool> {
     let divided = Divided::new(model, sampling, division, folder, progress)?;
     let owner = divided.owner(Owner::Group, group)?;
-    if ClusteredFile::read(trees, divided.key_of(owner)).is_ok() {
+    if divided.is_left(owner, (trees, leaves)) {
         return Ok(false);
     }
     let keys: Vec<u128> = (0..divided.shares.groups()).map(|k| divided.key_of(Owner::Range(k))).collect();
@@ -241,7 +301,7 @@ pub fn cluster_shared(
         }
         None => None,
     };
-    divided.leave(owner, clustered, trees)?;
+    divided.leave(owner, clustered, (trees, leaves))?;
     Ok(true)
 }
 
@@ -262,12 +322,10 @@ pub fn sample_clustered(
     progress: &dyn Progress,
 ) -> Result<SampledModel> {
     let divided = Divided::new(model, sampling, division, folder, progress)?;
-    let owners = |owner: fn(u32) -> Owner| (0..divided.shares.groups()).map(owner);
-    let files: Vec<(Owner, &PathBuf)> =
-        owners(Owner::Range).zip(of_ranges).chain(owners(Owner::Group).zip(of_groups)).collect();
+    let files = divided.files(of_ranges, of_groups);
     progress.begin("completing the samples", 0);
     match divided.cut(&files)? {
-        Ok(found) => divided.prepared.complete(found),
+        Ok((found, _)) => divided.prepared.complete(found),
         Err((why, grouping)) => {
             progress.note(&format!("{why}: this unit samples the model by itself"));
             let found = divided.prepared.clustered_with(grouping)?;
@@ -277,21 +335,32 @@ pub fn sample_clustered(
 }
 
 /// Why parts are of no use, and whether there are groups then.
-type Useless = (&'static str, Grouping);
+pub(super) type Useless = (&'static str, Grouping);
 
 impl Divided<'_> {
-    /// What pass 2 has found, by the files of all parts.
-    fn cut(&self, files: &[(Owner, &PathBuf)]) -> Result<Result<Found, Useless>> {
+    /// The files of all ranges and all groups, with their owners.
+    pub(super) fn files<'b>(
+        &self,
+        of_ranges: &'b [PathBuf],
+        of_groups: &'b [PathBuf],
+    ) -> Vec<(Owner, &'b PathBuf)> {
+        let owners = |owner: fn(u32) -> Owner| (0..self.shares.groups()).map(owner);
+        owners(Owner::Range).zip(of_ranges).chain(owners(Owner::Group).zip(of_groups)).collect()
+    }
+
+    /// What pass 2 has found, by the files of all parts, and the [marks](ClusteredFile::mark) of these.
+    pub(super) fn cut(&self, files: &[(Owner, &PathBuf)]) -> Result<Result<(Found, Vec<u128>), Useless>> {
         let Prepared { grid, target, bound, for_groups, sampling, .. } = &self.prepared;
         let grouping = sampling.grouping;
         let mut forest = Forest::new(grid, *target, *bound, self.prepared.most(), None);
         let mut items = vec![0; grid.keys.len()];
         let mut ranges = vec![Vec::new(); grid.keys.len()];
         let (mut hash, mut jumps, mut last) = (Blocks::default(), 0, None);
-        let mut known = 0;
+        let (mut known, mut marks) = (0, Vec::new());
         for (owner, path) in files {
             self.prepared.progress.check()?;
             let file = ClusteredFile::read(path, self.key_of(*owner))?;
+            marks.push(file.mark);
             if !file.has_room {
                 return Ok(Err(("groups of vertices find no room", Grouping::Never)));
             }
@@ -333,6 +402,6 @@ impl Divided<'_> {
         };
         let fingerprint = hash.fingerprint();
         let (membership, picked) = (None, None);
-        Ok(Ok(Found { cut, fingerprint, jumps, ranges, membership, picked, grouping }))
+        Ok(Ok((Found { cut, fingerprint, jumps, ranges, membership, picked, grouping }, marks)))
     }
 }

@@ -10,24 +10,74 @@ use super::ranges::Ranges;
 
 /// The ranges of all cells, while the faces stream.
 ///
-/// Memory: that of [`Ranges`], and 4 bytes per sample.
+/// Memory: that of [`Ranges`], or 16 bytes per cell and what is not [taken](Self::take_listed) yet; and 4 bytes per
+/// sample.
 pub struct FaceRanges {
     /// For each sample its cell, or the first of those that share it.
     cell_of: Vec<u32>,
-    ranges: Ranges,
+    ranges: Kept,
     /// Where the block began that the stream is in, and the cells met in it.
     open: Option<u64>,
     met: Vec<u32>,
 }
 
+/// What becomes of ranges.
+enum Kept {
+    /// They are kept, as far as there is room.
+    Joined(Ranges),
+    /// They are listed for who [joins](FaceRanges::join) them; the last one of each cell may go on.
+    Listed { last: Vec<Range<u64>>, list: Vec<(u32, Range<u64>)> },
+}
+
+impl Kept {
+    fn add(&mut self, cell: u32, range: Range<u64>) {
+        match self {
+            Self::Joined(ranges) => ranges.add(cell, range),
+            Self::Listed { last, list } => {
+                let last = &mut last[cell as usize];
+                if last.end == range.start {
+                    last.end = range.end;
+                    return;
+                }
+                let former = std::mem::replace(last, range);
+                list.extend((!former.is_empty()).then_some((cell, former)));
+            }
+        }
+    }
+}
+
 impl FaceRanges {
+    /// Ranges without faces yet, of a part of the faces: to be [taken](Self::take_listed).
+    pub fn listed(trees: &[CutTree], samples: usize) -> Self {
+        let ranges = Kept::Listed { last: vec![0..0; trees.len()], list: Vec::new() };
+        Self { ranges, ..Self::new(trees, samples) }
+    }
+
+    /// The ranges of cells, those of each one in the order of the file, that were listed and cannot go on any more; at
+    /// the end all that are left.
+    pub fn take_listed(&mut self, is_end: bool) -> Vec<(u32, Range<u64>)> {
+        let Kept::Listed { last, list } = &mut self.ranges else { return Vec::new() };
+        let mut taken = std::mem::take(list);
+        if is_end {
+            let lasts = (0..).zip(last.iter_mut()).map(|(cell, last)| (cell, std::mem::take(last)));
+            taken.extend(lasts.filter(|(_, last)| !last.is_empty()));
+        }
+        taken
+    }
+
+    /// Takes a range that was listed, those of each cell in the order of the file.
+    pub fn join(&mut self, cell: u32, range: Range<u64>) {
+        self.open.get_or_insert(range.start);
+        self.ranges.add(cell, range);
+    }
+
     /// Ranges without faces yet. `trees` are those of all cells, of so many samples.
     pub fn new(trees: &[CutTree], samples: usize) -> Self {
         let mut cell_of = vec![0; samples];
         for (cell, tree) in trees.iter().enumerate().rev() {
             tree.samples.iter().for_each(|sample| cell_of[*sample as usize] = cell as u32);
         }
-        Self { cell_of, ranges: Ranges::new(trees.len()), open: None, met: Vec::new() }
+        Self { cell_of, ranges: Kept::Joined(Ranges::new(trees.len())), open: None, met: Vec::new() }
     }
 
     /// A block begins at this byte of the file, and the one before ends.
@@ -49,8 +99,9 @@ impl FaceRanges {
 
     /// The ranges of each cell, ascending; `None` if there were no marks.
     pub fn into_cells(self, trees: &[CutTree]) -> Option<Vec<Vec<Range<u64>>>> {
+        let Kept::Joined(ranges) = self.ranges else { return None };
         self.open?;
-        let mut cells: Vec<_> = self.ranges.into_cells().collect();
+        let mut cells: Vec<_> = ranges.into_cells().collect();
         // Cells that share a sample have what was noted for the first of them.
         for (cell, tree) in trees.iter().enumerate() {
             let first = tree.samples.first().map_or(cell, |sample| self.cell_of[*sample as usize] as usize);

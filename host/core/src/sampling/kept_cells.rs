@@ -76,7 +76,7 @@ impl CutTree {
     }
 
     /// What is wrong with a tree that was read, of a model of so many samples; nothing, mostly.
-    fn defect(&self, samples: usize) -> Option<&'static str> {
+    pub(super) fn defect(&self, samples: usize) -> Option<&'static str> {
         let mut missing = 1usize;
         for children in &self.children {
             if missing == 0 || *children == 1 || *children > 8 {

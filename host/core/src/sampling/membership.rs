@@ -17,7 +17,7 @@ use simod_model::output::check_space;
 use simod_model::scratch::Scratch;
 use simod_model::{Error, ModelInfo, Progress, Result};
 
-use super::grid::Grid;
+use super::grid::{CellRecord, Grid};
 use crate::touching::{FoundTwins, Twins};
 
 /// Numbers written at a time, by the stream and by each thread.
@@ -42,12 +42,14 @@ const ADVICE: &str = "do without the faces, by --skip triangles,sheets and --pla
 
 /// While the model streams.
 ///
-/// Memory: 4 bytes per cell, and two buffers.
+/// Memory: 4 bytes per cell, 16 for each list of vertices, and two buffers.
 pub struct Membership {
     leaves: Arc<Leaves>,
     items: Scratch,
     buffer: Vec<u32>,
     written: u64,
+    /// The number of each list of vertices, and how many vertices come before it.
+    lists: Vec<(u32, u64)>,
     positions: Option<Positions>,
     twins: Option<Twins>,
 }
@@ -79,25 +81,19 @@ impl Membership {
     /// Most vertices: beyond it, nothing can refer to them.
     pub const MAX_VERTICES: u64 = NONE as u64;
 
-    /// A table without members yet. The files go to `folder`.
+    /// A table without members yet, of a model of which so many vertices come. The files go to `folder`.
     ///
     /// # Errors
     /// They cannot be made, or the disk has no room for them.
-    pub fn new(grid: &Grid, info: &ModelInfo, noted: Noted, folder: &Path) -> Result<Self> {
+    pub fn new(grid: &Grid, info: &ModelInfo, coming: u64, noted: Noted, folder: &Path) -> Result<Self> {
         let vertices = info.vertices;
         // Better known before a large model is clustered.
         let bytes = FILES * BYTES
             + if noted.positions { size_of::<Vec3>() as u64 } else { 0 }
             + if noted.twins { BYTES } else { 0 };
-        check_space(folder, folder, bytes.saturating_mul(vertices))
+        check_space(folder, folder, bytes.saturating_mul(coming))
             .map_err(|e| Error::new(e.kind(), e.to_string(), format!("{}; or {ADVICE}", e.hint())))?;
-        let mut next = 0u32;
-        let starts = grid.records.iter().map(|r| {
-            let start = next;
-            next = next.wrapping_add(r.count as u32);
-            start
-        });
-        let leaves = Leaves { file: Scratch::new(folder, ADVICE)?, starts: starts.collect() };
+        let leaves = Leaves { file: Scratch::new(folder, ADVICE)?, starts: starts(grid) };
         // Sparse: only so much is written as there are items.
         leaves.file.set_len(vertices * BYTES)?;
         Ok(Self {
@@ -105,6 +101,7 @@ impl Membership {
             items: Scratch::new(folder, ADVICE)?,
             buffer: Vec::with_capacity(BUFFER),
             written: 0,
+            lists: Vec::new(),
             positions: noted.positions.then(|| Positions::new(folder)).transpose()?,
             twins: noted.twins.then(|| Twins::new(vertices, info.faces, folder)).transpose()?,
         })
@@ -144,6 +141,39 @@ impl Membership {
         Ok(())
     }
 
+    /// The vertices that come next are of the list of a number.
+    pub fn begin_list(&mut self, list: u32) {
+        if self.lists.last().is_none_or(|(last, _)| *last != list) {
+            self.lists.push((list, self.written + self.buffer.len() as u64));
+        }
+    }
+
+    /// Visits the leaf of each vertex, once all cells are clustered and their threads have dropped the [`Leaves`]:
+    /// some vertices at a time, all of one list, whose number comes with them; 0 where none was begun. Leaves are
+    /// counted as in [`finish`](Self::finish), and that of no vertex is `u32::MAX`.
+    ///
+    /// # Errors
+    /// A file cannot be written; `visit` failed.
+    pub fn each_leaf(mut self, mut visit: impl FnMut(u32, &[u32]) -> Result<()>) -> Result<()> {
+        self.flush()?;
+        let leaves = Arc::into_inner(self.leaves).expect("all threads are done").file.map()?;
+        let leaves: &[u32] = cast_slice(&leaves);
+        let begins = std::iter::once((0, 0)).chain(self.lists.iter().copied());
+        let ends = self.lists.iter().map(|(_, start)| *start).chain([self.written]);
+        let mut some = Vec::new();
+        for ((list, start), end) in begins.zip(ends) {
+            let mut at = start;
+            while at < end {
+                some.resize(BUFFER.min((end - at) as usize), 0);
+                self.items.read_at(cast_slice_mut(&mut some), at * BYTES)?;
+                some.iter_mut().for_each(|item| *item = leaves.get(*item as usize).copied().unwrap_or(NONE));
+                visit(list, &some)?;
+                at += some.len() as u64;
+            }
+        }
+        Ok(())
+    }
+
     /// Once all cells are clustered and their threads have dropped the [`Leaves`]. `starts` says from which
     /// leaf on leaves belong to which sample, ascending.
     ///
@@ -159,20 +189,9 @@ impl Membership {
             let first = chunk * BUFFER as u64;
             let mut chunk = vec![0; BUFFER.min((self.written - first) as usize)];
             self.items.read_at(cast_slice_mut(&mut chunk), first * BYTES)?;
-            // The leaves from the first to before the second are of the third.
-            let (mut from, mut to, mut sample, mut last) = (0, 0, NONE, 0);
+            let mut samples = Samples::new(starts);
             for item in &mut chunk {
-                let Some(leaf) = leaves.get(*item as usize).copied() else {
-                    *item = NONE;
-                    continue;
-                };
-                if leaf < from || leaf >= to {
-                    let next = next_start(starts, leaf, last);
-                    last = next;
-                    (from, sample) = next.checked_sub(1).map_or((0, NONE), |at| starts[at]);
-                    to = starts.get(next).map_or(NONE, |(start, _)| *start);
-                }
-                *item = sample;
+                *item = leaves.get(*item as usize).map_or(NONE, |leaf| samples.of(*leaf));
             }
             progress.advance(chunk.len() as u64);
             self.items.write_at(cast_slice(&chunk), first * BYTES)
@@ -180,6 +199,47 @@ impl Membership {
         let positions = self.positions.map(Positions::finish).transpose()?;
         let twins = self.twins.map(Twins::finish).transpose()?;
         Ok(SampleOf { samples: self.items.map_mut()?, positions, twins })
+    }
+}
+
+/// Where the items of each cell begin, and its leaves.
+pub fn starts(grid: &Grid) -> Vec<u32> {
+    let mut next = 0u32;
+    let start = |record: &CellRecord| {
+        let start = next;
+        next = next.wrapping_add(record.count as u32);
+        start
+    };
+    grid.records.iter().map(start).collect()
+}
+
+/// Finds samples by leaves.
+pub struct Samples<'a> {
+    /// From which leaf on leaves belong to which sample, ascending.
+    starts: &'a [(u32, u32)],
+    /// The leaves from the first to before the second are of the third.
+    from: u32,
+    to: u32,
+    sample: u32,
+    last: usize,
+}
+
+impl<'a> Samples<'a> {
+    /// By these starts.
+    pub fn new(starts: &'a [(u32, u32)]) -> Self {
+        Self { starts, from: 0, to: 0, sample: NONE, last: 0 }
+    }
+
+    /// The sample of a leaf.
+    #[inline]
+    pub fn of(&mut self, leaf: u32) -> u32 {
+        if leaf < self.from || leaf >= self.to {
+            let next = next_start(self.starts, leaf, self.last);
+            self.last = next;
+            (self.from, self.sample) = next.checked_sub(1).map_or((0, NONE), |at| self.starts[at]);
+            self.to = self.starts.get(next).map_or(NONE, |(start, _)| *start);
+        }
+        self.sample
     }
 }
 
@@ -237,6 +297,11 @@ pub struct SampleOf {
 }
 
 impl SampleOf {
+    /// The samples of all vertices, by a file of them.
+    pub fn of_all(samples: MmapMut) -> Self {
+        Self { samples, positions: None, twins: None }
+    }
+
     /// The samples of all vertices; `u32::MAX` for those that have none, as their position is not finite.
     pub fn all(&self) -> &[u32] {
         cast_slice(&self.samples)

@@ -10,6 +10,7 @@ mod counted;
 pub(crate) mod cut;
 pub(crate) mod density;
 pub mod divided;
+pub mod divided_faces;
 mod face_ranges;
 pub(crate) mod finalization;
 pub(crate) mod gather;
@@ -22,6 +23,7 @@ mod membership;
 mod nearest_of_all;
 mod neighbour_graph;
 pub(crate) mod normals;
+mod numbers_file;
 mod opaque;
 mod open_cells;
 pub(crate) mod placement;
@@ -43,7 +45,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 use simod_model::size::human_size;
-use simod_model::{Error, ErrorKind, FaceChunk, Model, Progress, Result, for_faces, for_faces_at};
+use simod_model::{Error, ErrorKind, FaceChunk, Model, ModelInfo, Progress, Result, for_faces, for_faces_at};
 
 pub use density::By;
 pub use gather::Grouping;
@@ -314,7 +316,7 @@ impl<'a> Prepared<'a> {
             (None, _) => u64::MAX,
         };
         let grouping = grouping.resolve(&grid, &frame, sampling.target, for_groups);
-        let reads_faces = info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
+        let reads_faces = can_tell(info);
         let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
         let known = if let Target::Samples(n) = sampling.target { Some(n) } else { None };
         let picking = if sampling.skip.colors { None } else { Picking::for_model(model, known)? };
@@ -341,7 +343,7 @@ impl<'a> Prepared<'a> {
     /// Whether it shall be known which cluster each vertex belongs to.
     fn with_members(&self) -> bool {
         let Sampling { placement, skip, .. } = &self.sampling;
-        self.reads_faces && (*placement == Placement::Faces || !skip.sheets || !skip.triangles)
+        self.reads_faces && are_told(*placement, skip)
     }
 
     /// Most clusters that may be kept if there is no target.
@@ -354,6 +356,8 @@ impl<'a> Prepared<'a> {
     /// `None` if these find no room.
     fn stream(&self, job: Job<'_>, foresight: Option<f64>, grouping: Grouping) -> Result<Option<Clustered>> {
         let Self { model, grid, frame, rule, target, bound, opaque, folder, progress, .. } = self;
+        // Units that read faces find these by themselves.
+        let is_whole = matches!(job, Job::Whole);
         let pass = Pass {
             model: *model,
             grid,
@@ -366,8 +370,8 @@ impl<'a> Prepared<'a> {
             job,
             with_members: self.with_members(),
             noted: Noted {
-                positions: self.sampling.placement == Placement::Faces,
-                twins: !self.sampling.skip.sheets,
+                positions: is_whole && self.sampling.placement == Placement::Faces,
+                twins: is_whole && !self.sampling.skip.sheets,
             },
             picking: self.picking.as_ref(),
             opaque: *opaque,
@@ -419,36 +423,41 @@ impl<'a> Prepared<'a> {
         Err(Error::internal("the samples are fewer than was foreseen", "report this"))
     }
 
+    /// How sheets are parted, of cells whose vertices are in these ranges.
+    fn parting<'b>(&'b self, ranges: &'b [Vec<Range<u64>>]) -> Parting<'b> {
+        let Self { model, frame, folder, progress, .. } = *self;
+        Parting { model, ranges, frame, folder, progress }
+    }
+
     /// P_S, of what pass 2 has found.
-    fn complete(self, found: Found) -> Result<SampledModel> {
-        let Self {
-            model,
-            ref sampling,
-            grid,
-            non_finite,
-            frame,
-            bound,
-            picking,
-            opaque,
-            folder,
-            progress,
-            ..
-        } = self;
-        let info = model.info();
-        let Found { cut, fingerprint, jumps, ranges, membership, picked, grouping } = found;
-        let mut reindexed =
-            Reindexed { cut, triangles: Triangles::default(), faces: None, parted: None, placed: None };
-        let parting = Parting { model, ranges: &ranges, frame, folder, progress };
-        let sample_of = match membership {
+    fn complete(self, mut found: Found) -> Result<SampledModel> {
+        let mut reindexed = Reindexed::new(std::mem::take(&mut found.cut));
+        let sample_of = match found.membership.take() {
             None => None,
             Some(members) => {
-                progress.begin_parts("looking up each vertex' sample", info.vertices);
-                let mut sample_of = members.finish(&reindexed.cut.starts, progress)?;
-                let read = Read { sampling, bound, parting: &parting };
+                self.progress.begin_parts("looking up each vertex' sample", self.model.info().vertices);
+                let mut sample_of = members.finish(&reindexed.cut.starts, self.progress)?;
+                let parting = self.parting(&found.ranges);
+                let read = Read { sampling: &self.sampling, bound: self.bound, parting: &parting };
                 reindexed.run(&read, &mut sample_of)?;
                 Some(sample_of)
             }
         };
+        self.assemble(found, reindexed, sample_of)
+    }
+
+    /// P_S, once all is known of it.
+    fn assemble(
+        self,
+        found: Found,
+        reindexed: Reindexed,
+        sample_of: Option<SampleOf>,
+    ) -> Result<SampledModel> {
+        let Found { fingerprint, jumps, ranges, picked, grouping, .. } = found;
+        let parting = self.parting(&ranges);
+        let Self { model, sampling, grid, non_finite, picking, opaque, progress, .. } = &self;
+        let (model, progress) = (*model, *progress);
+        let info = model.info();
         let Reindexed { mut cut, triangles, faces, parted, placed } = reindexed;
         cut.positions = placed.unwrap_or(cut.positions);
         progress.check()?;
@@ -469,12 +478,12 @@ impl<'a> Prepared<'a> {
                 fingerprint,
             },
             Sampling { grouping, ..*sampling },
-            &grid,
+            grid,
             info.position_type,
             (cut.positions, cut.normals),
             triangles,
         )?;
-        if let (Some(picking), Some(picked)) = (&picking, picked) {
+        if let (Some(picking), Some(picked)) = (picking, picked) {
             let sample_of = sample_of.as_ref().map(SampleOf::all);
             sampled.colors = picked.colors(picking, &sampled.samples.positions, sample_of, progress)?;
         }
@@ -483,7 +492,7 @@ impl<'a> Prepared<'a> {
             Contacts::find(&mut sampled, &parted, sample_of.all(), &trees, &parting)?;
         }
         if !sampling.skip.cells {
-            sampled.hold_cells(keep(&grid, ranges, faces, trees));
+            sampled.hold_cells(keep(grid, ranges, faces, trees));
         }
         if !sampling.skip.normals && !sampled.samples.knows_normals() {
             progress.begin("estimating normals", 0);
@@ -541,26 +550,46 @@ struct Reindexed {
 }
 
 impl Reindexed {
-    /// Reads the faces. Where they tell that clusters hold several sheets, these are parted, if need be after
-    /// a coarser cut, so that there are no more samples than are wanted; where faces place the samples, those
-    /// of the samples that this changes are read once more.
+    fn new(cut: cut::Cut) -> Self {
+        Self { cut, triangles: Triangles::default(), faces: None, parted: None, placed: None }
+    }
+
+    /// Reads the faces. Where they tell that clusters hold several sheets, these are parted; where faces place the
+    /// samples, those of the samples that this changes are read once more.
     fn run(&mut self, read: &Read<'_>, members: &mut SampleOf) -> Result<()> {
-        let Read { sampling, parting, .. } = *read;
+        let Read { parting, .. } = *read;
         let info = parting.model.info();
         let twins = members.take_twins();
         let (sample_of, vertices) = members.all_mut();
         let Some(twins) = twins else { return self.read_faces(read, sample_of, vertices, None) };
         // Where faces share no vertices, positions tell what hangs together.
         let welded = (info.vertices - twins.count) / 2 > info.faces;
-        let mut islands = Islands::new(twins, sample_of, self.cut.samples());
+        let mut islands = Islands::new(twins, sample_of, self.cut.samples(), parting.folder);
         if welded {
             parting.weld_all(&mut islands, sample_of)?;
         }
         self.read_faces(read, sample_of, vertices, Some(&mut islands))?;
+        let changed = self.part_sheets(read, islands, sample_of, welded)?;
+        if let (Some(changed), Some(vertices)) = (changed, vertices) {
+            self.place_again(read, sample_of, vertices, &changed)?;
+        }
+        Ok(())
+    }
+
+    /// Parts the clusters of several sheets, if need be after a coarser cut, so that there are no more samples than
+    /// are wanted; which are others than before then. `welded` says that what is at one place is joined already.
+    fn part_sheets(
+        &mut self,
+        read: &Read<'_>,
+        mut islands: Islands,
+        sample_of: &mut [u32],
+        welded: bool,
+    ) -> Result<Option<Changed>> {
+        let Read { sampling, parting, .. } = *read;
         let parts = parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
         if parts.is_empty() {
             self.triangles.put(sample_of);
-            return Ok(());
+            return Ok(None);
         }
 
         let (mut most, mut becomes) = (usize::MAX, None);
@@ -594,12 +623,9 @@ impl Reindexed {
             self.triangles =
                 triangles::reindex(parting.model, sample_of, self.cut.samples(), wanted, parting.progress)?;
         }
-        if let (Some(vertices), Some(placed)) = (vertices, self.placed.take()) {
-            let changed = Changed::new(&parted, becomes, self.cut.samples());
-            self.placed = Some(self.place_again(read, sample_of, vertices, &placed, &changed)?);
-        }
+        let changed = Changed::new(&parted, becomes, self.cut.samples());
         self.parted = Some(parted);
-        Ok(())
+        Ok(Some(changed))
     }
 
     /// Finds the triangles, and where the faces of each cell are, if they are wanted; what hangs together;
@@ -644,18 +670,17 @@ impl Reindexed {
         planes.place(|sample| slack.as_ref().map_or(f32::INFINITY, |slack| slack[sample]))
     }
 
-    /// Where the samples are by the faces, after clusters have changed: those that did not stay where they
-    /// were `placed`. Only faces of cells in which clusters have changed are read, if it is known where they
-    /// are.
+    /// Places those samples by the faces whose clusters have changed, if they were. Only faces of cells in which
+    /// clusters have changed are read, if it is known where they are.
     fn place_again(
-        &self,
+        &mut self,
         read: &Read<'_>,
         sample_of: &[u32],
         vertices: &[Vec3],
-        placed: &[Vec3],
         changed: &Changed,
-    ) -> Result<Vec<Vec3>> {
+    ) -> Result<()> {
         let Read { parting, .. } = *read;
+        let Some(placed) = self.placed.take() else { return Ok(()) };
         let mut planes = Planes::new(vertices, &self.cut.positions, 0);
         let take = |chunk: &FaceChunk| {
             parting.progress.check()?;
@@ -664,6 +689,7 @@ impl Reindexed {
                     planes.take(*corners, [*a, *b, *c]);
                 }
             }
+            planes.count(chunk.triangles.len());
             Ok(())
         };
         match &self.faces {
@@ -677,8 +703,20 @@ impl Reindexed {
         }
         let again = self.place(read, planes);
         let former = |sample: usize| changed.former[sample].map(|former| placed[former as usize]);
-        Ok(again.into_iter().enumerate().map(|(i, again)| former(i).unwrap_or(again)).collect())
+        let placed = again.into_iter().enumerate().map(|(i, again)| former(i).unwrap_or(again)).collect();
+        self.placed = Some(placed);
+        Ok(())
     }
+}
+
+/// Whether the faces of a model can tell anything of its samples.
+fn can_tell(info: &ModelInfo) -> bool {
+    info.faces > 0 && info.vertices <= Membership::MAX_VERTICES
+}
+
+/// Whether anything is wanted that faces tell.
+fn are_told(placement: Placement, skip: &Skip) -> bool {
+    placement == Placement::Faces || !skip.sheets || !skip.triangles
 }
 
 /// Bytes between two ranges of faces that cost less to read than to begin anew.

@@ -189,9 +189,14 @@ impl Unlike {
     }
 }
 
+/// Faces whose planes are summed up by themselves, in single precision: so that sums are those of ranges of the faces
+/// that begin at a multiple of this number, whoever reads which of them.
+pub const FACES_OF_A_SUM: u64 = 1 << 16;
+
 /// The planes of the faces around each sample's cluster, summed up.
 ///
-/// Memory: 48 bytes per sample.
+/// Memory: 148 bytes per sample; without its own sums 52, and 44 bytes for each of the listed ones, of which a sum has
+/// three for each face at most.
 pub struct Planes<'a> {
     /// Where the vertices of P_L are, local coordinates.
     vertices: &'a [Vec3],
@@ -199,10 +204,23 @@ pub struct Planes<'a> {
     samples: &'a [Vec3],
     /// The number of the first of these: those before it stay where they are.
     first: u32,
+    /// Of the faces at hand, and the places of those samples that have any.
     quadrics: Vec<Quadric>,
+    met: Vec<u32>,
+    /// How many faces these are.
+    faces: u64,
+    sums: Sums,
 }
 
-/// Σ w (n·(x − p))² as a function of x, about a sample: sums in single precision over the faces around it.
+/// What becomes of the sums of some faces.
+enum Sums {
+    /// They are added up, in double precision.
+    Added(Vec<[f64; 10]>),
+    /// They are listed for who [adds](Planes::add_listed) them.
+    Listed(Vec<u32>),
+}
+
+/// Σ w (n·(x − p))² as a function of x, about a sample: sums in single precision over some faces around it.
 #[derive(Clone, Copy, Default)]
 struct Quadric {
     /// Σ w n nᵀ: xx, yy, zz, and Σ w |p|² for corners p in the sample's cluster.
@@ -213,10 +231,68 @@ struct Quadric {
     toward: Vec4,
 }
 
+impl Quadric {
+    fn numbers(&self) -> [f32; 10] {
+        let ([a, b, c, d], [e, f, g, _], [h, i, j, _]) =
+            (self.squares.to_array(), self.products.to_array(), self.toward.to_array());
+        [a, b, c, d, e, f, g, h, i, j]
+    }
+}
+
+/// Numbers of a sum that is listed: its sample, and those of its quadric.
+pub const LISTED: usize = 11;
+
 impl<'a> Planes<'a> {
     /// Planes of no face yet, around the samples from number `first` on.
     pub fn new(vertices: &'a [Vec3], samples: &'a [Vec3], first: u32) -> Self {
-        Self { vertices, samples, first, quadrics: vec![Quadric::default(); samples.len()] }
+        let sums = Sums::Added(vec![[0.0; 10]; samples.len()]);
+        let quadrics = vec![Quadric::default(); samples.len()];
+        Self { vertices, samples, first, quadrics, met: Vec::new(), faces: 0, sums }
+    }
+
+    /// The same of a part of the faces, which begins at a multiple of [`FACES_OF_A_SUM`].
+    pub fn listed(vertices: &'a [Vec3], samples: &'a [Vec3]) -> Self {
+        Self { sums: Sums::Listed(Vec::new()), ..Self::new(vertices, samples, 0) }
+    }
+
+    /// The sums that were listed, [`LISTED`] numbers each, in the order of the faces; at the end all.
+    pub fn take_listed(&mut self, is_end: bool) -> Vec<u32> {
+        if is_end {
+            self.sum_up();
+        }
+        match &mut self.sums {
+            Sums::Listed(list) => std::mem::take(list),
+            Sums::Added(_) => Vec::new(),
+        }
+    }
+
+    /// Adds sums that were listed, in the order of the faces; `false` if there are not such samples.
+    pub fn add_listed(&mut self, listed: &[u32]) -> bool {
+        let Sums::Added(sums) = &mut self.sums else { return false };
+        let (all, rest) = listed.as_chunks::<LISTED>();
+        rest.is_empty()
+            && all.iter().all(|[sample, numbers @ ..]| {
+                let sum = sums.get_mut(*sample as usize);
+                let known = sum.is_some();
+                sum.into_iter()
+                    .flatten()
+                    .zip(numbers)
+                    .for_each(|(sum, n)| *sum += f64::from(f32::from_bits(*n)));
+                known
+            })
+    }
+
+    /// How many faces may be [taken](Self::take) until they have to be [counted](Self::count).
+    pub fn room(&self) -> usize {
+        (FACES_OF_A_SUM - self.faces) as usize
+    }
+
+    /// So many faces were taken, or passed over.
+    pub fn count(&mut self, faces: usize) {
+        self.faces += faces as u64;
+        if self.faces >= FACES_OF_A_SUM {
+            self.sum_up();
+        }
     }
 
     /// Adds a face across the border of clusters, once, to each sample that one of its corners belongs to.
@@ -257,17 +333,50 @@ impl<'a> Planes<'a> {
         };
         let p = corner - Vec3A::from(*sample);
         let weight = plane.squares.x + plane.squares.y + plane.squares.z;
+        let is_first = quadric.squares == Vec4::ZERO;
         quadric.squares += plane.squares + Vec4::new(0.0, 0.0, 0.0, weight * p.length_squared());
         quadric.products += plane.products;
         quadric.toward += plane.toward * normal.dot(p);
+        if is_first {
+            self.meet(place as u32);
+        }
+    }
+
+    /// A sample has its first planes, of which nothing may be left, so that it is met once more: it is summed up once,
+    /// as it has nothing then.
+    #[cold]
+    #[inline(never)]
+    fn meet(&mut self, place: u32) {
+        self.met.push(place);
+    }
+
+    /// Adds the faces at hand to the sums.
+    #[cold]
+    fn sum_up(&mut self) {
+        for place in self.met.drain(..) {
+            let numbers = std::mem::take(&mut self.quadrics[place as usize]).numbers();
+            match &mut self.sums {
+                Sums::Added(sums) => {
+                    let sum = sums[place as usize].iter_mut().zip(numbers);
+                    sum.for_each(|(sum, number)| *sum += f64::from(number));
+                }
+                Sums::Listed(list) => {
+                    list.push(place);
+                    list.extend(numbers.map(f32::to_bits));
+                }
+            }
+        }
+        self.faces = 0;
     }
 
     /// Where the samples are by the faces: as far from where they were as the corners in their clusters are
     /// (rms), and as `most` allows, at most.
-    pub fn place(self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Vec3> {
-        let moved = |(i, (quadric, sample)): (usize, (&Quadric, &Vec3))| {
-            let way = quadric.least();
-            let most = quadric.radius().min(f64::from(most(i)));
+    pub fn place(mut self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Vec3> {
+        self.sum_up();
+        let Sums::Added(sums) = self.sums else { return self.samples.to_vec() };
+        let moved = |(i, (sum, sample)): (usize, (&[f64; 10], &Vec3))| {
+            let way = least(sum);
+            let most = radius(sum).min(f64::from(most(i)));
             // Around some there are no planes.
             if way.is_finite() && most > 0.0 {
                 (sample.as_dvec3() + way.clamp_length_max(most)).as_vec3()
@@ -275,28 +384,25 @@ impl<'a> Planes<'a> {
                 *sample
             }
         };
-        self.quadrics.par_iter().zip(self.samples).enumerate().map(moved).collect()
+        sums.par_iter().zip(self.samples).enumerate().map(moved).collect()
     }
 }
 
-impl Quadric {
-    /// Σ w: normals are of unit length.
-    fn weight(&self) -> f64 {
-        self.squares.as_dvec4().truncate().element_sum()
-    }
+/// Σ w of a quadric: normals are of unit length.
+fn weight([xx, yy, zz, ..]: &[f64; 10]) -> f64 {
+    xx + yy + zz
+}
 
-    fn radius(&self) -> f64 {
-        (f64::from(self.squares.w) / self.weight()).max(0.0).sqrt()
-    }
+fn radius(sum: &[f64; 10]) -> f64 {
+    (sum[3] / weight(sum)).max(0.0).sqrt()
+}
 
-    /// Its minimum, with the ridge.
-    fn least(&self) -> DVec3 {
-        let scale = self.weight().recip();
-        let [squares, products, toward] =
-            [self.squares, self.products, self.toward].map(|sum| sum.as_dvec4().truncate() * scale);
-        let ridge = DMat3::from_diagonal(DVec3::splat(RIDGE));
-        (symmetric(squares, products) + ridge).inverse() * toward
-    }
+/// The minimum of a quadric, with the ridge.
+fn least(sum: &[f64; 10]) -> DVec3 {
+    let scale = weight(sum).recip();
+    let vector = |i: usize| DVec3::from_slice(&sum[i..]) * scale;
+    let ridge = DMat3::from_diagonal(DVec3::splat(RIDGE));
+    (symmetric(vector(0), vector(4)) + ridge).inverse() * vector(7)
 }
 
 #[cfg(test)]
@@ -313,6 +419,7 @@ mod tests {
             planes.take(*corners, [6, 8, u32::MAX]);
             // Inside, it is for no triangle of P_S.
             planes.take([1, 2, 3], [7; 3]);
+            planes.count(3);
         }
         planes.place(|_| most)[0]
     }
@@ -356,5 +463,41 @@ mod tests {
         // Sums beyond what a number holds.
         let far = placed(&vertices, &[[0, 1, 6], [2, 6, 3]], sample, f32::INFINITY);
         assert!(far.is_finite(), "{far}");
+    }
+
+    /// Whoever reads which faces, sums are of the same ones.
+    #[test]
+    fn ranges_of_faces_add_up_to_the_sums_of_one_reading() {
+        let random =
+            |i: u32, axis: u32| f64::from((i * 3 + axis).wrapping_mul(2_654_435_761) >> 8) as f32 / 1e7;
+        let vertices: Vec<Vec3> =
+            (0..997).map(|i| Vec3::from([0, 1, 2].map(|axis| random(i, axis)))).collect();
+        let samples = &vertices[..50];
+        let faces: Vec<[u32; 3]> = (0..3 * FACES_OF_A_SUM as u32 - 77)
+            .map(|i| [i, i * 7 + 1, i * i % 991].map(|v| v % 997))
+            .collect();
+        let of = |corners: [u32; 3]| corners.map(|corner| corner % 53);
+        let read = |planes: &mut Planes<'_>, mut faces: &[[u32; 3]], mut taken: Vec<u32>| {
+            while let Some(some) = faces.split_off(..planes.room().min(faces.len()).min(10_007))
+                && !some.is_empty()
+            {
+                some.iter().for_each(|corners| planes.take(*corners, of(*corners)));
+                planes.count(some.len());
+                taken.extend(planes.take_listed(false));
+            }
+            taken.extend(planes.take_listed(true));
+            taken
+        };
+        let mut whole = Planes::new(&vertices, samples, 0);
+        assert!(read(&mut whole, &faces, Vec::new()).is_empty());
+        let mut parts = Planes::new(&vertices, samples, 0);
+        let (first, second) = faces.split_at(2 * FACES_OF_A_SUM as usize);
+        for faces in [first, second] {
+            let listed = read(&mut Planes::listed(&vertices, samples), faces, Vec::new());
+            assert!(!listed.is_empty() && parts.add_listed(&listed));
+        }
+        assert!(!parts.add_listed(&[50; LISTED]) && !parts.add_listed(&[1]));
+        let [whole, parts] = [whole, parts].map(|planes| planes.place(|_| f32::INFINITY));
+        assert!(whole == parts && whole != samples);
     }
 }

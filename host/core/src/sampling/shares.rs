@@ -74,6 +74,17 @@ impl Shares {
         &self.ranges
     }
 
+    /// The range that a vertex is in.
+    pub fn range_of(&self, vertex: u64) -> u32 {
+        self.ranges.partition_point(|range| range.end <= vertex) as u32
+    }
+
+    /// Number of vertices in the cells of a group.
+    pub fn vertices_of_group(&self, grid: &Grid, group: u32) -> u64 {
+        let is_of_group = |(_, owner): &(_, &Owner)| **owner == Owner::Group(group);
+        grid.records.iter().zip(&self.owners).filter(is_of_group).map(|(record, _)| record.count).sum()
+    }
+
     /// Number of groups.
     pub fn groups(&self) -> u32 {
         self.groups

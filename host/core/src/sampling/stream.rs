@@ -46,7 +46,6 @@ const WAITING: u64 = 1;
 /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be
 /// written; the user cancelled.
 pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered>> {
-    let info = pass.model.info();
     let cells = pass.grid.keys.len();
     let hash = match pass.job {
         Job::Whole => Hashing::All(VertexHash::default()),
@@ -58,7 +57,7 @@ pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered
         Job::Group(..) => Hashing::Nothing,
     };
     pass.progress.begin("clustering", bytes_of(pass));
-    let members = || Membership::new(pass.grid, info, pass.noted, pass.folder);
+    let members = || members(pass);
     let mut clustered = Clustered {
         forest: Forest::new(pass.grid, pass.target, pass.bound, pass.most, pass.foresight),
         hash,
@@ -70,6 +69,23 @@ pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered
     };
     let has_room = stream(pass, gather, &mut clustered)?;
     Ok(has_room.then_some(clustered))
+}
+
+/// A table for the members of all clusters. Vertices of cells that others cluster are in it with the first leaf of
+/// their cell.
+fn members(pass: &Pass<'_>) -> Result<Membership> {
+    let range = vertices_of(pass);
+    let coming = match &pass.job {
+        Job::Whole | Job::Range(..) => range.end - range.start,
+        Job::Group(shares, number, _) => shares.vertices_of_group(pass.grid, *number),
+    };
+    let members = Membership::new(pass.grid, pass.model.info(), coming, pass.noted, pass.folder)?;
+    if let Job::Range(..) = pass.job {
+        let leaves = members.leaves();
+        let mut others = (0..pass.grid.keys.len() as u32).filter(|cell| !pass.job.has(*cell));
+        others.try_for_each(|cell| leaves.record(cell, 0, &mut [0]))?;
+    }
+    Ok(members)
 }
 
 /// The vertices that are streamed.
@@ -256,6 +272,10 @@ struct Piece<P> {
 /// No item.
 const NONE: u32 = u32::MAX;
 
+/// Of a vertex of a cell that others cluster, the number of the cell is noted with this bit: pieces have fewer items,
+/// and grids fewer cells.
+const OF_OTHERS: u32 = 1 << 31;
+
 enum Task<G: Gather> {
     Gather(Option<Piece<G::Piece>>),
     Merge(Piece<G::Piece>),
@@ -415,6 +435,9 @@ impl<'a, G: Gather> Stream<'a, G> {
                 let local = frame.to_local(*p);
                 if !is_own {
                     shared.add(local, normal);
+                    if with_items {
+                        items.push(OF_OTHERS | cell);
+                    }
                     continue;
                 }
                 let item = gathered.add(cell, local, normal);
@@ -447,7 +470,8 @@ impl<'a, G: Gather> Stream<'a, G> {
 
     /// The same of what ranges have written down.
     fn put_shared_in_cells(&self, piece: &mut Piece<G::Piece>) -> Result<()> {
-        let Piece { gathered, visits, shared, .. } = piece;
+        let with_items = self.leaves.is_some();
+        let Piece { gathered, items, visits, shared, .. } = piece;
         let SharedPiece { visits: from, positions, normals } = shared;
         let (mut vertices, mut last) = (positions.iter().zip(normals.iter()), None);
         for Visit { cell, vertices: range, finite } in from {
@@ -460,7 +484,10 @@ impl<'a, G: Gather> Stream<'a, G> {
             }
             visits.push((*cell, range.clone()));
             vertices.by_ref().take(*finite as usize).for_each(|(position, normal)| {
-                gathered.add(*cell, *position, *normal);
+                let item = gathered.add(*cell, *position, *normal);
+                if with_items {
+                    items.push(item);
+                }
             });
         }
         Ok(())
@@ -506,10 +533,18 @@ impl<'a, G: Gather> Stream<'a, G> {
         }
         if let Some(members) = membership {
             piece.chunks.iter().try_for_each(|chunk| members.look_for_twins(&chunk.positions))?;
+            if let (Job::Group(shares, ..), Some((_, first))) = (self.pass.job, piece.visits.first()) {
+                members.begin_list(shares.range_of(first.start));
+            }
             let mut positions = piece.positions.iter();
             for item in &piece.items {
                 let position = positions.next().copied().unwrap_or(Vec3::NAN);
-                members.push(places.get(*item as usize).copied(), position)?;
+                let place = match places.get(*item as usize) {
+                    Some(place) => Some(*place),
+                    None if *item == NONE => None,
+                    None => Some((*item & !OF_OTHERS, 0)),
+                };
+                members.push(place, position)?;
             }
         }
         if let Some(picked) = picked {

@@ -2,7 +2,7 @@
 //! (J. Rossignac, P. Borrel, *Multi-resolution 3D approximations for rendering complex scenes*, 1993).
 
 use rayon::prelude::*;
-use simod_model::{Model, Progress, Result, for_faces};
+use simod_model::{FaceMark, Model, Progress, Result, for_faces};
 
 use super::face_ranges::FaceRanges;
 use super::placement::Planes;
@@ -38,6 +38,17 @@ impl Triangles {
             self.triangles.shrink_to_fit();
         }
     }
+
+    /// Each triangle once, if there are more than twice so many; none if there are still more than that.
+    fn keep_few(&mut self, sample_of: &[u32], most: usize) {
+        if self.triangles.len() > 2 * most {
+            self.put(sample_of);
+            once_each(&mut self.triangles);
+            if self.triangles.len() > most {
+                (self.triangles, self.tangled) = (Vec::new(), true);
+            }
+        }
+    }
 }
 
 /// What is looked for in the faces.
@@ -53,30 +64,36 @@ pub struct Wanted<'a, 'p> {
     pub planes: Option<&'a mut Planes<'p>>,
 }
 
-/// Streams the faces of a model. `sample_of` says which sample each vertex belongs to. Where islands are
-/// looked for, by which clusters may be parted, the triangles come as vertices, unless there are too many.
+/// Takes faces, some at a time, in the file's order. `sample_of` says which sample each vertex belongs to. Where
+/// islands are looked for, by which clusters may be parted, the triangles come as vertices, unless there are too many.
 ///
-/// Memory: the chunks of [`for_faces`], and 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles
-/// per sample, twice while the list grows; a surface has about two, found once or twice each.
-///
-/// # Errors
-/// The model cannot be read; the user cancelled.
-pub fn reindex(
-    model: &dyn Model,
-    sample_of: &[u32],
+/// Memory: 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles per sample, twice while the list grows; a
+/// surface has about two, found once or twice each.
+pub struct Reindexing<'a, 'p> {
+    sample_of: &'a [u32],
     samples: usize,
-    wanted: Wanted<'_, '_>,
-    progress: &dyn Progress,
-) -> Result<Triangles> {
-    let Wanted { triangles, mut ranges, mut islands, mut planes } = wanted;
-    let most = MOST_PER_SAMPLE * samples.max(64);
-    let mut found = Triangles { of_vertices: triangles && islands.is_some(), ..Triangles::default() };
-    for_faces(model, |chunk| {
-        progress.check()?;
+    wanted: Wanted<'a, 'p>,
+    /// Most triangles.
+    most: usize,
+    found: Triangles,
+}
+
+impl<'a, 'p> Reindexing<'a, 'p> {
+    /// No face yet.
+    pub fn new(sample_of: &'a [u32], samples: usize, wanted: Wanted<'a, 'p>) -> Self {
+        let of_vertices = wanted.triangles && wanted.islands.is_some();
+        let found = Triangles { of_vertices, ..Triangles::default() };
+        Self { sample_of, samples, wanted, most: MOST_PER_SAMPLE * samples.max(64), found }
+    }
+
+    /// Takes the next triangles, and the marks among them.
+    pub fn take(&mut self, triangles: &[[u32; 3]], marks: &[FaceMark]) {
+        let Self { sample_of, samples, ref mut wanted, most, ref mut found } = *self;
+        let Wanted { triangles: wants_triangles, ranges, islands, planes } = wanted;
         let mut reindex = || {
-            let mut marks = chunk.marks.iter().peekable();
-            for (at, corners) in chunk.triangles.iter().enumerate() {
-                if let Some(ranges) = &mut ranges {
+            let mut marks = marks.iter().peekable();
+            for (at, corners) in triangles.iter().enumerate() {
+                if let Some(ranges) = ranges {
                     while let Some(mark) = marks.next_if(|mark| mark.triangle <= at) {
                         ranges.mark(mark.offset);
                     }
@@ -90,7 +107,7 @@ pub fn reindex(
                     continue;
                 };
                 // Vertices without a finite position have no sample.
-                if triangles
+                if *wants_triangles
                     && !found.tangled
                     && a != b
                     && b != c
@@ -104,43 +121,110 @@ pub fn reindex(
                     });
                 }
             }
-            if let Some(ranges) = &mut ranges {
+            if let Some(ranges) = ranges {
                 marks.for_each(|mark| ranges.mark(mark.offset));
             }
-            if found.triangles.len() > 2 * most {
-                found.put(sample_of);
-                once_each(&mut found.triangles);
-                if found.triangles.len() > most {
-                    (found.triangles, found.tangled) = (Vec::new(), true);
-                }
-            }
+            found.keep_few(sample_of, most);
         };
         let known = |corners: [u32; 3]| match corners.map(|v| sample_of.get(v as usize)) {
             [Some(a), Some(b), Some(c)] => Some([*a, *b, *c]),
             _ => None,
         };
         let mut join = || {
-            let Some(islands) = &mut islands else { return };
-            for corners in &chunk.triangles {
+            let Some(islands) = islands else { return };
+            for corners in triangles {
                 known(*corners).into_iter().for_each(|of| islands.take(*corners, of));
             }
         };
         let mut add_planes = || {
-            let Some(planes) = &mut planes else { return };
-            for corners in &chunk.triangles {
-                known(*corners).into_iter().for_each(|of| planes.take(*corners, of));
+            let Some(planes) = planes else { return };
+            let mut left = triangles;
+            while !left.is_empty() {
+                let (some, behind) = left.split_at(left.len().min(planes.room()));
+                for corners in some {
+                    known(*corners).into_iter().for_each(|of| planes.take(*corners, of));
+                }
+                planes.count(some.len());
+                left = behind;
             }
         };
         // Side by side, each in the file's order.
         rayon::join(&mut reindex, || rayon::join(&mut join, &mut add_planes));
+    }
+
+    /// The sample of a vertex, if it has any.
+    pub fn sample(&self, vertex: u32) -> Option<u32> {
+        self.sample_of.get(vertex as usize).copied().filter(|sample| (*sample as usize) < self.samples)
+    }
+
+    /// What was wanted besides the triangles.
+    pub fn wanted(&mut self) -> &mut Wanted<'a, 'p> {
+        &mut self.wanted
+    }
+
+    /// Adds what another one has found in other faces, of the same vertices.
+    pub fn add(&mut self, found: &Triangles) {
+        let own = &mut self.found;
+        own.without_vertex += found.without_vertex;
+        own.tangled |= found.tangled;
+        if own.of_vertices && !found.of_vertices {
+            own.put(self.sample_of);
+        }
+        if own.tangled {
+            own.triangles = Vec::new();
+        } else if own.of_vertices == found.of_vertices {
+            own.triangles.extend_from_slice(&found.triangles);
+        } else {
+            let mut put =
+                Triangles { triangles: found.triangles.clone(), of_vertices: true, ..Triangles::default() };
+            put.put(self.sample_of);
+            own.triangles.append(&mut put.triangles);
+        }
+        own.keep_few(self.sample_of, self.most);
+    }
+
+    /// The triangles, unless there are too many: in all, whatever order they came in.
+    pub fn finish(self) -> Triangles {
+        let Self { mut found, sample_of, most, .. } = self;
+        if !found.of_vertices {
+            once_each(&mut found.triangles);
+        }
+        let mut count = found.triangles.len();
+        if found.of_vertices && count > most {
+            let triangles = found.triangles.clone();
+            let mut put = Triangles { triangles, of_vertices: true, ..Triangles::default() };
+            put.put(sample_of);
+            count = put.triangles.len();
+        }
+        if count > most {
+            (found.triangles, found.tangled) = (Vec::new(), true);
+        }
+        found.triangles.shrink_to_fit();
+        found
+    }
+}
+
+/// Streams the faces of a model through a [`Reindexing`].
+///
+/// Memory: that, and the chunks of [`for_faces`].
+///
+/// # Errors
+/// The model cannot be read; the user cancelled.
+pub fn reindex(
+    model: &dyn Model,
+    sample_of: &[u32],
+    samples: usize,
+    wanted: Wanted<'_, '_>,
+    progress: &dyn Progress,
+) -> Result<Triangles> {
+    let mut reindexing = Reindexing::new(sample_of, samples, wanted);
+    for_faces(model, |chunk| {
+        progress.check()?;
+        reindexing.take(&chunk.triangles, &chunk.marks);
         progress.advance(chunk.bytes);
         Ok(())
     })?;
-    if !found.of_vertices {
-        once_each(&mut found.triangles);
-        found.triangles.shrink_to_fit();
-    }
-    Ok(found)
+    Ok(reindexing.finish())
 }
 
 /// The same triangle, beginning with its least corner.

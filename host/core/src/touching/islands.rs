@@ -5,13 +5,19 @@
 //! planes. It is one of two sheets if its islands are not joined by those around it either: see
 //! [`Graph::parts`].
 
+use std::path::{Path, PathBuf};
+
 use bytemuck::{cast_slice, cast_slice_mut};
 use memmap2::MmapMut;
 use rayon::prelude::*;
+use simod_model::scratch::Scratch;
+use simod_model::{Error, Result};
 
+use super::ADVICE;
 use super::twins::Found as FoundTwins;
 
-/// Most links for each sample: beyond it, faces are a tangle that tells nothing.
+/// Most links for each sample: beyond it, faces are a tangle that tells nothing. There may be more of them on the way,
+/// while islands are still parts of larger ones.
 const MOST_PER_SAMPLE: usize = 16;
 
 /// Links that are not tidied up yet.
@@ -26,7 +32,7 @@ const STEPS: usize = 4;
 /// Islands, while faces come.
 ///
 /// Memory: 32 bytes per sample, and 8 for each of at most 32 links per sample, mostly 6; a mapped temporary
-/// file of 4 bytes per vertex.
+/// file of 4 bytes per vertex, and another one of 8 bytes for each link that finds no room.
 pub struct Islands {
     /// For each vertex, how far before it another one of its island is; 0 for the first of an island.
     back: MmapMut,
@@ -37,12 +43,66 @@ pub struct Islands {
     limit: usize,
     most: usize,
     tangled: bool,
+    /// Links that found no room, and why they could not be written, if so.
+    spilled: Spilled,
+}
+
+/// Links in a temporary file.
+struct Spilled {
+    folder: PathBuf,
+    file: Option<Scratch>,
+    count: u64,
+    failed: Option<Error>,
+}
+
+impl Spilled {
+    fn new(folder: &Path) -> Self {
+        Self { folder: folder.to_owned(), file: None, count: 0, failed: None }
+    }
+
+    fn take(&mut self) -> Self {
+        let none = Self::new(&self.folder);
+        std::mem::replace(self, none)
+    }
+
+    fn push(&mut self, links: &[[u32; 2]]) {
+        let mut write = || -> Result<()> {
+            let file = match &self.file {
+                Some(file) => file,
+                None => self.file.insert(Scratch::new(&self.folder, ADVICE)?),
+            };
+            file.write_at(cast_slice(links), self.count * size_of::<[u32; 2]>() as u64)
+        };
+        if let Err(e) = write() {
+            self.failed.get_or_insert(e);
+        }
+        self.count += links.len() as u64;
+    }
+
+    /// Visits all of them, some at a time, as long as `visit` says so; nothing is left of them then.
+    fn drain(&mut self, mut visit: impl FnMut(&[[u32; 2]]) -> Result<bool>) -> Result<()> {
+        if let Some(e) = self.failed.take() {
+            return Err(e);
+        }
+        let (file, count) = (self.file.take(), std::mem::take(&mut self.count));
+        let Some(file) = file else { return Ok(()) };
+        let (mut at, mut some) = (0, Vec::new());
+        while at < count {
+            some.resize((LINKS_AT_EASE as u64).min(count - at) as usize, [0; 2]);
+            file.read_at(cast_slice_mut(&mut some), at * size_of::<[u32; 2]>() as u64)?;
+            if !visit(&some)? {
+                break;
+            }
+            at += some.len() as u64;
+        }
+        Ok(())
+    }
 }
 
 impl Islands {
     /// Each vertex by itself, but for those that are known to be at one place. `sample_of` is the cluster of
-    /// each.
-    pub fn new(twins: FoundTwins, sample_of: &[u32], samples: usize) -> Self {
+    /// each. A temporary file, should it be needed, is made in `folder`.
+    pub fn new(twins: FoundTwins, sample_of: &[u32], samples: usize, folder: &Path) -> Self {
         let mut islands = Self {
             back: twins.back,
             latest: vec![[[0; 2]; LATEST]; samples],
@@ -50,6 +110,7 @@ impl Islands {
             limit: LINKS_AT_EASE,
             most: MOST_PER_SAMPLE * samples.max(64),
             tangled: false,
+            spilled: Spilled::new(folder),
         };
         if twins.count > 0 {
             islands.join_twins(sample_of);
@@ -181,32 +242,86 @@ impl Islands {
         vertex
     }
 
-    /// Each link once.
-    fn tidy(&mut self) {
-        let mut links = std::mem::take(&mut self.links);
+    /// Each link once, by the islands as they are now.
+    fn once_each(&self, links: &mut Vec<[u32; 2]>) {
         links.par_iter_mut().for_each(|link| {
             *link = link.map(|vertex| self.first_of(vertex));
             link.sort_unstable();
         });
         links.par_sort_unstable();
         links.dedup();
+    }
+
+    /// Makes room for further links.
+    fn tidy(&mut self) {
+        let mut links = std::mem::take(&mut self.links);
+        self.once_each(&mut links);
         if links.len() > self.most {
-            (links, self.tangled) = (Vec::new(), true);
+            self.spilled.push(&links);
+            links.clear();
         }
         self.limit = 2 * links.len().max(LINKS_AT_EASE / 2);
         self.links = links;
     }
 
-    /// All islands that are joined with others. `sample_of` is the cluster of each vertex.
-    pub fn graph(&mut self, sample_of: &[u32]) -> Graph {
-        if self.links.len() > self.most {
-            self.tidy();
+    /// Two vertices are of one island of a cluster, as is known of other faces.
+    pub fn unite_both(&mut self, u: u32, v: u32) {
+        let (u, v) = (self.first(u), self.first(v));
+        self.unite(u, v);
+    }
+
+    /// Two vertices of different clusters are joined, as is known of other faces.
+    pub fn add_link(&mut self, link: [u32; 2]) {
+        if !self.tangled {
+            self.links.push(link);
+            if self.links.len() > self.limit {
+                self.tidy();
+            }
         }
+    }
+
+    /// Visits all links, some at a time: each once among these. Nothing is left of them then.
+    ///
+    /// # Errors
+    /// The temporary file could not be written, or read; `visit` failed.
+    pub fn drain_links(&mut self, mut visit: impl FnMut(&[[u32; 2]]) -> Result<()>) -> Result<()> {
         let mut links = std::mem::take(&mut self.links);
-        links.par_iter_mut().for_each(|link| *link = link.map(|vertex| self.first_of(vertex)));
+        self.once_each(&mut links);
+        visit(&links)?;
+        self.spilled.take().drain(|some| {
+            links.clear();
+            links.extend_from_slice(some);
+            self.once_each(&mut links);
+            visit(&links).map(|()| true)
+        })
+    }
+
+    /// All islands that are joined with others, unless they are a tangle: whatever order faces came in. `sample_of` is
+    /// the cluster of each vertex.
+    ///
+    /// # Errors
+    /// The temporary file could not be written, or read.
+    pub fn graph(&mut self, sample_of: &[u32]) -> Result<Graph> {
+        let mut links = std::mem::take(&mut self.links);
+        self.once_each(&mut links);
+        let mut spilled = self.spilled.take();
+        let most = self.most;
+        spilled.drain(|some| {
+            links.extend_from_slice(some);
+            if links.len() > most {
+                self.once_each(&mut links);
+            }
+            // Islands are what they will be: links only become more.
+            Ok(links.len() <= most)
+        })?;
+        self.spilled = spilled;
+        self.once_each(&mut links);
+        if links.len() > most {
+            (links, self.tangled) = (Vec::new(), true);
+        }
         let graph = Graph::new(&links, self.latest.len(), |first| sample_of[first as usize]);
         self.links = links;
-        graph
+        Ok(graph)
     }
 }
 
@@ -431,12 +546,12 @@ mod tests {
 
     /// Islands of faces over vertices whose clusters are given.
     fn graph(sample_of: &[u32], samples: usize, faces: &[[u32; 3]]) -> Graph {
-        let mut islands = Islands::new(no_twins(sample_of.len()), sample_of, samples);
+        let mut islands = Islands::new(no_twins(sample_of.len()), sample_of, samples, &std::env::temp_dir());
         for face in faces {
             islands.take(*face, face.map(|v| sample_of[v as usize]));
         }
         assert!(!islands.tangled);
-        islands.graph(sample_of)
+        islands.graph(sample_of).expect("a file")
     }
 
     fn first(graph: &Graph, island: u32) -> u32 {
@@ -484,10 +599,48 @@ mod tests {
     #[test]
     fn a_tangle_is_noticed() {
         let sample_of: Vec<u32> = (0..400).collect();
-        let mut islands = Islands::new(no_twins(400), &sample_of, 400);
+        let mut islands = Islands::new(no_twins(400), &sample_of, 400, &std::env::temp_dir());
         for u in 0..400 {
             (0..u).for_each(|v| islands.join((u, u), (v, v)));
         }
-        assert!(islands.graph(&sample_of).joined.is_empty() && islands.tangled);
+        let graph = islands.graph(&sample_of).expect("a file");
+        assert!(graph.joined.is_empty() && islands.tangled);
+    }
+
+    /// Two rows of vertices, each a cluster, whose links come before what makes an island of each row.
+    #[test]
+    fn links_that_find_no_room_until_islands_are_whole_are_no_tangle() {
+        let pairs = LINKS_AT_EASE as u32 + 1000;
+        let sample_of: Vec<u32> = (0..2 * pairs).map(|v| v % 2).collect();
+        let of = |vertex: u32| (vertex, vertex % 2);
+        let linked = || {
+            let twins = no_twins(sample_of.len());
+            let mut islands = Islands::new(twins, &sample_of, 2, &std::env::temp_dir());
+            (0..pairs).for_each(|i| islands.join(of(2 * i), of(2 * i + 1)));
+            assert!(islands.spilled.count > 0);
+            islands
+        };
+        let mut one = linked();
+        (2..2 * pairs).for_each(|vertex| one.join(of(vertex - 2), of(vertex)));
+        // Another one has found what makes the islands, and is told of the links.
+        let (mut two, mut from) =
+            (Islands::new(no_twins(sample_of.len()), &sample_of, 2, &std::env::temp_dir()), linked());
+        (2..2 * pairs).for_each(|vertex| two.unite_both(vertex, vertex - 2));
+        let mut count = 0;
+        let take = |links: &[[u32; 2]]| {
+            count += links.len();
+            links.iter().for_each(|link| two.add_link(*link));
+            Ok(())
+        };
+        from.drain_links(take).expect("a file");
+        assert_eq!(count, pairs as usize);
+        for islands in [&mut one, &mut two] {
+            let graph = islands.graph(&sample_of).expect("a file");
+            assert!(!islands.tangled && graph.further.is_empty());
+            assert_eq!((graph.joined(0), graph.joined(1)), (&[1][..], &[0][..]));
+        }
+        // Without what makes islands of them, they are one.
+        let mut tangle = linked();
+        assert!(tangle.graph(&sample_of).expect("a file").joined.is_empty() && tangle.tangled);
     }
 }

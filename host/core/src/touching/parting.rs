@@ -135,7 +135,7 @@ impl Parting<'_> {
         trees: &[CutTree],
         welded: bool,
     ) -> Result<Parts> {
-        let mut graph = islands.graph(sample_of);
+        let mut graph = islands.graph(sample_of)?;
         let mut mixed = None;
         if !welded {
             // Seams of the file are none of the surface. Where most clusters have some, it is quicker to weld
@@ -150,7 +150,7 @@ impl Parting<'_> {
             }
             let ranges = self.ranges_with(trees, |sample| several.binary_search(&sample).is_ok());
             if self.weld(ranges, islands, sample_of)? {
-                (graph, mixed) = (islands.graph(sample_of), None);
+                (graph, mixed) = (islands.graph(sample_of)?, None);
             }
         }
         let mixed = mixed.unwrap_or_else(|| graph.parts());

@@ -49,15 +49,38 @@ pub struct Found {
     pub count: u64,
 }
 
+impl Found {
+    /// Nothing found among so many vertices, which are not none.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn none(vertices: u64, folder: &Path) -> Result<Self> {
+        let (file, zeros) = (Scratch::new(folder, ADVICE)?, vec![0u32; BUFFER]);
+        let mut at = 0;
+        while at < vertices {
+            let some = (BUFFER as u64).min(vertices - at);
+            file.write_at(cast_slice(&zeros[..some as usize]), at * size_of::<u32>() as u64)?;
+            at += some;
+        }
+        Ok(Self { back: file.map_mut()?, count: 0 })
+    }
+}
+
+/// Whether a model of so many vertices and faces has vertices at one place that are worth looking for: where faces
+/// share their vertices, there are hardly any.
+pub fn may_be_there(vertices: u64, faces: u64) -> bool {
+    // A closed mesh of triangles has half as many vertices as faces.
+    20 * u128::from(vertices) > 11 * u128::from(faces)
+}
+
 impl Twins {
-    /// A search without vertices yet, for a model with so many vertices and faces. Where faces share their
-    /// vertices, there are hardly any twins, and they are not looked for. The file goes to `folder`.
+    /// A search without vertices yet, for a model with so many vertices and faces. Where there are hardly
+    /// [any](may_be_there), they are not looked for. The file goes to `folder`.
     ///
     /// # Errors
     /// It cannot be made.
     pub fn new(vertices: u64, faces: u64, folder: &Path) -> Result<Self> {
-        // A closed mesh of triangles has half as many vertices as faces.
-        let looks = 20 * vertices > 11 * faces;
+        let looks = may_be_there(vertices, faces);
         Ok(Self {
             file: Scratch::new(folder, ADVICE)?,
             buffer: Vec::with_capacity(BUFFER + BLOCK),

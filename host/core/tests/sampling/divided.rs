@@ -7,10 +7,11 @@ use std::sync::Mutex;
 
 use glam::DVec3;
 use simod_core::sampling::divided::{
-    Division, cluster, cluster_shared, exchanged_at_most, merge_counts, ranges_of, sample_clustered, shared,
-    undivided,
+    Division, cluster, cluster_shared, exchanged_at_most, merge_counts, ranges_of, reads_faces,
+    sample_clustered, shared, undivided,
 };
-use simod_core::sampling::{By, Grouping, Sampling, Skip, Target, count, sample};
+use simod_core::sampling::divided_faces::{self, FaceFiles, face_ranges_of, faces_exchanged_at_most};
+use simod_core::sampling::{By, Grouping, Placement, Sampling, Skip, Target, count, sample};
 use simod_generate::Shape;
 use simod_model::output::write_file;
 use simod_model::progress::Silent;
@@ -27,6 +28,21 @@ struct Work {
     model: Box<dyn Model>,
     sampling: Sampling,
     units: u64,
+    /// Ranges of the faces.
+    face_units: u64,
+}
+
+/// What units leave each other of the faces.
+struct OfFaces {
+    cut: PathBuf,
+    lists: [Vec<PathBuf>; 4],
+}
+
+impl OfFaces {
+    fn files(&self) -> FaceFiles<'_> {
+        let [leaves, leaves_of_groups, members, faces] = &self.lists;
+        FaceFiles { cut: &self.cut, leaves, leaves_of_groups, members, faces }
+    }
 }
 
 impl Work {
@@ -46,7 +62,7 @@ impl Work {
             fs::remove_file(made).unwrap();
         }
         let model = simod_model::open(&path).unwrap();
-        Self { folder, model, sampling, units: 0 }
+        Self { folder, model, sampling, units: 0, face_units: 0 }
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -70,22 +86,70 @@ impl Work {
         let merge = || merge_counts(&*self.model, &self.sampling, &counted, &self.path("counts")).unwrap();
         assert!(merge() && !merge());
         self.units = ranges_of(&*self.model, units);
+        self.face_units = face_ranges_of(&*self.model, units);
+    }
+
+    fn of_faces(&self) -> OfFaces {
+        let [leaves, leaves_of_groups, members] =
+            ["leaves", "leaves-of-group", "members"].map(|name| self.files(name));
+        let faces = (0..self.face_units).map(|unit| self.path(&format!("faces-{unit}"))).collect();
+        OfFaces { cut: self.path("cut"), lists: [leaves, leaves_of_groups, members, faces] }
+    }
+
+    fn with_faces(&self) -> bool {
+        reads_faces(&*self.model, &self.sampling).unwrap()
+    }
+
+    /// The cut, of which others find the samples of vertices and what the faces tell.
+    fn cut_for_faces(&self) -> Result<bool> {
+        let counts = self.path("counts");
+        let division = Division { counts: &counts, units: self.units };
+        let (ranges, groups) = (self.files("range"), self.files("group"));
+        let files = (&ranges[..], &groups[..]);
+        let (target, folder) = (self.path("cut"), self.folder.path());
+        divided_faces::cut(&*self.model, &self.sampling, &division, files, &target, folder, &Silent)
+    }
+
+    fn members(&self, unit: u64) -> Result<bool> {
+        let counts = self.path("counts");
+        let division = (&Division { counts: &counts, units: self.units }, unit);
+        let (files, target) = (self.of_faces(), self.path(&format!("members-{unit}")));
+        let (model, folder) = (&*self.model, self.folder.path());
+        divided_faces::members(model, &self.sampling, division, &files.files(), &target, folder, &Silent)
+    }
+
+    fn faces(&self, unit: u64) -> Result<bool> {
+        let counts = self.path("counts");
+        let division = (&Division { counts: &counts, units: self.units }, unit);
+        let (files, target) = (self.of_faces(), self.path(&format!("faces-{unit}")));
+        let (model, folder) = (&*self.model, self.folder.path());
+        divided_faces::faces(model, &self.sampling, division, &files.files(), &target, folder, &Silent)
     }
 
     fn range(&self, unit: u64) -> Result<bool> {
         let counts = self.path("counts");
         let division = Division { counts: &counts, units: self.units };
-        let [trees, vertices] = ["range", "shared"].map(|name| self.path(&format!("{name}-{unit}")));
+        let [trees, vertices, leaves] =
+            ["range", "shared", "leaves"].map(|name| self.path(&format!("{name}-{unit}")));
         let (model, folder) = (&*self.model, self.folder.path());
-        cluster(model, &self.sampling, (&division, unit), (&trees, &vertices), folder, &Silent)
+        cluster(model, &self.sampling, (&division, unit), (&trees, &vertices, &leaves), folder, &Silent)
     }
 
     fn group(&self, unit: u64) -> Result<bool> {
         let counts = self.path("counts");
         let division = Division { counts: &counts, units: self.units };
-        let files = (&self.files("shared")[..], &*self.path(&format!("group-{unit}")));
+        let [trees, leaves] = ["group", "leaves-of-group"].map(|name| self.path(&format!("{name}-{unit}")));
         let (model, folder) = (&*self.model, self.folder.path());
-        cluster_shared(model, &self.sampling, (&division, unit), files, folder, &Silent)
+        let files = (&*trees, &*leaves);
+        cluster_shared(
+            model,
+            &self.sampling,
+            (&division, unit),
+            &self.files("shared"),
+            files,
+            folder,
+            &Silent,
+        )
     }
 
     fn cut(&self, progress: &dyn Progress) -> Result<()> {
@@ -94,8 +158,13 @@ impl Work {
         let (ranges, groups) = (self.files("range"), self.files("group"));
         let (model, folder) = (&*self.model, self.folder.path());
         let files = (&ranges[..], &groups[..]);
-        sample_clustered(model, &self.sampling, &division, files, folder, progress)?
-            .save(&self.path("divided.simod"))
+        let sampled = if self.with_faces() {
+            let files = self.of_faces();
+            divided_faces::complete(model, &self.sampling, &division, &files.files(), folder, progress)
+        } else {
+            sample_clustered(model, &self.sampling, &division, files, folder, progress)
+        };
+        sampled?.save(&self.path("divided.simod"))
     }
 
     /// All by so many units, each stage from its end, and twice; what was noted in the end.
@@ -106,6 +175,21 @@ impl Work {
         }
         for unit in (0..self.units).rev() {
             assert!(self.group(unit).unwrap() && !self.group(unit).unwrap());
+        }
+        if self.with_faces() {
+            assert!(self.cut_for_faces().unwrap() && !self.cut_for_faces().unwrap());
+            for unit in (0..self.units).rev() {
+                assert!(self.members(unit).unwrap() && !self.members(unit).unwrap());
+            }
+            for unit in (0..self.face_units).rev() {
+                assert!(self.faces(unit).unwrap() && !self.faces(unit).unwrap());
+            }
+            let lists = self.of_faces().lists.concat();
+            let bytes: u64 =
+                lists.iter().filter_map(|file| file.metadata().ok()).map(|file| file.len()).sum();
+            // What is of P_S is not in it: triangles and links, of each unit.
+            let at_most = faces_exchanged_at_most(&*self.model, &self.sampling).unwrap();
+            assert!(bytes <= at_most + 100_000 * (self.units + 1), "{bytes} of {at_most}");
         }
         let notes = Notes::default();
         self.cut(&notes).unwrap();
@@ -125,11 +209,13 @@ impl Work {
 
     /// Removes what units have left, and compares what they have made with what one reading makes.
     fn compare(&self, what: &str) {
-        for name in ["count", "range", "shared", "group"] {
+        let of_faces = ["leaves", "leaves-of-group", "members", "faces"];
+        for name in ["count", "range", "shared", "group"].into_iter().chain(of_faces) {
             let files = (0..100).map(|unit| self.path(&format!("{name}-{unit}")));
             files.filter(|file| file.exists()).for_each(|file| fs::remove_file(file).unwrap());
         }
         fs::remove_file(self.path("counts")).unwrap();
+        drop(fs::remove_file(self.path("cut")));
         let whole = self.path("whole.simod");
         if !whole.exists() {
             let sampled = sample(&*self.model, &self.sampling, self.folder.path(), &Silent).unwrap();
@@ -141,6 +227,10 @@ impl Work {
             let [whole, divided] = [&whole, &divided].map(|folder| fs::read(folder.join(file)).unwrap());
             assert!(whole == divided, "{file} differs: {what}");
         }
+        // Of parts that touch.
+        let [of_whole, of_divided] =
+            [&whole, &divided].map(|folder| fs::read(folder.join("sheets.bin")).ok());
+        assert!(of_whole == of_divided, "sheets.bin differs: {what}");
         fs::remove_dir_all(divided).unwrap();
         // The model and its samples.
         assert_eq!(fs::read_dir(self.folder.path()).unwrap().count(), 2, "something is left: {what}");
@@ -347,8 +437,158 @@ fn what_is_wrong_is_told() {
     fs::remove_file(work.path("range-0")).unwrap();
     told(work.range(0).unwrap_err(), &["changed while it was read"]);
 
-    let faces = Work::new(&Body::generated(Shape::Amphora, 20_000), samples(1000));
-    assert!(undivided(&*faces.model, &faces.sampling).is_some_and(|why| why.contains("faces")));
+    // Each face with vertices of its own.
+    let soup = Work::of_format(&Body::generated(Shape::Amphora, 20_000), "stl", samples(1000));
+    let why = |work: &Work| undivided(&*work.model, &work.sampling).unwrap();
+    assert!(why(&soup).is_some_and(|why| why.contains("faces")));
+    let text = Work::of_format(&Body::generated(Shape::Amphora, 20_000), "off", samples(1000));
+    assert!(why(&text).is_some_and(|why| why.contains("faces")));
     let skip = Skip { colors: true, ..Skip::default() };
-    assert!(undivided(&*work.model, &Sampling { skip, ..work.sampling }).is_none());
+    assert!(undivided(&*work.model, &Sampling { skip, ..work.sampling }).unwrap().is_none());
+}
+
+/// Both the vertices and the faces of it in an order without any coherence.
+fn in_no_order(body: &Body) -> Body {
+    let mut body = body.shuffled();
+    let n = body.faces.len();
+    let step = (n * 5 / 13..).find(|step| (2..=*step.min(&1000)).all(|k| n % k > 0 || step % k > 0)).unwrap();
+    body.faces = (0..n).map(|i| body.faces[i * step % n]).collect();
+    body
+}
+
+#[test]
+fn units_read_faces_as_one_reading_does() {
+    let body = Body::generated(Shape::Amphora, VERTICES);
+    let by_faces = Sampling { placement: Placement::Faces, ..samples(3000) };
+    for (name, body) in [("in order", body.clone()), ("in no order", in_no_order(&body))] {
+        Work::new(&body, by_faces).check(name);
+        Work::new(&body.without_normals(), samples(500)).check(&format!("{name}, without normals"));
+    }
+    let groups = Sampling { grouping: Grouping::Level(3), ..by_faces };
+    Work::new(&body.shuffled(), groups).check("in groups");
+    let error = Sampling { target: Target::Error(2e-3), ..by_faces };
+    Work::new(&body, error).check("to an error");
+}
+
+#[test]
+fn units_find_no_more_than_is_wanted() {
+    let body = Body::generated(Shape::Amphora, VERTICES);
+    let placed = [Placement::Vertices, Placement::Faces];
+    for (triangles, sheets, placement) in [
+        (false, true, placed[0]),
+        (true, false, placed[0]),
+        (true, true, placed[1]),
+        (false, true, placed[1]),
+    ] {
+        let skip = Skip { triangles, sheets, ..Skip::default() };
+        let sampling = Sampling { skip, placement, ..samples(2000) };
+        Work::new(&body, sampling).check(&format!("{sampling:?}"));
+    }
+    // Faces have nothing to say.
+    let skip = Skip { triangles: true, sheets: true, ..Skip::default() };
+    let mut work = Work::new(&body, Sampling { skip, placement: Placement::Vertices, ..samples(2000) });
+    assert!(!work.with_faces());
+    work.check("without faces");
+}
+
+/// Sheets are parted by one unit, which needs to know all vertices' samples and islands.
+#[test]
+fn parts_that_touch_are_told_apart_as_by_one_reading() {
+    let [first, second] = [0.0, 1e-3].map(|gap| {
+        let mut body = Body::generated(Shape::Amphora, VERTICES / 2).without_normals();
+        body.positions.iter_mut().for_each(|p| *p *= 1.0 + gap);
+        body
+    });
+    let mut body = first;
+    let before = body.positions.len() as u32;
+    body.positions.extend(second.positions);
+    body.faces.extend(second.faces.into_iter().map(|face| face.map(|vertex| vertex + before)));
+    for body in [body.clone(), in_no_order(&body)] {
+        let mut work = Work::new(&body, samples(1500));
+        work.check("one within the other");
+        assert!(work.path("whole.simod/sheets.bin").exists());
+        let skip = Skip { triangles: true, cells: true, ..Skip::default() };
+        Work::new(&body, Sampling { skip, ..samples(1500) }).check("without triangles");
+    }
+}
+
+#[test]
+fn faces_that_are_none_are_of_no_unit() {
+    let mut body = Body::generated(Shape::Amphora, VERTICES);
+    let n = body.positions.len();
+    (0..n).step_by(17).for_each(|i| body.positions[i] = DVec3::NAN);
+    let faces = body.faces.len();
+    for (i, corner) in [(5, u32::MAX), (70_000, n as u32), (faces - 1, 1 << 31)] {
+        body.faces[i][1] = corner;
+    }
+    (0..faces).step_by(29).for_each(|i| body.faces[i][2] = body.faces[i][0]);
+    // A range of faces without any vertex.
+    body.faces[65_536..2 * 65_536].fill([u32::MAX - 1; 3]);
+    let sampling = Sampling { placement: Placement::Faces, ..samples(2000) };
+    Work::new(&body, sampling).check("some of them");
+}
+
+#[test]
+fn a_soup_is_divided_where_its_sheets_are_not_told_apart() {
+    let body = Body::generated(Shape::Amphora, VERTICES / 6);
+    let skip = Skip { sheets: true, ..Skip::default() };
+    Work::of_format(&body, "stl", Sampling { skip, ..samples(1000) }).check("STL");
+}
+
+#[test]
+fn groups_without_room_are_none_where_faces_are_read() {
+    let body = Body::generated(Shape::Amphora, 300_000).shuffled();
+    let sampling = Sampling { grouping: Grouping::Level(6), memory_limit: Some(34 << 20), ..samples(3000) };
+    let mut work = Work::new(&body, sampling);
+    let notes = work.by_units(3);
+    assert!(notes.len() == 1 && notes[0].contains("no room"), "{notes:?}");
+    work.compare("without room");
+}
+
+#[test]
+fn what_is_wrong_with_files_of_faces_is_told() {
+    let mut work = Work::new(&Body::generated(Shape::Amphora, VERTICES).without_normals(), samples(1000));
+    let told = |error: simod_model::Error, words: &[&str]| {
+        let text = error.to_string();
+        assert!(words.iter().all(|word| text.contains(word)), "{text}");
+        assert_ne!(error.kind(), ErrorKind::Internal);
+    };
+    assert_eq!(work.by_units(3), Vec::<String>::new());
+    let expected = fs::read(work.path("divided.simod/samples.ply")).unwrap();
+    fs::remove_dir_all(work.path("divided.simod")).unwrap();
+    told(work.members(3).unwrap_err(), &["no part 3 of 3"]);
+    told(work.faces(3).unwrap_err(), &["no part 3 of 3"]);
+    // Any file that is damaged is told of by who reads it.
+    let damaged = |name: &str, read: &dyn Fn() -> Option<simod_model::Error>| {
+        let (file, good) = (work.path(name), fs::read(work.path(name)).unwrap());
+        let mut bad = good.clone();
+        let at = bad.len() / 2;
+        bad[at] ^= 1;
+        write_file(&file, &bad).unwrap();
+        told(read().unwrap(), &[name, "damaged"]);
+        write_file(&file, &good).unwrap();
+    };
+    damaged("faces-1", &|| work.cut(&Silent).err());
+    damaged("members-2", &|| work.cut(&Silent).err());
+    damaged("cut", &|| work.cut(&Silent).err());
+    for (name, unit) in [("leaves-1", 1), ("leaves-of-group-0", 0)] {
+        let again = || {
+            // Some of them have vertices of the group.
+            (0..3).filter(|other| name != "leaves-1" || *other == unit).find_map(|unit| {
+                fs::remove_file(work.path(&format!("members-{unit}"))).ok();
+                work.members(unit).err()
+            })
+        };
+        damaged(name, &again);
+        (0..3).for_each(|unit| assert!(work.members(unit).is_ok()));
+    }
+    // What belongs to other trees, though these are as good.
+    fs::remove_file(work.path("range-1")).unwrap();
+    assert!(work.range(1).unwrap());
+    fs::remove_file(work.path("cut")).unwrap();
+    assert!(work.cut_for_faces().unwrap());
+    (0..3).for_each(|unit| assert!(work.members(unit).is_ok()));
+    (0..3).for_each(|unit| assert!(work.faces(unit).is_ok()));
+    work.cut(&Silent).unwrap();
+    assert!(fs::read(work.path("divided.simod/samples.ply")).unwrap() == expected);
 }

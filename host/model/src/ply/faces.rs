@@ -179,6 +179,21 @@ pub(super) fn bytes(model: &PlyModel) -> u64 {
     }
 }
 
+/// Where a face begins, if all of them are triangles by the bytes that they take: see
+/// [`face_at`](crate::Model::face_at).
+pub(super) fn triangle_at(model: &PlyModel, face: u64) -> Option<u64> {
+    let [element] = with_triangles(&model.header)[..] else { return None };
+    if model.header.encoding == Encoding::Ascii {
+        return None;
+    }
+    let (start, end) = (model.starts[element], model.starts[element + 1]);
+    let FaceElement { plan, compact, .. } =
+        FaceElement::new(&model.header.elements[element], model.header.encoding, None);
+    let bytes = compact?.bare as u64 + 12;
+    let is_one = face <= plan.count && plan.count.checked_mul(bytes)? == end - start;
+    is_one.then_some(start + face * bytes)
+}
+
 impl<'a> Faces<'a> {
     pub(super) fn new(model: &'a PlyModel) -> Result<Self> {
         Self::by(BLOCK, model)

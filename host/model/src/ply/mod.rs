@@ -247,6 +247,10 @@ impl Model for PlyModel {
         Ok(Box::new(SomeFaces::new(self, ranges)?))
     }
 
+    fn face_at(&self, face: u64) -> Option<u64> {
+        faces::triangle_at(self, face)
+    }
+
     fn check_complete(&self, progress: &dyn Progress) -> Result<()> {
         if self.header.encoding == Encoding::Ascii {
             progress.begin("checking the text", self.source.len());

@@ -176,6 +176,10 @@ impl Model for BinaryStl {
         Ok(Box::new(Facets::between(self.facets, ranges)))
     }
 
+    fn face_at(&self, face: u64) -> Option<u64> {
+        (face <= self.facets).then(|| Facets::start(face))
+    }
+
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
         self.source.check_unchanged()
     }

@@ -50,8 +50,13 @@ impl Facets {
         Self { ranges: of_marks.into_iter(), range: 0..0, with_marks: false }
     }
 
+    /// The byte at which a facet begins.
+    pub(super) fn start(facet: u64) -> u64 {
+        START + FACET * facet
+    }
+
     fn mark(&self, triangle: usize) -> FaceMark {
-        FaceMark { triangle, offset: START + FACET * self.range.start }
+        FaceMark { triangle, offset: Self::start(self.range.start) }
     }
 }
 

@@ -63,8 +63,10 @@ fn makefile(plan: &Plan, program: &str) -> String {
          SIMOD ?= {}\nOPTIONS ?=\n\n.PHONY: all\nall: {FINISHED}\n\n",
         program.replace('$', "$$")
     );
-    let is_removed =
-        |unit: &&Unit| matches!(unit.stage, Stage::Cluster | Stage::ClusterShared | Stage::Apply);
+    let is_removed = |unit: &&Unit| {
+        use Stage::{Apply, Cluster, ClusterShared, Faces, Members};
+        matches!(unit.stage, Cluster | ClusterShared | Members | Faces | Apply)
+    };
     let parts: Vec<String> = plan.units.iter().filter(is_removed).map(|unit| file(&unit.number)).collect();
     if !parts.is_empty() {
         // They are removed in the end, and not made again for that.

@@ -23,6 +23,9 @@ pub(super) const FINISHED: &str = "finished.toml";
 /// The counts of all vertices.
 pub(super) const COUNTS: &str = "counts.bin";
 
+/// The cut through all trees, where faces have a say in what becomes of it.
+pub(super) const CUT: &str = "cut.bin";
+
 /// P_S.
 pub(super) const SAMPLED: &str = "sampled.simod";
 
@@ -134,7 +137,7 @@ pub struct Unit {
     /// The vertices that it counts, if it counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) vertices: Option<Range<u64>>,
-    /// Which range of the vertices, or which group of cells that ranges share, if it clusters.
+    /// Which range of the vertices or of the faces, or which group of cells that ranges share, if it samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) part: Option<u64>,
     /// The pieces of the file that it writes, or the tiles, if it applies the deformation.
@@ -158,6 +161,12 @@ pub enum Stage {
     ClusterShared,
     /// The samples are those of a cut through all clusters.
     Cut,
+    /// Where faces have a say: the sample of each vertex of a range is looked up.
+    Members,
+    /// It is found what a range of the faces tells.
+    Faces,
+    /// The samples are completed with that.
+    Complete,
     /// The counts are added up, and the model is sampled, where clustering is not divided.
     Sample,
     /// The samples are deformed, and refined where the steps say so.
@@ -179,6 +188,9 @@ impl Stage {
             Self::Cluster => "cluster",
             Self::ClusterShared => "cluster-shared",
             Self::Cut => "cut",
+            Self::Members => "members",
+            Self::Faces => "faces",
+            Self::Complete => "complete",
             Self::Sample => "sample",
             Self::Deform => "deform",
             Self::Apply => "apply",
@@ -245,7 +257,7 @@ impl Plan {
     fn check(&self) -> Result<(), String> {
         // What comes before the vertices is of no unit that applies the deformation.
         let (mut vertices, mut pieces) = (Some(0), None);
-        let mut parts = [0; 2];
+        let mut parts = [0; 4];
         for (number, unit) in self.units.iter().enumerate() {
             let wrong = |what: &str| Err(format!("unit {number} {what}"));
             if unit.number != number {
@@ -257,8 +269,9 @@ impl Plan {
             if !unit.writes.components().all(|part| matches!(part, std::path::Component::Normal(_))) {
                 return wrong("writes outside the plan's folder");
             }
-            let mut clusters = [Stage::Cluster, Stage::ClusterShared].into_iter().zip(&mut parts);
-            if let Some((_, next)) = clusters.find(|(stage, _)| *stage == unit.stage) {
+            let stages = [Stage::Cluster, Stage::ClusterShared, Stage::Members, Stage::Faces];
+            let mut of_parts = stages.into_iter().zip(&mut parts);
+            if let Some((_, next)) = of_parts.find(|(stage, _)| *stage == unit.stage) {
                 if unit.part != Some(*next) {
                     return wrong("is not of the part that comes next");
                 }
@@ -279,8 +292,12 @@ impl Plan {
                 None => {}
             }
         }
-        if parts[0] != parts[1] {
+        let [ranges, groups, members, faces] = parts;
+        if ranges != groups {
             return Err("has other ranges than groups of cells to cluster".to_owned());
+        }
+        if (faces > 0 && members != ranges) || (faces == 0 && members > 0) {
+            return Err("has other ranges of vertices to cluster than to look up".to_owned());
         }
         let is_last = |unit: &Unit| matches!(unit.stage, Stage::Finish | Stage::Write);
         match self.units.iter().filter(|unit| is_last(unit)).count() {
@@ -353,6 +370,11 @@ impl Plan {
             opacity: *opacity,
             max_anisotropy: *max_anisotropy,
         }
+    }
+
+    /// Whether faces have a say in the samples, and are read by units.
+    pub(super) fn divides_faces(&self) -> bool {
+        self.units.iter().any(|unit| unit.stage == Stage::Faces)
     }
 
     /// The files of a stage, in the order of its units.

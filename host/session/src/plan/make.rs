@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use simod_core::reconstruction::{Method, abort_object};
-use simod_core::sampling::divided::{exchanged_at_most, ranges_of, undivided};
+use simod_core::sampling::divided::{exchanged_at_most, ranges_of, reads_faces, undivided};
+use simod_core::sampling::divided_faces::{face_ranges_of, faces_exchanged_at_most};
 use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
 use simod_model::object::is_object;
@@ -18,7 +19,7 @@ use simod_model::{
 
 use super::emit::{Emit, emit};
 use super::graph::{
-    COUNTS, DEFORMED, Exchange, FINISHED, FORMAT, GRADIENTS, LONGEST_ID, METHODS, NORMALS, PLAN, Plan,
+    COUNTS, CUT, DEFORMED, Exchange, FINISHED, FORMAT, GRADIENTS, LONGEST_ID, METHODS, NORMALS, PLAN, Plan,
     REFINED, Recorded, SAMPLED, SHARED, SHARED_TILES, Stage, UPLOAD, Unit, hash_of, name_of,
 };
 use crate::pipeline::{converted, needed, open, sampling_of};
@@ -111,8 +112,8 @@ pub fn make(
             time: session.time,
             follow: follow.declared,
         },
-        units: units(&*model, &sampling, undivided.is_some(), options),
-        exchange: exchange(&*model, &sampling, options),
+        units: units(&*model, &sampling, undivided.is_some(), options)?,
+        exchange: exchange(&*model, &sampling, options)?,
         undivided,
     };
     let described = toml::to_string(&plan)
@@ -167,19 +168,21 @@ const MOST_CLUSTERING: u64 = 1000;
 
 /// How many units cluster ranges of the model, and how many groups of cells that these share; none if it is sampled
 /// by one.
-fn clustering(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> u64 {
-    let is_divided = is_read_anywhere(model, options.normals) && undivided(model, sampling).is_none();
+fn clustering(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> Result<u64> {
+    let is_divided = is_read_anywhere(model, options.normals) && undivided(model, sampling)?.is_none();
     let count = if is_divided { ranges_of(model, options.units.min(MOST_CLUSTERING)) } else { 0 };
-    if count > 1 { count } else { 0 }
+    Ok(if count > 1 { count } else { 0 })
 }
 
-/// What units write down for each other of cells that they share.
-fn exchange(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> Exchange {
-    if clustering(model, sampling, options) > 0 {
-        return Exchange { at_most_bytes: exchanged_at_most(model), undivided: None };
+/// What units write down for each other of cells that they share, and of what faces tell.
+fn exchange(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> Result<Exchange> {
+    if clustering(model, sampling, options)? > 0 {
+        let at_most_bytes =
+            exchanged_at_most(model).saturating_add(faces_exchanged_at_most(model, sampling)?);
+        return Ok(Exchange { at_most_bytes, undivided: None });
     }
-    let why = undivided(model, sampling).filter(|_| options.units > 1);
-    Exchange { at_most_bytes: 0, undivided: why.map(str::to_owned) }
+    let why = undivided(model, sampling)?.filter(|_| options.units > 1);
+    Ok(Exchange { at_most_bytes: 0, undivided: why.map(str::to_owned) })
 }
 
 /// What of a model a unit is of.
@@ -191,7 +194,12 @@ enum Of {
 }
 
 /// The graph.
-fn units(model: &dyn Model, sampling: &Sampling, undivided: bool, options: &Options<'_>) -> Vec<Unit> {
+fn units(
+    model: &dyn Model,
+    sampling: &Sampling,
+    undivided: bool,
+    options: &Options<'_>,
+) -> Result<Vec<Unit>> {
     let mut units: Vec<Unit> = Vec::new();
     let mut add = |stage, after: Vec<usize>, of: Of, writes: PathBuf| {
         let (vertices, part, pieces) = match of {
@@ -211,17 +219,20 @@ fn units(model: &dyn Model, sampling: &Sampling, undivided: bool, options: &Opti
             before.push(add(Stage::Count, Vec::new(), Of::Vertices(range), writes));
         }
     }
-    let (count, sampled) = (clustering(model, sampling, options), Path::new(SAMPLED).join("simod.toml"));
+    let (count, sampled) = (clustering(model, sampling, options)?, Path::new(SAMPLED).join("simod.toml"));
     let sample = if count > 0 {
         let merged = vec![add(Stage::Merge, before, Of::All, COUNTS.into())];
-        let mut of = |stage, after: &Vec<usize>, name: &str| -> Vec<usize> {
-            let one =
-                |part| add(stage, after.clone(), Of::Part(part), PathBuf::from(format!("{name}-{part}.bin")));
-            (0..count).map(one).collect()
-        };
-        let mut clustered = of(Stage::Cluster, &merged, "cluster");
-        clustered.extend(of(Stage::ClusterShared, &clustered, "group"));
-        add(Stage::Cut, clustered, Of::All, sampled)
+        let mut clustered = parts(&mut add, (Stage::Cluster, "cluster"), &merged, count);
+        clustered.extend(parts(&mut add, (Stage::ClusterShared, "group"), &clustered, count));
+        if reads_faces(model, sampling)? {
+            let cut = vec![add(Stage::Cut, clustered, Of::All, CUT.into())];
+            let members = parts(&mut add, (Stage::Members, "members"), &cut, count);
+            let ranges = face_ranges_of(model, count);
+            let faces = parts(&mut add, (Stage::Faces, "faces"), &members, ranges);
+            add(Stage::Complete, faces, Of::All, sampled)
+        } else {
+            add(Stage::Cut, clustered, Of::All, sampled)
+        }
     } else {
         add(Stage::Sample, before, Of::All, sampled)
     };
@@ -229,15 +240,26 @@ fn units(model: &dyn Model, sampling: &Sampling, undivided: bool, options: &Opti
     let division = model.division(options.normals).filter(|_| !undivided);
     let Some(division) = division else {
         add(Stage::Write, vec![deform], Of::All, FINISHED.into());
-        return units;
+        return Ok(units);
     };
-    let mut parts = Vec::new();
+    let mut written = Vec::new();
     for (number, range) in pieces(model, &division, options.units).into_iter().enumerate() {
         let writes = PathBuf::from(format!("part-{number}.bin"));
-        parts.push(add(Stage::Apply, vec![deform], Of::Pieces(range), writes));
+        written.push(add(Stage::Apply, vec![deform], Of::Pieces(range), writes));
     }
-    add(Stage::Finish, parts, Of::All, FINISHED.into());
-    units
+    add(Stage::Finish, written, Of::All, FINISHED.into());
+    Ok(units)
+}
+
+/// Adds the units of a stage, each of a part that has its number, after the same others.
+fn parts(
+    add: &mut impl FnMut(Stage, Vec<usize>, Of, PathBuf) -> usize,
+    (stage, name): (Stage, &str),
+    after: &[usize],
+    count: u64,
+) -> Vec<usize> {
+    let writes = |part| PathBuf::from(format!("{name}-{part}.bin"));
+    (0..count).map(|part| add(stage, after.to_vec(), Of::Part(part), writes(part))).collect()
 }
 
 /// The pieces of a model, tiles among them, that units write.
@@ -303,11 +325,12 @@ fn check_target(folder: &Path) -> Result<()> {
 
 /// Whether a file in a plan's folder is of the plan, its units or its engines.
 fn is_own(name: &str) -> bool {
-    let fixed = [PLAN, FINISHED, COUNTS, SAMPLED, REFINED, DEFORMED, SHARED, SHARED_TILES, UPLOAD, GRADIENTS];
+    let fixed =
+        [PLAN, FINISHED, COUNTS, CUT, SAMPLED, REFINED, DEFORMED, SHARED, SHARED_TILES, UPLOAD, GRADIENTS];
     let is_numbered = |(before, behind)| name.starts_with(before) && name.ends_with(behind);
     fixed.contains(&name)
         || Emit::FILES.contains(&name)
-        || ["count-", "cluster-", "shared-", "group-", "part-"]
+        || ["count-", "cluster-", "shared-", "group-", "leaves-", "members-", "faces-", "part-"]
             .into_iter()
             .any(|of| is_numbered((of, ".bin")))
         || [("slurm-", ".out"), (".simod-", "")].into_iter().any(is_numbered)

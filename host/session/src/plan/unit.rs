@@ -12,6 +12,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::divided::{
     Division, cluster, cluster_shared, merge_counts, sample_clustered, shared,
 };
+use simod_core::sampling::divided_faces::{self, FaceFiles};
 use simod_core::sampling::{Sampling, count, sample_counted};
 use simod_model::object::{self, is_object};
 use simod_model::resumable_output::Place;
@@ -21,8 +22,8 @@ use simod_model::{
 };
 
 use super::graph::{
-    COUNTS, DEFORMED, FINISHED, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES, Stage,
-    UPLOAD, Unit, hash_of,
+    COUNTS, CUT, DEFORMED, FINISHED, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES,
+    Stage, UPLOAD, Unit, hash_of,
 };
 use super::make::skipped;
 use crate::deformer::Message;
@@ -69,8 +70,10 @@ pub fn do_unit(
     })?;
     let work = UnitRun { plan, unit, folder, progress };
     // Parts are checked where they are found, and what they were made of may be gone once all is done.
-    let checks_itself =
-        matches!(unit.stage, Stage::Count | Stage::Cluster | Stage::ClusterShared | Stage::Apply);
+    let checks_itself = matches!(
+        unit.stage,
+        Stage::Count | Stage::Cluster | Stage::ClusterShared | Stage::Members | Stage::Faces | Stage::Apply
+    );
     if folder.join(FINISHED).is_file() || (!checks_itself && folder.join(&unit.writes).is_file()) {
         return Ok(Done { was_done: true, ..Done::default() });
     }
@@ -89,7 +92,9 @@ pub fn do_unit(
         Stage::Count => work.count(),
         Stage::Merge => work.merge(plugins),
         Stage::Cluster | Stage::ClusterShared => work.cluster(plugins),
-        Stage::Cut | Stage::Sample => work.sample(plugins),
+        Stage::Cut if plan.divides_faces() => work.cut(plugins),
+        Stage::Members | Stage::Faces => work.faces(plugins),
+        Stage::Cut | Stage::Complete | Stage::Sample => work.sample(plugins),
         Stage::Deform => work.deform(plugins),
         Stage::Apply => work.apply(),
         Stage::Finish => work.finish(),
@@ -142,15 +147,61 @@ impl UnitRun<'_> {
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
         let (counts, part) = (self.path(COUNTS), self.unit.part.unwrap_or_default());
         let division = (&self.division(&counts), part);
-        let (own, shared) = (self.at_own(), self.shared());
+        let (own, shared, files) = (self.at_own(), self.shared(), self.of_faces());
         let (folder, progress) = (self.folder, self.progress);
         let did = if self.unit.stage == Stage::Cluster {
-            let vertices = &shared[part as usize];
-            cluster(&*model, &sampling, division, (&own, vertices), folder, progress)?
+            let (vertices, leaves) = (&shared[part as usize], &files.leaves[part as usize]);
+            cluster(&*model, &sampling, division, (&own, vertices, leaves), folder, progress)?
         } else {
-            cluster_shared(&*model, &sampling, division, (&shared, &own), folder, progress)?
+            let leaves = &files.leaves_of_groups[part as usize];
+            cluster_shared(&*model, &sampling, division, &shared, (&own, leaves), folder, progress)?
         };
         Ok(Done { was_done: !did, ..Done::default() })
+    }
+
+    /// The cut, for units that complete it.
+    fn cut(&self, plugins: &PluginRegistry) -> Result<Done> {
+        let (session, sampling) = self.sampling(plugins)?;
+        let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
+        let [ranges, groups] = self.clustered();
+        let (counts, files, own) = (self.path(COUNTS), (&ranges[..], &groups[..]), self.at_own());
+        let division = self.division(&counts);
+        let did = divided_faces::cut(&*model, &sampling, &division, files, &own, self.folder, self.progress)?;
+        Ok(Done { was_done: !did, ..Done::default() })
+    }
+
+    /// A part of what the faces tell.
+    fn faces(&self, plugins: &PluginRegistry) -> Result<Done> {
+        let (session, sampling) = self.sampling(plugins)?;
+        let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
+        let counts = self.path(COUNTS);
+        let part = (&self.division(&counts), self.unit.part.unwrap_or_default());
+        let (files, own, progress) = (self.of_faces(), self.at_own(), self.progress);
+        let files = &files.borrowed();
+        let did = if self.unit.stage == Stage::Members {
+            divided_faces::members(&*model, &sampling, part, files, &own, self.folder, progress)?
+        } else {
+            divided_faces::faces(&*model, &sampling, part, files, &own, self.folder, progress)?
+        };
+        Ok(Done { was_done: !did, ..Done::default() })
+    }
+
+    /// What units leave each other to know of the faces.
+    fn of_faces(&self) -> OfFaces {
+        let ranges = 0..self.plan.files_of(self.folder, Stage::Cluster).len();
+        let of = |name: &str| ranges.clone().map(|range| self.path(&format!("{name}-{range}.bin"))).collect();
+        OfFaces {
+            cut: self.path(CUT),
+            leaves: of("leaves"),
+            leaves_of_groups: of("group-leaves"),
+            members: self.plan.files_of(self.folder, Stage::Members),
+            faces: self.plan.files_of(self.folder, Stage::Faces),
+        }
+    }
+
+    /// The trees of ranges, and of groups of cells.
+    fn clustered(&self) -> [Vec<PathBuf>; 2] {
+        [Stage::Cluster, Stage::ClusterShared].map(|stage| self.plan.files_of(self.folder, stage))
     }
 
     /// How clustering is divided.
@@ -178,10 +229,15 @@ impl UnitRun<'_> {
                 return sample_counted(&*model, sampling, counted, self.folder, self.progress);
             }
             let counts = self.path(COUNTS);
-            let [ranges, groups] =
-                [Stage::Cluster, Stage::ClusterShared].map(|stage| self.plan.files_of(self.folder, stage));
+            let division = &self.division(&counts);
+            if self.unit.stage == Stage::Complete {
+                let files = self.of_faces();
+                let (files, folder) = (&files.borrowed(), self.folder);
+                return divided_faces::complete(&*model, sampling, division, files, folder, self.progress);
+            }
+            let [ranges, groups] = self.clustered();
             let files = (&ranges[..], &groups[..]);
-            sample_clustered(&*model, sampling, &self.division(&counts), files, self.folder, self.progress)
+            sample_clustered(&*model, sampling, division, files, self.folder, self.progress)
         };
         sampled_of(&session, &*model, skip, &cache, by, self.progress)?.save_in(begun)?;
         Ok(Done::default())
@@ -374,9 +430,10 @@ impl UnitRun<'_> {
 
     /// Removes what is not needed any more; a file that cannot be removed hurts nobody.
     fn tidy(&self, parts: &[PathBuf]) {
-        let [ranges, groups] =
-            [Stage::Cluster, Stage::ClusterShared].map(|stage| self.plan.files_of(self.folder, stage));
-        let all = parts.iter().chain(&ranges).chain(&groups);
+        let [ranges, groups] = self.clustered();
+        let OfFaces { leaves, leaves_of_groups, members, faces, .. } = self.of_faces();
+        let of_faces = leaves.iter().chain(&leaves_of_groups).chain(&members).chain(&faces);
+        let all = parts.iter().chain(&ranges).chain(&groups).chain(of_faces);
         all.chain(&self.shared())
             .chain([&self.path(UPLOAD)])
             .for_each(|file| drop(std::fs::remove_file(file)));
@@ -393,6 +450,22 @@ impl UnitRun<'_> {
         };
         let text = format!("output = {:?}\nbytes = {bytes}\n", self.plan.output.display().to_string());
         output::write_file(&self.path(FINISHED), text.as_bytes())
+    }
+}
+
+/// The files by which units know the faces.
+struct OfFaces {
+    cut: PathBuf,
+    leaves: Vec<PathBuf>,
+    leaves_of_groups: Vec<PathBuf>,
+    members: Vec<PathBuf>,
+    faces: Vec<PathBuf>,
+}
+
+impl OfFaces {
+    fn borrowed(&self) -> FaceFiles<'_> {
+        let Self { cut, leaves, leaves_of_groups, members, faces } = self;
+        FaceFiles { cut, leaves, leaves_of_groups, members, faces }
     }
 }
 

@@ -1,0 +1,756 @@
+//! What the faces tell of P_S, by units of work: which sample each vertex of a range belongs to, what a range of the
+//! faces tells, and P_S of all of it. The samples are those of [`sample`](super::sample), to the byte.
+//!
+//! - A cut of all trees says which leaves belong to which sample, and a range of the vertices looks up its own.
+//! - A range of the faces reads of the vertices those between the least and the greatest corner. What it finds in its
+//!   faces are sets (triangles, islands and what joins them), lists in the order of the file (where faces are), and
+//!   sums of runs of faces that do not depend on the ranges (planes).
+//! - What hangs together are the connected parts of what ranges found to, each known by its first vertex.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use bytemuck::{cast_slice, cast_slice_mut};
+use glam::Vec3;
+use memmap2::{Mmap, MmapMut};
+use serde::{Deserialize, Serialize};
+use simod_model::frame::Frame;
+use simod_model::scratch::Scratch;
+use simod_model::{
+    Error, ErrorKind, FACES_OF_A_BLOCK, FaceChunk, FaceMark, Model, Progress, Result, SMALL_CHUNK,
+    VertexChunk, for_faces_at, input, output,
+};
+use xxhash_rust::xxh3::xxh3_128;
+
+use super::clustered_file::{mark_of, refused};
+use super::cut::Cut;
+use super::divided::{Divided, Division, leaves_key, reads_faces};
+use super::face_ranges::FaceRanges;
+use super::gather::Grouping;
+use super::membership::{self, SampleOf, Samples};
+use super::numbers_file::{Numbers, NumbersWriter, is_there};
+use super::placement::{FACES_OF_A_SUM, LISTED, Placement, Planes};
+use super::shares::Owner;
+use super::triangles::{Reindexing, Triangles, Wanted};
+use super::{Found, Prepared, Read, Reindexed, Sampling, Target};
+use crate::sampled_model::SampledModel;
+use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
+use crate::touching::{FoundTwins, Islands};
+
+/// What the file of a cut begins with.
+const LETTERS: &[u8; 8] = b"simodcut";
+
+const VERSION: u32 = 1;
+
+/// No file of a cut is longer: of 2³² samples.
+const LONGEST: u64 = 1 << 40;
+
+/// No sample.
+const NONE: u32 = u32::MAX;
+
+/// Numbers that are copied at a time.
+const COPIED: usize = 1 << 16;
+
+const ADVICE: &str = "do without the faces, by --skip triangles,sheets and --place vertices";
+
+/// Where units leave each other what it takes to know of the faces.
+#[derive(Debug, Clone, Copy)]
+pub struct FaceFiles<'a> {
+    /// The cut through all trees.
+    pub cut: &'a Path,
+    /// The leaves of the vertices of each range.
+    pub leaves: &'a [PathBuf],
+    /// The same of each group of cells.
+    pub leaves_of_groups: &'a [PathBuf],
+    /// The samples of the vertices of each range.
+    pub members: &'a [PathBuf],
+    /// What each range of the faces tells.
+    pub faces: &'a [PathBuf],
+}
+
+/// What a cut through all trees leaves.
+#[derive(Serialize, Deserialize)]
+struct CutFile {
+    /// That of the division.
+    key: u128,
+    /// Why one unit has to sample the model by itself, if so.
+    alone: Option<String>,
+    /// The level of groups of vertices, if there are any.
+    level: Option<u32>,
+    cut: Cut,
+    fingerprint: String,
+    jumps: u64,
+    ranges: Vec<Vec<Range<u64>>>,
+    /// The marks of the trees of all ranges and groups.
+    trees: Vec<u128>,
+    #[serde(skip)]
+    mark: u128,
+}
+
+/// Ranges of the faces that are read by as many units, if there are to be so many: each begins with a
+/// [sum](FACES_OF_A_SUM).
+fn face_ranges(faces: u64, units: u64) -> Vec<Range<u64>> {
+    let sums = faces.div_ceil(FACES_OF_A_SUM);
+    let count = units.clamp(1, sums.max(1));
+    let at = |share: u64| {
+        let sum = (u128::from(sums) * u128::from(share) / u128::from(count)) as u64;
+        (sum * FACES_OF_A_SUM).min(faces)
+    };
+    (0..count).map(|share| at(share)..at(share + 1)).collect()
+}
+
+/// Number of ranges that a model's faces are divided into, if there are to be so many.
+pub fn face_ranges_of(model: &dyn Model, units: u64) -> u64 {
+    face_ranges(model.info().faces, units).len() as u64
+}
+
+/// Most bytes that units write down for each other to know the faces, besides what they do for clusters: which it comes
+/// to where neither vertices nor faces come in any order. They are none where faces have no say.
+///
+/// # Errors
+/// As of [`reads_faces`].
+pub fn faces_exchanged_at_most(model: &dyn Model, sampling: &Sampling) -> Result<u64> {
+    if !reads_faces(model, sampling)? {
+        return Ok(0);
+    }
+    let info = model.info();
+    // Leaves, once more of those in shared cells, and samples.
+    let of_vertices = 3 * size_of::<u32>() as u64;
+    let corners_of_a_sum = 3 * FACES_OF_A_SUM;
+    let samples = match sampling.target {
+        Target::Samples(n) => n.min(corners_of_a_sum),
+        Target::Error(_) => corners_of_a_sum,
+    };
+    let of_a_sum = (LISTED * size_of::<u32>()) as u64 * samples;
+    // Each makes one island of two, twice at most, and is in three cells at most.
+    let islands = if sampling.skip.sheets { 0 } else { 16 };
+    let ranges = if sampling.skip.triangles || sampling.skip.cells { 0 } else { 60 };
+    let of_faces = info.faces.saturating_mul(islands + ranges);
+    let of_sums = info.faces.div_ceil(FACES_OF_A_SUM).saturating_mul(of_a_sum);
+    Ok(info.vertices.saturating_mul(of_vertices).saturating_add(of_faces).saturating_add(of_sums))
+}
+
+/// Cuts the trees of all ranges and groups, each in one of some files, to a file. Nothing is done if it is there already;
+/// `false` then. Where parts have kept too little, as for [`sample_clustered`](super::divided::sample_clustered), that is
+/// what it says.
+///
+/// Memory: that of [`sample`](super::sample) without vertices, and a file; twice its own.
+///
+/// # Errors
+/// As of [`sample_clustered`](super::divided::sample_clustered).
+pub fn cut(
+    model: &dyn Model,
+    sampling: &Sampling,
+    division: &Division<'_>,
+    (of_ranges, of_groups): (&[PathBuf], &[PathBuf]),
+    target: &Path,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<bool> {
+    let divided = Divided::new(model, sampling, division, folder, progress)?;
+    if divided.read_cut(target).is_ok() {
+        return Ok(false);
+    }
+    progress.begin("completing the samples", 0);
+    let mut file = CutFile {
+        key: divided.key(),
+        alone: None,
+        level: None,
+        cut: Cut::default(),
+        fingerprint: String::new(),
+        jumps: 0,
+        ranges: Vec::new(),
+        trees: Vec::new(),
+        mark: 0,
+    };
+    let level = |grouping| if let Grouping::Level(level) = grouping { Some(level) } else { None };
+    match divided.cut(&divided.files(of_ranges, of_groups))? {
+        Ok((found, trees)) => {
+            let Found { cut, fingerprint, jumps, ranges, grouping, .. } = found;
+            file = CutFile { cut, fingerprint, jumps, ranges, trees, level: level(grouping), ..file };
+        }
+        Err((why, grouping)) => {
+            file.alone = Some(why.to_owned());
+            file.level = level(grouping);
+        }
+    }
+    let bytes = seal(LETTERS, VERSION, &file)
+        .map_err(|e| Error::internal("the cut cannot be held in a file", "report this").because(e))?;
+    output::write_file(target, &bytes)?;
+    Ok(true)
+}
+
+/// Finds the sample of each vertex of a range, to a file. Nothing is done if it is there already; `false` then.
+///
+/// Memory: that of the cut; 4 bytes for each cell; a block of each file that is read, 32 MiB or 8 KiB for each group.
+///
+/// # Errors
+/// A file is missing, damaged, or of something else; or cannot be written, or another process writes it.
+pub fn members(
+    model: &dyn Model,
+    sampling: &Sampling,
+    (division, range): (&Division<'_>, u64),
+    files: &FaceFiles<'_>,
+    target: &Path,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<bool> {
+    let divided = Divided::new(model, sampling, division, folder, progress)?;
+    let owner = divided.owner(Owner::Range, range)?;
+    let cut = divided.read_cut(files.cut)?;
+    let key = cut.key_of("members", range);
+    if is_there(target, key) {
+        return Ok(false);
+    }
+    let mut writer = NumbersWriter::create(target, key, 1)?;
+    if cut.alone.is_none() {
+        let own = divided.shares.ranges()[range as usize].clone();
+        progress.begin_parts("looking up each vertex' sample", own.end - own.start);
+        divided.look_up(owner, &cut, files, |samples| {
+            progress.check()?;
+            progress.advance(samples.len() as u64);
+            writer.push(0, samples)
+        })?;
+    }
+    writer.commit()?;
+    Ok(true)
+}
+
+impl Divided<'_> {
+    fn read_cut(&self, path: &Path) -> Result<CutFile> {
+        let bytes = input::read(path, LONGEST)?;
+        let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
+        let (version, content) = unseal(&bytes, LETTERS).map_err(damaged)?;
+        if version != VERSION {
+            return Err(damaged(UNKNOWN_VERSION));
+        }
+        let file: CutFile =
+            postcard::from_bytes(content).map_err(|_| damaged("its content makes no sense"))?;
+        if file.key != self.key() {
+            return Err(refused(path, "is a cut of another model, or for other samples"));
+        }
+        let Self { prepared, shares, .. } = self;
+        let cells = prepared.grid.keys.len();
+        let known = shares.ranges().len() + shares.groups() as usize;
+        let fits = file.cut.trees.len() == cells && file.ranges.len() == cells && file.trees.len() == known;
+        if file.alone.is_none() && !(fits && file.cut.is_sound()) {
+            return Err(damaged("it has not what the others have"));
+        }
+        Ok(CutFile { mark: mark_of(&bytes), ..file })
+    }
+
+    /// Visits the samples of the vertices of a range, in their order.
+    fn look_up(
+        &self,
+        owner: Owner,
+        cut: &CutFile,
+        files: &FaceFiles<'_>,
+        mut visit: impl FnMut(&[u32]) -> Result<()>,
+    ) -> Result<()> {
+        let Self { prepared: Prepared { grid, .. }, shares, .. } = self;
+        let Owner::Range(range) = owner else { return Ok(()) };
+        let (of_ranges, of_groups) = cut.trees.split_at(shares.ranges().len());
+        let open = |path: &PathBuf, mark: &u128| Numbers::open(path, leaves_key(*mark));
+        let missing = || {
+            Error::new(ErrorKind::Argument, "not all leaves are there", "do the units first that write them")
+        };
+        let (path, mark) = files.leaves.iter().zip(of_ranges).nth(range as usize).ok_or_else(missing)?;
+        let own = open(path, mark)?;
+        let groups = files.leaves_of_groups.iter().zip(of_groups);
+        let groups: Vec<Numbers> = groups.map(|(path, mark)| open(path, mark)).collect::<Result<_>>()?;
+        let mut of_groups: Vec<_> = groups.iter().map(|group| group.one_by_one(range as usize)).collect();
+
+        let starts = membership::starts(grid);
+        let mut samples = Samples::new(&cut.cut.starts);
+        // The leaves of the cell at hand, and who clustered it.
+        let mut cell = (0..0, owner);
+        let mut count = 0;
+        let mut found = Vec::with_capacity(COPIED);
+        own.each(0, |leaves| {
+            count += leaves.len() as u64;
+            found.clear();
+            for leaf in leaves {
+                if *leaf == NONE {
+                    found.push(NONE);
+                    continue;
+                }
+                if !cell.0.contains(leaf) {
+                    let next = starts.partition_point(|start| start <= leaf);
+                    let at = next.saturating_sub(1);
+                    let end = starts.get(next).copied().unwrap_or(NONE);
+                    cell = (starts.get(at).copied().unwrap_or(0)..end, shares.owner(at as u32));
+                }
+                let leaf = match cell.1 {
+                    Owner::Range(_) => *leaf,
+                    Owner::Group(group) => {
+                        let of_group = of_groups.get_mut(group as usize).ok_or_else(missing)?;
+                        let lacks = || refused(groups[group as usize].path(), "lacks vertices");
+                        of_group.next()?.ok_or_else(lacks)?
+                    }
+                };
+                found.push(samples.of(leaf));
+            }
+            visit(&found)
+        })?;
+        let all = &shares.ranges()[range as usize];
+        if count != all.end - all.start {
+            return Err(refused(own.path(), "is not of all vertices of its range"));
+        }
+        for (of_group, group) in of_groups.iter_mut().zip(&groups) {
+            if of_group.next()?.is_some() {
+                return Err(refused(group.path(), "has vertices of other ranges"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl CutFile {
+    /// The key of a file of this name and number that belongs to the cut.
+    fn key_of(&self, what: &str, number: u64) -> u128 {
+        self.mark ^ xxh3_128(format!("{what} {number}").as_bytes())
+    }
+}
+
+/// The lists in a file of what faces tell.
+mod list {
+    /// Of triangles: how many lack a vertex (lower and upper half), whether they are of vertices, whether tangled.
+    pub const HEAD: usize = 0;
+    /// Three corners each.
+    pub const TRIANGLES: usize = 1;
+    /// Where faces of a cell are: the cell, and the lower and the upper halves of the first byte and the end.
+    pub const RANGES: usize = 2;
+    pub const PLANES: usize = 3;
+    /// A vertex, and the first one of its island.
+    pub const ISLANDS: usize = 4;
+    /// Two of different clusters that a face joins.
+    pub const LINKS: usize = 5;
+    pub const COUNT: usize = 6;
+}
+
+/// Finds what a range of the faces tells, of so many [ranges](face_ranges_of), to a file. Nothing is done if it is there
+/// already; `false` then.
+///
+/// Memory: that of the cut; per sample 140 bytes, 12 for each of at most 32 triangles, twice while the list grows, and 8
+/// for each of at most 32 links; 16 bytes per cell; chunks of faces. Temporary files of 8 bytes for each vertex between
+/// the least and the greatest corner, and 12 more where faces place the samples: where vertices come in no order, these
+/// are all vertices.
+///
+/// # Errors
+/// A file is missing, damaged, or of something else, or cannot be written, or another process writes it; the model cannot
+/// be read, or its faces are no triangles; the user cancelled.
+pub fn faces(
+    model: &dyn Model,
+    sampling: &Sampling,
+    (division, part): (&Division<'_>, u64),
+    files: &FaceFiles<'_>,
+    target: &Path,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<bool> {
+    let divided = Divided::new(model, sampling, division, folder, progress)?;
+    let cut = divided.read_cut(files.cut)?;
+    let key = cut.key_of("faces", part);
+    if is_there(target, key) {
+        return Ok(false);
+    }
+    let parts = face_ranges(model.info().faces, files.faces.len() as u64);
+    let part = usize::try_from(part).ok().and_then(|part| parts.get(part)).ok_or_else(|| {
+        let what = format!("there is no part {part} of {}", parts.len());
+        Error::new(ErrorKind::Argument, what, "count from 0")
+    })?;
+    let mut writer = NumbersWriter::create(target, key, list::COUNT)?;
+    if cut.alone.is_none() {
+        FacePart::new(&divided, &cut, part.clone())?.read(files, &mut writer)?;
+    }
+    writer.commit()?;
+    Ok(true)
+}
+
+/// A range of the faces.
+struct FacePart<'a> {
+    divided: &'a Divided<'a>,
+    cut: &'a CutFile,
+    faces: Range<u64>,
+    /// Where in the file they are.
+    bytes: Range<u64>,
+}
+
+impl<'a> FacePart<'a> {
+    fn new(divided: &'a Divided<'a>, cut: &'a CutFile, faces: Range<u64>) -> Result<Self> {
+        let model = divided.prepared.model;
+        let at = |face| model.face_at(face).ok_or_else(|| no_triangles(model));
+        let bytes = at(faces.start)?..at(faces.end)?;
+        Ok(Self { divided, cut, faces, bytes })
+    }
+
+    /// Streams the faces, which are triangles.
+    fn each(&self, mut visit: impl FnMut(&FaceChunk) -> Result<()>) -> Result<()> {
+        let Prepared { model, progress, .. } = self.divided.prepared;
+        let mut count = 0;
+        for_faces_at(model, std::iter::once(self.bytes.clone()).collect(), |chunk| {
+            progress.check()?;
+            count += chunk.triangles.len() as u64;
+            if !chunk.continued.is_empty() {
+                return Err(no_triangles(model));
+            }
+            visit(chunk)?;
+            progress.advance(chunk.bytes);
+            Ok(())
+        })?;
+        // So many triangles take all of the bytes.
+        if count == self.faces.end - self.faces.start { Ok(()) } else { Err(no_triangles(model)) }
+    }
+
+    /// The vertices between the least corner and the greatest.
+    fn span(&self) -> Result<Range<u64>> {
+        let vertices = self.divided.prepared.model.info().vertices;
+        let (mut least, mut end) = (u64::MAX, 0);
+        self.each(|chunk| {
+            let corners = chunk.triangles.iter().flatten().map(|corner| u64::from(*corner));
+            for corner in corners.filter(|corner| *corner < vertices) {
+                (least, end) = (least.min(corner), end.max(corner + 1));
+            }
+            Ok(())
+        })?;
+        Ok(least.min(end)..end)
+    }
+
+    /// Writes down what they tell.
+    fn read(&self, files: &FaceFiles<'_>, to: &mut NumbersWriter) -> Result<()> {
+        let Self { divided: Divided { prepared, .. }, cut: CutFile { cut, .. }, .. } = *self;
+        let Prepared { model, sampling, folder, progress, .. } = prepared;
+        progress.begin("reindexing the faces", 2 * (self.bytes.end - self.bytes.start));
+        let span = self.span()?;
+        let (first, count) = (span.start as u32, span.end - span.start);
+        let sample_of =
+            if count > 0 { Some(self.divided.samples_of(self.cut, files, span.clone())?) } else { None };
+        let sample_of: &[u32] = sample_of.as_ref().map_or(&[], |map| cast_slice(map));
+        let places = sampling.placement == Placement::Faces;
+        let vertices = if places && count > 0 { Some(prepared.positions(sample_of, span)?) } else { None };
+        let vertices: &[Vec3] = vertices.as_ref().map_or(&[], |map| cast_slice(map));
+
+        let (triangles, samples) = (!sampling.skip.triangles, cut.samples());
+        let mut ranges = (triangles && !sampling.skip.cells).then(|| FaceRanges::listed(&cut.trees, samples));
+        let mut planes = places.then(|| Planes::listed(vertices, &cut.positions));
+        let mut islands = if sampling.skip.sheets {
+            None
+        } else {
+            Some(Islands::new(FoundTwins::none(count.max(1), folder)?, sample_of, samples, folder))
+        };
+        let wanted =
+            Wanted { triangles, ranges: ranges.as_mut(), islands: islands.as_mut(), planes: planes.as_mut() };
+        let mut reindexing = Reindexing::new(sample_of, samples, wanted);
+        let (mut face, mut here) = (self.faces.start, Vec::new());
+        self.each(|chunk| {
+            let known = |corner: u32| u64::from(corner) < model.info().vertices;
+            let local = |corner| if known(corner) { corner - first } else { NONE };
+            here.clear();
+            here.extend(chunk.triangles.iter().map(|corners| corners.map(local)));
+            let next = face + here.len() as u64;
+            reindexing.take(&here, &self.marks(face..next));
+            face = next;
+            write_listed(reindexing.wanted(), false, to)
+        })?;
+        write_listed(reindexing.wanted(), true, to)?;
+        let found = reindexing.finish();
+        write_triangles(&found, first, to)?;
+        if let Some(mut islands) = islands {
+            write_islands(&mut islands, first..first.wrapping_add(count as u32), *progress, to)?;
+        }
+        Ok(())
+    }
+
+    /// The marks among some faces, and behind the last one of all.
+    fn marks(&self, faces: Range<u64>) -> Vec<FaceMark> {
+        let model = self.divided.prepared.model;
+        let begin = faces.clone().filter(|face| face.is_multiple_of(FACES_OF_A_BLOCK));
+        let all = begin.chain((faces.end == self.faces.end).then_some(faces.end));
+        let mark = |face: u64| {
+            let triangle = (face - faces.start) as usize;
+            model.face_at(face).map(|offset| FaceMark { triangle, offset })
+        };
+        all.filter_map(mark).collect()
+    }
+}
+
+fn halves(number: u64) -> [u32; 2] {
+    [number as u32, (number >> 32) as u32]
+}
+
+fn whole(low: u32, high: u32) -> u64 {
+    u64::from(high) << 32 | u64::from(low)
+}
+
+/// Writes what was listed meanwhile.
+fn write_listed(wanted: &mut Wanted<'_, '_>, is_end: bool, to: &mut NumbersWriter) -> Result<()> {
+    if let Some(ranges) = &mut wanted.ranges {
+        for (cell, range) in ranges.take_listed(is_end) {
+            let ([a, b], [c, d]) = (halves(range.start), halves(range.end));
+            to.push(list::RANGES, &[cell, a, b, c, d])?;
+        }
+    }
+    match &mut wanted.planes {
+        Some(planes) => to.push(list::PLANES, &planes.take_listed(is_end)),
+        None => Ok(()),
+    }
+}
+
+/// Writes triangles, whose vertices are counted from `first` on.
+fn write_triangles(found: &Triangles, first: u32, to: &mut NumbersWriter) -> Result<()> {
+    let [a, b] = halves(found.without_vertex);
+    to.push(list::HEAD, &[a, b, found.of_vertices.into(), found.tangled.into()])?;
+    let first = if found.of_vertices { first } else { 0 };
+    found.triangles.iter().try_for_each(|t| to.push(list::TRIANGLES, &t.map(|corner| corner + first)))
+}
+
+/// Writes what hangs together of some vertices.
+fn write_islands(
+    islands: &mut Islands,
+    vertices: Range<u32>,
+    progress: &dyn Progress,
+    to: &mut NumbersWriter,
+) -> Result<()> {
+    for vertex in 0..vertices.end - vertices.start {
+        if vertex.is_multiple_of(COPIED as u32) {
+            progress.check()?;
+        }
+        let first = islands.first(vertex);
+        if first != vertex {
+            to.push(list::ISLANDS, &[vertex + vertices.start, first + vertices.start])?;
+        }
+    }
+    islands.drain_links(|links| {
+        links.iter().try_for_each(|link| to.push(list::LINKS, &link.map(|vertex| vertex + vertices.start)))
+    })
+}
+
+impl Divided<'_> {
+    /// The samples of some vertices, by the files of all ranges.
+    fn samples_of(&self, cut: &CutFile, files: &FaceFiles<'_>, vertices: Range<u64>) -> Result<MmapMut> {
+        let scratch = Scratch::new(self.prepared.folder, ADVICE)?;
+        let mut at = 0;
+        for (number, (range, path)) in (0..).zip(self.shares.ranges().iter().zip(files.members)) {
+            let own = range.start.max(vertices.start)..range.end.min(vertices.end);
+            if own.start >= own.end {
+                continue;
+            }
+            let file = Numbers::open(path, cut.key_of("members", number))?;
+            let places = own.start - range.start..own.end - range.start;
+            file.some(0, places, |samples| {
+                self.prepared.progress.check()?;
+                scratch.write_at(cast_slice(samples), at)?;
+                at += size_of_val(samples) as u64;
+                Ok(())
+            })?;
+        }
+        if at != (vertices.end - vertices.start) * size_of::<u32>() as u64 {
+            let what = "not all vertices have been looked up";
+            return Err(Error::new(ErrorKind::Argument, what, "do the units first that do so"));
+        }
+        scratch.map_mut()
+    }
+}
+
+impl Prepared<'_> {
+    /// Where some vertices are, in local coordinates; nowhere those that have no sample.
+    fn positions(&self, sample_of: &[u32], vertices: Range<u64>) -> Result<Mmap> {
+        let scratch = Scratch::new(self.folder, ADVICE)?;
+        let mut reader = self.model.vertices(vertices)?;
+        reader.set_chunk(SMALL_CHUNK);
+        reader.skip_attributes();
+        let (mut chunk, mut local, mut at) = (VertexChunk::default(), Vec::new(), 0);
+        let mut samples = sample_of.iter();
+        let place = |(p, sample): (&glam::DVec3, &u32), frame: &Frame| {
+            if *sample == NONE { Vec3::NAN } else { frame.to_local(*p) }
+        };
+        while reader.read(&mut chunk)? {
+            self.progress.check()?;
+            local.clear();
+            local.extend(chunk.positions.iter().zip(samples.by_ref()).map(|both| place(both, &self.frame)));
+            scratch.write_at(cast_slice(&local), at)?;
+            at += size_of_val(&local[..]) as u64;
+        }
+        if samples.next().is_some() {
+            return Err(super::finalization::changed(self.model));
+        }
+        scratch.map()
+    }
+}
+
+/// Samples a model of which all is known, by the files of all units.
+///
+/// Memory: that of [`sample`](super::sample) without vertices; 12 bytes for each of at most 32 triangles per sample. Where
+/// sheets are told apart, temporary files of 8 bytes per vertex, and 12 more where some touch and faces place the samples.
+///
+/// # Errors
+/// A file is missing, damaged, or of something else; as of [`sample`](super::sample).
+pub fn complete(
+    model: &dyn Model,
+    sampling: &Sampling,
+    division: &Division<'_>,
+    files: &FaceFiles<'_>,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<SampledModel> {
+    let divided = Divided::new(model, sampling, division, folder, progress)?;
+    let mut cut = divided.read_cut(files.cut)?;
+    let grouping = cut.level.map_or(Grouping::Never, Grouping::Level);
+    if let Some(why) = &cut.alone {
+        progress.note(&format!("{why}: this unit samples the model by itself"));
+        let found = divided.prepared.clustered_with(grouping)?;
+        return divided.prepared.complete(found);
+    }
+    let info = model.info();
+    progress.begin("completing the samples", 0);
+    let Divided { prepared, .. } = &divided;
+    let Prepared { sampling, bound, .. } = prepared;
+    let mut reindexed = Reindexed::new(std::mem::take(&mut cut.cut));
+    let ranges = std::mem::take(&mut cut.ranges);
+    let parting = prepared.parting(&ranges);
+    let read = Read { sampling, bound: *bound, parting: &parting };
+
+    let sheets = !sampling.skip.sheets;
+    let mut sample_of = if sheets { Some(divided.samples_of(&cut, files, 0..info.vertices)?) } else { None };
+    let known: &[u32] = sample_of.as_ref().map_or(&[], |map| cast_slice(map));
+    let islands = divided.take_faces(&cut, files, &read, known, &mut reindexed)?;
+    if let (Some(islands), Some(map)) = (islands, &mut sample_of) {
+        let sample_of: &mut [u32] = cast_slice_mut(map);
+        let changed = reindexed.part_sheets(&read, islands, sample_of, false)?;
+        if let (Some(changed), true) = (changed, reindexed.placed.is_some()) {
+            let vertices = prepared.positions(sample_of, 0..info.vertices)?;
+            reindexed.place_again(&read, sample_of, cast_slice(&vertices), &changed)?;
+        }
+    }
+    let CutFile { fingerprint, jumps, .. } = cut;
+    let found =
+        Found { cut: Cut::default(), fingerprint, jumps, ranges, membership: None, picked: None, grouping };
+    divided.prepared.assemble(found, reindexed, sample_of.map(SampleOf::of_all))
+}
+
+impl Divided<'_> {
+    /// Takes what all ranges of the faces told; what hangs together, if sheets are told apart, by the samples of all
+    /// vertices.
+    fn take_faces(
+        &self,
+        cut: &CutFile,
+        files: &FaceFiles<'_>,
+        read: &Read<'_>,
+        sample_of: &[u32],
+        reindexed: &mut Reindexed,
+    ) -> Result<Option<Islands>> {
+        let Prepared { model, sampling, folder, progress, .. } = &self.prepared;
+        let (trees, samples) = (&reindexed.cut.trees, reindexed.cut.samples());
+        let triangles = !sampling.skip.triangles;
+        let mut ranges = (triangles && !sampling.skip.cells).then(|| FaceRanges::new(trees, samples));
+        let places = sampling.placement == Placement::Faces;
+        let mut planes = places.then(|| Planes::new(&[], &reindexed.cut.positions, 0));
+        let mut islands = if sampling.skip.sheets {
+            None
+        } else {
+            let twins = FoundTwins::none(model.info().vertices, folder)?;
+            Some(Islands::new(twins, sample_of, samples, folder))
+        };
+        let wanted =
+            Wanted { triangles, ranges: ranges.as_mut(), islands: islands.as_mut(), planes: planes.as_mut() };
+        let mut reindexing = Reindexing::new(sample_of, samples, wanted);
+        for (number, path) in (0..).zip(files.faces) {
+            let file = Numbers::open(path, cut.key_of("faces", number))?;
+            take(&file, &mut reindexing, [samples, sample_of.len()], trees.len(), *progress)?;
+        }
+        let triangles = reindexing.finish();
+        let placed = planes.map(|planes| reindexed.place(read, planes));
+        let faces = ranges.filter(|_| !triangles.triangles.is_empty()).and_then(|r| r.into_cells(trees));
+        (reindexed.triangles, reindexed.placed, reindexed.faces) = (triangles, placed, faces);
+        Ok(islands)
+    }
+}
+
+/// Takes what a range of the faces told. There are so many samples and vertices, and so many cells.
+fn take(
+    file: &Numbers,
+    all: &mut Reindexing<'_, '_>,
+    [samples, vertices]: [usize; 2],
+    cells: usize,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let damaged = || refused(file.path(), "is damaged: its numbers make no sense");
+    let mut found = Triangles::default();
+    file.each(list::HEAD, |head| {
+        let [a, b, of_vertices, tangled] = *head else { return Err(damaged()) };
+        found.without_vertex = whole(a, b);
+        (found.of_vertices, found.tangled) = (of_vertices > 0, tangled > 0);
+        Ok(())
+    })?;
+    let known = if found.of_vertices { vertices } else { samples };
+    let triangles = &mut found.triangles;
+    records(file, list::TRIANGLES, progress, |corners: &[u32; 3]| {
+        triangles.push(*corners);
+        corners.iter().all(|corner| (*corner as usize) < known)
+    })?;
+    all.add(&found);
+    if let Some(ranges) = &mut all.wanted().ranges {
+        records(file, list::RANGES, progress, |[cell, a, b, c, d]: &[u32; 5]| {
+            let range = whole(*a, *b)..whole(*c, *d);
+            let is_one = (*cell as usize) < cells && !range.is_empty();
+            if is_one {
+                ranges.join(*cell, range);
+            }
+            is_one
+        })?;
+    }
+    if let Some(planes) = &mut all.wanted().planes {
+        records(file, list::PLANES, progress, |one: &[u32; LISTED]| planes.add_listed(one))?;
+    }
+    for list in [list::ISLANDS, list::LINKS] {
+        records(file, list, progress, |[u, v]: &[u32; 2]| {
+            let (Some(a), Some(b)) = (all.sample(*u), all.sample(*v)) else { return false };
+            let Some(islands) = &mut all.wanted().islands else { return true };
+            match list {
+                list::ISLANDS if a == b => islands.unite_both(*u, *v),
+                list::LINKS if a != b => islands.add_link([*u, *v]),
+                _ => return false,
+            }
+            true
+        })?;
+    }
+    Ok(())
+}
+
+/// Visits the numbers of a list, so many at a time, as long as they make sense.
+fn records<const N: usize>(
+    file: &Numbers,
+    list: usize,
+    progress: &dyn Progress,
+    mut visit: impl FnMut(&[u32; N]) -> bool,
+) -> Result<()> {
+    let damaged = || refused(file.path(), "is damaged: its numbers make no sense");
+    // Of one that goes on in the next block.
+    let mut begun: Vec<u32> = Vec::with_capacity(N);
+    file.each(list, |mut numbers| {
+        progress.check()?;
+        if !begun.is_empty() {
+            let (end, rest) = numbers.split_at(numbers.len().min(N - begun.len()));
+            begun.extend_from_slice(end);
+            numbers = rest;
+            if let Some(record) = begun.first_chunk() {
+                if !visit(record) {
+                    return Err(damaged());
+                }
+                begun.clear();
+            }
+        }
+        let (whole, rest) = numbers.as_chunks();
+        begun.extend_from_slice(rest);
+        if whole.iter().all(&mut visit) { Ok(()) } else { Err(damaged()) }
+    })?;
+    if begun.is_empty() { Ok(()) } else { Err(damaged()) }
+}
+
+fn no_triangles(model: &dyn Model) -> Error {
+    Error::new(
+        ErrorKind::Format,
+        format!("{} has faces that are no triangles, which cannot be read in parts", model.path().display()),
+        "sample it at once: by `simod run`, or a plan of --units 1",
+    )
+}
