@@ -21,10 +21,10 @@ use simod_model::{
 };
 
 use super::graph::{
-    COUNTS, DEFORMED, FINISHED, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES, Stage,
-    UPLOAD, Unit, hash_of,
+    COUNTS, DEFORMED, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES, UPLOAD,
 };
 use super::make::skipped;
+use super::units::{FINISHED, Stage, Unit, check_before, hash_of, unit_of};
 use crate::deformer::Message;
 use crate::edit::{Refinements, turning_gradients};
 use crate::pipeline::{DeformedSamples, deform, note_losses, open, sampled_of, sampling_of};
@@ -59,14 +59,7 @@ pub fn do_unit(
     plugins: &PluginRegistry,
     progress: &dyn Progress,
 ) -> Result<Done> {
-    let unit = plan.units().get(number).ok_or_else(|| {
-        let last = plan.units().len() - 1;
-        Error::new(
-            ErrorKind::Argument,
-            format!("{} has no unit {number}", folder.display()),
-            format!("its units are 0 to {last}: see plan.toml there"),
-        )
-    })?;
+    let unit = unit_of(plan.units(), (folder, number))?;
     let work = UnitRun { plan, unit, folder, progress };
     // Parts are checked where they are found, and what they were made of may be gone once all is done.
     let checks_itself =
@@ -74,17 +67,7 @@ pub fn do_unit(
     if folder.join(FINISHED).is_file() || (!checks_itself && folder.join(&unit.writes).is_file()) {
         return Ok(Done { was_done: true, ..Done::default() });
     }
-    for before in &unit.after {
-        let before = &plan.units()[*before];
-        if !folder.join(&before.writes).is_file() {
-            let (number, stage) = (before.number, before.stage.name());
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!("unit {number} ({stage}) has to be done before unit {}", unit.number),
-                format!("do it first: `simod unit {} {number}`", folder.display()),
-            ));
-        }
-    }
+    check_before(plan.units(), unit, folder)?;
     match unit.stage {
         Stage::Count => work.count(),
         Stage::Merge => work.merge(plugins),
@@ -94,6 +77,7 @@ pub fn do_unit(
         Stage::Apply => work.apply(),
         Stage::Finish => work.finish(),
         Stage::Write => work.write(),
+        Stage::Method | Stage::Page => Err(Error::internal("no session has such a unit", "report this")),
     }
 }
 
