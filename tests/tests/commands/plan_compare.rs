@@ -147,6 +147,10 @@ fn units_of_a_comparison_refuse_what_is_not_as_it_was_planned() {
     work.write("compare.toml", &command);
     work.refuses("compare compare.toml -o out --plan plan", &["runs a program: cp"]);
     work.simod("compare compare.toml -o out --plan plan --allow-commands");
+    let plan = String::from_utf8(work.read("plan/plan.toml")).expect("UTF-8");
+    work.write("plan/plan.toml", plan.replace("allow-commands = true", "allow-commands = false"));
+    work.refuses("unit plan 0", &["runs a program: cp"]);
+    work.write("plan/plan.toml", plan);
     work.write("compare.toml", command.replace("cp {", "mv {"));
     work.refuses("unit plan 1", &["compare.toml changed since the plan was made"]);
 }

@@ -87,15 +87,21 @@ pub fn compare(
     Ok(comparison)
 }
 
-/// The model and the place of the result, if a comparison may be made as it is asked for.
-fn checked(file: &CompareFile, how: Comparing, output: &Path) -> Result<(ModelName, Target)> {
-    if let Some((method, command)) = file.commands().next().filter(|_| !how.allow_commands) {
-        return Err(Error::new(
+/// An error if a file names programs that may not be run.
+fn check_commands(file: &CompareFile, how: Comparing) -> Result<()> {
+    match file.commands().next().filter(|_| !how.allow_commands) {
+        Some((method, command)) => Err(Error::new(
             ErrorKind::Argument,
             format!("{}: the method `{}` runs a program: {}", method.place, method.name, command.line),
             "if you know it, allow it with --allow-commands (from Python allow_commands=True)",
-        ));
+        )),
+        None => Ok(()),
     }
+}
+
+/// The model and the place of the result, if a comparison may be made as it is asked for.
+fn checked(file: &CompareFile, how: Comparing, output: &Path) -> Result<(ModelName, Target)> {
+    check_commands(file, how)?;
     let named = ModelName::of(&file.model)?;
     if let Some((method, _)) = file.commands().find(|(_, command)| command.makes_model())
         && matches!(named, ModelName::Tiles(_))

@@ -7,7 +7,7 @@
 //! ```
 
 use super::file::{CompareFile, Work};
-use super::{Comparing, checked};
+use super::{Comparing, check_commands, checked};
 use crate::plan::{
     Emit, FINISHED, PLAN, Planned, Stage, Unit, absolute, check_target, check_units, hash_of, put, read, text,
 };
@@ -222,7 +222,11 @@ impl ComparisonPlan {
             }
         }
         let file = CompareFile { model: self.model.clone(), ..CompareFile::load(&self.file)? };
-        if units(&file) == self.units { Ok(file) } else { Err(self.changed(&self.file)) }
+        if units(&file) != self.units {
+            return Err(self.changed(&self.file));
+        }
+        check_commands(&file, self.how())?;
+        Ok(file)
     }
 
     fn changed(&self, path: &Path) -> Error {
