@@ -218,7 +218,8 @@ impl UnitRun<'_> {
         let version = Version { deformed, output: &self.plan.output, diagnostics: None };
         let (file, upload) = (self.output_in_the_making(), self.upload()?);
         let files = (&parts[..], self.shared_by(&file, upload.as_deref()));
-        let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)?;
+        let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)
+            .map_err(|e| self.give_up(e, &parts, upload.as_deref()))?;
         self.finished(&**model)?;
         self.tidy(&parts);
         Ok(Done { written: Some(written), ..Done::default() })
@@ -239,6 +240,25 @@ impl UnitRun<'_> {
                 .inspect_err(|_| drop(abort_object(&self.plan.output, &id)))?;
         }
         Ok(())
+    }
+
+    /// Parts that do not fit what was sampled are of no use in any output: what was sent of them goes from the store, and what
+    /// tells that it was sent from the plan, so that units begin again with the deformation. Of other errors, and parts in
+    /// files, nothing is taken away.
+    fn give_up(&self, e: Error, parts: &[PathBuf], upload: Option<&str>) -> Error {
+        let Some(id) = upload.filter(|_| e.kind() == ErrorKind::Mismatch) else { return e };
+        let output = &self.plan.output;
+        for file in [self.path(DEFORMED)].iter().chain(parts) {
+            drop(std::fs::remove_file(file));
+        }
+        match abort_object(output, id) {
+            // Else it is gone on with, or aborted when the plan is made anew.
+            Ok(()) => drop(std::fs::remove_file(self.path(UPLOAD))),
+            Err(e) => self.progress.note(&format!("what was sent of {} stays: {e}", output.display())),
+        }
+        let hint =
+            "make the plan again, or, if the model is what it was, do its units again from `deform` on";
+        e.hinting(hint)
     }
 
     fn upload(&self) -> Result<Option<String>> {
