@@ -221,8 +221,10 @@ def compare(
     """
     path, output = Path(file).absolute(), Path(out).absolute()
     with _folder(folder, output) as where:
-        how = {"model": model, "keep_models": keep_models, "allow_commands": allow_commands}
-        plan = _Plan.of(where, _comparison_plan(path, where, output, **how))
+        content = _comparison_plan(
+            path, where, output, model=model, keep_models=keep_models, allow_commands=allow_commands
+        )
+        plan = _Plan.of(where, content)
         _Work(client, retries, resources, progress).do([plan])
     figures: dict[str, Any] = json.loads((output / "compare.json").read_bytes())
     return figures

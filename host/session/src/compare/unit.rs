@@ -38,6 +38,9 @@ pub struct Done {
     pub comparison: Option<Comparison>,
 }
 
+/// The records of all methods, and what those have left that were done, with their numbers.
+type Methods = (Vec<MethodRecord>, Vec<(usize, Deformed)>);
+
 /// What is noted of a sampling.
 #[derive(Serialize, Deserialize)]
 struct Taken {
@@ -138,11 +141,7 @@ impl UnitRun<'_> {
 
     /// What the units of methods have left. Deformed models are taken over to a folder, if there is one; what was made stays
     /// where it is all the same, as this unit may have to be done again.
-    fn methods(
-        &self,
-        kept: Option<&Path>,
-        rest: &dyn Model,
-    ) -> Result<(Vec<MethodRecord>, Vec<(usize, Deformed)>)> {
+    fn methods(&self, kept: Option<&Path>, rest: &dyn Model) -> Result<Methods> {
         let samplings = (0..samplings(self.file).len()).map(|part| self.sampled(part, false));
         let samplings = samplings.collect::<Result<Vec<_>>>()?;
         let (mut records, mut done) = (Vec::new(), Vec::new());
