@@ -15,6 +15,7 @@ __all__ = [
     "Model",
     "Samples",
     "Session",
+    "_comparison_plan",
     "_plan",
     "_plugin_data",
     "_register",
@@ -198,5 +199,14 @@ def _plan(
     lossy: bool = False,
     overwrite: bool = False,
     whole: bool = False,
+) -> str: ...
+def _comparison_plan(
+    file: _Path,
+    folder: _Path,
+    out: _Path,
+    *,
+    model: _Path | None = None,
+    keep_models: bool = False,
+    allow_commands: bool = False,
 ) -> str: ...
 def _unit(folder: _Path, number: int) -> bool: ...

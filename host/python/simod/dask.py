@@ -9,6 +9,7 @@
     simod.dask.apply(client, "scan.laz", s, "out.laz", units=64)
     simod.dask.run(client, "edit.toml")             # or a whole session
     simod.dask.run(client, ["a.toml", "b.toml"])    # or several ones, which share samples where they can
+    simod.dask.compare(client, "compare.toml", "page")
 
 The work is divided into units, from files to files (``simod plan``): all workers have to see the model, the output and
 the folder of the plan by the same names, and to have this package in the same version. A unit that fails, or whose
@@ -38,12 +39,12 @@ except ImportError as _missing:  # pragma: no cover
 
 from ._bar import Bar
 from ._errors import ArgumentError, Error, FileError
-from ._simod import Samples, _plan, _unit, load
+from ._simod import Samples, _comparison_plan, _plan, _unit, load
 
 if TYPE_CHECKING:
     from ._simod import _By, _Method, _Normals, _Place
 
-__all__ = ["Report", "apply", "run", "sample"]
+__all__ = ["Report", "apply", "compare", "run", "sample"]
 
 _Path = str | PathLike[str]
 _Paths = list[str] | list[Path] | list[_Path]
@@ -198,6 +199,37 @@ def run(
         return reports if several else reports[0]
 
 
+def compare(
+    client: Client,
+    file: _Path,
+    out: _Path,
+    *,
+    model: _Path | None = None,
+    keep_models: bool = False,
+    allow_commands: bool = False,
+    folder: _Path | None = None,
+    retries: int = 5,
+    resources: Mapping[str, float] | None = None,
+    progress: _Progress = None,
+) -> dict[str, Any]:
+    """Does the methods of a comparison beside each other, as ``simod.compare`` does one after the other.
+
+    Each sampling is a unit, then each method, and the last one compares what they came to and writes the folder `out`. It
+    has the figures, pictures and hashes of one machine; times are those of the workers. The deformed models of all
+    methods are in `folder` meanwhile, which is beside `out` where it is not given. Programs that the file names are run by
+    the workers if `allow_commands` says so. The rest is as of `sample`. Gives what is in compare.json.
+    """
+    path, output = Path(file).absolute(), Path(out).absolute()
+    with _folder(folder, output) as where:
+        content = _comparison_plan(
+            path, where, output, model=model, keep_models=keep_models, allow_commands=allow_commands
+        )
+        plan = _Plan.of(where, content)
+        _Work(client, retries, resources, progress).do([plan])
+    figures: dict[str, Any] = json.loads((output / "compare.json").read_bytes())
+    return figures
+
+
 @dataclass(frozen=True)
 class _Unit:
     folder: Path
@@ -264,10 +296,11 @@ def _planned(
         yield _Plan.of(where, _plan(session, where, output, units=units, whole=True, **how))
 
 
-#: The stages in the order of a run.
+#: The stages in the order of a run; a comparison samples, and does its own.
 _STAGES = (
     *("count", "merge", "cluster", "cluster-shared", "cut", "members", "faces", "complete", "sample"),
     *("deform", "apply", "finish", "write"),
+    *("method", "page"),
 )
 
 

@@ -33,6 +33,7 @@ fn _simod(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(plugins::plugin_data, module)?)?;
     module.add_function(wrap_pyfunction!(deformer::register, module)?)?;
     module.add_function(wrap_pyfunction!(units::plan, module)?)?;
+    module.add_function(wrap_pyfunction!(units::comparison_plan, module)?)?;
     module.add_function(wrap_pyfunction!(units::unit, module)?)?;
     module.add_function(wrap_pyfunction!(work::stop_all, module)?)?;
     Ok(())

@@ -1,15 +1,16 @@
 //! Sessions by units, for workers of a cluster: `simod.dask`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
 use serde_json::json;
 use simod_core::guard::Guard;
 use simod_model::ModelName;
 use simod_model::follow::Follow;
-use simod_session::SessionFile;
-use simod_session::plan::{Done, Options, Plan, do_unit, make};
+use simod_session::compare::{self, CompareFile, Comparing, ComparisonPlan, MethodRecord};
+use simod_session::plan::{Done, Options, Plan, Unit, do_unit, make};
 use simod_session::session_file::inputs;
+use simod_session::{PluginRegistry, SessionFile};
 
 use crate::options::reconstruction;
 use crate::plugins::registry;
@@ -67,15 +68,54 @@ pub fn plan(
         Ok((plan, sampled))
     })?;
     warn(py, &notes)?;
+    Ok(described(plan.output(), &sampled, plan.units()))
+}
+
+/// Writes the plan of a comparison to a folder; its units, and where the result goes, as JSON.
+#[pyfunction(name = "_comparison_plan")]
+#[pyo3(signature = (file, folder, out, *, model = None, keep_models = false, allow_commands = false))]
+pub fn comparison_plan(
+    py: Python<'_>,
+    file: PathBuf,
+    folder: PathBuf,
+    out: PathBuf,
+    model: Option<PathBuf>,
+    keep_models: bool,
+    allow_commands: bool,
+) -> PyResult<String> {
+    let plugins = registry(py)?;
+    let (plan, notes) = work(py, None, |watch| {
+        let mut comparison = CompareFile::load(&file)?;
+        comparison.model = model.unwrap_or(comparison.model);
+        let mut guard = Guard::default();
+        guard.reads_all([&file, &comparison.model]);
+        guard.reads_all(inputs(&file)?);
+        guard.reads_all(plugins.files());
+        guard.replaces_folder(&out)?;
+        guard.replaces_folder(&folder)?;
+        let how = Comparing { keep_models, allow_commands };
+        let options = compare::Options { how, plugins: &[], emit: &[] };
+        compare::make(&comparison, &file, &out, &options, &folder, watch)
+    })?;
+    warn(py, &notes)?;
+    // Its samplings are those of no other plan.
+    Ok(described(plan.output(), &folder.display().to_string(), plan.units()))
+}
+
+/// What Python asks of a plan, as JSON; plans of which `sampled` is the same take the same samples.
+fn described(output: &Path, sampled: &str, units: &[Unit]) -> String {
     let units: Vec<_> =
-        plan.units().iter().map(|unit| json!({"number": unit.number, "stage": unit.stage.name()})).collect();
-    Ok(json!({"output": plan.output(), "sampled": sampled, "units": units}).to_string())
+        units.iter().map(|unit| json!({"number": unit.number, "stage": unit.stage.name()})).collect();
+    json!({"output": output, "sampled": sampled, "units": units}).to_string()
 }
 
 /// Does a unit of the plan in a folder; whether it was not done before.
 #[pyfunction(name = "_unit")]
 pub fn unit(py: Python<'_>, folder: PathBuf, number: usize) -> PyResult<bool> {
     let plugins = registry(py)?;
+    if ComparisonPlan::is_at(&folder) {
+        return comparison_unit(py, (&folder, number), &plugins);
+    }
     let (Done { was_done, messages, .. }, mut notes) = work(py, None, |watch| {
         let plan = Plan::load(&folder)?;
         let mut guard = Guard::new(plan.force());
@@ -89,4 +129,26 @@ pub fn unit(py: Python<'_>, folder: PathBuf, number: usize) -> PyResult<bool> {
     notes.extend(said.map(|m| format!("{}: {}", m.plugin, m.text)));
     warn(py, &notes)?;
     Ok(!was_done)
+}
+
+fn comparison_unit(
+    py: Python<'_>,
+    (folder, number): (&Path, usize),
+    plugins: &PluginRegistry,
+) -> PyResult<bool> {
+    let (done, mut notes) = work(py, None, |watch| {
+        let plan = ComparisonPlan::load(folder)?;
+        let mut guard = Guard::default();
+        guard.reads_all([plan.file(), plan.model()]);
+        guard.reads_all(inputs(plan.file())?);
+        guard.reads_all(plugins.files());
+        guard.replaces_folder(plan.output())?;
+        compare::do_unit(&plan, (folder, number), plugins, watch)
+    })?;
+    let failed = |method: &MethodRecord| {
+        method.error.as_ref().map(|e| format!("{} failed: {} ({})", method.name, e.what, e.hint))
+    };
+    notes.extend(done.method.as_ref().and_then(failed));
+    warn(py, &notes)?;
+    Ok(!done.was_done)
 }

@@ -169,6 +169,108 @@ def test_tiles_are_written_by_units(client: distributed.Client, tmp_path: Path) 
     assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
+COMPARISON = """
+[model]
+path = "{model}"
+[sampling]
+samples = 3000
+[camera]
+size = [120, 160]
+[[method]]
+name = "twisted"
+deform = "warp"
+params = {{ operation = "twist", axis = [0, 1, 0], angle = 60 }}
+[[method]]
+name = "bent, coarse"
+deform = "warp"
+params = {{ operation = "twist", axis = [0, 1, 0], angle = -20 }}
+sampling = {{ samples = 500 }}
+[[method]]
+name = "not there"
+session = "{none}"
+[[method]]
+name = "left alone"
+command = "cp {{samples}} {{output}}"
+"""
+
+
+def comparison(cloud: Path, folder: Path) -> tuple[Path, dict[str, Any]]:
+    """A comparison, and what it comes to in the folder `expected`."""
+    file = folder / "compare.toml"
+    file.write_text(COMPARISON.format(model=cloud.as_posix(), none=(folder / "none.toml").as_posix()))
+    return file, simod.compare(file, folder / "expected", keep_models=True, allow_commands=True)
+
+
+def steady(record: dict[str, Any]) -> dict[str, Any]:
+    """What two runs of a comparison have in common."""
+    for method in record["methods"]:
+        for key in ("seconds", "peak_memory_bytes"):
+            (method["figures"] or {}).pop(key, None)
+    return record
+
+
+def is_same(folder: Path) -> None:
+    """Pictures and models are those of one machine, and there are no other files."""
+    names = sorted(path.name for path in (folder / "expected").iterdir())
+    assert sorted(path.name for path in (folder / "out").iterdir()) == names
+    assert len([name for name in names if name.endswith((".png", ".ply"))]) == 4 + 2 + 3
+    for name in names:
+        if name.endswith((".png", ".ply")):
+            assert (folder / "out" / name).read_bytes() == (folder / "expected" / name).read_bytes(), name
+    assert sorted(path.name for path in folder.iterdir()) == ["compare.toml", "expected", "out"]
+
+
+@pytest.mark.filterwarnings("ignore:not there failed")
+def test_methods_are_compared_by_workers(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
+    file, expected = comparison(cloud, tmp_path)
+    seen: list[tuple[str, float | None]] = []
+    for _ in range(2):  # over the former folder, too
+        seen.clear()
+        record = simod.dask.compare(
+            client, file, tmp_path / "out", keep_models=True, allow_commands=True,
+            progress=lambda stage, part: seen.append((stage, part)),
+        )  # fmt: skip
+        assert steady(record) == steady(expected)
+        is_same(tmp_path)
+    assert seen == [("sample", 0.5), ("sample", 1), *(("method", n / 4) for n in range(1, 5)), ("page", 1)]
+    with pytest.raises(simod.ArgumentError, match="runs a program"):
+        simod.dask.compare(client, file, tmp_path / "out")
+    is_same(tmp_path)
+
+
+@pytest.mark.filterwarnings("ignore:not there failed")
+def test_a_comparison_outlives_its_workers(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
+    file, expected = comparison(cloud, tmp_path)
+    full = next(iter(client.scheduler_info()["workers"]))
+    limited(client, full)
+    over = threading.Event()
+    killed = 0
+
+    def kill() -> None:
+        nonlocal killed
+        chance = random.Random(3)
+        while not over.wait(chance.uniform(0.2, 0.5)) and killed < 3:
+            alive = processes(client)
+            if alive:
+                os.kill(chance.choice(alive), signal.SIGKILL)
+                killed += 1
+
+    cluster: Any = client.cluster
+    cluster.adapt(minimum=3, maximum=3, interval="300ms")
+    other = threading.Thread(target=kill)
+    other.start()
+    try:
+        record = simod.dask.compare(
+            client, file, tmp_path / "out", keep_models=True, allow_commands=True, retries=50
+        )
+    finally:
+        over.set()
+        other.join()
+    assert killed > 0
+    assert steady(record) == steady(expected)
+    is_same(tmp_path)
+
+
 def run_with(
     client: distributed.Client, cloud: Path, folder: Path, meanwhile: Callable[[threading.Event], None], retries: int = 5
 ) -> simod.dask.Report:
@@ -186,6 +288,14 @@ def run_with(
     left = sorted(path.name for path in folder.iterdir())
     assert left == ["edit.toml", "expected.ply", "out.ply"], left
     return report
+
+
+def limited(client: distributed.Client, worker: str) -> None:
+    """A worker that can write no longer files than of 500 bytes, as if its disk were full."""
+    client.run(
+        lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, resource.getrlimit(resource.RLIMIT_FSIZE)[1])),
+        workers=[worker],
+    )
 
 
 def processes(client: distributed.Client) -> list[int]:
@@ -245,10 +355,7 @@ def test_a_worker_with_a_full_disk_is_passed_over(
     client: distributed.Client, cloud: Path, tmp_path: Path
 ) -> None:
     full = next(iter(client.scheduler_info()["workers"]))
-    client.run(
-        lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, resource.getrlimit(resource.RLIMIT_FSIZE)[1])),
-        workers=[full],
-    )
+    limited(client, full)
     report = run_with(client, cloud, tmp_path, lambda over: None)
     assert report.again > 0
 

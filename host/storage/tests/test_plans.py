@@ -110,9 +110,47 @@ def test_a_model_that_changed_is_not_written(store: Store, tmp_path: Path) -> No
     told = store.refused("unit", folder, units[-1]["number"])
     assert "of another model" in told
     assert store.names() == {"a.ply"}
-    # What was sent goes with the plan.
-    plan(store, made, folder, 2, "out.ply")
-    assert store.uploads() == []
+    assert given_up(store, folder)
+    # As it was, it is written after all.
+    store.put("a.ply", made.path)
+    assert "(deform) has to be done" in store.refused("unit", folder, of_stage(units, "apply")[0]["number"])
+    do(store, folder, [*of_stage(units, "deform"), *of_stage(units, "apply"), units[-1]])
+    assert store.get("out.ply") == made.output.read_bytes()
+
+
+def test_a_model_that_is_not_what_was_sampled_is_not_written(store: Store, tmp_path: Path) -> None:
+    made = local(tmp_path, "a.ply", 60_000)
+    folder = tmp_path / "plan"
+    units = plan(store, made, folder, 2, "out.ply")
+    do(store, folder, [unit for unit in units if unit["stage"] not in ("apply", "finish")])
+    changed = bytearray(made.path.read_bytes())
+    changed[2000] ^= 1
+    made.path.write_bytes(changed)
+    do(store, folder, of_stage(units, "apply"))
+    assert store.uploads() == ["out.ply"]
+    assert "changed since it was sampled" in store.refused("unit", folder, units[-1]["number"])
+    assert store.names() == set()
+    assert given_up(store, folder)
+
+
+def test_a_part_that_is_damaged_is_sent_again_alone(store: Store, tmp_path: Path) -> None:
+    made = local(tmp_path, "a.ply", 60_000)
+    folder = tmp_path / "plan"
+    units = plan(store, made, folder, 2, "out.ply")
+    do(store, folder, units[:-1])
+    part = folder / "part-1.bin"
+    part.write_bytes(part.read_bytes()[:-20])
+    assert "is damaged" in store.refused("unit", folder, units[-1]["number"])
+    assert store.uploads() == ["out.ply"] and (folder / "part-0.bin").exists()
+    part.unlink()
+    do(store, folder, [of_stage(units, "apply")[1], units[-1]])
+    assert store.get("out.ply") == made.output.read_bytes()
+
+
+def given_up(store: Store, folder: Path) -> bool:
+    """Nothing is left of what units have sent, nor of what says so."""
+    left = [path.name for path in folder.iterdir() if path.name.startswith(("part-", "upload", "deformed"))]
+    return store.uploads() == [] and left == []
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -17,6 +17,7 @@ mod main_job;
 mod pictures;
 mod place;
 mod plan;
+mod plan_compare;
 mod plan_tiles;
 mod programs;
 mod refine;

@@ -1,13 +1,14 @@
 //! `simod compare`: several methods on one model, beside each other.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use simod_core::guard::Guard;
 use simod_model::Result;
-use simod_session::compare::{self, CompareFile, Comparing};
+use simod_session::compare::{self, CompareFile, Comparing, Comparison, MethodRecord, Options};
 use simod_session::session_file::inputs;
 
+use super::engines::{EngineName, engines};
 use super::plugin_options::PluginOptions;
 use crate::report::{Report, count, duration};
 
@@ -26,6 +27,13 @@ pub struct Compare {
     /// Keep the deformed models in the folder
     #[arg(long)]
     keep_models: bool,
+    /// Do nothing yet, but write the work as units to a folder, for more machines than one: each is done by `simod unit`,
+    /// and all together write the same comparison
+    #[arg(long, value_name = "DIR")]
+    plan: Option<PathBuf>,
+    /// Write what an engine needs for the plan as well (may be given several times)
+    #[arg(long, value_enum, value_name = "ENGINE", value_delimiter = ',', requires = "plan")]
+    emit: Vec<EngineName>,
     /// Run the programs that the file names as methods: only if you know what they do
     #[arg(long)]
     allow_commands: bool,
@@ -37,6 +45,7 @@ impl Compare {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let mut file = CompareFile::load(&self.file)?;
         file.model = self.model.unwrap_or(file.model);
+        let chosen = self.plugins.chosen().to_owned();
         let plugins = self.plugins.discover(report)?;
         let mut guard = Guard::default();
         guard.reads_all([&self.file, &file.model]);
@@ -45,27 +54,50 @@ impl Compare {
         guard.replaces_folder(&self.output)?;
         let progress = report.progress();
         let how = Comparing { keep_models: self.keep_models, allow_commands: self.allow_commands };
+        if let Some(folder) = &self.plan {
+            guard.replaces_folder(folder)?;
+            let options = Options { how, plugins: &chosen, emit: &engines(&self.emit) };
+            let plan = compare::make(&file, &self.file, &self.output, &options, folder, progress)?;
+            report.figure("units", plan.units().len());
+            report.figure("methods", file.methods.len());
+            report.line(format!(
+                "{} units in {}, which write {}",
+                plan.units().len(),
+                folder.display(),
+                plan.output().display()
+            ));
+            return Ok(());
+        }
         let comparison = compare::compare(&file, &plugins, how, &self.output, progress)?;
-        for (method, figures) in comparison.done() {
-            let seconds = &figures.seconds;
-            let time = |what: &str, time: Option<f64>| Some(format!("{what} in {}", duration(time?)));
-            let samples = format!("{} samples", count(figures.samples as u64));
-            let done = [
-                time(&samples, seconds.sample),
-                time("deformed", seconds.deform),
-                time("reconstructed", seconds.reconstruct),
-            ];
-            let done: Vec<String> = done.into_iter().flatten().collect();
-            let done = if done.is_empty() { "measured".to_owned() } else { done.join(", ") };
-            report.line(format!("{}: {done}", method.name));
-        }
-        for (method, failure) in comparison.failed() {
-            report.warn(format!("{} failed: {} ({})", method.name, failure.what, failure.hint));
-        }
-        report.figure("vertices", comparison.model.vertices);
-        report.figure("done", comparison.done().count());
-        report.figure("failed", comparison.failed().count());
-        report.line(format!("wrote {}", self.output.join("index.html").display()));
+        comparison.methods.iter().for_each(|method| tell_method(method, report));
+        tell_comparison(&comparison, &self.output, report);
         Ok(())
     }
+}
+
+/// What a method took, or why it was not done.
+pub fn tell_method(method: &MethodRecord, report: &mut Report) {
+    if let Some(failure) = &method.error {
+        report.warn(format!("{} failed: {} ({})", method.name, failure.what, failure.hint));
+    }
+    let Some(figures) = &method.figures else { return };
+    let seconds = &figures.seconds;
+    let time = |what: &str, time: Option<f64>| Some(format!("{what} in {}", duration(time?)));
+    let samples = format!("{} samples", count(figures.samples as u64));
+    let done = [
+        time(&samples, seconds.sample),
+        time("deformed", seconds.deform),
+        time("reconstructed", seconds.reconstruct),
+    ];
+    let done: Vec<String> = done.into_iter().flatten().collect();
+    let done = if done.is_empty() { "measured".to_owned() } else { done.join(", ") };
+    report.line(format!("{}: {done}", method.name));
+}
+
+/// What came of all methods, and where it is.
+pub fn tell_comparison(comparison: &Comparison, output: &Path, report: &mut Report) {
+    report.figure("vertices", comparison.model.vertices);
+    report.figure("done", comparison.done().count());
+    report.figure("failed", comparison.failed().count());
+    report.line(format!("wrote {}", output.join("index.html").display()));
 }

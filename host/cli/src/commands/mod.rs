@@ -5,6 +5,7 @@ pub mod compare;
 pub mod convert;
 pub mod deform;
 pub mod demo;
+mod engines;
 mod follow_options;
 pub mod generate;
 pub mod info;

@@ -1,14 +1,18 @@
-//! `simod plan` and `simod unit`: a session by units, for more machines than one.
+//! `simod plan` and `simod unit`: a session, or a comparison, by units, for more machines than one.
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
+use simod_core::guard::Guard;
 use simod_model::size::human_size;
 use simod_model::{ModelName, Result};
-use simod_session::plan::{Done, Emit, Options, Plan as Units, Stage, do_unit, make};
+use simod_session::compare::{self, ComparisonPlan};
+use simod_session::plan::{Done, Options, Plan as Units, Stage, do_unit, make};
 use simod_session::session_file::inputs;
 use simod_session::{SessionFile, sidecar};
 
+use super::compare::{tell_comparison, tell_method};
+use super::engines::{EngineName, engines};
 use super::follow_options::FollowOptions;
 use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
@@ -60,27 +64,6 @@ pub struct Plan {
     plugins: PluginOptions,
 }
 
-/// What does units.
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum EngineName {
-    /// Makefile: `make -C DIR -j 8` does all units
-    Make,
-    /// slurm.sh: submits arrays of jobs with their dependencies
-    Slurm,
-    /// commands.txt: a line for each unit, by stages, for render farms
-    Commands,
-}
-
-impl From<EngineName> for Emit {
-    fn from(name: EngineName) -> Self {
-        match name {
-            EngineName::Make => Self::Make,
-            EngineName::Slurm => Self::Slurm,
-            EngineName::Commands => Self::Commands,
-        }
-    }
-}
-
 impl Plan {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let mut session = SessionFile::load(&self.session)?;
@@ -101,9 +84,7 @@ impl Plan {
         guard.reads_all(plugins.files());
         guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
         guard.replaces_folder(&self.output)?;
-        let mut emit: Vec<Emit> = self.emit.iter().map(|name| (*name).into()).collect();
-        emit.sort_unstable();
-        emit.dedup();
+        let emit = engines(&self.emit);
         let options = Options {
             method: self.method.into(),
             normals: self.normals.into(),
@@ -164,6 +145,9 @@ pub struct Unit {
 
 impl Unit {
     pub fn execute(self, report: &mut Report) -> Result<()> {
+        if ComparisonPlan::is_at(&self.plan) {
+            return self.of_comparison(report);
+        }
         let plan = Units::load(&self.plan)?;
         let plugins = self.plugins.or_chosen(plan.plugins()).discover(report)?;
         let mut guard = Overwrite::forcing(plan.force()).guard();
@@ -191,6 +175,30 @@ impl Unit {
                 report.warn(format!("the deformation folds the surface at {} samples", count(folded)));
             }
             report.line(format!("wrote {}", plan.output().display()));
+        }
+        let was = if was_done { "was done before" } else { "is done" };
+        report.line(format!("unit {} ({stage}) {was}", self.number));
+        Ok(())
+    }
+    fn of_comparison(self, report: &mut Report) -> Result<()> {
+        let plan = ComparisonPlan::load(&self.plan)?;
+        let plugins = self.plugins.or_chosen(plan.plugins()).discover(report)?;
+        let mut guard = Guard::default();
+        guard.reads_all([plan.file(), plan.model()]);
+        guard.reads_all(inputs(plan.file())?);
+        guard.reads_all(plugins.files());
+        guard.replaces_folder(plan.output())?;
+        let compare::Done { was_done, method, comparison } =
+            compare::do_unit(&plan, (&self.plan, self.number), &plugins, report.progress())?;
+        let stage = plan.units().get(self.number).map_or("", |unit| unit.stage.name());
+        report.figure("unit", self.number);
+        report.figure("stage", stage);
+        report.figure("was_done", was_done);
+        if let Some(method) = method {
+            tell_method(&method, report);
+        }
+        if let Some(comparison) = comparison {
+            tell_comparison(&comparison, plan.output(), report);
         }
         let was = if was_done { "was done before" } else { "is done" };
         report.line(format!("unit {} ({stage}) {was}", self.number));

@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use simod_model::frame::Frame;
 use simod_model::histogram::Histogram;
 use simod_model::{ModelInfo, Result, Scalar};
@@ -115,7 +115,7 @@ impl Rounding {
 }
 
 /// How far vertices are expected to be off. Lengths are fractions of the model's diagonal at rest.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ExpectedError {
     /// Root of the mean square.
     pub rms: f64,

@@ -203,7 +203,7 @@ impl Output for PartFile<'_> {
     }
 }
 
-/// What is wrong with a part.
+/// Why a part is not of the others, or of what is written.
 pub(super) fn refused(path: &Path, what: &str) -> Error {
     Error::new(
         ErrorKind::Mismatch,
@@ -212,10 +212,19 @@ pub(super) fn refused(path: &Path, what: &str) -> Error {
     )
 }
 
+/// What is broken of a part.
+pub(super) fn damaged(path: &Path, what: &str) -> Error {
+    Error::new(
+        ErrorKind::Format,
+        format!("{} is damaged: {what}", path.display()),
+        "remove it, and write that part again",
+    )
+}
+
 /// A part's file, at its beginning, and its record.
 pub(super) fn open(path: &Path) -> Result<(File, Record)> {
     let failed = |e: io::Error| Error::io("read", path, &e);
-    let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
+    let damaged = |what: &str| damaged(path, what);
     let mut file = input::open(path)?;
     let length = file.metadata().map_err(failed)?.len();
     let Some(end) = length.checked_sub(8) else { return Err(damaged("it is cut off")) };
@@ -259,7 +268,7 @@ pub(super) fn copy(
         progress.advance(some.len() as u64);
     }
     if hash.digest128() != checksum {
-        return Err(refused(path, "is damaged: its checksum is wrong"));
+        return Err(damaged(path, "its checksum is wrong"));
     }
     Ok(())
 }

@@ -25,7 +25,7 @@ use simod_model::{
     Rewriting, Summary, VertexChunk, input,
 };
 
-use super::part_file::{Bytes, Content, PartFile, Record, copy, open, refused};
+use super::part_file::{Bytes, Content, PartFile, Record, copy, damaged, open, refused};
 use super::reach::check_reach;
 use super::stream::{check_targets, checked_targets, field, key};
 use super::transfer::{Hashing, Surveys, Transfer, locked};
@@ -447,7 +447,7 @@ impl Joining<'_> {
             found.end = record.place.map_or(0, |place| place + record.bytes);
             take(path, part, &record)?;
             let of_part = record.summary.as_deref().map_or(Some(Summary::default()), Summary::decode);
-            found.summary.absorb(&of_part.ok_or_else(|| refused("has a record that cannot be read"))?);
+            found.summary.absorb(&of_part.ok_or_else(|| damaged(path, "its record cannot be read"))?);
             if !hash.append(&record.hashed) {
                 return Err(refused("has read other vertices than it is of"));
             }

@@ -1,7 +1,7 @@
 //! How far a reconstruction is from the exact deformation of every vertex.
 
 use glam::{DVec3, Vec3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use simod_model::histogram::Histogram;
 use simod_model::{Error, ErrorKind, Model, Progress, Result, for_positions, in_step, range_in_step};
 use xxhash_rust::xxh3::xxh3_64;
@@ -12,7 +12,7 @@ use crate::sampled_model::SampledModel;
 
 /// The deviation of a deformed model from the exact one. Lengths are fractions of the model's diagonal at
 /// rest.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TransferError {
     /// Vertices compared: those with a finite position.
     pub vertices: u64,

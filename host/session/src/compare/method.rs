@@ -102,14 +102,13 @@ impl<'a> Bench<'a> {
         plugins: &'a PluginRegistry,
         (folder, cache): (&'a Path, Arc<Cache>),
     ) -> Self {
-        let refines = |method: &Method| match &method.work {
-            // What is wrong with a session is told when it is done.
-            Work::Session(path) => SessionFile::load(path)
-                .is_ok_and(|session| session.steps.iter().any(|step| step.enabled && step.refines())),
-            _ => false,
-        };
         let refines = file.methods.iter().any(refines);
         Self { file, plugins, folder, cache, samplings: Vec::new(), refines }
+    }
+
+    /// Takes a sampling that was done before, and how many seconds it took.
+    pub fn take(&mut self, of: Sampling, sampled: Arc<SampledModel>, seconds: f64) {
+        self.samplings.push(Taken { of, sampled, seconds });
     }
 
     /// Does a method, as often as the file says. `record` gets what is known as soon as it is.
@@ -378,7 +377,7 @@ impl<'a> Bench<'a> {
     }
 
     /// The samples, which are taken once for all methods that want the same, and how long it took.
-    fn sampling(&mut self, of: Sampling, progress: &dyn Progress) -> Result<(Arc<SampledModel>, f64)> {
+    pub fn sampling(&mut self, of: Sampling, progress: &dyn Progress) -> Result<(Arc<SampledModel>, f64)> {
         if let Some(known) = self.samplings.iter().find(|known| known.of == of) {
             return Ok((known.sampled.clone(), known.seconds));
         }
@@ -395,6 +394,16 @@ impl<'a> Bench<'a> {
         let seconds = start.elapsed().as_secs_f64();
         self.samplings.push(Taken { of, sampled: sampled.clone(), seconds });
         Ok((sampled, seconds))
+    }
+}
+
+/// Whether a method appends samples.
+pub(super) fn refines(method: &Method) -> bool {
+    match &method.work {
+        // What is wrong with a session is told when it is done.
+        Work::Session(path) => SessionFile::load(path)
+            .is_ok_and(|session| session.steps.iter().any(|step| step.enabled && step.refines())),
+        _ => false,
     }
 }
 
@@ -435,7 +444,7 @@ fn hash_of(files: &[PathBuf], bytes: u64, progress: &dyn Progress) -> Result<u12
 }
 
 /// What a method's model is called: with an extension of the model's format, its own if it is one; of tiles a folder.
-fn file_name(method: &str, model: &dyn Model) -> String {
+pub(super) fn file_name(method: &str, model: &dyn Model) -> String {
     if !model.tiles().is_empty() {
         return method.to_owned();
     }

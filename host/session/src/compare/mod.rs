@@ -27,15 +27,19 @@ mod html;
 mod method;
 mod page;
 mod pictures;
+mod planned;
 mod record;
 mod tables;
+mod unit;
 
 pub use figures::{OnSamples, Pair};
 pub use file::{CameraPlace, Command, CompareFile, CropPlace, Given, MAX_METHODS, Method, Work};
+pub use planned::{ComparisonPlan, Options, make};
 pub use record::{
     Comparison, Failure, Figures, MachineRecord, MethodRecord, ModelRecord, ResultFile, RunSeconds, Seconds,
     StepRecord,
 };
+pub use unit::{Done, do_unit};
 
 use crate::plugins::PluginRegistry;
 use chosen::Choosing;
@@ -72,13 +76,32 @@ pub fn compare(
     output: &Path,
     progress: &dyn Progress,
 ) -> Result<Comparison> {
-    if let Some((method, command)) = file.commands().next().filter(|_| !how.allow_commands) {
-        return Err(Error::new(
+    let (named, target) = checked(file, how, output)?;
+    let folder = OutputFolder::create(output)?;
+    let cache = Arc::new(Cache::nameless(folder.path()));
+    let rest = named.open(file.columns.as_deref(), &cache, progress)?;
+    let bench = Bench::new(file, plugins, (folder.path(), cache));
+    let made = in_folder(file, bench, how.keep_models, &folder, rest.as_ref(), &target, progress);
+    let comparison = made.map_err(|e| folder.named(e))?;
+    folder.commit()?;
+    Ok(comparison)
+}
+
+/// An error if a file names programs that may not be run.
+fn check_commands(file: &CompareFile, how: Comparing) -> Result<()> {
+    match file.commands().next().filter(|_| !how.allow_commands) {
+        Some((method, command)) => Err(Error::new(
             ErrorKind::Argument,
             format!("{}: the method `{}` runs a program: {}", method.place, method.name, command.line),
             "if you know it, allow it with --allow-commands (from Python allow_commands=True)",
-        ));
+        )),
+        None => Ok(()),
     }
+}
+
+/// The model and the place of the result, if a comparison may be made as it is asked for.
+fn checked(file: &CompareFile, how: Comparing, output: &Path) -> Result<(ModelName, Target)> {
+    check_commands(file, how)?;
     let named = ModelName::from_path(&file.model)?;
     if let Some((method, _)) = file.commands().find(|(_, command)| command.makes_model())
         && matches!(named, ModelName::Tiles(_))
@@ -93,14 +116,7 @@ pub fn compare(
         ));
     }
     let target = Target::check(output, named.files())?;
-    let folder = OutputFolder::create(output)?;
-    let cache = Arc::new(Cache::nameless(folder.path()));
-    let rest = named.open(file.columns.as_deref(), &cache, progress)?;
-    let bench = Bench::new(file, plugins, (folder.path(), cache));
-    let made = in_folder(file, bench, how.keep_models, &folder, rest.as_ref(), &target, progress);
-    let comparison = made.map_err(|e| folder.named(e))?;
-    folder.commit()?;
-    Ok(comparison)
+    Ok((named, target))
 }
 
 fn in_folder(
@@ -125,6 +141,19 @@ fn in_folder(
         records.push(record);
     }
     drop(bench);
+    beside_each_other(file, (records, &done), keep_models, folder, rest, target, progress)
+}
+
+/// What methods came to, compared: `done` are those that could be done, and their numbers in the file.
+fn beside_each_other(
+    file: &CompareFile,
+    (records, done): (Vec<MethodRecord>, &[(usize, Deformed)]),
+    keep_models: bool,
+    folder: &OutputFolder,
+    rest: &dyn Model,
+    target: &Target,
+    progress: &dyn Progress,
+) -> Result<Comparison> {
     let Some((_, first)) = done.first() else { return Err(none_done(&records)) };
     let mut comparison = Comparison::new(file, &first.sampled, records);
     let deformed: Vec<&Deformed> = done.iter().map(|(_, deformed)| deformed).collect();

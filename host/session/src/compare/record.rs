@@ -7,7 +7,7 @@ use super::file::{CompareFile, Method, Work};
 use super::folder::FORMAT;
 use crate::deformer::{Message, Plugin};
 use crate::params::{ParamValue, Params};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_core::reconstruction::{ExpectedError, Method as Reconstruction};
@@ -64,7 +64,7 @@ pub struct ModelRecord {
 }
 
 /// A method and what it did.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MethodRecord {
     /// What the user calls it.
     pub name: String,
@@ -87,7 +87,7 @@ pub struct MethodRecord {
 }
 
 /// A deformation.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StepRecord {
     /// The plugin's id.
     pub plugin: String,
@@ -98,7 +98,7 @@ pub struct StepRecord {
 }
 
 /// Why a method was not done.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Failure {
     /// What is wrong, and where.
     pub what: String,
@@ -106,8 +106,8 @@ pub struct Failure {
     pub hint: String,
 }
 
-/// What came of a method.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// What came of a method. What it is beside others is found when all are done, and read from no record.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// Number of samples, with those that steps appended.
     pub samples: usize,
@@ -123,12 +123,16 @@ pub struct Figures {
     /// How far vertices are expected to be off by the transfer, where samples were deformed and the transfer knows.
     pub expected_error: Option<ExpectedError>,
     /// The vertices beside those at rest.
+    #[serde(skip_deserializing)]
     pub displacement: Option<Difference>,
     /// The vertices beside those of the first method that was done; nothing of that itself.
+    #[serde(skip_deserializing)]
     pub to_first: Option<Difference>,
     /// The deformed samples beside those at rest; nothing where there are no triangles.
+    #[serde(skip_deserializing)]
     pub on_samples: Option<OnSamples>,
     /// The same of the model's own faces, where it is small enough to be held.
+    #[serde(skip_deserializing)]
     pub on_model: Option<OnSamples>,
     /// Samples around which the deformation folds the surface.
     pub folded_samples: Option<u64>,
@@ -139,7 +143,7 @@ pub struct Figures {
 }
 
 /// A deformed model.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ResultFile {
     /// Size of the file.
     pub bytes: u64,
@@ -150,7 +154,7 @@ pub struct ResultFile {
 }
 
 /// How long a method took: of several runs the median of each. What was not done has no time.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
     /// Its sampling, which is done once for all methods that have the same.
     pub sample: Option<f64>,
@@ -169,7 +173,7 @@ pub struct Seconds {
 }
 
 /// How long a run took: see [`Seconds`].
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct RunSeconds {
     /// As in [`Seconds::deform`].
     pub deform: Option<f64>,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use simod_model::{Error, ErrorKind, Result};
 
-use super::graph::{FINISHED, Plan, Stage, Unit};
+use super::units::{FINISHED, Stage, Unit};
 
 /// An engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -24,19 +24,19 @@ impl Emit {
     pub(super) const FILES: [&str; 3] = ["Makefile", "slurm.sh", "commands.txt"];
 }
 
-/// The script of a plan whose folder will be there: its name, and its text.
+/// The script of a plan's units, whose folder will be there: its name, and its text.
 ///
 /// # Errors
 /// The program's own path, or that of the folder, is no text.
-pub fn emit(plan: &Plan, how: Emit, folder: &Path) -> Result<(&'static str, String)> {
+pub fn emit(units: &[Unit], how: Emit, folder: &Path) -> Result<(&'static str, String)> {
     let folder = std::path::absolute(folder).map_err(|e| Error::io("read", folder, &e))?;
     let program = std::env::current_exe().unwrap_or_else(|_| PathBuf::from("simod"));
     let text = |path: &Path| path.to_str().map(quoted).ok_or_else(|| no_text(path));
     let (program, folder) = (text(&program)?, text(&folder)?);
     Ok(match how {
-        Emit::Make => (Emit::FILES[0], makefile(plan, &program)),
-        Emit::Slurm => (Emit::FILES[1], slurm(plan, &program)),
-        Emit::Commands => (Emit::FILES[2], commands(plan, &program, &folder)),
+        Emit::Make => (Emit::FILES[0], makefile(units, &program)),
+        Emit::Slurm => (Emit::FILES[1], slurm(units, &program)),
+        Emit::Commands => (Emit::FILES[2], commands(units, &program, &folder)),
     })
 }
 
@@ -55,8 +55,8 @@ fn quoted(word: &str) -> String {
 }
 
 /// The plan for `make`, in whose words a dollar is two.
-fn makefile(plan: &Plan, program: &str) -> String {
-    let file = |number: &usize| plan.units[*number].writes.display().to_string();
+fn makefile(units: &[Unit], program: &str) -> String {
+    let file = |number: &usize| units[*number].writes.display().to_string();
     let mut text = format!(
         "# Made by `simod plan`: `make -j 8` does all units, eight at a time where they allow.\n\
          # SIMOD is the program, and OPTIONS what each call is given besides, as --threads 2.\n\
@@ -64,15 +64,15 @@ fn makefile(plan: &Plan, program: &str) -> String {
         program.replace('$', "$$")
     );
     let is_removed = |unit: &&Unit| {
-        use Stage::{Apply, Cluster, ClusterShared, Faces, Members};
-        matches!(unit.stage, Cluster | ClusterShared | Members | Faces | Apply)
+        use Stage::{Apply, Cluster, ClusterShared, Faces, Members, Method};
+        matches!(unit.stage, Cluster | ClusterShared | Members | Faces | Apply | Method)
     };
-    let parts: Vec<String> = plan.units.iter().filter(is_removed).map(|unit| file(&unit.number)).collect();
+    let parts: Vec<String> = units.iter().filter(is_removed).map(|unit| file(&unit.number)).collect();
     if !parts.is_empty() {
         // They are removed in the end, and not made again for that.
         let _ = writeln!(text, ".SECONDARY: {}\n", parts.join(" "));
     }
-    for Unit { number, stage, after, .. } in &plan.units {
+    for Unit { number, stage, after, .. } in units {
         let before: Vec<String> = after.iter().map(file).collect();
         let _ = write!(
             text,
@@ -86,9 +86,9 @@ fn makefile(plan: &Plan, program: &str) -> String {
 }
 
 /// The units of each stage, which follow each other.
-fn stages(plan: &Plan) -> Vec<(Stage, Vec<&Unit>)> {
+fn stages(all: &[Unit]) -> Vec<(Stage, Vec<&Unit>)> {
     let mut stages: Vec<(Stage, Vec<&Unit>)> = Vec::new();
-    for unit in &plan.units {
+    for unit in all {
         match stages.last_mut() {
             Some((stage, units)) if *stage == unit.stage => units.push(unit),
             _ => stages.push((unit.stage, vec![unit])),
@@ -97,7 +97,7 @@ fn stages(plan: &Plan) -> Vec<(Stage, Vec<&Unit>)> {
     stages
 }
 
-fn slurm(plan: &Plan, program: &str) -> String {
+fn slurm(units: &[Unit], program: &str) -> String {
     let mut text = format!(
         "#!/bin/sh\n# Made by `simod plan`: `sh slurm.sh` submits all units, an array of jobs for each stage that\n\
          # has several. SIMOD is the program, and SBATCH_OPTIONS what sbatch is given besides, as \"--time=2:00:00 -c 8\".\n\
@@ -106,8 +106,8 @@ fn slurm(plan: &Plan, program: &str) -> String {
          submit() {{\n    stage=$1\n    shift\n    job=$(sbatch --parsable --job-name=\"simod-$stage\" ${{SBATCH_OPTIONS:-}} \"$@\")\n    \
          echo \"${{job%%;*}}\"\n}}\n"
     );
-    let mut jobs: Vec<String> = vec![String::new(); plan.units.len()];
-    for (number, (stage, units)) in stages(plan).into_iter().enumerate() {
+    let mut jobs: Vec<String> = vec![String::new(); units.len()];
+    for (number, (stage, units)) in stages(units).into_iter().enumerate() {
         let before: BTreeSet<&String> =
             units.iter().flat_map(|unit| &unit.after).map(|n| &jobs[*n]).collect();
         let before: Vec<String> = before.into_iter().map(|job| format!("${{{job}}}")).collect();
@@ -131,12 +131,12 @@ fn slurm(plan: &Plan, program: &str) -> String {
     text
 }
 
-fn commands(plan: &Plan, program: &str, folder: &str) -> String {
+fn commands(units: &[Unit], program: &str, folder: &str) -> String {
     let mut text =
         "# Made by `simod plan`: a unit on each line. Those of a stage may be done at the same time, once\n\
                     # those of all stages before it are done.\n"
             .to_owned();
-    for (number, (stage, units)) in stages(plan).into_iter().enumerate() {
+    for (number, (stage, units)) in stages(units).into_iter().enumerate() {
         let _ = writeln!(text, "# stage {}: {}", number + 1, stage.name());
         units.iter().for_each(|unit| {
             let _ = writeln!(text, "{program} unit {folder} {}", unit.number);

@@ -1,24 +1,18 @@
 //! The content of `plan.toml`: units, and what each comes after.
 
 use std::collections::BTreeMap;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::Method;
 use simod_model::follow::{Follow, Kind, Opacity};
-use simod_model::{Error, ErrorKind, ModelName, Normals, Result, input};
+use simod_model::{ModelName, Normals, Result};
 
+use super::units::{Planned, Stage, Unit, check_units, read};
 use crate::session_file::SessionTime;
 
 /// What is written on the first line of `plan.toml`.
 pub(super) const FORMAT: &str = "simod-plan/1";
-
-/// The plan itself.
-pub(super) const PLAN: &str = "plan.toml";
-
-/// What the last unit leaves.
-pub(super) const FINISHED: &str = "finished.toml";
 
 /// The counts of all vertices.
 pub(super) const COUNTS: &str = "counts.bin";
@@ -50,9 +44,6 @@ pub(super) const LONGEST_ID: u64 = 1 << 16;
 
 /// The deformation's gradients at the samples, where anything turns by them.
 pub(super) const GRADIENTS: &str = "gradients.bin";
-
-/// No plan is longer: of a million units.
-pub(super) const LONGEST: u64 = 256 << 20;
 
 /// A folder of units: the content of `plan.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -124,150 +115,23 @@ pub(super) struct Recorded {
     pub(super) follow: BTreeMap<String, Kind>,
 }
 
-/// A piece of work.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub struct Unit {
-    /// Its place in the list.
-    pub number: usize,
-    /// What is done.
-    pub stage: Stage,
-    /// The units that have to be done before.
-    pub after: Vec<usize>,
-    /// The vertices that it counts, if it counts.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) vertices: Option<Range<u64>>,
-    /// Which range of the vertices or of the faces, or which group of cells that ranges share, if it samples.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) part: Option<u64>,
-    /// The pieces of the file that it writes, or the tiles, if it applies the deformation.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) pieces: Option<Range<u64>>,
-    /// The file in the plan's folder that is there once it is done.
-    pub writes: PathBuf,
-}
+impl Planned for Plan {
+    const FORMAT: &str = FORMAT;
+    const COMMAND: &str = "simod plan SESSION.toml -o DIR";
 
-/// What units do, in the order of a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Stage {
-    /// Vertices of a range are counted per cell.
-    Count,
-    /// The counts are added up, where clustering is divided.
-    Merge,
-    /// The cells that lie wholly within a range are clustered, and what the range has of others is written down.
-    Cluster,
-    /// A group of the cells that ranges share is clustered.
-    ClusterShared,
-    /// The samples are those of a cut through all clusters.
-    Cut,
-    /// Where faces have a say: the sample of each vertex of a range is looked up.
-    Members,
-    /// It is found what a range of the faces tells.
-    Faces,
-    /// The samples are completed with that.
-    Complete,
-    /// The counts are added up, and the model is sampled, where clustering is not divided.
-    Sample,
-    /// The samples are deformed, and refined where the steps say so.
-    Deform,
-    /// A range of the file is written, or some of the tiles.
-    Apply,
-    /// These are put together.
-    Finish,
-    /// The whole file is written, where it cannot be divided.
-    Write,
-}
-
-impl Stage {
-    /// What it is called.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Count => "count",
-            Self::Merge => "merge",
-            Self::Cluster => "cluster",
-            Self::ClusterShared => "cluster-shared",
-            Self::Cut => "cut",
-            Self::Members => "members",
-            Self::Faces => "faces",
-            Self::Complete => "complete",
-            Self::Sample => "sample",
-            Self::Deform => "deform",
-            Self::Apply => "apply",
-            Self::Finish => "finish",
-            Self::Write => "write",
-        }
-    }
-}
-
-/// The names of the methods, and of what becomes of normals, in plans.
-pub(super) const METHODS: [(&str, Method); 2] =
-    [("blended-jets", Method::BlendedJets), ("projected-barycentric", Method::ProjectedBarycentric)];
-pub(super) const NORMALS: [(&str, Normals); 3] =
-    [("keep", Normals::Keep), ("transform", Normals::Transform), ("drop", Normals::Drop)];
-
-pub(super) fn name_of<T: PartialEq>(names: &[(&str, T)], of: &T) -> String {
-    names.iter().find(|(_, known)| known == of).map_or("", |(name, _)| name).to_owned()
-}
-
-fn named<T: Copy>(names: &[(&str, T)], name: &str) -> Option<T> {
-    names.iter().find(|(known, _)| *known == name).map(|(_, of)| *of)
-}
-
-impl Plan {
-    /// Reads the plan in a folder.
-    ///
-    /// # Errors
-    /// There is none, it is of another version of the program, or makes no sense.
-    pub fn load(folder: &Path) -> Result<Self> {
-        let file = folder.join(PLAN);
-        let wrong = |what: String| {
-            let hint = "make it again: `simod plan SESSION.toml -o DIR`";
-            Error::new(ErrorKind::Format, format!("{}: {what}", file.display()), hint)
-        };
-        if !file.exists() {
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!("{} is no plan: it has no {PLAN}", folder.display()),
-                "give the folder that `simod plan` wrote",
-            ));
-        }
-        let text = input::read_text(&file, LONGEST)?;
-        let plan: Self = toml::from_str(&text).map_err(|e| wrong(e.message().replace('\n', " ")))?;
-        if plan.format != FORMAT {
-            return Err(wrong(format!("format is {:?}, not {FORMAT:?}", plan.format)));
-        }
-        if plan.program != env!("CARGO_PKG_VERSION") {
-            return Err(Error::new(
-                ErrorKind::Mismatch,
-                format!(
-                    "{} was made by version {} of the program, and this is {}",
-                    file.display(),
-                    plan.program,
-                    env!("CARGO_PKG_VERSION")
-                ),
-                "use one version for all units, as others may give other bytes; or make the plan again",
-            ));
-        }
-        plan.check().map_err(wrong)?;
-        Ok(plan)
+    fn head(&self) -> [&str; 2] {
+        [&self.format, &self.program]
     }
 
-    /// What makes no sense, if anything.
     fn check(&self) -> Result<(), String> {
+        check_units(&self.units)?;
         // What comes before the vertices is of no unit that applies the deformation.
         let (mut vertices, mut pieces) = (Some(0), None);
         let mut parts = [0; 4];
         for (number, unit) in self.units.iter().enumerate() {
             let wrong = |what: &str| Err(format!("unit {number} {what}"));
-            if unit.number != number {
-                return wrong("has another number");
-            }
-            if unit.after.iter().any(|before| *before >= number) {
-                return wrong("comes after one that is not before it");
-            }
-            if !unit.writes.components().all(|part| matches!(part, std::path::Component::Normal(_))) {
-                return wrong("writes outside the plan's folder");
+            if matches!(unit.stage, Stage::Method | Stage::Page) {
+                return wrong("is of a comparison");
             }
             let stages = [Stage::Cluster, Stage::ClusterShared, Stage::Members, Stage::Faces];
             let mut of_parts = stages.into_iter().zip(&mut parts);
@@ -304,6 +168,30 @@ impl Plan {
             1 if self.units.last().is_some_and(is_last) => self.recorded().map(|_| ()),
             _ => Err("does not end with the unit that writes the output".to_owned()),
         }
+    }
+}
+
+/// The names of the methods, and of what becomes of normals, in plans.
+pub(super) const METHODS: [(&str, Method); 2] =
+    [("blended-jets", Method::BlendedJets), ("projected-barycentric", Method::ProjectedBarycentric)];
+pub(super) const NORMALS: [(&str, Normals); 3] =
+    [("keep", Normals::Keep), ("transform", Normals::Transform), ("drop", Normals::Drop)];
+
+pub(super) fn name_of<T: PartialEq>(names: &[(&str, T)], of: &T) -> String {
+    names.iter().find(|(_, known)| known == of).map_or("", |(name, _)| name).to_owned()
+}
+
+fn named<T: Copy>(names: &[(&str, T)], name: &str) -> Option<T> {
+    names.iter().find(|(known, _)| *known == name).map(|(_, of)| *of)
+}
+
+impl Plan {
+    /// Reads the plan in a folder.
+    ///
+    /// # Errors
+    /// There is none, it is of another version of the program, or makes no sense.
+    pub fn load(folder: &Path) -> Result<Self> {
+        read(folder)
     }
 
     /// The units, in an order in which they can be done.
@@ -382,10 +270,4 @@ impl Plan {
         let units = self.units.iter().filter(|unit| unit.stage == stage);
         units.map(|unit| folder.join(&unit.writes)).collect()
     }
-}
-
-/// The hash of what a session says, as it stands in plans.
-pub(super) fn hash_of(session: &Path) -> Result<String> {
-    let text = input::read(session, LONGEST)?;
-    Ok(format!("xxh3-128:{:032x}", xxhash_rust::xxh3::xxh3_128(&text)))
 }

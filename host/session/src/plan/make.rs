@@ -1,27 +1,24 @@
 //! Plans from sessions.
 
-use std::ffi::OsString;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use simod_core::reconstruction::{Method, abort_object};
+use simod_core::reconstruction::Method;
 use simod_core::sampling::divided::{exchanged_at_most, ranges_of, reads_faces, undivided};
 use simod_core::sampling::divided_faces::{face_ranges_of, faces_exchanged_at_most};
 use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
-use simod_model::object::is_object;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_folder, canonical_target, folder_of};
-use simod_model::{
-    Cache, Division, Error, ErrorKind, Model, ModelName, Normals, Progress, Result, input, output,
-};
+use simod_model::{Cache, Division, Error, ErrorKind, Model, ModelName, Normals, Progress, Result};
 
-use super::emit::{Emit, emit};
+use super::emit::Emit;
+use super::folder::{absolute, check_target, put, text};
 use super::graph::{
-    COUNTS, CUT, DEFORMED, Exchange, FINISHED, FORMAT, GRADIENTS, LONGEST_ID, METHODS, NORMALS, PLAN, Plan,
-    REFINED, Recorded, SAMPLED, SHARED, SHARED_TILES, Stage, UPLOAD, Unit, hash_of, name_of,
+    COUNTS, CUT, DEFORMED, Exchange, FORMAT, METHODS, NORMALS, Plan, Recorded, SAMPLED, name_of,
 };
+use super::units::{FINISHED, Stage, Unit, hash_of};
 use crate::pipeline::{converted, needed, open, sampling_of};
 use crate::plugins::PluginRegistry;
 use crate::session_file::SessionFile;
@@ -116,29 +113,8 @@ pub fn make(
         exchange: exchange(&*model, &sampling, options)?,
         undivided,
     };
-    let described = toml::to_string(&plan)
-        .map_err(|e| Error::internal(format!("cannot describe the plan: {e}"), "report this").because(e))?;
-    let named = |e: Error| new.named(e);
-    output::write_file(&new.path().join(PLAN), described.as_bytes()).map_err(named)?;
-    for how in options.emit {
-        let (name, script) = emit(&plan, *how, new.target())?;
-        output::write_file(&new.path().join(name), script.as_bytes()).map_err(named)?;
-    }
-    check_target(folder)?;
-    let before = upload(folder);
-    new.commit()?;
-    if let Some((output, id)) = before
-        && let Err(e) = abort_object(&output, &id)
-    {
-        progress.note(&format!("what the former plan has sent of {} stays: {e}", output.display()));
-    }
+    put(new, (&plan, &plan.units), options.emit, progress)?;
     Ok(plan)
-}
-
-/// The object that units of the plan in a folder have begun, and its upload.
-fn upload(folder: &Path) -> Option<(PathBuf, String)> {
-    let id = input::read_text(&folder.join(UPLOAD), LONGEST_ID).ok()?;
-    Some((Plan::load(folder).ok()?.output, id))
 }
 
 /// What of the samples is left out.
@@ -300,61 +276,6 @@ fn shares(all: u64, count: u64) -> impl Iterator<Item = Range<u64>> {
     let count = count.clamp(1, all.max(1));
     let at = move |share: u64| (u128::from(all) * u128::from(share) / u128::from(count)) as u64;
     (0..count).map(move |share| at(share)..at(share + 1))
-}
-
-/// An error where something else is than a plan, or nothing.
-fn check_target(folder: &Path) -> Result<()> {
-    let refused = |what: String| {
-        let hint = "give the name of a new folder, or of a plan to replace";
-        Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))
-    };
-    if folder.symlink_metadata().is_err() {
-        return Ok(());
-    }
-    if !folder.join(PLAN).is_file() {
-        return refused("exists and is no plan".to_owned());
-    }
-    // What is replaced is removed: nothing of the user's own.
-    let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
-    let foreign = |name: &OsString| !name.to_str().is_some_and(is_own);
-    match entries.flatten().map(|entry| entry.file_name()).find(foreign) {
-        Some(name) => refused(format!("holds {} beside the plan", name.display())),
-        None => Ok(()),
-    }
-}
-
-/// Whether a file in a plan's folder is of the plan, its units or its engines.
-fn is_own(name: &str) -> bool {
-    let fixed =
-        [PLAN, FINISHED, COUNTS, CUT, SAMPLED, REFINED, DEFORMED, SHARED, SHARED_TILES, UPLOAD, GRADIENTS];
-    let is_numbered = |(before, behind)| name.starts_with(before) && name.ends_with(behind);
-    fixed.contains(&name)
-        || Emit::FILES.contains(&name)
-        || ["count-", "cluster-", "shared-", "group-", "leaves-", "members-", "faces-", "part-"]
-            .into_iter()
-            .any(|of| is_numbered((of, ".bin")))
-        || [("slurm-", ".out"), (".simod-", "")].into_iter().any(is_numbered)
-}
-
-/// A path that does not depend on where a unit is done.
-fn absolute(path: &Path) -> Result<PathBuf> {
-    if is_object(path) {
-        return text(path.to_owned());
-    }
-    text(path.canonicalize().map_err(|e| Error::io("read", path, &e))?)
-}
-
-/// The path, which scripts and plans can hold.
-fn text(path: PathBuf) -> Result<PathBuf> {
-    let plain = |text: &str| !text.chars().any(char::is_control);
-    if path.to_str().is_some_and(plain) {
-        return Ok(path);
-    }
-    Err(Error::new(
-        ErrorKind::Argument,
-        format!("{} is no name that a plan can hold", path.display()),
-        "give it a name without control characters, in UTF-8",
-    ))
 }
 
 #[cfg(test)]

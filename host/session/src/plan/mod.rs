@@ -6,11 +6,16 @@
 //! again, and the bytes are those of one machine.
 
 mod emit;
+mod folder;
 mod graph;
 mod make;
 mod unit;
+mod units;
 
 pub use emit::{Emit, emit};
-pub use graph::{Exchange, Plan, Stage, Unit};
+pub(crate) use folder::{absolute, check_target, put, text};
+pub use graph::{Exchange, Plan};
 pub use make::{Options, make};
 pub use unit::{Done, do_unit};
+pub(crate) use units::{FINISHED, PLAN, Planned, check_before, check_units, hash_of, read, unit_of};
+pub use units::{Stage, Unit};

@@ -22,10 +22,10 @@ use simod_model::{
 };
 
 use super::graph::{
-    COUNTS, CUT, DEFORMED, FINISHED, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES,
-    Stage, UPLOAD, Unit, hash_of,
+    COUNTS, CUT, DEFORMED, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES, UPLOAD,
 };
 use super::make::skipped;
+use super::units::{FINISHED, Stage, Unit, check_before, hash_of, unit_of};
 use crate::deformer::Message;
 use crate::edit::{Refinements, turning_gradients};
 use crate::pipeline::{DeformedSamples, deform, note_losses, open, sampled_of, sampling_of};
@@ -60,14 +60,7 @@ pub fn do_unit(
     plugins: &PluginRegistry,
     progress: &dyn Progress,
 ) -> Result<Done> {
-    let unit = plan.units().get(number).ok_or_else(|| {
-        let last = plan.units().len() - 1;
-        Error::new(
-            ErrorKind::Argument,
-            format!("{} has no unit {number}", folder.display()),
-            format!("its units are 0 to {last}: see plan.toml there"),
-        )
-    })?;
+    let unit = unit_of(plan.units(), (folder, number))?;
     let work = UnitRun { plan, unit, folder, progress };
     // Parts are checked where they are found, and what they were made of may be gone once all is done.
     let checks_itself = matches!(
@@ -77,17 +70,7 @@ pub fn do_unit(
     if folder.join(FINISHED).is_file() || (!checks_itself && folder.join(&unit.writes).is_file()) {
         return Ok(Done { was_done: true, ..Done::default() });
     }
-    for before in &unit.after {
-        let before = &plan.units()[*before];
-        if !folder.join(&before.writes).is_file() {
-            let (number, stage) = (before.number, before.stage.name());
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!("unit {number} ({stage}) has to be done before unit {}", unit.number),
-                format!("do it first: `simod unit {} {number}`", folder.display()),
-            ));
-        }
-    }
+    check_before(plan.units(), unit, folder)?;
     match unit.stage {
         Stage::Count => work.count(),
         Stage::Merge => work.merge(plugins),
@@ -99,6 +82,7 @@ pub fn do_unit(
         Stage::Apply => work.apply(),
         Stage::Finish => work.finish(),
         Stage::Write => work.write(),
+        Stage::Method | Stage::Page => Err(Error::internal("no session has such a unit", "report this")),
     }
 }
 
@@ -290,7 +274,8 @@ impl UnitRun<'_> {
         let version = Version { deformed, output: &self.plan.output, diagnostics: None };
         let (file, upload) = (self.output_in_the_making(), self.upload()?);
         let files = (&parts[..], self.shared_by(&file, upload.as_deref()));
-        let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)?;
+        let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)
+            .map_err(|e| self.give_up(e, &parts, upload.as_deref()))?;
         self.finished(&**model)?;
         self.tidy(&parts);
         Ok(Done { written: Some(written), ..Done::default() })
@@ -311,6 +296,25 @@ impl UnitRun<'_> {
                 .inspect_err(|_| drop(abort_object(&self.plan.output, &id)))?;
         }
         Ok(())
+    }
+
+    /// Parts that do not fit what was sampled are of no use in any output: what was sent of them goes from the store, and what
+    /// tells that it was sent from the plan, so that units begin again with the deformation. Of other errors, and parts in
+    /// files, nothing is taken away.
+    fn give_up(&self, e: Error, parts: &[PathBuf], upload: Option<&str>) -> Error {
+        let Some(id) = upload.filter(|_| e.kind() == ErrorKind::Mismatch) else { return e };
+        let output = &self.plan.output;
+        for file in [self.path(DEFORMED)].iter().chain(parts) {
+            drop(std::fs::remove_file(file));
+        }
+        match abort_object(output, id) {
+            // Else it is gone on with, or aborted when the plan is made anew.
+            Ok(()) => drop(std::fs::remove_file(self.path(UPLOAD))),
+            Err(e) => self.progress.note(&format!("what was sent of {} stays: {e}", output.display())),
+        }
+        let hint =
+            "make the plan again, or, if the model is what it was, do its units again from `deform` on";
+        e.hinting(hint)
     }
 
     fn upload(&self) -> Result<Option<String>> {

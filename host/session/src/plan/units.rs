@@ -1,0 +1,214 @@
+//! Units of a plan, of whatever: what is done, and what each comes after.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use simod_model::{Error, ErrorKind, Result, input};
+
+/// The plan itself.
+pub(crate) const PLAN: &str = "plan.toml";
+
+/// What the last unit leaves.
+pub(crate) const FINISHED: &str = "finished.toml";
+
+/// No plan is longer: of a million units.
+const LONGEST: u64 = 256 << 20;
+
+/// A piece of work.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Unit {
+    /// Its place in the list.
+    pub number: usize,
+    /// What is done.
+    pub stage: Stage,
+    /// The units that have to be done before.
+    pub after: Vec<usize>,
+    /// The vertices that it counts, if it counts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) vertices: Option<Range<u64>>,
+    /// Which range of the vertices or of the faces, or which group of cells that ranges share, if it samples; of a
+    /// comparison, which of its samplings or methods.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) part: Option<u64>,
+    /// The pieces of the file that it writes, or the tiles, if it applies the deformation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) pieces: Option<Range<u64>>,
+    /// The file in the plan's folder that is there once it is done.
+    pub writes: PathBuf,
+}
+
+impl Unit {
+    /// A unit of a stage that divides nothing but what it is of, by its place there.
+    pub(crate) fn of(number: usize, stage: Stage, after: Vec<usize>, part: usize, writes: PathBuf) -> Self {
+        let part = Some(part as u64);
+        Self { number, stage, after, vertices: None, part, pieces: None, writes }
+    }
+
+    /// The place of what it is of.
+    pub(crate) fn part(&self) -> usize {
+        self.part.unwrap_or_default() as usize
+    }
+}
+
+/// What units do, in the order of a run; then those of comparisons, which sample first, too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stage {
+    /// Vertices of a range are counted per cell.
+    Count,
+    /// The counts are added up, where clustering is divided.
+    Merge,
+    /// The cells that lie wholly within a range are clustered, and what the range has of others is written down.
+    Cluster,
+    /// A group of the cells that ranges share is clustered.
+    ClusterShared,
+    /// The samples are those of a cut through all clusters.
+    Cut,
+    /// Where faces have a say: the sample of each vertex of a range is looked up.
+    Members,
+    /// It is found what a range of the faces tells.
+    Faces,
+    /// The samples are completed with that.
+    Complete,
+    /// The counts are added up, and the model is sampled, where clustering is not divided.
+    Sample,
+    /// The samples are deformed, and refined where the steps say so.
+    Deform,
+    /// A range of the file is written, or some of the tiles.
+    Apply,
+    /// These are put together.
+    Finish,
+    /// The whole file is written, where it cannot be divided.
+    Write,
+    /// A method of a comparison is done.
+    Method,
+    /// What the methods came to is compared.
+    Page,
+}
+
+impl Stage {
+    /// What it is called.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Count => "count",
+            Self::Merge => "merge",
+            Self::Cluster => "cluster",
+            Self::ClusterShared => "cluster-shared",
+            Self::Cut => "cut",
+            Self::Members => "members",
+            Self::Faces => "faces",
+            Self::Complete => "complete",
+            Self::Sample => "sample",
+            Self::Deform => "deform",
+            Self::Apply => "apply",
+            Self::Finish => "finish",
+            Self::Write => "write",
+            Self::Method => "method",
+            Self::Page => "page",
+        }
+    }
+}
+
+/// The content of a `plan.toml`, of whatever.
+pub(crate) trait Planned: DeserializeOwned {
+    /// What its first line says.
+    const FORMAT: &str;
+    /// What makes it again.
+    const COMMAND: &str;
+
+    /// The format that it says it is in, and the version of the program that made it.
+    fn head(&self) -> [&str; 2];
+
+    /// What makes no sense, if anything.
+    fn check(&self) -> Result<(), String>;
+}
+
+/// Reads the plan in a folder.
+pub(crate) fn read<P: Planned>(folder: &Path) -> Result<P> {
+    let file = folder.join(PLAN);
+    let wrong = |what: String| {
+        let hint = format!("make it again: `{}`", P::COMMAND);
+        Error::new(ErrorKind::Format, format!("{}: {what}", file.display()), hint)
+    };
+    if !file.exists() {
+        return Err(Error::new(
+            ErrorKind::Argument,
+            format!("{} is no plan: it has no {PLAN}", folder.display()),
+            "give the folder that `simod plan` wrote",
+        ));
+    }
+    let text = input::read_text(&file, LONGEST)?;
+    let plan: P = toml::from_str(&text).map_err(|e| wrong(e.message().replace('\n', " ")))?;
+    let [format, program] = plan.head();
+    if format != P::FORMAT {
+        return Err(wrong(format!("format is {format:?}, not {:?}", P::FORMAT)));
+    }
+    if program != env!("CARGO_PKG_VERSION") {
+        return Err(Error::new(
+            ErrorKind::Mismatch,
+            format!(
+                "{} was made by version {program} of the program, and this is {}",
+                file.display(),
+                env!("CARGO_PKG_VERSION")
+            ),
+            "use one version for all units, as others may give other bytes; or make the plan again",
+        ));
+    }
+    plan.check().map_err(wrong)?;
+    Ok(plan)
+}
+
+/// The unit of a number.
+pub(crate) fn unit_of<'a>(units: &'a [Unit], (folder, number): (&Path, usize)) -> Result<&'a Unit> {
+    units.get(number).ok_or_else(|| {
+        let last = units.len().saturating_sub(1);
+        Error::new(
+            ErrorKind::Argument,
+            format!("{} has no unit {number}", folder.display()),
+            format!("its units are 0 to {last}: see plan.toml there"),
+        )
+    })
+}
+
+/// An error if a unit cannot be done yet.
+pub(crate) fn check_before(units: &[Unit], unit: &Unit, folder: &Path) -> Result<()> {
+    match unit
+        .after
+        .iter()
+        .map(|before| &units[*before])
+        .find(|before| !folder.join(&before.writes).is_file())
+    {
+        Some(Unit { number, stage, .. }) => Err(Error::new(
+            ErrorKind::Argument,
+            format!("unit {number} ({}) has to be done before unit {}", stage.name(), unit.number),
+            format!("do it first: `simod unit {} {number}`", folder.display()),
+        )),
+        None => Ok(()),
+    }
+}
+
+/// What of any plan's units makes no sense: a unit's number, what it comes after, or where it writes.
+pub(crate) fn check_units(units: &[Unit]) -> Result<(), String> {
+    for (number, unit) in units.iter().enumerate() {
+        let wrong = |what: &str| Err(format!("unit {number} {what}"));
+        if unit.number != number {
+            return wrong("has another number");
+        }
+        if unit.after.iter().any(|before| *before >= number) {
+            return wrong("comes after one that is not before it");
+        }
+        if !unit.writes.components().all(|part| matches!(part, std::path::Component::Normal(_))) {
+            return wrong("writes outside the plan's folder");
+        }
+    }
+    Ok(())
+}
+
+/// The hash of what a session says, as it stands in plans.
+pub(crate) fn hash_of(session: &Path) -> Result<String> {
+    let text = input::read(session, LONGEST)?;
+    Ok(format!("xxh3-128:{:032x}", xxhash_rust::xxh3::xxh3_128(&text)))
+}
