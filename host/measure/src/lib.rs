@@ -21,6 +21,7 @@ mod distance;
 mod energy;
 mod size;
 mod spread;
+mod tree;
 mod triangle;
 mod vertexwise;
 
