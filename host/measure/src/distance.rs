@@ -5,12 +5,13 @@
 //! As vertices alone are looked at, the Hausdorff distance is a lower bound: between its vertices a surface
 //! can be farther away, by no more than its longest edges.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 use simod_model::{Progress, Result};
 
-use super::triangle::{Corners, corners, cross};
+use super::tree::{Facet, Tree, Waiting};
+use super::triangle::{corners, cross};
 
 /// Points that are looked up before the user is asked whether to go on.
 const BLOCK: usize = 1 << 14;
@@ -26,188 +27,13 @@ pub struct Distances {
     pub max: f64,
 }
 
-/// Triangles among which the nearest, and the first on a ray, is found, in a tree of boxes: each has the half of its
-/// triangles that lies farther back along its longest side in one part, and the other half in the other. Triangles and
-/// small parts have discs around them as well: a point above the surface is nearly as far from the boxes of many.
+/// Triangles among which the nearest, and the first on a ray, is found, in a tree of nodes with four parts each.
 ///
-/// Memory: about 170 bytes for each triangle, and 30 more in the making.
+/// Memory: about 180 bytes for each triangle, and 30 more in the making.
 pub struct Surface {
     /// In the order of the leaves.
     facets: Vec<Facet>,
-    /// Around each of these.
-    around: Vec<Disc>,
-    /// The root first, and each one's first part behind it.
-    nodes: Vec<Node>,
-    unit: Unit,
-}
-
-/// A triangle with an area, and which it is.
-struct Facet([DVec3; 3], u32);
-
-/// A part of the tree.
-#[derive(Clone)]
-struct Node {
-    low: DVec3,
-    high: DVec3,
-    /// Of a leaf the first of its triangles, of another one its second part.
-    next: u32,
-    /// How many triangles a leaf has; 0 of another one.
-    count: u32,
-    /// Around all of its triangles, if they are few.
-    around: Disc,
-}
-
-/// Most triangles of a leaf.
-const LEAF: usize = 4;
-/// More triangles than these are worth another thread.
-const APART: usize = 1 << 12;
-/// Most triangles that have a disc around them: more seldom lie in a plane.
-const FLAT: usize = 64;
-
-/// Coordinates in which a surface reaches from -1 to 1, where single precision tells what is far.
-struct Unit {
-    middle: DVec3,
-    scale: f64,
-}
-
-impl Unit {
-    /// More than rounding makes of lengths here, and of the parts of longer ones.
-    const ROUNDING: f32 = 1e-5;
-    /// Farther points are taken for some that are nearer.
-    const FARTHEST: DVec3 = DVec3::splat(1e15);
-
-    fn of(facets: &[Facet]) -> Self {
-        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        for corner in facets.iter().flat_map(|facet| facet.0) {
-            (low, high) = (low.min(corner), high.max(corner));
-        }
-        Self { middle: 0.5 * (low + high), scale: 2.0 / (high - low).max_element() }
-    }
-
-    fn exactly(&self, p: DVec3) -> DVec3 {
-        (p - self.middle) * self.scale
-    }
-
-    /// Of any point one that is no farther from any of the surface.
-    fn point(&self, p: DVec3) -> Vec3 {
-        self.exactly(p).clamp(-Self::FARTHEST, Self::FARTHEST).as_vec3()
-    }
-
-    /// No less than a length, of which the square is told.
-    fn reach(&self, square: f64) -> f32 {
-        (square.sqrt() * self.scale) as f32 * (1.0 + Self::ROUNDING) + Self::ROUNDING
-    }
-}
-
-/// What is around some triangles: a disc that is as thick as they are high above its plane, in a surface's unit.
-#[derive(Clone, Copy)]
-struct Disc {
-    middle: Vec3,
-    radius: f32,
-    normal: Vec3,
-    /// Half of it.
-    thickness: f32,
-}
-
-impl Disc {
-    /// Around everything.
-    const ENDLESS: Self =
-        Self { middle: Vec3::ZERO, radius: f32::INFINITY, normal: Vec3::Z, thickness: f32::INFINITY };
-
-    /// About the mean of the corners, across the sum of the normals.
-    fn around(facets: impl Iterator<Item = Corners> + Clone, unit: &Unit) -> Self {
-        let facets = facets.map(|corners| corners.map(|p| unit.exactly(p)));
-        let corners = facets.clone().flatten();
-        let (sum, count) = corners.clone().fold((DVec3::ZERO, 0.0), |(sum, n), p| (sum + p, n + 1.0));
-        let normal = facets.map(cross).sum::<DVec3>().normalize_or(DVec3::Z).as_vec3();
-        let mut disc = Self { middle: (sum / count).as_vec3(), radius: 0.0, normal, thickness: 0.0 };
-        for p in corners {
-            let [up, aside] = disc.place(p.as_vec3());
-            (disc.thickness, disc.radius) = (disc.thickness.max(up), disc.radius.max(aside));
-        }
-        disc
-    }
-
-    /// How far a point is from the plane, and from the axis.
-    #[inline]
-    fn place(&self, p: Vec3) -> [f32; 2] {
-        let way = p - self.middle;
-        let height = way.dot(self.normal);
-        [height.abs(), (way - height * self.normal).length()]
-    }
-
-    /// Whether all of it is farther from a point than so.
-    #[inline]
-    fn is_beyond(&self, p: Vec3, reach: f32) -> bool {
-        let [up, aside] = self.place(p);
-        let [up, aside] = [(up - self.thickness).max(0.0), (aside - self.radius).max(0.0)];
-        up * up + aside * aside > reach * reach
-    }
-}
-
-impl Node {
-    /// One that is still to be written.
-    const EMPTY: Self =
-        Self { low: DVec3::ZERO, high: DVec3::ZERO, next: 0, count: 0, around: Disc::ENDLESS };
-
-    /// The square of the distance of a point; 0 inside.
-    #[inline]
-    fn distance_2(&self, p: DVec3) -> f64 {
-        (self.low - p).max(p - self.high).max(DVec3::ZERO).length_squared()
-    }
-}
-
-/// How many nodes the tree of so many triangles has.
-fn nodes_of(triangles: usize) -> usize {
-    if triangles <= LEAF {
-        return 1;
-    }
-    let half = triangles / 2;
-    1 + nodes_of(half) + nodes_of(triangles - half)
-}
-
-/// Writes the tree of some triangles, by their boxes' middles, to its `nodes`; `this` is the first one's place among those of
-/// the whole tree, and `place` that of the first triangle in the order. Large halves grow beside each other.
-fn grow(
-    nodes: &mut [Node],
-    order: &mut [u32],
-    [this, place]: [u32; 2],
-    of @ (facets, middles, unit): (&[Facet], &[DVec3], &Unit),
-) {
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    let (mut least, mut most) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for i in order.iter().map(|i| *i as usize) {
-        for corner in facets[i].0 {
-            (low, high) = (low.min(corner), high.max(corner));
-        }
-        (least, most) = (least.min(middles[i]), most.max(middles[i]));
-    }
-    let Some((root, parts)) = nodes.split_first_mut() else { return };
-    let count = if order.len() <= LEAF { order.len() as u32 } else { 0 };
-    let corners = order.iter().map(|i| facets[*i as usize].0);
-    let around = if order.len() <= FLAT { Disc::around(corners, unit) } else { Disc::ENDLESS };
-    *root = Node { low, high, next: place, count, around };
-    if count > 0 {
-        return;
-    }
-    let longest = (most - least).to_array();
-    let axis = (0..3).max_by(|a, b| longest[*a].total_cmp(&longest[*b])).unwrap_or(0);
-    let (is_large, half) = (order.len() > APART, order.len() / 2);
-    order.select_nth_unstable_by(half, |a, b| {
-        let [x, y] = [a, b].map(|i| middles[*i as usize][axis]);
-        x.total_cmp(&y).then(a.cmp(b))
-    });
-    let (first, second) = order.split_at_mut(half);
-    let (of_first, of_second) = parts.split_at_mut(nodes_of(half));
-    let ahead = [this + 1 + of_first.len() as u32, place + half as u32];
-    root.next = ahead[0];
-    let mut behind = || grow(of_first, first, [this + 1, place], of);
-    if is_large {
-        rayon::join(behind, || grow(of_second, second, ahead, of));
-    } else {
-        behind();
-        grow(of_second, second, ahead, of);
-    }
+    tree: Tree,
 }
 
 /// A point of a surface.
@@ -230,91 +56,50 @@ impl Surface {
         if facets.is_empty() {
             return None;
         }
-        let middle = |f: &Facet| 0.5 * (f.0[0].min(f.0[1]).min(f.0[2]) + f.0[0].max(f.0[1]).max(f.0[2]));
-        let middles: Vec<DVec3> = facets.par_iter().map(middle).collect();
-        let mut order: Vec<u32> = (0..facets.len() as u32).collect();
-        let mut nodes = vec![Node::EMPTY; nodes_of(facets.len())];
-        let unit = Unit::of(&facets);
-        grow(&mut nodes, &mut order, [0, 0], (&facets, &middles, &unit));
+        let (tree, order) = Tree::of(&facets);
         let sorted = |i: &u32| Facet(facets[*i as usize].0, facets[*i as usize].1);
         let facets: Vec<Facet> = order.par_iter().map(sorted).collect();
-        let around = facets.par_iter().map(|facet| Disc::around([facet.0].into_iter(), &unit)).collect();
-        Some(Self { facets, around, nodes, unit })
+        Some(Self { facets, tree })
     }
 
     /// The triangle nearest to a point, by its place in the order, and the nearest point of it. Quick where `near` is the
-    /// place of one that is about as near; `open` is room for the search.
-    fn nearest(&self, p: DVec3, near: Option<usize>, open: &mut Vec<(usize, f64)>) -> (usize, DVec3) {
-        let (mut best, mut square) = ((0, self.facets[0].0[0]), f64::INFINITY);
-        if let Some(near) = near {
-            let point = nearest_on(self.facets[near].0, p);
-            (best, square) = ((near, point), p.distance_squared(point));
-        }
-        let (in_unit, mut reach) = (self.unit.point(p), self.unit.reach(square));
-        // As deep as the tree, one for each step down.
-        open.push((0, self.nodes[0].distance_2(p)));
-        while let Some((place, least)) = open.pop() {
-            if least >= square {
-                continue;
+    /// place of one that is about as near; `waiting` is room for the search.
+    fn nearest(&self, p: DVec3, near: usize, waiting: &mut Vec<Waiting>) -> (usize, DVec3) {
+        let point = nearest_on(self.facets[near].0, p);
+        let (mut best, mut square) = ((near, point), p.distance_squared(point));
+        self.tree.nearest(p, square, waiting, |place| {
+            let point = nearest_on(self.facets[place].0, p);
+            let distance = p.distance_squared(point);
+            if distance < square {
+                (best, square) = ((place, point), distance);
             }
-            let node = &self.nodes[place];
-            if node.around.is_beyond(in_unit, reach) {
-                continue;
-            }
-            if node.count > 0 {
-                for facet in (node.next as usize..).take(node.count as usize) {
-                    if self.around[facet].is_beyond(in_unit, reach) {
-                        continue;
-                    }
-                    let point = nearest_on(self.facets[facet].0, p);
-                    let distance = p.distance_squared(point);
-                    if distance < square {
-                        (best, square) = ((facet, point), distance);
-                        reach = self.unit.reach(square);
-                    }
-                }
-            } else {
-                let parts = [place + 1, node.next as usize].map(|i| (i, self.nodes[i].distance_2(p)));
-                // The nearer one comes first, which is put there last.
-                let [a, b] = parts;
-                open.extend(if a.1 <= b.1 { [b, a] } else { [a, b] });
-            }
-        }
+            square
+        });
         best
     }
 
     /// The distance of a point, which has to be finite.
     pub fn distance(&self, p: DVec3) -> f64 {
-        self.nearest(p, None, &mut Vec::new()).1.distance(p)
+        self.nearest(p, 0, &mut Vec::new()).1.distance(p)
     }
 
     /// The point of the surface that is nearest to a point, which has to be finite.
     pub fn closest(&self, p: DVec3) -> Option<OnSurface> {
-        let (facet, point) = self.nearest(p, None, &mut Vec::new());
+        let (facet, point) = self.nearest(p, 0, &mut Vec::new());
         Some(self.facets[facet].at(point))
     }
 
     /// Where a ray of a finite origin and direction, which is not zero, meets the surface first, from either
     /// side; of several triangles there, the first one.
     pub fn first_on_ray(&self, origin: DVec3, direction: DVec3) -> Option<OnSurface> {
-        let along = Along { origin, inverse: direction.recip() };
-        let (mut first, mut open) = (None::<(f64, &Facet)>, vec![0]);
-        while let Some(place) = open.pop() {
-            let node = &self.nodes[place];
-            if !along.meets(node) {
-                continue;
+        let mut first = None::<(f64, &Facet)>;
+        self.tree.on_ray(origin, direction, |place| {
+            let facet = &self.facets[place];
+            let Some(t) = meets(facet.0, origin, direction) else { return };
+            if first.is_none_or(|(s, other)| t.total_cmp(&s).then(facet.1.cmp(&other.1)).is_lt()) {
+                first = Some((t, facet));
             }
-            if node.count == 0 {
-                open.extend([node.next as usize, place + 1]);
-                continue;
-            }
-            for facet in &self.facets[node.next as usize..][..node.count as usize] {
-                let Some(t) = meets(facet.0, origin, direction) else { continue };
-                if first.is_none_or(|(s, other)| t.total_cmp(&s).then(facet.1.cmp(&other.1)).is_lt()) {
-                    first = Some((t, facet));
-                }
-            }
-        }
+        });
         first.map(|(t, facet)| facet.at(origin + t * direction))
     }
 
@@ -333,13 +118,13 @@ impl Surface {
         let (mut sum, mut weights, mut max) = (0.0, 0.0, 0.0f64);
         // Each point is next to the one before it, more often than not.
         let row = |(points, areas): (&[DVec3], &[f64])| {
-            let (mut near, mut open) = (None, Vec::new());
+            let (mut near, mut waiting) = (0, Vec::new());
             let of = |(p, area): (&DVec3, &f64)| {
                 if *area <= 0.0 {
                     return 0.0;
                 }
-                let (facet, point) = self.nearest(*p, near, &mut open);
-                near = Some(facet);
+                let (facet, point) = self.nearest(*p, near, &mut waiting);
+                near = facet;
                 point.distance(*p)
             };
             points.iter().zip(areas).map(of).collect::<Vec<f64>>()
@@ -367,29 +152,6 @@ impl Facet {
         let part = |from: DVec3, to: DVec3| (to - from).cross(position - from).dot(normal).max(0.0);
         let parts = DVec3::new(part(b, c), part(c, a), part(a, b));
         OnSurface { triangle: self.1, weights: parts / parts.element_sum(), position }
-    }
-}
-
-/// The boxes that a ray meets.
-struct Along {
-    origin: DVec3,
-    /// One over the direction's components; infinite for those that are 0.
-    inverse: DVec3,
-}
-
-impl Along {
-    fn meets(&self, Node { low: lower, high: upper, .. }: &Node) -> bool {
-        let (mut enter, mut leave) = (0.0f64, f64::INFINITY);
-        for i in 0..3 {
-            let at = |x: f64| (x - self.origin[i]) * self.inverse[i];
-            let (a, b) = (at(lower[i]), at(upper[i]));
-            // Where the ray lies in a side's plane, which gives no number, that side says nothing.
-            if !(a.is_nan() || b.is_nan()) {
-                (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
-            }
-        }
-        // A little more than that, so that nothing is lost by rounding.
-        enter <= leave * (1.0 + 1e-12)
     }
 }
 
@@ -594,7 +356,7 @@ mod tests {
                 let p = if i < 300 { points[i as usize] } else { middle + to * far * size };
                 let each = triangles.iter().map(|t| nearest_on(t.map(|i| points[i as usize]), p).distance(p));
                 let least = each.fold(f64::INFINITY, f64::min);
-                for near in [None, Some(i as usize % 50)] {
+                for near in [0, i as usize % 50] {
                     let found = surface.nearest(p, near, &mut Vec::new()).1.distance(p);
                     assert!(found <= least * (1.0 + 1e-12), "{found}, not {least}, of {p} about {middle}");
                 }

@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::triangle::{corners, cross, edges};
+use super::triangle::{Edges, corners, cross};
 
 /// The energies of a deformed mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -76,8 +76,9 @@ impl Bins {
 }
 
 impl Energies {
-    /// Of triangles between positions at rest and deformed ones. Those without an area at rest do not count.
-    pub fn of(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Self {
+    /// Of triangles between positions at rest and deformed ones, and their edges. Triangles without an area at rest, and
+    /// edges without a length, do not count.
+    pub fn of(rest: &[DVec3], deformed: &[DVec3], (triangles, edges): (&[[u32; 3]], &Edges)) -> Self {
         let both = |t: &[u32; 3]| Some((*t, corners(rest, *t)?, corners(deformed, *t)?));
         let all: Vec<_> = triangles
             .iter()
@@ -110,9 +111,8 @@ impl Energies {
                 collapsed += 1;
             }
         }
-        for edge in edges(all.iter().map(|(triangle, ..)| *triangle)) {
-            let [a, b] = edge.map(|i| i as usize);
-            histograms.edges.add((deformed[a].distance(deformed[b]) / rest[a].distance(rest[b])).log2());
+        for [before, after] in edges.lengths(rest, deformed) {
+            histograms.edges.add((after / before).log2());
         }
         let rotations: Vec<DMat3> = covariances.par_iter().map(rotation).collect();
         let energy = |(triangle, before, after): &([u32; 3], [DVec3; 3], [DVec3; 3])| {
@@ -221,6 +221,10 @@ mod tests {
     use super::*;
     use glam::DQuat;
 
+    fn of(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Energies {
+        Energies::of(rest, deformed, (triangles, &Edges::of(rest, triangles)))
+    }
+
     /// A rolled sheet.
     fn sheet() -> (Vec<DVec3>, Vec<[u32; 3]>) {
         const STEPS: u32 = 30;
@@ -242,17 +246,17 @@ mod tests {
         for (axis, angle) in [(DVec3::X, 0.0), (DVec3::new(0.48, 0.6, 0.64), 2.9), (DVec3::Y, 3.1)] {
             let turn = DQuat::from_axis_angle(axis, angle);
             let moved: Vec<_> = rest.iter().map(|p| turn * *p + DVec3::new(1.0, 2.0, 3.0)).collect();
-            let found = Energies::of(&rest, &moved, &triangles);
+            let found = of(&rest, &moved, &triangles);
             assert!(found.arap.abs() < 1e-20, "{found:?}");
             assert!((found.symmetric_dirichlet - 4.0).abs() < 1e-9, "{found:?}");
             assert_eq!((found.collapsed, found.histograms.edges.above), (0, 0));
         }
         // A mirror image of a flat sheet is that sheet turned over; of a curved one it is not.
         let mirrored: Vec<_> = rest.iter().map(|p| p.with_z(-p.z)).collect();
-        assert!(Energies::of(&rest, &mirrored, &triangles).arap > 1e-3);
+        assert!(of(&rest, &mirrored, &triangles).arap > 1e-3);
         let flat: Vec<_> = rest.iter().map(|p| p.with_z(0.3 * p.x)).collect();
         let mirrored: Vec<_> = flat.iter().map(|p| p.with_z(-p.z)).collect();
-        assert!(Energies::of(&flat, &mirrored, &triangles).arap < 1e-20);
+        assert!(of(&flat, &mirrored, &triangles).arap < 1e-20);
     }
 
     #[test]
@@ -260,7 +264,7 @@ mod tests {
         let (rest, triangles) = sheet();
         for scale in [0.5, 1.25, 3.0] {
             let scaled: Vec<_> = rest.iter().map(|p| *p * scale).collect();
-            let found = Energies::of(&rest, &scaled, &triangles);
+            let found = of(&rest, &scaled, &triangles);
             let (arap, dirichlet) =
                 (2.0 * (scale - 1.0f64).powi(2), 2.0 * (scale * scale + 1.0 / (scale * scale)));
             assert!((found.arap / arap - 1.0).abs() < 1e-9, "{} instead of {arap}", found.arap);
@@ -275,16 +279,16 @@ mod tests {
         // Of a flat sheet that is stretched one way, the nearest rotation is none.
         let flat: Vec<_> = rest.iter().map(|p| p.with_z(0.0)).collect();
         let wide: Vec<_> = flat.iter().map(|p| p.with_x(2.0 * p.x)).collect();
-        let found = Energies::of(&flat, &wide, &triangles);
+        let found = of(&flat, &wide, &triangles);
         assert!(
             (found.arap - 1.0).abs() < 1e-9 && (found.symmetric_dirichlet - 6.25).abs() < 1e-9,
             "{found:?}"
         );
         // And of one that is pressed together nothing is left.
         let gone: Vec<_> = flat.iter().map(|p| p.with_x(0.0)).collect();
-        let found = Energies::of(&flat, &gone, &triangles);
+        let found = of(&flat, &gone, &triangles);
         assert!(found.collapsed > 1000 && found.symmetric_dirichlet_max.is_finite(), "{found:?}");
-        let nothing = Energies::of(&[], &[], &triangles);
+        let nothing = of(&[], &[], &triangles);
         assert_eq!((nothing.arap, nothing.symmetric_dirichlet), (0.0, 0.0));
     }
 }

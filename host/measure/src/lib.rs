@@ -7,13 +7,13 @@
 //!
 //! ```
 //! use glam::DVec3;
-//! use simod_measure::{edge_distortion, volume};
+//! use simod_measure::{Edges, edge_distortion, volume};
 //!
 //! let corners = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
 //! let triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
 //! let doubled = corners.map(|p| p * 2.0);
 //! assert!((volume(&corners, &triangles) - 1.0 / 6.0).abs() < 1e-15);
-//! assert!((edge_distortion(&corners, &doubled, &triangles).rms - 1.0).abs() < 1e-15);
+//! assert!((edge_distortion(&corners, &doubled, &Edges::of(&corners, &triangles)).rms - 1.0).abs() < 1e-15);
 //! ```
 
 mod details;
@@ -21,6 +21,7 @@ mod distance;
 mod energy;
 mod size;
 mod spread;
+mod tree;
 mod triangle;
 mod vertexwise;
 
@@ -29,4 +30,5 @@ pub use distance::{Distances, OnSurface, Surface};
 pub use energy::{Bins, Energies, Histograms};
 pub use size::{Open, area, area_distortion, edge_distortion, is_closed, volume};
 pub use spread::Spread;
+pub use triangle::Edges;
 pub use vertexwise::{Also, Angles, Beside, Difference, beside};

@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::spread::Spread;
-use super::triangle::{corners, cross, edges, either_way, pair, sides, sorted};
+use super::triangle::{Edges, corners, cross, either_way, pair, sides, sorted};
 
 /// The volume that a closed mesh holds, by signed tetrahedra: negative for one that is inside out.
 pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
@@ -75,12 +75,8 @@ pub fn area(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
 
 /// The change |l′ / l − 1| of all edges, of length l at rest and l′ deformed. Edges without a length at rest
 /// do not count.
-pub fn edge_distortion(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Spread {
-    let valid = triangles.iter().filter(|t| corners(rest, **t).is_some() && corners(deformed, **t).is_some());
-    let length =
-        |positions: &[DVec3], [a, b]: [u32; 2]| positions[a as usize].distance(positions[b as usize]);
-    let lengths = edges(valid.copied()).into_iter().map(|edge| [length(rest, edge), length(deformed, edge)]);
-    Spread::of(changes(lengths))
+pub fn edge_distortion(rest: &[DVec3], deformed: &[DVec3], edges: &Edges) -> Spread {
+    Spread::of(changes(edges.lengths(rest, deformed)))
 }
 
 /// The change |A′ / A − 1| of all triangles, of area A at rest and A′ deformed. Those without an area at rest
@@ -153,7 +149,7 @@ mod tests {
                     assert!((figure - change.abs()).abs() < 1e-12, "{spread:?} instead of {change}");
                 }
             };
-            expect(edge_distortion(&rest, &moved, &triangles), scale - 1.0);
+            expect(edge_distortion(&rest, &moved, &Edges::of(&rest, &triangles)), scale - 1.0);
             expect(area_distortion(&rest, &moved, &triangles), scale * scale - 1.0);
             assert!((volume(&moved, &triangles) - 6.0 * scale.powi(3)).abs() < 1e-12);
         }
@@ -168,7 +164,7 @@ mod tests {
         let triangles = [[0, 1, 2], [0, 2, 3]];
         let diagonal = 2.5f64.sqrt() - 1.0;
         let expected = ((2.0 + diagonal * diagonal) / 5.0).sqrt();
-        let edges = edge_distortion(&rest, &deformed, &triangles);
+        let edges = edge_distortion(&rest, &deformed, &Edges::of(&rest, &triangles));
         assert!((edges.rms - expected).abs() < 1e-12 && (edges.max - 1.0).abs() < 1e-12, "{edges:?}");
         assert!((area_distortion(&rest, &deformed, &triangles).rms - 1.0).abs() < 1e-12);
     }
@@ -178,7 +174,10 @@ mod tests {
         let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::NAN];
         let triangles = [[0, 1, 2], [0, 1, 9], [1, 2, 3], [1, 1, 1]];
         assert_eq!(area(&positions, &triangles), 0.5);
-        assert_eq!(edge_distortion(&positions, &positions, &triangles), Spread::default());
+        assert_eq!(
+            edge_distortion(&positions, &positions, &Edges::of(&positions, &triangles)),
+            Spread::default()
+        );
         assert_eq!(area_distortion(&positions, &positions, &triangles), Spread::default());
         assert_eq!(volume(&[], &[]), 0.0);
         assert_eq!(Details::new(&positions, &triangles, 0.1).rotation(&positions).rms, 0.0);

@@ -125,6 +125,30 @@ struct Pair {
     angles: Lanes,
 }
 
+/// The box of a block's positions.
+struct Reach<'a>(&'a Block);
+
+impl WithSimd for Reach<'_> {
+    type Output = Bounds;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Bounds {
+        let mut bounds = Bounds::default();
+        for (axis, all) in self.0.positions.iter().enumerate() {
+            let (mut least, mut most) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
+            for some in all.chunks_exact(LANES) {
+                for (lane, x) in some.iter().enumerate() {
+                    least[lane] = if *x < least[lane] { *x } else { least[lane] };
+                    most[lane] = if *x > most[lane] { *x } else { most[lane] };
+                }
+            }
+            bounds.min[axis] = least.into_iter().fold(f64::INFINITY, f64::min);
+            bounds.max[axis] = most.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        }
+        bounds
+    }
+}
+
 /// How far the vertices of a block are from each other; the squares are added to the lanes.
 struct Lengths<'a>([&'a Block; 2], f64, &'a mut Lanes);
 
@@ -278,15 +302,20 @@ struct Found {
 impl Found {
     fn add(&mut self, parts: &[Vertices<'_>], scale: f64) {
         self.make_room(parts.len());
-        for (bounds, part) in self.bounds.iter_mut().zip(parts) {
-            part.positions.iter().filter(|p: &&DVec3| p.is_finite()).for_each(|p| bounds.include(*p));
-        }
         let arch = Arch::new();
         let count = parts.first().map_or(0, |part| part.positions.len());
         let mut blocks: Vec<Block> = parts.iter().map(|_| Block::EMPTY).collect();
         for first in (0..count).step_by(BLOCK) {
             let range = first..count.min(first + BLOCK);
-            blocks.iter_mut().zip(parts).for_each(|(block, part)| block.fill(part, range.clone()));
+            for ((block, part), bounds) in blocks.iter_mut().zip(parts).zip(&mut self.bounds) {
+                block.fill(part, range.clone());
+                if block.has_positions {
+                    bounds.absorb(&arch.dispatch(Reach(block)));
+                } else {
+                    let finite = part.positions[range.clone()].iter().filter(|p| p.is_finite());
+                    finite.for_each(|p| bounds.include(*p));
+                }
+            }
             for (pair, (a, b)) in self.pairs.iter_mut().zip(each_two(parts.len())) {
                 pair.add([&blocks[a], &blocks[b]], [&parts[a], &parts[b]], range.clone(), scale, arch);
             }
@@ -386,7 +415,8 @@ mod tests {
         assert!((p99 / 2.5 - 1.0).abs() < 0.02, "{p99}");
         let normals = normals.unwrap();
         assert!((normals.rms - 60.0).abs() < 1e-4 && (normals.max - 60.0).abs() < 1e-4, "{normals:?}");
-        assert_eq!((found.bounds[0].max.z, found.bounds[2].max.z), (0.0, 4.0));
+        assert_eq!(found.bounds[0], Bounds::from_points(rest.iter().copied()));
+        assert_eq!(found.bounds[2], Bounds { min: DVec3::ZERO, max: DVec3::new(99.0, 202.0, 4.0) });
     }
 
     #[test]

@@ -110,20 +110,28 @@ struct Splat {
     axes: Option<[Vec3; 2]>,
     /// Least weight with which it hides what is behind it.
     hiding: f32,
+    from_back: bool,
     pixel: [f32; 2],
     /// Pixels that it reaches around its middle.
     reach: f32,
-    /// The samples within reach: columns and rows, each from the first to beyond the last.
+    /// The samples that are drawn: columns and rows, each from the first to beyond the last.
     columns: [usize; 2],
     rows: [usize; 2],
+}
+
+/// How much of splats is drawn.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Drawn {
+    /// What hides what is behind it, in any order.
+    Hiding,
+    All,
 }
 
 impl Splat {
     /// None for what is out of the picture of the given size, or no disc at all.
     fn new(
-        camera: &Camera,
-        lens: &Lens,
-        size: [usize; 2],
+        (camera, lens): (&Camera, &Lens),
+        (size, drawn): ([usize; 2], Drawn),
         point: &SurfacePoint,
         axes: Option<&[Vec3; 2]>,
     ) -> Option<Self> {
@@ -134,16 +142,19 @@ impl Splat {
         let pixel = lens.project(center);
         let scale = lens.scale[0].max(lens.scale[1]) / center.z;
         let reach = (point.radius * scale).clamp(LEAST_REACH, MOST_REACH);
-        let columns = covered(pixel[0], reach, size[0])?;
-        let rows = covered(pixel[1], reach, size[1])?;
-
         let normal = camera.direction_to_view(point.normal.as_dvec3()).as_vec3().normalize_or_zero();
-        let seen_from_back = normal.dot(center) > 0.0;
-        let normal = if seen_from_back { -normal } else { normal };
-        let color = color_of(point.color);
+        let from_back = normal.dot(center) > 0.0;
+        let normal = if from_back { -normal } else { normal };
         // A splat as small as a sample hides wherever it is drawn: else it could fall between samples.
-        let share = HIDING[usize::from(seen_from_back)].max(LEAST_REACH / reach);
+        let share = HIDING[usize::from(from_back)].max(LEAST_REACH / reach);
         let (radius, hiding) = (reach / scale, weight(share * share));
+        let drawn = match drawn {
+            Drawn::Hiding if axes.is_none() => hiding_reach(center, radius, share) * scale,
+            _ => reach,
+        };
+        let drawn = drawn.max(LEAST_REACH).min(reach);
+        let columns = covered(pixel[0], drawn, size[0])?;
+        let rows = covered(pixel[1], drawn, size[1])?;
         let shrunk = radius / point.radius;
         let axes = axes.filter(|_| shrunk > 0.0 && shrunk.is_finite()).map(|axes| {
             axes.map(|axis| {
@@ -151,8 +162,22 @@ impl Splat {
                 axis / axis.length_squared()
             })
         });
+        let color = color_of(point.color);
         let other = Vec3::ZERO;
-        Some(Self { center, normal, color, other, radius, axes, hiding, pixel, reach, columns, rows })
+        Some(Self {
+            center,
+            normal,
+            color,
+            other,
+            radius,
+            axes,
+            hiding,
+            from_back,
+            pixel,
+            reach,
+            columns,
+            rows,
+        })
     }
 
     /// The least depth that any of it has.
@@ -184,6 +209,14 @@ impl Splat {
     }
 }
 
+/// How far from its middle, beside it on the picture's plane, a disc in view coordinates is seen up to a share of its radius: a
+/// point that is off by w, at a depth of z, lies within |w| |c| / z, where c is the middle.
+fn hiding_reach(center: Vec3, radius: f32, share: f32) -> f32 {
+    const ROUNDING: f32 = 1.01;
+    let nearest = center.z - share * radius;
+    if nearest > 0.0 { ROUNDING * share * radius * center.length() / nearest } else { f32::INFINITY }
+}
+
 fn color_of(color: [u8; 3]) -> Vec3 {
     Vec3::from(color.map(f32::from)) / 255.0
 }
@@ -208,7 +241,7 @@ impl Canvas {
     /// First pass: the depth of the nearest surface.
     pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
         let may_show = |pixel: &Pixel, splat: &Splat| splat.least_depth() < pixel.nearest;
-        self.draw(camera, (points, axes, &[]), may_show, |pixel, splat, depth, weight| {
+        self.draw(camera, (points, axes, &[], Drawn::Hiding), may_show, |pixel, splat, depth, weight| {
             if weight >= splat.hiding {
                 pixel.come_near(depth);
             }
@@ -218,7 +251,7 @@ impl Canvas {
     /// Second pass: what lies on the nearest surface.
     pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
         let may_show = |pixel: &Pixel, splat: &Splat| pixel.is_near(splat.least_depth(), splat.radius);
-        self.draw(camera, (points, axes, &[]), may_show, |pixel, splat, depth, weight| {
+        self.draw(camera, (points, axes, &[], Drawn::All), may_show, |pixel, splat, depth, weight| {
             // Neighbouring discs of one surface differ in depth by less than they are wide.
             if pixel.is_near(depth, splat.radius) {
                 pixel.blend(weight, depth, splat.normal, splat.color);
@@ -229,7 +262,7 @@ impl Canvas {
     /// The same for two pictures at once, in the points' colours and in others, of which there are as many.
     pub fn blend_both(&mut self, camera: &Camera, points: &[SurfacePoint], others: &[[u8; 3]]) {
         let may_show = |pixel: &Pixel, splat: &Splat| pixel.is_near(splat.least_depth(), splat.radius);
-        self.draw(camera, (points, &[], others), may_show, |pixel, splat, depth, weight| {
+        self.draw(camera, (points, &[], others, Drawn::All), may_show, |pixel, splat, depth, weight| {
             if pixel.is_near(depth, splat.radius) {
                 pixel.blend(weight, depth, splat.normal, splat.color);
                 pixel.other += splat.other * weight;
@@ -240,7 +273,7 @@ impl Canvas {
     fn draw(
         &mut self,
         camera: &Camera,
-        (points, axes, others): (&[SurfacePoint], &[[Vec3; 2]], &[[u8; 3]]),
+        (points, axes, others, drawn): (&[SurfacePoint], &[[Vec3; 2]], &[[u8; 3]], Drawn),
         may_show: impl Fn(&Pixel, &Splat) -> bool + Sync,
         hit: impl Fn(&mut Pixel, &Splat, f32, f32) + Sync,
     ) {
@@ -250,7 +283,7 @@ impl Canvas {
             let axes = axes.get(number * BATCH..).unwrap_or_default();
             let others = others.get(number * BATCH..).unwrap_or_default();
             let splat = |(i, point)| {
-                let splat = Splat::new(camera, &lens, size, point, axes.get(i))?;
+                let splat = Splat::new((camera, &lens), (size, drawn), point, axes.get(i))?;
                 Some(Splat { other: others.get(i).map_or(Vec3::ZERO, |color| color_of(*color)), ..splat })
             };
             batch.par_iter().enumerate().map(splat).collect_into_vec(&mut self.batch);
@@ -258,7 +291,8 @@ impl Canvas {
             let Self { pixels, batch: splats, bands, .. } = self;
             pixels.par_chunks_mut(BAND * size[0]).enumerate().for_each(|(band, pixels)| {
                 let first = band * BAND;
-                for splat in bands.of(band, splats).flatten() {
+                let all = || bands.of(band, splats).flatten();
+                let mut show = |splat: &Splat| {
                     let [left, right] = splat.columns;
                     for y in splat.rows[0].max(first)..splat.rows[1].min(first + BAND) {
                         let row = &mut pixels[(y - first) * size[0]..][..size[0]];
@@ -274,6 +308,14 @@ impl Canvas {
                             }
                         }
                     }
+                };
+                match drawn {
+                    // What is seen from the front hides most of what is not.
+                    Drawn::Hiding => {
+                        all().filter(|splat| !splat.from_back).for_each(&mut show);
+                        all().filter(|splat| splat.from_back).for_each(show);
+                    }
+                    Drawn::All => all().for_each(show),
                 }
             });
         }
@@ -326,6 +368,40 @@ fn covered(middle: f32, reach: f32, count: usize) -> Option<[usize; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
+
+    /// What the first pass leaves out, and the order in which it draws, changes nothing.
+    #[test]
+    fn the_nearest_surface_is_that_of_whole_discs_in_any_order() {
+        let number = |i: u32, k: f64| (f64::from(i) * k).sin();
+        for (yaw, size) in [(0.3, 0.02), (2.0, 0.3), (4.0, 3.0)] {
+            let camera = Camera::frame([DVec3::splat(-1.0), DVec3::splat(1.0)], yaw, 0.4, 1.5);
+            let point = |i: u32| SurfacePoint {
+                position: DVec3::new(number(i, 1.7), number(i, 2.9), number(i, 5.3)),
+                // Some have none.
+                normal: Vec3::new(number(i, 3.1) as f32, number(i, 7.7) as f32, number(i, 0.9) as f32)
+                    * f32::from(u8::from(i % 5 != 0)),
+                color: [0; 3],
+                radius: (size * (1.1 + number(i, 11.0))) as f32,
+            };
+            let points: Vec<SurfacePoint> = (0..4000).map(point).collect();
+            let [mut canvas, mut whole] = [Canvas::new(180, 120), Canvas::new(180, 120)];
+            canvas.depth(&camera, &points, &[]);
+            whole.draw(
+                &camera,
+                (&points, &[], &[], Drawn::All),
+                |_, _| true,
+                |pixel, splat, depth, weight| {
+                    if weight >= splat.hiding {
+                        pixel.come_near(depth);
+                    }
+                },
+            );
+            let nearest = |canvas: &Canvas| canvas.pixels.iter().map(|p| p.nearest).collect::<Vec<_>>();
+            assert!(nearest(&canvas) == nearest(&whole), "{yaw} {size}");
+            assert!(whole.pixels.iter().any(|p| p.nearest.is_finite()));
+        }
+    }
 
     #[test]
     fn bands_have_what_is_in_them_in_order() {

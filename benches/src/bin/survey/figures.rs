@@ -7,7 +7,7 @@ use glam::DVec3;
 use simod_benches::median;
 use simod_benches::process::{Result, number, phase, report};
 use simod_generate::Surface;
-use simod_measure::{Details, Rotation, Spread, area_distortion, edge_distortion, volume};
+use simod_measure::{Details, Edges, Rotation, Spread, area_distortion, edge_distortion, volume};
 
 use crate::cases::Case;
 
@@ -64,7 +64,7 @@ pub fn of(subject: &Subject<'_>, simod: &Path, session: &Path, output: &Path, ru
     let change = || volume(&deformed, triangles) / volume(rest, triangles) - 1.0;
     Ok(Figures {
         volume: case.is_closed.then(change),
-        edges: edge_distortion(rest, &deformed, triangles),
+        edges: edge_distortion(rest, &deformed, &Edges::of(rest, triangles)),
         areas: area_distortion(rest, &deformed, triangles),
         rotation: Details::new(rest, triangles, case.details.unwrap_or(SMOOTH)).rotation(&deformed),
         has_details: case.details.is_some(),

@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 use simod_core::sampled_model::SampledModel;
 use simod_measure::{
-    Also, Details, Difference, Distances, Energies, Open, Rotation, Spread, Surface, area_distortion,
+    Also, Details, Difference, Distances, Edges, Energies, Open, Rotation, Spread, Surface, area_distortion,
     edge_distortion, is_closed, volume,
 };
 use simod_model::bounds::Bounds;
@@ -118,6 +118,7 @@ pub(super) fn on_samples(deformed: &[&Deformed], progress: &dyn Progress) -> Res
 struct AtRest<'a> {
     rest: &'a [DVec3],
     triangles: &'a [[u32; 3]],
+    edges: Edges,
     details: Details<'a>,
     /// Of a closed one.
     volume: Option<f64>,
@@ -126,11 +127,14 @@ struct AtRest<'a> {
 
 impl<'a> AtRest<'a> {
     fn new(rest: &'a [DVec3], triangles: &'a [[u32; 3]]) -> Self {
-        let (closed, details) =
-            rayon::join(|| is_closed(triangles), || Details::new(rest, triangles, DETAIL));
+        let ((closed, edges), details) = rayon::join(
+            || (is_closed(triangles), Edges::of(rest, triangles)),
+            || Details::new(rest, triangles, DETAIL),
+        );
         Self {
             rest,
             triangles,
+            edges,
             details,
             volume: closed.then(|| volume(rest, triangles)),
             open: if closed { None } else { Open::of(rest, triangles) },
@@ -139,7 +143,7 @@ impl<'a> AtRest<'a> {
 
     /// In some shapes.
     fn measure(&self, shapes: &[Vec<DVec3>], progress: &dyn Progress) -> Result<Vec<OnSamples>> {
-        let Self { rest, triangles, .. } = *self;
+        let Self { rest, triangles, ref edges, .. } = *self;
         progress.check()?;
         let details = self.details.rotations(&shapes.iter().map(Vec::as_slice).collect::<Vec<_>>());
         let each = |(after, details): (&Vec<DVec3>, Rotation)| {
@@ -147,8 +151,8 @@ impl<'a> AtRest<'a> {
             let over_border = |open: &Open| [rest, after].map(|of| open.volume(of, triangles));
             progress.check()?;
             let ((edges, areas), energies) = rayon::join(
-                || (edge_distortion(rest, after, triangles), area_distortion(rest, after, triangles)),
-                || Energies::of(rest, after, triangles),
+                || (edge_distortion(rest, after, edges), area_distortion(rest, after, triangles)),
+                || Energies::of(rest, after, (triangles, edges)),
             );
             Ok(OnSamples {
                 volume_change: volume_change.filter(|x| x.is_finite()),
