@@ -109,13 +109,16 @@ pub fn expand(
         let (q, slope) = (samples.positions[i], gradients.gradient[i] - Mat3::IDENTITY);
         Expansion::new(q, deformed[i] - q, slope, [Vec3::ZERO; 6])
     };
-    let mut expansions: Vec<Expansion> = (0..samples.len()).into_par_iter().map(affine).collect();
+    // The system's own zeros: the threads that fit touch them first.
+    let mut expansions: Vec<Expansion> = bytemuck::zeroed_vec(samples.len());
     let mut unresolved = vec![Unresolved::default(); samples.len()];
     let mut doubt = vec![0.0; samples.len()];
     let jobs = expansions.par_chunks_mut(TOGETHER).zip(unresolved.par_chunks_mut(TOGETHER));
     jobs.zip(doubt.par_chunks_mut(TOGETHER)).enumerate().for_each(
         |(chunk, ((expansions, unresolved), doubt))| {
-            Arch::new().dispatch(Fits { fitted, first: chunk * TOGETHER, expansions, unresolved, doubt });
+            let first = chunk * TOGETHER;
+            expansions.iter_mut().zip(first..).for_each(|(e, i)| *e = affine(i));
+            Arch::new().dispatch(Fits { fitted, first, expansions, unresolved, doubt });
         },
     );
     let in_doubt: Vec<u32> = (0..).zip(&doubt).filter(|(_, doubt)| **doubt > 0.0).map(|(i, _)| i).collect();

@@ -266,10 +266,10 @@ impl Workspace {
             let displacement = one_by_one.map_or_else(|| self.displacement(i), |moved| moved.displacement);
             *image += displacement.as_dvec3() * frame.scale;
             if let Some(n) = normals.get_mut(i).filter(|n| n.is_finite()) {
-                *n = match one_by_one {
-                    Some(moved) => moved.normal(*n, field.gradients.mirrored),
-                    None => self.normal(i),
-                };
+                match one_by_one {
+                    Some(moved) => *n = moved.normal(*n, field.gradients.mirrored),
+                    None => self.take_normal(i, n),
+                }
             }
             if figures.is_none() && gradients.is_empty() {
                 continue;
@@ -340,11 +340,15 @@ impl Workspace {
         Vec3::from_array(self.grouped.displacement.each_ref().map(|v| v[at]))
     }
 
-    /// The normal that the blend turned.
+    /// Takes the normal that the blend turned: number by number, as what is put together in memory and read again at
+    /// once has to be waited for.
     #[inline]
-    fn normal(&self, i: usize) -> Vec3 {
+    fn take_normal(&self, i: usize, normal: &mut Vec3) {
         let at = self.place[i] as usize;
-        Vec3::from_array(self.grouped.normals.each_ref().map(|v| v[at]))
+        let [x, y, z] = &self.grouped.normals;
+        normal.x = x[at];
+        normal.y = y[at];
+        normal.z = z[at];
     }
 
     /// The gradient of the blend; nothing, if it was not asked for.
@@ -366,20 +370,24 @@ impl Workspace {
     fn group(&mut self, fields: &[DeformationField<'_>]) {
         let Self { local, order, homes, group_of, filled, place, grouped, .. } = self;
         let samples = &fields[0].around.samples.positions;
-        let moves = |home: usize| fields.iter().any(|field| field.active[home]);
+        let moves = |home: u32| fields.iter().any(|field| field.active[home as usize]);
+        // Vertices that follow each other mostly have one home.
+        let runs = || {
+            let runs = order.chunk_by(|a, b| homes[*a as usize] == homes[*b as usize]);
+            runs.map(|run| (homes[run[0] as usize], run)).filter(|(home, _)| moves(*home))
+        };
         group_of.resize(samples.len(), u32::MAX);
         filled.clear();
         grouped.groups.clear();
-        for home in order.iter().map(|i| homes[*i as usize]).filter(|home| moves(*home as usize)) {
-            let h = home as usize;
+        for (home, run) in runs() {
             // What an earlier block left is no group of this one, unless that group is of the same home.
-            let group = group_of[h] as usize;
-            if grouped.groups.get(group).is_some_and(|(of, _)| *of == home) {
-                filled[group].next += 1;
+            let group = &mut group_of[home as usize];
+            if grouped.groups.get(*group as usize).is_some_and(|(of, _)| *of == home) {
+                filled[*group as usize].next += run.len();
             } else {
-                group_of[h] = grouped.groups.len() as u32;
+                *group = grouped.groups.len() as u32;
                 grouped.groups.push((home, 0..0));
-                filled.push(Filled { next: 1, scattered: 0 });
+                filled.push(Filled { next: run.len(), scattered: 0 });
             }
         }
         let mut end = 0;
@@ -403,19 +411,20 @@ impl Workspace {
         }
         place.clear();
         place.resize(local.len(), NOWHERE);
-        for i in order.iter().map(|i| *i as usize).filter(|i| moves(homes[*i] as usize)) {
-            let group = group_of[homes[i] as usize] as usize;
+        for (home, run) in runs() {
+            let group = group_of[home as usize] as usize;
             let filled = &mut filled[group];
-            let in_packets = &grouped.groups[group].1;
-            let at = if filled.next < in_packets.end {
-                filled.next += 1;
-                filled.next - 1
-            } else {
-                filled.scattered += 1;
-                end + filled.scattered - 1
-            };
-            (0..3).for_each(|axis| grouped.positions[axis][at] = local[i][axis]);
-            place[i] = at as u32;
+            let room = grouped.groups[group].1.end - filled.next;
+            let (in_packets, scattered) = run.split_at(run.len().min(room));
+            for (part, at) in [(in_packets, filled.next), (scattered, end + filled.scattered)] {
+                let [x, y, z] = grouped.positions.each_mut().map(|v| &mut v[at..at + part.len()]);
+                for ((((i, at), x), y), z) in part.iter().zip(at as u32..).zip(x).zip(y).zip(z) {
+                    (*x, *y, *z) = local[*i as usize].into();
+                    place[*i as usize] = at;
+                }
+            }
+            filled.next += in_packets.len();
+            filled.scattered += scattered.len();
         }
     }
 }

@@ -1,7 +1,7 @@
 //! A second-order Taylor expansion of the deformation about a sample: what is blended.
 
 use bytemuck::Zeroable;
-use glam::{Mat3, Vec3};
+use glam::{Mat3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
 /// What rounding to single precision may leave over, in local units.
@@ -14,7 +14,7 @@ pub const ROUNDING: f64 = 5e-7;
 /// samples that do not move are exactly nothing.
 ///
 /// Memory: 144 bytes.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Zeroable)]
 pub struct Expansion {
     /// q, in local coordinates.
     pub center: [f32; 3],
@@ -118,6 +118,18 @@ impl Expansion {
         (Vec3::from_array(parts.map(|(u, _)| u)), gradient)
     }
 
+    /// The displacement at `d` from the sample: as [`evaluate`](Self::evaluate) has it, to the bit, the three
+    /// coordinates side by side.
+    #[inline]
+    pub fn displacement_at(&self, d: Vec3) -> Vec3 {
+        let [u, sx, sy, sz, xx, xy, xz, yy, yz, zz]: [Vec4; TERMS] =
+            std::array::from_fn(|k| Vec4::from_array(self.four(k)));
+        let a = sx + xx * d.x + xy * d.y + xz * d.z;
+        let b = sy + yy * d.y + yz * d.z;
+        let c = sz + zz * d.z;
+        (u + a * d.x + b * d.y + c * d.z).truncate()
+    }
+
     /// The displacement of a point at `d`, beyond the support, and its gradient: the second order stays what
     /// it is at the margin, as no neighbour told what it is there.
     pub fn beyond(&self, d: Vec3) -> (Vec3, Mat3) {
@@ -150,5 +162,25 @@ impl ReachingSupport {
         let bits = (number >> 32) as u32;
         let bits = if bits >> 31 == 1 { bits & !(1 << 31) } else { !bits };
         Self { from: f32::from_bits(bits), sample: number as u32 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn three_coordinates_at_once_are_each_by_itself(
+            terms in prop::array::uniform30(-1.0..1.0f32), d in prop::array::uniform3(-1.0..1.0f32),
+        ) {
+            let vector = |k: usize| Vec3::from_slice(&terms[3 * k..]);
+            let slope = Mat3::from_cols(vector(1), vector(2), vector(3));
+            let second = std::array::from_fn(|term| vector(4 + term));
+            let (expansion, d) = (Expansion::new(Vec3::ZERO, vector(0), slope, second), Vec3::from_array(d));
+            let (at_once, by_itself) = (expansion.displacement_at(d), expansion.evaluate(d).0);
+            prop_assert_eq!(at_once.to_array().map(f32::to_bits), by_itself.to_array().map(f32::to_bits));
+        }
     }
 }

@@ -445,13 +445,10 @@ impl Heard {
     }
 }
 
-/// The displacement at `p` by an expansion: as [`Expansion::evaluate`], without the gradient.
+/// The displacement at `p` by an expansion.
 #[inline]
 fn says(e: &Expansion, p: Vec3) -> Vec3 {
-    let Vec3 { x, y, z } = p - Vec3::from_array(e.center);
-    Vec3::from_array(e.rows().map(|[u, sx, sy, sz, xx, xy, xz, yy, yz, zz]| {
-        u + (sx + xx * x + xy * y + xz * z) * x + (sy + yy * y + yz * z) * y + (sz + zz * z) * z
-    }))
+    e.displacement_at(p - Vec3::from_array(e.center))
 }
 
 fn hypot<const N: usize>(parts: [f32; N]) -> f32 {

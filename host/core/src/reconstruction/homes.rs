@@ -7,7 +7,7 @@
 
 use std::sync::OnceLock;
 
-use glam::{BVec3, UVec3, Vec3, Vec4};
+use glam::{UVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
 use super::RestGeometry;
@@ -45,7 +45,7 @@ const SIDE_BY_SIDE: usize = 1 << 12;
 ///
 /// Memory: 17 bytes per sample, and 32 for each cell that is parted: about one for seven samples of a
 /// surface. Where samples are in heaps of a dozen, each has a chain of at most [`LEVELS`] cells, which makes
-/// 1.5 per sample. As much again while it is made.
+/// 1.5 per sample. As much again while it is made, and 16 bytes more for each sample.
 pub struct Cells {
     /// Corner of the whole, in local coordinates.
     corner: Vec3,
@@ -84,7 +84,8 @@ impl Cells {
             largest: OnceLock::new(),
         };
         let whole = Cell { corner, edge, level: 0 };
-        let growing = Growing { supports: &cells.supports, radius };
+        let balls: Vec<Vec4> = positions.iter().zip(radius).map(|(p, radius)| p.extend(*radius)).collect();
+        let growing = Growing { supports: &cells.supports, balls: &balls };
         let all: Vec<u32> = (0..positions.len() as u32).collect();
         let mut parted = Vec::new();
         growing.part(whole, &all, &mut parted);
@@ -124,11 +125,32 @@ impl Cell {
         self.corner + 0.5 * self.edge
     }
 
-    /// Along which axes a box about a point, so far to each side, meets it.
-    fn meets(self, p: Vec3, reach: f32) -> BVec3 {
-        (p - self.middle()).abs().cmple(Vec3::splat(0.5 * self.edge + reach))
+    /// Along which axes a box about a point, so far to each side, meets it: a bit for each; the point's last number
+    /// is of no meaning.
+    fn meets(self, p: Vec4, reach: f32) -> usize {
+        let away = (p - self.middle().extend(0.0)).abs();
+        (away.cmple(Vec4::splat(0.5 * self.edge + reach)).bitmask() & 0b111) as usize
     }
 }
+
+/// The eighths that a box meets, a bit for each, by the [axes](Cell::meets) along which it meets the first of them
+/// and, three bits higher, the last.
+const MET: [u8; 64] = {
+    let mut met = [0; 64];
+    let mut axes = 0;
+    while axes < 64 {
+        let mut eighth = 0;
+        while eighth < 8 {
+            let (low, high) = (axes & 0b111 & !eighth, axes >> 3 & eighth);
+            if low | high == 0b111 {
+                met[axes] |= 1 << eighth;
+            }
+            eighth += 1;
+        }
+        axes += 1;
+    }
+    met
+};
 
 /// What a cell is filled with, where the list that it speaks of stands behind so many others.
 fn behind(others: u32, what: u32) -> u32 {
@@ -140,6 +162,8 @@ fn behind(others: u32, what: u32) -> u32 {
 struct Reached {
     samples: Vec<u32>,
     counts: [u32; 8],
+    /// The least radius of the samples of each eighth; infinite where there are none.
+    least: [f32; 8],
 }
 
 impl Reached {
@@ -152,7 +176,8 @@ impl Reached {
 /// What cells are made of.
 struct Growing<'a> {
     supports: &'a [Vec4],
-    radius: &'a [f32],
+    /// Centre and radius of each support.
+    balls: &'a [Vec4],
 }
 
 impl Growing<'_> {
@@ -163,7 +188,8 @@ impl Growing<'_> {
         let reached = self.reached(cell, near);
         if near.len() < SIDE_BY_SIDE {
             for i in 0..8 {
-                parted[at][i] = self.fill(cell.eighth(i), near, reached.of_eighth(i), parted);
+                let least = reached.least[i];
+                parted[at][i] = self.fill(cell.eighth(i), near, reached.of_eighth(i), least, parted);
             }
             return;
         }
@@ -171,7 +197,8 @@ impl Growing<'_> {
             .into_par_iter()
             .map(|i| {
                 let mut below = Vec::new();
-                (self.fill(cell.eighth(i), near, reached.of_eighth(i), &mut below), below)
+                let least = reached.least[i];
+                (self.fill(cell.eighth(i), near, reached.of_eighth(i), least, &mut below), below)
             })
             .collect();
         for (i, (what, below)) in eighths.into_iter().enumerate() {
@@ -184,39 +211,46 @@ impl Growing<'_> {
     /// Which samples reach the eighths of a cell.
     fn reached(&self, cell: Cell, near: &[u32]) -> Reached {
         let [low, high] = [0, 7].map(|eighth| cell.eighth(eighth));
-        let mut reached = Reached { samples: vec![0; 8 * near.len()], counts: [0; 8] };
+        let mut reached =
+            Reached { samples: vec![0; 8 * near.len()], counts: [0; 8], least: [f32::INFINITY; 8] };
         for sample in near {
-            let (p, reach) =
-                (self.supports[*sample as usize].truncate(), REACH * self.radius[*sample as usize]);
-            let (low, high) = (low.meets(p, reach), high.meets(p, reach));
-            let (x, y, z) = ([low.x, high.x], [low.y, high.y], [low.z, high.z]);
-            for (eighth, count) in reached.counts.iter_mut().enumerate() {
-                let meets = x[eighth & 1] & y[eighth >> 1 & 1] & z[eighth >> 2];
+            let ball = self.balls[*sample as usize];
+            let reach = REACH * ball.w;
+            let mut met = MET[low.meets(ball, reach) | high.meets(ball, reach) << 3];
+            while met != 0 {
+                let eighth = met.trailing_zeros() as usize;
+                let count = &mut reached.counts[eighth];
                 reached.samples[eighth * near.len() + *count as usize] = *sample;
-                *count += u32::from(meets);
+                *count += 1;
+                reached.least[eighth] = reached.least[eighth].min(ball.w);
+                met &= met - 1;
             }
         }
         reached
     }
 
     /// What a cell is filled with, of which the one that it is a part of is reached by the samples `around`, and
-    /// itself by those that are `near`.
-    fn fill(&self, cell: Cell, around: &[u32], near: &[u32], parted: &mut Vec<[u32; 8]>) -> u32 {
-        let least = near.iter().map(|i| self.radius[*i as usize]).fold(f32::INFINITY, f32::min);
+    /// itself by those that are `near`, whose `least` radius is known.
+    fn fill(&self, cell: Cell, around: &[u32], near: &[u32], least: f32, parted: &mut Vec<[u32; 8]>) -> u32 {
         if near.len() > MOST && cell.edge > EDGE * least && cell.level < LEVELS {
             let at = parted.len() as u32;
             self.part(cell, near, parted);
             return at | PARTED;
         }
         let middle = cell.middle();
-        let key = |i: &u32| {
-            let support = self.supports[*i as usize];
-            // Where nobody reaches, the nearest.
-            let support = if near.is_empty() { support.with_w(1.0) } else { support };
-            depth(support, middle)
+        // Depths and squared distances are in the order of their bits.
+        let first = |from: &[u32], key: &dyn Fn(Vec4) -> f32| {
+            let keys = from
+                .iter()
+                .map(|i| u64::from(key(self.supports[*i as usize]).to_bits()) << 32 | u64::from(*i));
+            keys.min().unwrap_or_default() as u32
         };
-        let from = if near.is_empty() { around } else { near };
-        from.iter().copied().min_by(|a, b| key(a).total_cmp(&key(b)).then(a.cmp(b))).unwrap_or_default()
+        // Where nobody reaches, the nearest.
+        if near.is_empty() {
+            first(around, &|support| (middle - support.truncate()).length_squared())
+        } else {
+            first(near, &|support| depth(support, middle))
+        }
     }
 }
 
@@ -242,8 +276,7 @@ impl<'a> Finger<'a> {
     /// The sample of the cell in which a point lies, or next to which.
     #[inline]
     fn sample(&mut self, p: Vec3) -> u32 {
-        let most = ((1 << LEVELS) - 1) as f32;
-        let at = ((p - self.cells.corner) * self.cells.scale).clamp(Vec3::ZERO, Vec3::splat(most)).as_uvec3();
+        let at = whole((p - self.cells.corner) * self.cells.scale);
         let differ = at ^ self.at;
         // Down to this level it is in the same cells as the last one.
         let common = LEVELS - (u32::BITS - (differ.x | differ.y | differ.z).leading_zeros());
@@ -269,6 +302,20 @@ impl<'a> Finger<'a> {
             self.parted[level as usize] = parted;
         }
     }
+}
+
+/// The finest cell to which a way from the corner leads, or the one that is nearest to it: the whole part of each
+/// number, as none is less than nothing, three at once.
+#[inline]
+fn whole(way: Vec3) -> UVec3 {
+    // What is added to that has no digits behind the point.
+    const SHIFT: f32 = (1 << 23) as f32;
+    let most = ((1 << LEVELS) - 1) as f32;
+    let way = way.extend(0.0).clamp(Vec4::ZERO, Vec4::splat(most));
+    let rounded = (way + SHIFT) - SHIFT;
+    let down = rounded - Vec4::select(rounded.cmpgt(way), Vec4::ONE, Vec4::ZERO);
+    let [x, y, z, _] = (down + SHIFT).to_array().map(|x| x.to_bits() - SHIFT.to_bits());
+    UVec3::new(x, y, z)
 }
 
 /// What homes are found with.
@@ -398,6 +445,15 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn whole_parts_are_found_three_at_once(
+            way in prop::array::uniform3(prop_oneof![-2.0..70.0f32, -1e7..1e7f32, (0..1i32 << LEVELS).prop_map(|x| x as f32)]),
+        ) {
+            let way = Vec3::from_array(way);
+            let most = ((1 << LEVELS) - 1) as f32;
+            prop_assert_eq!(whole(way), way.clamp(Vec3::ZERO, Vec3::splat(most)).as_uvec3());
+        }
+
         #[test]
         fn a_home_reaches_its_places_wherever_any_sample_does(
             points in samples(),

@@ -236,10 +236,11 @@ impl<'a> DeformationField<'a> {
         let (gradients, stencils) = Gradients::fit(samples, sheets, deformed);
         let Expanded { mut expansions, unresolved, doubtful } =
             blended_jets::expand(samples, &stencils, deformed, &gradients);
-        for (e, radius) in expansions.iter_mut().zip(&supports.radius) {
+        let supported = |(e, radius): (&mut Expansion, &f32)| {
             e.inverse_square = (1.0 / (radius * radius)).min(Expansion::NO_SUPPORT);
-        }
-        let moves: Vec<bool> = expansions.par_iter().map(|e| !e.is_still()).collect();
+            !e.is_still()
+        };
+        let moves: Vec<bool> = expansions.par_iter_mut().zip(&supports.radius).map(supported).collect();
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
         let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
         let limiter = Limiter::new(supports, &expansions, &doubtful);
