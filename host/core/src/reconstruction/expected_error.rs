@@ -6,12 +6,16 @@
 //! there. Where the deformation has details that the samples do not tell, as at a step, they differ by those.
 //!
 //! At a vertex all supports that reach it have a say, and how far these are from what is made of them tells
-//! about that very place. What they leave out together they do not tell; what the samples disagree by halfway
-//! stands for that, and for more of it where a vertex lies beyond the samples, as off the surface or outside
-//! a border. How the map varies across a sheet of gentle relief all of them guess alike: what that leaves
-//! open counts, too ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the
-//! samples' positions, of the displacement, and of the file that is written.
+//! about that very place. So does how far the blend is from another one with wider supports, which leaves out
+//! more of the same: two orders of one method tell its error, as in an embedded pair of Runge and Kutta (E.
+//! Fehlberg, *Low-order classical Runge-Kutta formulas with stepsize control*, 1969). What all leave out
+//! together they do not tell; what the samples disagree by halfway stands for that, and for more of it where a
+//! vertex lies beyond the samples, as off the surface or outside a border, up to what those around say there.
+//! How the map varies across a sheet of gentle relief all of them guess alike: what that leaves open counts, too
+//! ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples' positions, of the
+//! displacement, and of the file that is written.
 
+use std::iter;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DVec3, Mat3, Vec3};
@@ -33,29 +37,37 @@ const RING: usize = 8;
 /// Differences below so many times the rounding of positions tell nothing.
 const TELLING: f64 = 4.0;
 
-/// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
-const OF_SPREAD: f32 = 0.6;
+/// The part of a sample's disagreement with its ring that the vertices around it are expected to be off by, where
+/// samples alone are asked.
+const BY_SAMPLES: f32 = 0.42;
 
-/// The part of the samples' disagreement halfway that counts, where a vertex lies among them.
-const OF_DISAGREEMENT: f32 = 0.42;
+/// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
+const OF_SPREAD: f32 = 0.5;
+
+/// The other blend has supports so many times as wide, and so much of how far it is from the first one counts.
+const WIDER: f32 = 2.0;
+const OF_WIDER: f32 = 0.4;
+
+/// The parts of the samples' disagreement halfway that count, of its mean and of its largest, where a vertex lies
+/// among them.
+const OF_DISAGREEMENT: f32 = 0.27;
+const OF_LARGEST: f32 = 0.09;
 
 /// A vertex lies beyond the samples that reach it from this square of its distance from their middle on, each
-/// direction measured by how far they are spread in it: what they leave out counts as much more ...
-const AMONG: f32 = 0.5;
+/// direction measured by how far they are spread in it: what they leave out counts as many times more as the
+/// square is larger ...
+const AMONG: f32 = 0.6;
 
-/// ... as the square is larger, up to so many times ...
-const FURTHEST: f32 = 30.0;
+/// ... up to so much of what the one that differs most says there, together with so much of what the one of
+/// the home's ring says that differs most: where one sample has a say, there is nobody else to differ.
+const SAID: f32 = 0.6;
+const SAID_AROUND: f32 = 0.25;
 
-/// ... and up to so many times what the one that differs most says there.
-const SAID: f32 = 2.0;
+/// The square of a distance that is far beyond any samples.
+const FAR: f32 = 1e9;
 
 /// The least spread, as a part of the support's radius: all samples of a roof lie in a plane.
 const FLAT: f32 = 0.03;
-
-/// Where fewer have a say, as many as the weights amount to (their sum's square over that of their squares),
-/// there is nobody to disagree, and what the samples leave out counts so many times.
-const ALONE: f32 = 1.5;
-const FOR_ALL: f32 = 5.0;
 
 /// The root of the mean square of what rounding to single precision makes, as a part of the number that is
 /// rounded.
@@ -268,7 +280,7 @@ impl DeformationField<'_> {
 
     /// What is expected around all samples. Nothing is told between two that are single places; none are, if
     /// nobody says.
-    fn around_samples(&self, is_single: &[bool]) -> Vec<Expectation> {
+    pub(super) fn around_samples(&self, is_single: &[bool]) -> Vec<Expectation> {
         // A sample need not be among the neighbours of its own neighbour: both ends are told. Lengths are in
         // the order of their bits, and the largest is the same in whatever order they come.
         let samples = self.expansions.len();
@@ -310,10 +322,27 @@ impl DeformationField<'_> {
     /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field
     /// has to be [expecting](Self::expecting).
     pub(super) fn expected_at(&self, home: usize, p: Vec3, u: Vec3) -> f32 {
+        let heard = self.heard(home, p, u);
+        let around = self.heard_around(home, p, u);
+        let radius = self.around.supports.radius[home].max(f32::MIN_POSITIVE);
+        let further = (heard.beyond(FLAT * radius) / AMONG).max(1.0);
+        let disagreement =
+            hypot([OF_DISAGREEMENT * heard.disagreement / heard.sum, OF_LARGEST * heard.largest]);
+        let said = SAID * heard.furthest + SAID_AROUND * around.furthest;
+        hypot([
+            OF_SPREAD * (heard.spread / heard.sum).sqrt(),
+            OF_WIDER * around.wider,
+            (further * disagreement).min(said),
+            heard.unresolved / heard.sum,
+            self.rounding.estimate(p, u),
+        ])
+    }
+
+    /// What those have to say who reach a vertex at `p`, of this home, that goes by `u`.
+    fn heard(&self, home: usize, p: Vec3, u: Vec3) -> Heard {
         let mut heard = Heard::default();
-        for i in self.around.supports.of_home(home).iter().map(|r| r.sample as usize) {
-            let e = &self.expansions[i];
-            let s = e.within(p);
+        for i in self.around.reaching(home) {
+            let s = self.expansions[i].within(p);
             if s > 0.0 {
                 heard.add(self, i, s * s * s, p, u);
             }
@@ -323,19 +352,25 @@ impl DeformationField<'_> {
             let near = Neighbourhood::gather(self.around, home, blended_jets::BLENDED, p);
             near.weighted().iter().for_each(|&(i, w)| heard.add(self, i as usize, w, p, u));
         }
-        let Heard { sum, squares, spread, disagreement, furthest, unresolved, .. } = heard;
-        let radius = self.around.supports.radius[home].max(f32::MIN_POSITIVE);
-        let alone = sum * sum < ALONE * squares;
-        let further =
-            if alone { FOR_ALL } else { (heard.beyond(FLAT * radius) / AMONG).clamp(1.0, FURTHEST) };
-        let [spread, disagreement] = [(spread / sum).sqrt(), disagreement / sum];
-        let left_out = (further * disagreement).min(disagreement.max(SAID * furthest));
-        hypot([
-            OF_SPREAD * spread,
-            OF_DISAGREEMENT * left_out,
-            unresolved / sum,
-            self.rounding.estimate(p, u),
-        ])
+        heard
+    }
+
+    /// What the home of a vertex at `p`, that goes by `u`, and its neighbours have to say, who need not reach it.
+    fn heard_around(&self, home: usize, p: Vec3, u: Vec3) -> HeardAround {
+        let (mut furthest, mut off, mut sum) = (0.0f32, Vec3::ZERO, 0.0);
+        let neighbours = self.stencils.of_sample(home).iter().map(|i| *i as usize);
+        for (place, i) in iter::once(home).chain(neighbours).enumerate() {
+            let e = &self.expansions[i];
+            let apart = says(e, p) - u;
+            if place <= RING {
+                furthest = furthest.max(apart.length());
+            }
+            let s = (1.0 - (1.0 - e.within(p)) / (WIDER * WIDER)).max(0.0);
+            off += s * s * s * apart;
+            sum += s * s * s;
+        }
+        let wider = if sum < LEAST_WEIGHT { 0.0 } else { (off / sum).length() };
+        HeardAround { furthest, wider }
     }
 
     /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was
@@ -351,7 +386,7 @@ impl DeformationField<'_> {
         for (i, e) in self.expected.iter().enumerate() {
             let n = self.around.vertices_of(i);
             let part = |x: f32| f64::from(hypot([x, self.rounding_at(i)])) / diagonal;
-            tally.add(part(OF_DISAGREEMENT * e.disagreement), n);
+            tally.add(part(BY_SAMPLES * e.disagreement), n);
             tally.worst = tally.worst.max(if n > 0 { part(e.largest) } else { 0.0 });
             counted += n;
         }
@@ -402,14 +437,15 @@ impl DeformationField<'_> {
 /// What those who reach a vertex have to say, each with its weight.
 #[derive(Default)]
 struct Heard {
-    /// The sums of the weights, and of their squares.
+    /// The sum of the weights.
     sum: f32,
-    squares: f32,
     /// Squares of how far each is from what was made of them.
     spread: f32,
     /// The largest of these.
     furthest: f32,
+    /// What they and their neighbours disagree by halfway, and the largest of that.
     disagreement: f32,
+    largest: f32,
     /// What the gradient across the surface leaves open.
     unresolved: f32,
     /// The sums of the samples' places relative to the vertex, and of their products.
@@ -424,12 +460,14 @@ impl Heard {
         let d = Vec3::from_array(field.expansions[i].center) - p;
         self.spread += w * off;
         self.furthest = self.furthest.max(off.sqrt());
-        self.disagreement += w * field.expected.get(i).map_or(f32::NAN, |e| e.disagreement);
+        let unknown = Expectation { disagreement: f32::NAN, largest: f32::NAN };
+        let Expectation { disagreement, largest } = field.expected.get(i).copied().unwrap_or(unknown);
+        self.disagreement += w * disagreement;
+        self.largest = self.largest.max(largest);
         self.unresolved += w * field.unresolved[i].length(-d);
         self.places += w * d;
         (0..3).for_each(|axis| self.products[axis] += d * (w * d[axis]));
         self.sum += w;
-        self.squares += w * w;
     }
 
     /// The square of the vertex' distance from the middle of the samples, each direction measured by how far
@@ -441,8 +479,17 @@ impl Heard {
         };
         let spread = Mat3::from_cols(column(0), column(1), column(2));
         let beyond = middle.dot(spread.inverse() * middle);
-        if beyond.is_finite() { beyond } else { FURTHEST }
+        // Samples at one place are spread in no direction.
+        if beyond.is_finite() { beyond } else { FAR }
     }
+}
+
+/// What the home of a vertex and its neighbours have to say.
+struct HeardAround {
+    /// How far the one of the home's ring that differs most is from what was made of the vertex.
+    furthest: f32,
+    /// How far their blend with wider supports is from that.
+    wider: f32,
 }
 
 /// The displacement at `p` by an expansion.

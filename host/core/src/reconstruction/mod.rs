@@ -23,6 +23,8 @@ mod eigen_lanes;
 mod exact;
 mod expansion;
 mod expected_error;
+#[cfg(test)]
+mod expected_error_tests;
 mod gradients;
 mod homes;
 mod hull;

@@ -1,0 +1,87 @@
+//! What is expected of vertices beside what is true, where the deformation is known.
+
+use std::f32::consts::PI;
+
+use glam::Vec3;
+
+use super::homes::Homes;
+use super::tests::carried;
+use super::{DeformationField, Method, RestGeometry};
+use crate::sampling::SampleSet;
+
+/// Samples along each side of the plane.
+const SIDE: u32 = 40;
+
+/// A place of a wavy plane of unit size, by its parameters in spacings of the samples.
+fn wavy(x: f32, z: f32) -> Vec3 {
+    Vec3::new(x, (0.6 * x).sin() + (0.45 * z).cos(), z) / SIDE as f32
+}
+
+/// The point `i` of a sequence that fills the unit square evenly (M. Roberts' R2).
+fn filling(i: u32) -> (f32, f32) {
+    let [x, z] = [0.754_877_666, 0.569_840_291].map(|step: f64| (f64::from(i) * step).fract() as f32);
+    (x, z)
+}
+
+/// Half a turn from one border to the other.
+fn twisted(p: Vec3) -> Vec3 {
+    let (sin, cos) = (PI * p.z).sin_cos();
+    Vec3::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y, p.z)
+}
+
+/// How far vertices at these places of the twisted plane are off, and how far they are expected to be.
+fn compared(places: &[Vec3]) -> Vec<(f32, f32)> {
+    let sample = |i: u32| {
+        let (x, z) = filling(i);
+        wavy((i % SIDE) as f32 + 0.7 * x, (i / SIDE) as f32 + 0.7 * z)
+    };
+    let samples = SampleSet::new((0..SIDE * SIDE).map(sample).collect(), Vec::new()).expect("samples");
+    let around = RestGeometry::new(&samples);
+    let deformed: Vec<Vec3> = samples.positions.iter().map(|p| twisted(*p)).collect();
+    let mut field = DeformationField::new(&around, &deformed, Method::BlendedJets);
+    field.expected = field.around_samples(&[]);
+    let mut homes = Vec::new();
+    Homes::new(&around).find(places, 0..places.len(), &mut homes);
+    let compare = |((p, image), home): ((&Vec3, Vec3), u32)| {
+        (image.distance(twisted(*p)), field.expected_at(home as usize, *p, image - *p))
+    };
+    places.iter().zip(carried(&field, places)).zip(homes).map(compare).collect()
+}
+
+/// What is expected beside what is true, each as the root of the mean square.
+fn ratio(of: &[(f32, f32)]) -> f32 {
+    let squares = |one: fn(&(f32, f32)) -> f32| of.iter().map(|x| one(x).powi(2)).sum::<f32>();
+    (squares(|x| x.1) / squares(|x| x.0)).sqrt()
+}
+
+#[test]
+fn what_is_expected_is_of_the_size_of_the_truth() {
+    let place = |i| {
+        let (x, z) = filling(i);
+        wavy(4.0 + 32.0 * x, 4.0 + 32.0 * z)
+    };
+    let within: Vec<Vec3> = (0..10_000).map(place).collect();
+    let ratio = ratio(&compared(&within));
+    assert!((1.0..3.0).contains(&ratio), "{ratio}");
+}
+
+/// Where a vertex lies beyond the last samples there may be one alone that has a say: what those around it
+/// say there tells that this is not to be relied on.
+#[test]
+fn beyond_an_open_border_vertices_that_are_off_are_warned_of() {
+    let place = |i| {
+        let (x, z) = filling(i);
+        wavy(-1.2 * x, 2.0 + 36.0 * z)
+    };
+    let beyond: Vec<Vec3> = (0..10_000).map(place).collect();
+    let beyond = compared(&beyond);
+    let worst = beyond.iter().map(|x| x.0).fold(0.0, f32::max);
+    for t in [worst / 2.0, worst / 4.0, worst / 8.0] {
+        let off: Vec<f32> = beyond.iter().filter(|x| x.0 > t).map(|x| x.1).collect();
+        let warned = off.iter().filter(|expected| **expected > t / 3.0).count();
+        println!("{warned} of {} beyond {t:.1e}", off.len());
+        assert!(warned * 100 >= off.len() * 99, "{warned} of {} beyond {t}", off.len());
+    }
+    let ratio = ratio(&beyond);
+    assert!((1.0..4.0).contains(&ratio), "{ratio}");
+}
