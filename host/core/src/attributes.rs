@@ -9,15 +9,9 @@
 //! The file begins with eight letters and a version; the hash of the `samples.ply` and of the model that it
 //! belongs to follow, the attributes, and a checksum.
 
-use glam::DVec3;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use simod_model::{Attribute, Error, ErrorKind, Model, Progress, Result};
+use simod_model::{Attribute, Error, ErrorKind, Result};
 
-use crate::fingerprint::VertexHash;
-use crate::reconstruction::{RestGeometry, homes};
-use crate::sampled_model::SampledModel;
-use crate::sampling::kd_tree::completed;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 
 /// Most attributes that samples have: the first ones of the file.
@@ -41,72 +35,12 @@ pub struct OfSamples {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Attributes(Vec<OfSamples>);
 
-/// The mean of numbers of any size.
-///
-/// Memory: 16 bytes per sample and attribute.
-#[derive(Debug, Clone, Copy, Default)]
-struct Mean {
-    sum: f64,
-    count: u64,
-}
-
-impl Mean {
-    /// Takes one more, if it is a number; in the end they are rounded to single precision.
-    fn add(&mut self, value: f64) {
-        if value.is_finite() {
-            self.sum += value.clamp(f64::from(f32::MIN), f64::from(f32::MAX));
-            self.count += 1;
-        }
-    }
-
-    fn value(self) -> Option<f32> {
-        (self.count > 0).then(|| (self.sum / self.count as f64) as f32)
-    }
-}
-
-/// What becomes an attribute of the samples.
-enum Gathered {
-    Means(Vec<Mean>),
-    /// Classes: the distance of the nearest vertex so far, local, and its class.
-    ///
-    /// Memory: 8 bytes per sample.
-    Classes(Vec<(f32, f32)>),
-}
-
-impl Gathered {
-    fn new(attribute: &Attribute, samples: usize) -> Self {
-        if attribute.is_of_classes() {
-            Self::Classes(vec![(f32::INFINITY, 0.0); samples])
-        } else {
-            Self::Means(vec![Mean::default(); samples])
-        }
-    }
-
-    /// Adds a vertex' number to a sample at some distance.
-    fn add(&mut self, sample: usize, value: f64, distance: impl FnOnce() -> f32) {
-        match self {
-            Self::Means(means) => means[sample].add(value),
-            Self::Classes(nearest) => {
-                let distance = distance();
-                if value.is_finite() && distance < nearest[sample].0 {
-                    nearest[sample] = (distance, value as f32);
-                }
-            }
-        }
-    }
-
-    /// The values of all samples that have one.
-    fn values(&self) -> Vec<Option<f32>> {
-        match self {
-            Self::Means(means) => means.iter().map(|mean| mean.value()).collect(),
-            Self::Classes(nearest) => {
-                nearest.iter().map(|(distance, class)| distance.is_finite().then_some(*class)).collect()
-            }
-        }
-    }
-}
-
 impl Attributes {
+    /// All of these.
+    pub(crate) fn new(all: Vec<OfSamples>) -> Self {
+        Self(all)
+    }
+
     /// All of them.
     pub fn all(&self) -> &[OfSamples] {
         &self.0
@@ -115,70 +49,6 @@ impl Attributes {
     /// The values of the attribute that the file calls so, one for each sample.
     pub fn get(&self, name: &str) -> Option<&[f32]> {
         self.0.iter().find(|of| of.attribute.name == name).map(|of| &*of.values)
-    }
-
-    /// Reads the model that was sampled. Vertices without a finite position, and values that are no numbers,
-    /// do not count. A sample that no vertex is nearest to takes the value of the nearest one that has one;
-    /// an attribute without any number is left out.
-    ///
-    /// Memory: 16 bytes per sample and attribute, what is known of the samples' surroundings, and some
-    /// chunks.
-    ///
-    /// # Errors
-    /// The model cannot be read, or is not what was sampled; the user cancelled.
-    pub fn stream(sampled: &SampledModel, model: &dyn Model, progress: &dyn Progress) -> Result<Self> {
-        let info = model.info();
-        let attributes = &info.attributes[..info.attributes.len().min(MOST)];
-        if let [_, .., last] = attributes
-            && attributes.len() < info.attributes.len()
-        {
-            progress.note(&format!(
-                "{} has {} attributes, of which the first {MOST} are taken, up to {}",
-                model.path().display(),
-                info.attributes.len(),
-                last.name
-            ));
-        }
-        if attributes.is_empty() {
-            return Ok(Self::default());
-        }
-        let samples = &sampled.samples;
-        progress.begin("reading the attributes", info.vertex_bytes);
-        let around = RestGeometry::new(samples);
-        let mut gathered: Vec<Gathered> =
-            attributes.iter().map(|attribute| Gathered::new(attribute, samples.len())).collect();
-        // Of a chunk.
-        let mut values = vec![Vec::new(); attributes.len()];
-        let (mut home_of, mut hash) = (Vec::new(), VertexHash::like(&sampled.source.fingerprint));
-        simod_model::for_vertices(model, |chunk| {
-            progress.check()?;
-            hash.update(chunk.raw());
-            model.attributes(chunk, &mut values)?;
-            homes(&around, &sampled.frame, &chunk.positions, &mut home_of);
-            let nearest = |(home, p): (&mut u32, &DVec3)| {
-                *home = around.nearest_on_sheet(*home, sampled.frame.to_local(*p));
-            };
-            home_of.par_iter_mut().zip(&chunk.positions).with_min_len(1024).for_each(nearest);
-            // In the file's order, so that sums are the same on any machine.
-            for (gathered, values) in gathered.iter_mut().zip(&values) {
-                let vertices = chunk.positions.iter().zip(&home_of).zip(values);
-                for ((p, sample), value) in vertices.filter(|((p, _), _)| p.is_finite()) {
-                    let sample = *sample as usize;
-                    let distance = || sampled.frame.to_local(*p).distance(samples.positions[sample]);
-                    gathered.add(sample, *value, distance);
-                }
-            }
-            progress.advance(chunk.raw().len() as u64);
-            Ok(())
-        })?;
-        if hash.fingerprint() != sampled.source.fingerprint {
-            return Err(sampled.source_changed(model.path()));
-        }
-        let all = attributes.iter().zip(&gathered).filter_map(|(attribute, gathered)| {
-            let values = completed(&gathered.values(), &samples.positions)?;
-            Some(OfSamples { attribute: attribute.clone(), values })
-        });
-        Ok(Self(all.collect()))
     }
 
     /// The content of a file, for the `samples.ply` and the model of these hashes.

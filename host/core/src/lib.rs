@@ -8,6 +8,7 @@
 //! Nothing here holds memory proportional to `P_L`, prints, opens a window, or knows of plugins or of the
 //! formats of models.
 
+mod attribute_stream;
 pub mod attributes;
 pub mod colors;
 mod counting_sort;
@@ -15,6 +16,7 @@ pub mod deformed_file;
 pub mod detail;
 pub mod ellipses;
 pub mod fingerprint;
+mod found_cells;
 pub mod guard;
 pub mod reconstruction;
 pub mod refinement;

@@ -9,7 +9,6 @@ use std::sync::{Arc, OnceLock};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use simod_model::bounds::Bounds;
-use simod_model::claim::Claim;
 use simod_model::frame::Frame;
 use simod_model::input;
 use simod_model::object::{self, is_object};
@@ -24,7 +23,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use crate::attributes::Attributes;
 use crate::colors;
 use crate::deformed_file::{self, DeformedFile};
-use crate::fingerprint::{are_same, fingerprint};
+use crate::fingerprint::fingerprint;
 use crate::refinement::Refinement;
 use crate::sampling::density::Rule;
 use crate::sampling::gather::Cubes;
@@ -44,7 +43,7 @@ const FORMAT: &str = "simod-sampled-model/1";
 pub const BINDING: &str = "binding.bin";
 
 /// The file with the cells: see [`KeptCells`].
-const CELLS: &str = "cells.bin";
+pub(crate) const CELLS: &str = "cells.bin";
 
 /// The file of what is made of a model that cannot be read from anywhere as it is: see [`Cache`].
 const CACHE: &str = "cache.bin";
@@ -53,7 +52,7 @@ const CACHE: &str = "cache.bin";
 const DESCRIPTION: &str = "simod.toml";
 
 /// P_S as a file.
-const SAMPLES: &str = "samples.ply";
+pub(crate) const SAMPLES: &str = "samples.ply";
 
 /// All files of a folder.
 pub(crate) const OWN_FILES: [&str; 7] = [DESCRIPTION, SAMPLES, CELLS, SHEETS, ATTRIBUTES, BINDING, CACHE];
@@ -65,7 +64,7 @@ const LONGEST_DESCRIPTION: u64 = 64 << 20;
 const LONGEST_CELLS: u64 = 16 << 30;
 
 /// Longest file of attributes.
-const LONGEST_ATTRIBUTES: u64 = 16 << 30;
+pub(crate) const LONGEST_ATTRIBUTES: u64 = 16 << 30;
 
 /// How far from the middle of the model a deformed sample may be, in local units: the model's size, about.
 const FARTHEST: f32 = 1e12;
@@ -74,7 +73,7 @@ const FARTHEST: f32 = 1e12;
 const SHEETS: &str = "sheets.bin";
 
 /// The file of the samples' attributes, once they were asked for: see [`Attributes`].
-const ATTRIBUTES: &str = "attributes.bin";
+pub(crate) const ATTRIBUTES: &str = "attributes.bin";
 
 /// The model that was sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -281,12 +280,12 @@ pub struct SampledModel {
     pub tangled_faces: bool,
     /// Number of vertices that were gathered in groups at a time, if they were.
     group_piece: u64,
-    /// The cells, after sampling; see [`cells`](Self::cells).
+    /// The cells, after sampling; see [`cells_or_resample`](Self::cells_or_resample).
     kept: Option<KeptCells>,
     /// The folder that it was read from, and the hash of the `samples.ply` there.
-    folder: Option<(PathBuf, String)>,
+    pub(crate) folder: Option<(PathBuf, String)>,
     /// Once they were asked for.
-    attributes: OnceLock<Arc<Attributes>>,
+    pub(crate) attributes: OnceLock<Arc<Attributes>>,
     /// What is made of the model where it cannot be read from anywhere as it is.
     cache: Arc<Cache>,
 }
@@ -694,6 +693,11 @@ impl SampledModel {
         self.kept.as_ref()
     }
 
+    /// The same, and nothing else of it.
+    pub(crate) fn into_cells(self) -> Option<KeptCells> {
+        self.kept
+    }
+
     /// The same, checked against the model: what was read from a file may lie.
     ///
     /// # Errors
@@ -730,7 +734,8 @@ impl SampledModel {
         Ok(errors)
     }
 
-    fn check_cells(&self, kept: &KeptCells) -> Result<()> {
+    /// An error if these are not the cells of this model.
+    pub(crate) fn check_cells(&self, kept: &KeptCells) -> Result<()> {
         let Source { vertices, non_finite, transparent, bytes, .. } = self.source;
         let left_out = non_finite.saturating_add(transparent);
         let parted = self.samples.contacts().map_or(&[][..], Contacts::parted);
@@ -738,65 +743,10 @@ impl SampledModel {
         kept.check(vertices - left_out.min(vertices), vertices, bytes, self.samples.len(), parted)
     }
 
-    /// Holds cells in memory, as [`cells`](Self::cells) has read them: to be refined, or saved with the
+    /// Holds cells in memory, as [`cells_or_resample`](Self::cells_or_resample) has read them: to be refined, or saved with the
     /// samples.
     pub fn hold_cells(&mut self, cells: KeptCells) {
         self.kept = Some(cells);
-    }
-
-    /// The cells of a sampled model, from its folder; if the file is missing or damaged, the model is sampled
-    /// again, which gives the same cells, and the file is made anew. `elsewhere` is the model if it was
-    /// moved.
-    ///
-    /// # Errors
-    /// As for [`open_source`](Self::open_source) and [`sample`](crate::sampling::sample); the model is not
-    /// what was sampled; the file cannot be written.
-    pub fn cells(
-        &self,
-        folder: &Path,
-        elsewhere: Option<&Path>,
-        progress: &dyn Progress,
-    ) -> Result<KeptCells> {
-        if let Some(kept) = Self::kept_cells(folder).filter(|kept| self.check_cells(kept).is_ok()) {
-            return Ok(kept);
-        }
-        if !self.refinements.is_empty() {
-            return Err(Error::new(
-                ErrorKind::Format,
-                format!("{} was refined, and its {CELLS} is missing or damaged since", folder.display()),
-                "sample the model again, and refine it again: `simod info` tells where it was refined",
-            ));
-        }
-        let source = self.open_source(elsewhere, progress)?;
-        // The triangles tell where the faces of each cell are.
-        let triangles = self.triangles.is_empty();
-        // Former versions looked for no sheets unless asked to.
-        let sheets = self.samples.contacts().is_none();
-        let skip = Skip { triangles, cells: false, normals: true, sheets, colors: true };
-        let again = crate::sampling::sample(&*source, &Sampling { skip, ..self.sampling }, folder, progress)?;
-        if are_same(&again.source.fingerprint, &self.source.fingerprint) == Some(false) {
-            return Err(self.source_changed(source.path()));
-        }
-        let same = again.samples.positions == self.samples.positions;
-        let Some(kept) = again.kept.filter(|_| same) else {
-            return Err(Error::new(
-                ErrorKind::Mismatch,
-                format!("{} was sampled by another version of SIMOD", folder.display()),
-                "sample the model again",
-            ));
-        };
-        self.keep_cells(folder, &kept)?;
-        Ok(kept)
-    }
-
-    /// Puts the cells into the folder, unless another process is writing it, or has.
-    fn keep_cells(&self, folder: &Path, kept: &KeptCells) -> Result<()> {
-        let Ok(_claim) = Claim::folder(folder) else { return Ok(()) };
-        let samples = file_fingerprint(&folder.join(SAMPLES))?;
-        if Self::load(folder)?.samples.positions != self.samples.positions {
-            return Ok(());
-        }
-        output::write_file(&folder.join(CELLS), &kept.encode(&samples)?)
     }
 
     /// The cells in a folder, if their file is there, whole, and of the samples there.
@@ -805,51 +755,9 @@ impl SampledModel {
         (of == file_fingerprint(&folder.join(SAMPLES)).ok()?).then_some(kept)
     }
 
-    /// Colours and other attributes of the samples: those that the folder keeps, or else from the model,
-    /// which is read once more for them; what was found is kept in the folder that the samples are from.
-    /// `elsewhere` is the model if it was moved.
-    ///
-    /// # Errors
-    /// As of [`open_source`](Self::open_source); the model is not what was sampled, or cannot be read; the
-    /// user cancelled.
-    pub fn attributes(&self, elsewhere: Option<&Path>, progress: &dyn Progress) -> Result<&Arc<Attributes>> {
-        if let Some(known) = self.attributes.get() {
-            return Ok(known);
-        }
-        let found = match self.kept_attributes() {
-            Some(kept) => kept,
-            None => {
-                let found = Attributes::stream(self, &*self.open_source(elsewhere, progress)?, progress)?;
-                if let Err(e) = self.keep_attributes(&found) {
-                    progress.note(&format!("the attributes are not kept, and found anew the next time: {e}"));
-                }
-                found
-            }
-        };
-        Ok(self.attributes.get_or_init(|| Arc::new(found)))
-    }
-
     /// The attributes, if they were [asked for](Self::attributes) since this was sampled or loaded.
     pub fn held_attributes(&self) -> Option<&Arc<Attributes>> {
         self.attributes.get()
-    }
-
-    /// The attributes in the folder, if their file is there, whole, and of these samples.
-    fn kept_attributes(&self) -> Option<Attributes> {
-        let (folder, samples) = self.folder.as_ref()?;
-        let bytes = input::read(&folder.join(ATTRIBUTES), LONGEST_ATTRIBUTES).ok()?;
-        Attributes::decode(&bytes, [samples, &self.source.fingerprint], self.samples.len()).ok()
-    }
-
-    /// Puts the attributes into the folder, if there is one, unless another process is writing it, or has.
-    fn keep_attributes(&self, attributes: &Attributes) -> Result<()> {
-        let Some((folder, samples)) = &self.folder else { return Ok(()) };
-        let Ok(_claim) = Claim::folder(folder) else { return Ok(()) };
-        if file_fingerprint(&folder.join(SAMPLES))? != *samples {
-            return Ok(());
-        }
-        let bytes = attributes.encode([samples, &self.source.fingerprint])?;
-        output::write_file(&folder.join(ATTRIBUTES), &bytes)
     }
 
     /// Opens the model that was sampled, or `elsewhere` if it was moved.
@@ -1022,7 +930,7 @@ fn files(count: usize) -> String {
 }
 
 /// Hash of a whole file.
-fn file_fingerprint(path: &Path) -> Result<String> {
+pub(crate) fn file_fingerprint(path: &Path) -> Result<String> {
     let failed = |e: std::io::Error| Error::io("read", path, &e);
     let mut file = input::open(path)?;
     let (mut hash, mut block) = (Xxh3Default::new(), vec![0; 1 << 16]);

@@ -69,7 +69,7 @@ impl Deform {
         let time = self.time.over(session.time)?.time();
         let mut how = Refinements { model: self.model.clone(), time, ..Refinements::default() };
         if let Some(folder) = &refined {
-            sampled.hold_cells(sampled.cells(&self.sampled, self.model.as_deref(), progress)?);
+            sampled.hold_cells(sampled.cells_or_resample(&self.sampled, self.model.as_deref(), progress)?);
             how.folder = folder_of(folder).to_owned();
         }
         let deformed = deform(sampled, &session.steps, &plugins, how, progress)?;

@@ -97,7 +97,7 @@ impl Refine {
         let model = sampled.open_source(self.model.as_deref(), report.progress())?;
         self.guard(&sampled, model.as_ref())?;
         let progress = report.progress();
-        sampled.hold_cells(sampled.cells(&self.sampled, self.model.as_deref(), progress)?);
+        sampled.hold_cells(sampled.cells_or_resample(&self.sampled, self.model.as_deref(), progress)?);
         let done = self.refined(&how, &sampled, model.as_ref(), deformed.as_deref(), progress)?;
         // First what belongs to the refined model: it would be of no use without, but harms nobody.
         if let (Some(from), Some(deformed), Some(to)) = (&self.deformed, deformed, &self.output) {

@@ -1,189 +1,49 @@
-//! Who is on whose sheet where sheets meet, as the model's faces tell it: found once, while sampling, and
-//! kept in the folder.
+//! Who is on whose sheet where sheets meet, as the model's faces tell it: kept in the folder.
 //!
 //! The file begins with eight letters and a version. What is known of the samples follows, then the places,
 //! and a checksum of all before it.
 
-use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
-use bytemuck::cast_slice;
-use glam::{DVec3, Vec3};
-use rayon::prelude::*;
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use simod_model::frame::Frame;
 use simod_model::output::OutputFile;
-use simod_model::scratch::Scratch;
 use simod_model::{Error, ErrorKind, Result, input};
 use xxhash_rust::xxh3::Xxh3Default;
 
-use super::ADVICE;
-use super::parting::{Parted, Parting};
 use super::places::Places;
-use super::sorter::Sorter;
-use crate::reconstruction::{
-    CROWDED_NEIGHBOURS, RestGeometry, SHEET_NEIGHBOURS, TANGENT_RING, homes, sheet_distance,
-};
-use crate::sampled_model::SampledModel;
-use crate::sampling::kept_cells::CutTree;
-use crate::sampling::{NEIGHBOURS, SampleSet};
 
 const MAGIC: &[u8; 8] = b"SIMODSHT";
 const VERSION: u32 = 1;
 
-/// A way over the surface, from sample to sample, that is longer than so many times the distance of the
-/// furthest neighbour leads to another sheet, or another side of a fold.
-const DETOUR: f32 = 1.5;
-
-/// Vertices whose homes are looked up at a time.
-const BATCH: usize = 1 << 14;
+/// Neighbours in a list, at most.
+pub(super) const MOST: usize = 32;
 
 /// Which samples are on the same sheet, near places where sheets meet.
 ///
 /// Memory: at most 140 bytes for each sample near which sheets meet, and those of its places.
 #[derive(Debug, Default)]
 pub struct Contacts {
-    lists: Lists,
-    places: Arc<Places>,
+    pub(super) lists: Lists,
+    pub(super) places: Arc<Places>,
 }
 
+/// The neighbours of samples near which sheets meet, one list after the other.
 #[derive(Debug, Default, Serialize, Deserialize)]
-struct Lists {
+pub(super) struct Lists {
     /// Samples near which sheets meet, ascending.
-    samples: Vec<u32>,
+    pub samples: Vec<u32>,
     starts: Vec<u32>,
     /// The neighbours of each on its sheet, the nearest first.
     same: Vec<u32>,
     /// Samples that were parted from the sample of a cluster, and that one: they are in no cell's tree.
-    parted: Vec<[u32; 2]>,
+    pub parted: Vec<[u32; 2]>,
 }
 
 impl Contacts {
-    /// The contacts of the samples of a model whose clusters were parted, of which `sample_of` says what vertex
-    /// belongs to which. `trees` has the samples of each cell. Where clusters were parted there are contacts,
-    /// though nothing may be near any more: so it is known that they were.
-    ///
-    /// # Errors
-    /// The model cannot be read, or a temporary file written; the user cancelled.
-    pub fn find(
-        sampled: &mut SampledModel,
-        parted: &Parted,
-        sample_of: &[u32],
-        trees: &[CutTree],
-        parting: &Parting<'_>,
-    ) -> Result<()> {
-        let samples = &sampled.samples;
-        samples.prepare_tree();
-        let first = samples.len() - parted.added.len();
-        let parted_from: Vec<[u32; 2]> =
-            (first as u32..).zip(&parted.added).map(|(i, (of, ..))| [i, *of]).collect();
-        let (lists, others) = same_sheet(samples, parted);
-        let contacts = Self { lists: Lists::new(lists, parted_from), ..Self::default() };
-        let places = contacts.exceptions(sampled, &others, sample_of, trees, parting)?;
-        sampled.samples.set_contacts(Some(Self { places: Arc::new(places), ..contacts }));
-        Ok(())
-    }
-
-    /// The places of vertices whose homes may be on another sheet than their own cluster is on: where a
-    /// sample of one of the `others` explains the place about as well as its own does.
-    fn exceptions(
-        &self,
-        sampled: &SampledModel,
-        others: &BTreeMap<u32, Vec<u32>>,
-        sample_of: &[u32],
-        trees: &[CutTree],
-        parting: &Parting<'_>,
-    ) -> Result<Places> {
-        let Self { lists, .. } = self;
-        if lists.samples.is_empty() {
-            return Ok(Places::default());
-        }
-        let of_cell: BTreeMap<u32, u32> = lists.parted.iter().map(|[sample, of]| (*sample, *of)).collect();
-        // A byte per sample, for the time: whether its cell is read, and whether its own vertices are.
-        let mut wanted = vec![(false, false); sampled.samples.len()];
-        for sample in &lists.samples {
-            wanted[*sample as usize].1 = true;
-            wanted[*of_cell.get(sample).unwrap_or(sample) as usize].0 = true;
-        }
-        let planes = Tangents::new(&sampled.samples, lists);
-        let others = lists.samples.iter().map(|sample| others.get(sample).map_or(&[][..], |others| others));
-        let others: Vec<&[u32]> = others.collect();
-        let mut places = Sorter::new(parting.folder);
-        let ranges = parting.ranges_with(trees, |sample| wanted[sample as usize].0);
-        parting.vertices(ranges, |vertex, p, _| {
-            let own = sample_of[vertex as usize];
-            if !p.is_finite() || !wanted[own as usize].1 {
-                return Ok(());
-            }
-            let p = sampled.frame.to_local(p);
-            if planes.doubt(own, others[planes.place[own as usize] as usize], p) {
-                places.push(Places::entry(p, own))
-            } else {
-                Ok(())
-            }
-        })?;
-        Places::build(places, sampled.samples.len(), parting.folder)
-    }
-
-    /// The same of a model that was refined: `samples`, of which those behind the ones that are known each
-    /// are on the sheet of one of `origins`. `parted` are those that no cell's tree has now, each with one of
-    /// its cluster that a tree has.
-    pub(crate) fn refined(&self, samples: &SampleSet, origins: &[u32], parted: Vec<[u32; 2]>) -> Self {
-        let before = samples.len() - origins.len();
-        let origin = |i: u32| (i as usize).checked_sub(before).map_or(i, |new| origins[new]);
-        let knows = |i: u32, j: u32| self.same_sheet(i as usize).is_some_and(|same| same.contains(&j));
-        let list = |i: u32| {
-            let own = origin(i);
-            self.same_sheet(own as usize)?;
-            let near = samples.nearest_neighbours(i as usize, CROWDED_NEIGHBOURS);
-            let is_same = |j: &u32| {
-                let other = origin(*j);
-                other == own || knows(own, other) || knows(other, own)
-            };
-            let same: Vec<u32> = near.iter().copied().filter(is_same).take(SHEET_NEIGHBOURS).collect();
-            let left_out: Vec<(u32, u32)> = left_out_by(i, &near, &same).collect();
-            Some(((i, same), left_out))
-        };
-        let found: Vec<_> = (0..samples.len() as u32).into_par_iter().filter_map(list).collect();
-        let (mut lists, left_out): (BTreeMap<_, _>, Vec<_>) = found.into_iter().unzip();
-        make_mutual(samples, left_out.concat(), &mut lists);
-        Self { lists: Lists::new(lists, parted), places: self.places.clone() }
-    }
-
-    /// The same with the places of those of these vertices whose homes would be on another sheet than they
-    /// were on.
-    pub(crate) fn with_places(self, sampled: &SampledModel, vertices: Noted, folder: &Path) -> Result<Self> {
-        if vertices.bytes == 0 {
-            return Ok(self);
-        }
-        let mut all = Sorter::new(folder);
-        let near = self.near(&sampled.samples);
-        let around = RestGeometry::new(&near.samples);
-        let mut found = Vec::new();
-        vertices.each(|positions, own| {
-            let in_model: Vec<DVec3> = positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
-            homes(&around, &sampled.frame, &in_model, &mut found);
-            for ((p, own), home) in positions.iter().zip(own).zip(&found) {
-                let place = near.place(*own).unwrap_or_default();
-                if !around.share_sheet(place as usize, *home) {
-                    all.push(Places::entry(*p, *own))?;
-                }
-            }
-            Ok(())
-        })?;
-        self.places.all().iter().try_for_each(|place| all.push(*place))?;
-        let places = Arc::new(Places::build(all, sampled.samples.len(), folder)?);
-        Ok(Self { places, ..self })
-    }
-
-    /// The samples, of all of these, near which sheets meet, and those that homes there depend on.
-    pub(crate) fn near(&self, samples: &SampleSet) -> Near {
-        Near::new(samples, &self.lists)
-    }
-
     /// The neighbours of a sample on its sheet, nearest first; `None` where no sheets meet.
     pub fn same_sheet(&self, sample: usize) -> Option<&[u32]> {
         self.lists.get(sample)
@@ -301,182 +161,8 @@ impl Contacts {
     }
 }
 
-/// The samples near which sheets meet, with all that the homes of places there depend on.
-pub(crate) struct Near {
-    /// Their numbers in the whole set, ascending.
-    numbers: Vec<u32>,
-    samples: SampleSet,
-}
-
-/// Neighbours that are gone on to, one after the other: the home of a place is among those of the sample of
-/// its cell, whose sheet is looked for among those around, by the links that these have to their own
-/// neighbours.
-const RINGS: [usize; 3] = [NEIGHBOURS, CROWDED_NEIGHBOURS, NEIGHBOURS];
-
-impl Near {
-    fn new(samples: &SampleSet, lists: &Lists) -> Self {
-        let mut numbers: BTreeSet<u32> = lists.samples.iter().copied().collect();
-        let mut border = lists.samples.clone();
-        for count in RINGS {
-            let near = border.par_iter().map(|i| samples.nearest_neighbours(*i as usize, count));
-            border = near.collect::<Vec<_>>().into_iter().flatten().filter(|i| numbers.insert(*i)).collect();
-        }
-        // With the outermost ones of all, the cells in which homes are looked up are those of the whole set.
-        for axis in 0..3 {
-            let by_place = |a: &u32, b: &u32| {
-                let [a, b] = [a, b].map(|i| samples.positions[*i as usize][axis]);
-                a.total_cmp(&b)
-            };
-            numbers.extend((0..samples.len() as u32).min_by(by_place));
-            numbers.extend((0..samples.len() as u32).max_by(by_place));
-        }
-        let numbers: Vec<u32> = numbers.into_iter().collect();
-        let mut near = Self { samples: samples.part(&numbers), numbers };
-        let lists = (0..)
-            .zip(&near.numbers)
-            .filter_map(|(place, i)| Some((place, lists.get(*i as usize)?)))
-            .map(|(place, same)| (place, same.iter().filter_map(|i| near.place(*i)).collect()));
-        let lists = Lists::new(lists.collect(), Vec::new());
-        near.samples.set_contacts(Some(Contacts { lists, ..Contacts::default() }));
-        near
-    }
-
-    /// The place of a sample of the whole set.
-    fn place(&self, sample: u32) -> Option<u32> {
-        self.numbers.binary_search(&sample).ok().map(|place| place as u32)
-    }
-}
-
-/// Vertices near which sheets meet, and a sample on the sheet of each: in a temporary file of 16 bytes per
-/// vertex.
-pub(crate) struct Noted {
-    file: Scratch,
-    bytes: u64,
-}
-
-impl Noted {
-    /// A table without vertices yet. The file goes to `folder`.
-    pub fn new(folder: &Path) -> Result<Self> {
-        Ok(Self { file: Scratch::new(folder, ADVICE)?, bytes: 0 })
-    }
-
-    /// Notes vertices at local positions, each with a sample.
-    pub fn note(&mut self, vertices: impl Iterator<Item = (Vec3, u32)>) -> Result<()> {
-        let vertices: Vec<[u32; 4]> =
-            vertices.map(|(p, sample)| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits(), sample]).collect();
-        self.file.write_at(cast_slice(&vertices), self.bytes)?;
-        self.bytes += size_of_val(&vertices[..]) as u64;
-        Ok(())
-    }
-
-    /// Visits all of them, some at a time.
-    fn each(self, mut visit: impl FnMut(&[Vec3], &[u32]) -> Result<()>) -> Result<()> {
-        let map = self.file.map()?;
-        let all: &[[u32; 4]] = cast_slice(&map);
-        for some in all.chunks(BATCH) {
-            let place =
-                |v: &[u32; 4]| Vec3::new(f32::from_bits(v[0]), f32::from_bits(v[1]), f32::from_bits(v[2]));
-            let positions: Vec<Vec3> = some.iter().map(place).collect();
-            let samples: Vec<u32> = some.iter().map(|v| v[3]).collect();
-            visit(&positions, &samples)?;
-        }
-        Ok(())
-    }
-}
-
-/// Tells on which sheet vertices are where sheets meet, by samples that are known. What it takes is found
-/// when the first vertices are [looked at](Self::of).
-pub(crate) struct Guides<'a> {
-    contacts: &'a Contacts,
-    samples: &'a SampleSet,
-    near: &'a OnceLock<Near>,
-    around: OnceLock<RestGeometry<'a>>,
-    /// The samples that share the cluster of one that a tree has.
-    parted: HashMap<u32, Vec<u32>>,
-}
-
-impl<'a> Guides<'a> {
-    /// The guides of samples that have contacts. `near` is to be empty.
-    pub fn new(samples: &'a SampleSet, contacts: &'a Contacts, near: &'a OnceLock<Near>) -> Self {
-        let mut parted: HashMap<u32, Vec<u32>> = HashMap::new();
-        contacts.parted().iter().for_each(|[sample, of]| parted.entry(*of).or_default().push(*sample));
-        Self { contacts, samples, near, around: OnceLock::new(), parted }
-    }
-
-    fn near(&self) -> &'a Near {
-        self.near.get_or_init(|| self.contacts.near(self.samples))
-    }
-
-    fn around(&self) -> &RestGeometry<'a> {
-        self.around.get_or_init(|| RestGeometry::new(&self.near().samples))
-    }
-
-    /// Whether sheets meet near one of these samples.
-    pub fn concern(&self, samples: &[u32]) -> bool {
-        samples.iter().any(|sample| self.contacts.same_sheet(*sample as usize).is_some())
-    }
-
-    /// For each local position near such a sample, a sample of its sheet. Not to be called by jobs of the
-    /// thread pool.
-    pub fn find(&self, frame: &Frame, positions: impl Iterator<Item = Vec3> + Clone) -> Vec<u32> {
-        let in_model: Vec<DVec3> = positions.clone().map(|p| frame.to_model(p)).collect();
-        let mut guides = Vec::new();
-        homes(self.around(), frame, &in_model, &mut guides);
-        for (guide, p) in guides.iter_mut().zip(positions) {
-            let home = self.near().numbers[*guide as usize];
-            *guide = self.contacts.sample_at(p).unwrap_or(home);
-        }
-        guides
-    }
-
-    /// Whether two samples are on one sheet, as far as it is known.
-    pub fn share_sheet(&self, a: u32, b: u32) -> bool {
-        match [a, b].map(|sample| self.near().place(sample)) {
-            [Some(a), Some(b)] => self.around().share_sheet(a as usize, b),
-            _ => true,
-        }
-    }
-
-    /// As of the contacts.
-    pub fn parted(&self) -> &[[u32; 2]] {
-        self.contacts.parted()
-    }
-
-    /// The samples that share the cluster of one that a tree has, without that one.
-    pub fn parted_from(&self, sample: u32) -> &[u32] {
-        self.parted.get(&sample).map_or(&[], |parted| parted)
-    }
-
-    /// Samples on each of the sheets that some vertices are on, that of most vertices first, and which of
-    /// these each vertex is on.
-    pub fn sheets(&self, guides: impl Iterator<Item = u32> + Clone) -> (Vec<u32>, Vec<u32>) {
-        let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
-        guides.clone().for_each(|guide| *counts.entry(guide).or_default() += 1);
-        let mut by_count: Vec<(u32, usize)> = counts.into_iter().collect();
-        by_count.sort_by_key(|(_, count)| Reverse(*count));
-        let (mut sheets, mut sheet_of): (Vec<u32>, HashMap<u32, u32>) = Default::default();
-        for (guide, _) in by_count {
-            let known = sheets.iter().position(|first| self.share_sheet(*first, guide));
-            sheet_of.insert(guide, known.unwrap_or(sheets.len()) as u32);
-            if known.is_none() {
-                sheets.push(guide);
-            }
-        }
-        (sheets, guides.map(|guide| sheet_of[&guide]).collect())
-    }
-
-    /// The sample, in the cluster of one that a tree has, that is on the sheet of `guide`; `guide` itself if there
-    /// is none.
-    pub fn of_cluster(&self, sample: u32, guide: u32) -> u32 {
-        let all = || [sample].into_iter().chain(self.parted_from(sample).iter().copied());
-        let found =
-            all().find(|own| *own == guide).or_else(|| all().find(|own| self.share_sheet(*own, guide)));
-        found.unwrap_or(guide)
-    }
-}
-
 impl Lists {
-    fn new(lists: BTreeMap<u32, Vec<u32>>, parted: Vec<[u32; 2]>) -> Self {
+    pub fn new(lists: BTreeMap<u32, Vec<u32>>, parted: Vec<[u32; 2]>) -> Self {
         let mut all = Self { starts: vec![0], parted, ..Self::default() };
         for (sample, same) in lists {
             all.samples.push(sample);
@@ -490,7 +176,7 @@ impl Lists {
         self.samples.binary_search(&(sample as u32)).ok()
     }
 
-    fn get(&self, sample: usize) -> Option<&[u32]> {
+    pub fn get(&self, sample: usize) -> Option<&[u32]> {
         let at = self.place(sample)?;
         Some(&self.same[self.starts[at] as usize..self.starts[at + 1] as usize])
     }
@@ -501,7 +187,7 @@ impl Lists {
             && self.samples.iter().chain(&self.same).chain(self.parted.iter().flatten()).all(exist)
             && self.starts.len() == self.samples.len() + 1
             && self.starts.first() == Some(&0)
-            && self.starts.is_sorted_by(|a, b| a <= b && b - a <= SHEET_NEIGHBOURS as u32)
+            && self.starts.is_sorted_by(|a, b| a <= b && b - a <= MOST as u32)
             && self.starts.last().is_some_and(|end| *end as usize == self.same.len())
             && (0..self.samples.len()).all(|at| {
                 let list = &self.same[self.starts[at] as usize..self.starts[at + 1] as usize];
@@ -533,257 +219,5 @@ impl<T: Read> Read for Hashed<T> {
         let read = self.to.read(bytes)?;
         self.hash.update(&bytes[..read]);
         Ok(read)
-    }
-}
-
-/// How much worse than its own sample's a plane may suit a place that is kept nevertheless: homes are found
-/// with a few neighbours more or less than here.
-const DOUBT: f32 = 2.0;
-
-/// The tangent planes by which homes are told where sheets meet.
-struct Tangents<'a> {
-    samples: &'a SampleSet,
-    normals: Vec<Vec3>,
-    /// The square of how far the last of the ring is from each.
-    reach: Vec<f32>,
-    /// The place of each sample in the lists; [`NONE`] where no sheets meet.
-    place: Vec<u32>,
-}
-
-/// No place.
-const NONE: u32 = u32::MAX;
-
-impl<'a> Tangents<'a> {
-    /// The tangent planes of the samples near which sheets meet.
-    ///
-    /// Memory: 16 bytes for each of them, and 4 per sample.
-    fn new(samples: &'a SampleSet, lists: &Lists) -> Self {
-        let of_samples = samples.normals();
-        let normal = |i: &u32| {
-            let ring = lists.get(*i as usize).unwrap_or_default().iter().take(TANGENT_RING);
-            let sum: Vec3 = ring.chain([i]).map(|j| of_samples[*j as usize]).sum();
-            sum.try_normalize().unwrap_or(of_samples[*i as usize])
-        };
-        let mut place = vec![NONE; samples.len()];
-        (0..).zip(&lists.samples).for_each(|(at, sample)| place[*sample as usize] = at);
-        let reach = |i: &u32| {
-            let ring = lists.get(*i as usize).unwrap_or_default();
-            let last = ring.get(TANGENT_RING).or(ring.last());
-            let distance =
-                |j: &u32| samples.positions[*i as usize].distance_squared(samples.positions[*j as usize]);
-            last.map_or(0.0, distance)
-        };
-        let (normals, reach) = lists.samples.par_iter().map(|i| (normal(i), reach(i))).unzip();
-        Self { samples, normals, reach, place }
-    }
-
-    /// Whether the home of a place of sample `own` may be one of the others: where one of their planes suits
-    /// it about as well, or where it is so far from its own sample that others have their say before it.
-    fn doubt(&self, own: u32, others: &[u32], p: Vec3) -> bool {
-        let away = |i: u32| p - self.samples.positions[i as usize];
-        let normal = |i: u32| self.normals[self.place[i as usize] as usize];
-        let d = away(own);
-        if d.length_squared() >= self.reach[self.place[own as usize] as usize] {
-            return true;
-        }
-        let most = DOUBT * sheet_distance(d, normal(own));
-        others.iter().any(|j| {
-            let d = away(*j);
-            d.length_squared() <= most
-                && (self.place[*j as usize] == NONE || sheet_distance(d, normal(*j)) <= most)
-        })
-    }
-}
-
-/// The neighbours of each of some samples.
-type SampleLists = BTreeMap<u32, Vec<u32>>;
-
-/// A sample near which sheets meet.
-struct Crowded {
-    sample: u32,
-    /// How far as many neighbours are as a list may have.
-    reach: f32,
-    near: Vec<u32>,
-    /// The neighbours that are on the sample's sheet, no more than a list may have, and those that are not.
-    same: Vec<u32>,
-    others: Vec<u32>,
-}
-
-/// Samples that are looked at by one job.
-const JOB: usize = 256;
-
-/// The neighbours on its sheet of each sample near which sheets meet, and those that are left out: going out
-/// from those that were parted, as far as the nearest samples are not all on the same one.
-///
-/// Memory: a byte per sample, and on each thread another one.
-fn same_sheet(samples: &SampleSet, parted: &Parted) -> (SampleLists, SampleLists) {
-    let mut known = vec![false; samples.len()];
-    // Each with how far neighbours of the one are from which it was gone on to.
-    let mut open: Vec<(u32, f32)> = parted.seeds.iter().map(|seed| (*seed, 0.0)).collect();
-    open.iter().for_each(|(seed, _)| known[*seed as usize] = true);
-    let (mut lists, mut others) = (SampleLists::new(), SampleLists::new());
-    let mut left_out = Vec::new();
-    let distance = |i: u32, j: u32| samples.positions[i as usize].distance(samples.positions[j as usize]);
-    let look = |ways: &mut Ways<'_>, sample: u32, reach: f32| {
-        // Mostly short ways lead to as many as a list holds, without going round by others.
-        let near = samples.neighbours_about(sample as usize, reach, SHEET_NEIGHBOURS);
-        if ways.lead_to_all(sample, &near) {
-            return None;
-        }
-        // On a surface their number grows as the square of the distance does.
-        let more = (CROWDED_NEIGHBOURS as f32 / near.len().max(1) as f32).sqrt();
-        let reach = near.last().map_or(0.0, |last| distance(sample, *last));
-        let near = samples.neighbours_about(sample as usize, more * reach, CROWDED_NEIGHBOURS);
-        let mut same = ways.connected(sample, &near);
-        let others: Vec<u32> = without(&near, &same).collect();
-        same.truncate(SHEET_NEIGHBOURS);
-        (same[..] != near[..same.len()]).then_some(Crowded { sample, reach, near, same, others })
-    };
-    while !open.is_empty() {
-        let jobs = open.par_chunks(JOB).flat_map_iter(|some| {
-            let mut ways = Ways::new(&samples.positions, parted);
-            some.iter().filter_map(|(sample, reach)| look(&mut ways, *sample, *reach)).collect::<Vec<_>>()
-        });
-        let found: Vec<Crowded> = jobs.collect();
-        open.clear();
-        for crowded in found {
-            let Crowded { sample, reach, near, same, others: left } = crowded;
-            // What is beyond the list is beside others that are nearer.
-            for near in &near[..end_of(&near, &same).max(SHEET_NEIGHBOURS.min(near.len()))] {
-                if !std::mem::replace(&mut known[*near as usize], true) {
-                    open.push((*near, reach));
-                }
-            }
-            left_out.extend(left_out_by(sample, &near, &same));
-            others.insert(sample, left);
-            lists.insert(sample, same);
-        }
-    }
-    for (by, whom) in make_mutual(samples, left_out, &mut lists) {
-        others.entry(by).or_default().push(whom);
-    }
-    (lists, others)
-}
-
-/// The samples among the nearest of one that are on another sheet, each with that sample.
-fn left_out_by<'a>(sample: u32, near: &'a [u32], same: &'a [u32]) -> impl Iterator<Item = (u32, u32)> + 'a {
-    // Who lies beyond the last one of the list is not left out.
-    without(&near[..end_of(near, same)], same).map(move |j| (j, sample))
-}
-
-/// Where the last of some of these is.
-fn end_of(near: &[u32], same: &[u32]) -> usize {
-    same.last().map_or(near.len(), |last| near.iter().position(|j| j == last).unwrap_or(0))
-}
-
-/// All but some of them, which are in the same order.
-fn without<'a>(all: &'a [u32], some: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
-    let mut some = some.iter().peekable();
-    all.iter().filter(move |j| some.next_if_eq(j).is_none()).copied()
-}
-
-/// Makes leaving out mutual: a sample that another one leaves out leaves that one out, too. The result lists each
-/// that had not, with the other one.
-fn make_mutual(
-    samples: &SampleSet,
-    left_out: Vec<(u32, u32)>,
-    lists: &mut BTreeMap<u32, Vec<u32>>,
-) -> Vec<(u32, u32)> {
-    let mut new = Vec::new();
-    // Of those without a list.
-    let mut nearest: HashMap<u32, Vec<u32>> = HashMap::new();
-    for (by, whom) in left_out {
-        if let Some(list) = lists.get_mut(&by) {
-            if let Some(at) = list.iter().position(|j| *j == whom) {
-                list.remove(at);
-                new.push((by, whom));
-            }
-            continue;
-        }
-        let list = nearest.entry(by).or_insert_with(|| samples.nearest_neighbours(by as usize, NEIGHBOURS));
-        if list.contains(&whom) {
-            lists.insert(by, list.iter().copied().filter(|j| *j != whom).collect());
-            new.push((by, whom));
-        }
-    }
-    new
-}
-
-/// Looks for ways over the surface, over samples that faces join.
-struct Ways<'a> {
-    positions: &'a [Vec3],
-    parted: &'a Parted,
-    /// The place of each sample among those that are looked at, from one on; 0 for others.
-    places: Vec<u8>,
-    /// Where the joins of each begin, and to which places they lead, how far.
-    starts: Vec<usize>,
-    joins: Vec<(u8, f32)>,
-    /// How far each is, and how far it may be.
-    lengths: Vec<f32>,
-    most: f32,
-}
-
-impl<'a> Ways<'a> {
-    fn new(positions: &'a [Vec3], parted: &'a Parted) -> Self {
-        let places = vec![0; positions.len()];
-        let (starts, joins, lengths) = Default::default();
-        Self { positions, parted, places, starts, joins, lengths, most: 0.0 }
-    }
-
-    /// Whether short ways are found at once from a sample to all those of `near`; they may be there if not.
-    fn lead_to_all(&mut self, sample: u32, near: &[u32]) -> bool {
-        self.join(sample, near);
-        self.shorten();
-        self.lengths.iter().all(|length| length.is_finite())
-    }
-
-    /// The samples of `near`, in their order, to which a short way leads from a sample.
-    fn connected(&mut self, sample: u32, near: &[u32]) -> Vec<u32> {
-        self.join(sample, near);
-        while self.shorten() {}
-        near.iter().zip(&self.lengths[1..]).filter(|(_, way)| way.is_finite()).map(|(j, _)| *j).collect()
-    }
-
-    /// Looks up what is joined among a sample, which has the first place, and others around it, the nearest
-    /// first: fewer than 255.
-    fn join(&mut self, sample: u32, near: &[u32]) {
-        let Self { positions, parted, places, starts, joins, lengths, most } = self;
-        let distance = |a: u32, b: u32| positions[a as usize].distance(positions[b as usize]);
-        *most = DETOUR * near.last().map_or(0.0, |last| distance(sample, *last));
-        let nodes = || [sample].into_iter().chain(near.iter().copied());
-        (1..).zip(nodes()).for_each(|(place, node)| places[node as usize] = place);
-        starts.clear();
-        joins.clear();
-        for node in nodes() {
-            starts.push(joins.len());
-            parted.each_joined(node, |other| {
-                if let Some(to) = places[other as usize].checked_sub(1) {
-                    joins.push((to, distance(node, other)));
-                }
-            });
-        }
-        starts.push(joins.len());
-        nodes().for_each(|node| places[node as usize] = 0);
-        lengths.clear();
-        lengths.push(0.0);
-        lengths.resize(near.len() + 1, f32::INFINITY);
-    }
-
-    /// Goes on from all places to which ways are known, whether there were any shorter ones.
-    fn shorten(&mut self) -> bool {
-        let mut shorter = false;
-        for at in 0..self.lengths.len() {
-            let way = self.lengths[at];
-            if way.is_finite() {
-                for (to, length) in &self.joins[self.starts[at]..self.starts[at + 1]] {
-                    let (way, known) = (way + length, &mut self.lengths[usize::from(*to)]);
-                    if way < *known && way <= self.most {
-                        *known = way;
-                        shorter = true;
-                    }
-                }
-            }
-        }
-        shorter
     }
 }

@@ -11,6 +11,7 @@
 //! Where no cluster holds two sheets, nothing is kept: the samples tell the sheets apart by themselves.
 
 mod contacts;
+mod finding;
 mod islands;
 mod parting;
 mod places;
@@ -18,7 +19,7 @@ mod sorter;
 mod twins;
 
 pub use contacts::Contacts;
-pub(crate) use contacts::{Guides, Noted};
+pub(crate) use finding::{Guides, Noted};
 pub(crate) use islands::Islands;
 pub(crate) use parting::{Parted, Parting};
 pub(crate) use twins::{Found as FoundTwins, Twins, may_be_there as twins_may_be_there};

@@ -55,7 +55,7 @@ impl Saved {
     }
 
     pub fn cells(&self) -> KeptCells {
-        self.load().cells(&self.folder(), None, &Silent).unwrap()
+        self.load().cells_or_resample(&self.folder(), None, &Silent).unwrap()
     }
 
     /// All names in both folders.
@@ -309,7 +309,7 @@ fn a_model_that_has_changed_has_no_such_cells() {
         fs::remove_file(saved.file()).unwrap();
         let names = saved.names();
         changed.write(&saved.model());
-        let error = saved.load().cells(&saved.folder(), None, &Silent).unwrap_err();
+        let error = saved.load().cells_or_resample(&saved.folder(), None, &Silent).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Mismatch);
         assert!(error.to_string().contains("model.ply changed since it was sampled"), "{error}");
         assert!(error.hint().contains("sample it again"), "{}", error.hint());
@@ -327,7 +327,7 @@ fn a_model_that_is_gone_has_no_cells_to_be_made() {
     // As long as the file is there, the model is not needed.
     saved.cells();
     fs::remove_file(saved.file()).unwrap();
-    let error = saved.load().cells(&saved.folder(), None, &Silent).unwrap_err();
+    let error = saved.load().cells_or_resample(&saved.folder(), None, &Silent).unwrap_err();
     assert!(error.to_string().contains("model.ply is gone"), "{error}");
 }
 
@@ -337,7 +337,7 @@ fn what_found_no_room_in_groups_is_made_again() {
     let grouping = Grouping::Level(6);
     let sampling = Sampling { memory_limit: Some(33 << 20), grouping, ..samples(3000) };
     let saved = Saved::new(&body, sampling);
-    let before = saved.load().cells(&saved.folder(), None, &Silent).unwrap();
+    let before = saved.load().cells_or_resample(&saved.folder(), None, &Silent).unwrap();
     std::fs::remove_file(saved.folder().join("cells.bin")).unwrap();
-    assert_eq!(saved.load().cells(&saved.folder(), None, &Silent).unwrap(), before);
+    assert_eq!(saved.load().cells_or_resample(&saved.folder(), None, &Silent).unwrap(), before);
 }

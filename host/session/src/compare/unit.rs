@@ -186,7 +186,7 @@ impl UnitRun<'_> {
         let folder = self.folder.join(sampled_folder(part));
         let mut sampled = SampledModel::load(&folder)?;
         if cells {
-            sampled.hold_cells(sampled.cells(&folder, Some(&self.file.model), self.progress)?);
+            sampled.hold_cells(sampled.cells_or_resample(&folder, Some(&self.file.model), self.progress)?);
         }
         let Taken { seconds } = read_json(&self.folder.join(format!("sampled-{part}.json")))?;
         Ok((Arc::new(sampled), seconds))

@@ -233,7 +233,7 @@ impl UnitRun<'_> {
         let from = self.path(SAMPLED);
         let mut sampled = SampledModel::load(&from)?;
         if refines {
-            sampled.hold_cells(sampled.cells(&from, None, self.progress)?);
+            sampled.hold_cells(sampled.cells_or_resample(&from, None, self.progress)?);
         }
         let mut model = sampled.open_source(None, self.progress)?;
         model.follow(&self.plan.follow())?;
