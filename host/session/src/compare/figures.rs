@@ -1,11 +1,11 @@
 //! The figures of methods: each beside the model at rest, and each two of them.
 
 use super::method::Deformed;
+use super::record::{OnSamples, Pair};
 use glam::{DVec3, Vec3};
-use serde::Serialize;
 use simod_core::sampled_model::SampledModel;
 use simod_measure::{
-    Also, Details, Difference, Distances, Edges, Energies, Open, Rotation, Spread, Surface, area_distortion,
+    Also, Details, Difference, Distances, Edges, Energies, Open, Rotation, Surface, area_distortion,
     edge_distortion, is_closed, volume,
 };
 use simod_model::bounds::Bounds;
@@ -18,38 +18,6 @@ pub(super) const DETAIL: f64 = 0.015;
 
 /// Shapes that are measured at a time.
 const TOGETHER: usize = 4;
-
-/// What a method does to the samples and the triangles between them; see [`simod_measure`].
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct OnSamples {
-    /// Relative change of the volume; nothing where the triangles are not closed.
-    pub volume_change: Option<f64>,
-    /// The volumes between the triangles and the plane of their border at rest, at rest and deformed, in cubes of the
-    /// diagonal; nothing where they are closed.
-    pub volume_over_border: Option<[f64; 2]>,
-    /// Relative changes of the edges' lengths.
-    pub edges: Spread,
-    /// Relative changes of the triangles' areas.
-    pub areas: Spread,
-    /// How details turn against the smooth surface beneath, and how many triangles are folded.
-    pub details: Rotation,
-    /// Energies as papers tell them, and how lengths, areas and distortions are spread.
-    pub energies: Energies,
-}
-
-/// Two methods beside each other.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Pair {
-    /// The name of the one that comes first in the file.
-    pub first: String,
-    /// The name of the other one.
-    pub second: String,
-    /// The same vertices of both.
-    pub vertices: Difference,
-    /// From the samples of the first to the triangles between those of the second, and back; nothing where
-    /// there are no triangles. The Hausdorff distance is the larger of the two `max`.
-    pub surfaces: Option<[Distances; 2]>,
-}
 
 impl Beside {
     /// The vertices of a method beside those of the first, both counted from 0.

@@ -32,12 +32,11 @@ mod record;
 mod tables;
 mod unit;
 
-pub use figures::{OnSamples, Pair};
 pub use file::{CameraPlace, Command, CompareFile, CropPlace, Given, MAX_METHODS, Method, Work};
 pub use planned::{ComparisonPlan, Options, make};
 pub use record::{
-    Comparison, Failure, Figures, MachineRecord, MethodRecord, ModelRecord, ResultFile, RunSeconds, Seconds,
-    StepRecord,
+    Comparison, Failure, Figures, MachineRecord, MethodRecord, ModelRecord, OnSamples, Pair, ResultFile,
+    RunSeconds, Seconds, StepRecord,
 };
 pub use unit::{Done, do_unit};
 

@@ -1,10 +1,10 @@
 //! The page of a comparison: one HTML file that needs nothing else, no scripts, and can be printed.
 
-use super::figures::{DETAIL, Pair};
+use super::figures::DETAIL;
 use super::file::CropPlace;
 use super::folder::{REST, difference};
 use super::html::{NONE, Table, number, or_dash, round_percent};
-use super::record::{Comparison, MethodRecord, TimeOf};
+use super::record::{Comparison, MethodRecord, Pair, TimeOf};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};

@@ -2,7 +2,6 @@
 //! box, angles in degrees, times in seconds. Two runs of the same file on one machine differ in `seconds` and
 //! `peak_memory_bytes` alone, but for what programs of the user's make.
 
-use super::figures::{OnSamples, Pair};
 use super::file::{CompareFile, Method, Work};
 use super::folder::FORMAT;
 use crate::deformer::{Message, Plugin};
@@ -12,7 +11,7 @@ use serde_json::{Map, Value, json};
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_core::reconstruction::{ExpectedError, Method as Reconstruction};
 use simod_core::sampled_model::SampledModel;
-use simod_measure::Difference;
+use simod_measure::{Difference, Distances, Energies, Rotation, Spread};
 use simod_model::Error;
 use std::path::Path;
 
@@ -37,6 +36,38 @@ pub struct Comparison {
     pub compare_file: String,
     /// All files of the folder.
     pub files: Vec<String>,
+}
+
+/// What a method does to the samples and the triangles between them; see [`simod_measure`].
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OnSamples {
+    /// Relative change of the volume; nothing where the triangles are not closed.
+    pub volume_change: Option<f64>,
+    /// The volumes between the triangles and the plane of their border at rest, at rest and deformed, in cubes of the
+    /// diagonal; nothing where they are closed.
+    pub volume_over_border: Option<[f64; 2]>,
+    /// Relative changes of the edges' lengths.
+    pub edges: Spread,
+    /// Relative changes of the triangles' areas.
+    pub areas: Spread,
+    /// How details turn against the smooth surface beneath, and how many triangles are folded.
+    pub details: Rotation,
+    /// Energies as papers tell them, and how lengths, areas and distortions are spread.
+    pub energies: Energies,
+}
+
+/// Two methods beside each other.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Pair {
+    /// The name of the one that comes first in the file.
+    pub first: String,
+    /// The name of the other one.
+    pub second: String,
+    /// The same vertices of both.
+    pub vertices: Difference,
+    /// From the samples of the first to the triangles between those of the second, and back; nothing where
+    /// there are no triangles. The Hausdorff distance is the larger of the two `max`.
+    pub surfaces: Option<[Distances; 2]>,
 }
 
 /// What a comparison was done on.

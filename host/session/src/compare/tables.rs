@@ -1,8 +1,7 @@
 //! The figures of the methods as tables: comma-separated values for other programs, and LaTeX for papers.
 
-use super::figures::OnSamples;
 use super::html::number;
-use super::record::{Comparison, Figures, MethodRecord, TimeOf};
+use super::record::{Comparison, Figures, MethodRecord, OnSamples, TimeOf};
 use std::fmt::Write as _;
 
 /// A column of numbers.
