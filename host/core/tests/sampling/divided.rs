@@ -448,7 +448,9 @@ fn what_is_wrong_is_told() {
 fn in_no_order(body: &Body) -> Body {
     let mut body = body.shuffled();
     let n = body.faces.len();
-    let step = (n * 5 / 13..).find(|step| (2..=*step.min(&1000)).all(|k| n % k > 0 || step % k > 0)).unwrap();
+    let step = (n * 5 / 13..)
+        .find(|step| (2..=*step.min(&1000)).all(|k| !n.is_multiple_of(k) || !step.is_multiple_of(k)))
+        .unwrap();
     body.faces = (0..n).map(|i| body.faces[i * step % n]).collect();
     body
 }
