@@ -18,7 +18,7 @@ pub const LANES: usize = 4;
 pub type Lanes = [f64; LANES];
 
 /// Most steps on a level, the finest first; those further up, and the coarsest, have as many as the last one.
-const STEPS: [usize; 3] = [60, 500, 2000];
+const STEPS: [usize; 3] = [120, 500, 2000];
 /// Steps end where no weight changes by more.
 const SETTLED: f64 = 3e-7;
 /// Weights that are as near to 0 or 1, on a coarser level, are so on finer ones.
