@@ -239,179 +239,9 @@ impl Canvas {
     }
 
     /// First pass: the depth of the nearest surface.
-    pub fn blend(&mut self, weight: f32, depth: f32, normal: Vec3, color: Vec3) {
-        self.weight += weight;
-        self.depth += weight * depth;
-        self.normal += normal * weight;
-        self.color += color * weight;
-    }
-
-    /// Depth of the blended surface; infinite where there is none.
-    pub fn depth(&self) -> f32 {
-        if self.weight > 0.0 { self.depth / self.weight } else { f32::INFINITY }
-    }
-
-    /// Unit normal in view coordinates; zero where no point had one.
-    pub fn normal(&self) -> Vec3 {
-        self.normal.normalize_or_zero()
-    }
-
-    /// Colour, from 0 to 1.
-    pub fn color(&self) -> Vec3 {
-        if self.weight > 0.0 { self.color / self.weight } else { Vec3::ZERO }
-    }
-
-    /// The other one.
-    pub fn other_color(&self) -> Vec3 {
-        if self.weight > 0.0 { self.other / self.weight } else { Vec3::ZERO }
-    }
-}
-
-/// A disc, or an ellipse, in view coordinates.
-struct Splat {
-    center: Vec3,
-    /// Unit normal towards the eye; zero where it is not known.
-    normal: Vec3,
-    color: Vec3,
-    /// In another picture of the same.
-    other: Vec3,
-    radius: f32,
-    /// The half axes of an ellipse, over the squares of their lengths.
-    axes: Option<[Vec3; 2]>,
-    /// Least weight with which it hides what is behind it.
-    hiding: f32,
-    from_back: bool,
-    pixel: [f32; 2],
-    /// Pixels that it reaches around its middle.
-    reach: f32,
-    /// The samples that are drawn: columns and rows, each from the first to beyond the last.
-    columns: [usize; 2],
-    rows: [usize; 2],
-}
-
-/// How much of splats is drawn.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Drawn {
-    /// What hides what is behind it, in any order.
-    Hiding,
-    All,
-}
-
-impl Splat {
-    /// None for what is out of the picture of the given size, or no disc at all.
-    fn new(
-        (camera, lens): (&Camera, &Lens),
-        (size, drawn): ([usize; 2], Drawn),
-        point: &SurfacePoint,
-        axes: Option<&[Vec3; 2]>,
-    ) -> Option<Self> {
-        let center = camera.to_view(point.position);
-        if !(center.is_finite() && center.z > lens.near && point.radius >= 0.0) {
-            return None;
-        }
-        let pixel = lens.project(center);
-        let scale = lens.scale[0].max(lens.scale[1]) / center.z;
-        let reach = (point.radius * scale).clamp(LEAST_REACH, MOST_REACH);
-        let normal = camera.direction_to_view(point.normal.as_dvec3()).as_vec3().normalize_or_zero();
-        let from_back = normal.dot(center) > 0.0;
-        let normal = if from_back { -normal } else { normal };
-        // A splat as small as a sample hides wherever it is drawn: else it could fall between samples.
-        let share = HIDING[usize::from(from_back)].max(LEAST_REACH / reach);
-        let (radius, hiding) = (reach / scale, weight(share * share));
-        let drawn = match drawn {
-            Drawn::Hiding if axes.is_none() => hiding_reach(center, radius, share) * scale,
-            _ => reach,
-        };
-        let drawn = drawn.max(LEAST_REACH).min(reach);
-        let columns = covered(pixel[0], drawn, size[0])?;
-        let rows = covered(pixel[1], drawn, size[1])?;
-        let shrunk = radius / point.radius;
-        let axes = axes.filter(|_| shrunk > 0.0 && shrunk.is_finite()).map(|axes| {
-            axes.map(|axis| {
-                let axis = shrunk * camera.direction_to_view(axis.as_dvec3()).as_vec3();
-                axis / axis.length_squared()
-            })
-        });
-        let color = color_of(point.color);
-        let other = Vec3::ZERO;
-        Some(Self {
-            center,
-            normal,
-            color,
-            other,
-            radius,
-            axes,
-            hiding,
-            from_back,
-            pixel,
-            reach,
-            columns,
-            rows,
-        })
-    }
-
-    /// The least depth that any of it has.
-    #[inline]
-    fn least_depth(&self) -> f32 {
-        self.center.z - self.radius
-    }
-
-    /// Depth and weight (0 outside) along a pixel's ray; (`dx`, `dy`) is the way there from the splat's
-    /// middle.
-    fn hit(&self, ray: Vec3, dx: f32, dy: f32) -> (f32, f32) {
-        let on_screen = dx * dx + dy * dy;
-        let facing = self.normal.dot(ray);
-        // Facing the eye where the normal is unknown; a disc seen edge-on keeps its depth within its radius.
-        let mut depth = self.center.z;
-        let mut distance = on_screen / (self.reach * self.reach);
-        if facing < 0.0 {
-            depth = (self.normal.dot(self.center) / facing)
-                .clamp(self.least_depth(), self.center.z + self.radius);
-            let way = ray * depth - self.center;
-            let on_disc = match self.axes {
-                Some([a, b]) => way.dot(a).powi(2) + way.dot(b).powi(2),
-                None => way.length_squared() / (self.radius * self.radius),
-            };
-            // A disc narrower than a sample is drawn as a dot of that size.
-            distance = on_disc.min(on_screen / (LEAST_REACH * LEAST_REACH));
-        }
-        (depth, weight(distance))
-    }
-}
-
-/// How far from its middle, beside it on the picture's plane, a disc in view coordinates is seen up to a share of its radius: a
-/// point that is off by w, at a depth of z, lies within |w| |c| / z, where c is the middle.
-fn hiding_reach(center: Vec3, radius: f32, share: f32) -> f32 {
-    const ROUNDING: f32 = 1.01;
-    let nearest = center.z - share * radius;
-    if nearest > 0.0 { ROUNDING * share * radius * center.length() / nearest } else { f32::INFINITY }
-}
-
-fn color_of(color: [u8; 3]) -> Vec3 {
-    Vec3::from(color.map(f32::from)) / 255.0
-}
-
-/// Weight by squared distance, in units of the radius.
-fn weight(distance: f32) -> f32 {
-    let t = (1.0 - distance).max(0.0);
-    t * t
-}
-
-impl Canvas {
-    pub fn new(width: u32, height: u32) -> Self {
-        let (width, height) = (width as usize, height as usize);
-        let pixels = vec![Pixel::EMPTY; width * height];
-        Self { width, height, pixels, batch: Vec::new(), bands: Bands::default() }
-    }
-
-    pub fn lens(&self, camera: &Camera) -> Lens {
-        camera.lens(self.width as u32, self.height as u32)
-    }
-
-    /// First pass: the depth of the nearest surface.
     pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
         let may_show = |pixel: &Pixel, splat: &Splat| splat.least_depth() < pixel.nearest;
-        self.draw((camera, Drawn::All), (points, axes, &[]), may_show, |pixel, splat, depth, weight| {
+        self.draw((camera, Drawn::Hiding), (points, axes, &[]), may_show, |pixel, splat, depth, weight| {
             if weight >= splat.hiding {
                 pixel.come_near(depth);
             }
@@ -550,7 +380,7 @@ mod tests {
                 position: DVec3::new(number(i, 1.7), number(i, 2.9), number(i, 5.3)),
                 // Some have none.
                 normal: Vec3::new(number(i, 3.1) as f32, number(i, 7.7) as f32, number(i, 0.9) as f32)
-                    * f32::from(u8::from(i % 5 != 0)),
+                    * f32::from(u8::from(!i.is_multiple_of(5))),
                 color: [0; 3],
                 radius: (size * (1.1 + number(i, 11.0))) as f32,
             };
@@ -558,7 +388,7 @@ mod tests {
             let [mut canvas, mut whole] = [Canvas::new(180, 120), Canvas::new(180, 120)];
             canvas.depth(&camera, &points, &[]);
             whole.draw(
-                &camera,
+                (&camera, Drawn::All),
                 (&points, &[], &[]),
                 |_, _| true,
                 |pixel, splat, depth, weight| {
