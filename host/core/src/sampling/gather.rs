@@ -259,6 +259,7 @@ impl PieceGroups {
     }
 
     /// Adds a vertex to a group of its cube other than the last one.
+    #[inline(never)]
     fn find_and_add(&mut self, cell: u32, cube: IVec3, position: Vec3, normal: Vec3) -> u32 {
         self.leave();
         let mut key = u64::from(cell) << 32 | u64::from(key(cube));
@@ -296,7 +297,9 @@ impl PieceGroups {
 impl GatherPiece for PieceGroups {
     type Item = Group;
 
-    #[inline]
+    // Always inlined, as a position that is stored by two numbers and one for a call, and read otherwise, has to be
+    // waited for.
+    #[inline(always)]
     fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> u32 {
         let cube = floor(position * self.per_edge);
         if let Some(last) = &mut self.last
