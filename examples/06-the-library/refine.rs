@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (folder, into) = (PathBuf::from(folder), PathBuf::from(into));
 
     let mut sampled = SampledModel::load(&folder)?;
-    sampled.hold_cells(sampled.cells(&folder, None, &Silent)?);
+    sampled.hold_cells(sampled.cells_or_resample(&folder, None, &Silent)?);
     let model = sampled.open_source(None, &Silent)?;
     // Any function of space says what is selected: here the distance to a ball.
     let distance = |p: DVec3| p.distance(DVec3::new(x, y, z)) - radius;

@@ -29,7 +29,7 @@ impl SampledModel {
         let found = match self.kept_attributes() {
             Some(kept) => kept,
             None => {
-                let found = stream(self, &*self.open_source(elsewhere, progress)?, progress)?;
+                let found = self.stream_attributes(&*self.open_source(elsewhere, progress)?, progress)?;
                 if let Err(e) = self.keep_attributes(&found) {
                     progress.note(&format!("the attributes are not kept, and found anew the next time: {e}"));
                 }
@@ -55,6 +55,70 @@ impl SampledModel {
         }
         let bytes = attributes.encode([samples, &self.source.fingerprint])?;
         output::write_file(&folder.join(ATTRIBUTES), &bytes)
+    }
+
+    /// Reads the model that was sampled. Vertices without a finite position, and values that are no numbers,
+    /// do not count. A sample that no vertex is nearest to takes the value of the nearest one that has one;
+    /// an attribute without any number is left out.
+    ///
+    /// Memory: 16 bytes per sample and attribute, what is known of the samples' surroundings, and some
+    /// chunks.
+    ///
+    /// # Errors
+    /// The model cannot be read, or is not what was sampled; the user cancelled.
+    pub fn stream_attributes(&self, model: &dyn Model, progress: &dyn Progress) -> Result<Attributes> {
+        let info = model.info();
+        let attributes = &info.attributes[..info.attributes.len().min(MOST)];
+        if let [_, .., last] = attributes
+            && attributes.len() < info.attributes.len()
+        {
+            progress.note(&format!(
+                "{} has {} attributes, of which the first {MOST} are taken, up to {}",
+                model.path().display(),
+                info.attributes.len(),
+                last.name
+            ));
+        }
+        if attributes.is_empty() {
+            return Ok(Attributes::default());
+        }
+        let samples = &self.samples;
+        progress.begin("reading the attributes", info.vertex_bytes);
+        let around = RestGeometry::new(samples);
+        let mut gathered: Vec<Gathered> =
+            attributes.iter().map(|attribute| Gathered::new(attribute, samples.len())).collect();
+        // Of a chunk.
+        let mut values = vec![Vec::new(); attributes.len()];
+        let (mut home_of, mut hash) = (Vec::new(), VertexHash::like(&self.source.fingerprint));
+        simod_model::for_vertices(model, |chunk| {
+            progress.check()?;
+            hash.update(chunk.raw());
+            model.attributes(chunk, &mut values)?;
+            homes(&around, &self.frame, &chunk.positions, &mut home_of);
+            let nearest = |(home, p): (&mut u32, &DVec3)| {
+                *home = around.nearest_on_sheet(*home, self.frame.to_local(*p));
+            };
+            home_of.par_iter_mut().zip(&chunk.positions).with_min_len(1024).for_each(nearest);
+            // In the file's order, so that sums are the same on any machine.
+            for (gathered, values) in gathered.iter_mut().zip(&values) {
+                let vertices = chunk.positions.iter().zip(&home_of).zip(values);
+                for ((p, sample), value) in vertices.filter(|((p, _), _)| p.is_finite()) {
+                    let sample = *sample as usize;
+                    let distance = || self.frame.to_local(*p).distance(samples.positions[sample]);
+                    gathered.add(sample, *value, distance);
+                }
+            }
+            progress.advance(chunk.raw().len() as u64);
+            Ok(())
+        })?;
+        if hash.fingerprint() != self.source.fingerprint {
+            return Err(self.source_changed(model.path()));
+        }
+        let all = attributes.iter().zip(&gathered).filter_map(|(attribute, gathered)| {
+            let values = completed(&gathered.values(), &samples.positions)?;
+            Some(OfSamples { attribute: attribute.clone(), values })
+        });
+        Ok(Attributes::new(all.collect()))
     }
 }
 
@@ -121,68 +185,4 @@ impl Gathered {
             }
         }
     }
-}
-
-/// Reads the model that was sampled. Vertices without a finite position, and values that are no numbers,
-/// do not count. A sample that no vertex is nearest to takes the value of the nearest one that has one;
-/// an attribute without any number is left out.
-///
-/// Memory: 16 bytes per sample and attribute, what is known of the samples' surroundings, and some
-/// chunks.
-///
-/// # Errors
-/// The model cannot be read, or is not what was sampled; the user cancelled.
-pub fn stream(sampled: &SampledModel, model: &dyn Model, progress: &dyn Progress) -> Result<Attributes> {
-    let info = model.info();
-    let attributes = &info.attributes[..info.attributes.len().min(MOST)];
-    if let [_, .., last] = attributes
-        && attributes.len() < info.attributes.len()
-    {
-        progress.note(&format!(
-            "{} has {} attributes, of which the first {MOST} are taken, up to {}",
-            model.path().display(),
-            info.attributes.len(),
-            last.name
-        ));
-    }
-    if attributes.is_empty() {
-        return Ok(Attributes::default());
-    }
-    let samples = &sampled.samples;
-    progress.begin("reading the attributes", info.vertex_bytes);
-    let around = RestGeometry::new(samples);
-    let mut gathered: Vec<Gathered> =
-        attributes.iter().map(|attribute| Gathered::new(attribute, samples.len())).collect();
-    // Of a chunk.
-    let mut values = vec![Vec::new(); attributes.len()];
-    let (mut home_of, mut hash) = (Vec::new(), VertexHash::like(&sampled.source.fingerprint));
-    simod_model::for_vertices(model, |chunk| {
-        progress.check()?;
-        hash.update(chunk.raw());
-        model.attributes(chunk, &mut values)?;
-        homes(&around, &sampled.frame, &chunk.positions, &mut home_of);
-        let nearest = |(home, p): (&mut u32, &DVec3)| {
-            *home = around.nearest_on_sheet(*home, sampled.frame.to_local(*p));
-        };
-        home_of.par_iter_mut().zip(&chunk.positions).with_min_len(1024).for_each(nearest);
-        // In the file's order, so that sums are the same on any machine.
-        for (gathered, values) in gathered.iter_mut().zip(&values) {
-            let vertices = chunk.positions.iter().zip(&home_of).zip(values);
-            for ((p, sample), value) in vertices.filter(|((p, _), _)| p.is_finite()) {
-                let sample = *sample as usize;
-                let distance = || sampled.frame.to_local(*p).distance(samples.positions[sample]);
-                gathered.add(sample, *value, distance);
-            }
-        }
-        progress.advance(chunk.raw().len() as u64);
-        Ok(())
-    })?;
-    if hash.fingerprint() != sampled.source.fingerprint {
-        return Err(sampled.source_changed(model.path()));
-    }
-    let all = attributes.iter().zip(&gathered).filter_map(|(attribute, gathered)| {
-        let values = completed(&gathered.values(), &samples.positions)?;
-        Some(OfSamples { attribute: attribute.clone(), values })
-    });
-    Ok(Attributes::new(all.collect()))
 }

@@ -104,7 +104,7 @@ impl Painted {
         let model = simod_model::open(path).unwrap();
         let how = Sampling { target: Target::Samples(samples), ..Sampling::default() };
         let sampled = sample(model.as_ref(), &how, path.parent().unwrap(), &Silent).unwrap();
-        let attributes = Attributes::stream(&sampled, model.as_ref(), &Silent).unwrap();
+        let attributes = sampled.stream_attributes(model.as_ref(), &Silent).unwrap();
         (sampled, attributes)
     }
 }
@@ -209,6 +209,6 @@ fn a_word_that_is_no_number_is_named() {
     let after = format!("x{}", &after[1..]);
     write_file(&path, format!("{header}{before}{after}").as_bytes()).unwrap();
     let model = simod_model::open(&path).unwrap();
-    let error = Attributes::stream(&sampled, model.as_ref(), &Silent).unwrap_err().to_string();
+    let error = sampled.stream_attributes(model.as_ref(), &Silent).unwrap_err().to_string();
     assert!(error.contains("vertex 5: \"red\" \"x"), "{error}");
 }
