@@ -195,8 +195,8 @@ pub const FACES_OF_A_SUM: u64 = 1 << 16;
 
 /// The planes of the faces around each sample's cluster, summed up.
 ///
-/// Memory: 148 bytes per sample; without its own sums 52, and 44 bytes for each of the listed ones, of which a sum has
-/// three for each face at most.
+/// Memory: 128 bytes per sample, and 4 for each time that one is met in a run of faces; without its own sums 48, and 44
+/// bytes for each of the listed ones, of which a run has three for each face at most.
 pub struct Planes<'a> {
     /// Where the vertices of P_L are, local coordinates.
     vertices: &'a [Vec3],
