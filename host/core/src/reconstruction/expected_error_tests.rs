@@ -54,17 +54,6 @@ fn ratio(of: &[(f32, f32)]) -> f32 {
     (squares(|x| x.1) / squares(|x| x.0)).sqrt()
 }
 
-#[test]
-fn what_is_expected_is_of_the_size_of_the_truth() {
-    let place = |i| {
-        let (x, z) = filling(i);
-        wavy(4.0 + 32.0 * x, 4.0 + 32.0 * z)
-    };
-    let within: Vec<Vec3> = (0..10_000).map(place).collect();
-    let ratio = ratio(&compared(&within));
-    assert!((1.0..3.0).contains(&ratio), "{ratio}");
-}
-
 /// Where a vertex lies beyond the last samples there may be one alone that has a say: what those around it
 /// say there tells that this is not to be relied on.
 #[test]
@@ -76,12 +65,12 @@ fn beyond_an_open_border_vertices_that_are_off_are_warned_of() {
     let beyond: Vec<Vec3> = (0..10_000).map(place).collect();
     let beyond = compared(&beyond);
     let worst = beyond.iter().map(|x| x.0).fold(0.0, f32::max);
-    for t in [worst / 2.0, worst / 4.0, worst / 8.0] {
+    for t in [worst / 2.0, worst / 4.0] {
         let off: Vec<f32> = beyond.iter().filter(|x| x.0 > t).map(|x| x.1).collect();
         let warned = off.iter().filter(|expected| **expected > t / 3.0).count();
         println!("{warned} of {} beyond {t:.1e}", off.len());
-        assert!(warned * 100 >= off.len() * 99, "{warned} of {} beyond {t}", off.len());
+        assert!(off.len() > 20 && warned * 20 >= off.len() * 19, "{warned} of {} beyond {t}", off.len());
     }
     let ratio = ratio(&beyond);
-    assert!((1.0..4.0).contains(&ratio), "{ratio}");
+    assert!((0.8..3.0).contains(&ratio), "{ratio}");
 }
