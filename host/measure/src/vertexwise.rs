@@ -420,6 +420,16 @@ mod tests {
     }
 
     #[test]
+    fn the_box_of_a_block_is_that_of_its_positions() {
+        let place = |i: usize| DVec3::new(1.3, 2.9, 7.1).map(|k| (k * i as f64).sin() * 5.0 - 1.0);
+        let mut block = Block::EMPTY;
+        for (axis, i) in (0..3).flat_map(|axis| (0..BLOCK).map(move |i| (axis, i))) {
+            block.positions[axis][i] = place(i)[axis];
+        }
+        assert_eq!(Arch::new().dispatch(Reach(&block)), Bounds::from_points((0..BLOCK).map(place)));
+    }
+
+    #[test]
     fn models_of_other_sizes_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let open = |name: &str, count: usize| {
