@@ -295,7 +295,7 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
 
 /// How many files of a crate still import each other in a circle: these numbers may only fall, and a crate
 /// that is not named has none.
-const IN_CIRCLES: [(&str, usize); 2] = [("core", 22), ("session", 20)];
+const IN_CIRCLES: [(&str, usize); 1] = [("core", 11)];
 
 #[test]
 fn modules_have_no_circles() {
