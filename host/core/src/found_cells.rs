@@ -16,7 +16,7 @@ impl SampledModel {
     /// moved.
     ///
     /// # Errors
-    /// As for [`open_source`](Self::open_source) and [`sample`](crate::sampling::sample); the model is not
+    /// As for [`open_source`](Self::open_source) and [`sample`]; the model is not
     /// what was sampled; the file cannot be written.
     pub fn cells_or_resample(
         &self,
