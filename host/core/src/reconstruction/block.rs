@@ -1,14 +1,13 @@
 //! Blocks of consecutive vertices: each finds its home, vertices of one home are put side by side, and the
 //! blend goes over them.
 
-use std::sync::{Mutex, PoisonError};
-
 use glam::{DVec3, Mat3, UVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 
-use super::blend::{Blending, Grouped, LEAST_WEIGHT, PACKET};
+use super::blend::{Blending, LEAST_WEIGHT, PACKET};
 use super::homes::Homes;
+use super::workspace::{Filled, Workspace};
 use super::{DeformationField, Method, RestGeometry, Transport, VertexDiagnostics, projected_barycentric};
 
 /// Most vertices of a block that follow the surface: many, so that there are several of each home, and as few
@@ -32,41 +31,6 @@ const JUMP: f64 = 0.1;
 
 /// The place of a vertex that does not move.
 const NOWHERE: u32 = u32::MAX;
-
-/// Memory that is used again from block to block.
-///
-/// About 100 bytes per vertex of a block, at most 400 if all homes have four, and 4 per sample.
-#[derive(Debug, Default)]
-pub struct Workspace {
-    /// Local positions.
-    local: Vec<Vec3>,
-    /// The vertices in the order in which they are gone through, and what it is found by.
-    order: Vec<u32>,
-    keys: Vec<u64>,
-    homes: Vec<u32>,
-    /// For each sample, the group of which it is the home, if that group is of this block.
-    group_of: Vec<u32>,
-    /// How far each group is filled.
-    filled: Vec<Filled>,
-    /// Where each vertex is among the grouped ones, if its home moves.
-    place: Vec<u32>,
-    grouped: Grouped,
-}
-
-/// Workspaces that are not in use: as many as there were ever blocks at a time.
-#[derive(Debug, Default)]
-pub struct Workspaces(Mutex<Vec<Workspace>>);
-
-impl Workspaces {
-    /// Lends one to `work`.
-    pub fn with<R>(&self, work: impl FnOnce(&mut Workspace) -> R) -> R {
-        let free = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut workspace = free().pop().unwrap_or_default();
-        let result = work(&mut workspace);
-        free().push(workspace);
-        result
-    }
-}
 
 /// What vertices become: as they are until then.
 pub struct Moved<'a> {
@@ -427,14 +391,6 @@ impl Workspace {
             filled.scattered += scattered.len();
         }
     }
-}
-
-/// How far a group is filled: where its next vertex goes, and where the next one of those that are scattered.
-#[derive(Debug, Clone, Copy)]
-struct Filled {
-    /// At first, the number of its vertices.
-    next: usize,
-    scattered: usize,
 }
 
 /// The most vertices of a block of these.

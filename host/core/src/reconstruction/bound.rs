@@ -10,14 +10,11 @@
 //! Nearly all vertices are seen to keep to it without a search, as they lie within the range of samples
 //! beside their home that are surely among those nearest to them.
 
-use glam::{Mat3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
-use super::blend::AROUND;
 use super::expansion::{Expansion, ROUNDING};
-use super::hull::way_from_hull;
 use super::sheets::Sheets;
-use super::{DeformationField, Transport};
 use crate::sampling::SampleSet;
 
 /// How far beyond the range a vertex may go, as a part of the local step: a little less than a tenth, for
@@ -25,69 +22,57 @@ use crate::sampling::SampleSet;
 pub const BEYOND: f32 = 0.095;
 
 /// Neighbours of a sample to which its edges lead: a ring.
-const EDGES: usize = 6;
-
-/// The ridge of the linear map that explains a range, as a part of the samples' mean squared distance from
-/// their middle: across the little that separates two sheets nothing is explained.
-const RIDGE: f32 = 0.02;
-
-/// What the ridge may take of the map, to be made up for.
-const FLATTENED: f32 = 1.5;
-
-/// As long as a linear map leaves no more over than this part, what explains the range continues it …
-const EXPLAINED: f32 = 0.4;
-/// … and less and less of it up to this part: a linear map leaves about half of a step.
-const UNEXPLAINED: f32 = 0.55;
+pub const EDGES: usize = 6;
 
 /// What a displacement may be off by rounding.
 pub const MARGIN: f32 = ROUNDING as f32;
 
 /// Displacements between the least and the greatest, coordinate by coordinate.
 #[derive(Debug, Clone, Copy)]
-struct Extent {
-    low: Vec3,
-    high: Vec3,
+pub struct Extent {
+    pub low: Vec3,
+    pub high: Vec3,
 }
 
 impl Extent {
     /// Which holds none.
-    const NOTHING: Self = Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
+    pub const NOTHING: Self = Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
 
     /// The extent of one displacement, widened by its rounding.
-    fn about(u: Vec3) -> Self {
+    pub fn about(u: Vec3) -> Self {
         Self { low: u - MARGIN, high: u + MARGIN }
     }
 
     /// With one displacement more.
     #[inline]
-    fn with(self, u: Vec3) -> Self {
+    pub fn with(self, u: Vec3) -> Self {
         Self { low: self.low.min(u - MARGIN), high: self.high.max(u + MARGIN) }
     }
 
-    fn widened(&self, by: f32) -> Self {
+    pub fn widened(&self, by: f32) -> Self {
         Self { low: self.low - by, high: self.high + by }
     }
 
     #[inline]
-    fn holds(&self, u: Vec3) -> bool {
+    pub fn holds(&self, u: Vec3) -> bool {
         u.cmpge(self.low).all() && u.cmple(self.high).all()
     }
 }
 
 /// What the edges of samples show.
 #[derive(Debug, Clone, Copy)]
-struct Edges {
+pub struct Edges {
     /// The largest difference of displacements.
-    step: f32,
+    pub step: f32,
     /// The largest such difference over the edge's length.
-    steepest: f32,
+    pub steepest: f32,
 }
 
 impl Edges {
-    const NONE: Self = Self { step: 0.0, steepest: 0.0 };
+    pub const NONE: Self = Self { step: 0.0, steepest: 0.0 };
 
     /// The edges around one sample.
-    fn around(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion], i: usize) -> Self {
+    pub fn around(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion], i: usize) -> Self {
         let mut found = [0; EDGES + 1];
         // Beside other sheets the nearest samples may be theirs.
         let ring: &mut dyn Iterator<Item = u32> = if sheets.is_crowded(i) {
@@ -107,7 +92,7 @@ impl Edges {
         edges
     }
 
-    fn include(&mut self, other: &Self) {
+    pub fn include(&mut self, other: &Self) {
         (self.step, self.steepest) = (self.step.max(other.step), self.steepest.max(other.steepest));
     }
 }
@@ -116,7 +101,7 @@ impl Edges {
 ///
 /// Memory: 8 bytes per sample.
 pub struct Bound {
-    edges: Vec<Edges>,
+    pub edges: Vec<Edges>,
 }
 
 impl Bound {
@@ -130,124 +115,5 @@ impl Bound {
     #[inline]
     pub fn step(&self, sample: usize) -> f32 {
         self.edges[sample].step
-    }
-}
-
-impl DeformationField<'_> {
-    /// As [`drawn_back`](Self::drawn_back), of a vertex whose home does not move, nor any support that
-    /// reaches there.
-    #[inline]
-    pub(super) fn still_drawn_back(&self, home: usize, p: Vec3) -> Option<Transport> {
-        // Then the home is among the nearest.
-        if 2.0 * p.distance(self.around.samples.positions[home]) < self.around.supports.ranging[home] {
-            return None;
-        }
-        self.drawn_back(p, Vec3::ZERO, || Mat3::IDENTITY)
-    }
-
-    /// Whether a displacement of a vertex of this home is within the range of those samples of the home's
-    /// sheet that are surely among the nearest ones: then it keeps to the range without a search.
-    pub(super) fn is_bounded(&self, home: usize, p: Vec3, u: Vec3) -> bool {
-        let center = |j: usize| Vec3::from_array(self.expansions[j].center);
-        let distance = p.distance(center(home));
-        let reach = self.around.supports.ranging[home] - distance;
-        if reach <= distance {
-            return false;
-        }
-        let (mut extent, mut largest) =
-            (Extent::about(self.expansions[home].displacement()), self.bound.step(home));
-        self.around.sheets.of_sample(home).chunks(EDGES).any(|ring| {
-            for j in ring.iter().map(|j| *j as usize) {
-                // Without a branch: nobody foretells it.
-                let is_near = center(j).distance_squared(p) < reach * reach;
-                let with = extent.with(self.expansions[j].displacement());
-                extent = if is_near { with } else { extent };
-                largest = largest.max(if is_near { self.bound.step(j) } else { 0.0 });
-            }
-            extent.widened(BEYOND * largest).holds(u)
-        })
-    }
-
-    /// The nearest place within the range of the samples around, for a vertex whose displacement leaves it;
-    /// `gradient` is that of the deformation there.
-    pub(super) fn drawn_back(&self, p: Vec3, u: Vec3, gradient: impl FnOnce() -> Mat3) -> Option<Transport> {
-        let range = Range::around(self, p);
-        let slack = BEYOND * range.edges.step + MARGIN;
-        // What continues it takes longer to find.
-        if range.extent.widened(slack).holds(u) {
-            return None;
-        }
-        let (steepness, way) = (range.steepness(), way_from_hull(&range.from[..range.count]));
-        // Little relief does not add to it.
-        let Extent { low, high } = range.extent.widened(slack.max(steepness * way.length() + 0.5 * slack));
-        let held = u.clamp(low, high);
-        if held == u {
-            return None;
-        }
-        // Along the range's border nothing changes but what it is continued with.
-        let further = steepness * way.normalize_or_zero();
-        let mut rows = gradient().transpose();
-        for axis in (0..3).filter(|axis| held[*axis] != u[*axis]) {
-            *rows.col_mut(axis) = Vec3::AXES[axis] + (u[axis] - held[axis]).signum() * further;
-        }
-        Some(Transport { displacement: held, gradient: rows.transpose() })
-    }
-}
-
-/// The samples nearest to a vertex, and where they go.
-struct Range {
-    count: usize,
-    /// From the vertex to each sample, the nearest first.
-    from: [Vec3; AROUND],
-    displacement: [Vec3; AROUND],
-    extent: Extent,
-    /// The edges of all samples in the range.
-    edges: Edges,
-}
-
-impl Range {
-    fn around(field: &DeformationField<'_>, p: Vec3) -> Self {
-        let mut found = [0; AROUND];
-        let mut range = Self {
-            count: 0,
-            from: [Vec3::ZERO; AROUND],
-            displacement: [Vec3::ZERO; AROUND],
-            extent: Extent::NOTHING,
-            edges: Edges::NONE,
-        };
-        for j in field.around.samples.nearest_ones(p, &mut found) {
-            let e = &field.expansions[j as usize];
-            range.from[range.count] = Vec3::from_array(e.center) - p;
-            range.displacement[range.count] = e.displacement();
-            range.extent = range.extent.with(e.displacement());
-            range.edges.include(&field.bound.edges[j as usize]);
-            range.count += 1;
-        }
-        range
-    }
-
-    /// How steep what continues the range may be: as the linear map that explains it, so far as one does.
-    fn steepness(&self) -> f32 {
-        let count = self.count as f32;
-        let (from, displacement) = (&self.from[..self.count], &self.displacement[..self.count]);
-        let middle = from.iter().sum::<Vec3>() / count;
-        let mean = displacement.iter().sum::<Vec3>() / count;
-        let pairs = || from.iter().zip(displacement).map(|(x, u)| (*x - middle, *u - mean));
-        let outer = |u: Vec3, x: Vec3| Mat3::from_cols(u * x.x, u * x.y, u * x.z);
-        let (mut squares, mut products) = (Mat3::ZERO, Mat3::ZERO);
-        for (x, u) in pairs() {
-            squares += outer(x, x);
-            products += outer(u, x);
-        }
-        let spread: f32 = pairs().map(|(x, _)| x.length_squared()).sum();
-        let slope = products * (squares + Mat3::from_diagonal(Vec3::splat(RIDGE * spread))).inverse();
-        let all: f32 = pairs().map(|(_, u)| u.length_squared()).sum();
-        let left: f32 = pairs().map(|(x, u)| (u - slope * x).length_squared()).sum();
-        let part = (left / all).sqrt();
-        let trust = ((UNEXPLAINED - part) / (UNEXPLAINED - EXPLAINED)).clamp(0.0, 1.0);
-        let norm = slope.to_cols_array().iter().map(|x| x * x).sum::<f32>().sqrt();
-        let steepness = trust * self.edges.steepest.min(FLATTENED * norm);
-        // Samples in one place, or that all go alike, show nothing.
-        if steepness.is_finite() { steepness } else { 0.0 }
     }
 }

@@ -10,7 +10,7 @@ use simod_model::output::OutputFile;
 use simod_model::{Error, Model, Result, Scalar};
 
 use super::expansion::Expansion;
-use super::expected_error::Tally;
+use super::expectation::Tally;
 
 /// Vertices that are encoded at a time.
 const BLOCK: usize = 1 << 12;

@@ -20,15 +20,15 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use simod_model::frame::Frame;
-use simod_model::histogram::Histogram;
-use simod_model::{ModelInfo, Result, Scalar};
+use simod_model::{ModelInfo, Result};
 
 use super::blend::LEAST_WEIGHT;
 use super::expansion::{Expansion, ROUNDING};
+use super::expectation::{Beyond, Expectation, ExpectedError, Rounding, Tally, hypot};
 use super::homes::Homes;
-use super::{DeformationField, Method, Moved, Neighbourhood, blended_jets, carry};
+use super::neighbourhood::Neighbourhood;
+use super::{DeformationField, Method, Moved, blended_jets, carry};
 use crate::sampled_model::SampledModel;
 
 /// Neighbours of a sample that its word is compared with: its ring.
@@ -69,137 +69,8 @@ const FAR: f32 = 1e9;
 /// The least spread, as a part of the support's radius: all samples of a roof lie in a plane.
 const FLAT: f32 = 0.03;
 
-/// The root of the mean square of what rounding to single precision makes, as a part of the number that is
-/// rounded.
-const SINGLE: f32 = 2.5e-8;
-
 /// A cluster may reach this many times the distance between samples from its sample.
 const CLUSTER: f32 = 2.0;
-
-/// What is expected around a sample, in local units.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Expectation {
-    /// The root of the mean square of how far it and its neighbours disagree halfway.
-    disagreement: f32,
-    /// The furthest of that, and of those which have it among their neighbours.
-    largest: f32,
-}
-
-/// What the file that is written rounds.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Rounding {
-    /// The model's origin, from the local one, in local units; `None` where positions are not of single
-    /// precision.
-    from: Option<Vec3>,
-    /// What is rounded to an integer is off by so much, local units: the root of the mean square.
-    step: f32,
-}
-
-impl Rounding {
-    /// The rounding of a model with such positions.
-    pub fn for_model(frame: &Frame, info: &ModelInfo) -> Self {
-        let is_single = info.position_type == Scalar::F32;
-        Self {
-            from: is_single.then(|| (frame.origin / frame.scale).as_vec3()),
-            step: (info.rounding() / frame.scale) as f32,
-        }
-    }
-
-    /// What writing it makes of a vertex that goes from `p` by `u`, local units; one that does not move is
-    /// not rounded again.
-    fn written(self, p: Vec3, u: Vec3) -> f32 {
-        if u == Vec3::ZERO {
-            return 0.0;
-        }
-        self.from.map_or(self.step, |origin| SINGLE * (p + u + origin).length())
-    }
-
-    /// What rounding makes at a vertex or a sample that goes from `p` by `u`, local units.
-    fn estimate(self, p: Vec3, u: Vec3) -> f32 {
-        if u == Vec3::ZERO {
-            return 0.0;
-        }
-        // Samples are rounded each for itself, and the blend is a mean of some; the displacement comes of
-        // several sums.
-        let (sample, displacement) = (0.7 * (p + u).length(), 1.2 * u.length());
-        hypot([self.written(p, u), SINGLE * sample, SINGLE * displacement])
-    }
-}
-
-/// How far vertices are expected to be off. Lengths are fractions of the model's diagonal at rest.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct ExpectedError {
-    /// Root of the mean square.
-    pub rms: f64,
-    /// 99.9 % of the vertices are expected to be off by less (to 2 %).
-    pub p999: f64,
-    /// The worst.
-    pub worst: f64,
-    /// Whether it was estimated at each vertex, for diagnostics. Otherwise it is that of the samples, each
-    /// for as many vertices as it was the home of.
-    pub of_vertices: bool,
-    /// Where samples alone tell that it is more than will be [accepted](Self::ACCEPTED).
-    #[serde(skip)]
-    pub beyond: Option<Beyond>,
-}
-
-/// Where more is expected than is accepted.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Beyond {
-    /// The largest error that is expected around a sample, as a fraction of the diagonal.
-    pub worst: f64,
-    /// What rounding alone makes there, as a fraction of the diagonal.
-    pub rounding: f64,
-    /// The position of that sample at rest, in the model's coordinates.
-    pub place: DVec3,
-    /// Number of samples around which it is more than is accepted.
-    pub samples: u64,
-    /// About how many samples more it takes until it is less, where the deformation is smooth.
-    pub needed: u64,
-}
-
-impl ExpectedError {
-    /// What a user will accept, as a fraction of the diagonal. In a picture in which the model is four
-    /// thousand pixels long it is less than half of one, at the worst vertex; more may show, as a dent or an
-    /// edge that is not straight.
-    pub const ACCEPTED: f64 = 1e-4;
-
-    /// The power of the size of clusters that the error falls with; four times as many samples halve the
-    /// size.
-    const ORDER: f64 = 3.0;
-}
-
-/// Estimates of many vertices, summed up. Fractions of the diagonal.
-#[derive(Default)]
-pub(super) struct Tally {
-    histogram: Histogram,
-    count: u64,
-    squares: f64,
-    worst: f64,
-}
-
-impl Tally {
-    /// Adds `vertices` for which so much is expected.
-    pub fn add(&mut self, expected: f64, vertices: u64) {
-        if vertices > 0 && expected.is_finite() {
-            self.histogram.add_many(expected, vertices);
-            self.count += vertices;
-            self.squares += expected * expected * vertices as f64;
-            self.worst = self.worst.max(expected);
-        }
-    }
-
-    /// What they come to.
-    pub fn sum(&self, of_vertices: bool) -> ExpectedError {
-        ExpectedError {
-            rms: (self.squares / self.count.max(1) as f64).sqrt(),
-            p999: self.histogram.quantile(0.999),
-            worst: self.worst,
-            of_vertices,
-            beyond: None,
-        }
-    }
-}
 
 impl DeformationField<'_> {
     /// The transfer error to be expected around each sample, local units: the largest difference between its
@@ -496,8 +367,4 @@ struct HeardAround {
 #[inline]
 fn says(e: &Expansion, p: Vec3) -> Vec3 {
     e.displacement_at(p - Vec3::from_array(e.center))
-}
-
-fn hypot<const N: usize>(parts: [f32; N]) -> f32 {
-    parts.iter().map(|x| x * x).sum::<f32>().sqrt()
 }

@@ -11,10 +11,10 @@
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
-use super::Transport;
 use super::blend::Supports;
 use super::blended_jets::Doubt;
 use super::expansion::Expansion;
+use super::transport::Transport;
 
 /// Where a sample would take what is around it, were there no second order.
 #[derive(Debug, Clone, Copy)]

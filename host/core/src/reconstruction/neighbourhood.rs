@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::RestGeometry;
+use super::rest_geometry::RestGeometry;
 use super::sheets::SHEET_NEIGHBOURS;
 use crate::geometry::hermite;
 

@@ -6,7 +6,7 @@ use simod_model::histogram::Histogram;
 use simod_model::{Error, ErrorKind, Model, Progress, Result, for_positions, in_step, range_in_step};
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::expected_error::Tally;
+use super::expectation::Tally;
 use super::{DeformationField, ExpectedError, Moved, carry};
 use crate::sampled_model::SampledModel;
 

@@ -1,0 +1,200 @@
+//! The deformation that P_S and P_S* sample, as expansions around the samples.
+
+use glam::{Mat3, Vec3};
+use rayon::prelude::*;
+use simod_model::follow;
+
+use super::blend::LEAST_WEIGHT;
+use super::blended_jets::Expanded;
+use super::bound::Bound;
+use super::diagnostics::{Folds, VertexDiagnostics, principal_stretches};
+use super::expansion::Expansion;
+use super::expectation::{Expectation, Rounding};
+use super::gradients::Gradients;
+use super::least_squares::Unresolved;
+use super::limiter::{Limiter, outer};
+use super::neighbourhood::Neighbourhood;
+use super::rest_geometry::RestGeometry;
+use super::stencils::Stencils;
+use super::transport::{Method, Transport};
+use super::{across, blend, blended_jets};
+
+/// A home that does not reach a vertex is not its own if other samples are so many times nearer.
+const MUCH_NEARER: f32 = 2.0;
+
+/// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.
+///
+/// Memory: about 240 bytes per sample.
+pub struct DeformationField<'a> {
+    pub(super) around: &'a RestGeometry<'a>,
+    pub(super) deformed: &'a [Vec3],
+    pub(super) method: Method,
+    pub(super) gradients: Gradients,
+    pub(super) stencils: Stencils<'a>,
+    pub(super) expansions: Vec<Expansion>,
+    pub(super) unresolved: Vec<Unresolved>,
+    pub(super) limiter: Limiter,
+    pub(super) bound: Bound,
+    /// Whether anything moves around the sample as a home.
+    pub(super) active: Vec<bool>,
+    pub(super) folds: Folds,
+    /// What is expected around each sample, if [that was asked for](Self::expecting).
+    pub(super) expected: Vec<Expectation>,
+    pub(super) rounding: Rounding,
+    /// The expansions whose gradients turn numbers; empty unless [smooth ones](Self::knowing) are asked for.
+    pub(super) turning: Vec<Expansion>,
+}
+
+impl<'a> DeformationField<'a> {
+    /// Prepares the field. `deformed` holds the finite local position of each sample after the deformation.
+    ///
+    /// # Panics
+    /// The number of deformed positions is not that of the samples.
+    pub fn new(around: &'a RestGeometry<'a>, deformed: &'a [Vec3], method: Method) -> Self {
+        let RestGeometry { samples, sheets, supports, .. } = around;
+        assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
+        let (gradients, stencils) = Gradients::fit(samples, sheets, deformed);
+        let Expanded { mut expansions, unresolved, doubtful } =
+            blended_jets::expand(samples, &stencils, deformed, &gradients);
+        let supported = |(e, radius): (&mut Expansion, &f32)| {
+            e.inverse_square = (1.0 / (radius * radius)).min(Expansion::NO_SUPPORT);
+            !e.is_still()
+        };
+        let moves: Vec<bool> = expansions.par_iter_mut().zip(&supports.radius).map(supported).collect();
+        let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
+        let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
+        let limiter = Limiter::new(supports, &expansions, &doubtful);
+        let bound = Bound::new(samples, sheets, &expansions);
+        let neighbours = |i| sheets.of_sample(i);
+        let folds = Folds::of(&expansions, &gradients.tells_side, samples.normals(), neighbours);
+        Self {
+            around,
+            deformed,
+            method,
+            gradients,
+            stencils,
+            expansions,
+            unresolved,
+            limiter,
+            bound,
+            active,
+            folds,
+            expected: Vec::new(),
+            rounding: Rounding::default(),
+            turning: Vec::new(),
+        }
+    }
+
+    /// Local position of each sample after the deformation.
+    pub fn deformed(&self) -> &'a [Vec3] {
+        self.deformed
+    }
+
+    /// Whether no sample moves at all, and so no vertex.
+    pub fn is_still(&self) -> bool {
+        let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
+        self.deformed.iter().map(bits).eq(self.around.samples.positions.iter().map(bits))
+    }
+
+    /// Whether it turns left into right as a whole.
+    pub(crate) fn is_mirrored(&self) -> bool {
+        self.gradients.mirrored
+    }
+
+    /// What is known of the samples at rest.
+    pub fn around(&self) -> &'a RestGeometry<'a> {
+        self.around
+    }
+
+    /// Where it folds the surface.
+    pub fn folds(&self) -> &Folds {
+        &self.folds
+    }
+
+    /// What becomes of the surface at a vertex of this home, at `p`, local coordinates; `scale` is the length
+    /// of a local unit.
+    pub(super) fn figures(&self, home: usize, p: Vec3, moved: &Transport, scale: f64) -> VertexDiagnostics {
+        let Transport { displacement, gradient } = moved;
+        let stretch = principal_stretches(gradient, self.around.samples.normals()[home]);
+        let folded = self.folds.contains(home, gradient);
+        let expected_error = if self.active[home] { self.expected_at(home, p, *displacement) } else { 0.0 };
+        let [displacement, expected_error] =
+            [displacement.length(), expected_error].map(|x| (f64::from(x) * scale) as f32);
+        let anisotropy = follow::anisotropy(gradient);
+        VertexDiagnostics { displacement, stretch, folded, expected_error, anisotropy }
+    }
+
+    /// The same, with smooth gradients for what turns: by what wider neighbourhoods tell, and with those at the
+    /// samples known, if they are.
+    ///
+    /// Memory: 136 bytes per sample.
+    pub(super) fn knowing(mut self, known: Option<&[Mat3]>) -> Self {
+        let Self { around, stencils, deformed, gradients, expansions, .. } = &self;
+        let exact = |(e, known): (&Expansion, &Mat3)| e.with_slope(*known - Mat3::IDENTITY);
+        let told = across::told(around.samples, stencils, deformed, &gradients.gradient, expansions);
+        self.turning = match known {
+            Some(known) => told.iter().zip(known).map(exact).collect(),
+            None => told,
+        };
+        self
+    }
+
+    /// Carries a vertex over that no support reaches, as one that lies far off the samples.
+    pub(super) fn beyond(&self, home: usize, p: Vec3) -> Transport {
+        let around = Neighbourhood::gather(self.around, home, blended_jets::BLENDED, p);
+        let (mut displacement, mut gradient, mut sum) = (Vec3::ZERO, Mat3::ZERO, 0.0);
+        for &(i, w) in around.weighted() {
+            let i = i as usize;
+            let d = p - Vec3::from_array(self.expansions[i].center);
+            let (u, slope) = self.limiter.beyond(&self.expansions, i, d);
+            displacement += w * u;
+            gradient += w * slope;
+            sum += w;
+        }
+        Transport { displacement: displacement / sum, gradient: Mat3::IDENTITY + gradient * (1.0 / sum) }
+    }
+
+    /// Where a vertex goes that its home's support does not reach, if other samples are much nearer and
+    /// theirs do. A sheet is taken for its own then because a tangent plane of it happens to go past, as
+    /// planes of the ground do by roofs that have few samples.
+    pub(super) fn by_nearer_ones(&self, home: usize, p: Vec3) -> Option<Transport> {
+        let samples = self.around.samples;
+        let mut found = [0; blend::AROUND];
+        let mut near = samples.nearest_ones(p, &mut found).map(|i| i as usize).peekable();
+        let distance = |i: usize| samples.positions[i].distance(p);
+        let much_nearer = near.peek().is_some_and(|first| distance(home) > MUCH_NEARER * distance(*first));
+        let (sum, moved) = much_nearer.then(|| self.blended(near, p))?;
+        (sum >= LEAST_WEIGHT).then_some(moved)
+    }
+
+    /// Whether the support of its home reaches a vertex.
+    #[inline]
+    pub(super) fn reaches(&self, home: usize, p: Vec3) -> bool {
+        self.expansions[home].within(p) > 0.0
+    }
+
+    /// The blend of the expansions of these samples at a place, and the sum of their weights: as
+    /// [`blend`](mod@blend) does it, for single vertices.
+    pub(super) fn blended(&self, samples: impl Iterator<Item = usize>, p: Vec3) -> (f32, Transport) {
+        let (mut own, mut u, mut gradient) = (None, Vec3::ZERO, Mat3::ZERO);
+        let (mut sum, mut sum_slope) = (0.0, Vec3::ZERO);
+        for e in samples.map(|i| &self.expansions[i]) {
+            let d = p - Vec3::from_array(e.center);
+            let s = (1.0 - d.length_squared() * e.inverse_square).max(0.0);
+            if s == 0.0 {
+                continue;
+            }
+            // Beyond the first one's, for precision.
+            let own = *own.get_or_insert(e.displacement());
+            let (at, slope) = e.evaluate(d);
+            let (w, of_weight) = (s * s * s, -6.0 * s * s * e.inverse_square * d);
+            u += w * (at - own);
+            gradient += slope * w + outer(at - own, of_weight);
+            sum += w;
+            sum_slope += of_weight;
+        }
+        let displacement = own.unwrap_or_default() + u / sum;
+        let gradient = Mat3::IDENTITY + (gradient - outer(u / sum, sum_slope)) * (1.0 / sum);
+        (sum, Transport { displacement, gradient })
+    }
+}

@@ -1,0 +1,339 @@
+//! A tree of cells, which has for each the sample whose support reaches its middle best.
+
+use std::sync::OnceLock;
+
+use glam::{UVec3, Vec3, Vec4};
+use rayon::prelude::*;
+
+use super::expansion::Expansion;
+use crate::sampling::SampleSet;
+
+/// Supports of so many samples may meet a cell that is not parted: fewer than each sample has neighbours.
+const MOST: usize = 5;
+
+/// For that, a support ends at this part of its radius: half a spacing.
+const REACH: f32 = 0.35;
+
+/// A cell whose edge is shorter than this part of the least radius is not parted, however many supports
+/// overlap there.
+const EDGE: f32 = 0.5;
+
+/// Levels of cells below the whole.
+const LEVELS: u32 = 20;
+
+/// Marks a cell that is parted.
+const PARTED: u32 = 1 << 31;
+
+/// Samples in a cell from which on its parts are made side by side.
+const SIDE_BY_SIDE: usize = 1 << 12;
+
+/// An octree over the supports: for each cell a sample that is near its middle.
+///
+/// Memory: 17 bytes per sample, and 32 for each cell that is parted: about one for seven samples of a
+/// surface. Where samples are in heaps of a dozen, each has a chain of at most [`LEVELS`] cells, which makes
+/// 1.5 per sample. As much again while it is made, and 16 bytes more for each sample.
+pub struct Cells {
+    /// Corner of the whole, in local coordinates.
+    corner: Vec3,
+    /// Finest cells per unit.
+    scale: f32,
+    /// The eighths of each cell that is parted: their place in this list with [`PARTED`], or their sample.
+    /// The whole is the first.
+    parted: Vec<[u32; 8]>,
+    /// Centre of each support, and one over the square of its radius.
+    supports: Vec<Vec4>,
+    /// For each node of the samples' tree, the largest radius below it: found when a place is first looked up that
+    /// no support near it reaches.
+    pub(super) largest: OnceLock<Vec<f32>>,
+}
+
+impl Cells {
+    /// The octree over samples with supports of these radii.
+    pub fn build(samples: &SampleSet, radius: &[f32]) -> Self {
+        let positions = &samples.positions;
+        let min = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+        let max = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
+        // Room for rounding: the finest cells are still eight times as wide as coordinates there are exact.
+        // And room for samples that are all at one place.
+        let size = (max - min).max_element().max(min.abs().max(max.abs()).max_element());
+        let edge = (1.001 * size).max(1e-20);
+        let corner = 0.5 * (min + max) - 0.5 * edge;
+        let supports = positions
+            .iter()
+            .zip(radius)
+            .map(|(p, radius)| p.extend((1.0 / (radius * radius)).min(Expansion::NO_SUPPORT)));
+        let mut cells = Self {
+            corner,
+            scale: (1 << LEVELS) as f32 / edge,
+            parted: Vec::new(),
+            supports: supports.collect(),
+            largest: OnceLock::new(),
+        };
+        let whole = Cell { corner, edge, level: 0 };
+        let balls: Vec<Vec4> = positions.iter().zip(radius).map(|(p, radius)| p.extend(*radius)).collect();
+        let growing = Growing { supports: &cells.supports, balls: &balls };
+        let all: Vec<u32> = (0..positions.len() as u32).collect();
+        let mut parted = Vec::new();
+        growing.part(whole, &all, &mut parted);
+        parted.shrink_to_fit();
+        cells.parted = parted;
+        cells
+    }
+
+    /// The square of how far a point is from a sample, as a part of the radius of its support.
+    #[inline]
+    pub fn depth(&self, sample: u32, p: Vec3) -> f32 {
+        depth(self.supports[sample as usize], p)
+    }
+}
+
+#[inline]
+fn depth(support: Vec4, p: Vec3) -> f32 {
+    (p - support.truncate()).length_squared() * support.w
+}
+
+/// A cube.
+#[derive(Clone, Copy)]
+struct Cell {
+    corner: Vec3,
+    edge: f32,
+    level: u32,
+}
+
+impl Cell {
+    fn eighth(self, at: usize) -> Self {
+        let edge = 0.5 * self.edge;
+        let side = |bit: usize| if at >> bit & 1 == 1 { edge } else { 0.0 };
+        Self { corner: self.corner + Vec3::new(side(0), side(1), side(2)), edge, level: self.level + 1 }
+    }
+
+    fn middle(self) -> Vec3 {
+        self.corner + 0.5 * self.edge
+    }
+
+    /// Along which axes a box about a point, so far to each side, meets it: a bit for each; the point's last number
+    /// is of no meaning.
+    fn meets(self, p: Vec4, reach: f32) -> usize {
+        let away = (p - self.middle().extend(0.0)).abs();
+        (away.cmple(Vec4::splat(0.5 * self.edge + reach)).bitmask() & 0b111) as usize
+    }
+}
+
+/// The eighths that a box meets, a bit for each, by the [axes](Cell::meets) along which it meets the first of them
+/// and, three bits higher, the last.
+const MET: [u8; 64] = {
+    let mut met = [0; 64];
+    let mut axes = 0;
+    while axes < 64 {
+        let mut eighth = 0;
+        while eighth < 8 {
+            let (low, high) = (axes & 0b111 & !eighth, axes >> 3 & eighth);
+            if low | high == 0b111 {
+                met[axes] |= 1 << eighth;
+            }
+            eighth += 1;
+        }
+        axes += 1;
+    }
+    met
+};
+
+/// What a cell is filled with, where the list that it speaks of stands behind so many others.
+fn behind(others: u32, what: u32) -> u32 {
+    if what & PARTED == 0 { what } else { what + others }
+}
+
+/// The samples that reach each eighth of a cell: as many places for each as there are samples, of which the first are
+/// taken.
+struct Reached {
+    samples: Vec<u32>,
+    counts: [u32; 8],
+    /// The least radius of the samples of each eighth; infinite where there are none.
+    least: [f32; 8],
+}
+
+impl Reached {
+    fn of_eighth(&self, eighth: usize) -> &[u32] {
+        let first = eighth * (self.samples.len() / 8);
+        &self.samples[first..first + self.counts[eighth] as usize]
+    }
+}
+
+/// What cells are made of.
+struct Growing<'a> {
+    supports: &'a [Vec4],
+    /// Centre and radius of each support.
+    balls: &'a [Vec4],
+}
+
+impl Growing<'_> {
+    /// Parts a cell that some samples reach: appends itself and what is below.
+    fn part(&self, cell: Cell, near: &[u32], parted: &mut Vec<[u32; 8]>) {
+        let at = parted.len();
+        parted.push([0; 8]);
+        let reached = self.reached(cell, near);
+        if near.len() < SIDE_BY_SIDE {
+            for i in 0..8 {
+                let least = reached.least[i];
+                parted[at][i] = self.fill(cell.eighth(i), near, reached.of_eighth(i), least, parted);
+            }
+            return;
+        }
+        let eighths: Vec<(u32, Vec<[u32; 8]>)> = (0..8)
+            .into_par_iter()
+            .map(|i| {
+                let mut below = Vec::new();
+                let least = reached.least[i];
+                (self.fill(cell.eighth(i), near, reached.of_eighth(i), least, &mut below), below)
+            })
+            .collect();
+        for (i, (what, below)) in eighths.into_iter().enumerate() {
+            let first = parted.len() as u32;
+            parted[at][i] = behind(first, what);
+            parted.extend(below.into_iter().map(|eighths| eighths.map(|what| behind(first, what))));
+        }
+    }
+
+    /// Which samples reach the eighths of a cell.
+    fn reached(&self, cell: Cell, near: &[u32]) -> Reached {
+        let [low, high] = [0, 7].map(|eighth| cell.eighth(eighth));
+        let mut reached =
+            Reached { samples: vec![0; 8 * near.len()], counts: [0; 8], least: [f32::INFINITY; 8] };
+        for sample in near {
+            let ball = self.balls[*sample as usize];
+            let reach = REACH * ball.w;
+            let mut met = MET[low.meets(ball, reach) | high.meets(ball, reach) << 3];
+            while met != 0 {
+                let eighth = met.trailing_zeros() as usize;
+                let count = &mut reached.counts[eighth];
+                reached.samples[eighth * near.len() + *count as usize] = *sample;
+                *count += 1;
+                reached.least[eighth] = reached.least[eighth].min(ball.w);
+                met &= met - 1;
+            }
+        }
+        reached
+    }
+
+    /// What a cell is filled with, of which the one that it is a part of is reached by the samples `around`, and
+    /// itself by those that are `near`, whose `least` radius is known.
+    fn fill(&self, cell: Cell, around: &[u32], near: &[u32], least: f32, parted: &mut Vec<[u32; 8]>) -> u32 {
+        if near.len() > MOST && cell.edge > EDGE * least && cell.level < LEVELS {
+            let at = parted.len() as u32;
+            self.part(cell, near, parted);
+            return at | PARTED;
+        }
+        let middle = cell.middle();
+        // Depths and squared distances are in the order of their bits.
+        let first = |from: &[u32], key: &dyn Fn(Vec4) -> f32| {
+            let keys = from
+                .iter()
+                .map(|i| u64::from(key(self.supports[*i as usize]).to_bits()) << 32 | u64::from(*i));
+            keys.min().unwrap_or_default() as u32
+        };
+        // Where nobody reaches, the nearest.
+        if near.is_empty() {
+            first(around, &|support| (middle - support.truncate()).length_squared())
+        } else {
+            first(near, &|support| depth(support, middle))
+        }
+    }
+}
+
+/// Where the last place was found, as the next one is mostly near it. What is found does not depend on it.
+pub struct Finger<'a> {
+    cells: &'a Cells,
+    /// The last place, in finest cells.
+    at: UVec3,
+    /// The cells around it that are parted, by their level ...
+    parted: [u32; LEVELS as usize],
+    /// ... and the level and the sample of the one that is not.
+    level: u32,
+    sample: u32,
+}
+
+impl<'a> Finger<'a> {
+    pub fn new(cells: &'a Cells) -> Self {
+        let mut finger = Self { cells, at: UVec3::ZERO, parted: [0; LEVELS as usize], level: 0, sample: 0 };
+        finger.descend(0);
+        finger
+    }
+
+    /// The sample of the cell in which a point lies, or next to which.
+    #[inline]
+    pub fn sample(&mut self, p: Vec3) -> u32 {
+        let at = whole((p - self.cells.corner) * self.cells.scale);
+        let differ = at ^ self.at;
+        // Down to this level it is in the same cells as the last one.
+        let common = LEVELS - (u32::BITS - (differ.x | differ.y | differ.z).leading_zeros());
+        self.at = at;
+        if common < self.level {
+            self.descend(common);
+        }
+        self.sample
+    }
+
+    fn descend(&mut self, from: u32) {
+        let mut level = from;
+        let mut parted = self.parted[level as usize];
+        loop {
+            let bits = (self.at >> (LEVELS - 1 - level)) & 1;
+            let what = self.cells.parted[parted as usize][(bits.x | bits.y << 1 | bits.z << 2) as usize];
+            level += 1;
+            if what & PARTED == 0 {
+                (self.level, self.sample) = (level, what);
+                return;
+            }
+            parted = what & !PARTED;
+            self.parted[level as usize] = parted;
+        }
+    }
+}
+
+/// The finest cell to which a way from the corner leads, or the one that is nearest to it: the whole part of each
+/// number, as none is less than nothing, three at once.
+#[inline]
+fn whole(way: Vec3) -> UVec3 {
+    // What is added to that has no digits behind the point.
+    const SHIFT: f32 = (1 << 23) as f32;
+    let most = ((1 << LEVELS) - 1) as f32;
+    let way = way.extend(0.0).clamp(Vec4::ZERO, Vec4::splat(most));
+    let rounded = (way + SHIFT) - SHIFT;
+    let down = rounded - Vec4::select(rounded.cmpgt(way), Vec4::ONE, Vec4::ZERO);
+    let [x, y, z, _] = (down + SHIFT).to_array().map(|x| x.to_bits() - SHIFT.to_bits());
+    UVec3::new(x, y, z)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn whole_parts_are_found_three_at_once(
+            way in prop::array::uniform3(prop_oneof![-2.0..70.0f32, -1e7..1e7f32, (0..1i32 << LEVELS).prop_map(|x| x as f32)]),
+        ) {
+            let way = Vec3::from_array(way);
+            let most = ((1 << LEVELS) - 1) as f32;
+            prop_assert_eq!(whole(way), way.clamp(Vec3::ZERO, Vec3::splat(most)).as_uvec3());
+        }
+    }
+
+    #[test]
+    fn the_cells_are_the_same_on_any_number_of_threads() {
+        let points: Vec<Vec3> = (0..20_000u32)
+            .map(|i| Vec3::new((i as f32 * 0.618).fract(), (i as f32 * 0.01).sin(), i as f32 / 20_000.0))
+            .collect();
+        let set = SampleSet::new(points, Vec::new()).expect("samples");
+        set.prepare();
+        let radius = vec![0.03; set.len()];
+        let of = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            pool.install(|| Cells::build(&set, &radius).parted)
+        };
+        let cells = of(1);
+        assert!(cells == of(3));
+        assert!(cells.len() > 100 && cells.len() < set.len(), "{}", cells.len());
+    }
+}
