@@ -156,9 +156,7 @@ pub(crate) fn meet(
     progress: &dyn Progress,
 ) -> Result<(DeformedSamples, Certificate)> {
     check_precision(&sampled, model, tolerance)?;
-    let first = sampled.samples.len() as u64;
-    let of_diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
-    let most = (MOST * first).max(FEW).min(sampled.source.vertices);
+    let mut search = Search::new(&sampled, model, tolerance, folder, progress);
     let refinements = Refinements { folder: folder.to_owned(), time, ..Refinements::default() };
     let again = |sampled: Arc<SampledModel>, steps: &[Step]| {
         deform(sampled, steps, plugins, refinements.clone(), progress)
@@ -169,75 +167,161 @@ pub(crate) fn meet(
     if plain.len() < steps.len() {
         deformed = again(deformed.sampled, &plain)?;
     }
-    // Finer than what is allowed, as density changes around what is refined, which costs precision there.
-    let asked = (ASKED * tolerance).max(LEAST_LOCAL / of_diagonal);
-    let (mut least, mut waited) = (f64::INFINITY, 0);
-    let mut beginning: Option<Beginning> = None;
-    for rounds in 0.. {
-        let of = deformed.sampled.clone();
-        let refined = {
-            progress.begin("estimating the error", 0);
-            let around = RestGeometry::new(&of.samples);
-            let mut field = DeformationField::new(&around, &deformed.positions, Method::default())
-                .expecting(&of.frame, model.info());
-            let beginning = beginning.get_or_insert_with(|| Beginning::new(&of, &field));
-            if deformed.stack.can_evaluate() {
-                field = field.expecting_at_vertices(&of)?;
-            }
-            let mut beyond = field.expected_beyond(&of, tolerance);
-            if beyond.is_none() {
-                let found = truth(&deformed, model, &field, tolerance, progress)?;
-                let off = found.as_ref().map_or(0.0, |(truth, _)| truth.max);
-                if off <= tolerance {
-                    let expected = field.expected_beyond(&of, 0.0).map_or(0.0, |all| all.worst);
-                    let added = of.samples.len() as u64 - first;
-                    let truth = found.map(|(truth, _)| truth);
-                    drop(field);
-                    return Ok((deformed, Certificate { tolerance, expected, added, rounds, truth }));
+    loop {
+        match search.look(&deformed)? {
+            Found::Met(certificate) => return Ok((deformed, certificate)),
+            Found::More(refined) => deformed = again(refined, &plain)?,
+        }
+    }
+}
+
+/// The search for samples by which no vertex is expected to be off by more.
+struct Search<'a> {
+    model: &'a dyn Model,
+    folder: &'a Path,
+    progress: &'a dyn Progress,
+    tolerance: f64,
+    /// What is asked for where it is refined: finer than what is allowed, as density changes around what is refined, which
+    /// costs precision there.
+    asked: f64,
+    /// Samples before, and the most that there may be.
+    first: u64,
+    most: u64,
+    rounds: u64,
+    /// The least of the largest errors that were expected, and for how many rounds it has been that.
+    least: f64,
+    waited: usize,
+    beginning: Option<Beginning>,
+}
+
+/// What a round of the search comes to.
+enum Found {
+    /// The tolerance is met.
+    Met(Certificate),
+    /// More samples, which are to be deformed.
+    More(Arc<SampledModel>),
+}
+
+impl<'a> Search<'a> {
+    fn new(
+        sampled: &SampledModel,
+        model: &'a dyn Model,
+        tolerance: f64,
+        folder: &'a Path,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        let first = sampled.samples.len() as u64;
+        let of_diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
+        Self {
+            model,
+            folder,
+            progress,
+            tolerance,
+            asked: (ASKED * tolerance).max(LEAST_LOCAL / of_diagonal),
+            first,
+            most: (MOST * first).max(FEW).min(sampled.source.vertices),
+            rounds: 0,
+            least: f64::INFINITY,
+            waited: 0,
+            beginning: None,
+        }
+    }
+
+    /// Looks how far vertices are expected to be off, and adds samples there if that is too far.
+    fn look(&mut self, deformed: &DeformedSamples) -> Result<Found> {
+        let of = &deformed.sampled;
+        self.progress.begin("estimating the error", 0);
+        let around = RestGeometry::new(&of.samples);
+        let mut field = DeformationField::new(&around, &deformed.positions, Method::default())
+            .expecting(&of.frame, self.model.info());
+        self.beginning.get_or_insert_with(|| Beginning::new(of, &field));
+        if deformed.stack.can_evaluate() {
+            field = field.expecting_at_vertices(of)?;
+        }
+        let beyond = match field.expected_beyond(of, self.tolerance) {
+            Some(beyond) => beyond,
+            None => {
+                let found = truth(deformed, self.model, &field, self.tolerance, self.progress)?;
+                if found.as_ref().is_none_or(|(truth, _)| truth.max <= self.tolerance) {
+                    return Ok(Found::Met(self.certificate(of, &field, found.map(|(truth, _)| truth))));
                 }
                 // The estimate was too small there.
                 field.learn(&found.map_or_else(Vec::new, |(_, places)| places));
-                beyond = field.expected_beyond(&of, tolerance);
+                field.expected_beyond(of, self.tolerance).ok_or_else(|| {
+                    not_met(self.tolerance, self.tolerance, "single vertices are off by a little more", None)
+                })?
             }
-            let Some(beyond) = beyond else {
-                return Err(not_met(tolerance, tolerance, "single vertices are off by a little more", None));
-            };
-            waited += 1;
-            if beyond.worst < FALLS * least {
-                (least, waited) = (beyond.worst, 0);
-            }
-            let samples = of.samples.len() as u64;
-            let limit = if rounds == ROUNDS {
-                Some(format!("{ROUNDS} rounds of refinement have not been enough"))
-            } else if samples >= most {
-                Some(format!("it has {samples} samples by now, and {most} are the most"))
-            } else {
-                None
-            };
-            let of_deformation = || beginning.why_not(&of, &field, &beyond);
-            let asks = limit.is_some() || waited >= PATIENCE;
-            if let Some(why) = asks.then(|| of_deformation().or(limit)).flatten() {
-                return Err(not_met(tolerance, beyond.worst, &why, Some(&beyond)));
-            }
-            let budget = (most - samples).min(samples);
-            let finer = Finer::Auto { error: asked, samples: Some(budget) };
-            let everywhere = Refine { shapes: Shapes::default(), finer };
-            let room = Room { memory_limit: None, folder };
-            let done = everywhere.refine(&of, model, Pose::Rest(Some(&field)), room, progress)?;
-            let Some(refined) = done.sampled else {
-                let none_left = || "there are no vertices left there that could be samples".to_owned();
-                let why = of_deformation().unwrap_or_else(none_left);
-                return Err(not_met(tolerance, beyond.worst, &why, Some(&beyond)));
-            };
-            progress.note(&format!(
-                "up to {:.1e} of the diagonal are expected: {} samples more are deformed",
-                beyond.worst, done.added
-            ));
-            refined
         };
-        deformed = again(refined.into(), &plain)?;
+        self.check_progress(of, &field, &beyond)?;
+        self.refine(of, &field, &beyond).map(Found::More)
     }
-    unreachable!("the number of rounds is bounded")
+
+    fn certificate(
+        &self,
+        of: &SampledModel,
+        field: &DeformationField<'_>,
+        truth: Option<TransferError>,
+    ) -> Certificate {
+        let expected = field.expected_beyond(of, 0.0).map_or(0.0, |all| all.worst);
+        let added = of.samples.len() as u64 - self.first;
+        Certificate { tolerance: self.tolerance, expected, added, rounds: self.rounds, truth }
+    }
+
+    /// Why more samples would not help, if they would not.
+    fn why_not(&self, of: &SampledModel, field: &DeformationField<'_>, beyond: &Beyond) -> Option<String> {
+        self.beginning.as_ref()?.why_not(of, field, beyond)
+    }
+
+    /// An error if the search has come to its limits, or no further for a while.
+    fn check_progress(
+        &mut self,
+        of: &SampledModel,
+        field: &DeformationField<'_>,
+        beyond: &Beyond,
+    ) -> Result<()> {
+        self.waited += 1;
+        if beyond.worst < FALLS * self.least {
+            (self.least, self.waited) = (beyond.worst, 0);
+        }
+        let (samples, most) = (of.samples.len() as u64, self.most);
+        let limit = if self.rounds == ROUNDS {
+            Some(format!("{ROUNDS} rounds of refinement have not been enough"))
+        } else if samples >= most {
+            Some(format!("it has {samples} samples by now, and {most} are the most"))
+        } else {
+            None
+        };
+        let asks = limit.is_some() || self.waited >= PATIENCE;
+        match asks.then(|| self.why_not(of, field, beyond).or(limit)).flatten() {
+            Some(why) => Err(not_met(self.tolerance, beyond.worst, &why, Some(beyond))),
+            None => Ok(()),
+        }
+    }
+
+    /// Adds samples where more is expected than is allowed.
+    fn refine(
+        &mut self,
+        of: &SampledModel,
+        field: &DeformationField<'_>,
+        beyond: &Beyond,
+    ) -> Result<Arc<SampledModel>> {
+        let samples = of.samples.len() as u64;
+        let finer = Finer::Auto { error: self.asked, samples: Some((self.most - samples).min(samples)) };
+        let everywhere = Refine { shapes: Shapes::default(), finer };
+        let room = Room { memory_limit: None, folder: self.folder };
+        let done = everywhere.refine(of, self.model, Pose::Rest(Some(field)), room, self.progress)?;
+        let Some(refined) = done.sampled else {
+            let none_left = || "there are no vertices left there that could be samples".to_owned();
+            let why = self.why_not(of, field, beyond).unwrap_or_else(none_left);
+            return Err(not_met(self.tolerance, beyond.worst, &why, Some(beyond)));
+        };
+        self.progress.note(&format!(
+            "up to {:.1e} of the diagonal are expected: {} samples more are deformed",
+            beyond.worst, done.added
+        ));
+        self.rounds += 1;
+        Ok(refined.into())
+    }
 }
 
 /// What was expected before samples were added.
