@@ -1,6 +1,7 @@
 //! The state, and what is the window's own.
 
 mod asked;
+mod asks;
 mod looks;
 mod prompt;
 mod toasts;
@@ -13,6 +14,7 @@ use crate::turntable::{AskedPicture, AskedTurntable, Film, Turning};
 use crate::viewport::seen::mode_of;
 use crate::{example, plugins, theme};
 pub use asked::{Kept, Leaving, Palette, Question, Renaming, Report, Running};
+pub use asks::Asks;
 use eframe::egui;
 pub use looks::Looks;
 pub use prompt::{Prompt, common};
