@@ -1,6 +1,7 @@
 //! The window as eframe runs it.
 
 use crate::panels;
+use crate::panels::legend::Legend;
 use crate::settings::Theme;
 use crate::viewport::Viewport;
 use crate::window::Window;
@@ -73,12 +74,13 @@ impl eframe::App for App {
     fn ui(&mut self, ui: &mut egui::Ui, _: &mut eframe::Frame) {
         let window = &mut self.window;
         actions::keys(window);
-        panels::menu::show(ui, window);
+        window.draw(|window, asks| panels::menu::show(ui, window, asks));
         panels::status::show(ui, window);
         if window.state().scene().is_some() {
-            panels::tools::show(ui, window);
-            panels::side::show(ui, window);
-            panels::legend::show(ui, window);
+            window.draw(|window, asks| panels::tools::show(ui, window, asks));
+            window.draw(|window, asks| panels::side::show(ui, window, asks));
+            let legend = Legend::find(window);
+            window.draw(|window, asks| panels::legend::show(ui, window, asks, legend));
         }
         viewport::show(ui, window, &mut self.viewport);
         panels::floating::show(ui.ctx(), window);

@@ -2,7 +2,7 @@
 
 use super::count;
 use crate::theme;
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{RichText, Sense, Ui, vec2};
 use simod_scene::Drawn;
 use simod_viewer::detail::Figures;
@@ -23,7 +23,7 @@ fn words(of: Previewed, Figures { vertices, stride, stale, .. }: Figures) -> Str
 }
 
 /// In a line, from the right.
-pub fn show(ui: &mut Ui, window: &mut Window) {
+pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let Some((of, figures)) = window.state().detail().map(|detail| (detail.previewed(), detail.figures()))
     else {
         return;
@@ -39,10 +39,10 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
         None => line,
     };
     if ui.button("Off").on_hover_text("Samples everywhere").clicked() {
-        window.apply(Command::Preview { what: Previewed::Nothing });
+        asks.apply(Command::Preview { what: Previewed::Nothing });
     }
     if ui.button("Update").on_hover_text("Stream what is seen, or selected, now").clicked() {
-        window.apply(Command::Preview { what: of });
+        asks.apply(Command::Preview { what: of });
     }
     ui.label(RichText::new("samples, at less detail").small().weak());
     let (dot, _) = ui.allocate_exact_size(vec2(12.0, 14.0), Sense::hover());

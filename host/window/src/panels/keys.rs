@@ -2,7 +2,7 @@
 
 use super::frames::modal;
 use crate::actions::{ALL, Action, Menu};
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{self, Grid, Id, Key, Modal, Modifiers, RichText, ScrollArea, Ui};
 
 /// What the pointer does, whatever the preset.
@@ -33,7 +33,7 @@ fn preset(name: &str) -> [(&'static str, &'static str); 3] {
 }
 
 /// Shows them until they are closed: by its button, Escape, the key that opened it, or a click beside it.
-pub fn show(ctx: &egui::Context, window: &mut Window) {
+pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
     if !window.shows_keys {
         return;
     }
@@ -68,7 +68,9 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
                 });
             });
     });
-    window.shows_keys = !(close || modal.should_close());
+    if close || modal.should_close() {
+        asks.then(|window| window.shows_keys = false);
+    }
 }
 
 fn group(ui: &mut Ui, name: &str, rows: &[(String, &str)]) {

@@ -2,7 +2,7 @@
 
 use super::{detail, number};
 use crate::theme;
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{
     Align, Align2, Color32, FontId, Frame, Layout, Margin, Mesh, Panel, Rect, RichText, Sense, Shape, Ui,
     pos2, vec2,
@@ -33,8 +33,7 @@ fn title(window: &Window) -> Option<(String, &'static str)> {
 
 /// Below the picture, so that nothing of the model is covered: the scale of an overlay, or the colours of regions,
 /// and how much is shown in full; nothing where all is of one colour.
-pub fn show(ui: &mut Ui, window: &mut Window) {
-    let legend = Legend::find(window);
+pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, legend: Option<Legend>) {
     let has_detail = window.state().detail().is_some();
     if legend.is_none() && !has_detail {
         return;
@@ -49,7 +48,7 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
             });
         }
         if has_detail {
-            let line = |ui: &mut Ui| detail::show(ui, window);
+            let line = |ui: &mut Ui| detail::show(ui, window, asks);
             ui.allocate_ui_with_layout(
                 vec2(ui.available_width(), 24.0),
                 Layout::right_to_left(Align::Center),
@@ -60,7 +59,7 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
 }
 
 /// What the colours of a picture mean.
-enum Legend {
+pub enum Legend {
     /// Numbers: what they are of, their unit, and the ends of the scale.
     Scale(String, &'static str, [f32; 2]),
     /// Classes of points.
@@ -70,7 +69,8 @@ enum Legend {
 }
 
 impl Legend {
-    fn find(window: &mut Window) -> Option<Self> {
+    /// What the picture that is shown now has.
+    pub fn find(window: &mut Window) -> Option<Self> {
         let Some((title, unit)) = title(window) else { return roles(window).map(Self::Roles) };
         let field = window.state_mut().field()?;
         Some(match field.are_classes {

@@ -4,7 +4,7 @@ use super::card;
 use super::clip;
 use crate::lessons::{self, ALL};
 use crate::theme;
-use crate::window::{Running, Window};
+use crate::window::{Asks, Running, Window};
 use eframe::egui::{Align2, Area, Button, Color32, Id, Order, Rect, RichText, Sense, Ui, vec2};
 
 const MARGIN: f32 = 12.0;
@@ -19,8 +19,8 @@ enum Answer {
 }
 
 /// At the lower left, while one is done.
-pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
-    let Some(running) = window.lesson.take() else { return };
+pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
+    let Some(running) = &window.lesson else { return };
     let below = if window.state().clipped().is_some() { clip::HEIGHT } else { 0.0 };
     let area = Area::new(Id::unique("lesson")).order(Order::Middle).movable(false);
     let area = area.pivot(Align2::LEFT_BOTTOM).fixed_pos(rect.left_bottom() + vec2(MARGIN, -MARGIN - below));
@@ -28,14 +28,13 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     area.show(ui.ctx(), |ui| {
         card(ui).show(ui, |ui| {
             ui.set_width(WIDTH.min(rect.width() - 60.0));
-            answer = content(ui, window, &running);
+            answer = content(ui, window, running);
         });
     });
-    window.lesson = Some(running);
     match answer {
-        Some(Answer::DoIt) => lessons::do_it(window),
-        Some(Answer::Begin(lesson)) => lessons::begin(window, lesson),
-        Some(Answer::End) => window.lesson = None,
+        Some(Answer::DoIt) => asks.then(lessons::do_it),
+        Some(Answer::Begin(lesson)) => asks.then(move |window| lessons::begin(window, lesson)),
+        Some(Answer::End) => asks.then(|window| window.lesson = None),
         None => {}
     }
 }
@@ -91,11 +90,11 @@ fn content(ui: &mut Ui, window: &Window, running: &Running) -> Option<Answer> {
 }
 
 /// The lessons, each to be begun.
-pub fn list(ui: &mut Ui, window: &mut Window) {
+pub fn list(ui: &mut Ui, asks: &mut Asks) {
     for (i, lesson) in ALL.iter().enumerate() {
         ui.horizontal(|ui| {
             if ui.link(format!("{}. {}", i + 1, lesson.title)).on_hover_text(lesson.about).clicked() {
-                lessons::begin(window, i);
+                asks.then(move |window| lessons::begin(window, i));
             }
         });
     }

@@ -4,7 +4,7 @@ use super::{card, clip, lesson, pinned, progress};
 use crate::tools::hand::Measuring;
 use crate::tools::measure;
 use crate::tools::{Tool, is_of_use};
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{Align, Button, DragValue, Layout, Rect, RichText, Slider, Ui, UiBuilder, pos2, vec2};
 use simod_viewer::Command;
 use simod_viewer::command::Area;
@@ -13,35 +13,35 @@ use simod_viewer::selection::Combine;
 const MARGIN: f32 = 12.0;
 
 /// All of it.
-pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
+pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
     if window.tools.has_options() {
-        options(ui, rect, window);
+        options(ui, rect, window, asks);
     }
-    progress::show(ui, rect, window);
-    pinned::show(ui, rect, window);
-    clip::show(ui, rect, window);
-    lesson::show(ui, rect, window);
+    progress::show(ui, rect, window, asks);
+    pinned::show(ui, rect, window, asks);
+    clip::show(ui, rect, window, asks);
+    lesson::show(ui, rect, window, asks);
 }
 
-fn options(ui: &mut Ui, rect: Rect, window: &mut Window) {
+fn options(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
     let area = Rect::from_min_max(rect.min + vec2(MARGIN, MARGIN), pos2(rect.right() - 120.0, rect.bottom()));
     let builder = UiBuilder::new().max_rect(area).layout(Layout::left_to_right(Align::Min));
     ui.scope_builder(builder, |ui| {
         card(ui).show(ui, |ui| {
             // In a narrow picture, in several lines.
             ui.horizontal_wrapped(|ui| match window.tools.tool {
-                Tool::Stroke => stroke(ui, window),
-                Tool::Measure => measuring(ui, window),
-                Tool::Joint => chaining(ui, window),
-                tool if tool.is_gizmo() => moving(ui, window),
-                _ => selecting(ui, window),
+                Tool::Stroke => stroke(ui, window, asks),
+                Tool::Measure => measuring(ui, window, asks),
+                Tool::Joint => chaining(ui, window, asks),
+                tool if tool.is_gizmo() => moving(ui, window, asks),
+                _ => selecting(ui, window, asks),
             });
         });
     });
 }
 
 /// Of handles that a plugin placed: how many are in the hand, and how far others go along.
-fn moving(ui: &mut Ui, window: &mut Window) {
+fn moving(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let Some((_, step, ..)) = window.chosen() else { return };
     let count = window.tools.handles(step).len();
     let text = if count == 1 { "1 handle".to_owned() } else { format!("{count} handles") };
@@ -49,15 +49,19 @@ fn moving(ui: &mut Ui, window: &mut Window) {
     ui.separator();
     ui.spacing_mut().slider_width = 110.0;
     ui.label("Falloff");
-    let slider = Slider::new(&mut window.tools.reach, 0.0..=0.5).max_decimals(3);
+    let mut reach = window.tools.reach;
+    let slider = Slider::new(&mut reach, 0.0..=0.5).max_decimals(3);
     let response = ui.add(slider).on_hover_text(
         "Handles within this part of the model\u{2019}s diagonal go along, the less the farther they are; none at 0",
     );
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Falloff around handles"));
+    if response.changed() {
+        asks.then(move |window| window.tools.reach = reach);
+    }
 }
 
 /// How many joints a drag places.
-fn chaining(ui: &mut Ui, window: &mut Window) {
+fn chaining(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     if !is_of_use(Tool::Joint, window) {
         ui.label(RichText::new("The chosen step takes no joints.").weak());
         return;
@@ -70,7 +74,7 @@ fn chaining(ui: &mut Ui, window: &mut Window) {
         let response = ui.add(button).on_hover_text(hint);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label(format!("Place {name}")));
         if response.clicked() {
-            window.tools.places_pins = pins;
+            asks.then(move |window| window.tools.places_pins = pins);
         }
     }
     ui.separator();
@@ -79,16 +83,24 @@ fn chaining(ui: &mut Ui, window: &mut Window) {
         return;
     }
     ui.label("A drag places a chain of");
-    let field = ui.add(DragValue::new(&mut window.tools.chain).range(2..=64));
+    let mut chain = window.tools.chain;
+    let field = ui.add(DragValue::new(&mut chain).range(2..=64));
     field.ctx.accesskit_node_builder(field.id, |node| node.set_label("Joints of a chain"));
+    if field.changed() {
+        asks.then(move |window| window.tools.chain = chain);
+    }
     ui.separator();
-    ui.checkbox(&mut window.tools.holds_body, "Hold the Body").on_hover_text(
+    let mut holds = window.tools.holds_body;
+    let hold = ui.checkbox(&mut holds, "Hold the Body").on_hover_text(
         "As long as no bone is in its middle, pins there keep the body from turning with a limb",
     );
+    if hold.changed() {
+        asks.then(move |window| window.tools.holds_body = holds);
+    }
 }
 
 /// What is measured, and what it comes to.
-fn measuring(ui: &mut Ui, window: &mut Window) {
+fn measuring(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     for (measuring, name, hint) in [
         (Measuring::Distance, "Distance", "Between two points; a third click begins anew"),
         (Measuring::Angle, "Angle", "At the second of three points"),
@@ -98,7 +110,7 @@ fn measuring(ui: &mut Ui, window: &mut Window) {
         let response = ui.add(button).on_hover_text(hint);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label(format!("Measure {name}")));
         if response.clicked() {
-            window.tools.measuring = measuring;
+            asks.then(move |window| window.tools.measuring = measuring);
         }
     }
     ui.separator();
@@ -109,19 +121,19 @@ fn measuring(ui: &mut Ui, window: &mut Window) {
     if !window.state().measured().is_empty() {
         ui.separator();
         if ui.button("Remove Last").on_hover_text("The last point goes away (Backspace)").clicked() {
-            measure::remove_last(window);
+            asks.then(measure::remove_last);
         }
         if ui.button("Clear").on_hover_text("All points go away (Escape)").clicked() {
-            measure::clear(window);
+            asks.then(measure::clear);
         }
     }
 }
 
 /// Whether a box chooses samples or handles, where the step has handles.
-fn what_is_boxed(ui: &mut Ui, window: &mut Window) {
+fn what_is_boxed(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let has_handles = window.chosen().is_some_and(|(step, ..)| !window.state().handles(step).is_empty());
     if window.tools.tool != Tool::Box || !has_handles {
-        window.tools.boxes_handles &= has_handles;
+        asks.then(move |window| window.tools.boxes_handles &= has_handles);
         return;
     }
     for (handles, name, hint) in [
@@ -130,22 +142,22 @@ fn what_is_boxed(ui: &mut Ui, window: &mut Window) {
     ] {
         let button = Button::selectable(window.tools.boxes_handles == handles, name);
         if ui.add(button).on_hover_text(hint).clicked() {
-            window.tools.boxes_handles = handles;
+            asks.then(move |window| window.tools.boxes_handles = handles);
         }
     }
     ui.separator();
 }
 
-fn selecting(ui: &mut Ui, window: &mut Window) {
-    what_is_boxed(ui, window);
-    let tools = &mut window.tools;
+fn selecting(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+    what_is_boxed(ui, window, asks);
+    let tools = &window.tools;
     for (combine, name, hint) in [
         (Combine::Replace, "Replace", "What is pointed at is the selection"),
         (Combine::Add, "Add", "What is pointed at joins the selection (Shift)"),
         (Combine::Subtract, "Subtract", "What is pointed at leaves the selection (Ctrl)"),
     ] {
         if ui.add(Button::selectable(tools.combine == combine, name)).on_hover_text(hint).clicked() {
-            tools.combine = combine;
+            asks.then(move |window| window.tools.combine = combine);
         }
     }
     ui.separator();
@@ -155,17 +167,21 @@ fn selecting(ui: &mut Ui, window: &mut Window) {
             (false, "Through", "What lies behind is selected, too"),
         ] {
             if ui.add(Button::selectable(tools.visible == visible, name)).on_hover_text(hint).clicked() {
-                tools.visible = visible;
+                asks.then(move |window| window.tools.visible = visible);
             }
         }
         ui.separator();
     }
     if tools.tool == Tool::Brush {
         ui.spacing_mut().slider_width = 90.0;
-        let radius = Slider::new(&mut tools.radius, 4.0..=200.0).logarithmic(true).max_decimals(0);
+        let mut radius = tools.radius;
+        let slider = Slider::new(&mut radius, 4.0..=200.0).logarithmic(true).max_decimals(0);
         ui.label("Size");
-        let response = ui.add(radius);
+        let response = ui.add(slider);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Size of the brush"));
+        if response.changed() {
+            asks.then(move |window| window.tools.radius = radius);
+        }
         ui.separator();
     }
     let some = !window.state().selection().is_empty();
@@ -177,19 +193,19 @@ fn selecting(ui: &mut Ui, window: &mut Window) {
         ("Shrink", Area::Shrunk, true),
     ] {
         if ui.add_enabled(some || !needs, Button::new(name)).clicked() {
-            window.apply(Command::Select { area, combine: Combine::Replace, visible: false, goes_on: false });
+            asks.apply(Command::Select { area, combine: Combine::Replace, visible: false, goes_on: false });
         }
     }
 }
 
-fn stroke(ui: &mut Ui, window: &mut Window) {
+fn stroke(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let Some(scale) = window.state().scene().map(|scene| scene.frame().scale) else { return };
     let takes = window.chosen().and_then(|(_, _, _, plugin)| plugin).is_some_and(|p| p.consumes().strokes);
     if !takes {
         ui.label(RichText::new("The chosen step takes no brush strokes.").weak());
         return;
     }
-    let tools = &mut window.tools;
+    let tools = &window.tools;
     ui.spacing_mut().slider_width = 110.0;
     let mut radius = tools.stroke_radius * scale;
     ui.label("Radius");
@@ -197,11 +213,14 @@ fn stroke(ui: &mut Ui, window: &mut Window) {
     let response = ui.add(slider).on_hover_text("In the model's unit; [ and ] change it");
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Radius of the brush"));
     if response.changed() {
-        tools.stroke_radius = radius / scale;
+        asks.then(move |window| window.tools.stroke_radius = radius / scale);
     }
     ui.separator();
     ui.label("Strength");
-    let response =
-        ui.add(Slider::new(&mut tools.strength, 0.0..=1.0)).on_hover_text("Ctrl does the opposite");
+    let mut strength = tools.strength;
+    let response = ui.add(Slider::new(&mut strength, 0.0..=1.0)).on_hover_text("Ctrl does the opposite");
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Strength of the brush"));
+    if response.changed() {
+        asks.then(move |window| window.tools.strength = strength);
+    }
 }

@@ -1,7 +1,7 @@
 //! What takes its time: stage, rate, and a button that stops it.
 
 use super::{bytes, card, clip, duration, lesson};
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{Align, Layout, ProgressBar, Rect, RichText, Spinner, Ui, UiBuilder, pos2};
 use simod_viewer::Command;
 use simod_viewer::engine::{Activity, Job};
@@ -11,7 +11,7 @@ const PATIENCE: f64 = 0.4;
 const SIZE: [f32; 2] = [340.0, 92.0];
 
 /// Each job that is running and takes its time, above each other at the lower edge.
-pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
+pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
     // Above what lies in the lower corners.
     let below = window.state().clipped().is_some() || window.state().pinned().is_some();
     let below =
@@ -32,14 +32,14 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
             continue;
         }
         if shown(ui, rect, &mut bottom, what, &activity, None) {
-            window.apply(Command::Cancel { job });
+            asks.apply(Command::Cancel { job });
         }
     }
     if let Some(turning) = &window.turning {
         let (done, frames) = turning.progress();
         let line = (frames > 1).then(|| format!("frame {} of {frames}", (done + 1).min(frames)));
         if shown(ui, rect, &mut bottom, turning.name(), &turning.activity(), line) {
-            window.stop_turning();
+            asks.then(Window::stop_turning);
         }
     }
     if window.state().is_busy() || window.turning.is_some() || window.stopping.is_some() {

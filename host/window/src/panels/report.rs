@@ -2,11 +2,11 @@
 
 use super::frames::modal;
 use crate::numbers::{bytes, count};
-use crate::window::{Report, Window};
+use crate::window::{Asks, Report, Window};
 use eframe::egui::{self, Grid, Id, Modal, RichText};
 
 /// Shows it until it is closed.
-pub fn show(ctx: &egui::Context, window: &mut Window) {
+pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
     let Some(Report { output, report, seconds }) = &window.report else { return };
     let mut done = false;
     let modal = Modal::new(Id::unique("report")).frame(modal(ctx)).show(ctx, |ui| {
@@ -36,6 +36,6 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         done = ui.button("Close").clicked();
     });
     if done || modal.should_close() {
-        window.report = None;
+        asks.then(|window| window.report = None);
     }
 }

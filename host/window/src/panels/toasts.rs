@@ -1,11 +1,11 @@
 //! Messages that go away, with what to do.
 
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{self, Align2, Area, Color32, Frame, Id, Margin, Order, RichText, Stroke, vec2};
 
 /// Shows them at the lower right of the picture.
-pub fn show(ctx: &egui::Context, window: &mut Window) {
-    let (toasts, Some(next)) = window.toasts.young() else { return };
+pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
+    let (toasts, Some(next)) = window.toasts.shown() else { return };
     ctx.request_repaint_after(next);
     let mut closed = None;
     let area = Area::new(Id::unique("toasts")).order(Order::Foreground);
@@ -38,6 +38,6 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         }
     });
     if let Some(i) = closed {
-        window.toasts.close(i);
+        asks.then(move |window| window.toasts.close(i));
     }
 }

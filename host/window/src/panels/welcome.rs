@@ -3,7 +3,7 @@
 use super::{ago, lesson, progress};
 use crate::dialogs::Purpose;
 use crate::theme;
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{
     Align, Button, Color32, Frame, Id, Layout, Margin, Rect, RichText, Ui, UiBuilder, Vec2, vec2,
 };
@@ -15,9 +15,9 @@ const RECENT: usize = 5;
 const SIZE: Vec2 = vec2(440.0, 440.0);
 
 /// Ways to begin.
-pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
+pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
     if window.state().activity(Job::Open).is_some() {
-        progress::show(ui, Rect::from_center_size(rect.center(), vec2(400.0, 120.0)), window);
+        progress::show(ui, Rect::from_center_size(rect.center(), vec2(400.0, 120.0)), window, asks);
         return;
     }
     // Its height is that of the last time.
@@ -26,7 +26,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     let builder = UiBuilder::new().max_rect(area).layout(Layout::top_down(Align::Min));
     ui.scope_builder(builder, |ui| {
         let frame = Frame::window(ui.style()).inner_margin(Margin::same(28)).corner_radius(10.0);
-        let shown = frame.show(ui, |ui| content(ui, window)).response.rect.height();
+        let shown = frame.show(ui, |ui| content(ui, window, asks)).response.rect.height();
         ui.ctx().data_mut(|data| data.insert_temp(Id::unique("welcome"), shown));
         if (shown - known).abs() > 1.0 {
             ui.ctx().request_repaint();
@@ -34,7 +34,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     });
 }
 
-fn content(ui: &mut Ui, window: &mut Window) {
+fn content(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     ui.set_width(SIZE.x - 56.0);
     ui.label(RichText::new("SIMOD").size(30.0).strong());
     ui.label(RichText::new("Freeform deformation of models of any size").weak());
@@ -44,26 +44,26 @@ fn content(ui: &mut Ui, window: &mut Window) {
         let text = RichText::new("Open a Model\u{2026}").size(14.0).color(Color32::WHITE);
         let open = Button::new(text).min_size(vec2(180.0, 34.0)).fill(theme::ACCENT);
         if ui.add(open).clicked() {
-            window.ask(Purpose::Open);
+            asks.then(|window| window.ask(Purpose::Open));
         }
         if ui.add(wide("Open the Example")).on_hover_text("An amphora of 400 000 vertices").clicked() {
-            window.open_example();
+            asks.then(Window::open_example);
         }
     });
     ui.add_space(4.0);
     ui.label(RichText::new("or drop a model, a session, or a folder of samples here").weak().small());
     ui.add_space(14.0);
-    samples(ui, window);
+    samples(ui, window, asks);
     ui.add_space(14.0);
     ui.label(RichText::new("Lessons").strong());
     ui.label(
         RichText::new("A few minutes each, done on a small model with what to do beside it").weak().small(),
     );
-    lesson::list(ui, window);
-    recent(ui, window);
+    lesson::list(ui, asks);
+    recent(ui, window, asks);
 }
 
-fn samples(ui: &mut Ui, window: &mut Window) {
+fn samples(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     ui.horizontal(|ui| {
         ui.label("Samples of a model");
         for (samples, name) in
@@ -71,8 +71,10 @@ fn samples(ui: &mut Ui, window: &mut Window) {
         {
             let chosen = window.settings.samples == samples;
             if ui.add(Button::selectable(chosen, name)).clicked() {
-                window.settings.samples = samples;
-                window.keep_settings();
+                asks.then(move |window| {
+                    window.settings.samples = samples;
+                    window.keep_settings();
+                });
             }
         }
     })
@@ -80,7 +82,7 @@ fn samples(ui: &mut Ui, window: &mut Window) {
     .on_hover_text("About how many: more show finer detail, and take longer to deform");
 }
 
-fn recent(ui: &mut Ui, window: &mut Window) {
+fn recent(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let recent: Vec<_> = window.settings.recent.iter().filter(|p| p.exists()).take(RECENT).cloned().collect();
     if recent.is_empty() {
         return;
@@ -92,7 +94,8 @@ fn recent(ui: &mut Ui, window: &mut Window) {
         ui.horizontal(|ui| {
             let folder = path.parent().map_or_else(String::new, |p| p.display().to_string());
             if ui.link(name).on_hover_text(path.display().to_string()).clicked() {
-                window.ask_to_open(path.clone());
+                let path = path.clone();
+                asks.then(|window| window.ask_to_open(path));
             }
             ui.add(eframe::egui::Label::new(RichText::new(folder).weak().small()).truncate());
             if let Some(made) = state::kept_at(&path) {
@@ -100,7 +103,7 @@ fn recent(ui: &mut Ui, window: &mut Window) {
                 let hint = format!("An edit of it was kept against a crash, {}", ago(made));
                 if ui.link(text).on_hover_text(hint).clicked() {
                     let sampling = crate::settings::sampling(None);
-                    window.open_now(path, sampling, true);
+                    asks.then(move |window| window.open_now(path, sampling, true));
                 }
             }
         });

@@ -48,12 +48,12 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         if let Some(emerging) = viewport.emerging(&canvas(main, false), window) {
             navigate::update(&canvas(main, false), window, window.tools.tool);
             whole.set(picture, emerging);
-            panels::progress::show(ui, rect, window);
+            window.draw(|window, asks| panels::progress::show(ui, rect, window, asks));
             return;
         }
         if window.state().scene().is_none() {
             viewport.clear(ui, rect, window);
-            panels::welcome::show(ui, rect, window);
+            window.draw(|window, asks| panels::welcome::show(ui, rect, window, asks));
             return;
         }
         // The pinned version is looked at only.
@@ -83,6 +83,6 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         whole.set(picture, egui::Shape::Vec(pictures));
         versions::captions(ui, rect, &places, window);
         corner::show(ui, main, window);
-        panels::over::show(ui, rect, window);
+        window.draw(|window, asks| panels::over::show(ui, rect, window, asks));
     });
 }

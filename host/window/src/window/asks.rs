@@ -35,6 +35,11 @@ impl Window {
     pub fn draw(&mut self, part: impl FnOnce(&Self, &mut Asks)) {
         let mut asks = Asks::default();
         part(self, &mut asks);
+        self.answer(asks);
+    }
+
+    /// Does what was asked for.
+    pub fn answer(&mut self, asks: Asks) {
         asks.0.into_iter().for_each(|ask| ask(self));
     }
 }

@@ -239,6 +239,7 @@ impl Window {
 
     /// Takes what is new. To be called before each picture.
     pub fn update(&mut self) {
+        self.toasts.leave_old();
         self.state.poll();
         let notices = self.state.take_notices();
         // What is there now takes the messages along that it was not.

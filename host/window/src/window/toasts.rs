@@ -64,9 +64,13 @@ impl Toasts {
         self.0.retain(|toast| toast.cause != Some(cause));
     }
 
-    /// Those that are not too old, and how long until the next one is.
-    pub fn young(&mut self) -> (&[Toast], Option<Duration>) {
+    /// Those that are too old go.
+    pub fn leave_old(&mut self) {
         self.0.retain(|toast| toast.since.elapsed() < toast.stays());
+    }
+
+    /// All of them, and how long until the first one goes.
+    pub fn shown(&self) -> (&[Toast], Option<Duration>) {
         let left = self.0.iter().map(|toast| toast.stays().saturating_sub(toast.since.elapsed())).min();
         (&self.0, left)
     }
