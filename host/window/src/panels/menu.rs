@@ -4,7 +4,7 @@ use crate::actions::{ALL, Action, Menu};
 use crate::lessons::{ALL as ALL_LESSONS, begin};
 use crate::settings::Settings;
 use crate::steps;
-use crate::window::{Palette, Window};
+use crate::window::{Asks, Palette, Window};
 use crate::wording::purpose;
 use eframe::egui::{self, Button, Frame, Margin, MenuBar, Panel, RichText, Ui};
 use simod_session::Plugin;
@@ -22,21 +22,21 @@ const MENUS: [(&str, Menu); 8] = [
 ];
 
 /// The bar at the top.
-pub fn show(ui: &mut Ui, window: &mut Window) {
+pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let frame = Frame::side_top_panel(ui.style()).inner_margin(Margin::symmetric(8, 4));
     Panel::top("menu").frame(frame).show(ui, |ui| {
         MenuBar::new().ui(ui, |ui| {
             for (name, menu) in MENUS {
                 if menu == Menu::Tool {
-                    ui.menu_button("Step", |ui| add_step(ui, window, None));
+                    ui.menu_button("Step", |ui| add_step(ui, window, asks, None));
                 }
-                ui.menu_button(name, |ui| entries(ui, window, menu));
+                ui.menu_button(name, |ui| entries(ui, window, asks, menu));
             }
             title(ui, window);
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 let text = RichText::new("Search commands   Ctrl+P").weak();
                 if ui.add(Button::new(text).min_size(egui::vec2(190.0, 0.0))).clicked() {
-                    window.palette = Some(Palette::default());
+                    asks.then(|window| window.palette = Some(Palette::default()));
                 }
             });
         });
@@ -56,50 +56,50 @@ fn title(ui: &mut Ui, window: &Window) {
     ui.label(RichText::new(text).weak()).on_hover_text(hover);
 }
 
-fn entries(ui: &mut Ui, window: &mut Window, menu: Menu) {
+fn entries(ui: &mut Ui, window: &Window, asks: &mut Asks, menu: Menu) {
     for action in ALL.iter().filter(|action| action.menu == menu) {
         if action.begins {
             ui.separator();
         }
-        entry(ui, window, action);
+        entry(ui, window, asks, action);
         if menu == Menu::File && action.name.starts_with("Open the Example") {
-            recent(ui, window);
+            recent(ui, window, asks);
         }
     }
     if menu == Menu::Overlay {
         ui.separator();
-        ui.menu_button("Attribute", |ui| attributes(ui, window));
+        ui.menu_button("Attribute", |ui| attributes(ui, window, asks));
     }
     if menu == Menu::Help {
         ui.separator();
-        ui.menu_button("Lessons", |ui| lessons(ui, window));
+        ui.menu_button("Lessons", |ui| lessons(ui, asks));
     }
     if menu == Menu::View {
         ui.separator();
-        ui.menu_button("Light", |ui| entries(ui, window, Menu::Light));
-        ui.menu_button("Navigation", |ui| navigation(ui, window));
+        ui.menu_button("Light", |ui| entries(ui, window, asks, Menu::Light));
+        ui.menu_button("Navigation", |ui| navigation(ui, window, asks));
     }
 }
 
 /// One action, with its keys.
-fn entry(ui: &mut Ui, window: &mut Window, action: &Action) {
+fn entry(ui: &mut Ui, window: &Window, asks: &mut Asks, action: &Action) {
     let is_on = action.is_on.is_some_and(|is_on| is_on(window));
     let button = Button::selectable(is_on, action.name).shortcut_text(action.keys_text(ui.ctx()));
     if ui.add_enabled((action.can)(window), button).clicked() {
-        (action.run)(window);
+        asks.then(action.run);
         ui.close();
     }
 }
 
-fn recent(ui: &mut Ui, window: &mut Window) {
+fn recent(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let Settings { recent, .. } = &window.settings;
-    let recent = recent.clone();
     ui.add_enabled_ui(!recent.is_empty(), |ui| {
         ui.menu_button("Open Recent", |ui| {
             for path in recent {
                 let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
                 if ui.button(name).on_hover_text(path.display().to_string()).clicked() {
-                    window.ask_to_open(path);
+                    let path = path.clone();
+                    asks.then(move |window| window.ask_to_open(path));
                     ui.close();
                 }
             }
@@ -108,52 +108,55 @@ fn recent(ui: &mut Ui, window: &mut Window) {
 }
 
 /// The numbers that the model's vertices have, to be shown on the surface.
-fn attributes(ui: &mut Ui, window: &mut Window) {
-    let names: Vec<String> = window.state().attributes().iter().map(|a| a.name.clone()).collect();
-    if names.is_empty() {
+fn attributes(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+    let attributes = window.state().attributes();
+    if attributes.is_empty() {
         ui.label("Its vertices have no numbers beside positions and normals.");
     }
-    for (place, name) in names.into_iter().enumerate() {
+    for (place, attribute) in attributes.iter().enumerate() {
         let overlay = Overlay::Attribute(place);
         let is_on = window.state().overlay() == overlay;
-        if ui.add(Button::selectable(is_on, name)).clicked() {
-            window.apply(Command::Show(if is_on { Overlay::None } else { overlay }));
+        if ui.add(Button::selectable(is_on, attribute.name.as_str())).clicked() {
+            asks.apply(Command::Show(if is_on { Overlay::None } else { overlay }));
             ui.close();
         }
     }
 }
 
-fn lessons(ui: &mut Ui, window: &mut Window) {
+fn lessons(ui: &mut Ui, asks: &mut Asks) {
     for (i, lesson) in ALL_LESSONS.iter().enumerate() {
         if ui.button(lesson.title).on_hover_text(lesson.about).clicked() {
-            begin(window, i);
+            asks.then(move |window| begin(window, i));
             ui.close();
         }
     }
 }
 
-fn navigation(ui: &mut Ui, window: &mut Window) {
+fn navigation(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     for preset in Navigation::ALL {
         let chosen = window.settings.navigation().name == preset.name;
         if ui.add(Button::selectable(chosen, preset.name)).clicked() {
-            window.settings.navigation = preset.name.to_owned();
-            window.keep_settings();
+            asks.then(move |window| {
+                window.settings.navigation = preset.name.to_owned();
+                window.keep_settings();
+            });
             ui.close();
         }
     }
 }
 
 /// All plugins, to be added as a step.
-pub fn add_step(ui: &mut Ui, window: &mut Window, at: Option<usize>) {
-    let plugins = window.state().plugins().clone();
+pub fn add_step(ui: &mut Ui, window: &Window, asks: &mut Asks, at: Option<usize>) {
+    let plugins = window.state().plugins().plugins();
     let enabled = window.state().scene().is_some();
-    if plugins.plugins().is_empty() {
+    if plugins.is_empty() {
         ui.label("No plugins were found.");
     }
-    for plugin in plugins.plugins() {
+    for plugin in plugins {
         let button = Button::new(plugin.name()).right_text(RichText::new(plugin.id()).weak().small());
         if ui.add_enabled(enabled, button).on_hover_text(about(plugin)).clicked() {
-            steps::added(window, plugin, at);
+            let plugin = plugin.clone();
+            asks.then(move |window| steps::added(window, &plugin, at));
             ui.close();
         }
     }

@@ -2,7 +2,7 @@
 
 use crate::actions::ALL;
 use crate::steps::added;
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{self, Align2, Button, Id, Key, Modal, RichText, ScrollArea, TextEdit, vec2};
 use simod_session::Plugin;
 use std::path::PathBuf;
@@ -63,8 +63,8 @@ fn found(window: &Window, typed: &str) -> Vec<Entry> {
 }
 
 /// Shows it while it is open.
-pub fn show(ctx: &egui::Context, window: &mut Window) {
-    let Some(mut palette) = window.palette.take() else { return };
+pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
+    let Some(mut palette) = window.palette.clone() else { return };
     let area = Modal::default_area(Id::unique("palette")).anchor(Align2::CENTER_TOP, vec2(0.0, 90.0));
     let mut done = None;
     let modal = Modal::new(Id::unique("palette")).area(area).show(ctx, |ui| {
@@ -104,11 +104,13 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
             }
         });
     });
-    if let Some(entry) = done {
-        entry.run(window);
-    } else if !modal.should_close() {
-        window.palette = Some(palette);
-    }
+    let palette = Some(palette).filter(|_| done.is_none() && !modal.should_close());
+    asks.then(move |window| {
+        window.palette = palette;
+        if let Some(entry) = done {
+            entry.run(window);
+        }
+    });
 }
 
 #[cfg(test)]

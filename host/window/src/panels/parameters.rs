@@ -4,7 +4,7 @@ use super::parts;
 use crate::dialogs::Purpose;
 use crate::widgets::parameter;
 use crate::widgets::values::{Asked, number_of};
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{CollapsingHeader, RichText, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::edit::Change;
@@ -12,7 +12,7 @@ use simod_session::session_file::Deformation;
 use simod_viewer::Command;
 
 /// The parameters.
-pub fn show(ui: &mut Ui, window: &mut Window) {
+pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let Some((step, _, deformation, plugin)) = window.chosen() else { return };
     parts::part(ui);
     let Some(plugin) = plugin else {
@@ -25,7 +25,7 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
         let reset = ui.add_enabled(can_reset, eframe::egui::Button::new("Reset All").small());
         if reset.on_hover_text("All parameters get their defaults").clicked() {
             for id in deformation.params.keys() {
-                window.change(step, Change::SetParam { id: id.clone(), value: None }, false);
+                asks.change(step, Change::SetParam { id: id.clone(), value: None }, false);
             }
         }
     });
@@ -33,7 +33,7 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
         ui.label(RichText::new(plugin.summary()).weak().small()).on_hover_text(super::menu::about(&plugin));
         ui.add_space(4.0);
     }
-    amount(ui, window, step, &deformation);
+    amount(ui, window, asks, step, &deformation);
     if plugin.params().is_empty() {
         ui.label(RichText::new("It has no parameters.").weak());
     }
@@ -49,7 +49,7 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
     for (group, params) in groups {
         let show = |ui: &mut Ui| {
             for desc in params {
-                one(ui, window, step, desc, deformation.params.get(desc.id.as_str()));
+                one(ui, window, asks, step, desc, deformation.params.get(desc.id.as_str()));
             }
         };
         if group.is_empty() {
@@ -61,8 +61,8 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
 }
 
 /// How much of the step is done.
-fn amount(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation) {
-    let Some(scene) = window.state().scene().cloned() else { return };
+fn amount(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation) {
+    let Some(scene) = window.state().scene() else { return };
     let desc = ParamDesc::float("step-amount", "Amount", 1.0)
         .hint("How much of the step is done: 0 leaves all at rest, 1 is the whole deformation")
         .hard(0.0, 1.0)
@@ -73,34 +73,41 @@ fn amount(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
         Change::SetAmount(amount.clamp(0.0, 1.0))
     };
     match parameter::show(ui, &desc, value.as_ref(), &scene.sampled.bounds) {
-        Some(Asked::Set(value)) => _ = window.change(step, to(value), false),
-        Some(Asked::Drag(value)) => _ = window.change(step, to(Some(value)), true),
+        Some(Asked::Set(value)) => asks.change(step, to(value), false),
+        Some(Asked::Drag(value)) => asks.change(step, to(Some(value)), true),
         Some(Asked::Rest(last)) => {
             if last.is_some() {
-                window.change(step, to(last), true);
+                asks.change(step, to(last), true);
             }
-            window.apply(Command::Rest);
+            asks.apply(Command::Rest);
         }
         Some(Asked::File) | None => {}
     }
 }
 
-fn one(ui: &mut Ui, window: &mut Window, step: usize, desc: &ParamDesc, value: Option<&toml::Value>) {
-    let Some(scene) = window.state().scene().cloned() else { return };
+fn one(
+    ui: &mut Ui,
+    window: &Window,
+    asks: &mut Asks,
+    step: usize,
+    desc: &ParamDesc,
+    value: Option<&toml::Value>,
+) {
+    let Some(scene) = window.state().scene() else { return };
     let id = desc.id.to_string();
     match parameter::show(ui, desc, value, &scene.sampled.bounds) {
         None => {}
         Some(Asked::Set(value)) => {
-            window.change(step, Change::SetParam { id, value }, false);
+            asks.change(step, Change::SetParam { id, value }, false);
         }
         Some(Asked::Drag(value)) => {
-            window.change(step, Change::SetParam { id, value: Some(value) }, true);
+            asks.change(step, Change::SetParam { id, value: Some(value) }, true);
         }
         Some(Asked::Rest(last)) => {
             if last.is_some() {
-                window.change(step, Change::SetParam { id, value: last }, true);
+                asks.change(step, Change::SetParam { id, value: last }, true);
             }
-            window.apply(Command::Rest);
+            asks.apply(Command::Rest);
         }
         Some(Asked::File) => {
             let extensions = match desc.kind {
@@ -108,7 +115,7 @@ fn one(ui: &mut Ui, window: &mut Window, step: usize, desc: &ParamDesc, value: O
                 ParamKind::MODEL => simod_model::extensions().chain(["toml"]).map(str::to_owned).collect(),
                 _ => desc.choices.iter().map(|choice| choice.id.to_string()).collect(),
             };
-            window.ask(Purpose::Parameter { step, id, extensions });
+            asks.then(move |window| window.ask(Purpose::Parameter { step, id, extensions }));
         }
     }
 }

@@ -4,7 +4,7 @@ use super::{count, parts};
 use crate::regions as make;
 use crate::theme;
 use crate::tools::{Target, Tool};
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{
     self, Align, Button, CornerRadius, DragValue, Frame, Key, Layout, Margin, RichText, Sense, Slider,
     Stroke, TextEdit, Ui, vec2,
@@ -22,7 +22,7 @@ const NEAR_MIDDLE: f64 = 0.01;
 const ROLES: [Role; 3] = [Role::Fixed, Role::Handle, Role::Mask];
 
 /// All of it.
-pub fn show(ui: &mut Ui, window: &mut Window) {
+pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let chosen = window.chosen();
     if let Some((step, _, deformation, Some(plugin))) = &chosen {
         parts::part(ui);
@@ -32,17 +32,25 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
             ui.label(RichText::new(text).weak());
         }
         for (i, region) in deformation.regions.iter().enumerate() {
-            row(ui, window, *step, deformation, i, region);
+            row(ui, window, asks, *step, deformation, i, region);
         }
     }
-    selection(ui, window);
+    selection(ui, window, asks);
     if let Some((step, _, deformation, _)) = chosen {
-        handle(ui, window, step, &deformation);
-        joints(ui, window, step, &deformation);
+        handle(ui, window, asks, step, &deformation);
+        joints(ui, window, asks, step, &deformation);
     }
 }
 
-fn row(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation, i: usize, region: &Region) {
+fn row(
+    ui: &mut Ui,
+    window: &Window,
+    asks: &mut Asks,
+    step: usize,
+    deformation: &Deformation,
+    i: usize,
+    region: &Region,
+) {
     let is_target = window.tools.target == Some(Target::Region(i));
     let (fill, stroke) = if is_target {
         let color = ui.visuals().selection.bg_fill;
@@ -60,30 +68,32 @@ fn row(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation,
             let grab = ui.add(Button::new(RichText::new(&name).strong()).frame(false));
             let hint = if region.role == Role::Handle { "Grab it" } else { "Show its weight on the surface" };
             if grab.on_hover_text(hint).clicked() {
-                choose(window, i, region.role);
+                choose(window, asks, i, region.role);
             }
             ui.label(RichText::new(what(region)).weak().small());
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                more(ui, window, step, deformation, i, region);
+                more(ui, window, asks, step, deformation, i, region);
             });
         });
         ui.horizontal(|ui| {
             ui.add_space(18.0);
-            falloff(ui, window, step, deformation, i);
+            falloff(ui, window, asks, step, deformation, i);
         });
     });
     ui.add_space(1.0);
 }
 
-fn choose(window: &mut Window, i: usize, role: Role) {
+fn choose(window: &Window, asks: &mut Asks, i: usize, role: Role) {
     if role == Role::Handle {
-        window.tools.target = Some(Target::Region(i));
-        if !window.tools.tool.is_gizmo() {
-            window.tools.take(Tool::Move);
-        }
+        asks.then(move |window| {
+            window.tools.target = Some(Target::Region(i));
+            if !window.tools.tool.is_gizmo() {
+                window.tools.take(Tool::Move);
+            }
+        });
     } else {
         let shown = window.state().overlay() == Overlay::Region(i);
-        window.apply(Command::Show(if shown { Overlay::None } else { Overlay::Region(i) }));
+        asks.apply(Command::Show(if shown { Overlay::None } else { Overlay::Region(i) }));
     }
 }
 
@@ -98,7 +108,7 @@ fn what(region: &Region) -> String {
     region.shapes.shapes.iter().map(name).collect::<Vec<_>>().join(", ")
 }
 
-fn falloff(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation, i: usize) {
+fn falloff(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation, i: usize) {
     let Some(scene) = window.state().scene() else { return };
     let size = (scene.sampled.bounds.max - scene.sampled.bounds.min).length();
     ui.label(RichText::new("Falloff").small());
@@ -111,19 +121,27 @@ fn falloff(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformat
     if let Some(falloff) = changed {
         let mut regions = deformation.regions.clone();
         regions[i].shapes.falloff = falloff;
-        window.change(step, Change::SetRegions(regions), false);
+        asks.change(step, Change::SetRegions(regions), false);
     }
     response.on_hover_text("How far beyond its border the region fades out, in the model's unit");
 }
 
-fn more(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation, i: usize, region: &Region) {
+fn more(
+    ui: &mut Ui,
+    window: &Window,
+    asks: &mut Asks,
+    step: usize,
+    deformation: &Deformation,
+    i: usize,
+    region: &Region,
+) {
     let menu = ui.menu_button("\u{2026}", |ui| {
         for role in ROLES {
             let button = Button::selectable(region.role == role, theme::role_name(role));
             if ui.add_enabled(make::takes(window, role), button).clicked() {
                 let mut regions = deformation.regions.clone();
                 regions[i].role = role;
-                window.change(step, Change::SetRegions(regions), false);
+                asks.change(step, Change::SetRegions(regions), false);
                 ui.close();
             }
         }
@@ -131,35 +149,30 @@ fn more(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation
         let selected = !window.state().selection().is_empty();
         if ui.add_enabled(selected, Button::new("Replace by Selection")).clicked() {
             let (role, falloff) = (region.role, region.shapes.falloff);
-            window.apply(Command::MakeRegion { step, role, falloff, replaces: Some(i) });
+            asks.apply(Command::MakeRegion { step, role, falloff, replaces: Some(i) });
             ui.close();
         }
         let still = region.motion == Motion { pivot: region.motion.pivot, ..Motion::default() };
         if ui.add_enabled(!still, Button::new("Reset Motion")).clicked() {
             let motion = Motion { pivot: region.motion.pivot, ..Motion::default() };
-            window.change(step, Change::MoveRegion { region: i, motion }, false);
+            asks.change(step, Change::MoveRegion { region: i, motion }, false);
             ui.close();
         }
         if ui.button("Select Its Samples").clicked() {
             let area = Area::Region { step, region: i };
-            window.apply(Command::Select {
-                area,
-                combine: Default::default(),
-                visible: false,
-                goes_on: false,
-            });
+            asks.apply(Command::Select { area, combine: Default::default(), visible: false, goes_on: false });
             ui.close();
         }
         if ui.button("Show Weight").clicked() {
-            window.apply(Command::Show(Overlay::Region(i)));
+            asks.apply(Command::Show(Overlay::Region(i)));
             ui.close();
         }
         ui.separator();
         if ui.button("Remove").clicked() {
             let mut regions = deformation.regions.clone();
             regions.remove(i);
-            window.change(step, Change::SetRegions(regions), false);
-            window.tools.target = None;
+            asks.change(step, Change::SetRegions(regions), false);
+            asks.then(|window| window.tools.target = None);
             ui.close();
         }
     });
@@ -168,7 +181,7 @@ fn more(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation
 }
 
 /// What can be made of what is selected.
-fn selection(ui: &mut Ui, window: &mut Window) {
+fn selection(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let selected = window.state().selection().count();
     if selected == 0 {
         return;
@@ -182,11 +195,11 @@ fn selection(ui: &mut Ui, window: &mut Window) {
             let why = if can { "" } else { "The chosen step takes no such region" };
             let button = ui.add_enabled(can, Button::new(text)).on_disabled_hover_text(why);
             if button.clicked() {
-                make::make(window, role);
+                asks.then(move |window| make::make(window, role));
             }
         }
         if ui.button("Refine").on_hover_text("More samples there, as a step of its own").clicked() {
-            make::refine(window);
+            asks.then(make::refine);
         }
     });
     if !(make::can_make(window, Role::Handle) && make::takes(window, Role::Fixed)) {
@@ -195,18 +208,22 @@ fn selection(ui: &mut Ui, window: &mut Window) {
     ui.horizontal(|ui| {
         let hint = "A handle of the selection, and what is farther from it than the band that bends is fixed";
         if ui.button("Make Handle, Fix Around").on_hover_text(hint).clicked() {
-            make::make_handle(window);
+            asks.then(make::make_handle);
         }
         ui.spacing_mut().slider_width = 60.0;
-        let slider = Slider::new(&mut window.tools.band, 0.01..=0.5).logarithmic(true).max_decimals(2);
+        let mut band = window.tools.band;
+        let slider = Slider::new(&mut band, 0.01..=0.5).logarithmic(true).max_decimals(2);
         let hint = "How wide the band is, as a part of the model\u{2019}s diagonal";
         let response = ui.add(slider).on_hover_text(hint);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Band that bends"));
+        if response.changed() {
+            asks.then(move |window| window.tools.band = band);
+        }
     });
 }
 
 /// Numbers of what the gizmo moves.
-fn handle(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation) {
+fn handle(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation) {
     let Some(target) = window.tools.target.clone() else { return };
     let (name, motion) = match &target {
         Target::Region(i) => match deformation.regions.get(*i) {
@@ -221,7 +238,7 @@ fn handle(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
     parts::part(ui);
     parts::heading(ui, &name, |ui| {
         if ui.small_button("Reset").on_hover_text("Back to where it is at rest").clicked() {
-            crate::tools::gizmo::reset(window);
+            asks.then(crate::tools::gizmo::reset);
         }
     });
     let Some(scene) = window.state().scene() else { return };
@@ -254,33 +271,34 @@ fn handle(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
             Target::Handle(id) => Change::MoveHandle { id, motion: to },
         };
         if response.changed() {
-            window.change(step, change(), response.dragged() || response.drag_stopped());
+            asks.change(step, change(), response.dragged() || response.drag_stopped());
         }
         if response.drag_stopped() {
-            window.apply(Command::Rest);
+            asks.apply(Command::Rest);
         }
     }
 }
 
-fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation) {
+fn joints(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation) {
     if deformation.joints.is_empty() {
         return;
     }
     parts::part(ui);
     parts::heading(ui, "Joints", |ui| {
-        ui.menu_button("Mirror", |ui| mirror(ui, window, step, deformation));
+        ui.menu_button("Mirror", |ui| mirror(ui, window, asks, step, deformation));
     });
     for (i, joint) in deformation.joints.iter().enumerate() {
         ui.horizontal(|ui| {
-            if name(ui, window, step, &joint.id) {
+            if name(ui, window, asks, step, &joint.id) {
                 return;
             }
             let chosen = window.tools.target == Some(Target::Handle(joint.id.clone()));
             let label = ui.selectable_label(chosen, &joint.id).on_hover_text("A double click renames it");
             if label.double_clicked() {
-                window.tools.naming = Some((joint.id.clone(), joint.id.clone()));
+                begin_naming(asks, &joint.id);
             } else if label.clicked() {
-                window.tools.target = Some(Target::Handle(joint.id.clone()));
+                let target = Some(Target::Handle(joint.id.clone()));
+                asks.then(move |window| window.tools.target = target);
             }
             if let Some(parent) = &joint.parent {
                 ui.label(RichText::new(format!("on {parent}")).weak().small());
@@ -295,7 +313,7 @@ fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
                     egui::WidgetInfo::labeled(egui::Role::Button, true, format!("Rename {}", joint.id))
                 });
                 if rename.clicked() {
-                    window.tools.naming = Some((joint.id.clone(), joint.id.clone()));
+                    begin_naming(asks, &joint.id);
                 }
                 if remove.clicked() {
                     let mut joints = deformation.joints.clone();
@@ -304,8 +322,8 @@ fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
                     for other in joints.iter_mut().filter(|j| j.parent.as_ref() == Some(&gone.id)) {
                         other.parent.clone_from(&gone.parent);
                     }
-                    window.change(step, Change::SetJoints(joints), false);
-                    window.tools.target = None;
+                    asks.change(step, Change::SetJoints(joints), false);
+                    asks.then(|window| window.tools.target = None);
                 }
             });
         });
@@ -313,7 +331,7 @@ fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
 }
 
 /// Joints of one side on the other one, too.
-fn mirror(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation) {
+fn mirror(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation) {
     let Some(scene) = window.state().scene() else { return };
     let bounds = scene.sampled.bounds;
     let near = NEAR_MIDDLE * (bounds.max - bounds.min).length();
@@ -324,29 +342,48 @@ fn mirror(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
         if ui.button(text).clicked() {
             let middle = 0.5 * (bounds.min[axis] + bounds.max[axis]);
             let joints = mirrored(&deformation.joints, axis, middle, near);
-            window.change(step, Change::SetJoints(joints), false);
+            asks.change(step, Change::SetJoints(joints), false);
             ui.close();
         }
     }
 }
 
+/// Has a joint's name typed.
+fn begin_naming(asks: &mut Asks, id: &str) {
+    let naming = Some((id.to_owned(), id.to_owned()));
+    asks.then(move |window| window.tools.naming = naming);
+}
+
 /// A joint's name while it is typed, until Enter or Escape, or a click elsewhere. Whether it is.
-fn name(ui: &mut Ui, window: &mut Window, step: usize, id: &str) -> bool {
-    let Some((of, mut text)) = window.tools.naming.take_if(|(of, _)| of == id) else { return false };
+fn name(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, id: &str) -> bool {
+    let naming = window.tools.naming.clone().filter(|(of, _)| of == id);
+    let Some((of, mut text)) = naming else { return false };
     let response = ui.add(TextEdit::singleline(&mut text).desired_width(180.0));
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label(format!("Name of {id}")));
-    if !response.lost_focus() {
+    let ends = response.lost_focus();
+    if !ends {
         response.request_focus();
-        window.tools.naming = Some((of, text));
-    } else if !ui.input(|i| i.key_pressed(Key::Escape)) {
-        let to = text.trim().to_owned();
-        let was_target = window.tools.target == Some(Target::Handle(of.clone()));
-        if to != of
-            && window.change(step, Change::RenameJoint { from: of, to: to.clone() }, false)
-            && was_target
-        {
-            window.tools.target = Some(Target::Handle(to));
-        }
     }
+    let is_wanted = ends && !ui.input(|i| i.key_pressed(Key::Escape));
+    asks.then(move |window| {
+        // That of another joint may be typed by now.
+        if window.tools.naming.take_if(|(now, _)| *now == of).is_none() {
+            return;
+        }
+        if !ends {
+            window.tools.naming = Some((of, text));
+        } else if is_wanted {
+            rename(window, step, of, text.trim());
+        }
+    });
     true
+}
+
+/// Renames a joint; it stays in the hand.
+fn rename(window: &mut Window, step: usize, from: String, to: &str) {
+    let was_target = window.tools.target == Some(Target::Handle(from.clone()));
+    let renames = to != from;
+    if renames && window.change(step, Change::RenameJoint { from, to: to.to_owned() }, false) && was_target {
+        window.tools.target = Some(Target::Handle(to.to_owned()));
+    }
 }

@@ -3,7 +3,7 @@
 use super::{count, parts};
 use crate::widgets::parameter;
 use crate::widgets::values::Asked;
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{self, Button, DragValue, RichText, ScrollArea, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::edit::Change;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 const HEIGHT: f32 = 240.0;
 
 /// The list, if there are any.
-pub fn show(ui: &mut Ui, window: &mut Window) {
+pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let Some((step, _, deformation, plugin)) = window.chosen() else { return };
     let strokes = &deformation.strokes;
     if strokes.is_empty() {
@@ -38,7 +38,7 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
                 ui.push_id(i, |ui| {
                     ui.horizontal(|ui| {
                         if let Some(change) = row(ui, i, stroke, &deformation.params, brush) {
-                            window.change(step, change, false);
+                            asks.change(step, change, false);
                         }
                     });
                 });

@@ -57,7 +57,7 @@ pub struct Renaming {
 }
 
 /// The search for commands by name.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Palette {
     /// What was typed.
     pub text: String,
