@@ -2,11 +2,11 @@
 
 use super::frames::modal;
 use crate::turntable::{Film, film};
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{self, DragValue, Id, Modal, RichText, TextEdit};
 
 /// Shows it until it is closed.
-pub fn show(ctx: &egui::Context, window: &mut Window) {
+pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
     let Some(Film { folder, frames, transparent, mut rate }) = window.film.clone() else { return };
     let mut close = false;
     let modal = Modal::new(Id::unique("film")).frame(modal(ctx)).show(ctx, |ui| {
@@ -30,11 +30,12 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         ui.horizontal(|ui| {
             if ui.button("Copy the Command Line").clicked() {
                 ui.ctx().copy_text(film(&folder, rate, transparent));
-                window.toasts.note("The command line is on the clipboard.");
+                asks.then(|window| window.toasts.note("The command line is on the clipboard."));
             }
             close = ui.button("Close").clicked();
         });
     });
     let closed = close || modal.should_close();
-    window.film = (!closed).then_some(Film { folder, frames, transparent, rate });
+    let film = (!closed).then_some(Film { folder, frames, transparent, rate });
+    asks.then(move |window| window.film = film);
 }

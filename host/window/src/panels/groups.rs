@@ -1,9 +1,9 @@
 //! The heading of a group of steps: folded or not, switched, named and moved as one.
 
-use super::rows::{Dragged, carried, name_field, switch};
+use super::rows::{Dragged, carried, name_field, put_back, switch};
 use crate::steps;
 use crate::theme;
-use crate::window::{Renaming, Window};
+use crate::window::{Asks, Renaming, Window};
 use eframe::egui::{
     self, Align, Button, Layout, Response, RichText, Sense, Stroke, StrokeKind, Ui, UiBuilder, Vec2,
     collapsing_header::paint_default_icon,
@@ -13,28 +13,30 @@ use simod_viewer::Command;
 use std::ops::Range;
 
 /// The heading of the group that has these steps. Whether they are shown.
-pub fn show(ui: &mut Ui, window: &mut Window, group: Range<usize>, entries: &[Entry]) -> bool {
+pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, group: Range<usize>, entries: &[Entry]) -> bool {
     let first = &entries[group.start];
     let Some(name) = first.step.group.clone() else { return true };
     let folded = window.folded.contains(&name);
     let builder = UiBuilder::new().id_salt(("group", first.id)).sense(Sense::click_and_drag());
     let whole = ui.scope_builder(builder, |ui| {
         ui.horizontal(|ui| {
-            fold(ui, window, &name, folded);
+            fold(ui, asks, &name, folded);
             let any = entries[group.clone()].iter().any(|entry| entry.step.enabled);
             if let Some(enabled) = switch(ui, &name, any, "Do these steps, or leave them out") {
-                window.apply(Command::Edit(Edit::EnableGroup { at: group.start, enabled }));
+                asks.apply(Command::Edit(Edit::EnableGroup { at: group.start, enabled }));
             }
-            let renamed = window.renaming.take_if(|renaming| renaming.of_group && renaming.id == first.id);
+            let renamed =
+                window.renaming.as_ref().filter(|renaming| renaming.of_group && renaming.id == first.id);
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                more(ui, window, &group, entries, &name);
+                more(ui, asks, &group, entries, &name);
                 ui.label(RichText::new(format!("{}", group.len())).weak()).on_hover_text("Steps in it");
                 ui.with_layout(Layout::left_to_right(Align::Center), |ui| match renamed {
-                    Some(renaming) => rename(ui, window, group.clone(), &name, renaming),
+                    Some(renaming) => rename(ui, asks, group.clone(), &name, renaming.clone()),
                     None => {
                         let label = Button::new(RichText::new(&name).strong()).frame(false).truncate();
                         if ui.add(label).double_clicked() {
-                            steps::rename_group(window, group.start);
+                            let at = group.start;
+                            asks.then(move |window| steps::rename_group(window, at));
                         }
                     }
                 });
@@ -42,38 +44,40 @@ pub fn show(ui: &mut Ui, window: &mut Window, group: Range<usize>, entries: &[En
         });
     });
     if whole.response.clicked() {
-        window.fold(&name, !folded);
+        let name = name.clone();
+        asks.then(move |window| window.fold(&name, !folded));
     }
-    reorder(ui, window, &group, first, (&name, folded), &whole.response);
+    reorder(ui, window, asks, &group, first, (&name, folded), &whole.response);
     !folded
 }
 
-fn fold(ui: &mut Ui, window: &mut Window, name: &str, folded: bool) {
+fn fold(ui: &mut Ui, asks: &mut Asks, name: &str, folded: bool) {
     let (_, arrow) = ui.allocate_exact_size(Vec2::splat(14.0), Sense::click());
     paint_default_icon(ui, if folded { 0.0 } else { 1.0 }, &arrow);
     let does = if folded { "Unfold" } else { "Fold" };
     arrow.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, format!("{does} {name}")));
     if arrow.clicked() {
-        window.fold(name, !folded);
+        let name = name.to_owned();
+        asks.then(move |window| window.fold(&name, !folded));
     }
 }
 
-fn rename(ui: &mut Ui, window: &mut Window, group: Range<usize>, name: &str, mut renaming: Renaming) {
-    match name_field(ui, &mut renaming, "a few words", &format!("Name of the group {name}")) {
-        None => window.renaming = Some(renaming),
-        Some(true) if !renaming.text.trim().is_empty() => {
-            let to = renaming.text.trim().to_owned();
-            let folded = window.folded.contains(name);
+fn rename(ui: &mut Ui, asks: &mut Asks, group: Range<usize>, name: &str, mut renaming: Renaming) {
+    let wanted = name_field(ui, &mut renaming, "a few words", &format!("Name of the group {name}"));
+    let (name, to) = (name.to_owned(), renaming.text.trim().to_owned());
+    put_back(asks, renaming, wanted.is_none());
+    if wanted == Some(true) && !to.is_empty() {
+        asks.then(move |window| {
+            let folded = window.folded.contains(&name);
             if window.apply(Command::Edit(Edit::Group { steps: group, name: Some(to.clone()) })) {
                 window.fold(&to, folded);
             }
-        }
-        Some(_) => {}
+        });
     }
 }
 
 /// What a group can do besides.
-fn more(ui: &mut Ui, window: &mut Window, group: &Range<usize>, entries: &[Entry], name: &str) {
+fn more(ui: &mut Ui, asks: &mut Asks, group: &Range<usize>, entries: &[Entry], name: &str) {
     let menu = ui.menu_button("\u{2026}", |ui| {
         let at = group.start;
         // The group, or the step, before it and behind it.
@@ -84,7 +88,7 @@ fn more(ui: &mut Ui, window: &mut Window, group: &Range<usize>, entries: &[Entry
             if ui.add_enabled(to.is_some(), Button::new(name)).clicked()
                 && let Some(to) = to
             {
-                window.apply(Command::Edit(Edit::MoveGroup { at, to }));
+                asks.apply(Command::Edit(Edit::MoveGroup { at, to }));
                 ui.close();
             }
         }
@@ -94,7 +98,7 @@ fn more(ui: &mut Ui, window: &mut Window, group: &Range<usize>, entries: &[Entry
             [("Rename\u{2026}", steps::rename_group), ("Copy", steps::copy_group)];
         for (name, run) in others {
             if ui.button(name).clicked() {
-                run(window, at);
+                asks.then(move |window| run(window, at));
                 ui.close();
             }
         }
@@ -105,7 +109,7 @@ fn more(ui: &mut Ui, window: &mut Window, group: &Range<usize>, entries: &[Entry
         ];
         for (name, command) in ends {
             if ui.button(name).clicked() {
-                window.apply(Command::Edit(command));
+                asks.apply(Command::Edit(command));
                 ui.close();
             }
         }
@@ -118,7 +122,8 @@ fn more(ui: &mut Ui, window: &mut Window, group: &Range<usize>, entries: &[Entry
 /// or behind it.
 fn reorder(
     ui: &Ui,
-    window: &mut Window,
+    window: &Window,
+    asks: &mut Asks,
     group: &Range<usize>,
     first: &Entry,
     (name, folded): (&str, bool),
@@ -146,10 +151,10 @@ fn reorder(
         return;
     }
     match (gap, &*dragged) {
-        (Some(gap), dragged) => dragged.put(window, gap),
+        (Some(gap), dragged) => dragged.put(window, asks, gap),
         (None, dragged) => {
             if let Some(from) = dragged.place(window).filter(|from| !group.contains(from)) {
-                window.apply(Command::Edit(Edit::JoinGroup { from, at: group.start }));
+                asks.apply(Command::Edit(Edit::JoinGroup { from, at: group.start }));
             }
         }
     }

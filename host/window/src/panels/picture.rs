@@ -4,12 +4,12 @@ use super::frames::modal;
 use super::render::{self, Answer};
 use crate::dialogs::Purpose;
 use crate::rendering::{begin_picture, shown_size};
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{self, Id, Modal, RichText};
 use std::path::Path;
 
 /// Shows it while it is asked.
-pub fn show(ctx: &egui::Context, window: &mut Window) {
+pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
     let Some(mut picture) = window.picture.clone() else { return };
     let shown = shown_size(window);
     let mut done = None;
@@ -31,17 +31,17 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         done = done.or(Some(Answer::Cancel));
     }
     match done {
-        Some(Answer::Do) => {
+        Some(Answer::Do) => asks.then(move |window| {
             window.picture = None;
             let path = Path::new(picture.file.trim());
             let path = if path.extension().is_some() { path.to_owned() } else { path.with_extension("png") };
             begin_picture(window, &path, picture.format);
-        }
-        Some(Answer::Cancel) => window.picture = None,
-        Some(Answer::Browse) => {
+        }),
+        Some(Answer::Cancel) => asks.then(|window| window.picture = None),
+        Some(Answer::Browse) => asks.then(move |window| {
             window.picture = Some(picture);
             window.ask(Purpose::Picture);
-        }
-        None => window.picture = Some(picture),
+        }),
+        None => asks.then(move |window| window.picture = Some(picture)),
     }
 }

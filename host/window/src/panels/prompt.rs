@@ -3,35 +3,35 @@
 use super::frames::modal;
 use crate::dialogs::Purpose;
 use crate::theme;
-use crate::window::{Prompt, Window, common};
+use crate::window::{Asks, Prompt, Window, common};
 use eframe::egui::text::{CCursor, CCursorRange};
 use eframe::egui::text_edit::TextEditState;
 use eframe::egui::{self, Button, Color32, Id, Key, Modal, Modifiers, RichText, ScrollArea, TextEdit, Ui};
 
 /// Shows it while it is open.
-pub fn show(ctx: &egui::Context, window: &mut Window) {
-    let Some(mut prompt) = window.prompt.take() else { return };
+pub fn show(ctx: &egui::Context, _: &Window, asks: &mut Asks, prompt: &mut Option<Prompt>) {
+    let Some(typed) = prompt else { return };
     let mut done = None;
     let modal = Modal::new(Id::unique("prompt")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(560.0);
-        ui.heading(prompt.purpose.title());
-        if !prompt.why.is_empty() {
-            let why = format!("The system shows no dialog for files: {}. Type the path.", prompt.why);
+        ui.heading(typed.purpose.title());
+        if !typed.why.is_empty() {
+            let why = format!("The system shows no dialog for files: {}. Type the path.", typed.why);
             ui.label(RichText::new(why).small().weak());
         }
         ui.add_space(8.0);
-        let names = prompt.completions();
+        let names = typed.completions();
         if ui.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Tab))
             && let Some(name) = common(&names)
         {
-            prompt.complete(&name);
+            typed.complete(&name);
         }
-        let enter = field(ui, &mut prompt);
-        offered(ui, &mut prompt, &names);
-        if let Some(wrong) = &prompt.wrong {
+        let enter = field(ui, typed);
+        offered(ui, typed, &names);
+        if let Some(wrong) = &typed.wrong {
             ui.label(RichText::new(wrong).color(ui.visuals().error_fg_color));
-        } else if matches!(prompt.purpose, Purpose::Save | Purpose::Write | Purpose::Picture)
-            && prompt.path().is_file()
+        } else if matches!(typed.purpose, Purpose::Save | Purpose::Write | Purpose::Picture)
+            && typed.path().is_file()
         {
             ui.label(RichText::new("This file is there: it is replaced.").color(ui.visuals().warn_fg_color));
         }
@@ -47,19 +47,19 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         });
     });
     match done {
-        Some(true) => match prompt.defect() {
+        Some(true) => match typed.defect() {
             None => {
-                let path = prompt.path();
-                window.answered(prompt.purpose, path);
+                let (purpose, path) = (typed.purpose.clone(), typed.path());
+                *prompt = None;
+                asks.then(move |window| window.answered(purpose, path));
             }
-            wrong => {
-                prompt.wrong = wrong;
-                window.prompt = Some(prompt);
-            }
+            wrong => typed.wrong = wrong,
         },
-        Some(false) => window.not_answered(),
-        None if modal.should_close() => window.not_answered(),
-        None => window.prompt = Some(prompt),
+        None if !modal.should_close() => {}
+        Some(false) | None => {
+            *prompt = None;
+            asks.then(Window::not_answered);
+        }
     }
 }
 

@@ -1,11 +1,11 @@
 //! The list of steps, and how each fares.
 
-use super::rows::{Dragged, carried, name_field, switch};
+use super::rows::{Dragged, carried, name_field, put_back, switch};
 use super::{count, groups, menu, number, parts};
 use crate::regions;
 use crate::steps;
 use crate::theme;
-use crate::window::{Renaming, Window};
+use crate::window::{Asks, Renaming, Window};
 use crate::wording::{in_window, remedies};
 use eframe::egui::{
     self, Align, Button, Color32, CornerRadius, Frame, Layout, Margin, Response, RichText, Sense, Spinner,
@@ -17,11 +17,11 @@ use simod_session::session_file::Action;
 use simod_viewer::Command;
 
 /// The list.
-pub fn show(ui: &mut Ui, window: &mut Window) {
+pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     parts::heading(ui, "Steps", |ui| {
         ui.menu_button("+ Add Step", |ui| {
             ui.set_min_width(240.0);
-            menu::add_step(ui, window, None);
+            menu::add_step(ui, window, asks, None);
         });
     });
     let steps = window.steps();
@@ -33,20 +33,20 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
     let mut at = 0;
     while let Some(entry) = steps.get(at) {
         let Some(group) = group_at(&steps, at) else {
-            row(ui, window, at, entry, &steps);
+            row(ui, window, asks, at, entry, &steps);
             at += 1;
             continue;
         };
-        if groups::show(ui, window, group.clone(), &steps) {
+        if groups::show(ui, window, asks, group.clone(), &steps) {
             ui.indent(("steps of a group", entry.id), |ui| {
-                group.clone().for_each(|at| row(ui, window, at, &steps[at], &steps));
+                group.clone().for_each(|at| row(ui, window, asks, at, &steps[at], &steps));
             });
         }
         at = group.end;
     }
 }
 
-fn row(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, steps: &[Entry]) {
+fn row(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry, steps: &[Entry]) {
     let chosen = window.state().chosen() == Some(at);
     let visuals = ui.visuals();
     let (fill, stroke) = if chosen {
@@ -63,17 +63,17 @@ fn row(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, steps: &[Entr
     // What is in the row comes later, and before it: it takes its clicks first.
     let builder = UiBuilder::new().id_salt(entry.id).sense(Sense::click_and_drag());
     let whole = ui.scope_builder(builder, |ui| {
-        frame.show(ui, |ui| content(ui, window, at, entry, steps, &name));
+        frame.show(ui, |ui| content(ui, window, asks, at, entry, steps, &name));
     });
     if whole.response.clicked() {
-        choose(window, at, chosen);
+        choose(asks, at, chosen);
     }
-    reorder(ui, window, at, entry.id, &name, &whole.response);
+    reorder(ui, window, asks, at, entry.id, &name, &whole.response);
     ui.add_space(1.0);
 }
 
 /// The row can be dragged between others, and others beside it.
-fn reorder(ui: &Ui, window: &mut Window, at: usize, id: StepId, name: &str, row: &Response) {
+fn reorder(ui: &Ui, window: &Window, asks: &mut Asks, at: usize, id: StepId, name: &str, row: &Response) {
     row.dnd_set_drag_payload(Dragged::Step(id));
     let Some(pointer) = ui.input(|i| i.pointer.latest_pos()) else { return };
     if row.dragged() {
@@ -84,57 +84,69 @@ fn reorder(ui: &Ui, window: &mut Window, at: usize, id: StepId, name: &str, row:
     let y = if below { row.rect.bottom() } else { row.rect.top() };
     ui.painter().hline(row.rect.x_range(), y, Stroke::new(2.0, theme::ACCENT));
     if row.dnd_release_payload::<Dragged>().is_some() {
-        dragged.put(window, at + usize::from(below));
+        dragged.put(window, asks, at + usize::from(below));
     }
 }
 
-fn content(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, steps: &[Entry], name: &str) {
+fn content(
+    ui: &mut Ui,
+    window: &Window,
+    asks: &mut Asks,
+    at: usize,
+    entry: &Entry,
+    steps: &[Entry],
+    name: &str,
+) {
     let chosen = window.state().chosen() == Some(at);
     ui.set_min_width(ui.available_width());
     ui.horizontal(|ui| {
         if let Some(enabled) = switch(ui, name, entry.step.enabled, "Do this step, or leave it out") {
-            window.change(at, Change::Enable(enabled), false);
+            asks.change(at, Change::Enable(enabled), false);
         }
         let text = RichText::new(name);
         let text = if entry.step.enabled { text.strong() } else { text.weak() };
         let label = Button::new(text).frame(false).truncate();
-        let renamed = window.renaming.take_if(|renaming| !renaming.of_group && renaming.id == entry.id);
+        let renamed =
+            window.renaming.as_ref().filter(|renaming| !renaming.of_group && renaming.id == entry.id);
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            more(ui, window, at, entry, steps);
+            more(ui, window, asks, at, entry, steps);
             state(ui, window, at);
             ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
                 if let Some(renaming) = renamed {
-                    rename(ui, window, at, renaming);
+                    rename(ui, asks, at, renaming.clone());
                     return;
                 }
                 let label = ui.add(label);
                 if label.double_clicked() {
-                    steps::rename(window, at);
+                    asks.then(move |window| steps::rename(window, at));
                 } else if label.clicked() {
-                    choose(window, at, chosen);
+                    choose(asks, at, chosen);
                 }
             });
         });
     });
     messages(ui, window, entry);
-    mend(ui, window, at, entry);
+    mend(ui, window, asks, at, entry);
 }
 
-fn rename(ui: &mut Ui, window: &mut Window, at: usize, mut renaming: Renaming) {
-    match name_field(ui, &mut renaming, "as its plugin", &format!("Name of step {}", at + 1)) {
-        None => window.renaming = Some(renaming),
-        Some(true) => {
-            let title = Some(renaming.text.trim().to_owned()).filter(|title| !title.is_empty());
-            window.change(at, Change::SetTitle(title), false);
+fn rename(ui: &mut Ui, asks: &mut Asks, at: usize, mut renaming: Renaming) {
+    let wanted = name_field(ui, &mut renaming, "as its plugin", &format!("Name of step {}", at + 1));
+    let title = Some(renaming.text.trim().to_owned()).filter(|title| !title.is_empty());
+    put_back(asks, renaming, wanted.is_none());
+    if wanted == Some(true) {
+        asks.change(at, Change::SetTitle(title), false);
+    }
+}
+
+fn choose(asks: &mut Asks, at: usize, chosen: bool) {
+    if chosen {
+        return;
+    }
+    asks.then(move |window| {
+        if window.apply(Command::Choose { step: Some(at) }) {
+            window.tools.target = None;
         }
-        Some(false) => {}
-    }
-}
-
-fn choose(window: &mut Window, at: usize, chosen: bool) {
-    if !chosen && window.apply(Command::Choose { step: Some(at) }) {
-        window.tools.target = None;
-    }
+    });
 }
 
 /// What the user calls it.
@@ -162,7 +174,7 @@ fn state(ui: &mut Ui, window: &Window, at: usize) {
 }
 
 /// What a step can do besides.
-fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, all: &[Entry]) {
+fn more(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry, all: &[Entry]) {
     let menu = ui.menu_button("\u{2026}", |ui| {
         let moves =
             [("Move Up", at.checked_sub(1)), ("Move Down", Some(at + 1).filter(|to| *to < all.len()))];
@@ -170,7 +182,7 @@ fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, all: &[Entry
             if ui.add_enabled(to.is_some(), Button::new(name)).clicked()
                 && let Some(to) = to
             {
-                window.apply(Command::Edit(edit::Command::Move { from: at, to }));
+                asks.apply(Command::Edit(edit::Command::Move { from: at, to }));
                 ui.close();
             }
         }
@@ -185,7 +197,7 @@ fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, all: &[Entry
         ];
         for (name, can, run) in others {
             if ui.add_enabled(can, Button::new(name)).clicked() {
-                run(window, at);
+                asks.then(move |window| run(window, at));
                 ui.close();
             }
         }
@@ -196,13 +208,13 @@ fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, all: &[Entry
         ];
         for (name, can, run) in others {
             if ui.add_enabled(can, Button::new(name)).clicked() {
-                run(window, at);
+                asks.then(move |window| run(window, at));
                 ui.close();
             }
         }
         ui.separator();
         if ui.button("Remove").clicked() {
-            window.apply(Command::Edit(edit::Command::Remove { at }));
+            asks.apply(Command::Edit(edit::Command::Remove { at }));
             ui.close();
         }
     });
@@ -211,10 +223,10 @@ fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, all: &[Entry
 }
 
 /// Buttons for what the step's plugin says to do about its parameters.
-fn mend(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry) {
+fn mend(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry) {
     let Some(deformation) = entry.step.deformation() else { return };
-    let Ok(plugin) = window.state().plugins().get(&deformation.deform).cloned() else { return };
-    let Some(scene) = window.state().scene().cloned() else { return };
+    let Ok(plugin) = window.state().plugins().get(&deformation.deform) else { return };
+    let Some(scene) = window.state().scene() else { return };
     let texts: Vec<&str> = match scene.statuses.iter().find(|(id, _)| *id == entry.id) {
         Some((_, Status::Done(messages))) => {
             messages.iter().filter(|m| m.is_warning()).take(3).map(|m| m.text.as_str()).collect()
@@ -225,7 +237,7 @@ fn mend(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry) {
     for text in texts {
         for remedy in remedies(text, plugin.params(), &deformation.params) {
             if ui.small_button(&remedy.text).clicked() {
-                window.change(at, Change::SetParam { id: remedy.id, value: Some(remedy.value) }, false);
+                asks.change(at, Change::SetParam { id: remedy.id, value: Some(remedy.value) }, false);
             }
         }
     }

@@ -5,13 +5,13 @@ use super::render::{self, Answer};
 use crate::dialogs::Purpose;
 use crate::rendering::{begin, shown_size};
 use crate::turntable::RATE;
-use crate::window::Window;
+use crate::window::{Asks, Window};
 use eframe::egui::{self, DragValue, Id, Modal, RichText};
 use simod_picture::FrameFolder;
 use std::path::Path;
 
 /// Shows it while it is asked.
-pub fn show(ctx: &egui::Context, window: &mut Window) {
+pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
     let Some(mut turntable) = window.turntable.clone() else { return };
     let shown = shown_size(window);
     let mut done = None;
@@ -43,15 +43,15 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         done = done.or(Some(Answer::Cancel));
     }
     match done {
-        Some(Answer::Do) => {
+        Some(Answer::Do) => asks.then(move |window| {
             window.turntable = None;
             begin(window, Path::new(turntable.folder.trim()), turntable.frames, turntable.format);
-        }
-        Some(Answer::Cancel) => window.turntable = None,
-        Some(Answer::Browse) => {
+        }),
+        Some(Answer::Cancel) => asks.then(|window| window.turntable = None),
+        Some(Answer::Browse) => asks.then(move |window| {
             window.turntable = Some(turntable);
             window.ask(Purpose::Turntable);
-        }
-        None => window.turntable = Some(turntable),
+        }),
+        None => asks.then(move |window| window.turntable = Some(turntable)),
     }
 }

@@ -25,6 +25,7 @@ pub enum Question {
 }
 
 /// An edit that was kept against a crash.
+#[derive(Clone)]
 pub struct Kept {
     /// Of what.
     pub path: PathBuf,
@@ -45,6 +46,7 @@ pub enum Leaving {
 }
 
 /// A step, or a group, whose name is being typed.
+#[derive(Clone)]
 pub struct Renaming {
     /// Which, or the first of it.
     pub id: StepId,
