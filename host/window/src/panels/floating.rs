@@ -11,7 +11,7 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
     // It remembers what is in a folder.
     let mut prompt = window.prompt.take();
     let mut asks = Asks::default();
-    prompt::show(ctx, window, &mut asks, &mut prompt);
+    prompt::show(ctx, &mut asks, &mut prompt);
     window.prompt = prompt;
     window.answer(asks);
     let panels = [questions::show, palette::show, report::show, keys::show, toasts::show];

@@ -9,7 +9,7 @@ use eframe::egui::text_edit::TextEditState;
 use eframe::egui::{self, Button, Color32, Id, Key, Modal, Modifiers, RichText, ScrollArea, TextEdit, Ui};
 
 /// Shows it while it is open.
-pub fn show(ctx: &egui::Context, _: &Window, asks: &mut Asks, prompt: &mut Option<Prompt>) {
+pub fn show(ctx: &egui::Context, asks: &mut Asks, prompt: &mut Option<Prompt>) {
     let Some(typed) = prompt else { return };
     let mut done = None;
     let modal = Modal::new(Id::unique("prompt")).frame(modal(ctx)).show(ctx, |ui| {

@@ -4,12 +4,9 @@ use super::frames::modal;
 use crate::dialogs::Purpose;
 use crate::numbers::ago;
 use crate::theme;
-use crate::window::{Asks, Kept, Leaving, Question, Window};
+use crate::window::{Ask, Asks, Kept, Leaving, Question, Window};
 use eframe::egui::{self, Button, Color32, Id, Modal, RichText, Ui};
 use std::path::Path;
-
-/// What an answer leads to.
-type Then = Box<dyn FnOnce(&mut Window)>;
 
 fn first(ui: &mut Ui, text: &str) -> bool {
     let text = RichText::new(text).color(Color32::WHITE);
@@ -17,7 +14,7 @@ fn first(ui: &mut Ui, text: &str) -> bool {
 }
 
 /// What comes of the question being taken back: nothing.
-fn nothing() -> Then {
+fn nothing() -> Ask {
     Box::new(|_| ())
 }
 
@@ -43,12 +40,12 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
 }
 
 /// What to do, once it is known.
-fn unsaved(ui: &mut Ui, leaving: &Leaving) -> Option<Then> {
+fn unsaved(ui: &mut Ui, leaving: &Leaving) -> Option<Ask> {
     ui.heading("Save the edit?");
     ui.add_space(6.0);
     ui.label("There are changes that are not saved yet.");
     ui.add_space(10.0);
-    let mut then: Option<Then> = None;
+    let mut then: Option<Ask> = None;
     ui.horizontal(|ui| {
         if first(ui, "Save") {
             let leaving = leaving.clone();
@@ -66,14 +63,14 @@ fn unsaved(ui: &mut Ui, leaving: &Leaving) -> Option<Then> {
 }
 
 /// What to do, once it is known.
-fn recover(ui: &mut Ui, kept: &Kept) -> Option<Then> {
+fn recover(ui: &mut Ui, kept: &Kept) -> Option<Ask> {
     ui.heading("Recover the edit?");
     ui.add_space(6.0);
     ui.label(format!("{} was edited, and not saved before the program ended.", kept.path.display()));
     let steps = if kept.steps == 1 { "1 step".to_owned() } else { format!("{} steps", kept.steps) };
     ui.label(RichText::new(format!("Kept {}: {steps}", ago(kept.made))).strong());
     ui.add_space(10.0);
-    let mut then: Option<Then> = None;
+    let mut then: Option<Ask> = None;
     ui.horizontal(|ui| {
         if first(ui, "Recover") {
             let (path, sampling) = (kept.path.clone(), kept.sampling);
@@ -93,14 +90,14 @@ fn recover(ui: &mut Ui, kept: &Kept) -> Option<Then> {
 }
 
 /// What to do, once it is known.
-fn moved(ui: &mut Ui, path: &Path, model: &Path, is_open: bool) -> Option<Then> {
+fn moved(ui: &mut Ui, path: &Path, model: &Path, is_open: bool) -> Option<Ask> {
     ui.heading("Where is the model?");
     ui.add_space(6.0);
     ui.label(format!("{} is not there any more.", model.display()));
     let without = "Its samples can be edited without it; full detail, refinement and writing need it.";
     ui.label(RichText::new(if is_open { without } else { "It is needed to open the session." }).weak());
     ui.add_space(10.0);
-    let mut then: Option<Then> = None;
+    let mut then: Option<Ask> = None;
     ui.horizontal(|ui| {
         if first(ui, "Locate\u{2026}") {
             let purpose = Purpose::Locate { path: path.to_owned(), model: model.to_owned() };

@@ -5,9 +5,12 @@ use super::Window;
 use simod_session::edit::Change;
 use simod_viewer::Command;
 
+/// Something that is to be done with the window.
+pub type Ask = Box<dyn FnOnce(&mut Window)>;
+
 /// What is to be done with the window, first to last.
 #[derive(Default)]
-pub struct Asks(Vec<Box<dyn FnOnce(&mut Window)>>);
+pub struct Asks(Vec<Ask>);
 
 impl Asks {
     /// Anything.

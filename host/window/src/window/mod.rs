@@ -14,7 +14,7 @@ use crate::turntable::{AskedPicture, AskedTurntable, Film, Turning};
 use crate::viewport::seen::mode_of;
 use crate::{example, plugins, theme};
 pub use asked::{Kept, Leaving, Palette, Question, Renaming, Report, Running};
-pub use asks::Asks;
+pub use asks::{Ask, Asks};
 use eframe::egui;
 pub use looks::Looks;
 pub use prompt::{Prompt, common};
