@@ -1,7 +1,13 @@
 //! Files that are held whole: eight letters, a version, the content in `postcard`'s words, and a checksum of
 //! all before it.
 
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+
 use serde::Serialize;
+use serde::de::DeserializeOwned;
+use simod_model::{Error, Result as ModelResult, input};
 use xxhash_rust::xxh3::xxh3_128;
 
 /// The bytes of a file.
@@ -29,3 +35,39 @@ pub fn unseal<'a>(bytes: &'a [u8], letters: &[u8; 8]) -> Result<(u32, &'a [u8]),
 
 /// What is wrong with a file of another version.
 pub const UNKNOWN_VERSION: &str = "it is of a version that is not known";
+
+/// What a file has at its end: sealed content of at most `longest` bytes, behind which its length stands in eight bytes.
+/// Gives the file, the content, and where it begins. `damaged` makes the error of what is wrong with it.
+///
+/// # Errors
+/// The file cannot be read, or is damaged.
+pub fn read_end<T: DeserializeOwned>(
+    path: &Path,
+    (letters, version): (&[u8; 8], u32),
+    longest: u64,
+    damaged: impl Fn(&str) -> Error,
+) -> ModelResult<(File, T, u64)> {
+    let failed = |e| Error::io("read", path, &e);
+    let mut file = input::open(path)?;
+    let length = file.metadata().map_err(failed)?.len();
+    let mut word = [0; 8];
+    if length < 8 {
+        return Err(damaged("it is cut off"));
+    }
+    file.seek(SeekFrom::End(-8)).map_err(failed)?;
+    file.read_exact(&mut word).map_err(failed)?;
+    let bytes = u64::from_le_bytes(word);
+    if bytes > (length - 8).min(longest) {
+        return Err(damaged("it is cut off"));
+    }
+    let begins = length - 8 - bytes;
+    let mut table = vec![0; bytes as usize];
+    file.seek(SeekFrom::Start(begins)).map_err(failed)?;
+    file.read_exact(&mut table).map_err(failed)?;
+    let (known, content) = unseal(&table, letters).map_err(&damaged)?;
+    if known != version {
+        return Err(damaged(UNKNOWN_VERSION));
+    }
+    let content = postcard::from_bytes(content).map_err(|_| damaged("its table makes no sense"))?;
+    Ok((file, content, begins))
+}

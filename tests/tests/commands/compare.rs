@@ -6,7 +6,7 @@ use simod_tests::Workplace;
 use simod_tests::skip;
 
 /// What all of these comparisons have in common: a bar from y = 0 to y = 2.
-const HEAD: &str = r#"
+pub const HEAD: &str = r#"
 [model]
 path = "bar.ply"
 [sampling]

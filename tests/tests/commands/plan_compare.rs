@@ -5,24 +5,12 @@ use simod_tests::Workplace;
 #[cfg(unix)]
 use simod_tests::skip;
 
+use super::compare::HEAD;
 #[cfg(unix)]
 use super::plan::shell;
 
 /// Two samplings, four methods that are done, of which one appends samples, and one that is not.
-const COMPARISON: &str = r#"
-[model]
-path = "bar.ply"
-[sampling]
-samples = 2000
-[[region]]
-role = "fixed"
-shapes = [{ half-space = { point = [0, 0.4, 0], normal = [0, -1, 0] } }]
-[[region]]
-role = "handle"
-shapes = [{ half-space = { point = [0, 1.6, 0], normal = [0, 1, 0] } }]
-move = { translate = [0.3, 0, 0] }
-[camera]
-size = [120, 160]
+const METHODS: &str = r#"
 [[method]]
 name = "as rigid as possible"
 deform = "laplacian"
@@ -52,7 +40,7 @@ fn with_comparison() -> Workplace {
     let work = Workplace::new();
     work.simod("generate --shape bar --vertices 12000 -o bar.ply");
     work.write_session("bar.ply", 2000, REFINED);
-    work.write("compare.toml", COMPARISON);
+    work.write("compare.toml", format!("{HEAD}{METHODS}"));
     work
 }
 
@@ -138,12 +126,13 @@ fn units_of_a_comparison_refuse_what_is_not_as_it_was_planned() {
     // A session that a method does, and then the file itself.
     work.write("edit.toml", String::from_utf8(work.read("edit.toml")).expect("UTF-8") + "# more\n");
     work.refuses("unit plan 4", &["edit.toml changed since the plan was made"]);
-    work.write("compare.toml", COMPARISON.to_owned() + "# more\n");
+    work.write("compare.toml", format!("{HEAD}{METHODS}# more\n"));
     work.refuses("unit plan 2", &["compare.toml changed since the plan was made"]);
     assert!(!work.path("out").exists());
 
     // Programs are run by who was allowed to plan them, and no other ones later on.
-    let command = COMPARISON.to_owned() + "[[method]]\nname = 'program'\ncommand = 'cp {samples} {output}'\n";
+    let program = "[[method]]\nname = 'program'\ncommand = 'cp {samples} {output}'\n";
+    let command = format!("{HEAD}{METHODS}{program}");
     work.write("compare.toml", &command);
     work.refuses("compare compare.toml -o out --plan plan", &["runs a program: cp"]);
     work.simod("compare compare.toml -o out --plan plan --allow-commands");

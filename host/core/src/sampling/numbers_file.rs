@@ -14,7 +14,7 @@ use simod_model::{Error, Result, input};
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::clustered_file::refused;
-use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
+use crate::sealed::{read_end, seal};
 
 /// What the end of a file begins with.
 const LETTERS: &[u8; 8] = b"simodnum";
@@ -144,28 +144,7 @@ impl Numbers {
     /// It cannot be read, is damaged, or is of something else.
     pub fn open(path: &Path, key: u128) -> Result<Self> {
         let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
-        let failed = |e| Error::io("read", path, &e);
-        let mut file = input::open(path)?;
-        let length = file.metadata().map_err(failed)?.len();
-        let mut word = [0; 8];
-        if length < 8 {
-            return Err(damaged("it is cut off"));
-        }
-        file.seek(SeekFrom::End(-8)).map_err(failed)?;
-        file.read_exact(&mut word).map_err(failed)?;
-        let bytes = u64::from_le_bytes(word);
-        if bytes > (length - 8).min(LONGEST) {
-            return Err(damaged("it is cut off"));
-        }
-        let end = length - 8 - bytes;
-        let mut table = vec![0; bytes as usize];
-        file.seek(SeekFrom::Start(end)).map_err(failed)?;
-        file.read_exact(&mut table).map_err(failed)?;
-        let (version, content) = unseal(&table, LETTERS).map_err(damaged)?;
-        if version != VERSION {
-            return Err(damaged(UNKNOWN_VERSION));
-        }
-        let table: Table = postcard::from_bytes(content).map_err(|_| damaged("its table makes no sense"))?;
+        let (_, table, end) = read_end::<Table>(path, (LETTERS, VERSION), LONGEST, damaged)?;
         if table.key != key {
             return Err(refused(path, "is of another model, or for other samples"));
         }

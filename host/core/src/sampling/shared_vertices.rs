@@ -18,7 +18,7 @@ use simod_model::{Error, ErrorKind, Result, input};
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::shares::PIECE;
-use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
+use crate::sealed::{read_end, seal};
 use crate::varint::{self, Numbers};
 
 /// What the end of a file begins with.
@@ -272,27 +272,7 @@ pub fn is_there(path: &Path, key: u128) -> bool {
 
 fn read_table(path: &Path) -> Result<(File, Table)> {
     let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
-    let failed = |e| Error::io("read", path, &e);
-    let mut file = input::open(path)?;
-    let length = file.metadata().map_err(failed)?.len();
-    let mut word = [0; 8];
-    if length < 8 {
-        return Err(damaged("it is cut off"));
-    }
-    file.seek(SeekFrom::End(-8)).map_err(failed)?;
-    file.read_exact(&mut word).map_err(failed)?;
-    let bytes = u64::from_le_bytes(word);
-    if bytes > (length - 8).min(LONGEST) {
-        return Err(damaged("it is cut off"));
-    }
-    let mut table = vec![0; bytes as usize];
-    file.seek(SeekFrom::Start(length - 8 - bytes)).map_err(failed)?;
-    file.read_exact(&mut table).map_err(failed)?;
-    let (version, content) = unseal(&table, LETTERS).map_err(damaged)?;
-    if version != VERSION {
-        return Err(damaged(UNKNOWN_VERSION));
-    }
-    let table = postcard::from_bytes(content).map_err(|_| damaged("its table makes no sense"))?;
+    let (file, table, _) = read_end(path, (LETTERS, VERSION), LONGEST, damaged)?;
     Ok((file, table))
 }
 
