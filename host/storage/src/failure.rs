@@ -7,6 +7,9 @@ use object_store::Error as StoreError;
 use object_store::client::{HttpError, HttpErrorKind};
 use simod_model::{Error, ErrorKind};
 
+/// How often a request is made whose answers are cut off, which the library does not repeat.
+pub(crate) const TRIES: usize = 4;
+
 /// A failure of one request, of which several may want to hear.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Failure {
@@ -54,6 +57,11 @@ const BROKEN: &str = "the connection to the store broke, however often it was tr
 /// Whether an answer came, but not whole.
 pub(crate) fn is_cut(error: &StoreError) -> bool {
     kind(error) == Some(HttpErrorKind::Decode)
+}
+
+/// Whether an answer broke off, as one that says that there is no such object: a request that changes nothing may be made again.
+pub(crate) fn broke_off(error: &StoreError) -> bool {
+    is_cut(error) || kind(error) == Some(HttpErrorKind::Interrupted)
 }
 
 /// Whether a range was asked for that begins at the end of the object or behind it, as any range does of an empty one.

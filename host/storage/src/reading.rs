@@ -7,7 +7,7 @@ use simod_model::object::Object;
 use simod_model::{Error, Result};
 
 use crate::blocks::Blocks;
-use crate::failure::{Failure, is_beyond_end};
+use crate::failure::{Failure, TRIES, broke_off, is_beyond_end};
 use crate::place::Place;
 use crate::runtime::wait;
 use crate::version::{BLOCK, Version};
@@ -26,17 +26,22 @@ impl StoredObject {
     pub fn open(place: Place) -> Result<Option<Self>> {
         // As bytes, and not what is known of it, as a URL that was signed allows nothing else.
         let first = GetOptions { range: Some(GetRange::Bounded(0..BLOCK)), ..GetOptions::default() };
-        let answer = wait(async {
-            let answer = place.store.get_opts(&place.path, first).await?;
+        let ask = async || {
+            let answer = place.store.get_opts(&place.path, first.clone()).await?;
             Ok((answer.meta.clone(), answer.bytes().await))
-        })?;
-        let (meta, block) = match answer {
-            Ok(found) => found,
-            Err(StoreError::NotFound { .. }) => return Ok(None),
-            Err(e) if is_beyond_end(&e) => {
-                return Ok(Some(Self { version: Arc::new(Version::empty(place)) }));
+        };
+        let mut tries = 1..TRIES;
+        let (meta, block) = loop {
+            match wait(ask())? {
+                Ok(found) => break found,
+                // What says that there is none may be cut off, too.
+                Err(e) if broke_off(&e) && tries.next().is_some() => {}
+                Err(StoreError::NotFound { .. }) => return Ok(None),
+                Err(e) if is_beyond_end(&e) => {
+                    return Ok(Some(Self { version: Arc::new(Version::empty(place)) }));
+                }
+                Err(e) => return Err(Failure::new(&format!("cannot open {}", place.name), &e).into()),
             }
-            Err(e) => return Err(Failure::new(&format!("cannot open {}", place.name), &e).into()),
         };
         let version = Arc::new(Version::from_meta(place, &meta));
         // It comes again if it did not come whole.

@@ -10,16 +10,13 @@ use simod_model::object::Upload;
 use simod_model::{Error, Result};
 use tokio::task::JoinSet;
 
-use crate::failure::{Failure, is_cut};
+use crate::failure::{Failure, TRIES, is_cut};
 use crate::place::Place;
 use crate::runtime::{runtime, wait};
 
 /// Most bytes on their way, and most parts; but one part is, however long.
 const MOST_BYTES: usize = 64 << 20;
 const MOST_PARTS: usize = 8;
-
-/// How often a request is made whose answers are cut off, which the library does not repeat.
-const TRIES: usize = 4;
 
 /// How long an abortion may take.
 const ABORTION: Duration = Duration::from_secs(10);
