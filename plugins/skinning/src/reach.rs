@@ -4,7 +4,9 @@
 //! Models 73, 2011: its joints are drawn to the target and back to where the chain begins, in turns, with
 //! their distances kept. What is left is closed exactly: the chain is bent at one of its joints until its end
 //! is as far from its beginning as the target, and then turned there; a chain that is all but straight may
-//! stay away by 1e-8 of its length. Where the target is too far, the chain is stretched straight towards it.
+//! stay away by 1e-8 of its length. Where no single joint can do that (a long bone that almost cannot fold
+//! back far enough), the chain is laid along the sides of a triangle first. Where the target is too far, the
+//! chain is stretched straight towards it.
 
 use glam::{DQuat, DVec3};
 
@@ -103,35 +105,101 @@ pub fn turned(joints: &[DVec3], turns: &[DQuat]) -> Vec<DVec3> {
 }
 
 /// Brings the end to the target exactly, where a bend at one joint and a turn at the first one can.
-fn close(turns: &mut [DQuat], joints: &[DVec3], target: DVec3) {
-    let moved = turned(joints, turns);
-    let (base, end) = (moved[0], moved[moved.len() - 1]);
-    let far = base.distance(target);
-    // The joint that can do it, with the most to spare on both sides.
-    let spare = |k: usize| {
-        let (a, b) = (base.distance(moved[k]), end.distance(moved[k]));
-        (a + b - far).min(far - (a - b).abs())
-    };
-    let best = (1..moved.len() - 1).max_by(|a, b| spare(*a).total_cmp(&spare(*b)));
-    if let Some(k) = best.filter(|k| spare(*k) >= 0.0) {
-        let (upper, lower) = (moved[k] - base, end - moved[k]);
-        let (a, b) = (upper.length(), lower.length());
-        let normal = upper.cross(lower).try_normalize().unwrap_or_else(|| {
-            upper.try_normalize().map_or(DVec3::Z, |along| along.any_orthonormal_vector())
-        });
-        if a > 0.0 && b > 0.0 {
-            // The angle between both parts now, and as it has to be, by the law of cosines for its half: so
-            // it keeps its digits where the chain is nearly straight.
-            let now = upper.cross(lower).dot(normal).atan2(upper.dot(lower));
-            let (open, shut) = ((a + b - far) * (a + b + far), (far - a + b) * (far + a - b));
-            let wanted = 2.0 * open.max(0.0).sqrt().atan2(shut.max(0.0).sqrt());
-            let bend = DQuat::from_axis_angle(normal, wanted - now);
-            turns[k..].iter_mut().for_each(|t| *t = bend * *t);
-        }
+fn close(turns: &mut Vec<DQuat>, joints: &[DVec3], target: DVec3) {
+    let mut moved = turned(joints, turns);
+    let far = moved[0].distance(target);
+    let mut best = best_bend(&moved, far);
+    if best.is_some_and(|(_, spare)| spare < 0.0) {
+        *turns = follow(joints, &along_a_triangle(&moved, target));
+        moved = turned(joints, turns);
+        best = best_bend(&moved, far);
+    }
+    if let Some((k, _)) = best {
+        bend(&mut turns[k..], &moved, k, far);
     }
     let moved = turned(joints, turns);
-    let aim = shortest(moved[moved.len() - 1] - base, target - base);
+    let aim = shortest(moved[moved.len() - 1] - moved[0], target - moved[0]);
     turns.iter_mut().for_each(|t| *t = aim * *t);
+}
+
+/// The inner joint whose bend brings the end of a chain to the distance `far` from its beginning, with the
+/// length that it has to spare on both sides: below zero if no joint can. `None` of a single bone.
+fn best_bend(joints: &[DVec3], far: f64) -> Option<(usize, f64)> {
+    let (base, end) = (joints[0], joints[joints.len() - 1]);
+    let spare = |k: usize| {
+        let (a, b) = (base.distance(joints[k]), end.distance(joints[k]));
+        (a + b - far).min(far - (a - b).abs())
+    };
+    (1..joints.len() - 1).map(|k| (k, spare(k))).max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+/// Bends a chain at joint `k`, by the turns of the bones below it, until its end is as near to the distance
+/// `far` from its beginning as this joint can bring it.
+fn bend(below: &mut [DQuat], joints: &[DVec3], k: usize, far: f64) {
+    let (upper, lower) = (joints[k] - joints[0], joints[joints.len() - 1] - joints[k]);
+    let (a, b) = (upper.length(), lower.length());
+    if a <= 0.0 || b <= 0.0 {
+        return;
+    }
+    let normal = plane_normal(upper, lower);
+    // The angle between both parts now, and as it has to be, by the law of cosines for its half: so it keeps
+    // its digits where the chain is nearly straight.
+    let now = upper.cross(lower).dot(normal).atan2(upper.dot(lower));
+    let (open, shut) = ((a + b - far) * (a + b + far), (far - a + b) * (far + a - b));
+    let wanted = 2.0 * open.max(0.0).sqrt().atan2(shut.max(0.0).sqrt());
+    let bend = DQuat::from_axis_angle(normal, wanted - now);
+    below.iter_mut().for_each(|t| *t = bend * *t);
+}
+
+/// The unit normal of the plane of two directions; any that is normal to the first if they are parallel.
+fn plane_normal(upper: DVec3, lower: DVec3) -> DVec3 {
+    upper
+        .cross(lower)
+        .try_normalize()
+        .unwrap_or_else(|| upper.try_normalize().map_or(DVec3::Z, |along| along.any_orthonormal_vector()))
+}
+
+/// The joints of a chain of two bones at least that is laid along the sides of a triangle, so that it ends at
+/// `target`; if one bone is too long for that, it ends as near as it can.
+///
+/// Bones and the way to the target are a closed polygon, whose corners can be made straight but for three: if
+/// the joint nearest to half of the chain's length allows it, this joint, the beginning and the target;
+/// otherwise the bone that holds this half is one side, the bones before it lead straight away from the
+/// target, and those behind it are the third.
+fn along_a_triangle(joints: &[DVec3], target: DVec3) -> Vec<DVec3> {
+    let base = joints[0];
+    let lengths: Vec<f64> = joints.windows(2).map(|j| j[0].distance(j[1])).collect();
+    let far = base.distance(target);
+    let axis = (target - base).normalize_or((joints[joints.len() - 1] - base).normalize_or(DVec3::X));
+    let off = joints.iter().map(|p| (*p - base).reject_from_normalized(axis));
+    let off = off.max_by(|a, b| a.length_squared().total_cmp(&b.length_squared())).unwrap_or(DVec3::ZERO);
+    let aside = off.normalize_or(axis.any_orthonormal_vector());
+
+    let whole: f64 = lengths.iter().sum();
+    let before = |k: usize| lengths[..k].iter().sum::<f64>();
+    let uneven = |k: &usize| (2.0 * before(*k) - whole).abs();
+    let middle = (1..lengths.len()).min_by(|a, b| uneven(a).total_cmp(&uneven(b))).unwrap_or(1);
+    // How many bones lead away from the target, and the joint at the triangle's far corner.
+    let (away, corner) = if uneven(&middle) <= far {
+        (0, middle)
+    } else {
+        let halfway = (0..lengths.len()).find(|k| 2.0 * before(k + 1) >= whole).unwrap_or(0);
+        (halfway, halfway + 1)
+    };
+    let start = base - before(away) * axis;
+    let (a, b, c) = (before(corner) - before(away), whole - before(corner), far + before(away));
+    let along = if c > 0.0 { (0.5 * ((a - b) * (a + b) / c + c)).clamp(-a, a) } else { 0.0 };
+    let apex = start + along * axis + ((a - along) * (a + along)).max(0.0).sqrt() * aside;
+    let mut laid = vec![base];
+    for (i, length) in lengths.iter().enumerate() {
+        let way = match i {
+            i if i < away => -axis,
+            i if i < corner => (apex - start).normalize_or(aside),
+            _ => (target - apex).normalize_or(-aside),
+        };
+        laid.push(laid[i] + *length * way);
+    }
+    laid
 }
 
 #[cfg(test)]
@@ -171,7 +239,28 @@ mod tests {
                 prop_assert!((miss - (far - total)).abs() < 1e-9, "stretched: {}", miss);
             } else if far > 2.0 * longest - total {
                 prop_assert!(miss < 1e-7 * total, "{miss} from a target that can be reached");
+            } else {
+                let least = 2.0 * longest - total - far;
+                prop_assert!((miss - least).abs() < 1e-7 * total, "{miss} instead of {least}");
             }
+        }
+
+        /// One bone is so long that the others just bring the end back to the target.
+        #[test]
+        fn a_long_bone_is_folded_back_as_far_as_it_can_be(
+            directions in prop::collection::vec(prop::array::uniform3(-1.0..1.0_f64), 2..7),
+            (long, spare, towards) in (0..7_usize, -9.0..0.0_f64, prop::array::uniform3(-1.0..1.0_f64)),
+        ) {
+            let (long, spare) = (long % directions.len(), 10_f64.powf(spare));
+            let others = (directions.len() - 1) as f64 * 0.1;
+            let mut joints = vec![DVec3::ZERO];
+            for (i, way) in directions.iter().enumerate() {
+                let length = if i == long { 2.0 * others } else { 0.1 };
+                joints.push(joints[i] + length * DVec3::from(*way).normalize_or(DVec3::X));
+            }
+            let target = DVec3::from(towards).normalize_or(DVec3::Y) * others * (1.0 + spare);
+            let (_, miss) = ends(&joints, target);
+            prop_assert!(miss < 1e-7 * 3.0 * others, "{miss} from a target that can be reached");
         }
 
         #[test]
