@@ -1,6 +1,6 @@
 //! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `model <- core, generate,
-//! measure`; `core <- picture`; `plugin-api, core, measure, picture <- session <- viewer, cli`; `picture <-
-//! scene`; `viewer, scene <- window`; `core, plugin-api, session <- python`, which is no crate of the workspace.
+//! measure`; `core <- picture`; `plugin-api, core, measure, picture <- session <- check, viewer, cli`; `check <-
+//! cli`; `picture <- scene`; `viewer, scene <- window`; `core, plugin-api, session <- python`, which is no crate of the workspace.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -141,7 +141,9 @@ fn arrows_go_one_way() {
     crates.expect_members("host/session", &session);
     let viewer = [&engine[..], &["simod-picture", "simod-plugin-api", "simod-session"]].concat();
     crates.expect_members("host/viewer", &viewer);
-    let cli = [&engine[..], &["simod-generate", "simod-picture", "simod-session"]].concat();
+    let check = [&engine[..], &["simod-plugin-api", "simod-session"]].concat();
+    crates.expect_members("host/check", &check);
+    let cli = [&engine[..], &["simod-check", "simod-generate", "simod-picture", "simod-session"]].concat();
     crates.expect_members("host/cli", &cli);
     crates.expect_members("host/scene", &["simod-model", "simod-picture"]);
     let window = ["simod-generate", "simod-picture", "simod-plugin-api", "simod-scene", "simod-session"];

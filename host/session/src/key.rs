@@ -13,7 +13,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use crate::side_file::Reference;
 
 /// A key in the making.
-pub(crate) struct Key(Xxh3Default);
+pub struct Key(Xxh3Default);
 
 impl Key {
     /// The key of what came from something that has this key itself.
@@ -35,7 +35,7 @@ impl Key {
 
 /// What a key can be of. What differs is added as different bytes: lengths before lists and texts, a number
 /// before each case.
-pub(crate) trait Keyed {
+pub trait Keyed {
     /// Adds all of it.
     fn add_to(&self, key: &mut Key);
 }

@@ -9,14 +9,13 @@
 //! [`Frame`](simod_model::frame::Frame)). The translation between both happens in [`stack`] alone; foreign
 //! code is called in [`deformer`] alone.
 
-pub mod check;
 pub mod child;
 pub mod compare;
 pub mod deformed_samples;
 pub mod deformer;
 pub mod edit;
-mod key;
-mod migration;
+pub mod key;
+pub mod migration;
 pub mod motion;
 mod other_model;
 pub mod params;

@@ -17,7 +17,7 @@ const EXACT: f64 = 9_007_199_254_740_992.0;
 /// # Errors
 /// The step is of a later version than the plugin, gives a parameter by both of its names, or the plugin
 /// cannot make anything of it; or what the plugin makes of it is of no use.
-pub(crate) fn migrated(step: &Deformation, plugin: &Plugin) -> Result<Option<Deformation>> {
+pub fn migrated(step: &Deformation, plugin: &Plugin) -> Result<Option<Deformation>> {
     let now = plugin.state_version();
     let from = step.state_version.unwrap_or(1);
     if from == 0 || from > now {

@@ -91,7 +91,7 @@ impl Params {
     }
 
     /// As plugins get them: points and lengths in local coordinates, defaults placed in the model's box.
-    pub(crate) fn to_local(&self, frame: &Frame, bounds: &Bounds) -> LocalParams {
+    pub fn to_local(&self, frame: &Frame, bounds: &Bounds) -> LocalParams {
         let local = |(id, kind, value): &(String, ParamKind, ParamValue)| {
             let mut text = String::new();
             let numbers = match value {
@@ -125,7 +125,7 @@ impl Params {
 
 /// Values in the form that crosses the border.
 #[derive(Debug, Clone)]
-pub(crate) struct LocalParams(Vec<(String, ParamKind, Vec<f64>, String)>);
+pub struct LocalParams(Vec<(String, ParamKind, Vec<f64>, String)>);
 
 impl Keyed for LocalParams {
     fn add_to(&self, key: &mut Key) {
@@ -165,18 +165,18 @@ impl Keyed for Params {
 
 impl LocalParams {
     /// Ids of the parameters that name other models.
-    pub(crate) fn models(&self) -> impl Iterator<Item = &str> {
+    pub fn models(&self) -> impl Iterator<Item = &str> {
         self.0.iter().filter(|(_, kind, ..)| *kind == ParamKind::MODEL).map(|(id, ..)| id.as_str())
     }
 
     /// Gives all parameters that name other models a path.
-    pub(crate) fn name_models(&mut self, path: &str) {
+    pub fn name_models(&mut self, path: &str) {
         let models = self.0.iter_mut().filter(|(_, kind, ..)| *kind == ParamKind::MODEL);
         models.for_each(|(.., text)| path.clone_into(text));
     }
 
     /// Views of them.
-    pub(crate) fn views(&self) -> Vec<Param<'_>> {
+    pub fn views(&self) -> Vec<Param<'_>> {
         self.0
             .iter()
             .map(|(id, kind, numbers, text)| {
@@ -201,7 +201,7 @@ fn argument(what: impl Into<String>, hint: impl Into<String>) -> Error {
 }
 
 /// The candidate that was probably meant, if any is near.
-pub(crate) fn nearest<'a>(given: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+pub fn nearest<'a>(given: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .map(|c| (strsim::damerau_levenshtein(given, c), c))
         .filter(|(distance, c)| *distance <= 1 + given.len().max(c.len()) / 4)
@@ -574,12 +574,12 @@ pub fn param_data(d: &ParamDesc) -> serde_json::Value {
 }
 
 /// Whether a text is kebab-case.
-pub(crate) fn is_id(id: &str) -> bool {
+pub fn is_id(id: &str) -> bool {
     !id.is_empty() && id.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-')
 }
 
 /// What is wrong with a plugin's description of itself.
-pub(crate) fn check_description(descriptor: &Descriptor) -> std::result::Result<(), String> {
+pub fn check_description(descriptor: &Descriptor) -> std::result::Result<(), String> {
     limits::check(descriptor)?;
     if !is_id(&descriptor.id) {
         return Err(format!("the plugin's id `{}` is not kebab-case", descriptor.id));
@@ -614,10 +614,7 @@ pub(crate) fn check_description(descriptor: &Descriptor) -> std::result::Result<
 }
 
 /// What is wrong with what a plugin says of its older sessions.
-pub(crate) fn check_migration(
-    descriptor: &Descriptor,
-    migration: &Migration,
-) -> std::result::Result<(), String> {
+pub fn check_migration(descriptor: &Descriptor, migration: &Migration) -> std::result::Result<(), String> {
     let Migration { state_version, aliases } = migration;
     if *state_version == 0 {
         return Err("its state version is 0, and the first one is 1".to_owned());

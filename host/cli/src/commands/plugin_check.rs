@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use serde_json::{Value, json};
+use simod_check::{self as check, Finding, RULES, Rule, Verdict};
 use simod_model::{Error, ErrorKind, Progress, Result, input};
-use simod_session::check::{self, Finding, RULES, Rule, Verdict};
 
 use super::plugin_options::{PluginOptions, parse_seconds};
 use super::sample::parse_bytes;

@@ -12,7 +12,7 @@ pub(crate) const LONGEST_LIST: usize = 10_000;
 const LONGEST_TEXTS: usize = 16 << 20;
 
 /// All texts of a description, each with what it is.
-pub(crate) fn texts(d: &Descriptor) -> Vec<(&str, String)> {
+pub fn texts(d: &Descriptor) -> Vec<(&str, String)> {
     let of_plugin = [
         (&d.id, "id"),
         (&d.name, "name"),
@@ -50,7 +50,7 @@ fn called(p: &ParamDesc) -> String {
 }
 
 /// What of a description is more than it may be.
-pub(crate) fn check(d: &Descriptor) -> Result<(), String> {
+pub fn check(d: &Descriptor) -> Result<(), String> {
     let list = |length: usize, what: &dyn Fn() -> String| {
         if length <= LONGEST_LIST {
             return Ok(());

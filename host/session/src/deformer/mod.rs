@@ -9,7 +9,7 @@ mod about;
 mod c;
 mod care;
 mod code;
-pub(crate) mod limits;
+pub mod limits;
 mod lookups;
 #[allow(unsafe_code, reason = "registers of the processor; each block has its argument")]
 mod registers;
@@ -378,7 +378,7 @@ impl Plugin {
     }
 
     /// Its description, as it was told at load.
-    pub(crate) fn descriptor(&self) -> &Descriptor {
+    pub fn descriptor(&self) -> &Descriptor {
         &self.descriptor
     }
 
@@ -395,12 +395,12 @@ impl Plugin {
 const FARTHEST: f64 = 1e9;
 
 /// Whether what follows can work with a position: it is finite, and not farther away than [`FARTHEST`].
-pub(crate) fn is_usable(p: [f64; 3]) -> bool {
+pub fn is_usable(p: [f64; 3]) -> bool {
     p.iter().all(|x| x.abs() <= FARTHEST)
 }
 
 /// What is wrong with the handles that a plugin places.
-pub(crate) fn check_handles(OwnHandles { descs, faces }: &OwnHandles) -> std::result::Result<(), String> {
+pub fn check_handles(OwnHandles { descs, faces }: &OwnHandles) -> std::result::Result<(), String> {
     let mut ids = HashSet::new();
     for (i, handle) in descs.iter().enumerate() {
         if [&handle.id, &handle.name].iter().any(|text| text.len() >= limits::LONGEST_TEXT) {
@@ -462,7 +462,7 @@ fn refused(path: &Path, what: &str) -> Error {
 }
 
 /// A plugin's text on one line, of bounded length.
-pub(crate) fn line(text: &str) -> String {
+pub fn line(text: &str) -> String {
     const LONGEST: usize = 500;
     // What is raw, as what a terminal obeys, separates words as white space does.
     let words = text.split(|c: char| c.is_whitespace() || is_raw(c)).filter(|word| !word.is_empty());

@@ -55,7 +55,7 @@ pub(super) fn kind(path: &Path) -> Result<Kind> {
 ///
 /// What unwinds is a library that the plugin names its functions of: one that makes panics unwind calls the
 /// one that begins that. One that aborts has the others alone, by which it finds out where it was.
-pub(crate) fn aborts_on_panic(path: &Path) -> Option<bool> {
+pub fn aborts_on_panic(path: &Path) -> Option<bool> {
     let cache = ReadCache::new(std::fs::File::open(path).ok()?);
     let file = File::parse(&cache).ok()?;
     let has =

@@ -13,7 +13,7 @@ use crate::session_file::Step;
 #[cfg(unix)]
 use crate::worker::{self, WorkerCode, WorkerOptions};
 use cache::{Cache, Stamp};
-pub(crate) use library_file::aborts_on_panic;
+pub use library_file::aborts_on_panic;
 use load::LazyCode;
 pub(crate) use load::load_code;
 use semver::Version;
@@ -431,7 +431,7 @@ impl PluginRegistry {
 }
 
 /// Loads a library into this process, whatever it says about itself.
-pub(crate) fn load_unchecked(path: &Path) -> Result<Plugin> {
+pub fn load_unchecked(path: &Path) -> Result<Plugin> {
     let code = load_code(path, false)?;
     let about = Plugin::ask(code.as_ref(), path)?;
     Plugin::unchecked(code, about, path)

@@ -119,7 +119,7 @@ impl RestShape<'_> {
 }
 
 /// Where the neighbours of each sample begin, and all of them.
-pub(crate) fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u32]) {
+pub fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u32]) {
     ((0..=samples).map(|i| (i * graph.k()) as u32).collect(), graph.all())
 }
 
@@ -133,7 +133,7 @@ pub(crate) fn at(place: &str, e: Error) -> Error {
 }
 
 /// As plugins take it.
-pub(crate) fn rows(map: DAffine3) -> api::Affine {
+pub fn rows(map: DAffine3) -> api::Affine {
     let (m, t) = (map.matrix3, map.translation);
     let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];
     api::Affine { rows: [row(0), row(1), row(2)] }

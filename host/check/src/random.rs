@@ -4,7 +4,7 @@
 //! SplitMix64.
 
 /// A sequence of random numbers.
-pub(super) struct Random(u64);
+pub(crate) struct Random(u64);
 
 impl Random {
     /// The sequence of a seed.

@@ -1,13 +1,13 @@
 //! What a plugin under check is told by the host, and answers.
 
-use super::finding::{Checked, Finding};
-use crate::deformer::line;
+use crate::finding::{Checked, Finding};
 use rayon::prelude::*;
 use simod_plugin_api::{ErrorCode, HostCalls, LogLevel, PluginError, PluginResult};
+use simod_session::deformer::line;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// The host as the plugin under check sees it.
-pub(super) struct Listener {
+pub(crate) struct Listener {
     /// Whether the plugin may go on.
     go_on: bool,
     /// How many lines it said.
@@ -49,10 +49,10 @@ impl HostCalls for Listener {
 }
 
 /// What a plugin politely says instead of an answer.
-pub(super) struct Refusal(pub String);
+pub(crate) struct Refusal(pub String);
 
 /// An answer, or a polite error.
-pub(super) type Answer<T> = Result<T, Refusal>;
+pub(crate) type Answer<T> = Result<T, Refusal>;
 
 impl Refusal {
     /// The finding where something ordinary is refused: the rule cannot be checked.
@@ -62,7 +62,7 @@ impl Refusal {
 }
 
 /// What a call gave: a panic and a stop unasked end the rule, other errors are polite.
-pub(super) fn answer<T>(call: &str, result: PluginResult<T>) -> Checked<Answer<T>> {
+pub(crate) fn answer<T>(call: &str, result: PluginResult<T>) -> Checked<Answer<T>> {
     match result {
         Ok(value) => Ok(Ok(value)),
         Err(error) if error.code == ErrorCode::PANICKED => Err(panicked(call, &error)),
@@ -78,7 +78,7 @@ pub(super) fn answer<T>(call: &str, result: PluginResult<T>) -> Checked<Answer<T
 }
 
 /// A panic, as a finding.
-pub(super) fn panicked(call: &str, error: &PluginError) -> Finding {
+pub(crate) fn panicked(call: &str, error: &PluginError) -> Finding {
     Finding::fail(
         format!("{call} {}", line(&error.message)),
         "return an error instead; `RUST_BACKTRACE=1 simod plugin check-rule FILE RULE` shows where it panics",

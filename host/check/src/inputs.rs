@@ -1,46 +1,46 @@
 //! Rules on unusual input: a plugin gives finite positions, or an error that says why not.
 
-use super::answer::{Answer, Listener};
-use super::case::Case;
-use super::finding::{Checked, Finding};
-use super::subject::{Subject, unwritten};
-use crate::deformer::line;
+use crate::answer::{Answer, Listener};
+use crate::case::Case;
+use crate::finding::{Checked, Finding};
+use crate::subject::{Subject, unwritten};
 use glam::Vec3;
 use simod_plugin_api::ErrorCode;
+use simod_session::deformer::line;
 
 /// Samples of a large case: as many as the interactive tools are made for.
-pub(super) const LARGE: usize = 200_000;
+pub(crate) const LARGE: usize = 200_000;
 
 /// Samples of an ordinary case.
-pub(super) const ORDINARY: usize = 2000;
+pub(crate) const ORDINARY: usize = 2000;
 
 /// How far away samples are that lie far outside, in units of the diagonal.
 const FAR: f32 = 1e6;
 
-pub(super) fn one_sample(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn one_sample(subject: &Subject) -> Checked<Finding> {
     points(subject, vec![Vec3::new(0.1, 0.2, 0.3)])
 }
 
-pub(super) fn two_samples(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn two_samples(subject: &Subject) -> Checked<Finding> {
     points(subject, vec![Vec3::new(-0.5, 0.0, 0.2), Vec3::new(0.5, 0.7, -0.1)])
 }
 
-pub(super) fn coincident(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn coincident(subject: &Subject) -> Checked<Finding> {
     points(subject, vec![Vec3::new(0.1, 0.2, 0.3); 100])
 }
 
-pub(super) fn collinear(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn collinear(subject: &Subject) -> Checked<Finding> {
     let at = |i: u8| Vec3::new(-0.4, -0.5, -0.3).lerp(Vec3::new(0.4, 0.5, 0.3), f32::from(i) / 99.0);
     points(subject, (0..100).map(at).collect())
 }
 
-pub(super) fn flat(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn flat(subject: &Subject) -> Checked<Finding> {
     let at = |i: u16| Vec3::new(f32::from(i / 20) / 19.0 - 0.5, f32::from(i % 20) / 19.0 - 0.5, 0.0);
     points(subject, (0..400).map(at).collect())
 }
 
 /// Not unusual at all but for the number: who refuses it is of little use.
-pub(super) fn large(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn large(subject: &Subject) -> Checked<Finding> {
     Ok(match subject.run(&Case::bumpy_sphere(&subject.plugin, LARGE)?)? {
         Ok(_) => Finding::pass("finite"),
         Err(refusal) => Finding::warn(
@@ -51,14 +51,14 @@ pub(super) fn large(subject: &Subject) -> Checked<Finding> {
 }
 
 /// As after layers that sent the samples away: the box is that of the model at rest.
-pub(super) fn huge_coordinates(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn huge_coordinates(subject: &Subject) -> Checked<Finding> {
     let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let away = FAR * case.bounds.diagonal() as f32;
     case.positions.iter_mut().flatten().for_each(|x| *x += away);
     survives(subject, &case)
 }
 
-pub(super) fn regions_empty(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn regions_empty(subject: &Subject) -> Checked<Finding> {
     let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     if case.regions.is_empty() {
         return Ok(Finding::skip("it uses no regions"));
@@ -68,7 +68,7 @@ pub(super) fn regions_empty(subject: &Subject) -> Checked<Finding> {
 }
 
 /// All regions hold the same samples: fixed and moved at once, or moved in several ways.
-pub(super) fn regions_contradictory(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn regions_contradictory(subject: &Subject) -> Checked<Finding> {
     let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let Some((_, weights)) = case.regions.first().cloned() else {
         return Ok(Finding::skip("it uses no regions"));
@@ -87,13 +87,13 @@ pub(super) fn regions_contradictory(subject: &Subject) -> Checked<Finding> {
 }
 
 /// No host gives that, and no plugin has to expect it.
-pub(super) fn no_samples(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn no_samples(subject: &Subject) -> Checked<Finding> {
     let case = Case::new(&subject.plugin, vec![Vec3::ZERO, Vec3::ONE], Vec::new())?.without_samples();
     tolerates(subject, &case)
 }
 
 /// The same.
-pub(super) fn not_a_number(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn not_a_number(subject: &Subject) -> Checked<Finding> {
     let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     case.positions[ORDINARY / 3] = [f32::NAN, f32::INFINITY, 0.0];
     tolerates(subject, &case)
@@ -130,7 +130,7 @@ fn survives(subject: &Subject, case: &Case) -> Checked<Finding> {
 
 /// Prepares, deforms, and evaluates at the samples, where the plugin does that: finite positions or a polite
 /// error.
-pub(super) fn all_calls(subject: &Subject, case: &Case) -> Checked<Answer<()>> {
+pub(crate) fn all_calls(subject: &Subject, case: &Case) -> Checked<Answer<()>> {
     let state = match subject.run(case)? {
         Ok((state, _)) => state,
         Err(refusal) => return Ok(Err(refusal)),

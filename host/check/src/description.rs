@@ -1,28 +1,28 @@
 //! Rules on the library and what it says about itself.
 
-use super::answer::answer;
-use super::finding::{Checked, Finding};
-use super::subject::Subject;
-use crate::deformer::{is_raw, limits};
-use crate::params::{check_description, check_migration, is_id};
-use crate::plugins::{aborts_on_panic, standard_folders};
-use crate::{PluginOptions, PluginRegistry};
+use crate::answer::answer;
+use crate::finding::{Checked, Finding};
+use crate::subject::Subject;
 use simod_plugin_api::{Descriptor, InputDesc, ParamDesc, ParamKind};
+use simod_session::deformer::{is_raw, limits};
+use simod_session::params::{check_description, check_migration, is_id};
+use simod_session::plugins::{aborts_on_panic, standard_folders};
+use simod_session::{PluginOptions, PluginRegistry};
 use std::path::Path;
 
 /// The library is loaded already: there would be no subject else.
-pub(super) fn loads(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn loads(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     Ok(Finding::pass(format!("{} {}", plugin.id(), plugin.version())))
 }
 
 /// Whether the host would not use a plugin that describes itself so.
-pub(super) fn is_wrong(subject: &Subject) -> bool {
+pub(crate) fn is_wrong(subject: &Subject) -> bool {
     wrong(subject.plugin.descriptor()).is_some()
 }
 
 /// The description makes sense, and is always the same.
-pub(super) fn descriptor(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn descriptor(subject: &Subject) -> Checked<Finding> {
     let descriptor = subject.plugin.descriptor();
     if let Some(what) = subject.plugin.migration().and_then(|m| check_migration(descriptor, m).err()) {
         return Err(Finding::fail(what, "correct what `Migrate::migration` gives"));
@@ -46,7 +46,7 @@ pub(super) fn descriptor(subject: &Subject) -> Checked<Finding> {
 }
 
 /// Nothing of what users read does anything to a terminal, and all of it is as long as it may be.
-pub(super) fn texts(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn texts(subject: &Subject) -> Checked<Finding> {
     let descriptor = subject.plugin.descriptor();
     if let Err(what) = limits::check(descriptor) {
         return Err(Finding::fail(what, "say less: users read names and hints in one line"));
@@ -67,7 +67,7 @@ pub(super) fn texts(subject: &Subject) -> Checked<Finding> {
 }
 
 /// A panic reaches the shims that make an error of it.
-pub(super) fn unwinds(file: &Path) -> Finding {
+pub(crate) fn unwinds(file: &Path) -> Finding {
     match aborts_on_panic(file) {
         None => Finding::skip("it is not in Rust, or not known what a panic does"),
         Some(false) => Finding::pass("panics unwind"),
@@ -79,7 +79,7 @@ pub(super) fn unwinds(file: &Path) -> Finding {
 }
 
 /// Nobody who installs the plugin loses one that came with the program.
-pub(super) fn own_id(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn own_id(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     let shipped = standard_folders().into_iter().filter(|folder| folder.shipped).collect();
     let registry = PluginRegistry::discover(&PluginOptions::in_process(shipped));

@@ -1,14 +1,14 @@
 //! Rules on what a deformation means: nothing for nothing, the same for the same.
 
-use super::answer::{Refusal, answer};
-use super::case::{Case, Other, motion};
-use super::finding::{Checked, Finding};
-use super::inputs::ORDINARY;
-use super::subject::Subject;
-use crate::stack::rows;
+use crate::answer::{Refusal, answer};
+use crate::case::{Case, Other, motion};
+use crate::finding::{Checked, Finding};
+use crate::inputs::ORDINARY;
+use crate::subject::Subject;
 use glam::DVec3;
 use simod_model::bounds::Bounds;
 use simod_plugin_api::Time;
+use simod_session::stack::rows;
 
 /// How far a rigid motion may be missed, in units of the diagonal.
 const RIGID: f64 = 1e-4;
@@ -25,14 +25,14 @@ fn bits(positions: &[[f32; 3]]) -> Vec<[u32; 3]> {
 }
 
 /// Where two results differ in any bit: how many positions do, and which one is the first.
-pub(super) fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> Option<String> {
+pub(crate) fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> Option<String> {
     let (a, b) = (bits(a), bits(b));
     let count = a.iter().zip(&b).filter(|(a, b)| a != b).count();
     let first = a.iter().zip(&b).position(|(a, b)| a != b)?;
     Some(format!("{count} of {} positions differ, the first at index {first}", a.len()))
 }
 
-pub(super) fn ordinary(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn ordinary(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     match subject.run(&case)? {
         Ok((_, positions)) => Ok(match difference(&case.positions, &positions) {
@@ -46,7 +46,7 @@ pub(super) fn ordinary(subject: &Subject) -> Checked<Finding> {
     }
 }
 
-pub(super) fn identity(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn identity(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     if case.transforms.is_empty() && case.handles.is_empty() && case.strokes.is_empty() {
         return Ok(Finding::skip("it has neither handles nor strokes"));
@@ -76,7 +76,7 @@ fn says_that_it_moves(subject: &Subject, case: &Case) -> Checked<bool> {
     told.map(|is_identity| !is_identity).map_err(Refusal::of_ordinary)
 }
 
-pub(super) fn rigid(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn rigid(subject: &Subject) -> Checked<Finding> {
     let consumes = subject.plugin.consumes();
     if !consumes.handle_regions && !subject.plugin.capabilities().handles {
         return Ok(Finding::skip("it has no handles"));
@@ -125,7 +125,7 @@ fn farthest(a: impl Iterator<Item = [f64; 3]>, b: impl Iterator<Item = [f64; 3]>
     a.zip(b).map(|(a, b)| DVec3::from(a).distance(DVec3::from(b))).fold(0.0, f64::max)
 }
 
-pub(super) fn repeatable(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn repeatable(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let (state, first) = subject.run_ordinary(&case)?;
     let hint = "let the result depend on the input alone: no clocks, no order of threads or of hash maps";
@@ -155,7 +155,7 @@ pub(super) fn repeatable(subject: &Subject) -> Checked<Finding> {
     Ok(Finding::pass(format!("the same bytes from two states and {THREADS} threads")))
 }
 
-pub(super) fn input_unchanged(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn input_unchanged(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let before = case.fingerprint();
     let unchanged = |call: &str| {
@@ -178,7 +178,7 @@ pub(super) fn input_unchanged(subject: &Subject) -> Checked<Finding> {
     Ok(Finding::pass("samples, regions, motions and parameters are as before"))
 }
 
-pub(super) fn evaluate(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn evaluate(subject: &Subject) -> Checked<Finding> {
     if !subject.plugin.capabilities().evaluate {
         return Ok(Finding::skip("it does not evaluate"));
     }
@@ -199,7 +199,7 @@ pub(super) fn evaluate(subject: &Subject) -> Checked<Finding> {
     Ok(if worst <= AGREES { Finding::pass(text) } else { Finding::fail(text, "both are the same map") })
 }
 
-pub(super) fn handles(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn handles(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     if !plugin.capabilities().handles {
         return Ok(Finding::skip("it places no handles"));
@@ -233,7 +233,7 @@ pub(super) fn handles(subject: &Subject) -> Checked<Finding> {
     Ok(Finding::pass(format!("{} handles{faces}", placed.descs.len())))
 }
 
-pub(super) fn is_identity(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn is_identity(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     if !plugin.capabilities().is_identity {
         return Ok(Finding::skip("it does not tell"));
@@ -260,7 +260,7 @@ pub(super) fn is_identity(subject: &Subject) -> Checked<Finding> {
 
 /// A plugin that takes the time deforms at any, and at the same one always in the same way, whatever was
 /// between.
-pub(super) fn time(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn time(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     if !subject.plugin.consumes().time {
         return Ok(Finding::skip("it does not take the time"));
@@ -289,7 +289,7 @@ pub(super) fn time(subject: &Subject) -> Checked<Finding> {
 }
 
 /// A plugin that takes attributes of the samples does without them, and with values that it does not expect.
-pub(super) fn attributes(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn attributes(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let Some(usual) = case.attributes.clone() else {
         return Ok(Finding::skip("it takes no attributes of the samples"));
@@ -312,7 +312,7 @@ pub(super) fn attributes(subject: &Subject) -> Checked<Finding> {
 }
 
 /// A plugin that takes other models does without them, and with any.
-pub(super) fn other_models(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn other_models(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     let Some(usual) = case.other.clone() else {
         return Ok(Finding::skip("it takes no other models"));

@@ -1,11 +1,7 @@
 //! What a plugin is given: samples, regions, motions and parameters, made the same way each time.
 
-use super::answer::{Listener, Refusal, answer};
-use super::finding::{Checked, Finding};
-use crate::deformer::{OwnHandles, Plugin, check_handles};
-use crate::key::Key;
-use crate::params::{LocalParams, Params};
-use crate::stack::{neighbour_lists, rows};
+use crate::answer::{Listener, Refusal, answer};
+use crate::finding::{Checked, Finding};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use simod_core::sampling::SampleSet;
 use simod_model::bounds::Bounds;
@@ -15,6 +11,10 @@ use simod_plugin_api::{
     ModelFrame, OtherModel, OtherModels, Param, ParamKind, Part, PointsKind, PrepareInput, Region,
     RestPositions, Role, Samples, Stroke, Strokes, Time, Triangles,
 };
+use simod_session::deformer::{OwnHandles, Plugin, check_handles};
+use simod_session::key::Key;
+use simod_session::params::{LocalParams, Params};
+use simod_session::stack::{neighbour_lists, rows};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
 
@@ -26,7 +26,7 @@ const OTHER: &str = "other.ply";
 
 /// Points of another model.
 #[derive(Clone)]
-pub(super) struct Other {
+pub(crate) struct Other {
     pub positions: Vec<[f64; 3]>,
     pub normals: Vec<[f32; 3]>,
     /// None of a model that was sampled for the plugin.
@@ -36,7 +36,7 @@ pub(super) struct Other {
 
 /// All that a plugin is given for one deformation, local coordinates.
 #[derive(Clone)]
-pub(super) struct Case {
+pub(crate) struct Case {
     pub positions: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
     spacing: Vec<f32>,
@@ -390,7 +390,7 @@ fn strokes(positions: &[Vec3]) -> Vec<Vec<[f64; 3]>> {
 }
 
 /// How a handle moves: a turn about an odd axis, and a shift.
-pub(super) fn motion(bounds: &Bounds, handle: usize) -> DAffine3 {
+pub(crate) fn motion(bounds: &Bounds, handle: usize) -> DAffine3 {
     let centre = bounds.center();
     let axis = DVec3::new(1.0, 2.0, 3.0).normalize_or(DVec3::X);
     let shift = DVec3::new(0.08, -0.05, 0.1) * bounds.diagonal() * (1.0 + 0.5 * handle as f64);

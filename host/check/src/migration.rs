@@ -1,16 +1,16 @@
 //! The rule on sessions that are older than the plugin.
 
-use super::answer::answer;
-use super::finding::{Checked, Finding};
-use super::subject::Subject;
-use crate::migration::migrated;
-use crate::params::check_migration;
-use crate::session_file::Deformation;
+use crate::answer::answer;
+use crate::finding::{Checked, Finding};
+use crate::subject::Subject;
 use simod_plugin_api::ParamKind;
+use simod_session::migration::migrated;
+use simod_session::params::check_migration;
+use simod_session::session_file::Deformation;
 
 /// Sessions of all versions that give nothing, or every parameter by its default and by each former name,
 /// become what the plugin takes; always the same, and nothing of what they become is changed once more.
-pub(super) fn migration(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn migration(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     if let Some(what) = plugin.migration().and_then(|m| check_migration(plugin.descriptor(), m).err()) {
         return Err(Finding::fail(what, HINT));

@@ -1,16 +1,16 @@
 //! The plugin under check, and calls to it whose failures are findings.
 
-use super::answer::{Answer, Listener, Refusal, answer};
-use super::case::Case;
-use super::finding::{Checked, Finding};
-use crate::deformer::{Plugin, is_usable};
+use crate::answer::{Answer, Listener, Refusal, answer};
+use crate::case::Case;
+use crate::finding::{Checked, Finding};
 use simod_plugin_api::{Scratch, State};
+use simod_session::deformer::{Plugin, is_usable};
 
 /// What a position is before it is written: a NaN that no computation gives.
 const UNWRITTEN: f32 = f32::from_bits(0x7fc5_1d0d);
 
 /// A plugin under check.
-pub(super) struct Subject {
+pub(crate) struct Subject {
     pub plugin: Plugin,
     /// Determines all that is random.
     pub seed: u64,
@@ -92,7 +92,7 @@ impl Subject {
 }
 
 /// A buffer for a deformation.
-pub(super) fn unwritten(case: &Case) -> Vec<[f32; 3]> {
+pub(crate) fn unwritten(case: &Case) -> Vec<[f32; 3]> {
     vec![[UNWRITTEN; 3]; case.positions.len()]
 }
 

@@ -1,10 +1,10 @@
 //! Rules on time and talk.
 
-use super::answer::{Listener, Refusal, answer, panicked};
-use super::case::Case;
-use super::finding::{Checked, Finding};
-use super::inputs::{LARGE, ORDINARY};
-use super::subject::{Subject, unwritten};
+use crate::answer::{Listener, Refusal, answer, panicked};
+use crate::case::Case;
+use crate::finding::{Checked, Finding};
+use crate::inputs::{LARGE, ORDINARY};
+use crate::subject::{Subject, unwritten};
 use simod_plugin_api::{ErrorCode, PluginResult};
 use std::time::{Duration, Instant};
 
@@ -23,7 +23,7 @@ const INTERACTIVE: Duration = Duration::from_millis(100);
 /// Lines of a call that somebody may read.
 const LINES: usize = 100;
 
-pub(super) fn cancel(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn cancel(subject: &Subject) -> Checked<Finding> {
     let (plugin, case, stop) =
         (&subject.plugin, Case::bumpy_sphere(&subject.plugin, LARGE)?, Listener::impatient());
     let mut slowest = ("prepare", Duration::ZERO);
@@ -71,7 +71,7 @@ fn stopped<T>(call: &str, result: PluginResult<T>) -> Checked<Option<T>> {
     }
 }
 
-pub(super) fn log(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn log(subject: &Subject) -> Checked<Finding> {
     let (plugin, case) = (&subject.plugin, Case::bumpy_sphere(&subject.plugin, ORDINARY)?);
     let host = Listener::patient();
     let state = case.prepare_input(|input| plugin.code().prepare(input, &host));
@@ -104,7 +104,7 @@ pub(super) fn log(subject: &Subject) -> Checked<Finding> {
 }
 
 /// The shortest of a few deformations, as other programs take their time too.
-pub(super) fn latency(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn latency(subject: &Subject) -> Checked<Finding> {
     const TIMES: usize = 5;
     let case = Case::bumpy_sphere(&subject.plugin, LARGE)?;
     let state = subject.prepare(&case)?.map_err(Refusal::of_ordinary)?;

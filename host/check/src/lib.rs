@@ -16,10 +16,10 @@ mod parameters;
 mod random;
 mod subject;
 
-use crate::plugins::load_unchecked;
 use finding::Checked;
 pub use finding::{Finding, Verdict};
 use simod_model::{Error, ErrorKind, Result};
+use simod_session::plugins::load_unchecked;
 use std::path::Path;
 use subject::Subject;
 
@@ -102,7 +102,7 @@ pub const RULES: &[Rule] = &[
 pub fn rule(id: &str) -> Result<&'static Rule> {
     RULES.iter().find(|rule| rule.id == id).ok_or_else(|| {
         let ids = RULES.iter().map(|rule| rule.id);
-        let hint = match crate::params::nearest(id, ids.clone()) {
+        let hint = match simod_session::params::nearest(id, ids.clone()) {
             Some(near) => format!("did you mean `{near}`?"),
             None => format!("there are {}", ids.collect::<Vec<_>>().join(", ")),
         };
@@ -136,7 +136,7 @@ mod tests {
     #[test]
     fn ids_are_unique_and_kebab_case() {
         for (i, rule) in RULES.iter().enumerate() {
-            assert!(crate::params::is_id(rule.id), "{}", rule.id);
+            assert!(simod_session::params::is_id(rule.id), "{}", rule.id);
             assert!(RULES[..i].iter().all(|other| other.id != rule.id), "{}", rule.id);
         }
         assert!(rule("identiy").unwrap_err().hint().contains("`identity`"));

@@ -61,4 +61,4 @@ impl Finding {
 }
 
 /// What goes on, or the finding that ends a rule early.
-pub(super) type Checked<T> = std::result::Result<T, Finding>;
+pub(crate) type Checked<T> = std::result::Result<T, Finding>;

@@ -1,12 +1,12 @@
 //! Rules on parameters: any value in range is answered, and the preparation depends on what it says it does.
 
-use super::answer::Refusal;
-use super::case::Case;
-use super::finding::{Checked, Finding, Verdict};
-use super::inputs::all_calls;
-use super::meaning::difference;
-use super::random::Random;
-use super::subject::Subject;
+use crate::answer::Refusal;
+use crate::case::Case;
+use crate::finding::{Checked, Finding, Verdict};
+use crate::inputs::all_calls;
+use crate::meaning::difference;
+use crate::random::Random;
+use crate::subject::Subject;
 use simod_plugin_api::{ParamDesc, ParamKind};
 use toml::Value;
 
@@ -19,7 +19,7 @@ const RANDOM: usize = 32;
 /// Other values that are tried of a parameter that does not invalidate the preparation.
 const CHANGES: usize = 4;
 
-pub(super) fn bounds(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn bounds(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     if plugin.params().is_empty() {
         return Ok(Finding::skip("it has no parameters"));
@@ -58,7 +58,7 @@ pub(super) fn bounds(subject: &Subject) -> Checked<Finding> {
     }))
 }
 
-pub(super) fn invalidation(subject: &Subject) -> Checked<Finding> {
+pub(crate) fn invalidation(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     let free: Vec<&ParamDesc> = plugin.params().iter().filter(|d| !d.invalidates_preparation).collect();
     if free.is_empty() {
