@@ -2,8 +2,8 @@
 //! PLUGIN`.
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
+use simod_compare::{CameraPlace, CompareFile, Comparing, Method, Work, compare};
 use simod_model::progress::Silent;
-use simod_session::compare::{CameraPlace, CompareFile, Comparing, Method, Work, compare};
 use simod_session::plugins::standard_folders;
 use simod_session::session_file::Sampling;
 use simod_session::{PluginOptions, PluginRegistry};

@@ -1,6 +1,7 @@
 //! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `model <- core, generate,
-//! measure`; `core <- picture`; `plugin-api, core, measure, picture <- session <- check, viewer, cli`; `check <-
-//! cli`; `picture <- scene`; `viewer, scene <- window`; `core, plugin-api, session <- python`, which is no crate of the workspace.
+//! measure`; `core <- picture`; `plugin-api, core, measure <- session <- check, compare, viewer, cli`; `measure,
+//! picture <- compare`; `check, compare <- cli`; `picture <- scene, viewer`; `viewer, scene <- window`; `core,
+//! plugin-api, session, compare <- python`, which is no crate of the workspace.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -137,13 +138,17 @@ fn arrows_go_one_way() {
     crates.expect_members("host/storage", &["simod-model"]);
     crates.expect_members("host/picture", &["simod-core", "simod-model"]);
     let engine = ["simod-core", "simod-model"];
-    let session = [&engine[..], &["simod-measure", "simod-picture", "simod-plugin-api"]].concat();
+    let session = [&engine[..], &["simod-measure", "simod-plugin-api"]].concat();
     crates.expect_members("host/session", &session);
     let viewer = [&engine[..], &["simod-picture", "simod-plugin-api", "simod-session"]].concat();
     crates.expect_members("host/viewer", &viewer);
+    let compare = [&engine[..], &["simod-measure", "simod-picture", "simod-session"]].concat();
+    crates.expect_members("host/compare", &compare);
     let check = [&engine[..], &["simod-plugin-api", "simod-session"]].concat();
     crates.expect_members("host/check", &check);
-    let cli = [&engine[..], &["simod-check", "simod-generate", "simod-picture", "simod-session"]].concat();
+    let cli =
+        [&engine[..], &["simod-check", "simod-compare", "simod-generate", "simod-picture", "simod-session"]]
+            .concat();
     crates.expect_members("host/cli", &cli);
     crates.expect_members("host/scene", &["simod-model", "simod-picture"]);
     let window = ["simod-generate", "simod-picture", "simod-plugin-api", "simod-scene", "simod-session"];
@@ -175,7 +180,7 @@ fn python_is_beside_the_workspace() {
         |(name, dependency): (&String, &toml::Value)| Some((name.clone(), dependency.get("path")?.clone()));
     let used: BTreeMap<String, toml::Value> =
         python["dependencies"].as_table().expect("a table").iter().filter_map(of_paths).collect();
-    let expected = ["simod-core", "simod-model", "simod-plugin-api", "simod-session"];
+    let expected = ["simod-compare", "simod-core", "simod-model", "simod-plugin-api", "simod-session"];
     assert_eq!(used.keys().collect::<Vec<_>>(), expected.iter().collect::<Vec<_>>());
     let profile = |of: &toml::Table, key: &str| of["profile"]["release"][key].clone();
     for key in ["codegen-units", "panic"] {

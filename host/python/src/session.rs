@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
 use serde_json::json;
+use simod_compare::{CompareFile, Comparing};
 use simod_core::guard::{Guard, Kind};
 use simod_model::follow::Follow;
-use simod_session::compare::{self as comparison, CompareFile, Comparing};
 use simod_session::session_file::inputs;
 use simod_session::{Run, Running, SessionFile, Tolerance};
 
@@ -169,7 +169,7 @@ pub fn compare<'py>(
         guard.reads_all(plugins.files());
         guard.replaces_folder(&output)?;
         let how = Comparing { keep_models, allow_commands };
-        Ok(comparison::compare(&methods, &plugins, how, &output, watch)?.to_json())
+        Ok(simod_compare::compare(&methods, &plugins, how, &output, watch)?.to_json())
     })?;
     py.import("json")?.call_method1("loads", (figures,))
 }

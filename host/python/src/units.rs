@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
 use serde_json::json;
+use simod_compare::{CompareFile, Comparing, ComparisonPlan, MethodRecord};
 use simod_core::guard::Guard;
 use simod_model::ModelName;
 use simod_model::follow::Follow;
-use simod_session::compare::{self, CompareFile, Comparing, ComparisonPlan, MethodRecord};
 use simod_session::plan::{Done, Options, Plan, Unit, do_unit, make};
 use simod_session::session_file::inputs;
 use simod_session::{PluginRegistry, SessionFile};
@@ -94,8 +94,8 @@ pub fn comparison_plan(
         guard.replaces_folder(&out)?;
         guard.replaces_folder(&folder)?;
         let how = Comparing { keep_models, allow_commands };
-        let options = compare::Options { how, plugins: &[], emit: &[] };
-        compare::make(&comparison, &file, &out, &options, &folder, watch)
+        let options = simod_compare::Options { how, plugins: &[], emit: &[] };
+        simod_compare::make(&comparison, &file, &out, &options, &folder, watch)
     })?;
     warn(py, &notes)?;
     // Its samplings are those of no other plan.
@@ -143,7 +143,7 @@ fn comparison_unit(
         guard.reads_all(inputs(plan.file())?);
         guard.reads_all(plugins.files());
         guard.replaces_folder(plan.output())?;
-        compare::do_unit(&plan, (folder, number), plugins, watch)
+        simod_compare::do_unit(&plan, (folder, number), plugins, watch)
     })?;
     let failed = |method: &MethodRecord| {
         method.error.as_ref().map(|e| format!("{} failed: {} ({})", method.name, e.what, e.hint))

@@ -2,7 +2,7 @@
 
 mod ended;
 
-pub(crate) use ended::Ended;
+pub use ended::Ended;
 use ended::{INTERVAL, LAST_WORDS};
 
 use std::io::Read;
@@ -77,7 +77,7 @@ pub(crate) fn ran_out_of_memory(errors: &str) -> bool {
 }
 
 /// The end of what a process prints, read by a thread, so that it never waits for a reader.
-pub(crate) struct Tail {
+pub struct Tail {
     bytes: Arc<Mutex<Vec<u8>>>,
     reader: Option<std::thread::JoinHandle<()>>,
 }

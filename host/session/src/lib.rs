@@ -10,7 +10,6 @@
 //! code is called in [`deformer`] alone.
 
 pub mod child;
-pub mod compare;
 pub mod deformed_samples;
 pub mod deformer;
 pub mod edit;
@@ -33,7 +32,7 @@ pub mod stack;
 mod stroke;
 mod strokes_file;
 pub mod tolerance;
-mod vector;
+pub mod vector;
 #[cfg(unix)]
 pub mod worker;
 

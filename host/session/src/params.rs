@@ -86,7 +86,7 @@ impl Params {
     }
 
     /// All ids and values, in the plugin's order.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = (&str, &ParamValue)> {
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &ParamValue)> {
         self.values.iter().map(|(id, _, value)| (id.as_str(), value))
     }
 

@@ -501,11 +501,15 @@ impl RawTiles {
     }
 }
 
+/// The table `[model]` of a comparison, as it is written.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct RawModel {
+pub struct RawModel {
+    /// The model's file, relative to the folder of the file that names it.
     pub path: PathBuf,
+    /// What the columns of a model in text are.
     pub columns: Option<String>,
+    /// The hash of the model that is meant.
     pub fingerprint: Option<String>,
 }
 
@@ -565,9 +569,10 @@ struct RawHandle {
     r#move: Spanned<Motion>,
 }
 
+/// A table `[[region]]`, as it is written: [`SessionText::region`] makes a [`Region`] of it.
 #[derive(Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub(crate) struct RawRegion {
+pub struct RawRegion {
     role: Role,
     shapes: Vec<Spanned<Shape>>,
     falloff: Option<Spanned<f64>>,
@@ -695,7 +700,7 @@ fn named_from(folder: &Path, path: &Path) -> PathBuf {
 }
 
 /// The text of a small file; `what` it should be, and what to give, for errors.
-pub(crate) fn read_text(path: &Path, what: &str, hint: &str) -> Result<String> {
+pub fn read_text(path: &Path, what: &str, hint: &str) -> Result<String> {
     input::read_text(path, LARGEST).map_err(|e| match e.kind() {
         ErrorKind::Format => Error::new(
             ErrorKind::Format,
@@ -732,8 +737,10 @@ pub fn inputs(path: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// The file, for errors that say where.
-pub(crate) struct SessionText<'a> {
+pub struct SessionText<'a> {
+    /// All that is written in it.
     pub text: &'a str,
+    /// Its path, which other paths in it are relative to the folder of.
     pub path: &'a Path,
 }
 
@@ -745,6 +752,7 @@ impl SessionText<'_> {
         format!("{}, line {line}", self.path.display())
     }
 
+    /// An error of format, `what`, at a place in the file.
     pub fn error(&self, span: &Range<usize>, what: &str, hint: impl Into<String>) -> Error {
         Error::new(ErrorKind::Format, format!("{}: {what}", self.place(span)), hint)
     }
@@ -773,6 +781,10 @@ impl SessionText<'_> {
         self.error(&span, &message, format!("the line reads: {line}"))
     }
 
+    /// The table `[sampling]`, checked.
+    ///
+    /// # Errors
+    /// Both a number of samples and an error are given, or a value is out of range: with the line.
     pub fn sampling(&self, sampling: Spanned<Sampling>) -> Result<Sampling> {
         let span = sampling.span();
         let sampling = sampling.into_inner();
@@ -1007,6 +1019,10 @@ impl SessionText<'_> {
         }
     }
 
+    /// A region, checked.
+    ///
+    /// # Errors
+    /// It has no shapes, or a shape, its falloff or its motion makes no sense: with the line.
     pub fn region(&self, region: Spanned<RawRegion>) -> Result<Region> {
         let span = region.span();
         let raw = region.into_inner();

@@ -4,7 +4,7 @@ use glam::DVec3;
 use serde::{Deserialize, Deserializer, de::Error};
 
 /// For `#[serde(deserialize_with)]`: exactly three numbers.
-pub(crate) fn three<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DVec3, D::Error> {
+pub fn three<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DVec3, D::Error> {
     let numbers = Vec::<f64>::deserialize(deserializer)?;
     let count = numbers.len();
     let three = <[f64; 3]>::try_from(numbers);
@@ -14,12 +14,12 @@ pub(crate) fn three<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DVec3,
 }
 
 /// As [`three`], for numbers that may be missing; together with `#[serde(default)]`.
-pub(crate) fn maybe_three<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<DVec3>, D::Error> {
+pub fn maybe_three<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<DVec3>, D::Error> {
     three(deserializer).map(Some)
 }
 
 /// For `#[serde(deserialize_with)]`: a list of exactly three numbers each.
-pub(crate) fn threes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<DVec3>, D::Error> {
+pub fn threes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<DVec3>, D::Error> {
     #[derive(Deserialize)]
     struct Three(#[serde(deserialize_with = "three")] DVec3);
     Ok(Vec::<Three>::deserialize(deserializer)?.into_iter().map(|three| three.0).collect())

@@ -1,5 +1,5 @@
-//! Readers of damaged files: sessions with the strokes and selections beside them, comparisons, and what is
-//! remembered of plugins. Any bytes are an error or fit, and nothing panics. Hashes are made to fit what is
+//! Readers of damaged files: sessions with the strokes and selections beside them, and what is remembered
+//! of plugins. Any bytes are an error or fit, and nothing panics. Hashes are made to fit what is
 //! damaged, so that what is behind them is reached. `PROPTEST_CASES` says how many.
 #![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
 
@@ -7,7 +7,6 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use simod_model::output;
-use simod_session::compare::CompareFile;
 use simod_session::plugins::PluginFolder;
 use simod_session::session_file::{Action, SessionFile, inputs};
 use simod_session::{PluginOptions, PluginRegistry, Stack};
@@ -65,31 +64,6 @@ refine = { auto = true, samples = 1000 }
 path = "out.ply"
 "#;
 
-const COMPARE: &str = r#"[model]
-path = "cactus.ply"
-[sampling]
-samples = 20000
-[[region]]
-role = "handle"
-shapes = [{ sphere = { center = [0, 2, 0], radius = 0.3 } }]
-move = { translate = [1, 0, 0] }
-[camera]
-yaw = 10
-size = [400, 300]
-[[method]]
-name = "as rigid as possible"
-deform = "laplacian"
-params = { mode = "arap" }
-[[method]]
-name = "rbf, coarse"
-deform = "rbf"
-sampling = { samples = 5000 }
-reconstruction = "projected-barycentric"
-[[method]]
-name = "a whole session"
-session = "bend.toml"
-"#;
-
 fn put(path: &Path, bytes: &[u8]) {
     output::write_file(path, bytes).unwrap();
 }
@@ -125,20 +99,6 @@ fn damaged_sessions_do_no_harm() {
     let tested = runner(400).run(&all(), |all| {
         put(&path, &damaged(SESSION.as_bytes(), SESSION.len(), &all));
         use_session(&path);
-        Ok(())
-    });
-    tested.unwrap();
-}
-
-#[test]
-fn damaged_comparisons_do_no_harm() {
-    let path = Path::new("compare.toml");
-    assert_eq!(CompareFile::parse(COMPARE, path).unwrap().methods.len(), 3);
-    let tested = runner(400).run(&all(), |all| {
-        let bytes = damaged(COMPARE.as_bytes(), COMPARE.len(), &all);
-        if let Err(e) = CompareFile::parse(&String::from_utf8_lossy(&bytes), path) {
-            assert!(!e.to_string().contains('\n') && !e.hint().is_empty(), "{e}");
-        }
         Ok(())
     });
     tested.unwrap();

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use simod_compare::{CompareFile, Comparing, Comparison, MethodRecord, Options};
 use simod_core::guard::Guard;
 use simod_model::Result;
-use simod_session::compare::{self, CompareFile, Comparing, Comparison, MethodRecord, Options};
 use simod_session::session_file::inputs;
 
 use super::engines::{EngineName, engines};
@@ -57,7 +57,7 @@ impl Compare {
         if let Some(folder) = &self.plan {
             guard.replaces_folder(folder)?;
             let options = Options { how, plugins: &chosen, emit: &engines(&self.emit) };
-            let plan = compare::make(&file, &self.file, &self.output, &options, folder, progress)?;
+            let plan = simod_compare::make(&file, &self.file, &self.output, &options, folder, progress)?;
             report.figure("units", plan.units().len());
             report.figure("methods", file.methods.len());
             report.line(format!(
@@ -68,7 +68,7 @@ impl Compare {
             ));
             return Ok(());
         }
-        let comparison = compare::compare(&file, &plugins, how, &self.output, progress)?;
+        let comparison = simod_compare::compare(&file, &plugins, how, &self.output, progress)?;
         comparison.methods.iter().for_each(|method| tell_method(method, report));
         tell_comparison(&comparison, &self.output, report);
         Ok(())

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use simod_compare::ComparisonPlan;
 use simod_core::guard::Guard;
 use simod_model::size::human_size;
 use simod_model::{ModelName, Result};
-use simod_session::compare::{self, ComparisonPlan};
 use simod_session::plan::{Done, Options, Plan as Units, Stage, do_unit, make};
 use simod_session::session_file::inputs;
 use simod_session::{SessionFile, sidecar};
@@ -188,8 +188,8 @@ impl Unit {
         guard.reads_all(inputs(plan.file())?);
         guard.reads_all(plugins.files());
         guard.replaces_folder(plan.output())?;
-        let compare::Done { was_done, method, comparison } =
-            compare::do_unit(&plan, (&self.plan, self.number), &plugins, report.progress())?;
+        let simod_compare::Done { was_done, method, comparison } =
+            simod_compare::do_unit(&plan, (&self.plan, self.number), &plugins, report.progress())?;
         let stage = plan.units().get(self.number).map_or("", |unit| unit.stage.name());
         report.figure("unit", self.number);
         report.figure("stage", stage);

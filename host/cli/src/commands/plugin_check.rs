@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use serde_json::{Value, json};
-use simod_check::{self as check, Finding, RULES, Rule, Verdict};
+use simod_check::{Finding, RULES, Rule, Verdict};
 use simod_model::{Error, ErrorKind, Progress, Result, input};
 
 use super::plugin_options::{PluginOptions, parse_seconds};
@@ -55,7 +55,7 @@ pub struct CheckRule {
 }
 
 fn parse_rule(id: &str) -> std::result::Result<&'static Rule, String> {
-    check::rule(id).map_err(|e| format!("{e}: {}", e.hint()))
+    simod_check::rule(id).map_err(|e| format!("{e}: {}", e.hint()))
 }
 
 /// What became of a rule.
@@ -73,7 +73,7 @@ impl CheckRule {
         if let Some(bytes) = self.memory_limit {
             child::limit_memory(bytes)?;
         }
-        let finding = check::check_rule(&self.file, self.rule, self.seed);
+        let finding = simod_check::check_rule(&self.file, self.rule, self.seed);
         report.line(format!("{} {}: {}", finding.verdict, self.rule.id, finding.found));
         report.figure("rule", self.rule.id);
         report.figure("finding", json!(finding));
@@ -94,7 +94,8 @@ impl Check {
         let mut all: Vec<Checked> = Vec::new();
         for rule in RULES.iter().filter(|r| self.rule.is_empty() || self.rule.iter().any(|w| w.id == r.id)) {
             let started = Instant::now();
-            let useless = all.iter().any(|c| c.rule.id == check::LOADS && c.finding.verdict == Verdict::Fail);
+            let useless =
+                all.iter().any(|c| c.rule.id == simod_check::LOADS && c.finding.verdict == Verdict::Fail);
             let finding = if useless {
                 Finding::skip("the library does not load")
             } else {

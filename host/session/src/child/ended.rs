@@ -19,7 +19,7 @@ pub(super) const INTERVAL: Duration = Duration::from_millis(5);
 pub(super) const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// A process that does not outlive this.
-pub(crate) struct Ended {
+pub struct Ended {
     child: Child,
     /// How it ended, once it was taken off the system's list: from then on its number may be another
     /// process'.

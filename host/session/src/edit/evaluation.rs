@@ -105,7 +105,7 @@ impl Evaluated {
 ///
 /// # Errors
 /// A plugin fails; the user cancelled.
-pub(crate) fn turning_gradients(
+pub fn turning_gradients(
     sampled: &SampledModel,
     stack: &PreparedStack,
     model: &dyn Model,

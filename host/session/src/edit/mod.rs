@@ -14,6 +14,7 @@ pub use clipboard::{copied, pasted};
 pub use document::{Change, Command, Document};
 pub use editor::{Editor, forget, kept_at, recover, saved_at};
 pub use entry::{Entry, StepId};
+pub(crate) use evaluation::messages;
+pub use evaluation::turning_gradients;
 pub use evaluation::{Evaluated, Evaluation, Refinements, Status};
-pub(crate) use evaluation::{messages, turning_gradients};
 pub use groups::{free_name, group_at};

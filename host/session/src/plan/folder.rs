@@ -16,7 +16,7 @@ use super::graph::{
 use super::units::{FINISHED, PLAN, Unit};
 
 /// An error where something else is than a plan, or nothing.
-pub(crate) fn check_target(folder: &Path) -> Result<()> {
+pub fn check_target(folder: &Path) -> Result<()> {
     let refused = |what: String| {
         let hint = "give the name of a new folder, or of a plan to replace";
         Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))
@@ -60,7 +60,7 @@ fn is_own(name: &str) -> bool {
 }
 
 /// Puts a plan, and the scripts of engines for its units, into a folder that was begun, and that in its place.
-pub(crate) fn put<P: Serialize>(
+pub fn put<P: Serialize>(
     new: OutputFolder,
     (plan, units): (&P, &[Unit]),
     engines: &[Emit],
@@ -92,7 +92,7 @@ fn upload(folder: &Path) -> Option<(PathBuf, String)> {
 }
 
 /// A path that does not depend on where a unit is done.
-pub(crate) fn absolute(path: &Path) -> Result<PathBuf> {
+pub fn absolute(path: &Path) -> Result<PathBuf> {
     if is_object(path) {
         return text(path.to_owned());
     }
@@ -100,7 +100,7 @@ pub(crate) fn absolute(path: &Path) -> Result<PathBuf> {
 }
 
 /// The path, which scripts and plans can hold.
-pub(crate) fn text(path: PathBuf) -> Result<PathBuf> {
+pub fn text(path: PathBuf) -> Result<PathBuf> {
     let plain = |text: &str| !text.chars().any(char::is_control);
     if path.to_str().is_some_and(plain) {
         return Ok(path);

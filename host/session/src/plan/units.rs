@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 use simod_model::{Error, ErrorKind, Result, input};
 
 /// The plan itself.
-pub(crate) const PLAN: &str = "plan.toml";
+pub const PLAN: &str = "plan.toml";
 
 /// What the last unit leaves.
-pub(crate) const FINISHED: &str = "finished.toml";
+pub const FINISHED: &str = "finished.toml";
 
 /// No plan is longer: of a million units.
 const LONGEST: u64 = 256 << 20;
@@ -42,13 +42,13 @@ pub struct Unit {
 
 impl Unit {
     /// A unit of a stage that divides nothing but what it is of, by its place there.
-    pub(crate) fn of(number: usize, stage: Stage, after: Vec<usize>, part: usize, writes: PathBuf) -> Self {
+    pub fn of(number: usize, stage: Stage, after: Vec<usize>, part: usize, writes: PathBuf) -> Self {
         let part = Some(part as u64);
         Self { number, stage, after, vertices: None, part, pieces: None, writes }
     }
 
     /// The place of what it is of.
-    pub(crate) fn part(&self) -> usize {
+    pub fn part(&self) -> usize {
         self.part.unwrap_or_default() as usize
     }
 }
@@ -113,7 +113,7 @@ impl Stage {
 }
 
 /// The content of a `plan.toml`, of whatever.
-pub(crate) trait Planned: DeserializeOwned {
+pub trait Planned: DeserializeOwned {
     /// What its first line says.
     const FORMAT: &str;
     /// What makes it again.
@@ -127,7 +127,7 @@ pub(crate) trait Planned: DeserializeOwned {
 }
 
 /// Reads the plan in a folder.
-pub(crate) fn read<P: Planned>(folder: &Path) -> Result<P> {
+pub fn read<P: Planned>(folder: &Path) -> Result<P> {
     let file = folder.join(PLAN);
     let wrong = |what: String| {
         let hint = format!("make it again: `{}`", P::COMMAND);
@@ -162,7 +162,7 @@ pub(crate) fn read<P: Planned>(folder: &Path) -> Result<P> {
 }
 
 /// The unit of a number.
-pub(crate) fn unit_of<'a>(units: &'a [Unit], (folder, number): (&Path, usize)) -> Result<&'a Unit> {
+pub fn unit_of<'a>(units: &'a [Unit], (folder, number): (&Path, usize)) -> Result<&'a Unit> {
     units.get(number).ok_or_else(|| {
         let last = units.len().saturating_sub(1);
         Error::new(
@@ -174,7 +174,7 @@ pub(crate) fn unit_of<'a>(units: &'a [Unit], (folder, number): (&Path, usize)) -
 }
 
 /// An error if a unit cannot be done yet.
-pub(crate) fn check_before(units: &[Unit], unit: &Unit, folder: &Path) -> Result<()> {
+pub fn check_before(units: &[Unit], unit: &Unit, folder: &Path) -> Result<()> {
     match unit
         .after
         .iter()
@@ -191,7 +191,7 @@ pub(crate) fn check_before(units: &[Unit], unit: &Unit, folder: &Path) -> Result
 }
 
 /// What of any plan's units makes no sense: a unit's number, what it comes after, or where it writes.
-pub(crate) fn check_units(units: &[Unit]) -> Result<(), String> {
+pub fn check_units(units: &[Unit]) -> Result<(), String> {
     for (number, unit) in units.iter().enumerate() {
         let wrong = |what: &str| Err(format!("unit {number} {what}"));
         if unit.number != number {
@@ -208,7 +208,7 @@ pub(crate) fn check_units(units: &[Unit]) -> Result<(), String> {
 }
 
 /// The hash of what a session says, as it stands in plans.
-pub(crate) fn hash_of(session: &Path) -> Result<String> {
+pub fn hash_of(session: &Path) -> Result<String> {
     let text = input::read(session, LONGEST)?;
     Ok(format!("xxh3-128:{:032x}", xxhash_rust::xxh3::xxh3_128(&text)))
 }

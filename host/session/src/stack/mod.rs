@@ -90,7 +90,7 @@ impl Stack {
     }
 
     /// Each layer's plugin with all parameters in effect.
-    pub(crate) fn in_effect(&self) -> impl Iterator<Item = (&Plugin, &Params)> {
+    pub fn in_effect(&self) -> impl Iterator<Item = (&Plugin, &Params)> {
         self.layers.iter().map(|l| (&*l.plugin, l.params()))
     }
 

@@ -40,7 +40,6 @@ pub use record::{
 };
 pub use unit::{Done, do_unit};
 
-use crate::plugins::PluginRegistry;
 use chosen::Choosing;
 use figures::Held;
 use folder::{CSV, INDEX, LATEX, RECORD, Target};
@@ -49,6 +48,7 @@ use pictures::Easel;
 use simod_model::output::write_file;
 use simod_model::output_folder::OutputFolder;
 use simod_model::{Cache, Error, ErrorKind, Model, ModelName, Progress, Result, Vertices};
+use simod_session::plugins::PluginRegistry;
 use std::path::Path;
 use std::sync::Arc;
 

@@ -2,10 +2,8 @@
 //! box, angles in degrees, times in seconds. Two runs of the same file on one machine differ in `seconds` and
 //! `peak_memory_bytes` alone, but for what programs of the user's make.
 
-use super::file::{CompareFile, Method, Work};
-use super::folder::FORMAT;
-use crate::deformer::{Message, Plugin};
-use crate::params::{ParamValue, Params};
+use crate::file::{CompareFile, Method, Work};
+use crate::folder::FORMAT;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use simod_core::reconstruction::transfer_error::TransferError;
@@ -13,6 +11,8 @@ use simod_core::reconstruction::{ExpectedError, Method as Reconstruction};
 use simod_core::sampled_model::SampledModel;
 use simod_measure::{Difference, Distances, Energies, Rotation, Spread};
 use simod_model::Error;
+use simod_session::deformer::{Message, Plugin};
+use simod_session::params::{ParamValue, Params};
 use std::path::Path;
 
 /// A finished comparison.
@@ -219,11 +219,11 @@ pub struct RunSeconds {
 }
 
 /// One of the times of a run.
-pub(super) type TimeOf = fn(&RunSeconds) -> Option<f64>;
+pub(crate) type TimeOf = fn(&RunSeconds) -> Option<f64>;
 
 impl Seconds {
     /// Of runs.
-    pub(super) fn of(sample: Option<f64>, runs: Vec<RunSeconds>) -> Self {
+    pub(crate) fn of(sample: Option<f64>, runs: Vec<RunSeconds>) -> Self {
         let median = |of: TimeOf| median(runs.iter().filter_map(of).collect());
         Self {
             sample,
@@ -237,7 +237,7 @@ impl Seconds {
     }
 
     /// Half of how far the fastest and the slowest run are apart; nothing of a single run.
-    pub(super) fn spread(&self, of: TimeOf) -> Option<f64> {
+    pub(crate) fn spread(&self, of: TimeOf) -> Option<f64> {
         let all: Vec<f64> = self.runs.iter().filter_map(of).collect();
         let (least, most) = all.iter().fold((f64::MAX, f64::MIN), |(a, b), t| (a.min(*t), b.max(*t)));
         (all.len() > 1).then_some(0.5 * (most - least))
@@ -253,7 +253,7 @@ fn median(mut numbers: Vec<f64>) -> Option<f64> {
 
 impl Comparison {
     /// As far as it is known when all methods are done.
-    pub(super) fn new(file: &CompareFile, sampled: &SampledModel, methods: Vec<MethodRecord>) -> Self {
+    pub(crate) fn new(file: &CompareFile, sampled: &SampledModel, methods: Vec<MethodRecord>) -> Self {
         let source = &sampled.source;
         Self {
             format: FORMAT.to_owned(),
@@ -301,7 +301,7 @@ fn processor_name() -> Option<String> {
 
 impl MachineRecord {
     /// In a few words.
-    pub(super) fn in_words(&self) -> String {
+    pub(crate) fn in_words(&self) -> String {
         let threads = if self.threads == 1 { "thread" } else { "threads" };
         let of = self.processor.as_ref().map_or(String::new(), |name| format!(" of {name}"));
         format!("{} {threads}{of}", self.threads)
@@ -309,7 +309,7 @@ impl MachineRecord {
 }
 
 impl MethodRecord {
-    pub(super) fn new(method: &Method, file: &str) -> Self {
+    pub(crate) fn new(method: &Method, file: &str) -> Self {
         let given = method.sampling;
         let numbers = [
             ("samples", given.samples.map(Value::from)),
@@ -345,13 +345,13 @@ impl MethodRecord {
         }
     }
 
-    pub(super) fn fail(&mut self, e: &Error) {
+    pub(crate) fn fail(&mut self, e: &Error) {
         self.figures = None;
         self.error = Some(Failure { what: e.to_string(), hint: e.hint().to_owned() });
     }
 
     /// What is known only when all methods are done.
-    pub(super) fn set_shape(
+    pub(crate) fn set_shape(
         &mut self,
         (displacement, to_first): (Difference, Option<Difference>),
         on_samples: Option<OnSamples>,
@@ -365,7 +365,7 @@ impl MethodRecord {
 }
 
 impl StepRecord {
-    pub(super) fn new((plugin, params): (&Plugin, &Params)) -> Self {
+    pub(crate) fn new((plugin, params): (&Plugin, &Params)) -> Self {
         Self {
             plugin: plugin.id().to_owned(),
             version: plugin.version().to_owned(),
@@ -374,7 +374,7 @@ impl StepRecord {
     }
 }
 
-pub(super) fn words(messages: &[Message]) -> Vec<String> {
+pub(crate) fn words(messages: &[Message]) -> Vec<String> {
     let told = messages.iter().filter(|m| !m.is_debug());
     told.map(|m| format!("{}{}: {}", if m.is_warning() { "warning: " } else { "" }, m.plugin, m.text))
         .collect()

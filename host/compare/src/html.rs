@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 /// Three digits that count.
-pub(super) fn number(x: f64) -> String {
+pub(crate) fn number(x: f64) -> String {
     let size = x.abs();
     if x == 0.0 {
         "0".to_owned()
@@ -16,7 +16,7 @@ pub(super) fn number(x: f64) -> String {
 }
 
 /// A round share with its unit, without digits that say nothing.
-pub(super) fn round_percent(x: f64) -> String {
+pub(crate) fn round_percent(x: f64) -> String {
     let text = number(100.0 * x);
     let text = if text.contains('.') && !text.contains('e') {
         text.trim_end_matches('0').trim_end_matches('.')
@@ -27,21 +27,21 @@ pub(super) fn round_percent(x: f64) -> String {
 }
 
 /// What there is of ASCII letters and digits in a text, in lower case, with hyphens between.
-pub(super) fn hyphenated(text: &str) -> String {
+pub(crate) fn hyphenated(text: &str) -> String {
     let words = text.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
     words.collect::<Vec<_>>().join("-").to_ascii_lowercase()
 }
 
 /// What is not known, or does not make sense.
-pub(super) const NONE: &str = "–";
+pub(crate) const NONE: &str = "–";
 
 /// A number, or a dash.
-pub(super) fn or_dash(x: Option<f64>) -> String {
+pub(crate) fn or_dash(x: Option<f64>) -> String {
     x.map_or(NONE.to_owned(), number)
 }
 
 /// A table: first the columns of names, then numbers.
-pub(super) struct Table<'a> {
+pub(crate) struct Table<'a> {
     caption: &'a str,
     /// Titles, with their units.
     titles: &'a [(&'a str, &'a str)],

@@ -1,7 +1,7 @@
 //! The folder of a comparison: what may be replaced, and how its files are called.
 
-use super::file::Method;
-use super::html::hyphenated;
+use crate::file::Method;
+use crate::html::hyphenated;
 use serde::Deserialize;
 use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind, Result, input};
@@ -9,26 +9,26 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// The page.
-pub(super) const INDEX: &str = "index.html";
+pub(crate) const INDEX: &str = "index.html";
 
 /// The figures of the methods as tables, for other programs and for papers.
-pub(super) const CSV: &str = "compare.csv";
-pub(super) const LATEX: &str = "compare.tex";
+pub(crate) const CSV: &str = "compare.csv";
+pub(crate) const LATEX: &str = "compare.tex";
 
 /// All figures.
-pub(super) const RECORD: &str = "compare.json";
+pub(crate) const RECORD: &str = "compare.json";
 
 /// No record is longer.
 const LONGEST: u64 = 64 << 20;
 
 /// What pictures of the model at rest begin with.
-pub(super) const REST: &str = "rest";
+pub(crate) const REST: &str = "rest";
 
 /// What is written into the record.
-pub(super) const FORMAT: &str = "simod-comparison/1";
+pub(crate) const FORMAT: &str = "simod-comparison/1";
 
 /// A place where a comparison may be written.
-pub(super) struct Target(PathBuf);
+pub(crate) struct Target(PathBuf);
 
 /// As much of a record as tells which files are the comparison's own.
 #[derive(Deserialize)]
@@ -82,7 +82,7 @@ impl Target {
 
 /// Names for the files of methods: what there is of ASCII letters and digits in the methods' names.
 /// `NAME.png` and `NAME-difference.png` are of one method alone; no name has the `_` that stands before those of crops.
-pub(super) fn names(methods: &[Method]) -> Vec<String> {
+pub(crate) fn names(methods: &[Method]) -> Vec<String> {
     const LONGEST: usize = 60;
     let mut taken: HashSet<String> = ["rest", "index", "compare", "difference"].map(String::from).into();
     let name = |method: &Method| {
@@ -104,14 +104,14 @@ pub(super) fn names(methods: &[Method]) -> Vec<String> {
 }
 
 /// The name of the picture of differences, without its ending.
-pub(super) fn difference(name: &str) -> String {
+pub(crate) fn difference(name: &str) -> String {
     format!("{name}-difference")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compare::CompareFile;
+    use crate::CompareFile;
 
     #[test]
     fn files_have_names_of_their_own() {

@@ -1,7 +1,7 @@
 //! The figures of methods: each beside the model at rest, and each two of them.
 
-use super::method::Deformed;
-use super::record::{OnSamples, Pair};
+use crate::method::Deformed;
+use crate::record::{OnSamples, Pair};
 use glam::{DVec3, Vec3};
 use simod_core::sampled_model::SampledModel;
 use simod_measure::{
@@ -14,7 +14,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 /// What is smaller is a detail, as a fraction of the diagonal.
-pub(super) const DETAIL: f64 = 0.015;
+pub(crate) const DETAIL: f64 = 0.015;
 
 /// Shapes that are measured at a time.
 const TOGETHER: usize = 4;
@@ -28,7 +28,7 @@ impl Beside {
 }
 
 /// All vertices of the models, the first one at rest.
-pub(super) struct Beside {
+pub(crate) struct Beside {
     /// Each method's vertices beside those at rest.
     pub displacements: Vec<Difference>,
     /// Of all models.
@@ -38,7 +38,7 @@ pub(super) struct Beside {
 }
 
 /// Compares all models in one reading; `also` sees their vertices, too.
-pub(super) fn beside(
+pub(crate) fn beside(
     models: &[&dyn Model],
     diagonal: f64,
     also: (usize, &Also<'_>),
@@ -55,7 +55,7 @@ pub(super) fn beside(
 }
 
 /// The deformed samples of methods beside those at rest: nothing of those without samples or triangles.
-pub(super) fn on_samples(deformed: &[&Deformed], progress: &dyn Progress) -> Result<Vec<Option<OnSamples>>> {
+pub(crate) fn on_samples(deformed: &[&Deformed], progress: &dyn Progress) -> Result<Vec<Option<OnSamples>>> {
     progress.begin("measuring the samples", 0);
     let mut found: Vec<Option<OnSamples>> = deformed.iter().map(|_| None).collect();
     for (first, one) in deformed.iter().enumerate() {
@@ -136,7 +136,7 @@ impl<'a> AtRest<'a> {
 }
 
 /// The model's own mesh, where it is small enough to be held.
-pub(super) struct Held {
+pub(crate) struct Held {
     /// Of each vertex the first one at its place: soups have theirs several times.
     first: Vec<u32>,
     rest: Vec<DVec3>,
@@ -217,7 +217,7 @@ fn in_diagonals(sampled: &SampledModel, positions: &[Vec3]) -> Vec<DVec3> {
 /// Each two methods.
 ///
 /// Memory: the tree of one method's triangles, and 24 bytes for each sample of two.
-pub(super) fn pairs(
+pub(crate) fn pairs(
     names: &[String],
     deformed: &[&Deformed],
     beside: &Beside,
@@ -252,7 +252,7 @@ pub(super) fn pairs(
 
 /// The end of the colour scale: a round number that 99 of 100 vertices of each method do not reach, or nearly
 /// so.
-pub(super) fn color_scale(pairs: &[Pair], reference: &str) -> f64 {
+pub(crate) fn color_scale(pairs: &[Pair], reference: &str) -> f64 {
     let with_first = pairs.iter().filter(|pair| pair.first == reference);
     rounded_up(with_first.map(|pair| pair.vertices.p99).fold(0.0, f64::max))
 }

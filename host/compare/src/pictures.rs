@@ -1,18 +1,18 @@
 //! The pictures of a comparison, all from one place: the model at rest, what each method makes of it, and how
 //! far that is from the first one.
 
-use super::chosen::Chosen;
-use super::file::{CompareFile, CropPlace};
-use super::folder::{REST, difference};
-use super::html::round_percent;
-use super::record::Comparison;
-use crate::session_file::{Region, Role};
+use crate::chosen::Chosen;
+use crate::file::{CompareFile, CropPlace};
+use crate::folder::{REST, difference};
+use crate::html::round_percent;
+use crate::record::Comparison;
 use glam::DVec3;
 use rayon::prelude::*;
 use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, Vertices};
 use simod_picture::picture::{ColorOf, Crop, Drawn, PaintBy, View, of_painted, of_some};
 use simod_picture::{Coloring, Image, Paint, scale_color as color};
+use simod_session::session_file::{Region, Role};
 use std::path::Path;
 
 const CLAY: [u8; 3] = [205, 198, 190];
@@ -20,7 +20,7 @@ const FIXED: [u8; 3] = [120, 140, 175];
 const HANDLE: [u8; 3] = [230, 175, 60];
 
 /// What pictures are made of, and how.
-pub(super) struct Easel<'a> {
+pub(crate) struct Easel<'a> {
     file: &'a CompareFile,
     paint: Paint,
     /// Where a temporary file may be made.

@@ -6,17 +6,17 @@
 //! sampled-1 ───▶ method-2 ─┘
 //! ```
 
-use super::file::{CompareFile, Work};
-use super::{Comparing, check_commands, checked};
-use crate::plan::{
-    Emit, FINISHED, PLAN, Planned, Stage, Unit, absolute, check_target, check_units, hash_of, put, read, text,
-};
-use crate::session_file::Sampling;
+use crate::file::{CompareFile, Work};
+use crate::{Comparing, check_commands, checked};
 use serde::{Deserialize, Serialize};
 use simod_model::object::is_object;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::canonical_folder;
 use simod_model::{Error, ErrorKind, Progress, Result};
+use simod_session::plan::{
+    Emit, FINISHED, PLAN, Planned, Stage, Unit, absolute, check_target, check_units, hash_of, put, read, text,
+};
+use simod_session::session_file::Sampling;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 const FORMAT: &str = "simod-comparison-plan/1";
 
 /// Of a method in its folder: what is known of it once it is done. It comes with the folder, whole.
-pub(super) const METHOD_RECORD: &str = "record.json";
+pub(crate) const METHOD_RECORD: &str = "record.json";
 
 /// A folder of the units of a comparison: the content of `plan.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -75,7 +75,7 @@ pub struct Options<'a> {
 /// which appears whole or not at all. A former plan there is replaced. Nothing is read of the model.
 ///
 /// # Errors
-/// As of [`compare`](super::compare), before it begins; the folder cannot be written, or is no plan; it lies in the
+/// As of [`compare`](crate::compare), before it begins; the folder cannot be written, or is no plan; it lies in the
 /// output, or the other way round; a path is no text.
 pub fn make(
     file: &CompareFile,
@@ -128,7 +128,7 @@ fn placed(path: &Path) -> Result<PathBuf> {
 }
 
 /// The samplings of all methods, each once.
-pub(super) fn samplings(file: &CompareFile) -> Vec<Sampling> {
+pub(crate) fn samplings(file: &CompareFile) -> Vec<Sampling> {
     let mut samplings = Vec::new();
     for method in &file.methods {
         if !samplings.contains(&method.sampling) {
@@ -157,12 +157,12 @@ fn units(file: &CompareFile) -> Vec<Unit> {
 }
 
 /// The folder of a sampling in that of the plan.
-pub(super) fn sampled_folder(part: usize) -> PathBuf {
+pub(crate) fn sampled_folder(part: usize) -> PathBuf {
     format!("sampled-{part}.simod").into()
 }
 
 /// The folder of a method.
-pub(super) fn method_folder(part: usize) -> PathBuf {
+pub(crate) fn method_folder(part: usize) -> PathBuf {
     format!("method-{part}").into()
 }
 
@@ -210,12 +210,12 @@ impl ComparisonPlan {
     }
 
     /// What the comparison may do.
-    pub(super) fn how(&self) -> Comparing {
+    pub(crate) fn how(&self) -> Comparing {
         Comparing { keep_models: self.keep_models, allow_commands: self.allow_commands }
     }
 
     /// The comparison, which says what it said when the plan was made.
-    pub(super) fn comparison(&self) -> Result<CompareFile> {
+    pub(crate) fn comparison(&self) -> Result<CompareFile> {
         for Text { file, hash } in &self.text {
             if hash_of(file)? != *hash {
                 return Err(self.changed(file));

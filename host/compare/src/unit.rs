@@ -1,19 +1,19 @@
 //! Doing a unit of a comparison: a sampling, a method, or the page.
 
-use super::file::{CompareFile, Method, Work};
-use super::folder;
-use super::method::{Bench, Deformed, file_name, refines};
-use super::planned::{ComparisonPlan, METHOD_RECORD, method_folder, sampled_folder, samplings};
-use super::record::{Comparison, MethodRecord};
-use super::{beside_each_other, checked};
-use crate::plan::{FINISHED, Stage, Unit, check_before, unit_of};
-use crate::plugins::PluginRegistry;
+use crate::file::{CompareFile, Method, Work};
+use crate::folder;
+use crate::method::{Bench, Deformed, file_name, refines};
+use crate::planned::{ComparisonPlan, METHOD_RECORD, method_folder, sampled_folder, samplings};
+use crate::record::{Comparison, MethodRecord};
+use crate::{beside_each_other, checked};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simod_core::sampled_model::SampledModel;
 use simod_model::output::write_file;
 use simod_model::output_folder::OutputFolder;
 use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result, input};
+use simod_session::plan::{FINISHED, Stage, Unit, check_before, unit_of};
+use simod_session::plugins::PluginRegistry;
 use std::error::Error as _;
 use std::path::Path;
 use std::sync::Arc;
@@ -54,7 +54,7 @@ struct Taken {
 ///
 /// # Errors
 /// There is no such unit, or one that has to be done before was not; the comparison is not what it was; what other units
-/// wrote is damaged; the model cannot be sampled; and as of [`compare`](super::compare).
+/// wrote is damaged; the model cannot be sampled; and as of [`compare`](crate::compare).
 pub fn do_unit(
     plan: &ComparisonPlan,
     (folder, number): (&Path, usize),

@@ -1,15 +1,9 @@
 //! One method from the model to the deformed model, with its times and its memory.
 
-use super::clock::Clock;
-use super::external::{self, Files, Ran, write_given};
-use super::file::{Command, CompareFile, Method, Work};
-use super::record::{Figures, MethodRecord, ResultFile, RunSeconds, Seconds, StepRecord, words};
-use crate::deformer::Message;
-use crate::edit::{Refinements, turning_gradients};
-use crate::pipeline::{DeformedSamples, deform, sampled};
-use crate::plugins::PluginRegistry;
-use crate::session_file::{Action, Deformation, Role, Sampling, SessionFile, Step, read_text};
-use crate::stack::{PreparedStack, Stack};
+use crate::clock::Clock;
+use crate::external::{self, Files, Ran, write_given};
+use crate::file::{Command, CompareFile, Method, Work};
+use crate::record::{Figures, MethodRecord, ResultFile, RunSeconds, Seconds, StepRecord, words};
 use glam::Vec3;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{ExpectedError, Reconstruction, Version, reconstruct};
@@ -18,6 +12,12 @@ use simod_core::sampling::Skip;
 use simod_model::memory::MemoryWatch;
 use simod_model::resumable_output::Place;
 use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result, processor};
+use simod_session::deformer::Message;
+use simod_session::edit::{Refinements, turning_gradients};
+use simod_session::pipeline::{DeformedSamples, deform, sampled};
+use simod_session::plugins::PluginRegistry;
+use simod_session::session_file::{Action, Deformation, Role, Sampling, SessionFile, Step, read_text};
+use simod_session::stack::{PreparedStack, Stack};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -25,7 +25,7 @@ use std::time::Instant;
 use xxhash_rust::xxh3::Xxh3Default;
 
 /// Where methods are done, with the samplings that they share.
-pub(super) struct Bench<'a> {
+pub(crate) struct Bench<'a> {
     file: &'a CompareFile,
     plugins: &'a PluginRegistry,
     folder: &'a Path,
@@ -43,7 +43,7 @@ struct Taken {
 }
 
 /// What is kept of a method that was done, to be compared.
-pub(super) struct Deformed {
+pub(crate) struct Deformed {
     /// What its files begin with.
     pub name: String,
     pub sampled: Arc<SampledModel>,
@@ -398,7 +398,7 @@ impl<'a> Bench<'a> {
 }
 
 /// Whether a method appends samples.
-pub(super) fn refines(method: &Method) -> bool {
+pub(crate) fn refines(method: &Method) -> bool {
     match &method.work {
         // What is wrong with a session is told when it is done.
         Work::Session(path) => SessionFile::load(path)
@@ -444,7 +444,7 @@ fn hash_of(files: &[PathBuf], bytes: u64, progress: &dyn Progress) -> Result<u12
 }
 
 /// What a method's model is called: with an extension of the model's format, its own if it is one; of tiles a folder.
-pub(super) fn file_name(method: &str, model: &dyn Model) -> String {
+pub(crate) fn file_name(method: &str, model: &dyn Model) -> String {
     if !model.tiles().is_empty() {
         return method.to_owned();
     }

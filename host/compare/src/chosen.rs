@@ -17,7 +17,7 @@ const ADVICE: &str = "compare fewer methods at a time, or draw smaller pictures"
 const NUMBERS: usize = 6;
 
 /// Vertices that are being chosen.
-pub(super) struct Choosing {
+pub(crate) struct Choosing {
     /// One of so many.
     stride: u64,
     count: u64,
@@ -27,7 +27,7 @@ pub(super) struct Choosing {
 }
 
 /// Vertices that were chosen, each in all versions.
-pub(super) struct Chosen {
+pub(crate) struct Chosen {
     versions: usize,
     origin: DVec3,
     numbers: Mmap,

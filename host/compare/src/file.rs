@@ -1,12 +1,12 @@
 //! `compare.toml`: a model, regions, and the methods to be compared on them.
 
-use super::html::hyphenated;
-use crate::session_file::{RawModel, RawRegion, Region, Sampling, SessionText, read_text};
+use crate::html::hyphenated;
 use glam::DVec3;
 use serde::Deserialize;
 use simod_core::reconstruction::Method as Reconstruction;
 use simod_model::{Error, ErrorKind, Result};
 use simod_picture::picture::Up;
+use simod_session::session_file::{RawModel, RawRegion, Region, Sampling, SessionText, read_text};
 use std::path::{Path, PathBuf};
 use toml::Spanned;
 
@@ -182,7 +182,7 @@ struct RawCompare {
 #[serde(deny_unknown_fields)]
 struct RawCrop {
     name: String,
-    #[serde(deserialize_with = "crate::vector::three")]
+    #[serde(deserialize_with = "simod_session::vector::three")]
     target: DVec3,
     part: f64,
 }
@@ -431,7 +431,7 @@ fn method(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session_file::Role;
+    use simod_session::session_file::Role;
 
     fn parse(text: &str) -> Result<CompareFile> {
         CompareFile::parse(text, Path::new("edits/compare.toml"))

@@ -1,10 +1,10 @@
 //! The page of a comparison: one HTML file that needs nothing else, no scripts, and can be printed.
 
-use super::figures::DETAIL;
-use super::file::CropPlace;
-use super::folder::{REST, difference};
-use super::html::{NONE, Table, number, or_dash, round_percent};
-use super::record::{Comparison, MethodRecord, Pair, TimeOf};
+use crate::figures::DETAIL;
+use crate::file::CropPlace;
+use crate::folder::{REST, difference};
+use crate::html::{NONE, Table, number, or_dash, round_percent};
+use crate::record::{Comparison, MethodRecord, Pair, TimeOf};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -15,7 +15,7 @@ use simod_picture::scale_color as color;
 const STYLE: &str = include_str!("page.css");
 
 /// The page, with these pictures in it, and parts of them.
-pub(super) fn page(comparison: &Comparison, crops: &[CropPlace], pictures: &[(String, Vec<u8>)]) -> String {
+pub(crate) fn page(comparison: &Comparison, crops: &[CropPlace], pictures: &[(String, Vec<u8>)]) -> String {
     let title = format!("{} methods on {}", comparison.methods.len(), comparison.model.name);
     let page = html! {
         (DOCTYPE) "\n"

@@ -6,7 +6,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Passes progress on, and counts the time of stages that prepare.
-pub(super) struct Clock<'a> {
+pub(crate) struct Clock<'a> {
     progress: &'a dyn Progress,
     state: Mutex<State>,
 }

@@ -1,7 +1,7 @@
 //! The figures of the methods as tables: comma-separated values for other programs, and LaTeX for papers.
 
-use super::html::number;
-use super::record::{Comparison, Figures, MethodRecord, OnSamples, TimeOf};
+use crate::html::number;
+use crate::record::{Comparison, Figures, MethodRecord, OnSamples, TimeOf};
 use std::fmt::Write as _;
 
 /// A column of numbers.
@@ -55,7 +55,7 @@ const COLUMNS: [Column; 38] = [
 ];
 
 /// A row for each method, the first one with the names of the columns, as of RFC 4180; those that failed have empty ones.
-pub(super) fn csv(c: &Comparison) -> String {
+pub(crate) fn csv(c: &Comparison) -> String {
     let names = ["method", "shape_of"].into_iter().chain(COLUMNS.map(|(name, _)| name));
     let mut rows = vec![names.chain(["result.hash", "error"]).map(str::to_owned).collect::<Vec<_>>()];
     rows.extend(c.methods.iter().map(row));
@@ -131,7 +131,7 @@ fn math(x: f64) -> String {
 }
 
 /// A table for the package `booktabs`; columns of which no method has anything are left out.
-pub(super) fn latex(c: &Comparison) -> String {
+pub(crate) fn latex(c: &Comparison) -> String {
     let columns: Vec<LatexColumn> =
         LATEX_COLUMNS.into_iter().filter(|(_, of)| c.done().any(|(_, f)| of(f).is_some())).collect();
     let mut text = String::new();

@@ -1,13 +1,13 @@
 //! Programs of the user's own that are methods, run on the samples or on the model.
 
-use super::file::{Command, Given};
-use crate::child::{Ended, Tail};
-use crate::session_file::{Region, Role};
+use crate::file::{Command, Given};
 use glam::DVec3;
 use simod_core::sampled_model::SampledModel;
 use simod_model::memory::anonymous_of;
 use simod_model::output::write_file;
 use simod_model::{Error, ErrorKind, Progress, Result};
+use simod_session::child::{Ended, Tail};
+use simod_session::session_file::{Region, Role};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Stdio;
@@ -20,14 +20,14 @@ const INTERVAL: Duration = Duration::from_millis(10);
 const TOLD: usize = 3;
 
 /// What a program took.
-pub(super) struct Ran {
+pub(crate) struct Ran {
     pub seconds: f64,
     /// The most anonymous memory of it and those that it started, as often as it was looked at.
     pub peak_memory_bytes: Option<u64>,
 }
 
 /// What a program is given in place of the words in braces.
-pub(super) struct Files<'a> {
+pub(crate) struct Files<'a> {
     /// `{samples}`
     pub samples: &'a Path,
     /// `{constraints}`
@@ -39,7 +39,7 @@ pub(super) struct Files<'a> {
 }
 
 /// Runs a program in the folder of the file that names it, to its end.
-pub(super) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress) -> Result<Ran> {
+pub(crate) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress) -> Result<Ran> {
     progress.begin("running a program", 0);
     let whole = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let filled = |word: &String| {
@@ -102,7 +102,7 @@ pub(super) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress)
 }
 
 /// Writes what a program is given, as far as its command asks for it.
-pub(super) fn write_given(
+pub(crate) fn write_given(
     command: &Command,
     files: &Files<'_>,
     sampled: &SampledModel,
