@@ -394,7 +394,8 @@ impl Plugin {
 /// precision.
 const FARTHEST: f64 = 1e9;
 
-/// Whether what follows can work with a position: it is finite, and not farther away than [`FARTHEST`].
+/// Whether what follows can work with a position in local coordinates: it is finite, and no coordinate is
+/// beyond 1e9.
 pub fn is_usable(p: [f64; 3]) -> bool {
     p.iter().all(|x| x.abs() <= FARTHEST)
 }
