@@ -158,13 +158,17 @@ impl<'a> Divided<'a> {
     }
 
     /// Leaves for the cut what was clustered, or that groups found no room; and before that, which leaf each vertex is
-    /// in, if that shall be known.
+    /// in, if that shall be known. `false` if another process has left that meanwhile: its trees are as good but not
+    /// these, and what others have made of them already would not fit these.
     fn leave(
         &self,
         owner: Owner,
         clustered: Option<Clustered>,
         (trees, leaves): (&Path, &Path),
-    ) -> Result<()> {
+    ) -> Result<bool> {
+        if self.is_left(owner, (trees, leaves)) {
+            return Ok(false);
+        }
         let key = self.key_of(owner);
         let Some(Clustered { forest, hash, ranges, items, ends, membership, .. }) = clustered else {
             let none = ClusteredFile {
@@ -177,7 +181,8 @@ impl<'a> Divided<'a> {
                 cells: Vec::new(),
                 mark: 0,
             };
-            return output::write_file(trees, &none.sealed()?);
+            output::write_file(trees, &none.sealed()?)?;
+            return Ok(true);
         };
         let hashed = match hash {
             Hashing::Part(hash) => Some(hash.finish().ok_or_else(|| changed(self.prepared.model))?),
@@ -203,7 +208,8 @@ impl<'a> Divided<'a> {
             writer.commit()?;
         }
         // In the end, as it tells that all is there.
-        output::write_file(trees, &sealed)
+        output::write_file(trees, &sealed)?;
+        Ok(true)
     }
 
     /// Whether an owner has left all that it leaves.
@@ -301,8 +307,7 @@ pub fn cluster_shared(
         }
         None => None,
     };
-    divided.leave(owner, clustered, (trees, leaves))?;
-    Ok(true)
+    divided.leave(owner, clustered, (trees, leaves))
 }
 
 /// Samples a model of which all ranges and all groups are clustered, each to one of some files. It is not read, unless

@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Mutex, Once};
 
 use glam::DVec3;
 use simod_core::sampling::divided::{
@@ -136,6 +136,10 @@ impl Work {
     }
 
     fn group(&self, unit: u64) -> Result<bool> {
+        self.group_watched(unit, &Silent)
+    }
+
+    fn group_watched(&self, unit: u64, progress: &dyn Progress) -> Result<bool> {
         let counts = self.path("counts");
         let division = Division { counts: &counts, units: self.units };
         let [trees, leaves] = ["group", "leaves-of-group"].map(|name| self.path(&format!("{name}-{unit}")));
@@ -148,7 +152,7 @@ impl Work {
             &self.files("shared"),
             files,
             folder,
-            &Silent,
+            progress,
         )
     }
 
@@ -256,6 +260,23 @@ impl Progress for Notes {
     }
 }
 
+/// While a group is clustered, another process does it from the beginning to the end.
+struct Overtaken<'a> {
+    work: &'a Work,
+    group: u64,
+    once: Once,
+}
+
+impl Progress for Overtaken<'_> {
+    fn begin(&self, _stage: &'static str, _total_bytes: u64) {}
+    fn advance(&self, _bytes: u64) {
+        self.once.call_once(|| assert!(self.work.group(self.group).unwrap(), "the other one is first"));
+    }
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+}
+
 fn amphora() -> Body {
     Body::generated(Shape::Amphora, VERTICES).without_faces()
 }
@@ -275,6 +296,25 @@ fn units_sample_as_one_reading_does() {
     Work::new(&body, error).check("to an error");
     let area = Sampling { by: By::Area, grid: Some(64), ..samples(5000) };
     Work::new(&body.shuffled(), area).check("by area");
+}
+
+/// A unit may be given to a second machine while the first one, which is taken for lost, goes on with it. Which trees
+/// are built how deep depends on the threads, and what others have made of the first ones has to go on to fit.
+#[test]
+fn what_another_process_has_left_meanwhile_stays() {
+    let mut work = Work::new(&amphora().shuffled(), samples(3000));
+    work.count(2);
+    (0..work.units).for_each(|unit| assert!(work.range(unit).unwrap()));
+    for group in 0..work.units {
+        let overtaken = Overtaken { work: &work, group, once: Once::new() };
+        let trees = work.path(&format!("group-{group}"));
+        assert!(!work.group_watched(group, &overtaken).unwrap(), "group {group} is left by the other one");
+        let left = fs::metadata(&trees).unwrap().modified().unwrap();
+        assert!(!work.group(group).unwrap());
+        assert_eq!(fs::metadata(&trees).unwrap().modified().unwrap(), left);
+    }
+    work.cut(&Silent).unwrap();
+    work.compare("overtaken");
 }
 
 /// Sums depend on which vertices are added up first: on pieces, and on what the stream does within them.
