@@ -2,9 +2,9 @@
 
     python tests/judges/same_bytes.py OLD/target/release target/release
 
-Each folder holds `simod` and its plugins. Models, folders of samples, deformed samples, deformed models, pictures, conversions,
-what the units of a plan write, and comparisons are compared byte by byte, what commands print with `--json` key by key. Times, memory and versions are left
-out. It ends with 1 if anything differs.
+Each folder holds `simod` and its plugins. Models, folders of samples, deformed samples, deformed models, pictures, conversions, what
+the units of a plan write, and comparisons are compared byte by byte, what commands print with `--json` key by key. Times, memory and
+versions are left out. It ends with 1 if anything differs.
 """
 
 import hashlib
@@ -62,7 +62,10 @@ STEPS = {
     "arap": step("laplacian", 'mode = "arap"'),
     "bi-laplacian": step("laplacian", 'mode = "bi-laplacian"'),
     "smooth-handle": step("smooth-handle"),
-    "stack": BEND + step("rbf") + '[[step]]\nrefine = { shapes = [{ sphere = { center = [0, 1.2, 0], radius = 0.3 } }], factor = 4 }\n' + BEND,
+    "stack": BEND
+    + step("rbf")
+    + '[[step]]\nrefine = { shapes = [{ sphere = { center = [0, 1.2, 0], radius = 0.3 } }], factor = 4 }\n'
+    + BEND,
 }
 
 COMPARISON = """
@@ -102,8 +105,9 @@ def commands():
         yield f"info {model}", ["info", f"{model}.ply"]
         yield f"sample {model}", ["sample", f"{model}.ply", "-o", f"{model}.simod", "--samples", "6000"]
         yield f"render {model}", ["render", f"{model}.ply", "-o", f"{model}.png", "--size", "400x300"]
-    yield "sample by an error", ["sample", "amphora.ply", "-o", "error.simod", "--error", "1e-3", "--place", "faces"]
-    yield "sample by vertices", ["sample", "cloud.ply", "-o", "vertices.simod", "--samples", "3000", "--by", "vertices", "--tree", "octree"]
+    by_error, by_vertices = ["--error", "1e-3", "--place", "faces"], ["--samples", "3000", "--by", "vertices", "--tree", "octree"]
+    yield "sample by an error", ["sample", "amphora.ply", "-o", "error.simod", *by_error]
+    yield "sample by vertices", ["sample", "cloud.ply", "-o", "vertices.simod", *by_vertices]
     for name, steps in STEPS.items():
         session = pathlib.Path(f"{name}.toml")
         session.write_text(SESSION.format(model="amphora.ply", samples=5000, steps=steps, out=f"{name}-run.ply"))
@@ -112,9 +116,10 @@ def commands():
     pathlib.Path("warp-cloud.toml").write_text(SESSION.format(model="cloud.ply", samples=5000, steps=BEND, out="cloud-run.ply"))
     yield "run warp of a cloud", ["run", "warp-cloud.toml"]
     yield "deform", ["deform", "amphora.simod", "--session", "rbf.toml", "-o", "deformed.ply"]
+    reconstruct = ["reconstruct", "amphora.simod", "--deformed", "deformed.ply", "-o"]
     for method in ["blended-jets", "projected-barycentric"]:
-        yield f"reconstruct by {method}", ["reconstruct", "amphora.simod", "--deformed", "deformed.ply", "-o", f"{method}.ply", "--method", method]
-    yield "reconstruct with diagnostics", ["reconstruct", "amphora.simod", "--deformed", "deformed.ply", "-o", "told.ply", "--diagnostics", "diagnostics.ply"]
+        yield f"reconstruct by {method}", [*reconstruct, f"{method}.ply", "--method", method]
+    yield "reconstruct with diagnostics", [*reconstruct, "told.ply", "--diagnostics", "diagnostics.ply"]
     yield "refine", ["refine", "amphora.simod", "--sphere", "0,1,0,0.4", "--into", "finer.simod", "--factor", "3"]
     for kind in ["las", "laz", "obj", "off", "stl", "pcd", "xyz"]:
         yield f"convert to {kind}", ["convert", "cactus.ply", f"cactus.{kind}", "--lossy"]
