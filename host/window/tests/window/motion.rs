@@ -231,7 +231,7 @@ fn what_is_stretched_does_not_fall_apart() {
     for (image, name) in [(&triangles, "triangles"), (&discs, "discs")] {
         assert_eq!(holes(image, middle.clone()), 0, "{name}");
     }
-    let axes = harness.state().window().state().scene().unwrap().axes.clone();
+    let axes = harness.state().window().state().scene().unwrap().axes().clone();
     let mut ratios: Vec<f32> = axes.iter().map(|[long, short]| long.length() / short.length()).collect();
     ratios.sort_by(f32::total_cmp);
     assert!((3.0..5.5).contains(&ratios[ratios.len() / 2]), "{}", ratios[ratios.len() / 2]);
