@@ -115,7 +115,7 @@ fn sines(angles: &Lanes) -> (Lanes, Lanes) {
     /// Added, it leaves the nearest whole number in the lowest bits.
     const ROUND: f32 = 12_582_912.0;
     /// A quarter turn in three parts, whose multiples are exact.
-    const QUARTER: [f32; 3] = [1.570_312_5, 4.837_512_969e-4, 7.549_789_948e-8];
+    const QUARTER: [f32; 3] = [1.570_312_5, 4.837_513e-4, 7.549_79e-8];
     let (mut sin, mut cos) = ([0.0; LANES], [0.0; LANES]);
     for i in 0..LANES {
         let rounded = angles[i] * std::f32::consts::FRAC_2_PI + ROUND;
