@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use glam::DVec3;
-use simod_benches::process::{Result, exit};
+use simod_benches::process::{Result, exit, own_cpu};
 use simod_benches::{head, row};
 use simod_core::refinement::Finer;
 use simod_generate::{ModelOptions, write_file};
@@ -37,6 +37,9 @@ struct Arguments {
     /// Pictures of each drag
     #[arg(long, default_value_t = 41, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     frames: u32,
+    /// Samples that a picture draws, of which it asks how the surface lies; the window begins with as many
+    #[arg(long, default_value_t = 128_000, value_name = "N")]
+    drawn: u32,
     /// Only rows whose name begins so
     #[arg(long, default_value = "", value_name = "TEXT")]
     only: String,
@@ -45,8 +48,15 @@ struct Arguments {
     folder: PathBuf,
 }
 
-const COLUMNS: [&str; 6] =
-    ["what is dragged", "samples", "median, ms", "95 % below, ms", "at rest after, ms", "memory, MB"];
+const COLUMNS: [&str; 7] = [
+    "what is dragged",
+    "samples",
+    "median, ms",
+    "95 % below, ms",
+    "processor, ms",
+    "at rest after, ms",
+    "memory, MB",
+];
 
 /// Longer than anything here takes.
 const LONG: Duration = Duration::from_secs(600);
@@ -103,16 +113,21 @@ fn table(arguments: &Arguments) -> Result<()> {
             for step in case.steps {
                 hand.add(*step)?;
             }
-            let (mut took, rest) = hand.drag(case, arguments.frames)?;
+            let Dragged { mut took, mut processor, rest } =
+                hand.drag(case, arguments.frames, arguments.drawn)?;
             took.sort_unstable_by(f64::total_cmp);
-            let at = |part: f64| format!("{:.1}", 1e3 * took[(part * (took.len() - 1) as f64) as usize]);
+            processor.sort_unstable_by(f64::total_cmp);
+            let of = |all: &[f64], part: f64| {
+                format!("{:.1}", 1e3 * all[(part * (all.len() - 1) as f64) as usize])
+            };
             println!(
                 "{}",
                 row([
                     case.name.to_owned(),
                     hand.state.scene().map_or(0, |scene| scene.len()).to_string(),
-                    at(0.5),
-                    at(0.95),
+                    of(&took, 0.5),
+                    of(&took, 0.95),
+                    of(&processor, 0.5),
                     format!("{:.0}", 1e3 * rest),
                     anonymous().map_or_else(|| "-".to_owned(), |bytes| format!("{:.0}", bytes as f64 / 1e6)),
                 ])
@@ -120,6 +135,13 @@ fn table(arguments: &Arguments) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// How long each picture of a drag took, by the clock and on all processors, and the one at rest; seconds.
+struct Dragged {
+    took: Vec<f64>,
+    processor: Vec<f64>,
+    rest: f64,
 }
 
 /// A user.
@@ -179,9 +201,9 @@ impl Hand {
         self.done(Command::MakeRegion { step, role, falloff: 0.0, replaces: None })
     }
 
-    /// Drags, and waits for each picture: how long each took, and the one at rest.
-    fn drag(&mut self, case: &Case, frames: u32) -> Result<(Vec<f64>, f64)> {
-        let mut took = Vec::new();
+    /// Drags, and waits for each picture, which draws so many samples.
+    fn drag(&mut self, case: &Case, frames: u32, drawn: u32) -> Result<Dragged> {
+        let (mut took, mut processor) = (Vec::new(), Vec::new());
         // The first one prepares.
         for frame in 0..=frames {
             let t = f64::from(frame + 1) / f64::from(frames + 1);
@@ -196,15 +218,30 @@ impl Hand {
                     },
                 },
             };
-            let start = Instant::now();
+            let (start, before) = (Instant::now(), own_cpu());
             self.shown(Command::Drag(edit::Command::Change { at: case.dragged, change }))?;
+            self.shaded(drawn);
             if frame > 0 {
                 took.push(start.elapsed().as_secs_f64());
+                processor.push(own_cpu() - before);
             }
         }
         let start = Instant::now();
         self.done(Command::Rest)?;
-        Ok((took, start.elapsed().as_secs_f64()))
+        Ok(Dragged { took, processor, rest: start.elapsed().as_secs_f64() })
+    }
+
+    /// Has found how the surface lies at so many samples, spread over it.
+    fn shaded(&self, drawn: u32) {
+        let Some(scene) = self.state.scene() else { return };
+        let all = scene.len() as u32;
+        if drawn >= all {
+            std::hint::black_box(scene.shading());
+            return;
+        }
+        let some: Vec<u32> =
+            (0..drawn).map(|k| (u64::from(k) * u64::from(all) / u64::from(drawn)) as u32).collect();
+        std::hint::black_box(scene.shading_of(&some));
     }
 
     /// Does a command, and waits for other samples than before.

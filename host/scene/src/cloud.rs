@@ -1,6 +1,7 @@
 //! A surface's samples and triangles in the device's memory.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use bytemuck::cast_slice;
 use glam::{Vec2, Vec3};
@@ -66,6 +67,14 @@ pub(crate) struct Cloud {
     pub radius: f32,
 }
 
+/// The samples that are drawn first.
+pub(crate) struct First {
+    /// Their indices, ascending.
+    pub samples: Arc<[u32]>,
+    /// The place of each in the order of drawing.
+    places: Vec<u32>,
+}
+
 /// A part of the samples.
 struct Chunk {
     places: Range<usize>,
@@ -87,6 +96,9 @@ type Geometry = [u32; 4];
 type Look = [u32; 2];
 /// The longer axis, and how long the other one is beside it.
 type Shape = u32;
+
+/// Samples that a thread packs at once, at least.
+const LEAST_TOGETHER: usize = 4096;
 
 /// A disc's, which is as wide as it is long.
 const ROUND: Shape = 0xff00_0000;
@@ -139,6 +151,33 @@ impl Cloud {
         self.triangles.as_ref().map_or(0, |triangles| triangles.indices as usize / 3)
     }
 
+    /// So many samples that are drawn first.
+    pub fn first(&self, count: usize) -> First {
+        let mut first: Vec<(u32, u32)> = self.order.samples[..count].iter().copied().zip(0..).collect();
+        first.par_sort_unstable();
+        First {
+            samples: first.iter().map(|(sample, _)| *sample).collect(),
+            places: first.iter().map(|(_, place)| *place).collect(),
+        }
+    }
+
+    /// Uploads all of the first samples; the surface's lists have one entry for each of them.
+    pub fn write_first(&self, queue: &Queue, first: &First, of: &Surface<'_>) {
+        let placed = |k: usize| packed(of.positions[k], of.normals[k]);
+        let geometry: Vec<Geometry> = first.in_order(placed);
+        let looks: Vec<Look> = first.in_order(|k| look(of.radii[k], of.colors.map(|colors| colors[k])));
+        let shapes: Vec<Shape> = first.in_order(|k| of.axes.get(k).map_or(ROUND, shape));
+        for chunk in &self.chunks {
+            let places = chunk.places.start..chunk.places.end.min(first.places.len());
+            if places.is_empty() {
+                break;
+            }
+            queue.write_buffer(&chunk.geometry, 0, cast_slice(&geometry[places.clone()]));
+            queue.write_buffer(&chunk.look, 0, cast_slice(&looks[places.clone()]));
+            queue.write_buffer(&chunk.shape, 0, cast_slice(&shapes[places]));
+        }
+    }
+
     /// Uploads positions and normals, one for each sample.
     pub fn write_geometry(&self, queue: &Queue, positions: &[Vec3], normals: &[Vec3]) {
         for chunk in &self.chunks {
@@ -164,12 +203,7 @@ impl Cloud {
         for chunk in &self.chunks {
             let packed: Vec<Look> = self.order.samples[chunk.places.clone()]
                 .par_iter()
-                .map(|&i| {
-                    let [r, g, b] = colors.map_or([255; 3], |colors| colors[i as usize]);
-                    let radius = radii[i as usize];
-                    let radius = if radius.is_finite() { radius } else { 0.0 };
-                    [radius.to_bits(), u32::from_le_bytes([r, g, b, 255])]
-                })
+                .map(|&i| look(radii[i as usize], colors.map(|colors| colors[i as usize])))
                 .collect();
             queue.write_buffer(&chunk.look, 0, cast_slice(&packed));
         }
@@ -195,6 +229,17 @@ impl Cloud {
             pass.set_index_buffer(triangles.buffer.slice(..), wgpu::IndexFormat::Uint32);
             pass.draw_indexed(0..triangles.indices, 0, 0..1);
         }
+    }
+}
+
+impl First {
+    /// What there is of each, as they are drawn.
+    fn in_order<T: Copy + Default + Send>(&self, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
+        let all: Vec<T> =
+            (0..self.places.len()).into_par_iter().with_min_len(LEAST_TOGETHER).map(&of).collect();
+        let mut placed = vec![T::default(); all.len()];
+        all.into_iter().zip(&self.places).for_each(|(value, place)| placed[*place as usize] = value);
+        placed
     }
 }
 
@@ -240,7 +285,7 @@ impl Triangles {
 }
 
 impl Surface<'_> {
-    fn check(&self) -> Result<(), BadSurface> {
+    pub(crate) fn check(&self) -> Result<(), BadSurface> {
         let samples = self.positions.len();
         same_length("normals", self.normals.len(), samples)?;
         same_length("radii", self.radii.len(), samples)?;
@@ -266,6 +311,12 @@ fn radius(positions: &[Vec3]) -> f32 {
         .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
     let radius = 0.5 * (high - low).length();
     if radius.is_finite() && radius > 0.0 { radius } else { 1.0 }
+}
+
+fn look(radius: f32, color: Option<[u8; 3]>) -> Look {
+    let [r, g, b] = color.unwrap_or([255; 3]);
+    let radius = if radius.is_finite() { radius } else { 0.0 };
+    [radius.to_bits(), u32::from_le_bytes([r, g, b, 255])]
 }
 
 fn packed(position: Vec3, normal: Vec3) -> Geometry {

@@ -1,6 +1,7 @@
 //! A scene: what is shown, and what has changed since the last picture.
 
 mod drawing;
+mod moving;
 mod stage;
 
 use std::collections::BTreeMap;
@@ -11,7 +12,7 @@ use simod_picture::Image;
 use wgpu::{BindGroupLayout, Texture, TextureView};
 
 use crate::budget::Budget;
-use crate::cloud::{BadSurface, Cloud, Surface, same_length};
+use crate::cloud::{BadSurface, Cloud, First, Surface, same_length};
 use crate::gpu::Gpu;
 use crate::marks::{Dot, Line, Marks};
 use crate::passes::Passes;
@@ -37,6 +38,10 @@ pub struct Scene {
     detail_frame: Uniform,
     ghost_frame: Uniform,
     surface: Option<Cloud>,
+    /// So many samples of it, of those that are drawn first, are where they belong ...
+    placed: usize,
+    /// ... and the first ones, as they were asked for last.
+    first: Option<First>,
     /// More splats of the surface, by numbers that others gave them.
     details: BTreeMap<u64, Cloud>,
     ghost: Option<Cloud>,
@@ -82,6 +87,8 @@ impl Scene {
             gpu: gpu.clone(),
             samples,
             surface: None,
+            placed: 0,
+            first: None,
             details: BTreeMap::new(),
             ghost: None,
             stages: BTreeMap::new(),
@@ -106,7 +113,7 @@ impl Scene {
     /// Its lists do not fit together.
     pub fn set_surface(&mut self, surface: &Surface<'_>) -> Result<(), BadSurface> {
         self.surface = Some(Cloud::new(&self.gpu, &self.samples, surface)?);
-        self.of = None;
+        (self.placed, self.first, self.of) = (self.samples(), None, None);
         Ok(())
     }
 
@@ -121,7 +128,7 @@ impl Scene {
         if let Some(surface) = &self.surface {
             surface.write_geometry(&self.gpu.queue, positions, normals);
         }
-        self.of = None;
+        (self.placed, self.of) = (samples, None);
         Ok(())
     }
 
@@ -237,12 +244,7 @@ impl Scene {
     /// changed scene is drawn as well as its time allows; then calls draw more, and every few of them show a picture
     /// of some more splats, until [`Drawn::complete`].
     pub fn render(&mut self, view: &View, style: &Style, budget: Option<&mut Budget>) -> &TextureView {
-        let most = self.gpu.device.limits().max_texture_dimension_2d;
-        let view = View { size: view.size.map(|s| s.clamp(1, most)), ..*view };
-        let mut style = *style;
-        if style.scale == Scale::Double && view.size.iter().any(|s| 2 * s > most) {
-            style.scale = Scale::Full;
-        }
+        let (view, style) = self.drawable(view, style);
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         let started = Instant::now();
         let changed = self.of != Some((view, style));
@@ -274,6 +276,14 @@ impl Scene {
             }
         }
         &self.finished.as_ref().expect("a first picture makes it").1
+    }
+
+    /// What the device can draw of this.
+    fn drawable(&self, view: &View, style: &Style) -> (View, Style) {
+        let most = self.gpu.device.limits().max_texture_dimension_2d;
+        let view = View { size: view.size.map(|s| s.clamp(1, most)), ..*view };
+        let is_large = style.scale == Scale::Double && view.size.iter().any(|s| 2 * s > most);
+        (view, Style { scale: if is_large { Scale::Full } else { style.scale }, ..*style })
     }
 
     /// The last picture; none before there is any, or where the device is lost.

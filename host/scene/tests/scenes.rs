@@ -119,6 +119,66 @@ fn a_drag_moves_the_surface() {
     assert!(!is_red(&shot(&mut scene, &plain()), place));
 }
 
+/// While a part is drawn, no more has to be up to date: the picture is that of a surface that has moved as a whole. More
+/// follows, up to all of it.
+#[test]
+fn a_part_of_the_surface_moves_alone() {
+    let Some(gpu) = gpu() else { return };
+    let from = sphere(Vec3::new(-0.3, 0.0, 0.0), 0.6, 200).colored(RED);
+    let to = sphere(Vec3::new(0.3, 0.1, 0.0), 0.7, 200).colored([30, 50, 220]);
+    let style = Style { mode: Mode::Triangles, ..plain() };
+    let some = |scene: &mut Scene, reach: usize| {
+        let first = scene.first(reach);
+        assert!(first.len() == reach && first.is_sorted());
+        let of = |i: &u32| *i as usize;
+        let (positions, normals): (Vec<Vec3>, Vec<Vec3>) =
+            first.iter().map(|i| (to.positions[of(i)], to.normals[of(i)])).unzip();
+        let radii: Vec<f32> = first.iter().map(|i| to.radii[of(i)]).collect();
+        let colors: Vec<[u8; 3]> = first.iter().map(|i| to.colors.as_ref().unwrap()[of(i)]).collect();
+        let surface = Surface {
+            positions: &positions,
+            normals: &normals,
+            radii: &radii,
+            colors: Some(&colors),
+            ..Surface::default()
+        };
+        scene.place_first(&surface).unwrap();
+        let short = Surface { positions: &positions[1..], ..surface };
+        assert!(matches!(scene.place_first(&short), Err(BadSurface::Length { .. })));
+    };
+    let (mut moved, mut whole) = (scene_of(gpu, &from), scene_of(gpu, &from));
+    let mut budgets = [budget_of(16_000), budget_of(16_000)];
+    moved.render(&view(), &style, Some(&mut budgets[0]));
+    moved.outdate();
+    assert!(!moved.is_of(&view(), &style));
+    let reach = moved.reach(&view(), &style, Some(&budgets[0]));
+    assert!((4_000..=16_000).contains(&reach), "{reach}");
+    some(&mut moved, reach);
+    whole.outdate();
+    whole.place_all(&to.surface()).unwrap();
+    moved.render(&view(), &Style { mode: Mode::Splats, ..style }, Some(&mut budgets[0]));
+    whole.render(&view(), &Style { mode: Mode::Splats, ..style }, Some(&mut budgets[1]));
+    assert!(moved.drawn() == whole.drawn() && !moved.drawn().complete);
+    assert!(same(&moved.read().unwrap(), &whole.read().unwrap()));
+
+    // At rest more and more of it is asked for, and at last all: then triangles can be drawn.
+    let style = plain();
+    let mut asked = reach;
+    while !moved.drawn().complete {
+        let reach = moved.reach(&view(), &style, Some(&budgets[0]));
+        assert!(reach >= asked, "{reach} after {asked}");
+        if reach > asked {
+            some(&mut moved, reach);
+            asked = reach;
+        }
+        moved.render(&view(), &style, Some(&mut budgets[0]));
+    }
+    assert_eq!(asked, to.positions.len());
+    assert!(same(&moved.read().unwrap(), &shot(&mut scene_of(gpu, &to), &style)));
+    let triangles = Style { mode: Mode::Triangles, ..style };
+    assert!(same(&shot(&mut moved, &triangles), &shot(&mut scene_of(gpu, &to), &triangles)));
+}
+
 #[test]
 fn a_ghost_is_seen_beside_and_through_the_surface() {
     let Some(gpu) = gpu() else { return };

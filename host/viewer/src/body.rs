@@ -5,7 +5,9 @@
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::SampleSet;
+use std::sync::{Arc, OnceLock};
 
 /// Samples at which balls touch: many more than a body has parts.
 const CANDIDATES: usize = 1024;
@@ -42,6 +44,37 @@ impl Ball {
         let square = along.length_squared();
         let part = if square > 0.0 { (to.dot(along) / square).clamp(0.0, 1.0) } else { 0.0 };
         to.distance(along * part) < WITHIN * self.radius
+    }
+}
+
+/// The largest balls inside of the samples of a model, found on a thread of their own: a hand that places a joint does
+/// not wait for them.
+pub struct Body {
+    of: Arc<SampledModel>,
+    balls: Arc<OnceLock<Vec<Ball>>>,
+}
+
+impl Body {
+    /// Begins to find them.
+    pub fn find(of: &Arc<SampledModel>) -> Self {
+        let this = Self { of: of.clone(), balls: Arc::default() };
+        let (of, balls) = (this.of.clone(), this.balls.clone());
+        let find = move || {
+            balls.get_or_init(|| largest_balls(&of.samples));
+        };
+        // Without a thread they are found where somebody asks for them.
+        let _ = std::thread::Builder::new().name("body".into()).spawn(find);
+        this
+    }
+
+    /// Whether they are those of a model.
+    pub fn is_of(&self, model: &Arc<SampledModel>) -> bool {
+        Arc::ptr_eq(&self.of, model)
+    }
+
+    /// All of them, once they are found; local coordinates.
+    pub fn balls(&self) -> &[Ball] {
+        self.balls.get_or_init(|| largest_balls(&self.of.samples))
     }
 }
 

@@ -26,6 +26,7 @@ pub mod record;
 mod replay;
 pub mod scene;
 pub mod selection;
+pub mod shading;
 pub mod skeleton;
 pub mod state;
 mod tint;

@@ -59,7 +59,7 @@ fn map(scene: &Scene, sample: usize) -> DMat3 {
     let normal = scene.sampled.samples.normals()[sample];
     let Some(along) = around(scene, sample) else { return DMat3::IDENTITY };
     // Along the normal, which the neighbours tell nothing of, it turns as the normal does.
-    let change = scene.normals[sample] - along * normal;
+    let change = scene.normals()[sample] - along * normal;
     let across = Mat3::from_cols(change * normal.x, change * normal.y, change * normal.z);
     let map = (along + across).as_dmat3();
     if map.is_finite() && map.determinant().abs() > 1e-6 { map } else { DMat3::IDENTITY }

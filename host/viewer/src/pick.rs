@@ -160,7 +160,7 @@ impl DepthBuffer {
         if cuts(self.clip, scene.positions[i]) {
             return None;
         }
-        let (center, normal) = (scene.positions[i].as_dvec3(), scene.normals[i].as_dvec3());
+        let (center, normal) = (scene.positions[i].as_dvec3(), scene.normals()[i].as_dvec3());
         self.lens.disc(center, normal, f64::from(self.radii[i]))
     }
 
@@ -253,7 +253,7 @@ fn plane(ray: &Ray, point: DVec3, normal: DVec3) -> Option<DVec3> {
 /// Where a ray meets the surface near a sample: first the sample's own plane, then the mean one of the
 /// samples around (M. Alexa et al., *Point Set Surfaces*, 2001, with two steps).
 fn surface(scene: &Scene, ray: &Ray, sample: u32, radius: f64) -> Hit {
-    let of = |i: u32| (scene.positions[i as usize].as_dvec3(), scene.normals[i as usize].as_dvec3());
+    let of = |i: u32| (scene.positions[i as usize].as_dvec3(), scene.normals()[i as usize].as_dvec3());
     let (center, own) = of(sample);
     let near = |p: DVec3| p.distance(center) <= 2.0 * radius;
     // Seen edge-on, what is nearest on the ray.

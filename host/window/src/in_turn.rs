@@ -9,17 +9,17 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
-/// Gives a context its events in turn.
-pub struct InTurn {
-    held: VecDeque<Event>,
-    waits: Arc<AtomicBool>,
+/// Gives a context its events in turn. `waits` says after each frame's beginning whether others wait for their frame.
+pub fn install(ctx: &Context, waits: Arc<AtomicBool>) {
+    ctx.add_plugin(InTurn { held: VecDeque::new(), waits });
+    // A press and its release are of different frames, however long these take: it is a click if the pointer stays.
+    ctx.options_mut(|options| options.input_options.max_click_duration = f64::INFINITY);
 }
 
-impl InTurn {
-    /// `waits` says after each frame's beginning whether others wait for their frame.
-    pub fn new(waits: Arc<AtomicBool>) -> Self {
-        Self { held: VecDeque::new(), waits }
-    }
+/// The events that wait.
+struct InTurn {
+    held: VecDeque<Event>,
+    waits: Arc<AtomicBool>,
 }
 
 impl Plugin for InTurn {
@@ -40,16 +40,14 @@ impl Plugin for InTurn {
 
 /// The events up to the first deed, with what belongs to it. Where the pointer goes and where a button is pressed or
 /// let go is of different frames: a drag that begins and ends in one is none. Where somebody types, letters are no
-/// deeds.
+/// deeds; but what acts upon the text so far, as Tab, waits until the frame has seen the text.
 fn next(held: &mut VecDeque<Event>, types: bool) -> Vec<Event> {
     let mut events = Vec::new();
-    let (mut done, mut moved) = (false, false);
+    let (mut done, mut moved, mut typed) = (false, false, false);
     while let Some(event) = held.front() {
         let is_button = matches!(event, Event::PointerButton { .. });
         let is_deed = match event {
-            Event::Key { pressed: true, key, .. } => {
-                !types || matches!(key, Key::Enter | Key::Escape | Key::Tab)
-            }
+            Event::Key { pressed: true, key, .. } => !types || acts_upon_text(*key),
             _ => is_button,
         };
         let moves = matches!(event, Event::PointerMoved(_) | Event::MouseMoved(_));
@@ -62,13 +60,24 @@ fn next(held: &mut VecDeque<Event>, types: bool) -> Vec<Event> {
                     | Event::MouseWheel { .. }
                     | Event::Zoom(_)
             );
-        if done && is_of_next || moved && is_button {
+        if done && is_of_next || moved && is_button || typed && is_deed {
             break;
         }
         (done, moved) = (done || is_deed, moved || moves);
+        typed = typed || types && is_typing(event);
         events.extend(held.pop_front());
     }
     events
+}
+
+/// Whether a key does something with the text as it is when it is pressed.
+fn acts_upon_text(key: Key) -> bool {
+    matches!(key, Key::Enter | Key::Escape | Key::Tab | Key::ArrowUp | Key::ArrowDown)
+}
+
+/// Whether a text is another one afterwards.
+fn is_typing(event: &Event) -> bool {
+    matches!(event, Event::Key { pressed: true, .. } | Event::Text(_) | Event::Paste(_) | Event::Cut)
 }
 
 #[cfg(test)]
@@ -110,9 +119,19 @@ mod tests {
         let counts: Vec<usize> = turns.iter().map(Vec::len).collect();
         assert_eq!(counts, [2, 1, 1, 2, 1, 1, 1], "{turns:?}");
         assert_eq!(turns.concat(), all);
-        // Words are typed at once.
-        let mut held =
-            VecDeque::from([key(Key::A), text("a"), key(Key::B), text("b"), key(Key::Enter), key(Key::G)]);
-        assert_eq!((next(&mut held, true).len(), next(&mut held, false).len()), (5, 1));
+        // Words are typed at once; what goes on with them is done once they are there.
+        let mut held = VecDeque::from([
+            key(Key::A),
+            text("a"),
+            key(Key::B),
+            text("b"),
+            key(Key::Tab),
+            key(Key::C),
+            text("c"),
+            key(Key::Enter),
+            key(Key::G),
+        ]);
+        let turns = [true, true, true, true, false].map(|types| next(&mut held, types).len());
+        assert_eq!(turns, [4, 1, 2, 1, 1]);
     }
 }

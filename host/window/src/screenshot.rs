@@ -80,7 +80,7 @@ impl Shot {
         let (colors, tint) = (state.sample_colors(Version::Now), state.tint());
         let scale = state.field().map(|field| field.scale());
         let detail = state.detail();
-        let radii = sample_radii(&shown.sampled.samples.extents(), &shown.axes, detail);
+        let radii = sample_radii(&shown.sampled.samples.extents(), shown.axes(), detail);
         let pieces = detail.into_iter().flat_map(|detail| detail.pieces().values());
         let of_vertices = VertexColors::new(colors.as_deref(), tint, scale);
         let in_full = pieces.map(|piece| splats(piece, of_vertices)).collect();
@@ -140,9 +140,9 @@ impl Shot {
         let mut scene = Scene::new(&gpu);
         let surface = Surface {
             positions: &shown.positions,
-            normals: &shown.normals,
+            normals: shown.normals(),
             radii: &self.radii,
-            axes: &shown.axes,
+            axes: shown.axes(),
             colors: self.colors.as_deref(),
             triangles: &shown.sampled.triangles,
         };

@@ -4,12 +4,14 @@
 //!
 //! Closed forms, so nothing is prepared: the same map serves the samples and any other point.
 
+mod draft;
 mod map;
 
+use draft::Draft;
 use map::{Deformation, Warp};
 use simod_plugin_api::{
-    Bounds, Choice, DeformInput, Deformer, Descriptor, Evaluate, Host, ParamSet, Params, PluginError,
-    PluginResult, PrepareInput,
+    Bounds, Choice, Consumes, DeformInput, Deformer, Descriptor, Effort, Evaluate, Host, ParamSet, Params,
+    PluginError, PluginResult, PrepareInput,
 };
 
 /// Samples that are deformed at once on one thread.
@@ -72,6 +74,7 @@ impl Deformer for WarpPlugin {
             .summary("Twists, bends, tapers, stretches or shears the whole model along an axis")
             .citation("A. H. Barr, Global and local deformations of solid primitives, SIGGRAPH 1984")
             .param_set::<Settings>()
+            .consumes(Consumes { effort: true, ..Consumes::default() })
     }
 
     fn prepare(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
@@ -88,6 +91,10 @@ impl Deformer for WarpPlugin {
     ) -> PluginResult<()> {
         let warp = warp(input.params(), &input.bounds)?;
         let rest = input.samples.positions();
+        let draft = (input.effort() == Effort::DRAFT).then(|| Draft::new(&warp)).flatten();
+        if let Some(draft) = draft {
+            return host.parallel_blocks(out, BLOCK, |first, out| draft.apply(&rest[first..], out));
+        }
         host.parallel_blocks(out, BLOCK, |first, out| {
             for (o, p) in out.iter_mut().zip(&rest[first..]) {
                 *o = warp.apply(p.map(f64::from)).map(|x| x as f32);

@@ -55,10 +55,10 @@ pub enum Deformation {
 /// A warp in place.
 #[derive(Debug, Clone, Copy)]
 pub struct Warp {
-    deformation: Deformation,
-    centre: Vec3,
-    axis: Vec3,
-    range: [f64; 2],
+    pub(crate) deformation: Deformation,
+    pub(crate) centre: Vec3,
+    pub(crate) axis: Vec3,
+    pub(crate) range: [f64; 2],
 }
 
 impl Warp {

@@ -32,10 +32,13 @@ const NEARLY_ALL: usize = 2;
 impl Scene {
     /// Whether triangles are shown, in a frame of so many splats.
     fn shows_triangles(&self, style: &Style, splats: usize) -> bool {
+        style.mode == Mode::Triangles && self.placed == self.samples() && self.has_triangles_for(splats)
+    }
+
+    /// Whether there are triangles, and no more than are drawn in the time of so many splats.
+    pub(super) fn has_triangles_for(&self, splats: usize) -> bool {
         let triangles = self.surface.as_ref().map_or(0, Cloud::triangles);
-        style.mode == Mode::Triangles
-            && self.details.is_empty()
-            && (1..=splats.saturating_mul(TRIANGLES_PER_SPLAT)).contains(&triangles)
+        self.details.is_empty() && (1..=splats.saturating_mul(TRIANGLES_PER_SPLAT)).contains(&triangles)
     }
 
     /// Makes the textures anew where the picture's size changed.
@@ -80,7 +83,7 @@ impl Scene {
         self.stage(view, scale);
         let stage = &self.stages[&scale];
         let of = self.splats();
-        let shares = self.shares(splats);
+        let shares = self.placed_of(self.shares(splats));
         let splats = self.count(shares);
         self.set_frame(view, style, stage, shares);
         self.draw_ghost(encoder, stage);
@@ -118,7 +121,7 @@ impl Scene {
             return self.draw(encoder, view, style, scale, usize::MAX);
         }
         self.stage(view, scale);
-        let shares = self.filled.shares.unwrap_or_else(|| self.next_shares());
+        let shares = self.filled.shares.unwrap_or_else(|| self.placed_of(self.next_shares()));
         self.filled.shares = Some(shares);
         let stage = &self.stages[&scale];
         self.set_frame(view, style, stage, shares);
@@ -153,7 +156,7 @@ impl Scene {
     }
 
     /// What the next picture at rest shows: more than the last one did.
-    fn next_shares(&self) -> Shares {
+    pub(super) fn next_shares(&self) -> Shares {
         let Drawn { drawn, of, .. } = self.drawn;
         let more = drawn.saturating_mul(FINER);
         let shares = self.shares(more);
@@ -196,7 +199,7 @@ impl Scene {
     }
 
     /// What of the surface and its details at most so many splats are, all of each evenly spread.
-    fn shares(&self, splats: usize) -> Shares {
+    pub(super) fn shares(&self, splats: usize) -> Shares {
         let Some(surface) = &self.surface else { return Shares::default() };
         if splats >= self.splats() {
             return Shares { surface: surface.len(), halved: 0 };

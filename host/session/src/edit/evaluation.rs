@@ -2,7 +2,7 @@
 
 use super::around::Around;
 use super::entry::{Entry, StepId};
-use crate::deformer::{Message, OwnHandles};
+use crate::deformer::{Message, OwnHandles, Watch};
 use crate::key::Key;
 use crate::plugins::PluginRegistry;
 use crate::refining::{Pose, Room};
@@ -45,6 +45,9 @@ pub struct Evaluated {
     pub positions: Arc<[Vec3]>,
     /// How each step fared, in their order.
     pub statuses: Vec<(StepId, Status)>,
+    /// Where the steps of plugins that take joints put the handles that they placed: local coordinates, one for each
+    /// handle. Not of those whose map is not known.
+    pub posed: Vec<(StepId, Arc<[DVec3]>)>,
     /// What each step began with, up to the one that failed, in their order: local positions, of fewer
     /// samples if refinements follow. There its regions, strokes and joints are.
     pub before: Vec<Arc<[Vec3]>>,
@@ -137,12 +140,14 @@ pub(crate) fn messages(statuses: Vec<(StepId, Status)>) -> Result<Vec<Message>> 
 /// Does steps again and again, and keeps of each what the next time may need: what the plugin prepared, and
 /// the positions.
 ///
-/// Memory: what the plugins hold, and 12 bytes a sample and step; a copy of the samples for each refinement.
+/// Memory: what the plugins hold, 28 bytes a sample, and 12 a sample and step; a copy of the samples for each refinement.
 /// What is of steps that are gone, or switched off, is let go.
 pub struct Evaluation {
     sampled: Arc<SampledModel>,
     /// Where the samples are before the first step, if not at rest.
     start: Option<Arc<[Vec3]>>,
+    /// What the first step begins with, from the first time on.
+    beginning: Option<Arc<Rest>>,
     how: Refinements,
     known: HashMap<StepId, StepState>,
     at: Arc<AtomicUsize>,
@@ -189,7 +194,7 @@ impl Evaluation {
     /// Nothing is done yet. If there are steps that refine, the model has to [hold its
     /// cells](SampledModel::hold_cells).
     pub fn new(sampled: Arc<SampledModel>, how: Refinements) -> Self {
-        Self { sampled, start: None, how, known: HashMap::new(), at: Arc::default() }
+        Self { sampled, start: None, beginning: None, how, known: HashMap::new(), at: Arc::default() }
     }
 
     /// The same, of samples that something else has moved before the first step: finite local positions, one
@@ -203,7 +208,7 @@ impl Evaluation {
             let what = format!("there are {there} positions of {samples} samples");
             return Err(Error::new(ErrorKind::Mismatch, what, "give one for each sample"));
         }
-        Ok(Self { start: Some(positions), ..self })
+        Ok(Self { start: Some(positions), beginning: None, ..self })
     }
 
     /// For other steps on the same samples: nothing is done yet.
@@ -238,14 +243,8 @@ impl Evaluation {
         effort: Effort,
         progress: &dyn Progress,
     ) -> Result<Evaluated> {
-        let start = self.start.clone();
-        let rest = with_shape(&self.sampled, |shape| match start {
-            // What it stands for is the same each time.
-            Some(positions) => shape.rest_at(positions, 1),
-            None => shape.rest(0),
-        })?;
-        let mut between = Between { sampled: self.sampled.clone(), rest: Arc::new(rest) };
-        let mut layers = Vec::new();
+        let mut between = Between { sampled: self.sampled.clone(), rest: self.beginning()? };
+        let (mut layers, mut posed) = (Vec::new(), Vec::new());
         let (mut statuses, mut before) = (Vec::with_capacity(steps.len()), Vec::with_capacity(steps.len()));
         let mut failed = false;
         self.known.retain(|id, _| steps.iter().any(|e| e.id == *id && e.step.enabled));
@@ -259,6 +258,7 @@ impl Evaluation {
                     Action::Deform(_) => {
                         let (rest, done) = self.deform(*id, step, &between, registry, effort, progress)?;
                         between.rest = rest;
+                        posed.extend(self.posed(*id, &done, progress).map(|places| (*id, places)));
                         layers.push(done.clone());
                         Ok(done.messages.clone())
                     }
@@ -286,7 +286,24 @@ impl Evaluation {
         }
         let stack = PreparedStack { layers, frame: self.sampled.frame };
         let Between { sampled, rest } = between;
-        Ok(Evaluated { sampled, positions: rest.positions.clone(), statuses, before, stack })
+        Ok(Evaluated { sampled, positions: rest.positions.clone(), statuses, posed, before, stack })
+    }
+
+    /// What the first step begins with: made once, as a drag asks for it in each picture.
+    ///
+    /// # Errors
+    /// The samples cannot be deformed at all.
+    fn beginning(&mut self) -> Result<Arc<Rest>> {
+        if let Some(rest) = &self.beginning {
+            return Ok(rest.clone());
+        }
+        let start = self.start.clone();
+        let rest = with_shape(&self.sampled, |shape| match start {
+            // What it stands for is the same each time.
+            Some(positions) => shape.rest_at(positions, 1),
+            None => shape.rest(0),
+        })?;
+        Ok(self.beginning.insert(Arc::new(rest)).clone())
     }
 
     /// The handles that a step's plugin placed the last time, local coordinates; none where it was not done
@@ -296,6 +313,20 @@ impl Evaluation {
             Some(StepState::Deform { kept, .. }) => kept.handles(),
             _ => None,
         }
+    }
+
+    /// Where a step has put the handles that its plugin placed, if that takes joints: an end that reaches for a place
+    /// bends the bones above it, whose handles have not moved.
+    fn posed(&self, id: StepId, done: &Done, progress: &dyn Progress) -> Option<Arc<[DVec3]>> {
+        let handles = self.handles(id).filter(|handles| !handles.descs.is_empty())?;
+        let Some(StepState::Deform { layer, .. }) = self.known.get(&id) else { return None };
+        if !layer.plugin.consumes().joints || !done.can_evaluate() {
+            return None;
+        }
+        let mut places: Vec<DVec3> = handles.descs.iter().map(|desc| DVec3::from(desc.position)).collect();
+        let watch = Watch::new(progress, done.id(), size_of_val(&*places) as u64);
+        done.evaluate(&self.sampled.frame, &mut places, &watch).ok()?;
+        Some(places.into())
     }
 
     /// Moves the samples; gives the next step's rest shape.

@@ -18,7 +18,9 @@ use simod_model::frame::Frame;
 use simod_model::{Error, ErrorKind, Progress, Result, Type};
 use simod_plugin_api as api;
 use std::collections::HashMap;
+use std::iter::repeat_n;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 #[derive(Debug)]
@@ -94,7 +96,26 @@ struct Preparation {
     attributes: Option<Arc<Attributes>>,
     /// Between deformations, which may go on where the last one stopped.
     scratch: Mutex<Option<api::Scratch>>,
+    /// What the plugin finds and has to leave as it is, as a hash; and whether it was called since it was looked at.
+    fingerprint: Option<u64>,
+    is_unchecked: AtomicBool,
     messages: Vec<Message>,
+}
+
+impl Preparation {
+    /// What the plugin was called with is what it was: later layers work on it, too. Drafts are looked at with the result
+    /// after them: it takes as long as a quick deformation.
+    ///
+    /// # Errors
+    /// The plugin has changed it.
+    fn check_unchanged(&self, plugin: &Plugin) -> Result<()> {
+        if !self.is_unchecked.swap(false, Ordering::Relaxed) {
+            return Ok(());
+        }
+        let checked = plugin.check_unchanged(self.fingerprint, &self.rest.samples());
+        self.is_unchecked.store(checked.is_err(), Ordering::Relaxed);
+        checked
+    }
 }
 
 /// What is kept of a layer from one time to the next, each with a hash of all that it depends on.
@@ -282,10 +303,17 @@ impl Layer {
         let preparation_key = self.preparation_key(rest.key);
         let key = motions.key(preparation_key).and(&self.share.masks).and(&self.share.amount).end();
         let done = match &kept.done {
-            Some((known, done)) if *known == key => done.clone(),
+            Some((known, done)) if *known == key => {
+                if let Some(preparation) =
+                    done.preparation.as_ref().filter(|_| moment.effort != api::Effort::DRAFT)
+                {
+                    preparation.check_unchanged(plugin)?;
+                }
+                done.clone()
+            }
             _ => {
                 let preparation = self.preparation(preparation_key, rest, shape, kept, progress)?;
-                let deformed = self.deform(&preparation, &motions, &shape.frame, &watch);
+                let deformed = self.deform(&preparation, &motions, &shape.frame, moment, &watch);
                 if deformed.as_ref().is_err_and(|e| e.kind() != ErrorKind::Cancelled) {
                     // The process that it was in may have ended.
                     kept.preparation = None;
@@ -498,6 +526,8 @@ impl Layer {
             rest: rest.clone(),
             attributes: shape.attributes.filter(|_| self.plugin.consumes().attributes).cloned(),
             scratch: Mutex::default(),
+            fingerprint: self.plugin.fingerprint(&rest.samples()),
+            is_unchecked: AtomicBool::new(false),
             messages: watch.into_messages(),
         })
     }
@@ -507,17 +537,25 @@ impl Layer {
         preparation: &Preparation,
         motions: &Motions,
         frame: &Frame,
+        moment: Moment,
         watch: &Watch<'_>,
     ) -> Result<Arc<[Vec3]>> {
         let rest = &preparation.rest;
-        let mut out = vec![Vec3::NAN; rest.positions.len()];
+        // Written where it stays.
+        let mut images: Arc<[Vec3]> = repeat_n(Vec3::NAN, rest.positions.len()).collect();
+        let shared = || Error::internal("what was just made has another owner", "report this");
+        let out = Arc::get_mut(&mut images).ok_or_else(shared)?;
         let mut slot = preparation.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         // Out of its place, where it does not come back after a failure.
         let mut scratch = slot.take().map_or_else(|| self.plugin.new_scratch(), Ok)?;
-        let buffer = bytemuck::cast_slice_mut(&mut out);
-        motions.call(rest.samples(), rest.bounds, preparation.attributes.as_ref(), |input| {
-            self.plugin.deform(&preparation.state, input, &mut scratch, buffer, watch)
-        })?;
+        preparation.is_unchecked.store(true, Ordering::Relaxed);
+        let done = motions.call(rest.samples(), rest.bounds, preparation.attributes.as_ref(), |input| {
+            self.plugin.deform(&preparation.state, input, &mut scratch, bytemuck::cast_slice_mut(out), watch)
+        });
+        if moment.effort != api::Effort::DRAFT {
+            preparation.check_unchanged(&self.plugin)?;
+        }
+        done?;
         *slot = Some(scratch);
         if !self.share.is_whole() {
             out.par_iter_mut().zip(&*rest.positions).for_each(|(q, p)| {
@@ -525,7 +563,7 @@ impl Layer {
                 *q = self.share.image(frame.to_model_exact(p), p, q.as_dvec3()).as_vec3();
             });
         }
-        Ok(out.into())
+        Ok(images)
     }
 
     /// The motions of the handles that the plugin placed, those of what they hang on included; local

@@ -33,7 +33,7 @@ impl Comparing {
                 {
                     return Err(Error::new(error.kind(), error.to_string(), error.hint()));
                 }
-                let scene = Scene::new(evaluated, &evaluation, Effort::FULL, *revision);
+                let scene = Scene::new(evaluated, &evaluation, Effort::FULL, *revision, &Arc::default());
                 Arc::new(if self.measure { scene.measured() } else { scene })
             }
         };

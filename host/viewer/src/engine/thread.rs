@@ -13,6 +13,7 @@ use simod_session::edit::{Editor, Entry, Evaluated, Evaluation, recover};
 use simod_session::session_file::Sampling;
 use simod_session::{PluginRegistry, SessionFile};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, PoisonError};
 use std::thread::JoinHandle;
@@ -25,6 +26,8 @@ pub(super) struct Thread {
     plugins: Arc<PluginRegistry>,
     evaluation: Option<Evaluation>,
     revision: u64,
+    /// Whether the shading of all samples was asked for in the last draft.
+    asked: Arc<AtomicBool>,
     writer: Option<JoinHandle<()>>,
 }
 
@@ -97,7 +100,7 @@ pub(super) fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
 
 impl Thread {
     pub fn new(shared: Arc<Shared>, tell: Teller, plugins: Arc<PluginRegistry>) -> Self {
-        Self { shared, tell, plugins, evaluation: None, revision: 0, writer: None }
+        Self { shared, tell, plugins, evaluation: None, revision: 0, asked: Arc::default(), writer: None }
     }
 
     pub fn run(mut self) {
@@ -175,7 +178,7 @@ impl Thread {
         let (editor, mut evaluation) = opened(opening, &self.plugins, progress)?;
         let rest = evaluation.update(&[], &self.plugins, Effort::FULL, progress)?;
         self.revision += 1;
-        let scene = Scene::new(rest, &evaluation, Effort::FULL, self.revision);
+        let scene = Scene::new(rest, &evaluation, Effort::FULL, self.revision, &self.asked);
         let Running { step, .. } = &mut self.shared.lock().1;
         step.clone_from(evaluation.place());
         self.evaluation = Some(evaluation);
@@ -198,7 +201,7 @@ impl Thread {
         self.revision += 1;
         let evaluation = self.evaluation.as_ref();
         let evaluation = evaluation.ok_or_else(Error::cancelled)?;
-        Ok(Scene::new(evaluated, evaluation, effort, self.revision))
+        Ok(Scene::new(evaluated, evaluation, effort, self.revision, &self.asked))
     }
 
     /// Writes on a thread of its own, so that the edit goes on.

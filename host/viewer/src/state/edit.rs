@@ -32,7 +32,7 @@ impl State {
         self.end_preview();
         (self.selection, self.selections) = (Selection::none(scene.len()), Default::default());
         (self.chosen, self.stroke, self.depth, self.named) = (None, None, None, None);
-        self.fields = [None, None];
+        (self.fields, self.body) = ([None, None], None);
         (self.clip, self.measured) = (None, Vec::new());
         self.unpin();
         (self.shown, self.floor) = (self.requested, self.requested);
@@ -93,6 +93,7 @@ impl State {
             None => None,
             Some(at) => Some(self.entry(at)?.id),
         };
+        self.look_for_body();
         Ok(())
     }
 

@@ -18,6 +18,7 @@ mod version;
 mod view;
 
 use crate::appended::{former, owners};
+use crate::body::Body;
 use crate::camera::Camera;
 use crate::clip::Clip;
 use crate::command::Command;
@@ -88,6 +89,8 @@ pub struct State {
     /// The depth buffer of a scene.
     depth: Option<(u64, DepthBuffer)>,
     preview: Preview,
+    /// Of the samples at rest, once a step with joints was chosen.
+    body: Option<Body>,
     /// The numbers of both versions.
     fields: [Option<Known>; 2],
     /// The version to compare with.
@@ -123,6 +126,7 @@ impl State {
             recorder: None,
             depth: None,
             preview: Preview::default(),
+            body: None,
             fields: [None, None],
             pinned: None,
             pins: 0,
@@ -294,7 +298,7 @@ impl State {
         let before = std::mem::replace(&mut open.scene, scene).sampled.clone();
         let after = &open.scene.sampled;
         if Arc::ptr_eq(&before, after) {
-            return;
+            return self.look_for_body();
         }
         let adjacency = Adjacency::of_model(after);
         // What was appended belongs to what is around it.
@@ -304,6 +308,7 @@ impl State {
             self.selection = self.selection.carried(&former, &owners);
         }
         open.adjacency = Arc::new(adjacency);
+        self.look_for_body();
     }
 
     fn tell(&mut self, notice: Notice) {

@@ -4,7 +4,7 @@ use super::State;
 use super::edit::missing;
 use super::open::{Open, refused};
 use crate::appended::{as_found, owner_of};
-use crate::body::{Ball, largest_balls};
+use crate::body::{Ball, Body, largest_balls};
 use crate::motion::{PlacedHandle, placed_handles};
 use crate::pick::Hit;
 use crate::selection::Selection;
@@ -14,7 +14,7 @@ use simod_core::refinement::Finer;
 use simod_model::Result;
 use simod_plugin_api::HandleDesc;
 use simod_session::edit::{Change, StepId};
-use simod_session::session_file::{Action, Joint, Refine, Region, Role};
+use simod_session::session_file::{Action, HandleMove, Joint, Refine, Region, Role};
 use simod_session::{Motion, OwnHandles, PickedPoints, Shape, Shapes};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -192,7 +192,23 @@ impl State {
             let center = frame.to_model_exact(ball.center + way.as_dvec3());
             Ball { center, radius: ball.radius * frame.scale }
         };
-        largest_balls(samples).into_iter().map(moved).collect()
+        match self.body.as_ref().filter(|body| body.is_of(&scene.sampled)) {
+            Some(body) => body.balls().iter().copied().map(moved).collect(),
+            None => largest_balls(samples).into_iter().map(moved).collect(),
+        }
+    }
+
+    /// Begins to find the middle of the body, where the chosen step has joints and it is not known yet.
+    pub(super) fn look_for_body(&mut self) {
+        let (Some(step), Some(scene)) = (self.chosen(), self.scene()) else { return };
+        let takes_joints = self
+            .deformation(step)
+            .ok()
+            .and_then(|deformation| self.plugins().get(&deformation.deform).ok())
+            .is_some_and(|plugin| plugin.consumes().joints);
+        if takes_joints && self.body.as_ref().is_none_or(|body| !body.is_of(&scene.sampled)) {
+            self.body = Some(Body::find(&scene.sampled));
+        }
     }
 
     /// A point of the surface that is shown, where a step finds it: for strokes and joints. Model
@@ -232,6 +248,20 @@ impl State {
         let Some(OwnHandles { descs, .. }) = self.own_handles(step) else { return Vec::new() };
         let moved = placed_handles(descs, &deformation.handles, &open.scene.frame());
         descs.iter().cloned().zip(moved).collect()
+    }
+
+    /// Where a step has put the handles that its plugin placed, where it has joints and an end reaches for a place: local
+    /// coordinates. None where they are where their own motions take them.
+    pub fn posed(&self, step: usize) -> Option<&[DVec3]> {
+        let deformation = self.deformation(step).ok()?;
+        let is_joint = |id: &str| deformation.joints.iter().any(|joint| joint.id == id);
+        let is_above = |id: &str| deformation.joints.iter().any(|joint| joint.parent.as_deref() == Some(id));
+        let reaches = |handle: &HandleMove| !is_joint(&handle.id) || !is_above(&handle.id);
+        let is_reached_for = deformation.handles.iter().any(reaches);
+        let (scene, id) = (&self.open.as_ref()?.scene, self.entry(step).ok()?.id);
+        let posed = scene.posed.iter().find(|(of, _)| is_reached_for && *of == id)?;
+        let handles = scene.handles.get(&id)?;
+        (posed.1.len() == handles.descs.len()).then_some(&*posed.1)
     }
 
     /// The handles that a step's plugin placed, at rest, with the faces between them; none where it was not done yet.

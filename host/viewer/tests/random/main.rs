@@ -188,9 +188,9 @@ const VERTICES: u64 = 3000;
 fn check(state: &mut State) {
     let scene = state.scene().expect("a model").clone();
     assert_eq!(state.selection().marks().len(), scene.len());
-    assert_eq!(scene.normals.len(), scene.len());
+    assert_eq!(scene.normals().len(), scene.len());
     assert!(scene.positions.iter().all(|p| p.is_finite()));
-    assert!(scene.normals.iter().all(|n| n.is_finite()));
+    assert!(scene.normals().iter().all(|n| n.is_finite()));
     assert!(state.camera().is_valid());
     assert!(state.measured().iter().all(|point| point.rest.is_finite() && point.now.is_finite()));
     if let Some(detail) = state.detail() {

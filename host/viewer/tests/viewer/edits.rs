@@ -243,8 +243,48 @@ fn normals_turn_as_the_surface_does() {
         cosines.sort_unstable_by(f32::total_cmp);
         [cosines[cosines.len() / 10], cosines[cosines.len() / 2]]
     };
-    let ([low, turned], [_, unmoved]) = (median(&scene.normals), median(scene.sampled.samples.normals()));
+    let ([low, turned], [_, unmoved]) = (median(scene.normals()), median(scene.sampled.samples.normals()));
     assert!(low > 0.9 && turned > 0.995 && unmoved < 0.95, "{low}, {turned}, {unmoved}");
+}
+
+/// While something is dragged, how the surface lies is found where it is drawn; and there it lies as if all of it had been
+/// looked at. At rest it is where the steps put it to the last digit.
+#[test]
+fn a_part_of_a_draft_lies_as_all_of_it_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = model(folder.path(), Shape::Amphora, 40_000);
+    let angle = |degrees: f64| {
+        let change = Change::SetParam { id: "angle".into(), value: Some(degrees.into()) };
+        edit::Command::Change { at: 0, change }
+    };
+    let mut state = state(plugins());
+    done(&mut state, open(&path, 4000));
+    done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
+    let some: Vec<u32> = (0..1300).map(|k| 3 * k).collect();
+    let mut drafts = Vec::new();
+    // Before anybody has asked for all of a draft, and after that, when they are found beforehand.
+    for degrees in [40.0, 80.0, 120.0] {
+        done(&mut state, Command::Drag(angle(degrees)));
+        let scene = state.scene().unwrap().clone();
+        assert!(scene.is_draft());
+        let part = scene.shading_of(&some);
+        for (k, i) in some.iter().map(|i| *i as usize).enumerate() {
+            assert_eq!((part.normals[k], part.axes[k]), (scene.normals()[i], scene.axes()[i]), "{i}");
+        }
+        drafts.push(scene);
+    }
+    done(&mut state, Command::Rest);
+    let rest = state.scene().unwrap().clone();
+    assert!(!rest.is_draft());
+    let ways = rest.positions.iter().zip(drafts[2].positions.iter()).map(|(p, q)| p.distance(*q));
+    assert!(ways.fold(0.0, f32::max) < 3e-6);
+
+    let mut again = self::state(plugins());
+    done(&mut again, open(&path, 4000));
+    done(&mut again, Command::AddStep { plugin: "warp".into(), at: None });
+    done(&mut again, Command::Edit(angle(120.0)));
+    let scene = again.scene().unwrap();
+    assert!(scene.positions == rest.positions && scene.normals() == rest.normals());
 }
 
 #[test]

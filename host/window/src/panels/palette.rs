@@ -26,6 +26,14 @@ impl Entry {
         }
     }
 
+    /// What it is found by: a plugin by its id, too, as documents call it.
+    fn sought(&self) -> String {
+        match self {
+            Self::Add(plugin) => format!("{} {}", self.name(), plugin.id()),
+            _ => self.name(),
+        }
+    }
+
     fn run(self, window: &mut Window) {
         match self {
             Self::Action(action) => (action.run)(window),
@@ -57,7 +65,7 @@ fn found(window: &Window, typed: &str) -> Vec<Entry> {
     }
     entries.extend(window.settings.recent.iter().cloned().map(Entry::Open));
     let mut found: Vec<(usize, Entry)> =
-        entries.into_iter().filter_map(|entry| Some((fit(&entry.name(), typed)?, entry))).collect();
+        entries.into_iter().filter_map(|entry| Some((fit(&entry.sought(), typed)?, entry))).collect();
     found.sort_by_key(|(cost, _)| *cost);
     found.into_iter().map(|(_, entry)| entry).take(MOST).collect()
 }
@@ -89,7 +97,8 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
             for (i, entry) in entries.into_iter().enumerate() {
                 let keys = match &entry {
                     Entry::Action(action) => action.keys_text(ui.ctx()),
-                    _ => String::new(),
+                    Entry::Add(plugin) => plugin.id().to_owned(),
+                    Entry::Open(_) => String::new(),
                 };
                 let button = Button::selectable(i == palette.at, entry.name())
                     .right_text(RichText::new(keys).weak().small())

@@ -8,7 +8,7 @@ use simod_viewer::engine::{Activity, Job};
 
 /// What takes longer is shown, in seconds.
 const PATIENCE: f64 = 0.4;
-const SIZE: [f32; 2] = [340.0, 92.0];
+const SIZE: [f32; 2] = [420.0, 92.0];
 
 /// Each job that is running and takes its time, above each other at the lower edge.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {

@@ -13,7 +13,7 @@ use simod_session::edit::Change;
 use simod_session::session_file::{Deformation, Region, Role};
 use simod_session::{Motion, Shape};
 use simod_viewer::command::Area;
-use simod_viewer::skeleton::mirrored;
+use simod_viewer::skeleton::{is_pin, mirrored};
 use simod_viewer::{Command, Overlay};
 
 /// Joints that are nearer to the middle than this part of the model's diagonal have no other side.
@@ -230,6 +230,7 @@ fn handle(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
             Some(region) => (format!("Handle {}", i + 1), region.motion),
             None => return,
         },
+        Target::Handle(id) if is_pin(id) => return,
         Target::Handle(id) => {
             let moved = deformation.handles.iter().find(|handle| handle.id == *id);
             (format!("Handle {id}"), moved.map_or(Motion::default(), |moved| moved.motion))

@@ -12,6 +12,7 @@ use simod_session::session_file::HandleMove;
 use simod_viewer::Command;
 use simod_viewer::held::Held;
 use simod_viewer::motion::handle_matrix;
+use simod_viewer::skeleton::is_pin;
 use transform_gizmo::math::{Pos2 as GizmoPos, Rect as GizmoRect, Transform};
 use transform_gizmo::{EnumSet, GizmoConfig, GizmoInteraction, GizmoMode, GizmoOrientation, GizmoVisuals};
 
@@ -38,6 +39,8 @@ pub fn place(window: &mut Window) -> Option<Place> {
             let matrix = handle_matrix(&motion, pivot);
             Some(Place { step, id, target, matrix, kind: Kind::Region { pivot }, can: all })
         }
+        // Nobody moves a pin.
+        Target::Handle(handle) if is_pin(handle) => None,
         Target::Handle(handle) => {
             let (desc, placed) =
                 window.state().handles(step).into_iter().find(|(desc, _)| desc.id == handle.as_str())?;

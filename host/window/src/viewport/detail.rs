@@ -102,6 +102,18 @@ pub fn sample_radii(spacing: &[f32], axes: &[[Vec3; 2]], detail: Option<&Detail>
     radii
 }
 
+/// The same of some samples, whose axes these are.
+pub fn radii_of(some: &[u32], spacing: &[f32], axes: &[[Vec3; 2]], detail: Option<&Detail>) -> Vec<f32> {
+    let mut radii = disc_radii(&some.iter().map(|i| spacing[*i as usize]).collect::<Vec<_>>());
+    radii.iter_mut().zip(axes).for_each(|(radius, [long, _])| *radius *= long.length());
+    if let Some(detail) = detail {
+        let covered = detail.covered();
+        let hidden = radii.iter_mut().zip(some).filter(|(_, i)| covered[**i as usize]);
+        hidden.for_each(|(radius, _)| *radius = HIDDEN);
+    }
+    radii
+}
+
 /// Dots where samples are that vertices are shown instead of.
 pub fn sample_dots(positions: &[Vec3], detail: Option<&Detail>) -> Vec<Dot> {
     let covered = detail.map_or(&[][..], |detail| detail.covered());

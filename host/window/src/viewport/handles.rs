@@ -27,8 +27,8 @@ struct Dot {
     target: Target,
     at: Pos2,
     depth: f64,
-    /// Of the dot that it hangs on.
-    parent: Option<Pos2>,
+    /// Of the bone to it, where it hangs on another one: from where to where.
+    bone: Option<[Pos2; 2]>,
 }
 
 impl Dot {
@@ -44,24 +44,35 @@ fn dots(canvas: &Canvas<'_>, window: &Window) -> Vec<Dot> {
         return Vec::new();
     };
     let (frame, camera, size) = (scene.frame(), state.camera(), state.size());
-    let project = |p: DVec3| {
-        let (pixel, depth) = camera.project(frame.to_local_exact(p), size)?;
+    let seen = |p: DVec3| {
+        let (pixel, depth) = camera.project(p, size)?;
         Some((canvas.in_points(pixel), depth))
     };
+    let project = |p: DVec3| seen(frame.to_local_exact(p));
     let mut dots = Vec::new();
     for (i, region) in deformation.regions.iter().enumerate().filter(|(_, r)| r.role == Role::Handle) {
         // Without a pivot of its own it would take all samples to find the middle.
         let Some(pivot) = region.motion.pivot else { continue };
         if let Some((at, depth)) = project(handle_matrix(&region.motion, pivot).translation) {
-            dots.push(Dot { target: Target::Region(i), at, depth, parent: None });
+            dots.push(Dot { target: Target::Region(i), at, depth, bone: None });
         }
     }
     let placed = state.handles(step);
-    for (desc, place) in &placed {
-        let Some((at, depth)) = project(place.position()) else { continue };
-        let parent = placed.get(desc.parent as usize).and_then(|(_, parent)| project(parent.position()));
+    // Bones that an end bends are where the body is; what it reaches for is where the hand put it.
+    let posed = state.posed(step).filter(|posed| posed.len() == placed.len());
+    let is_joint = |id: &str| deformation.joints.iter().any(|joint| joint.id == id);
+    let place_of = |i: usize| match (posed, placed.get(i)?) {
+        (Some(posed), (desc, _)) if is_joint(&desc.id) => seen(posed[i]),
+        (_, (_, place)) => project(place.position()),
+    };
+    for (i, (desc, place)) in placed.iter().enumerate() {
+        // An end is where the hand wants it, whether its bones get there or not.
+        let is_end = posed.is_none() || placed.iter().all(|(other, _)| other.parent as usize != i);
+        let shown = if is_end { project(place.position()) } else { place_of(i) };
+        let Some((at, depth)) = shown else { continue };
+        let bone = place_of(desc.parent as usize).and_then(|from| Some([from.0, place_of(i)?.0]));
         let target = Target::Handle(desc.id.to_string());
-        dots.push(Dot { target, at, depth, parent: parent.map(|p| p.0) });
+        dots.push(Dot { target, at, depth, bone });
     }
     // Those in front are drawn last.
     dots.sort_by(|a, b| b.depth.total_cmp(&a.depth));
@@ -88,8 +99,8 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
     let dots = dots(canvas, window);
     let painter = canvas.painter();
     let hovered = nearest(canvas, &dots).map(|dot| dot.target.clone());
-    for (a, b) in dots.iter().filter_map(|dot| Some((dot.at, dot.parent?))) {
-        bone(canvas, b, a);
+    for [from, to] in dots.iter().filter_map(|dot| dot.bone) {
+        bone(canvas, from, to);
     }
     grid(canvas, &dots);
     let [nearest, farthest] = dots
@@ -100,7 +111,7 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
     let many = dots.len() > 200;
     for dot in &dots {
         if dot.is_pin() {
-            pin(canvas, dot.at);
+            pin(canvas, dot.at, window.tools.target.as_ref() == Some(&dot.target));
             continue;
         }
         let is_held = matches!(&dot.target, Target::Handle(id) if in_hand.contains(id));
@@ -189,8 +200,9 @@ fn surface(canvas: &Canvas<'_>, window: &Window, dots: &[Dot], far: impl Fn(f64)
 }
 
 /// A pin: its point is where it holds.
-fn pin(canvas: &Canvas<'_>, at: Pos2) {
-    let (head, color) = (at + vec2(0.0, -13.0), theme::color(theme::role_color(Role::Fixed)));
+fn pin(canvas: &Canvas<'_>, at: Pos2, chosen: bool) {
+    let color = if chosen { theme::SELECTED } else { theme::role_color(Role::Fixed) };
+    let (head, color) = (at + vec2(0.0, -13.0), theme::color(color));
     let outline = Stroke::new(1.2, Color32::from_black_alpha(200));
     canvas.painter().line_segment([at, head], Stroke::new(2.5, color));
     canvas.painter().circle(head, 5.0, color, outline);

@@ -2,7 +2,7 @@
 
 use super::Canvas;
 use super::colors::Colors;
-use super::detail::{Pieces, sample_dots, sample_radii};
+use super::detail::{Pieces, radii_of, sample_dots, sample_radii};
 use super::emerging::Emerging;
 use super::seen::{disc_radii, seen_clip, view};
 use super::texture::Texture;
@@ -10,13 +10,18 @@ use crate::settings::Theme;
 use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
-use simod_scene::{Budget, Gpu, Scene, Style, Surface, View};
+use glam::{Mat4, Vec3};
+use simod_scene::{Budget, Gpu, Scene, Style, Surface};
 use simod_viewer::{Detail, Version};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// How long a picture may take while something moves: with a card, and in software.
 const GOALS: [Duration; 2] = [Duration::from_millis(12), Duration::from_millis(45)];
+
+/// Samples that are dragged are drawn as finely as the time of a picture allows, and more finely once they have not moved
+/// for so long.
+const STILL: Duration = Duration::from_millis(150);
 
 /// How long a picture at rest may take, by what the budget knows, in seconds.
 const PATIENCE: f64 = 0.6;
@@ -41,6 +46,10 @@ struct Drawing {
     texture: Texture,
     colors: Colors,
     shown: Option<Arc<simod_viewer::Scene>>,
+    /// So many of its samples, of those that are drawn first, the card has.
+    placed: usize,
+    /// When the picture became another one.
+    changed: Instant,
     /// How far the surface of each sample goes at rest.
     extents: Vec<f32>,
     pieces: Pieces,
@@ -49,8 +58,8 @@ struct Drawing {
     ghost: bool,
     /// Samples are dots over what is shown in full.
     dots: bool,
-    /// From where the last picture was.
-    seen: Option<View>,
+    /// From where the last picture was, and its size.
+    seen: Option<(Mat4, [u32; 2])>,
 }
 
 impl Viewport {
@@ -153,6 +162,8 @@ impl Drawing {
             texture: Texture::new(render),
             colors: Colors::default(),
             shown: None,
+            placed: 0,
+            changed: Instant::now(),
             extents: Vec::new(),
             pieces: Pieces::default(),
             detail: None,
@@ -171,10 +182,7 @@ impl Drawing {
             return self.texture.show(rect);
         }
         if let Err(error) = self.upload(&scene, window) {
-            let hint = "save the session, and report this";
-            let what = error.to_string();
-            window.toasts.error(&simod_model::Error::internal(what, hint));
-            return background(rect, window.settings.theme);
+            return failed(error, rect, window);
         }
         let size = window.state().size();
         let camera = window.state().camera();
@@ -195,11 +203,24 @@ impl Drawing {
         if self.budget.0 != share {
             self.budget = (share, Budget::new(goal));
         }
-        let moves = window.ctx().input(|i| i.pointer.any_down()) || self.seen != Some(view);
-        self.seen = Some(view);
+        // That the samples have moved is no move of the camera, though its picture reaches farther or less far: the
+        // result after a draft takes its place at once.
+        let from = Some((view.view, view.size));
+        let moves = window.ctx().input(|i| i.pointer.any_down()) || self.seen != from || scene.is_draft();
+        if !self.scene.is_of(&view, &style) {
+            self.changed = started;
+        } else if let Some(left) = STILL.checked_sub(self.changed.elapsed()).filter(|_| scene.is_draft()) {
+            window.ctx().request_repaint_after(left);
+            return self.texture.show(rect);
+        }
+        self.seen = from;
         // At rest all is drawn at once, unless that would take too long to wait for.
         let parts = self.scene.splats() as f64 / self.budget.1.splats() as f64;
         let whole = !moves && parts * goal.as_secs_f64() < PATIENCE / f64::from(share);
+        let reach = self.scene.reach(&view, &style, Some(&self.budget.1).filter(|_| !whole));
+        if let Err(error) = self.place(&scene, reach, window) {
+            return failed(error, rect, window);
+        }
         let budget = (!whole).then_some(&mut self.budget.1);
         let picture = self.scene.render(&view, &style, budget).clone();
         let drawn = self.scene.drawn();
@@ -251,26 +272,24 @@ impl Drawing {
         if !same_samples {
             self.extents = samples.extents();
         }
-        let (colors, extents) = (self.colors.of_samples(), &self.extents);
-        let radii = || sample_radii(extents, &scene.axes, detail);
+        let colors = self.colors.of_samples();
         if !same_samples {
-            let radii = radii();
+            let radii = sample_radii(&self.extents, scene.axes(), detail);
             self.scene.set_surface(&Surface {
                 positions: &scene.positions,
-                normals: &scene.normals,
+                normals: scene.normals(),
                 radii: &radii,
-                axes: &scene.axes,
+                axes: scene.axes(),
                 colors,
                 triangles: &sampled.triangles,
             })?;
-        } else {
-            if !same {
-                self.scene.set_positions(&scene.positions, &scene.normals)?;
-                self.scene.set_axes(&scene.axes)?;
-            }
-            if !same || recolored || covers_others {
-                self.scene.set_colors(&radii(), colors)?;
-            }
+            self.placed = scene.len();
+        } else if !same || (recolored || covers_others) && self.placed < scene.len() {
+            self.scene.outdate();
+            self.placed = 0;
+        } else if recolored || covers_others {
+            let radii = sample_radii(&self.extents, scene.axes(), detail);
+            self.scene.set_colors(&radii, colors)?;
         }
         self.pieces.update(&mut self.scene, detail, self.colors.of_vertices(), recolored)?;
         let dots = window.looks.samples && self.version == Version::Now;
@@ -293,4 +312,54 @@ impl Drawing {
         }
         Ok(())
     }
+
+    /// Brings so many of the samples up to date that are drawn first. Of a draft others are not: the next one comes
+    /// before they are drawn.
+    fn place(
+        &mut self,
+        scene: &simod_viewer::Scene,
+        reach: usize,
+        window: &Window,
+    ) -> Result<(), simod_scene::BadSurface> {
+        if self.placed >= reach {
+            return Ok(());
+        }
+        let detail = window.state().detail().filter(|_| self.version == Version::Now);
+        let colors = self.colors.of_samples();
+        if reach >= scene.len() || !scene.is_draft() {
+            let radii = sample_radii(&self.extents, scene.axes(), detail);
+            self.scene.place_all(&Surface {
+                positions: &scene.positions,
+                normals: scene.normals(),
+                radii: &radii,
+                axes: scene.axes(),
+                colors,
+                triangles: &[],
+            })?;
+            self.placed = scene.len();
+            return Ok(());
+        }
+        let some = self.scene.first(reach);
+        let shading = scene.shading_of(&some);
+        let positions: Vec<Vec3> = some.iter().map(|i| scene.positions[*i as usize]).collect();
+        let colors: Option<Vec<[u8; 3]>> =
+            colors.map(|colors| some.iter().map(|i| colors[*i as usize]).collect());
+        self.scene.place_first(&Surface {
+            positions: &positions,
+            normals: &shading.normals,
+            radii: &radii_of(&some, &self.extents, &shading.axes, detail),
+            axes: &shading.axes,
+            colors: colors.as_deref(),
+            triangles: &[],
+        })?;
+        self.placed = reach;
+        Ok(())
+    }
+}
+
+/// What is shown where the card does not take what there is.
+fn failed(error: simod_scene::BadSurface, rect: Rect, window: &mut Window) -> Shape {
+    let hint = "save the session, and report this";
+    window.toasts.error(&simod_model::Error::internal(error.to_string(), hint));
+    background(rect, window.settings.theme)
 }

@@ -7,12 +7,11 @@ mod prompt;
 mod toasts;
 
 use crate::dialogs::{self, Answer, Chooser, Dialog, Purpose};
-use crate::in_turn::InTurn;
 use crate::settings::{self, Settings};
 use crate::tools::Tools;
 use crate::turntable::{AskedPicture, AskedTurntable, Film, Turning};
 use crate::viewport::seen::mode_of;
-use crate::{example, plugins, theme};
+use crate::{example, in_turn, plugins, theme};
 pub use asked::{Kept, Leaving, Palette, Question, Renaming, Report, Running};
 pub use asks::{Ask, Asks};
 use eframe::egui;
@@ -113,7 +112,7 @@ impl Window {
     pub fn new(ctx: &egui::Context, plugins: Arc<PluginRegistry>, settings: Settings) -> Self {
         theme::apply(ctx, settings.theme);
         let waits = Arc::new(AtomicBool::new(false));
-        ctx.add_plugin(InTurn::new(waits.clone()));
+        in_turn::install(ctx, waits.clone());
         let waker = ctx.clone();
         let mut toasts = Toasts::default();
         for rejected in plugins.rejected() {

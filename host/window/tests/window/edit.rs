@@ -374,6 +374,22 @@ fn a_limb_turns_without_the_body() {
     harness.state_mut().window_mut().tools.target = None;
     click_at(&mut harness, at - egui::vec2(0.0, -8.0));
     assert_eq!(harness.state().window().tools.target, None);
+    // Chosen in the list, it can be seen and removed, but not moved.
+    harness.set_size(egui::vec2(1440.0, 1700.0));
+    harness.run_steps(3);
+    harness.get_by_label("pin-1").click();
+    harness.run_steps(3);
+    assert!(harness.state().window().tools.target.is_some());
+    assert!(harness.query_by_label("Handle pin-1").is_none());
+    harness.key_press(egui::Key::G);
+    harness.run_steps(3);
+    assert!(harness.state().window().tools.transforming.is_none());
+    harness.get_by_label("joint-1").click();
+    harness.run_steps(3);
+    assert!(harness.query_by_label("Handle joint-1").is_some());
+    harness.state_mut().window_mut().tools.target = None;
+    harness.set_size(egui::vec2(1440.0, 900.0));
+    harness.run_steps(3);
 
     // A chain along the stem has the body turn: nothing holds it any more.
     harness.state_mut().window_mut().tools.take(Tool::Joint);
@@ -388,6 +404,52 @@ fn a_limb_turns_without_the_body() {
     settle(&mut harness);
     let all = ids(&harness);
     assert!(!all.iter().any(is_of_body) && all.contains(&"pin-1".to_owned()), "{all:?}");
+}
+
+/// Bones that an end bends are drawn where the body is, though their own handles have not moved.
+#[test]
+fn bones_that_an_end_bends_are_where_the_body_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+    take_joints(&mut harness);
+    harness.get_by_label("Hold the Body").click();
+    harness.run_steps(2);
+    let middle = harness.get_by_label("Model").rect().center();
+    let [from, to] = [200.0, -200.0].map(|y| middle + egui::vec2(0.0, y));
+    drag(&mut harness, from, to);
+    settle(&mut harness);
+    let posed =
+        |harness: &Harness<'_, App>| harness.state().window().state().posed(0).map(<[glam::DVec3]>::to_vec);
+    assert_eq!(posed(&harness), None, "nothing has moved");
+    let joints = harness.state().window().chosen().unwrap().2.joints;
+    let end = joints.last().unwrap().clone();
+    let size = joints[0].at.distance(end.at);
+    let motion =
+        simod_session::Motion { translate: glam::DVec3::new(0.45, -0.2, 0.0) * size, ..Default::default() };
+    let reach = Change::MoveHandle { id: end.id.clone(), motion };
+    done(&mut harness, Command::Edit(edit::Command::Change { at: 0, change: reach }));
+    let frame = harness.state().window().state().scene().unwrap().frame();
+    let posed = posed(&harness).expect("an end reaches");
+    let rest: Vec<glam::DVec3> = joints.iter().map(|joint| frame.to_local_exact(joint.at)).collect();
+    // The end is there, its elbow has gone aside, and bones have the lengths that they had.
+    let target = frame.to_local_exact(end.at + motion.translate);
+    let scale = size / frame.scale;
+    assert!(posed[3].distance(target) < 0.05 * scale, "{posed:?} {target}");
+    assert!(posed[2].distance(rest[2]) > 0.05 * scale && posed[0].distance(rest[0]) < 0.02 * scale);
+    for i in 1..4 {
+        let [was, is] = [&rest, &posed].map(|places| places[i].distance(places[i - 1]));
+        assert!((was - is).abs() < 0.05 * was, "{i}: {was} {is}");
+    }
+    // A click takes the elbow where it is seen.
+    harness.state_mut().window_mut().tools.take(Tool::Move);
+    harness.state_mut().window_mut().tools.target = None;
+    let state = harness.state().window().state();
+    let at = state.camera().project(posed[2], state.size()).unwrap().0;
+    let at = harness.get_by_label("Model").rect().min + egui::vec2(at.x as f32, at.y as f32);
+    click_at(&mut harness, at);
+    let taken = format!("{:?}", harness.state().window().tools.target);
+    assert!(taken.contains(&joints[2].id), "{taken}");
 }
 
 /// A drag places a chain, whose joints are renamed, and mirrored to the other side.

@@ -76,6 +76,15 @@ fn a_path_is_typed_where_the_system_has_no_dialogs() {
     harness.key_press(egui::Key::Tab);
     harness.run_steps(3);
     assert!(typed(&harness).unwrap().ends_with("model.ply"), "{:?}", typed(&harness));
+    // It does so with what was typed right before it, in the time of one picture.
+    harness.get_by_label("Path of the file").focus();
+    harness.run_steps(2);
+    harness.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::A);
+    harness.event(egui::Event::Text(folder.path().join("edi").display().to_string()));
+    harness.key_press(egui::Key::Tab);
+    harness.run_steps(1);
+    harness.run_steps(6);
+    assert!(typed(&harness).unwrap().ends_with("edit.toml"), "{:?}", typed(&harness));
     click(&mut harness, "Cancel");
     assert!(harness.state().window().prompt.is_none());
 }

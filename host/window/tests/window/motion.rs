@@ -97,6 +97,22 @@ fn keys_and_drags_of_one_slow_picture_are_all_done() {
     assert!((two - 2.0 * one).abs() < 0.3 * one.abs(), "{two} is not twice {one}");
 }
 
+/// However long a picture takes, what is pressed and let go without being moved was clicked.
+#[test]
+fn clicks_between_slow_pictures_are_clicks() {
+    let builder = Harness::builder().with_size([1440.0, 900.0]).with_step_dt(3.0);
+    let plugins = plugins();
+    let mut harness =
+        builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())));
+    let folder = tempfile::tempdir().unwrap();
+    open(&mut harness, &model(folder.path()));
+    done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
+    done(&mut harness, Command::Choose { step: None });
+    let at = harness.get_by_label("Warp").rect().center();
+    at_once(&mut harness, [egui::Event::PointerMoved(at), button(at, true), button(at, false)]);
+    assert_eq!(harness.state().window().state().chosen(), Some(0), "its row was clicked");
+}
+
 /// A stroke that begins beside the model begins where the hand gets to it.
 #[test]
 fn a_stroke_that_begins_beside_the_model_is_not_lost() {
@@ -215,7 +231,7 @@ fn what_is_stretched_does_not_fall_apart() {
     for (image, name) in [(&triangles, "triangles"), (&discs, "discs")] {
         assert_eq!(holes(image, middle.clone()), 0, "{name}");
     }
-    let axes = harness.state().window().state().scene().unwrap().axes.clone();
+    let axes = harness.state().window().state().scene().unwrap().axes().clone();
     let mut ratios: Vec<f32> = axes.iter().map(|[long, short]| long.length() / short.length()).collect();
     ratios.sort_by(f32::total_cmp);
     assert!((3.0..5.5).contains(&ratios[ratios.len() / 2]), "{}", ratios[ratios.len() / 2]);
