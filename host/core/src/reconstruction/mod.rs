@@ -31,9 +31,13 @@ mod gradients;
 mod home_cells;
 mod homes;
 mod hull;
+mod kept_geometry;
+#[cfg(test)]
+mod kept_geometry_tests;
 mod lanes;
 mod least_squares;
 mod limiter;
+mod near_lists;
 mod neighbourhood;
 mod packets;
 mod part_file;
