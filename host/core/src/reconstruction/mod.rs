@@ -45,6 +45,7 @@ mod parts;
 mod projected_barycentric;
 mod range;
 mod reach;
+mod repeated;
 mod rest_geometry;
 mod scattered;
 mod sheets;
