@@ -5,13 +5,12 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use rayon::prelude::*;
-use simod_model::claim::Claim;
-use simod_model::{Attribute, Model, Progress, Result, input, output};
+use simod_model::{Attribute, Model, Progress, Result};
 
 use crate::attributes::{Attributes, MOST, OfSamples};
 use crate::fingerprint::VertexHash;
 use crate::reconstruction::{RestGeometry, homes};
-use crate::sampled_model::{ATTRIBUTES, LONGEST_ATTRIBUTES, SAMPLES, SampledModel, file_fingerprint};
+use crate::sampled_model::{ATTRIBUTES, LONGEST_ATTRIBUTES, SampledModel};
 use crate::sampling::kd_tree::completed;
 
 impl SampledModel {
@@ -41,20 +40,15 @@ impl SampledModel {
 
     /// The attributes in the folder, if their file is there, whole, and of these samples.
     fn kept_attributes(&self) -> Option<Attributes> {
-        let (folder, samples) = self.folder.as_ref()?;
-        let bytes = input::read(&folder.join(ATTRIBUTES), LONGEST_ATTRIBUTES).ok()?;
+        let (_, samples) = self.folder.as_ref()?;
+        let bytes = self.read_beside(ATTRIBUTES, LONGEST_ATTRIBUTES)?;
         Attributes::decode(&bytes, [samples, &self.source.fingerprint], self.samples.len()).ok()
     }
 
     /// Puts the attributes into the folder, if there is one, unless another process is writing it, or has.
     fn keep_attributes(&self, attributes: &Attributes) -> Result<()> {
-        let Some((folder, samples)) = &self.folder else { return Ok(()) };
-        let Ok(_claim) = Claim::folder(folder) else { return Ok(()) };
-        if file_fingerprint(&folder.join(SAMPLES))? != *samples {
-            return Ok(());
-        }
-        let bytes = attributes.encode([samples, &self.source.fingerprint])?;
-        output::write_file(&folder.join(ATTRIBUTES), &bytes)
+        let Some((_, samples)) = &self.folder else { return Ok(()) };
+        self.keep_beside(ATTRIBUTES, || attributes.encode([samples, &self.source.fingerprint]))
     }
 
     /// Reads the model that was sampled. Vertices without a finite position, and values that are no numbers,
@@ -84,7 +78,7 @@ impl SampledModel {
         }
         let samples = &self.samples;
         progress.begin("reading the attributes", info.vertex_bytes);
-        let around = RestGeometry::new(samples);
+        let around = RestGeometry::of(self);
         let mut gathered: Vec<Gathered> =
             attributes.iter().map(|attribute| Gathered::new(attribute, samples.len())).collect();
         // Of a chunk.

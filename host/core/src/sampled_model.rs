@@ -9,6 +9,7 @@ use std::sync::{Arc, OnceLock};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use simod_model::bounds::Bounds;
+use simod_model::claim::Claim;
 use simod_model::frame::Frame;
 use simod_model::input;
 use simod_model::object::{self, is_object};
@@ -48,6 +49,9 @@ pub(crate) const CELLS: &str = "cells.bin";
 /// The file of what is made of a model that cannot be read from anywhere as it is: see [`Cache`].
 const CACHE: &str = "cache.bin";
 
+/// The file of what is known of the samples at rest: see [`RestGeometry::of`](crate::reconstruction::RestGeometry::of).
+pub(crate) const REST: &str = "rest.bin";
+
 /// What describes the folder.
 const DESCRIPTION: &str = "simod.toml";
 
@@ -55,7 +59,8 @@ const DESCRIPTION: &str = "simod.toml";
 pub(crate) const SAMPLES: &str = "samples.ply";
 
 /// All files of a folder.
-pub(crate) const OWN_FILES: [&str; 7] = [DESCRIPTION, SAMPLES, CELLS, SHEETS, ATTRIBUTES, BINDING, CACHE];
+pub(crate) const OWN_FILES: [&str; 8] =
+    [DESCRIPTION, SAMPLES, CELLS, SHEETS, ATTRIBUTES, BINDING, CACHE, REST];
 
 /// Longest description: each refinement adds a few hundred bytes.
 const LONGEST_DESCRIPTION: u64 = 64 << 20;
@@ -686,6 +691,28 @@ impl SampledModel {
             attributes: OnceLock::new(),
             cache: Arc::new(Cache::in_folder(&folder.join(CACHE))),
         })
+    }
+
+    /// What a file of the folder that it was read from holds, of at most so many bytes; `None` where there is none, or
+    /// it cannot be read.
+    pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<Vec<u8>> {
+        let (folder, _) = self.folder.as_ref()?;
+        input::read(&folder.join(name), most).ok()
+    }
+
+    /// Puts a file into the folder that it was read from, if there is one, unless another process is writing that, or
+    /// it has other samples by now. What is made again of the rest in need goes by here: a link is not followed.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub(crate) fn keep_beside(&self, name: &str, bytes: impl FnOnce() -> Result<Vec<u8>>) -> Result<()> {
+        let Some((folder, samples)) = &self.folder else { return Ok(()) };
+        let Ok(_claim) = Claim::folder(folder) else { return Ok(()) };
+        let path = folder.join(name);
+        if path.is_symlink() || file_fingerprint(&folder.join(SAMPLES))? != *samples {
+            return Ok(());
+        }
+        output::write_file(&path, &bytes()?)
     }
 
     /// The cells, if they are in memory: after sampling, unless they were not wanted, and after a refinement.

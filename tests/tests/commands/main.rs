@@ -12,6 +12,7 @@ mod examples;
 mod files;
 mod formats;
 mod gltf;
+mod kept;
 mod las;
 mod main_job;
 mod pictures;

@@ -233,7 +233,7 @@ impl Reconstruct {
         }
         let tolerance = tolerance.fraction(sampled.bounds.diagonal());
         check_precision(sampled, model, tolerance)?;
-        let around = RestGeometry::new(&sampled.samples);
+        let around = RestGeometry::of(sampled);
         let mut most = 0.0f64;
         for (paths, deformed) in paths.iter().zip(deformed) {
             report.progress().check()?;

@@ -63,23 +63,9 @@ impl Supports {
     pub fn new(samples: &SampleSet, sheets: &Sheets) -> Self {
         let positions = &samples.positions;
         let n = samples.len();
-        let radius: Vec<f32> =
-            (0..n).into_par_iter().map(|i| sheets.around(positions, i, SUPPORT_NEIGHBOURS - 1).1).collect();
-        let graph = samples.neighbours();
-        let ranging = (0..n).into_par_iter().map(|i| match graph.nearest_to(i).get(AROUND - 2) {
-            // A little less, as distances are rounded.
-            Some(last) => 0.9999 * positions[i].distance(positions[*last as usize]),
-            None => f32::MAX,
-        });
-        let ranging: Vec<f32> = ranging.collect();
-        // Beside each other, as all are looked up in no order.
-        let balls: Vec<Vec4> = positions.iter().zip(&radius).map(|(p, radius)| p.extend(*radius)).collect();
-        let entry = |home: usize, j: usize| {
-            let (own, other) = (balls[home], balls[j]);
-            let distance = own.truncate().distance(other.truncate());
-            (distance < own.w + other.w)
-                .then_some(ReachingSupport { from: distance - other.w, sample: j as u32 })
-        };
+        let (radius, ranging) = reaches(positions, sheets);
+        let balls = Balls::new(positions, &radius);
+        let entry = |home: usize, j: usize| balls.overlap(home, j).then(|| balls.reaching(home, j));
         // Where a sample is among the neighbours of another, but not the other way round: as between sparse
         // and dense. Where a sample's neighbours are its nearest ones, the last tells whom it has.
         let last: Vec<(f32, u32)> = (0..n)
@@ -148,6 +134,34 @@ impl Supports {
         Self { radius, ranging, starts, ends, reaching }
     }
 
+    /// The supports of samples, where the lists of homes were found out before: where each ends, from the first home
+    /// on, and who is in them, which have to be samples.
+    pub fn known(
+        positions: &[Vec3],
+        sheets: &Sheets,
+        ends: Vec<u32>,
+        mut reaching: Vec<ReachingSupport>,
+    ) -> Self {
+        let (radius, ranging) = reaches(positions, sheets);
+        let balls = Balls::new(positions, &radius);
+        let starts: Vec<u32> = [0].into_iter().chain(ends.iter().copied()).take(ends.len()).collect();
+        let mut rest = &mut reaching[..];
+        let mut jobs = Vec::with_capacity(ends.len().div_ceil(TOGETHER));
+        for (starts, ends) in starts.chunks(TOGETHER).zip(ends.chunks(TOGETHER)) {
+            let all = ends.last().zip(starts.first()).map_or(0, |(end, start)| end - start);
+            let (part, behind) = rest.split_at_mut(all as usize);
+            jobs.push((part, starts, ends));
+            rest = behind;
+        }
+        jobs.into_par_iter().enumerate().for_each(|(job, (part, starts, ends))| {
+            for (at, (start, end)) in starts.iter().zip(ends).enumerate() {
+                let list = &mut part[(start - starts[0]) as usize..(end - starts[0]) as usize];
+                list.iter_mut().for_each(|r| *r = balls.reaching(job * TOGETHER + at, r.sample as usize));
+            }
+        });
+        Self { radius, ranging, starts, ends, reaching }
+    }
+
     /// Whether it is of so many samples: one that was read may be anything.
     pub fn is_valid(&self, samples: usize) -> bool {
         self.radius.len() == samples
@@ -162,6 +176,41 @@ impl Supports {
     /// The supports that reach where `home` is the home.
     pub fn of_home(&self, home: usize) -> &[ReachingSupport] {
         &self.reaching[self.starts[home] as usize..self.ends[home] as usize]
+    }
+}
+
+/// The radii of the samples' supports, and how far [ranges](super::bound) reach.
+fn reaches(positions: &[Vec3], sheets: &Sheets) -> (Vec<f32>, Vec<f32>) {
+    let all = || (0..positions.len()).into_par_iter();
+    let radius = all().map(|i| sheets.around(positions, i, SUPPORT_NEIGHBOURS - 1).1);
+    let ranging = all().map(|i| match sheets.graph().nearest_to(i).get(AROUND - 2) {
+        // A little less, as distances are rounded.
+        Some(last) => 0.9999 * positions[i].distance(positions[*last as usize]),
+        None => f32::MAX,
+    });
+    (radius.collect(), ranging.collect())
+}
+
+/// Centres and radii of the supports, beside each other, as they are looked up in no order.
+struct Balls(Vec<Vec4>);
+
+impl Balls {
+    fn new(positions: &[Vec3], radius: &[f32]) -> Self {
+        Self(positions.iter().zip(radius).map(|(p, radius)| p.extend(*radius)).collect())
+    }
+
+    fn distance(&self, home: usize, j: usize) -> f32 {
+        self.0[home].truncate().distance(self.0[j].truncate())
+    }
+
+    /// Whether the supports of two samples have anything in common.
+    fn overlap(&self, home: usize, j: usize) -> bool {
+        self.distance(home, j) < self.0[home].w + self.0[j].w
+    }
+
+    /// The support of a sample, as it is seen from another.
+    fn reaching(&self, home: usize, j: usize) -> ReachingSupport {
+        ReachingSupport { from: self.distance(home, j) - self.0[j].w, sample: j as u32 }
     }
 }
 

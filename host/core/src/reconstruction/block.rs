@@ -7,6 +7,7 @@ use simod_model::frame::Frame;
 
 use super::blend::{Blending, LEAST_WEIGHT, PACKET};
 use super::homes::Homes;
+use super::repeated::Repeated;
 use super::workspace::{Filled, Workspace};
 use super::{DeformationField, Method, RestGeometry, Transport, VertexDiagnostics, projected_barycentric};
 
@@ -73,7 +74,9 @@ pub fn carry_positions(field: &DeformationField<'_>, frame: &Frame, positions: &
     moved
 }
 
-/// The same, by the thread that calls it.
+/// The same, by the thread that calls it. Where nothing is asked for but positions, those of vertices at one place are found once.
+///
+/// Memory: 28 bytes for each vertex, and 24 for each version, where places are [`Repeated`].
 pub fn carry_on_this_thread(
     fields: &[DeformationField<'_>],
     frame: &Frame,
@@ -81,13 +84,34 @@ pub fn carry_on_this_thread(
     homes: Option<&[u32]>,
     moved: &mut [Moved<'_>],
 ) {
-    blocks(positions, homes, moved).into_iter().for_each(|block| block.carry(fields, frame));
+    let places_alone = |moved: &Moved<'_>| {
+        moved.normals.is_empty() && moved.gradients.is_empty() && moved.figures.is_empty()
+    };
+    let is_by_place = homes.is_none() && moved.iter().all(places_alone);
+    let Some(repeated) = is_by_place.then(|| Repeated::find(positions)).flatten() else {
+        blocks(positions, homes, moved).into_iter().for_each(|block| block.carry(fields, frame));
+        return;
+    };
+    let positions = repeated.gather(positions);
+    let mut images: Vec<Vec<DVec3>> = moved.iter().map(|moved| repeated.gather(moved.positions)).collect();
+    let of_places = |positions| Moved { positions, normals: &mut [], gradients: &mut [], figures: &mut [] };
+    let mut of_places: Vec<Moved<'_>> = images.iter_mut().map(|images| of_places(images)).collect();
+    let mut counts = repeated.count.chunks(most_of_block(&positions));
+    for block in blocks(&positions, None, &mut of_places) {
+        let counts = counts.next().unwrap_or_default();
+        Block { counts, ..block }.carry(fields, frame);
+    }
+    for (moved, images) in moved.iter_mut().zip(&images) {
+        repeated.scatter(images, moved.positions);
+    }
 }
 
 /// Consecutive vertices, and what they become in each version.
 struct Block<'a> {
     positions: &'a [DVec3],
     homes: Option<&'a [u32]>,
+    /// For how many vertices each one stands; empty where that is itself alone.
+    counts: &'a [u32],
     moved: Vec<Moved<'a>>,
 }
 
@@ -103,6 +127,7 @@ fn blocks<'a>(
         .map(|range| Block {
             positions: &positions[range.clone()],
             homes: homes.map(|homes| &homes[range]),
+            counts: &[],
             moved: Vec::with_capacity(moved.len()),
         })
         .collect();
@@ -121,7 +146,7 @@ fn blocks<'a>(
 
 impl Block<'_> {
     fn carry(self, fields: &[DeformationField<'_>], frame: &Frame) {
-        let Self { positions, homes, moved } = self;
+        let Self { positions, homes, counts, moved } = self;
         let Some(around) = fields.first().map(|field| field.around) else { return };
         around.workspaces.with(|workspace| {
             workspace.place(frame, positions);
@@ -131,6 +156,10 @@ impl Block<'_> {
             }
             workspace.group(fields);
             around.count(&workspace.grouped);
+            let moving = workspace.homes.iter().zip(&workspace.place).zip(counts);
+            moving
+                .filter(|((_, place), count)| **place != NOWHERE && **count > 1)
+                .for_each(|((home, _), count)| around.count_more(*home, u64::from(*count - 1)));
             let versions = fields.iter().zip(moved);
             versions.for_each(|(field, moved)| workspace.carry(field, frame, positions, moved));
         });

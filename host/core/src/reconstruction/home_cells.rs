@@ -51,6 +51,42 @@ impl Cells {
     /// The octree over samples with supports of these radii.
     pub fn build(samples: &SampleSet, radius: &[f32]) -> Self {
         let positions = &samples.positions;
+        let (mut cells, whole) = Self::whole(positions, radius);
+        let balls: Vec<Vec4> = positions.iter().zip(radius).map(|(p, radius)| p.extend(*radius)).collect();
+        let growing = Growing { supports: &cells.supports, balls: &balls };
+        let all: Vec<u32> = (0..positions.len() as u32).collect();
+        let mut parted = Vec::new();
+        growing.part(whole, &all, &mut parted);
+        parted.shrink_to_fit();
+        cells.parted = parted;
+        cells
+    }
+
+    /// The octree whose [parted](Self::parted) cells were found out before; `None` if they are none.
+    pub fn known(positions: &[Vec3], radius: &[f32], parted: Vec<[u32; 8]>) -> Option<Self> {
+        let mut levels = vec![0; parted.len()];
+        for (at, what) in parted.iter().enumerate().flat_map(|(at, eighths)| eighths.map(|what| (at, what))) {
+            if what & PARTED == 0 {
+                ((what as usize) < positions.len()).then_some(())?;
+                continue;
+            }
+            // What a cell is parted into comes behind it.
+            let below = (what & !PARTED) as usize;
+            let level = levels[at] + 1;
+            (below > at && below < parted.len() && level < LEVELS).then_some(())?;
+            levels[below] = level.max(levels[below]);
+        }
+        let cells = Self::whole(positions, radius).0;
+        (!parted.is_empty()).then_some(Self { parted, ..cells })
+    }
+
+    /// The eighths of each cell that is parted: see [`known`](Self::known).
+    pub fn parted(&self) -> &[[u32; 8]] {
+        &self.parted
+    }
+
+    /// The octree of one cell, which is not parted yet.
+    fn whole(positions: &[Vec3], radius: &[f32]) -> (Self, Cell) {
         let min = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
         let max = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
         // Room for rounding: the finest cells are still eight times as wide as coordinates there are exact.
@@ -62,22 +98,14 @@ impl Cells {
             .iter()
             .zip(radius)
             .map(|(p, radius)| p.extend((1.0 / (radius * radius)).min(Expansion::NO_SUPPORT)));
-        let mut cells = Self {
+        let cells = Self {
             corner,
             scale: (1 << LEVELS) as f32 / edge,
             parted: Vec::new(),
             supports: supports.collect(),
             largest: OnceLock::new(),
         };
-        let whole = Cell { corner, edge, level: 0 };
-        let balls: Vec<Vec4> = positions.iter().zip(radius).map(|(p, radius)| p.extend(*radius)).collect();
-        let growing = Growing { supports: &cells.supports, balls: &balls };
-        let all: Vec<u32> = (0..positions.len() as u32).collect();
-        let mut parted = Vec::new();
-        growing.part(whole, &all, &mut parted);
-        parted.shrink_to_fit();
-        cells.parted = parted;
-        cells
+        (cells, Cell { corner, edge, level: 0 })
     }
 
     /// The square of how far a point is from a sample, as a part of the radius of its support.

@@ -80,13 +80,20 @@ impl<'a> RestGeometry<'a> {
         }
     }
 
+    /// Sets what homes are found by, which was found out before.
+    pub(super) fn with_cells(self, cells: Cells) -> Self {
+        Self { cells: OnceLock::from(cells), ..self }
+    }
+
     /// Counts vertices that were carried around homes.
     pub(super) fn count(&self, grouped: &Grouped) {
-        let count = |home: u32, vertices: usize| {
-            self.vertices[home as usize].fetch_add(vertices as u64, Ordering::Relaxed);
-        };
-        grouped.groups.iter().for_each(|(home, vertices)| count(*home, vertices.len()));
-        grouped.scattered.iter().for_each(|home| count(*home, 1));
+        grouped.groups.iter().for_each(|(home, vertices)| self.count_more(*home, vertices.len() as u64));
+        grouped.scattered.iter().for_each(|home| self.count_more(*home, 1));
+    }
+
+    /// Counts more vertices that were carried around a home.
+    pub(super) fn count_more(&self, home: u32, vertices: u64) {
+        self.vertices[home as usize].fetch_add(vertices, Ordering::Relaxed);
     }
 
     /// The number of vertices so far of which the sample was the home, where anything moves.

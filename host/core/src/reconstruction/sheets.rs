@@ -51,6 +51,9 @@ const NOWHERE: u8 = u8::MAX;
 /// The list of a sample that has the graph's.
 const NONE: u32 = u32::MAX;
 
+/// A sample, and others that it has to do with.
+pub type Listed = (u32, Vec<u32>);
+
 /// The neighbours of each sample on its own sheet.
 ///
 /// Memory: beside the graph, 4 bytes per sample, and at most 132 for each near which there is another sheet; where
@@ -116,6 +119,41 @@ impl Sheets {
         sheets.leave_out_denied(positions);
         sheets.note_strangers(samples);
         sheets
+    }
+
+    /// What was found out before: the graph of so many samples, the samples that have lists of their own, and, where
+    /// faces have told any, the strangers of those that have some; samples in ascending order.
+    pub fn known(
+        graph: NeighbourGraph,
+        samples: usize,
+        own: &[Listed],
+        strangers: Option<&[Listed]>,
+    ) -> Self {
+        let mut sheets = Self {
+            graph,
+            list: vec![NONE; samples],
+            starts: vec![0],
+            neighbours: Vec::new(),
+            stranger_starts: Vec::new(),
+            strangers: Vec::new(),
+        };
+        own.iter().for_each(|(i, list)| sheets.push(*i as usize, list));
+        if let Some(strangers) = strangers {
+            let mut strangers = strangers.iter().peekable();
+            sheets.stranger_starts.push(0);
+            for i in 0..samples {
+                if let Some((_, list)) = strangers.next_if(|(of, _)| *of as usize == i) {
+                    sheets.strangers.extend(list);
+                }
+                sheets.stranger_starts.push(sheets.strangers.len() as u32);
+            }
+        }
+        sheets
+    }
+
+    /// Whether faces have told who is on another sheet.
+    pub fn knows_strangers(&self) -> bool {
+        !self.stranger_starts.is_empty()
     }
 
     /// Gives a sample a list of its own.

@@ -22,7 +22,7 @@ use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
 use super::transfer::{Hashing, Surveys, Transfer, locked};
-use super::{DeformationField, ExpectedError, Method, RestGeometry};
+use super::{DeformationField, ExpectedError, Method, RestGeometry, kept_geometry};
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
 
@@ -282,6 +282,15 @@ struct Begun<'a> {
     diagnostics: Option<DiagnosticsFile>,
 }
 
+/// The geometry at rest.
+struct Surroundings<'a> {
+    /// With the homes of vertices.
+    binding: Option<Binding>,
+    geometry: RestGeometry<'a>,
+    /// Whether it was found now, and not read.
+    is_new: bool,
+}
+
 impl<'a> ReconstructionCall<'a> {
     fn write(&mut self, versions: &[Version<'a>]) -> Result<()> {
         for (number, version) in versions.iter().enumerate() {
@@ -300,15 +309,16 @@ impl<'a> ReconstructionCall<'a> {
                     self.finished.push(file);
                 }
             }
-            if self.pass.len() == MAX_VERSIONS || number + 1 == versions.len() {
-                self.write_pass(versions.len() > 1)?;
+            let is_last = number + 1 == versions.len();
+            if self.pass.len() == MAX_VERSIONS || is_last {
+                self.write_pass(versions.len() > 1, is_last)?;
             }
         }
         Ok(())
     }
 
-    /// Reads the model once, for all versions of the pass.
-    fn write_pass(&mut self, several: bool) -> Result<()> {
+    /// Reads the model once, for all versions of the pass, which may be the last one.
+    fn write_pass(&mut self, several: bool, is_last: bool) -> Result<()> {
         if self.pass.is_empty() {
             return Ok(());
         }
@@ -318,7 +328,7 @@ impl<'a> ReconstructionCall<'a> {
         }
 
         self.progress.begin("preparing", 0);
-        let (binding, surroundings) = self.surroundings()?;
+        let Surroundings { binding, geometry: surroundings, is_new } = self.surroundings();
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
             field(self.sampled, self.model, self.how, &surroundings, begun.version.deformed)
@@ -375,20 +385,34 @@ impl<'a> ReconstructionCall<'a> {
             self.hashes[*number] = file.hash();
             self.finished.push(file);
         }
+        drop(fields);
         self.pass.clear();
+        // At last, so that it takes no room from the outputs.
+        if is_new && is_last {
+            kept_geometry::keep(self.sampled, &surroundings);
+        }
         Ok(())
     }
 
-    /// The geometry at rest: as the binding kept it, or found now.
-    fn surroundings(&self) -> Result<(Option<Binding>, RestGeometry<'a>)> {
+    /// The geometry at rest: as the binding or a former call kept it, or found now.
+    fn surroundings(&self) -> Surroundings<'a> {
         if let Some(path) = self.how.binding {
             match Binding::open(path, self.sampled) {
-                Ok(Some((binding, surroundings))) => return Ok((Some(binding), surroundings)),
+                Ok(Some((binding, geometry))) => {
+                    return Surroundings { binding: Some(binding), geometry, is_new: false };
+                }
                 Ok(None) => {}
                 Err(why) => self.progress.note(&format!("{} is not used: {why}", path.display())),
             }
         }
-        Ok((None, RestGeometry::new(&self.sampled.samples)))
+        match kept_geometry::kept(self.sampled) {
+            Some(geometry) => Surroundings { binding: None, geometry, is_new: false },
+            None => Surroundings {
+                binding: None,
+                geometry: RestGeometry::new(&self.sampled.samples),
+                is_new: true,
+            },
+        }
     }
 
     /// Number of files, and of pieces of the next one, that every version of the pass has, and that a part ends with

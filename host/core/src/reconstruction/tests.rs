@@ -4,6 +4,7 @@ use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3};
 use simod_model::follow::tangent;
 use simod_model::frame::Frame;
 
+use super::block::carry_on_this_thread;
 use super::{DeformationField, Method, Moved, RestGeometry, VertexDiagnostics, carry};
 use crate::sampling::SampleSet;
 
@@ -474,4 +475,33 @@ fn a_map_that_bends_across_gentle_relief_is_not_taken_for_shear() {
     let rms = (errors.sum::<f32>() / points.len() as f32).sqrt();
     // 1.4e-4 if the affine map takes the bend for shear.
     assert!(rms < 7e-5, "{rms}");
+}
+
+/// Corners of a soup are found once for each place: where they go, and how many there are, is what it was one by one.
+#[test]
+fn corners_at_one_place_go_where_one_goes() {
+    let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
+    let deformed: Vec<Vec3> =
+        set.positions.iter().map(|p| if p.x > 0.5 { *p + Vec3::Y * (p.x - 0.5) } else { *p }).collect();
+    let points: Vec<DVec3> = patch(97).map(|p| p.as_dvec3()).collect();
+    let corners: Vec<DVec3> = (0..points.len() - 98)
+        .flat_map(|i| [i, i + 1, i + 97, i + 1, i + 98, i + 97])
+        .map(|i| points[i])
+        .collect();
+    let by = |carry: &dyn Fn(&DeformationField<'_>, &mut [Moved<'_>])| {
+        let around = RestGeometry::new(&set);
+        around.cells();
+        let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
+        let mut positions = corners.clone();
+        let moved =
+            Moved { positions: &mut positions, normals: &mut [], gradients: &mut [], figures: &mut [] };
+        carry(&field, &mut [moved]);
+        let counts: Vec<u64> = (0..set.len()).map(|i| around.vertices_of(i)).collect();
+        (positions, counts)
+    };
+    let of_places =
+        by(&|field, moved| carry_on_this_thread(std::slice::from_ref(field), &LOCAL, &corners, None, moved));
+    let one_by_one = by(&|field, moved| carry(std::slice::from_ref(field), &LOCAL, &corners, None, moved));
+    assert!(of_places == one_by_one);
+    assert!(of_places.0 != corners);
 }

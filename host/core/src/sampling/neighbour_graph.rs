@@ -22,6 +22,11 @@ impl NeighbourGraph {
         Self { k, flat: Arc::new(tree.nearest_others_of_all(k)) }
     }
 
+    /// A graph that was found out before: `k` neighbours of each sample, one after the other.
+    pub(crate) fn known(k: usize, flat: Vec<u32>) -> Self {
+        Self { k, flat: Arc::new(flat) }
+    }
+
     /// Whether it is of so many samples: one that was read may be anything.
     pub(crate) fn is_valid(&self, samples: usize) -> bool {
         self.k < samples

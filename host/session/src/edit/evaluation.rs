@@ -462,7 +462,7 @@ fn with_field<T>(
     if *positions == *sampled.samples.positions {
         return call(None);
     }
-    let around = RestGeometry::new(&sampled.samples);
+    let around = RestGeometry::of(sampled);
     call(Some(&DeformationField::new(&around, positions, Method::default())))
 }
 

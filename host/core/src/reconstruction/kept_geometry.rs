@@ -1,0 +1,308 @@
+//! What is known of the samples at rest, kept beside them: `rest.bin`. The first reconstruction finds it, and all
+//! others read it.
+//!
+//! The file is [sealed](crate::sealed). It has what takes time to find, and is small: neighbours, as differences of their
+//! numbers; the sheets that are not just those; the order of the supports around each home; the cells by which homes are found;
+//! and normals, where they were estimated. What follows from these and the samples' places, as distances and radii, is
+//! computed anew. It is a cache: where it is not there, damaged, or of other samples, all is found as if there were none,
+//! and where it cannot be written, nobody misses it.
+
+use std::ops::Range;
+
+use bytemuck::Zeroable;
+use glam::Vec3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use simod_model::{Error, Result};
+use xxhash_rust::xxh3::Xxh3Default;
+
+use super::RestGeometry;
+use super::blend::Supports;
+use super::expansion::ReachingSupport;
+use super::home_cells::Cells;
+use super::near_lists::{self, BEHIND, LONGEST};
+use super::sheets::{Listed, Sheets};
+use crate::sampled_model::{REST, SampledModel};
+use crate::sampling::{NEIGHBOURS, NeighbourGraph, SampleSet};
+use crate::sealed::{seal, unseal};
+use crate::touching::Contacts;
+use crate::varint::{self, Numbers};
+
+const LETTERS: &[u8; 8] = b"SIMODRST";
+
+/// To be counted up whenever the format changes, or what is found of the same samples.
+const VERSION: u32 = 1;
+
+/// Samples whose lists are packed by one job.
+const TOGETHER: usize = 4096;
+
+/// Most bytes of a file for each sample, beside [`LEAST`]: lists of 32 samples take 200 bytes at most, and there are three for each.
+const MOST: u64 = 1 << 10;
+
+/// Bytes that a file of any number of samples may have.
+const LEAST: u64 = 1 << 16;
+
+/// What a home's list has in place of a neighbour: the home itself.
+const ITSELF: u8 = LONGEST as u8;
+
+/// The same: a sample that is no neighbour, whose difference follows.
+const OTHER: u8 = ITSELF + 1;
+
+/// The content of the file.
+#[derive(Serialize, Deserialize)]
+struct Content<'a> {
+    /// Hash of all that it depends on.
+    key: u128,
+    /// Three numbers of each normal, if some had to be estimated.
+    normals: &'a [u8],
+    /// Lists of those that have their own, and strangers.
+    sheets: &'a [u8],
+    /// Eight numbers of each cell.
+    cells: &'a [u8],
+    #[serde(borrow)]
+    pieces: Vec<Piece<'a>>,
+}
+
+/// What is known of [`TOGETHER`] samples.
+#[derive(Serialize, Deserialize)]
+struct Piece<'a> {
+    neighbours: &'a [u8],
+    /// Number of the supports of all homes.
+    reaching: u32,
+    supports: &'a [u8],
+}
+
+impl<'a> RestGeometry<'a> {
+    /// What is known of a model's samples at rest: as it was kept beside them, or found now.
+    pub fn of(sampled: &'a SampledModel) -> Self {
+        kept(sampled).unwrap_or_else(|| Self::new(&sampled.samples))
+    }
+}
+
+/// What was kept beside the samples, if it is there, whole, and of these.
+pub(super) fn kept(sampled: &SampledModel) -> Option<RestGeometry<'_>> {
+    let samples = sampled.samples.len() as u64;
+    unpack(&sampled.samples, &sampled.read_beside(REST, LEAST + MOST * samples)?)
+}
+
+/// Keeps it in the folder that the samples are from, if there is one, and as far as that can be written.
+///
+/// Memory: 90 bytes per sample, twice for a moment.
+pub(super) fn keep(sampled: &SampledModel, around: &RestGeometry<'_>) {
+    // Nobody misses it.
+    let _ = sampled.keep_beside(REST, || pack(around));
+}
+
+/// Hash of all that is looked at where it is found.
+fn key(samples: &SampleSet) -> u128 {
+    let mut hash = Xxh3Default::new();
+    hash.update(env!("CARGO_PKG_VERSION").as_bytes());
+    for points in [&samples.positions, samples.known_normals()] {
+        hash.update(&(points.len() as u64).to_le_bytes());
+        hash.update(bytemuck::cast_slice(points));
+    }
+    if let Some(contacts) = samples.contacts().map(Contacts::digest) {
+        hash.update(&contacts.to_le_bytes());
+    }
+    hash.digest128()
+}
+
+/// The samples of each piece.
+fn pieces(samples: usize) -> impl IndexedParallelIterator<Item = Range<usize>> {
+    let piece = move |at: usize| at * TOGETHER..samples.min((at + 1) * TOGETHER);
+    (0..samples.div_ceil(TOGETHER)).into_par_iter().map(piece)
+}
+
+/// The bytes of a file.
+pub(super) fn pack(around: &RestGeometry<'_>) -> Result<Vec<u8>> {
+    let RestGeometry { samples, sheets, supports, .. } = around;
+    let no_places = || vec![OTHER; samples.len()];
+    let pack = |places: &mut Vec<u8>, homes: Range<usize>| {
+        let (mut neighbours, mut orders, mut reaching) = (Vec::new(), Vec::new(), 0);
+        for i in homes {
+            near_lists::push(i as u32, sheets.graph().nearest_to(i), &mut neighbours);
+            pack_order(i, sheets.of_sample(i), supports.of_home(i), places, &mut orders);
+            reaching += supports.of_home(i).len() as u32;
+        }
+        neighbours.extend(BEHIND);
+        (neighbours, reaching, orders)
+    };
+    let packed: Vec<_> = pieces(samples.len()).map_init(no_places, pack).collect();
+    let pieces = packed.iter().map(|(neighbours, reaching, supports)| Piece {
+        neighbours,
+        reaching: *reaching,
+        supports,
+    });
+    let content = Content {
+        key: key(samples),
+        normals: &if samples.knows_normals() {
+            Vec::new()
+        } else {
+            samples.normals().iter().flat_map(|n| n.to_array()).flat_map(f32::to_le_bytes).collect()
+        },
+        sheets: &pack_sheets(sheets, samples.len()),
+        cells: &around
+            .cells()
+            .parted()
+            .as_flattened()
+            .iter()
+            .flat_map(|what| what.to_le_bytes())
+            .collect::<Vec<_>>(),
+        pieces: pieces.collect(),
+    };
+    seal(LETTERS, VERSION, &content)
+        .map_err(|e| Error::internal(format!("cannot write {REST}: {e}"), "report this").because(e))
+}
+
+/// Writes in which order a home's supports are: as places among its neighbours. `places` has [`OTHER`] for each sample,
+/// before and after.
+fn pack_order(home: usize, near: &[u32], reaching: &[ReachingSupport], places: &mut [u8], to: &mut Vec<u8>) {
+    near.iter().zip(0..).for_each(|(j, place)| places[*j as usize] = place);
+    places[home] = ITSELF;
+    varint::push(reaching.len() as u64, to);
+    for ReachingSupport { sample, .. } in reaching {
+        to.push(places[*sample as usize]);
+        if places[*sample as usize] == OTHER {
+            varint::push(u64::from(*sample), to);
+        }
+    }
+    places[home] = OTHER;
+    near.iter().for_each(|j| places[*j as usize] = OTHER);
+}
+
+/// The lists of all samples that have one of their own, and the strangers of all that have some.
+fn pack_sheets(sheets: &Sheets, samples: usize) -> Vec<u8> {
+    let mut to = Vec::new();
+    let mut pack = |lists: &mut dyn Iterator<Item = (u32, &[u32])>| {
+        let (mut last, mut count, mut bytes) = (0, 0, Vec::new());
+        for (i, list) in lists {
+            varint::push(u64::from(i - last), &mut bytes);
+            varint::push(list.len() as u64, &mut bytes);
+            near_lists::push(i, list, &mut bytes);
+            (last, count) = (i, count + 1);
+        }
+        varint::push(count, &mut to);
+        to.extend(bytes);
+    };
+    let all = || 0..samples as u32;
+    pack(&mut all().filter(|i| sheets.is_crowded(*i as usize)).map(|i| (i, sheets.of_sample(i as usize))));
+    if sheets.knows_strangers() {
+        pack(&mut all().map(|i| (i, sheets.strangers(i as usize))).filter(|(_, list)| !list.is_empty()));
+    }
+    to.extend(BEHIND);
+    to
+}
+
+/// What the bytes of a file tell of samples; `None` if it is damaged, or of others.
+pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeometry<'a>> {
+    let (version, content) = unseal(bytes, LETTERS).ok()?;
+    (version == VERSION).then_some(())?;
+    let content: Content<'_> = postcard::from_bytes(content).ok()?;
+    let n = samples.len();
+    let is_of_these = content.key == key(samples) && content.pieces.len() == n.div_ceil(TOGETHER);
+    is_of_these.then_some(())?;
+    let graph = unpack_graph(n, &content.pieces)?;
+    let sheets = unpack_sheets(graph, n, content.sheets).filter(|sheets| sheets.is_valid(n))?;
+    let (ends, reaching) = unpack_orders(&sheets, n, &content.pieces)?;
+    let supports = Supports::known(&samples.positions, &sheets, ends, reaching);
+    let parted: Vec<u32> = fours(content.cells)?.iter().map(|what| u32::from_le_bytes(*what)).collect();
+    let cells = Cells::known(&samples.positions, &supports.radius, parted.as_chunks().0.to_vec())?;
+    let normals: Vec<f32> = fours(content.normals)?.iter().map(|x| f32::from_le_bytes(*x)).collect();
+    let normals = normals.chunks_exact(3).map(Vec3::from_slice).collect();
+    // At last, as whoever finds them anew otherwise shall not go by what was read.
+    (samples.set_normals(normals) && samples.set_neighbours(sheets.graph().clone())).then_some(())?;
+    Some(RestGeometry::known(samples, sheets, supports).with_cells(cells))
+}
+
+/// Bytes four by four, if nothing is left over.
+fn fours(bytes: &[u8]) -> Option<&[[u8; 4]]> {
+    let (chunks, rest) = bytes.as_chunks();
+    rest.is_empty().then_some(chunks)
+}
+
+fn unpack_graph(samples: usize, pieces: &[Piece<'_>]) -> Option<NeighbourGraph> {
+    let k = NEIGHBOURS.min(samples - 1);
+    // Before anything is held by what it says.
+    let is_there = |(at, piece): (usize, &Piece<'_>)| {
+        piece.neighbours.len() > (samples.min((at + 1) * TOGETHER) - at * TOGETHER) * k
+    };
+    pieces.iter().enumerate().all(is_there).then_some(())?;
+    let mut flat = vec![0; k * samples];
+    let lists = flat.par_chunks_mut((TOGETHER * k).max(1)).zip(pieces).enumerate();
+    lists.try_for_each(|(at, (lists, piece))| {
+        let mut bytes = piece.neighbours;
+        for (i, list) in (at * TOGETHER..).zip(lists.chunks_exact_mut(k)) {
+            near_lists::take(i as u32, list, &mut bytes)?;
+        }
+        (bytes == BEHIND).then_some(())
+    })?;
+    Some(NeighbourGraph::known(k, flat))
+}
+
+fn unpack_sheets(graph: NeighbourGraph, samples: usize, bytes: &[u8]) -> Option<Sheets> {
+    let mut numbers = Numbers(bytes);
+    let own = unpack_lists(samples, &mut numbers)?;
+    let strangers = (numbers.0 != BEHIND).then(|| unpack_lists(samples, &mut numbers));
+    let strangers = match strangers {
+        Some(lists) => Some(lists?),
+        None => None,
+    };
+    (numbers.0 == BEHIND).then(|| Sheets::known(graph, samples, &own, strangers.as_deref()))
+}
+
+/// Lists of samples in ascending order.
+fn unpack_lists(samples: usize, numbers: &mut Numbers<'_>) -> Option<Vec<Listed>> {
+    let (mut lists, mut last): (Vec<Listed>, _) = (Vec::new(), None);
+    for _ in 0..numbers.next()? {
+        let (step, length) = (numbers.next()?, numbers.next()?);
+        let i = last.unwrap_or(0u64).checked_add(step).filter(|i| *i < samples as u64)?;
+        (last.is_none() || step > 0).then_some(())?;
+        let mut list = vec![0; usize::try_from(length).ok().filter(|length| *length <= LONGEST)?];
+        near_lists::take(i as u32, &mut list, &mut numbers.0)?;
+        lists.push((i as u32, list));
+        last = Some(i);
+    }
+    Some(lists)
+}
+
+/// The homes' lists of who reaches there, and where each ends; how far each reaches is not known yet.
+fn unpack_orders(
+    sheets: &Sheets,
+    samples: usize,
+    pieces: &[Piece<'_>],
+) -> Option<(Vec<u32>, Vec<ReachingSupport>)> {
+    // Each takes a byte at least.
+    pieces.iter().all(|piece| piece.reaching as usize <= piece.supports.len()).then_some(())?;
+    let all: usize = pieces.iter().map(|piece| piece.reaching as usize).sum();
+    u32::try_from(all).ok()?;
+    let (mut ends, mut reaching) = (vec![0; samples], bytemuck::zeroed_vec::<ReachingSupport>(all));
+    let (mut rest, mut first, mut rooms) = (&mut reaching[..], 0, Vec::with_capacity(pieces.len()));
+    for piece in pieces {
+        let (room, behind) = rest.split_at_mut(piece.reaching as usize);
+        rooms.push((first, room, piece.supports));
+        (rest, first) = (behind, first + piece.reaching);
+    }
+    let jobs = rooms.into_par_iter().zip(ends.par_chunks_mut(TOGETHER)).enumerate();
+    jobs.try_for_each(|(at, ((first, room, bytes), ends))| {
+        let (mut numbers, mut written) = (Numbers(bytes), 0usize);
+        for (home, end) in (at * TOGETHER..).zip(ends) {
+            let count = usize::try_from(numbers.next()?).ok()?;
+            let list = room.get_mut(written..written.checked_add(count)?)?;
+            let near = sheets.of_sample(home);
+            for to in list {
+                let (place, rest) = numbers.0.split_first()?;
+                numbers.0 = rest;
+                let sample = match *place {
+                    ITSELF => home as u32,
+                    OTHER => u32::try_from(numbers.next()?).ok().filter(|j| (*j as usize) < samples)?,
+                    place => *near.get(usize::from(place))?,
+                };
+                *to = ReachingSupport { sample, ..Zeroable::zeroed() };
+            }
+            written += count;
+            *end = first + written as u32;
+        }
+        (written == room.len() && numbers.0.is_empty()).then_some(())
+    })?;
+    Some((ends, reaching))
+}
