@@ -5,6 +5,7 @@
     python3 benches/cluster.py simulate costs.json --vertices 1e10 --machines 1,100,1000
     python3 benches/cluster.py compare SESSION.toml --units 8 --workers 1,2      (needs simod.dask)
     python3 benches/cluster.py compare SESSION.toml --workers 4,8 --vertices 2e8 --slow 0.25 --slowness 5 --failures 120
+    python3 benches/cluster.py overhead SESSION.toml --units 4 --workers 2 --threads 1,2 --runs 3
     python3 benches/cluster.py kill SESSION.toml --units 8 --workers 3 --kills 100
 
 `measure` does the units of a plan one by one, each by one thread, and notes seconds, bytes and memory of each stage.
@@ -14,7 +15,8 @@ over, as units of a plan need. `compare` does the same for the workers of a Loca
 some of them are made slower, and are killed, as is simulated. What other programs take of the machine is told by how long
 units take one by one, beside their processor time. With `--vertices`, workers sleep for as long as units of such a model would
 take: so more workers than there are cores can be tried, and what the scheduler makes of stragglers and failures is all that is
-compared. `kill` runs a session until so many workers were killed, and looks whether
+compared. `overhead` has the plain command and the workers of a LocalCluster that is running do a session in turns, by the clock,
+which tells something on a quiet machine alone; units get so many threads each. `kill` runs a session until so many workers were killed, and looks whether
 each output has the bytes of one machine, and whether anything is left beside it.
 """
 
@@ -311,6 +313,55 @@ def cluster_run(session: Path, units: int, on: Machines, asleep: dict[str, float
         return Run(took, killed, missed, "" if asleep else digest_of(Path(folder) / f"out{suffix}"))
 
 
+def overhead(session: Path, units: int, workers: int, threads: list[int], runs: int, check: bool) -> None:
+    """Seconds of the plain command and of running clusters, in turns; how long the stages took of the median one."""
+    import contextlib
+
+    import distributed
+
+    import simod.dask
+
+    suffix = Path(tomllib.loads(session.read_text())["model"]["path"]).suffix
+    plain: list[float] = []
+    found: dict[int, list[tuple[float, dict[str, float]]]] = {number: [] for number in threads}
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=session.parent)))
+        clients = {}
+        for number in threads:
+            # Workers take it over as they begin.
+            os.environ["RAYON_NUM_THREADS"] = str(number)
+            cluster = distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0")
+            clients[number] = distributed.Client(stack.enter_context(cluster))
+            stack.enter_context(clients[number])
+            clients[number].wait_for_workers(workers)
+            clients[number].run(lambda: __import__("simod.dask"))
+        del os.environ["RAYON_NUM_THREADS"]
+        outputs = [folder / f"{name}{suffix}" for name in ("plain", "cluster")]
+        for turn in range(runs):
+            _, wall, _, _ = timed("run", session, "-o", outputs[0])
+            plain.append(wall)
+            for number, client in clients.items():
+                last: dict[str, float] = {}
+                start = time.monotonic()
+                notes = lambda stage, _: last.update({stage: time.monotonic()})  # noqa: B023, E731
+                simod.dask.run(client, session, outputs[1], units=units, progress=notes)
+                ends = [start, *last.values()]
+                took = {stage: end - before for stage, before, end in zip(last, ends, ends[1:])}
+                found[number].append((time.monotonic() - start, took))
+                if check and turn == 0 and subprocess.run(["cmp", *outputs]).returncode != 0:
+                    sys.exit("other bytes than those of the plain command")
+                outputs[1].unlink()
+            outputs[0].unlink()
+            print(f"turn {turn + 1}: {wall:.1f} s, " + ", ".join(f"{of[-1][0]:.1f} s" for of in found.values()), flush=True)
+    usual = statistics.median(plain)
+    print(f"plain: {usual:.1f} s, from {min(plain):.1f} to {max(plain):.1f}")
+    for number, of in found.items():
+        of.sort(key=lambda run: run[0])
+        seconds, stages = of[len(of) // 2]
+        told = ", ".join(f"{stage} {took:.1f}" for stage, took in stages.items())
+        print(f"{workers} workers of {number} threads: {seconds:.1f} s, {seconds / usual - 1:+.1%} ({told})")
+
+
 def digest_of(path: Path) -> str:
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -388,6 +439,13 @@ def main() -> None:
     one.add_argument("--slow", type=float, default=0.0, help="part of the workers that are slower")
     one.add_argument("--slowness", type=float, default=20.0)
     one.add_argument("--failures", type=float, default=0.0, help="deaths of a worker in an hour")
+    one = commands.add_parser("overhead")
+    one.add_argument("session", type=Path)
+    one.add_argument("--units", type=int, default=4)
+    one.add_argument("--workers", type=int, default=2)
+    one.add_argument("--threads", default="1,2", help="of each unit: every number in turns")
+    one.add_argument("--runs", type=int, default=3)
+    one.add_argument("--check", action="store_true", help="compare the bytes, in the first turn")
     one = commands.add_parser("kill")
     one.add_argument("session", type=Path)
     one.add_argument("--units", type=int, default=8)
@@ -407,6 +465,9 @@ def main() -> None:
                 on = Machines(number, given.cores, given.bandwidth, given.slow, given.slowness, given.failures)
                 walls = simulated(costs, vertices, min(number * given.units_each, 1000), on)
                 print(f"| {vertices:.0e} | {number} | " + " | ".join(f"{s:.0f} s" for s in walls.values()) + " |")
+    elif given.command == "overhead":
+        threads = [int(n) for n in given.threads.split(",")]
+        overhead(given.session, given.units, given.workers, threads, given.runs, given.check)
     elif given.command == "kill":
         survived(given.session, given.units, given.workers, given.kills)
     else:

@@ -81,8 +81,8 @@ pub use in_step::{Vertices, in_ranges, in_step, range_in_step};
 pub use model::{
     CHUNK_TRIANGLES, CHUNK_VERTICES, Division, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,
     FaceReader, MAX_VERSIONS, Model, ModelInfo, Normals, Output, PieceRange, RawChunk, Rewriting,
-    SMALL_CHUNK, Scalar, Tile, VertexChunk, VertexReader, for_faces, for_faces_at, for_positions,
-    for_vertices,
+    SMALL_CHUNK, Scalar, Tile, VertexChunk, VertexReader, for_faces, for_faces_at, for_faces_from,
+    for_positions, for_vertices,
 };
 pub use named::{ModelName, matching, open, open_version, open_with, open_with_columns};
 pub use number::Type;

@@ -431,7 +431,8 @@ pub const FACES_OF_A_BLOCK: u64 = 16;
 pub struct FaceMark {
     /// How many of the chunk's triangles come before it.
     pub triangle: usize,
-    /// The byte of the file at which a face begins, or the last one ends.
+    /// The byte of the file at which a face begins, or the last one ends; of a model of several files, counted through
+    /// all of them, each with a byte more than it has.
     pub offset: u64,
 }
 
@@ -564,6 +565,29 @@ pub fn for_faces_at(
 ) -> Result<()> {
     let mut reader = model.faces_at(ranges)?;
     read_ahead(move |chunk| reader.read(chunk), visit)
+}
+
+/// Streams the faces from a mark on through `visit`, likewise, up to a chunk with which there are so many triangles.
+///
+/// # Errors
+/// As of [`Model::faces_from`], or `visit` failed.
+pub fn for_faces_from(
+    model: &dyn Model,
+    mark: u64,
+    triangles: u64,
+    visit: impl FnMut(&FaceChunk) -> Result<()>,
+) -> Result<()> {
+    let mut reader = model.faces_from(mark)?;
+    let mut left = triangles;
+    let read = move |chunk: &mut FaceChunk| {
+        if left == 0 {
+            return Ok(false);
+        }
+        let more = reader.read(chunk)?;
+        left = left.saturating_sub(chunk.triangles.len() as u64);
+        Ok(more)
+    };
+    read_ahead(read, visit)
 }
 
 fn read_ahead<C: Default + Send>(
@@ -745,6 +769,19 @@ pub trait Model: Send + Sync {
     /// them sees whether each of so many bytes was one.
     fn face_at(&self, _face: u64) -> Option<u64> {
         None
+    }
+
+    /// Whether the faces come with marks from each of which they can be read [on](Self::faces_from).
+    fn has_face_marks(&self) -> bool {
+        false
+    }
+
+    /// A reader of all faces from a [`FaceMark`] on, with their marks.
+    ///
+    /// # Errors
+    /// As of [`faces_at`](Self::faces_at).
+    fn faces_from(&self, _mark: u64) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(NoFaces))
     }
 
     /// Checks that the file holds all that its header speaks of. Most formats know once the file is open, and

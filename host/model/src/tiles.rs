@@ -53,6 +53,8 @@ struct Part {
     model: Box<dyn Model>,
     /// Vertices of the tiles before it.
     before: u64,
+    /// Bytes of the tiles before it, and one more for each: the end of one is not the beginning of the next.
+    bytes_before: u64,
     /// Where among its attributes those of the whole are.
     places: Vec<usize>,
 }
@@ -65,7 +67,7 @@ impl TiledModel {
     pub fn open(files: &[PathBuf], columns: Option<&str>, making: &Making<'_>) -> Result<Self> {
         let pool = Arc::new(Pool::default());
         let (mut seen, mut unpacked) = (BTreeMap::new(), 0);
-        let (mut models, mut before) = (Vec::with_capacity(files.len()), 0u64);
+        let (mut models, mut before, mut bytes_before) = (Vec::with_capacity(files.len()), 0u64, 0u64);
         for path in files {
             making.progress.check()?;
             if let Some(other) = Identity::from_path(path).and_then(|identity| seen.insert(identity, path)) {
@@ -82,8 +84,9 @@ impl TiledModel {
                     "have `simod convert` make uncompressed files of them",
                 ));
             }
-            let vertices = model.info().vertices;
-            models.push(Part { model, before, places: Vec::new() });
+            let (vertices, bytes) = (model.info().vertices, model.info().bytes);
+            models.push(Part { model, before, bytes_before, places: Vec::new() });
+            bytes_before = bytes_before.saturating_add(bytes.saturating_add(1));
             before = before.checked_add(vertices).ok_or_else(|| too_many(path))?;
         }
         let Some(first) = models.first() else {
@@ -387,7 +390,8 @@ impl VertexReader for TileReader<'_> {
     }
 }
 
-/// Reads the faces of one tile after the other. There are no marks: what lies between those of two tiles is no face.
+/// Reads the faces of one tile after the other. What lies between those of two tiles is no face: they can be read on
+/// from any mark, but not from one to another.
 struct TileFaces<'a> {
     tiles: std::slice::Iter<'a, Part>,
     open: Option<(&'a Part, Box<dyn FaceReader + 'a>)>,
@@ -414,7 +418,7 @@ impl FaceReader for TileFaces<'_> {
                     index.and_then(|index| u32::try_from(index + before).ok()).unwrap_or(u32::MAX)
                 };
                 chunk.triangles.iter_mut().for_each(|corners| *corners = corners.map(shifted));
-                chunk.marks.clear();
+                chunk.marks.iter_mut().for_each(|mark| mark.offset += part.bytes_before);
                 self.open = Some((part, reader));
                 return Ok(true);
             }
@@ -533,6 +537,20 @@ impl Model for TiledModel {
             format!("{}: the faces of tiles can be read only all at once", self.path.display()),
             "sample the model again",
         ))
+    }
+
+    fn has_face_marks(&self) -> bool {
+        self.tiles.iter().all(|part| part.model.info().faces == 0 || part.model.has_face_marks())
+    }
+
+    fn faces_from(&self, mark: u64) -> Result<Box<dyn FaceReader + '_>> {
+        let number = self.tiles.partition_point(|part| part.bytes_before <= mark).saturating_sub(1);
+        let mut tiles = self.tiles[number..].iter();
+        let open = match tiles.next() {
+            Some(part) => Some((part, part.model.faces_from(mark - part.bytes_before)?)),
+            None => None,
+        };
+        Ok(Box::new(TileFaces { tiles, open }))
     }
 
     fn check_complete(&self, progress: &dyn Progress) -> Result<()> {

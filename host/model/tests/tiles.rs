@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use simod_model::progress::Silent;
 use simod_model::{
     Edited, FaceChunk, Model, ModelName, Output, Rewriting, Summary, Type, VertexChunk, for_faces,
-    for_vertices,
+    for_faces_from, for_vertices,
 };
 
 /// A tile: its vertices, whether they have normals, intensity and colours, and its faces.
@@ -24,7 +24,7 @@ struct Tile {
 }
 
 fn tile() -> impl Strategy<Value = Tile> {
-    let faces = proptest::collection::vec(proptest::array::uniform3(-2..40i32), 0..8);
+    let faces = proptest::collection::vec(proptest::array::uniform3(-2..40i32), 0..40);
     let positions = proptest::collection::vec(any::<[i16; 3]>(), 0..40);
     (positions, any::<[bool; 3]>(), faces).prop_map(
         |(positions, [has_normals, has_intensity, is_binary], faces)| Tile {
@@ -198,14 +198,29 @@ proptest! {
 
         // Faces are of their own vertices.
         let (mut triangles, mut before, mut known) = (Vec::new(), 0, Vec::new());
-        for_faces(&*model, |chunk: &FaceChunk| { triangles.extend_from_slice(&chunk.triangles); Ok(()) }).unwrap();
+        let mut marks = Vec::new();
+        for_faces(&*model, |chunk: &FaceChunk| {
+            marks.extend(chunk.marks.iter().map(|mark| (triangles.len() + mark.triangle, mark.offset)));
+            triangles.extend_from_slice(&chunk.triangles);
+            Ok(())
+        })
+        .unwrap();
         for tile in &tiles {
             let own = tile.positions.len() as i32;
             let shifted = |index: i32| if (0..own).contains(&index) { (index + before) as u32 } else { u32::MAX };
             known.extend(tile.faces.iter().map(|face| face.map(shifted)));
             before += own;
         }
-        prop_assert_eq!(triangles, known);
+        prop_assert_eq!(&triangles, &known);
+        // From any mark on, all behind it.
+        prop_assert!(!tiles.iter().all(|tile| tile.is_binary) || model.has_face_marks());
+        prop_assert!(marks.is_sorted());
+        for (before, mark) in marks.into_iter().filter(|_| model.has_face_marks()) {
+            let mut behind = Vec::new();
+            let visit = |chunk: &FaceChunk| { behind.extend_from_slice(&chunk.triangles); Ok(()) };
+            for_faces_from(&*model, mark, u64::MAX, visit).unwrap();
+            prop_assert_eq!(&behind, &triangles[before..]);
+        }
 
         // Each file is what it would be alone, also where some are there already.
         let alone: Vec<Vec<u8>> = paths.iter().map(|path| {

@@ -30,10 +30,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, overload
 
 try:
-    from distributed import Client, Future, as_completed, get_worker
+    from distributed import Client, Future, get_worker
 except ImportError as _missing:  # pragma: no cover
     raise ImportError("simod.dask needs Dask: pip install 'dask[distributed]'") from _missing
 
@@ -303,6 +304,15 @@ _STAGES = (
     *("method", "page"),
 )
 
+#: What is done beside the units of another stage.
+_BESIDE = {"face-runs": "count"}
+
+
+#: Seconds between two looks at what becomes of units, for what a unit came to, and until it is said that nobody can do one.
+_LOOK = 1.0
+_GATHERED = 10.0
+_PATIENCE = 600.0
+
 
 class _Work:
     """The units of plans, stage by stage."""
@@ -336,7 +346,12 @@ class _Work:
                         if plan is not sampling[plan.sampled]:
                             shutil.copytree(sampling[plan.sampled].samples, plan.samples)
                 whose = list(sampling.values()) if _STAGES.index(stage) < _STAGES.index("deform") else plans
-                units = [_Unit(plan.folder, number, of) for plan in whose for number, of in plan.units if of == stage]
+                units = [
+                    _Unit(plan.folder, number, of)
+                    for plan in whose
+                    for number, of in plan.units
+                    if _BESIDE.get(of, of) == stage
+                ]
                 if units:
                     self._stage(units)
         finally:
@@ -364,36 +379,114 @@ class _Work:
         return list(self.client.scheduler_info(n_workers=-1)["workers"])
 
     def _stage(self, units: list[_Unit]) -> None:
-        name, failed = units[0].stage, dict.fromkeys(units, 0)
-        avoid: dict[_Unit, set[str]] = {unit: set() for unit in units}
-        pending = {self._submit(unit, 0, set()): unit for unit in units}
-        finished = 0
-        waiting = as_completed(list(pending))  # type: ignore[no-untyped-call]
+        stage = _Stage(self, units)
         try:
-            for future in waiting:
-                unit = pending.pop(future)
-                try:
-                    address, failure = future.result()
-                except Exception as error:  # the worker is gone, or has another version
-                    address, failure = None, error
-                if failure is None:
-                    finished += 1
+            while stage.pending:
+                unit = stage.next()
+                if unit is not None:
                     self.done[unit.folder] += 1
                     if self.progress is not None:
-                        self.progress(name, finished / len(units))
-                    continue
-                failed[unit] += 1
-                if failed[unit] > self.retries or not _may_pass(failure):
-                    raise failure
-                self.again[unit.folder] += 1
-                if address is not None:
-                    avoid[unit].add(address)
-                again = self._submit(unit, failed[unit], avoid[unit])
-                pending[again] = unit
-                waiting.add(again)  # type: ignore[no-untyped-call]
+                        self.progress(unit.stage, (len(units) - len(stage.pending)) / len(units))
         finally:
-            if pending:
-                self.client.cancel(list(pending))  # type: ignore[no-untyped-call]
+            if stage.pending:
+                self.client.cancel(list(stage.pending))  # type: ignore[no-untyped-call]
+
+
+class _Stage:
+    """The units of a stage, while they are done."""
+
+    def __init__(self, work: _Work, units: list[_Unit]) -> None:
+        self.work = work
+        self.failed = dict.fromkeys(units, 0)
+        self.attempts = dict.fromkeys(units, 0)
+        self.avoid: dict[_Unit, set[str]] = {unit: set() for unit in units}
+        self.pending: dict[Future[Any], _Unit] = {}
+        self.over: SimpleQueue[Future[Any]] = SimpleQueue()
+        self.looked = time.monotonic()
+        self.without_worker: float | None = None
+        """Since when some units have found no worker, though there are some."""
+        for unit in units:
+            self.begin(unit)
+
+    def begin(self, unit: _Unit) -> None:
+        future = self.work._submit(unit, self.attempts[unit], self.avoid[unit])
+        self.attempts[unit] += 1
+        self.pending[future] = unit
+        self.wait_for(future)
+
+    def wait_for(self, future: Future[Any]) -> None:
+        future.add_done_callback(self.over.put)  # type: ignore[no-untyped-call]
+
+    def next(self) -> _Unit | None:
+        """Waits for a little while; the unit that was done meanwhile, if any. One that failed is begun again."""
+        try:
+            done = self._outcome(self.over.get(timeout=_LOOK))
+        except Empty:
+            done = None
+        if time.monotonic() - self.looked >= _LOOK:
+            self.look()
+            self.looked = time.monotonic()
+        return done
+
+    def _outcome(self, future: Future[Any]) -> _Unit | None:
+        unit = self.pending.get(future)
+        if unit is None:  # it was given up meanwhile
+            return None
+        try:
+            address, failure = future.result(timeout=_GATHERED)
+        except TimeoutError:
+            # The worker is gone with what it had to say: Dask has another one do the unit, or will.
+            self.wait_for(future)
+            return None
+        except Exception as error:  # the worker is gone, or has another version
+            address, failure = None, error
+        if failure is not None:
+            self.again(future, address, failure)
+            return None
+        del self.pending[future]
+        return unit
+
+    def again(self, future: Future[Any], address: str | None, failure: Exception) -> None:
+        """Has a unit done again that failed, unless that is of no use."""
+        unit = self.pending.pop(future)
+        self.failed[unit] += 1
+        if self.failed[unit] > self.work.retries or not _may_pass(failure):
+            raise failure
+        self.work.again[unit.folder] += 1
+        if address is not None:
+            self.avoid[unit].add(address)
+        self.begin(unit)
+
+    def look(self) -> None:
+        """Looks whether there are units that no worker will ever take.
+
+        Dask keeps a task for which there is no worker until there is one of those that the task would rather have: where
+        these are gone for good, for ever, though others may take it.
+        """
+        client: Any = self.work.client
+        keys = [future.key for future in self.pending]
+        states = client.sync(client.scheduler.get_task_status, keys=keys) if keys else {}
+        left = [(future, unit) for future, unit in self.pending.items() if states[future.key] == "no-worker"]
+        workers = self.work._workers() if left else []
+        if not workers:
+            self.without_worker = None
+            return
+        for future, unit in left:
+            if self.avoid[unit]:
+                del self.pending[future]
+                client.cancel([future])
+                self.begin(unit)
+        if self.work.resources is None:
+            return
+        now = time.monotonic()
+        self.without_worker = self.without_worker or now
+        if now - self.without_worker > _PATIENCE:
+            unit = left[0][1]
+            wanted = ", ".join(f"{amount:g} of {name}" for name, amount in self.work.resources.items())
+            raise ArgumentError(
+                f"nobody can do unit {unit.number} ({unit.stage}): none of {len(workers)} workers has {wanted}",
+                "give workers these resources, or leave `resources` out",
+            )
 
 
 def _may_pass(failure: Exception) -> bool:

@@ -249,6 +249,77 @@ def test_a_comparison_passes_over_a_full_disk(client: distributed.Client, cloud:
     is_same(tmp_path)
 
 
+@pytest.mark.filterwarnings("ignore:not there failed")
+def test_a_comparison_outlives_its_workers(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
+    file, expected = comparison(cloud, tmp_path)
+    full = next(iter(client.scheduler_info()["workers"]))
+    limited(client, full)
+    over = threading.Event()
+    killed = 0
+
+    def kill() -> None:
+        nonlocal killed
+        chance = random.Random(3)
+        while not over.wait(chance.uniform(0.2, 0.5)) and killed < 3:
+            alive = processes(client)
+            if alive:
+                os.kill(chance.choice(alive), signal.SIGKILL)
+                killed += 1
+
+    cluster: Any = client.cluster
+    cluster.adapt(minimum=3, maximum=3, interval="300ms")
+    other = threading.Thread(target=kill)
+    other.start()
+    try:
+        record = simod.dask.compare(
+            client, file, tmp_path / "out", keep_models=True, allow_commands=True, retries=50
+        )
+    finally:
+        over.set()
+        other.join()
+    assert killed > 0
+    assert steady(record) == steady(expected)
+    is_same(tmp_path)
+
+
+def test_units_find_workers_though_those_they_would_rather_have_are_gone(
+    client: distributed.Client, cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, expected = comparison(cloud, tmp_path)
+    for worker in list(client.scheduler_info(n_workers=-1)["workers"])[:2]:
+        limited(client, worker)
+    submit: Any = client.submit
+    killed: list[int] = []
+
+    def killing(*arguments: object, **keywords: object) -> object:
+        """All are killed, and gone, as a unit is to be done by others than the one that failed."""
+        if keywords["workers"] and not killed:
+            killed.extend(processes(client))
+            for pid in killed:
+                os.kill(pid, signal.SIGKILL)
+            while client.scheduler_info(n_workers=-1)["workers"]:
+                time.sleep(0.005)
+        return submit(*arguments, **keywords)
+
+    monkeypatch.setattr(client, "submit", killing)
+    record = simod.dask.compare(
+        client, file, tmp_path / "out", keep_models=True, allow_commands=True, retries=50
+    )
+    assert killed
+    assert steady(record) == steady(expected)
+    is_same(tmp_path)
+
+
+def test_a_unit_that_nobody_can_do_is_told(
+    client: distributed.Client, cloud: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.import_module("simod.dask"), "_PATIENCE", 1.0)
+    with pytest.raises(simod.ArgumentError, match=r"unit 0 \(count\): none of 3 workers has 2 of simod") as told:
+        simod.dask.sample(client, cloud, 500, units=2, resources={"simod": 2})
+    assert "leave `resources` out" in str(told.value)
+    assert [path.name for path in cloud.parent.iterdir()] == [cloud.name]
+
+
 def run_with(
     client: distributed.Client, cloud: Path, folder: Path, meanwhile: Callable[[threading.Event], None], retries: int = 5
 ) -> simod.dask.Report:

@@ -104,6 +104,27 @@ fn units_write_what_one_command_writes() {
     }
 }
 
+/// Meshes of several kinds as tiles, and a cloud: all have a say in the samples.
+#[test]
+fn units_read_faces_of_tiles() {
+    let work = Workplace::new();
+    fs::create_dir(work.path("tiles")).expect("a folder");
+    work.simod("generate -o tiles/a.ply --vertices 90000 --no-normals");
+    work.simod("generate -o tiles/b.ply --vertices 30000 --shape bar --no-faces");
+    work.simod("generate -o tiles/c.ply --vertices 50000 --shape bumpy-plane");
+    work.write("edit.toml", format!("[model]\npath = \"tiles/*.ply\"\n[sampling]\nsamples = 3000\n{STEPS}"));
+    let read = |folder: &str| -> Vec<Vec<u8>> {
+        names(&work, folder).iter().map(|tile| work.read(&format!("{folder}/{tile}"))).collect()
+    };
+    work.simod("run edit.toml -o run");
+    for units in [1, 3, 7] {
+        let planned = work.report(&format!("plan edit.toml -o plan --units {units} --to out"));
+        assert_eq!(planned["face_units"].as_u64() > Some(0), units > 1, "{planned}");
+        do_all(&work);
+        assert!(read("out") == read("run"), "by {units} units");
+    }
+}
+
 /// The permissions of a folder.
 #[cfg(unix)]
 fn mode_of(work: &Workplace, folder: &str) -> u32 {

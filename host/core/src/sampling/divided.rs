@@ -14,6 +14,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 use super::clustered_file::{CellOfFile, ClusteredFile, mark_of, refused};
 use super::cut::{ClusteredCell, Forest};
+use super::face_runs::have_to_be_found;
 use super::finalization::{Clustered, Hashing, Job, changed};
 use super::gather::{Grouping, find_room};
 use super::numbers_file::{NumbersWriter, is_there};
@@ -22,7 +23,6 @@ use super::shares::{Owner, Shares, ranges};
 use super::{Found, Prepared, Sampling, are_told, can_tell, counted, counting};
 use crate::fingerprint::Blocks;
 use crate::sampled_model::SampledModel;
-use crate::touching::twins_may_be_there;
 
 /// The factor by which the samples of a part of the vertices, of which so many times the square root gets its
 /// share, are more than are kept of a part of the stream on one machine: parts are fewer, and one that is too rich
@@ -57,13 +57,9 @@ pub fn undivided(model: &dyn Model, sampling: &Sampling) -> Result<Option<&'stat
     } else if !sampling.skip.colors && simod_model::Colors::seen(&info.attributes).is_some() {
         Some("colours of its samples are wanted")
     } else if reads_faces(model, sampling)? {
-        if model.face_at(info.faces).is_none() {
+        if have_to_be_found(model) && !model.has_face_marks() {
             Some(
-                "its faces, which tell of the samples, cannot be read from anywhere, as triangles of a binary file can",
-            )
-        } else if !sampling.skip.sheets && twins_may_be_there(info.vertices, info.faces) {
-            Some(
-                "its faces share few of their vertices, so that what hangs together is told by a stream of all positions",
+                "its faces, which tell of the samples, cannot be read from anywhere, as those of one element of a binary file can",
             )
         } else {
             None

@@ -2,6 +2,8 @@
 //! faces tells, and P_S of all of it. The samples are those of [`sample`](super::sample), to the byte.
 //!
 //! - A cut of all trees says which leaves belong to which sample, and a range of the vertices looks up its own.
+//! - Where a range of the faces begins is a matter of arithmetic, or was found by a reading of all faces
+//!   (`face_runs`).
 //! - A range of the faces reads of the vertices those between the least and the greatest corner. What it finds in its
 //!   faces are sets (triangles, islands and what joins them), lists in the order of the file (where faces are), and
 //!   sums of runs of faces that do not depend on the ranges (planes).
@@ -18,7 +20,7 @@ use simod_model::frame::Frame;
 use simod_model::scratch::Scratch;
 use simod_model::{
     Error, ErrorKind, FACES_OF_A_BLOCK, FaceChunk, FaceMark, Model, Progress, Result, SMALL_CHUNK,
-    VertexChunk, for_faces_at, input, output,
+    VertexChunk, for_faces_at, for_faces_from, input, output,
 };
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -26,16 +28,17 @@ use super::clustered_file::{mark_of, refused};
 use super::cut::Cut;
 use super::divided::{Divided, Division, leaves_key, reads_faces};
 use super::face_ranges::FaceRanges;
+use super::face_runs::{FaceRuns, RunsRead, have_to_be_found};
 use super::gather::Grouping;
 use super::membership::{self, SampleOf, Samples};
 use super::numbers_file::{Numbers, NumbersWriter, is_there};
 use super::placement::{FACES_OF_A_SUM, LISTED, Placement, Planes};
 use super::shares::Owner;
 use super::triangles::{Reindexing, Triangles, Wanted};
-use super::{Found, Prepared, Read, Reindexed, Sampling, Target};
+use super::{Found, Prepared, Read, Reindexed, Sampling, Skip, Target, are_apart};
 use crate::sampled_model::SampledModel;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
-use crate::touching::{FoundTwins, Islands};
+use crate::touching::{FoundTwins, Islands, TwinSearch, twins_may_be_there};
 
 /// What the file of a cut begins with.
 const LETTERS: &[u8; 8] = b"simodcut";
@@ -56,6 +59,8 @@ const ADVICE: &str = "do without the faces, by --skip triangles,sheets and --pla
 /// Where units leave each other what it takes to know of the faces.
 #[derive(Debug, Clone, Copy)]
 pub struct FaceFiles<'a> {
+    /// Where runs of faces begin, if they [had to be found](have_to_be_found).
+    pub runs: &'a Path,
     /// The cut through all trees.
     pub cut: &'a Path,
     /// The leaves of the vertices of each range.
@@ -87,21 +92,9 @@ struct CutFile {
     mark: u128,
 }
 
-/// Ranges of the faces that are read by as many units, if there are to be so many: each begins with a
-/// [sum](FACES_OF_A_SUM).
-fn face_ranges(faces: u64, units: u64) -> Vec<Range<u64>> {
-    let sums = faces.div_ceil(FACES_OF_A_SUM);
-    let count = units.clamp(1, sums.max(1));
-    let at = |share: u64| {
-        let sum = (u128::from(sums) * u128::from(share) / u128::from(count)) as u64;
-        (sum * FACES_OF_A_SUM).min(faces)
-    };
-    (0..count).map(|share| at(share)..at(share + 1)).collect()
-}
-
 /// Number of ranges that a model's faces are divided into, if there are to be so many.
 pub fn face_ranges_of(model: &dyn Model, units: u64) -> u64 {
-    face_ranges(model.info().faces, units).len() as u64
+    units.clamp(1, model.info().faces.div_ceil(FACES_OF_A_SUM).max(1))
 }
 
 /// Most bytes that units write down for each other to know the faces, besides what they do for clusters: which it comes
@@ -114,8 +107,9 @@ pub fn faces_exchanged_at_most(model: &dyn Model, sampling: &Sampling) -> Result
         return Ok(0);
     }
     let info = model.info();
-    // Leaves, once more of those in shared cells, and samples.
-    let of_vertices = 3 * size_of::<u32>() as u64;
+    // Leaves, once more of those in shared cells, samples, and vertices at the same place.
+    let twins = !sampling.skip.sheets && twins_may_be_there(info.vertices, info.faces);
+    let of_vertices = (3 + u64::from(twins)) * size_of::<u32>() as u64;
     let corners_of_a_sum = 3 * FACES_OF_A_SUM;
     let samples = match sampling.target {
         Target::Samples(n) => n.min(corners_of_a_sum),
@@ -125,9 +119,22 @@ pub fn faces_exchanged_at_most(model: &dyn Model, sampling: &Sampling) -> Result
     // Each makes one island of two, twice at most, and is in three cells at most.
     let islands = if sampling.skip.sheets { 0 } else { 16 };
     let ranges = if sampling.skip.triangles || sampling.skip.cells { 0 } else { 60 };
-    let of_faces = info.faces.saturating_mul(islands + ranges);
-    let of_sums = info.faces.div_ceil(FACES_OF_A_SUM).saturating_mul(of_a_sum);
+    let triangles = most_triangles(model);
+    let of_faces = triangles.saturating_mul(islands + ranges);
+    let of_sums = triangles.div_ceil(FACES_OF_A_SUM).saturating_mul(of_a_sum);
     Ok(info.vertices.saturating_mul(of_vertices).saturating_add(of_faces).saturating_add(of_sums))
+}
+
+/// Most triangles that the faces of a model can be.
+fn most_triangles(model: &dyn Model) -> u64 {
+    let info = model.info();
+    if !have_to_be_found(model) {
+        return info.faces;
+    }
+    // Each takes a corner at least, of as many bytes as it takes to tell all vertices of its file apart.
+    let least = model.tiles().iter().map(|tile| tile.vertices).min().unwrap_or(info.vertices);
+    let bytes = if least > 1 << 16 { 4 } else { 1 };
+    info.face_bytes / bytes
 }
 
 /// Cuts the trees of all ranges and groups, each in one of some files, to a file. Nothing is done if it is there already;
@@ -180,12 +187,14 @@ pub fn cut(
     Ok(true)
 }
 
-/// Finds the sample of each vertex of a range, to a file. Nothing is done if it is there already; `false` then.
+/// Finds the sample of each vertex of a range, to a file; and which vertices are at one place, if that is worth knowing, for
+/// which up to a million vertices before the range are read as well. Nothing is done if it is there already; `false` then.
 ///
-/// Memory: that of the cut; 4 bytes for each cell; a block of each file that is read, 32 MiB or 8 KiB for each group.
+/// Memory: that of the cut; 4 bytes for each cell; a block of each file that is read, 32 MiB or 8 KiB for each group; 4 MiB
+/// and a chunk of vertices, if these are read.
 ///
 /// # Errors
-/// A file is missing, damaged, or of something else; or cannot be written, or another process writes it.
+/// The model cannot be read, or the user cancelled; a file is missing, damaged, or of something else; or cannot be written, or another process writes it.
 pub fn members(
     model: &dyn Model,
     sampling: &Sampling,
@@ -202,21 +211,57 @@ pub fn members(
     if is_there(target, key) {
         return Ok(false);
     }
-    let mut writer = NumbersWriter::create(target, key, 1)?;
+    let mut writer = NumbersWriter::create(target, key, member::COUNT)?;
     if cut.alone.is_none() {
         let own = divided.shares.ranges()[range as usize].clone();
         progress.begin_parts("looking up each vertex' sample", own.end - own.start);
         divided.look_up(owner, &cut, files, |samples| {
             progress.check()?;
             progress.advance(samples.len() as u64);
-            writer.push(0, samples)
+            writer.push(member::SAMPLES, samples)
         })?;
+        if divided.looks_for_twins() {
+            divided.find_twins(own, |back| writer.push(member::TWINS, back))?;
+        }
     }
     writer.commit()?;
     Ok(true)
 }
 
+/// The lists in a file of what is known of the vertices of a range.
+mod member {
+    /// Their samples.
+    pub const SAMPLES: usize = 0;
+    /// How far before each one at the same position is, or 0: where such are worth looking for.
+    pub const TWINS: usize = 1;
+    pub const COUNT: usize = 2;
+}
+
 impl Divided<'_> {
+    /// Whether it is of use to know which vertices are at one place.
+    fn looks_for_twins(&self) -> bool {
+        let Prepared { model, sampling, .. } = &self.prepared;
+        !sampling.skip.sheets && twins_may_be_there(model.info().vertices, model.info().faces)
+    }
+
+    /// Visits the twins of a range of the vertices, as all vertices tell of them.
+    fn find_twins(&self, range: Range<u64>, mut visit: impl FnMut(&[u32]) -> Result<()>) -> Result<()> {
+        let Prepared { model, progress, .. } = self.prepared;
+        let first = TwinSearch::first_for(range.start);
+        let (mut search, mut back, mut chunk) = (TwinSearch::new(first), Vec::new(), VertexChunk::default());
+        let mut reader = model.vertices(first..range.end)?;
+        reader.set_chunk(SMALL_CHUNK);
+        reader.skip_attributes();
+        while reader.read(&mut chunk)? {
+            progress.check()?;
+            back.clear();
+            search.take(&chunk.positions, &mut back);
+            let before = range.start.saturating_sub(chunk.first) as usize;
+            visit(back.get(before..).unwrap_or_default())?;
+        }
+        Ok(())
+    }
+
     fn read_cut(&self, path: &Path) -> Result<CutFile> {
         let bytes = input::read(path, LONGEST)?;
         let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
@@ -331,7 +376,7 @@ mod list {
 /// Finds what a range of the faces tells, of so many [ranges](face_ranges_of), to a file. Nothing is done if it is there
 /// already; `false` then.
 ///
-/// Memory: that of the cut; per sample 140 bytes, 12 for each of at most 32 triangles, twice while the list grows, and 8
+/// Memory: that of the cut; 16 bytes for each 65 536 triangles; per sample 140 bytes, 12 for each of at most 32 triangles, twice while the list grows, and 8
 /// for each of at most 32 links; 16 bytes per cell; chunks of faces. Temporary files of 8 bytes for each vertex between
 /// the least and the greatest corner, and 12 more where faces place the samples: where vertices come in no order, these
 /// are all vertices.
@@ -354,60 +399,77 @@ pub fn faces(
     if is_there(target, key) {
         return Ok(false);
     }
-    let parts = face_ranges(model.info().faces, files.faces.len() as u64);
-    let part = usize::try_from(part).ok().and_then(|part| parts.get(part)).ok_or_else(|| {
-        let what = format!("there is no part {part} of {}", parts.len());
-        Error::new(ErrorKind::Argument, what, "count from 0")
-    })?;
+    let parts = files.faces.len() as u64;
+    if part >= parts {
+        let what = format!("there is no part {part} of {parts}");
+        return Err(Error::new(ErrorKind::Argument, what, "count from 0"));
+    }
     let mut writer = NumbersWriter::create(target, key, list::COUNT)?;
     if cut.alone.is_none() {
-        FacePart::new(&divided, &cut, part.clone())?.read(files, &mut writer)?;
+        let runs = FaceRuns::of(model, files.runs)?;
+        if let Some(read) = runs.part(part, parts) {
+            FacePart::new(&divided, &cut, read, runs.triangles()).read(files, &mut writer)?;
+        } else {
+            let Skip { triangles, sheets, .. } = sampling.skip;
+            let none = Triangles { of_vertices: !triangles && !sheets, ..Triangles::default() };
+            write_triangles(&none, 0, &mut writer)?;
+        }
     }
     writer.commit()?;
     Ok(true)
 }
 
-/// A range of the faces.
+/// A part of the faces.
 struct FacePart<'a> {
     divided: &'a Divided<'a>,
     cut: &'a CutFile,
-    faces: Range<u64>,
-    /// Where in the file they are.
-    bytes: Range<u64>,
+    read: RunsRead,
+    /// Of all triangles, bytes that it reads, about.
+    bytes: u64,
 }
 
 impl<'a> FacePart<'a> {
-    fn new(divided: &'a Divided<'a>, cut: &'a CutFile, faces: Range<u64>) -> Result<Self> {
-        let model = divided.prepared.model;
-        let at = |face| model.face_at(face).ok_or_else(|| no_triangles(model));
-        let bytes = at(faces.start)?..at(faces.end)?;
-        Ok(Self { divided, cut, faces, bytes })
+    fn new(divided: &'a Divided<'a>, cut: &'a CutFile, read: RunsRead, triangles: u64) -> Self {
+        let all = u128::from(divided.prepared.model.info().face_bytes);
+        let bytes = (all * u128::from(read.summed.end) / u128::from(triangles.max(1))) as u64;
+        Self { divided, cut, read, bytes }
     }
 
-    /// Streams the faces, which are triangles.
-    fn each(&self, mut visit: impl FnMut(&FaceChunk) -> Result<()>) -> Result<()> {
+    /// Streams the triangles, with the number of those before them, and the marks that come with them.
+    fn each(&self, mut visit: impl FnMut(u64, &[[u32; 3]], &[FaceMark]) -> Result<()>) -> Result<()> {
         let Prepared { model, progress, .. } = self.divided.prepared;
+        let (RunsRead { from, summed, to, .. }, are_triangles) = (&self.read, !have_to_be_found(model));
         let mut count = 0;
-        for_faces_at(model, std::iter::once(self.bytes.clone()).collect(), |chunk| {
+        let mut take = |chunk: &FaceChunk| {
             progress.check()?;
-            count += chunk.triangles.len() as u64;
-            if !chunk.continued.is_empty() {
+            if are_triangles && !chunk.continued.is_empty() {
                 return Err(no_triangles(model));
             }
-            visit(chunk)?;
+            let some = chunk.triangles.len().min(summed.end.saturating_sub(count) as usize);
+            visit(count, &chunk.triangles[..some], &chunk.marks)?;
+            count += chunk.triangles.len() as u64;
             progress.advance(chunk.bytes);
             Ok(())
-        })?;
-        // So many triangles take all of the bytes.
-        if count == self.faces.end - self.faces.start { Ok(()) } else { Err(no_triangles(model)) }
+        };
+        if are_triangles {
+            let all = || model.face_at(model.info().faces).ok_or_else(|| no_triangles(model));
+            let bytes = *from..to.map_or_else(all, Ok)?;
+            for_faces_at(model, std::iter::once(bytes).collect(), take)?;
+            // So many triangles take all of the bytes.
+            return if count == summed.end { Ok(()) } else { Err(no_triangles(model)) };
+        }
+        let triangles = to.map_or(u64::MAX, |_| summed.end);
+        for_faces_from(model, *from, triangles, &mut take)?;
+        let is_all = if to.is_some() { count >= summed.end } else { count == summed.end };
+        if is_all { Ok(()) } else { Err(super::finalization::changed(model)) }
     }
 
     /// The vertices between the least corner and the greatest.
     fn span(&self) -> Result<Range<u64>> {
         let vertices = self.divided.prepared.model.info().vertices;
         let (mut least, mut end) = (u64::MAX, 0);
-        self.each(|chunk| {
-            let corners = chunk.triangles.iter().flatten().map(|corner| u64::from(*corner));
+        self.each(|_, triangles, _| {
+            let corners = triangles.iter().flatten().map(|corner| u64::from(*corner));
             for corner in corners.filter(|corner| *corner < vertices) {
                 (least, end) = (least.min(corner), end.max(corner + 1));
             }
@@ -420,7 +482,7 @@ impl<'a> FacePart<'a> {
     fn read(&self, files: &FaceFiles<'_>, to: &mut NumbersWriter) -> Result<()> {
         let Self { divided: Divided { prepared, .. }, cut: CutFile { cut, .. }, .. } = *self;
         let Prepared { model, sampling, folder, progress, .. } = prepared;
-        progress.begin("reindexing the faces", 2 * (self.bytes.end - self.bytes.start));
+        progress.begin("reindexing the faces", 2 * self.bytes);
         let span = self.span()?;
         let (first, count) = (span.start as u32, span.end - span.start);
         let sample_of =
@@ -441,17 +503,20 @@ impl<'a> FacePart<'a> {
         let wanted =
             Wanted { triangles, ranges: ranges.as_mut(), islands: islands.as_mut(), planes: planes.as_mut() };
         let mut reindexing = Reindexing::new(sample_of, samples, wanted);
-        let (mut face, mut here) = (self.faces.start, Vec::new());
-        self.each(|chunk| {
+        let mut here = Vec::new();
+        self.each(|before, triangles, marks| {
             let known = |corner: u32| u64::from(corner) < model.info().vertices;
             let local = |corner| if known(corner) { corner - first } else { NONE };
             here.clear();
-            here.extend(chunk.triangles.iter().map(|corners| corners.map(local)));
-            let next = face + here.len() as u64;
-            reindexing.take(&here, &self.marks(face..next));
-            face = next;
+            here.extend(triangles.iter().map(|corners| corners.map(local)));
+            let up_to = |end: u64| here.len().min(end.saturating_sub(before) as usize);
+            let (found, skipped) = (&here[..up_to(self.read.found)], up_to(self.read.summed.start));
+            reindexing.take(found, &self.marks(before..before + found.len() as u64, marks), &here[skipped..]);
             write_listed(reindexing.wanted(), false, to)
         })?;
+        if let Some(offset) = self.end() {
+            reindexing.take(&[], &[FaceMark { triangle: 0, offset }], &[]);
+        }
         write_listed(reindexing.wanted(), true, to)?;
         let found = reindexing.finish();
         write_triangles(&found, first, to)?;
@@ -461,16 +526,30 @@ impl<'a> FacePart<'a> {
         Ok(())
     }
 
-    /// The marks among some faces, and behind the last one of all.
-    fn marks(&self, faces: Range<u64>) -> Vec<FaceMark> {
+    /// Where the last block ends that is the part's, unless a mark tells.
+    fn end(&self) -> Option<u64> {
         let model = self.divided.prepared.model;
-        let begin = faces.clone().filter(|face| face.is_multiple_of(FACES_OF_A_BLOCK));
-        let all = begin.chain((faces.end == self.faces.end).then_some(faces.end));
-        let mark = |face: u64| {
-            let triangle = (face - faces.start) as usize;
-            model.face_at(face).map(|offset| FaceMark { triangle, offset })
-        };
-        all.filter_map(mark).collect()
+        let end = || model.face_at(model.info().faces);
+        self.read.to.or_else(end).filter(|_| model.tiles().is_empty())
+    }
+
+    /// The marks among the part's own of some triangles, by those that came with them.
+    fn marks(&self, own: Range<u64>, marks: &[FaceMark]) -> Vec<FaceMark> {
+        let (model, RunsRead { from, to, found, .. }) = (self.divided.prepared.model, &self.read);
+        if !model.tiles().is_empty() {
+            return Vec::new();
+        }
+        if have_to_be_found(model) {
+            // Those behind its triangles are of the next part.
+            let is_own = |mark: &&FaceMark| own.start + (mark.triangle as u64) < *found || to.is_none();
+            return marks.iter().filter(is_own).copied().collect();
+        }
+        // Triangles of one length, each a face.
+        let length = model.face_at(1).zip(model.face_at(0)).map_or(1, |(second, first)| second - first);
+        let begin = own.clone().filter(|face| face.is_multiple_of(FACES_OF_A_BLOCK));
+        let mark =
+            |face: u64| FaceMark { triangle: (face - own.start) as usize, offset: from + face * length };
+        begin.map(mark).collect()
     }
 }
 
@@ -528,6 +607,17 @@ fn write_islands(
 impl Divided<'_> {
     /// The samples of some vertices, by the files of all ranges.
     fn samples_of(&self, cut: &CutFile, files: &FaceFiles<'_>, vertices: Range<u64>) -> Result<MmapMut> {
+        self.members_of(member::SAMPLES, cut, files, vertices)?.map_mut()
+    }
+
+    /// A list of what is known of some vertices, by the files of all ranges.
+    fn members_of(
+        &self,
+        list: usize,
+        cut: &CutFile,
+        files: &FaceFiles<'_>,
+        vertices: Range<u64>,
+    ) -> Result<Scratch> {
         let scratch = Scratch::new(self.prepared.folder, ADVICE)?;
         let mut at = 0;
         for (number, (range, path)) in (0..).zip(self.shares.ranges().iter().zip(files.members)) {
@@ -537,10 +627,10 @@ impl Divided<'_> {
             }
             let file = Numbers::open(path, cut.key_of("members", number))?;
             let places = own.start - range.start..own.end - range.start;
-            file.some(0, places, |samples| {
+            file.some(list, places, |numbers| {
                 self.prepared.progress.check()?;
-                scratch.write_at(cast_slice(samples), at)?;
-                at += size_of_val(samples) as u64;
+                scratch.write_at(cast_slice(numbers), at)?;
+                at += size_of_val(numbers) as u64;
                 Ok(())
             })?;
         }
@@ -548,7 +638,7 @@ impl Divided<'_> {
             let what = "not all vertices have been looked up";
             return Err(Error::new(ErrorKind::Argument, what, "do the units first that do so"));
         }
-        scratch.map_mut()
+        Ok(scratch)
     }
 }
 
@@ -613,10 +703,19 @@ pub fn complete(
     let sheets = !sampling.skip.sheets;
     let mut sample_of = if sheets { Some(divided.samples_of(&cut, files, 0..info.vertices)?) } else { None };
     let known: &[u32] = sample_of.as_ref().map_or(&[], |map| cast_slice(map));
-    let islands = divided.take_faces(&cut, files, &read, known, &mut reindexed)?;
+    let (mut islands, mut welded) = (None, false);
+    if sheets {
+        let twins = divided.twins(&cut, files)?;
+        welded = are_apart(info, twins.count);
+        let islands = islands.insert(Islands::new(twins, known, reindexed.cut.samples(), folder));
+        if welded {
+            parting.weld_all(islands, known)?;
+        }
+    }
+    divided.take_faces(&cut, files, &read, (known, islands.as_mut()), &mut reindexed)?;
     if let (Some(islands), Some(map)) = (islands, &mut sample_of) {
         let sample_of: &mut [u32] = cast_slice_mut(map);
-        let changed = reindexed.part_sheets(&read, islands, sample_of, false)?;
+        let changed = reindexed.part_sheets(&read, islands, sample_of, welded)?;
         if let (Some(changed), true) = (changed, reindexed.placed.is_some()) {
             let vertices = prepared.positions(sample_of, 0..info.vertices)?;
             reindexed.place_again(&read, sample_of, cast_slice(&vertices), &changed)?;
@@ -629,6 +728,17 @@ pub fn complete(
 }
 
 impl Divided<'_> {
+    /// Which vertices are at one place, as far as that is known.
+    fn twins(&self, cut: &CutFile, files: &FaceFiles<'_>) -> Result<FoundTwins> {
+        let Prepared { model, folder, .. } = self.prepared;
+        let vertices = model.info().vertices;
+        if self.looks_for_twins() {
+            FoundTwins::of_all(self.members_of(member::TWINS, cut, files, 0..vertices)?)
+        } else {
+            FoundTwins::none(vertices, folder)
+        }
+    }
+
     /// Takes what all ranges of the faces told; what hangs together, if sheets are told apart, by the samples of all
     /// vertices.
     fn take_faces(
@@ -636,23 +746,16 @@ impl Divided<'_> {
         cut: &CutFile,
         files: &FaceFiles<'_>,
         read: &Read<'_>,
-        sample_of: &[u32],
+        (sample_of, islands): (&[u32], Option<&mut Islands>),
         reindexed: &mut Reindexed,
-    ) -> Result<Option<Islands>> {
-        let Prepared { model, sampling, folder, progress, .. } = &self.prepared;
+    ) -> Result<()> {
+        let Prepared { sampling, progress, .. } = &self.prepared;
         let (trees, samples) = (&reindexed.cut.trees, reindexed.cut.samples());
         let triangles = !sampling.skip.triangles;
         let mut ranges = (triangles && !sampling.skip.cells).then(|| FaceRanges::new(trees, samples));
         let places = sampling.placement == Placement::Faces;
         let mut planes = places.then(|| Planes::new(&[], &reindexed.cut.positions, 0));
-        let mut islands = if sampling.skip.sheets {
-            None
-        } else {
-            let twins = FoundTwins::none(model.info().vertices, folder)?;
-            Some(Islands::new(twins, sample_of, samples, folder))
-        };
-        let wanted =
-            Wanted { triangles, ranges: ranges.as_mut(), islands: islands.as_mut(), planes: planes.as_mut() };
+        let wanted = Wanted { triangles, ranges: ranges.as_mut(), islands, planes: planes.as_mut() };
         let mut reindexing = Reindexing::new(sample_of, samples, wanted);
         for (number, path) in (0..).zip(files.faces) {
             let file = Numbers::open(path, cut.key_of("faces", number))?;
@@ -662,7 +765,7 @@ impl Divided<'_> {
         let placed = planes.map(|planes| reindexed.place(read, planes));
         let faces = ranges.filter(|_| !triangles.triangles.is_empty()).and_then(|r| r.into_cells(trees));
         (reindexed.triangles, reindexed.placed, reindexed.faces) = (triangles, placed, faces);
-        Ok(islands)
+        Ok(())
     }
 }
 

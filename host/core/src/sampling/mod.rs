@@ -12,6 +12,7 @@ pub(crate) mod density;
 pub mod divided;
 pub mod divided_faces;
 mod face_ranges;
+pub mod face_runs;
 pub(crate) mod finalization;
 pub(crate) mod gather;
 mod glimpse;
@@ -522,8 +523,7 @@ impl Reindexed {
         let twins = members.take_twins();
         let (sample_of, vertices) = members.all_mut();
         let Some(twins) = twins else { return self.read_faces(read, sample_of, vertices, None) };
-        // Where faces share no vertices, positions tell what hangs together.
-        let welded = (info.vertices - twins.count) / 2 > info.faces;
+        let welded = are_apart(info, twins.count);
         let mut islands = Islands::new(twins, sample_of, self.cut.samples(), parting.folder);
         if welded {
             parting.weld_all(&mut islands, sample_of)?;
@@ -677,6 +677,12 @@ fn can_tell(info: &ModelInfo) -> bool {
 /// Whether anything is wanted that faces tell.
 fn are_told(placement: Placement, skip: &Skip) -> bool {
     placement == Placement::Faces || !skip.sheets || !skip.triangles
+}
+
+/// Whether faces share hardly any vertices, so many of which are known to be at the same place as others: what hangs
+/// together is told by the positions of all then.
+fn are_apart(info: &ModelInfo, twins: u64) -> bool {
+    (info.vertices - twins) / 2 > info.faces
 }
 
 /// Bytes between two ranges of faces that cost less to read than to begin anew.

@@ -86,8 +86,9 @@ impl<'a, 'p> Reindexing<'a, 'p> {
         Self { sample_of, samples, wanted, most: MOST_PER_SAMPLE * samples.max(64), found }
     }
 
-    /// Takes the next triangles, and the marks among them.
-    pub fn take(&mut self, triangles: &[[u32; 3]], marks: &[FaceMark]) {
+    /// Takes the next triangles, and the marks among them; and those whose planes are summed up, which are the same but
+    /// for who reads a part of the faces.
+    pub fn take(&mut self, triangles: &[[u32; 3]], marks: &[FaceMark], summed: &[[u32; 3]]) {
         let Self { sample_of, samples, ref mut wanted, most, ref mut found } = *self;
         let Wanted { triangles: wants_triangles, ranges, islands, planes } = wanted;
         let mut reindex = || {
@@ -138,7 +139,7 @@ impl<'a, 'p> Reindexing<'a, 'p> {
         };
         let mut add_planes = || {
             let Some(planes) = planes else { return };
-            let mut left = triangles;
+            let mut left = summed;
             while !left.is_empty() {
                 let (some, behind) = left.split_at(left.len().min(planes.room()));
                 for corners in some {
@@ -218,9 +219,12 @@ pub fn reindex(
     progress: &dyn Progress,
 ) -> Result<Triangles> {
     let mut reindexing = Reindexing::new(sample_of, samples, wanted);
+    // From one mark to another, faces of several files cannot be read.
+    let are_ranges = model.tiles().is_empty();
     for_faces(model, |chunk| {
         progress.check()?;
-        reindexing.take(&chunk.triangles, &chunk.marks);
+        let marks = if are_ranges { &chunk.marks[..] } else { &[] };
+        reindexing.take(&chunk.triangles, marks, &chunk.triangles);
         progress.advance(chunk.bytes);
         Ok(())
     })?;

@@ -22,7 +22,9 @@ pub use contacts::Contacts;
 pub(crate) use finding::{Guides, Noted};
 pub(crate) use islands::Islands;
 pub(crate) use parting::{Parted, Parting};
-pub(crate) use twins::{Found as FoundTwins, Twins, may_be_there as twins_may_be_there};
+pub(crate) use twins::{
+    Found as FoundTwins, Search as TwinSearch, Twins, may_be_there as twins_may_be_there,
+};
 
 /// What the user can do where a temporary file has no room.
 const ADVICE: &str = "do without them, by --skip sheets";

@@ -6,6 +6,7 @@ use std::path::Path;
 use bytemuck::cast_slice;
 use glam::DVec3;
 use memmap2::MmapMut;
+use rayon::prelude::*;
 use simod_model::Result;
 use simod_model::scratch::Scratch;
 
@@ -25,20 +26,31 @@ const BLOCK: usize = 64;
 /// Numbers written at a time.
 const BUFFER: usize = 1 << 16;
 
+/// Vertices of which none is compared with those before the first of them: so who has a part of the vertices needs to look
+/// at few others to find what a search of all of them finds.
+const RUN: u64 = 1 << 20;
+
 /// Finds twins while the vertices stream.
 ///
-/// Memory: 3.3 MiB, and a file of 4 bytes per vertex.
+/// Memory: that of a search, 256 KiB, and a file of 4 bytes per vertex.
 pub struct Twins {
     file: Scratch,
     buffer: Vec<u32>,
     written: u64,
+    /// None where positions are not looked at.
+    search: Option<Search>,
+    found: u64,
+}
+
+/// A search for twins, some vertices at a time.
+///
+/// Memory: 3.1 MiB.
+pub struct Search {
     /// The hash of a position and a vertex there, at a place that the hash tells; and the same of the latest
     /// ones.
     remembered: Vec<Entry>,
     latest: Vec<Entry>,
-    /// Whether positions are looked at.
-    looks: bool,
-    found: u64,
+    next: u64,
 }
 
 /// What was found.
@@ -50,6 +62,16 @@ pub struct Found {
 }
 
 impl Found {
+    /// What is in a file of the numbers of all vertices.
+    ///
+    /// # Errors
+    /// It cannot be mapped.
+    pub fn of_all(back: Scratch) -> Result<Self> {
+        let back = back.map_mut()?;
+        let count = cast_slice::<_, u32>(&back).par_iter().filter(|back| **back != 0).count() as u64;
+        Ok(Self { back, count })
+    }
+
     /// Nothing found among so many vertices, which are not none.
     ///
     /// # Errors
@@ -80,14 +102,11 @@ impl Twins {
     /// # Errors
     /// It cannot be made.
     pub fn new(vertices: u64, faces: u64, folder: &Path) -> Result<Self> {
-        let looks = may_be_there(vertices, faces);
         Ok(Self {
             file: Scratch::new(folder, ADVICE)?,
             buffer: Vec::with_capacity(BUFFER + BLOCK),
             written: 0,
-            remembered: vec![[0, 0, u32::MAX]; if looks { REMEMBERED } else { 0 }],
-            latest: vec![[0, 0, u32::MAX]; LATEST],
-            looks,
+            search: may_be_there(vertices, faces).then(|| Search::new(0)),
             found: 0,
         })
     }
@@ -98,43 +117,15 @@ impl Twins {
     /// The file cannot be written.
     pub fn take(&mut self, positions: &[DVec3]) -> Result<()> {
         for block in positions.chunks(BLOCK) {
-            if self.looks {
-                self.look_at(block);
-            } else {
-                self.buffer.resize(self.buffer.len() + block.len(), 0);
+            match &mut self.search {
+                Some(search) => self.found += search.look_at(block, &mut self.buffer),
+                None => self.buffer.resize(self.buffer.len() + block.len(), 0),
             }
             if self.buffer.len() >= BUFFER {
                 self.flush()?;
             }
         }
         Ok(())
-    }
-
-    fn look_at(&mut self, block: &[DVec3]) {
-        let mut hashes = [0; BLOCK];
-        hashes.iter_mut().zip(block).for_each(|(hash, p)| *hash = hash_of(*p));
-        // What is remembered comes from memory for all of them at once, rather than for one after the other.
-        let touched = hashes.iter().map(|hash| self.remembered[*hash as usize % REMEMBERED][0]);
-        std::hint::black_box(touched.fold(0, u32::wrapping_add));
-        let first = (self.written + self.buffer.len() as u64) as u32;
-        for ((vertex, p), hash) in (first..).zip(block).zip(hashes) {
-            let new = entry(hash, vertex);
-            let is_twin = |known: Entry| known[..2] == new[..2] && known[2] < vertex;
-            let mut back = 0;
-            if p.is_finite() {
-                let latest = std::mem::replace(&mut self.latest[hash as usize % LATEST], new);
-                if is_twin(latest) {
-                    back = vertex - latest[2];
-                } else {
-                    let known = std::mem::replace(&mut self.remembered[hash as usize % REMEMBERED], new);
-                    if is_twin(known) {
-                        back = vertex - known[2];
-                    }
-                }
-            }
-            self.found += u64::from(back != 0);
-            self.buffer.push(back);
-        }
     }
 
     fn flush(&mut self) -> Result<()> {
@@ -152,6 +143,63 @@ impl Twins {
         self.flush()?;
         Ok(Found { back: self.file.map_mut()?, count: self.found })
     }
+}
+
+impl Search {
+    /// The vertex from which on one has to look at vertices to find what a search of all of them finds of this one and
+    /// those behind it.
+    pub fn first_for(vertex: u64) -> u64 {
+        vertex - vertex % RUN
+    }
+
+    /// A search in the vertices from one on that is the [first](Self::first_for) for others.
+    pub fn new(first: u64) -> Self {
+        Self { remembered: none(REMEMBERED), latest: none(LATEST), next: first }
+    }
+
+    /// Looks at the next vertices: how far before each of them one at the same position is, or 0.
+    pub fn take(&mut self, positions: &[DVec3], back: &mut Vec<u32>) {
+        positions.chunks(BLOCK).for_each(|block| _ = self.look_at(block, back));
+    }
+
+    /// The same of a few; how many were found.
+    fn look_at(&mut self, block: &[DVec3], to: &mut Vec<u32>) -> u64 {
+        let mut hashes = [0; BLOCK];
+        hashes.iter_mut().zip(block).for_each(|(hash, p)| *hash = hash_of(*p));
+        // What is remembered comes from memory for all of them at once, rather than for one after the other.
+        let touched = hashes.iter().map(|hash| self.remembered[*hash as usize % REMEMBERED][0]);
+        std::hint::black_box(touched.fold(0, u32::wrapping_add));
+        let mut found = 0;
+        for (p, hash) in block.iter().zip(hashes) {
+            if self.next.is_multiple_of(RUN) {
+                (self.remembered, self.latest) = (none(REMEMBERED), none(LATEST));
+            }
+            let vertex = self.next as u32;
+            self.next += 1;
+            let new = entry(hash, vertex);
+            let is_twin = |known: Entry| known[..2] == new[..2] && known[2] < vertex;
+            let mut back = 0;
+            if p.is_finite() {
+                let latest = std::mem::replace(&mut self.latest[hash as usize % LATEST], new);
+                if is_twin(latest) {
+                    back = vertex - latest[2];
+                } else {
+                    let known = std::mem::replace(&mut self.remembered[hash as usize % REMEMBERED], new);
+                    if is_twin(known) {
+                        back = vertex - known[2];
+                    }
+                }
+            }
+            found += u64::from(back != 0);
+            to.push(back);
+        }
+        found
+    }
+}
+
+/// So many entries of no vertex.
+fn none(entries: usize) -> Vec<Entry> {
+    vec![[0, 0, u32::MAX]; entries]
 }
 
 #[cfg(test)]
@@ -190,6 +238,23 @@ mod tests {
             let known = (1..400).filter(|place| places.contains(place)).count();
             let twins = places.iter().filter(|place| **place != 0).count() - known;
             prop_assert!(count as usize <= twins && count as usize * 10 >= twins * 9);
+        }
+    }
+
+    /// Who looks at a part of the vertices finds what a search of all of them does.
+    #[test]
+    fn parts_find_what_all_do() {
+        // Three at each place, some of them far from each other, and some that are nowhere.
+        let place =
+            |i: u64| if i.is_multiple_of(101) { f64::NAN } else { ((i / 3) ^ ((i % 5 / 4) << 9)) as f64 };
+        let all: Vec<DVec3> = (0..2 * RUN + 70_000).map(|i| DVec3::splat(place(i))).collect();
+        let (back, count) = found(&all);
+        assert!(count > RUN / 2);
+        for start in [0, 1, RUN - 6144, RUN, RUN + 12_288, 2 * RUN + 50_000] {
+            let first = Search::first_for(start);
+            let (mut search, mut own) = (Search::new(first), Vec::new());
+            all[first as usize..].chunks(999).for_each(|some| search.take(some, &mut own));
+            assert!(own[(start - first) as usize..] == back[start as usize..], "{start}");
         }
     }
 

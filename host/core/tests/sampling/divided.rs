@@ -11,6 +11,7 @@ use simod_core::sampling::divided::{
     sample_clustered, shared, undivided,
 };
 use simod_core::sampling::divided_faces::{self, FaceFiles, face_ranges_of, faces_exchanged_at_most};
+use simod_core::sampling::face_runs::{self, have_to_be_found};
 use simod_core::sampling::{By, Grouping, Placement, Sampling, Skip, Target, count, sample};
 use simod_generate::Shape;
 use simod_model::output::write_file;
@@ -34,6 +35,7 @@ struct Work {
 
 /// What units leave each other of the faces.
 struct OfFaces {
+    runs: PathBuf,
     cut: PathBuf,
     lists: [Vec<PathBuf>; 4],
 }
@@ -41,7 +43,7 @@ struct OfFaces {
 impl OfFaces {
     fn files(&self) -> FaceFiles<'_> {
         let [leaves, leaves_of_groups, members, faces] = &self.lists;
-        FaceFiles { cut: &self.cut, leaves, leaves_of_groups, members, faces }
+        FaceFiles { runs: &self.runs, cut: &self.cut, leaves, leaves_of_groups, members, faces }
     }
 }
 
@@ -61,8 +63,21 @@ impl Work {
             Converted::new(open(&made), &path, how, &Silent).unwrap().write(&path, &Silent).unwrap();
             fs::remove_file(made).unwrap();
         }
-        let model = simod_model::open(&path).unwrap();
+        Self::of_file(folder, &path, sampling)
+    }
+
+    /// Of a file, or some by their pattern, in a folder that has nothing else.
+    fn of_file(folder: TempDir, path: &Path, sampling: Sampling) -> Self {
+        let model = simod_model::open(path).unwrap();
         Self { folder, model, sampling, units: 0, face_units: 0 }
+    }
+
+    /// Of faces with these corners in the place of the body's triangles.
+    fn of_polygons(body: &Body, faces: &[Vec<u32>], sampling: Sampling) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.ply");
+        write_file(&path, &polygon_file(body, faces)).unwrap();
+        Self::of_file(folder, &path, sampling)
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -93,7 +108,11 @@ impl Work {
         let [leaves, leaves_of_groups, members] =
             ["leaves", "leaves-of-group", "members"].map(|name| self.files(name));
         let faces = (0..self.face_units).map(|unit| self.path(&format!("faces-{unit}"))).collect();
-        OfFaces { cut: self.path("cut"), lists: [leaves, leaves_of_groups, members, faces] }
+        OfFaces {
+            runs: self.path("runs"),
+            cut: self.path("cut"),
+            lists: [leaves, leaves_of_groups, members, faces],
+        }
     }
 
     fn with_faces(&self) -> bool {
@@ -181,6 +200,10 @@ impl Work {
             assert!(self.group(unit).unwrap() && !self.group(unit).unwrap());
         }
         if self.with_faces() {
+            if have_to_be_found(&*self.model) {
+                let find = || face_runs::find(&*self.model, &self.path("runs"), &Silent).unwrap();
+                assert!(find() && !find());
+            }
             assert!(self.cut_for_faces().unwrap() && !self.cut_for_faces().unwrap());
             for unit in (0..self.units).rev() {
                 assert!(self.members(unit).unwrap() && !self.members(unit).unwrap());
@@ -219,7 +242,7 @@ impl Work {
             files.filter(|file| file.exists()).for_each(|file| fs::remove_file(file).unwrap());
         }
         fs::remove_file(self.path("counts")).unwrap();
-        drop(fs::remove_file(self.path("cut")));
+        ["cut", "runs"].into_iter().for_each(|name| drop(fs::remove_file(self.path(name))));
         let whole = self.path("whole.simod");
         if !whole.exists() {
             let sampled = sample(&*self.model, &self.sampling, self.folder.path(), &Silent).unwrap();
@@ -474,10 +497,7 @@ fn what_is_wrong_is_told() {
     fs::remove_file(work.path("range-0")).unwrap();
     told(work.range(0).unwrap_err(), &["changed while it was read"]);
 
-    // Each face with vertices of its own.
-    let soup = Work::of_format(&Body::generated(Shape::Amphora, 20_000), "stl", samples(1000));
     let why = |work: &Work| undivided(&*work.model, &work.sampling).unwrap();
-    assert!(why(&soup).is_some_and(|why| why.contains("faces")));
     let text = Work::of_format(&Body::generated(Shape::Amphora, 20_000), "off", samples(1000));
     assert!(why(&text).is_some_and(|why| why.contains("faces")));
     let skip = Skip { colors: true, ..Skip::default() };
@@ -507,6 +527,110 @@ fn units_read_faces_as_one_reading_does() {
     Work::new(&body.shuffled(), groups).check("in groups");
     let error = Sampling { target: Target::Error(2e-3), ..by_faces };
     Work::new(&body, error).check("to an error");
+}
+
+/// A PLY file of polygons.
+fn polygon_file(body: &Body, faces: &[Vec<u32>]) -> Vec<u8> {
+    let (vertices, normals) = (body.positions.len(), &body.normals);
+    let properties = ["x", "y", "z"].iter().map(|name| format!("property double {name}\n"));
+    let of_normals = ["nx", "ny", "nz"].iter().filter(|_| !normals.is_empty());
+    let properties = properties.chain(of_normals.map(|name| format!("property float {name}\n")));
+    let (properties, count) = (properties.collect::<String>(), faces.len());
+    let mut bytes = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n{properties}element face {count}\n\
+         property uchar kind\nproperty list uint int vertex_indices\nend_header\n"
+    )
+    .into_bytes();
+    for (i, p) in body.positions.iter().enumerate() {
+        bytes.extend(p.to_array().iter().flat_map(|number| number.to_le_bytes()));
+        let normal = normals.get(i).map(|normal| normal.to_array());
+        bytes.extend(normal.iter().flatten().flat_map(|number| number.to_le_bytes()));
+    }
+    for corners in faces {
+        bytes.push(7);
+        bytes.extend((corners.len() as u32).to_le_bytes());
+        bytes.extend(corners.iter().flat_map(|corner| corner.to_le_bytes()));
+    }
+    bytes
+}
+
+/// Two triangles that follow each other as a quad, where they share an edge, and every fifth one as it is.
+fn quads(faces: &[[u32; 3]]) -> Vec<Vec<u32>> {
+    let turned = |[a, b, c]: [u32; 3]| [[a, b, c], [b, c, a], [c, a, b]];
+    let (mut polygons, mut at) = (Vec::new(), 0);
+    while let Some(face) = faces.get(at) {
+        let next = faces.get(at + 1).filter(|_| !polygons.len().is_multiple_of(5));
+        // A fan about its first corner.
+        let quad = next.and_then(|next| {
+            let mut both = turned(*face).into_iter().flat_map(|a| turned(*next).map(|b| (a, b)));
+            both.find(|([a, _, c], [d, e, _])| [d, e] == [a, c])
+        });
+        at += if quad.is_some() { 2 } else { 1 };
+        polygons.push(quad.map_or_else(|| face.to_vec(), |([a, b, c], [_, _, d])| vec![a, b, c, d]));
+    }
+    polygons
+}
+
+#[test]
+fn units_read_polygons_as_one_reading_does() {
+    let body = Body::generated(Shape::Amphora, VERTICES);
+    let by_faces = Sampling { placement: Placement::Faces, ..samples(3000) };
+    for (name, body) in [("in order", body.clone()), ("in no order", body.shuffled())] {
+        let mut polygons = quads(&body.faces);
+        if name == "in no order" {
+            // A prime visits each once.
+            let n = polygons.len();
+            polygons = (0..n).map(|i| polygons[i * 7919 % n].clone()).collect();
+        }
+        let mut work = Work::of_polygons(&body, &polygons, by_faces);
+        assert!(have_to_be_found(&*work.model) && work.with_faces());
+        work.check(&format!("quads {name}"));
+        Work::of_polygons(&body.without_normals(), &polygons, samples(500))
+            .check(&format!("{name}, without normals"));
+    }
+    // Faces without a triangle, among them blocks and before the end of a run; faces of more triangles than a run has, and
+    // of some that there are not.
+    let mut polygons: Vec<Vec<u32>> = body.faces.iter().map(|corners| corners.to_vec()).collect();
+    let all = 0..body.positions.len() as u32;
+    polygons.insert(100, all.clone().collect());
+    polygons.splice(65_000..65_000, vec![vec![1, 2]; 100]);
+    for at in [65_536, 2 * 65_536, 100_001] {
+        polygons.splice(at..at, vec![vec![]; 40]);
+        polygons.insert(at + 20, vec![0, u32::MAX, 3, 70, all.end]);
+    }
+    polygons.extend(vec![vec![5]; 20]);
+    let skip = Skip { triangles: true, ..Skip::default() };
+    for sampling in [by_faces, samples(2000), Sampling { skip, ..by_faces }] {
+        Work::of_polygons(&body, &polygons, sampling).check("of any length");
+    }
+    // None of them is a triangle's.
+    let edges: Vec<Vec<u32>> = (1..body.faces.len() as u32).map(|i| vec![i % all.end, i / 2]).collect();
+    Work::of_polygons(&body, &edges, by_faces).check("edges");
+}
+
+#[test]
+fn units_read_faces_of_tiles_as_one_reading_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let tiles = folder.path().join("tiles");
+    fs::create_dir(&tiles).unwrap();
+    for (number, vertices) in [70_000, 3_000, 40_000, 50_000].into_iter().enumerate() {
+        let mut body = Body::generated(Shape::Amphora, vertices);
+        body.positions.iter_mut().for_each(|p| p.x += 0.7 * number as f64);
+        let path = tiles.join(format!("{number}.ply"));
+        match number {
+            0 => body.write(&path),
+            // A cloud.
+            1 => body.without_faces().write(&path),
+            _ => write_file(&path, &polygon_file(&body, &quads(&body.faces))).unwrap(),
+        }
+    }
+    let pattern = tiles.join("*.ply");
+    let mut work = Work::of_file(folder, &pattern, Sampling { placement: Placement::Faces, ..samples(3000) });
+    assert_eq!(undivided(&*work.model, &work.sampling).unwrap(), None);
+    work.check("by faces");
+    fs::remove_dir_all(work.path("whole.simod")).unwrap();
+    work.sampling = samples(500);
+    work.check("as they are");
 }
 
 #[test]
@@ -567,11 +691,45 @@ fn faces_that_are_none_are_of_no_unit() {
     Work::new(&body, sampling).check("some of them");
 }
 
+/// Faces with vertices of their own each.
+fn soup(body: &Body) -> Body {
+    let corners = || body.faces.iter().flatten().map(|corner| *corner as usize);
+    Body {
+        positions: corners().map(|corner| body.positions[corner]).collect(),
+        normals: Vec::new(),
+        faces: (0..body.faces.len() as u32).map(|face| [0, 1, 2].map(|corner| 3 * face + corner)).collect(),
+    }
+}
+
 #[test]
-fn a_soup_is_divided_where_its_sheets_are_not_told_apart() {
+fn a_soup_is_divided_whether_its_sheets_are_told_apart_or_not() {
     let body = Body::generated(Shape::Amphora, VERTICES / 6);
     let skip = Skip { sheets: true, ..Skip::default() };
-    Work::of_format(&body, "stl", Sampling { skip, ..samples(1000) }).check("STL");
+    Work::of_format(&body, "stl", Sampling { skip, ..samples(1000) }).check("STL without sheets");
+    Work::of_format(&body, "stl", samples(1000)).check("STL");
+    let body = in_no_order(&body);
+    Work::of_format(&body, "stl", samples(1000)).check("STL in no order");
+    // What is at one place is nowhere near in the file.
+    Work::new(&soup(&body).shuffled(), samples(1000)).check("in no order");
+    // Of more vertices than are compared with each other.
+    let mut work = Work::new(&soup(&Body::generated(Shape::Amphora, 200_000)), samples(1000));
+    assert!(work.model.info().vertices > 1 << 20);
+    assert_eq!(work.by_units(5), Vec::<String>::new());
+    work.compare("a large one");
+}
+
+#[test]
+fn parts_of_a_soup_that_touch_are_told_apart_as_by_one_reading() {
+    let mut body = soup(&Body::generated(Shape::Amphora, VERTICES / 8));
+    let second: Vec<DVec3> = body.positions.iter().map(|p| *p * (1.0 + 1e-3)).collect();
+    body.positions.extend(second);
+    body.faces =
+        (0..body.positions.len() as u32 / 3).map(|face| [0, 1, 2].map(|corner| 3 * face + corner)).collect();
+    for body in [body.clone(), body.shuffled()] {
+        let mut work = Work::new(&body, samples(1500));
+        work.check("one within the other");
+        assert!(work.path("whole.simod/sheets.bin").exists());
+    }
 }
 
 #[test]

@@ -194,6 +194,11 @@ pub(super) fn triangle_at(model: &PlyModel, face: u64) -> Option<u64> {
     is_one.then_some(start + face * bytes)
 }
 
+/// Whether all faces can be read from any mark on.
+pub(super) fn are_marked(model: &PlyModel) -> bool {
+    model.header.encoding != Encoding::Ascii && with_triangles(&model.header).len() == 1
+}
+
 impl<'a> Faces<'a> {
     pub(super) fn new(model: &'a PlyModel) -> Result<Self> {
         Self::by(BLOCK, model)
@@ -257,9 +262,17 @@ pub(super) struct SomeFaces<'a> {
     part: FaceElement,
     cursor: Cursor<'a>,
     ranges: std::vec::IntoIter<Range<u64>>,
+    with_marks: bool,
 }
 
 impl<'a> SomeFaces<'a> {
+    /// All from a mark on, with marks.
+    pub(super) fn from(model: &'a PlyModel, mark: u64) -> Result<Self> {
+        let end = with_triangles(&model.header).first().and_then(|element| model.starts.get(element + 1));
+        let end = end.copied().unwrap_or(mark);
+        Ok(Self { with_marks: true, ..Self::new(model, std::iter::once(mark..end).collect())? })
+    }
+
     pub(super) fn new(model: &'a PlyModel, ranges: Vec<Range<u64>>) -> Result<Self> {
         let encoding = model.header.encoding;
         let [element] = with_triangles(&model.header)[..] else {
@@ -271,7 +284,7 @@ impl<'a> SomeFaces<'a> {
         let part = FaceElement::new(&model.header.elements[element], encoding, None);
         let mut cursor = Cursor::new(encoding, Window::new(&model.source, BLOCK));
         cursor.window.limit = Some(0);
-        Ok(Self { part, cursor, ranges: ranges.into_iter() })
+        Ok(Self { part, cursor, ranges: ranges.into_iter(), with_marks: false })
     }
 }
 
@@ -285,10 +298,16 @@ impl FaceReader for SomeFaces<'_> {
             let more = cursor.advance(&self.part, chunk)?;
             chunk.bytes += cursor.window.position() - before;
             if !more {
-                let Some(range) = self.ranges.next() else { return Ok(chunk.bytes > 0) };
+                if std::mem::replace(&mut cursor.next_mark, NO_MARK) != NO_MARK {
+                    chunk.marks.push(cursor.mark(chunk.triangles.len()));
+                }
+                let Some(range) = self.ranges.next() else {
+                    return Ok(chunk.bytes > 0 || !chunk.marks.is_empty());
+                };
                 cursor.window.seek(range.start);
                 cursor.window.limit = Some(range.end.min(cursor.window.source.len()));
                 cursor.record = 0;
+                cursor.next_mark = if self.with_marks { 0 } else { NO_MARK };
             }
         }
         Ok(true)

@@ -251,6 +251,14 @@ impl Model for PlyModel {
         faces::triangle_at(self, face)
     }
 
+    fn has_face_marks(&self) -> bool {
+        faces::are_marked(self)
+    }
+
+    fn faces_from(&self, mark: u64) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(SomeFaces::from(self, mark)?))
+    }
+
     fn check_complete(&self, progress: &dyn Progress) -> Result<()> {
         if self.header.encoding == Encoding::Ascii {
             progress.begin("checking the text", self.source.len());

@@ -180,6 +180,14 @@ impl Model for BinaryStl {
         (face <= self.facets).then(|| Facets::start(face))
     }
 
+    fn has_face_marks(&self) -> bool {
+        true
+    }
+
+    fn faces_from(&self, mark: u64) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(Facets::from(self.facets, mark)))
+    }
+
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
         self.source.check_unchanged()
     }

@@ -43,6 +43,12 @@ impl Facets {
         Self { ranges: Vec::new().into_iter(), range: 0..facets, with_marks: true }
     }
 
+    /// The facets from a mark on.
+    pub(super) fn from(facets: u64, mark: u64) -> Self {
+        let first = (mark.saturating_sub(START) / FACET).min(facets);
+        Self { range: first..facets, ..Self::new(facets) }
+    }
+
     /// The facets between some marks.
     pub(super) fn between(facets: u64, ranges: Vec<Range<u64>>) -> Self {
         let facet = |offset: u64| (offset.saturating_sub(START) / FACET).min(facets);

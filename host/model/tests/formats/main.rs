@@ -21,7 +21,7 @@ use proptest::prelude::ProptestConfig;
 use simod_model::progress::Silent;
 use simod_model::{
     Edit, Edited, FaceChunk, Model, Normals, Output, Result, Rewriting, Summary, VertexChunk, for_faces,
-    for_faces_at,
+    for_faces_at, for_faces_from,
 };
 
 /// Opens a file of these bytes, whose name ends so.
@@ -95,6 +95,27 @@ pub fn check_marks(model: &dyn Model) {
         })
         .unwrap();
         assert_eq!(some, all[first.0..last.0]);
+    }
+    check_reading_on(model, &all, &marks);
+}
+
+/// Reads the faces from marks on, if they can be read so: the same, with the same marks.
+pub fn check_reading_on(model: &dyn Model, all: &[[u32; 3]], marks: &[(usize, u64)]) {
+    let every = marks.len().div_ceil(50).max(1);
+    let inner = marks.iter().enumerate().take(marks.len().saturating_sub(1));
+    for (number, (before, from)) in inner.step_by(every).filter(|_| model.has_face_marks()) {
+        let (mut some, mut again) = (Vec::new(), Vec::new());
+        for_faces_from(model, *from, u64::MAX, |chunk| {
+            again.extend(chunk.marks.iter().map(|m| (before + some.len() + m.triangle, m.offset)));
+            some.extend_from_slice(&chunk.triangles);
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!(some, all[*before..]);
+        again.dedup();
+        let mut expected = marks[number..].to_vec();
+        expected.dedup();
+        assert_eq!(again, expected);
     }
 }
 

@@ -17,6 +17,9 @@ pub(super) const FORMAT: &str = "simod-plan/1";
 /// The counts of all vertices.
 pub(super) const COUNTS: &str = "counts.bin";
 
+/// Where runs of faces begin, where that has to be found.
+pub(super) const FACE_RUNS: &str = "face-runs.bin";
+
 /// The cut through all trees, where faces have a say in what becomes of it.
 pub(super) const CUT: &str = "cut.bin";
 

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use simod_core::reconstruction::Method;
 use simod_core::sampling::divided::{exchanged_at_most, ranges_of, reads_faces, undivided};
 use simod_core::sampling::divided_faces::{face_ranges_of, faces_exchanged_at_most};
+use simod_core::sampling::face_runs::have_to_be_found;
 use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
 use simod_model::output_folder::OutputFolder;
@@ -16,7 +17,7 @@ use simod_model::{Cache, Division, Error, ErrorKind, Model, ModelName, Normals, 
 use super::emit::Emit;
 use super::folder::{absolute, check_target, put, text};
 use super::graph::{
-    COUNTS, CUT, DEFORMED, Exchange, FORMAT, METHODS, NORMALS, Plan, Recorded, SAMPLED, name_of,
+    COUNTS, CUT, DEFORMED, Exchange, FACE_RUNS, FORMAT, METHODS, NORMALS, Plan, Recorded, SAMPLED, name_of,
 };
 use super::units::{FINISHED, Stage, Unit, hash_of};
 use crate::pipeline::{converted, needed, open, sampling_of};
@@ -197,6 +198,9 @@ fn units(
     }
     let (count, sampled) = (clustering(model, sampling, options)?, Path::new(SAMPLED).join("simod.toml"));
     let sample = if count > 0 {
+        if reads_faces(model, sampling)? && have_to_be_found(model) {
+            before.push(add(Stage::FaceRuns, Vec::new(), Of::All, FACE_RUNS.into()));
+        }
         let merged = vec![add(Stage::Merge, before, Of::All, COUNTS.into())];
         let mut clustered = parts(&mut add, (Stage::Cluster, "cluster"), &merged, count);
         clustered.extend(parts(&mut add, (Stage::ClusterShared, "group"), &clustered, count));

@@ -13,7 +13,7 @@ use simod_core::sampling::divided::{
     Division, cluster, cluster_shared, merge_counts, sample_clustered, shared,
 };
 use simod_core::sampling::divided_faces::{self, FaceFiles};
-use simod_core::sampling::{Sampling, count, sample_counted};
+use simod_core::sampling::{Sampling, count, face_runs, sample_counted};
 use simod_model::object::{self, is_object};
 use simod_model::resumable_output::Place;
 use simod_model::{
@@ -22,7 +22,8 @@ use simod_model::{
 };
 
 use super::graph::{
-    COUNTS, CUT, DEFORMED, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES, UPLOAD,
+    COUNTS, CUT, DEFORMED, FACE_RUNS, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES,
+    UPLOAD,
 };
 use super::make::skipped;
 use super::units::{FINISHED, Stage, Unit, check_before, hash_of, unit_of};
@@ -73,6 +74,7 @@ pub fn do_unit(
     check_before(plan.units(), unit, folder)?;
     match unit.stage {
         Stage::Count => work.count(),
+        Stage::FaceRuns => work.face_runs(),
         Stage::Merge => work.merge(plugins),
         Stage::Cluster | Stage::ClusterShared => work.cluster(plugins),
         Stage::Cut if plan.divides_faces() => work.cut(plugins),
@@ -113,6 +115,14 @@ impl UnitRun<'_> {
         let stack = Stack::build(&session.steps, plugins)?;
         let sampling = sampling_of(&session, skipped(&session, &stack, self.plan.options.whole_samples));
         Ok((session, sampling))
+    }
+
+    /// Where runs of faces begin.
+    fn face_runs(&self) -> Result<Done> {
+        let session = self.session()?;
+        let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
+        let did = face_runs::find(&*model, &self.at_own(), self.progress)?;
+        Ok(Done { was_done: !did, ..Done::default() })
     }
 
     fn merge(&self, plugins: &PluginRegistry) -> Result<Done> {
@@ -175,6 +185,7 @@ impl UnitRun<'_> {
         let ranges = 0..self.plan.files_of(self.folder, Stage::Cluster).len();
         let of = |name: &str| ranges.clone().map(|range| self.path(&format!("{name}-{range}.bin"))).collect();
         OfFaces {
+            runs: self.path(FACE_RUNS),
             cut: self.path(CUT),
             leaves: of("leaves"),
             leaves_of_groups: of("group-leaves"),
@@ -459,6 +470,7 @@ impl UnitRun<'_> {
 
 /// The files by which units know the faces.
 struct OfFaces {
+    runs: PathBuf,
     cut: PathBuf,
     leaves: Vec<PathBuf>,
     leaves_of_groups: Vec<PathBuf>,
@@ -468,8 +480,8 @@ struct OfFaces {
 
 impl OfFaces {
     fn borrowed(&self) -> FaceFiles<'_> {
-        let Self { cut, leaves, leaves_of_groups, members, faces } = self;
-        FaceFiles { cut, leaves, leaves_of_groups, members, faces }
+        let Self { runs, cut, leaves, leaves_of_groups, members, faces } = self;
+        FaceFiles { runs, cut, leaves, leaves_of_groups, members, faces }
     }
 }
 

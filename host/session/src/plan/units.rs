@@ -59,6 +59,8 @@ impl Unit {
 pub enum Stage {
     /// Vertices of a range are counted per cell.
     Count,
+    /// Where faces have a say, and are not all triangles: it is found where in the file each run of them begins.
+    FaceRuns,
     /// The counts are added up, where clustering is divided.
     Merge,
     /// The cells that lie wholly within a range are clustered, and what the range has of others is written down.
@@ -94,6 +96,7 @@ impl Stage {
     pub fn name(self) -> &'static str {
         match self {
             Self::Count => "count",
+            Self::FaceRuns => "face-runs",
             Self::Merge => "merge",
             Self::Cluster => "cluster",
             Self::ClusterShared => "cluster-shared",
