@@ -22,7 +22,7 @@ use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
 use super::transfer::{Hashing, Surveys, Transfer, locked};
-use super::{DeformationField, ExpectedError, Method, RestGeometry};
+use super::{DeformationField, ExpectedError, FoundGeometry, Method, RestGeometry};
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
 
@@ -69,6 +69,8 @@ pub struct Reconstruction<'a> {
     /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it
     /// fits.
     pub binding: Option<&'a Path>,
+    /// What was found of the samples at rest before, where there is no binding.
+    pub found: Option<&'a FoundGeometry>,
     /// The [gradient](super::known_gradients) of the one version's map at each sample, where it is known: by it
     /// turns what [follows](Model::following).
     pub gradients: Option<&'a [Mat3]>,
@@ -82,6 +84,7 @@ impl Default for Reconstruction<'_> {
             resume: false,
             part_bytes: PART_BYTES,
             binding: None,
+            found: None,
             gradients: None,
         }
     }
@@ -388,7 +391,9 @@ impl<'a> ReconstructionCall<'a> {
                 Err(why) => self.progress.note(&format!("{} is not used: {why}", path.display())),
             }
         }
-        Ok((None, RestGeometry::new(&self.sampled.samples)))
+        let samples = &self.sampled.samples;
+        let found = self.how.found.and_then(|found| RestGeometry::from_found(samples, found));
+        Ok((None, found.unwrap_or_else(|| RestGeometry::new(samples))))
     }
 
     /// Number of files, and of pieces of the next one, that every version of the pass has, and that a part ends with
