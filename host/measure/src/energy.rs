@@ -197,13 +197,12 @@ fn quickly(m: &DMat3, matrix: &[[f64; 4]; 4]) -> Option<[f64; 4]> {
         slope = 4.0 * greatest * (square - squares) + linear;
         let step = value / slope;
         greatest -= step;
-        // Also where they are no numbers.
-        if !(step.abs() > 1e-15 * greatest) {
+        if step.is_nan() || step.abs() <= 1e-15 * greatest {
             break;
         }
     }
     // What the other eigenvalues lack, multiplied, which rows of the adjugate are long by.
-    if !(slope > APART * size * squares) {
+    if slope.is_nan() || slope <= APART * size * squares {
         return None;
     }
     let mut shifted = *matrix;
