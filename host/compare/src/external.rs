@@ -87,6 +87,7 @@ pub(crate) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress)
         let said = if errors.trim().is_empty() { output } else { errors };
         let lines: Vec<&str> = said.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
         let last = lines[lines.len().saturating_sub(TOLD)..].join("; ");
+        let last = if last.is_empty() { "and said nothing".to_owned() } else { last };
         let what = format!("{program} ended with {status}: {last}");
         return Err(Error::new(
             ErrorKind::Argument,

@@ -3,6 +3,7 @@
 use crate::method::Deformed;
 use crate::record::{OnSamples, Pair};
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 use simod_core::sampled_model::SampledModel;
 use simod_measure::{
     Also, Details, Difference, Distances, Edges, Energies, Open, Rotation, Surface, area_distortion,
@@ -131,7 +132,7 @@ impl<'a> AtRest<'a> {
                 energies,
             })
         };
-        shapes.iter().zip(details).map(each).collect()
+        shapes.par_iter().zip(details).map(each).collect()
     }
 }
 

@@ -6,7 +6,7 @@ use crate::file::{Command, CompareFile, Method, Work};
 use crate::record::{Figures, MethodRecord, ResultFile, RunSeconds, Seconds, StepRecord, words};
 use glam::Vec3;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
-use simod_core::reconstruction::{ExpectedError, Reconstruction, Version, reconstruct};
+use simod_core::reconstruction::{ExpectedError, FoundGeometry, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::Skip;
 use simod_model::memory::MemoryWatch;
@@ -20,7 +20,7 @@ use simod_session::session_file::{Action, Deformation, Role, Sampling, SessionFi
 use simod_session::stack::{PreparedStack, Stack};
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 use xxhash_rust::xxh3::Xxh3Default;
 
@@ -40,6 +40,23 @@ struct Taken {
     of: Sampling,
     sampled: Arc<SampledModel>,
     seconds: f64,
+    /// What the first method to be transferred found of the samples at rest.
+    found: OnceLock<Found>,
+}
+
+/// What reconstructions have to know of samples at rest, and what that took.
+struct Found {
+    geometry: FoundGeometry,
+    seconds: f64,
+    processor: Option<f64>,
+}
+
+impl Found {
+    fn new(sampled: &SampledModel) -> Self {
+        let (start, processor) = (Instant::now(), processor::seconds());
+        let geometry = FoundGeometry::new(&sampled.samples);
+        Self { geometry, seconds: start.elapsed().as_secs_f64(), processor: since(processor) }
+    }
 }
 
 /// What is kept of a method that was done, to be compared.
@@ -108,7 +125,7 @@ impl<'a> Bench<'a> {
 
     /// Takes a sampling that was done before, and how many seconds it took.
     pub fn take(&mut self, of: Sampling, sampled: Arc<SampledModel>, seconds: f64) {
-        self.samplings.push(Taken { of, sampled, seconds });
+        self.samplings.push(Taken { of, sampled, seconds, found: OnceLock::new() });
     }
 
     /// Does a method, as often as the file says. `record` gets what is known as soon as it is.
@@ -237,9 +254,10 @@ impl<'a> Bench<'a> {
         let (start, processor) = (Instant::now(), processor::seconds());
         let moved = self.moved(known, progress)?;
         let Moved { sampled, positions, messages, stack, prepare, peak_memory_bytes } = moved;
-        let deform = start.elapsed().as_secs_f64();
+        let (deform, used) = (start.elapsed().as_secs_f64(), since(processor));
 
-        let start = Instant::now();
+        let found = self.found(&sampled, progress);
+        let (start, processor) = (Instant::now(), processor::seconds());
         let source = sampled.open_source(Some(&self.file.model), progress)?;
         let output = self.folder.join(file_name(known.name, source.as_ref()));
         let version = Version { deformed: &positions, output: &output, diagnostics: None };
@@ -249,14 +267,16 @@ impl<'a> Bench<'a> {
         let gradients = gradients.as_deref();
         let method = known.method.reconstruction;
         // As one part: nobody goes on with what a comparison left, and its hash comes about by the way.
-        let how = Reconstruction { method, gradients, part_bytes: u64::MAX, ..Reconstruction::default() };
+        let part_bytes = u64::MAX;
+        let known = found.map(|found| &found.geometry);
+        let how = Reconstruction { method, gradients, part_bytes, found: known, ..Reconstruction::default() };
         let done = reconstruct(&sampled, source.as_ref(), &[version], &how, progress)?;
         let seconds = RunSeconds {
             deform: Some(deform),
             prepare,
             motion: prepare.map(|prepare| (deform - prepare).max(0.0)),
-            reconstruct: Some(start.elapsed().as_secs_f64()),
-            processor: since(processor),
+            reconstruct: Some(start.elapsed().as_secs_f64() + found.map_or(0.0, |found| found.seconds)),
+            processor: sum([used, found.map_or(Some(0.0), |found| found.processor), since(processor)]),
         };
 
         let exact = stack.filter(|stack| measure && stack.can_evaluate());
@@ -279,6 +299,16 @@ impl<'a> Bench<'a> {
             hash: done.hashes.first().copied().flatten(),
             sampled,
         })
+    }
+
+    /// What reconstructions have to know of the samples of a sampling at rest, which is found once for all methods that
+    /// have it; nothing of samples to which a method appended some.
+    fn found(&self, sampled: &Arc<SampledModel>, progress: &dyn Progress) -> Option<&Found> {
+        let taken = self.samplings.iter().find(|taken| Arc::ptr_eq(&taken.sampled, sampled))?;
+        Some(taken.found.get_or_init(|| {
+            progress.begin("preparing", 0);
+            Found::new(sampled)
+        }))
     }
 
     /// Where a method has the samples go.
@@ -392,7 +422,7 @@ impl<'a> Bench<'a> {
         let skip = Skip { cells: !self.refines, colors: true, ..Skip::default() };
         let sampled = Arc::new(sampled(&session, skip, (self.folder, &self.cache), progress)?.0);
         let seconds = start.elapsed().as_secs_f64();
-        self.samplings.push(Taken { of, sampled: sampled.clone(), seconds });
+        self.samplings.push(Taken { of, sampled: sampled.clone(), seconds, found: OnceLock::new() });
         Ok((sampled, seconds))
     }
 }
@@ -413,6 +443,11 @@ const MEASURED: u64 = 1 << 20;
 /// The processor's time since then.
 fn since(before: Option<f64>) -> Option<f64> {
     Some(processor::seconds()? - before?)
+}
+
+/// Nothing where one of them is not known.
+fn sum(seconds: [Option<f64>; 3]) -> Option<f64> {
+    seconds.into_iter().sum()
 }
 
 /// Bytes of all files together.

@@ -48,6 +48,14 @@ impl<'a> Easel<'a> {
         (vertices > pixels).then_some(3 * pixels)
     }
 
+    /// How many models are drawn at a time: two, so that what one thread does of one is beside the other, where pictures are
+    /// small enough to be held twice.
+    fn at_a_time(&self) -> usize {
+        const SMALL: u64 = 1 << 20;
+        let [w, h] = self.file.camera.size;
+        if u64::from(w) * u64::from(h) <= SMALL { 2 } else { 1 }
+    }
+
     /// How many of the vertices' first attributes their colours are made of.
     pub fn attributes(&self) -> usize {
         self.paint.count()
@@ -93,10 +101,10 @@ impl<'a> Easel<'a> {
         let views: Vec<View> = crops.into_iter().map(|crop| self.view(bounds, crop)).collect();
         let scale = end * comparison.model.diagonal;
         let brush = Brush { easel: self, models, chosen, bounds, views: &views, scale, progress };
-        let mut pictures = Vec::new();
         let names = std::iter::once(REST).chain(files.iter().map(|(_, file)| file.as_str()));
-        for (version, file) in names.enumerate() {
-            let Drawings { by_region, by_distance } = brush.draw(version)?;
+        let names: Vec<(usize, &str)> = names.enumerate().collect();
+        let of_version = |(version, file): &(usize, &str)| -> Result<Vec<(String, Vec<u8>)>> {
+            let Drawings { by_region, by_distance } = brush.draw(*version)?;
             let plain =
                 ends.iter().zip(by_region).map(|(end, image)| (format!("{file}{end}.png"), image, false));
             let with_scale = ends.iter().zip(by_distance);
@@ -107,7 +115,12 @@ impl<'a> Easel<'a> {
                 let image = if has_scale { image.with_scale(color, labels) } else { image };
                 Ok((name, image.to_png()?))
             });
-            pictures.extend(encoded.collect::<Result<Vec<_>>>()?);
+            encoded.collect()
+        };
+        let mut pictures = Vec::new();
+        for some in names.chunks(self.at_a_time()) {
+            let drawn: Vec<_> = some.par_iter().map(of_version).collect::<Result<_>>()?;
+            pictures.extend(drawn.into_iter().flatten());
         }
         comparison.files.extend(pictures.iter().map(|(name, _)| name.clone()));
         Ok(pictures)

@@ -144,6 +144,9 @@ pub(crate) fn latex(c: &Comparison) -> String {
         c.simod,
         comment(&c.machine.in_words())
     );
+    for (method, failure) in c.failed() {
+        let _ = writeln!(text, "% {} could not be done: {}", comment(&method.name), comment(&failure.what));
+    }
     let _ = writeln!(text, "% \\usepackage{{booktabs}}");
     let _ = writeln!(text, "\\begin{{tabular}}{{l{}}}\n\\toprule", "r".repeat(columns.len()));
     let head: Vec<&str> = ["Method"].into_iter().chain(columns.iter().map(|(name, _)| *name)).collect();

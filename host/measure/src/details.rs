@@ -24,6 +24,8 @@ pub struct Details<'a> {
     /// Of the steps that smooth once, and of twice as many.
     walks: [Walk; 2],
     smooth: Vec<DVec3>,
+    /// Of the smooth surface.
+    normals: Vec<DVec3>,
     details: Vec<DVec3>,
 }
 
@@ -71,11 +73,13 @@ impl<'a> Details<'a> {
         let variance = 0.25 * squares / edges.len().max(1) as f64;
         let steps = if variance > 0.0 { (radius * radius / variance).ceil().min(1e5) as u32 } else { 0 };
         let neighbours = edges.into_iter().map(|edge| pair(edge)[1]).collect();
-        let (walks, smooth) = ([steps, 2 * steps].map(Walk::new), Vec::new());
-        let mut details = Self { rest, triangles, first, neighbours, walks, smooth, details: Vec::new() };
-        let [split] = details.split([rest]);
-        (details.smooth, details.details) = split;
-        details
+        let walks = [steps, 2 * steps].map(Walk::new);
+        let (smooth, normals, details) = (Vec::new(), Vec::new(), Vec::new());
+        let mut own = Self { rest, triangles, first, neighbours, walks, smooth, normals, details };
+        let [split] = own.split([rest]);
+        (own.smooth, own.details) = split;
+        own.normals = own.vertex_normals(&own.smooth);
+        own
     }
 
     /// Compares with the same vertices elsewhere.
@@ -96,7 +100,8 @@ impl<'a> Details<'a> {
     pub fn rotations(&self, deformed: &[&[DVec3]]) -> Vec<Rotation> {
         let mut all = Vec::with_capacity(deformed.len());
         let mut add = |some: &[&[DVec3]], splits: &[Split]| {
-            all.extend(some.iter().zip(splits).map(|(deformed, split)| self.compare(deformed, split)));
+            let each = some.par_iter().zip(splits).map(|(deformed, split)| self.compare(deformed, split));
+            all.extend(each.collect::<Vec<_>>());
         };
         for some in deformed.chunks(4) {
             match *some {
@@ -110,10 +115,10 @@ impl<'a> Details<'a> {
     }
 
     fn compare(&self, deformed: &[DVec3], (smooth, details): &Split) -> Rotation {
-        let (rest_normals, normals) = (self.normals(&self.smooth), self.normals(smooth));
+        let normals = self.vertex_normals(smooth);
         let turns: Vec<Option<DMat3>> = (0..self.rest.len())
             .into_par_iter()
-            .map(|i| self.turn(i, smooth, rest_normals[i], normals[i]))
+            .map(|i| self.turn(i, smooth, self.normals[i], normals[i]))
             .collect();
         let (mut sum, mut weights) = (0.0, 0.0);
         for (i, turn) in turns.iter().enumerate() {
@@ -199,7 +204,7 @@ impl<'a> Details<'a> {
 
     /// Unit normals of vertices: of the sum of their triangles'. Zero where there is none, or nothing is left of the sum but
     /// rounding, as where triangles lie on each other, back to back.
-    fn normals(&self, positions: &[DVec3]) -> Vec<DVec3> {
+    fn vertex_normals(&self, positions: &[DVec3]) -> Vec<DVec3> {
         const ROUNDING: f64 = 1e-9;
         let mut sums = vec![(DVec3::ZERO, 0.0); positions.len()];
         for triangle in self.triangles {
@@ -398,9 +403,14 @@ mod tests {
         let both = |i: u32| [[i, i + 1, i + 2], [i + 1, i, i + 2]];
         let flaps: Vec<[u32; 3]> = (0..600).step_by(3).flat_map(both).collect();
         let details = Details::new(&rest, &flaps, 0.1);
-        assert!(details.normals(&rest).iter().all(|normal| *normal == DVec3::ZERO));
+        assert!(details.vertex_normals(&rest).iter().all(|normal| *normal == DVec3::ZERO));
         let single: Vec<[u32; 3]> = flaps.iter().step_by(2).copied().collect();
-        assert!(Details::new(&rest, &single, 0.1).normals(&rest).iter().all(|normal| normal.is_normalized()));
+        assert!(
+            Details::new(&rest, &single, 0.1)
+                .vertex_normals(&rest)
+                .iter()
+                .all(|normal| normal.is_normalized())
+        );
     }
 
     #[test]

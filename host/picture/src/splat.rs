@@ -360,9 +360,15 @@ impl Bands {
 
 /// The samples, of so many, whose middles lie within `reach` of a coordinate.
 fn covered(middle: f32, reach: f32, count: usize) -> Option<[usize; 2]> {
-    let first = (middle - reach - 0.5).ceil().max(0.0);
-    let last = (middle + reach - 0.5).floor().min(count as f32 - 1.0);
-    (first <= last).then_some([first as usize, last as usize + 1])
+    // Rounded by hand, as `ceil` and `floor` call a library for each: up from what is left of the first sample is 0.
+    let (from, to) = (middle - reach - 0.5, middle + reach - 0.5);
+    if !(to >= 0.0 && from <= count as f32 - 1.0) {
+        return None;
+    }
+    let whole = from.max(0.0) as usize;
+    let first = whole + usize::from((whole as f32) < from);
+    let end = (to as usize + 1).min(count);
+    (first < end).then_some([first, end])
 }
 
 #[cfg(test)]

@@ -84,7 +84,7 @@ impl Deformer for ControlPoints {
                 .hint("use a newer one")
         })?;
         let landmarks = landmarks(path, frame)?;
-        are_near(&landmarks, &input.bounds, host)?;
+        are_near((path, &landmarks), &input.bounds, host)?;
         let smoothing = smoothing * input.bounds.diagonal();
         let map = Map::fit(method, &landmarks, smoothing).map_err(|Open { why, instead }| {
             let or = instead.map_or(String::new(), |kind| {
@@ -158,12 +158,13 @@ fn landmarks(path: &Path, frame: &ModelFrame) -> PluginResult<Vec<Landmark>> {
 }
 
 /// Tells of landmarks that lie far from the model; they cannot all.
-fn are_near(landmarks: &[Landmark], bounds: &Bounds, host: &Host<'_>) -> PluginResult<()> {
+fn are_near((path, landmarks): (&Path, &[Landmark]), bounds: &Bounds, host: &Host<'_>) -> PluginResult<()> {
     let [low, high] = [bounds.min, bounds.max].map(DVec3::from);
     let beside = |l: &&Landmark| l.source.distance(l.source.clamp(low, high)) > FAR * bounds.diagonal();
     let far: Vec<&str> = landmarks.iter().filter(beside).map(|l| l.name.as_str()).collect();
     if far.len() == landmarks.len() {
-        return Err(PluginError::input("all landmarks lie far from the model")
+        let what = format!("{}: all landmarks lie far from the model", path.display());
+        return Err(PluginError::input(what)
             .hint("their coordinates have to be the model's: same origin, unit and order of axes"));
     }
     if !far.is_empty() {

@@ -217,7 +217,10 @@ fn open(extent: Extent, count: usize) -> Why {
         1 => "turns about it, and what happens across it, cannot be determined",
         _ => "neither turns nor scales can be determined",
     };
-    let what = format!("the {count} landmarks lie {}: {what}", extent.in_words());
+    let what = match count {
+        1 => format!("there is one landmark: {what}"),
+        _ => format!("the {count} landmarks lie {}: {what}", extent.in_words()),
+    };
     Why { what, remedy: "take more landmarks elsewhere" }
 }
 
@@ -232,7 +235,10 @@ fn distinct(used: &[&Landmark]) -> Result<(), Why> {
         let same = beside.clone().find(|other| other.source.distance(one.source) <= near);
         if let Some(other) = same {
             let [a, b] = if one.line <= other.line { [one, other] } else { [other, one] };
-            let what = format!("landmarks `{}` and `{}` coincide, and cannot both be met", a.name, b.name);
+            let what = format!(
+                "landmarks `{}` and `{}` coincide, in lines {} and {}, and cannot both be met",
+                a.name, b.name, a.line, b.line
+            );
             return Err(Why { what, remedy: "leave one of them out" });
         }
     }

@@ -37,6 +37,14 @@ enum Joints {
     },
 }
 
+/// What to do about a motion that mirrors or flattens.
+pub const CANNOT: &str = "dual quaternions cannot do that: set `method` to \"linear\", or scale it less";
+
+/// Whether dual quaternions cannot do a motion.
+pub fn mirrors(motion: &DAffine3) -> bool {
+    rotation(motion.matrix3).is_none()
+}
+
 /// A joint's motion for dual quaternions.
 struct Dual {
     /// The rigid part.
@@ -61,8 +69,7 @@ impl Blend {
         for (motion, joint) in motions.iter().zip(&skeleton.joints) {
             let Some(rotation) = rotation(motion.matrix3) else {
                 let message = format!("the motion of the joint `{}` mirrors or flattens", joint.id);
-                return Err(PluginError::input(message)
-                    .hint("dual quaternions cannot do that: set `method` to \"linear\", or scale it less"));
+                return Err(PluginError::input(message).hint(CANNOT));
             };
             let stretch = rotation.transpose() * motion.matrix3 - DMat3::IDENTITY;
             let is_rigid = stretch.to_cols_array().iter().all(|x| x.abs() <= RIGID);

@@ -9,6 +9,9 @@ const MOST: usize = 1 << 26;
 /// Most bytes of a file: 32 for each number, as text.
 const MOST_BYTES: u64 = 32 * MOST as u64;
 
+/// What is wrong, and in which line, where it is in one.
+pub type Wrong = (Option<usize>, String);
+
 /// A matrix of finite numbers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Matrix {
@@ -28,50 +31,73 @@ impl Matrix {
     ///
     /// # Errors
     /// They say what is wrong.
-    pub fn read(path: &Path) -> Result<Self, String> {
-        let unreadable = |e: std::io::Error| format!("cannot be read: {e}");
+    pub fn read(path: &Path) -> Result<Self, Wrong> {
+        let unreadable = |e: std::io::Error| (None, format!("cannot be read: {e}"));
         if std::fs::metadata(path).map_err(unreadable)?.len() > MOST_BYTES {
-            return Err("is too large".to_owned());
+            return Err((None, "is too large".to_owned()));
         }
         Self::parse(&std::fs::read(path).map_err(unreadable)?)
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self, String> {
-        let (columns, rows, rest) = size(bytes)?;
+    /// The line in which a number of it stands, if its file is text; it is read again.
+    pub fn line(&self, path: &Path, row: usize, column: usize) -> Option<usize> {
+        let text = std::fs::read_to_string(path).ok()?;
+        let (_, rest) = text.split_once('\n')?;
+        // Of a binary one, the first bytes may be text as well.
+        let is_text = rest.split_whitespace().count() == self.rows * self.columns;
+        is_text.then(|| line_of(rest, column * self.rows + row)).flatten()
+    }
+
+    fn parse(bytes: &[u8]) -> Result<Self, Wrong> {
+        let begun = |what: String| (Some(1), what);
+        let (columns, rows, rest) = size(bytes).map_err(begun)?;
         let is_binary = columns == 0 && rows == 0 && !rest.is_empty();
-        let (columns, rows, rest) = if is_binary { size(rest)? } else { (columns, rows, rest) };
+        let (columns, rows, rest) =
+            if is_binary { size(rest).map_err(|what| (Some(2), what))? } else { (columns, rows, rest) };
         let count = columns.checked_mul(rows).filter(|n| *n <= MOST);
-        let count = count.ok_or_else(|| format!("has {rows} rows of {columns}, which is too many"))?;
-        let wrong = |there: usize| Err(format!("has {there} numbers instead of {count}"));
-        let numbers: Vec<f64> = if is_binary {
-            let (numbers, left) = rest.as_chunks::<8>();
-            if numbers.len() != count || !left.is_empty() {
-                return wrong(numbers.len() + usize::from(!left.is_empty()));
+        let count = count.ok_or_else(|| begun(format!("has {rows} rows of {columns}, which is too many")))?;
+        let wrong = |there: usize| Err((None, format!("has {there} numbers instead of {count}")));
+        let (mut text, mut numbers) = (None, Vec::new());
+        if is_binary {
+            let (there, left) = rest.as_chunks::<8>();
+            if there.len() != count || !left.is_empty() {
+                return wrong(there.len() + usize::from(!left.is_empty()));
             }
-            numbers.iter().map(|b| f64::from_le_bytes(*b)).collect()
+            numbers.extend(there.iter().map(|b| f64::from_le_bytes(*b)));
         } else {
-            let text = std::str::from_utf8(rest).map_err(|_| "is no text".to_owned())?;
-            let number = |word: &str| {
-                word.parse::<f64>().map_err(|_| format!("has `{}`, which is no number", short(word)))
-            };
-            let numbers: Vec<f64> =
-                text.split_whitespace().take(count).map(number).collect::<Result<_, _>>()?;
-            match text.split_whitespace().count() {
-                there if there != count => return wrong(there),
-                _ => numbers,
+            let words = std::str::from_utf8(rest).map_err(|_| (None, "is no text".to_owned()))?;
+            text = Some(words);
+            for (i, word) in words.split_whitespace().take(count).enumerate() {
+                let no_number = |_| (line_of(words, i), format!("has `{}`, which is no number", short(word)));
+                numbers.push(word.parse::<f64>().map_err(no_number)?);
             }
-        };
+            match words.split_whitespace().count() {
+                there if there != count => return wrong(there),
+                _ => {}
+            }
+        }
         match numbers.iter().position(|x| !x.is_finite()) {
             Some(i) => {
                 let (row, column) = (i % rows + 1, i / rows + 1);
-                Err(format!(
+                let what = format!(
                     "has `{}` in row {row}, column {column}, and that is no finite number",
                     numbers[i]
-                ))
+                );
+                Err((text.and_then(|text| line_of(text, i)), what))
             }
             None => Ok(Self { rows, columns, numbers }),
         }
     }
+}
+
+/// The line of the word of a number, from 0 on, behind a first line.
+fn line_of(text: &str, word: usize) -> Option<usize> {
+    let mut before = 0;
+    let has_it = |(_, line): &(usize, &str)| {
+        before += line.split_whitespace().count();
+        before > word
+    };
+    (2..).zip(text.lines()).find(has_it).map(|(line, _)| line)
 }
 
 /// The columns and rows in a first line, and what is behind it.
@@ -106,20 +132,23 @@ mod tests {
 
     #[test]
     fn what_is_no_matrix_is_refused() {
-        let told = |bytes: &[u8], what: &str| {
-            let error = Matrix::parse(bytes).unwrap_err();
-            assert!(error.contains(what), "{error}");
+        let told = |bytes: &[u8], line: Option<usize>, what: &str| {
+            let (at, error) = Matrix::parse(bytes).unwrap_err();
+            assert!(at == line && error.contains(what), "{at:?}: {error}");
         };
-        told(b"", "columns and rows");
-        told(b"2 3 4\n", "columns and rows");
-        told(b"2 2\n1 2 3\n", "3 numbers instead of 4");
-        told(b"1 2\n1 x\n", "`x`");
-        told(b"1 2\n1 nan\n", "row 2, column 1");
-        told(b"2 2\n1 2 3 4 5\n", "5 numbers instead of 4");
-        told(b"0 0\n2 2\n12345678", "1 numbers instead of 4");
-        told(b"0 0\n1 1\n1234567812345678", "2 numbers instead of 1");
-        told(b"0 0\n1 1\n123456781", "2 numbers instead of 1");
-        told(b"4000000000 4000000000\n", "too many");
+        told(b"", Some(1), "columns and rows");
+        told(b"2 3 4\n", Some(1), "columns and rows");
+        told(b"2 2\n1 2 3\n", None, "3 numbers instead of 4");
+        told(b"1 2\n1 x\n", Some(2), "`x`");
+        told(b"1 3\n1\n\n2\nx\n", Some(5), "`x`");
+        told(b"1 2\n1 nan\n", Some(2), "row 2, column 1");
+        told(b"2 2\n1\n2\n3\ninf\n", Some(5), "row 2, column 2");
+        told(b"2 2\n1 2 3 4 5\n", None, "5 numbers instead of 4");
+        told(b"0 0\n2 2\n12345678", None, "1 numbers instead of 4");
+        told(b"0 0\n1 1\n1234567812345678", None, "2 numbers instead of 1");
+        told(b"0 0\n1 1\n123456781", None, "2 numbers instead of 1");
+        told(b"0 0\nx\n123456781", Some(2), "columns and rows");
+        told(b"4000000000 4000000000\n", Some(1), "too many");
     }
 
     proptest! {

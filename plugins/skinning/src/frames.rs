@@ -1,21 +1,31 @@
 //! Poses of bones from a file: a transform of each bone for each frame.
 
-use crate::dmat::Matrix;
+use crate::blend::CANNOT;
+use crate::dmat::{Matrix, Wrong};
 use glam::{DAffine3, DMat3, DVec3};
 use simod_plugin_api::{ModelFrame, PluginError, PluginResult};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Most bytes of a file.
 const MOST_BYTES: u64 = 1 << 30;
 /// Numbers of a transform: the rows of a 3 × 4 matrix.
 const NUMBERS: usize = 12;
 
+/// Numbers beyond it, in local coordinates, are no motion of a model.
+const MOST: f64 = 1e15;
+
 /// How each bone moves in each frame, in local coordinates.
 pub struct Frames {
+    path: PathBuf,
     bones: usize,
     /// Frame after frame.
     motions: Vec<DAffine3>,
+    /// Where each of them stands; empty of a DMAT.
+    lines: Vec<u32>,
 }
+
+/// Transforms, and the line of each, if it has one.
+type Rows = (Vec<[f64; NUMBERS]>, Vec<u32>);
 
 impl Frames {
     /// The poses in a file. Text has a line of 12 numbers for each bone of the first frame, then of the second,
@@ -28,25 +38,46 @@ impl Frames {
     pub fn read(path: &Path, bones: usize, frame: ModelFrame) -> PluginResult<Self> {
         let is_matrix = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("dmat"));
         let rows = if is_matrix { Matrix::read(path).and_then(|m| of_matrix(&m)) } else { of_text(path) };
-        let motions = rows.and_then(|rows| match (rows.len(), bones) {
-            (0, _) => Err("has no transforms".to_owned()),
-            (n, bones) if !n.is_multiple_of(bones) => Err(format!(
-                "has {n} transforms, and the skeleton has {bones} bones, of which each frame needs one"
-            )),
-            _ => Ok(rows.iter().map(|row| local(row, &frame)).collect()),
+        let rows = rows.and_then(|rows| match (rows.0.len(), bones) {
+            (0, _) => Err((None, "has no transforms".to_owned())),
+            (n, bones) if !n.is_multiple_of(bones) => {
+                let what = format!(
+                    "has {n} transforms, and the skeleton has {bones} bones, of which each frame needs one"
+                );
+                Err((None, what))
+            }
+            _ => Ok(rows),
         });
-        let motions: Vec<DAffine3> = motions.map_err(|what| {
-            PluginError::parameter("pose", &format!("{what}: {}", path.display()))
+        let (rows, lines) = rows.map_err(|(line, what)| {
+            let line = line.map_or(String::new(), |line| format!(", line {line}"));
+            PluginError::parameter("pose", &format!("{what}: {}{line}", path.display()))
                 .hint("give a line of 12 numbers for each bone and frame, the rows of a 3 × 4 matrix")
         })?;
-        match motions.iter().position(|m| !m.is_finite()) {
-            None => Ok(Self { bones, motions }),
-            Some(i) => Err(PluginError::parameter(
-                "pose",
-                &format!("has numbers that are too large, in transform {}", i + 1),
-            )
-            .hint("give transforms in the model's coordinates")),
+        let motions = rows.iter().map(|row| local(row, &frame)).collect();
+        let frames = Self { path: path.to_owned(), bones, motions, lines };
+        // Also where they are no numbers.
+        let is_small = |m: &DAffine3| m.to_cols_array().iter().all(|x| x.abs() <= MOST);
+        match frames.motions.iter().position(|m| !is_small(m)) {
+            None => Ok(frames),
+            Some(i) => Err(frames
+                .wrong(i, "has numbers that are too large")
+                .hint("give transforms in the model's coordinates")),
         }
+    }
+
+    /// An error about a transform.
+    fn wrong(&self, transform: usize, what: &str) -> PluginError {
+        let place = match self.lines.get(transform) {
+            Some(line) => format!("line {line}"),
+            None => format!("transform {}", transform + 1),
+        };
+        PluginError::parameter("pose", &format!("{what}: {}, {place}", self.path.display()))
+    }
+
+    /// That a bone's motion in a frame mirrors or flattens.
+    pub fn mirrors(&self, frame: i64, bone: usize) -> PluginError {
+        let before = usize::try_from(frame).unwrap_or(0) * self.bones;
+        self.wrong(before + bone, "mirrors or flattens").hint(CANNOT)
     }
 
     /// The motions of a frame.
@@ -74,43 +105,46 @@ fn local(row: &[f64; NUMBERS], frame: &ModelFrame) -> DAffine3 {
     DAffine3 { matrix3, translation: moved / frame.scale }
 }
 
-fn of_text(path: &Path) -> Result<Vec<[f64; NUMBERS]>, String> {
-    let unreadable = |e: std::io::Error| format!("cannot be read: {e}");
+fn of_text(path: &Path) -> Result<Rows, Wrong> {
+    let unreadable = |e: std::io::Error| (None, format!("cannot be read: {e}"));
     if std::fs::metadata(path).map_err(unreadable)?.len() > MOST_BYTES {
-        return Err("is too large".to_owned());
+        return Err((None, "is too large".to_owned()));
     }
     parse(&std::fs::read_to_string(path).map_err(unreadable)?)
 }
 
-fn parse(text: &str) -> Result<Vec<[f64; NUMBERS]>, String> {
-    let mut rows = Vec::new();
-    for (number, line) in text.lines().enumerate() {
+fn parse(text: &str) -> Result<Rows, Wrong> {
+    let (mut rows, mut lines) = (Vec::new(), Vec::new());
+    for (number, line) in (1..).zip(text.lines()) {
+        let wrong = |what: String| (Some(number), what);
         let words = || line.split(|c: char| c.is_whitespace() || c == ',').filter(|w| !w.is_empty());
         if words().next().is_none_or(|word| word.starts_with('#')) {
             continue;
         }
         let count = words().count();
         if count != NUMBERS {
-            return Err(format!("has {count} numbers instead of {NUMBERS} in line {}", number + 1));
+            return Err(wrong(format!("has {count} numbers instead of {NUMBERS}")));
         }
         let mut row = [0.0; NUMBERS];
         for (x, word) in row.iter_mut().zip(words()) {
-            *x = word.parse().ok().filter(|x: &f64| x.is_finite()).ok_or_else(|| {
-                format!("has `{word}` in line {}, and that is no finite number", number + 1)
-            })?;
+            let number = word.parse().ok().filter(|x: &f64| x.is_finite());
+            *x = number.ok_or_else(|| wrong(format!("has `{word}`, and that is no finite number")))?;
         }
         rows.push(row);
+        lines.push(number as u32);
     }
-    Ok(rows)
+    Ok((rows, lines))
 }
 
-fn of_matrix(matrix: &Matrix) -> Result<Vec<[f64; NUMBERS]>, String> {
+fn of_matrix(matrix: &Matrix) -> Result<Rows, Wrong> {
     let whole = |row: usize| std::array::from_fn(|k| matrix.at(row, k));
     let stacked = |bone: usize| std::array::from_fn(|k| matrix.at(4 * bone + k % 4, k / 4));
     match (matrix.columns, matrix.rows) {
-        (NUMBERS, rows) => Ok((0..rows).map(whole).collect()),
-        (3, rows) if rows.is_multiple_of(4) => Ok((0..rows / 4).map(stacked).collect()),
-        (columns, rows) => Err(format!("has {rows} rows of {columns}, instead of 12, or of 3 in fours")),
+        (NUMBERS, rows) => Ok(((0..rows).map(whole).collect(), Vec::new())),
+        (3, rows) if rows.is_multiple_of(4) => Ok(((0..rows / 4).map(stacked).collect(), Vec::new())),
+        (columns, rows) => {
+            Err((Some(1), format!("has {rows} rows of {columns}, instead of 12, or of 3 in fours")))
+        }
     }
 }
 
@@ -155,8 +189,13 @@ mod tests {
             assert!(error.message.contains(what) && !error.hint.is_empty(), "{error}");
         };
         told(b"", ".txt", 1, "no transforms");
-        told(b"1 2 3\n", ".txt", 1, "3 numbers instead of 12 in line 1");
-        told(b"#\n1 0 0 0 0 1 0 0 0 0 1 nan\n", ".txt", 1, "`nan` in line 2");
+        told(b"1 2 3\n", ".txt", 1, "3 numbers instead of 12");
+        told(b"1 2 3\n", ".txt", 1, ".txt, line 1");
+        told(b"#\n1 0 0 0 0 1 0 0 0 0 1 nan\n", ".txt", 1, "`nan`");
+        told(b"#\n1 0 0 0 0 1 0 0 0 0 1 nan\n", ".txt", 1, ".txt, line 2");
+        told(b"\n1e40 0 0 0 0 1 0 0 0 0 1 0\n", ".txt", 1, ".txt, line 2");
+        told(b"12 1\n1e40 0 0 0 0 1 0 0 0 0 1 0\n", ".dmat", 1, ".dmat, transform 1");
+        told(b"12 1\n1 0 0 0 0 1 0 0 0 0\n1\nx\n", ".dmat", 1, ".dmat, line 4");
         told(b"1 0 0 0 0 1 0 0 0 0 1 0\n", ".txt", 2, "1 transforms, and the skeleton has 2 bones");
         told(b"5 1\n1 2 3 4 5\n", ".dmat", 1, "1 rows of 5");
         told(b"1e308 0 0 0 0 1 0 0 0 0 1 0\n", ".txt", 1, "too large");

@@ -211,7 +211,11 @@ fn blend(state: &Prepared, input: &DeformInput<'_>) -> PluginResult<Blend> {
         }
         Moved::Frames(frames) => {
             let mut motions = vec![DAffine3::IDENTITY; state.skeleton.joints.len()];
-            for (bone, motion) in frames.of(input.time().frame)?.iter().enumerate() {
+            let frame = input.time().frame;
+            for (bone, motion) in frames.of(frame)?.iter().enumerate() {
+                if matches!(method, Method::DualQuaternion) && blend::mirrors(motion) {
+                    return Err(frames.mirrors(frame, bone));
+                }
                 motions[state.skeleton.mover(bone)] = *motion;
             }
             motions

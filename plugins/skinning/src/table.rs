@@ -1,6 +1,6 @@
 //! Weights from a file: a table of places with what each of them follows.
 
-use crate::dmat::Matrix;
+use crate::dmat::{Matrix, Wrong};
 use crate::influences::{Influences, limited};
 use crate::skeleton::Skeleton;
 use glam::DVec3;
@@ -39,9 +39,6 @@ struct Rows {
     weights: Vec<(f64, u16)>,
 }
 
-/// What is wrong, and in which line.
-type Wrong = (Option<usize>, String);
-
 impl WeightTable {
     /// The table in a file: a line `x y z` and the ids of joints, and then, line by line, a place and a
     /// weight for each of the joints. Numbers are separated by white space or commas; empty lines and those
@@ -63,7 +60,7 @@ impl WeightTable {
                 let places = read_places(places).map_err(|(line, what)| {
                     told("places", places, line, &what).hint("give an OBJ, or a DMAT with three columns")
                 })?;
-                Matrix::read(path).and_then(|m| of_matrix(&m, places, skeleton)).map_err(|what| (None, what))
+                Matrix::read(path).and_then(|m| of_matrix((&m, path), places, skeleton))
             }
             (true, None) => {
                 return Err(told("weights", path, None, "is a DMAT, which does not say where its rows are")
@@ -171,34 +168,40 @@ fn told(param: &str, path: &Path, line: Option<usize>, what: &str) -> PluginErro
     PluginError::parameter(param, &format!("{what}: {}{place}", path.display()))
 }
 
-/// The rows of a matrix.
-fn of_matrix(matrix: &Matrix, places: Vec<DVec3>, skeleton: &Skeleton) -> Result<Rows, String> {
+/// The rows of a matrix, which is in a file.
+fn of_matrix(
+    (matrix, path): (&Matrix, &Path),
+    places: Vec<DVec3>,
+    skeleton: &Skeleton,
+) -> Result<Rows, Wrong> {
     if matrix.columns != skeleton.bone_count() {
         let (columns, bones) = (matrix.columns, skeleton.bone_count());
-        return Err(format!("has {columns} columns, and the skeleton {bones} bones"));
+        return Err((Some(1), format!("has {columns} columns, and the skeleton {bones} bones")));
     }
     if matrix.rows != places.len() {
-        return Err(format!("has {} rows, and there are {} places", matrix.rows, places.len()));
+        let what = format!("has {} rows, and there are {} places", matrix.rows, places.len());
+        return Err((Some(1), what));
     }
     if matrix.rows == 0 || matrix.rows > MOST_ROWS {
-        return Err(format!("has {} rows, and 1 to {MOST_ROWS} can be", matrix.rows));
+        return Err((Some(1), format!("has {} rows, and 1 to {MOST_ROWS} can be", matrix.rows)));
     }
     let mut rows = Rows::default();
     for (row, place) in places.into_iter().enumerate() {
-        let wrong = |what: &str| format!("{what} in row {}", row + 1);
+        let wrong =
+            |what: &str, bone: usize| (matrix.line(path, row, bone), format!("{what} in row {}", row + 1));
         let largest = (0..matrix.columns).map(|bone| matrix.at(row, bone)).fold(0.0, f64::max);
         let mut weights: Influences = Vec::new();
         for bone in 0..matrix.columns {
             let (weight, joint) = (matrix.at(row, bone), skeleton.mover(bone) as u16);
             if is_negative(weight, largest) {
-                return Err(wrong("has a negative weight"));
+                return Err(wrong("has a negative weight", bone));
             }
             match weights.iter_mut().find(|(_, j)| *j == joint) {
                 Some((sum, _)) => *sum += weight.max(0.0),
                 None => weights.push((weight.max(0.0), joint)),
             }
         }
-        rows.push(place, weights).map_err(|what| wrong(&what))?;
+        rows.push(place, weights).map_err(|what| wrong(&what, 0))?;
     }
     Ok(rows)
 }
@@ -206,7 +209,7 @@ fn of_matrix(matrix: &Matrix, places: Vec<DVec3>, skeleton: &Skeleton) -> Result
 /// The vertices of an OBJ, or the rows of a DMAT.
 fn read_places(path: &Path) -> Result<Vec<DVec3>, Wrong> {
     if is_dmat(path) {
-        let matrix = Matrix::read(path).map_err(|what| (None, what))?;
+        let matrix = Matrix::read(path)?;
         if matrix.columns != 3 {
             return Err((None, format!("has {} columns instead of three", matrix.columns)));
         }

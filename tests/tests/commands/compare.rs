@@ -325,6 +325,8 @@ fn what_others_made_is_a_method() {
         latex.contains("copies a model") && latex.contains("\\pm") && latex.contains("\\toprule"),
         "{latex}"
     );
+    let failed = latex.lines().find(|line| line.starts_with("% fails could not be done: "));
+    assert!(failed.is_some_and(|line| line.contains("no such mesh")), "{latex}");
     // The model that the user has stays where it is, and the crops have pictures.
     assert!(work.path("made.ply").exists());
     for name in ["rest_top.png", "samples_top.png", "samples-difference_top.png", "rest.png"] {

@@ -91,11 +91,12 @@ fn what_landmarks_leave_open_is_said_with_what_they_determine() {
     refused("a,0,0,0,1,0,0\nb,0,1,0,1,1\n", &["landmarks.csv, line 2", "6 fields"], "a name");
     refused("a,0,0,0,1,0,0\na,0,1,0,1,1,0\n", &["line 2", "as line 1 does"], "");
     refused("a,0,0,0,1,0,nan\n", &["line 1", "not finite"], "");
-    refused("a,9e5,0,0,1,0,0\n", &["far from the model"], "same origin");
+    refused("a,9e5,0,0,1,0,0\n", &["landmarks.csv", "far from the model"], "same origin");
+    refused("a,0,0,0,1,0,0\n", &["there is one landmark"], "method = \"translation\"");
     with(&work, "method = \"thin-plate\"");
     refused(
         "a,0,0,0,1,0,0\nb,0,1,0,1,1,0\nc,0.3,0,0,1.3,0,0\nd,0,0,0.3,1,0,0.3\ne,0,1,0,2,2,2\n",
-        &["`b` and `e` coincide"],
+        &["`b` and `e` coincide, in lines 2 and 5"],
         "method = \"affine\"",
     );
     with(&work, "method = \"translation\"");

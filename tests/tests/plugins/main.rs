@@ -2,6 +2,7 @@
 
 mod artists_tools;
 mod authors;
+mod bad_files;
 mod bad_plugins;
 mod blendshapes;
 mod c_plugins;

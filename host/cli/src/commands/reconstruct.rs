@@ -176,7 +176,7 @@ impl Reconstruct {
             resume: self.resume,
             part_bytes: self.part_size,
             binding: Some(&binding),
-            gradients: None,
+            ..Reconstruction::default()
         };
         if let Some(tolerance) = self.tolerance {
             report.progress().begin("estimating the error", 0);

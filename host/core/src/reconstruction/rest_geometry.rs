@@ -1,7 +1,8 @@
 //! The samples at rest: what is found of them once, for all deformations.
 
-use std::sync::OnceLock;
+use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 
@@ -17,13 +18,38 @@ use crate::sampling::SampleSet;
 /// Memory: about 290 bytes per sample, up to 130 more beside other sheets, and what [`SampleSet::prepare`] finds.
 pub struct RestGeometry<'a> {
     pub(super) samples: &'a SampleSet,
-    pub(super) sheets: Sheets,
-    pub(super) supports: Supports,
+    pub(super) sheets: Arc<Sheets>,
+    pub(super) supports: Arc<Supports>,
     /// What homes are found by: made when a place is first looked up, as fitting does not need it.
-    cells: OnceLock<Cells>,
+    cells: Arc<OnceLock<Cells>>,
     pub(super) workspaces: Workspaces,
     /// The number of vertices whose home each sample was.
     vertices: Vec<AtomicU64>,
+}
+
+/// What a [`RestGeometry`] found, for further reconstructions of the same samples: it is shared, not copied.
+#[derive(Clone)]
+pub struct FoundGeometry {
+    samples: usize,
+    sheets: Arc<Sheets>,
+    supports: Arc<Supports>,
+    cells: Arc<OnceLock<Cells>>,
+}
+
+impl FoundGeometry {
+    /// All that is found of these samples at rest.
+    pub fn new(samples: &SampleSet) -> Self {
+        let around = RestGeometry::new(samples);
+        around.cells();
+        let RestGeometry { sheets, supports, cells, .. } = around;
+        Self { samples: samples.len(), sheets, supports, cells }
+    }
+}
+
+impl fmt::Debug for FoundGeometry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FoundGeometry").field("samples", &self.samples).finish_non_exhaustive()
+    }
 }
 
 impl<'a> RestGeometry<'a> {
@@ -33,6 +59,12 @@ impl<'a> RestGeometry<'a> {
         let sheets = Sheets::find(samples);
         let supports = Supports::new(samples, &sheets);
         Self::known(samples, sheets, supports)
+    }
+
+    /// What was found of the same samples; nothing if they are not as many.
+    pub fn from_found(samples: &'a SampleSet, found: &FoundGeometry) -> Option<Self> {
+        let FoundGeometry { samples: count, sheets, supports, cells } = found.clone();
+        (count == samples.len()).then(|| Self::shared(samples, (sheets, supports, cells)))
     }
 
     /// Whether a sample is on the sheet of another.
@@ -58,15 +90,15 @@ impl<'a> RestGeometry<'a> {
 
     /// What was found out before.
     pub(super) fn known(samples: &'a SampleSet, sheets: Sheets, supports: Supports) -> Self {
+        Self::shared(samples, (Arc::new(sheets), Arc::new(supports), Arc::default()))
+    }
+
+    fn shared(
+        samples: &'a SampleSet,
+        (sheets, supports, cells): (Arc<Sheets>, Arc<Supports>, Arc<OnceLock<Cells>>),
+    ) -> Self {
         let vertices = (0..samples.len()).map(|_| AtomicU64::new(0)).collect();
-        Self {
-            samples,
-            sheets,
-            supports,
-            cells: OnceLock::new(),
-            workspaces: Workspaces::default(),
-            vertices,
-        }
+        Self { samples, sheets, supports, cells, workspaces: Workspaces::default(), vertices }
     }
 
     pub(super) fn cells(&self) -> &Cells {
@@ -82,7 +114,7 @@ impl<'a> RestGeometry<'a> {
 
     /// Sets what homes are found by, which was found out before.
     pub(super) fn with_cells(self, cells: Cells) -> Self {
-        Self { cells: OnceLock::from(cells), ..self }
+        Self { cells: Arc::new(OnceLock::from(cells)), ..self }
     }
 
     /// Counts vertices that were carried around homes.

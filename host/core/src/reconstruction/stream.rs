@@ -22,7 +22,7 @@ use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
 use super::transfer::{Hashing, Surveys, Transfer, locked};
-use super::{DeformationField, ExpectedError, Method, RestGeometry, kept_geometry};
+use super::{DeformationField, ExpectedError, FoundGeometry, Method, RestGeometry, kept_geometry};
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
 
@@ -69,6 +69,8 @@ pub struct Reconstruction<'a> {
     /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it
     /// fits.
     pub binding: Option<&'a Path>,
+    /// What was found of the samples at rest before, where there is no binding.
+    pub found: Option<&'a FoundGeometry>,
     /// The [gradient](super::known_gradients) of the one version's map at each sample, where it is known: by it
     /// turns what [follows](Model::following).
     pub gradients: Option<&'a [Mat3]>,
@@ -82,6 +84,7 @@ impl Default for Reconstruction<'_> {
             resume: false,
             part_bytes: PART_BYTES,
             binding: None,
+            found: None,
             gradients: None,
         }
     }
@@ -394,7 +397,7 @@ impl<'a> ReconstructionCall<'a> {
         Ok(())
     }
 
-    /// The geometry at rest: as the binding or a former call kept it, or found now.
+    /// The geometry at rest: as the caller found it, or the binding or a former call kept it, or found now.
     fn surroundings(&self) -> Surroundings<'a> {
         if let Some(path) = self.how.binding {
             match Binding::open(path, self.sampled) {
@@ -405,13 +408,11 @@ impl<'a> ReconstructionCall<'a> {
                 Err(why) => self.progress.note(&format!("{} is not used: {why}", path.display())),
             }
         }
-        match kept_geometry::kept(self.sampled) {
+        let samples = &self.sampled.samples;
+        let found = self.how.found.and_then(|found| RestGeometry::from_found(samples, found));
+        match found.or_else(|| kept_geometry::kept(self.sampled)) {
             Some(geometry) => Surroundings { binding: None, geometry, is_new: false },
-            None => Surroundings {
-                binding: None,
-                geometry: RestGeometry::new(&self.sampled.samples),
-                is_new: true,
-            },
+            None => Surroundings { binding: None, geometry: RestGeometry::new(samples), is_new: true },
         }
     }
 
