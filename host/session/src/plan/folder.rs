@@ -11,7 +11,8 @@ use simod_model::{Error, ErrorKind, Progress, Result, input, output};
 
 use super::emit::{Emit, emit};
 use super::graph::{
-    COUNTS, CUT, DEFORMED, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES, UPLOAD,
+    COUNTS, CUT, DEFORMED, FACE_RUNS, GRADIENTS, LONGEST_ID, Plan, REFINED, SAMPLED, SHARED, SHARED_TILES,
+    UPLOAD,
 };
 use super::units::{FINISHED, PLAN, Unit};
 
@@ -38,8 +39,20 @@ pub fn check_target(folder: &Path) -> Result<()> {
 
 /// Whether a file in a plan's folder is of the plan, its units or its engines.
 fn is_own(name: &str) -> bool {
-    let fixed =
-        [PLAN, FINISHED, COUNTS, CUT, SAMPLED, REFINED, DEFORMED, SHARED, SHARED_TILES, UPLOAD, GRADIENTS];
+    let fixed = [
+        PLAN,
+        FINISHED,
+        COUNTS,
+        FACE_RUNS,
+        CUT,
+        SAMPLED,
+        REFINED,
+        DEFORMED,
+        SHARED,
+        SHARED_TILES,
+        UPLOAD,
+        GRADIENTS,
+    ];
     let numbered = [
         ("count-", ".bin"),
         ("cluster-", ".bin"),
