@@ -48,8 +48,8 @@ impl<'a> Easel<'a> {
         (vertices > pixels).then_some(3 * pixels)
     }
 
-    /// How many models are drawn at a time: two, so that what one thread does of one is beside the other, where pictures are
-    /// small enough to be held twice.
+    /// How many models are drawn at a time: two, so that what one thread does of one is beside the other, where
+    /// pictures are small enough to be held twice.
     fn at_a_time(&self) -> usize {
         const SMALL: u64 = 1 << 20;
         let [w, h] = self.file.camera.size;

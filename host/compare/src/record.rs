@@ -195,8 +195,8 @@ pub struct Seconds {
     pub prepare: Option<f64>,
     /// The rest of it.
     pub motion: Option<f64>,
-    /// From the deformed samples to the finished model, with what is found of the samples at rest: that is done once for all
-    /// methods that have the same sampling.
+    /// From the deformed samples to the finished model, with what is found of the samples at rest: that is done once
+    /// for all methods that have the same sampling.
     pub reconstruct: Option<f64>,
     /// The processor's time for deforming and reconstructing, of all threads and of programs.
     pub processor: Option<f64>,

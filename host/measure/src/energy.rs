@@ -179,9 +179,9 @@ fn horn(m: &DMat3) -> [[f64; 4]; 4] {
     [[xx + yy + zz, x, y, z], [x, xx - yy - zz, xy, zx], [y, xy, yy - xx - zz, yz], [z, zx, yz, zz - xx - yy]]
 }
 
-/// The eigenvector of the greatest eigenvalue of a matrix whose characteristic polynomial follows from `m` (D. L. Theobald,
-/// *Rapid calculation of RMSDs using a quaternion-based characteristic polynomial*, Acta Cryst. A 2005): a row of the adjugate.
-/// Nothing where another eigenvalue is nearly as great.
+/// The eigenvector of the greatest eigenvalue of a matrix whose characteristic polynomial follows from `m` (D. L.
+/// Theobald, *Rapid calculation of RMSDs using a quaternion-based characteristic polynomial*, Acta Cryst. A 2005): a
+/// row of the adjugate. Nothing where another eigenvalue is nearly as great.
 fn quickly(m: &DMat3, matrix: &[[f64; 4]; 4]) -> Option<[f64; 4]> {
     const STEPS: usize = 50;
     const APART: f64 = 1e-4;

@@ -1,5 +1,5 @@
-//! How the surface lies where the samples went: their normals, and what becomes of a circle around each. Quick, and for the
-//! eye alone.
+//! How the surface lies where the samples went: their normals, and what becomes of a circle around each. Quick, and for
+//! the eye alone.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -92,8 +92,8 @@ impl<'a> Turned<'a> {
     }
 
     /// A sample's normal, turned as the triangles between it and its nearest neighbours are: `Σ (r₁ × r₂ · n) d₁ × d₂`
-    /// over pairs of neighbours, where `r` are the ways to them at rest and `d` those now. With tangents `s × t = n` that
-    /// is `(Σ (r·s) d) × (Σ (r·t) d)`. And the ellipse of the linear map that carries these ways over best.
+    /// over pairs of neighbours, where `r` are the ways to them at rest and `d` those now. With tangents `s × t = n`
+    /// that is `(Σ (r·s) d) × (Σ (r·t) d)`. And the ellipse of the linear map that carries these ways over best.
     fn of(&self, i: usize) -> (Vec3, Ellipse) {
         let (rest, positions, n) = (self.rest, self.now, self.normals[i]);
         let (s, t) = n.any_orthonormal_pair();

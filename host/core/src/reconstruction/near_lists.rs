@@ -31,8 +31,8 @@ pub fn push(of: u32, list: &[u32], to: &mut Vec<u8>) {
     to[bits..bits + LONGEST / 8].copy_from_slice(&long.to_le_bytes());
 }
 
-/// Takes a list of so many samples off the beginning of `bytes`, [behind](BEHIND) which there is something; `None` if it is not
-/// there. The samples may be anything.
+/// Takes a list of so many samples off the beginning of `bytes`, [behind](BEHIND) which there is something; `None` if
+/// it is not there. The samples may be anything.
 pub fn take(of: u32, list: &mut [u32], bytes: &mut &[u8]) -> Option<()> {
     let (long, rest) = bytes.split_first_chunk()?;
     let long = u32::from_le_bytes(*long);

@@ -187,14 +187,16 @@ pub fn cut(
     Ok(true)
 }
 
-/// Finds the sample of each vertex of a range, to a file; and which vertices are at one place, if that is worth knowing, for
-/// which up to a million vertices before the range are read as well. Nothing is done if it is there already; `false` then.
+/// Finds the sample of each vertex of a range, to a file; and which vertices are at one place, if that is worth
+/// knowing, for which up to a million vertices before the range are read as well. Nothing is done if it is there
+/// already; `false` then.
 ///
-/// Memory: that of the cut; 4 bytes for each cell; a block of each file that is read, 32 MiB or 8 KiB for each group; 4 MiB
-/// and a chunk of vertices, if these are read.
+/// Memory: that of the cut; 4 bytes for each cell; a block of each file that is read, 32 MiB or 8 KiB for each group; 4
+/// MiB and a chunk of vertices, if these are read.
 ///
 /// # Errors
-/// The model cannot be read, or the user cancelled; a file is missing, damaged, or of something else; or cannot be written, or another process writes it.
+/// The model cannot be read, or the user cancelled; a file is missing, damaged, or of something else; or cannot be
+/// written, or another process writes it.
 pub fn members(
     model: &dyn Model,
     sampling: &Sampling,
@@ -376,10 +378,10 @@ mod list {
 /// Finds what a range of the faces tells, of so many [ranges](face_ranges_of), to a file. Nothing is done if it is there
 /// already; `false` then.
 ///
-/// Memory: that of the cut; 16 bytes for each 65 536 triangles; per sample 140 bytes, 12 for each of at most 32 triangles, twice while the list grows, and 8
-/// for each of at most 32 links; 16 bytes per cell; chunks of faces. Temporary files of 8 bytes for each vertex between
-/// the least and the greatest corner, and 12 more where faces place the samples: where vertices come in no order, these
-/// are all vertices.
+/// Memory: that of the cut; 16 bytes for each 65 536 triangles; per sample 140 bytes, 12 for each of at most 32
+/// triangles, twice while the list grows, and 8 for each of at most 32 links; 16 bytes per cell; chunks of faces.
+/// Temporary files of 8 bytes for each vertex between the least and the greatest corner, and 12 more where faces place
+/// the samples: where vertices come in no order, these are all vertices.
 ///
 /// # Errors
 /// A file is missing, damaged, or of something else, or cannot be written, or another process writes it; the model cannot

@@ -1,5 +1,6 @@
-//! Where in a model's faces each run of triangles begins whose planes are summed up by themselves, so that a part of the
-//! faces can be read by itself. Where all faces are triangles of one length, arithmetic tells; else they are gone over once.
+//! Where in a model's faces each run of triangles begins whose planes are summed up by themselves, so that a part of
+//! the faces can be read by itself. Where all faces are triangles of one length, arithmetic tells; else they are gone
+//! over once.
 
 use std::ops::Range;
 use std::path::Path;

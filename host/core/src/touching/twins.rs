@@ -26,8 +26,8 @@ const BLOCK: usize = 64;
 /// Numbers written at a time.
 const BUFFER: usize = 1 << 16;
 
-/// Vertices of which none is compared with those before the first of them: so who has a part of the vertices needs to look
-/// at few others to find what a search of all of them finds.
+/// Vertices of which none is compared with those before the first of them: so who has a part of the vertices needs to
+/// look at few others to find what a search of all of them finds.
 const RUN: u64 = 1 << 20;
 
 /// Finds twins while the vertices stream.

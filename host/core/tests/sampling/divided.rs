@@ -588,8 +588,8 @@ fn units_read_polygons_as_one_reading_does() {
         Work::of_polygons(&body.without_normals(), &polygons, samples(500))
             .check(&format!("{name}, without normals"));
     }
-    // Faces without a triangle, among them blocks and before the end of a run; faces of more triangles than a run has, and
-    // of some that there are not.
+    // Faces without a triangle, among them blocks and before the end of a run; faces of more triangles than a run has,
+    // and of some that there are not.
     let mut polygons: Vec<Vec<u32>> = body.faces.iter().map(|corners| corners.to_vec()).collect();
     let all = 0..body.positions.len() as u32;
     polygons.insert(100, all.clone().collect());

@@ -235,8 +235,8 @@ impl Plugin {
     }
 
     /// Fills `out`, whose content is not a number so that what is not written stays visible, with the samples' deformed
-    /// positions. On an error its content is meaningless. That the samples are what they were is [checked](Self::check_unchanged)
-    /// by the caller.
+    /// positions. On an error its content is meaningless. That the samples are what they were is
+    /// [checked](Self::check_unchanged) by the caller.
     pub(crate) fn deform(
         &self,
         state: &State,

@@ -140,8 +140,8 @@ pub(crate) fn messages(statuses: Vec<(StepId, Status)>) -> Result<Vec<Message>> 
 /// Does steps again and again, and keeps of each what the next time may need: what the plugin prepared, and
 /// the positions.
 ///
-/// Memory: what the plugins hold, 28 bytes a sample, and 12 a sample and step; a copy of the samples for each refinement.
-/// What is of steps that are gone, or switched off, is let go.
+/// Memory: what the plugins hold, 28 bytes a sample, and 12 a sample and step; a copy of the samples for each
+/// refinement. What is of steps that are gone, or switched off, is let go.
 pub struct Evaluation {
     sampled: Arc<SampledModel>,
     /// Where the samples are before the first step, if not at rest.

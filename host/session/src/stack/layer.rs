@@ -103,8 +103,8 @@ struct Preparation {
 }
 
 impl Preparation {
-    /// What the plugin was called with is what it was: later layers work on it, too. Drafts are looked at with the result
-    /// after them: it takes as long as a quick deformation.
+    /// What the plugin was called with is what it was: later layers work on it, too. Drafts are looked at with the
+    /// result after them: it takes as long as a quick deformation.
     ///
     /// # Errors
     /// The plugin has changed it.

@@ -250,8 +250,8 @@ impl State {
         descs.iter().cloned().zip(moved).collect()
     }
 
-    /// Where a step has put the handles that its plugin placed, where it has joints and an end reaches for a place: local
-    /// coordinates. None where they are where their own motions take them.
+    /// Where a step has put the handles that its plugin placed, where it has joints and an end reaches for a place:
+    /// local coordinates. None where they are where their own motions take them.
     pub fn posed(&self, step: usize) -> Option<&[DVec3]> {
         let deformation = self.deformation(step).ok()?;
         let is_joint = |id: &str| deformation.joints.iter().any(|joint| joint.id == id);

@@ -19,8 +19,8 @@ use std::time::{Duration, Instant};
 /// How long a picture may take while something moves: with a card, and in software.
 const GOALS: [Duration; 2] = [Duration::from_millis(12), Duration::from_millis(45)];
 
-/// Samples that are dragged are drawn as finely as the time of a picture allows, and more finely once they have not moved
-/// for so long.
+/// Samples that are dragged are drawn as finely as the time of a picture allows, and more finely once they have not
+/// moved for so long.
 const STILL: Duration = Duration::from_millis(150);
 
 /// How long a picture at rest may take, by what the budget knows, in seconds.
