@@ -223,6 +223,8 @@ pub fn join_parts(
                 match is_there(version.output, &paths, progress) {
                     Ok(()) => {
                         let _ = fs::remove_file(shared);
+                        // Who begins the output anew removes what the killed one has left beside it.
+                        drop(OutputFile::create(version.output, 0));
                         return Ok(done(sampled, model, found.folding));
                     }
                     Err(e) if !shared.exists() => return Err(e),
