@@ -437,34 +437,7 @@ mod tests {
         CompareFile::parse(text, Path::new("edits/compare.toml"))
     }
 
-    const GOOD: &str = r#"
-[model]
-path = "cactus.ply"
-[sampling]
-samples = 20000
-[[region]]
-role = "fixed"
-shapes = [{ half-space = { point = [0, 0.4, 0], normal = [0, -1, 0] } }]
-[[region]]
-role = "handle"
-shapes = [{ sphere = { center = [0, 2, 0], radius = 0.3 } }]
-move = { translate = [1, 0, 0] }
-[camera]
-yaw = 10
-size = [400, 300]
-[[method]]
-name = "as rigid as possible"
-deform = "laplacian"
-params = { mode = "arap" }
-[[method]]
-name = "rbf, coarse"
-deform = "rbf"
-sampling = { samples = 5000 }
-reconstruction = "projected-barycentric"
-[[method]]
-name = "a whole session"
-session = "bend.toml"
-"#;
+    const GOOD: &str = include_str!("../tests/compare.toml");
 
     #[test]
     fn a_comparison_is_read() {

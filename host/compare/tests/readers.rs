@@ -8,30 +8,7 @@ use proptest::prelude::*;
 use simod_compare::CompareFile;
 use simod_tests::damage::{damage, damaged, runner};
 
-const COMPARE: &str = r#"[model]
-path = "cactus.ply"
-[sampling]
-samples = 20000
-[[region]]
-role = "handle"
-shapes = [{ sphere = { center = [0, 2, 0], radius = 0.3 } }]
-move = { translate = [1, 0, 0] }
-[camera]
-yaw = 10
-size = [400, 300]
-[[method]]
-name = "as rigid as possible"
-deform = "laplacian"
-params = { mode = "arap" }
-[[method]]
-name = "rbf, coarse"
-deform = "rbf"
-sampling = { samples = 5000 }
-reconstruction = "projected-barycentric"
-[[method]]
-name = "a whole session"
-session = "bend.toml"
-"#;
+const COMPARE: &str = include_str!("compare.toml");
 
 #[test]
 fn damaged_comparisons_do_no_harm() {
