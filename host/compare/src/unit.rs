@@ -9,6 +9,7 @@ use crate::{beside_each_other, checked};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simod_core::sampled_model::SampledModel;
+use simod_model::claim::Claim;
 use simod_model::output::write_file;
 use simod_model::output_folder::OutputFolder;
 use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result, input};
@@ -62,7 +63,12 @@ pub fn do_unit(
     progress: &dyn Progress,
 ) -> Result<Done> {
     let unit = unit_of(plan.units(), (folder, number))?;
-    if [Path::new(FINISHED), &unit.writes].iter().any(|file| folder.join(file).is_file()) {
+    let is_finished = folder.join(FINISHED).is_file();
+    if is_finished && unit.stage == Stage::Page {
+        // Whoever did it may have been killed before it had tidied.
+        tidy(plan, folder);
+    }
+    if is_finished || folder.join(&unit.writes).is_file() {
         return Ok(Done { was_done: true, ..Done::default() });
     }
     check_before(plan.units(), unit, folder)?;
@@ -133,9 +139,7 @@ impl UnitRun<'_> {
         new.commit()?;
         let text = format!("output = {:?}\n", output.display().to_string());
         write_file(&self.folder.join(FINISHED), text.as_bytes())?;
-        // What cannot be removed hurts nobody.
-        (0..self.file.methods.len())
-            .for_each(|number| drop(std::fs::remove_dir_all(self.folder.join(method_folder(number)))));
+        tidy(self.plan, self.folder);
         Ok(Done { comparison: Some(comparison), ..Done::default() })
     }
 
@@ -190,6 +194,21 @@ impl UnitRun<'_> {
         }
         let Taken { seconds } = read_json(&self.folder.join(format!("sampled-{part}.json")))?;
         Ok((Arc::new(sampled), seconds))
+    }
+}
+
+/// Removes what is not needed any more, and what killed processes have left beside folders; what cannot be removed hurts
+/// nobody.
+fn tidy(plan: &ComparisonPlan, folder: &Path) {
+    for unit in plan.units() {
+        match unit.stage {
+            Stage::Sample => drop(Claim::folder(&folder.join(sampled_folder(unit.part())))),
+            Stage::Method => {
+                let method = folder.join(method_folder(unit.part()));
+                drop((std::fs::remove_dir_all(&method), Claim::folder(&method)));
+            }
+            _ => {}
+        }
     }
 }
 

@@ -329,6 +329,26 @@ fn killed(name: &str) {
     assert!(!hidden.iter().any(|name| name.starts_with(".simod")), "{hidden:?}");
 }
 
+/// A process that is killed as it lets a folder go, leaves what it held it by; one that is killed as it tidies, leaves parts.
+/// The last unit removes both, whenever it was done.
+#[test]
+fn what_killed_units_have_left_goes_with_the_last_one() {
+    let work = jar("made.ply", "", STEPS);
+    work.simod("plan edit.toml -o plan --units 2 --to edited.ply");
+    let all = stages(&work).concat();
+    let (last, before) = all.split_last().expect("units");
+    before.iter().for_each(|unit| drop(work.simod(&format!("unit plan {unit}"))));
+    let part = work.read("plan/part-1.bin");
+    work.write("plan/.simod-sampled.simod.part", "");
+    work.simod(&format!("unit plan {last}"));
+    let tidied = left(&work);
+    assert!(!tidied.iter().any(|name| name.starts_with(".simod") || name.starts_with("part-")), "{tidied:?}");
+    work.write("plan/.simod-sampled.simod.part", "");
+    work.write("plan/part-1.bin", part);
+    assert_eq!(work.report(&format!("unit plan {last}"))["was_done"], true);
+    assert_eq!(left(&work), tidied);
+}
+
 /// `finish` is killed when the output is in its place, before it has said so; then a part is done once more, to a file
 /// of its own that has nothing else. Whatever comes next, the output stays.
 #[test]

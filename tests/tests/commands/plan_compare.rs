@@ -93,6 +93,12 @@ fn a_comparison_by_units_is_that_of_one_process() {
         let left = ["sampled-0.json", "sampled-0.simod", "sampled-1.json", "sampled-1.simod"];
         assert_eq!(names(&work, "plan"), [&["finished.toml", "plan.toml"][..], &left].concat());
     }
+    // What a killed process has left goes as the last unit is done again.
+    let tidied = names(&work, "plan");
+    work.write("plan/.simod-sampled-0.simod.part", "");
+    work.write("plan/method-2/compare.json", "");
+    work.simod("unit plan 7");
+    assert_eq!(names(&work, "plan"), tidied);
     let done = work.report("unit plan 4");
     assert_eq!(done["was_done"], true, "what was removed is not done again");
 }

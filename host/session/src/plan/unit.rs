@@ -14,6 +14,7 @@ use simod_core::sampling::divided::{
 };
 use simod_core::sampling::divided_faces::{self, FaceFiles};
 use simod_core::sampling::{Sampling, count, face_runs, sample_counted};
+use simod_model::claim::Claim;
 use simod_model::object::{self, is_object};
 use simod_model::resumable_output::Place;
 use simod_model::{
@@ -68,7 +69,12 @@ pub fn do_unit(
         unit.stage,
         Stage::Count | Stage::Cluster | Stage::ClusterShared | Stage::Members | Stage::Faces | Stage::Apply
     );
-    if folder.join(FINISHED).is_file() || (!checks_itself && folder.join(&unit.writes).is_file()) {
+    let is_finished = folder.join(FINISHED).is_file();
+    if is_finished && matches!(unit.stage, Stage::Finish | Stage::Write) {
+        // Whoever did it may have been killed before it had tidied.
+        work.tidy();
+    }
+    if is_finished || (!checks_itself && folder.join(&unit.writes).is_file()) {
         return Ok(Done { was_done: true, ..Done::default() });
     }
     check_before(plan.units(), unit, folder)?;
@@ -288,7 +294,7 @@ impl UnitRun<'_> {
         let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)
             .map_err(|e| self.give_up(e, &parts, upload.as_deref()))?;
         self.finished(&**model)?;
-        self.tidy(&parts);
+        self.tidy();
         Ok(Done { written: Some(written), ..Done::default() })
     }
 
@@ -354,7 +360,7 @@ impl UnitRun<'_> {
         let version = Version { deformed, output, diagnostics: None };
         let written = reconstruct(sampled, &**model, &[version], &edit.how(), self.progress)?;
         self.finished(&**model)?;
-        self.tidy(&[]);
+        self.tidy();
         Ok(Done { written: Some(written), ..Done::default() })
     }
 
@@ -443,8 +449,11 @@ impl UnitRun<'_> {
         Ok(Some(known.iter().map(Mat3::from_cols_array).collect()))
     }
 
-    /// Removes what is not needed any more; a file that cannot be removed hurts nobody.
-    fn tidy(&self, parts: &[PathBuf]) {
+    /// Removes what is not needed any more, and what killed processes have left beside folders; a file that cannot be
+    /// removed hurts nobody.
+    fn tidy(&self) {
+        [SAMPLED, REFINED].iter().for_each(|name| drop(Claim::folder(&self.path(name))));
+        let parts = self.plan.files_of(self.folder, Stage::Apply);
         let [ranges, groups] = self.clustered();
         let OfFaces { leaves, leaves_of_groups, members, faces, .. } = self.of_faces();
         let of_faces = leaves.iter().chain(&leaves_of_groups).chain(&members).chain(&faces);
