@@ -285,6 +285,36 @@ fn foreign_code_has_one_border() {
     assert_eq!(border, BTreeSet::from([PathBuf::from("host/session/src/plugins/load.rs")]));
 }
 
+/// Comments are as wide as code may be, which `rustfmt` sees to for code alone. Tables, drawings and examples of code are as
+/// wide as they have to be.
+#[test]
+fn comments_keep_to_the_width_of_code() {
+    let settings = std::fs::read_to_string(workspace().join("rustfmt.toml")).expect("settings of rustfmt");
+    let settings: toml::Table = settings.parse().expect("TOML");
+    let width = settings["max_width"].as_integer().expect("a width") as usize;
+    let folders = ["host", "plugin-api", "plugins", "tests", "benches", "examples"];
+    let files: Vec<PathBuf> = folders.iter().flat_map(|folder| rust_files(&workspace().join(folder))).collect();
+    assert!(files.len() > 300, "{} files", files.len());
+    let mut wide = Vec::new();
+    for file in files {
+        let text = std::fs::read_to_string(&file).expect("source code");
+        let mut is_code = false;
+        for (number, line) in text.lines().enumerate() {
+            let Some(comment) = line.trim_start().strip_prefix("//") else {
+                is_code = false;
+                continue;
+            };
+            let comment = comment.trim_start_matches(['/', '!']).trim_start();
+            is_code ^= comment.starts_with("```");
+            let is_drawn = is_code || comment.starts_with('|') || comment.contains('─');
+            if line.chars().count() > width && !is_drawn {
+                wide.push(format!("{}:{}", file.display(), number + 1));
+            }
+        }
+    }
+    assert!(wide.is_empty(), "comments wider than {width} characters: {wide:#?}");
+}
+
 fn rust_files(folder: &Path) -> Vec<PathBuf> {
     let (mut files, mut folders) = (Vec::new(), vec![folder.to_owned()]);
     while let Some(folder) = folders.pop() {

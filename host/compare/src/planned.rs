@@ -143,16 +143,16 @@ fn units(file: &CompareFile) -> Vec<Unit> {
     let samplings = samplings(file);
     let sample = |part| {
         let writes = PathBuf::from(format!("sampled-{part}.json"));
-        Unit::of(part, Stage::Sample, Vec::new(), part, writes)
+        Unit::undivided(part, Stage::Sample, Vec::new(), part, writes)
     };
     let mut units: Vec<Unit> = (0..samplings.len()).map(sample).collect();
     for (part, method) in file.methods.iter().enumerate() {
         let after = samplings.iter().position(|of| *of == method.sampling);
         let writes = method_folder(part).join(METHOD_RECORD);
-        units.push(Unit::of(units.len(), Stage::Method, after.into_iter().collect(), part, writes));
+        units.push(Unit::undivided(units.len(), Stage::Method, after.into_iter().collect(), part, writes));
     }
     let methods = (samplings.len()..units.len()).collect();
-    units.push(Unit::of(units.len(), Stage::Page, methods, 0, FINISHED.into()));
+    units.push(Unit::undivided(units.len(), Stage::Page, methods, 0, FINISHED.into()));
     units
 }
 

@@ -78,7 +78,7 @@ impl SampledModel {
         }
         let samples = &self.samples;
         progress.begin("reading the attributes", info.vertex_bytes);
-        let around = RestGeometry::of(self);
+        let around = RestGeometry::kept(self);
         let mut gathered: Vec<Gathered> =
             attributes.iter().map(|attribute| Gathered::new(attribute, samples.len())).collect();
         // Of a chunk.

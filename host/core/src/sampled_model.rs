@@ -49,7 +49,7 @@ pub(crate) const CELLS: &str = "cells.bin";
 /// The file of what is made of a model that cannot be read from anywhere as it is: see [`Cache`].
 const CACHE: &str = "cache.bin";
 
-/// The file of what is known of the samples at rest: see [`RestGeometry::of`](crate::reconstruction::RestGeometry::of).
+/// The file of what is known of the samples at rest: see [`RestGeometry::kept`](crate::reconstruction::RestGeometry::kept).
 pub(crate) const REST: &str = "rest.bin";
 
 /// What describes the folder.
@@ -134,7 +134,7 @@ pub struct SourceTile {
 
 impl SourceTile {
     /// Those of a model, if it is made of tiles.
-    pub(crate) fn of(model: &dyn Model) -> Vec<Self> {
+    pub(crate) fn all(model: &dyn Model) -> Vec<Self> {
         let tile = |tile: &Tile| Self { path: tile.path.clone(), bytes: tile.bytes, vertices: tile.vertices };
         model.tiles().iter().map(tile).collect()
     }
@@ -806,7 +806,7 @@ impl SampledModel {
         }
         let model = named.open(self.source.columns.as_deref(), &self.cache, progress)?;
         let info = model.info();
-        let tiles = SourceTile::of(&*model);
+        let tiles = SourceTile::all(&*model);
         let is_same = |(now, then): &(&SourceTile, &SourceTile)| {
             (now.bytes, now.vertices) == (then.bytes, then.vertices)
         };

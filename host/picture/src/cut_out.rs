@@ -16,7 +16,7 @@ pub struct CutOut {
 impl CutOut {
     /// What is before the background of two pictures, which is black in one and white in the other; nothing where they
     /// are not of one size. Borders that were averaged in linear light are exact but for rounding.
-    pub fn of(black: &Image, white: &Image) -> Option<Self> {
+    pub fn from_backgrounds(black: &Image, white: &Image) -> Option<Self> {
         let (width, height) = (black.width(), black.height());
         let same = (width, height) == (white.width(), white.height());
         let pixels = || black.pixels().iter().zip(white.pixels()).map(|(b, w)| pixel(*b, *w)).collect();
@@ -88,7 +88,7 @@ mod tests {
         let color = [200, 90, 40];
         for opacity in [0.0, 0.25, 0.5, 0.9, 1.0] {
             let [black, white] = [0, 255].map(|b| Image::new(2, 1, over(color, opacity, b)));
-            let cut = CutOut::of(&black, &white).unwrap();
+            let cut = CutOut::from_backgrounds(&black, &white).unwrap();
             let [r, g, b, a] = cut.pixels()[1];
             assert!((f32::from(a) - 255.0 * opacity).abs() <= 1.5, "{a} of {opacity}");
             if opacity > 0.0 {
@@ -96,13 +96,13 @@ mod tests {
                 assert!(apart <= 4, "{:?} at {opacity}", [r, g, b]);
             }
         }
-        assert!(CutOut::of(&Image::new(2, 1, color), &Image::new(1, 2, color)).is_none());
+        assert!(CutOut::from_backgrounds(&Image::new(2, 1, color), &Image::new(1, 2, color)).is_none());
     }
 
     #[test]
     fn a_file_holds_the_opacity() {
         let [black, white] = [0, 255].map(|b| Image::new(3, 2, over([10, 200, 30], 0.5, b)));
-        let cut = CutOut::of(&black, &white).unwrap();
+        let cut = CutOut::from_backgrounds(&black, &white).unwrap();
         let bytes = cut.to_png().unwrap();
         let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
         let mut pixels = vec![0; reader.output_buffer_size().unwrap()];

@@ -117,7 +117,7 @@ impl Facet {
 
     /// Depth, and how much each corner has of the surface there.
     #[inline]
-    fn at(&self, shares: [f32; 3]) -> (f32, [f32; 3]) {
+    fn interpolated(&self, shares: [f32; 3]) -> (f32, [f32; 3]) {
         let parts: [f32; 3] = std::array::from_fn(|i| shares[i] * self.inverse[i]);
         let depth = parts.iter().sum::<f32>().recip();
         (depth, parts.map(|part| part * depth))
@@ -128,7 +128,7 @@ impl Facet {
     fn visit(&self, [first, last]: [usize; 2], mut hit: impl FnMut(usize, usize, f32, [f32; 3])) {
         if let Some([x, y]) = self.only {
             if (first..last).contains(&y) {
-                let (depth, parts) = self.at([1.0 / 3.0; 3]);
+                let (depth, parts) = self.interpolated([1.0 / 3.0; 3]);
                 hit(x, y, depth, parts);
             }
             return;
@@ -136,7 +136,7 @@ impl Facet {
         for y in self.rows[0].max(first)..self.rows[1].min(last) {
             for x in self.columns[0]..self.columns[1] {
                 if let Some(shares) = self.shares(x, y) {
-                    let (depth, parts) = self.at(shares);
+                    let (depth, parts) = self.interpolated(shares);
                     hit(x, y, depth, parts);
                 }
             }

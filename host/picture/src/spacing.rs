@@ -48,7 +48,7 @@ impl Spacing {
 
     /// The mean distance of neighbouring points around a position, no longer than a cell; a cell where there
     /// are none.
-    pub fn at(&self, position: DVec3) -> f64 {
+    pub fn around(&self, position: DVec3) -> f64 {
         self.cell_of(position).map_or(self.cell, |cell| self.in_cell(cell))
     }
 
@@ -74,7 +74,7 @@ impl Spacing {
         let index = self.cell_of(position).and_then(|cell| self.index(cell));
         match index.filter(|index| self.counts[*index] > 0) {
             Some(index) => self.radii.get_or_init(radii)[index],
-            None => radius(self.at(position)),
+            None => radius(self.around(position)),
         }
     }
 
@@ -117,7 +117,7 @@ mod tests {
             let mut spacing = Spacing::new([low, high]);
             spacing.add(points());
             for i in 0..20 {
-                let measured = spacing.at((across + along) * (0.2 + 0.03 * f64::from(i)));
+                let measured = spacing.around((across + along) * (0.2 + 0.03 * f64::from(i)));
                 assert!((0.00085..0.0013).contains(&measured), "{measured} for {across}, {along}");
             }
         }
@@ -135,7 +135,7 @@ mod tests {
             for i in 0..1000 {
                 // Beside points as well, and outside of the box.
                 for p in [point(i), point(i) * 1.02, point(i) + 1.5] {
-                    assert_eq!(spacing.radius_at(p), (1.35 * spacing.at(p)) as f32, "{p}");
+                    assert_eq!(spacing.radius_at(p), (1.35 * spacing.around(p)) as f32, "{p}");
                 }
             }
         }

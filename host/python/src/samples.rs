@@ -397,7 +397,7 @@ impl Samples {
         let mut normals: Vec<Vec3> = normals.unwrap_or_default().iter().map(|n| n.as_vec3()).collect();
         let ((moved, normals), _) = work(py, progress, |watch| {
             watch.begin("transferring", rest.len() as u64);
-            let around = RestGeometry::of(&sampled);
+            let around = RestGeometry::kept(&sampled);
             let field = [DeformationField::new(&around, &local, Method::default())];
             let mut moved = rest.clone();
             let mut of_normals = normals.chunks_mut(BATCH);

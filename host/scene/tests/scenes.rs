@@ -493,7 +493,7 @@ fn a_picture_is_cut_out_of_its_background() {
     let style = Style { scale: Scale::Double, ..plain() };
     let mut over = |background| shot(&mut scene, &Style { background, ..style });
     let [black, white] = [Background::Black, Background::White].map(&mut over);
-    let cut = simod_picture::CutOut::of(&black, &white).unwrap();
+    let cut = simod_picture::CutOut::from_backgrounds(&black, &white).unwrap();
     let opacity = |x: usize, y: usize| cut.pixels()[y * 240 + x][3];
     assert_eq!((opacity(0, 0), opacity(239, 120), opacity(120, 120)), (0, 0, 255));
     let part = cut.pixels().iter().filter(|p| (8..247).contains(&p[3])).count();

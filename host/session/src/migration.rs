@@ -4,7 +4,7 @@
 use crate::deformer::{Plugin, limits};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Step, Stroke};
-use crate::stack::at;
+use crate::stack::located;
 use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::{ParamDesc, ParamKind, Setting};
 use std::sync::Arc;
@@ -231,7 +231,7 @@ impl PluginRegistry {
             let Ok(plugin) = self.get(&deformation.deform) else { continue };
             let migrated = migrated(deformation, plugin).map_err(|e| {
                 let e = in_its_words(e, deformation, plugin);
-                at(deformation.param_places.of(&step.place, &e), e)
+                located(deformation.param_places.place_of(&step.place, &e), e)
             })?;
             if let Some(migrated) = migrated {
                 *deformation = migrated;

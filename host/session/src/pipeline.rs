@@ -408,7 +408,7 @@ fn evaluated(
 ) -> Result<Reconstructed> {
     let DeformedSamples { sampled, positions, stack, .. } = deformed;
     progress.begin("preparing", 0);
-    let around = RestGeometry::of(sampled);
+    let around = RestGeometry::kept(sampled);
     let field =
         DeformationField::new(&around, positions, Method::default()).expecting(&sampled.frame, model.info());
     let map = |points: &mut [DVec3]| stack.evaluate_with(points, progress);

@@ -267,7 +267,7 @@ impl ParamPlaces {
 
     /// Where an error belongs to that came up in the step at `place`: to the parameter that it names, if the
     /// file gives that one.
-    pub(crate) fn of<'a>(&'a self, place: &'a str, error: &Error) -> &'a str {
+    pub(crate) fn place_of<'a>(&'a self, place: &'a str, error: &Error) -> &'a str {
         let text = error.to_string();
         let named = text.split("parameter `").skip(1).filter_map(|rest| rest.split('`').next());
         named.filter_map(|id| self.0.get(id)).next().map_or(place, String::as_str)
@@ -348,7 +348,7 @@ impl Step {
 
     /// Where an error of the step belongs to: the step, or the parameter that it names.
     pub(crate) fn place_of<'a>(&'a self, error: &Error) -> &'a str {
-        self.deformation().map_or(&self.place, |d| d.param_places.of(&self.place, error))
+        self.deformation().map_or(&self.place, |d| d.param_places.place_of(&self.place, error))
     }
 
     /// Whether there may be more samples after it.

@@ -19,7 +19,7 @@ struct Sidecar {
 }
 
 /// Where the sidecar of a model is, if it has one.
-pub fn of(model: &Path) -> PathBuf {
+pub fn path_beside(model: &Path) -> PathBuf {
     let mut path = model.as_os_str().to_owned();
     path.push(SUFFIX);
     path.into()

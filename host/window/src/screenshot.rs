@@ -188,7 +188,7 @@ impl Studio<'_> {
         let black = self.drawn(turn, Background::Black)?;
         let white = self.drawn(turn, Background::White)?;
         let differ = || Error::internal("two pictures of the same differ in size", "report this");
-        CutOut::of(&black, &white).ok_or_else(differ)?.to_png()
+        CutOut::from_backgrounds(&black, &white).ok_or_else(differ)?.to_png()
     }
 
     fn drawn(&mut self, turn: f64, background: Background) -> Result<Image> {

@@ -79,7 +79,7 @@ impl Plan {
         guard.reads(&self.session);
         let named = session.named_model()?;
         guard.reads_all(named.iter().flat_map(ModelName::files));
-        guard.reads_all(session.model.as_deref().map(sidecar::of));
+        guard.reads_all(session.model.as_deref().map(sidecar::path_beside));
         guard.reads_all(inputs(&self.session)?);
         guard.reads_all(plugins.files());
         guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;

@@ -139,7 +139,7 @@ impl Reconstruct {
         guard.reads(&self.sampled);
         // That the model itself is kept is seen to where it is streamed.
         guard.reads_all(self.model.is_some().then(|| sampled.source.files()).into_iter().flatten());
-        guard.reads(&sidecar::of(self.model.as_ref().unwrap_or(&sampled.source.path)));
+        guard.reads(&sidecar::path_beside(self.model.as_ref().unwrap_or(&sampled.source.path)));
         guard.reads_all(paths.iter().map(|v| &v.deformed));
         let tiles = sampled.source.named(self.model.as_deref())?.tiles();
         for VersionPaths { output, diagnostics, .. } in &paths {
@@ -233,7 +233,7 @@ impl Reconstruct {
         }
         let tolerance = tolerance.fraction(sampled.bounds.diagonal());
         check_precision(sampled, model, tolerance)?;
-        let around = RestGeometry::of(sampled);
+        let around = RestGeometry::kept(sampled);
         let mut most = 0.0f64;
         for (paths, deformed) in paths.iter().zip(deformed) {
             report.progress().check()?;

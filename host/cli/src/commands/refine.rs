@@ -153,7 +153,7 @@ impl Refine {
         deformed: Option<&[Vec3]>,
         progress: &dyn Progress,
     ) -> Result<Refined> {
-        let around = deformed.filter(|_| self.auto).map(|_| RestGeometry::of(sampled));
+        let around = deformed.filter(|_| self.auto).map(|_| RestGeometry::kept(sampled));
         let field = around
             .as_ref()
             .zip(deformed)
@@ -187,7 +187,7 @@ fn write_deformed(
     to: &Path,
 ) -> Result<()> {
     let more = {
-        let around = RestGeometry::of(sampled);
+        let around = RestGeometry::kept(sampled);
         let field = DeformationField::new(&around, &deformed, Method::default());
         appended_deformed(refined, field.deformed().len(), &field)
     };

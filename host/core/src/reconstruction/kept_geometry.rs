@@ -75,7 +75,7 @@ struct Piece<'a> {
 
 impl<'a> RestGeometry<'a> {
     /// What is known of a model's samples at rest: as it was kept beside them, or found now.
-    pub fn of(sampled: &'a SampledModel) -> Self {
+    pub fn kept(sampled: &'a SampledModel) -> Self {
         kept(sampled).unwrap_or_else(|| Self::new(&sampled.samples))
     }
 }

@@ -130,7 +130,7 @@ pub fn write_part(
     let mut part = PartFile::new(own_file, to);
 
     progress.begin("preparing", 0);
-    let surroundings = RestGeometry::of(sampled);
+    let surroundings = RestGeometry::kept(sampled);
     let fields = [field(sampled, model, how, &surroundings, deformed)];
     // Here, on all threads of the pool.
     surroundings.cells();

@@ -335,7 +335,7 @@ impl Divided<'_> {
                         of_group.next()?.ok_or_else(lacks)?
                     }
                 };
-                found.push(samples.of(leaf));
+                found.push(samples.sample_of(leaf));
             }
             visit(&found)
         })?;
@@ -408,7 +408,7 @@ pub fn faces(
     }
     let mut writer = NumbersWriter::create(target, key, list::COUNT)?;
     if cut.alone.is_none() {
-        let runs = FaceRuns::of(model, files.runs)?;
+        let runs = FaceRuns::known(model, files.runs)?;
         if let Some(read) = runs.part(part, parts) {
             FacePart::new(&divided, &cut, read, runs.triangles()).read(files, &mut writer)?;
         } else {

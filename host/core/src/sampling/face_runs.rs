@@ -88,7 +88,7 @@ fn key_of(model: &dyn Model) -> u128 {
 
 impl FaceRuns {
     /// The runs of a model, by a file unless arithmetic tells.
-    pub(super) fn of(model: &dyn Model, file: &Path) -> Result<Self> {
+    pub(super) fn known(model: &dyn Model, file: &Path) -> Result<Self> {
         if have_to_be_found(model) { Self::read(model, file) } else { Ok(Self::of_triangles(model)) }
     }
 

@@ -191,7 +191,7 @@ impl Membership {
             self.items.read_at(cast_slice_mut(&mut chunk), first * BYTES)?;
             let mut samples = Samples::new(starts);
             for item in &mut chunk {
-                *item = leaves.get(*item as usize).map_or(NONE, |leaf| samples.of(*leaf));
+                *item = leaves.get(*item as usize).map_or(NONE, |leaf| samples.sample_of(*leaf));
             }
             progress.advance(chunk.len() as u64);
             self.items.write_at(cast_slice(&chunk), first * BYTES)
@@ -232,7 +232,7 @@ impl<'a> Samples<'a> {
 
     /// The sample of a leaf.
     #[inline]
-    pub fn of(&mut self, leaf: u32) -> u32 {
+    pub fn sample_of(&mut self, leaf: u32) -> u32 {
         if leaf < self.from || leaf >= self.to {
             let next = next_start(self.starts, leaf, self.last);
             self.last = next;

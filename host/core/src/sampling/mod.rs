@@ -426,7 +426,7 @@ impl<'a> Prepared<'a> {
         let mut sampled = SampledModel::new(
             Source {
                 path: model.path().to_owned(),
-                tiles: SourceTile::of(model),
+                tiles: SourceTile::all(model),
                 columns: model.columns().map(str::to_owned),
                 bytes: info.bytes,
                 vertices: info.vertices,

@@ -8,7 +8,7 @@ use crate::plugins::PluginRegistry;
 use crate::refining::{Pose, Room};
 use crate::session_file::{Action, Deformation, Refine, Step};
 use crate::sidecar;
-use crate::stack::{Done, Layer, LayerCache, Moment, PreparedStack, Rest, RestShape, at};
+use crate::stack::{Done, Layer, LayerCache, Moment, PreparedStack, Rest, RestShape, located};
 use glam::{DVec3, Mat3, Vec3};
 use simod_core::reconstruction::{
     DeformationField, Method, Reconstructed, Reconstruction, RestGeometry, Version, deformed_normals,
@@ -278,7 +278,7 @@ impl Evaluation {
                     Err(e) if e.kind() == ErrorKind::Cancelled => return Err(e),
                     Err(e) => {
                         failed = true;
-                        Status::Failed(at(step.place_of(&e), e))
+                        Status::Failed(located(step.place_of(&e), e))
                     }
                 }
             };
@@ -462,7 +462,7 @@ fn with_field<T>(
     if *positions == *sampled.samples.positions {
         return call(None);
     }
-    let around = RestGeometry::of(sampled);
+    let around = RestGeometry::kept(sampled);
     call(Some(&DeformationField::new(&around, positions, Method::default())))
 }
 

@@ -42,7 +42,7 @@ pub struct Unit {
 
 impl Unit {
     /// A unit of a stage that divides nothing but what it is of, by its place there.
-    pub fn of(number: usize, stage: Stage, after: Vec<usize>, part: usize, writes: PathBuf) -> Self {
+    pub fn undivided(number: usize, stage: Stage, after: Vec<usize>, part: usize, writes: PathBuf) -> Self {
         let part = Some(part as u64);
         Self { number, stage, after, vertices: None, part, pieces: None, writes }
     }

@@ -13,7 +13,7 @@ use crate::session_file::{Deformation, Step};
 use glam::{DVec3, Vec3};
 pub(crate) use layer::{Done, Layer, LayerCache};
 use rayon::prelude::*;
-pub(crate) use rest::{Moment, Rest, at};
+pub(crate) use rest::{Moment, Rest, located};
 pub use rest::{Renormal, RestShape, neighbour_lists, rows};
 use simod_model::frame::Frame;
 use simod_model::progress::Silent;
@@ -59,7 +59,7 @@ impl Stack {
         let deformations = enabled.filter_map(|step| Some((step.deformation()?, &step.place)));
         let layer = |(deformation, place): (&Deformation, &String)| {
             Layer::build(deformation, place, registry, None)
-                .map_err(|e| at(deformation.param_places.of(place, &e), e))
+                .map_err(|e| located(deformation.param_places.place_of(place, &e), e))
         };
         Ok(Self { layers: deformations.map(layer).collect::<Result<_>>()? })
     }
@@ -85,7 +85,7 @@ impl Stack {
     pub fn check_evaluable(&self) -> Result<()> {
         match self.layers.iter().find(|layer| !layer.plugin.capabilities().evaluate) {
             None => Ok(()),
-            Some(layer) => Err(at(&layer.place, layer.plugin.samples_only())),
+            Some(layer) => Err(located(&layer.place, layer.plugin.samples_only())),
         }
     }
 
@@ -102,7 +102,7 @@ impl Stack {
         for layer in &self.layers {
             let moment = Moment { effort: api::Effort::FULL, time: api::Time::default() };
             let done = layer.update(&rest, shape, &mut LayerCache::default(), moment, progress);
-            let (next, done) = done.map_err(|e| at(layer.param_places.of(&layer.place, &e), e))?;
+            let (next, done) = done.map_err(|e| located(layer.param_places.place_of(&layer.place, &e), e))?;
             messages.extend(done.messages.iter().cloned());
             layers.push(done);
             rest = next;

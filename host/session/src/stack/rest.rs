@@ -124,7 +124,7 @@ pub fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u
 }
 
 /// An error of a layer, with its place; a cancel has none.
-pub(crate) fn at(place: &str, e: Error) -> Error {
+pub(crate) fn located(place: &str, e: Error) -> Error {
     if e.kind() == ErrorKind::Cancelled {
         return e;
     }

@@ -36,7 +36,7 @@ struct Bulge<'a> {
 }
 
 impl<'a> Bulge<'a> {
-    fn of(input: &DeformInput<'a>) -> PluginResult<Self> {
+    fn read(input: &DeformInput<'a>) -> PluginResult<Self> {
         let __TYPE__ { center, radius, strength } = input.params().read()?;
         // The handle's motion moves what swells along.
         let center = input.handle_motions().first().map_or(center, |motion| motion.apply(center));
@@ -77,7 +77,7 @@ impl Deformer for __TYPE__ {
         out: &mut [[f32; 3]],
         _: &Host<'_>,
     ) -> PluginResult<()> {
-        let bulge = Bulge::of(input)?;
+        let bulge = Bulge::read(input)?;
         for (out, p) in out.iter_mut().zip(input.samples.positions()) {
             *out = bulge.image(p.map(f64::from)).map(|x| x as f32);
         }
@@ -88,7 +88,7 @@ impl Deformer for __TYPE__ {
 /// The same map at any point, by which SIMOD measures its results. It can be left out, with `evaluate` below.
 impl Evaluate for __TYPE__ {
     fn evaluate(_: &(), input: &DeformInput<'_>, points: &mut [[f64; 3]], _: &Host<'_>) -> PluginResult<()> {
-        let bulge = Bulge::of(input)?;
+        let bulge = Bulge::read(input)?;
         points.iter_mut().for_each(|p| *p = bulge.image(*p));
         Ok(())
     }
@@ -105,7 +105,7 @@ impl Handles for __TYPE__ {
 /// Whether there is nothing to do: samples move though no handle does, unless there is no strength.
 impl IsIdentity for __TYPE__ {
     fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
-        Ok(Bulge::of(input)?.strength == 0.0)
+        Ok(Bulge::read(input)?.strength == 0.0)
     }
 }
 
