@@ -329,8 +329,8 @@ fn killed(name: &str) {
     assert!(!hidden.iter().any(|name| name.starts_with(".simod")), "{hidden:?}");
 }
 
-/// A process that is killed as it lets a folder go, leaves what it held it by; one that is killed as it tidies, leaves parts.
-/// The last unit removes both, whenever it was done.
+/// A process that is killed as it lets a folder go, leaves what it held it by; one that is killed as it
+/// tidies, leaves parts. The last unit removes both, whenever it was done.
 #[test]
 fn what_killed_units_have_left_goes_with_the_last_one() {
     let work = jar("made.ply", "", STEPS);
@@ -349,8 +349,8 @@ fn what_killed_units_have_left_goes_with_the_last_one() {
     assert_eq!(left(&work), tidied);
 }
 
-/// `finish` is killed when the output is in its place, before it has said so; then a part is done once more, to a file
-/// of its own that has nothing else. Whatever comes next, the output stays.
+/// `finish` is killed when the output is in its place, before it has said so; then a part is done once more,
+/// to a file of its own that has nothing else. Whatever comes next, the output stays.
 #[test]
 fn a_part_that_is_done_again_behind_a_killed_finish_takes_nothing_along() {
     let work = jar("made.ply", "--no-faces", STEPS);
