@@ -293,7 +293,8 @@ fn comments_keep_to_the_width_of_code() {
     let settings: toml::Table = settings.parse().expect("TOML");
     let width = settings["max_width"].as_integer().expect("a width") as usize;
     let folders = ["host", "plugin-api", "plugins", "tests", "benches", "examples"];
-    let files: Vec<PathBuf> = folders.iter().flat_map(|folder| rust_files(&workspace().join(folder))).collect();
+    let files: Vec<PathBuf> =
+        folders.iter().flat_map(|folder| rust_files(&workspace().join(folder))).collect();
     assert!(files.len() > 300, "{} files", files.len());
     let mut wide = Vec::new();
     for file in files {

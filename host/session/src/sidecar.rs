@@ -31,7 +31,7 @@ pub fn path_beside(model: &Path) -> PathBuf {
 /// # Errors
 /// The sidecar is there, and is no such file; as of [`Model::follow`].
 pub fn follow(model: &mut dyn Model, asked: &Follow) -> Result<Follow> {
-    let path = of(model.path());
+    let path = path_beside(model.path());
     // Nothing is read that has no say.
     if !(asked.declared.is_empty() && asked.splats && path.exists()) {
         return model.follow(asked).map(|()| asked.clone());
