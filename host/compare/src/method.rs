@@ -79,7 +79,8 @@ pub(crate) enum Begun<'a> {
     Waiting(Box<Waiting<'a>>),
 }
 
-/// A method whose samples were deformed once, so that it can be transferred in one reading with others of its kind.
+/// A method whose samples were deformed once, so that it can be transferred in one reading with others of its
+/// kind.
 pub(crate) struct Waiting<'a> {
     known: Known<'a>,
     ready: Ready,
@@ -179,8 +180,8 @@ impl<'a> Bench<'a> {
         self.all_runs(&known, (notices, sample, &memory), record, progress)
     }
 
-    /// Does a method, or only deforms its samples where these may be transferred together with those of others: where it is
-    /// run once, so that nobody tells from several runs how long it takes by itself.
+    /// Does a method, or only deforms its samples where these may be transferred together with those of
+    /// others: where it is run once, so that nobody tells from several runs how long it takes by itself.
     pub fn begin(
         &mut self,
         method: &'a Method,
@@ -199,8 +200,8 @@ impl<'a> Bench<'a> {
         Ok(Begun::Waiting(Box::new(Waiting { known, ready, notices, sample, peak_memory_bytes })))
     }
 
-    /// Transfers methods that go with each other, in one reading of the model. If that cannot be done, each one is transferred
-    /// by itself, so that one of them does not keep the others from being done.
+    /// Transfers methods that go with each other, in one reading of the model. If that cannot be done, each
+    /// one is transferred by itself, so that one of them does not keep the others from being done.
     pub fn transfer(
         &self,
         waiting: Vec<Waiting<'a>>,
@@ -237,7 +238,8 @@ impl<'a> Bench<'a> {
         Ok(finished(&known, once, (runs, sample, peak_memory_bytes, notices), (result, None), record))
     }
 
-    /// What is known of a method before it is done, what there is to say of its plugins, and how long its sampling took.
+    /// What is known of a method before it is done, what there is to say of its plugins, and how long its
+    /// sampling took.
     fn known(
         &mut self,
         method: &'a Method,
@@ -427,8 +429,8 @@ impl<'a> Bench<'a> {
         Ok(transferred)
     }
 
-    /// What reconstructions have to know of the samples of a sampling at rest, which is found once for all methods that
-    /// have it; nothing of samples to which a method appended some.
+    /// What reconstructions have to know of the samples of a sampling at rest, which is found once for all
+    /// methods that have it; nothing of samples to which a method appended some.
     fn found(&self, sampled: &Arc<SampledModel>, progress: &dyn Progress) -> Option<&Found> {
         let taken = self.samplings.iter().find(|taken| Arc::ptr_eq(&taken.sampled, sampled))?;
         Some(taken.found.get_or_init(|| {
@@ -657,7 +659,8 @@ fn hash_of(files: &[PathBuf], bytes: u64, progress: &dyn Progress) -> Result<u12
     Ok(hash.digest128())
 }
 
-/// What a method's model is called: with an extension of the model's format, its own if it is one; of tiles a folder.
+/// What a method's model is called: with an extension of the model's format, its own if it is one; of tiles a
+/// folder.
 pub(crate) fn file_name(method: &str, model: &dyn Model) -> String {
     if !model.tiles().is_empty() {
         return method.to_owned();

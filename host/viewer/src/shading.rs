@@ -1,5 +1,5 @@
-//! How the surface lies where the samples went: their normals, and what becomes of a circle around each. Quick, and for
-//! the eye alone.
+//! How the surface lies where the samples went: their normals, and what becomes of a circle around each.
+//! Quick, and for the eye alone.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -26,7 +26,8 @@ pub type Ellipse = [Vec3; 2];
 pub struct Shading {
     /// Unit normals.
     pub normals: Arc<[Vec3]>,
-    /// What a circle of radius 1 around each at rest becomes, in the tangent plane. Empty where nothing has moved.
+    /// What a circle of radius 1 around each at rest becomes, in the tangent plane. Empty where nothing has
+    /// moved.
     pub axes: Arc<[Ellipse]>,
 }
 
@@ -91,9 +92,10 @@ impl<'a> Turned<'a> {
         Self { rest: &samples.positions, now, normals: samples.normals(), neighbours: samples.neighbours() }
     }
 
-    /// A sample's normal, turned as the triangles between it and its nearest neighbours are: `Σ (r₁ × r₂ · n) d₁ × d₂`
-    /// over pairs of neighbours, where `r` are the ways to them at rest and `d` those now. With tangents `s × t = n`
-    /// that is `(Σ (r·s) d) × (Σ (r·t) d)`. And the ellipse of the linear map that carries these ways over best.
+    /// A sample's normal, turned as the triangles between it and its nearest neighbours are:
+    /// `Σ (r₁ × r₂ · n) d₁ × d₂` over pairs of neighbours, where `r` are the ways to them at rest and `d`
+    /// those now. With tangents `s × t = n` that is `(Σ (r·s) d) × (Σ (r·t) d)`. And the ellipse of the
+    /// linear map that carries these ways over best.
     fn of(&self, i: usize) -> (Vec3, Ellipse) {
         let (rest, positions, n) = (self.rest, self.now, self.normals[i]);
         let (s, t) = n.any_orthonormal_pair();
@@ -123,8 +125,8 @@ impl<'a> Turned<'a> {
     }
 }
 
-/// Half axes of what a circle of radius 1 becomes, by where a linear map takes two of its radii at right angles;
-/// in the plane of a normal, and within bounds that can be drawn.
+/// Half axes of what a circle of radius 1 becomes, by where a linear map takes two of its radii at right
+/// angles; in the plane of a normal, and within bounds that can be drawn.
 fn ellipse(radii: [Vec3; 2], normal: Vec3) -> Ellipse {
     let [u, v] = radii.map(|radius| radius - radius.dot(normal) * normal);
     let (uu, uv, vv) = (u.dot(u), u.dot(v), v.dot(v));
@@ -140,8 +142,8 @@ fn ellipse(radii: [Vec3; 2], normal: Vec3) -> Ellipse {
     [most * along, least * normal.cross(along)]
 }
 
-/// Sine and cosine of half the angle of a point, which is between a quarter turn to either side: there is one for
-/// each sample in each picture, and arc tangents take long.
+/// Sine and cosine of half the angle of a point, which is between a quarter turn to either side: there is one
+/// for each sample in each picture, and arc tangents take long.
 fn half_angle(y: f32, x: f32) -> (f32, f32) {
     let far = (y * y + x * x).sqrt();
     if far == 0.0 {

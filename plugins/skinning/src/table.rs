@@ -43,7 +43,8 @@ struct Rows {
     weights: Vec<(f64, u16)>,
     /// How many do not sum to 1.
     off: usize,
-    /// The one of these that is farthest from it: its number from 0 on, its line if that is known, and its sum.
+    /// The one of these that is farthest from it: its number from 0 on, its line if that is known, and its
+    /// sum.
     farthest: Option<(usize, Option<usize>, f64)>,
     /// Ids of joints with bones, of which there is no column.
     without: Vec<String>,
@@ -52,8 +53,8 @@ struct Rows {
 impl WeightTable {
     /// The table in a file: a line `x y z` and the ids of joints, and then, line by line, a place and a
     /// weight for each of the joints. Numbers are separated by white space or commas; empty lines and those
-    /// that begin with `#` are passed over. Weights are taken as parts of their sum, which is told where it is
-    /// not 1.
+    /// that begin with `#` are passed over. Weights are taken as parts of their sum, which is told where it
+    /// is not 1.
     ///
     /// Or a DMAT with a column for each bone, in the skeleton's order, and a row for each of the places in a
     /// second file: an OBJ's vertices, or a DMAT with three columns.

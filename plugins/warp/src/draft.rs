@@ -1,5 +1,5 @@
-//! Twists and bends in single precision, many points at a time: for drafts, of which a hand that drags wants one after
-//! the other.
+//! Twists and bends in single precision, many points at a time: for drafts, of which a hand that drags wants
+//! one after the other.
 
 use crate::map::{Deformation, Warp};
 
@@ -23,7 +23,8 @@ pub struct Draft {
 enum Kind {
     /// Turns by so much per length along the axis.
     Twist { turn: f32 },
-    /// Bends by so much per length along the axis, towards a direction across it; one place of the axis stays.
+    /// Bends by so much per length along the axis, towards a direction across it; one place of the axis
+    /// stays.
     Bend { turn: f32, across: [f32; 3], still: f32 },
 }
 
@@ -109,7 +110,8 @@ impl Draft {
     }
 }
 
-/// Sines and cosines, to some 1e-7, by the polynomials of S. L. Moshier's Cephes, of angles up to some thousand turns.
+/// Sines and cosines, to some 1e-7, by the polynomials of S. L. Moshier's Cephes, of angles up to some
+/// thousand turns.
 #[inline]
 fn sines(angles: &Lanes) -> (Lanes, Lanes) {
     /// Added, it leaves the nearest whole number in the lowest bits.

@@ -186,7 +186,8 @@ fn a_method_that_fails_is_a_row_and_the_others_go_on() {
     assert!(page.contains("&lt;b&gt;none&lt;/b&gt;") && !page.contains("<b>"));
 }
 
-/// Methods with the same samples share a reading of the model; where each is run twice, each is done by itself.
+/// Methods with the same samples share a reading of the model; where each is run twice, each is done by
+/// itself.
 #[test]
 fn methods_that_are_transferred_together_come_to_what_each_comes_to() {
     let work = with_bar();

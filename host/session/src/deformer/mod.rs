@@ -234,9 +234,9 @@ impl Plugin {
         self.code.new_scratch().map_err(|e| self.failed(&e))
     }
 
-    /// Fills `out`, whose content is not a number so that what is not written stays visible, with the samples' deformed
-    /// positions. On an error its content is meaningless. That the samples are what they were is
-    /// [checked](Self::check_unchanged) by the caller.
+    /// Fills `out`, whose content is not a number so that what is not written stays visible, with the
+    /// samples' deformed positions. On an error its content is meaningless. That the samples are what they
+    /// were is [checked](Self::check_unchanged) by the caller.
     pub(crate) fn deform(
         &self,
         state: &State,

@@ -96,15 +96,16 @@ struct Preparation {
     attributes: Option<Arc<Attributes>>,
     /// Between deformations, which may go on where the last one stopped.
     scratch: Mutex<Option<api::Scratch>>,
-    /// What the plugin finds and has to leave as it is, as a hash; and whether it was called since it was looked at.
+    /// What the plugin finds and has to leave as it is, as a hash; and whether it was called since it was
+    /// looked at.
     fingerprint: Option<u64>,
     is_unchecked: AtomicBool,
     messages: Vec<Message>,
 }
 
 impl Preparation {
-    /// What the plugin was called with is what it was: later layers work on it, too. Drafts are looked at with the
-    /// result after them: it takes as long as a quick deformation.
+    /// What the plugin was called with is what it was: later layers work on it, too. Drafts are looked at
+    /// with the result after them: it takes as long as a quick deformation.
     ///
     /// # Errors
     /// The plugin has changed it.
@@ -356,8 +357,8 @@ impl Layer {
         Ok(preparation)
     }
 
-    /// The other models that the user gave, by the parameters that name them: as read before, as long as their
-    /// files are what they were.
+    /// The other models that the user gave, by the parameters that name them: as read before, as long as
+    /// their files are what they were.
     fn other_models(
         &self,
         shape: &RestShape<'_>,
