@@ -11,13 +11,17 @@
 //! needs a surface in memory (volume, edges, areas, folds, energies, distances from surface to surface) is
 //! told of the samples and the triangles between them, and of models that are small enough to be held.
 //!
-//! Memory: a run of each method, one after the other; of each distinct sampling its samples and triangles,
-//! and of each method 12 bytes a sample, to the end, and until all methods are done what is found of the
-//! samples at rest (420 bytes a sample); then up to four methods' smooth surfaces (220 bytes a sample each),
-//! or a tree of one method's triangles (400 bytes a sample), or for each thread a small chunk (about 1 MB) of
-//! each model, or a picture in the making, or two of up to a million pixels (380 bytes a pixel). On the disk,
-//! the deformed models of all methods at once, and the chosen vertices (three for each pixel, 24 bytes for
-//! each version).
+//! Up to four methods in a row that are run once, and have the same samples, are transferred by one reading
+//! of the model.
+//!
+//! Memory: a run of each method, one after the other, or of those that are transferred together what their
+//! exact maps need, and then a field of each; of each distinct sampling its samples and triangles, and of
+//! each method 12 bytes a sample, to the end, and until all methods are done what is found of the samples at
+//! rest (420 bytes a sample); then up to four methods' smooth surfaces (220 bytes a sample each), or a tree
+//! of one method's triangles (400 bytes a sample), or for each thread a small chunk (about 1 MB) of each
+//! model, or a picture in the making, or two of up to a million pixels (380 bytes a pixel). On the disk, the
+//! deformed models of all methods at once, and the chosen vertices (three for each pixel, 24 bytes for each
+//! version).
 
 mod chosen;
 mod clock;
@@ -45,11 +49,11 @@ pub use unit::{Done, do_unit};
 use chosen::Choosing;
 use figures::Held;
 use folder::{CSV, INDEX, LATEX, RECORD, Target};
-use method::{Bench, Deformed};
+use method::{Begun, Bench, Deformed, Waiting};
 use pictures::Easel;
 use simod_model::output::write_file;
 use simod_model::output_folder::OutputFolder;
-use simod_model::{Cache, Error, ErrorKind, Model, ModelName, Progress, Result, Vertices};
+use simod_model::{Cache, Error, ErrorKind, MAX_VERSIONS, Model, ModelName, Progress, Result, Vertices};
 use simod_session::plugins::PluginRegistry;
 use std::path::Path;
 use std::sync::Arc;
@@ -120,29 +124,74 @@ fn checked(file: &CompareFile, how: Comparing, output: &Path) -> Result<(ModelNa
     Ok((named, target))
 }
 
-fn in_folder(
-    file: &CompareFile,
-    mut bench: Bench<'_>,
+fn in_folder<'a>(
+    file: &'a CompareFile,
+    mut bench: Bench<'a>,
     keep_models: bool,
     folder: &OutputFolder,
     rest: &dyn Model,
     target: &Target,
     progress: &dyn Progress,
 ) -> Result<Comparison> {
-    let (mut records, mut done) = (Vec::new(), Vec::new());
-    for (i, (method, name)) in file.methods.iter().zip(folder::names(&file.methods)).enumerate() {
+    let names = folder::names(&file.methods);
+    let new = |(method, name): (&Method, &String)| MethodRecord::new(method, name);
+    let mut records: Vec<MethodRecord> = file.methods.iter().zip(&names).map(new).collect();
+    let (mut done, mut waiting) = (Vec::new(), Vec::new());
+    for (i, (method, name)) in file.methods.iter().zip(&names).enumerate() {
         progress.check()?;
         progress.note(&format!("method {} of {}: {}", i + 1, file.methods.len(), method.name));
-        let mut record = MethodRecord::new(method, &name);
-        match bench.run(method, &name, &mut record, progress) {
-            Ok(deformed) => done.push((i, deformed)),
+        let begun = bench.begin(method, name, &mut records[i], progress);
+        match begun {
+            Ok(Begun::Done(deformed)) => done.push((i, *deformed)),
+            Ok(Begun::Waiting(one)) => {
+                let is_full = waiting.len() == MAX_VERSIONS;
+                if waiting
+                    .first()
+                    .is_some_and(|(_, first): &(usize, Waiting<'_>)| is_full || !one.goes_with(first))
+                {
+                    done.extend(transfer(
+                        &bench,
+                        std::mem::take(&mut waiting),
+                        &mut records,
+                        folder,
+                        progress,
+                    )?);
+                }
+                waiting.push((i, *one));
+            }
             Err(e) if e.kind() == ErrorKind::Cancelled => return Err(e),
-            Err(e) => record.fail(&folder.named(e)),
+            Err(e) => records[i].fail(&folder.named(e)),
         }
-        records.push(record);
     }
+    done.extend(transfer(&bench, waiting, &mut records, folder, progress)?);
+    done.sort_by_key(|(i, _)| *i);
     drop(bench);
     beside_each_other(file, (records, &done), keep_models, folder, rest, target, progress)
+}
+
+/// Transfers methods, by their numbers in the file, in one reading of the model; gives those that could be
+/// done.
+fn transfer(
+    bench: &Bench<'_>,
+    waiting: Vec<(usize, Waiting<'_>)>,
+    records: &mut [MethodRecord],
+    folder: &OutputFolder,
+    progress: &dyn Progress,
+) -> Result<Vec<(usize, Deformed)>> {
+    let (numbers, waiting): (Vec<usize>, Vec<Waiting<'_>>) = waiting.into_iter().unzip();
+    if numbers.len() > 1 {
+        let names: Vec<&str> = numbers.iter().map(|i| records[*i].name.as_str()).collect();
+        progress.note(&format!("transferring together: {}", names.join(", ")));
+    }
+    let mut done = Vec::new();
+    for (i, of) in numbers.iter().zip(bench.transfer(waiting, progress)) {
+        match of.and_then(|once| bench.finish(once, &mut records[*i], progress)) {
+            Ok(deformed) => done.push((*i, deformed)),
+            Err(e) if e.kind() == ErrorKind::Cancelled => return Err(e),
+            Err(e) => records[*i].fail(&folder.named(e)),
+        }
+    }
+    Ok(done)
 }
 
 /// What methods came to, compared: `done` are those that could be done, and their numbers in the file.

@@ -72,6 +72,45 @@ pub(crate) struct Deformed {
     pub is_ours: bool,
 }
 
+/// A method that was begun.
+pub(crate) enum Begun<'a> {
+    Done(Box<Deformed>),
+    /// Its samples were deformed, and are still to be transferred.
+    Waiting(Box<Waiting<'a>>),
+}
+
+/// A method whose samples were deformed once, so that it can be transferred in one reading with others of its
+/// kind.
+pub(crate) struct Waiting<'a> {
+    known: Known<'a>,
+    ready: Ready,
+    notices: Vec<String>,
+    sample: f64,
+    /// While its samples were deformed.
+    peak_memory_bytes: Option<u64>,
+}
+
+impl Waiting<'_> {
+    /// Whether both have the same samples, and are transferred likewise.
+    pub fn goes_with(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.ready.moved.sampled, &other.ready.moved.sampled)
+            && self.known.method.reconstruction == other.known.method.reconstruction
+    }
+}
+
+/// A method that was transferred.
+pub(crate) struct Transferred<'a> {
+    waiting: Waiting<'a>,
+    once: Once,
+}
+
+/// Samples that went somewhere, and what that took.
+struct Ready {
+    moved: Moved,
+    deform: f64,
+    processor: Option<f64>,
+}
+
 /// A run of a method.
 struct Once {
     sampled: Arc<SampledModel>,
@@ -106,7 +145,7 @@ struct Moved {
 struct Known<'a> {
     method: &'a Method,
     /// What its files begin with.
-    name: &'a str,
+    name: String,
     /// Those of plugins.
     steps: Vec<Step>,
     rest: Arc<SampledModel>,
@@ -131,67 +170,120 @@ impl<'a> Bench<'a> {
     /// Does a method, as often as the file says. `record` gets what is known as soon as it is.
     pub fn run(
         &mut self,
-        method: &Method,
+        method: &'a Method,
         name: &str,
         record: &mut MethodRecord,
         progress: &dyn Progress,
     ) -> Result<Deformed> {
         let memory = MemoryWatch::start();
+        let (known, notices, sample) = self.known(method, name, record, progress)?;
+        self.all_runs(&known, (notices, sample, &memory), record, progress)
+    }
+
+    /// Does a method, or only deforms its samples where these may be transferred together with those of
+    /// others: where it is run once, so that nobody tells from several runs how long it takes by itself.
+    pub fn begin(
+        &mut self,
+        method: &'a Method,
+        name: &str,
+        record: &mut MethodRecord,
+        progress: &dyn Progress,
+    ) -> Result<Begun<'a>> {
+        let memory = MemoryWatch::start();
+        let (known, notices, sample) = self.known(method, name, record, progress)?;
+        if self.file.runs > 1 || !deforms_samples(method) {
+            let done = self.all_runs(&known, (notices, sample, &memory), record, progress)?;
+            return Ok(Begun::Done(Box::new(done)));
+        }
+        let ready = self.ready(&known, progress)?;
+        let peak_memory_bytes = memory.peak().max(ready.moved.peak_memory_bytes);
+        Ok(Begun::Waiting(Box::new(Waiting { known, ready, notices, sample, peak_memory_bytes })))
+    }
+
+    /// Transfers methods that go with each other, in one reading of the model. If that cannot be done, each
+    /// one is transferred by itself, so that one of them does not keep the others from being done.
+    pub fn transfer(
+        &self,
+        waiting: Vec<Waiting<'a>>,
+        progress: &dyn Progress,
+    ) -> Vec<Result<Transferred<'a>>> {
+        let memory = MemoryWatch::start();
+        let all: Vec<(&Known<'_>, &Ready)> = waiting.iter().map(|one| (&one.known, &one.ready)).collect();
+        let transferred = match self.transferred(&all, true, progress) {
+            Err(e) if e.kind() != ErrorKind::Cancelled && all.len() > 1 => {
+                all.iter().map(|one| self.alone(*one, true, progress)).collect()
+            }
+            Err(e) => vec![Err(e)],
+            Ok(done) => done.into_iter().map(Ok).collect::<Vec<_>>(),
+        };
+        let peak = memory.peak();
+        let with = |(waiting, once): (Waiting<'a>, Result<Once>)| {
+            let peak_memory_bytes = peak.map(|peak| peak.max(waiting.peak_memory_bytes.unwrap_or(0)));
+            Ok(Transferred { once: once?, waiting: Waiting { peak_memory_bytes, ..waiting } })
+        };
+        waiting.into_iter().zip(transferred).map(with).collect()
+    }
+
+    /// Writes into the record of a method what came of it.
+    pub fn finish(
+        &self,
+        transferred: Transferred<'_>,
+        record: &mut MethodRecord,
+        progress: &dyn Progress,
+    ) -> Result<Deformed> {
+        let Transferred { once, waiting: Waiting { known, sample, notices, peak_memory_bytes, .. } } =
+            transferred;
+        let result = result_of(&once, progress)?;
+        let runs = vec![once.seconds];
+        Ok(finished(&known, once, (runs, sample, peak_memory_bytes, notices), (result, None), record))
+    }
+
+    /// What is known of a method before it is done, what there is to say of its plugins, and how long its
+    /// sampling took.
+    fn known(
+        &mut self,
+        method: &'a Method,
+        name: &str,
+        record: &mut MethodRecord,
+        progress: &dyn Progress,
+    ) -> Result<(Known<'a>, Vec<String>, f64)> {
         let steps = self.steps(method, record)?;
         let notices = self.plugins.notices(&steps);
         notices.iter().for_each(|notice| progress.note(notice));
         let stack = Stack::build(&steps, self.plugins)?;
         record.steps = stack.in_effect().map(StepRecord::new).collect();
         let (rest, sample) = self.sampling(method.sampling, progress)?;
-        let known = Known { method, name, steps, rest };
+        Ok((Known { method, name: name.to_owned(), steps, rest }, notices, sample))
+    }
 
+    /// Does a method as often as the file says, each time by itself.
+    fn all_runs(
+        &self,
+        known: &Known<'_>,
+        (notices, sample, memory): (Vec<String>, f64, &MemoryWatch),
+        record: &mut MethodRecord,
+        progress: &dyn Progress,
+    ) -> Result<Deformed> {
         let mut first: Option<(Once, (u64, String))> = None;
         let (mut runs, mut peak, mut repeats) = (Vec::new(), None, None);
         for number in 0..self.file.runs {
             if self.file.runs > 1 {
-                progress.note(&format!("{}: run {} of {}", method.name, number + 1, self.file.runs));
+                progress.note(&format!("{}: run {} of {}", known.method.name, number + 1, self.file.runs));
             }
-            let once = self.once(&known, number == 0, progress)?;
+            let once = self.once(known, number == 0, progress)?;
             runs.push(once.seconds);
             peak = peak.max(once.peak_memory_bytes);
-            let bytes = size_of_all(&once.files)?;
-            let hash = match once.hash {
-                Some(hash) => hash,
-                None => hash_of(&once.files, bytes, progress)?,
-            };
-            let hash = (bytes, format!("xxh3-128:{hash:032x}"));
+            let result = result_of(&once, progress)?;
             match &first {
-                Some((_, former)) => repeats = Some(repeats.unwrap_or(true) && hash == *former),
-                None => first = Some((once, hash)),
+                Some((_, former)) => repeats = Some(repeats.unwrap_or(true) && result == *former),
+                None => first = Some((once, result)),
             }
         }
-        let peak_memory_bytes = memory.peak().map(|own| own.max(peak.unwrap_or(0)));
-        let Some((once, (bytes, hash))) = first else {
+        let peak = memory.peak().map(|own| own.max(peak.unwrap_or(0)));
+        let Some((once, result)) = first else {
             return Err(Error::internal("a method was not run", "report this"));
         };
-        let Once { sampled, positions, output, .. } = once;
-        let is_model = positions.is_none();
-        record.figures = Some(Figures {
-            samples: if is_model { 0 } else { sampled.samples.len() },
-            triangles: if is_model { 0 } else { sampled.triangles.len() },
-            seconds: Seconds::of((!is_model).then_some(sample), runs),
-            peak_memory_bytes,
-            transfer_error: once.transfer_error,
-            expected_error: once.expected_error,
-            displacement: None,
-            to_first: None,
-            on_samples: None,
-            on_model: None,
-            folded_samples: once.folded_samples,
-            result: ResultFile { bytes, hash, repeats },
-            messages: notices
-                .into_iter()
-                .map(|notice| format!("warning: {notice}"))
-                .chain(words(&once.messages))
-                .collect(),
-        });
-        let is_ours = !matches!(method.work, Work::Model(_));
-        Ok(Deformed { name: name.to_owned(), sampled, positions, output, is_ours })
+        Ok(finished(known, once, (runs, sample, peak, notices), (result, repeats), record))
     }
 
     /// Does a method once; what does not change is measured where it is asked for.
@@ -200,7 +292,7 @@ impl<'a> Bench<'a> {
             Work::Model(path) => self.of_model(known, path.clone(), None, progress),
             Work::Command(command) if command.makes_model() => {
                 let source = known.rest.open_source(Some(&self.file.model), progress)?;
-                let output = self.folder.join(file_name(known.name, source.as_ref()));
+                let output = self.folder.join(file_name(&known.name, source.as_ref()));
                 let processor = processor::seconds();
                 let ran = self.run_program(command, known, &output, progress)?;
                 let seconds = RunSeconds {
@@ -211,7 +303,10 @@ impl<'a> Bench<'a> {
                 let once = self.of_model(known, output, Some(seconds), progress)?;
                 Ok(Once { peak_memory_bytes: ran.peak_memory_bytes, ..once })
             }
-            _ => self.of_samples(known, measure, progress),
+            _ => {
+                let ready = self.ready(known, progress)?;
+                self.alone((known, &ready), measure, progress)
+            }
         }
     }
 
@@ -249,56 +344,89 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// Deforms samples, and transfers that.
-    fn of_samples(&self, known: &Known<'_>, measure: bool, progress: &dyn Progress) -> Result<Once> {
+    /// Deforms samples.
+    fn ready(&self, known: &Known<'_>, progress: &dyn Progress) -> Result<Ready> {
         let (start, processor) = (Instant::now(), processor::seconds());
         let moved = self.moved(known, progress)?;
-        let Moved { sampled, positions, messages, stack, prepare, peak_memory_bytes } = moved;
-        let (deform, used) = (start.elapsed().as_secs_f64(), since(processor));
+        Ok(Ready { moved, deform: start.elapsed().as_secs_f64(), processor: since(processor) })
+    }
 
-        let found = self.found(&sampled, progress);
+    /// Transfers one deformation of samples.
+    fn alone(&self, of: (&Known<'_>, &Ready), measure: bool, progress: &dyn Progress) -> Result<Once> {
+        let transferred = self.transferred(&[of], measure, progress)?.into_iter().next();
+        transferred.ok_or_else(|| Error::internal("a method was not transferred", "report this"))
+    }
+
+    /// Transfers deformations of the same samples, in one reading; each one's time is an equal part of it.
+    fn transferred(
+        &self,
+        all: &[(&Known<'_>, &Ready)],
+        measure: bool,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Once>> {
+        let Some((known, Ready { moved: Moved { sampled, .. }, .. })) = all.first() else {
+            return Ok(Vec::new());
+        };
+        let found = self.found(sampled, progress);
         let (start, processor) = (Instant::now(), processor::seconds());
         let source = sampled.open_source(Some(&self.file.model), progress)?;
-        let output = self.folder.join(file_name(known.name, source.as_ref()));
-        let version = Version { deformed: &positions, output: &output, diagnostics: None };
-        let gradients =
-            stack.as_ref().map(|stack| turning_gradients(&sampled, stack, source.as_ref(), progress));
+        if all.len() > 1 && source.following().is_some() {
+            // What turns with the surface knows the gradients of one map.
+            return all.iter().map(|one| self.alone(*one, measure, progress)).collect();
+        }
+        let output = |known: &Known<'_>| self.folder.join(file_name(&known.name, source.as_ref()));
+        let outputs: Vec<PathBuf> = all.iter().map(|(known, _)| output(known)).collect();
+        let mut versions = Vec::new();
+        for ((_, ready), output) in all.iter().zip(&outputs) {
+            versions.push(Version { deformed: &ready.moved.positions, output, diagnostics: None });
+        }
+        let stack = all.first().and_then(|(_, ready)| ready.moved.stack.as_ref());
+        let gradients = stack.map(|stack| turning_gradients(sampled, stack, source.as_ref(), progress));
         let gradients = gradients.transpose()?.flatten();
         let gradients = gradients.as_deref();
         let method = known.method.reconstruction;
         // As one part: nobody goes on with what a comparison left, and its hash comes about by the way.
         let part_bytes = u64::MAX;
-        let known = found.map(|found| &found.geometry);
-        let how = Reconstruction { method, gradients, part_bytes, found: known, ..Reconstruction::default() };
-        let done = reconstruct(&sampled, source.as_ref(), &[version], &how, progress)?;
-        let seconds = RunSeconds {
-            deform: Some(deform),
-            prepare,
-            motion: prepare.map(|prepare| (deform - prepare).max(0.0)),
-            reconstruct: Some(start.elapsed().as_secs_f64() + found.map_or(0.0, |found| found.seconds)),
-            processor: sum([used, found.map_or(Some(0.0), |found| found.processor), since(processor)]),
-        };
+        let geometry = found.map(|found| &found.geometry);
+        let how =
+            Reconstruction { method, gradients, part_bytes, found: geometry, ..Reconstruction::default() };
+        let done = reconstruct(sampled, source.as_ref(), &versions, &how, progress)?;
+        let part = 1.0 / all.len() as f64;
+        let (seconds, used) =
+            (part * start.elapsed().as_secs_f64(), since(processor).map(|used| part * used));
 
-        let exact = stack.filter(|stack| measure && stack.can_evaluate());
-        let transfer_error = exact.map(|stack| {
-            let map = |points: &mut [glam::DVec3]| stack.evaluate_with(points, progress);
-            let deformed = simod_model::open_version(source.as_ref(), &output, source.columns())?;
-            let how = (sampled.bounds.diagonal(), Some(MEASURED));
-            transfer_error::measure(source.as_ref(), deformed.as_ref(), how, &map, progress)
-        });
-        Ok(Once {
-            positions: Some(positions),
-            files: Place::for_model(source.as_ref(), &output).files(),
-            output,
-            messages,
-            seconds,
-            peak_memory_bytes,
-            transfer_error: transfer_error.transpose()?,
-            expected_error: done.expected.into_iter().next().flatten(),
-            folded_samples: done.folding.first().copied().flatten().map(|f| f.samples),
-            hash: done.hashes.first().copied().flatten(),
-            sampled,
-        })
+        let mut transferred = Vec::new();
+        for (i, ((_, ready), output)) in all.iter().zip(outputs).enumerate() {
+            let Ready { moved, deform, processor } = ready;
+            let seconds = RunSeconds {
+                deform: Some(*deform),
+                prepare: moved.prepare,
+                motion: moved.prepare.map(|prepare| (deform - prepare).max(0.0)),
+                reconstruct: Some(seconds + found.map_or(0.0, |found| found.seconds)),
+                processor: sum([*processor, found.map_or(Some(0.0), |found| found.processor), used]),
+            };
+            let exact = moved.stack.as_ref().filter(|_| measure);
+            let transfer_error = exact.map(|stack| {
+                let map = |points: &mut [glam::DVec3]| stack.evaluate_with(points, progress);
+                let deformed = simod_model::open_version(source.as_ref(), &output, source.columns())?;
+                let how = (sampled.bounds.diagonal(), Some(MEASURED));
+                transfer_error::measure(source.as_ref(), deformed.as_ref(), how, &map, progress)
+            });
+            transferred.push(Once {
+                sampled: sampled.clone(),
+                positions: Some(moved.positions.clone()),
+                files: Place::for_model(source.as_ref(), &output).files(),
+                output,
+                messages: moved.messages.clone(),
+                seconds,
+                peak_memory_bytes: moved.peak_memory_bytes,
+                transfer_error: transfer_error.transpose()?,
+                expected_error: done.expected.get(i).cloned().flatten(),
+                folded_samples: done.folding.get(i).copied().flatten().map(|f| f.samples),
+                hash: done.hashes.get(i).copied().flatten(),
+            });
+        }
+        Ok(transferred)
     }
 
     /// What reconstructions have to know of the samples of a sampling at rest, which is found once for all
@@ -345,7 +473,8 @@ impl<'a> Bench<'a> {
                     sampled,
                     positions,
                     messages,
-                    stack: Some(stack),
+                    // Of no more use otherwise, and it may be large.
+                    stack: Some(stack).filter(PreparedStack::can_evaluate),
                     prepare,
                     peak_memory_bytes: None,
                 })
@@ -425,6 +554,58 @@ impl<'a> Bench<'a> {
         self.samplings.push(Taken { of, sampled: sampled.clone(), seconds, found: OnceLock::new() });
         Ok((sampled, seconds))
     }
+}
+
+/// Whether a method says where samples go, and no more.
+fn deforms_samples(method: &Method) -> bool {
+    match &method.work {
+        Work::Model(_) => false,
+        Work::Command(command) => !command.makes_model(),
+        Work::Plugin { .. } | Work::Session(_) | Work::Deformed(_) => true,
+    }
+}
+
+/// Bytes and hash of a deformed model.
+fn result_of(once: &Once, progress: &dyn Progress) -> Result<(u64, String)> {
+    let bytes = size_of_all(&once.files)?;
+    let hash = match once.hash {
+        Some(hash) => hash,
+        None => hash_of(&once.files, bytes, progress)?,
+    };
+    Ok((bytes, format!("xxh3-128:{hash:032x}")))
+}
+
+/// Puts what came of a method into its record, and gives what is compared.
+fn finished(
+    known: &Known<'_>,
+    once: Once,
+    (runs, sample, peak_memory_bytes, notices): (Vec<RunSeconds>, f64, Option<u64>, Vec<String>),
+    ((bytes, hash), repeats): ((u64, String), Option<bool>),
+    record: &mut MethodRecord,
+) -> Deformed {
+    let Once { sampled, positions, output, .. } = once;
+    let is_model = positions.is_none();
+    record.figures = Some(Figures {
+        samples: if is_model { 0 } else { sampled.samples.len() },
+        triangles: if is_model { 0 } else { sampled.triangles.len() },
+        seconds: Seconds::of((!is_model).then_some(sample), runs),
+        peak_memory_bytes,
+        transfer_error: once.transfer_error,
+        expected_error: once.expected_error,
+        displacement: None,
+        to_first: None,
+        on_samples: None,
+        on_model: None,
+        folded_samples: once.folded_samples,
+        result: ResultFile { bytes, hash, repeats },
+        messages: notices
+            .into_iter()
+            .map(|notice| format!("warning: {notice}"))
+            .chain(words(&once.messages))
+            .collect(),
+    });
+    let is_ours = !matches!(known.method.work, Work::Model(_));
+    Deformed { name: known.name.clone(), sampled, positions, output, is_ours }
 }
 
 /// Whether a method appends samples.

@@ -337,7 +337,10 @@ fn costs(c: &Comparison) -> Markup {
     ];
     let runs = c.done().map(|(_, f)| f.seconds.runs.len()).max().unwrap_or(1);
     let caption = match runs {
-        1 => "Of a single run each: repeat it (runs = 5, say) before you trust small differences.".to_owned(),
+        1 => "Of a single run each: repeat it (runs = 5, say) before you trust small differences. Up to four methods in a \
+              row that have the same samples are transferred together: of these, what reconstruct says is an equal \
+              part of what all took."
+            .to_owned(),
         runs => {
             format!("Medians of {runs} runs each, ± half of how far the fastest and the slowest are apart.")
         }

@@ -198,7 +198,8 @@ pub struct Seconds {
     /// The rest of it.
     pub motion: Option<f64>,
     /// From the deformed samples to the finished model, with what is found of the samples at rest: that is
-    /// done once for all methods that have the same sampling.
+    /// done once for all methods that have the same sampling. Of a single run, an equal part of what all took
+    /// that were transferred by the same reading of the model.
     pub reconstruct: Option<f64>,
     /// The processor's time for deforming and reconstructing, of all threads and of programs.
     pub processor: Option<f64>,

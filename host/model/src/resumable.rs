@@ -257,8 +257,15 @@ impl ResumableFile {
 
     /// The hash of the whole file, where all of it was written as one part and nothing is replaced in it.
     fn hash(&self) -> Option<u128> {
-        let is_whole = self.journal.parts.is_empty() && self.journal.patches.is_empty();
-        is_whole.then(|| self.hash.digest128())
+        if !self.journal.patches.is_empty() {
+            return None;
+        }
+        match &self.journal.parts[..] {
+            [] => Some(self.hash.digest128()),
+            // One of several files notes it once it is complete.
+            [all] if all.end == self.end => Some(all.hash),
+            _ => None,
+        }
     }
 
     /// Leaves the recorded parts to a later call, if there are any.
@@ -779,14 +786,15 @@ mod tests {
     fn the_hash_is_known_of_what_was_written_as_one_part() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a");
-        for (part_bytes, replaces) in [(100, false), (100, true), (10, false)] {
+        let all = [(100, false), (100, true), (10, false)].into_iter();
+        for ((part_bytes, replaces), one_of_several) in all.flat_map(|of| [(of, false), (of, true)]) {
             let opened = ResumableFile::open(&path, "k".into(), false, part_bytes, &Silent).unwrap();
             let Opened::Unfinished(mut file) = opened else { panic!("it is finished") };
             write(&mut file, 0..7);
             if replaces {
                 file.patch(3, b"AB").unwrap();
             }
-            file.complete(false).unwrap();
+            file.complete(one_of_several).unwrap();
             let hash = file.commit().unwrap().hash();
             let is_known = part_bytes == 100 && !replaces;
             assert_eq!(hash, is_known.then(|| xxh3_128(&fs::read(&path).unwrap())));

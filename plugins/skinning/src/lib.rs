@@ -43,6 +43,7 @@ use simod_plugin_api::{
     Settings,
 };
 use skeleton::Skeleton;
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use table::WeightTable;
 use voxels::Voxels;
@@ -201,6 +202,17 @@ fn handles(input: &PrepareInput<'_>, skeleton: &Skeleton) -> PluginResult<pose::
     Ok(pose::Handles::new(skeleton, which))
 }
 
+/// That no sample is near any place that the weights are of.
+fn no_place_near(input: &PrepareInput<'_>) -> PluginResult<PluginError> {
+    let [weights, places] = [input.params().file("weights")?, input.params().file("places")?];
+    let (param, path) = match (weights, places) {
+        (Some(weights), Some(places)) if table::is_dmat(weights) => ("places", places),
+        (weights, _) => ("weights", weights.unwrap_or(Path::new(""))),
+    };
+    let message = format!("has no place near the model: {}", path.display());
+    Ok(PluginError::parameter(param, &message).hint("give places in the model's coordinates"))
+}
+
 /// How places move.
 fn blend(state: &Prepared, input: &DeformInput<'_>) -> PluginResult<Blend> {
     let Pose { method, reach_length, .. } = input.params().read()?;
@@ -293,6 +305,7 @@ impl Deformer for Skinning {
             Some(path) => {
                 let places = input.params().file("places")?;
                 let rows = WeightTable::read(path, places, &skeleton, to_local(input, "weights")?)?;
+                rows.doubts(path).iter().for_each(|doubt| host.warn(doubt));
                 Source::File(Box::new(rows), limit.unwrap_or(usize::MAX))
             }
             None => {
@@ -330,8 +343,7 @@ impl Deformer for Skinning {
         match far.into_inner() {
             0 => {}
             all if all == samples.len() => {
-                return Err(PluginError::parameter("weights", "has no place near the model")
-                    .hint("give places in the model's coordinates"));
+                return Err(no_place_near(input)?);
             }
             some => host.warn(&format!(
                 "{some} of {} samples are far from all places of the table of weights",
@@ -418,7 +430,9 @@ impl Migrate for Skinning {
 
 impl IsIdentity for Skinning {
     fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
-        let is_still = input.params().file("pose")?.is_none();
+        let has = |id: &str| Ok::<bool, PluginError>(input.params().file(id)?.is_some());
+        // Weights are read even if nothing moves, so that what is wrong with them is told.
+        let is_still = !has("pose")? && !has("weights")?;
         Ok(is_still && input.handle_motions().iter().all(|motion| *motion == Affine::IDENTITY))
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::dmat::{Matrix, Wrong};
 use crate::influences::{Influences, limited};
-use crate::skeleton::Skeleton;
+use crate::skeleton::{Joint, Skeleton};
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use simod_plugin_api::{PluginError, PluginResult};
@@ -22,6 +22,10 @@ const SAME: f64 = 1e-7;
 const MOST_WEIGHTS: usize = 1 << 26;
 /// Negative weights up to this part of the largest are of rounding, or of solvers that keep to bounds nearly.
 const ROUND_OFF: f64 = 0.01;
+/// The weights of a row may sum to so much more or less than 1 without a word.
+const OFF: f64 = 0.01;
+/// Joints that are told by their ids.
+const IDS: usize = 5;
 
 /// Places and what they follow.
 pub struct WeightTable {
@@ -37,12 +41,20 @@ struct Rows {
     places: Vec<DVec3>,
     ends: Vec<usize>,
     weights: Vec<(f64, u16)>,
+    /// How many do not sum to 1.
+    off: usize,
+    /// The one of these that is farthest from it: its number from 0 on, its line if that is known, and its
+    /// sum.
+    farthest: Option<(usize, Option<usize>, f64)>,
+    /// Ids of joints with bones, of which there is no column.
+    without: Vec<String>,
 }
 
 impl WeightTable {
     /// The table in a file: a line `x y z` and the ids of joints, and then, line by line, a place and a
     /// weight for each of the joints. Numbers are separated by white space or commas; empty lines and those
-    /// that begin with `#` are passed over. Weights are taken as parts of their sum.
+    /// that begin with `#` are passed over. Weights are taken as parts of their sum, which is told where it
+    /// is not 1.
     ///
     /// Or a DMAT with a column for each bone, in the skeleton's order, and a row for each of the places in a
     /// second file: an OBJ's vertices, or a DMAT with three columns.
@@ -73,12 +85,48 @@ impl WeightTable {
                 file.and_then(|file| parse(BufReader::new(file), skeleton))
             }
         };
-        rows.and_then(|rows| Self::new(rows, to_local)).map_err(|(line, what)| {
+        let table = rows.and_then(|rows| Self::new(rows, to_local));
+        let mut table = table.map_err(|(line, what)| {
             told("weights", path, line, &what).hint(
                 "give a line `x y z` with the ids of joints, and then three coordinates and the weights in each; or a \
                  DMAT with a column for each bone",
             )
-        })
+        })?;
+        // Only of that one row, as the file is read again for it.
+        if let Some((row, line @ None, _)) = &mut table.rows.farthest
+            && is_dmat(path)
+        {
+            *line = Matrix::read(path).ok().and_then(|matrix| matrix.line(path, *row, 0));
+        }
+        Ok(table)
+    }
+
+    /// What the user may not want, of the table in this file.
+    pub fn doubts(&self, path: &Path) -> Vec<String> {
+        let Rows { places, off, farthest, without, .. } = &self.rows;
+        let mut doubts = Vec::new();
+        if let Some((row, line, sum)) = farthest {
+            let line = line.map_or(String::new(), |line| format!(", line {line}"));
+            let sum = if *sum < 1e6 { format!("{sum:.4}") } else { format!("{sum:.1e}") };
+            doubts.push(format!(
+                "the weights of {off} of {} rows do not sum to 1, and count as parts of their sums; farthest off is row \
+                 {}{line}, with {sum}: {}",
+                places.len(),
+                row + 1,
+                path.display()
+            ));
+        }
+        if !without.is_empty() {
+            let ids: Vec<String> = without.iter().take(IDS).map(|id| format!("`{id}`")).collect();
+            let more = without.len().checked_sub(IDS).filter(|more| *more > 0);
+            let more = more.map_or(String::new(), |more| format!(" and {more} more"));
+            doubts.push(format!(
+                "there is no column of weights for {}{more}, so that nothing follows these joints: {}",
+                ids.join(", "),
+                path.display()
+            ));
+        }
+        doubts
     }
 
     fn new(rows: Rows, to_local: impl Fn(DVec3) -> DVec3) -> Result<Self, Wrong> {
@@ -135,8 +183,13 @@ impl Rows {
         &self.weights[start..self.ends[row]]
     }
 
-    /// Adds a row. Weights that are a little below 0 are 0.
-    fn push(&mut self, place: DVec3, mut weights: Influences) -> Result<(), String> {
+    /// Adds a row, which sums to that in the file. Weights that are a little below 0 are 0.
+    fn push(
+        &mut self,
+        place: DVec3,
+        mut weights: Influences,
+        (sum, line): (f64, Option<usize>),
+    ) -> Result<(), String> {
         let largest = weights.iter().map(|w| w.0).fold(0.0, f64::max);
         if largest == 0.0 {
             return Err("has no weight above 0".to_owned());
@@ -146,6 +199,13 @@ impl Rows {
         limited(&mut weights, usize::MAX);
         if self.weights.len() + weights.len() > MOST_WEIGHTS {
             return Err(format!("has more than {MOST_WEIGHTS} weights"));
+        }
+        let is_off = |sum: f64| (sum - 1.0).abs();
+        if is_off(sum) > OFF {
+            self.off += 1;
+            if self.farthest.is_none_or(|(_, _, other)| is_off(sum) > is_off(other)) {
+                self.farthest = Some((self.places.len(), line, sum));
+            }
         }
         self.weights.extend(weights);
         self.places.push(place);
@@ -159,7 +219,8 @@ fn is_negative(weight: f64, largest: f64) -> bool {
     weight < -ROUND_OFF * largest
 }
 
-fn is_dmat(path: &Path) -> bool {
+/// Whether a file is a matrix, whose rows' places are in a second file.
+pub fn is_dmat(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("dmat"))
 }
 
@@ -189,7 +250,8 @@ fn of_matrix(
     for (row, place) in places.into_iter().enumerate() {
         let wrong =
             |what: &str, bone: usize| (matrix.line(path, row, bone), format!("{what} in row {}", row + 1));
-        let largest = (0..matrix.columns).map(|bone| matrix.at(row, bone)).fold(0.0, f64::max);
+        let all = || (0..matrix.columns).map(|bone| matrix.at(row, bone));
+        let (largest, sum) = (all().fold(0.0, f64::max), all().sum());
         let mut weights: Influences = Vec::new();
         for bone in 0..matrix.columns {
             let (weight, joint) = (matrix.at(row, bone), skeleton.mover(bone) as u16);
@@ -201,7 +263,7 @@ fn of_matrix(
                 None => weights.push((weight.max(0.0), joint)),
             }
         }
-        rows.push(place, weights).map_err(|what| wrong(&what, 0))?;
+        rows.push(place, weights, (sum, None)).map_err(|what| wrong(&what, 0))?;
     }
     Ok(rows)
 }
@@ -251,7 +313,10 @@ fn parse(text: impl BufRead, skeleton: &Skeleton) -> Result<Rows, Wrong> {
                 return Err((Some(number), format!("has more than {MOST_ROWS} rows")));
             }
             (_, Some(columns)) => {
-                let row = row(words(), columns).and_then(|(place, weights)| rows.push(place, weights));
+                let row = row(words(), columns).and_then(|(place, weights)| {
+                    let sum = weights.iter().map(|w| w.0).sum();
+                    rows.push(place, weights, (sum, Some(number)))
+                });
                 row.map_err(|what| (Some(number), what))?;
             }
         }
@@ -259,7 +324,14 @@ fn parse(text: impl BufRead, skeleton: &Skeleton) -> Result<Rows, Wrong> {
     match (columns, rows.places.is_empty()) {
         (None, _) => Err((None, "is empty".to_owned())),
         (_, true) => Err((None, "has no rows".to_owned())),
-        _ => Ok(rows),
+        (Some(columns), _) => {
+            let joints = skeleton.joints.iter().enumerate();
+            let lacks = |(i, joint): &(usize, &Joint)| {
+                !joint.is_end() && columns.iter().all(|(_, column)| column != i)
+            };
+            rows.without = joints.filter(lacks).map(|(_, joint)| joint.id.clone()).collect();
+            Ok(rows)
+        }
     }
 }
 
@@ -319,12 +391,12 @@ fn row<'a>(
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use simod_plugin_api::Joint;
+    use simod_plugin_api::Joint as Given;
     use std::io::Write;
 
     fn skeleton() -> Skeleton {
-        let joint = |id, x, parent| Joint::new(id, [x, 0.0, 0.0], parent);
-        Skeleton::new(&[joint("a", 0.0, Joint::ROOT), joint("b", 1.0, 0), joint("tip", 2.0, 1)]).unwrap()
+        let joint = |id, x, parent| Given::new(id, [x, 0.0, 0.0], parent);
+        Skeleton::new(&[joint("a", 0.0, Given::ROOT), joint("b", 1.0, 0), joint("tip", 2.0, 1)]).unwrap()
     }
 
     fn read(text: &str) -> PluginResult<WeightTable> {
@@ -389,6 +461,20 @@ mod tests {
         assert!(read(&weights, &weights).err().unwrap().contains("2 columns instead of three"));
         let damaged = write("damaged.obj", b"v 0 0 0\nv 1 0 nan\n");
         assert!(read(&weights, &damaged).err().unwrap().contains("line 2"));
+    }
+
+    #[test]
+    fn sums_and_columns_that_are_doubtful_are_told() {
+        let doubts = |text: &str| read(text).unwrap().doubts(Path::new("w.txt"));
+        assert_eq!(doubts("x y z a b\n0 0 0 1 0\n1 0 0 0.333 0.666\n"), [""; 0]);
+        let off = doubts("x y z b a\n0 0 0 0.3 0.5\n1 0 0 1 1.5\n2 0 0 0.6 0.4\n");
+        let told = "the weights of 2 of 3 rows do not sum to 1, and count as parts of their sums; farthest off is row \
+                    2, line 3, with 2.5000: w.txt";
+        assert_eq!(off, [told]);
+        let [huge] = &doubts("x y z b a\n0 0 0 0 7e300\n")[..] else { panic!("one") };
+        assert!(huge.contains("with 7.0e300"), "{huge}");
+        let [without] = &doubts("x y z b\n0 0 0 1\n")[..] else { panic!("one") };
+        assert!(without.contains("no column of weights for `a`,") && without.contains("w.txt"), "{without}");
     }
 
     /// Damaged files are an error or a table, whose weights are parts of one, and nothing panics.

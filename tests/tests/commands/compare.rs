@@ -186,6 +186,65 @@ fn a_method_that_fails_is_a_row_and_the_others_go_on() {
     assert!(page.contains("&lt;b&gt;none&lt;/b&gt;") && !page.contains("<b>"));
 }
 
+/// Methods with the same samples share a reading of the model; where each is run twice, each is done by
+/// itself.
+#[test]
+fn methods_that_are_transferred_together_come_to_what_each_comes_to() {
+    let work = with_bar();
+    let handle = "[[method]]\nname = \"handle\"\ndeform = \"smooth-handle\"\n";
+    let rest = "[[method]]\nname = \"rest\"\nsession = \"rest.toml\"\n";
+    work.write("rest.toml", "[[step]]\ndeform = \"warp\"\nparams = { angle = 0 }\n");
+    let methods = [handle, RBF, rest, &handle.replace("\"handle\"", "\"again\""), ARAP].concat();
+    let each = format!("runs = 2\n{HEAD}{methods}");
+    for (folder, text) in [("each", &each), ("together", &format!("{HEAD}{methods}"))] {
+        work.write("compare.toml", text);
+        let outcome = work.simod(&format!("compare compare.toml -o {folder} --keep-models"));
+        let told = outcome.stderr.contains("transferring together: rest, again, as rigid as possible");
+        assert_eq!(told, folder == "together", "{}", outcome.stderr);
+    }
+    let [each, together] = ["each", "together"].map(|folder| record(&work, folder));
+    for method in 0..5 {
+        let of = |record: &Value, figure: &str| {
+            record.pointer(&format!("/methods/{method}/figures/{figure}")).expect("a figure").clone()
+        };
+        assert_eq!(of(&each, "result/repeats"), true);
+        let same = ["result/hash", "transfer_error", "expected_error", "folded_samples", "displacement"];
+        for figure in same {
+            assert_eq!(of(&each, figure), of(&together, figure), "{method}: {figure}");
+        }
+    }
+    assert_eq!(each["pairs"], together["pairs"]);
+    for name in names(&work, "each").iter().filter(|name| name.ends_with(".ply")) {
+        assert!(work.read(&format!("each/{name}")) == work.read(&format!("together/{name}")), "{name}");
+    }
+    // Equal parts of one time.
+    let seconds =
+        |method: usize| number(&together, &format!("/methods/{method}/figures/seconds/reconstruct"));
+    assert_eq!(seconds(2), seconds(4));
+}
+
+#[test]
+fn a_method_that_cannot_be_transferred_does_not_keep_others_from_it() {
+    let work = with_bar();
+    work.simod("convert bar.ply bar.las --lossy");
+    let text = HEAD.replace("bar.ply", "bar.las");
+    let step = "[[step]]\ndeform = \"smooth-handle\"\n[[step.region]]\nrole = \"handle\"\n\
+                shapes = [{ half-space = { point = [0, -1, 0], normal = [0, 1, 0] } }]\n";
+    for (name, x) in [("near", "0.1"), ("far", "1e4")] {
+        work.write(&format!("{name}.toml"), format!("{step}move = {{ translate = [{x}, 0, 0] }}\n"));
+    }
+    let method = |name: &str| format!("[[method]]\nname = \"{name}\"\nsession = \"{name}.toml\"\n");
+    work.write("compare.toml", format!("{text}{}{}", method("far"), method("near")));
+    let report = work.report("compare compare.toml -o out");
+    assert_eq!((report["done"].as_u64(), report["failed"].as_u64()), (Some(1), Some(1)));
+    let record = record(&work, "out");
+    let told = record["methods"][0]["error"]["what"].as_str().unwrap_or_default();
+    assert!(told.contains("moves to x"), "{record}");
+    let length = 0.1 / number(&record, "/model/diagonal");
+    let moved = number(&record, "/methods/1/figures/displacement/rms");
+    assert!((moved / length - 1.0).abs() < 1e-2, "{moved} instead of {length}");
+}
+
 #[test]
 fn nothing_is_left_where_no_method_can_be_done() {
     let work = with_bar();

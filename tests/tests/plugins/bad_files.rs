@@ -63,5 +63,46 @@ fn weights() {
     work.write("places.obj", "v 0 0 0\nv 0 0.9 0\nv 0 1.1\nv 0 2 0\n");
     work.refuses("run edit.toml", &["`places`", "places.obj", "line 3"]);
     work.write("places.obj", "v 90 0 0\nv 90 0.9 0\nv 90 1.1 0\nv 90 2 0\n");
-    work.refuses("run edit.toml", &["`weights`", "no place near the model"]);
+    work.refuses("run edit.toml", &["`places`", "places.obj", "no place near the model"]);
+}
+
+#[test]
+fn weights_that_are_taken_otherwise_than_they_stand() {
+    let work = bar();
+    let warnings = || -> Vec<String> {
+        let outcome = work.simod("run edit.toml");
+        let all = outcome.lines("warning: ").into_iter().map(str::to_owned);
+        // Few places and few samples make others.
+        all.filter(|line| line.contains("do not sum") || line.contains("no column")).collect()
+    };
+    assert_eq!(warnings(), [""; 0]);
+    work.write("weights.dmat", WEIGHTS.replacen("0.25", "0.5", 1));
+    let off = warnings();
+    let [off] = &off[..] else { panic!("{off:?}") };
+    for part in ["1 of 4 rows", "row 3, line 4, with 1.2500", "weights.dmat"] {
+        assert!(off.contains(part), "{off}");
+    }
+
+    work.write("weights.txt", "x y z b\n0 0 0 1\n0 2 0 1\n");
+    let params = "skeleton = \"bones.tgf\", weights = \"weights.txt\", pose = \"pose.txt\"";
+    let step = format!("[[step]]\ndeform = \"skinning\"\nstate-version = 3\nparams = {{ {params} }}\n");
+    work.write_session("bar.ply", 2000, &step);
+    let without = warnings();
+    let [without] = &without[..] else { panic!("{without:?}") };
+    assert!(without.contains("no column of weights for `a`") && without.contains("weights.txt"), "{without}");
+}
+
+/// Without a pose, and with no joint moved.
+#[test]
+fn weights_are_looked_at_if_nothing_moves() {
+    let work = bar();
+    let params = "skeleton = \"bones.tgf\", weights = \"weights.txt\"";
+    let step = format!("[[step]]\ndeform = \"skinning\"\nstate-version = 3\nparams = {{ {params} }}\n");
+    work.write_session("bar.ply", 2000, &step);
+    work.write("weights.txt", "x y z a b\n0 0 0 1 0\n0 2 0 0 x\n");
+    work.refuses("run edit.toml", &["`weights`", "weights.txt", "line 3", "`x`"]);
+    work.write("weights.txt", "x y z a b\n90 0 0 1 0\n90 2 0 0 1\n");
+    work.refuses("run edit.toml", &["`weights`", "weights.txt", "no place near the model"]);
+    work.write("weights.txt", "x y z a b\n0 0 0 1 0\n0 2 0 0 1\n");
+    work.simod("run edit.toml");
 }

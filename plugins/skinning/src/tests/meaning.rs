@@ -292,7 +292,7 @@ fn a_file_keeps_all_that_it_has_and_what_is_left_out_is_told() {
         .map(|(i, id)| (id, [0.1 * i as f64, 0.0, 0.0], u32::MAX))
         .collect();
     let mut file = tempfile::NamedTempFile::new().unwrap();
-    let text = "x y z a b c d e f g h i j\n0 0 0 1 1 1 1 1 1 1 1 1 1\n";
+    let text = "x y z a b c d e f g h i j\n0 0 0 .1 .1 .1 .1 .1 .1 .1 .1 .1 .1\n";
     std::io::Write::write_all(&mut file, text.as_bytes()).unwrap();
     let mut scene = Scene::new((vec![[0.0; 3]; 3], Vec::new()), &joints);
     scene.weights = file.path().to_str().unwrap().to_owned();

@@ -43,7 +43,7 @@ fn files_are_read_and_their_errors_told() {
     let weights = file("x y z upper lower\n-1 0 0 1 0\n1 0 0 0 x\n");
     refused(&Scene { weights: path(&weights), ..placed.clone() }, &["`lower`", "line 3", &path(&weights)]);
     let far = file("x y z upper lower\n-100 0 0 1 0\n100 0 0 0 1\n");
-    refused(&Scene { weights: path(&far), ..placed.clone() }, &["no place near the model"]);
+    refused(&Scene { weights: path(&far), ..placed.clone() }, &["no place near the model", &path(&far)]);
     let some = file("x y z upper lower\n-1 0 0 1 0\n-0.9 0 0 1 1\n");
     let host = Listener::default();
     let scene = Scene { weights: path(&some), ..placed };
