@@ -53,9 +53,9 @@ pub const SIMOD_PARAM_COLOUR: u32 = 7;
 pub const SIMOD_PARAM_CURVE: u32 = 8;
 /// The path of a file that can be read, as text; empty where the user gave none.
 pub const SIMOD_PARAM_FILE: u32 = 9;
-/// The path of another model, as text, for messages; empty where the user gave none. The host reads it and hands
-/// over its points: see SIMOD_INPUT_OTHER_MODELS. Its default number is how many points the plugin takes at
-/// most, 1 to 4194304; set `invalidates_preparation`.
+/// The path of another model, as text, for messages; empty where the user gave none. The host reads it and
+/// hands over its points: see SIMOD_INPUT_OTHER_MODELS. Its default number is how many points the plugin
+/// takes at most, 1 to 4194304; set `invalidates_preparation`.
 pub const SIMOD_PARAM_MODEL: u32 = 10;
 
 /// Nothing.
@@ -154,7 +154,8 @@ pub struct SimodParamDesc {
     pub hard_range: [f64; 2],
     /// What a slider shows, in the same way; values outside are fine.
     pub soft_range: [f64; 2],
-    /// Default of the kinds of one to four numbers: as many as the kind has. Of SIMOD_PARAM_MODEL the most points.
+    /// Default of the kinds of one to four numbers: as many as the kind has. Of SIMOD_PARAM_MODEL the most
+    /// points.
     pub default_numbers: [f64; 4],
     /// Default of the kinds of any number of them, as x0, y0, x1, y1, ... of a curve. Else NULL.
     pub default_list: *const f64,
@@ -432,7 +433,8 @@ pub struct SimodOtherModel {
     pub triangle_count: usize,
 }
 
-/// SIMOD_INPUT_OTHER_MODELS, of the preparation: the other models that the user gave. See `simod_other_model`.
+/// SIMOD_INPUT_OTHER_MODELS, of the preparation: the other models that the user gave. See
+/// `simod_other_model`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodOtherModels {
@@ -660,8 +662,8 @@ pub struct SimodHandles {
 pub struct SimodFaceList {
     /// The host's own.
     pub context: *mut c_void,
-    /// Adds a face of `count` corners, three at least: indices of handles, around it. Not by several threads at once.
-    /// The host copies them.
+    /// Adds a face of `count` corners, three at least: indices of handles, around it. Not by several threads
+    /// at once. The host copies them.
     pub add: unsafe extern "C" fn(list: *mut SimodFaceList, corners: *const u32, count: usize),
 }
 
@@ -669,8 +671,8 @@ pub struct SimodFaceList {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodHandleFaces {
-    /// Adds the faces between the handles that SIMOD_HANDLES gives for the same input; the host draws them with their
-    /// edges. Called as `handles` is, after it. Required.
+    /// Adds the faces between the handles that SIMOD_HANDLES gives for the same input; the host draws them
+    /// with their edges. Called as `handles` is, after it. Required.
     pub handle_faces: Option<
         unsafe extern "C" fn(
             input: *const SimodPrepareInput,

@@ -67,9 +67,9 @@ pub trait Handles: Deformer {
 
 /// A deformation whose handles are the corners of a surface, as those of a cage.
 pub trait HandleFaces: Handles {
-    /// The faces between the handles that [`Handles::handles`] gives for the same input: for each its corners, three at
-    /// least, as indices of handles, around it. Hosts draw them with their edges; where a plugin has none, handles
-    /// are dots, and bones to their parents.
+    /// The faces between the handles that [`Handles::handles`] gives for the same input: for each its
+    /// corners, three at least, as indices of handles, around it. Hosts draw them with their edges; where a
+    /// plugin has none, handles are dots, and bones to their parents.
     ///
     /// Called as `handles` is, after it.
     fn handle_faces(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Vec<Vec<u32>>>;

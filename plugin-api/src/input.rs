@@ -187,8 +187,8 @@ impl<'a> PrepareInput<'a> {
         self.part().and_then(|all: &Attributes<'_>| all.get(name)).map(Attribute::values)
     }
 
-    /// The other model that a parameter of the kind [`MODEL`](crate::ParamKind::MODEL) names; nothing where the
-    /// user gave none.
+    /// The other model that a parameter of the kind [`MODEL`](crate::ParamKind::MODEL) names; nothing where
+    /// the user gave none.
     pub fn other_model(&self, param: &str) -> Option<&'a OtherModel<'a>> {
         self.part().and_then(|all: &OtherModels<'_>| all.get(param))
     }

@@ -37,8 +37,8 @@ impl ParamKind {
     /// extensions that its name may have, without a dot; any if there is none.
     pub const FILE: Self = Self(9);
     /// The path of another model, as text, empty where the user gave none. The host reads it and hands over
-    /// its points, [`OtherModels`](crate::OtherModels); the path is for messages. Its number is how many points
-    /// the plugin takes at most.
+    /// its points, [`OtherModels`](crate::OtherModels); the path is for messages. Its number is how many
+    /// points the plugin takes at most.
     pub const MODEL: Self = Self(10);
 }
 
@@ -175,8 +175,8 @@ impl ParamDesc {
         }
     }
 
-    /// Another model, which the host reads for the plugin: see [`OtherModels`](crate::OtherModels). One of more
-    /// vertices than `points` (1 to 4 194 304) is sampled to at most so many.
+    /// Another model, which the host reads for the plugin: see [`OtherModels`](crate::OtherModels). One of
+    /// more vertices than `points` (1 to 4 194 304) is sampled to at most so many.
     pub fn model(id: &str, name: &str, points: u32) -> Self {
         Self { invalidates_preparation: true, ..Self::new(id, name, ParamKind::MODEL, &[f64::from(points)]) }
     }

@@ -270,14 +270,14 @@ impl<'a> OtherModel<'a> {
         self.param.as_str()
     }
 
-    /// Local coordinates of the model that is deformed, all finite; at least one. They may be far away, where the
-    /// other model has another origin or unit.
+    /// Local coordinates of the model that is deformed, all finite; at least one. They may be far away, where
+    /// the other model has another origin or unit.
     pub fn positions(&self) -> &'a [[f64; 3]] {
         self.positions.as_slice()
     }
 
-    /// Unit normals, one for each point: those of the file, or else of the triangles or the neighbours. Without
-    /// triangles, the side that an estimated one points to is a guess.
+    /// Unit normals, one for each point: those of the file, or else of the triangles or the neighbours.
+    /// Without triangles, the side that an estimated one points to is a guess.
     pub fn normals(&self) -> &'a [[f32; 3]] {
         self.normals.as_slice()
     }
@@ -294,8 +294,8 @@ impl<'a> OtherModel<'a> {
     }
 }
 
-/// The other models that the user gave, `simod.other-models/1`: of the preparation, for plugins with parameters of
-/// the kind [`MODEL`](crate::ParamKind::MODEL).
+/// The other models that the user gave, `simod.other-models/1`: of the preparation, for plugins with
+/// parameters of the kind [`MODEL`](crate::ParamKind::MODEL).
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct OtherModels<'a> {

@@ -1,7 +1,7 @@
 //! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `model <- core, generate,
-//! measure`; `core <- picture`; `plugin-api, core, measure <- session <- check, compare, viewer, cli`; `measure,
-//! picture <- compare`; `check, compare <- cli`; `picture <- scene, viewer`; `viewer, scene <- window`; `core,
-//! plugin-api, session, compare <- python`, which is no crate of the workspace.
+//! measure`; `core <- picture`; `plugin-api, core, measure <- session <- check, compare, viewer,
+//! cli`; `measure, picture <- compare`; `check, compare <- cli`; `picture <- scene, viewer`; `viewer, scene
+//! <- window`; `core, plugin-api, session, compare <- python`, which is no crate of the workspace.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -166,8 +166,8 @@ fn arrows_go_one_way() {
     crates.expect_none("host/scene", &["egui", "eframe", "winit", "abi_stable", "simod-plugin-api"]);
 }
 
-/// The library for Python is a workspace of its own, so that nothing here waits for it, and is at the end of the
-/// arrows as the program is.
+/// The library for Python is a workspace of its own, so that nothing here waits for it, and is at the end of
+/// the arrows as the program is.
 #[test]
 fn python_is_beside_the_workspace() {
     let read = |file: &str| -> toml::Table {

@@ -1,5 +1,5 @@
-//! Sparse Cholesky factorisation and solution: ours beside faer's, on the squared Laplacian of a closed surface, as the
-//! bi-Laplacian plugin has it. Seconds, medians of five runs in turn.
+//! Sparse Cholesky factorisation and solution: ours beside faer's, on the squared Laplacian of a closed
+//! surface, as the bi-Laplacian plugin has it. Seconds, medians of five runs in turn.
 //!
 //!     cargo run --release --manifest-path benches/cholesky/Cargo.toml [UNKNOWNS ...]
 
@@ -30,8 +30,8 @@ impl HostCalls for Threads {
     fn log(&self, _: LogLevel, _: &str) {}
 }
 
-/// The rows of the lower triangle of the squared Laplacian of a torus of triangles, a little of the identity added, and
-/// the places of its nodes.
+/// The rows of the lower triangle of the squared Laplacian of a torus of triangles, a little of the identity
+/// added, and the places of its nodes.
 fn matrix(side: usize) -> (Vec<Vec<(usize, f64)>>, Vec<DVec3>) {
     let n = side * side;
     let node = |i: usize, j: usize| (i % side) * side + j % side;

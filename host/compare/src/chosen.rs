@@ -1,6 +1,6 @@
-//! The vertices that are drawn of models which have very many: one of each so many that follow each other in the file,
-//! as every method has it, in a temporary file. They are found while the models are measured, so that pictures need no
-//! further reading.
+//! The vertices that are drawn of models which have very many: one of each so many that follow each other in
+//! the file, as every method has it, in a temporary file. They are found while the models are measured, so
+//! that pictures need no further reading.
 
 use glam::{DVec3, Vec3};
 use memmap2::Mmap;
@@ -34,7 +34,8 @@ pub(crate) struct Chosen {
 }
 
 impl Choosing {
-    /// About `most` of so many vertices, or all where there are fewer than twice as many, by their places about `origin`.
+    /// About `most` of so many vertices, or all where there are fewer than twice as many, by their places
+    /// about `origin`.
     ///
     /// On the disk, in `folder`: 24 bytes for each chosen vertex and version, and four.
     pub fn begin(
@@ -48,8 +49,8 @@ impl Choosing {
         Ok(Self { stride, count: vertices / stride, versions, origin, file })
     }
 
-    /// Takes those of some consecutive vertices, in all versions, the first one at rest, that are chosen; `color` tells
-    /// their colours.
+    /// Takes those of some consecutive vertices, in all versions, the first one at rest, that are chosen;
+    /// `color` tells their colours.
     pub fn take(
         &self,
         first: u64,

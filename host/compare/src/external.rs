@@ -119,8 +119,8 @@ pub(crate) fn write_given(
     Ok(())
 }
 
-/// Where regions have samples go: a line of its number and three coordinates for each that a region holds by more than a
-/// half, fixed ones where they are.
+/// Where regions have samples go: a line of its number and three coordinates for each that a region holds by
+/// more than a half, fixed ones where they are.
 fn constraints(sampled: &SampledModel, regions: &[Region]) -> String {
     let place = |p: DVec3| {
         let holding = |region: &&Region| region.role != Role::Mask && region.shapes.weight(p) > 0.5;

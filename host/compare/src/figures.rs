@@ -148,7 +148,8 @@ pub(crate) struct Held {
 impl Held {
     /// Most vertices and most triangles.
     ///
-    /// Memory: 40 bytes for each, of those at rest and those of four methods; and a thousand while they are measured.
+    /// Memory: 40 bytes for each, of those at rest and those of four methods; and a thousand while they are
+    /// measured.
     const MOST: u64 = 1 << 18;
 
     /// Nothing of a model that is larger, or has no faces.

@@ -13,8 +13,8 @@ use toml::Spanned;
 /// Most methods of a comparison: all their models are read at once, and all pairs of them are compared.
 pub const MAX_METHODS: usize = 32;
 
-/// Longest side of a picture in pixels, as that of `simod render`: 4 times as many samples are held, of 64 bytes each,
-/// which is 1 GB for 2000 by 2000.
+/// Longest side of a picture in pixels, as that of `simod render`: 4 times as many samples are held, of 64
+/// bytes each, which is 1 GB for 2000 by 2000.
 const MAX_SIDE: u32 = 3840;
 
 /// Most runs of each method.

@@ -81,7 +81,8 @@ impl Target {
 }
 
 /// Names for the files of methods: what there is of ASCII letters and digits in the methods' names.
-/// `NAME.png` and `NAME-difference.png` are of one method alone; no name has the `_` that stands before those of crops.
+/// `NAME.png` and `NAME-difference.png` are of one method alone; no name has the `_` that stands before those
+/// of crops.
 pub(crate) fn names(methods: &[Method]) -> Vec<String> {
     const LONGEST: usize = 60;
     let mut taken: HashSet<String> = ["rest", "index", "compare", "difference"].map(String::from).into();

@@ -7,16 +7,17 @@
 //! ```
 //!
 //! What is told of all vertices (displacements, differences vertex by vertex) is found by one reading of all
-//! models, and pictures of models with very many vertices are made of some that are chosen by the way. What needs a
-//! surface in memory (volume, edges, areas, folds, energies, distances from surface to surface) is told of the samples and
-//! the triangles between them, and of models that are small enough to be held.
+//! models, and pictures of models with very many vertices are made of some that are chosen by the way. What
+//! needs a surface in memory (volume, edges, areas, folds, energies, distances from surface to surface) is
+//! told of the samples and the triangles between them, and of models that are small enough to be held.
 //!
-//! Memory: a run of each method, one after the other; of each distinct sampling its samples and triangles, and of each
-//! method 12 bytes a sample, to the end, and until all methods are done what is found of the samples at rest (420 bytes
-//! a sample); then up to four methods' smooth surfaces (220 bytes a sample each), or a tree of one method's triangles
-//! (400 bytes a sample), or for each thread a small chunk (about 1 MB) of each model, or a picture in the making, or
-//! two of up to a million pixels (380 bytes a pixel). On the disk, the deformed models of all methods at once, and the
-//! chosen vertices (three for each pixel, 24 bytes for each version).
+//! Memory: a run of each method, one after the other; of each distinct sampling its samples and triangles,
+//! and of each method 12 bytes a sample, to the end, and until all methods are done what is found of the
+//! samples at rest (420 bytes a sample); then up to four methods' smooth surfaces (220 bytes a sample each),
+//! or a tree of one method's triangles (400 bytes a sample), or for each thread a small chunk (about 1 MB) of
+//! each model, or a picture in the making, or two of up to a million pixels (380 bytes a pixel). On the disk,
+//! the deformed models of all methods at once, and the chosen vertices (three for each pixel, 24 bytes for
+//! each version).
 
 mod chosen;
 mod clock;
@@ -63,12 +64,12 @@ pub struct Comparing {
 }
 
 /// Does all methods of a file and writes the folder `output`, whole or not at all: `index.html`,
-/// `compare.json`, tables, pictures, and if they are kept the deformed models. A method that fails is told so in
-/// the result, and the others go on.
+/// `compare.json`, tables, pictures, and if they are kept the deformed models. A method that fails is told so
+/// in the result, and the others go on.
 ///
 /// # Errors
-/// The file names programs, and they are not allowed; the folder is there and no former comparison, or cannot be
-/// written; the model cannot be read; no method could be done; the user cancelled.
+/// The file names programs, and they are not allowed; the folder is there and no former comparison, or cannot
+/// be written; the model cannot be read; no method could be done; the user cancelled.
 pub fn compare(
     file: &CompareFile,
     plugins: &PluginRegistry,

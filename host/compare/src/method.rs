@@ -301,8 +301,8 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// What reconstructions have to know of the samples of a sampling at rest, which is found once for all methods that
-    /// have it; nothing of samples to which a method appended some.
+    /// What reconstructions have to know of the samples of a sampling at rest, which is found once for all
+    /// methods that have it; nothing of samples to which a method appended some.
     fn found(&self, sampled: &Arc<SampledModel>, progress: &dyn Progress) -> Option<&Found> {
         let taken = self.samplings.iter().find(|taken| Arc::ptr_eq(&taken.sampled, sampled))?;
         Some(taken.found.get_or_init(|| {
@@ -478,7 +478,8 @@ fn hash_of(files: &[PathBuf], bytes: u64, progress: &dyn Progress) -> Result<u12
     Ok(hash.digest128())
 }
 
-/// What a method's model is called: with an extension of the model's format, its own if it is one; of tiles a folder.
+/// What a method's model is called: with an extension of the model's format, its own if it is one; of tiles a
+/// folder.
 pub(crate) fn file_name(method: &str, model: &dyn Model) -> String {
     if !model.tiles().is_empty() {
         return method.to_owned();

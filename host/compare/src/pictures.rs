@@ -39,17 +39,17 @@ impl<'a> Easel<'a> {
         Ok(Self { file, paint: Paint::of_model(rest, coloring, progress)?, folder })
     }
 
-    /// How many vertices of a model are chosen to be drawn, if they are: three for each pixel, which is about one for each
-    /// sample of the picture that shows the model. Where there is no more than one for each pixel, the model itself is
-    /// drawn, with its faces: those of others would be smaller than samples.
+    /// How many vertices of a model are chosen to be drawn, if they are: three for each pixel, which is about
+    /// one for each sample of the picture that shows the model. Where there is no more than one for each
+    /// pixel, the model itself is drawn, with its faces: those of others would be smaller than samples.
     pub fn chosen(&self, vertices: u64) -> Option<u64> {
         let [w, h] = self.file.camera.size;
         let pixels = u64::from(w) * u64::from(h);
         (vertices > pixels).then_some(3 * pixels)
     }
 
-    /// How many models are drawn at a time: two, so that what one thread does of one is beside the other, where
-    /// pictures are small enough to be held twice.
+    /// How many models are drawn at a time: two, so that what one thread does of one is beside the other,
+    /// where pictures are small enough to be held twice.
     fn at_a_time(&self) -> usize {
         const SMALL: u64 = 1 << 20;
         let [w, h] = self.file.camera.size;
@@ -82,9 +82,9 @@ impl<'a> Easel<'a> {
         View { bounds: all, yaw: camera.yaw, pitch: camera.pitch, size: camera.size, up: camera.up, crop }
     }
 
-    /// Draws `models`, of which the first is at rest; `files` has what the others' files begin with, and whose
-    /// they are; where vertices were chosen, these stand for the whole models, but not for parts of them. Gives the
-    /// pictures' names and contents, and writes them into the record.
+    /// Draws `models`, of which the first is at rest; `files` has what the others' files begin with, and
+    /// whose they are; where vertices were chosen, these stand for the whole models, but not for parts of
+    /// them. Gives the pictures' names and contents, and writes them into the record.
     pub fn draw(
         &self,
         (models, chosen): (&[&dyn Model], Option<&Chosen>),
@@ -147,7 +147,8 @@ struct Brush<'a> {
 /// The pictures of a model, one for each view.
 struct Drawings {
     by_region: Vec<Image>,
-    /// Each vertex by its distance to the same one of the first method; none of the model at rest and of that method.
+    /// Each vertex by its distance to the same one of the first method; none of the model at rest and of that
+    /// method.
     by_distance: Vec<Image>,
 }
 

@@ -41,7 +41,8 @@ pub struct ComparisonPlan {
     output: PathBuf,
     /// The deformed models stay in it.
     keep_models: bool,
-    /// The user allowed that programs are run which the file names; units run no others, as its text may not change.
+    /// The user allowed that programs are run which the file names; units run no others, as its text may not
+    /// change.
     allow_commands: bool,
     /// Libraries of plugins that were chosen.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -71,12 +72,13 @@ pub struct Options<'a> {
     pub emit: &'a [Emit],
 }
 
-/// Makes the plan of a comparison, which is in the file `path` and will write the folder `output`, and writes it to a folder,
-/// which appears whole or not at all. A former plan there is replaced. Nothing is read of the model.
+/// Makes the plan of a comparison, which is in the file `path` and will write the folder `output`, and writes
+/// it to a folder, which appears whole or not at all. A former plan there is replaced. Nothing is read of the
+/// model.
 ///
 /// # Errors
-/// As of [`compare`](crate::compare), before it begins; the folder cannot be written, or is no plan; it lies in the
-/// output, or the other way round; a path is no text.
+/// As of [`compare`](crate::compare), before it begins; the folder cannot be written, or is no plan; it lies
+/// in the output, or the other way round; a path is no text.
 pub fn make(
     file: &CompareFile,
     path: &Path,

@@ -43,8 +43,8 @@ pub struct Comparison {
 pub struct OnSamples {
     /// Relative change of the volume; nothing where the triangles are not closed.
     pub volume_change: Option<f64>,
-    /// The volumes between the triangles and the plane of their border at rest, at rest and deformed, in cubes of the
-    /// diagonal; nothing where they are closed.
+    /// The volumes between the triangles and the plane of their border at rest, at rest and deformed, in
+    /// cubes of the diagonal; nothing where they are closed.
     pub volume_over_border: Option<[f64; 2]>,
     /// Relative changes of the edges' lengths.
     pub edges: Spread,
@@ -146,12 +146,14 @@ pub struct Figures {
     pub triangles: usize,
     /// How long it took.
     pub seconds: Seconds,
-    /// Peak anonymous memory of the process while the method was at work, and of the program that is the method; nothing
-    /// where the system does not tell. Of several runs the largest.
+    /// Peak anonymous memory of the process while the method was at work, and of the program that is the
+    /// method; nothing where the system does not tell. Of several runs the largest.
     pub peak_memory_bytes: Option<u64>,
-    /// Vertices beside their exact images, all of them or some of very many; nothing where a plugin does not know these.
+    /// Vertices beside their exact images, all of them or some of very many; nothing where a plugin does not
+    /// know these.
     pub transfer_error: Option<TransferError>,
-    /// How far vertices are expected to be off by the transfer, where samples were deformed and the transfer knows.
+    /// How far vertices are expected to be off by the transfer, where samples were deformed and the transfer
+    /// knows.
     pub expected_error: Option<ExpectedError>,
     /// The vertices beside those at rest.
     #[serde(skip_deserializing)]
@@ -195,8 +197,8 @@ pub struct Seconds {
     pub prepare: Option<f64>,
     /// The rest of it.
     pub motion: Option<f64>,
-    /// From the deformed samples to the finished model, with what is found of the samples at rest: that is done once
-    /// for all methods that have the same sampling.
+    /// From the deformed samples to the finished model, with what is found of the samples at rest: that is
+    /// done once for all methods that have the same sampling.
     pub reconstruct: Option<f64>,
     /// The processor's time for deforming and reconstructing, of all threads and of programs.
     pub processor: Option<f64>,

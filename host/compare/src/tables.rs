@@ -54,7 +54,8 @@ const COLUMNS: [Column; 38] = [
     ("result.bytes", |f| Some(f.result.bytes as f64)),
 ];
 
-/// A row for each method, the first one with the names of the columns, as of RFC 4180; those that failed have empty ones.
+/// A row for each method, the first one with the names of the columns, as of RFC 4180; those that failed have
+/// empty ones.
 pub(crate) fn csv(c: &Comparison) -> String {
     let names = ["method", "shape_of"].into_iter().chain(COLUMNS.map(|(name, _)| name));
     let mut rows = vec![names.chain(["result.hash", "error"]).map(str::to_owned).collect::<Vec<_>>()];

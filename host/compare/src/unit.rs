@@ -49,12 +49,12 @@ struct Taken {
 
 /// Does a unit of the plan in a folder. What is there already is not done again.
 ///
-/// A method that fails is told so in its record, as in a comparison by one process; one that a disk did not let through has
-/// none, and may be done again by another machine.
+/// A method that fails is told so in its record, as in a comparison by one process; one that a disk did not
+/// let through has none, and may be done again by another machine.
 ///
 /// # Errors
-/// There is no such unit, or one that has to be done before was not; the comparison is not what it was; what other units
-/// wrote is damaged; the model cannot be sampled; and as of [`compare`](crate::compare).
+/// There is no such unit, or one that has to be done before was not; the comparison is not what it was; what
+/// other units wrote is damaged; the model cannot be sampled; and as of [`compare`](crate::compare).
 pub fn do_unit(
     plan: &ComparisonPlan,
     (folder, number): (&Path, usize),
@@ -139,8 +139,8 @@ impl UnitRun<'_> {
         Ok(Done { comparison: Some(comparison), ..Done::default() })
     }
 
-    /// What the units of methods have left. Deformed models are taken over to a folder, if there is one; what was made stays
-    /// where it is all the same, as this unit may have to be done again.
+    /// What the units of methods have left. Deformed models are taken over to a folder, if there is one; what
+    /// was made stays where it is all the same, as this unit may have to be done again.
     fn methods(&self, kept: Option<&Path>, rest: &dyn Model) -> Result<Methods> {
         let samplings = (0..samplings(self.file).len()).map(|part| self.sampled(part, false));
         let samplings = samplings.collect::<Result<Vec<_>>>()?;

@@ -1,4 +1,5 @@
-//! The attributes of the samples, found by one more stream of the model, and kept in the folder that the samples are from.
+//! The attributes of the samples, found by one more stream of the model, and kept in the folder that the
+//! samples are from.
 
 use std::path::Path;
 use std::sync::Arc;

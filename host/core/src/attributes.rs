@@ -3,8 +3,8 @@
 //!
 //! A sample stands for the vertices that are nearest to it, among the samples of the sheet of the surface
 //! that they lie on: of a thin wall that is painted on both sides, no sample gets the other side's colour.
-//! Its value is the mean of theirs, in the attribute's own unit; of classes, that of the vertex nearest to it. They are found by one more stream of the
-//! model, and kept in the folder of the samples.
+//! Its value is the mean of theirs, in the attribute's own unit; of classes, that of the vertex nearest to
+//! it. They are found by one more stream of the model, and kept in the folder of the samples.
 //!
 //! The file begins with eight letters and a version; the hash of the `samples.ply` and of the model that it
 //! belongs to follow, the attributes, and a checksum.

@@ -1,8 +1,9 @@
 //! The model's own colours as colours of the samples, for programs in which these are deformed.
 //!
-//! A sample has the mean colour of the vertices that it stands for: where faces tell which these are, of those
-//! in its cluster, and otherwise of those that it is the nearest sample to. As a mean needs no more, one of so
-//! many vertices is picked while the model streams, and kept in a temporary file until the samples are known.
+//! A sample has the mean colour of the vertices that it stands for: where faces tell which these are, of
+//! those in its cluster, and otherwise of those that it is the nearest sample to. As a mean needs no more,
+//! one of so many vertices is picked while the model streams, and kept in a temporary file until the samples
+//! are known.
 
 use std::ops::Range;
 use std::path::Path;
@@ -158,7 +159,8 @@ impl Picked {
         Ok(())
     }
 
-    /// The colours of all samples, which are at these local positions. `sample_of` has that of each vertex of the model, where that is known.
+    /// The colours of all samples, which are at these local positions. `sample_of` has that of each vertex of
+    /// the model, where that is known.
     ///
     /// # Errors
     /// The file cannot be written or read; the user cancelled.

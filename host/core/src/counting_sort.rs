@@ -1,5 +1,5 @@
-//! Few numbers put in order by counting, for each, those that are less: without a branch that the processor would
-//! have to foretell, and many at once.
+//! Few numbers put in order by counting, for each, those that are less: without a branch that the processor
+//! would have to foretell, and many at once.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -13,7 +13,8 @@ pub fn sort(numbers: &mut [u64]) {
     }
 }
 
-/// Sorts numbers by their upper halves, or leaves them as they are and says so, if some of these are the same.
+/// Sorts numbers by their upper halves, or leaves them as they are and says so, if some of these are the
+/// same.
 struct Counting<'a>(&'a mut [u64]);
 
 impl WithSimd for Counting<'_> {

@@ -1,5 +1,6 @@
-//! Gaussian splats as flat ellipses across their shortest axis, as pictures and windows draw them (B. Kerbl, G.
-//! Kopanas, T. Leimkühler, G. Drettakis, *3D Gaussian Splatting for Real-Time Radiance Field Rendering*, 2023).
+//! Gaussian splats as flat ellipses across their shortest axis, as pictures and windows draw them (B. Kerbl,
+//! G. Kopanas, T. Leimkühler, G. Drettakis, *3D Gaussian Splatting for Real-Time Radiance Field Rendering*,
+//! 2023).
 
 use glam::{DQuat, DVec3, Mat3, Vec3};
 use simod_model::Attribute;
@@ -45,7 +46,8 @@ impl Ellipses {
         all.max().map_or(0, |last| last + 1)
     }
 
-    /// What is drawn of a splat, by its attribute at each place: nothing of one that is hardly seen, or means nothing.
+    /// What is drawn of a splat, by its attribute at each place: nothing of one that is hardly seen, or means
+    /// nothing.
     pub fn ellipse(&self, attribute: impl Fn(usize) -> f64) -> Option<Ellipse> {
         let opacity = self.opacity.map_or(1.0, |place| 1.0 / (1.0 + (-attribute(place)).exp()));
         let [w, x, y, z] = self.rotation.map(&attribute);
@@ -64,8 +66,8 @@ impl Ellipses {
 
 /// The half axes of an ellipse's image under a linear map, the longer one first.
 ///
-/// The images of half axes are conjugate half diameters; those that are at right angles among these come of the
-/// angle 2t with tan 2t = 2 a·b / (a² - b²) (Rytz).
+/// The images of half axes are conjugate half diameters; those that are at right angles among these come of
+/// the angle 2t with tan 2t = 2 a·b / (a² - b²) (Rytz).
 pub fn image([long, short]: [Vec3; 2], map: &Mat3) -> [Vec3; 2] {
     let (a, b) = (*map * long, *map * short);
     let t = 0.5 * (2.0 * a.dot(b)).atan2(a.length_squared() - b.length_squared());

@@ -1,7 +1,8 @@
 //! The hash of the bytes of all vertices, which tells whether a model is the one that was sampled.
 //!
 //! It is the hash of those of blocks of 256 KiB, so that readers of a part each find the blocks of theirs.
-//! Former versions hashed all bytes as they came: where such a hash is known, it is compared with one of its kind.
+//! Former versions hashed all bytes as they came: where such a hash is known, it is compared with one of its
+//! kind.
 
 use std::ops::Range;
 
@@ -156,8 +157,8 @@ impl HashedPart {
     }
 }
 
-/// Hashes the bytes of a range of vertices, of those that are read of it: more, where it begins or ends within
-/// a compressed block.
+/// Hashes the bytes of a range of vertices, of those that are read of it: more, where it begins or ends
+/// within a compressed block.
 pub(crate) struct PartHasher {
     part: HashedPart,
     /// Bytes before and of the range that are still to come.
@@ -166,7 +167,8 @@ pub(crate) struct PartHasher {
 }
 
 impl PartHasher {
-    /// A hash of these bytes, counted among those of all vertices, where what is read begins so much before them.
+    /// A hash of these bytes, counted among those of all vertices, where what is read begins so much before
+    /// them.
     pub fn new(bytes: Range<u64>, skip: u64) -> Self {
         Self { part: HashedPart::new(bytes.start), skip, left: bytes.end.saturating_sub(bytes.start) }
     }

@@ -1,4 +1,5 @@
-//! The cells of a sampled model whose folder has lost them: found by sampling once more, which gives the same.
+//! The cells of a sampled model whose folder has lost them: found by sampling once more, which gives the
+//! same.
 
 use std::path::Path;
 

@@ -151,10 +151,12 @@ impl Guard {
         Ok(())
     }
 
-    /// An error if the command may not write a model: a file, or a folder with files of these names, if there are any.
+    /// An error if the command may not write a model: a file, or a folder with files of these names, if there
+    /// are any.
     ///
     /// # Errors
-    /// As of [`writes`](Self::writes) and [`replaces_folder`](Self::replaces_folder); the folder holds something else.
+    /// As of [`writes`](Self::writes) and [`replaces_folder`](Self::replaces_folder); the folder holds
+    /// something else.
     pub fn writes_model(&mut self, path: &Path, tiles: &[PathBuf]) -> Result<()> {
         if tiles.is_empty() {
             return self.writes(path, Kind::Model);

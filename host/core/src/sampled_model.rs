@@ -49,7 +49,8 @@ pub(crate) const CELLS: &str = "cells.bin";
 /// The file of what is made of a model that cannot be read from anywhere as it is: see [`Cache`].
 const CACHE: &str = "cache.bin";
 
-/// The file of what is known of the samples at rest: see [`RestGeometry::of`](crate::reconstruction::RestGeometry::of).
+/// The file of what is known of the samples at rest: see
+/// [`RestGeometry::of`](crate::reconstruction::RestGeometry::of).
 pub(crate) const REST: &str = "rest.bin";
 
 /// What describes the folder.
@@ -87,7 +88,8 @@ pub struct Source {
     /// The file; in `simod.toml` relative to the folder.
     #[serde(with = "any_path")]
     pub path: PathBuf,
-    /// The files that it is made of, where these are several; the file is a pattern that they have in common then.
+    /// The files that it is made of, where these are several; the file is a pattern that they have in common
+    /// then.
     #[serde(default, skip_serializing_if = "Vec::is_empty", rename = "tile")]
     pub tiles: Vec<SourceTile>,
     /// What the user said that its columns are, if it is a text in columns.
@@ -272,8 +274,8 @@ pub struct SampledModel {
     pub position_type: Scalar,
     /// The samples.
     pub samples: SampleSet,
-    /// Red, green and blue of each sample: the model's own, averaged over its vertices. None where the model has
-    /// none, or they were not wanted.
+    /// Red, green and blue of each sample: the model's own, averaged over its vertices. None where the model
+    /// has none, or they were not wanted.
     pub colors: Vec<[u8; 3]>,
     /// How it was refined since it was sampled, first to last.
     pub refinements: Vec<Refinement>,
@@ -693,15 +695,16 @@ impl SampledModel {
         })
     }
 
-    /// What a file of the folder that it was read from holds, of at most so many bytes; `None` where there is none, or
-    /// it cannot be read.
+    /// What a file of the folder that it was read from holds, of at most so many bytes; `None` where there is
+    /// none, or it cannot be read.
     pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<Vec<u8>> {
         let (folder, _) = self.folder.as_ref()?;
         input::read(&folder.join(name), most).ok()
     }
 
-    /// Puts a file into the folder that it was read from, if there is one, unless another process is writing that, or
-    /// it has other samples by now. What is made again of the rest in need goes by here: a link is not followed.
+    /// Puts a file into the folder that it was read from, if there is one, unless another process is writing
+    /// that, or it has other samples by now. What is made again of the rest in need goes by here: a link is
+    /// not followed.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -770,8 +773,8 @@ impl SampledModel {
         kept.check(vertices - left_out.min(vertices), vertices, bytes, self.samples.len(), parted)
     }
 
-    /// Holds cells in memory, as [`cells_or_resample`](Self::cells_or_resample) has read them: to be refined, or saved with the
-    /// samples.
+    /// Holds cells in memory, as [`cells_or_resample`](Self::cells_or_resample) has read them: to be refined,
+    /// or saved with the samples.
     pub fn hold_cells(&mut self, cells: KeptCells) {
         self.kept = Some(cells);
     }
@@ -907,8 +910,8 @@ impl SampledModel {
     }
 
     /// Reads deformed samples: local positions, in the order of the samples. Where the file's vertices have
-    /// ids, these tell which is which; otherwise their order does. Normals in the file are not looked at, as a
-    /// tool may leave stale ones.
+    /// ids, these tell which is which; otherwise their order does. Normals in the file are not looked at, as
+    /// a tool may leave stale ones.
     ///
     /// # Errors
     /// The file cannot be read, has other vertices than P_S, or positions that are not finite.
@@ -1009,8 +1012,8 @@ fn rounded(p: DVec3, to: Scalar) -> DVec3 {
     }
 }
 
-/// The path of `file` as seen from `folder`, so that both can be moved together; absolute where it has to be. An object's
-/// is the same from everywhere.
+/// The path of `file` as seen from `folder`, so that both can be moved together; absolute where it has to be.
+/// An object's is the same from everywhere.
 pub fn relative(file: &Path, folder: &Path) -> PathBuf {
     if is_object(file) {
         return file.to_owned();

@@ -36,8 +36,9 @@ pub fn unseal<'a>(bytes: &'a [u8], letters: &[u8; 8]) -> Result<(u32, &'a [u8]),
 /// What is wrong with a file of another version.
 pub const UNKNOWN_VERSION: &str = "it is of a version that is not known";
 
-/// What a file has at its end: sealed content of at most `longest` bytes, behind which its length stands in eight bytes.
-/// Gives the file, the content, and where it begins. `damaged` makes the error of what is wrong with it.
+/// What a file has at its end: sealed content of at most `longest` bytes, behind which its length stands in
+/// eight bytes. Gives the file, the content, and where it begins. `damaged` makes the error of what is wrong
+/// with it.
 ///
 /// # Errors
 /// The file cannot be read, or is damaged.

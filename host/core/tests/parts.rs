@@ -1,4 +1,5 @@
-//! Deformed models that are written in parts, in any order and as often as one likes: the same bytes as at once.
+//! Deformed models that are written in parts, in any order and as often as one likes: the same bytes as at
+//! once.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are tests, too
 

@@ -162,11 +162,12 @@ impl<'a> Details<'a> {
         })
     }
 
-    /// Several shapes at once after the steps of both walks, of which each takes a vertex half way to the mean of its
-    /// neighbours: their places are side by side, so that neighbours are looked up once for all.
+    /// Several shapes at once after the steps of both walks, of which each takes a vertex half way to the
+    /// mean of its neighbours: their places are side by side, so that neighbours are looked up once for all.
     fn smoothed<const N: usize>(&self, shapes: Vec<[DVec3; N]>) -> [Vec<[DVec3; N]>; 2] {
         let [once, twice] = &self.walks;
-        // T₀ p and T₁ p, where T are Chebyshev's polynomials of the means; then each two that follow each other.
+        // T₀ p and T₁ p, where T are Chebyshev's polynomials of the means; then each two that follow each
+        // other.
         let (mut before, mut now) = (shapes.clone(), shapes);
         let mut sums = [once, twice].map(|walk| before.iter().map(|p| scaled(p, walk.shares[0])).collect());
         for k in 1..twice.shares.len() {
@@ -202,8 +203,8 @@ impl<'a> Details<'a> {
         scaled(&sum, 1.0 / around.len() as f64)
     }
 
-    /// Unit normals of vertices: of the sum of their triangles'. Zero where there is none, or nothing is left of the sum but
-    /// rounding, as where triangles lie on each other, back to back.
+    /// Unit normals of vertices: of the sum of their triangles'. Zero where there is none, or nothing is left
+    /// of the sum but rounding, as where triangles lie on each other, back to back.
     fn vertex_normals(&self, positions: &[DVec3]) -> Vec<DVec3> {
         const ROUNDING: f64 = 1e-9;
         let mut sums = vec![(DVec3::ZERO, 0.0); positions.len()];
@@ -238,10 +239,10 @@ impl<'a> Details<'a> {
     }
 }
 
-/// So many steps of smoothing, each half way to the mean W of the neighbours, as a sum of Chebyshev's polynomials:
-/// ((1 + W) / 2)ⁿ = Σ cₖ Tₖ(W). With W = cos t that is cos²ⁿ(t / 2), whose shares cₖ are those of the paths of a walk with
-/// 2 n halves of a step that end k steps off. Nearly all end within a few √n of them, so that so many polynomials are as
-/// good as n steps, and the rest is less than rounding.
+/// So many steps of smoothing, each half way to the mean W of the neighbours, as a sum of Chebyshev's
+/// polynomials: ((1 + W) / 2)ⁿ = Σ cₖ Tₖ(W). With W = cos t that is cos²ⁿ(t / 2), whose shares cₖ are those
+/// of the paths of a walk with 2 n halves of a step that end k steps off. Nearly all end within a few √n of
+/// them, so that so many polynomials are as good as n steps, and the rest is less than rounding.
 struct Walk {
     shares: Vec<f64>,
 }

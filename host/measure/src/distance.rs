@@ -27,7 +27,8 @@ pub struct Distances {
     pub max: f64,
 }
 
-/// Triangles among which the nearest, and the first on a ray, is found, in a tree of nodes with four parts each.
+/// Triangles among which the nearest, and the first on a ray, is found, in a tree of nodes with four parts
+/// each.
 ///
 /// Memory: about 180 bytes for each triangle, and 30 more in the making.
 pub struct Surface {
@@ -62,8 +63,8 @@ impl Surface {
         Some(Self { facets, tree })
     }
 
-    /// The triangle nearest to a point, by its place in the order, and the nearest point of it. Quick where `near` is the
-    /// place of one that is about as near; `waiting` is room for the search.
+    /// The triangle nearest to a point, by its place in the order, and the nearest point of it. Quick where
+    /// `near` is the place of one that is about as near; `waiting` is room for the search.
     fn nearest(&self, p: DVec3, near: usize, waiting: &mut Vec<Waiting>) -> (usize, DVec3) {
         let point = nearest_on(self.facets[near].0, p);
         let (mut best, mut square) = ((near, point), p.distance_squared(point));

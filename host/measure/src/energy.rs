@@ -1,10 +1,11 @@
 //! The energies of a deformation that papers tell: as rigid as possible (O. Sorkine, M. Alexa, *As-rigid-as-possible
-//! surface modeling*, SGP 2007, with the spokes and rims of I. Chao, U. Pinkall, P. Sanan, P. Schröder, *A simple
-//! geometric model for elastic deformations*, TOG 2010), and symmetric Dirichlet (J. Smith, S. Schaefer, *Bijective
-//! parameterization with free boundaries*, TOG 2015); and how lengths, areas and distortions are spread.
+//! surface modeling*, SGP 2007, with the spokes and rims of I. Chao, U. Pinkall, P. Sanan, P. Schröder, *A
+//! simple geometric model for elastic deformations*, TOG 2010), and symmetric Dirichlet (J. Smith, S.
+//! Schaefer, *Bijective parameterization with free boundaries*, TOG 2015); and how lengths, areas and
+//! distortions are spread.
 //!
-//! Energies are means over the area at rest, so that they have no unit and meshes of any fineness compare: a mesh that is
-//! only moved and turned has 0 and 4.
+//! Energies are means over the area at rest, so that they have no unit and meshes of any fineness compare: a
+//! mesh that is only moved and turned has 0 and 4.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -15,8 +16,8 @@ use super::triangle::{Edges, corners, cross};
 /// The energies of a deformed mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Energies {
-    /// As rigid as possible, with spokes and rims: the squared distance of each triangle's gradient from the rotations
-    /// that fit best about its corners.
+    /// As rigid as possible, with spokes and rims: the squared distance of each triangle's gradient from the
+    /// rotations that fit best about its corners.
     pub arap: f64,
     /// σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of each triangle's stretches, from 4 on, over those that keep an area.
     pub symmetric_dirichlet: f64,
@@ -76,8 +77,8 @@ impl Bins {
 }
 
 impl Energies {
-    /// Of triangles between positions at rest and deformed ones, and their edges. Triangles without an area at rest, and
-    /// edges without a length, do not count.
+    /// Of triangles between positions at rest and deformed ones, and their edges. Triangles without an area
+    /// at rest, and edges without a length, do not count.
     pub fn of(rest: &[DVec3], deformed: &[DVec3], (triangles, edges): (&[[u32; 3]], &Edges)) -> Self {
         let both = |t: &[u32; 3]| Some((*t, corners(rest, *t)?, corners(deformed, *t)?));
         let all: Vec<_> = triangles
@@ -143,8 +144,8 @@ fn sides([a, b, c]: &[DVec3; 3]) -> [DVec3; 3] {
     [*c - *b, *a - *c, *b - *a]
 }
 
-/// Half the cotangents of the angles: with these, squared lengths of sides add up to the area times the squared norm of
-/// what maps them.
+/// Half the cotangents of the angles: with these, squared lengths of sides add up to the area times the
+/// squared norm of what maps them.
 fn weights(triangle: &[DVec3; 3]) -> [f64; 3] {
     let double = cross(*triangle).length();
     let [a, b, c] = sides(triangle);
@@ -155,9 +156,10 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
     DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
-/// The rotation R for which the trace of Rᵀ times the matrix is the greatest: the eigenvector of the greatest eigenvalue
-/// of a symmetric matrix is its quaternion (B. K. P. Horn, *Closed-form solution of absolute orientation using unit
-/// quaternions*, J. Opt. Soc. Am. A 1987). The identity where the matrix tells nothing.
+/// The rotation R for which the trace of Rᵀ times the matrix is the greatest: the eigenvector of the greatest
+/// eigenvalue of a symmetric matrix is its quaternion (B. K. P. Horn, *Closed-form solution of absolute
+/// orientation using unit quaternions*, J. Opt. Soc. Am. A 1987). The identity where the matrix tells
+/// nothing.
 fn rotation(m: &DMat3) -> DMat3 {
     let matrix = horn(m);
     let [w, x, y, z] = quickly(m, &matrix).unwrap_or_else(|| greatest_eigenvector(matrix));
@@ -179,9 +181,9 @@ fn horn(m: &DMat3) -> [[f64; 4]; 4] {
     [[xx + yy + zz, x, y, z], [x, xx - yy - zz, xy, zx], [y, xy, yy - xx - zz, yz], [z, zx, yz, zz - xx - yy]]
 }
 
-/// The eigenvector of the greatest eigenvalue of a matrix whose characteristic polynomial follows from `m` (D. L.
-/// Theobald, *Rapid calculation of RMSDs using a quaternion-based characteristic polynomial*, Acta Cryst. A 2005): a
-/// row of the adjugate. Nothing where another eigenvalue is nearly as great.
+/// The eigenvector of the greatest eigenvalue of a matrix whose characteristic polynomial follows from `m`
+/// (D. L. Theobald, *Rapid calculation of RMSDs using a quaternion-based characteristic polynomial*, Acta
+/// Cryst. A 2005): a row of the adjugate. Nothing where another eigenvalue is nearly as great.
 fn quickly(m: &DMat3, matrix: &[[f64; 4]; 4]) -> Option<[f64; 4]> {
     const STEPS: usize = 50;
     const APART: f64 = 1e-4;

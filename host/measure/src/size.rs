@@ -33,16 +33,16 @@ pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
     all > 0 && (all - closed) * 100 <= all
 }
 
-/// An open mesh, which holds a volume with the plane of its border: between each triangle and that plane, more where it
-/// is above, less below.
+/// An open mesh, which holds a volume with the plane of its border: between each triangle and that plane,
+/// more where it is above, less below.
 pub struct Open {
     origin: DVec3,
     normal: DVec3,
 }
 
 impl Open {
-    /// The plane in the middle of the border at rest, at right angles to what the triangles' normals add up to; nothing
-    /// where there is no border, or the sum is nothing.
+    /// The plane in the middle of the border at rest, at right angles to what the triangles' normals add up
+    /// to; nothing where there is no border, or the sum is nothing.
     pub fn of(rest: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
         let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
         let sides = sorted(sides(valid.copied()).map(either_way));

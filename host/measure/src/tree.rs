@@ -1,6 +1,7 @@
-//! A tree of triangles, of which each node has up to four parts side by side, told apart four at a time in single precision: each
-//! with the box of its triangles, and where these are few with a disc around them as well, as a point above a surface is
-//! nearly as far from the boxes of many. Parts are halves of halves, along the longest side of what their triangles' middles span.
+//! A tree of triangles, of which each node has up to four parts side by side, told apart four at a time in
+//! single precision: each with the box of its triangles, and where these are few with a disc around them as
+//! well, as a point above a surface is nearly as far from the boxes of many. Parts are halves of halves,
+//! along the longest side of what their triangles' middles span.
 
 use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
@@ -63,8 +64,8 @@ impl Tree {
         (Self { nodes, unit }, order)
     }
 
-    /// Has all triangles looked at that may be nearer to a point than so, of which the square is told; `look` gives that of
-    /// the nearest so far. `waiting` is room for the search.
+    /// Has all triangles looked at that may be nearer to a point than so, of which the square is told; `look`
+    /// gives that of the nearest so far. `waiting` is room for the search.
     pub fn nearest(
         &self,
         p: DVec3,
@@ -170,7 +171,8 @@ impl Discs {
         thickness: Vec4::INFINITY,
     };
 
-    /// Puts the disc of some triangles at a place: about the mean of their corners, across the sum of their normals.
+    /// Puts the disc of some triangles at a place: about the mean of their corners, across the sum of their
+    /// normals.
     fn put(&mut self, lane: usize, facets: impl Iterator<Item = Corners> + Clone, unit: &Unit) {
         let facets = facets.map(|corners| corners.map(|p| unit.exactly(p)));
         let corners = facets.clone().flatten();
@@ -266,8 +268,9 @@ fn nodes_of(triangles: usize) -> usize {
     1 + below.map(nodes_of).sum::<usize>()
 }
 
-/// Writes the tree of some triangles, by their boxes' middles, to its `nodes`; `this` is the first one's place among those of
-/// the whole tree, and `place` that of the first triangle in the order. Large parts grow beside each other.
+/// Writes the tree of some triangles, by their boxes' middles, to its `nodes`; `this` is the first one's
+/// place among those of the whole tree, and `place` that of the first triangle in the order. Large parts grow
+/// beside each other.
 fn grow(
     nodes: &mut [Node],
     order: &mut [u32],

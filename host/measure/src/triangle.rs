@@ -39,13 +39,15 @@ pub(crate) fn sorted(pairs: impl Iterator<Item = [u32; 2]>) -> Vec<u64> {
     keys
 }
 
-/// The edges of a mesh at rest, each once, of whichever of its triangles it is a side: found once for all shapes.
+/// The edges of a mesh at rest, each once, of whichever of its triangles it is a side: found once for all
+/// shapes.
 ///
 /// Memory: 8 bytes for each edge, and 24 for each triangle in the making.
 pub struct Edges(Vec<[u32; 2]>);
 
 impl Edges {
-    /// Of triangles between positions; those with a corner that there is not, or at no finite place, have none.
+    /// Of triangles between positions; those with a corner that there is not, or at no finite place, have
+    /// none.
     pub fn of(rest: &[DVec3], triangles: &[[u32; 3]]) -> Self {
         let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
         let mut keys = sorted(sides(valid.copied()).map(either_way));
@@ -53,7 +55,8 @@ impl Edges {
         Self(keys.into_iter().map(pair).collect())
     }
 
-    /// The lengths of each one with a length, at rest and in a shape with as many vertices where its ends have finite places.
+    /// The lengths of each one with a length, at rest and in a shape with as many vertices where its ends
+    /// have finite places.
     pub(crate) fn lengths(&self, rest: &[DVec3], deformed: &[DVec3]) -> impl Iterator<Item = [f64; 2]> {
         let both =
             move |[a, b]: &[u32; 2]| [rest, deformed].map(|of| of[*a as usize].distance(of[*b as usize]));

@@ -273,13 +273,14 @@ fn is_direction(n: Vec3) -> bool {
     square > 0.0 && square.is_finite()
 }
 
-/// The angle between two directions, in radians; exact for small angles, and 0 between a direction and itself.
+/// The angle between two directions, in radians; exact for small angles, and 0 between a direction and
+/// itself.
 #[inline(always)]
 fn angle(a: DVec3, b: DVec3) -> f64 {
     // Their lengths cancel out.
     let (across, along) = (a.cross(b).length(), a.dot(b));
-    // As libraries' arctangents, but without branches, so that several are found at once: x is at most the tangent of a
-    // sixteenth of a turn, where what the series leaves out is 3e-9.
+    // As libraries' arctangents, but without branches, so that several are found at once: x is at most the
+    // tangent of a sixteenth of a turn, where what the series leaves out is 3e-9.
     let (small, large) = (across.min(along.abs()), across.max(along.abs()));
     let x = small / large.max(f64::MIN_POSITIVE);
     let steep = x > std::f64::consts::SQRT_2 - 1.0;
@@ -341,16 +342,16 @@ fn each_two(count: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..count).flat_map(move |i| (i + 1..count).map(move |k| (i, k)))
 }
 
-/// Takes vertices of all versions, of which the number of the first is told: on any thread, a range of the model after
-/// the other.
+/// Takes vertices of all versions, of which the number of the first is told: on any thread, a range of the
+/// model after the other.
 pub type Also<'a> = dyn Fn(u64, &[Vertices<'_>]) -> Result<()> + Sync + 'a;
 
-/// Compares versions of a model, all with all, in one reading, of ranges on all threads where the files allow.
-/// `diagonal` is the length that others are told as fractions of; `also` sees all vertices, too, with so
-/// many of the first one's first attributes.
+/// Compares versions of a model, all with all, in one reading, of ranges on all threads where the files
+/// allow. `diagonal` is the length that others are told as fractions of; `also` sees all vertices, too, with
+/// so many of the first one's first attributes.
 ///
-/// Memory: for each thread a small chunk of each version; for each pair 13 kB, and as much for each of two ranges for
-/// each thread.
+/// Memory: for each thread a small chunk of each version; for each pair 13 kB, and as much for each of two
+/// ranges for each thread.
 ///
 /// # Errors
 /// The models differ in their number of vertices; one cannot be read; `also` fails; the user cancelled.

@@ -1,10 +1,10 @@
 //! What is made once of a model that cannot be read from anywhere as it is, as of one that is compressed as a
 //! whole: one file, for all that open the model after that.
 //!
-//! A cache is kept under a name, in the folder of a sampled model, or in a nameless file that is gone with the
-//! process. It is filled by the first one that needs it, which is told how large it will be. A kept one ends
-//! with the size and the hash of the model that it was made of, and with a hash of its own: it is of use as
-//! long as both are right, and filled anew otherwise.
+//! A cache is kept under a name, in the folder of a sampled model, or in a nameless file that is gone with
+//! the process. It is filled by the first one that needs it, which is told how large it will be. A kept one
+//! ends with the size and the hash of the model that it was made of, and with a hash of its own: it is of use
+//! as long as both are right, and filled anew otherwise.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -100,8 +100,8 @@ impl Cache {
         Self::in_place(Place::Claimed(folder.path().join(name), folder.target().join(name)))
     }
 
-    /// One that is kept in the file `path` of a folder that is there. Where that is being written by others, or
-    /// cannot be, it goes to a nameless file.
+    /// One that is kept in the file `path` of a folder that is there. Where that is being written by others,
+    /// or cannot be, it goes to a nameless file.
     pub fn in_folder(path: &Path) -> Self {
         Self::in_place(Place::Shared(path.to_owned()))
     }
@@ -136,8 +136,8 @@ impl Cache {
         Scratch::new(&self.folder(), ADVICE)
     }
 
-    /// What is made of a model: what was made of it before, or else what `fill` writes, which returns how many
-    /// bytes that are. It is read in the name of the model.
+    /// What is made of a model: what was made of it before, or else what `fill` writes, which returns how
+    /// many bytes that are. It is read in the name of the model.
     ///
     /// # Errors
     /// The model cannot be read, the disk has no room, or `fill` failed.

@@ -9,7 +9,8 @@ use crate::{Attribute, Model, ModelInfo, Result, Type, VertexChunk};
 const NAMES: [[&str; 3]; 3] =
     [["red", "green", "blue"], ["r", "g", "b"], ["diffuse_red", "diffuse_green", "diffuse_blue"]];
 
-/// The first coefficients of the harmonics of Gaussian splats: the colour that they have from all sides alike.
+/// The first coefficients of the harmonics of Gaussian splats: the colour that they have from all sides
+/// alike.
 const COEFFICIENTS: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
 
 /// The first function of the harmonics.
@@ -87,8 +88,9 @@ impl Colors {
 }
 
 impl ColorScale {
-    /// The scale of numbers of which `most` is the largest: bytes are full at 255. Wider types are by themselves
-    /// full at 1 (fractions), 255 or 65 535, which programs do not agree upon, so that the largest number tells.
+    /// The scale of numbers of which `most` is the largest: bytes are full at 255. Wider types are by
+    /// themselves full at 1 (fractions), 255 or 65 535, which programs do not agree upon, so that the largest
+    /// number tells.
     pub fn for_largest(colors: &Colors, most: f64) -> Self {
         Self(match colors.kind {
             _ if colors.of_splats => Meaning::Coefficients,
@@ -107,8 +109,8 @@ impl ColorScale {
         }
     }
 
-    /// The scale of a model's colours. How large they are is told by vertices all over the file; where reading
-    /// begins at the first one always, those there have to do.
+    /// The scale of a model's colours. How large they are is told by vertices all over the file; where
+    /// reading begins at the first one always, those there have to do.
     ///
     /// # Errors
     /// The file cannot be read.

@@ -32,8 +32,8 @@ const NAMES: [&[&str]; 6] = [
 pub(crate) struct Columns {
     /// What separates them; blanks and tabs if nothing else.
     separator: Option<u8>,
-    /// For each column up to the last one that is written anew, which of a vertex' numbers it is: a component, or
-    /// behind these one that turns.
+    /// For each column up to the last one that is written anew, which of a vertex' numbers it is: a
+    /// component, or behind these one that turns.
     roles: Vec<Option<usize>>,
     /// 3, or 6 with a normal.
     components: usize,

@@ -12,8 +12,8 @@ use crate::{Error, ErrorKind, Model, ModelInfo, Result, ScaledIntegers, Summary,
 pub struct Conversion {
     /// Whether it may lose what the new format cannot hold.
     pub lossy: bool,
-    /// From one integer to the next, where the new format stores positions as integers and the model does not; as
-    /// fine as its extent allows, where not given.
+    /// From one integer to the next, where the new format stores positions as integers and the model does
+    /// not; as fine as its extent allows, where not given.
     pub step: Option<f64>,
     /// The position of number zero then; near the model's middle, where not given.
     pub offset: Option<DVec3>,

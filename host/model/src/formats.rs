@@ -77,13 +77,13 @@ pub(crate) fn extension(path: &Path) -> String {
     path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
 }
 
-/// Opens a model in one file, of whatever format its content is; where that cannot tell, as of plain text, the
-/// extension of its name does. Of text in columns, these are what `columns` says. One of a pool is closed when others
-/// are read.
+/// Opens a model in one file, of whatever format its content is; where that cannot tell, as of plain text,
+/// the extension of its name does. Of text in columns, these are what `columns` says. One of a pool is closed
+/// when others are read.
 ///
 /// # Errors
-/// The file cannot be read, its format is not known, or its content is not what the format says; columns are given of
-/// another format; there is no room for what is made to read it from anywhere; the user cancelled.
+/// The file cannot be read, its format is not known, or its content is not what the format says; columns are
+/// given of another format; there is no room for what is made to read it from anywhere; the user cancelled.
 pub(crate) fn open_file(
     path: &Path,
     pool: Option<&Arc<Pool>>,

@@ -1,7 +1,7 @@
 //! Quantiles of numbers that are streamed.
 
-/// Counts of positive values from 1e-12 to 1e3 and a little beyond, 32 bins of equal width for each factor of two:
-/// which one it is follows from the bits of a number, without a logarithm.
+/// Counts of positive values from 1e-12 to 1e3 and a little beyond, 32 bins of equal width for each factor of
+/// two: which one it is follows from the bits of a number, without a logarithm.
 #[derive(Debug, Clone)]
 pub struct Histogram {
     bins: Vec<u64>,

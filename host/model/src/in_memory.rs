@@ -25,7 +25,8 @@ pub struct InMemory {
 }
 
 impl InMemory {
-    /// A model of these vertices, with a normal for each, or none; and triangles between them, if there are any.
+    /// A model of these vertices, with a normal for each, or none; and triangles between them, if there are
+    /// any.
     ///
     /// # Errors
     /// There is not one normal for each vertex.

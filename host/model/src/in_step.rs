@@ -63,8 +63,8 @@ impl Cursor<'_> {
 }
 
 /// Streams the vertices of versions of a model through `visit`, the same ones of all of them at a time.
-/// Begins no stage of the progress, and advances it by the bytes of the first model, of which so many of the first
-/// [attributes](crate::ModelInfo::attributes) come with the vertices.
+/// Begins no stage of the progress, and advances it by the bytes of the first model, of which so many of the
+/// first [attributes](crate::ModelInfo::attributes) come with the vertices.
 ///
 /// Memory: a small chunk for each model.
 ///
@@ -86,9 +86,9 @@ const RANGE: u64 = 1 << 18;
 /// Ranges that are worked on for each thread until what was found of them is put together.
 const RANGES_AHEAD: usize = 2;
 
-/// As [`in_step`], by ranges of vertices on all threads where the models can be read from anywhere: what `visit` finds in
-/// each range, beginning with the default, comes to `merge` in the order of the ranges, which are the same for any
-/// number of threads. `visit` is told the first vertex' number, too.
+/// As [`in_step`], by ranges of vertices on all threads where the models can be read from anywhere: what
+/// `visit` finds in each range, beginning with the default, comes to `merge` in the order of the ranges,
+/// which are the same for any number of threads. `visit` is told the first vertex' number, too.
 ///
 /// Memory: for each thread a small chunk of each model, and what is found of two ranges.
 ///

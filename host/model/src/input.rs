@@ -111,8 +111,8 @@ enum Known {
 }
 
 impl Identity {
-    /// The identity of the file or folder that a path leads to, by way of links; `None` where there is none. An object
-    /// has one whether it is there or not.
+    /// The identity of the file or folder that a path leads to, by way of links; `None` where there is none.
+    /// An object has one whether it is there or not.
     pub fn from_path(path: &Path) -> Option<Self> {
         if is_object(path) {
             return Some(Self(Known::Name(path.to_owned())));

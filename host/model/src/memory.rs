@@ -1,5 +1,5 @@
-//! Memory of this process: the peak of what it really holds, without the pages of files in the cache; and what it
-//! gives back.
+//! Memory of this process: the peak of what it really holds, without the pages of files in the cache; and
+//! what it gives back.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -13,13 +13,15 @@ const INTERVAL: Duration = Duration::from_millis(5);
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const LARGE: i32 = 256 << 10;
 
-/// Lets large blocks of memory go back to the system as soon as they are free, in this process from now on, where its
-/// allocator can be told: that of glibc keeps more and more of them otherwise, and larger ones, as the work goes on.
+/// Lets large blocks of memory go back to the system as soon as they are free, in this process from now on,
+/// where its allocator can be told: that of glibc keeps more and more of them otherwise, and larger ones, as
+/// the work goes on.
 pub fn return_large_blocks() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
         #[expect(unsafe_code, reason = "a setting of the allocator")]
-        // SAFETY: it takes two numbers, keeps the first for later calls of the allocator, and locks what it changes.
+        // SAFETY: it takes two numbers, keeps the first for later calls of the allocator, and locks what it
+        // changes.
         let _ = unsafe { libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE) };
     }
 }

@@ -82,8 +82,8 @@ pub struct ModelInfo {
     pub integers: Option<ScaledIntegers>,
     /// The integers of what is written: with another offset, where one was [chosen](Model::make_room).
     pub written: Option<ScaledIntegers>,
-    /// From one whole number that positions are written as to the next, along three directions at right angles:
-    /// the coarsest, where there are several; zero where they are floats.
+    /// From one whole number that positions are written as to the next, along three directions at right
+    /// angles: the coarsest, where there are several; zero where they are floats.
     pub step: DVec3,
     /// Ranges of whole numbers that were [chosen](Model::make_room) for what is written.
     pub ranges: Vec<[i64; 2]>,
@@ -130,10 +130,11 @@ pub struct VertexChunk {
     pub positions: Vec<DVec3>,
     /// Normals as stored, so not always of unit length or finite; empty where the model has none.
     pub normals: Vec<Vec3>,
-    /// Tangents as glTF has them, a direction along the surface and the side on which the bitangent is, which is
-    /// normal × direction times the last number (1 or -1): only where a model is rewritten that has any.
+    /// Tangents as glTF has them, a direction along the surface and the side on which the bitangent is, which
+    /// is normal × direction times the last number (1 or -1): only where a model is rewritten that has any.
     pub tangents: Vec<Vec4>,
-    /// Other numbers of the vertices [turn with the surface](Model::following): only where the model is rewritten.
+    /// Other numbers of the vertices [turn with the surface](Model::following): only where the model is
+    /// rewritten.
     pub(crate) follows: bool,
     /// The bytes of the file that these vertices were read from; in a compressed file those of whole blocks,
     /// each with the first chunk that was read of it.
@@ -223,8 +224,8 @@ pub(crate) struct Block {
 
 /// What the vertices of a chunk become in one version of the model.
 ///
-/// Memory: 36 bytes per vertex, so at most 2.3 MiB, and 36 more with gradients; [`Model::rewrite`] holds one for
-/// each version and thread.
+/// Memory: 36 bytes per vertex, so at most 2.3 MiB, and 36 more with gradients; [`Model::rewrite`] holds one
+/// for each version and thread.
 #[derive(Debug, Default)]
 pub struct Edited {
     /// Positions, as many as the chunk has.
@@ -261,12 +262,13 @@ pub enum Normals {
 /// Gives the vertices of a model their new positions and normals: see [`Model::rewrite`]. A function of a
 /// chunk and its versions is one.
 pub trait Edit: Sync {
-    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, how many bytes of vertices come before
-    /// that.
+    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, how many bytes of vertices come
+    /// before that.
     fn begin_behind(&self, _vertex_bytes: u64) {}
 
-    /// Is told of each chunk before it is decoded: one at a time, in the file's order. Where the model is made of
-    /// several [tiles](Model::tiles), vertices are counted in each by itself, and one is over before the next begins.
+    /// Is told of each chunk before it is decoded: one at a time, in the file's order. Where the model is
+    /// made of several [tiles](Model::tiles), vertices are counted in each by itself, and one is over before
+    /// the next begins.
     ///
     /// # Errors
     /// What has been read so far shows that the work is in vain.
@@ -332,10 +334,11 @@ pub struct Rewriting {
     /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them
     /// already.
     pub pieces_done: u64,
-    /// Of a model that is made of [tiles](Model::tiles): so many of them are read, but neither edited nor written;
-    /// pieces are those of the one after them.
+    /// Of a model that is made of [tiles](Model::tiles): so many of them are read, but neither edited nor
+    /// written; pieces are those of the one after them.
     pub files_done: u64,
-    /// These pieces alone are read, edited and written: a part of a file that can be [divided](Model::division).
+    /// These pieces alone are read, edited and written: a part of a file that can be
+    /// [divided](Model::division).
     pub only: Option<PieceRange>,
 }
 
@@ -344,13 +347,13 @@ pub struct Rewriting {
 pub struct PieceRange {
     /// The first of them.
     pub first: u64,
-    /// The one behind the last; to the end of the file where not given, and what is known only then is replaced
-    /// in the outputs.
+    /// The one behind the last; to the end of the file where not given, and what is known only then is
+    /// replaced in the outputs.
     pub end: Option<u64>,
 }
 
-/// How the rewriting of a model can be divided among calls that know nothing of each other. The pieces of a model that is
-/// made of [tiles](Model::tiles) are these, each as a whole.
+/// How the rewriting of a model can be divided among calls that know nothing of each other. The pieces of a
+/// model that is made of [tiles](Model::tiles) are these, each as a whole.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Division {
     /// So many pieces, from the file's beginning on, each follow from the model alone. Those behind them, if
@@ -358,15 +361,17 @@ pub struct Division {
     pub pieces: u64,
     /// The pieces that hold vertices; the others are copied.
     pub vertices: Range<u64>,
-    /// Whether it is known beforehand where each of them goes: as it has as many bytes in the new file as in the old one,
-    /// and nothing is replaced in them in the end but before the vertices; or as it is a file by itself.
+    /// Whether it is known beforehand where each of them goes: as it has as many bytes in the new file as in
+    /// the old one, and nothing is replaced in them in the end but before the vertices; or as it is a file by
+    /// itself.
     pub in_place: bool,
 }
 
 /// Where a new version of a model goes. Anything that can be written to is one, for formats that replace
 /// nothing in the end.
 pub trait Output: Send {
-    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, at which byte of the old file it begins.
+    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, at which byte of the old file
+    /// it begins.
     ///
     /// # Errors
     /// Nothing can be written there.
@@ -431,8 +436,8 @@ pub const FACES_OF_A_BLOCK: u64 = 16;
 pub struct FaceMark {
     /// How many of the chunk's triangles come before it.
     pub triangle: usize,
-    /// The byte of the file at which a face begins, or the last one ends; of a model of several files, counted through
-    /// all of them, each with a byte more than it has.
+    /// The byte of the file at which a face begins, or the last one ends; of a model of several files,
+    /// counted through all of them, each with a byte more than it has.
     pub offset: u64,
 }
 
@@ -443,8 +448,8 @@ pub struct FaceChunk {
     /// may be no vertex of an index, and corners may be equal. An index that no vertex can have, as it is
     /// negative or 2³² - 1 or more, is given as [`u32::MAX`].
     pub triangles: Vec<[u32; 3]>,
-    /// Which of them, ascending, are of the same polygon as the triangle before, at whose first corner and last
-    /// one they begin: the last triangle of the chunk before, if it is the first one here.
+    /// Which of them, ascending, are of the same polygon as the triangle before, at whose first corner and
+    /// last one they begin: the last triangle of the chunk before, if it is the first one here.
     pub continued: Vec<u32>,
     /// Where blocks of [`FACES_OF_A_BLOCK`] faces begin, ascending; at the very end, where the last one ends.
     /// None where faces cannot be read but all at once.
@@ -567,7 +572,8 @@ pub fn for_faces_at(
     read_ahead(move |chunk| reader.read(chunk), visit)
 }
 
-/// Streams the faces from a mark on through `visit`, likewise, up to a chunk with which there are so many triangles.
+/// Streams the faces from a mark on through `visit`, likewise, up to a chunk with which there are so many
+/// triangles.
 ///
 /// # Errors
 /// As of [`Model::faces_from`], or `visit` failed.
@@ -677,8 +683,8 @@ pub trait Model: Send + Sync {
         Vec::new()
     }
 
-    /// What the file has that is given nowhere here, each in a few words, as "3 comments": what another format
-    /// than its own loses.
+    /// What the file has that is given nowhere here, each in a few words, as "3 comments": what another
+    /// format than its own loses.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -696,8 +702,8 @@ pub trait Model: Send + Sync {
         self.info().bytes
     }
 
-    /// Bytes by which the progress of [rewriting](Self::rewrite) is counted: more than the file has where parts of
-    /// it are read several times.
+    /// Bytes by which the progress of [rewriting](Self::rewrite) is counted: more than the file has where
+    /// parts of it are read several times.
     fn bytes_to_rewrite(&self) -> u64 {
         self.info().bytes
     }
@@ -713,8 +719,9 @@ pub trait Model: Send + Sync {
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
 
-    /// Of the bytes that a reading of all vertices gives, how many come before what is read at once with a vertex, and
-    /// how many before what begins with it or, of blocks, with the next one; at the end, all of them.
+    /// Of the bytes that a reading of all vertices gives, how many come before what is read at once with a
+    /// vertex, and how many before what begins with it or, of blocks, with the next one; at the end, all of
+    /// them.
     fn bytes_before(&self, vertex: u64) -> [u64; 2] {
         let info = self.info();
         let before = u128::from(info.vertex_bytes) * u128::from(vertex) / u128::from(info.vertices.max(1));
@@ -722,9 +729,9 @@ pub trait Model: Send + Sync {
     }
 
     /// Is told that from now on all vertices are read several times for their positions and colours, or with
-    /// `None` that they are not any more. Where it takes long to find these, as in compressed blocks, they may
-    /// be kept in a temporary file in `folder`, of 18 bytes per vertex as a rule, and of 8 GiB at most; if there
-    /// is no room, they are not.
+    /// `None` that they are not any more. Where it takes long to find these, as in compressed blocks, they
+    /// may be kept in a temporary file in `folder`, of 18 bytes per vertex as a rule, and of 8 GiB at most;
+    /// if there is no room, they are not.
     fn keep_positions(&self, _folder: Option<&Path>) {}
 
     /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each
@@ -742,9 +749,9 @@ pub trait Model: Send + Sync {
         some_by_all(|lists| self.attributes(chunk, lists), places, to)
     }
 
-    /// A reader of all faces, if the format has any, in the file's order, as triangles: a polygon of more than
-    /// three corners becomes a fan about its first corner, one of fewer gives none, and a strip's triangles are
-    /// turned to the same side.
+    /// A reader of all faces, if the format has any, in the file's order, as triangles: a polygon of more
+    /// than three corners becomes a fan about its first corner, one of fewer gives none, and a strip's
+    /// triangles are turned to the same side.
     ///
     /// In a text file the end of the vertices has to be found, where it is not known from reading them.
     ///
@@ -764,9 +771,9 @@ pub trait Model: Send + Sync {
         Ok(Box::new(NoFaces))
     }
 
-    /// The byte of the file at which a face begins, or the last one ends, where reading can [begin](Self::faces_at) at
-    /// any of them: as they are triangles, and all of one length, if the size of the file tells the truth. Who reads
-    /// them sees whether each of so many bytes was one.
+    /// The byte of the file at which a face begins, or the last one ends, where reading can
+    /// [begin](Self::faces_at) at any of them: as they are triangles, and all of one length, if the size of
+    /// the file tells the truth. Who reads them sees whether each of so many bytes was one.
     fn face_at(&self, _face: u64) -> Option<u64> {
         None
     }
@@ -792,15 +799,16 @@ pub trait Model: Send + Sync {
     /// The file cannot be read, or ends early; the user cancelled.
     fn check_complete(&self, progress: &dyn Progress) -> Result<()>;
 
-    /// Whether what is rewritten has room for a vertex at a position, as far as can be said without knowing which
-    /// vertex it is: integers do not reach everywhere.
+    /// Whether what is rewritten has room for a vertex at a position, as far as can be said without knowing
+    /// which vertex it is: integers do not reach everywhere.
     fn has_room_for(&self, p: DVec3) -> bool {
         self.info().written.is_none_or(|integers| integers.range().contains(p))
     }
 
-    /// Sees to it that what is rewritten from now on has room for vertices that go from the first place of each
-    /// pair to the second, and for others that go further by `margin`: where integers do not reach, by another
-    /// offset, or another range. Returns what was changed, if anything: all integers are written anew then.
+    /// Sees to it that what is rewritten from now on has room for vertices that go from the first place of
+    /// each pair to the second, and for others that go further by `margin`: where integers do not reach, by
+    /// another offset, or another range. Returns what was changed, if anything: all integers are written anew
+    /// then.
     ///
     /// # Errors
     /// The format has no integers for positions, or they cannot reach so far.
@@ -812,8 +820,8 @@ pub trait Model: Send + Sync {
         ))
     }
 
-    /// What turns with the surface besides normals and tangents when it is rewritten, if it is known what does:
-    /// that is told by names, or by the properties of Gaussian splats.
+    /// What turns with the surface besides normals and tangents when it is rewritten, if it is known what
+    /// does: that is told by names, or by the properties of Gaussian splats.
     fn following(&self) -> Option<&Following> {
         None
     }

@@ -97,8 +97,8 @@ impl ModelName {
 /// of its name does. Of a pattern, as `tiles/*.laz`, all files that it matches are one model.
 ///
 /// # Errors
-/// The file cannot be read, its format is not known, or its content is not what the format says; a pattern matches
-/// none.
+/// The file cannot be read, its format is not known, or its content is not what the format says; a pattern
+/// matches none.
 pub fn open(path: &Path) -> Result<Box<dyn Model>> {
     open_with_columns(path, None)
 }
@@ -112,8 +112,8 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
     open_with(path, columns, &Arc::default(), &Silent)
 }
 
-/// The same; what has to be made of the model to read it from anywhere goes to a cache, whose size `progress` is
-/// told first.
+/// The same; what has to be made of the model to read it from anywhere goes to a cache, whose size `progress`
+/// is told first.
 ///
 /// # Errors
 /// As of [`open_with_columns`], there is no room for what is made, or the user cancelled.
@@ -138,8 +138,8 @@ pub fn open_version(of: &dyn Model, path: &Path, columns: Option<&str>) -> Resul
     ModelName::Tiles(tiles).open(columns, &Arc::default(), &Silent)
 }
 
-/// The files that a pattern matches, as a shell has it, in the order of people; `None` where a path has no wildcard
-/// (`*`, `?`, `[`), or is the name of something that is there, or of an object.
+/// The files that a pattern matches, as a shell has it, in the order of people; `None` where a path has no
+/// wildcard (`*`, `?`, `[`), or is the name of something that is there, or of an object.
 ///
 /// # Errors
 /// It is no pattern, or matches no file; a folder cannot be read.

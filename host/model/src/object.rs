@@ -1,9 +1,10 @@
-//! Objects: models that are no files but are in a store behind a network, and named by a URL. What talks to stores is a
-//! crate of its own, which a program [installs](install) if it was built with it; here is what the rest needs of it.
+//! Objects: models that are no files but are in a store behind a network, and named by a URL. What talks to
+//! stores is a crate of its own, which a program [installs](install) if it was built with it; here is what
+//! the rest needs of it.
 //!
-//! What may be secret in a URL, as the signature of one that was signed beforehand, never is part of a path: it is
-//! [taken out](admit) where a URL comes in, and remembered by this process for the store alone. So neither messages nor
-//! files can have it.
+//! What may be secret in a URL, as the signature of one that was signed beforehand, never is part of a path:
+//! it is [taken out](admit) where a URL comes in, and remembered by this process for the store alone. So
+//! neither messages nor files can have it.
 
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
@@ -57,15 +58,16 @@ pub trait Upload: Send {
     /// What others go on with it by.
     fn id(&self) -> &str;
 
-    /// Sends a part, while the caller goes on; waits first where too many bytes are on their way. All parts but the one
-    /// of the highest number are of 5 MiB or more. A part that is sent again replaces the former one.
+    /// Sends a part, while the caller goes on; waits first where too many bytes are on their way. All parts
+    /// but the one of the highest number are of 5 MiB or more. A part that is sent again replaces the former
+    /// one.
     ///
     /// # Errors
     /// This part, or one that was sent before, did not arrive.
     fn send(&mut self, number: usize, bytes: Vec<u8>) -> Result<()>;
 
-    /// Waits until all parts have arrived; the number of each that was sent here, and its tag, by which the store knows
-    /// it.
+    /// Waits until all parts have arrived; the number of each that was sent here, and its tag, by which the
+    /// store knows it.
     ///
     /// # Errors
     /// One did not arrive.
@@ -104,8 +106,8 @@ fn is_url(text: &str) -> bool {
 /// The whole URLs of objects, with what may be secret in them, by what they are called.
 static WHOLE: Mutex<BTreeMap<String, String>> = Mutex::new(BTreeMap::new());
 
-/// The name of an object: its URL without user, password and query, which this process remembers. What is no URL stays
-/// as it is.
+/// The name of an object: its URL without user, password and query, which this process remembers. What is no
+/// URL stays as it is.
 pub fn admit(name: impl AsRef<OsStr>) -> OsString {
     let name = name.as_ref();
     let Some(url) = name.to_str().filter(|text| is_url(text)) else { return name.to_owned() };
@@ -166,7 +168,8 @@ pub fn find(path: &Path) -> Result<Option<Arc<dyn Object>>> {
     store.open(&url)
 }
 
-/// An upload that this process has begun. Dropped before it is [complete](Self::complete), it leaves nothing in the store.
+/// An upload that this process has begun. Dropped before it is [complete](Self::complete), it leaves nothing
+/// in the store.
 pub struct Begun {
     upload: Box<dyn Upload>,
     path: PathBuf,

@@ -1,5 +1,5 @@
-//! An object as the output of a model: parts of one length, which are sent as they fill, while a few are held of which
-//! bytes may still be replaced.
+//! An object as the output of a model: parts of one length, which are sent as they fill, while a few are held
+//! of which bytes may still be replaced.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -21,16 +21,16 @@ pub fn part_bytes(bytes: u64) -> u64 {
 
 /// An object in the making. Dropped before [`commit`](Self::commit), it leaves no trace.
 ///
-/// Memory: three parts, and what is on its way: see [`Upload::send`](object::Upload::send). A part has 8 MiB, or a 9000th
-/// of an object of more than 70 GB.
+/// Memory: three parts, and what is on its way: see [`Upload::send`](object::Upload::send). A part has 8 MiB,
+/// or a 9000th of an object of more than 70 GB.
 pub struct ObjectOutput {
     path: PathBuf,
     begun: Begun,
     part_bytes: u64,
     /// Where the next byte goes.
     at: u64,
-    /// The parts that are not sent yet, by their numbers: the first one, where files say what comes later; the one that
-    /// is being filled; and the one before it, as some say so at their end.
+    /// The parts that are not sent yet, by their numbers: the first one, where files say what comes later;
+    /// the one that is being filled; and the one before it, as some say so at their end.
     held: BTreeMap<usize, Vec<u8>>,
     /// The tags of parts that others have sent.
     tags: BTreeMap<usize, String>,
@@ -45,7 +45,8 @@ impl ObjectOutput {
         Ok(Self::with_parts(path, object::begin(path)?, part_bytes(bytes)))
     }
 
-    /// The same by an upload that was begun for others as well, who send ranges of it. Dropped, it leaves that as it is.
+    /// The same by an upload that was begun for others as well, who send ranges of it. Dropped, it leaves
+    /// that as it is.
     ///
     /// # Errors
     /// The store takes no parts.

@@ -1,6 +1,6 @@
-//! A range of an object that several processes write at the same time, each a range of its own. The object is divided into
-//! parts of one length. Those that lie wholly in a range are sent by its process; what a range has of others, at its two
-//! edges, is left to the one that puts all together.
+//! A range of an object that several processes write at the same time, each a range of its own. The object is
+//! divided into parts of one length. Those that lie wholly in a range are sent by its process; what a range
+//! has of others, at its two edges, is left to the one that puts all together.
 
 use std::path::Path;
 

@@ -83,8 +83,8 @@ pub(crate) trait Pieces: Send {
     /// Reads the bytes of the next piece into `chunk`, in the file's order.
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece>;
 
-    /// Passes over so many pieces at the beginning of a file that can be [divided](Rewritable::division), without
-    /// reading them.
+    /// Passes over so many pieces at the beginning of a file that can be [divided](Rewritable::division),
+    /// without reading them.
     fn skip(&mut self, _pieces: u64) -> Result<Skipped> {
         Err(Error::internal("a file that cannot be divided was divided", "report this"))
     }

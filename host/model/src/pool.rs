@@ -1,5 +1,5 @@
-//! Files of a model of very many, of which few are open at a time: each is opened again when it is read, and has to
-//! be the file that it was.
+//! Files of a model of very many, of which few are open at a time: each is opened again when it is read, and
+//! has to be the file that it was.
 
 use std::collections::VecDeque;
 use std::fs::Metadata;

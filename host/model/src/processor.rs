@@ -1,7 +1,7 @@
 //! The processor's time that this process takes.
 
-/// Seconds of all threads so far, in programs and in the system, with those of the processes that it started and that
-/// have ended; nothing where the system does not tell.
+/// Seconds of all threads so far, in programs and in the system, with those of the processes that it started
+/// and that have ended; nothing where the system does not tell.
 #[cfg(target_os = "linux")]
 pub fn seconds() -> Option<f64> {
     /// Ticks of what programs are told, of any Linux.

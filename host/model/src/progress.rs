@@ -48,7 +48,8 @@ impl<'a> Glimpse<'a> {
         Self { vertices, read }
     }
 
-    /// The vertex of a number: its position in the model's coordinates, and its normal, zero where it has none.
+    /// The vertex of a number: its position in the model's coordinates, and its normal, zero where it has
+    /// none.
     ///
     /// # Errors
     /// It cannot be read.
@@ -87,8 +88,8 @@ pub trait Progress: Sync {
     /// not the last word: where their number is aimed at, fewer may be left in the end.
     fn emerge(&self, _samples: &Emerging<'_>) {}
 
-    /// A model is going to be sampled whose vertices can be read from anywhere: for those who like to see some of them
-    /// before. Sampling begins once this is done.
+    /// A model is going to be sampled whose vertices can be read from anywhere: for those who like to see
+    /// some of them before. Sampling begins once this is done.
     fn glimpse(&self, _model: &mut Glimpse<'_>) {}
 
     /// An error of kind [`Cancelled`](crate::ErrorKind::Cancelled) once the user asked to stop.

@@ -30,8 +30,8 @@ const FORMAT: &str = "simod-journal/1";
 /// Bytes that are checked at a time.
 const BLOCK: usize = 1 << 20;
 
-/// No journal is longer: it has at most 1024 parts and a few, of some 60 bytes each, and with the lengths of a
-/// file's compressed blocks some 6 bytes for each of these.
+/// No journal is longer: it has at most 1024 parts and a few, of some 60 bytes each, and with the lengths of
+/// a file's compressed blocks some 6 bytes for each of these.
 const LONGEST: u64 = 64 << 20;
 
 /// A file in the making, a piece at a time. Dropped before [`commit`](Self::commit), it leaves no trace,
@@ -157,7 +157,8 @@ impl ResumableFile {
         Ok(Found { is_complete, parts, patches, in_target: false })
     }
 
-    /// Leaves it to the caller to bring the complete file to the disk. Should that not come about, its checksums tell.
+    /// Leaves it to the caller to bring the complete file to the disk. Should that not come about, its
+    /// checksums tell.
     pub(crate) fn leave_syncing(&mut self) {
         self.syncs = false;
     }
@@ -341,8 +342,8 @@ impl Finished {
         fs::metadata(&self.places.target).map_or(0, |m| m.len())
     }
 
-    /// The XXH3 hash of 128 bits of all its bytes, where it is known without reading them: of a file that this call
-    /// wrote as one part, and in which nothing was replaced.
+    /// The XXH3 hash of 128 bits of all its bytes, where it is known without reading them: of a file that
+    /// this call wrote as one part, and in which nothing was replaced.
     pub fn hash(&self) -> Option<u128> {
         self.hash
     }
@@ -467,7 +468,8 @@ struct Patch {
 }
 
 impl Patch {
-    /// Puts what was there back into a block of the file, as far as it lies there, if all of that was replaced.
+    /// Puts what was there back into a block of the file, as far as it lies there, if all of that was
+    /// replaced.
     fn undo(&self, start: u64, block: &mut [u8]) {
         let from = self.at.max(start);
         let to = (self.at + self.old.len() as u64).min(start + block.len() as u64);

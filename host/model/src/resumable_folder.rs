@@ -1,6 +1,6 @@
-//! Large files that appear together, as one folder, and are gone on with after the program was killed: the tiles of a
-//! model. Each is a [resumable file](crate::resumable) in the folder that is in the making; a finished one keeps its
-//! journal there until all of them are.
+//! Large files that appear together, as one folder, and are gone on with after the program was killed: the
+//! tiles of a model. Each is a [resumable file](crate::resumable) in the folder that is in the making; a
+//! finished one keeps its journal there until all of them are.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -17,8 +17,8 @@ use crate::{Error, ErrorKind, Output, Progress, Result, Summary};
 /// Files that are brought to the disk at a time.
 const SYNCED_AT_ONCE: usize = 16;
 
-/// Files of a folder in the making, one after the other. Dropped before [`commit`](Self::commit), it leaves no trace,
-/// unless it is to be [kept](Self::keep).
+/// Files of a folder in the making, one after the other. Dropped before [`commit`](Self::commit), it leaves
+/// no trace, unless it is to be [kept](Self::keep).
 pub struct ResumableFolder {
     /// The file after the finished ones, where it is begun; given up before its folder is.
     current: Option<Box<ResumableFile>>,
@@ -48,11 +48,12 @@ fn key_of(key: &str, number: usize) -> String {
 }
 
 impl ResumableFolder {
-    /// Begins a folder of files of these names, whose bytes `key` determines. With `resume`, what an earlier call left
-    /// is checked and kept as far as it is good.
+    /// Begins a folder of files of these names, whose bytes `key` determines. With `resume`, what an earlier
+    /// call left is checked and kept as far as it is good.
     ///
     /// # Errors
-    /// The folder cannot be written, or holds what would be lost; another process writes it; the user cancelled.
+    /// The folder cannot be written, or holds what would be lost; another process writes it; the user
+    /// cancelled.
     pub fn open(
         path: &Path,
         names: &[PathBuf],
@@ -126,8 +127,8 @@ impl ResumableFolder {
         of_files.chain(of_pieces.map(|pieces| (files, pieces))).collect()
     }
 
-    /// Goes on after one of the [boundaries](Self::boundaries). Has to be called before anything is written. Returns
-    /// how many bytes are there.
+    /// Goes on after one of the [boundaries](Self::boundaries). Has to be called before anything is written.
+    /// Returns how many bytes are there.
     ///
     /// # Errors
     /// What is left cannot be written.
@@ -312,7 +313,8 @@ fn in_place(
     Ok(Some(FinishedFolder { files, leave: false }))
 }
 
-/// Whether files of these names may be written to a folder of their own: one that is there holds nothing else.
+/// Whether files of these names may be written to a folder of their own: one that is there holds nothing
+/// else.
 ///
 /// # Errors
 /// It is a file, or holds something that would be lost.

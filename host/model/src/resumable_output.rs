@@ -1,4 +1,5 @@
-//! What a model is rewritten to: a file, or a folder with a file for each tile, which can be gone on with; or an object.
+//! What a model is rewritten to: a file, or a folder with a file for each tile, which can be gone on with; or
+//! an object.
 
 use std::path::{Path, PathBuf};
 

@@ -40,8 +40,8 @@ impl ScaledIntegers {
         Bounds::from_points([IVec3::MIN, IVec3::MAX].map(|numbers| self.position(numbers)))
     }
 
-    /// The number of steps by which the offset has to move, if it has to, so that there are numbers for all within
-    /// some bounds and a margin around them; an axis along which none will do.
+    /// The number of steps by which the offset has to move, if it has to, so that there are numbers for all
+    /// within some bounds and a margin around them; an axis along which none will do.
     pub(crate) fn steps_to(&self, bounds: &Bounds, margin: f64) -> Result<Option<[i64; 3]>, usize> {
         if bounds.is_empty() {
             return Ok(None);

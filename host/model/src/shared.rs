@@ -1,5 +1,5 @@
-//! A file that several processes write at the same time, each a range of its own, and that becomes an output once all
-//! of it is there.
+//! A file that several processes write at the same time, each a range of its own, and that becomes an output
+//! once all of it is there.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -54,8 +54,8 @@ impl SharedFile {
         sync().map_err(|e: io::Error| Error::io("write", &self.path, &e))
     }
 
-    /// Puts the file, which nobody writes any more, in the place of an output, with the permissions and the owner of
-    /// what it replaces.
+    /// Puts the file, which nobody writes any more, in the place of an output, with the permissions and the
+    /// owner of what it replaces.
     ///
     /// # Errors
     /// Another process writes the output, or the operating system refuses; it is then what it was.
@@ -127,7 +127,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { cases: if std::env::var_os("PROPTEST_CASES").is_some() { ProptestConfig::default().cases } else { 24 }, ..ProptestConfig::default() })]
 
-        /// Ranges in any order, twice, in pieces of any length, beside each other in one block or far from that.
+        /// Ranges in any order, twice, in pieces of any length, beside each other in one block or far from
+        /// that.
         #[test]
         fn ranges_are_written_beside_each_other(
             length in prop_oneof![0..20_000usize, 4_000_000..4_300_000usize],

@@ -1,5 +1,5 @@
-//! A folder that several processes fill at the same time, each with files of its own, and that becomes an output once
-//! all of them are there: the tiles of a model.
+//! A folder that several processes fill at the same time, each with files of its own, and that becomes an
+//! output once all of them are there: the tiles of a model.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -48,8 +48,8 @@ impl WrittenFile {
     }
 }
 
-/// Files of the folder that one process writes, one after the other: what tiles are rewritten to. Dropped before
-/// [`keep`](Self::keep), it leaves none of them.
+/// Files of the folder that one process writes, one after the other: what tiles are rewritten to. Dropped
+/// before [`keep`](Self::keep), it leaves none of them.
 ///
 /// Memory: a buffer of 256 KiB.
 pub struct SharedFiles<'a> {
@@ -128,12 +128,12 @@ impl Drop for SharedFiles<'_> {
     }
 }
 
-/// Puts the folder, to which nobody writes any more, in the place of an output, on whichever disk that is: files of these
-/// names.
+/// Puts the folder, to which nobody writes any more, in the place of an output, on whichever disk that is:
+/// files of these names.
 ///
 /// # Errors
-/// It holds something else; another process writes the output, or the operating system refuses; the user cancelled. The
-/// output is then what it was.
+/// It holds something else; another process writes the output, or the operating system refuses; the user
+/// cancelled. The output is then what it was.
 pub fn become_output(folder: &Path, names: &[PathBuf], output: &Path, progress: &dyn Progress) -> Result<()> {
     check_target(folder, names)?;
     sync_folders(folder, names).map_err(|e| Error::io("write", folder, &e))?;

@@ -43,7 +43,8 @@ pub(crate) enum Stamp {
 }
 
 impl Source {
-    /// Opens a regular file, or an object, that is not empty; a file of a pool is closed when others are read.
+    /// Opens a regular file, or an object, that is not empty; a file of a pool is closed when others are
+    /// read.
     pub(crate) fn open(path: &Path, pool: Option<&Arc<Pool>>) -> Result<Self> {
         let refused = |e| Error::io("open", path, &e);
         let (file, len) = if object::is_object(path) {
@@ -144,8 +145,8 @@ impl Source {
         self.read_at(&mut buffer[old..], offset)
     }
 
-    /// An error where the file is not as long any more as when it was opened. Of an object, all reads are of the version
-    /// that was.
+    /// An error where the file is not as long any more as when it was opened. Of an object, all reads are of
+    /// the version that was.
     pub(crate) fn check_unchanged(&self) -> Result<()> {
         let is = match &self.file {
             Handle::Open(file) => file.metadata(),

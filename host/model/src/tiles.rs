@@ -1,7 +1,8 @@
-//! A model that is made of several files, as a survey of tiles: their vertices are numbered one after the other, and
-//! each file is rewritten to one of its own, as if it was alone.
+//! A model that is made of several files, as a survey of tiles: their vertices are numbered one after the
+//! other, and each file is rewritten to one of its own, as if it was alone.
 //!
-//! Each tile is a model by itself, of whatever format. Its file is [closed](crate::pool) while others are read.
+//! Each tile is a model by itself, of whatever format. Its file is [closed](crate::pool) while others are
+//! read.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -270,7 +271,8 @@ fn folder_of_all(files: &[PathBuf]) -> PathBuf {
     common
 }
 
-/// What files are called in a folder of all of them: their names, with the folders below the one that they share.
+/// What files are called in a folder of all of them: their names, with the folders below the one that they
+/// share.
 pub(crate) fn names(files: &[PathBuf]) -> Vec<PathBuf> {
     let absolute = |file: &PathBuf| {
         let folder = folder_of(file);
@@ -390,8 +392,8 @@ impl VertexReader for TileReader<'_> {
     }
 }
 
-/// Reads the faces of one tile after the other. What lies between those of two tiles is no face: they can be read on
-/// from any mark, but not from one to another.
+/// Reads the faces of one tile after the other. What lies between those of two tiles is no face: they can be
+/// read on from any mark, but not from one to another.
 struct TileFaces<'a> {
     tiles: std::slice::Iter<'a, Part>,
     open: Option<(&'a Part, Box<dyn FaceReader + 'a>)>,

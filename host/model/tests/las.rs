@@ -1,5 +1,5 @@
-//! LAS and LAZ files of every sort, made here byte by byte or by other libraries, then read, rewritten, cut off
-//! and spoilt.
+//! LAS and LAZ files of every sort, made here byte by byte or by other libraries, then read, rewritten, cut
+//! off and spoilt.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are tests, too
 
@@ -912,8 +912,8 @@ fn extra_bytes_that_are_called_colours_are_read_as_such() {
     }
 }
 
-/// Descriptions of scaled numbers of 16 bits, three of a vector and one of a whole number with 64 bits beside them,
-/// which say how far they reach.
+/// Descriptions of scaled numbers of 16 bits, three of a vector and one of a whole number with 64 bits beside
+/// them, which say how far they reach.
 fn described_vector(positions: &[[i32; 3]], spec: &Spec) -> Vec<u8> {
     let mut all = Vec::new();
     let records = spec.records(positions);

@@ -1,4 +1,5 @@
-//! Objects by a store in memory: what is written in parts is what was written, and is there whole or not at all.
+//! Objects by a store in memory: what is written in parts is what was written, and is there whole or not at
+//! all.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -194,7 +195,8 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Ranges in any order, twice, of any length: what is before them, between them and behind them is put together.
+    /// Ranges in any order, twice, of any length: what is before them, between them and behind them is put
+    /// together.
     #[test]
     fn ranges_are_sent_beside_each_other(
         length in 1..900usize,

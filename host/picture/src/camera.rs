@@ -59,8 +59,8 @@ impl Camera {
         Self { position: target - forward * distance, right, up, forward, target, radius, tangents }
     }
 
-    /// The same view of a part of the picture, from as far away: that around a point, or the middle, `part` as wide and
-    /// high as the whole.
+    /// The same view of a part of the picture, from as far away: that around a point, or the middle, `part`
+    /// as wide and high as the whole.
     pub(super) fn crop(self, around: Option<DVec3>, part: f64) -> Self {
         let way = around.map_or(DVec3::ZERO, |point| point - self.target);
         let aside = way - way.dot(self.forward) * self.forward;

@@ -1,11 +1,13 @@
-//! Pictures whose background is seen through, of two renderings of the same before black and before white: where both
-//! are alike, the picture hides what is behind (A. R. Smith, J. F. Blinn, *Blue Screen Matting*, SIGGRAPH 1996, §4).
+//! Pictures whose background is seen through, of two renderings of the same before black and before white:
+//! where both are alike, the picture hides what is behind (A. R. Smith, J. F. Blinn, *Blue Screen Matting*,
+//! SIGGRAPH 1996, §4).
 
 use simod_model::Result;
 
 use crate::image::{Image, encode};
 
-/// A picture of 8-bit sRGB pixels with how much each hides, from 0 to 255. Colours are not multiplied by that.
+/// A picture of 8-bit sRGB pixels with how much each hides, from 0 to 255. Colours are not multiplied by
+/// that.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CutOut {
     width: u32,
@@ -14,8 +16,8 @@ pub struct CutOut {
 }
 
 impl CutOut {
-    /// What is before the background of two pictures, which is black in one and white in the other; nothing where they
-    /// are not of one size. Borders that were averaged in linear light are exact but for rounding.
+    /// What is before the background of two pictures, which is black in one and white in the other; nothing
+    /// where they are not of one size. Borders that were averaged in linear light are exact but for rounding.
     pub fn of(black: &Image, white: &Image) -> Option<Self> {
         let (width, height) = (black.width(), black.height());
         let same = (width, height) == (white.width(), white.height());

@@ -1,8 +1,8 @@
 //! Two passes of triangles into bands of pixels, as those of [splats](super::splat).
 //!
-//! A triangle shows at the samples whose middles it covers. One that is too small to cover any shows at the sample
-//! around its middle, so that nothing thin is lost; and as all triangles of a sample that lie on the nearest surface
-//! are averaged by how much of it they cover, very small ones make a calm picture.
+//! A triangle shows at the samples whose middles it covers. One that is too small to cover any shows at the
+//! sample around its middle, so that nothing thin is lost; and as all triangles of a sample that lie on the
+//! nearest surface are averaged by how much of it they cover, very small ones make a calm picture.
 
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -102,8 +102,9 @@ impl Facet {
         (self.rows[0]..self.rows[1]).any(|y| (left..right).any(|x| self.shares(x, y).is_some()))
     }
 
-    /// How much each corner has of a sample's middle, as the picture shows it; none where it is outside. The sides
-    /// belong to both triangles there, and a little more than that, so that nothing shines through between.
+    /// How much each corner has of a sample's middle, as the picture shows it; none where it is outside. The
+    /// sides belong to both triangles there, and a little more than that, so that nothing shines through
+    /// between.
     #[inline]
     fn shares(&self, x: usize, y: usize) -> Option<[f32; 3]> {
         const SLACK: f64 = -1e-7;
@@ -154,7 +155,8 @@ fn towards(normal: Vec3, ray: Vec3) -> Vec3 {
     if away > 0.0 { normal - ray * (away / ray.length_squared()) } else { normal }
 }
 
-/// Draws triangles into a canvas, always by the same memory: to get it anew takes the system longer than to fill it.
+/// Draws triangles into a canvas, always by the same memory: to get it anew takes the system longer than to
+/// fill it.
 ///
 /// Memory: some 200 bytes for each triangle of a batch, 13 MB at most.
 #[derive(Default)]
@@ -206,8 +208,8 @@ impl Facets {
     }
 }
 
-/// Points of a triangle, no two neighbours farther apart than a length but for very large ones: `visit` gets all of
-/// these, or the first corner of one that is smaller than that.
+/// Points of a triangle, no two neighbours farther apart than a length but for very large ones: `visit` gets
+/// all of these, or the first corner of one that is smaller than that.
 pub(super) fn spread_over(triangle: &[SurfacePoint; 3], apart: f64, mut visit: impl FnMut(DVec3)) {
     const MOST: f64 = 256.0;
     let [a, b, c] = triangle.map(|corner| corner.position);

@@ -3,8 +3,9 @@
 //! Points are streamed twice, as oriented discs (M. Zwicker, H. Pfister, J. van Baar, M. Gross, *Surface
 //! Splatting*, SIGGRAPH 2001; the two passes as in M. Botsch, A. Hornung, M. Zwicker, L. Kobbelt,
 //! *High-Quality Surface Splatting on Today's GPUs*, PBG 2005): first for the depth of the nearest surface,
-//! then to blend what lies on it. Triangles are drawn in the same two passes. Memory grows with the picture alone. The same points in the same order give
-//! the same picture, bit by bit, for any number of threads: each band of the picture takes them in order.
+//! then to blend what lies on it. Triangles are drawn in the same two passes. Memory grows with the picture
+//! alone. The same points in the same order give the same picture, bit by bit, for any number of threads:
+//! each band of the picture takes them in order.
 //!
 //! ```
 //! use glam::{DVec3, Vec3};
@@ -87,8 +88,8 @@ impl Renderer {
         self.depth_of(points, &[]);
     }
 
-    /// The same of ellipses: each point has two half axes at right angles to each other and to its normal, the longer
-    /// one as long as its radius. Where there are no axes, points are discs.
+    /// The same of ellipses: each point has two half axes at right angles to each other and to its normal,
+    /// the longer one as long as its radius. Where there are no axes, points are discs.
     pub fn depth_of(&mut self, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
         let Self { canvas, camera, ground, .. } = self;
         let shadow = || ground.iter_mut().for_each(|ground| ground.add(points));
@@ -106,15 +107,15 @@ impl Renderer {
         self.canvas.blend(&self.camera, points, axes);
     }
 
-    /// [`blend`](Self::blend) for two pictures at once, in the points' colours and in others, of which there are as many:
-    /// [`finish_both`](Self::finish_both) gives both.
+    /// [`blend`](Self::blend) for two pictures at once, in the points' colours and in others, of which there
+    /// are as many: [`finish_both`](Self::finish_both) gives both.
     pub fn blend_both(&mut self, points: &[SurfacePoint], others: &[[u8; 3]]) {
         self.canvas.blend_both(&self.camera, points, others);
     }
 
-    /// The first pass of triangles, whose corners' normals and colours are mixed; what is said of a radius does not
-    /// count. Each corner without a normal has that of its triangle. A triangle is seen from either side; one with a
-    /// corner that is not finite, or not before the camera, is left out.
+    /// The first pass of triangles, whose corners' normals and colours are mixed; what is said of a radius
+    /// does not count. Each corner without a normal has that of its triangle. A triangle is seen from either
+    /// side; one with a corner that is not finite, or not before the camera, is left out.
     pub fn depth_of_triangles(&mut self, triangles: &[[SurfacePoint; 3]]) {
         self.facets.depth(&mut self.canvas, &self.camera, triangles);
         if let Some(ground) = &mut self.ground {

@@ -1,5 +1,5 @@
-//! The vertices of a model by their numbers, as its triangles ask for them in any order: in a temporary file, so that
-//! memory does not grow with the model.
+//! The vertices of a model by their numbers, as its triangles ask for them in any order: in a temporary file,
+//! so that memory does not grow with the model.
 
 use std::path::Path;
 
@@ -60,13 +60,14 @@ impl Records {
     }
 }
 
-/// Whether points that no triangle has are drawn: where they are a tenth of all, or more. A few are strays, which as discs
-/// on a surface would be flaws.
+/// Whether points that no triangle has are drawn: where they are a tenth of all, or more. A few are strays,
+/// which as discs on a surface would be flaws.
 pub(super) fn are_many(alone: usize, all: usize) -> bool {
     alone > 0 && alone >= all.div_ceil(10)
 }
 
-/// A model's vertices, to be drawn with its triangles; and those that no triangle has as discs, where these are many.
+/// A model's vertices, to be drawn with its triangles; and those that no triangle has as discs, where these
+/// are many.
 pub(super) struct Mesh<'a> {
     model: &'a dyn Model,
     records: Records,
@@ -79,8 +80,9 @@ pub(super) struct Mesh<'a> {
 }
 
 impl<'a> Mesh<'a> {
-    /// Keeps the vertices of the first of several models that are read in step, as `paint` has them: of so many of the
-    /// first attributes. The file, if there is one, is made in `folder`: 28 bytes for each vertex.
+    /// Keeps the vertices of the first of several models that are read in step, as `paint` has them: of so
+    /// many of the first attributes. The file, if there is one, is made in `folder`: 28 bytes for each
+    /// vertex.
     ///
     /// Memory: 64 MiB at most, and a chunk.
     pub fn new(

@@ -162,7 +162,8 @@ impl Paint {
         }
     }
 
-    /// The colour of a point, 8-bit sRGB, by its attribute at each place; nothing of points that are all alike.
+    /// The colour of a point, 8-bit sRGB, by its attribute at each place; nothing of points that are all
+    /// alike.
     #[inline]
     pub fn color(&self, attribute: impl Fn(usize) -> f64) -> [u8; 3] {
         match self {

@@ -1,6 +1,7 @@
 //! Colours that stand for numbers.
 
-/// From the least to the largest number: light to dark, so that they are told apart in print and by everybody.
+/// From the least to the largest number: light to dark, so that they are told apart in print and by
+/// everybody.
 const SCALE: [[u8; 3]; 6] =
     [[216, 216, 212], [248, 222, 140], [245, 160, 60], [222, 80, 50], [160, 25, 80], [60, 10, 85]];
 
@@ -40,8 +41,8 @@ pub fn scale_color(t: f32) -> [u8; 3] {
     })
 }
 
-/// The colour of a class of points. Those that the specification does not name repeat the colours of those that
-/// it does.
+/// The colour of a class of points. Those that the specification does not name repeat the colours of those
+/// that it does.
 pub fn class_color(class: u8) -> [u8; 3] {
     CLASSES[usize::from(class) % CLASSES.len()].0
 }

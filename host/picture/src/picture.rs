@@ -42,13 +42,15 @@ pub fn bounds(model: &dyn Model, progress: &dyn Progress) -> Result<Bounds> {
 pub enum Drawn<'a> {
     /// Vertices alone, as discs.
     Points,
-    /// Triangles where the model has faces, and discs for vertices that no triangle has, where these are a tenth of all. Of a model with faces that is
-    /// large, a temporary file without a name is made in this folder: 28 bytes for each vertex.
+    /// Triangles where the model has faces, and discs for vertices that no triangle has, where these are a
+    /// tenth of all. Of a model with faces that is large, a temporary file without a name is made in this
+    /// folder: 28 bytes for each vertex.
     Faces(&'a Path),
 }
 
-/// Draws a model. Of vertices alone in three streams: their spacing, the visible surface, its shading; of faces in
-/// one stream of the vertices, and three of the faces: which vertices are theirs, the visible surface, its shading.
+/// Draws a model. Of vertices alone in three streams: their spacing, the visible surface, its shading; of
+/// faces in one stream of the vertices, and three of the faces: which vertices are theirs, the visible
+/// surface, its shading.
 ///
 /// # Errors
 /// The model cannot be read; a temporary file cannot be written; the user cancelled.
@@ -64,8 +66,8 @@ pub fn of_model(
     })
 }
 
-/// As [`of_model`], so many times while the camera goes once round the vertical axis, in one or two streams more than
-/// two for each picture. It stands as far back for all as some of them need; the first is that of
+/// As [`of_model`], so many times while the camera goes once round the vertical axis, in one or two streams
+/// more than two for each picture. It stands as far back for all as some of them need; the first is that of
 /// [`of_model`] if it is one of these.
 ///
 /// # Errors
@@ -86,8 +88,8 @@ pub fn turn_of_model(
     })
 }
 
-/// As [`of_model`], for the first of several models that are read [in step](in_step), a picture of each view: `paint`
-/// gives its vertices' colours, and may ask for so many of its first attributes.
+/// As [`of_model`], for the first of several models that are read [in step](in_step), a picture of each view:
+/// `paint` gives its vertices' colours, and may ask for so many of its first attributes.
 ///
 /// # Errors
 /// As of [`of_model`]; models differ in their number of vertices.
@@ -204,9 +206,10 @@ fn draw(
 /// A colour for each of some points, by their numbers.
 pub type ColorOf<'a> = dyn Fn(usize) -> [u8; 3] + Sync + 'a;
 
-/// Draws points of a model that are not all of its vertices, as discs: so many, which `point` gives by their numbers, in
-/// the model's axes; in one colouring, and if it is wanted in another one, which takes little more. Of what it says of
-/// their radii and colours nothing counts: discs cover the surface by how many there are.
+/// Draws points of a model that are not all of its vertices, as discs: so many, which `point` gives by their
+/// numbers, in the model's axes; in one colouring, and if it is wanted in another one, which takes little
+/// more. Of what it says of their radii and colours nothing counts: discs cover the surface by how many there
+/// are.
 ///
 /// Memory: besides the picture's, 4 bytes for each point.
 ///
@@ -260,8 +263,9 @@ pub fn of_some(
     Ok((image, Some(other)))
 }
 
-/// Draws samples at local `positions`, in colours of which there is one for each, if there are any: the triangles
-/// between them; and those that no triangle has, where these are a tenth of all, as discs that overlap a little.
+/// Draws samples at local `positions`, in colours of which there is one for each, if there are any: the
+/// triangles between them; and those that no triangle has, where these are a tenth of all, as discs that
+/// overlap a little.
 pub fn of_samples(
     sampled: &SampledModel,
     positions: &[Vec3],
@@ -279,8 +283,8 @@ pub fn of_discs(sampled: &SampledModel, view: &View, colors: Option<&[[u8; 3]]>)
     Samples::new(sampled, shape, view, colors, false).draw(view, view.camera())
 }
 
-/// As [`of_samples`] of those at rest, or [`of_discs`] where no triangles are wanted, so many times while the camera
-/// goes once round the vertical axis; see [`turn_of_model`].
+/// As [`of_samples`] of those at rest, or [`of_discs`] where no triangles are wanted, so many times while the
+/// camera goes once round the vertical axis; see [`turn_of_model`].
 ///
 /// # Errors
 /// `frame` refuses a picture; the user cancelled.

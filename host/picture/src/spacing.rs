@@ -80,7 +80,8 @@ impl Spacing {
 
     fn cell_of(&self, position: DVec3) -> Option<IVec3> {
         let place = (position - self.origin) / self.cell;
-        // As `floor` does it, which calls a library for each coordinate; what is far off is outside all the same.
+        // As `floor` does it, which calls a library for each coordinate; what is far off is outside all the
+        // same.
         let cell = place.as_ivec3();
         place.is_finite().then(|| {
             cell.saturating_sub(IVec3::select(cell.as_dvec3().cmpgt(place), IVec3::ONE, IVec3::ZERO))

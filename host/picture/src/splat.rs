@@ -19,8 +19,8 @@ const HIDING: [f32; 2] = [0.74, 0.6];
 /// A splat reaches at most so many pixels: a wrong radius costs no minutes.
 const MOST_REACH: f32 = 256.0;
 
-/// What the picture shows at each sample, before it is lit. Splats are always drawn by the same memory: to get it anew
-/// takes the system longer than to fill it.
+/// What the picture shows at each sample, before it is lit. Splats are always drawn by the same memory: to
+/// get it anew takes the system longer than to fill it.
 ///
 /// Memory: 48 bytes for each sample, and some 130 for each splat of a batch, 8 MB at most.
 pub(super) struct Canvas {
@@ -209,8 +209,9 @@ impl Splat {
     }
 }
 
-/// How far from its middle, beside it on the picture's plane, a disc in view coordinates is seen up to a share of its radius: a
-/// point that is off by w, at a depth of z, lies within |w| |c| / z, where c is the middle.
+/// How far from its middle, beside it on the picture's plane, a disc in view coordinates is seen up to a
+/// share of its radius: a point that is off by w, at a depth of z, lies within |w| |c| / z, where c is the
+/// middle.
 fn hiding_reach(center: Vec3, radius: f32, share: f32) -> f32 {
     const ROUNDING: f32 = 1.01;
     let nearest = center.z - share * radius;
@@ -332,7 +333,8 @@ pub(super) struct Bands {
 }
 
 impl Bands {
-    /// Sorts things of a picture of so many rows, by the rows that each is in, from the first to beyond the last.
+    /// Sorts things of a picture of so many rows, by the rows that each is in, from the first to beyond the
+    /// last.
     pub fn sort<T>(&mut self, height: usize, things: &[T], rows: impl Fn(&T) -> Option<[usize; 2]>) {
         let within = |thing: &T| rows(thing).map_or(0..0, |[first, last]| first / BAND..last.div_ceil(BAND));
         self.starts.clear();
@@ -360,7 +362,8 @@ impl Bands {
 
 /// The samples, of so many, whose middles lie within `reach` of a coordinate.
 fn covered(middle: f32, reach: f32, count: usize) -> Option<[usize; 2]> {
-    // Rounded by hand, as `ceil` and `floor` call a library for each: up from what is left of the first sample is 0.
+    // Rounded by hand, as `ceil` and `floor` call a library for each: up from what is left of the first
+    // sample is 0.
     let (from, to) = (middle - reach - 0.5, middle + reach - 0.5);
     if !(to >= 0.0 && from <= count as f32 - 1.0) {
         return None;

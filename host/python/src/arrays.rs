@@ -34,8 +34,8 @@ pub fn read_only<T: numpy::Element>(array: &Bound<'_, PyArray2<T>>) {
     }
 }
 
-/// An array of any numbers as (N, 3) doubles, each finite or not; `what` it is, for errors, and how many there
-/// have to be.
+/// An array of any numbers as (N, 3) doubles, each finite or not; `what` it is, for errors, and how many
+/// there have to be.
 pub fn points(what: &str, given: &Bound<'_, PyAny>, count: Option<usize>) -> PyResult<Vec<DVec3>> {
     let checked = given.py().import("simod._arrays")?.getattr("points")?.call1((what, given, count))?;
     let checked: PyReadonlyArray2<'_, f64> = checked.extract()?;

@@ -1,5 +1,5 @@
-//! Python functions as deformers: what they need of the plugin interface, so that regions, masks, sessions and
-//! comparisons treat them as any other.
+//! Python functions as deformers: what they need of the plugin interface, so that regions, masks, sessions
+//! and comparisons treat them as any other.
 
 use glam::DVec3;
 use numpy::{PyArray1, PyArray2};

@@ -25,8 +25,8 @@ const AHEAD: usize = 2;
 
 /// A model of any size in a file: a mesh or a point cloud, which is streamed and never held.
 ///
-/// `len(model)` is its number of vertices. All lengths are in the model's own unit, all coordinates are its own,
-/// in double precision.
+/// `len(model)` is its number of vertices. All lengths are in the model's own unit, all coordinates are its
+/// own, in double precision.
 #[pyclass(module = "simod", frozen)]
 pub struct Model {
     path: PathBuf,
@@ -35,7 +35,8 @@ pub struct Model {
     details: Vec<String>,
 }
 
-/// Opens a model: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns. No vertex is read yet.
+/// Opens a model: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns. No vertex is
+/// read yet.
 ///
 /// `columns` says what the columns of a text are, as "x,y,z,_,nx,ny,nz", where its first line does not.
 ///
@@ -93,9 +94,9 @@ impl Model {
         format!("<simod.Model {:?}: {format}, {vertices} vertices, {faces} faces>", self.path)
     }
 
-    /// An iterator over the positions of the vertices from `start` to before `stop`, in the file's order: arrays
-    /// of shape (N, 3), float64, model coordinates, with N at most 65 536. Positions that are not finite in the
-    /// file are not finite here.
+    /// An iterator over the positions of the vertices from `start` to before `stop`, in the file's order:
+    /// arrays of shape (N, 3), float64, model coordinates, with N at most 65 536. Positions that are not
+    /// finite in the file are not finite here.
     ///
     /// Raises FileError or FormatError while it is read.
     #[pyo3(signature = (start = 0, stop = None))]
@@ -113,10 +114,10 @@ impl Model {
     ///
     /// `samples` is their number at most; instead of it, `error` is the largest error of what a sample stands
     /// for, as a fraction of the diagonal of the model's bounding box. `by` is "error", "area" or "vertices":
-    /// what the samples are spread by. `place` is "faces" or "vertices": what places them. `grid` is the number
-    /// of cells along an axis, `memory_limit` bytes to stay below, `temporary` the folder for temporary files
-    /// without a name. `progress` is True for a bar on standard error, or a function of (stage: str, fraction:
-    /// float | None); what it raises stops the work, as Ctrl-C does.
+    /// what the samples are spread by. `place` is "faces" or "vertices": what places them. `grid` is the
+    /// number of cells along an axis, `memory_limit` bytes to stay below, `temporary` the folder for
+    /// temporary files without a name. `progress` is True for a bar on standard error, or a function of
+    /// (stage: str, fraction: float | None); what it raises stops the work, as Ctrl-C does.
     #[pyo3(signature = (samples = None, *, error = None, by = None, place = None, grid = None, memory_limit = None,
         temporary = None, progress = None))]
     #[expect(clippy::too_many_arguments, reason = "keywords")]
@@ -146,12 +147,12 @@ impl Model {
     /// Writes the model as its samples are deformed now: one stream through the file. Gives a `simod.Report`.
     ///
     /// `out` appears whole or not at all, and is never the model itself. It has the model's vertices in their
-    /// order, and differs in positions and normals alone; with the extension of another format it is converted
-    /// to that, which is refused where anything is lost unless `lossy`. `normals` is "transform", "keep" or
-    /// "drop". `method` is "blended-jets" or "projected-barycentric". `diagnostics` is a PLY file to write
-    /// beside it, of what becomes of the surface at each vertex. With `choose_offset`, the offset of positions
-    /// that are stored as integers (LAS) changes where they would not reach. A file of another kind that is
-    /// there is replaced with `overwrite` alone. `progress`: see `sample`.
+    /// order, and differs in positions and normals alone; with the extension of another format it is
+    /// converted to that, which is refused where anything is lost unless `lossy`. `normals` is "transform",
+    /// "keep" or "drop". `method` is "blended-jets" or "projected-barycentric". `diagnostics` is a PLY file
+    /// to write beside it, of what becomes of the surface at each vertex. With `choose_offset`, the offset of
+    /// positions that are stored as integers (LAS) changes where they would not reach. A file of another kind
+    /// that is there is replaced with `overwrite` alone. `progress`: see `sample`.
     ///
     /// Raises MismatchError if the model is not what was sampled; nothing is left of `out` then.
     #[pyo3(signature = (samples, out, *, normals = "transform", method = "blended-jets", diagnostics = None,

@@ -52,8 +52,8 @@ struct State {
 #[derive(Clone)]
 struct Moment {
     sampled: Arc<SampledModel>,
-    /// Local positions, which are exact, and what they are in the model's coordinates: what is still so in the
-    /// array was not moved by anybody else.
+    /// Local positions, which are exact, and what they are in the model's coordinates: what is still so in
+    /// the array was not moved by anybody else.
     local: Arc<[Vec3]>,
     points: Arc<[DVec3]>,
     /// The names of the steps that led here.
@@ -228,7 +228,8 @@ impl Samples {
         arrays::of_directions(py, &normals)
     }
 
-    /// Triangles between the samples, by their indices: shape (T, 3), uint32; none where the model has no faces.
+    /// Triangles between the samples, by their indices: shape (T, 3), uint32; none where the model has no
+    /// faces.
     #[getter]
     fn triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         arrays::of_triples(py, self.sampled(py).triangles.as_flattened().to_vec())
@@ -272,15 +273,15 @@ impl Samples {
         format!("<simod.Samples: {} of {} vertices>", sampled.samples.len(), sampled.source.vertices)
     }
 
-    /// Deforms the samples by a plugin, or by a function that `simod.deformer` registered, from where they are
-    /// now. On an error they stay where they are.
+    /// Deforms the samples by a plugin, or by a function that `simod.deformer` registered, from where they
+    /// are now. On an error they stay where they are.
     ///
-    /// `parameters` are the plugin's (`help(simod.plugins["rbf"])`), with `_` for `-`, and `from_` for `from`;
-    /// `params` are such as well, by their ids. `regions` is a list of dictionaries as in a session: `role` ("fixed", "handle" or
-    /// "mask"), `shapes` or `where`, perhaps `falloff` (a length) and, for handles, `move`. `where` is a boolean
-    /// array of shape (N,), of the samples that are in the region. `handles` moves handles that the plugin
-    /// places: a dictionary of moves by id. `joints` and `strokes` are lists of dictionaries. `progress`: see
-    /// `Model.sample`.
+    /// `parameters` are the plugin's (`help(simod.plugins["rbf"])`), with `_` for `-`, and `from_` for
+    /// `from`; `params` are such as well, by their ids. `regions` is a list of dictionaries as in a session:
+    /// `role` ("fixed", "handle" or "mask"), `shapes` or `where`, perhaps `falloff` (a length) and, for
+    /// handles, `move`. `where` is a boolean array of shape (N,), of the samples that are in the region.
+    /// `handles` moves handles that the plugin places: a dictionary of moves by id. `joints` and `strokes`
+    /// are lists of dictionaries. `progress`: see `Model.sample`.
     ///
     /// Raises ArgumentError or PluginError; where a Python function raised, that is its cause.
     #[pyo3(signature = (deformer, *, regions = None, handles = None, joints = None, strokes = None, params = None,
@@ -318,12 +319,13 @@ impl Samples {
         self.do_step(py, step, before, progress)
     }
 
-    /// Appends samples in a part of the model, where they are now; those that there are keep their indices, and
-    /// all arrays become new ones.
+    /// Appends samples in a part of the model, where they are now; those that there are keep their indices,
+    /// and all arrays become new ones.
     ///
-    /// `shapes` is a list of shapes as in a session, on the model as it is deformed now; it may be left out with
-    /// `auto`, which finds out where the deformation needs samples. One of `factor` (times as many), `samples`
-    /// (so many more) and `error` (a fraction of the diagonal) says how fine. `progress`: see `Model.sample`.
+    /// `shapes` is a list of shapes as in a session, on the model as it is deformed now; it may be left out
+    /// with `auto`, which finds out where the deformation needs samples. One of `factor` (times as many),
+    /// `samples` (so many more) and `error` (a fraction of the diagonal) says how fine. `progress`: see
+    /// `Model.sample`.
     #[pyo3(signature = (shapes = None, *, factor = None, samples = None, error = None, auto = false, progress = None))]
     #[expect(clippy::too_many_arguments, reason = "keywords")]
     fn refine(
@@ -358,7 +360,8 @@ impl Samples {
         self.do_step(py, step, before, progress)
     }
 
-    /// Takes back the last `apply` or `refine`, with what was written to `points` since. Whether there was one.
+    /// Takes back the last `apply` or `refine`, with what was written to `points` since. Whether there was
+    /// one.
     fn undo(&self, py: Python<'_>) -> PyResult<bool> {
         let mut state = self.state(py);
         let now = state.look(py)?;
@@ -414,8 +417,8 @@ impl Samples {
         Ok((arrays::of_points(py, moved)?, normals))
     }
 
-    /// Writes the samples as a folder, as `simod sample` does: at rest, with what a refinement needs. A former
-    /// one at the place is replaced; any other folder or file there is an error.
+    /// Writes the samples as a folder, as `simod sample` does: at rest, with what a refinement needs. A
+    /// former one at the place is replaced; any other folder or file there is an error.
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         if !self.of_file {
             let what = "samples of arrays in memory have no model that a folder could name";
@@ -425,8 +428,8 @@ impl Samples {
         py.detach(|| sampled.save(&folder)).or_raise(py)
     }
 
-    /// Writes the samples where they are now as a PLY file, which `simod reconstruct --deformed` takes, or any
-    /// other program.
+    /// Writes the samples where they are now as a PLY file, which `simod reconstruct --deformed` takes, or
+    /// any other program.
     fn write(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let (sampled, local) = self.now(py)?;
         let write = || {
@@ -439,8 +442,8 @@ impl Samples {
         py.detach(write).or_raise(py)
     }
 
-    /// Moves the samples to where a file has them: `samples.ply` with other positions, from any program. Where
-    /// it has ids, they tell which is which; otherwise the order does.
+    /// Moves the samples to where a file has them: `samples.ply` with other positions, from any program.
+    /// Where it has ids, they tell which is which; otherwise the order does.
     fn read(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let sampled = self.sampled(py);
         let local = py.detach(|| sampled.read_deformed(&path)).or_raise(py)?;
@@ -483,9 +486,9 @@ pub fn load(py: Python<'_>, folder: PathBuf) -> PyResult<Samples> {
     Samples::new(py, py.detach(load).or_raise(py)?, true)
 }
 
-/// Samples arrays in memory: `points` of shape (M, 3), any numbers, in model coordinates; perhaps `normals` of
-/// the same shape and `triangles` of shape (T, 3), whole numbers. They are copied once. `Samples.transfer` carries
-/// the arrays over then.
+/// Samples arrays in memory: `points` of shape (M, 3), any numbers, in model coordinates; perhaps `normals`
+/// of the same shape and `triangles` of shape (T, 3), whole numbers. They are copied once. `Samples.transfer`
+/// carries the arrays over then.
 ///
 /// `samples`, `error`, `by`, `place`, `grid` and `progress`: see `Model.sample`.
 #[pyfunction]

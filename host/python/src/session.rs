@@ -15,8 +15,8 @@ use crate::options::{reconstruction, record};
 use crate::plugins::registry;
 use crate::work::{warn, work};
 
-/// A session file: a model, how it is sampled, the steps of an edit, and where the result goes. Steps may name
-/// functions that `simod.deformer` registered.
+/// A session file: a model, how it is sampled, the steps of an edit, and where the result goes. Steps may
+/// name functions that `simod.deformer` registered.
 #[pyclass(module = "simod", frozen)]
 pub struct Session {
     path: PathBuf,
@@ -62,10 +62,10 @@ impl Session {
     /// Does the session: samples its model, deforms the samples, and writes the deformed model, which appears
     /// whole or not at all. Gives a `simod.Report`.
     ///
-    /// `out` and `model` stand for what the session says. With `measure`, the result is compared with the exact
-    /// deformation of every vertex; with `exact`, nothing is transferred, and every vertex is evaluated;
-    /// `tolerance` adds samples until no vertex is expected to be off by more: a fraction of the diagonal, or a
-    /// length in the model's unit as the text "0.002u". The rest is as of `Model.apply`.
+    /// `out` and `model` stand for what the session says. With `measure`, the result is compared with the
+    /// exact deformation of every vertex; with `exact`, nothing is transferred, and every vertex is
+    /// evaluated; `tolerance` adds samples until no vertex is expected to be off by more: a fraction of the
+    /// diagonal, or a length in the model's unit as the text "0.002u". The rest is as of `Model.apply`.
     #[pyo3(signature = (out = None, *, model = None, normals = "transform", method = "blended-jets", measure = false,
         exact = false, tolerance = None, diagnostics = None, choose_offset = false, lossy = false, overwrite = false,
         progress = None))]
@@ -145,9 +145,9 @@ fn tolerance_of(given: &Bound<'_, PyAny>) -> PyResult<Tolerance> {
 }
 
 /// Does several methods on one model, as `file` says, and writes a folder with a page, figures (compare.json)
-/// and pictures. Methods may name functions that `simod.deformer` registered. Gives the figures as compare.json
-/// has them. With `keep_models`, the deformed models stay in the folder; with `allow_commands`, programs
-/// that the file names are run. `progress`: see `Model.sample`.
+/// and pictures. Methods may name functions that `simod.deformer` registered. Gives the figures as
+/// compare.json has them. With `keep_models`, the deformed models stay in the folder; with `allow_commands`,
+/// programs that the file names are run. `progress`: see `Model.sample`.
 #[pyfunction]
 #[pyo3(signature = (file, output, *, model = None, keep_models = false, allow_commands = false, progress = None))]
 pub fn compare<'py>(

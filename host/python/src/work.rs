@@ -97,8 +97,8 @@ impl Drop for GoingOn {
     }
 }
 
-/// Stops all work, and waits until it has: as the interpreter ends, threads that wait for its lock would never
-/// get it.
+/// Stops all work, and waits until it has: as the interpreter ends, threads that wait for its lock would
+/// never get it.
 #[pyfunction(name = "_stop_all")]
 pub fn stop_all(py: Python<'_>) {
     ENDING.store(true, Ordering::Relaxed);
@@ -218,8 +218,8 @@ pub fn warn(py: Python<'_>, notes: &[String]) -> PyResult<()> {
     notes.iter().try_for_each(|note| warn.call1((note, &category, 1)).map(drop))
 }
 
-/// Does work on threads that are there: those of the pool are not in a process that was forked from the one that
-/// made them.
+/// Does work on threads that are there: those of the pool are not in a process that was forked from the one
+/// that made them.
 fn in_pool<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     let here = std::process::id();
     let owner = OWNER.compare_exchange(0, here, Ordering::Relaxed, Ordering::Relaxed).unwrap_or_else(|o| o);

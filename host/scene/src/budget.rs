@@ -25,8 +25,8 @@ impl Budget {
     /// So many at first.
     const FIRST: usize = 128_000;
     const MOST: usize = 1 << 30;
-    /// A part of a picture at rest may take so many times longer: nobody's hand waits for it, and each has its own
-    /// costs.
+    /// A part of a picture at rest may take so many times longer: nobody's hand waits for it, and each has
+    /// its own costs.
     const REST: u32 = 4;
     /// So many frames in a row tell something.
     const FRAMES: u32 = 3;

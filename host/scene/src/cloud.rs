@@ -12,8 +12,8 @@ use crate::gpu::Gpu;
 use crate::order::Order;
 use crate::pipeline::bind;
 
-/// A sampled surface, in local coordinates. All lists are as long as `positions`, but `triangles`, and `axes` where
-/// it is empty.
+/// A sampled surface, in local coordinates. All lists are as long as `positions`, but `triangles`, and `axes`
+/// where it is empty.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Surface<'a> {
     /// Positions; samples that are not finite are not drawn.
@@ -23,8 +23,9 @@ pub struct Surface<'a> {
     /// Radii of the discs: a little more than the distance of neighbours, so that discs leave no holes. Where
     /// it is negative, none is drawn.
     pub radii: &'a [f32],
-    /// Half axes of ellipses in the discs' place, the longer one first, at right angles to each other and to the
-    /// normal; `radii` has the longer one's length, or says that none is drawn. Of discs all around: empty.
+    /// Half axes of ellipses in the discs' place, the longer one first, at right angles to each other and to
+    /// the normal; `radii` has the longer one's length, or says that none is drawn. Of discs all around:
+    /// empty.
     pub axes: &'a [[Vec3; 2]],
     /// Red, green and blue, in sRGB; white where there are none.
     pub colors: Option<&'a [[u8; 3]]>,
@@ -344,8 +345,8 @@ fn octahedral(normal: Vec3) -> u32 {
     on_octahedron(normal).map_or(UNKNOWN, |e| word(e.x) | word(e.y) << 16)
 }
 
-/// A direction as a point of an octahedron's net, from -1 to 1 each way; none where it is not known: Z. Cigolle et al., *A Survey of
-/// Efficient Representations for Independent Unit Vectors*, JCGT 3(2), 2014.
+/// A direction as a point of an octahedron's net, from -1 to 1 each way; none where it is not known: Z.
+/// Cigolle et al., *A Survey of Efficient Representations for Independent Unit Vectors*, JCGT 3(2), 2014.
 fn on_octahedron(direction: Vec3) -> Option<Vec2> {
     let n = direction / direction.abs().element_sum();
     if !n.is_finite() {

@@ -241,8 +241,8 @@ impl Scene {
     /// otherwise.
     ///
     /// Without a budget all is drawn at once, and the device may go on drawing when this returns. With one, a
-    /// changed scene is drawn as well as its time allows; then calls draw more, and every few of them show a picture
-    /// of some more splats, until [`Drawn::complete`].
+    /// changed scene is drawn as well as its time allows; then calls draw more, and every few of them show a
+    /// picture of some more splats, until [`Drawn::complete`].
     pub fn render(&mut self, view: &View, style: &Style, budget: Option<&mut Budget>) -> &TextureView {
         let (view, style) = self.drawable(view, style);
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());

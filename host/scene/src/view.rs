@@ -29,8 +29,8 @@ pub struct Style {
     pub occlusion: bool,
     /// Whether the surface is seen from its back, too: for what is not closed.
     pub two_sided: bool,
-    /// What lies beyond a plane is cut away: where `n · p > d`, for the plane (n, d) in local coordinates. What is seen
-    /// of the inside is reddish then.
+    /// What lies beyond a plane is cut away: where `n · p > d`, for the plane (n, d) in local coordinates.
+    /// What is seen of the inside is reddish then.
     pub clip: Option<Vec4>,
     /// How much the ghost hides, from 0 to 1.
     pub ghost_opacity: f32,
@@ -83,8 +83,8 @@ pub enum Light {
     Key,
     /// From the eye.
     Head,
-    /// From all around, as it would lie on a ball before the eye (P.-P. Sloan, W. Martin, A. Gooch, B. Gooch, *The Lit
-    /// Sphere*, Graphics Interface 2001), by a formula instead of a picture of the ball.
+    /// From all around, as it would lie on a ball before the eye (P.-P. Sloan, W. Martin, A. Gooch, B. Gooch, *The
+    /// Lit Sphere*, Graphics Interface 2001), by a formula instead of a picture of the ball.
     Matcap(Matcap),
 }
 

@@ -112,8 +112,8 @@ fn fine_details_hide_what_is_behind() {
     assert!(scene.set_detail(0, Some(&Surface { radii: &[], ..fine.surface() })).is_err());
 }
 
-/// A few of them, beside a surface of which only a part is drawn, by larger discs: they leave it their share of the
-/// splats, and stay as they are.
+/// A few of them, beside a surface of which only a part is drawn, by larger discs: they leave it their share
+/// of the splats, and stay as they are.
 #[test]
 fn few_details_are_no_larger_for_a_large_surface() {
     let Some(gpu) = gpu() else { return };

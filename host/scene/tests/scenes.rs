@@ -119,8 +119,8 @@ fn a_drag_moves_the_surface() {
     assert!(!is_red(&shot(&mut scene, &plain()), place));
 }
 
-/// While a part is drawn, no more has to be up to date: the picture is that of a surface that has moved as a whole. More
-/// follows, up to all of it.
+/// While a part is drawn, no more has to be up to date: the picture is that of a surface that has moved as a
+/// whole. More follows, up to all of it.
 #[test]
 fn a_part_of_the_surface_moves_alone() {
     let Some(gpu) = gpu() else { return };
@@ -376,7 +376,8 @@ fn without_a_budget_all_is_drawn() {
     assert_eq!(scene.drawn().drawn, model.triangles.len());
 }
 
-/// Where all splats take their time, pictures of more and more of them come before, each nearer to the last one.
+/// Where all splats take their time, pictures of more and more of them come before, each nearer to the last
+/// one.
 #[test]
 fn pictures_at_rest_get_better_steadily() {
     let Some(gpu) = gpu() else { return };

@@ -79,7 +79,8 @@ fn the_outline_is_the_projected_ellipse() {
                 // Seen from z: where the pixel's ray meets the plane, by parts of the half axes.
                 let seen = Vec2::new(place[0] - 120.0, 120.0 - place[1]) / 100.0;
                 let foot = Mat2::from_cols(axes[0].truncate(), axes[1].truncate()).inverse() * seen;
-                // Near the border it only blends with others; how near depends on how it is turned to the eye.
+                // Near the border it only blends with others; how near depends on how it is turned to the
+                // eye.
                 let share = if side > 0.0 { 0.6..0.9 } else { 0.3..0.9 };
                 if !share.contains(&foot.length()) {
                     assert_eq!(is_red(&image, place), foot.length() < 0.6, "{turn} {tilt} {place:?}");

@@ -1,7 +1,8 @@
 //! Other models than the one that is deformed, as plugins take them: points, in its local coordinates.
 //!
-//! A model is sampled, to as many points as the plugin takes. Samples that the user has are taken as they are, so
-//! that each can be told by its id: the folder of a sampled model, and files of samples that anything has moved.
+//! A model is sampled, to as many points as the plugin takes. Samples that the user has are taken as they
+//! are, so that each can be told by its id: the folder of a sampled model, and files of samples that anything
+//! has moved.
 
 use glam::{DVec3, Vec3};
 use simod_core::deformed_file::ID_NAMES;
@@ -37,12 +38,12 @@ pub(crate) struct OtherModel {
 }
 
 impl OtherModel {
-    /// Reads a model, of which `points` are taken at most, for one with local coordinates of `frame`. Temporary
-    /// files without a name are made in `folder`.
+    /// Reads a model, of which `points` are taken at most, for one with local coordinates of `frame`.
+    /// Temporary files without a name are made in `folder`.
     ///
     /// # Errors
-    /// It cannot be read or sampled, has a point that is not finite in the other's coordinates, or more samples
-    /// than are taken as they are; the user cancelled.
+    /// It cannot be read or sampled, has a point that is not finite in the other's coordinates, or more
+    /// samples than are taken as they are; the user cancelled.
     pub fn read(
         path: &Path,
         points: u64,
@@ -156,7 +157,8 @@ fn too_many(count: u64) -> Error {
     Error::new(ErrorKind::Argument, what, "give the model, which is sampled, or fewer samples")
 }
 
-/// Positions and ids of a file of samples; nothing where it is none: where there are no ids, or not one for each.
+/// Positions and ids of a file of samples; nothing where it is none: where there are no ids, or not one for
+/// each.
 ///
 /// # Errors
 /// It cannot be read, or a sample has no finite position; the user cancelled.

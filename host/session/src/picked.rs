@@ -51,8 +51,8 @@ struct Raw {
 }
 
 impl PickedPoints {
-    /// A region of points that are in it, and others that are not. Points outside have to be there wherever the
-    /// model goes on; none says that all of it is selected.
+    /// A region of points that are in it, and others that are not. Points outside have to be there wherever
+    /// the model goes on; none says that all of it is selected.
     pub fn new(inside: Vec<DVec3>, outside: Vec<DVec3>) -> Self {
         Self::from_parts(inside, outside, None)
     }

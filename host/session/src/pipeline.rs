@@ -130,8 +130,8 @@ pub fn deform_from(
     Ok(MovedSamples { sampled: done.sampled, positions: done.positions, messages })
 }
 
-/// Writes the model as its samples were deformed, from `model`, which was sampled, to a file of its own format or
-/// of another one that the name says. Of `running`, what is of the writing counts.
+/// Writes the model as its samples were deformed, from `model`, which was sampled, to a file of its own
+/// format or of another one that the name says. Of `running`, what is of the writing counts.
 ///
 /// # Errors
 /// As of [`reconstruct`]; another format cannot hold all.

@@ -27,7 +27,8 @@ pub enum Pose<'a> {
 }
 
 impl Refine {
-    /// Refines a sampled model, which holds its cells, where the shapes select it; without shapes, everywhere.
+    /// Refines a sampled model, which holds its cells, where the shapes select it; without shapes,
+    /// everywhere.
     ///
     /// # Errors
     /// As of [`refine`].

@@ -27,8 +27,8 @@ pub(crate) const LARGEST: u64 = 16 << 20;
 /// The format's version: raised when what a session says could not be understood any more by former versions.
 pub(crate) const VERSION: i64 = 2;
 
-/// The version of those that declare nothing to follow, have no tiles, and whose steps have no titles, amounts or groups:
-/// former programs understand them.
+/// The version of those that declare nothing to follow, have no tiles, and whose steps have no titles,
+/// amounts or groups: former programs understand them.
 pub(crate) const FIRST_VERSION: i64 = 1;
 
 /// A session. Paths are as the program needs them: relative to the current folder, or absolute.
@@ -36,8 +36,8 @@ pub(crate) const FIRST_VERSION: i64 = 1;
 pub struct SessionFile {
     /// The huge model; may be missing where a sampled model is given otherwise.
     pub model: Option<PathBuf>,
-    /// The files that it is made of, and patterns of such, where it is made of tiles; another `model` that is given
-    /// takes their place.
+    /// The files that it is made of, and patterns of such, where it is made of tiles; another `model` that is
+    /// given takes their place.
     pub tiles: Vec<PathBuf>,
     /// What its columns are, if it is a text in columns that does not say so, as "x,y,z,_,nx,ny,nz".
     pub columns: Option<String>,
@@ -204,8 +204,8 @@ pub struct Deformation {
     /// Brush strokes, first to last.
     #[serde(default)]
     pub strokes: Vec<Arc<Stroke>>,
-    /// How much of it is done: 0 leaves all at rest, 1 is the whole deformation, and what is between is blended
-    /// linearly.
+    /// How much of it is done: 0 leaves all at rest, 1 is the whole deformation, and what is between is
+    /// blended linearly.
     #[serde(default = "full", skip_serializing_if = "is_full")]
     pub amount: f64,
     /// What paths among the parameters are relative to.

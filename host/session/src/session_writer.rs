@@ -40,8 +40,8 @@ impl SessionFile {
         }
     }
 
-    /// The session's text at this path. Strokes and selections that are too long for it are written beside it, to these
-    /// files, unless all has to be in the text.
+    /// The session's text at this path. Strokes and selections that are too long for it are written beside
+    /// it, to these files, unless all has to be in the text.
     pub(crate) fn to_toml(&self, path: &Path, beside: bool) -> Result<(String, Vec<PathBuf>)> {
         let mut document = DocumentMut::new();
         document["version"] = value(self.version());
@@ -256,7 +256,8 @@ fn region(from: &Region, session: Option<&Path>, files: &mut Vec<PathBuf>) -> Re
     Ok(table)
 }
 
-/// The shapes in one line; selections that are too long for it are written beside the session, if there is one.
+/// The shapes in one line; selections that are too long for it are written beside the session, if there is
+/// one.
 fn shapes(from: &[Shape], session: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<Array> {
     let shape = |shape: &Shape| -> Result<Value> {
         let in_file = match (shape, session) {

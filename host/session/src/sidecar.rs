@@ -25,8 +25,8 @@ pub fn of(model: &Path) -> PathBuf {
     path.into()
 }
 
-/// Says what turns in a model with the surface: what is asked for or, where that declares nothing, what the sidecar
-/// does. Returns what it is.
+/// Says what turns in a model with the surface: what is asked for or, where that declares nothing, what the
+/// sidecar does. Returns what it is.
 ///
 /// # Errors
 /// The sidecar is there, and is no such file; as of [`Model::follow`].

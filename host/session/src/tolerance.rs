@@ -181,8 +181,8 @@ struct Search<'a> {
     folder: &'a Path,
     progress: &'a dyn Progress,
     tolerance: f64,
-    /// What is asked for where it is refined: finer than what is allowed, as density changes around what is refined, which
-    /// costs precision there.
+    /// What is asked for where it is refined: finer than what is allowed, as density changes around what is
+    /// refined, which costs precision there.
     asked: f64,
     /// Samples before, and the most that there may be.
     first: u64,

@@ -1,7 +1,8 @@
-//! Blocks of objects, as they came from stores: one cache for all objects of the process. Where an object is read in order,
-//! the next blocks are on their way before they are asked for.
+//! Blocks of objects, as they came from stores: one cache for all objects of the process. Where an object is
+//! read in order, the next blocks are on their way before they are asked for.
 //!
-//! Memory: at most [`AHEAD`] + 1 blocks of 4 MiB for each thread, and 8 more: 64 MiB with two threads, 288 MiB with 16.
+//! Memory: at most [`AHEAD`] + 1 blocks of 4 MiB for each thread, and 8 more: 64 MiB with two threads, 288
+//! MiB with 16.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};

@@ -1,5 +1,5 @@
-//! What a store's refusal means to people. Texts of the library are not shown where they may quote a whole URL or an answer
-//! of the store, either of which may have in it what is secret.
+//! What a store's refusal means to people. Texts of the library are not shown where they may quote a whole
+//! URL or an answer of the store, either of which may have in it what is secret.
 
 use std::error::Error as _;
 
@@ -59,12 +59,14 @@ pub(crate) fn is_cut(error: &StoreError) -> bool {
     kind(error) == Some(HttpErrorKind::Decode)
 }
 
-/// Whether an answer broke off, as one that says that there is no such object: a request that changes nothing may be made again.
+/// Whether an answer broke off, as one that says that there is no such object: a request that changes nothing
+/// may be made again.
 pub(crate) fn broke_off(error: &StoreError) -> bool {
     is_cut(error) || kind(error) == Some(HttpErrorKind::Interrupted)
 }
 
-/// Whether a range was asked for that begins at the end of the object or behind it, as any range does of an empty one.
+/// Whether a range was asked for that begins at the end of the object or behind it, as any range does of an
+/// empty one.
 pub(crate) fn is_beyond_end(error: &StoreError) -> bool {
     status(error).is_some_and(|(status, _)| status == "416")
 }

@@ -1,8 +1,9 @@
-//! simod-storage: models in object stores. Objects are read in blocks, some of them ahead, and written in parts of one
-//! upload; both by the crate `object_store`, whose own names of environment variables say endpoints and credentials.
+//! simod-storage: models in object stores. Objects are read in blocks, some of them ahead, and written in
+//! parts of one upload; both by the crate `object_store`, whose own names of environment variables say
+//! endpoints and credentials.
 //!
-//! The crates that know models know of this one by the trait [`Store`] alone, so that nothing else waits for its
-//! libraries: a program is built with it, or without.
+//! The crates that know models know of this one by the trait [`Store`] alone, so that nothing else waits for
+//! its libraries: a program is built with it, or without.
 
 mod blocks;
 mod failure;

@@ -18,7 +18,8 @@ use crate::failure::Failure;
 /// No request is repeated that began so long ago.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// How long a request may take, unless the environment says otherwise: one that brings a block, and one that sends a part.
+/// How long a request may take, unless the environment says otherwise: one that brings a block, and one that
+/// sends a part.
 const READING: &str = "60 seconds";
 const WRITING: &str = "300 seconds";
 

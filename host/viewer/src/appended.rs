@@ -26,10 +26,10 @@ pub fn former(before: &SampledModel, after: &SampledModel) -> Vec<Option<u32>> {
     after.samples.positions.iter().enumerate().map(of).collect()
 }
 
-/// Of each sample, the nearest one that is known, by ways over the surface from sample to sample; itself where it is
-/// known. `near` has the samples next to one; those that look the other way, as behind a thin wall, are not. Parts of
-/// the surface on which none is known belong to what is nearest
-/// in space. At least one has to be known.
+/// Of each sample, the nearest one that is known, by ways over the surface from sample to sample; itself
+/// where it is known. `near` has the samples next to one; those that look the other way, as behind a thin
+/// wall, are not. Parts of the surface on which none is known belong to what is nearest in space. At least
+/// one has to be known.
 pub fn owners<'a>(
     samples: &SampleSet,
     is_known: impl Fn(usize) -> bool,
@@ -70,8 +70,8 @@ pub fn owners<'a>(
     owners.into_iter().flatten().collect()
 }
 
-/// All samples of a scene as a step finds them: those that it knows, and the others, which refinements appended
-/// by it or later, as they go along with what is around them.
+/// All samples of a scene as a step finds them: those that it knows, and the others, which refinements
+/// appended by it or later, as they go along with what is around them.
 pub struct Found<'a> {
     /// Local coordinates.
     pub positions: Cow<'a, [Vec3]>,
@@ -130,7 +130,8 @@ fn known_around(scene: &Scene, of: u32, known: usize) -> Vec<u32> {
     found
 }
 
-/// The sample itself if it is among the first ones, or one of these that is near it: from ring to ring of neighbours.
+/// The sample itself if it is among the first ones, or one of these that is near it: from ring to ring of
+/// neighbours.
 pub fn owner_of(sampled: &SampledModel, sample: u32, known: usize) -> Option<u32> {
     let (neighbours, positions) = (sampled.samples.neighbours(), &sampled.samples.positions);
     let at = positions.get(sample as usize)?;

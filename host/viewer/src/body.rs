@@ -1,7 +1,8 @@
 //! The middle of a body: the largest of the balls that touch its surface from inside, beside each other.
 //!
-//! J. Ma, S. W. Bae, S. Choi, *3D medial axis point approximation using nearest neighbors and the normal field*, The
-//! Visual Computer 28, 2012: a ball that touches at a sample, large at first, shrinks until it holds no other sample.
+//! J. Ma, S. W. Bae, S. Choi, *3D medial axis point approximation using nearest neighbors and the normal
+//! field*, The Visual Computer 28, 2012: a ball that touches at a sample, large at first, shrinks until it
+//! holds no other sample.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -47,8 +48,8 @@ impl Ball {
     }
 }
 
-/// The largest balls inside of the samples of a model, found on a thread of their own: a hand that places a joint does
-/// not wait for them.
+/// The largest balls inside of the samples of a model, found on a thread of their own: a hand that places a
+/// joint does not wait for them.
 pub struct Body {
     of: Arc<SampledModel>,
     balls: Arc<OnceLock<Vec<Ball>>>,
@@ -78,8 +79,8 @@ impl Body {
     }
 }
 
-/// The largest balls inside of a surface, none of which has its middle in another one; local coordinates. None where it
-/// encloses nothing.
+/// The largest balls inside of a surface, none of which has its middle in another one; local coordinates.
+/// None where it encloses nothing.
 pub fn largest_balls(samples: &SampleSet) -> Vec<Ball> {
     let bound =
         |start: Vec3, extreme: fn(Vec3, Vec3) -> Vec3| samples.positions.iter().copied().fold(start, extreme);
@@ -102,7 +103,8 @@ pub fn largest_balls(samples: &SampleSet) -> Vec<Ball> {
     taken.into_iter().map(ball).collect()
 }
 
-/// The ball that touches at a sample from inside; nothing where it does not become smaller than the `largest`.
+/// The ball that touches at a sample from inside; nothing where it does not become smaller than the
+/// `largest`.
 fn ball_at(samples: &SampleSet, sample: usize, largest: f32) -> Option<(Vec3, f32)> {
     let (p, inward) = (samples.positions[sample], -samples.normals()[sample]);
     let mut radius = largest;

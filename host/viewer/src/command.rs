@@ -63,8 +63,8 @@ pub enum Command {
         #[serde(default)]
         at: Option<usize>,
     },
-    /// Adds the steps of a text, as of a session or as they were [copied](crate::State::copied), the last of which is
-    /// chosen.
+    /// Adds the steps of a text, as of a session or as they were [copied](crate::State::copied), the last of
+    /// which is chosen.
     Paste {
         /// The text.
         text: String,
@@ -99,8 +99,8 @@ pub enum Command {
         #[serde(default)]
         replaces: Option<usize>,
     },
-    /// Makes a handle region of what is selected, and a fixed one of what is farther from it along the surface than
-    /// a band, which bends.
+    /// Makes a handle region of what is selected, and a fixed one of what is farther from it along the
+    /// surface than a band, which bends.
     MakeHandle {
         /// The step.
         step: usize,
@@ -176,8 +176,8 @@ pub enum Command {
     Show(Overlay),
     /// Shows the model's own colours where no numbers are shown, or does not: shown at first.
     ShowOwnColors(bool),
-    /// Cuts the model open, to be looked into, or closes it again. What is cut away is not seen, and cannot be pointed
-    /// at; the edit is as it was.
+    /// Cuts the model open, to be looked into, or closes it again. What is cut away is not seen, and cannot
+    /// be pointed at; the edit is as it was.
     Clip(Option<Clip>),
     /// Measures along these points instead of the former ones; none measure nothing.
     Measure {

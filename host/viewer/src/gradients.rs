@@ -1,5 +1,5 @@
-//! What the steps do to the surface around a sample, to the first order: for the eye, and for what is carried over
-//! between samples.
+//! What the steps do to the surface around a sample, to the first order: for the eye, and for what is carried
+//! over between samples.
 
 use crate::scene::Scene;
 use glam::{Mat3, Vec3};
@@ -16,8 +16,8 @@ pub fn around(scene: &Scene, i: usize) -> Option<Mat3> {
 }
 
 /// The linear map that carries the ways to the neighbours over best, in the least squares along the tangent
-/// plane; neighbours that are not among the positions now tell nothing. It is fitted to displacements, so that
-/// nothing is stretched where nothing moves. Nothing where the neighbours lie on a line.
+/// plane; neighbours that are not among the positions now tell nothing. It is fitted to displacements, so
+/// that nothing is stretched where nothing moves. Nothing where the neighbours lie on a line.
 pub fn tangent_map(rest: &[Vec3], now: &[Vec3], i: usize, near: &[u32], n: Vec3) -> Option<Mat3> {
     let (s, t) = n.try_normalize()?.any_orthonormal_pair();
     let (mut a, mut b, mut c) = (0.0, 0.0, 0.0);

@@ -1,4 +1,5 @@
-//! Handles that a hand holds: several that a plugin placed, moved together, and those around them that go along.
+//! Handles that a hand holds: several that a plugin placed, moved together, and those around them that go
+//! along.
 
 use crate::motion::{PlacedHandle, motion_of};
 use crate::skeleton::is_pin;
@@ -25,9 +26,10 @@ struct HeldHandle {
 }
 
 impl Held {
-    /// Holds those that were `chosen`, by their ids; others that are nearer to one of them than `reach` go along, the
-    /// less the farther they are. What hangs on another that is held goes with that, and is not held itself; nor are
-    /// those that hang on anything drawn along, nor pins. Nothing where none of them is there. Lengths are of the model.
+    /// Holds those that were `chosen`, by their ids; others that are nearer to one of them than `reach` go
+    /// along, the less the farther they are. What hangs on another that is held goes with that, and is not
+    /// held itself; nor are those that hang on anything drawn along, nor pins. Nothing where none of them is
+    /// there. Lengths are of the model.
     pub fn new(all: &[(HandleDesc, PlacedHandle)], chosen: &BTreeSet<String>, reach: f64) -> Option<Self> {
         let is_chosen = |(desc, _): &(HandleDesc, PlacedHandle)| chosen.contains(desc.id.as_str());
         let places: Vec<DVec3> = all.iter().filter(|h| is_chosen(h)).map(|(_, h)| h.position()).collect();
@@ -62,8 +64,8 @@ impl Held {
         self.pivot
     }
 
-    /// How they move where the hand does this from where it took them, about [the middle](Self::pivot) unless the
-    /// motion says otherwise. Nothing where it is no motion for one of them.
+    /// How they move where the hand does this from where it took them, about [the middle](Self::pivot) unless
+    /// the motion says otherwise. Nothing where it is no motion for one of them.
     pub fn moved(&self, motion: &Motion) -> Option<Vec<HandleMove>> {
         let moved = |handle: &HeldHandle| {
             let map = part_of(motion, handle.weight).to_affine(self.pivot);

@@ -1,5 +1,5 @@
-//! Points that lengths and angles are measured between. They are kept as they are at rest, and go where the steps take
-//! the surface around them.
+//! Points that lengths and angles are measured between. They are kept as they are at rest, and go where the
+//! steps take the surface around them.
 
 use crate::gradients::around;
 use crate::pick::Hit;
@@ -65,8 +65,8 @@ fn map(scene: &Scene, sample: usize) -> DMat3 {
     if map.is_finite() && map.determinant().abs() > 1e-6 { map } else { DMat3::IDENTITY }
 }
 
-/// Where a point goes, local coordinates: the mean of where the samples around it say, which count the less the farther
-/// they are; and the linear map of the nearest one.
+/// Where a point goes, local coordinates: the mean of where the samples around it say, which count the less
+/// the farther they are; and the linear map of the nearest one.
 fn carry(scene: &Scene, rest: DVec3) -> (DVec3, DMat3) {
     let samples = &scene.sampled.samples;
     let nearest = samples.nearest(rest.as_vec3()) as usize;
@@ -87,8 +87,8 @@ fn carry(scene: &Scene, rest: DVec3) -> (DVec3, DMat3) {
     (rest + to / sum, map(scene, nearest))
 }
 
-/// Where a point that is seen was before all steps, model coordinates: the point that is [carried](carry) to it, by
-/// Newton steps from what its own sample says.
+/// Where a point that is seen was before all steps, model coordinates: the point that is [carried](carry) to
+/// it, by Newton steps from what its own sample says.
 pub(crate) fn at_rest(scene: &Scene, hit: &Hit) -> DVec3 {
     let sample = hit.sample as usize;
     let way = hit.local - scene.positions[sample].as_dvec3();

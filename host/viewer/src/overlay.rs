@@ -35,8 +35,8 @@ pub enum Overlay {
     /// one of both has, as refinements appended them, are compared with where the other one's reconstruction
     /// carries them. Until that is known, and in the pinned version, they take the mean of their neighbours.
     Difference,
-    /// The attribute of the vertices at this place in the [model's list](crate::State::attributes), in its own
-    /// unit: of a sample, the mean over its vertices. The model is read for it once.
+    /// The attribute of the vertices at this place in the [model's list](crate::State::attributes), in its
+    /// own unit: of a sample, the mean over its vertices. The model is read for it once.
     Attribute(usize),
 }
 
@@ -103,16 +103,16 @@ pub fn selection(selection: &Selection) -> Field {
     Field::weights(selection.marks().iter().map(|m| f32::from(u8::from(*m))).collect())
 }
 
-/// The weight of shapes on what a step began with, local positions; samples that it did not know yet belong to
-/// what is around them.
+/// The weight of shapes on what a step began with, local positions; samples that it did not know yet belong
+/// to what is around them.
 pub fn region(scene: &Scene, before: &[Vec3], shapes: &Shapes) -> Field {
     let frame = scene.frame();
     let Found { positions, owners } = as_found(scene, before);
     let weight = |p: &Vec3| shapes.weight(frame.to_model(*p)) as f32;
     let mut values: Vec<f32> = positions.par_iter().take(scene.len()).map(weight).collect();
     values.resize(scene.len(), 0.0);
-    // The border of what a hand picked is halfway between samples, along the surface: what lies behind a thin wall
-    // tells nothing.
+    // The border of what a hand picked is halfway between samples, along the surface: what lies behind a thin
+    // wall tells nothing.
     let is_picked = |shape: &Shape| matches!(shape, Shape::Selection(_));
     if let Some(owners) = owners.filter(|_| shapes.shapes.iter().all(is_picked)) {
         for i in before.len()..scene.len() {
@@ -197,8 +197,8 @@ pub fn transfer_error(scene: &Scene) -> Option<Field> {
     Some(Field::ranged(expected.iter().map(|e| e * scale).collect(), 0.0))
 }
 
-/// An attribute of the vertices, of each sample; nothing where it is not known yet, or none of them has a number.
-/// The range is that of most of them.
+/// An attribute of the vertices, of each sample; nothing where it is not known yet, or none of them has a
+/// number. The range is that of most of them.
 pub fn attribute(scene: &Scene, place: usize) -> Option<Field> {
     let attribute = scene.sampled.source.attributes.get(place)?;
     let values = scene.sampled.held_attributes()?.get(&attribute.name)?.to_vec();

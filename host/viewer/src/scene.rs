@@ -41,8 +41,8 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Of samples that the steps have moved. Of a draft, how the surface lies is found where somebody asks: most of its
-    /// samples may not be drawn; unless it was `asked` for all of the draft before.
+    /// Of samples that the steps have moved. Of a draft, how the surface lies is found where somebody asks:
+    /// most of its samples may not be drawn; unless it was `asked` for all of the draft before.
     pub(crate) fn new(
         evaluated: Evaluated,
         evaluation: &Evaluation,
@@ -89,8 +89,8 @@ impl Scene {
         self.shading.get_or_init(|| Shading::new(&self.sampled, &self.positions))
     }
 
-    /// How it lies at some of the samples, in their order. What the rest shape says of these is kept from one time to the
-    /// next.
+    /// How it lies at some of the samples, in their order. What the rest shape says of these is kept from one
+    /// time to the next.
     pub fn shading_of(&self, some: &Arc<[u32]>, kept: &mut Option<Rings>) -> Shading {
         if let Some(all) = self.shading.get() {
             return all.taken(some);

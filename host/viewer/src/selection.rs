@@ -96,8 +96,8 @@ impl Selection {
         Self::from_marks((0..self.marks.len()).map(is_selected).collect())
     }
 
-    /// For another sampling of the same model, of each of whose samples `former` says which one of this one it is, if
-    /// any, and `owners` to which of its own that are known it belongs.
+    /// For another sampling of the same model, of each of whose samples `former` says which one of this one
+    /// it is, if any, and `owners` to which of its own that are known it belongs.
     #[must_use]
     pub fn carried(&self, former: &[Option<u32>], owners: &[u32]) -> Self {
         let of = |owner: &u32| former[*owner as usize].is_some_and(|i| self.contains(i));

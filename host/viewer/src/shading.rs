@@ -1,5 +1,5 @@
-//! How the surface lies where the samples went: their normals, and what becomes of a circle around each. Quick, and for
-//! the eye alone.
+//! How the surface lies where the samples went: their normals, and what becomes of a circle around each.
+//! Quick, and for the eye alone.
 
 use glam::{Vec3, Vec3A};
 use pulp::Arch;
@@ -16,8 +16,8 @@ const STRETCHES: [f32; 2] = [0.3, 20.0];
 /// ... and how much longer than wide they get.
 const THINNEST: f32 = 8.0;
 
-/// Samples at a time: loops over as many are what compilers make vectors of. Nothing is fused, so that all vectors give
-/// the same bits.
+/// Samples at a time: loops over as many are what compilers make vectors of. Nothing is fused, so that all
+/// vectors give the same bits.
 const LANES: usize = 16;
 /// As many of these at a time are done by a thread.
 const RINGS_TOGETHER: usize = 64;
@@ -30,7 +30,8 @@ pub type Ellipse = [Vec3; 2];
 pub struct Shading {
     /// Unit normals.
     pub normals: Arc<[Vec3]>,
-    /// What a circle of radius 1 around each at rest becomes, in the tangent plane. Empty where nothing has moved.
+    /// What a circle of radius 1 around each at rest becomes, in the tangent plane. Empty where nothing has
+    /// moved.
     pub axes: Arc<[Ellipse]>,
 }
 
@@ -58,8 +59,8 @@ impl Shading {
     }
 }
 
-/// What the rest shape says of how the surface lies at some samples: kept from picture to picture, as long as these
-/// samples are drawn.
+/// What the rest shape says of how the surface lies at some samples: kept from picture to picture, as long as
+/// these samples are drawn.
 ///
 /// Memory: 101 bytes for each of them.
 pub struct Rings {
@@ -90,8 +91,8 @@ impl Rings {
         Arc::ptr_eq(&self.sampled, sampled) && (Arc::ptr_eq(&self.some, some) || self.some == *some)
     }
 
-    /// How the surface lies at these samples, in their order, once all samples have moved to these positions: to the
-    /// last digit as [`Shading::new`] has it.
+    /// How the surface lies at these samples, in their order, once all samples have moved to these positions:
+    /// to the last digit as [`Shading::new`] has it.
     pub fn shading(&self, positions: &[Vec3]) -> Shading {
         let (surface, arch) = (Surface::new(&self.sampled), Arch::new());
         if is_still(&self.sampled, positions) {
@@ -109,8 +110,8 @@ fn is_still(sampled: &SampledModel, positions: &[Vec3]) -> bool {
     *positions == *sampled.samples.positions
 }
 
-/// So many, as many at a time as there are lanes: by the number of their ring, and where they are written, which is
-/// where they stay: a million samples have 36 MB of them.
+/// So many, as many at a time as there are lanes: by the number of their ring, and where they are written,
+/// which is where they stay: a million samples have 36 MB of them.
 fn made(count: usize, shade: impl Fn(usize, &mut [Vec3], &mut [Ellipse]) + Sync) -> Shading {
     let mut normals: Arc<[Vec3]> = repeat_n(Vec3::ZERO, count).collect();
     let mut axes: Arc<[Ellipse]> = repeat_n([Vec3::ZERO; 2], count).collect();
@@ -138,10 +139,11 @@ impl<'a> Surface<'a> {
         &self.neighbours.nearest_to(i)[..RING.min(self.neighbours.k())]
     }
 
-    /// A sample's normal, turned as the triangles between it and its nearest neighbours are: `Σ (r₁ × r₂ · n) d₁ × d₂`
-    /// over pairs of neighbours, where `r` are the ways to them at rest and `d` those now. With tangents `s × t = n`
-    /// that is `(Σ (r·s) d) × (Σ (r·t) d)`. And the ellipse of the linear map that carries these ways over best. A
-    /// [`Ring`] does the same of many at a time, unless their neighbours lie on a line.
+    /// A sample's normal, turned as the triangles between it and its nearest neighbours are:
+    /// `Σ (r₁ × r₂ · n) d₁ × d₂` over pairs of neighbours, where `r` are the ways to them at rest and `d`
+    /// those now. With tangents `s × t = n` that is `(Σ (r·s) d) × (Σ (r·t) d)`. And the ellipse of the
+    /// linear map that carries these ways over best. A [`Ring`] does the same of many at a time, unless their
+    /// neighbours lie on a line.
     fn turned(&self, now: &[Vec3], i: usize) -> (Vec3, Ellipse) {
         let (rest, n) = (self.positions, self.normals[i]);
         let (s, t) = n.any_orthonormal_pair();
@@ -171,7 +173,8 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// Neighbours lie on a line where the determinant of their second moments is a smaller part of what it might be.
+/// Neighbours lie on a line where the determinant of their second moments is a smaller part of what it might
+/// be.
 const FLATTEST: f32 = 1e-3;
 
 type Lanes = [f32; LANES];
@@ -188,15 +191,15 @@ struct Lying {
     least: Lanes,
 }
 
-/// What the rest shape says of some samples, side by side. What [`Surface::turned`] sums up is linear in the ways to the
-/// neighbours now; so what stands before these is known beforehand.
+/// What the rest shape says of some samples, side by side. What [`Surface::turned`] sums up is linear in the
+/// ways to the neighbours now; so what stands before these is known beforehand.
 struct Ring {
     /// The samples, and their neighbours; the sample itself where there are fewer.
     near: [[u32; 1 + RING]; LANES],
     /// By how much the way to each neighbour counts in what becomes of either tangent ...
     shares: [[[f32; 2]; RING]; LANES],
-    /// ... and what of the tangents the ways at rest do not tell: what moves as one has no share in this, however the
-    /// surface is curved.
+    /// ... and what of the tangents the ways at rest do not tell: what moves as one has no share in this,
+    /// however the surface is curved.
     left: [Lanes3; 2],
     /// Whose neighbours lie on a line, a bit for each.
     odd: u16,
@@ -253,7 +256,8 @@ impl Ring {
         }
     }
 
-    /// How the surface lies at these samples, as far as they are wanted; `alone` finds that of one, by its lane.
+    /// How the surface lies at these samples, as far as they are wanted; `alone` finds that of one, by its
+    /// lane.
     fn shade(
         &self,
         now: &[Vec3],
@@ -331,7 +335,8 @@ impl Ring {
     }
 }
 
-/// The longer axis' direction, and the lengths of both: as [`ellipse`] has it, of radii in the plane of the normal.
+/// The longer axis' direction, and the lengths of both: as [`ellipse`] has it, of radii in the plane of the
+/// normal.
 #[inline(always)]
 fn axes_of([u, v]: &[Lanes3; 2]) -> (Lanes3, [Lanes; 2]) {
     let (mut along, mut lengths) = ([[0.0; LANES]; 3], [[0.0; LANES]; 2]);
@@ -353,8 +358,8 @@ fn axes_of([u, v]: &[Lanes3; 2]) -> (Lanes3, [Lanes; 2]) {
     (along, lengths)
 }
 
-/// Half axes of what a circle of radius 1 becomes, by where a linear map takes two of its radii at right angles;
-/// in the plane of a normal, and within bounds that can be drawn.
+/// Half axes of what a circle of radius 1 becomes, by where a linear map takes two of its radii at right
+/// angles; in the plane of a normal, and within bounds that can be drawn.
 fn ellipse(radii: [Vec3; 2], normal: Vec3) -> Ellipse {
     let [u, v] = radii.map(|radius| radius - radius.dot(normal) * normal);
     let (uu, uv, vv) = (u.dot(u), u.dot(v), v.dot(v));
@@ -370,8 +375,8 @@ fn ellipse(radii: [Vec3; 2], normal: Vec3) -> Ellipse {
     [most * along, least * normal.cross(along)]
 }
 
-/// Sine and cosine of half the angle of a point, which is between a quarter turn to either side: there is one for
-/// each sample in each picture, and arc tangents take long.
+/// Sine and cosine of half the angle of a point, which is between a quarter turn to either side: there is one
+/// for each sample in each picture, and arc tangents take long.
 #[inline(always)]
 fn half_angle(y: f32, x: f32) -> (f32, f32) {
     let far = (y * y + x * x).sqrt();

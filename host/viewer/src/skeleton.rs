@@ -1,7 +1,8 @@
 //! Skeletons of the user's: joints mirrored from one side of the body to the other, chains of them, and pins.
 //!
-//! A pin is a joint that hangs on nothing, that nothing hangs on, and that nobody moves: what is around it stays. As long
-//! as a skeleton is that of a limb alone, pins in the middle of the body keep that from turning along.
+//! A pin is a joint that hangs on nothing, that nothing hangs on, and that nobody moves: what is around it
+//! stays. As long as a skeleton is that of a limb alone, pins in the middle of the body keep that from
+//! turning along.
 
 use crate::body::Ball;
 use glam::DVec3;
@@ -28,8 +29,8 @@ pub fn free_id(joints: &[Joint], pin: bool) -> String {
     (1..).map(|i| format!("{word}{i}")).find(is_free).unwrap_or_default()
 }
 
-/// The joints with a pin in the middle of each ball of the body, if none of their bones is in any; without, if any is,
-/// or there are no joints besides.
+/// The joints with a pin in the middle of each ball of the body, if none of their bones is in any; without,
+/// if any is, or there are no joints besides.
 pub fn with_body_held(mut joints: Vec<Joint>, body: &[Ball]) -> Vec<Joint> {
     joints.retain(|joint| !joint.id.starts_with(BODY));
     let place = |id: &String| joints.iter().find(|joint| joint.id == *id).map(|joint| joint.at);
@@ -63,9 +64,10 @@ pub fn mirrored_name(name: &str) -> String {
     }
 }
 
-/// The joints with those of one side on the other one as well, across the plane where the coordinate `axis` is `middle`;
-/// those nearer to it than `near` lie in the middle, and have no other. A side is mirrored where a joint of its own name
-/// is not on the other one yet; where joints are on both, those of the first named are what the others become.
+/// The joints with those of one side on the other one as well, across the plane where the coordinate `axis`
+/// is `middle`; those nearer to it than `near` lie in the middle, and have no other. A side is mirrored where
+/// a joint of its own name is not on the other one yet; where joints are on both, those of the first named
+/// are what the others become.
 pub fn mirrored(joints: &[Joint], axis: usize, middle: f64, near: f64) -> Vec<Joint> {
     let is_aside = |joint: &Joint| (joint.at[axis] - middle).abs() > near;
     let mut all = joints.to_vec();
@@ -89,7 +91,8 @@ pub fn mirrored(joints: &[Joint], axis: usize, middle: f64, near: f64) -> Vec<Jo
     all
 }
 
-/// So many joints that hang on each other, with names that are free, the first on `parent`; behind those that are there.
+/// So many joints that hang on each other, with names that are free, the first on `parent`; behind those that
+/// are there.
 pub fn chained(joints: &[Joint], places: &[DVec3], parent: Option<String>) -> Vec<Joint> {
     let mut all = joints.to_vec();
     let mut parent = parent;

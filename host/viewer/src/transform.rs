@@ -1,5 +1,5 @@
-//! Motions as keys and the pointer say them: along an axis or with the picture, by the pointer or by a number that is
-//! typed.
+//! Motions as keys and the pointer say them: along an axis or with the picture, by the pointer or by a number
+//! that is typed.
 
 use crate::camera::Camera;
 use glam::{DVec2, DVec3};
@@ -70,8 +70,8 @@ impl Transform {
         self.axis = Some(axis).filter(|_| self.axis != Some(axis));
     }
 
-    /// A character of a number. Minus changes its sign, wherever it is typed; others than digits and a point are
-    /// nothing.
+    /// A character of a number. Minus changes its sign, wherever it is typed; others than digits and a point
+    /// are nothing.
     pub fn type_in(&mut self, character: char) {
         match character {
             '-' => match self.typed.strip_prefix('-') {
@@ -106,8 +106,8 @@ impl Transform {
         self.at = pixel;
     }
 
-    /// The motion as it is now, of the model; in steps where these are wanted and nothing is typed. Nothing where what
-    /// is typed is no number yet, or none that makes sense.
+    /// The motion as it is now, of the model; in steps where these are wanted and nothing is typed. Nothing
+    /// where what is typed is no number yet, or none that makes sense.
     pub fn motion(&self, seen: Seen<'_>, in_steps: bool) -> Option<Motion> {
         let typed = match self.typed.as_str() {
             "" => None,

@@ -14,8 +14,8 @@ const MARGIN: f64 = 22.0;
 
 /// The axis along which a step works, with the planes between which it does, in local coordinates.
 ///
-/// A plugin has one if it has these parameters: `center`, a point; `axis`, a direction; and `from` and `to`, numbers
-/// in the model's diagonal, signed, along the axis from that point.
+/// A plugin has one if it has these parameters: `center`, a point; `axis`, a direction; and `from` and `to`,
+/// numbers in the model's diagonal, signed, along the axis from that point.
 pub struct Axis {
     /// Which step.
     pub step: usize,
@@ -76,7 +76,8 @@ impl Axis {
     }
 }
 
-/// What is seen of the samples and of the axis along which the chosen step works, between two corners; local coordinates.
+/// What is seen of the samples and of the axis along which the chosen step works, between two corners; local
+/// coordinates.
 fn bounds(window: &Window) -> Option<[DVec3; 2]> {
     let shown = window.state().scene()?.bounds().map(|corner| corner.as_dvec3());
     let knobs = Axis::find(window).filter(|_| window.looks.handles).map(|axis| axis.knobs());

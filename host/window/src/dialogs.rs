@@ -87,8 +87,8 @@ pub enum Answer {
     Absent(String),
 }
 
-/// How a dialog is shown: called on a thread of its own, with what for and where it begins. It asks [`Turn::take`]
-/// right before the user sees it.
+/// How a dialog is shown: called on a thread of its own, with what for and where it begins. It asks
+/// [`Turn::take`] right before the user sees it.
 pub type Chooser = Arc<dyn Fn(&Purpose, Option<&Path>, &Turn) -> Answer + Send + Sync>;
 
 /// Whose turn it is: that of the system's dialog, or that of the window, which went on without it.

@@ -1,18 +1,20 @@
 //! What hands did while a picture was drawn, one thing after the other.
 //!
-//! A slow picture leaves many events to the next frame: a key that takes a tool, a press, a drag, a release, another
-//! key. A frame knows one state of the pointer and of the keys, so each frame gets the events up to the first
-//! deed, and the others wait for frames that follow at once, without pictures in between.
+//! A slow picture leaves many events to the next frame: a key that takes a tool, a press, a drag, a release,
+//! another key. A frame knows one state of the pointer and of the keys, so each frame gets the events up to
+//! the first deed, and the others wait for frames that follow at once, without pictures in between.
 
 use eframe::egui::{Context, Event, Key, Plugin, RawInput};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
-/// Gives a context its events in turn. `waits` says after each frame's beginning whether others wait for their frame.
+/// Gives a context its events in turn. `waits` says after each frame's beginning whether others wait for
+/// their frame.
 pub fn install(ctx: &Context, waits: Arc<AtomicBool>) {
     ctx.add_plugin(InTurn { held: VecDeque::new(), waits });
-    // A press and its release are of different frames, however long these take: it is a click if the pointer stays.
+    // A press and its release are of different frames, however long these take: it is a click if the pointer
+    // stays.
     ctx.options_mut(|options| options.input_options.max_click_duration = f64::INFINITY);
 }
 
@@ -38,9 +40,10 @@ impl Plugin for InTurn {
     }
 }
 
-/// The events up to the first deed, with what belongs to it. Where the pointer goes and where a button is pressed or
-/// let go is of different frames: a drag that begins and ends in one is none. Where somebody types, letters are no
-/// deeds; but what acts upon the text so far, as Tab, waits until the frame has seen the text.
+/// The events up to the first deed, with what belongs to it. Where the pointer goes and where a button is
+/// pressed or let go is of different frames: a drag that begins and ends in one is none. Where somebody
+/// types, letters are no deeds; but what acts upon the text so far, as Tab, waits until the frame has seen
+/// the text.
 fn next(held: &mut VecDeque<Event>, types: bool) -> Vec<Event> {
     let mut events = Vec::new();
     let (mut done, mut moved, mut typed) = (false, false, false);

@@ -38,8 +38,8 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// A number with three digits that matter, as all numbers are written here: thin spaces between thousands, and powers
-/// of ten as the command line has them where it is very large or small.
+/// A number with three digits that matter, as all numbers are written here: thin spaces between thousands,
+/// and powers of ten as the command line has them where it is very large or small.
 pub fn number(x: f64) -> String {
     let minus = if x < 0.0 { "\u{2212}" } else { "" };
     match x.abs() {

@@ -1,4 +1,5 @@
-//! The plugins that the window has, and the process that runs one of those that did not come with the program.
+//! The plugins that the window has, and the process that runs one of those that did not come with the
+//! program.
 
 use simod_model::{Error, ErrorKind, Result};
 use simod_session::worker::{self, WorkerOptions};
@@ -13,7 +14,8 @@ const MEMORY: u64 = 4 << 30;
 /// The argument by which the program is told to run one.
 pub const SERVE: &str = "serve-plugin";
 
-/// Runs a plugin for a program of this kind: its library, the memory that it may take, and whose process it is.
+/// Runs a plugin for a program of this kind: its library, the memory that it may take, and whose process it
+/// is.
 ///
 /// # Errors
 /// The arguments are not those that the program itself gives, or the plugin cannot be run.

@@ -57,8 +57,8 @@ pub fn make(window: &mut Window, role: Role) {
     }
 }
 
-/// Makes a handle of the selection, and fixes all that is farther from it than the band that bends. The handle is taken
-/// into the hand.
+/// Makes a handle of the selection, and fixes all that is farther from it than the band that bends. The
+/// handle is taken into the hand.
 pub fn make_handle(window: &mut Window) {
     let Some((step, _, deformation, _)) = window.chosen() else { return };
     let Some(scene) = window.state().scene() else { return };

@@ -60,8 +60,8 @@ fn begin_work(window: &mut Window, work: Work, target: &Path, format: Format) {
     }
 }
 
-/// The picture that a window shows, as it looks there, but for what is marked for the work on it: the selection,
-/// and regions. Width and height are even, as films have to be.
+/// The picture that a window shows, as it looks there, but for what is marked for the work on it: the
+/// selection, and regions. Width and height are even, as films have to be.
 ///
 /// # Errors
 /// Nothing is open.

@@ -1,4 +1,5 @@
-//! The program: opens the window, or says why there is none, or does without one what the command line asks for.
+//! The program: opens the window, or says why there is none, or does without one what the command line asks
+//! for.
 
 use crate::app::App;
 use crate::arguments::Arguments;

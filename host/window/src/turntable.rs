@@ -1,4 +1,5 @@
-//! A turntable: frames of a full turn about the model's upright axis, drawn in the background; and single pictures.
+//! A turntable: frames of a full turn about the model's upright axis, drawn in the background; and single
+//! pictures.
 
 use crate::screenshot::{self, Format, Shot};
 use simod_model::progress::Progress;

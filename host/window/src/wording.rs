@@ -1,5 +1,5 @@
-//! What steps and their plugins say, in the window's words: they speak of session files, which users of the window
-//! may never have seen.
+//! What steps and their plugins say, in the window's words: they speak of session files, which users of the
+//! window may never have seen.
 
 use crate::numbers::{count, number};
 use crate::widgets::values::number_of;
@@ -96,9 +96,9 @@ pub struct Remedy {
     pub text: String,
 }
 
-/// What a plugin's text says to do about parameters: to "raise `id`", or "lower `id` to 3", or what `id = "choice"` or
-/// `id = true` would do, as many as it names. Where it says no number, it is twice or half of what it is, within its
-/// range.
+/// What a plugin's text says to do about parameters: to "raise `id`", or "lower `id` to 3", or what
+/// `id = "choice"` or `id = true` would do, as many as it names. Where it says no number, it is twice or half
+/// of what it is, within its range.
 pub fn remedies(text: &str, params: &[ParamDesc], values: &Table) -> Vec<Remedy> {
     let pieces: Vec<&str> = text.split('`').collect();
     let mut raises = None;

@@ -1,5 +1,5 @@
-//! simod-geometry: small dense geometry that plugins and the host share: symmetric eigenproblems, definite systems, the
-//! kernel.
+//! simod-geometry: small dense geometry that plugins and the host share: symmetric eigenproblems, definite
+//! systems, the kernel.
 
 mod jacobi;
 

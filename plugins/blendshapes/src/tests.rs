@@ -56,7 +56,8 @@ fn moved(rest: &[[f32; 3]], by: impl Fn(usize) -> [f64; 3]) -> Vec<[f64; 3]> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(50))]
 
-    /// Displacements add up by their amounts, whatever the order of points, and on top of what earlier steps did.
+    /// Displacements add up by their amounts, whatever the order of points, and on top of what earlier steps
+    /// did.
     #[test]
     fn displacements_add_up(a in -3.0..3.0_f64, b in -3.0..3.0_f64, turn in 0..40_usize) {
         let rest = samples(40);

@@ -1,9 +1,9 @@
 //! Deformation by a cage: a coarse closed surface about the model, whose vertices are handles.
 //!
-//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005, or, where details
-//! are to keep their shape, J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates*, SIGGRAPH 2023. Each sample's
-//! coordinates are found once, in `prepare`; a motion then costs one product for each sample and each vertex, with mean
-//! value coordinates each that does not move as it did the last time.
+//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005, or,
+//! where details are to keep their shape, J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates*, SIGGRAPH 2023.
+//! Each sample's coordinates are found once, in `prepare`; a motion then costs one product for each sample
+//! and each vertex, with mean value coordinates each that does not move as it did the last time.
 
 mod made;
 mod mean_value;
@@ -67,12 +67,12 @@ enum Kind {
 /// What coordinates samples have in a cage.
 #[derive(ParamSet)]
 struct Followed {
-    /// Somigliana: as an elastic body goes; details keep their shape, where mean values shear them. It takes more memory
-    /// and time
+    /// Somigliana: as an elastic body goes; details keep their shape, where mean values shear them. It takes
+    /// more memory and time
     #[param(default = Kept::MeanValue, invalidates_preparation)]
     coordinates: Kept,
-    /// Somigliana: Poisson's ratio. A low one keeps the shape of details, a high one the volume where single vertices
-    /// are drawn out
+    /// Somigliana: Poisson's ratio. A low one keeps the shape of details, a high one the volume where single
+    /// vertices are drawn out
     #[param(default = -0.25, hard = -0.9..=0.49, soft = -0.5..=0.45, invalidates_preparation)]
     poisson: f64,
 }

@@ -11,12 +11,13 @@ use std::f64::consts::PI;
 
 /// Nearer to a vertex than this, in radii of the cage, points are that vertex.
 const AT_VERTEX: f64 = 1e-12;
-/// Where the sine of the angle at which an edge is seen is less than this, and the angle wide, the point lies on the
-/// edge.
+/// Where the sine of the angle at which an edge is seen is less than this, and the angle wide, the point lies
+/// on the edge.
 const ON_EDGE: f64 = 1e-7;
-/// Where a triangle's picture has a smaller volume with the point than this times the square root of the shortest
-/// edge (as a sine) of the picture, the point lies on the triangle, or in its plane beside it. What such a triangle
-/// gives is in proportion to the volume by the edge, and its rounding to 1e-16 by the volume: here both are alike.
+/// Where a triangle's picture has a smaller volume with the point than this times the square root of the
+/// shortest edge (as a sine) of the picture, the point lies on the triangle, or in its plane beside it. What
+/// such a triangle gives is in proportion to the volume by the edge, and its rounding to 1e-16 by the volume:
+/// here both are alike.
 const IN_PLANE: f64 = 1e-8;
 /// Farther away from the centre than this, in radii of the cage, points have the coordinates of those at that
 /// distance: triangles that face each other take each other away, until nothing is left but rounding.
@@ -87,9 +88,9 @@ impl Cage {
         total < 0.0
     }
 
-    /// Corrects coordinates that sum to 1 by as little as it takes (in the sum of squares) for `Σ λ_i p_i` to be the
-    /// point. There is something to correct close to the plane of a triangle, above all far away, where what
-    /// triangles give cancels.
+    /// Corrects coordinates that sum to 1 by as little as it takes (in the sum of squares) for `Σ λ_i p_i` to
+    /// be the point. There is something to correct close to the plane of a triangle, above all far away,
+    /// where what triangles give cancels.
     fn give_back(&self, x: DVec3, out: &mut [f64]) {
         let mean: DVec3 = out.iter().zip(&self.vertices).map(|(w, p)| *w * (*p - self.mean)).sum();
         let off = x - self.mean - mean;
@@ -268,8 +269,8 @@ mod tests {
             prop_assert!(size > 1.0 || weights.iter().all(|w| *w > 0.0));
         }
 
-        /// As near to a vertex, an edge, a face or the plane of one as it gets, without a step but for rounding, which
-        /// is most where triangles are seen as lines.
+        /// As near to a vertex, an edge, a face or the plane of one as it gets, without a step but for
+        /// rounding, which is most where triangles are seen as lines.
         #[test]
         fn the_surface_is_no_exception(
             triangle in 0..72_usize, u in 0.0..1.0_f64, v in 0.0..1.0_f64, kind in 0..4,

@@ -1,16 +1,18 @@
-//! What a flat triangle of a cage gives to a point by the fundamental solution of linear elasticity, in closed form.
+//! What a flat triangle of a cage gives to a point by the fundamental solution of linear elasticity, in
+//! closed form.
 //!
-//! The integrals over a triangle of the tractions of Kelvin's solution, with the corners' hat functions, as in Somigliana's
-//! identity (C. A. Brebbia, J. C. F. Telles, L. C. Wrobel, *Boundary element techniques*, 1984, chapter 5). With `r` from
-//! the point to the triangle, `d` its part along the normal and `ρ` the rest, all of them are moments of `ρ` over
-//! powers of `|r|`; as `∇ |r|⁻ᵏ = -k ρ |r|⁻ᵏ⁻²` in the plane, these are integrals along the edges, and the angle at
-//! which the triangle is seen. In double precision.
+//! The integrals over a triangle of the tractions of Kelvin's solution, with the corners' hat functions, as
+//! in Somigliana's identity (C. A. Brebbia, J. C. F. Telles, L. C. Wrobel, *Boundary element techniques*,
+//! 1984, chapter 5). With `r` from the point to the triangle, `d` its part along the normal and `ρ` the rest,
+//! all of them are moments of `ρ` over powers of `|r|`; as `∇ |r|⁻ᵏ = -k ρ |r|⁻ᵏ⁻²` in the plane, these are
+//! integrals along the edges, and the angle at which the triangle is seen. In double precision.
 
 use crate::mesh::Cage;
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use std::f64::consts::PI;
 
-/// Nearer to the line of an edge than this, in radii of the cage, points are as far as this: the integrals are finite.
+/// Nearer to the line of an edge than this, in radii of the cage, points are as far as this: the integrals
+/// are finite.
 const ON_LINE: f64 = 1e-12;
 
 /// A triangle of a cage, with what does not depend on the point.
@@ -157,8 +159,8 @@ impl Panel {
         [self.axes.x_axis, self.axes.y_axis]
     }
 
-    /// The angle at which the triangle is seen, as a part of the whole sphere: positive from within (A. van Oosterom, J.
-    /// Strackee, *The solid angle of a plane triangle*, IEEE Trans. Biomed. Eng. 30, 1983).
+    /// The angle at which the triangle is seen, as a part of the whole sphere: positive from within (A. van
+    /// Oosterom, J. Strackee, *The solid angle of a plane triangle*, IEEE Trans. Biomed. Eng. 30, 1983).
     pub fn angle(&self, sight: &Sight) -> f64 {
         let [a, b, c] = self.corners.map(|v| sight.vectors[v]);
         let [la, lb, lc] = self.corners.map(|v| sight.distances[v]);
@@ -171,8 +173,8 @@ impl Panel {
         sight.vectors[self.corners[0]].dot(self.normal)
     }
 
-    /// What a displacement of each corner moves the point by that is looked from, at a Poisson's ratio, and the corner's
-    /// share of `angle`, the one at which the triangle is seen.
+    /// What a displacement of each corner moves the point by that is looked from, at a Poisson's ratio, and
+    /// the corner's share of `angle`, the one at which the triangle is seen.
     pub fn weights(&self, sight: &Sight, angle: f64, poisson: f64) -> [(DMat3, f64); 3] {
         let (d, omega) = (self.distance(sight), 4.0 * PI * angle);
         let heights = self.heights(sight);

@@ -52,13 +52,13 @@ impl Pose {
         Self { vertices, mean, common, maps, scales, whole }
     }
 
-    /// The map nearest to a sum of those of vertices, among those that are a similarity after the common stretch; what the
-    /// cage does on the whole where the sum is flat or turned inside out.
+    /// The map nearest to a sum of those of vertices, among those that are a similarity after the common
+    /// stretch; what the cage does on the whole where the sum is flat or turned inside out.
     pub fn frame(&self, sum: DMat3, scale: f64) -> DMat3 {
         let volume = sum.determinant();
         let is_flat = volume <= FLAT * size(&sum).powi(3);
-        // A mean of maps that are turned against each other is smaller than they are. As an elastic body in a bend or a
-        // twist gives way a little, too, the truth lies between.
+        // A mean of maps that are turned against each other is smaller than they are. As an elastic body in a
+        // bend or a twist gives way a little, too, the truth lies between.
         let similarity =
             if is_flat { self.whole } else { rotation(sum) * (scale.exp() * volume.cbrt()).sqrt() };
         similarity * self.common
@@ -74,8 +74,8 @@ fn size(m: &DMat3) -> f64 {
     ([m.x_axis, m.y_axis, m.z_axis].iter().map(|a| a.length_squared()).sum::<f64>() / 3.0).sqrt()
 }
 
-/// The rotation nearest to a matrix with a volume, by Newton's method for the polar decomposition (N. J. Higham,
-/// *Computing the polar decomposition, with applications*, SIAM J. Sci. Stat. Comput. 7, 1986).
+/// The rotation nearest to a matrix with a volume, by Newton's method for the polar decomposition (N. J.
+/// Higham, *Computing the polar decomposition, with applications*, SIAM J. Sci. Stat. Comput. 7, 1986).
 fn rotation(m: DMat3) -> DMat3 {
     let mut x = m * m.determinant().cbrt().recip();
     for _ in 0..STEPS {
@@ -95,9 +95,10 @@ fn rotation(m: DMat3) -> DMat3 {
 
 /// The stretch that the cage has in common, and the similarity that follows.
 ///
-/// The affine map nearest to a pose stretches by `P`. Where the pose is that map, `P` is what was wanted; where the
-/// pose is a bend, `P` tells nothing of it. So of `P` that part is taken which the affine map explains of what no
-/// similarity does: all of it for an affine map, and next to nothing for bends, twists and single vertices.
+/// The affine map nearest to a pose stretches by `P`. Where the pose is that map, `P` is what was wanted;
+/// where the pose is a bend, `P` tells nothing of it. So of `P` that part is taken which the affine map
+/// explains of what no similarity does: all of it for an affine map, and next to nothing for bends, twists
+/// and single vertices.
 fn common_stretch(cage: &Cage, moved: &[DVec3]) -> (DMat3, DMat3) {
     let rest = |v: usize| cage.vertices[v] - cage.mean;
     let spread = (0..moved.len()).fold(DMat3::ZERO, |sum, v| sum + outer(moved[v], rest(v)));
@@ -128,8 +129,8 @@ fn common_stretch(cage: &Cage, moved: &[DVec3]) -> (DMat3, DMat3) {
     (common * common.determinant().abs().cbrt().recip(), turn * scale)
 }
 
-/// The map from a face that was stretched by `common` to where it is: along the face exact, and across it as if it were a
-/// similarity.
+/// The map from a face that was stretched by `common` to where it is: along the face exact, and across it as
+/// if it were a similarity.
 fn face(panel: &Panel, moved: &[DVec3], common: &DMat3) -> DMat3 {
     let map = (0..3).fold(DMat3::ZERO, |sum, k| sum + outer(moved[panel.corners[k]], panel.gradients[k]));
     let [x, y] = panel.in_plane();

@@ -1,15 +1,16 @@
 //! Coordinates of a closed cage that come from linear elasticity, and keep the shape of details.
 //!
-//! After J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates: an elasticity-derived approach for cage deformation*,
-//! SIGGRAPH 2023: by Somigliana's identity, what a body does at a point follows from the displacements of its boundary,
-//! by a matrix for each vertex, and from the tractions there. Elasticity is linear in a frame that goes along with the
-//! cage around the point: the similarity that is nearest to what the faces at each vertex do, by the angle at which the
-//! point sees them. Displacements are what is left in that frame.
+//! After J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates: an elasticity-derived approach for cage
+//! deformation*, SIGGRAPH 2023: by Somigliana's identity, what a body does at a point follows from the
+//! displacements of its boundary, by a matrix for each vertex, and from the tractions there. Elasticity is
+//! linear in a frame that goes along with the cage around the point: the similarity that is nearest to what
+//! the faces at each vertex do, by the angle at which the point sees them. Displacements are what is left in
+//! that frame.
 //!
-//! It differs from the paper in what tractions are taken. Nobody knows them, and those that follow from each face's
-//! stretch, rotated along, are wrong by the moduli where materials are nearly incompressible; here there are none in the
-//! frame, which needs no modulus, and half of the memory. And what stretch the cage has as a whole belongs to the frame,
-//! so that not only similarities but all affine maps come back.
+//! It differs from the paper in what tractions are taken. Nobody knows them, and those that follow from each
+//! face's stretch, rotated along, are wrong by the moduli where materials are nearly incompressible; here
+//! there are none in the frame, which needs no modulus, and half of the memory. And what stretch the cage has
+//! as a whole belongs to the frame, so that not only similarities but all affine maps come back.
 
 use crate::mesh::Cage;
 use crate::panels::{Panel, Sight};
@@ -22,12 +23,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Samples whose coordinates lie together.
 pub const TILE: usize = 64;
-/// Points that are nearer to the surface than this, in radii of the cage, or outside, have the coordinates of a point
-/// within by what is nearest of it.
+/// Points that are nearer to the surface than this, in radii of the cage, or outside, have the coordinates of
+/// a point within by what is nearest of it.
 const SKIN: f64 = 1e-5;
 /// How deep that one is below its face, in radii.
 const DEPTH: f64 = 1e-6;
-/// How far it is from the edge, as a part of the way to the face's centre: beyond an edge another face may be near.
+/// How far it is from the edge, as a part of the way to the face's centre: beyond an edge another face may be
+/// near.
 const ASIDE: f64 = 1e-3;
 
 /// A cage and its material.
@@ -37,8 +39,8 @@ pub struct Body {
     poisson: f64,
 }
 
-/// The coordinates of a point: for each vertex a matrix, and its share of the sphere that the faces cover as seen from the
-/// point. Both sum to 1.
+/// The coordinates of a point: for each vertex a matrix, and its share of the sphere that the faces cover as
+/// seen from the point. Both sum to 1.
 #[derive(Debug, Default)]
 pub struct Coordinates {
     sight: Sight,
@@ -109,8 +111,8 @@ impl Body {
         best
     }
 
-    /// The table of coordinates: tile by tile, for each vertex rows of its matrix' nine entries, row by row, and then
-    /// for each of its share. With it how many samples lie outside.
+    /// The table of coordinates: tile by tile, for each vertex rows of its matrix' nine entries, row by row,
+    /// and then for each of its share. With it how many samples lie outside.
     pub fn tabulate(
         &self,
         cage: &Cage,
@@ -256,8 +258,8 @@ mod tests {
         if p.x.abs() < 0.2 && p.y > 0.0 && p.z.abs() < 0.1 { p + 0.3 * DVec3::Y } else { p }
     }
 
-    /// Of a map of the bar: the changes of volume, in the mean and as a root mean square, and how far it is from a similarity in
-    /// the mean, by the squares of its stretches: 0 where angles are kept.
+    /// Of a map of the bar: the changes of volume, in the mean and as a root mean square, and how far it is
+    /// from a similarity in the mean, by the squares of its stretches: 0 where angles are kept.
     fn distortion(mut map: impl FnMut(DVec3) -> DVec3) -> [f64; 3] {
         const POINTS: usize = 300;
         const STEP: f64 = 1e-4;
@@ -317,7 +319,8 @@ mod tests {
         found
     }
 
-    /// How far coordinates are from giving affine maps back, each by itself: those of the identity in the sum of both.
+    /// How far coordinates are from giving affine maps back, each by itself: those of the identity in the sum
+    /// of both.
     fn miss(found: &Coordinates) -> f64 {
         let sum = found.vertices.iter().fold(-DMat3::IDENTITY, |sum, w| sum + *w);
         let shares: f64 = found.shares.iter().sum();
@@ -327,9 +330,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Somigliana's identity: with the displacements of an affine map and its tractions the map comes back. Of a turn
-        /// about no axis but by a matrix that is not symmetric, as of any other one, tractions are those of the symmetric
-        /// part; so here is one that has none.
+        /// Somigliana's identity: with the displacements of an affine map and its tractions the map comes
+        /// back. Of a turn about no axis but by a matrix that is not symmetric, as of any other one,
+        /// tractions are those of the symmetric part; so here is one that has none.
         #[test]
         fn what_makes_no_traction_comes_back(
             x in prop::array::uniform3(-0.4..0.4_f64), spin in prop::array::uniform3(-1.0..1.0_f64), poisson in -0.9..0.49_f64,

@@ -42,9 +42,9 @@ pub fn read(path: &Path) -> Result<Vec<Landmark>, Wrong> {
     parse(text.trim_start_matches('\u{feff}'))
 }
 
-/// A line for each: a name, three numbers of the source, three of the target, and maybe a weight, separated by
-/// commas, semicolons or tabs. A first line whose fields are no numbers is a heading; empty lines, and those that
-/// begin with `#`, are passed over.
+/// A line for each: a name, three numbers of the source, three of the target, and maybe a weight, separated
+/// by commas, semicolons or tabs. A first line whose fields are no numbers is a heading; empty lines, and
+/// those that begin with `#`, are passed over.
 fn parse(text: &str) -> Result<Vec<Landmark>, Wrong> {
     let mut landmarks: Vec<Landmark> = Vec::new();
     let mut lines: HashMap<String, usize> = HashMap::new();

@@ -1,8 +1,8 @@
 //! Deformation by landmarks: points of the model of which it is known where they belong, in a file.
 //!
-//! Five maps (`map`), from a translation to a thin-plate spline, which meets all landmarks; a report of how well
-//! each landmark is met, and how well the others foretell it (`report`). Closed forms, which any point goes
-//! through: the samples are of no account.
+//! Five maps (`map`), from a translation to a thin-plate spline, which meets all landmarks; a report of how
+//! well each landmark is met, and how well the others foretell it (`report`). Closed forms, which any point
+//! goes through: the samples are of no account.
 
 mod landmarks;
 mod map;

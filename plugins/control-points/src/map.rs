@@ -3,8 +3,8 @@
 //! - A similarity, or seven-parameter transformation: S. Umeyama, *Least-squares estimation of transformation
 //!   parameters between two point patterns*, PAMI 1991.
 //! - The thin-plate spline in space, whose kernel is the distance: F. L. Bookstein, *Principal warps*, PAMI 1989.
-//! - Local weights: D. Shepard, *A two-dimensional interpolation function for irregularly-spaced data*, 1968, of
-//!   what the best simpler map leaves over.
+//! - Local weights: D. Shepard, *A two-dimensional interpolation function for irregularly-spaced data*, 1968,
+//!   of what the best simpler map leaves over.
 
 use crate::landmarks::Landmark;
 use faer::linalg::solvers::{PartialPivLu, Solve};
@@ -144,8 +144,8 @@ impl Map {
         }
     }
 
-    /// The map of a kind that landmarks determine, of those that have a weight. `smoothing` is how much a spline
-    /// may miss them, in their own unit of length.
+    /// The map of a kind that landmarks determine, of those that have a weight. `smoothing` is how much a
+    /// spline may miss them, in their own unit of length.
     ///
     /// # Errors
     /// They do not determine it.

@@ -124,8 +124,8 @@ impl Report {
     }
 }
 
-/// Those that stand out, one after the other: each is left out before the next is looked for, as a map that is
-/// wrong in one place is so beside it, too.
+/// Those that stand out, one after the other: each is left out before the next is looked for, as a map that
+/// is wrong in one place is so beside it, too.
 fn outliers(
     kind: Kind,
     landmarks: &[Landmark],

@@ -87,7 +87,8 @@ fn splines_and_local_weights_meet_landmarks_and_smoothing_misses_them() {
     assert!(report.rows[4].is_check && report.rows[4].residual > 1e-4 && report.rms() < 1e-12);
 }
 
-/// `scipy.interpolate.RBFInterpolator(sources, targets, kernel="linear", degree=1)`, of SciPy 1.17.1, at (0.3, -0.2, 0.6).
+/// `scipy.interpolate.RBFInterpolator(sources, targets, kernel="linear", degree=1)`, of SciPy 1.17.1, at
+/// (0.3, -0.2, 0.6).
 #[test]
 fn the_spline_is_scipy_s() {
     let landmarks = moved(&places(20, 3), bend);

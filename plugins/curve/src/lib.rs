@@ -1,7 +1,7 @@
 //! Deformation by a wire: a curve through the model, whose points are handles; what is around it goes along.
 //!
-//! K. Singh, E. Fiume, *Wires: a geometric deformation technique*, SIGGRAPH 1998. A map of space: for each sample the nearest
-//! place of the curve is found once, in `prepare`.
+//! K. Singh, E. Fiume, *Wires: a geometric deformation technique*, SIGGRAPH 1998. A map of space: for each
+//! sample the nearest place of the curve is found once, in `prepare`.
 
 mod motion;
 mod nearest;
@@ -236,8 +236,8 @@ impl IsIdentity for CurvePlugin {
     }
 }
 
-/// How far a wire is from itself, in percent of the diagonal, where two parts of it reach the same places: there space is torn if
-/// they go different ways, or comes to be in one place.
+/// How far a wire is from itself, in percent of the diagonal, where two parts of it reach the same places:
+/// there space is torn if they go different ways, or comes to be in one place.
 fn comes_back(rest: &Nearest, diagonal: f64) -> Option<f64> {
     let stride = rest.nodes().len().div_ceil(MOST_COMPARED);
     let nodes: Vec<DVec3> = rest.nodes().iter().copied().step_by(stride).collect();

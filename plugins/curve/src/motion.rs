@@ -1,10 +1,12 @@
-//! What a wire does to space: each place goes along with the nearest place of the curve, which is moved and turned.
+//! What a wire does to space: each place goes along with the nearest place of the curve, which is moved and
+//! turned.
 //!
-//! K. Singh, E. Fiume, *Wires: a geometric deformation technique*, SIGGRAPH 1998, §2. There the turn at each place of the
-//! curve is the least one between the two tangents, which jumps where these come to oppose each other. Here frames that
-//! do not turn about the curve are carried along both curves (W. Wang, B. Jüttler, D. Zheng, Y. Liu, *Computation of
-//! rotation minimizing frames*, TOG 2008, double reflection), so that a wire can be bent to a knot; what these turn
-//! about the curve between parts that are as they were is taken back where it bends.
+//! K. Singh, E. Fiume, *Wires: a geometric deformation technique*, SIGGRAPH 1998, §2. There the turn at each
+//! place of the curve is the least one between the two tangents, which jumps where these come to oppose each
+//! other. Here frames that do not turn about the curve are carried along both curves (W. Wang, B. Jüttler, D.
+//! Zheng, Y. Liu, *Computation of rotation minimizing frames*, TOG 2008, double reflection), so that a wire
+//! can be bent to a knot; what these turn about the curve between parts that are as they were is taken back
+//! where it bends.
 
 use crate::nearest::{Foot, Nearest, PIECES};
 use crate::spline::{Jet, Spline};
@@ -112,8 +114,8 @@ impl<'a> Motion<'a> {
         rest.position + part * shift + offset
     }
 
-    /// How much of the motion is made at a distance from the curve: Singh and Fiume's density function, behind what goes
-    /// along as a whole.
+    /// How much of the motion is made at a distance from the curve: Singh and Fiume's density function,
+    /// behind what goes along as a whole.
     fn part(&self, distance: f64) -> f64 {
         let Looks { whole, reach, .. } = self.looks;
         if distance <= whole {
@@ -150,8 +152,8 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// The turn from the curve at rest to the moved one by the frames that were carried along, at a place where the
-    /// curves are `to`.
+    /// The turn from the curve at rest to the moved one by the frames that were carried along, at a place
+    /// where the curves are `to`.
     fn carried(&self, foot: &Foot, to: &[Jet; 2]) -> DQuat {
         let piece = foot.piece as usize;
         let from = &self.nodes[piece];
@@ -175,9 +177,9 @@ impl<'a> Motion<'a> {
         turn * DQuat::from_axis_angle(along, about)
     }
 
-    /// The turn about the curve, at its end, by which the frames that were carried along are off the least turn between
-    /// the tangents: nothing should turn where the curve is as it was. The more these oppose each other, the less this
-    /// says.
+    /// The turn about the curve, at its end, by which the frames that were carried along are off the least
+    /// turn between the tangents: nothing should turn where the curve is as it was. The more these oppose
+    /// each other, the less this says.
     fn to_take_back(&self) -> f64 {
         let end = self.rest.pieces();
         let jets = &self.nodes[end];
@@ -256,7 +258,8 @@ fn between(from: DQuat, to: DQuat) -> DVec3 {
     as_vector(to * from.conjugate(), DVec3::ZERO)
 }
 
-/// A turn as a vector along its axis of its angle's length: of all that are whole turns apart the one next to another.
+/// A turn as a vector along its axis of its angle's length: of all that are whole turns apart the one next to
+/// another.
 fn as_vector(turn: DQuat, near: DVec3) -> DVec3 {
     let turn = if turn.w < 0.0 { -turn } else { turn };
     let sine = turn.xyz().length();

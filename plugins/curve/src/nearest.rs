@@ -1,5 +1,5 @@
-//! The point of a curve that is nearest to a place: by the nodes of a polyline along it, whose pieces are in a tree of
-//! boxes, and by Newton's method from there.
+//! The point of a curve that is nearest to a place: by the nodes of a polyline along it, whose pieces are in
+//! a tree of boxes, and by Newton's method from there.
 
 use crate::spline::{Jet, Spline};
 use glam::DVec3;
@@ -131,8 +131,8 @@ impl Nearest {
         }
     }
 
-    /// The nearest place around a piece: Newton's method for where the curve is at right angles to the way to `p`, held
-    /// between the pieces before and behind.
+    /// The nearest place around a piece: Newton's method for where the curve is at right angles to the way to
+    /// `p`, held between the pieces before and behind.
     fn refined(&self, p: DVec3, piece: usize) -> Foot {
         let jet = |t: f64| {
             let piece = self.piece(piece, t);

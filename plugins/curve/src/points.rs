@@ -9,11 +9,13 @@ pub const MOST: usize = 1000;
 /// Most bytes of a file.
 const MOST_BYTES: u64 = 4 << 20;
 
-/// The points of a file, in its coordinates: lines of three numbers, separated by commas, semicolons or white space; a first
-/// line without numbers is a heading. OBJ has vertices, in the order of its first `l` line where there is one.
+/// The points of a file, in its coordinates: lines of three numbers, separated by commas, semicolons or white
+/// space; a first line without numbers is a heading. OBJ has vertices, in the order of its first `l` line
+/// where there is one.
 ///
 /// # Errors
-/// It cannot be read, a line is not what it should be, or there are fewer than two points or more than [`MOST`].
+/// It cannot be read, a line is not what it should be, or there are fewer than two points or more than
+/// [`MOST`].
 pub fn read(path: &Path) -> PluginResult<Vec<DVec3>> {
     let error = |what: String| {
         PluginError::input(format!("{}{what}", path.display()))
@@ -101,7 +103,8 @@ fn point(fields: &[&str]) -> Result<DVec3, String> {
     Ok(DVec3::new(number(x)?, number(y)?, number(z)?))
 }
 
-/// So many points through the model along the longest side of its box: each in the middle of the samples about it.
+/// So many points through the model along the longest side of its box: each in the middle of the samples
+/// about it.
 pub fn along_the_middle(bounds: &Bounds, samples: &[[f32; 3]], points: usize) -> Vec<DVec3> {
     let [low, high] = [bounds.min, bounds.max].map(DVec3::from);
     let size = high - low;

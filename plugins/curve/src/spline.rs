@@ -1,6 +1,6 @@
-//! The curve through a wire's points: the cubic spline of E. Catmull and R. Rom, with the centripetal knots of C. Yuksel,
-//! S. Schaefer, J. Keyser, *On the parameterization of Catmull-Rom curves*, SPM 2009, by which it makes no loops. A
-//! point moves the two spans on either side alone.
+//! The curve through a wire's points: the cubic spline of E. Catmull and R. Rom, with the centripetal knots
+//! of C. Yuksel, S. Schaefer, J. Keyser, *On the parameterization of Catmull-Rom curves*, SPM 2009, by which
+//! it makes no loops. A point moves the two spans on either side alone.
 
 use glam::DVec3;
 
@@ -21,7 +21,8 @@ pub struct Jet {
     pub second: DVec3,
 }
 
-/// The centripetal knots of points, of which no two in succession coincide: they lie apart by the roots of the distances.
+/// The centripetal knots of points, of which no two in succession coincide: they lie apart by the roots of
+/// the distances.
 pub fn knots(points: &[DVec3]) -> Vec<f64> {
     let mut knots = vec![0.0];
     for pair in points.windows(2) {

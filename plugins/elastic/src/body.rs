@@ -1,12 +1,10 @@
 //! The body: its energy by where the corners of its lattice are, and the derivatives.
 //!
-//! Cells are hexahedra with linear edges. Changes of volume are resisted in the middle of each alone, so that thin
-//! parts of
-//! nearly constant volume bend; changes of shape at eight points, which lie a little nearer to the middle than Gauss's,
-//! so
-//! that a single layer of cubes bends as stiffly as it should (T. Belytschko, L. Bindeman, *Assumed strain
-//! stabilization of
-//! the eight node hexahedral element*, CMAME 105, 1993, choose this by the same bend).
+//! Cells are hexahedra with linear edges. Changes of volume are resisted in the middle of each alone, so that
+//! thin parts of nearly constant volume bend; changes of shape at eight points, which lie a little nearer to
+//! the middle than Gauss's, so that a single layer of cubes bends as stiffly as it should (T. Belytschko, L.
+//! Bindeman, *Assumed strain stabilization of the eight node hexahedral element*, CMAME 105, 1993, choose
+//! this by the same bend).
 
 use crate::cell::{Deformed, Eight, Forces, Matrices, Slopes};
 use crate::contact::Touch;
@@ -169,8 +167,8 @@ impl Body {
         Ok((energy, forces))
     }
 
-    /// How the forces change where corners are moved, if the material is stiffer by a part of its shear modulus than it
-    /// is.
+    /// How the forces change where corners are moved, if the material is stiffer by a part of its shear
+    /// modulus than it is.
     pub fn change(
         &self,
         gradients: &Gradients,
@@ -197,7 +195,8 @@ impl Body {
         Ok(forces)
     }
 
-    /// As [`change`](Self::change), of a field that is as even as it can be (the Laplacian instead of the material).
+    /// As [`change`](Self::change), of a field that is as even as it can be (the Laplacian instead of the
+    /// material).
     pub fn even(&self, by: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
         let mut cells = vec![[Eight::ZERO; 3]; self.lattice.cells.len()];
         host.parallel_blocks(&mut cells, CELLS, |first, cells| {
@@ -303,7 +302,8 @@ impl WithSimd for Energies<'_> {
     }
 }
 
-/// How the forces of cells change: of the material, that is deformed and stiffer by a part, or of what evens out.
+/// How the forces of cells change: of the material, that is deformed and stiffer by a part, or of what evens
+/// out.
 struct Changes<'a> {
     body: &'a Body,
     of: Option<(&'a Gradients, f64)>,
@@ -340,8 +340,9 @@ fn weighted(points: Matrices, amounts: [f64; 8], middle: DMat3) -> Deformed {
     Deformed { points: points.map(|column| column.map(|entry| entry * Eight(amounts))), middle }
 }
 
-/// How much each point of a cell stands for, so that what is linear is summed up over the filled part as it is (moment
-/// fitting), but none less than next to nothing. The points are `low` and `1 - low` along each axis.
+/// How much each point of a cell stands for, so that what is linear is summed up over the filled part as it
+/// is (moment fitting), but none less than next to nothing. The points are `low` and `1 - low` along each
+/// axis.
 fn amounts(mut moments: [f64; 8], low: f64) -> [f64; 8] {
     // Corners are numbered by one bit for each axis.
     for bit in [1, 2, 4] {

@@ -1,5 +1,6 @@
-//! How a cell is deformed at eight points and in its middle, and what forces at its corners come of stresses there. The
-//! points lie beside each other, so that the compiler makes vectors of them; the same numbers come out of any.
+//! How a cell is deformed at eight points and in its middle, and what forces at its corners come of stresses
+//! there. The points lie beside each other, so that the compiler makes vectors of them; the same numbers come
+//! out of any.
 
 use glam::{DMat3, DVec3};
 use std::array::from_fn;

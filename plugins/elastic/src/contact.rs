@@ -1,4 +1,5 @@
-//! Contact of the body with itself: some of the samples, spread evenly, keep a gap to what comes towards them.
+//! Contact of the body with itself: some of the samples, spread evenly, keep a gap to what comes towards
+//! them.
 
 use crate::body::Body;
 use crate::lattice::{Lattice, Place, weights};
@@ -82,9 +83,8 @@ impl Touch {
 }
 
 impl Surface {
-    /// Samples of a body with an inside, one of several that lie together; normals are turned outward. `size` is that
-    /// of a
-    /// cell.
+    /// Samples of a body with an inside, one of several that lie together; normals are turned outward. `size`
+    /// is that of a cell.
     pub fn new(body: &Occupancy, samples: impl Iterator<Item = (u32, DVec3, DVec3)>, size: f64) -> Self {
         let mut taken = HashSet::new();
         let mut points = Vec::new();
@@ -208,8 +208,9 @@ impl Cells {
         Self { starts, points, keys, normals, cones }
     }
 
-    /// Where the points of a cell and of those around it are that may look against some of its own: what lies beside them on
-    /// the same side of the body does not, and that is most. A few of other cells are among them.
+    /// Where the points of a cell and of those around it are that may look against some of its own: what lies
+    /// beside them on the same side of the body does not, and that is most. A few of other cells are among
+    /// them.
     fn around(&self, cell: I64Vec3, out: &mut Vec<Range<usize>>) {
         let places = self.starts.len() - 1;
         let (own, width) = self.cones[hash(cell, places)];

@@ -5,7 +5,8 @@ use glam::{DAffine3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult, PrepareInput, Role};
 use std::collections::BTreeMap;
 
-/// A weight from which on a sample does exactly what its region does, and one below which it does not know of it.
+/// A weight from which on a sample does exactly what its region does, and one below which it does not know of
+/// it.
 const HARD: f32 = 1.0 - 1e-6;
 const NONE: f32 = 1e-4;
 /// How much stiffer than the material springs are where regions hold, by a cell's size.

@@ -146,7 +146,8 @@ impl Lattice {
         weights(place.at).iter().zip(corners).map(|(w, c)| *w * values[*c as usize]).sum()
     }
 
-    /// How far a point goes, blended of what each corner's map (to shifts) does to it: smooth from cell to cell.
+    /// How far a point goes, blended of what each corner's map (to shifts) does to it: smooth from cell to
+    /// cell.
     pub fn shift(&self, place: Place, at: DVec3, maps: &[DAffine3]) -> DVec3 {
         let corners = &self.cells[place.cell as usize];
         weights(place.at).iter().zip(corners).map(|(w, c)| *w * maps[*c as usize].transform_point3(at)).sum()

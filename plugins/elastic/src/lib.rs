@@ -1,6 +1,5 @@
-//! A soft body: what is within the surface is a material that holds its volume, is held and moved by regions, sags
-//! under its
-//! weight, and touches itself.
+//! A soft body: what is within the surface is a material that holds its volume, is held and moved by regions,
+//! sags under its weight, and touches itself.
 //!
 //! | what | by |
 //! |---|---|
@@ -13,9 +12,9 @@
 //! | `contact` | what comes near to other parts of the surface |
 //! | `multilevel`, `solve` | where the energy is least, by Newton's method |
 //!
-//! As nothing depends on time, the body is not let swing until it comes to rest: handles go their way in small steps on
-//! a
-//! coarse lattice, and each time the energy is minimised; then finer lattices go on from there.
+//! As nothing depends on time, the body is not let swing until it comes to rest: handles go their way in
+//! small steps on a coarse lattice, and each time the energy is minimised; then finer lattices go on from
+//! there.
 
 mod body;
 mod cell;
@@ -72,8 +71,8 @@ struct Parameters {
     /// How much it keeps its volume: 0 for cork, 0.3 for wood, 0.45 for flesh, 0.49 for rubber
     #[param(default = 0.45, hard = 0.0..=0.495, soft = 0.0..=0.49, invalidates_preparation)]
     poisson: f64,
-    /// How heavy it is beside its stiffness: a bar as long as the diagonal that hangs by its end gets longer by half of
-    /// this
+    /// How heavy it is beside its stiffness: a bar as long as the diagonal that hangs by its end gets longer
+    /// by half of this
     #[param(default = 0.0, hard = 0.0..=10.0, soft = 0.0..=0.1)]
     weight: f64,
     /// Where the weight draws to

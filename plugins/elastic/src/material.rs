@@ -1,11 +1,10 @@
 //! The energy of a piece of the body by how it is deformed, with its first and second derivatives.
 //!
-//! Stable neo-Hookean: B. Smith, F. de Goes, T. Kim, *Stable neo-Hookean flesh simulation*, ACM TOG 37, 2018; M.
-//! Macklin, M.
-//! Müller, *A constraint-based formulation of stable neo-Hookean materials*, MIG 2021. It is defined for pieces that
-//! are
-//! turned inside out, too. Shear modulus 1; split so that both parts are at rest by themselves: the first is that of a
-//! material without transverse contraction, and the second the rest of what resists changes of volume.
+//! Stable neo-Hookean: B. Smith, F. de Goes, T. Kim, *Stable neo-Hookean flesh simulation*, ACM TOG 37, 2018;
+//! M. Macklin, M. Müller, *A constraint-based formulation of stable neo-Hookean materials*, MIG 2021. It is
+//! defined for pieces that are turned inside out, too. Shear modulus 1; split so that both parts are at rest
+//! by themselves: the first is that of a material without transverse contraction, and the second the rest of
+//! what resists changes of volume.
 
 use crate::cell::{Eight, Matrices, cross, dot as dot_at};
 use glam::DMat3;
@@ -48,7 +47,8 @@ pub fn shape(f: &Matrices) -> (Eight, Matrices) {
     (energy, from_fn(|c| from_fn(|r| f[c][r] + by * cofactors[c][r])))
 }
 
-/// Of shape, at eight points: how the stresses change, if the material is stiffer by a part of its shear modulus.
+/// Of shape, at eight points: how the stresses change, if the material is stiffer by a part of its shear
+/// modulus.
 #[inline(always)]
 pub fn shape_change(f: &Matrices, by: &Matrices, stiffer: f64) -> Matrices {
     let cofactors = cofactors_at(f);

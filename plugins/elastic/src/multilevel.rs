@@ -1,4 +1,5 @@
-//! What makes conjugate gradients quick: residuals are divided by stiffness on lattices of ever larger cells, too.
+//! What makes conjugate gradients quick: residuals are divided by stiffness on lattices of ever larger cells,
+//! too.
 //!
 //! J. Bramble, J. Pasciak, J. Xu, *Parallel multilevel preconditioners*, Mathematics of Computation 55, 1990.
 

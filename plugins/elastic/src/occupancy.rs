@@ -1,10 +1,8 @@
 //! What of space the body takes up: fine cells that are outside of it, inside, or on its surface.
 //!
-//! The surface are triangles, or fans of neighbours among points alone. What cannot be reached from the border of the
-//! grid
-//! without a step through the surface is inside. Cells of the surface count by half, and the grid lies so that flat
-//! sides
-//! of the samples' box pass through the middle of cells.
+//! The surface are triangles, or fans of neighbours among points alone. What cannot be reached from the
+//! border of the grid without a step through the surface is inside. Cells of the surface count by half, and
+//! the grid lies so that flat sides of the samples' box pass through the middle of cells.
 
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult, PrepareInput};

@@ -84,8 +84,8 @@ impl Path {
     }
 }
 
-/// The rotation nearest to a map that does not turn anything inside out (N. Higham, SIAM J. Sci. Stat. Comput. 7,
-/// 1986).
+/// The rotation nearest to a map that does not turn anything inside out (N. Higham, SIAM J. Sci. Stat.
+/// Comput. 7, 1986).
 pub fn turn(map: DMat3) -> Option<DMat3> {
     let size = map.determinant();
     let largest = [map.x_axis, map.y_axis, map.z_axis].map(DVec3::length).into_iter().fold(0.0, f64::max);

@@ -1,8 +1,7 @@
-//! The body at rest: where its energy is least, by Newton's steps with conjugate gradients. Where the energy is not
-//! convex, steps
-//! tend to those of projective dynamics (T. Liu, S. Bouaziz, L. Kavan, *Quasi-Newton methods for real-time simulation
-//! of
-//! hyperelastic materials*, ACM TOG 36, 2017), in which the material is a Laplacian.
+//! The body at rest: where its energy is least, by Newton's steps with conjugate gradients. Where the energy
+//! is not convex, steps tend to those of projective dynamics (T. Liu, S. Bouaziz, L. Kavan, *Quasi-Newton
+//! methods for real-time simulation of hyperelastic materials*, ACM TOG 36, 2017), in which the material is a
+//! Laplacian.
 
 use crate::body::{Body, Load};
 use crate::contact::{Surface, Touch};
@@ -13,18 +12,17 @@ use simod_plugin_api::{Host, PluginResult};
 
 /// Conjugate gradients for one step, at most.
 const MOST_GRADIENTS: usize = 600;
-/// How many products of the second derivatives a lattice is worth: so many by the number of cells, within bounds.
+/// How many products of the second derivatives a lattice is worth: so many by the number of cells, within
+/// bounds.
 const WORK: usize = 600_000;
 const FEWEST_PRODUCTS: usize = 30;
 const MOST_PRODUCTS: usize = 1500;
-/// Where the energy is not convex, the material is taken for stiffer by this part of its shear modulus, and by three
-/// times as
-/// much each time that it is not enough, up to the second.
+/// Where the energy is not convex, the material is taken for stiffer by this part of its shear modulus, and
+/// by three times as much each time that it is not enough, up to the second.
 const STIFFER: f64 = 0.1;
 const STIFFEST: f64 = 2.0;
-/// Where the body touches itself it is at rest, too, when a step would gain less than this part of the energy: points
-/// in
-/// contact slide from one to the next, which goes on for long and shows nowhere.
+/// Where the body touches itself it is at rest, too, when a step would gain less than this part of the
+/// energy: points in contact slide from one to the next, which goes on for long and shows nowhere.
 const SLIDING: f64 = 1e-4;
 /// Halvings of a step, at most.
 const HALVINGS: usize = 14;
@@ -145,9 +143,8 @@ pub fn settle(
     Ok(false)
 }
 
-/// Conjugate gradients until so much of the residual is left, or so many times; and whether the energy is convex along
-/// all of
-/// them.
+/// Conjugate gradients until so much of the residual is left, or so many times; and whether the energy is
+/// convex along all of them.
 fn solve(
     mut residual: Vec<DVec3>,
     (left, most): (f64, usize),
@@ -184,9 +181,8 @@ fn solve(
     Ok((solution, true))
 }
 
-/// How much each corner goes along with some targets: 1 where one holds, 0 where others do, even between. As many as
-/// three
-/// at a time.
+/// How much each corner goes along with some targets: 1 where one holds, 0 where others do, even between. As
+/// many as three at a time.
 pub fn shares(body: &Body, targets: &[u32], host: &Host<'_>) -> PluginResult<Vec<Vec<f64>>> {
     let inverse = body.inverse(&[]);
     let mut all = Vec::new();

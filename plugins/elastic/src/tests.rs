@@ -252,8 +252,8 @@ fn volume_is_kept() {
     }
 }
 
-/// A bar is bent back upon itself, and its end pressed into it from above: it gives way. Without contact both are in
-/// one place.
+/// A bar is bent back upon itself, and its end pressed into it from above: it gives way. Without contact both
+/// are in one place.
 #[test]
 fn a_half_turn_passes_nowhere_through_itself() {
     let mut setup = ends(bar(0.12, 50));

@@ -283,8 +283,8 @@ impl Deformer for Laplacian {
 }
 
 impl Migrate for Laplacian {
-    /// In the first version `arap` had a bending length, as `smooth-arap` has now. Steps that give one above 0
-    /// keep it; others are as rigid as possible, as they say.
+    /// In the first version `arap` had a bending length, as `smooth-arap` has now. Steps that give one above
+    /// 0 keep it; others are as rigid as possible, as they say.
     fn migration() -> MigrationDesc {
         MigrationDesc::new(2)
     }

@@ -1,9 +1,9 @@
 //! An approximate inverse of interpolation's matrix, by domains that overlap and a coarse selection.
 //!
-//! R. K. Beatson, W. A. Light, S. Billups, *Fast solution of the radial basis function interpolation equations:
-//! domain decomposition methods*, SIAM Journal on Scientific Computing 2000. Each domain interpolates for itself,
-//! with surroundings that overlap others; weights of its own centres count. What is left over at well-spread
-//! centres is interpolated by these.
+//! R. K. Beatson, W. A. Light, S. Billups, *Fast solution of the radial basis function interpolation
+//! equations: domain decomposition methods*, SIAM Journal on Scientific Computing 2000. Each domain
+//! interpolates for itself, with surroundings that overlap others; weights of its own centres count. What is
+//! left over at well-spread centres is interpolated by these.
 
 use crate::constraints::spread_order;
 use crate::kernel::{Functions, Kernel, Point};
@@ -22,8 +22,8 @@ const ALL: usize = 360;
 const COARSE_OF: usize = 12;
 /// between so few and so many.
 const COARSE: [usize; 2] = [500, 2000];
-/// What keeps a factorisation from failing by rounding, as a part of the matrix' mean eigenvalue: the first that
-/// does.
+/// What keeps a factorisation from failing by rounding, as a part of the matrix' mean eigenvalue: the first
+/// that does.
 const RIDGES: [f64; 4] = [1e-13, 1e-11, 1e-8, 1e-4];
 
 /// The approximate inverse.

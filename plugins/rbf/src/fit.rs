@@ -5,8 +5,8 @@
 //! and where there are very many constraints, some take part that are well spread. Whenever there are twice
 //! as many centres, all constraints are checked, and more that are not met take part.
 //!
-//! Where that does not meet them with [`CHOSEN`] centres and there may be more, these are interpolated by, which
-//! costs their square and not their cube (`interpolation`).
+//! Where that does not meet them with [`CHOSEN`] centres and there may be more, these are interpolated by,
+//! which costs their square and not their cube (`interpolation`).
 
 use crate::TOGETHER;
 use crate::constraints::{Constraints, spread_order};
@@ -176,7 +176,8 @@ impl Fitter<'_> {
         }
     }
 
-    /// Makes what is not met centres, up to `most` of them, until all is; where rounding ends that, the best fit.
+    /// Makes what is not met centres, up to `most` of them, until all is; where rounding ends that, the best
+    /// fit.
     fn interpolate(
         &self,
         mut fit: Fit,

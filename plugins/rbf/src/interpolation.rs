@@ -1,8 +1,8 @@
 //! Interpolation by very many centres: what the values are at each of them.
 //!
-//! The equations are solved by GMRES (Y. Saad, M. Schultz, SIAM Journal on Scientific and Statistical Computing
-//! 1986), for all right-hand sides side by side, with `domains` as an approximate inverse: some ten steps, each
-//! of which sums all kernels at all centres once.
+//! The equations are solved by GMRES (Y. Saad, M. Schultz, SIAM Journal on Scientific and Statistical
+//! Computing 1986), for all right-hand sides side by side, with `domains` as an approximate inverse: some ten
+//! steps, each of which sums all kernels at all centres once.
 
 use crate::domains::Domains;
 use crate::kernel::Functions;
@@ -18,8 +18,8 @@ const CYCLES: usize = 3;
 /// A cycle that leaves more than this part has come to where rounding ends it.
 const WORTH: f64 = 0.3;
 
-/// Weights by which the functions are `targets` at their centres, to the tolerance or as near as rounding lets
-/// them: functions x sums, of `targets` centres x sums.
+/// Weights by which the functions are `targets` at their centres, to the tolerance or as near as rounding
+/// lets them: functions x sums, of `targets` centres x sums.
 pub fn interpolate(
     functions: &Functions,
     targets: &Mat<f64>,

@@ -181,10 +181,12 @@ fn mean(transforms: &[Affine]) -> Affine {
     Affine { rows: std::array::from_fn(|i| std::array::from_fn(|j| first.rows[i][j] + rest(i, j))) }
 }
 
-/// What is left over of a motion, beyond which regions that move apart may touch each other, so that no centres help.
+/// What is left over of a motion, beyond which regions that move apart may touch each other, so that no
+/// centres help.
 const CONTRADICTION: f64 = 0.4;
 
-/// What is met where so much of a motion is left over, in percent, with as many digits as tell it from all of it.
+/// What is met where so much of a motion is left over, in percent, with as many digits as tell it from all of
+/// it.
 fn met(left: f64) -> String {
     let decimals = (-left.max(1e-12).log10() - 2.0).ceil().clamp(0.0, 8.0) as usize;
     format!("{:.decimals$} %", 100.0 * (1.0 - left.min(1.0)))

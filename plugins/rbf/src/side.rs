@@ -57,8 +57,8 @@ impl SideConditions {
         &self.made_of * (self.basis.transpose() * columns)
     }
 
-    /// Makes a symmetric matrix one that has the affine functions for eigenvectors, with the mean of the others'
-    /// eigenvalues, and is otherwise the same. Gives that mean.
+    /// Makes a symmetric matrix one that has the affine functions for eigenvectors, with the mean of the
+    /// others' eigenvalues, and is otherwise the same. Gives that mean.
     pub fn complete(&self, matrix: &mut Mat<f64>) -> f64 {
         self.take_out(matrix.as_mut());
         let mut turned = matrix.transpose().to_owned();

@@ -1,6 +1,7 @@
-//! The motion or similarity that lays the model on the target before anything bends: by landmarks, or by the closest points
-//! of the best fitting parts (D. Chetverikov and others, *The trimmed iterative closest point algorithm*, ICPR 2002), from where
-//! the model lies or from many turns, those of the axes and of the principal ones.
+//! The motion or similarity that lays the model on the target before anything bends: by landmarks, or by the
+//! closest points of the best fitting parts (D. Chetverikov and others, *The trimmed iterative closest point
+//! algorithm*, ICPR 2002), from where the model lies or from many turns, those of the axes and of the
+//! principal ones.
 
 use crate::points::{Extent, Pair, similarity, some};
 use crate::tree::Tree;
@@ -21,11 +22,13 @@ const FITTING: f64 = 0.7;
 const PARTS: [f64; 2] = [FITTING, 1.0];
 /// Another turn has to fit so much better than none.
 const BETTER: f64 = 0.8;
-/// The best turns of the search, which are compared by more points, where they are only told and where they are taken.
+/// The best turns of the search, which are compared by more points, where they are only told and where they
+/// are taken.
 const FINALISTS: [usize; 2] = [1, 5];
 /// Another turn that fits so much better is told.
 const TURNED: f64 = 0.4;
-/// Sizes that differ by more than this factor are taken for different units, and by less, for something to be told.
+/// Sizes that differ by more than this factor are taken for different units, and by less, for something to be
+/// told.
 const UNITS: [f64; 2] = [5.0, 2.0];
 /// Boxes that are so many diagonals of the model apart do not overlap.
 const APART: f64 = 0.1;

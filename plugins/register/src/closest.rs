@@ -1,8 +1,10 @@
-//! As-rigid-as-possible closest points: a graph is drawn to the closest points of the target, stiff first and softer step by
-//! step (B. Amberg, S. Romdhani, T. Vetter, *Optimal step nonrigid ICP algorithms for surface registration*, CVPR 2007).
+//! As-rigid-as-possible closest points: a graph is drawn to the closest points of the target, stiff first and
+//! softer step by step (B. Amberg, S. Romdhani, T. Vetter, *Optimal step nonrigid ICP algorithms for surface
+//! registration*, CVPR 2007).
 //!
-//! A pair counts if its normals agree, if it is not much longer than the others, and if it does not slant: from beyond
-//! a border, or over a gap, the closest point lies aside. So what has no counterpart follows what has.
+//! A pair counts if its normals agree, if it is not much longer than the others, and if it does not slant:
+//! from beyond a border, or over a gap, the closest point lies aside. So what has no counterpart follows what
+//! has.
 
 use crate::graph::{Carried, Graph, Term};
 use crate::points::{Pair, some};
@@ -74,14 +76,16 @@ pub struct Fit {
     pub matched: [f64; 2],
     /// See [`Graph::strain`].
     pub strain: f64,
-    /// How far landmarks are from where they belong: the root of the mean square; nothing where there are none.
+    /// How far landmarks are from where they belong: the root of the mean square; nothing where there are
+    /// none.
     pub landmarks: Option<f64>,
 }
 
 impl Fit {
-    /// What of the ways to a fit the best one has least of. Strain tells those that stretch a part over the whole, or bend
-    /// what should only be turned. A part may be missing on one side, but hardly on both: the side that is matched better
-    /// counts most. Distances count little, in those between the target's points, as far as there is a match.
+    /// What of the ways to a fit the best one has least of. Strain tells those that stretch a part over the
+    /// whole, or bend what should only be turned. A part may be missing on one side, but hardly on both: the
+    /// side that is matched better counts most. Distances count little, in those between the target's points,
+    /// as far as there is a match.
     pub fn cost(&self, spacing: f64) -> f64 {
         let [less, more] = {
             let [a, b] = self.matched;
@@ -189,8 +193,8 @@ impl<'a> Closest<'a> {
         Ok(Moved { points, normals, tree, spacing, knows_sides })
     }
 
-    /// The pairs of the source's points, and those of some of the target's: the nearest whose normals agree, if it
-    /// does not lie aside.
+    /// The pairs of the source's points, and those of some of the target's: the nearest whose normals agree,
+    /// if it does not lie aside.
     fn matches(&self, moved: &Moved, host: &Host<'_>) -> PluginResult<[Vec<Option<Match>>; 2]> {
         let target = self.target;
         let agrees = |n: DVec3, other: DVec3| {

@@ -1,6 +1,7 @@
-//! Coherent point drift (A. Myronenko, X. Song, *Point set registration: coherent point drift*, PAMI 2010): the model's
-//! points are the centres of a mixture of Gaussians that all have one variance, which shrinks while it is fitted to the
-//! target's points by expectation maximisation; noise and what has no counterpart is left to a uniform part.
+//! Coherent point drift (A. Myronenko, X. Song, *Point set registration: coherent point drift*, PAMI 2010):
+//! the model's points are the centres of a mixture of Gaussians that all have one variance, which shrinks
+//! while it is fitted to the target's points by expectation maximisation; noise and what has no counterpart
+//! is left to a uniform part.
 
 use crate::gaussian::{Field, Kernel};
 use crate::points::Pair;
@@ -26,10 +27,11 @@ const LANDMARKS: f64 = 1e-3;
 /// The variance that the drift begins with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
-    /// That of all pairs of points, as in the paper: what lies far apart finds each other, but parts that are missing
-    /// draw the rest along.
+    /// That of all pairs of points, as in the paper: what lies far apart finds each other, but parts that are
+    /// missing draw the rest along.
     Wide,
-    /// That of the nearest points: for what lies on each other already but for a deformation, also if parts are missing.
+    /// That of the nearest points: for what lies on each other already but for a deformation, also if parts
+    /// are missing.
     Near,
 }
 
@@ -49,14 +51,16 @@ pub struct Drift {
 
 /// What belongs together, by probabilities.
 struct Expected {
-    /// For each point of the model: how much of the target belongs to it (P 1), and the weighted sum of that (P X).
+    /// For each point of the model: how much of the target belongs to it (P 1), and the weighted sum of that
+    /// (P X).
     own: Vec<(f64, DVec3)>,
     /// The sum of the squares of the target's points, as far as they belong to anything.
     squares: f64,
 }
 
 impl Drift {
-    /// The displacement that takes `source` to `target`, and the number of iterations. Landmarks belong together for sure.
+    /// The displacement that takes `source` to `target`, and the number of iterations. Landmarks belong
+    /// together for sure.
     ///
     /// # Errors
     /// The points determine nothing; the user cancelled.
@@ -145,7 +149,8 @@ impl Drift {
     }
 }
 
-/// (d(P1) G + λ σ² I) W = P X − d(P1) Y, where G = L Lᵀ: c = Lᵀ W solves (Lᵀ d(P1) L + λ σ² I) c = Lᵀ (P X − d(P1) Y).
+/// (d(P1) G + λ σ² I) W = P X − d(P1) Y, where G = L Lᵀ: c = Lᵀ W solves (Lᵀ d(P1) L + λ σ² I) c = Lᵀ (P X −
+/// d(P1) Y).
 fn maximized(from: &[DVec3], own: &[(f64, DVec3)], kernel: &Kernel, ridge: f64) -> PluginResult<Field> {
     let factor = &kernel.factor;
     let count = factor.ncols();
@@ -175,8 +180,8 @@ fn variance_of_all(source: &[DVec3], target: &[DVec3]) -> f64 {
     (squares(source, a) + squares(target, b) + a.distance_squared(b)) / 3.0
 }
 
-/// Four times the square that half of the distances to the nearest points are below, on the side where these are
-/// longer.
+/// Four times the square that half of the distances to the nearest points are below, on the side where these
+/// are longer.
 fn variance_of_nearest(source: &[DVec3], target: &[DVec3]) -> f64 {
     let nearest = |from: &[DVec3], to: &[DVec3]| {
         let tree = Tree::new(to);

@@ -1,7 +1,8 @@
 //! The low-rank Gaussian kernel of coherent point drift, and its field.
 //!
-//! A pivoted Cholesky decomposition takes the place of the largest eigenvalues (Myronenko and Song 2010, §7). What it
-//! leaves is a kernel of a few centres, so that the displacement is a sum of Gaussians about these, known anywhere.
+//! A pivoted Cholesky decomposition takes the place of the largest eigenvalues (Myronenko and Song 2010, §7).
+//! What it leaves is a kernel of a few centres, so that the displacement is a sum of Gaussians about these,
+//! known anywhere.
 
 use faer::Mat;
 use glam::DVec3;

@@ -1,5 +1,5 @@
-//! A graph of nodes that carry space along (R. W. Sumner, J. Schmid, M. Pauly, *Embedded deformation for shape
-//! manipulation*, SIGGRAPH 2007), each turned as its neighbours' places tell (O. Sorkine, M. Alexa, *As-rigid-as-possible
+//! A graph of nodes that carry space along (R. W. Sumner, J. Schmid, M. Pauly, *Embedded deformation for
+//! shape manipulation*, SIGGRAPH 2007), each turned as its neighbours' places tell (O. Sorkine, M. Alexa, *As-rigid-as-possible
 //! surface modeling*, SGP 2007): the energy of its edges is what bending costs.
 
 use crate::points::{farthest, nearest_turn};
@@ -42,7 +42,8 @@ pub struct Term {
 }
 
 impl Graph {
-    /// Of at most `count` nodes, which are some of the points, as far from each other as can be; all of them at rest.
+    /// Of at most `count` nodes, which are some of the points, as far from each other as can be; all of them
+    /// at rest.
     pub fn new(points: &[DVec3], count: usize) -> Self {
         let node = |i: usize| Node { rest: points[i], now: points[i], turn: DMat3::IDENTITY };
         let mut graph =
@@ -110,8 +111,8 @@ impl Graph {
         (squares / self.nodes.len().max(1) as f64).sqrt()
     }
 
-    /// How much edges differ from what the turns of their nodes make of them, as a part of their lengths: the root of
-    /// the mean square.
+    /// How much edges differ from what the turns of their nodes make of them, as a part of their lengths: the
+    /// root of the mean square.
     pub fn strain(&self) -> f64 {
         let part = |(a, b): &(usize, usize)| {
             let [na, nb] = [self.nodes[*a], self.nodes[*b]];

@@ -1,10 +1,10 @@
-//! Non-rigid registration: the samples are deformed to another model, a mesh or a cloud, as far as both have something
-//! in common.
+//! Non-rigid registration: the samples are deformed to another model, a mesh or a cloud, as far as both have
+//! something in common.
 //!
-//! A rigid motion or a similarity lays the model on the target (`align`); coherent point drift (`drift`, with the field of
-//! `gaussian`) finds what belongs together from afar; closest points draw a graph that is as rigid as possible (`closest`,
-//! `graph`) from there to the target. All are of some of the points, and maps of space, which any sample goes through
-//! (`registration`).
+//! A rigid motion or a similarity lays the model on the target (`align`); coherent point drift (`drift`, with
+//! the field of `gaussian`) finds what belongs together from afar; closest points draw a graph that is as
+//! rigid as possible (`closest`, `graph`) from there to the target. All are of some of the points, and maps
+//! of space, which any sample goes through (`registration`).
 
 mod align;
 mod closest;
@@ -34,13 +34,15 @@ struct Register;
 
 #[derive(ParamSet)]
 struct Settings {
-    /// Drift finds what lies far apart; closest points meet the surface, and leave alone what has no counterpart
+    /// Drift finds what lies far apart; closest points meet the surface, and leave alone what has no
+    /// counterpart
     #[param(default = Method::CpdIcp, invalidates_preparation)]
     method: Method,
     /// Lays the model on the target first: by a motion, or at another size as well, as where units differ
     #[param(default = Align::Rigid, invalidates_preparation)]
     align: Align,
-    /// Tries many turns to lay the model on the target: where it is not known how they are turned to each other
+    /// Tries many turns to lay the model on the target: where it is not known how they are turned to each
+    /// other
     #[param(default = false, invalidates_preparation)]
     any_turn: bool,
     /// Where the result is: at the target, or where and as large as the model was

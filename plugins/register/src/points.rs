@@ -84,8 +84,8 @@ fn products(pairs: &[Pair], of: impl Fn(&Pair) -> (DVec3, DVec3)) -> DMat3 {
     })
 }
 
-/// The turn that is nearest to a matrix, and the sum of its singular values, those of a mirror taken off (S. Umeyama,
-/// PAMI 1991); nothing where it is not determined.
+/// The turn that is nearest to a matrix, and the sum of its singular values, those of a mirror taken off (S.
+/// Umeyama, PAMI 1991); nothing where it is not determined.
 pub fn nearest_turn(matrix: DMat3) -> Option<(DMat3, f64)> {
     let svd = Mat::<f64>::from_fn(3, 3, |i, j| matrix.col(j)[i]).svd().ok()?;
     let dense =
@@ -99,7 +99,8 @@ pub fn nearest_turn(matrix: DMat3) -> Option<(DMat3, f64)> {
     Some((u * DMat3::from_diagonal(signs) * v.transpose(), values.dot(signs)))
 }
 
-/// The similarity that takes sources to targets best, or the rigid motion; nothing where they lie on a line, or nearly.
+/// The similarity that takes sources to targets best, or the rigid motion; nothing where they lie on a line,
+/// or nearly.
 pub fn similarity(pairs: &[Pair], with_scale: bool) -> Option<DAffine3> {
     let (source, target, whole) = means(pairs);
     if !(whole.is_finite() && whole > 0.0) {

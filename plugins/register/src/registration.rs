@@ -1,8 +1,8 @@
-//! From the samples and the target to a map of space: alignment, several ways of bending from there, the best of them, and
-//! what is told of it.
+//! From the samples and the target to a map of space: alignment, several ways of bending from there, the best
+//! of them, and what is told of it.
 //!
-//! Bending happens where the model is, about 0 and of unit spread: the target is brought there, and the result goes to the
-//! target.
+//! Bending happens where the model is, about 0 and of unit spread: the target is brought there, and the
+//! result goes to the target.
 
 use crate::align::{Alignment, aligned};
 use crate::closest::{Closest, Fit, Surface};
@@ -21,8 +21,8 @@ const MODEL: usize = 20_000;
 const CLOSEST: usize = 4000;
 /// Centres of a drift's displacement at most.
 const CENTERS: usize = 400;
-/// What is tried, and the best of it taken: closest points alone; from a drift, stiff enough to undo what it did wrong; and
-/// from a drift as it is, also from afar.
+/// What is tried, and the best of it taken: closest points alone; from a drift, stiff enough to undo what it
+/// did wrong; and from a drift as it is, also from afar.
 const WAYS: [Way; 4] = [
     Way { drift: None, closest: Some(1e3) },
     Way { drift: Some(Start::Near), closest: Some(100.0) },

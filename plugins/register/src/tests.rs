@@ -161,8 +161,8 @@ impl Case {
         Ok(rest.iter().zip(&state.samples).map(|(p, q)| [dense(p), dense(q)]).collect())
     }
 
-    /// How far samples that are looked at are from where the truth has them: the root of the mean square, as a part
-    /// of the diagonal.
+    /// How far samples that are looked at are from where the truth has them: the root of the mean square, as
+    /// a part of the diagonal.
     fn error(&self, truth: &dyn Fn(DVec3) -> DVec3, looks_at: &dyn Fn(DVec3) -> bool) -> f64 {
         rms(&self.moved(EVERYWHERE).expect("a map"), truth, looks_at)
     }

@@ -1,5 +1,6 @@
-//! The nearest of a set of points: a k-d tree (J. Friedman, J. Bentley, R. Finkel, *An Algorithm for Finding Best
-//! Matches in Logarithmic Expected Time*, 1977), of the points themselves, each half way through its range.
+//! The nearest of a set of points: a k-d tree (J. Friedman, J. Bentley, R. Finkel, *An Algorithm for Finding
+//! Best Matches in Logarithmic Expected Time*, 1977), of the points themselves, each half way through its
+//! range.
 
 use glam::DVec3;
 

@@ -28,10 +28,10 @@ pub struct Frames {
 type Rows = (Vec<[f64; NUMBERS]>, Vec<u32>);
 
 impl Frames {
-    /// The poses in a file. Text has a line of 12 numbers for each bone of the first frame, then of the second,
-    /// and so on; empty lines, and those that begin with `#`, are passed over. A DMAT has 12 columns with the
-    /// same, or 3 with four rows for each bone, as libigl's `lbs_matrix` takes them. All are in the model's
-    /// coordinates.
+    /// The poses in a file. Text has a line of 12 numbers for each bone of the first frame, then of the
+    /// second, and so on; empty lines, and those that begin with `#`, are passed over. A DMAT has 12 columns
+    /// with the same, or 3 with four rows for each bone, as libigl's `lbs_matrix` takes them. All are in the
+    /// model's coordinates.
     ///
     /// # Errors
     /// They name the line.

@@ -9,9 +9,9 @@ const TOGETHER: usize = 512;
 /// Joints with weights.
 pub type Influences = Vec<(f64, u16)>;
 
-/// Keeps the largest of some weights, which sum to more than 0, largest first and as parts of 1; gives how much
-/// of them is left out. What the first one has that is left out is taken off all others, so that none jumps
-/// where another takes its place.
+/// Keeps the largest of some weights, which sum to more than 0, largest first and as parts of 1; gives how
+/// much of them is left out. What the first one has that is left out is taken off all others, so that none
+/// jumps where another takes its place.
 pub fn limited(weights: &mut Influences, limit: usize) -> f64 {
     weights.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let all: f64 = weights.iter().map(|w| w.0).sum();
@@ -26,8 +26,8 @@ pub fn limited(weights: &mut Influences, limit: usize) -> f64 {
     lost
 }
 
-/// Turns weights that are not negative into parts of their sum, of which small ones are faded out: those below
-/// the first of two shares are nothing, and those above the second are whole.
+/// Turns weights that are not negative into parts of their sum, of which small ones are faded out: those
+/// below the first of two shares are nothing, and those above the second are whole.
 pub fn faded(weights: &mut Influences, shares: [f64; 2]) {
     let sum: f64 = weights.iter().map(|w| w.0).sum();
     for (weight, _) in weights.iter_mut() {

@@ -70,8 +70,8 @@ struct Pose {
     /// joint comes there
     #[param(default = Reach::Ends, group = "Reaching", invalidates_preparation)]
     reach: Reach,
-    /// Most bones of a chain that reaches, two for an arm or a leg, so that a hand does not turn the body; 0 for all up
-    /// to the root, or up to where the skeleton branches
+    /// Most bones of a chain that reaches, two for an arm or a leg, so that a hand does not turn the body; 0
+    /// for all up to the root, or up to where the skeleton branches
     #[param(default = 2, hard = 0..=1000, soft = 0..=8, group = "Reaching")]
     reach_length: i64,
 }
@@ -97,8 +97,8 @@ enum Reach {
 /// What the weights are by.
 #[derive(ParamSet)]
 struct Weights {
-    /// How weights are found, where no file has them: the smoothest ones that go from one bone to the next, or
-    /// by distances through the inside, with `falloff` and `smoothing`
+    /// How weights are found, where no file has them: the smoothest ones that go from one bone to the next,
+    /// or by distances through the inside, with `falloff` and `smoothing`
     #[param(default = Binding::Biharmonic, group = "Weights", invalidates_preparation)]
     binding: Binding,
     /// Most joints that a place follows; 0 for four where weights are found, and for all that a file has
@@ -398,8 +398,8 @@ impl Handles for Skinning {
 }
 
 impl Migrate for Skinning {
-    /// In the first version weights were geodesic: sessions that say how stay with these. In the second, chains that
-    /// reach went up to the root.
+    /// In the first version weights were geodesic: sessions that say how stay with these. In the second,
+    /// chains that reach went up to the root.
     fn migration() -> MigrationDesc {
         MigrationDesc::new(3)
     }

@@ -55,8 +55,8 @@ impl Skeleton {
         Self::of(given.iter().map(joint).collect(), &[])
     }
 
-    /// Joints by their ids, places and parents, each after its parent; and the lower joints of bones, if these
-    /// have an order of their own.
+    /// Joints by their ids, places and parents, each after its parent; and the lower joints of bones, if
+    /// these have an order of their own.
     fn of(given: Vec<Placed>, bones: &[usize]) -> PluginResult<Self> {
         if given.is_empty() {
             return Err(PluginError::input("there are no joints")
@@ -132,8 +132,9 @@ impl Skeleton {
         self.joints[lower].parent.unwrap_or(lower)
     }
 
-    /// Each bone by itself, with two joints of its own, upper and lower, or one. The upper one has the id of the
-    /// joint that it is of, and behind it that of the lower one where several bones hang there: `hip/knee`.
+    /// Each bone by itself, with two joints of its own, upper and lower, or one. The upper one has the id of
+    /// the joint that it is of, and behind it that of the lower one where several bones hang there:
+    /// `hip/knee`.
     #[must_use]
     pub fn taken_apart(&self) -> Self {
         let mut joints = Vec::new();

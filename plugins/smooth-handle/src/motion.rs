@@ -130,8 +130,8 @@ pub fn blend<'a>(p: DVec3, parts: impl Iterator<Item = (&'a Motion, f64)>) -> DV
 pub struct PartsTable(Vec<DAffine3>);
 
 impl PartsTable {
-    /// So many parts: within a half turn, the line between two leaves the screw by about a millionth of the distance from
-    /// its axis.
+    /// So many parts: within a half turn, the line between two leaves the screw by about a millionth of the
+    /// distance from its axis.
     const STEPS: usize = 1024;
 
     /// Of a motion.

@@ -1,8 +1,8 @@
 //! Filters of what a surface is made of, wave by wave: polynomials of its Laplacian.
 //!
-//! G. Taubin, *A signal processing approach to fair surface design*, SIGGRAPH 1995; G. Taubin, T. Zhang, G. Golub, *Optimal
-//! surface smoothing as filter design*, ECCV 1996, §4: Chebyshev polynomials, so that a filter takes as many products
-//! with the Laplacian as its degree, and needs nothing but these.
+//! G. Taubin, *A signal processing approach to fair surface design*, SIGGRAPH 1995; G. Taubin, T. Zhang, G.
+//! Golub, *Optimal surface smoothing as filter design*, ECCV 1996, §4: Chebyshev polynomials, so that a
+//! filter takes as many products with the Laplacian as its degree, and needs nothing but these.
 
 use crate::laplacian::Laplacian;
 use glam::DVec3;
@@ -18,8 +18,9 @@ pub const MOST: usize = 4000;
 pub struct Filter(Vec<f64>);
 
 impl Filter {
-    /// The one that keeps waves of `k` below a cut-off and leaves none above: half of those at it, all from half of its
-    /// frequency down, none from one and a half up. An ideal filter, faded out by Hamming's window.
+    /// The one that keeps waves of `k` below a cut-off and leaves none above: half of those at it, all from
+    /// half of its frequency down, none from one and a half up. An ideal filter, faded out by Hamming's
+    /// window.
     pub fn low_pass(cut_off: f64) -> Self {
         let angle = (1.0 - cut_off).acos();
         // The width of the transition is 3.3 whole turns by twice the degree.

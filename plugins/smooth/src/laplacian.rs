@@ -1,14 +1,16 @@
-//! The Laplacian of a surface, by its triangles or by neighbours, as rows that add to nothing and have eigenvalues of 0 to 2.
+//! The Laplacian of a surface, by its triangles or by neighbours, as rows that add to nothing and have
+//! eigenvalues of 0 to 2.
 //!
-//! Cotangents and areas by M. Meyer, M. Desbrun, P. Schröder, A. Barr, *Discrete differential-geometry operators for
-//! triangulated 2-manifolds*, 2002: what is flat stays, however irregular its triangles are. Among points alone, weights
-//! fall with the distance, and areas are such that the Laplacian of the squared distance is that of a plane.
+//! Cotangents and areas by M. Meyer, M. Desbrun, P. Schröder, A. Barr, *Discrete differential-geometry
+//! operators for triangulated 2-manifolds*, 2002: what is flat stays, however irregular its triangles are.
+//! Among points alone, weights fall with the distance, and areas are such that the Laplacian of the squared
+//! distance is that of a plane.
 
 use glam::DVec3;
 use simod_plugin_api::Graph;
 
-/// The part of the vertices whose surroundings are finer than what the Laplacian's scale goes by: these count as if
-/// they were not.
+/// The part of the vertices whose surroundings are finer than what the Laplacian's scale goes by: these count
+/// as if they were not.
 const FINEST: f64 = 0.05;
 
 /// Triangles of less height beside their longest side are lines, which hold nothing.
@@ -29,8 +31,8 @@ struct Sums {
 }
 
 impl Laplacian {
-    /// That of triangles, and of neighbours at vertices without. `freedom` is how free each vertex is to move, 0 to 1.
-    /// Vertices on open borders are not: nothing says how these go on.
+    /// That of triangles, and of neighbours at vertices without. `freedom` is how free each vertex is to
+    /// move, 0 to 1. Vertices on open borders are not: nothing says how these go on.
     pub fn new(positions: &[DVec3], triangles: &[[u32; 3]], graph: &Graph<'_>, freedom: &[f64]) -> Self {
         let mut freedom = freedom.to_vec();
         let mut has_triangles = vec![false; positions.len()];
@@ -111,8 +113,8 @@ impl Sums {
         Self { edges, areas }
     }
 
-    /// Weights e^(-2 d²/h²) of neighbours at a distance of d, where h is that of all of them, root mean square, at the two
-    /// ends in the geometric mean.
+    /// Weights e^(-2 d²/h²) of neighbours at a distance of d, where h is that of all of them, root mean
+    /// square, at the two ends in the geometric mean.
     fn of_neighbours(positions: &[DVec3], graph: &Graph<'_>) -> Self {
         let squared = |i: usize, j: u32| positions[i].distance_squared(positions[j as usize]);
         let width = |i: usize| {

@@ -1,10 +1,10 @@
-//! Smoothing at the scale of the samples: bumps up to some size go, larger ones stay, and what is finer than the samples
-//! is carried along as it is.
+//! Smoothing at the scale of the samples: bumps up to some size go, larger ones stay, and what is finer than
+//! the samples is carried along as it is.
 //!
-//! Two methods: a low-pass filter (G. Taubin, *A signal processing approach to fair surface design*, SIGGRAPH 1995, by the
-//! polynomials of Taubin, Zhang and Golub 1996), which keeps the size of what stays; and mean curvature flow (M. Desbrun, M.
-//! Meyer, P. Schröder, A. Barr, *Implicit fairing of irregular meshes using diffusion and curvature flow*, SIGGRAPH 1999),
-//! by which all shrinks the faster the more it is curved.
+//! Two methods: a low-pass filter (G. Taubin, *A signal processing approach to fair surface design*, SIGGRAPH
+//! 1995, by the polynomials of Taubin, Zhang and Golub 1996), which keeps the size of what stays; and mean
+//! curvature flow (M. Desbrun, M. Meyer, P. Schröder, A. Barr, *Implicit fairing of irregular meshes using
+//! diffusion and curvature flow*, SIGGRAPH 1999), by which all shrinks the faster the more it is curved.
 
 mod filter;
 mod laplacian;
@@ -33,7 +33,8 @@ struct Settings {
     /// A filter keeps the size of what stays; the flow shrinks all, what is most curved first
     #[param(default = Method::Filter, invalidates_preparation)]
     method: Method,
-    /// Bumps go that are shorter from crest to crest; of those of this size half is left (by the flow, a third)
+    /// Bumps go that are shorter from crest to crest; of those of this size half is left (by the flow, a
+    /// third)
     #[param(default = 0.05, unit = "diagonal", hard = f64::MIN_POSITIVE..=10.0, soft = 0.005..=0.5, invalidates_preparation)]
     size: f64,
     /// How much of it is done; less than nothing makes bumps stand out

@@ -24,7 +24,8 @@ pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     triangles.iter().map(part).sum()
 }
 
-/// Moves what is free along the normals, all of it by one distance times its freedom, until the volume is the given one.
+/// Moves what is free along the normals, all of it by one distance times its freedom, until the volume is the
+/// given one.
 pub fn bring_back(positions: &mut [DVec3], triangles: &[[u32; 3]], freedom: &[f64], goal: f64) {
     for _ in 0..STEPS {
         let mut normals = vec![DVec3::ZERO; positions.len()];

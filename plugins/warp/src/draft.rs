@@ -1,5 +1,5 @@
-//! Twists and bends in single precision, many points at a time: for drafts, of which a hand that drags wants one after
-//! the other.
+//! Twists and bends in single precision, many points at a time: for drafts, of which a hand that drags wants
+//! one after the other.
 
 use crate::map::{Deformation, Warp};
 use pulp::{Arch, Simd, WithSimd};
@@ -24,7 +24,8 @@ pub struct Draft {
 enum Kind {
     /// Turns by so much per length along the axis.
     Twist { turn: f32 },
-    /// Bends by so much per length along the axis, towards a direction across it; one place of the axis stays.
+    /// Bends by so much per length along the axis, towards a direction across it; one place of the axis
+    /// stays.
     Bend { turn: f32, across: [f32; 3], still: f32 },
 }
 
@@ -47,7 +48,8 @@ impl Draft {
         Some(Self { centre, axis, from: from as f32, to: to as f32, kind })
     }
 
-    /// The images of points, of which there are as many. Nothing is fused, so that all processors give the same.
+    /// The images of points, of which there are as many. Nothing is fused, so that all processors give the
+    /// same.
     pub fn apply(&self, points: &[[f32; 3]], images: &mut [[f32; 3]]) {
         Arch::new().dispatch(Packets { draft: self, points, images });
     }
@@ -129,7 +131,8 @@ impl Draft {
     }
 }
 
-/// Sines and cosines, to some 1e-7, by the polynomials of S. L. Moshier's Cephes, of angles up to some thousand turns.
+/// Sines and cosines, to some 1e-7, by the polynomials of S. L. Moshier's Cephes, of angles up to some
+/// thousand turns.
 #[inline(always)]
 fn sines(angles: &Lanes) -> (Lanes, Lanes) {
     /// Added, it leaves the nearest whole number in the lowest bits.

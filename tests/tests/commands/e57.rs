@@ -127,7 +127,8 @@ fn scans_are_bent_in_the_frame_that_they_share() {
     let expected = work.ply("all-bent.ply").positions();
     let found = after.iter().flat_map(|(points, ..)| points);
     for (i, (found, expected)) in found.zip(&expected).enumerate() {
-        // The first scan has steps, the second one doubles; positions of both files differ by their last digits.
+        // The first scan has steps, the second one doubles; positions of both files differ by their last
+        // digits.
         let bound = if i < before[0].0.len() { 0.6e-4 } else { 1e-5 };
         assert!((*found - *expected).abs().max_element() < bound, "{i}: {found} for {expected}");
     }

@@ -45,8 +45,8 @@ fn a_model_that_is_none() {
     }
 }
 
-/// The program as it is built for these tests talks to no store, and says which one does; what is secret in a URL, it
-/// does not.
+/// The program as it is built for these tests talks to no store, and says which one does; what is secret in a
+/// URL, it does not.
 #[test]
 fn objects_without_object_storage() {
     let work = sampled();

@@ -1,5 +1,5 @@
-//! What is known of the samples at rest is kept beside them by the first reconstruction, and changes no byte of any
-//! other.
+//! What is known of the samples at rest is kept beside them by the first reconstruction, and changes no byte
+//! of any other.
 
 use glam::DVec3;
 use simod_tests::{MANY, Workplace};

@@ -61,7 +61,8 @@ fn three_commands_and_one_write_the_same_bytes() {
     assert!((shift.x - 0.35).abs() < 0.05 && shift.y.abs() < 0.15, "the mouth moved by {shift}");
 }
 
-/// `amount` of a step is for all that does steps: samples, vertices by the exact map, and what is measured by it.
+/// `amount` of a step is for all that does steps: samples, vertices by the exact map, and what is measured by
+/// it.
 #[test]
 fn an_amount_is_a_part_of_the_way() {
     let work = amphora(MANY / 10, MANY / 100);

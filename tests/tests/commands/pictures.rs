@@ -30,7 +30,8 @@ fn sheet(work: &Workplace) {
     work.write("sheet.ply", text);
 }
 
-/// The mean colour of the picture's left or right part, and its upper or lower one, around the middle of each.
+/// The mean colour of the picture's left or right part, and its upper or lower one, around the middle of
+/// each.
 fn mean(work: &Workplace, name: &str, [x, y]: [f64; 2]) -> [f64; 3] {
     let decoder = png::Decoder::new(BufReader::new(File::open(work.path(name)).expect("a picture")));
     let mut reader = decoder.read_info().expect("a PNG file");
@@ -81,7 +82,8 @@ fn own_colours_attributes_and_clay() {
     }
 }
 
-/// Around a point of the left half there is no blue, however the whole lies; and a diagnosis is a colour, too.
+/// Around a point of the left half there is no blue, however the whole lies; and a diagnosis is a colour,
+/// too.
 #[test]
 fn a_crop_shows_a_part_larger() {
     let work = Workplace::new();
@@ -107,8 +109,8 @@ fn a_crop_shows_a_part_larger() {
     assert_ne!(mean(&work, "d.png", LEFT), mean(&work, "d.png", [0.5, 0.5]));
 }
 
-/// A plane of two large triangles is drawn whole, as its corners alone cannot be; its own colours are mixed in
-/// between, and samples have triangles, too.
+/// A plane of two large triangles is drawn whole, as its corners alone cannot be; its own colours are mixed
+/// in between, and samples have triangles, too.
 #[test]
 fn faces_are_drawn_where_there_are_any() {
     let work = Workplace::new();

@@ -329,8 +329,8 @@ fn killed(name: &str) {
     assert!(!hidden.iter().any(|name| name.starts_with(".simod")), "{hidden:?}");
 }
 
-/// `finish` is killed when the output is in its place, before it has said so; then a part is done once more, to a file
-/// of its own that has nothing else. Whatever comes next, the output stays.
+/// `finish` is killed when the output is in its place, before it has said so; then a part is done once more,
+/// to a file of its own that has nothing else. Whatever comes next, the output stays.
 #[test]
 fn a_part_that_is_done_again_behind_a_killed_finish_takes_nothing_along() {
     let work = jar("made.ply", "--no-faces", STEPS);

@@ -1,4 +1,5 @@
-//! Models of several tiles by units, each of which writes some of the tiles: the same bytes as by one command.
+//! Models of several tiles by units, each of which writes some of the tiles: the same bytes as by one
+//! command.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -148,7 +149,8 @@ fn engines_do_the_units() {
     shell(&work, "make -q -C plan");
 }
 
-/// Units that are killed at any time leave nothing that hurts, and the former output until the last one is done.
+/// Units that are killed at any time leave nothing that hurts, and the former output until the last one is
+/// done.
 #[test]
 fn killed_units_are_done_again() {
     let work = survey("laz");

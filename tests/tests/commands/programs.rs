@@ -1,5 +1,5 @@
-//! Samples that other programs deform: they show colours, may come in another order if they have their ids, and
-//! all have to come back.
+//! Samples that other programs deform: they show colours, may come in another order if they have their ids,
+//! and all have to come back.
 
 use glam::DVec3;
 use simod_tests::Workplace;

@@ -281,7 +281,8 @@ fn other_models_come_in_the_first_one_s_coordinates() {
     let by = found.iter().zip(&lifted).map(|(p, q)| p.distance(*q) / diagonal);
     assert!(by.clone().all(|by| (by - 0.5).abs() < 1e-3), "{:?}", by.fold(0.0, f64::max));
 
-    // Samples that something moved: by their ids, in any order; from the folder of a sampled model, and its file.
+    // Samples that something moved: by their ids, in any order; from the folder of a sampled model, and its
+    // file.
     work.write("bend.toml", "[[step]]\ndeform = \"warp\"\nparams = { operation = \"bend\", angle = 70 }");
     work.simod("deform model.simod --session bend.toml -o bent.ply");
     let bent = work.ply("bent.ply").positions();

@@ -1,5 +1,5 @@
-//! Weights and poses in files that are not what they should be: each is refused with its name, the line and what to do,
-//! and nothing is written.
+//! Weights and poses in files that are not what they should be: each is refused with its name, the line and
+//! what to do, and nothing is written.
 
 use simod_tests::Workplace;
 

@@ -1,4 +1,5 @@
-//! A model that is deformed to another one, from a session to its vertices, and what is told where that cannot be.
+//! A model that is deformed to another one, from a session to its vertices, and what is told where that
+//! cannot be.
 
 use glam::DVec3;
 use simod_tests::{Ply, Workplace};
@@ -21,8 +22,8 @@ fn register(work: &Workplace, target: &str, params: &str) {
     work.write_session("cactus.ply", 3000, &format!("{STEP}params = {{ target = \"{target}\"{params} }}\n"));
 }
 
-/// The root of the mean square of the distances between vertices, of those that belong to `counts` in `b`, as a part of the
-/// diagonal.
+/// The root of the mean square of the distances between vertices, of those that belong to `counts` in `b`, as
+/// a part of the diagonal.
 fn apart(a: &Ply, b: &Ply, counts: impl Fn(&DVec3) -> bool) -> f64 {
     let pairs = a.positions().into_iter().zip(b.positions()).filter(|(_, q)| counts(q));
     let squares: Vec<f64> = pairs.map(|(p, q)| p.distance_squared(q)).collect();

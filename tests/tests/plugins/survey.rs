@@ -110,8 +110,8 @@ fn a_bar_twisted_as_rigid_as_possible_keeps_its_ends_and_nearly_its_volume() {
     assert!(wide(&edited) > 0.85 * wide(&rest), "{} of {}", wide(&edited), wide(&rest));
 }
 
-/// Steps of before `smooth-arap` that state a bending length go on as they were, and are told so; without one they are as
-/// rigid as possible as it is published, which is told, too.
+/// Steps of before `smooth-arap` that state a bending length go on as they were, and are told so; without one
+/// they are as rigid as possible as it is published, which is told, too.
 #[test]
 fn a_bending_length_keeps_the_hybrid_under_its_new_name() {
     let (work, _) = with_sessions();

@@ -15,7 +15,8 @@ use crate::sessions;
 struct Other {
     tool: &'static str,
     case: &'static Case,
-    /// Samples of the case that its session `CASE` and this deforms, for tools that take what others have made.
+    /// Samples of the case that its session `CASE` and this deforms, for tools that take what others have
+    /// made.
     samples: Option<&'static str>,
     /// What is shown: a caption, and the session `CASE-KEY.toml` that makes it.
     results: &'static [[&'static str; 2]],

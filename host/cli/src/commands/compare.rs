@@ -27,8 +27,8 @@ pub struct Compare {
     /// Keep the deformed models in the folder
     #[arg(long)]
     keep_models: bool,
-    /// Do nothing yet, but write the work as units to a folder, for more machines than one: each is done by `simod unit`,
-    /// and all together write the same comparison
+    /// Do nothing yet, but write the work as units to a folder, for more machines than one: each is done by
+    /// `simod unit`, and all together write the same comparison
     #[arg(long, value_name = "DIR")]
     plan: Option<PathBuf>,
     /// Write what an engine needs for the plan as well (may be given several times)

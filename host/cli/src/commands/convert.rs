@@ -22,8 +22,8 @@ use crate::report::{Report, count, rate};
 pub struct Convert {
     /// The model: of any format that is read, or a pattern of several tiles, as 'tiles/*.laz'
     model: PathBuf,
-    /// The file to write; its extension says the format: ply, las, laz, obj, stl, off, pcd, csv, tsv, txt, xyz,
-    /// xyzn, xyzrgb. Of tiles, the folder for them
+    /// The file to write; its extension says the format: ply, las, laz, obj, stl, off, pcd, csv, tsv, txt,
+    /// xyz, xyzn, xyzrgb. Of tiles, the folder for them
     output: PathBuf,
     /// For tiles: the format that each of them becomes, by its extension; they keep their names but for that
     #[arg(long, value_name = "EXTENSION")]
@@ -35,12 +35,12 @@ pub struct Convert {
     /// be lost
     #[arg(long)]
     lossy: bool,
-    /// For LAS and LAZ: from one integer to the next, in the model's unit [default: the model's own, or as fine as
-    /// its extent allows]
+    /// For LAS and LAZ: from one integer to the next, in the model's unit [default: the model's own, or as
+    /// fine as its extent allows]
     #[arg(long, value_name = "L")]
     step: Option<f64>,
-    /// For LAS and LAZ: the position of number zero, as 500000,5400000,0 [default: the model's own, or near its
-    /// middle]
+    /// For LAS and LAZ: the position of number zero, as 500000,5400000,0 [default: the model's own, or near
+    /// its middle]
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     origin: Option<DVec3>,
     #[command(flatten)]

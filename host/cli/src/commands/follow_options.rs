@@ -9,9 +9,9 @@ use simod_model::follow::{Follow, Kind, Opacity};
 #[derive(Args)]
 pub struct FollowOptions {
     /// Numbers of the vertices that turn with the surface, by what their names begin with, as
-    /// tangent=vector,q=quaternion-wxyz: vector, direction, normal, quaternion-wxyz, quaternion-xyzw, covariance.
-    /// Gaussian splats are recognised and turn besides; none keeps all but positions and normals [default: what the
-    /// session declares, or MODEL.follow.toml beside the model, or splats alone]
+    /// tangent=vector,q=quaternion-wxyz: vector, direction, normal, quaternion-wxyz, quaternion-xyzw,
+    /// covariance. Gaussian splats are recognised and turn besides; none keeps all but positions and normals
+    /// [default: what the session declares, or MODEL.follow.toml beside the model, or splats alone]
     #[arg(long, value_name = "NAME=KIND,…")]
     follow: Option<Follow>,
     /// What becomes of the opacity of Gaussian splats

@@ -21,8 +21,8 @@ use crate::report::{Report, count, length};
 /// Show what a model, or a sampled model, holds
 #[derive(Args)]
 pub struct Info {
-    /// A model (PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns), several files or a
-    /// pattern as 'tiles/*.laz' that are one model, or the folder of a sampled one
+    /// A model (PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns), several files
+    /// or a pattern as 'tiles/*.laz' that are one model, or the folder of a sampled one
     #[arg(value_name = "MODEL|DIR", required = true)]
     path: Vec<PathBuf>,
     /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]

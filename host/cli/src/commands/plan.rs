@@ -21,8 +21,8 @@ use super::tell;
 use super::time_options::TimeOptions;
 use crate::report::{Report, count};
 
-/// Write a whole `simod run` as units of work, for more machines than one: each is done by `simod unit`, and all
-/// together write the same bytes
+/// Write a whole `simod run` as units of work, for more machines than one: each is done by `simod unit`, and
+/// all together write the same bytes
 #[derive(Args)]
 pub struct Plan {
     /// The session
@@ -51,7 +51,8 @@ pub struct Plan {
     /// What becomes of the offset of positions that are stored as integers, as in LAS
     #[arg(long, value_enum, default_value_t)]
     offset: OffsetName,
-    /// Write another format than the model's, which the output's extension says, even where it cannot hold all
+    /// Write another format than the model's, which the output's extension says, even where it cannot hold
+    /// all
     #[arg(long)]
     lossy: bool,
     #[command(flatten)]

@@ -34,9 +34,9 @@ pub struct Reconstruct {
     /// Several files, or a pattern as 'frame-*.ply', give a model each
     #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
     deformed: Vec<PathBuf>,
-    /// The deformed model to write: in the format of the model, or in another one that its extension says (those of
-    /// `simod convert`); of a model that is made of tiles a folder, for as many files of the same names. {} in it stands for what the * of --deformed matched, or for a file's
-    /// name without its ending
+    /// The deformed model to write: in the format of the model, or in another one that its extension says
+    /// (those of `simod convert`); of a model that is made of tiles a folder, for as many files of the same
+    /// names. {} in it stands for what the * of --deformed matched, or for a file's name without its ending
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// A PLY file to write beside it, for viewers of scalar fields: each vertex' new position, its

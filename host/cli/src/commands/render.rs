@@ -37,8 +37,8 @@ pub struct Render {
     /// The model's axis that points up
     #[arg(long, value_enum, default_value_t)]
     up: UpName,
-    /// What it is coloured by: own (the vertices' colours, those of splats from all sides), clay, or an attribute, as intensity [default: own, where
-    /// there are colours]
+    /// What it is coloured by: own (the vertices' colours, those of splats from all sides), clay, or an
+    /// attribute, as intensity [default: own, where there are colours]
     #[arg(long, visible_alias = "color-by", value_name = "WHAT")]
     color: Option<String>,
     /// Draw vertices, or samples, alone, though there are faces

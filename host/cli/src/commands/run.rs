@@ -24,7 +24,8 @@ use crate::report::{Report, count, errors, length, rate};
 pub struct Run {
     /// The session
     session: PathBuf,
-    /// The deformed model to write, instead of the session's own output; of a model that is made of tiles a folder
+    /// The deformed model to write, instead of the session's own output; of a model that is made of tiles a
+    /// folder
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// The model, if it is not where the session says
@@ -52,14 +53,15 @@ pub struct Run {
     /// What becomes of the offset of positions that are stored as integers, as in LAS
     #[arg(long, value_enum, default_value_t)]
     offset: OffsetName,
-    /// Leave Gaussian splats of less opacity out of the samples, as `simod sample --min-opacity` does; instead of the
-    /// session's `min-opacity`
+    /// Leave Gaussian splats of less opacity out of the samples, as `simod sample --min-opacity` does;
+    /// instead of the session's `min-opacity`
     #[arg(long, value_name = "A")]
     min_opacity: Option<f64>,
     /// A PLY file to write beside the result, as that of `simod reconstruct --diagnostics`
     #[arg(long, value_name = "FILE")]
     diagnostics: Option<PathBuf>,
-    /// Write another format than the model's, which the output's extension says, even where it cannot hold all
+    /// Write another format than the model's, which the output's extension says, even where it cannot hold
+    /// all
     #[arg(long)]
     lossy: bool,
     #[command(flatten)]

@@ -15,8 +15,8 @@ use crate::report::{Report, count, rate};
 /// Stream a model to a small point set that any tool can deform
 #[derive(Args)]
 pub struct Sample {
-    /// The model to sample: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns. Several files,
-    /// or a pattern as 'tiles/*.laz', are one model of as many tiles
+    /// The model to sample: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns.
+    /// Several files, or a pattern as 'tiles/*.laz', are one model of as many tiles
     #[arg(required = true)]
     model: Vec<PathBuf>,
     /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
@@ -58,8 +58,8 @@ pub struct SamplingArguments {
     /// of the surface
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
-    /// Leave Gaussian splats of less opacity out of the samples, as floaters, and large and far ones of up to 0.5;
-    /// they are deformed all the same [default: 0.1; 0 takes all]
+    /// Leave Gaussian splats of less opacity out of the samples, as floaters, and large and far ones of up to
+    /// 0.5; they are deformed all the same [default: 0.1; 0 takes all]
     #[arg(long, value_name = "A")]
     min_opacity: Option<f64>,
     /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be

@@ -1,4 +1,5 @@
-//! `simod completions` and `simod manual`: what shells and `man` know of the program, made of its own arguments.
+//! `simod completions` and `simod manual`: what shells and `man` know of the program, made of its own
+//! arguments.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

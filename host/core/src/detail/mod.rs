@@ -137,7 +137,8 @@ pub struct Streamed {
 /// Vertices of some cells, carried over. All lists but the last one have an entry for each vertex;
 /// coordinates are local (see [`Frame`](simod_model::frame::Frame)).
 ///
-/// Memory: 32 bytes per vertex, 3 or 4 more for what of its attributes is shown, 24 more for splats, 12 per cell.
+/// Memory: 32 bytes per vertex, 3 or 4 more for what of its attributes is shown, 24 more for splats, 12 per
+/// cell.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Batch {
     /// Where the deformation takes them.

@@ -1,15 +1,16 @@
 //! The gradient by which what turns needs it: from wider neighbourhoods than expansions have.
 //!
 //! A surface tells how a map of space changes across it by how its own bending varies: where it bends by
-//! another amount, the same gradient across moves it by another one. Next to a sample that hardly shows, and the
-//! second order of the map along the surface looks alike. Over a dozen spacings it shows, if the map is expanded
-//! to fourth order. So at some samples, the *anchors*, such an expansion is fitted to all samples that four links
-//! of the graph of neighbours lead to. It goes beyond the affine map, with the ridge that noise of the size of
-//! what is left over asks for (N. Wiener, *Extrapolation, Interpolation, and Smoothing of Stationary Time Series*,
-//! 1949): where samples are not moved by a smooth map of space, the gradients of the samples' own expansions stand.
+//! another amount, the same gradient across moves it by another one. Next to a sample that hardly shows, and
+//! the second order of the map along the surface looks alike. Over a dozen spacings it shows, if the map is
+//! expanded to fourth order. So at some samples, the *anchors*, such an expansion is fitted to all samples
+//! that four links of the graph of neighbours lead to. It goes beyond the affine map, with the ridge that
+//! noise of the size of what is left over asks for (N. Wiener, *Extrapolation, Interpolation, and Smoothing
+//! of Stationary Time Series*, 1949): where samples are not moved by a smooth map of space, the gradients of
+//! the samples' own expansions stand.
 //!
-//! Memory: 4 bytes per sample and thread, some 500 per anchor and 4 for each sample at which it has a say, about
-//! 250, of one anchor for about 30 samples; the result takes 144 per sample.
+//! Memory: 4 bytes per sample and thread, some 500 per anchor and 4 for each sample at which it has a say,
+//! about 250, of one anchor for about 30 samples; the result takes 144 per sample.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use pulp::Arch;
@@ -75,7 +76,8 @@ const PAIRS: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
 /// The derivatives along each axis.
 const FIRST: [Derivative; DERIVATIVES] = derivatives(false);
 
-/// Those along each pair of axes, halved for an axis with itself: second-order terms of the expansion elsewhere.
+/// Those along each pair of axes, halved for an axis with itself: second-order terms of the expansion
+/// elsewhere.
 const SECOND: [Derivative; DERIVATIVES] = derivatives(true);
 
 const fn derivatives(of_second_order: bool) -> [Derivative; DERIVATIVES] {
@@ -137,14 +139,15 @@ const fn without(factors: [usize; ORDER], one: usize, other: usize) -> usize {
 /// The least ridge, for each of the weights.
 const LEAST_RIDGE: f64 = 1e-14;
 
-/// How large the terms of a fit are expected to be, as squares: so many times those of the strain and of what the
-/// affine map leaves over, which both tell little of shear across.
+/// How large the terms of a fit are expected to be, as squares: so many times those of the strain and of what
+/// the affine map leaves over, which both tell little of shear across.
 const EXPECTED: f64 = 10.0;
 
 /// A fit with fewer degrees of freedom left, as a part of its data, tells nothing.
 const LEAST_FREE: f64 = 0.3;
 
-/// A gradient that leaves less than this part of the volume, or more than its inverse, is not taken for the map's.
+/// A gradient that leaves less than this part of the volume, or more than its inverse, is not taken for the
+/// map's.
 const THINNEST: f32 = 0.1;
 
 /// The expansion around an anchor.
@@ -162,8 +165,8 @@ struct Anchor {
     inverse_square: f32,
 }
 
-/// The expansions by whose gradients numbers turn: those of the samples, with what anchors tell across the surface,
-/// and of the second order. `gradient` has the affine maps.
+/// The expansions by whose gradients numbers turn: those of the samples, with what anchors tell across the
+/// surface, and of the second order. `gradient` has the affine maps.
 pub fn told(
     samples: &SampleSet,
     stencils: &Stencils<'_>,
@@ -385,8 +388,8 @@ type Rows = [[f64; ROW]; TERMS];
 
 /// The squares of what the affine map leaves over, to be explained by the terms in units of the radius.
 struct Squares {
-    /// Lower triangle of the products of terms, which is read, with what is beside it in blocks of [`BLOCK`]; and
-    /// the products with what is to be explained.
+    /// Lower triangle of the products of terms, which is read, with what is beside it in blocks of [`BLOCK`];
+    /// and the products with what is to be explained.
     matrix: Rows,
     right: [DVec3; TERMS],
     /// The sums of the weights, and of their squares.

@@ -134,8 +134,8 @@ impl Supports {
         Self { radius, ranging, starts, ends, reaching }
     }
 
-    /// The supports of samples, where the lists of homes were found out before: where each ends, from the first home
-    /// on, and who is in them, which have to be samples.
+    /// The supports of samples, where the lists of homes were found out before: where each ends, from the
+    /// first home on, and who is in them, which have to be samples.
     pub fn known(
         positions: &[Vec3],
         sheets: &Sheets,
@@ -216,8 +216,8 @@ impl Balls {
 
 /// Vertices of a block, grouped by their homes, in separate arrays by coordinate.
 ///
-/// Memory: 44 bytes per vertex with a normal, 32 without, 36 more for the gradient, and 36 for that by which numbers
-/// turn; and as much for up to [`PACKET`] more vertices of each group.
+/// Memory: 44 bytes per vertex with a normal, 32 without, 36 more for the gradient, and 36 for that by which
+/// numbers turn; and as much for up to [`PACKET`] more vertices of each group.
 #[derive(Debug, Default)]
 pub struct Grouped {
     /// The groups: their home, and their vertices. Each begins at a multiple of [`PACKET`]; what is between
@@ -263,8 +263,8 @@ pub struct Blending<'a> {
     pub expansions: &'a [Expansion],
     /// Those by whose gradients numbers turn, with the same supports; none if nothing turns.
     ///
-    /// Their gradients are blended: that is smoother than the gradient of the blend, in which the weights' slopes
-    /// make more of rounding.
+    /// Their gradients are blended: that is smoother than the gradient of the blend, in which the weights'
+    /// slopes make more of rounding.
     pub turning: &'a [Expansion],
     /// As for `Transport::normal`.
     pub mirrored: bool,
@@ -477,7 +477,8 @@ fn slopes<S: Simd>(
     [xx.mul_add(dx, a), xy.mul_add(dx, yy.mul_add(dy, b)), xz.mul_add(dx, yz.mul_add(dy, zz.mul_add(dz, c)))]
 }
 
-/// Blends the gradients of expansions for as many vertices as there are lanes; `sum` is that of their weights.
+/// Blends the gradients of expansions for as many vertices as there are lanes; `sum` is that of their
+/// weights.
 #[inline(always)]
 fn packet_turning<S: Simd>(
     simd: S,

@@ -74,8 +74,8 @@ pub fn carry_positions(field: &DeformationField<'_>, frame: &Frame, positions: &
     moved
 }
 
-/// The same, by the thread that calls it. Where nothing is asked for but positions, those of vertices at one place are
-/// found once.
+/// The same, by the thread that calls it. Where nothing is asked for but positions, those of vertices at one
+/// place are found once.
 ///
 /// Memory: 28 bytes for each vertex, and 24 for each version, where places are [`Repeated`].
 pub fn carry_on_this_thread(
@@ -334,8 +334,8 @@ impl Workspace {
         Vec3::from_array(self.grouped.displacement.each_ref().map(|v| v[at]))
     }
 
-    /// Takes the normal that the blend turned: number by number, as what is put together in memory and read again at
-    /// once has to be waited for.
+    /// Takes the normal that the blend turned: number by number, as what is put together in memory and read
+    /// again at once has to be waited for.
     #[inline]
     fn take_normal(&self, i: usize, normal: &mut Vec3) {
         let at = self.place[i] as usize;
@@ -437,8 +437,8 @@ fn is_in_order(positions: &[DVec3]) -> bool {
     4 * some().filter(|p| (p[1] - p[0]).abs().max_element() > far).count() <= some().len()
 }
 
-/// Puts the numbers of vertices in an order in which those near to each other are mostly side by side: along a
-/// curve of Morton's, unless they are so as they are.
+/// Puts the numbers of vertices in an order in which those near to each other are mostly side by side: along
+/// a curve of Morton's, unless they are so as they are.
 fn put_in_order(positions: &[DVec3], local: &[Vec3], order: &mut Vec<u32>, keys: &mut Vec<u64>) {
     order.clear();
     order.extend(0..local.len() as u32);

@@ -81,8 +81,8 @@ pub struct Folds {
 }
 
 impl Folds {
-    /// The folds of the expansions at all samples, which have these normals and neighbours at rest; `is_told` says
-    /// of each whether the surface around it tells the sign of its determinant.
+    /// The folds of the expansions at all samples, which have these normals and neighbours at rest; `is_told`
+    /// says of each whether the surface around it tells the sign of its determinant.
     pub fn of<'s>(
         expansions: &[Expansion],
         is_told: &[bool],

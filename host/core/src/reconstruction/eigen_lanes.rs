@@ -13,9 +13,9 @@ use super::double_lanes::{DoubleLanes, DoubleMask, Triple, square};
 /// Steps of Newton's method from 2 to a root between √3 and 2: the error is about squared in each, from 0.27.
 const STEPS: usize = 6;
 
-/// The eigenvalues of each matrix, ascending, and their eigenvectors, of unit length. `diagonal` is xx, yy, zz of
-/// each, `off` is xy, xz, yz. Multiples of the identity, and matrices with numbers that are none, have xx three
-/// times, with the axes.
+/// The eigenvalues of each matrix, ascending, and their eigenvectors, of unit length. `diagonal` is xx, yy,
+/// zz of each, `off` is xy, xz, yz. Multiples of the identity, and matrices with numbers that are none, have
+/// xx three times, with the axes.
 #[inline(always)]
 pub fn symmetric_eigen<S: Simd>(simd: S, diagonal: Triple<S>, off: Triple<S>) -> (Triple<S>, [Triple<S>; 3]) {
     let splat = |x| DoubleLanes::splat(simd, x);
@@ -133,8 +133,8 @@ fn either<S: Simd>(
     (holds.select(then.0, or.0), vector)
 }
 
-/// Two unit vectors that are perpendicular to each of these and to each other (T. Duff and others, *Building an
-/// Orthonormal Basis, Revisited*, 2017).
+/// Two unit vectors that are perpendicular to each of these and to each other (T. Duff and others, *Building
+/// an Orthonormal Basis, Revisited*, 2017).
 #[inline(always)]
 fn across<S: Simd>(simd: S, n: Triple<S>) -> (Triple<S>, Triple<S>) {
     let splat = |x| DoubleLanes::splat(simd, x);

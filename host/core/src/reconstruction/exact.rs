@@ -130,8 +130,8 @@ pub(super) fn gradients(map: &ExactMap<'_>, frame: &Frame, positions: &[DVec3]) 
     Ok(positions.iter().enumerate().map(gradient).collect())
 }
 
-/// The gradient of a map at each sample: samples on a surface tell nothing of how the map goes on across it, which
-/// positions do not need, but what turns with the surface does.
+/// The gradient of a map at each sample: samples on a surface tell nothing of how the map goes on across it,
+/// which positions do not need, but what turns with the surface does.
 ///
 /// Memory: about 200 bytes per sample while it runs.
 ///

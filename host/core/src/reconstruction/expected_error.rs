@@ -9,11 +9,11 @@
 //! about that very place. So does how far the blend is from another one with wider supports, which leaves out
 //! more of the same: two orders of one method tell its error, as in an embedded pair of Runge and Kutta (E.
 //! Fehlberg, *Low-order classical Runge-Kutta formulas with stepsize control*, 1969). What all leave out
-//! together they do not tell; what the samples disagree by halfway stands for that, and for more of it where a
-//! vertex lies beyond the samples, as off the surface or outside a border, up to what those around say there.
-//! How the map varies across a sheet of gentle relief all of them guess alike: what that leaves open counts, too
-//! ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples' positions, of the
-//! displacement, and of the file that is written.
+//! together they do not tell; what the samples disagree by halfway stands for that, and for more of it where
+//! a vertex lies beyond the samples, as off the surface or outside a border, up to what those around say
+//! there. How the map varies across a sheet of gentle relief all of them guess alike: what that leaves open
+//! counts, too ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples'
+//! positions, of the displacement, and of the file that is written.
 
 use std::iter;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -37,19 +37,20 @@ const RING: usize = 8;
 /// Differences below so many times the rounding of positions tell nothing.
 const TELLING: f64 = 4.0;
 
-/// The part of a sample's disagreement with its ring that the vertices around it are expected to be off by, where
-/// samples alone are asked.
+/// The part of a sample's disagreement with its ring that the vertices around it are expected to be off by,
+/// where samples alone are asked.
 const BY_SAMPLES: f32 = 0.42;
 
 /// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
 const OF_SPREAD: f32 = 0.5;
 
-/// The other blend has supports so many times as wide, and so much of how far it is from the first one counts.
+/// The other blend has supports so many times as wide, and so much of how far it is from the first one
+/// counts.
 const WIDER: f32 = 2.0;
 const OF_WIDER: f32 = 0.4;
 
-/// The parts of the samples' disagreement halfway that count, of its mean and of its largest, where a vertex lies
-/// among them.
+/// The parts of the samples' disagreement halfway that count, of its mean and of its largest, where a vertex
+/// lies among them.
 const OF_DISAGREEMENT: f32 = 0.27;
 const OF_LARGEST: f32 = 0.09;
 
@@ -110,8 +111,8 @@ impl DeformationField<'_> {
         }
     }
 
-    /// Finds out what is expected around the samples, which all further estimates rest on, of a file as `info`
-    /// says.
+    /// Finds out what is expected around the samples, which all further estimates rest on, of a file as
+    /// `info` says.
     pub fn expecting(mut self, frame: &Frame, info: &ModelInfo) -> Self {
         self.expected = self.around_samples(&[]);
         self.rounding = Rounding::for_model(frame, info);
@@ -226,7 +227,8 @@ impl DeformationField<'_> {
         heard
     }
 
-    /// What the home of a vertex at `p`, that goes by `u`, and its neighbours have to say, who need not reach it.
+    /// What the home of a vertex at `p`, that goes by `u`, and its neighbours have to say, who need not reach
+    /// it.
     fn heard_around(&self, home: usize, p: Vec3, u: Vec3) -> HeardAround {
         let (mut furthest, mut off, mut sum) = (0.0f32, Vec3::ZERO, 0.0);
         let neighbours = self.stencils.of_sample(home).iter().map(|i| *i as usize);

@@ -6,8 +6,8 @@
 //! scaled by the root of the change of area, as a similarity does. Where the surface has relief, its
 //! neighbours off the plane tell more than the prior, and outweigh it.
 //!
-//! As many samples are fitted at once as the processor's vector registers take, each by the same operations in
-//! the same order on any processor.
+//! As many samples are fitted at once as the processor's vector registers take, each by the same operations
+//! in the same order on any processor.
 
 #![expect(
     clippy::needless_range_loop,
@@ -264,8 +264,8 @@ fn on_a_line(e1: DVec3, v1: DVec3) -> DMat3 {
     }
 }
 
-/// Where maps explain all neighbours of a sample to rounding: two, that have the images of the axes along the plane
-/// in common, and each its own of the normal.
+/// Where maps explain all neighbours of a sample to rounding: two, that have the images of the axes along the
+/// plane in common, and each its own of the normal.
 #[inline(always)]
 fn explained<S: Simd>(
     simd: S,

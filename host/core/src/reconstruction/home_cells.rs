@@ -42,8 +42,8 @@ pub struct Cells {
     parted: Vec<[u32; 8]>,
     /// Centre of each support, and one over the square of its radius.
     supports: Vec<Vec4>,
-    /// For each node of the samples' tree, the largest radius below it: found when a place is first looked up that
-    /// no support near it reaches.
+    /// For each node of the samples' tree, the largest radius below it: found when a place is first looked up
+    /// that no support near it reaches.
     pub(super) largest: OnceLock<Vec<f32>>,
 }
 
@@ -139,16 +139,16 @@ impl Cell {
         self.corner + 0.5 * self.edge
     }
 
-    /// Along which axes a box about a point, so far to each side, meets it: a bit for each; the point's last number
-    /// is of no meaning.
+    /// Along which axes a box about a point, so far to each side, meets it: a bit for each; the point's last
+    /// number is of no meaning.
     fn meets(self, p: Vec4, reach: f32) -> usize {
         let away = (p - self.middle().extend(0.0)).abs();
         (away.cmple(Vec4::splat(0.5 * self.edge + reach)).bitmask() & 0b111) as usize
     }
 }
 
-/// The eighths that a box meets, a bit for each, by the [axes](Cell::meets) along which it meets the first of them
-/// and, three bits higher, the last.
+/// The eighths that a box meets, a bit for each, by the [axes](Cell::meets) along which it meets the first of
+/// them and, three bits higher, the last.
 const MET: [u8; 64] = {
     let mut met = [0; 64];
     let mut axes = 0;
@@ -171,8 +171,8 @@ fn behind(others: u32, what: u32) -> u32 {
     if what & PARTED == 0 { what } else { what + others }
 }
 
-/// The samples that reach each eighth of a cell: as many places for each as there are samples, of which the first are
-/// taken.
+/// The samples that reach each eighth of a cell: as many places for each as there are samples, of which the
+/// first are taken.
 struct Reached {
     samples: Vec<u32>,
     counts: [u32; 8],
@@ -243,8 +243,8 @@ impl Growing<'_> {
         reached
     }
 
-    /// What a cell is filled with, of which the one that it is a part of is reached by the samples `around`, and
-    /// itself by those that are `near`, whose `least` radius is known.
+    /// What a cell is filled with, of which the one that it is a part of is reached by the samples `around`,
+    /// and itself by those that are `near`, whose `least` radius is known.
     fn fill(&self, cell: Cell, around: &[u32], near: &[u32], least: f32, parted: &mut Vec<[u32; 8]>) -> u32 {
         if near.len() > MOST && cell.edge > EDGE * least && cell.level < LEVELS {
             let at = parted.len() as u32;
@@ -318,8 +318,8 @@ impl<'a> Finger<'a> {
     }
 }
 
-/// The finest cell to which a way from the corner leads, or the one that is nearest to it: the whole part of each
-/// number, as none is less than nothing, three at once.
+/// The finest cell to which a way from the corner leads, or the one that is nearest to it: the whole part of
+/// each number, as none is less than nothing, three at once.
 #[inline]
 fn whole(way: Vec3) -> UVec3 {
     // What is added to that has no digits behind the point.

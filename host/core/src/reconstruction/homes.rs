@@ -89,8 +89,8 @@ impl<'a> Homes<'a> {
         deepest.unwrap_or_else(|| self.samples.nearest(p))
     }
 
-    /// The sample, among those around a near one, on whose sheet the point lies; or, if its support does not reach
-    /// the point, another one of that sheet whose support does.
+    /// The sample, among those around a near one, on whose sheet the point lies; or, if its support does not
+    /// reach the point, another one of that sheet whose support does.
     fn on_its_sheet(&self, near: u32, p: Vec3) -> u32 {
         let away = |i: u32| p - self.samples.positions[i as usize];
         let (mut best, mut least) = (near, sheet_distance(away(near), self.plane(near)));

@@ -1,11 +1,12 @@
-//! What is known of the samples at rest, kept beside them: `rest.bin`. The first reconstruction finds it, and all
-//! others read it.
+//! What is known of the samples at rest, kept beside them: `rest.bin`. The first reconstruction finds it, and
+//! all others read it.
 //!
-//! The file is [sealed](crate::sealed). It has what takes time to find, and is small: neighbours, as differences of
-//! their numbers; the sheets that are not just those; the order of the supports around each home; the cells by which
-//! homes are found; and normals, where they were estimated. What follows from these and the samples' places, as
-//! distances and radii, is computed anew. It is a cache: where it is not there, damaged, or of other samples, all is
-//! found as if there were none, and where it cannot be written, nobody misses it.
+//! The file is [sealed](crate::sealed). It has what takes time to find, and is small: neighbours, as
+//! differences of their numbers; the sheets that are not just those; the order of the supports around each
+//! home; the cells by which homes are found; and normals, where they were estimated. What follows from these
+//! and the samples' places, as distances and radii, is computed anew. It is a cache: where it is not there,
+//! damaged, or of other samples, all is found as if there were none, and where it cannot be written, nobody
+//! misses it.
 
 use std::ops::Range;
 
@@ -36,8 +37,8 @@ const VERSION: u32 = 1;
 /// Samples whose lists are packed by one job.
 const TOGETHER: usize = 4096;
 
-/// Most bytes of a file for each sample, beside [`LEAST`]: lists of 32 samples take 200 bytes at most, and there are
-/// three for each.
+/// Most bytes of a file for each sample, beside [`LEAST`]: lists of 32 samples take 200 bytes at most, and
+/// there are three for each.
 const MOST: u64 = 1 << 10;
 
 /// Bytes that a file of any number of samples may have.
@@ -155,8 +156,8 @@ pub(super) fn pack(around: &RestGeometry<'_>) -> Result<Vec<u8>> {
         .map_err(|e| Error::internal(format!("cannot write {REST}: {e}"), "report this").because(e))
 }
 
-/// Writes in which order a home's supports are: as places among its neighbours. `places` has [`OTHER`] for each sample,
-/// before and after.
+/// Writes in which order a home's supports are: as places among its neighbours. `places` has [`OTHER`] for
+/// each sample, before and after.
 fn pack_order(home: usize, near: &[u32], reaching: &[ReachingSupport], places: &mut [u8], to: &mut Vec<u8>) {
     near.iter().zip(0..).for_each(|(j, place)| places[*j as usize] = place);
     places[home] = ITSELF;

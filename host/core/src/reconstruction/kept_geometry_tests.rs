@@ -36,8 +36,8 @@ fn known(around: &RestGeometry<'_>) -> Vec<Vec<u32>> {
     all
 }
 
-/// Points of a wavy plane, in a poor order, with normals where they are wanted; the second of two plates close to each
-/// other faces away.
+/// Points of a wavy plane, in a poor order, with normals where they are wanted; the second of two plates
+/// close to each other faces away.
 fn plates(side: u32, plates: u32) -> (Vec<Vec3>, Vec<Vec3>) {
     let number = side * side;
     let place = |i: u32| {

@@ -5,8 +5,8 @@
 //! terms for each coordinate, with a ridge that follows from what they leave over in their turn (N. Wiener,
 //! *Extrapolation, Interpolation, and Smoothing of Stationary Time Series*, 1949).
 //!
-//! As many samples are fitted at once as the processor's vector registers take, each by the same operations in
-//! the same order on any processor.
+//! As many samples are fitted at once as the processor's vector registers take, each by the same operations
+//! in the same order on any processor.
 
 #![expect(
     clippy::needless_range_loop,
@@ -63,8 +63,8 @@ impl Unresolved {
 /// The terms of the three coordinates.
 pub type Terms<S> = [Triple<S>; TERMS];
 
-/// The squares of what the affine map leaves over at the neighbours of each sample, to be explained by the terms
-/// in units of the neighbourhood's radius.
+/// The squares of what the affine map leaves over at the neighbours of each sample, to be explained by the
+/// terms in units of the neighbourhood's radius.
 pub struct LeastSquares<S: Simd> {
     simd: S,
     /// One over the radius; 1 where that is nothing, and nothing is gathered.
@@ -156,8 +156,8 @@ impl<S: Simd> LeastSquares<S> {
         DoubleLanes::splat(self.simd, ROUNDING * ROUNDING).less(self.largest)
     }
 
-    /// The terms that explain most with this ridge, the part of the squares that they leave over, and where they
-    /// could be found.
+    /// The terms that explain most with this ridge, the part of the squares that they leave over, and where
+    /// they could be found.
     #[inline(always)]
     pub fn ridged(&self, ridge: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleMask<S>) {
         let (factor, is_found) = Factor::factorize(self.simd, &self.matrix, ridge * self.weights);
@@ -173,8 +173,8 @@ impl<S: Simd> LeastSquares<S> {
         (terms, (one - explained / self.squares).max(zero), is_found)
     }
 
-    /// The same with the ridge of a Wiener filter, where the map strains so much, and this ridge: what is left
-    /// over almost without a ridge is noise, beside what terms may amount to.
+    /// The same with the ridge of a Wiener filter, where the map strains so much, and this ridge: what is
+    /// left over almost without a ridge is noise, beside what terms may amount to.
     #[inline(always)]
     pub fn solve(&self, strain: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleLanes<S>, DoubleMask<S>) {
         let splat = |x| DoubleLanes::splat(self.simd, x);
@@ -224,8 +224,8 @@ impl<S: Simd> LeastSquares<S> {
     }
 }
 
-/// Weighted sums of products of two, three and four coordinates: xx, xy, xz, yy, yz, zz; xxx, xxy, xxz, xyy, xyz,
-/// xzz, yyy, yyz, yzz, zzz; and so on.
+/// Weighted sums of products of two, three and four coordinates: xx, xy, xz, yy, yz, zz; xxx, xxy, xxz, xyy,
+/// xyz, xzz, yyy, yyz, yzz, zzz; and so on.
 struct Moments<S: Simd> {
     second: [DoubleLanes<S>; 6],
     third: [DoubleLanes<S>; 10],
@@ -315,8 +315,8 @@ struct Factor<S: Simd> {
 }
 
 impl<S: Simd> Factor<S> {
-    /// The factors of matrices, of which the lower triangle is given, with `ridge` added along the diagonal; and
-    /// where they are positive definite.
+    /// The factors of matrices, of which the lower triangle is given, with `ridge` added along the diagonal;
+    /// and where they are positive definite.
     #[inline(always)]
     fn factorize(
         simd: S,

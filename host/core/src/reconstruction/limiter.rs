@@ -39,8 +39,8 @@ impl PrevailingSlope {
 
 /// The homes that samples in doubt reach, and what prevails around all samples that reach there.
 ///
-/// Memory: five bytes per sample, four more while it is made, and 44 for each that reaches such a home, unless no
-/// sample is in doubt.
+/// Memory: five bytes per sample, four more while it is made, and 44 for each that reaches such a home,
+/// unless no sample is in doubt.
 #[derive(Debug, Default)]
 pub struct Limiter {
     /// Whether a sample in doubt reaches the home; empty if none is in doubt.

@@ -1,5 +1,6 @@
-//! Short lists of samples in few bytes. Samples near each other mostly have numbers near each other, so each is written
-//! as the difference to the one that the list is of: in one byte, or two, or six where it is far off.
+//! Short lists of samples in few bytes. Samples near each other mostly have numbers near each other, so each
+//! is written as the difference to the one that the list is of: in one byte, or two, or six where it is far
+//! off.
 
 /// Longest list.
 pub const LONGEST: usize = 32;
@@ -10,7 +11,8 @@ const FAR: u32 = 0xffff;
 /// Bytes that have to follow the last list, as two are read where one may be all.
 pub const BEHIND: [u8; 1] = [0];
 
-/// Appends a list of at most [`LONGEST`] samples: a bit for each that says whether it takes two bytes, and the bytes.
+/// Appends a list of at most [`LONGEST`] samples: a bit for each that says whether it takes two bytes, and
+/// the bytes.
 pub fn push(of: u32, list: &[u32], to: &mut Vec<u8>) {
     let bits = to.len();
     to.extend([0; LONGEST / 8]);
@@ -31,8 +33,8 @@ pub fn push(of: u32, list: &[u32], to: &mut Vec<u8>) {
     to[bits..bits + LONGEST / 8].copy_from_slice(&long.to_le_bytes());
 }
 
-/// Takes a list of so many samples off the beginning of `bytes`, [behind](BEHIND) which there is something; `None` if
-/// it is not there. The samples may be anything.
+/// Takes a list of so many samples off the beginning of `bytes`, [behind](BEHIND) which there is something;
+/// `None` if it is not there. The samples may be anything.
 pub fn take(of: u32, list: &mut [u32], bytes: &mut &[u8]) -> Option<()> {
     let (long, rest) = bytes.split_first_chunk()?;
     let long = u32::from_le_bytes(*long);

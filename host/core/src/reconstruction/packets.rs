@@ -10,8 +10,8 @@ pub const MOST_NEIGHBOURS: usize = 28;
 
 /// The neighbours of several samples, place by place in their lists, as ways from the samples.
 ///
-/// They are gathered before any is loaded: a vector that is loaded right behind its numbers, which are stored one by
-/// one, has to wait for these.
+/// They are gathered before any is loaded: a vector that is loaded right behind its numbers, which are stored
+/// one by one, has to wait for these.
 pub struct Neighbours {
     /// Samples around which nothing moves, themselves included.
     pub is_still: [bool; MOST_LANES],

@@ -1,5 +1,5 @@
-//! The file of a part: its bytes, unless they are in a file, a folder or an object that parts share, and behind them a
-//! record of what they are.
+//! The file of a part: its bytes, unless they are in a file, a folder or an object that parts share, and
+//! behind them a record of what they are.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -56,7 +56,8 @@ pub(super) struct Record {
 pub(super) struct Sent {
     /// The upload.
     pub(super) id: String,
-    /// So many bytes come before it, and behind it: they are of parts of the object that others have the rest of.
+    /// So many bytes come before it, and behind it: they are of parts of the object that others have the rest
+    /// of.
     pub(super) before: u64,
     pub(super) behind: u64,
     pub(super) checksum: u128,
@@ -95,8 +96,8 @@ pub(super) enum Bytes<'a> {
     Object(ObjectRange, String),
 }
 
-/// A part in the making. Dropped before it is [committed](Self::commit), it leaves nothing but what it wrote to the
-/// shared file.
+/// A part in the making. Dropped before it is [committed](Self::commit), it leaves nothing but what it wrote
+/// to the shared file.
 pub(super) struct PartFile<'a> {
     // Dropped first, while nobody else can begin the part.
     to: Bytes<'a>,

@@ -1,11 +1,12 @@
-//! A deformed model in parts, each of a range of the file and written by itself, on any machine, in any order, as
-//! often as one likes; and the whole of them, the same bytes as [`reconstruct`](super::reconstruct) writes.
+//! A deformed model in parts, each of a range of the file and written by itself, on any machine, in any
+//! order, as often as one likes; and the whole of them, the same bytes as [`reconstruct`](super::reconstruct)
+//! writes.
 //!
-//! Where it is known beforehand where the bytes of each part go, they go there at once, into a file that all parts
-//! share, and that becomes the output in the end; or into an object, by one upload of all; tiles go to a folder that parts
-//! share. Otherwise each part has them in a [file of its own](super::part_file), and they are copied. Behind them stands a
-//! record: what they are of, their checksum, what other places of the file have to know of them, and what the vertices
-//! that were read add to the model's hash.
+//! Where it is known beforehand where the bytes of each part go, they go there at once, into a file that all
+//! parts share, and that becomes the output in the end; or into an object, by one upload of all; tiles go to
+//! a folder that parts share. Otherwise each part has them in a [file of its own](super::part_file), and they
+//! are copied. Behind them stands a record: what they are of, their checksum, what other places of the file
+//! have to know of them, and what the vertices that were read add to the model's hash.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -75,8 +76,8 @@ pub fn abort_object(path: &Path, id: &str) -> Result<()> {
 /// Which part of a model is written, and where.
 #[derive(Debug, Clone)]
 pub struct Part<'a> {
-    /// Pieces of those that can be written [by themselves](Model::division), from the first with vertices on; tiles, of a
-    /// model that is made of these.
+    /// Pieces of those that can be written [by themselves](Model::division), from the first with vertices on;
+    /// tiles, of a model that is made of these.
     pub pieces: Range<u64>,
     /// The part's own file, which appears whole or not at all, and tells that it is done.
     pub own: &'a Path,
@@ -84,15 +85,16 @@ pub struct Part<'a> {
     pub shared: Shared<'a>,
 }
 
-/// Writes a part. Of `how`, `resume`, `part_bytes` and `binding` are not looked at. Nothing is done if the part is
-/// there, whole, and of the same model, samples and options; `false` then.
+/// Writes a part. Of `how`, `resume`, `part_bytes` and `binding` are not looked at. Nothing is done if the
+/// part is there, whole, and of the same model, samples and options; `false` then.
 ///
-/// Memory: as of [`reconstruct`](super::reconstruct), and a 16 000th of the bytes of the vertices that are read.
+/// Memory: as of [`reconstruct`](super::reconstruct), and a 16 000th of the bytes of the vertices that are
+/// read.
 ///
 /// # Errors
-/// The model cannot be divided, cannot be read, or is not what was sampled, as far as its size tells; the file
-/// cannot be written, or is being written by another process; a new position does not fit its type; the user
-/// cancelled.
+/// The model cannot be divided, cannot be read, or is not what was sampled, as far as its size tells; the
+/// file cannot be written, or is being written by another process; a new position does not fit its type; the
+/// user cancelled.
 pub fn write_part(
     sampled: &SampledModel,
     model: &dyn Model,
@@ -113,7 +115,8 @@ pub fn write_part(
     check_reach(sampled, model, std::iter::once(deformed))?;
     let bytes_of = |all: u64| part_of(all, pieces, model, how.normals);
     let own_file = OutputFile::create(own, bytes_of(model.written_bytes()))?;
-    // What is there speaks of bytes that are written over from here on; if there is nothing, so much the better.
+    // What is there speaks of bytes that are written over from here on; if there is nothing, so much the
+    // better.
     let _ = fs::remove_file(own);
     let in_place = model.division(how.normals).is_some_and(|division| division.in_place);
     let to = match shared {
@@ -176,11 +179,11 @@ fn lost_tile(record: &Record, model: &dyn Model, shared: &Path) -> Option<PathBu
     paths.zip(&record.tiles).find(|(path, written)| !written.fits(path)).map(|(path, _)| path)
 }
 
-/// Puts parts together, which are of all pieces that can be written by themselves from the first with vertices on, in
-/// their order: the whole model, which appears at once. `shared` is what they share.
+/// Puts parts together, which are of all pieces that can be written by themselves from the first with
+/// vertices on, in their order: the whole model, which appears at once. `shared` is what they share.
 ///
-/// Memory: 4 MiB, and the record of a part: see [`write_part`]; of tiles, 32 bytes and a name for each; of an object, as
-/// of [`ObjectOutput`].
+/// Memory: 4 MiB, and the record of a part: see [`write_part`]; of tiles, 32 bytes and a name for each; of an
+/// object, as of [`ObjectOutput`].
 ///
 /// # Errors
 /// A part is missing, damaged, or of other samples, options or pieces; the model is not what was sampled; the
@@ -218,8 +221,8 @@ pub fn join_parts(
             let found = joining.check(&paths, sampled, model, |_, _, _| Ok(()))?;
             let is_short = !reaches(shared, found.end);
             if is_short || has_holes(shared) {
-                // Killed when the output was in its place, and nobody had been told so: then there is no file, or one
-                // that a part has begun anew since, without the others.
+                // Killed when the output was in its place, and nobody had been told so: then there is no
+                // file, or one that a part has begun anew since, without the others.
                 match is_there(version.output, &paths, progress) {
                     Ok(()) => {
                         let _ = fs::remove_file(shared);
@@ -498,7 +501,8 @@ fn is_there(output: &Path, parts: &[&Path], progress: &dyn Progress) -> Result<(
     Ok(())
 }
 
-/// Whether less of a file is on the disk than its length says: parts of it were not written, or the disk compresses.
+/// Whether less of a file is on the disk than its length says: parts of it were not written, or the disk
+/// compresses.
 fn has_holes(path: &Path) -> bool {
     #[cfg(unix)]
     {

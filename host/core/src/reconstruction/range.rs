@@ -1,4 +1,5 @@
-//! The range of the samples around a vertex, and how a vertex that leaves it is drawn back: see [`bound`](super::bound).
+//! The range of the samples around a vertex, and how a vertex that leaves it is drawn back: see
+//! [`bound`](super::bound).
 
 use glam::{Mat3, Vec3};
 

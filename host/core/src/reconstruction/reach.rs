@@ -56,8 +56,8 @@ fn no_room(model: &dyn Model, sample: usize, p: DVec3) -> Error {
 }
 
 /// Chooses another offset, or another range, for the integers of the new file, where the samples tell that
-/// those of the model do not reach. The steps from one number to the next stay where they are. Returns what was
-/// changed, if anything.
+/// those of the model do not reach. The steps from one number to the next stay where they are. Returns what
+/// was changed, if anything.
 ///
 /// # Errors
 /// Positions are no integers; what the samples span has more steps than there are numbers.

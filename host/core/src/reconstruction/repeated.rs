@@ -1,5 +1,5 @@
-//! Vertices at the places of others: corners of a soup, as STL has them, are six times at each place in the mean. Where
-//! a vertex goes depends on its place alone, so it is found once.
+//! Vertices at the places of others: corners of a soup, as STL has them, are six times at each place in the
+//! mean. Where a vertex goes depends on its place alone, so it is found once.
 
 use glam::DVec3;
 
@@ -22,8 +22,8 @@ pub struct Repeated {
 }
 
 impl Repeated {
-    /// The places of vertices (fewer than 2³¹) of which most are at those of others; `None` where they are not, as the
-    /// first ones tell.
+    /// The places of vertices (fewer than 2³¹) of which most are at those of others; `None` where they are
+    /// not, as the first ones tell.
     pub fn find(positions: &[DVec3]) -> Option<Self> {
         let some = Self::of_all(positions.get(..LOOKED_AT)?);
         (2 * some.first.len() < LOOKED_AT).then(|| Self::of_all(positions))

@@ -15,7 +15,8 @@ use crate::sampling::SampleSet;
 /// What there is to know of the samples at rest, for all deformations of them: who is on whose sheet, and
 /// whose word counts where.
 ///
-/// Memory: about 290 bytes per sample, up to 130 more beside other sheets, and what [`SampleSet::prepare`] finds.
+/// Memory: about 290 bytes per sample, up to 130 more beside other sheets, and what [`SampleSet::prepare`]
+/// finds.
 pub struct RestGeometry<'a> {
     pub(super) samples: &'a SampleSet,
     pub(super) sheets: Arc<Sheets>,

@@ -7,8 +7,8 @@ use super::expansion::{Expansion, ReachingSupport};
 /// Supports that are looked at before what they say is added.
 const TOGETHER: usize = 32;
 
-/// What a vertex gets: displacement, sum of weights, the gradient's columns, and those of the gradient by which
-/// numbers turn. The last number of each four has no meaning.
+/// What a vertex gets: displacement, sum of weights, the gradient's columns, and those of the gradient by
+/// which numbers turn. The last number of each four has no meaning.
 pub struct One {
     pub displacement: Four,
     pub sum: f32,

@@ -56,8 +56,8 @@ pub type Listed = (u32, Vec<u32>);
 
 /// The neighbours of each sample on its own sheet.
 ///
-/// Memory: beside the graph, 4 bytes per sample, and at most 132 for each near which there is another sheet; where
-/// faces have told sheets apart, 4 more, and 128 for each sample near which they meet.
+/// Memory: beside the graph, 4 bytes per sample, and at most 132 for each near which there is another sheet;
+/// where faces have told sheets apart, 4 more, and 128 for each sample near which they meet.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Sheets {
     /// The nearest samples in space: those of most samples are all on the sheet.
@@ -121,8 +121,8 @@ impl Sheets {
         sheets
     }
 
-    /// What was found out before: the graph of so many samples, the samples that have lists of their own, and, where
-    /// faces have told any, the strangers of those that have some; samples in ascending order.
+    /// What was found out before: the graph of so many samples, the samples that have lists of their own,
+    /// and, where faces have told any, the strangers of those that have some; samples in ascending order.
     pub fn known(
         graph: NeighbourGraph,
         samples: usize,
@@ -259,8 +259,8 @@ impl Sheets {
         nearest_of(self.of_sample(i), positions, i, count)
     }
 
-    /// The samples among the nearest in space that are not on the sheet of sample `i`, nearest first, where faces
-    /// have told sheets apart; none elsewhere.
+    /// The samples among the nearest in space that are not on the sheet of sample `i`, nearest first, where
+    /// faces have told sheets apart; none elsewhere.
     #[inline]
     pub fn strangers(&self, i: usize) -> &[u32] {
         match self.stranger_starts.get(i..i + 2) {
@@ -331,7 +331,8 @@ impl WithSimd for Linking<'_> {
     }
 }
 
-/// The chords from a sample to its neighbours, the neighbours' normals, and how far these are along the surface.
+/// The chords from a sample to its neighbours, the neighbours' normals, and how far these are along the
+/// surface.
 #[derive(Default)]
 struct Chords {
     ways: [[f32; NEIGHBOURS]; 3],
@@ -351,8 +352,8 @@ impl Chords {
         }
     }
 
-    /// Measures the distances, and says whether all chords are plainly along the surface. What lies behind the
-    /// neighbours is of no meaning.
+    /// Measures the distances, and says whether all chords are plainly along the surface. What lies behind
+    /// the neighbours is of no meaning.
     #[inline(always)]
     fn measure<S: Simd>(&mut self, simd: S, own: Vec3, count: usize) -> bool {
         let splat = |x| Lanes::splat(simd, x);
@@ -412,13 +413,14 @@ fn dot<S: Simd>(a: [Lanes<S>; 3], b: [Lanes<S>; 3]) -> Lanes<S> {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Whether each of `near` (nearest first) has a link to sample `i`, or to one that has: mostly so to a nearer one,
-/// where there is one sheet alone. If not, links of the others may still lead there. `places` as for [`reached`].
+/// Whether each of `near` (nearest first) has a link to sample `i`, or to one that has: mostly so to a nearer
+/// one, where there is one sheet alone. If not, links of the others may still lead there. `places` as for
+/// [`reached`].
 fn are_linked(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> bool {
     places[i] = 0;
     let mut left = near.len();
-    // The second time for those that come before what they have a link to. Without a branch, as which one it is
-    // cannot be foretold: all bits of a place are set, or none.
+    // The second time for those that come before what they have a link to. Without a branch, as which one it
+    // is cannot be foretold: all bits of a place are set, or none.
     for _ in 0..2 {
         for j in near.iter().map(|j| *j as usize) {
             let linked = links[j].to.iter().fold(NOWHERE, |all, to| all & places[*to as usize]);
@@ -433,8 +435,8 @@ fn are_linked(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> boo
     left == 0
 }
 
-/// The samples of `near` (fewer than 127) that links within them reach from sample `i`, in their order. `places`
-/// has one for each sample, all [`NOWHERE`], before and after.
+/// The samples of `near` (fewer than 127) that links within them reach from sample `i`, in their order.
+/// `places` has one for each sample, all [`NOWHERE`], before and after.
 fn reached<'a>(
     links: &[Links],
     i: usize,

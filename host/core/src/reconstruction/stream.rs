@@ -42,14 +42,15 @@ const MAX_PARTS: u64 = 1024;
 pub struct Version<'a> {
     /// The samples' finite local positions after the deformation.
     pub deformed: &'a [Vec3],
-    /// The file to write, which appears whole or not at all; of a model that is made of tiles a folder of as many.
+    /// The file to write, which appears whole or not at all; of a model that is made of tiles a folder of as
+    /// many.
     pub output: &'a Path,
     /// A file that is to say what becomes of the surface at each vertex, likewise: a binary PLY file of the
     /// deformed positions with `displacement` (in the model's unit), `stretch_max` and `stretch_min` (1 at
     /// rest), `folded` (0 or 1), `expected_error` (how far the vertex is probably off, in the model's unit),
-    /// and `expected_error_fraction` (the same as a fraction of the diagonal at rest); of splats `anisotropy` as
-    /// well (how many times as long as wide a round one becomes). The numbers of a
-    /// vertex without a finite position are NaN, and it is not folded.
+    /// and `expected_error_fraction` (the same as a fraction of the diagonal at rest); of splats `anisotropy`
+    /// as well (how many times as long as wide a round one becomes). The numbers of a vertex without a finite
+    /// position are NaN, and it is not folded.
     pub diagnostics: Option<&'a Path>,
 }
 
@@ -71,8 +72,8 @@ pub struct Reconstruction<'a> {
     pub binding: Option<&'a Path>,
     /// What was found of the samples at rest before, where there is no binding.
     pub found: Option<&'a FoundGeometry>,
-    /// The [gradient](super::known_gradients) of the one version's map at each sample, where it is known: by it
-    /// turns what [follows](Model::following).
+    /// The [gradient](super::known_gradients) of the one version's map at each sample, where it is known: by
+    /// it turns what [follows](Model::following).
     pub gradients: Option<&'a [Mat3]>,
 }
 
@@ -118,8 +119,8 @@ pub struct Reconstructed {
     /// finished, nor of another method than blended jets without diagnostics. What an earlier call wrote of a
     /// version is not counted.
     pub expected: Vec<Option<ExpectedError>>,
-    /// The XXH3 hash of 128 bits of each output, where it came about by the way: of one file that was written as one
-    /// [part](Reconstruction::part_bytes), and in which nothing was replaced in the end.
+    /// The XXH3 hash of 128 bits of each output, where it came about by the way: of one file that was written
+    /// as one [part](Reconstruction::part_bytes), and in which nothing was replaced in the end.
     pub hashes: Vec<Option<u128>>,
 }
 
@@ -186,8 +187,8 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
     rooms.into_iter().try_for_each(|(folder, (output, needed))| check_space(output, folder, needed))
 }
 
-/// What is written, by the one name that all paths to it share, with the bytes that it needs; or an error where it is the
-/// model or two are the same.
+/// What is written, by the one name that all paths to it share, with the bytes that it needs; or an error
+/// where it is the model or two are the same.
 pub(super) fn checked_targets<'a>(
     model: &dyn Model,
     versions: &[Version<'a>],
@@ -416,8 +417,8 @@ impl<'a> ReconstructionCall<'a> {
         }
     }
 
-    /// Number of files, and of pieces of the next one, that every version of the pass has, and that a part ends with
-    /// in each.
+    /// Number of files, and of pieces of the next one, that every version of the pass has, and that a part
+    /// ends with in each.
     fn done(&self) -> (u64, u64) {
         let mut boundaries = self.pass.iter().map(|begun| begun.file.boundaries());
         let mut common = boundaries.next().unwrap_or_default();

@@ -30,9 +30,9 @@ pub struct TransferError {
 /// Vertices that follow each other in the file, of which all are compared or none.
 const BLOCK: u64 = 1 << 10;
 
-/// Compares the deformed model with the exact image of the model at rest: all vertices, or about `most` of them where
-/// there are four times as many, in blocks that are chosen at random, the same ones each time. `exact` maps points in the
-/// model's coordinates in place; `diagonal` is that of the model at rest.
+/// Compares the deformed model with the exact image of the model at rest: all vertices, or about `most` of
+/// them where there are four times as many, in blocks that are chosen at random, the same ones each time.
+/// `exact` maps points in the model's coordinates in place; `diagonal` is that of the model at rest.
 ///
 /// Memory: a chunk of each model.
 ///

@@ -45,8 +45,8 @@ pub(super) struct Needs<'a> {
 
 impl<'a> Needs<'a> {
     /// The needs of the samples that are selected and around which more than `allowed` is expected, for about
-    /// `budget` new ones, as the [errors](SampledModel::cluster_errors) of their clusters are; `None` if there are
-    /// none that could get more.
+    /// `budget` new ones, as the [errors](SampledModel::cluster_errors) of their clusters are; `None` if
+    /// there are none that could get more.
     pub fn new(
         sampled: &'a SampledModel,
         errors: &[f32],

@@ -29,8 +29,8 @@ pub(super) struct GrownNode {
     pub reach: f32,
     /// Its error, or that of one above if that is less.
     pub error: f32,
-    /// The error less the slack, or that of an ancestor which is not kept; what a bound inside the selection is
-    /// compared with.
+    /// The error less the slack, or that of an ancestor which is not kept; what a bound inside the selection
+    /// is compared with.
     pub graded: f32,
     /// Index behind its subtree.
     pub end: u32,

@@ -21,8 +21,8 @@ const LONGEST: u64 = 64 << 30;
 
 /// What a file holds.
 ///
-/// Memory: 36 bytes for each of about 1.4 nodes per cluster, 250 for each cell, and the ranges of cells; as much
-/// again for the file.
+/// Memory: 36 bytes for each of about 1.4 nodes per cluster, 250 for each cell, and the ranges of cells; as
+/// much again for the file.
 #[derive(Serialize, Deserialize)]
 pub struct ClusteredFile {
     /// The hash of the model, the options and the division, and of which range or group the file is.

@@ -1,5 +1,5 @@
-//! Pass 1 in parts: ranges of the vertices are counted by themselves, on any machine, each to a file; the files
-//! add up, in any order, to what one reading counts.
+//! Pass 1 in parts: ranges of the vertices are counted by themselves, on any machine, each to a file; the
+//! files add up, in any order, to what one reading counts.
 
 use std::ops::Range;
 use std::path::Path;
@@ -55,8 +55,8 @@ pub(super) fn count(
     Ok(true)
 }
 
-/// Adds the counts of some files up, which are of all vertices, to one that is as if they had been counted at once,
-/// unless it is there already.
+/// Adds the counts of some files up, which are of all vertices, to one that is as if they had been counted at
+/// once, unless it is there already.
 pub(super) fn merge(
     model: &dyn Model,
     of: &Counting,

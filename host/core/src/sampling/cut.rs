@@ -66,8 +66,9 @@ pub struct Forest {
 }
 
 impl Forest {
-    /// An empty forest on a grid, for a target number of samples, or for a fixed bound and at most so many. With
-    /// `foresight`, a part f of the vertices gets so many times √f of the clusters, and not more than all.
+    /// An empty forest on a grid, for a target number of samples, or for a fixed bound and at most so many.
+    /// With `foresight`, a part f of the vertices gets so many times √f of the clusters, and not more than
+    /// all.
     pub fn new(
         grid: &Grid,
         target: Option<usize>,
@@ -123,8 +124,8 @@ impl Forest {
         self.threshold = self.threshold.max(bound);
     }
 
-    /// The bound below which clusters were dropped, and the trees that were taken in, with the moments of their
-    /// cells, by these.
+    /// The bound below which clusters were dropped, and the trees that were taken in, with the moments of
+    /// their cells, by these.
     pub fn into_trees(self) -> (f32, impl Iterator<Item = ClusteredCell>) {
         let cell = |(cell, known): (usize, Option<(VsTree, Moments)>)| {
             known.map(|(tree, moments)| ClusteredCell { cell: cell as u32, tree, moments })

@@ -1,10 +1,10 @@
-//! Sampling by units of work, on more machines than one: pass 2 in ranges of the stream, each from files to files.
-//! The samples are those of [`sample`](super::sample), to the byte, for any number of ranges.
+//! Sampling by units of work, on more machines than one: pass 2 in ranges of the stream, each from files to
+//! files. The samples are those of [`sample`](super::sample), to the byte, for any number of ranges.
 //!
 //! A range clusters the cells that lie wholly within, and writes down its vertices of the others
-//! (`shared_vertices`), which are clustered by groups of cells. The cut goes through the trees of all. What a piece of
-//! the stream is, which groups of vertices there are, and whether there are any, follows from the counts and the cell
-//! alone, and not from what else is open.
+//! (`shared_vertices`), which are clustered by groups of cells. The cut goes through the trees of all. What a
+//! piece of the stream is, which groups of vertices there are, and whether there are any, follows from the
+//! counts and the cell alone, and not from what else is open.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -25,8 +25,8 @@ use crate::fingerprint::Blocks;
 use crate::sampled_model::SampledModel;
 
 /// The factor by which the samples of a part of the vertices, of which so many times the square root gets its
-/// share, are more than are kept of a part of the stream on one machine: parts are fewer, and one that is too rich
-/// is seen in the end alone.
+/// share, are more than are kept of a part of the stream on one machine: parts are fewer, and one that is too
+/// rich is seen in the end alone.
 const FORESIGHT: f64 = 2.0;
 
 /// No file of counts is longer.
@@ -83,14 +83,14 @@ pub fn exchanged_at_most(model: &dyn Model) -> u64 {
     shared_vertices::bytes_at_most(info.vertices, info.has_normals)
 }
 
-/// Adds up [counts](super::count) of ranges that are all of the model, to a file of the same kind. Nothing is done if
-/// it is there already; `false` then.
+/// Adds up [counts](super::count) of ranges that are all of the model, to a file of the same kind. Nothing is
+/// done if it is there already; `false` then.
 ///
 /// Memory: 48 bytes for each occupied cell, as much for the file, and a file that is added.
 ///
 /// # Errors
-/// A file is missing, damaged, or of another model or other options; they are not of all vertices; the file cannot be
-/// written.
+/// A file is missing, damaged, or of another model or other options; they are not of all vertices; the file
+/// cannot be written.
 pub fn merge_counts(
     model: &dyn Model,
     sampling: &Sampling,
@@ -153,9 +153,9 @@ impl<'a> Divided<'a> {
         })
     }
 
-    /// Leaves for the cut what was clustered, or that groups found no room; and before that, which leaf each vertex is
-    /// in, if that shall be known. `false` if another process has left that meanwhile: its trees are as good but not
-    /// these, and what others have made of them already would not fit these.
+    /// Leaves for the cut what was clustered, or that groups found no room; and before that, which leaf each
+    /// vertex is in, if that shall be known. `false` if another process has left that meanwhile: its trees
+    /// are as good but not these, and what others have made of them already would not fit these.
     fn leave(
         &self,
         owner: Owner,
@@ -217,14 +217,14 @@ impl<'a> Divided<'a> {
     }
 }
 
-/// The key of the leaves that belong to trees: how deep these were built, and so which leaves they have, depends on what
-/// was clustered meanwhile.
+/// The key of the leaves that belong to trees: how deep these were built, and so which leaves they have,
+/// depends on what was clustered meanwhile.
 pub(super) fn leaves_key(mark_of_trees: u128) -> u128 {
     mark_of_trees ^ 3 << 32
 }
 
-/// Number of vertices in cells that ranges share: what these write down for each other, of 12 bytes each, or 24 with
-/// normals, and some 5 to 14 for each visit to a cell.
+/// Number of vertices in cells that ranges share: what these write down for each other, of 12 bytes each, or
+/// 24 with normals, and some 5 to 14 for each visit to a cell.
 ///
 /// # Errors
 /// The counts cannot be read, or are of something else.
@@ -239,15 +239,16 @@ pub fn shared(
     Ok(divided.shares.shared_vertices(&divided.prepared.grid))
 }
 
-/// Clusters the cells that lie wholly within a range of the model, to one file, and writes the range's vertices of the
-/// others to another one. Nothing is done if both are there already; `false` then. Temporary files without a name are
-/// made in `folder`.
+/// Clusters the cells that lie wholly within a range of the model, to one file, and writes the range's
+/// vertices of the others to another one. Nothing is done if both are there already; `false` then. Temporary
+/// files without a name are made in `folder`.
 ///
-/// Memory: that of [`sample`](super::sample); twice the file of trees; 32 MiB of vertices, or 4 KiB for each group.
+/// Memory: that of [`sample`](super::sample); twice the file of trees; 32 MiB of vertices, or 4 KiB for each
+/// group.
 ///
 /// # Errors
-/// As of [`sample`](super::sample); the counts are damaged, or of something else; a file cannot be written, or another
-/// process writes it.
+/// As of [`sample`](super::sample); the counts are damaged, or of something else; a file cannot be written,
+/// or another process writes it.
 pub fn cluster(
     model: &dyn Model,
     sampling: &Sampling,
@@ -272,10 +273,11 @@ pub fn cluster(
     Ok(true)
 }
 
-/// Clusters a group of the cells that ranges share, of the vertices that these [wrote down](cluster), to a file.
-/// Nothing is done if it is there already; `false` then.
+/// Clusters a group of the cells that ranges share, of the vertices that these [wrote down](cluster), to a
+/// file. Nothing is done if it is there already; `false` then.
 ///
-/// Memory: that of [`sample`](super::sample); twice the file of trees; 48 bytes for each 256 KiB of the group's vertices.
+/// Memory: that of [`sample`](super::sample); twice the file of trees; 48 bytes for each 256 KiB of the
+/// group's vertices.
 ///
 /// # Errors
 /// As of [`cluster`]; what a range has written is missing or damaged.
@@ -306,9 +308,10 @@ pub fn cluster_shared(
     divided.leave(owner, clustered, (trees, leaves))
 }
 
-/// Samples a model of which all ranges and all groups are clustered, each to one of some files. It is not read, unless
-/// the parts have kept too little: where groups of vertices find no room, or a part of the model has far more of the
-/// samples than of the vertices, it is sampled as by [`sample`](super::sample), which is noted.
+/// Samples a model of which all ranges and all groups are clustered, each to one of some files. It is not
+/// read, unless the parts have kept too little: where groups of vertices find no room, or a part of the model
+/// has far more of the samples than of the vertices, it is sampled as by [`sample`](super::sample), which is
+/// noted.
 ///
 /// Memory: that of [`sample`](super::sample) without vertices, and a file.
 ///

@@ -1,12 +1,13 @@
-//! What the faces tell of P_S, by units of work: which sample each vertex of a range belongs to, what a range of the
-//! faces tells, and P_S of all of it. The samples are those of [`sample`](super::sample), to the byte.
+//! What the faces tell of P_S, by units of work: which sample each vertex of a range belongs to, what a range
+//! of the faces tells, and P_S of all of it. The samples are those of [`sample`](super::sample), to the byte.
 //!
-//! - A cut of all trees says which leaves belong to which sample, and a range of the vertices looks up its own.
+//! - A cut of all trees says which leaves belong to which sample, and a range of the vertices looks up its
+//!   own.
 //! - Where a range of the faces begins is a matter of arithmetic, or was found by a reading of all faces
 //!   (`face_runs`).
-//! - A range of the faces reads of the vertices those between the least and the greatest corner. What it finds in its
-//!   faces are sets (triangles, islands and what joins them), lists in the order of the file (where faces are), and
-//!   sums of runs of faces that do not depend on the ranges (planes).
+//! - A range of the faces reads of the vertices those between the least and the greatest corner. What it
+//!   finds in its faces are sets (triangles, islands and what joins them), lists in the order of the file
+//!   (where faces are), and sums of runs of faces that do not depend on the ranges (planes).
 //! - What hangs together are the connected parts of what ranges found to, each known by its first vertex.
 
 use std::ops::Range;
@@ -97,8 +98,9 @@ pub fn face_ranges_of(model: &dyn Model, units: u64) -> u64 {
     units.clamp(1, model.info().faces.div_ceil(FACES_OF_A_SUM).max(1))
 }
 
-/// Most bytes that units write down for each other to know the faces, besides what they do for clusters: which it comes
-/// to where neither vertices nor faces come in any order. They are none where faces have no say.
+/// Most bytes that units write down for each other to know the faces, besides what they do for clusters:
+/// which it comes to where neither vertices nor faces come in any order. They are none where faces have no
+/// say.
 ///
 /// # Errors
 /// As of [`reads_faces`].
@@ -137,9 +139,9 @@ fn most_triangles(model: &dyn Model) -> u64 {
     info.face_bytes / bytes
 }
 
-/// Cuts the trees of all ranges and groups, each in one of some files, to a file. Nothing is done if it is there already;
-/// `false` then. Where parts have kept too little, as for [`sample_clustered`](super::divided::sample_clustered), that is
-/// what it says.
+/// Cuts the trees of all ranges and groups, each in one of some files, to a file. Nothing is done if it is
+/// there already; `false` then. Where parts have kept too little, as for
+/// [`sample_clustered`](super::divided::sample_clustered), that is what it says.
 ///
 /// Memory: that of [`sample`](super::sample) without vertices, and a file; twice its own.
 ///
@@ -187,16 +189,16 @@ pub fn cut(
     Ok(true)
 }
 
-/// Finds the sample of each vertex of a range, to a file; and which vertices are at one place, if that is worth
-/// knowing, for which up to a million vertices before the range are read as well. Nothing is done if it is there
-/// already; `false` then.
+/// Finds the sample of each vertex of a range, to a file; and which vertices are at one place, if that is
+/// worth knowing, for which up to a million vertices before the range are read as well. Nothing is done if it
+/// is there already; `false` then.
 ///
-/// Memory: that of the cut; 4 bytes for each cell; a block of each file that is read, 32 MiB or 8 KiB for each group; 4
-/// MiB and a chunk of vertices, if these are read.
+/// Memory: that of the cut; 4 bytes for each cell; a block of each file that is read, 32 MiB or 8 KiB for
+/// each group; 4 MiB and a chunk of vertices, if these are read.
 ///
 /// # Errors
-/// The model cannot be read, or the user cancelled; a file is missing, damaged, or of something else; or cannot be
-/// written, or another process writes it.
+/// The model cannot be read, or the user cancelled; a file is missing, damaged, or of something else; or
+/// cannot be written, or another process writes it.
 pub fn members(
     model: &dyn Model,
     sampling: &Sampling,
@@ -361,7 +363,8 @@ impl CutFile {
 
 /// The lists in a file of what faces tell.
 mod list {
-    /// Of triangles: how many lack a vertex (lower and upper half), whether they are of vertices, whether tangled.
+    /// Of triangles: how many lack a vertex (lower and upper half), whether they are of vertices, whether
+    /// tangled.
     pub const HEAD: usize = 0;
     /// Three corners each.
     pub const TRIANGLES: usize = 1;
@@ -375,17 +378,17 @@ mod list {
     pub const COUNT: usize = 6;
 }
 
-/// Finds what a range of the faces tells, of so many [ranges](face_ranges_of), to a file. Nothing is done if it is there
-/// already; `false` then.
+/// Finds what a range of the faces tells, of so many [ranges](face_ranges_of), to a file. Nothing is done if
+/// it is there already; `false` then.
 ///
-/// Memory: that of the cut; 16 bytes for each 65 536 triangles; per sample 140 bytes, 12 for each of at most 32
-/// triangles, twice while the list grows, and 8 for each of at most 32 links; 16 bytes per cell; chunks of faces.
-/// Temporary files of 8 bytes for each vertex between the least and the greatest corner, and 12 more where faces place
-/// the samples: where vertices come in no order, these are all vertices.
+/// Memory: that of the cut; 16 bytes for each 65 536 triangles; per sample 140 bytes, 12 for each of at most
+/// 32 triangles, twice while the list grows, and 8 for each of at most 32 links; 16 bytes per cell; chunks of
+/// faces. Temporary files of 8 bytes for each vertex between the least and the greatest corner, and 12 more
+/// where faces place the samples: where vertices come in no order, these are all vertices.
 ///
 /// # Errors
-/// A file is missing, damaged, or of something else, or cannot be written, or another process writes it; the model cannot
-/// be read, or its faces are no triangles; the user cancelled.
+/// A file is missing, damaged, or of something else, or cannot be written, or another process writes it; the
+/// model cannot be read, or its faces are no triangles; the user cancelled.
 pub fn faces(
     model: &dyn Model,
     sampling: &Sampling,
@@ -672,8 +675,9 @@ impl Prepared<'_> {
 
 /// Samples a model of which all is known, by the files of all units.
 ///
-/// Memory: that of [`sample`](super::sample) without vertices; 12 bytes for each of at most 32 triangles per sample. Where
-/// sheets are told apart, temporary files of 8 bytes per vertex, and 12 more where some touch and faces place the samples.
+/// Memory: that of [`sample`](super::sample) without vertices; 12 bytes for each of at most 32 triangles per
+/// sample. Where sheets are told apart, temporary files of 8 bytes per vertex, and 12 more where some touch
+/// and faces place the samples.
 ///
 /// # Errors
 /// A file is missing, damaged, or of something else; as of [`sample`](super::sample).
@@ -741,8 +745,8 @@ impl Divided<'_> {
         }
     }
 
-    /// Takes what all ranges of the faces told; what hangs together, if sheets are told apart, by the samples of all
-    /// vertices.
+    /// Takes what all ranges of the faces told; what hangs together, if sheets are told apart, by the samples
+    /// of all vertices.
     fn take_faces(
         &self,
         cut: &CutFile,

@@ -10,8 +10,8 @@ use super::ranges::Ranges;
 
 /// The ranges of all cells, while the faces stream.
 ///
-/// Memory: that of [`Ranges`], or 16 bytes per cell and what is not [taken](Self::take_listed) yet; and 4 bytes per
-/// sample.
+/// Memory: that of [`Ranges`], or 16 bytes per cell and what is not [taken](Self::take_listed) yet; and 4
+/// bytes per sample.
 pub struct FaceRanges {
     /// For each sample its cell, or the first of those that share it.
     cell_of: Vec<u32>,
@@ -53,8 +53,8 @@ impl FaceRanges {
         Self { ranges, ..Self::new(trees, samples) }
     }
 
-    /// The ranges of cells, those of each one in the order of the file, that were listed and cannot go on any more; at
-    /// the end all that are left.
+    /// The ranges of cells, those of each one in the order of the file, that were listed and cannot go on any
+    /// more; at the end all that are left.
     pub fn take_listed(&mut self, is_end: bool) -> Vec<(u32, Range<u64>)> {
         let Kept::Listed { last, list } = &mut self.ranges else { return Vec::new() };
         let mut taken = std::mem::take(list);

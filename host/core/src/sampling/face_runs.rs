@@ -1,6 +1,6 @@
-//! Where in a model's faces each run of triangles begins whose planes are summed up by themselves, so that a part of
-//! the faces can be read by itself. Where all faces are triangles of one length, arithmetic tells; else they are gone
-//! over once.
+//! Where in a model's faces each run of triangles begins whose planes are summed up by themselves, so that a
+//! part of the faces can be read by itself. Where all faces are triangles of one length, arithmetic tells;
+//! else they are gone over once.
 
 use std::ops::Range;
 use std::path::Path;
@@ -59,13 +59,14 @@ pub fn have_to_be_found(model: &dyn Model) -> bool {
     model.face_at(model.info().faces).is_none()
 }
 
-/// Finds where each run of a model's faces begins, to a file. Nothing is done if it is there already; `false` then.
+/// Finds where each run of a model's faces begins, to a file. Nothing is done if it is there already; `false`
+/// then.
 ///
 /// Memory: 16 bytes for each 65 536 triangles, and as much for the file; chunks of faces.
 ///
 /// # Errors
-/// The faces cannot be read, or not from anywhere; the file cannot be written, or another process writes it; the user
-/// cancelled.
+/// The faces cannot be read, or not from anywhere; the file cannot be written, or another process writes it;
+/// the user cancelled.
 pub fn find(model: &dyn Model, target: &Path, progress: &dyn Progress) -> Result<bool> {
     if FaceRuns::read(model, target).is_ok() {
         return Ok(false);

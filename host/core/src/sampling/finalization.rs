@@ -59,8 +59,8 @@ pub struct Pass<'a> {
     pub bound: f32,
     /// Most clusters that may be kept if there is no target.
     pub most: usize,
-    /// Whether, and how well, the number of samples that the whole model will have is foreseen: less work, but it
-    /// can fail.
+    /// Whether, and how well, the number of samples that the whole model will have is foreseen: less work,
+    /// but it can fail.
     pub foresight: Option<f64>,
     /// What of the model is streamed, and which cells are clustered.
     pub job: Job<'a>,

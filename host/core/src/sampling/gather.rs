@@ -21,7 +21,8 @@ use super::shares::PIECE;
 /// Memory for the vertices of open cells beyond which they are summed up in groups, if that helps.
 const VERTICES_AT_EASE: u64 = 12 << 20;
 
-/// The factor by which the groups that are expected are too many, where there are surely no fewer than find room.
+/// The factor by which the groups that are expected are too many, where there are surely no fewer than find
+/// room.
 const SURELY_TOO_MANY: u64 = 4;
 
 /// Groups for each sample of P_S: a cluster is then about as well formed as from the vertices themselves.
@@ -53,8 +54,8 @@ pub trait Gather: Send {
     /// Removes all items of a cell.
     fn take(&mut self, cell: u32) -> CellItems<Self::Item>;
 
-    /// Whether all cells of a model find room, which have so many items in the end: what there was room for by the
-    /// way depends on who gathers which cells.
+    /// Whether all cells of a model find room, which have so many items in the end: what there was room for
+    /// by the way depends on who gathers which cells.
     fn finds_room(&self, records: &[CellRecord], items: &[u32]) -> bool;
 }
 
@@ -208,9 +209,9 @@ pub fn find_room(records: &[CellRecord], groups: &[u32], memory: u64) -> bool {
     groups_find_room(records, groups, Groups::new(0, 1.0, memory).open.blocks())
 }
 
-/// Whether the groups of all cells that are open at a time have room in so many blocks. A cell counts with all that
-/// it has in the end, and in all of each piece of the stream that it is open in, so that no order in which pieces
-/// or cells are gathered finds less room than this.
+/// Whether the groups of all cells that are open at a time have room in so many blocks. A cell counts with
+/// all that it has in the end, and in all of each piece of the stream that it is open in, so that no order in
+/// which pieces or cells are gathered finds less room than this.
 fn groups_find_room(records: &[CellRecord], groups: &[u32], blocks: u64) -> bool {
     let in_pieces = |r: &CellRecord| CellRecord { first: r.first / PIECE, last: r.last / PIECE, ..*r };
     let records: Vec<_> = records.iter().map(in_pieces).collect();
@@ -297,8 +298,8 @@ impl PieceGroups {
 impl GatherPiece for PieceGroups {
     type Item = Group;
 
-    // Always inlined, as a position that is stored by two numbers and one for a call, and read otherwise, has to be
-    // waited for.
+    // Always inlined, as a position that is stored by two numbers and one for a call, and read otherwise, has
+    // to be waited for.
     #[inline(always)]
     fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> u32 {
         let cube = floor(position * self.per_edge);
@@ -394,7 +395,8 @@ pub enum Grouping {
 
 impl Grouping {
     /// What it comes to for a model, of which pass 1 has told when each cell is open: never
-    /// [`Grouping::Automatic`]. It does not depend on the machine, but on the `memory` that groups may take, in bytes.
+    /// [`Grouping::Automatic`]. It does not depend on the machine, but on the `memory` that groups may take,
+    /// in bytes.
     pub fn resolve(self, grid: &Grid, frame: &Frame, target: Target, memory: u64) -> Self {
         let resolved = match self {
             Self::Never => Self::Never,

@@ -100,8 +100,8 @@ impl KdTree {
         largest[node]
     }
 
-    /// The ball, among those about the points that hold `p`, in which it is nearest to the middle, as a part of
-    /// the radius.
+    /// The ball, among those about the points that hold `p`, in which it is nearest to the middle, as a part
+    /// of the radius.
     pub fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
         let mut least = (1.0, u32::MAX);
         let mut open = vec![(0, 0, self.leaves.len())];
@@ -165,7 +165,8 @@ impl KdTree {
     }
 }
 
-/// The values of all points, by those that are known: of the others that of the nearest one. Nothing if none is known.
+/// The values of all points, by those that are known: of the others that of the nearest one. Nothing if none
+/// is known.
 pub(crate) fn completed<T: Copy>(values: &[Option<T>], positions: &[Vec3]) -> Option<Vec<T>> {
     let known: Vec<usize> = (0..values.len()).filter(|i| values[*i].is_some()).collect();
     if known.is_empty() {
@@ -243,7 +244,8 @@ impl Extent {
         points.fold(nothing, |all, p| Self { min: all.min.min(p), max: all.max.max(p) })
     }
 
-    /// Squared distance of another one: rounded as those of the points in both are, so that it is never greater.
+    /// Squared distance of another one: rounded as those of the points in both are, so that it is never
+    /// greater.
     pub(super) fn gap_squared(&self, other: &Self) -> f32 {
         let d = (self.min - other.max).max(other.min - self.max).max(Vec3::ZERO);
         d.x * d.x + d.y * d.y + d.z * d.z

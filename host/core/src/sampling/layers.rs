@@ -153,8 +153,8 @@ fn quadratic(places: &[[f32; 3]]) -> Option<[f32; 6]> {
     solve_positive_definite(a, b).map(|x| x.map(|x| x.x as f32))
 }
 
-/// For ascending heights: where two heaps of them part, how far the means of these are apart, and which part of
-/// the variance that explains.
+/// For ascending heights: where two heaps of them part, how far the means of these are apart, and which part
+/// of the variance that explains.
 fn two_heaps(heights: &[f32]) -> Option<(f32, f64, f64)> {
     let n = heights.len() as f64;
     let sum = |heights: &[f32]| heights.iter().map(|h| f64::from(*h)).sum::<f64>();

@@ -148,9 +148,9 @@ impl Membership {
         }
     }
 
-    /// Visits the leaf of each vertex, once all cells are clustered and their threads have dropped the [`Leaves`]:
-    /// some vertices at a time, all of one list, whose number comes with them; 0 where none was begun. Leaves are
-    /// counted as in [`finish`](Self::finish), and that of no vertex is `u32::MAX`.
+    /// Visits the leaf of each vertex, once all cells are clustered and their threads have dropped the
+    /// [`Leaves`]: some vertices at a time, all of one list, whose number comes with them; 0 where none was
+    /// begun. Leaves are counted as in [`finish`](Self::finish), and that of no vertex is `u32::MAX`.
     ///
     /// # Errors
     /// A file cannot be written; `visit` failed.

@@ -313,8 +313,8 @@ impl<'a> Prepared<'a> {
         usize::try_from(most).unwrap_or(usize::MAX)
     }
 
-    /// Streams what is to be streamed and clusters what is to be clustered, in groups where there are to be some;
-    /// `None` if these find no room.
+    /// Streams what is to be streamed and clusters what is to be clustered, in groups where there are to be
+    /// some; `None` if these find no room.
     fn stream(&self, job: Job<'_>, foresight: Option<f64>, grouping: Grouping) -> Result<Option<Clustered>> {
         let Self { model, grid, frame, rule, target, bound, opaque, folder, progress, .. } = self;
         // Units that read faces find these by themselves.
@@ -464,8 +464,8 @@ impl<'a> Prepared<'a> {
     }
 }
 
-/// Counts the vertices of a range per cell, for [`sample_counted`] of the same model and options, to a file that
-/// appears whole or not at all. Nothing is done if it is there already; `false` then.
+/// Counts the vertices of a range per cell, for [`sample_counted`] of the same model and options, to a file
+/// that appears whole or not at all. Nothing is done if it is there already; `false` then.
 ///
 /// Memory: 48 bytes for each cell that the range meets, as much for the file, and a chunk.
 ///
@@ -515,8 +515,8 @@ impl Reindexed {
         Self { cut, triangles: Triangles::default(), faces: None, parted: None, placed: None }
     }
 
-    /// Reads the faces. Where they tell that clusters hold several sheets, these are parted; where faces place the
-    /// samples, those of the samples that this changes are read once more.
+    /// Reads the faces. Where they tell that clusters hold several sheets, these are parted; where faces
+    /// place the samples, those of the samples that this changes are read once more.
     fn run(&mut self, read: &Read<'_>, members: &mut SampleOf) -> Result<()> {
         let Read { parting, .. } = *read;
         let info = parting.model.info();
@@ -536,8 +536,9 @@ impl Reindexed {
         Ok(())
     }
 
-    /// Parts the clusters of several sheets, if need be after a coarser cut, so that there are no more samples than
-    /// are wanted; which are others than before then. `welded` says that what is at one place is joined already.
+    /// Parts the clusters of several sheets, if need be after a coarser cut, so that there are no more
+    /// samples than are wanted; which are others than before then. `welded` says that what is at one place is
+    /// joined already.
     fn part_sheets(
         &mut self,
         read: &Read<'_>,
@@ -630,8 +631,8 @@ impl Reindexed {
         planes.place(|sample| slack.as_ref().map_or(f32::INFINITY, |slack| slack[sample]))
     }
 
-    /// Places those samples by the faces whose clusters have changed, if they were. Only faces of cells in which
-    /// clusters have changed are read, if it is known where they are.
+    /// Places those samples by the faces whose clusters have changed, if they were. Only faces of cells in
+    /// which clusters have changed are read, if it is known where they are.
     fn place_again(
         &mut self,
         read: &Read<'_>,
@@ -679,8 +680,8 @@ fn are_told(placement: Placement, skip: &Skip) -> bool {
     placement == Placement::Faces || !skip.sheets || !skip.triangles
 }
 
-/// Whether faces share hardly any vertices, so many of which are known to be at the same place as others: what hangs
-/// together is told by the positions of all then.
+/// Whether faces share hardly any vertices, so many of which are known to be at the same place as others:
+/// what hangs together is told by the positions of all then.
 fn are_apart(info: &ModelInfo, twins: u64) -> bool {
     (info.vertices - twins) / 2 > info.faces
 }

@@ -1,9 +1,9 @@
-//! The nearest others of every point of a tree, leaf by leaf: the points of a leaf are near the same leaves, which
-//! are looked up once for all of them.
+//! The nearest others of every point of a tree, leaf by leaf: the points of a leaf are near the same leaves,
+//! which are looked up once for all of them.
 //!
-//! What is nearest to one of them reaches no further than what is nearest to another, and the way between both.
-//! Within that, how far the right number reaches is guessed by the point before, and counted: so few are sorted
-//! that are not wanted.
+//! What is nearest to one of them reaches no further than what is nearest to another, and the way between
+//! both. Within that, how far the right number reaches is guessed by the point before, and counted: so few
+//! are sorted that are not wanted.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -14,8 +14,8 @@ use rayon::prelude::*;
 use super::kd_tree::{Extent, Found, KdTree, LEAF, Leaf};
 use crate::counting_sort;
 
-/// Most leaves that are looked at together. Where a leaf is near more, as one of few points beside a heap, its
-/// points are looked up one by one.
+/// Most leaves that are looked at together. Where a leaf is near more, as one of few points beside a heap,
+/// its points are looked up one by one.
 const MOST_LEAVES: usize = 128;
 
 /// A guess that brings up to so many more than are wanted is good enough.
@@ -32,8 +32,8 @@ const LEAST: f32 = 1e-36;
 
 impl KdTree {
     /// The `k` nearest others of each point, nearest first, one list behind the other: the same as
-    /// [`nearest_others`](Self::nearest_others) finds. There are more points than `k`. Takes jobs of the thread
-    /// pool.
+    /// [`nearest_others`](Self::nearest_others) finds. There are more points than `k`. Takes jobs of the
+    /// thread pool.
     ///
     /// Memory: 4 bytes for each entry, and 9 kilobytes for each thread.
     pub fn nearest_others_of_all(&self, k: usize) -> Vec<u32> {
@@ -100,8 +100,8 @@ impl Batch<'_> {
         }
     }
 
-    /// Gathers the leaves of which a point may be no farther from a box than the root of `most`; `false` if they
-    /// are too many.
+    /// Gathers the leaves of which a point may be no farther from a box than the root of `most`; `false` if
+    /// they are too many.
     fn gather(&mut self, whole: &Extent, most: f32) -> bool {
         self.near.clear();
         if !most.is_finite() {

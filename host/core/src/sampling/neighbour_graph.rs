@@ -45,7 +45,8 @@ impl NeighbourGraph {
         &self.flat
     }
 
-    /// How many neighbours each sample has: [`NEIGHBOURS`](super::NEIGHBOURS), or fewer in a set of fewer samples.
+    /// How many neighbours each sample has: [`NEIGHBOURS`](super::NEIGHBOURS), or fewer in a set of fewer
+    /// samples.
     pub fn k(&self) -> usize {
         self.k
     }

@@ -1,7 +1,7 @@
 //! Lists of numbers in a file: what units of work leave each other of vertices and faces.
 //!
-//! Each list is in blocks, which may lie among those of the others; where they are, and their hashes, is told at the
-//! file's end.
+//! Each list is in blocks, which may lie among those of the others; where they are, and their hashes, is told
+//! at the file's end.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};

@@ -1,6 +1,6 @@
 //! Splats in which nobody sees a surface: floaters, which would take samples from what is seen. They are too
-//! transparent, the more so the larger or the farther off they are than others. They are left out of P_S, as vertices
-//! without a position are, and are deformed like all others.
+//! transparent, the more so the larger or the farther off they are than others. They are left out of P_S, as
+//! vertices without a position are, and are deformed like all others.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -44,8 +44,8 @@ impl UsualSplat {
         (usual.distance > 0.0 && usual.size > 0.0).then_some(usual)
     }
 
-    /// How many times larger or farther off than what is hardly unusual a splat is; at least one, and one if it has
-    /// no size.
+    /// How many times larger or farther off than what is hardly unusual a splat is; at least one, and one if
+    /// it has no size.
     fn excess(&self, p: DVec3, size: f64) -> f64 {
         (size / (UNUSUAL * self.size)).max(p.distance(self.middle) / (UNUSUAL * self.distance)).max(1.0)
     }
@@ -94,7 +94,8 @@ impl Opaque {
     /// The file cannot be read.
     fn find_usual(&self, model: &dyn Model) -> Result<Option<UsualSplat>> {
         let info = model.info();
-        // Where reading begins at the first splat always, all are read, and some are taken: files may be sorted.
+        // Where reading begins at the first splat always, all are read, and some are taken: files may be
+        // sorted.
         let (places, each, step) = match info.random_access && info.vertices > PLACES * AT_A_PLACE {
             true => (PLACES, AT_A_PLACE, 1),
             false => (1, info.vertices, info.vertices.div_ceil(PLACES * AT_A_PLACE).max(1)),

@@ -24,8 +24,8 @@ pub struct Sampling {
     pub grouping: Grouping,
     /// What places the samples.
     pub placement: Placement,
-    /// Gaussian splats of less opacity are left out, as floaters are; [`LEAST_OPACITY`](super::LEAST_OPACITY) where not given. Once
-    /// sampled, nothing where none are left out.
+    /// Gaussian splats of less opacity are left out, as floaters are; [`LEAST_OPACITY`](super::LEAST_OPACITY)
+    /// where not given. Once sampled, nothing where none are left out.
     pub min_opacity: Option<f64>,
     /// What is not wanted.
     pub skip: Skip,

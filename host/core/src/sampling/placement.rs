@@ -189,14 +189,14 @@ impl Unlike {
     }
 }
 
-/// Faces whose planes are summed up by themselves, in single precision: so that sums are those of ranges of the faces
-/// that begin at a multiple of this number, whoever reads which of them.
+/// Faces whose planes are summed up by themselves, in single precision: so that sums are those of ranges of
+/// the faces that begin at a multiple of this number, whoever reads which of them.
 pub const FACES_OF_A_SUM: u64 = 1 << 16;
 
 /// The planes of the faces around each sample's cluster, summed up.
 ///
-/// Memory: 128 bytes per sample, and 4 for each time that one is met in a run of faces; without its own sums 48, and 44
-/// bytes for each of the listed ones, of which a run has three for each face at most.
+/// Memory: 128 bytes per sample, and 4 for each time that one is met in a run of faces; without its own sums
+/// 48, and 44 bytes for each of the listed ones, of which a run has three for each face at most.
 pub struct Planes<'a> {
     /// Where the vertices of P_L are, local coordinates.
     vertices: &'a [Vec3],
@@ -342,8 +342,8 @@ impl<'a> Planes<'a> {
         }
     }
 
-    /// A sample has its first planes, of which nothing may be left, so that it is met once more: it is summed up once,
-    /// as it has nothing then.
+    /// A sample has its first planes, of which nothing may be left, so that it is met once more: it is summed
+    /// up once, as it has nothing then.
     #[cold]
     #[inline(never)]
     fn meet(&mut self, place: u32) {

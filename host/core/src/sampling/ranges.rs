@@ -81,9 +81,9 @@ impl Ranges {
         Self { cells: vec![Packed::default(); cells], most, last: None, jumps: 0 }
     }
 
-    /// From the first of these vertices on, up to before the end, the stream is in a cell, whose ranges are kept or
-    /// not. What comes before the first visit of a piece of the stream is of no cell, so that ranges follow from
-    /// the pieces, whoever reads which of them.
+    /// From the first of these vertices on, up to before the end, the stream is in a cell, whose ranges are
+    /// kept or not. What comes before the first visit of a piece of the stream is of no cell, so that ranges
+    /// follow from the pieces, whoever reads which of them.
     pub fn visit(&mut self, cell: u32, vertices: Range<u64>, is_kept: bool) {
         let former = self.last.replace(cell);
         self.jumps += u64::from(former.is_some_and(|former| former != cell));

@@ -39,8 +39,8 @@ pub struct SampleSet {
     tree: OnceLock<KdTree>,
 }
 
-/// The neighbours of each sample and its spacing: found when it is first asked for, as writing the samples does
-/// not need it.
+/// The neighbours of each sample and its spacing: found when it is first asked for, as writing the samples
+/// does not need it.
 struct Neighbourhoods {
     neighbours: NeighbourGraph,
     spacing: Vec<f32>,
@@ -116,8 +116,8 @@ impl SampleSet {
         &self.known
     }
 
-    /// The contacts: which samples are on the same sheet where parts of the model touch, as its faces tell; `None`
-    /// where none do, or it has no faces.
+    /// The contacts: which samples are on the same sheet where parts of the model touch, as its faces tell;
+    /// `None` where none do, or it has no faces.
     pub fn contacts(&self) -> Option<&Contacts> {
         self.contacts.as_ref()
     }
@@ -165,8 +165,9 @@ impl SampleSet {
         &self.surroundings().spacing
     }
 
-    /// How far the surface around each sample goes that it stands for in pictures: its spacing, but for samples that
-    /// lie apart from all others, as strays of a scan, no more than their nearest neighbour tells.
+    /// How far the surface around each sample goes that it stands for in pictures: its spacing, but for
+    /// samples that lie apart from all others, as strays of a scan, no more than their nearest neighbour
+    /// tells.
     pub fn extents(&self) -> Vec<f32> {
         let Neighbourhoods { neighbours, spacing } = self.surroundings();
         let ring = SPACING_NEIGHBOURS.min(neighbours.k());
@@ -225,8 +226,8 @@ impl SampleSet {
         self.tree().largest_below(radius)
     }
 
-    /// The ball, among those about the samples that hold a point, in which it is nearest to the middle, as a part
-    /// of the radius.
+    /// The ball, among those about the samples that hold a point, in which it is nearest to the middle, as a
+    /// part of the radius.
     pub(crate) fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
         self.tree().deepest(p, radius, largest)
     }
@@ -329,8 +330,8 @@ mod tests {
         assert!(SampleSet::new(vec![Vec3::NAN], Vec::new()).is_err());
     }
 
-    /// Strays, alone or a few together, do not stand for the space between them and all others; borders and corners
-    /// of a surface are no strays.
+    /// Strays, alone or a few together, do not stand for the space between them and all others; borders and
+    /// corners of a surface are no strays.
     #[test]
     fn strays_stand_for_little() {
         let surface = (0..900).map(|i| Vec3::new((i % 30) as f32, (i / 30) as f32, 0.0));

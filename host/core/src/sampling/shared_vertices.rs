@@ -1,10 +1,10 @@
-//! Vertices of cells that ranges of the stream share: each range writes those that it meets to a file, piece by
-//! piece, and who clusters a group of cells reads those of the group from the files of all ranges, in the order of
-//! the stream.
+//! Vertices of cells that ranges of the stream share: each range writes those that it meets to a file, piece
+//! by piece, and who clusters a group of cells reads those of the group from the files of all ranges, in the
+//! order of the stream.
 //!
-//! A file has blocks, each of records of one group; where they are, and their hashes, is told at its end. A record
-//! has what one piece of the stream has of a group: its visits to cells, and the vertices' positions and normals as
-//! they are clustered, in local coordinates.
+//! A file has blocks, each of records of one group; where they are, and their hashes, is told at its end. A
+//! record has what one piece of the stream has of a group: its visits to cells, and the vertices' positions
+//! and normals as they are clustered, in local coordinates.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -36,7 +36,8 @@ const LONGEST: u64 = 4 << 30;
 /// Bytes of a vertex besides its position and its normal, at most.
 const VISIT_BYTES: u64 = 14;
 
-/// Bytes of so many shared vertices at most, if each is a visit of its own, as where vertices come in no order.
+/// Bytes of so many shared vertices at most, if each is a visit of its own, as where vertices come in no
+/// order.
 pub fn bytes_at_most(vertices: u64, with_normals: bool) -> u64 {
     vertices.saturating_mul(VISIT_BYTES + bytes_of(with_normals))
 }
@@ -299,8 +300,8 @@ pub struct SharedReader {
 }
 
 impl SharedReader {
-    /// A reader of the files of these ranges, in their order, with their keys; `None` if one does not have all
-    /// vertices.
+    /// A reader of the files of these ranges, in their order, with their keys; `None` if one does not have
+    /// all vertices.
     ///
     /// # Errors
     /// One cannot be read, is damaged, or is of something else.
@@ -384,7 +385,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Visits by cell, what comes before it, length, and how many of that are nowhere; and whether there are normals.
+    /// Visits by cell, what comes before it, length, and how many of that are nowhere; and whether there are
+    /// normals.
     type Made = (Vec<(u32, u64, u64, u32)>, bool);
 
     /// Pieces with visits to cells, the longest of a few vertices.

@@ -1,12 +1,13 @@
-//! Who clusters which cell, where the stream is divided among units of work: each range of the stream has the cells
-//! that lie wholly within, and the others, which ranges share, are divided into groups.
+//! Who clusters which cell, where the stream is divided among units of work: each range of the stream has the
+//! cells that lie wholly within, and the others, which ranges share, are divided into groups.
 
 use std::ops::Range;
 
 use super::grid::{CellRecord, Grid};
 
-/// Vertices that are gathered as one piece of the stream, from each multiple of this number on: of soups, whole
-/// facets. A constant, so that sums depend neither on the number of threads nor on how the model is read.
+/// Vertices that are gathered as one piece of the stream, from each multiple of this number on: of soups,
+/// whole facets. A constant, so that sums depend neither on the number of threads nor on how the model is
+/// read.
 pub const PIECE: u64 = 3 << 11;
 
 /// The unit that clusters a cell.
@@ -27,8 +28,8 @@ pub struct Shares {
     owners: Vec<Owner>,
 }
 
-/// Vertices of a model of so many, in ranges of about the same length, each of whole pieces of the stream: at most so
-/// many, and none of them empty.
+/// Vertices of a model of so many, in ranges of about the same length, each of whole pieces of the stream: at
+/// most so many, and none of them empty.
 pub fn ranges(vertices: u64, count: u64) -> Vec<Range<u64>> {
     let pieces = vertices.div_ceil(PIECE);
     let count = count.clamp(1, pieces.max(1));
@@ -40,8 +41,8 @@ pub fn ranges(vertices: u64, count: u64) -> Vec<Range<u64>> {
 }
 
 impl Shares {
-    /// The shares of the cells of a model whose vertices are in such [`ranges`], and of so many groups: of cells
-    /// that the stream meets one after another, with about as many vertices in each.
+    /// The shares of the cells of a model whose vertices are in such [`ranges`], and of so many groups: of
+    /// cells that the stream meets one after another, with about as many vertices in each.
     pub fn new(grid: &Grid, ranges: Vec<Range<u64>>, groups: u32) -> Self {
         let within = |first: u64, last: u64| {
             let at = ranges.partition_point(|range| range.end <= first);

@@ -35,12 +35,12 @@ use super::vs_tree::Workspace;
 /// wait need not.
 const WAITING: u64 = 1;
 
-/// Streams the model, or a part of it, through the grid and clusters each cell that is to be clustered, down to the
-/// bound or to that which the target has come to meanwhile. `None` if `gather` finds no room.
+/// Streams the model, or a part of it, through the grid and clusters each cell that is to be clustered, down
+/// to the bound or to that which the target has come to meanwhile. `None` if `gather` finds no room.
 ///
-/// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells as may be queued,
-/// and two parts of a cell on each thread; as many pieces as there are threads, and one more, of [`PIECE`]
-/// vertices: their bytes in the file, and at most 200 for each.
+/// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells as may be
+/// queued, and two parts of a cell on each thread; as many pieces as there are threads, and one more, of
+/// [`PIECE`] vertices: their bytes in the file, and at most 200 for each.
 ///
 /// # Errors
 /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be
@@ -71,8 +71,8 @@ pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered
     Ok(has_room.then_some(clustered))
 }
 
-/// A table for the members of all clusters. Vertices of cells that others cluster are in it with the first leaf of
-/// their cell.
+/// A table for the members of all clusters. Vertices of cells that others cluster are in it with the first
+/// leaf of their cell.
 fn members(pass: &Pass<'_>) -> Result<Membership> {
     let range = vertices_of(pass);
     let coming = match &pass.job {
@@ -272,8 +272,8 @@ struct Piece<P> {
 /// No item.
 const NONE: u32 = u32::MAX;
 
-/// Of a vertex of a cell that others cluster, the number of the cell is noted with this bit: pieces have fewer items,
-/// and grids fewer cells.
+/// Of a vertex of a cell that others cluster, the number of the cell is noted with this bit: pieces have
+/// fewer items, and grids fewer cells.
 const OF_OTHERS: u32 = 1 << 31;
 
 enum Task<G: Gather> {

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 pub enum Target {
     /// This many samples, at most, and only less where the model has no more to tell apart.
     Samples(u64),
-    /// No cluster has a larger error (see [`super::cluster::Moments::representative`]); a fraction of the diagonal.
-    /// So every vertex has a sample within this / [`super::cluster::REACH_WEIGHT`].
+    /// No cluster has a larger error (see [`super::cluster::Moments::representative`]); a fraction of the
+    /// diagonal. So every vertex has a sample within this / [`super::cluster::REACH_WEIGHT`].
     Error(f64),
 }
 

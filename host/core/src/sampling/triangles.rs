@@ -64,11 +64,12 @@ pub struct Wanted<'a, 'p> {
     pub planes: Option<&'a mut Planes<'p>>,
 }
 
-/// Takes faces, some at a time, in the file's order. `sample_of` says which sample each vertex belongs to. Where
-/// islands are looked for, by which clusters may be parted, the triangles come as vertices, unless there are too many.
+/// Takes faces, some at a time, in the file's order. `sample_of` says which sample each vertex belongs to.
+/// Where islands are looked for, by which clusters may be parted, the triangles come as vertices, unless
+/// there are too many.
 ///
-/// Memory: 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles per sample, twice while the list grows; a
-/// surface has about two, found once or twice each.
+/// Memory: 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles per sample, twice while the list
+/// grows; a surface has about two, found once or twice each.
 pub struct Reindexing<'a, 'p> {
     sample_of: &'a [u32],
     samples: usize,
@@ -86,8 +87,8 @@ impl<'a, 'p> Reindexing<'a, 'p> {
         Self { sample_of, samples, wanted, most: MOST_PER_SAMPLE * samples.max(64), found }
     }
 
-    /// Takes the next triangles, and the marks among them; and those whose planes are summed up, which are the same but
-    /// for who reads a part of the faces.
+    /// Takes the next triangles, and the marks among them; and those whose planes are summed up, which are
+    /// the same but for who reads a part of the faces.
     pub fn take(&mut self, triangles: &[[u32; 3]], marks: &[FaceMark], summed: &[[u32; 3]]) {
         let Self { sample_of, samples, ref mut wanted, most, ref mut found } = *self;
         let Wanted { triangles: wants_triangles, ranges, islands, planes } = wanted;

@@ -1,5 +1,5 @@
-//! Who is on whose sheet where sheets meet, found once, while sampling, by the ways over the surface that the model's faces
-//! make; and looked up for vertices that are sampled again.
+//! Who is on whose sheet where sheets meet, found once, while sampling, by the ways over the surface that the
+//! model's faces make; and looked up for vertices that are sampled again.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -36,9 +36,9 @@ const DETOUR: f32 = 1.5;
 const BATCH: usize = 1 << 14;
 
 impl Contacts {
-    /// The contacts of the samples of a model whose clusters were parted, of which `sample_of` says what vertex
-    /// belongs to which. `trees` has the samples of each cell. Where clusters were parted there are contacts,
-    /// though nothing may be near any more: so it is known that they were.
+    /// The contacts of the samples of a model whose clusters were parted, of which `sample_of` says what
+    /// vertex belongs to which. `trees` has the samples of each cell. Where clusters were parted there are
+    /// contacts, though nothing may be near any more: so it is known that they were.
     ///
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
@@ -323,8 +323,8 @@ impl<'a> Guides<'a> {
         (sheets, guides.map(|guide| sheet_of[&guide]).collect())
     }
 
-    /// The sample, in the cluster of one that a tree has, that is on the sheet of `guide`; `guide` itself if there
-    /// is none.
+    /// The sample, in the cluster of one that a tree has, that is on the sheet of `guide`; `guide` itself if
+    /// there is none.
     pub fn of_cluster(&self, sample: u32, guide: u32) -> u32 {
         let all = || [sample].into_iter().chain(self.parted_from(sample).iter().copied());
         let found =
@@ -479,8 +479,8 @@ fn without<'a>(all: &'a [u32], some: &'a [u32]) -> impl Iterator<Item = u32> + '
     all.iter().filter(move |j| some.next_if_eq(j).is_none()).copied()
 }
 
-/// Makes leaving out mutual: a sample that another one leaves out leaves that one out, too. The result lists each
-/// that had not, with the other one.
+/// Makes leaving out mutual: a sample that another one leaves out leaves that one out, too. The result lists
+/// each that had not, with the other one.
 fn make_mutual(
     samples: &SampleSet,
     left_out: Vec<(u32, u32)>,

@@ -16,8 +16,8 @@ use simod_model::{Error, Result};
 use super::ADVICE;
 use super::twins::Found as FoundTwins;
 
-/// Most links for each sample: beyond it, faces are a tangle that tells nothing. There may be more of them on the way,
-/// while islands are still parts of larger ones.
+/// Most links for each sample: beyond it, faces are a tangle that tells nothing. There may be more of them on
+/// the way, while islands are still parts of larger ones.
 const MOST_PER_SAMPLE: usize = 16;
 
 /// Links that are not tidied up yet.
@@ -296,8 +296,8 @@ impl Islands {
         })
     }
 
-    /// All islands that are joined with others, unless they are a tangle: whatever order faces came in. `sample_of` is
-    /// the cluster of each vertex.
+    /// All islands that are joined with others, unless they are a tangle: whatever order faces came in.
+    /// `sample_of` is the cluster of each vertex.
     ///
     /// # Errors
     /// The temporary file could not be written, or read.

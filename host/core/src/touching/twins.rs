@@ -16,8 +16,8 @@ use super::sorter::{Entry, entry, hash_of};
 /// Positions that are remembered: a few rows or patches of a scan.
 const REMEMBERED: usize = 1 << 18;
 
-/// The number of entries that are looked at first, as most twins are near each other in the file: as many as a
-/// processor's first cache holds.
+/// The number of entries that are looked at first, as most twins are near each other in the file: as many as
+/// a processor's first cache holds.
 const LATEST: usize = 1 << 11;
 
 /// Vertices that are looked at together.
@@ -26,8 +26,8 @@ const BLOCK: usize = 64;
 /// Numbers written at a time.
 const BUFFER: usize = 1 << 16;
 
-/// Vertices of which none is compared with those before the first of them: so who has a part of the vertices needs to
-/// look at few others to find what a search of all of them finds.
+/// Vertices of which none is compared with those before the first of them: so who has a part of the vertices
+/// needs to look at few others to find what a search of all of them finds.
 const RUN: u64 = 1 << 20;
 
 /// Finds twins while the vertices stream.
@@ -88,8 +88,8 @@ impl Found {
     }
 }
 
-/// Whether a model of so many vertices and faces has vertices at one place that are worth looking for: where faces
-/// share their vertices, there are hardly any.
+/// Whether a model of so many vertices and faces has vertices at one place that are worth looking for: where
+/// faces share their vertices, there are hardly any.
 pub fn may_be_there(vertices: u64, faces: u64) -> bool {
     // A closed mesh of triangles has half as many vertices as faces.
     20 * u128::from(vertices) > 11 * u128::from(faces)
@@ -146,8 +146,8 @@ impl Twins {
 }
 
 impl Search {
-    /// The vertex from which on one has to look at vertices to find what a search of all of them finds of this one and
-    /// those behind it.
+    /// The vertex from which on one has to look at vertices to find what a search of all of them finds of
+    /// this one and those behind it.
     pub fn first_for(vertex: u64) -> u64 {
         vertex - vertex % RUN
     }

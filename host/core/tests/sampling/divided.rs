@@ -1,5 +1,5 @@
-//! Sampling by units, in any order and more than once: the samples, and all that is kept with them, are those of one
-//! reading.
+//! Sampling by units, in any order and more than once: the samples, and all that is kept with them, are those
+//! of one reading.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -321,8 +321,9 @@ fn units_sample_as_one_reading_does() {
     Work::new(&body.shuffled(), area).check("by area");
 }
 
-/// A unit may be given to a second machine while the first one, which is taken for lost, goes on with it. Which trees
-/// are built how deep depends on the threads, and what others have made of the first ones has to go on to fit.
+/// A unit may be given to a second machine while the first one, which is taken for lost, goes on with it.
+/// Which trees are built how deep depends on the threads, and what others have made of the first ones has to
+/// go on to fit.
 #[test]
 fn what_another_process_has_left_meanwhile_stays() {
     let mut work = Work::new(&amphora().shuffled(), samples(3000));
@@ -588,8 +589,8 @@ fn units_read_polygons_as_one_reading_does() {
         Work::of_polygons(&body.without_normals(), &polygons, samples(500))
             .check(&format!("{name}, without normals"));
     }
-    // Faces without a triangle, among them blocks and before the end of a run; faces of more triangles than a run has,
-    // and of some that there are not.
+    // Faces without a triangle, among them blocks and before the end of a run; faces of more triangles than a
+    // run has, and of some that there are not.
     let mut polygons: Vec<Vec<u32>> = body.faces.iter().map(|corners| corners.to_vec()).collect();
     let all = 0..body.positions.len() as u32;
     polygons.insert(100, all.clone().collect());

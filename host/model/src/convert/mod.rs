@@ -1,7 +1,7 @@
 //! Models written in other formats than their own: streamed, edited on the way like those that keep theirs.
 //!
-//! A [`Converted`] model is the model, but for what is written of it. What the new format cannot hold is known
-//! before anything is written, and listed; whoever loses it has said so.
+//! A [`Converted`] model is the model, but for what is written of it. What the new format cannot hold is
+//! known before anything is written, and listed; whoever loses it has said so.
 //!
 //! | module | |
 //! |---|---|
@@ -242,7 +242,8 @@ fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<(Faces, Cou
     Ok((faces, counted))
 }
 
-/// What a format that holds polygons, or triangles alone, loses of the faces of a file that says it has so many.
+/// What a format that holds polygons, or triangles alone, loses of the faces of a file that says it has so
+/// many.
 fn losses_of_faces(holds_polygons: bool, told: u64, counted: &Counted) -> Vec<String> {
     let Counted { triangles, without_vertex, faces, long, .. } = *counted;
     let mut losses = Vec::new();

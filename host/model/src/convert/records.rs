@@ -1,5 +1,5 @@
-//! PLY (binary, little endian) and PCD (binary): a header of text, a record for each vertex, and in PLY one for
-//! each face.
+//! PLY (binary, little endian) and PCD (binary): a header of text, a record for each vertex, and in PLY one
+//! for each face.
 
 use std::collections::HashSet;
 

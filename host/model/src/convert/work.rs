@@ -1,7 +1,7 @@
 //! The stream from one format to another, as the pipeline of rewriting takes it.
 //!
-//! Where vertices can be read from anywhere, each thread reads those of its own piece, and the edit is told of
-//! the pieces in turn; where not, one thread at a time reads on.
+//! Where vertices can be read from anywhere, each thread reads those of its own piece, and the edit is told
+//! of the pieces in turn; where not, one thread at a time reads on.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -41,7 +41,8 @@ struct Turns {
     next: u64,
     /// Number of vertices that the form has.
     done: u64,
-    /// The piece that begins with this vertex failed, or none did: those behind it will never have their turn.
+    /// The piece that begins with this vertex failed, or none did: those behind it will never have their
+    /// turn.
     failed: u64,
 }
 
@@ -82,8 +83,8 @@ impl<'a> ConversionCall<'a> {
         self.turned.notify_all();
     }
 
-    /// Waits, for the piece that begins with a vertex, until something is so; an error if it never will be, as a
-    /// piece before it has failed, whose error is the one that is told.
+    /// Waits, for the piece that begins with a vertex, until something is so; an error if it never will be,
+    /// as a piece before it has failed, whose error is the one that is told.
     fn wait(&self, piece: u64, until: impl Fn(&Turns) -> bool) -> Result<()> {
         let mut turns = self.turns();
         while !until(&turns) {
@@ -95,8 +96,8 @@ impl<'a> ConversionCall<'a> {
         Ok(())
     }
 
-    /// Does something for the piece that begins with a vertex; whoever waits for what follows from it learns if
-    /// it fails.
+    /// Does something for the piece that begins with a vertex; whoever waits for what follows from it learns
+    /// if it fails.
     fn guarded<T>(&self, piece: u64, work: impl FnOnce() -> Result<T>) -> Result<T> {
         struct Guard<'w, 'a> {
             of: &'w ConversionCall<'a>,

@@ -98,8 +98,8 @@ fn ns<'a>(node: Node<'a, '_>) -> Option<&'a str> {
     node.tag_name().namespace()
 }
 
-/// What is told of a scan besides points, pose, and what follows from the points or says who made the file and when:
-/// the names of elements that are not empty.
+/// What is told of a scan besides points, pose, and what follows from the points or says who made the file
+/// and when: the names of elements that are not empty.
 fn besides(scan: Node<'_, '_>) -> Vec<String> {
     const FOLLOWS: [&str; 9] = [
         "guid",

@@ -209,8 +209,8 @@ impl Packed {
     }
 }
 
-/// A range of integers, as wide as so many bits allow, that reaches over all of `from` to `to`; the range before
-/// stays as much as it can. None if there is none.
+/// A range of integers, as wide as so many bits allow, that reaches over all of `from` to `to`; the range
+/// before stays as much as it can. None if there is none.
 pub(super) fn range_over(range: [i64; 2], bits: u32, from: f64, to: f64) -> Option<[i64; 2]> {
     let [min, max] = range.map(i128::from);
     // Casts of floats end at the ends.

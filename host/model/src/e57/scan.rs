@@ -28,8 +28,8 @@ pub(super) struct Scan {
     pub first: u64,
     /// The fields of a row.
     pub row: Vec<usize>,
-    /// The fields of what turns with the surface besides normals, in the order of its numbers; none where the scan
-    /// lacks one.
+    /// The fields of what turns with the surface besides normals, in the order of its numbers; none where the
+    /// scan lacks one.
     pub turning: Vec<Option<usize>>,
     /// How they are stored, and how they are written, which is with other ranges where these were chosen.
     kinds: Vec<Kind>,
@@ -60,7 +60,8 @@ pub(super) struct Beyond {
     pub value: f64,
 }
 
-/// What no range of a field's bits is wide enough for: the field, and from where to where its numbers would go.
+/// What no range of a field's bits is wide enough for: the field, and from where to where its numbers would
+/// go.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TooWide {
     pub field: usize,
@@ -244,8 +245,8 @@ impl Scan {
         self.described.pose.turned(DVec3::from(self.three(row, three))).as_vec3()
     }
 
-    /// Turns a row into what is written of it: with its point at another place, if it moves from one position to
-    /// another, both in the frame of all scans. Returns whether any bits changed.
+    /// Turns a row into what is written of it: with its point at another place, if it moves from one position
+    /// to another, both in the frame of all scans. Returns whether any bits changed.
     pub fn move_point(&self, row: &mut [u64], moves: Option<[DVec3; 2]>) -> Result<bool, Beyond> {
         let before = self.local(row);
         let (flat, polar) = (self.valid_cartesian(row), self.valid_spherical(row));
@@ -319,9 +320,9 @@ impl Scan {
         Ok(changed)
     }
 
-    /// Chooses ranges for the integers of positions where these have no room for points that go from the first
-    /// place of a pair to the second, in the frame of all scans, and further by a margin; of those pairs that
-    /// begin where the scan may have points.
+    /// Chooses ranges for the integers of positions where these have no room for points that go from the
+    /// first place of a pair to the second, in the frame of all scans, and further by a margin; of those
+    /// pairs that begin where the scan may have points.
     ///
     /// # Errors
     /// A field has too few bits for any range.
@@ -372,8 +373,8 @@ impl Scan {
         Ok(())
     }
 
-    /// The numbers of a place in the frame of all scans: x, y and z, if points have them, and then range, azimuth
-    /// and elevation; each with what a margin around the place makes of it.
+    /// The numbers of a place in the frame of all scans: x, y and z, if points have them, and then range,
+    /// azimuth and elevation; each with what a margin around the place makes of it.
     fn coordinates(&self, p: DVec3, margin: f64) -> Vec<Coordinate> {
         let local = self.described.pose.turned_back(p - self.described.pose.translation);
         let length =
@@ -395,8 +396,8 @@ impl Scan {
         all
     }
 
-    /// Whether any point may be at a position in the frame of all scans, or hardly beyond what the fields hold: a
-    /// field may reach just as far as its points do, and a position be rounded.
+    /// Whether any point may be at a position in the frame of all scans, or hardly beyond what the fields
+    /// hold: a field may reach just as far as its points do, and a position be rounded.
     pub fn has_room_for(&self, p: DVec3) -> bool {
         const HARDLY: f64 = 1e-3;
         let local = self.described.pose.turned_back(p - self.described.pose.translation);
@@ -504,8 +505,8 @@ impl Scan {
         of_row.map_or(self.described.fields[field].kind, |of_row| self.written[of_row]).range()
     }
 
-    /// The ranges of integers that are written, where they are others: the field, and the least and the largest
-    /// number.
+    /// The ranges of integers that are written, where they are others: the field, and the least and the
+    /// largest number.
     pub fn other_ranges(&self) -> impl Iterator<Item = (usize, [i64; 2])> {
         let all = self.row.iter().zip(&self.kinds).zip(&self.written);
         all.filter(|((_, old), new)| old != new).filter_map(|((field, _), new)| match new {

@@ -49,8 +49,8 @@ struct Tally {
 const NEEDLE: f64 = 10.0;
 
 impl Following {
-    /// What turns among the attributes of a model without being declared: splats, told by their properties. Where
-    /// they lack one, nothing does, and [`check`](Self::check) says so.
+    /// What turns among the attributes of a model without being declared: splats, told by their properties.
+    /// Where they lack one, nothing does, and [`check`](Self::check) says so.
     pub(crate) fn recognised(attributes: &[Attribute]) -> Self {
         let found = Self::find(&Follow::default(), attributes);
         found.unwrap_or_else(|why| Self { misfit: Some(why), ..Self::default() })

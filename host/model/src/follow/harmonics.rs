@@ -1,8 +1,8 @@
 //! Spherical harmonics under a rotation: a colour c(d) of directions becomes c(Qᵀd).
 //!
-//! The bands are those of 3D Gaussian splatting, with its signs and order. Each band is closed under rotations,
-//! so the new coefficients are those for which both sides agree in as many directions as the band has functions;
-//! the directions are fixed, and so is the inverse of what the functions are there.
+//! The bands are those of 3D Gaussian splatting, with its signs and order. Each band is closed under
+//! rotations, so the new coefficients are those for which both sides agree in as many directions as the band
+//! has functions; the directions are fixed, and so is the inverse of what the functions are there.
 
 use std::sync::LazyLock;
 
@@ -69,8 +69,8 @@ static DIRECTIONS: LazyLock<[DVec3; MOST]> = LazyLock::new(|| {
     })
 });
 
-/// For each band, what gives coefficients from values in the first directions: for each of these its part in all
-/// coefficients.
+/// For each band, what gives coefficients from values in the first directions: for each of these its part in
+/// all coefficients.
 static INVERSES: LazyLock<[Square; 3]> = LazyLock::new(|| {
     std::array::from_fn(|i| {
         let values = DIRECTIONS.map(|d| band(i + 1, d));

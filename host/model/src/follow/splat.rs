@@ -113,8 +113,9 @@ impl Ellipsoid {
     }
 }
 
-/// The rotation whose axes lie along orthogonal ones, each on the side where the former axis comes to lie. The
-/// shortest of them, or what is across a disc, is what makes it a rotation: it is turned round by a mirror.
+/// The rotation whose axes lie along orthogonal ones, each on the side where the former axis comes to lie.
+/// The shortest of them, or what is across a disc, is what makes it a rotation: it is turned round by a
+/// mirror.
 fn oriented(axes: &DMat3, lengths: [f64; 3], before: &DMat3) -> Option<DMat3> {
     let mut order = [0, 1, 2];
     order.sort_by(|a, b| lengths[*b].total_cmp(&lengths[*a]));

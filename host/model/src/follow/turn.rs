@@ -91,8 +91,9 @@ impl Turn {
         }
     }
 
-    /// The quaternion that turns as the rotation of the gradient does, of the same length and on the same side as
-    /// before. Of a frame that is mirrored, the third axis is turned round: no quaternion is a mirror.
+    /// The quaternion that turns as the rotation of the gradient does, of the same length and on the same
+    /// side as before. Of a frame that is mirrored, the third axis is turned round: no quaternion is a
+    /// mirror.
     fn quaternion(&self, q: DQuat) -> Option<DQuat> {
         let (polar, length) = (self.polar?, q.length());
         let unit = (length > 0.0 && length.is_finite()).then(|| q * (1.0 / length))?;
@@ -143,9 +144,9 @@ pub(super) fn sorted(mut numbers: [f64; 3]) -> [f64; 3] {
 }
 
 /// M·V with orthogonal columns, of some rotation V, and the columns of N·V: one-sided Jacobi rotations
-/// (M. R. Hestenes, *Inversion of Matrices by Biorthogonalization and Related Results*, 1958), the smallest each
-/// time, so that columns which are nearly orthogonal stay what they are, in their order. Columns are orthogonal where
-/// the cosine between them is below `enough`.
+/// (M. R. Hestenes, *Inversion of Matrices by Biorthogonalization and Related Results*, 1958), the smallest
+/// each time, so that columns which are nearly orthogonal stay what they are, in their order. Columns are
+/// orthogonal where the cosine between them is below `enough`.
 fn orthogonal_with<const N: usize>(
     m: &DMat3,
     mut others: [[DVec3; 3]; N],
@@ -181,14 +182,15 @@ pub(super) fn orthogonal(m: &DMat3, enough: f64) -> DMat3 {
     orthogonal_with::<0>(m, [], enough).0
 }
 
-/// The orthogonal factor Q of J = Q·S with S symmetric and positive. Where J leaves a plane only, Q is the one
-/// that is no mirror.
+/// The orthogonal factor Q of J = Q·S with S symmetric and positive. Where J leaves a plane only, Q is the
+/// one that is no mirror.
 fn polar(j: &DMat3) -> Option<DMat3> {
     polar_by_averages(j).or_else(|| polar_by_axes(j))
 }
 
-/// The same by the average of the matrix and its inverse transpose, again and again (N. J. Higham, *Computing the Polar
-/// Decomposition, with Applications*, 1986), which is quicker; nothing where the matrix is nearly singular.
+/// The same by the average of the matrix and its inverse transpose, again and again (N. J. Higham, *Computing
+/// the Polar Decomposition, with Applications*, 1986), which is quicker; nothing where the matrix is nearly
+/// singular.
 fn polar_by_averages(j: &DMat3) -> Option<DMat3> {
     // After each average, what is off is about half the square of what was.
     const FEW: usize = 12;

@@ -1,5 +1,5 @@
-//! `min` and `max` of positions in the JSON, and of normals and tangents where they are there. It stands before
-//! them in the file: they are written in the end, and the JSON has room for them until then.
+//! `min` and `max` of positions in the JSON, and of normals and tangents where they are there. It stands
+//! before them in the file: they are written in the end, and the JSON has room for them until then.
 
 use std::ops::Range;
 

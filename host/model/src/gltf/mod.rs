@@ -1,9 +1,9 @@
 //! glTF 2.0: GLB, and `.gltf` with its buffers, which is written as GLB.
 //!
-//! The vertices are the positions of all meshes that nodes show, in the world's coordinates: a node's matrix is
-//! done before, and undone after. They are patched in their bytes with their normals and tangents, wherever
-//! accessors say that these are, and so are `min` and `max` of positions, in the JSON. Everything else is copied
-//! byte by byte.
+//! The vertices are the positions of all meshes that nodes show, in the world's coordinates: a node's matrix
+//! is done before, and undone after. They are patched in their bytes with their normals and tangents,
+//! wherever accessors say that these are, and so are `min` and `max` of positions, in the JSON. Everything
+//! else is copied byte by byte.
 //!
 //! | module | |
 //! |---|---|

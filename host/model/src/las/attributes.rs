@@ -68,8 +68,8 @@ impl Whole {
         }
     }
 
-    /// The bytes of a number, which is rounded to a whole one where the type has no others, and how many they are;
-    /// nothing where it does not fit.
+    /// The bytes of a number, which is rounded to a whole one where the type has no others, and how many they
+    /// are; nothing where it does not fit.
     fn bytes(self, value: f64) -> Option<([u8; 8], usize)> {
         let mut bytes = [0; 8];
         macro_rules! put {
@@ -129,7 +129,8 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// The places of the attributes of a point format, and the extra bytes that a record of the file describes.
+    /// The places of the attributes of a point format, and the extra bytes that a record of the file
+    /// describes.
     pub fn new(header: &Header, extra: &[u8]) -> Self {
         use Type::{F64, I8, I16, U8, U16};
         let mut this = Self::default();
@@ -309,8 +310,8 @@ impl Places {
         (limits.least.is_some() || limits.most.is_some()).then_some(limits)
     }
 
-    /// The bytes by which such a place says how far an attribute reaches: of a double, or of a whole number with 64
-    /// bits.
+    /// The bytes by which such a place says how far an attribute reaches: of a double, or of a whole number
+    /// with 64 bits.
     pub fn limit(&self, attribute: usize, stored: f64) -> Vec<u8> {
         let wide = match self.places[attribute].how {
             How::Scaled { number: Whole::Of(kind), .. } | How::Number(kind) => match kind {

@@ -117,8 +117,8 @@ fn range(place: Place) -> (f64, f64) {
     }
 }
 
-/// Whether all numbers of a type are told by what they become. Whether flags and the like are as small as they
-/// have to be is seen when they are written.
+/// Whether all numbers of a type are told by what they become. Whether flags and the like are as small as
+/// they have to be is seen when they are written.
 fn fits(kind: Type, place: Place) -> bool {
     match place {
         Place::Number(Type::F64) => true,
@@ -369,8 +369,8 @@ pub(super) fn compress(laszip: &Laszip, records: &mut Vec<u8>) -> Result<()> {
     Ok(())
 }
 
-/// What is replaced in the end of a file whose first VLR, at this byte, says how points are compressed: where the
-/// table is, which `start` says that the points begin with; and that blocks differ in size, if they do.
+/// What is replaced in the end of a file whose first VLR, at this byte, says how points are compressed: where
+/// the table is, which `start` says that the points begin with; and that blocks differ in size, if they do.
 pub(super) fn laszip_patches(vlr: u64, start: u64, all: &Summary) -> Vec<(u64, Vec<u8>)> {
     let mut patches = vec![(start, (start + 8 + bytes_of(all)).to_le_bytes().to_vec())];
     if !is_fixed(all) {

@@ -1,6 +1,6 @@
 //! What positions and colours compressed points were found to have, for those that are read again: before
-//! LASzip's third version all numbers of a point are compressed together, so that a part of them takes as long
-//! to read as all.
+//! LASzip's third version all numbers of a point are compressed together, so that a part of them takes as
+//! long to read as all.
 
 use std::ops::Range;
 use std::path::Path;
@@ -17,8 +17,8 @@ const MOST: u64 = 8 << 30;
 
 /// Parts of the records of some blocks.
 ///
-/// Memory: 16 bytes for each block. A temporary file has as many bytes for each vertex as the parts, 12 or 18 as
-/// a rule, and [`MOST`] at most.
+/// Memory: 16 bytes for each block. A temporary file has as many bytes for each vertex as the parts, 12 or 18
+/// as a rule, and [`MOST`] at most.
 #[derive(Debug)]
 pub(super) struct KeptFields {
     file: Scratch,

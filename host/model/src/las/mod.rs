@@ -1,9 +1,9 @@
 //! LAS 1.0 to 1.4, and LAZ, which is LAS with compressed points, COPC among it: all point formats, with any
 //! extra bytes.
 //!
-//! The vertices are the points. Their positions are integers, which are patched in the records; everything else
-//! is copied byte by byte, but for what says where other things are or how far the points reach, which is
-//! corrected where it changes. A block of compressed points in which nothing moves is copied as it is.
+//! The vertices are the points. Their positions are integers, which are patched in the records; everything
+//! else is copied byte by byte, but for what says where other things are or how far the points reach, which
+//! is corrected where it changes. A block of compressed points in which nothing moves is copied as it is.
 //!
 //! | module | |
 //! |---|---|

@@ -101,8 +101,8 @@ impl<'a> Reader<'a> {
         Ok(count)
     }
 
-    /// Reads the next blocks: on as many threads as the pool has, unless this is one of them, beside which the
-    /// others have their own to do.
+    /// Reads the next blocks: on as many threads as the pool has, unless this is one of them, beside which
+    /// the others have their own to do.
     fn read_ahead(&mut self, laszip: &Laszip, blocks: &Blocks) -> Result<()> {
         let threads = if rayon::current_thread_index().is_some() { 1 } else { rayon::current_num_threads() };
         let mut next = blocks.of_vertex(self.range.start);

@@ -1,5 +1,5 @@
-//! LAS as LAZ, and LAZ as LAS: header, records and what lies between stay as they are, and so do points, but for
-//! being compressed.
+//! LAS as LAZ, and LAZ as LAS: header, records and what lies between stay as they are, and so do points, but
+//! for being compressed.
 
 use std::ops::Range;
 

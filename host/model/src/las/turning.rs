@@ -1,5 +1,5 @@
-//! Extra bytes that turn with the surface: put into records, and how far they reach, which their description may
-//! say (LAS 1.4 R15, table 24).
+//! Extra bytes that turn with the surface: put into records, and how far they reach, which their description
+//! may say (LAS 1.4 R15, table 24).
 
 use std::ops::Range;
 
@@ -14,8 +14,8 @@ use crate::{Edited, Summary};
 const OF_A_BOX: usize = 3;
 
 impl LasModel {
-    /// Turns what of `records` follows, which are those of some of a chunk's vertices, the chunk's positions being
-    /// `positions`; whether any bytes changed.
+    /// Turns what of `records` follows, which are those of some of a chunk's vertices, the chunk's positions
+    /// being `positions`; whether any bytes changed.
     pub(super) fn turn(
         &self,
         (edited, vertices): (&Edited, Range<usize>),

@@ -97,7 +97,8 @@ impl Records {
             (b"LASF_Projection", 34735) => Kind::GeoKeys,
             _ => return Ok(Some(behind)),
         };
-        // One of each, and those of COPC, all of which go: a file of many such records is no reason to hold them.
+        // One of each, and those of COPC, all of which go: a file of many such records is no reason to hold
+        // them.
         if kind == Kind::Copc || self.find(kind).is_none() {
             self.records.push(Record { kind, all: at..behind, content: content..behind, is_extended });
         }

@@ -1,10 +1,10 @@
-//! OBJ, as a stream of lines: the numbers of `v` and `vn` lines change, and every other byte is kept, whatever
-//! the statement.
+//! OBJ, as a stream of lines: the numbers of `v` and `vn` lines change, and every other byte is kept,
+//! whatever the statement.
 //!
 //! Normals are of corners here. Where a file has as many as vertices, and every corner uses the normal that
 //! has the number of its vertex, they are those of the vertices: either each beside its vertex, or apart from
-//! them. Other normals are not read; when the model is written, each becomes the mean of what it becomes where
-//! it is used, if that agrees, and keeps its bytes otherwise, which is said.
+//! them. Other normals are not read; when the model is written, each becomes the mean of what it becomes
+//! where it is used, if that agrees, and keeps its bytes otherwise, which is said.
 //!
 //! | module | |
 //! |---|---|

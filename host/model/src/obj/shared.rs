@@ -36,9 +36,9 @@ const POSITION: usize = 24;
 
 /// A model that is rewritten with its shared normals.
 ///
-/// Disk, in the cache: 24 bytes for each vertex, and 8 for each pair of a vertex and a normal; while it is filled
-/// 8 to 16 besides for each. Memory: 32 MiB while they are sorted; beside the chunks 1 MiB for each thread after
-/// that.
+/// Disk, in the cache: 24 bytes for each vertex, and 8 for each pair of a vertex and a normal; while it is
+/// filled 8 to 16 besides for each. Memory: 32 MiB while they are sorted; beside the chunks 1 MiB for each
+/// thread after that.
 pub(super) struct SharedNormals<'a> {
     model: &'a ApartModel,
     /// The positions of all vertices, and behind them the pairs: the normal in the upper half, the vertex in

@@ -1,9 +1,9 @@
-//! Compressed PLY of PlayCanvas and SuperSplat: an element `chunk` with bounds of positions, logarithms of scales and (in
-//! later files) colours, for 256 splats each; an element `vertex` of four packed numbers between these; and maybe
-//! an element `sh` with a byte for each coefficient of the harmonics.
+//! Compressed PLY of PlayCanvas and SuperSplat: an element `chunk` with bounds of positions, logarithms of
+//! scales and (in later files) colours, for 256 splats each; an element `vertex` of four packed numbers
+//! between these; and maybe an element `sh` with a byte for each coefficient of the harmonics.
 //!
-//! New bounds follow from all splats of a chunk, and stand before all splats in the file. So splats are carried over once
-//! for each element, each time with the same result.
+//! New bounds follow from all splats of a chunk, and stand before all splats in the file. So splats are
+//! carried over once for each element, each time with the same result.
 //!
 //! A chunk's bytes are, splat by splat, its packed numbers and its harmonics; before each splat that begins a
 //! chunk of the file stand the bounds. The bounds of all chunks that it meets are its records.
@@ -498,8 +498,8 @@ impl Rewritable for Chunks {
     }
 }
 
-/// The header, the bounds, the splats and their harmonics, each of these made of all bytes of the splats; and what follows
-/// them.
+/// The header, the bounds, the splats and their harmonics, each of these made of all bytes of the splats; and
+/// what follows them.
 struct ChunkPieces<'a> {
     model: &'a Chunks,
     /// Where in the header, or behind the splats, it goes on.

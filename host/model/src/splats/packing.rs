@@ -8,7 +8,8 @@ pub(super) fn coefficient(colour: f64) -> f64 {
     (colour - 0.5) / FIRST
 }
 
-/// The opacity before the sigmoid. None and all of it would not be finite: a quarter of a step is kept from either.
+/// The opacity before the sigmoid. None and all of it would not be finite: a quarter of a step is kept from
+/// either.
 pub(super) fn opacity(byte: u8) -> f64 {
     let opacity = f64::from(byte).clamp(0.25, 254.75) / 255.0;
     (opacity / (1.0 - opacity)).ln()

@@ -1,5 +1,5 @@
-//! `.splat`, as viewers in browsers take it: for each splat position and scales as floats, colour and opacity as four
-//! bytes, and the quaternion as four more, real part first. There is no header; the extension tells.
+//! `.splat`, as viewers in browsers take it: for each splat position and scales as floats, colour and opacity
+//! as four bytes, and the quaternion as four more, real part first. There is no header; the extension tells.
 
 use std::ops::Range;
 use std::path::Path;

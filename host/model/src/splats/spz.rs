@@ -1,8 +1,8 @@
-//! SPZ of Niantic, versions 2 and 3: a header and one array after the other (positions of 24 bits, opacities, colours,
-//! logarithms of scales, quaternions, harmonics), compressed as a whole by gzip.
+//! SPZ of Niantic, versions 2 and 3: a header and one array after the other (positions of 24 bits, opacities,
+//! colours, logarithms of scales, quaternions, harmonics), compressed as a whole by gzip.
 //!
-//! It is unpacked into the cache once. What is written goes through gzip again, array by array: splats are carried
-//! over once for each array of numbers that turn, each time with the same result.
+//! It is unpacked into the cache once. What is written goes through gzip again, array by array: splats are
+//! carried over once for each array of numbers that turn, each time with the same result.
 //!
 //! A chunk's bytes are those of its splats, with all of a splat's numbers side by side.
 
@@ -76,7 +76,8 @@ pub(crate) fn is_gzip(start: &[u8]) -> bool {
 }
 
 /// # Errors
-/// The file is no SPZ, or of another version; it is cut off or damaged; there is no room for what is unpacked.
+/// The file is no SPZ, or of another version; it is cut off or damaged; there is no room for what is
+/// unpacked.
 pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
     let damaged = |what: &str| source.malformed(what, HINT);
     let mut header = [0; HEADER as usize];
@@ -245,7 +246,8 @@ impl Spz {
     }
 }
 
-/// A quaternion, real part last: three bytes of the others, with the real part not negative, or the smallest three.
+/// A quaternion, real part last: three bytes of the others, with the real part not negative, or the smallest
+/// three.
 fn quaternion(bytes: &[u8]) -> [f64; 4] {
     let (mut q, largest) = match *bytes {
         [a, b, c, d] => {

@@ -2,9 +2,9 @@
 //!
 //! A number that moved gets as many decimals as the one that it replaces, and as the most that some numbers
 //! spread over the file have; so no number is less precise than the file's own digits. Numbers in scientific
-//! notation stay in it, with as many digits before the exponent, and seven at least. Where the file's decimals
-//! are coarser than a thousandth of its extent, as in a cube of zeros and ones, they say nothing of the
-//! precision that is wanted: numbers get decimals down to a ten-millionth of it.
+//! notation stay in it, with as many digits before the exponent, and seven at least. Where the file's
+//! decimals are coarser than a thousandth of its extent, as in a cube of zeros and ones, they say nothing of
+//! the precision that is wanted: numbers get decimals down to a ten-millionth of it.
 
 use std::io::Write;
 

@@ -163,7 +163,8 @@ fn number(word: &str) -> f64 {
 
 #[test]
 fn a_shared_normal_is_the_mean_of_its_places_where_they_agree() {
-    // The first is of two places that agree, the second of two that do not, the third of none, the fourth of one.
+    // The first is of two places that agree, the second of two that do not, the third of none, the fourth of
+    // one.
     let text = "v 0.000 0 0\nv 1.000 0 0\nv 2.000 0 0\nv 3.000 0 0\nvn 0 0 1.00000\nvn 0 0 1.00000\nvn 0 0 1.00000\n\
         vn 0 0 2.00000\nf 1//1 2//1 3//2\nf 3//2 -1//-3 4//4\n";
     let model = check_whole(text.as_bytes(), ".obj");

@@ -112,8 +112,8 @@ impl Scene {
         self.light(encoder, style);
     }
 
-    /// Sums up at most so many more splats, pass by pass: first of a picture that shows some more of all than the
-    /// last one, and once that is shown, of the next one.
+    /// Sums up at most so many more splats, pass by pass: first of a picture that shows some more of all than
+    /// the last one, and once that is shown, of the next one.
     pub(super) fn fill(&mut self, encoder: &mut CommandEncoder, view: &View, style: &Style, splats: usize) {
         let scale = style.scale;
         let all = self.splats();

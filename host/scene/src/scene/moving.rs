@@ -9,7 +9,8 @@ use crate::cloud::{BadSurface, Surface, same_length};
 use crate::view::{Mode, Style, View};
 
 impl Scene {
-    /// The samples are somewhere else: none of them is up to date any more, and the next picture is another one.
+    /// The samples are somewhere else: none of them is up to date any more, and the next picture is another
+    /// one.
     pub fn outdate(&mut self) {
         (self.placed, self.of) = (0, None);
     }
@@ -19,8 +20,8 @@ impl Scene {
         self.of == Some(self.drawable(view, style))
     }
 
-    /// How many samples the next picture is of, at most: no others than these [first ones](Self::first) have to be up
-    /// to date for it.
+    /// How many samples the next picture is of, at most: no others than these [first ones](Self::first) have
+    /// to be up to date for it.
     pub fn reach(&self, view: &View, style: &Style, budget: Option<&Budget>) -> usize {
         let all = self.samples();
         let Some(budget) = budget else { return all };
@@ -51,8 +52,8 @@ impl Scene {
         self.first.as_ref().map_or_else(Arc::default, |first| first.samples.clone())
     }
 
-    /// Brings the [first samples](Self::first) up to date, as many as were asked for last: lists with one entry for
-    /// each, in their order; triangles are not used. The picture goes on with them.
+    /// Brings the [first samples](Self::first) up to date, as many as were asked for last: lists with one
+    /// entry for each, in their order; triangles are not used. The picture goes on with them.
     ///
     /// # Errors
     /// The lists do not fit together, or are not of these samples.

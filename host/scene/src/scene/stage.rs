@@ -1,4 +1,5 @@
-//! What drawing keeps from one frame to the next: textures, how far splats are summed up, values for the shaders.
+//! What drawing keeps from one frame to the next: textures, how far splats are summed up, values for the
+//! shaders.
 
 use bytemuck::bytes_of;
 use wgpu::{BindGroup, BindGroupLayout, Buffer, BufferUsages};

@@ -12,7 +12,8 @@ use simod_plugin_api::{
 pub struct OwnHandles {
     /// Where they are at rest, local coordinates, and how they may be moved.
     pub descs: Vec<HandleDesc>,
-    /// The faces between them, for each its corners as indices of handles; none where the plugin knows of no surface.
+    /// The faces between them, for each its corners as indices of handles; none where the plugin knows of no
+    /// surface.
     pub faces: Vec<Vec<u32>>,
 }
 

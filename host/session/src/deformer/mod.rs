@@ -234,9 +234,9 @@ impl Plugin {
         self.code.new_scratch().map_err(|e| self.failed(&e))
     }
 
-    /// Fills `out`, whose content is not a number so that what is not written stays visible, with the samples' deformed
-    /// positions. On an error its content is meaningless. That the samples are what they were is
-    /// [checked](Self::check_unchanged) by the caller.
+    /// Fills `out`, whose content is not a number so that what is not written stays visible, with the
+    /// samples' deformed positions. On an error its content is meaningless. That the samples are what they
+    /// were is [checked](Self::check_unchanged) by the caller.
     pub(crate) fn deform(
         &self,
         state: &State,
@@ -323,8 +323,8 @@ impl Plugin {
         self.code.migrate(from, settings).map_err(|e| self.failed(&e))
     }
 
-    /// What the samples' arrays are, about a millisecond for 350 000; nothing for a plugin in another process, which has
-    /// a copy of them.
+    /// What the samples' arrays are, about a millisecond for 350 000; nothing for a plugin in another
+    /// process, which has a copy of them.
     pub(crate) fn fingerprint(&self, samples: &Samples<'_>) -> Option<Fingerprint> {
         (!self.is_isolated()).then(|| Fingerprint::of(samples))
     }
@@ -376,8 +376,8 @@ impl Plugin {
     }
 }
 
-/// Hashes of the samples' arrays, of all their pages that leave the same remainder: what is done again and again is
-/// looked at in turn.
+/// Hashes of the samples' arrays, of all their pages that leave the same remainder: what is done again and
+/// again is looked at in turn.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Fingerprint([u64; Self::PARTS]);
 

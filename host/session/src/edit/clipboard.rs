@@ -1,5 +1,5 @@
-//! Steps on the clipboard: the text of a session that has nothing but them, so that they can be pasted into another
-//! edit, a message, or a file.
+//! Steps on the clipboard: the text of a session that has nothing but them, so that they can be pasted into
+//! another edit, a message, or a file.
 
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, LARGEST, Origin, ParamPlaces, SessionFile, Step};
@@ -11,7 +11,8 @@ use std::path::Path;
 /// Where a step that is pasted says it was, if it makes no sense.
 const CLIPBOARD: &str = "the clipboard";
 
-/// Steps as a text, with all their strokes and selections in it. Files among their parameters are named by whole paths.
+/// Steps as a text, with all their strokes and selections in it. Files among their parameters are named by
+/// whole paths.
 ///
 /// # Errors
 /// The text is longer than a session can be; a file's name is no text.
@@ -30,7 +31,8 @@ pub fn copied(steps: &[Step], plugins: &PluginRegistry) -> Result<String> {
     Ok(copied)
 }
 
-/// The steps of a text: of what was [copied], or of a session. Files among their parameters are as seen from `folder`.
+/// The steps of a text: of what was [copied], or of a session. Files among their parameters are as seen from
+/// `folder`.
 ///
 /// # Errors
 /// It is no session's text, names what makes no sense, or has no steps.
@@ -55,8 +57,8 @@ pub fn pasted(text: &str, folder: &Path) -> Result<Vec<Step>> {
     Ok(steps)
 }
 
-/// A step whose files are named by whole paths, with where its plugin came from; as far as the plugin is there to say
-/// so.
+/// A step whose files are named by whole paths, with where its plugin came from; as far as the plugin is
+/// there to say so.
 fn with_whole_paths(step: &Step, plugins: &PluginRegistry) -> Result<Step> {
     let mut step = step.clone();
     if let Action::Deform(Deformation { deform, plugin: origin, params, folder, .. }) = &mut step.action

@@ -46,8 +46,8 @@ pub enum Command {
         /// The steps.
         steps: Vec<Step>,
     },
-    /// All other deformations are switched off; if they are already, those are switched on that this has switched off,
-    /// or all where that is not known.
+    /// All other deformations are switched off; if they are already, those are switched on that this has
+    /// switched off, or all where that is not known.
     Solo {
         /// The step's place.
         at: usize,

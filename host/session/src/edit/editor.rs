@@ -29,8 +29,8 @@ pub struct Editor {
     opened: PathBuf,
     document: Document,
     plugins: Arc<PluginRegistry>,
-    /// The steps as they were saved last, or as they were at first; nothing where those that were at first are in
-    /// no file.
+    /// The steps as they were saved last, or as they were at first; nothing where those that were at first
+    /// are in no file.
     saved: Option<Arc<[Entry]>>,
     /// The steps as they were kept last against a crash, or that are not to be kept.
     kept: Arc<[Entry]>,
@@ -97,8 +97,8 @@ impl Editor {
         Self { saved: None, ..self }
     }
 
-    /// The same, opened by another path than its model's, as by the folder of its samples: what it is kept beside
-    /// until it has a file.
+    /// The same, opened by another path than its model's, as by the folder of its samples: what it is kept
+    /// beside until it has a file.
     #[must_use]
     pub fn opened_by(self, path: &Path) -> Self {
         Self { opened: path.to_owned(), ..self }
@@ -171,8 +171,8 @@ impl Editor {
         [&former, path, &self.opened].into_iter().try_for_each(forget)
     }
 
-    /// Removes what was kept against a crash: the user does not want these steps. They are kept again once they
-    /// change.
+    /// Removes what was kept against a crash: the user does not want these steps. They are kept again once
+    /// they change.
     ///
     /// # Errors
     /// It cannot be removed.
@@ -185,9 +185,9 @@ impl Editor {
         self.path.as_deref().unwrap_or(&self.opened)
     }
 
-    /// Keeps the steps against a crash, in a hidden file beside the session's, or beside what was opened if the
-    /// session has none yet; if there is anything new to keep. [`recover`] gives them back. Where the steps are again
-    /// as they were saved, or as they were at first, there is nothing to be kept.
+    /// Keeps the steps against a crash, in a hidden file beside the session's, or beside what was opened if
+    /// the session has none yet; if there is anything new to keep. [`recover`] gives them back. Where the
+    /// steps are again as they were saved, or as they were at first, there is nothing to be kept.
     ///
     /// # Errors
     /// The file cannot be written.

@@ -45,8 +45,8 @@ pub struct Evaluated {
     pub positions: Arc<[Vec3]>,
     /// How each step fared, in their order.
     pub statuses: Vec<(StepId, Status)>,
-    /// Where the steps of plugins that take joints put the handles that they placed: local coordinates, one for each
-    /// handle. Not of those whose map is not known.
+    /// Where the steps of plugins that take joints put the handles that they placed: local coordinates, one
+    /// for each handle. Not of those whose map is not known.
     pub posed: Vec<(StepId, Arc<[DVec3]>)>,
     /// What each step began with, up to the one that failed, in their order: local positions, of fewer
     /// samples if refinements follow. There its regions, strokes and joints are.
@@ -315,8 +315,8 @@ impl Evaluation {
         }
     }
 
-    /// Where a step has put the handles that its plugin placed, if that takes joints: an end that reaches for a place
-    /// bends the bones above it, whose handles have not moved.
+    /// Where a step has put the handles that its plugin placed, if that takes joints: an end that reaches for
+    /// a place bends the bones above it, whose handles have not moved.
     fn posed(&self, id: StepId, done: &Done, progress: &dyn Progress) -> Option<Arc<[DVec3]>> {
         let handles = self.handles(id).filter(|handles| !handles.descs.is_empty())?;
         let Some(StepState::Deform { layer, .. }) = self.known.get(&id) else { return None };

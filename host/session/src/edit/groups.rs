@@ -1,5 +1,5 @@
-//! Groups of steps: steps that follow each other and have the same word for it. Steps do the same in a group as out of
-//! it; a group is switched, moved and named as one.
+//! Groups of steps: steps that follow each other and have the same word for it. Steps do the same in a group
+//! as out of it; a group is switched, moved and named as one.
 
 use super::entry::Entry;
 use std::ops::Range;
@@ -44,8 +44,8 @@ pub(super) fn gap_at(steps: &[Entry], at: usize) -> usize {
     group_at(steps, at).filter(|group| group.start < at).map_or(at, |group| group.end)
 }
 
-/// A step has come to a place: it is of the group that it has come into; of its own where it is beside it; and of none
-/// elsewhere.
+/// A step has come to a place: it is of the group that it has come into; of its own where it is beside it;
+/// and of none elsewhere.
 pub(super) fn settle(steps: &mut [Entry], at: usize) {
     let of = |place: Option<usize>| steps.get(place?)?.step.group.clone();
     let (before, own, behind) = (of(at.checked_sub(1)), of(Some(at)), of(Some(at + 1)));
@@ -57,8 +57,8 @@ pub(super) fn settle(steps: &mut [Entry], at: usize) {
     set(&mut steps[at..=at], group.as_ref());
 }
 
-/// New steps have come to some places: they are of the group that they have come into; elsewhere they keep theirs, by
-/// names that are free.
+/// New steps have come to some places: they are of the group that they have come into; elsewhere they keep
+/// theirs, by names that are free.
 pub(super) fn settle_new(steps: &mut [Entry], new: Range<usize>) {
     let of = |place: Option<usize>| steps.get(place?)?.step.group.clone();
     let (before, behind) = (of(new.start.checked_sub(1)), of(Some(new.end)));

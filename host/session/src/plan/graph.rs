@@ -38,8 +38,8 @@ pub(super) const SHARED: &str = "output.bin";
 /// The same of tiles: their folder.
 pub(super) const SHARED_TILES: &str = "output.tiles";
 
-/// The id of the upload that all send their parts by, where the output is an object and it is known beforehand where each
-/// part goes.
+/// The id of the upload that all send their parts by, where the output is an object and it is known
+/// beforehand where each part goes.
 pub(super) const UPLOAD: &str = "upload.txt";
 
 /// No id of an upload is longer.

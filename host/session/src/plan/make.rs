@@ -51,12 +51,13 @@ pub struct Options<'a> {
     pub emit: &'a [Emit],
 }
 
-/// Makes the plan of a session, which is in the file `path`, and writes it to a folder, which appears whole or not
-/// at all. A former plan there is replaced. Vertices are not read, unless the model has to be gone over to be opened.
+/// Makes the plan of a session, which is in the file `path`, and writes it to a folder, which appears whole
+/// or not at all. A former plan there is replaced. Vertices are not read, unless the model has to be gone
+/// over to be opened.
 ///
 /// # Errors
-/// The session cannot be done; the model cannot be opened; the folder cannot be written, or is no plan; a path is no
-/// text.
+/// The session cannot be done; the model cannot be opened; the folder cannot be written, or is no plan; a
+/// path is no text.
 pub fn make(
     session: &SessionFile,
     path: &Path,
@@ -143,8 +144,8 @@ fn is_read_anywhere(model: &dyn Model, normals: Normals) -> bool {
 /// Most units that cluster ranges, each of which every group of cells comes after.
 const MOST_CLUSTERING: u64 = 1000;
 
-/// How many units cluster ranges of the model, and how many groups of cells that these share; none if it is sampled
-/// by one.
+/// How many units cluster ranges of the model, and how many groups of cells that these share; none if it is
+/// sampled by one.
 fn clustering(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> Result<u64> {
     let is_divided = is_read_anywhere(model, options.normals) && undivided(model, sampling)?.is_none();
     let count = if is_divided { ranges_of(model, options.units.min(MOST_CLUSTERING)) } else { 0 };

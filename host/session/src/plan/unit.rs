@@ -53,8 +53,8 @@ pub struct Done {
 /// Does a unit of the plan in a folder. What is there already is not done again.
 ///
 /// # Errors
-/// There is no such unit, or one that has to be done before was not; the session or the model is not what it was;
-/// what other units wrote is damaged; and as of the parts of a [`Run`](crate::Run).
+/// There is no such unit, or one that has to be done before was not; the session or the model is not what it
+/// was; what other units wrote is damaged; and as of the parts of a [`Run`](crate::Run).
 pub fn do_unit(
     plan: &Plan,
     (folder, number): (&Path, usize),
@@ -309,9 +309,9 @@ impl UnitRun<'_> {
         Ok(())
     }
 
-    /// Parts that do not fit what was sampled are of no use in any output: what was sent of them goes from the store, and what
-    /// tells that it was sent from the plan, so that units begin again with the deformation. Of other errors, and parts in
-    /// files, nothing is taken away.
+    /// Parts that do not fit what was sampled are of no use in any output: what was sent of them goes from
+    /// the store, and what tells that it was sent from the plan, so that units begin again with the
+    /// deformation. Of other errors, and parts in files, nothing is taken away.
     fn give_up(&self, e: Error, parts: &[PathBuf], upload: Option<&str>) -> Error {
         let Some(id) = upload.filter(|_| e.kind() == ErrorKind::Mismatch) else { return e };
         let output = &self.plan.output;

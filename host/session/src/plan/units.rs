@@ -29,8 +29,8 @@ pub struct Unit {
     /// The vertices that it counts, if it counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) vertices: Option<Range<u64>>,
-    /// Which range of the vertices or of the faces, or which group of cells that ranges share, if it samples; of a
-    /// comparison, which of its samplings or methods.
+    /// Which range of the vertices or of the faces, or which group of cells that ranges share, if it samples;
+    /// of a comparison, which of its samplings or methods.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) part: Option<u64>,
     /// The pieces of the file that it writes, or the tiles, if it applies the deformation.
@@ -59,11 +59,13 @@ impl Unit {
 pub enum Stage {
     /// Vertices of a range are counted per cell.
     Count,
-    /// Where faces have a say, and are not all triangles: it is found where in the file each run of them begins.
+    /// Where faces have a say, and are not all triangles: it is found where in the file each run of them
+    /// begins.
     FaceRuns,
     /// The counts are added up, where clustering is divided.
     Merge,
-    /// The cells that lie wholly within a range are clustered, and what the range has of others is written down.
+    /// The cells that lie wholly within a range are clustered, and what the range has of others is written
+    /// down.
     Cluster,
     /// A group of the cells that ranges share is clustered.
     ClusterShared,

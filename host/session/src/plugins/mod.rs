@@ -514,8 +514,8 @@ fn is_named(file: &Path, id: &str) -> bool {
     stem.strip_prefix("simod_").unwrap_or(stem) == id.replace('-', "_")
 }
 
-/// Compares by the precedence of semantic versions; the build does not count. Missing numbers are 0, and what is
-/// no such version is older than all that are.
+/// Compares by the precedence of semantic versions; the build does not count. Missing numbers are 0, and what
+/// is no such version is older than all that are.
 fn compare_versions(a: &str, b: &str) -> Ordering {
     match (semantic(a), semantic(b)) {
         (Some(a), Some(b)) => a.cmp_precedence(&b),

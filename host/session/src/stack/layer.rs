@@ -96,7 +96,8 @@ struct Preparation {
     attributes: Option<Arc<Attributes>>,
     /// Between deformations, which may go on where the last one stopped.
     scratch: Mutex<Option<api::Scratch>>,
-    /// What the plugin finds and has to leave as it is; and how often it was called since all of that was looked at.
+    /// What the plugin finds and has to leave as it is; and how often it was called since all of that was
+    /// looked at.
     fingerprint: Option<Fingerprint>,
     unchecked: AtomicUsize,
     messages: Vec<Message>,
@@ -106,8 +107,9 @@ struct Preparation {
 const FEW_SAMPLES: usize = 20_000;
 
 impl Preparation {
-    /// What the plugin was called with is what it was: later layers work on it, too. After a draft a part of it is looked
-    /// at, each in its turn, as all of it takes as long as a quick deformation; and all with the result.
+    /// What the plugin was called with is what it was: later layers work on it, too. After a draft a part of
+    /// it is looked at, each in its turn, as all of it takes as long as a quick deformation; and all with the
+    /// result.
     ///
     /// # Errors
     /// The plugin has changed it.
@@ -365,8 +367,8 @@ impl Layer {
         Ok(preparation)
     }
 
-    /// The other models that the user gave, by the parameters that name them: as read before, as long as their
-    /// files are what they were.
+    /// The other models that the user gave, by the parameters that name them: as read before, as long as
+    /// their files are what they were.
     fn other_models(
         &self,
         shape: &RestShape<'_>,

@@ -36,8 +36,8 @@ pub struct RestShape<'a> {
     pub neighbours: Option<&'a NeighbourGraph>,
     /// Colours and other attributes of the samples, where they were asked for.
     pub attributes: Option<&'a Arc<Attributes>>,
-    /// Where temporary files without a name are made, for other models that plugins take; the system's own place if
-    /// it is empty.
+    /// Where temporary files without a name are made, for other models that plugins take; the system's own
+    /// place if it is empty.
     pub folder: &'a Path,
     /// The map between model and local coordinates.
     pub frame: Frame,

@@ -1,5 +1,5 @@
-//! The samples of a model that is being opened, as they come: for the eye alone. Before the first of them there are
-//! vertices from places spread over the file, each of which gives way to the samples around it.
+//! The samples of a model that is being opened, as they come: for the eye alone. Before the first of them
+//! there are vertices from places spread over the file, each of which gives way to the samples around it.
 
 use glam::{DMat3, DVec3, Vec3};
 use simod_core::geometry::symmetric_eigen;
@@ -68,8 +68,8 @@ fn retain<T>(list: &mut Vec<T>, kept: &[bool]) {
 }
 
 impl Emerged {
-    /// Vertices from places spread over the file, as many as can be read in little time; nothing of a model that is
-    /// sampled as quickly, or where it is `cancelled`.
+    /// Vertices from places spread over the file, as many as can be read in little time; nothing of a model
+    /// that is sampled as quickly, or where it is `cancelled`.
     pub(super) fn glimpse(model: &mut Glimpse<'_>, cancelled: impl Fn() -> bool) -> Option<Self> {
         if model.vertices < LARGE {
             return None;

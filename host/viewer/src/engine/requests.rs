@@ -80,8 +80,8 @@ pub enum Extra {
     Nothing,
     /// The error to be expected between the samples.
     ExpectedError,
-    /// The [attributes](simod_core::sampled_model::SampledModel::attributes) of the samples, by the model, if it was moved
-    /// since it was sampled.
+    /// The [attributes](simod_core::sampled_model::SampledModel::attributes) of the samples, by the model, if
+    /// it was moved since it was sampled.
     Attributes(Option<PathBuf>),
 }
 

@@ -97,8 +97,8 @@ impl State {
         Ok(())
     }
 
-    /// After a change of the steps: where the chosen one is gone, the one before it that is left is worked on, or
-    /// else the one behind it; where `takes_new`, one that has come is.
+    /// After a change of the steps: where the chosen one is gone, the one before it that is left is worked
+    /// on, or else the one behind it; where `takes_new`, one that has come is.
     pub(super) fn choose_near(&mut self, former: &[edit::Entry], takes_new: bool) {
         let Some(open) = &self.open else { return };
         let steps = open.steps();
@@ -133,7 +133,8 @@ impl State {
         Ok(folder_of(editor.path().or(editor.model()).unwrap_or(Path::new(""))).to_owned())
     }
 
-    /// A step as a text, to be [pasted](Command::Paste) into another edit, where it is of the group that it comes into.
+    /// A step as a text, to be [pasted](Command::Paste) into another edit, where it is of the group that it
+    /// comes into.
     ///
     /// # Errors
     /// There is no such step; it is too long for a text.

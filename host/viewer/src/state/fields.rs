@@ -24,8 +24,8 @@ impl State {
         self.fields[version as usize].as_ref().map(|known| &known.field)
     }
 
-    /// The colours of a version's samples, if they are not all the same: those of the numbers that are shown, or
-    /// the model's own.
+    /// The colours of a version's samples, if they are not all the same: those of the numbers that are shown,
+    /// or the model's own.
     pub fn sample_colors(&mut self, version: Version) -> Option<Vec<[u8; 3]>> {
         let scene = self.scene_of(version)?.clone();
         if let Some(field) = self.field_of(version) {

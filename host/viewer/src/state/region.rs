@@ -98,9 +98,9 @@ impl State {
         self.change(at, Change::SetRegions(regions))
     }
 
-    /// The samples that are farther from the selection than so much, in the model's unit, from neighbour to neighbour as
-    /// a step finds them (E. W. Dijkstra, *A note on two problems in connexion with graphs*, 1959). What is not
-    /// connected with it is.
+    /// The samples that are farther from the selection than so much, in the model's unit, from neighbour to
+    /// neighbour as a step finds them (E. W. Dijkstra, *A note on two problems in connexion with graphs*,
+    /// 1959). What is not connected with it is.
     fn beyond(&self, before: &[Vec3], band: f64) -> Result<Selection> {
         let open = self.open()?;
         let positions = &*as_found(&open.scene, before).positions;
@@ -181,7 +181,8 @@ impl State {
         self.change(step, Change::SetJoints(joints))
     }
 
-    /// The largest balls inside of the model, as a step finds it, model coordinates; none where it encloses nothing.
+    /// The largest balls inside of the model, as a step finds it, model coordinates; none where it encloses
+    /// nothing.
     pub fn body(&self, step: usize) -> Vec<Ball> {
         let (Ok(before), Some(scene)) = (self.before(step), self.scene()) else { return Vec::new() };
         let (samples, frame) = (&scene.sampled.samples, scene.frame());
@@ -271,8 +272,8 @@ impl State {
         }
     }
 
-    /// Where a step has put the handles that its plugin placed, where it has joints and an end reaches for a place:
-    /// local coordinates. None where they are where their own motions take them.
+    /// Where a step has put the handles that its plugin placed, where it has joints and an end reaches for a
+    /// place: local coordinates. None where they are where their own motions take them.
     pub fn posed(&self, step: usize) -> Option<&[DVec3]> {
         let deformation = self.deformation(step).ok()?;
         let is_joint = |id: &str| deformation.joints.iter().any(|joint| joint.id == id);
@@ -285,7 +286,8 @@ impl State {
         (posed.1.len() == handles.descs.len()).then_some(&*posed.1)
     }
 
-    /// The handles that a step's plugin placed, at rest, with the faces between them; none where it was not done yet.
+    /// The handles that a step's plugin placed, at rest, with the faces between them; none where it was not
+    /// done yet.
     pub fn own_handles(&self, step: usize) -> Option<&OwnHandles> {
         self.open.as_ref()?.scene.handles.get(&self.entry(step).ok()?.id).map(|handles| &**handles)
     }

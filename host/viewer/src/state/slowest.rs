@@ -13,7 +13,8 @@ const LONGEST: usize = 60;
 /// The commands that took longest.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Slowest {
-    /// The beginning of the command that took longest, as a recording's reader knows it; empty where there was none.
+    /// The beginning of the command that took longest, as a recording's reader knows it; empty where there
+    /// was none.
     pub command: String,
     /// How long that took.
     pub took: Duration,

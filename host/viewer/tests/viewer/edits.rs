@@ -247,8 +247,8 @@ fn normals_turn_as_the_surface_does() {
     assert!(low > 0.9 && turned > 0.995 && unmoved < 0.95, "{low}, {turned}, {unmoved}");
 }
 
-/// While something is dragged, how the surface lies is found where it is drawn; and there it lies as if all of it had
-/// been looked at. At rest it is where the steps put it to the last digit.
+/// While something is dragged, how the surface lies is found where it is drawn; and there it lies as if all
+/// of it had been looked at. At rest it is where the steps put it to the last digit.
 #[test]
 fn a_part_of_a_draft_lies_as_all_of_it_does() {
     let folder = tempfile::tempdir().unwrap();

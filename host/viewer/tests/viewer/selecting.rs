@@ -344,9 +344,9 @@ fn plates(folder: &Path, n: u32, apart: f64) -> PathBuf {
     path
 }
 
-/// A thin wall, of which a half of the front is selected, before and behind a bend: once it is refined, what came
-/// to it is in the selection, and in regions that were picked before, where it is among what is in them, and nowhere
-/// else.
+/// A thin wall, of which a half of the front is selected, before and behind a bend: once it is refined, what
+/// came to it is in the selection, and in regions that were picked before, where it is among what is in them,
+/// and nowhere else.
 #[test]
 fn what_a_refinement_appends_belongs_to_what_is_around_it() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,6 @@
-//! Lessons: edits of generated models, done by the user with the window beside. Each part says what to do, and goes on
-//! as soon as it is done, by whatever way; or does it itself, by the commands that the user would give.
+//! Lessons: edits of generated models, done by the user with the window beside. Each part says what to do,
+//! and goes on as soon as it is done, by whatever way; or does it itself, by the commands that the user would
+//! give.
 
 mod doing;
 mod lesson;

@@ -118,8 +118,8 @@ fn more(ui: &mut Ui, asks: &mut Asks, group: &Range<usize>, entries: &[Entry], n
     menu.response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &name));
 }
 
-/// The group can be dragged between others; a step that is dropped on it joins it, and another group comes before it
-/// or behind it.
+/// The group can be dragged between others; a step that is dropped on it joins it, and another group comes
+/// before it or behind it.
 fn reorder(
     ui: &Ui,
     window: &Window,

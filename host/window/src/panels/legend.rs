@@ -31,8 +31,8 @@ fn title(window: &Window) -> Option<(String, &'static str)> {
     })
 }
 
-/// Below the picture, so that nothing of the model is covered: the scale of an overlay, or the colours of regions,
-/// and how much is shown in full; nothing where all is of one colour.
+/// Below the picture, so that nothing of the model is covered: the scale of an overlay, or the colours of
+/// regions, and how much is shown in full; nothing where all is of one colour.
 pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, legend: Option<Legend>) {
     let has_detail = window.state().detail().is_some();
     if legend.is_none() && !has_detail {

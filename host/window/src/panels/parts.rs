@@ -18,8 +18,9 @@ pub fn part(ui: &mut Ui) {
     ui.add_space(4.0);
 }
 
-/// A number that changes once the hand rests, as what comes of it takes its time: while it is dragged it is the
-/// panel's own. Gives the control, and the number once it has changed; `name` is read by those who do not see it.
+/// A number that changes once the hand rests, as what comes of it takes its time: while it is dragged it is
+/// the panel's own. Gives the control, and the number once it has changed; `name` is read by those who do not
+/// see it.
 pub fn held(
     ui: &mut Ui,
     id: Id,

@@ -1,5 +1,5 @@
-//! What pictures that are saved have in common: how large they are, whether their background is seen through, and where
-//! they go.
+//! What pictures that are saved have in common: how large they are, whether their background is seen through,
+//! and where they go.
 
 use crate::screenshot::{Format, LARGEST};
 use crate::theme;

@@ -1,5 +1,5 @@
-//! What rows of the list of steps have in common, be they of steps or of groups: a box, a name that is typed, and that
-//! they can be dragged.
+//! What rows of the list of steps have in common, be they of steps or of groups: a box, a name that is typed,
+//! and that they can be dragged.
 
 use crate::window::{Asks, Renaming, Window};
 use eframe::egui::{
@@ -71,8 +71,8 @@ pub fn name_field(ui: &mut Ui, renaming: &mut Renaming, hint: &str, label: &str)
     response.lost_focus().then(|| !ui.input(|i| i.key_pressed(Key::Escape)))
 }
 
-/// Has a name that is typed kept as it is now, if it goes on, or else no more; another one whose typing was asked for
-/// meanwhile stays.
+/// Has a name that is typed kept as it is now, if it goes on, or else no more; another one whose typing was
+/// asked for meanwhile stays.
 pub fn put_back(asks: &mut Asks, renaming: Renaming, goes_on: bool) {
     asks.then(move |window| {
         let is_it = |other: &mut Renaming| other.id == renaming.id && other.of_group == renaming.of_group;

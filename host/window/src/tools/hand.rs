@@ -105,7 +105,8 @@ pub struct Tools {
     pub stroke_radius: f64,
     /// Of strokes.
     pub strength: f64,
-    /// Whether clicks place pins instead of joints, and whether the body is held where a skeleton is of a limb alone.
+    /// Whether clicks place pins instead of joints, and whether the body is held where a skeleton is of a
+    /// limb alone.
     pub places_pins: bool,
     pub holds_body: bool,
     /// Joints of a chain that is dragged, and where its drag began, in pixels.

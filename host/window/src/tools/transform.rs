@@ -1,5 +1,5 @@
-//! A motion by keys: G, R and S begin it at once; X, Y and Z say along what, digits how far. Enter or a click ends it,
-//! Escape or the right button takes it back.
+//! A motion by keys: G, R and S begin it at once; X, Y and Z say along what, digits how far. Enter or a click
+//! ends it, Escape or the right button takes it back.
 
 use super::gizmo;
 use super::transforming::{Next, Of, Transforming};

@@ -60,8 +60,8 @@ impl Canvas<'_> {
         Some([f64::from(p.x), f64::from(p.y)])
     }
 
-    /// The pixels that the pointer went through since the last picture, from where it was pressed, if it was, to
-    /// where it is or was let go.
+    /// The pixels that the pointer went through since the last picture, from where it was pressed, if it was,
+    /// to where it is or was let go.
     pub fn trail(&self) -> Vec<DVec2> {
         let pixel = |p: Pos2| {
             let p = (p - self.rect.min) * self.pixels_per_point;

@@ -1,5 +1,5 @@
-//! Handles as dots: those that the chosen step's plugin placed, and the middles of its handle regions; and the knobs
-//! of the planes between which it works along an axis.
+//! Handles as dots: those that the chosen step's plugin placed, and the middles of its handle regions; and
+//! the knobs of the planes between which it works along an axis.
 
 use super::Canvas;
 use crate::axis::{Axis, PLANES};
@@ -164,8 +164,8 @@ fn grid(canvas: &Canvas<'_>, dots: &[Dot]) {
     }
 }
 
-/// The faces between handles that the plugin knows, with their edges: a cage. How far a depth is between that of the
-/// nearest dot, 0, and of the farthest one, 1, `far` says.
+/// The faces between handles that the plugin knows, with their edges: a cage. How far a depth is between that
+/// of the nearest dot, 0, and of the farthest one, 1, `far` says.
 fn surface(canvas: &Canvas<'_>, window: &Window, dots: &[Dot], far: impl Fn(f64) -> f32) {
     let own = window.chosen().and_then(|(step, ..)| window.state().own_handles(step));
     let Some(own) = own.filter(|own| !own.faces.is_empty()) else { return };

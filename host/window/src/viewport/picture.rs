@@ -20,8 +20,8 @@ use std::time::{Duration, Instant};
 /// How long a picture may take while something moves: with a card, and in software.
 const GOALS: [Duration; 2] = [Duration::from_millis(12), Duration::from_millis(45)];
 
-/// Samples that are dragged are drawn as finely as the time of a picture allows, and more finely once they have not
-/// moved for so long.
+/// Samples that are dragged are drawn as finely as the time of a picture allows, and more finely once they
+/// have not moved for so long.
 const STILL: Duration = Duration::from_millis(150);
 
 /// How long a picture at rest may take, by what the budget knows, in seconds.
@@ -207,8 +207,8 @@ impl Drawing {
         if self.budget.0 != share {
             self.budget = (share, Budget::new(goal));
         }
-        // That the samples have moved is no move of the camera, though its picture reaches farther or less far: the
-        // result after a draft takes its place at once.
+        // That the samples have moved is no move of the camera, though its picture reaches farther or less
+        // far: the result after a draft takes its place at once.
         let from = Some((view.view, view.size));
         let moves = window.ctx().input(|i| i.pointer.any_down()) || self.seen != from || scene.is_draft();
         if !self.scene.is_of(&view, &style) {
@@ -317,8 +317,8 @@ impl Drawing {
         Ok(())
     }
 
-    /// Brings so many of the samples up to date that are drawn first. Of a draft others are not: the next one comes
-    /// before they are drawn.
+    /// Brings so many of the samples up to date that are drawn first. Of a draft others are not: the next one
+    /// comes before they are drawn.
     fn place(
         &mut self,
         scene: &simod_viewer::Scene,

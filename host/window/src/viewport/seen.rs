@@ -1,4 +1,5 @@
-//! What the renderer takes, in the window and for pictures that are saved: the view, the discs' radii, the plane that cuts.
+//! What the renderer takes, in the window and for pictures that are saved: the view, the discs' radii, the
+//! plane that cuts.
 
 use glam::{DVec3, Vec4};
 use simod_scene::{Mode, View};
@@ -22,8 +23,8 @@ pub fn disc_radii(spacing: &[f32]) -> Vec<f32> {
     spacing.iter().map(|s| RADIUS * s).collect()
 }
 
-/// How samples are drawn unless the user says otherwise: as triangles where there are any, as these keep together
-/// however they are stretched.
+/// How samples are drawn unless the user says otherwise: as triangles where there are any, as these keep
+/// together however they are stretched.
 pub fn mode_of(shown: &simod_viewer::Scene) -> Mode {
     if shown.sampled.triangles.is_empty() { Mode::Splats } else { Mode::Triangles }
 }

@@ -1,5 +1,5 @@
-//! What panels ask for. They see the window as it is, and change nothing themselves: what the user does there is asked
-//! for, and done once the panel is drawn.
+//! What panels ask for. They see the window as it is, and change nothing themselves: what the user does there
+//! is asked for, and done once the panel is drawn.
 
 use super::Window;
 use simod_session::edit::Change;

@@ -141,7 +141,8 @@ fn splats_are_ellipses_in_their_colours() {
     let [covered, left] = [&samples, &splats].map(|picture| of(picture, &red) + of(picture, &blue));
     // What is between narrow ellipses is seen through.
     assert!(left > 5000 && left < covered * 9 / 10, "{left} of {covered}");
-    // Each has its own colour, where a sample's is mixed of both, too; its edge is smoothed against what is beneath.
+    // Each has its own colour, where a sample's is mixed of both, too; its edge is smoothed against what is
+    // beneath.
     let mixed = |[r, _, b]: [u8; 3]| r > 70 && b > 70 && r.abs_diff(b) < 40;
     let [of_samples, of_splats] = [&samples, &splats].map(|picture| of(picture, &mixed));
     assert!(of_splats < of_samples / 10, "{of_splats} of {of_samples}");

@@ -219,7 +219,8 @@ fn a_click_that_is_quicker_than_a_picture_selects() {
     assert_eq!(state.selection().count(), state.scene().unwrap().len());
 }
 
-/// A handle with what is around it fixed is made at once, and undone at once; a band that is too wide says so.
+/// A handle with what is around it fixed is made at once, and undone at once; a band that is too wide says
+/// so.
 #[test]
 fn a_handle_is_made_with_what_is_around_it_fixed() {
     let folder = tempfile::tempdir().unwrap();
@@ -315,7 +316,8 @@ fn take_joints(harness: &mut Harness<'_, App>) {
     harness.run_steps(3);
 }
 
-/// A limb's joint does not turn the body: a pin in it holds it, until a bone is there; others are placed by clicks.
+/// A limb's joint does not turn the body: a pin in it holds it, until a bone is there; others are placed by
+/// clicks.
 #[test]
 fn a_limb_turns_without_the_body() {
     let folder = tempfile::tempdir().unwrap();

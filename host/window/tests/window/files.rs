@@ -29,7 +29,8 @@ fn chooser(
     harness.state_mut().window_mut().chooser = Arc::new(move |purpose, _, turn| answer(purpose, turn));
 }
 
-/// However long it takes to find out that the system has no dialogs, and if it never says so: a path is typed.
+/// However long it takes to find out that the system has no dialogs, and if it never says so: a path is
+/// typed.
 #[test]
 fn a_path_is_typed_where_the_system_has_no_dialogs() {
     let folder = tempfile::tempdir().unwrap();

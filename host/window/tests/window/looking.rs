@@ -1,4 +1,5 @@
-//! What looking takes besides the camera: light, the model cut open, lengths and angles; and pictures that are kept.
+//! What looking takes besides the camera: light, the model cut open, lengths and angles; and pictures that
+//! are kept.
 
 use super::picture::{can_draw, drawn, drawn_window};
 use super::*;

@@ -51,7 +51,8 @@ fn keys_and_drags_of_one_slow_picture_are_all_done() {
     harness.event(egui::Event::PointerMoved(left));
     harness.run_steps(2);
 
-    // The tool is taken, a box drawn, a mask made of it, and the selection grown twice; all before the next picture.
+    // The tool is taken, a box drawn, a mask made of it, and the selection grown twice; all before the next
+    // picture.
     let mut events = vec![key(egui::Key::B, none), egui::Event::Text("b".to_owned())];
     let (top, bottom) = (model.left_top() + egui::vec2(20.0, 90.0), model.center() + egui::vec2(300.0, 0.0));
     events.extend(drag(top, bottom));
@@ -188,8 +189,8 @@ fn set(harness: &mut Harness<'_, App>, id: &str, value: impl Into<toml::Value>) 
     settle(harness);
 }
 
-/// Places in the middle of the picture that are much darker than what is around them: the background, seen through
-/// the surface.
+/// Places in the middle of the picture that are much darker than what is around them: the background, seen
+/// through the surface.
 fn holes(image: &Image, [x, y]: [std::ops::Range<u32>; 2]) -> usize {
     let light = |x, y| image.pixel(x, y).unwrap().iter().map(|c| u32::from(*c)).sum::<u32>();
     let places = x.flat_map(|x| y.clone().map(move |y| (x, y)));
@@ -265,8 +266,8 @@ fn an_axis_has_planes_that_can_be_dragged() {
     assert_eq!(harness.state().window().steps().len(), steps);
 }
 
-/// Of a surface of which only a part is drawn while it is dragged, the result is whole in its first picture: fewer samples
-/// in between would flicker.
+/// Of a surface of which only a part is drawn while it is dragged, the result is whole in its first picture:
+/// fewer samples in between would flicker.
 #[test]
 fn a_result_takes_the_place_of_its_draft_at_once() {
     if !can_draw() {

@@ -1,6 +1,6 @@
-//! A whole edit by mouse and keys alone, from the model to the saved session, with pictures as they were: `goldens/`.
-//! `SIMOD_WRITE_GOLDENS=1 cargo test -p simod-window whole::` makes them anew, by software Vulkan; look at them
-//! before they are committed.
+//! A whole edit by mouse and keys alone, from the model to the saved session, with pictures as they were:
+//! `goldens/`. `SIMOD_WRITE_GOLDENS=1 cargo test -p simod-window whole::` makes them anew, by software
+//! Vulkan; look at them before they are committed.
 
 use super::compare::{click_at, drag};
 use super::picture::{can_draw, drawn, drawn_window_of};

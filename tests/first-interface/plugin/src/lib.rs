@@ -1,6 +1,7 @@
 //! A plugin that uses all that the interface had when it was first released. Never change it.
 //!
-//! Samples follow the plugin's handle `grip`, and are lifted along z by strokes: less the more samples are fixed.
+//! Samples follow the plugin's handle `grip`, and are lifted along z by strokes: less the more samples are
+//! fixed.
 
 use simod_plugin_api::{
     Affine, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Gizmo, HandleDesc, Handles, Host, IsIdentity,

@@ -1,7 +1,7 @@
 //! Curves that users draw: falloffs, profiles.
 //!
-//! F. N. Fritsch, R. E. Carlson, *Monotone piecewise cubic interpolation*, SIAM J. Numer. Anal. 17 (1980), with the
-//! harmonic means of Fritsch and Butland (1984) for slopes: smooth, and nowhere beyond the points.
+//! F. N. Fritsch, R. E. Carlson, *Monotone piecewise cubic interpolation*, SIAM J. Numer. Anal. 17 (1980),
+//! with the harmonic means of Fritsch and Butland (1984) for slopes: smooth, and nowhere beyond the points.
 
 /// A smooth function through given points, of [`ParamKind::CURVE`](crate::ParamKind::CURVE).
 ///

@@ -45,8 +45,8 @@ pub trait Deformer: Sized + 'static {
 pub trait Evaluate: Deformer {
     /// Replaces each point by its image, local coordinates, in double precision.
     ///
-    /// The same map as `deform`, up to its rounding. Called by several threads at once, on blocks of any length;
-    /// points may lie anywhere, and are finite.
+    /// The same map as `deform`, up to its rounding. Called by several threads at once, on blocks of any
+    /// length; points may lie anywhere, and are finite.
     fn evaluate(
         state: &Self::State,
         input: &DeformInput<'_>,
@@ -59,16 +59,16 @@ pub trait Evaluate: Deformer {
 pub trait Handles: Deformer {
     /// The handles for these samples, this box, these parameters and joints; the input has no regions.
     ///
-    /// Called before `prepare`, on any thread, and whenever the user looks at the handles: takes milliseconds at most.
-    /// Ids should stay the same for as long as they mean the same. How the handles were moved comes with
-    /// [`DeformInput::handle_motions`].
+    /// Called before `prepare`, on any thread, and whenever the user looks at the handles: takes milliseconds
+    /// at most. Ids should stay the same for as long as they mean the same. How the handles were moved comes
+    /// with [`DeformInput::handle_motions`].
     fn handles(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Vec<HandleDesc>>;
 }
 
 /// A deformation that knows when it does nothing.
 pub trait IsIdentity: Deformer {
-    /// Whether `deform` would leave all samples where they are, whatever they are: the host then calls neither `prepare`
-    /// nor `deform`. The input has no samples; takes microseconds. `false` is always right.
+    /// Whether `deform` would leave all samples where they are, whatever they are: the host then calls
+    /// neither `prepare` nor `deform`. The input has no samples; takes microseconds. `false` is always right.
     fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool>;
 }
 
@@ -92,8 +92,8 @@ fn guarded<T>(call: impl FnOnce() -> PluginResult<T>) -> RResult<T, PluginError>
     }
 }
 
-/// Keeps panics from writing to standard error, since the host reports them as errors; with `RUST_BACKTRACE` set,
-/// the plugin's author sees them all the same.
+/// Keeps panics from writing to standard error, since the host reports them as errors; with `RUST_BACKTRACE`
+/// set, the plugin's author sees them all the same.
 ///
 /// Called when the library is loaded. The hook is its own: a cdylib has a standard library to itself.
 pub fn quiet_panics() {
@@ -198,7 +198,8 @@ pub fn root_module<D: Deformer>(extension: extern "C" fn(RStr<'_>) -> ROption<Ex
 }
 
 /// Exports a [`Deformer`] as this library's plugin: `export_plugin!(Shift)`, or with what else it implements,
-/// `export_plugin!(Shift, evaluate, handles, is_identity)`: [`Evaluate`], [`Handles`], [`IsIdentity`]. Once per library.
+/// `export_plugin!(Shift, evaluate, handles, is_identity)`: [`Evaluate`], [`Handles`], [`IsIdentity`]. Once
+/// per library.
 #[macro_export]
 macro_rules! export_plugin {
     ($deformer:ty $(, $capability:ident)* $(,)?) => {
@@ -220,8 +221,8 @@ macro_rules! export_plugin {
                 __library::__call_root_module_loader(root_module)
             }
 
-            // The name and the content are those of `abi_stable::export_root_module`, which would ask for `abi_stable`
-            // among the plugin's own dependencies.
+            // The name and the content are those of `abi_stable::export_root_module`, which would ask for
+            // `abi_stable` among the plugin's own dependencies.
             //
             // SAFETY: the name is abi_stable's own for this static, and nothing else uses it; the constructor
             // gives a `PluginModRef`, the type that is named.

@@ -6,15 +6,15 @@ use abi_stable::{
     std_types::{RString, RVec},
 };
 
-/// One input that a plugin uses beside the samples' positions. Inputs are known by ids, as extensions are: what later
-/// versions offer is a new id, not a new field.
+/// One input that a plugin uses beside the samples' positions. Inputs are known by ids, as extensions are:
+/// what later versions offer is a new id, not a new field.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, PartialEq, Eq)]
 pub struct InputDesc {
     /// Such as `simod.handle-regions/1`.
     pub id: RString,
-    /// How many the plugin needs: where there are less, it is not called. 0 for one that it uses if it is there. A host
-    /// that does not know the id passes over it if it is 0, and refuses the plugin otherwise.
+    /// How many the plugin needs: where there are less, it is not called. 0 for one that it uses if it is
+    /// there. A host that does not know the id passes over it if it is 0, and refuses the plugin otherwise.
     pub at_least: u32,
 }
 
@@ -29,7 +29,8 @@ pub struct Consumes {
     pub min_handles: u32,
     /// Fewest fixed regions that it needs.
     pub min_fixed: u32,
-    /// Normals that fit the positions: the host derives them anew between layers. Without them it is not called.
+    /// Normals that fit the positions: the host derives them anew between layers. Without them it is not
+    /// called.
     pub normals: bool,
     /// [`Triangles`](crate::Triangles) between the samples, where there are any.
     pub triangles: bool,

@@ -32,7 +32,8 @@ impl std::ops::BitOr for Gizmo {
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, PartialEq)]
 pub struct HandleDesc {
-    /// Stable id, unique among the plugin's handles; stored in files. Any text without white space, such as `3,3,3`.
+    /// Stable id, unique among the plugin's handles; stored in files. Any text without white space, such as
+    /// `3,3,3`.
     pub id: RString,
     /// What the user reads; the id where it is empty.
     pub name: RString,
@@ -40,8 +41,8 @@ pub struct HandleDesc {
     pub position: [f64; 3],
     /// How it may be moved. Bits that the host does not know are passed over.
     pub gizmo: Gizmo,
-    /// The index of the handle that it hangs on, less than its own, or [`HandleDesc::ROOT`]: a viewer draws a bone
-    /// between the two, and the parent's motion moves it along.
+    /// The index of the handle that it hangs on, less than its own, or [`HandleDesc::ROOT`]: a viewer draws a
+    /// bone between the two, and the parent's motion moves it along.
     pub parent: u32,
 }
 

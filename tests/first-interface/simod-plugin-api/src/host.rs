@@ -24,8 +24,8 @@ pub trait HostCalls: Sync {
     /// A line for the user.
     fn log(&self, level: LogLevel, message: &str);
 
-    /// Calls `body` once for each number below `count`, on several threads where there are any. `false` if it was stopped
-    /// before all were called.
+    /// Calls `body` once for each number below `count`, on several threads where there are any. `false` if it
+    /// was stopped before all were called.
     fn parallel_for(&self, count: usize, body: &(dyn Fn(usize) + Sync)) -> bool {
         (0..count).all(|i| {
             let goes_on = self.progress(0.0);

@@ -113,8 +113,8 @@ impl Affine {
 pub struct PrepareInput<'a> {
     /// The samples at rest.
     pub samples: Samples<'a>,
-    /// The model's box in its rest pose, the same for all layers of a stack: lengths given as fractions of its
-    /// diagonal do not change when an earlier layer does. Samples of later layers may lie outside.
+    /// The model's box in its rest pose, the same for all layers of a stack: lengths given as fractions of
+    /// its diagonal do not change when an earlier layer does. Samples of later layers may lie outside.
     pub bounds: Bounds,
     regions: RSlice<'a, Region<'a>>,
     params: RSlice<'a, Param<'a>>,

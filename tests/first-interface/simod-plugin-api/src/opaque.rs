@@ -1,8 +1,9 @@
 //! Opaque handles: the only unsafe code of the crate, besides the exported symbol.
 //!
 //! A handle is a pointer with the functions that know what it points to. Both sides are compiled from this
-//! module, at versions whose layouts the loader compared; that the functions of a handle fit its pointer is by
-//! construction, since the fields are private. What a handle's content is read back as is checked at run time.
+//! module, at versions whose layouts the loader compared; that the functions of a handle fit its pointer is
+//! by construction, since the fields are private. What a handle's content is read back as is checked at run
+//! time.
 #![allow(unsafe_code, reason = "type-erased pointers cross the boundary; each block has its argument")]
 
 use crate::{
@@ -60,8 +61,8 @@ impl State {
 
     /// The content, where it is a `T`: nothing for another plugin's state.
     pub fn get<T: 'static>(&self) -> Option<&T> {
-        // SAFETY: `data` came from a `Box<T>` with this `T`, as the tag tells, lives as long as `self`, and is
-        // never handed out mutably.
+        // SAFETY: `data` came from a `Box<T>` with this `T`, as the tag tells, lives as long as `self`, and
+        // is never handed out mutably.
         (self.tag == type_tag::<T>()).then(|| unsafe { &*self.data.cast::<T>() })
     }
 }
@@ -92,8 +93,8 @@ impl Scratch {
 
     /// The content, where it is a `T`: nothing for another plugin's scratch.
     pub fn get_mut<T: 'static>(&mut self) -> Option<&mut T> {
-        // SAFETY: `data` came from a `Box<T>` with this `T`, as the tag tells, lives as long as `self`, and is
-        // borrowed as mutably as `self` is.
+        // SAFETY: `data` came from a `Box<T>` with this `T`, as the tag tells, lives as long as `self`, and
+        // is borrowed as mutably as `self` is.
         (self.tag == type_tag::<T>()).then(|| unsafe { &mut *self.data.cast::<T>() })
     }
 }
@@ -143,10 +144,12 @@ impl<'a> Host<'a> {
         (self.log)(self.context, level, message.into());
     }
 
-    /// Calls `body` once for each number below `count`, in any order, several at once on the host's threads: a plugin with
-    /// threads of its own would crowd the cores. Returns when all is done; may be called from within itself.
+    /// Calls `body` once for each number below `count`, in any order, several at once on the host's threads:
+    /// a plugin with threads of its own would crowd the cores. Returns when all is done; may be called from
+    /// within itself.
     ///
-    /// A call costs about a microsecond, and so should `body`, or more: give it a block of samples, not a single one.
+    /// A call costs about a microsecond, and so should `body`, or more: give it a block of samples, not a
+    /// single one.
     ///
     /// # Errors
     /// The user asked to stop: some were not called. To be returned as it is.
@@ -163,8 +166,8 @@ impl<'a> Host<'a> {
         if done { Ok(()) } else { Err(PluginError::cancelled()) }
     }
 
-    /// Calls `body` for blocks of `size` entries (the last one may have less), with the place of the first: as
-    /// [`parallel_for`](Self::parallel_for).
+    /// Calls `body` for blocks of `size` entries (the last one may have less), with the place of the first:
+    /// as [`parallel_for`](Self::parallel_for).
     ///
     /// # Errors
     /// The user asked to stop.
@@ -227,8 +230,8 @@ struct Job {
 unsafe impl Sync for Job {}
 
 extern "C" fn run(job: &Job, i: usize) {
-    // SAFETY: a `Job` is made in `parallel_for` alone, of the `Work` there, which outlives the host's call; only shared
-    // references to it are made.
+    // SAFETY: a `Job` is made in `parallel_for` alone, of the `Work` there, which outlives the host's call;
+    // only shared references to it are made.
     let work = unsafe { &*job.work.cast::<Work<'_>>() };
     if let Err(payload) = catch_unwind(AssertUnwindSafe(|| (work.body)(i))) {
         let mut first = work.panic.lock().unwrap_or_else(PoisonError::into_inner);
@@ -249,7 +252,8 @@ extern "C" fn call_extension<T: HostCalls>(context: *const c_void, id: RStr<'_>)
 ///
 /// # Safety
 ///
-/// The type is `repr(C)`, of an ABI-stable layout that never changes under this id: a change needs another id.
+/// The type is `repr(C)`, of an ABI-stable layout that never changes under this id: a change needs another
+/// id.
 pub unsafe trait ExtensionInterface: Sync + 'static {
     /// The id, such as `simod.evaluate/1`; one per type and layout.
     const ID: &'static str;
@@ -312,8 +316,8 @@ impl Extension {
 ///
 /// # Safety
 ///
-/// The type is `repr(C)`, of an ABI-stable layout that never changes under this id: a change needs another id. It borrows
-/// for `'a` what it borrows.
+/// The type is `repr(C)`, of an ABI-stable layout that never changes under this id: a change needs another
+/// id. It borrows for `'a` what it borrows.
 pub unsafe trait InputPart<'a>: Sync + 'a {
     /// The id, such as `simod.triangles/1`; one per type and layout.
     const ID: &'static str;
@@ -373,8 +377,9 @@ impl<'a> Part<'a> {
     /// The input, where it is a `T`.
     pub fn get<T: InputPart<'a>>(&self) -> Option<&'a T> {
         let fits = self.id.as_str() == T::ID && self.size == size_of::<T>();
-        // SAFETY: the other side made it with `new` from a `&'a` of this id, whose layout is frozen by the contract of
-        // `InputPart`; the size is checked besides. `T` borrows for `'a`, as what was offered did.
+        // SAFETY: the other side made it with `new` from a `&'a` of this id, whose layout is frozen by the
+        // contract of `InputPart`; the size is checked besides. `T` borrows for `'a`, as what was offered
+        // did.
         fits.then(|| unsafe { &*self.data.cast::<T>() })
     }
 }

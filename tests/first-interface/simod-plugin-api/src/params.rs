@@ -30,7 +30,8 @@ impl ParamKind {
     pub const POINT: Self = Self(6);
     /// Four numbers, 0 to 1: linear red, green, blue, and opacity.
     pub const COLOUR: Self = Self(7);
-    /// Pairs of numbers, 0 to 1, of ascending first ones: points that a [`Curve`](crate::Curve) passes through.
+    /// Pairs of numbers, 0 to 1, of ascending first ones: points that a [`Curve`](crate::Curve) passes
+    /// through.
     pub const CURVE: Self = Self(8);
     /// The path of a file that can be read, as text; empty where the user gave none. Its choices are the
     /// extensions that its name may have, without a dot; any if there is none.
@@ -159,8 +160,8 @@ impl ParamDesc {
         Self::new(id, name, ParamKind::CURVE, default.as_flattened())
     }
 
-    /// A file that the plugin reads, in `prepare` at the latest: the state depends on it. `extensions` are those
-    /// that its name may have, without a dot; any if there is none.
+    /// A file that the plugin reads, in `prepare` at the latest: the state depends on it. `extensions` are
+    /// those that its name may have, without a dot; any if there is none.
     pub fn file(id: &str, name: &str, extensions: &[&str]) -> Self {
         let choices = extensions.iter().map(|&e| ChoiceDesc { id: e.into(), label: e.into() });
         Self {

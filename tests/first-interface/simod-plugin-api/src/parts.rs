@@ -1,7 +1,8 @@
 //! Inputs that are known by an id rather than by a place in a struct, so that later versions can add to them.
 //!
-//! A plugin names the ones that it uses in its description ([`Consumes`](crate::Consumes)), and asks for them where it
-//! is called ([`PrepareInput::part`](crate::PrepareInput::part)). Each is a frozen struct of its own.
+//! A plugin names the ones that it uses in its description ([`Consumes`](crate::Consumes)), and asks for them
+//! where it is called ([`PrepareInput::part`](crate::PrepareInput::part)). Each is a frozen struct of its
+//! own.
 
 use crate::{Affine, Param, Params};
 use abi_stable::{
@@ -24,8 +25,8 @@ impl<'a> Triangles<'a> {
         Self { indices: indices.into() }
     }
 
-    /// Three samples each, counter-clockwise as seen from outside. There is at least one. Several may share an edge or
-    /// have no area, and a sample may be in none.
+    /// Three samples each, counter-clockwise as seen from outside. There is at least one. Several may share
+    /// an edge or have no area, and a sample may be in none.
     pub fn indices(&self) -> &'a [[u32; 3]] {
         self.indices.as_slice()
     }
@@ -40,7 +41,8 @@ pub struct Graph<'a> {
 }
 
 impl<'a> Graph<'a> {
-    /// Views of the host's arrays: the neighbours of sample `i` are those from `starts[i]` to `starts[i + 1]`.
+    /// Views of the host's arrays: the neighbours of sample `i` are those from `starts[i]` to
+    /// `starts[i + 1]`.
     ///
     /// # Panics
     /// The starts do not ascend from 0 to the number of neighbours.
@@ -50,14 +52,15 @@ impl<'a> Graph<'a> {
         Self { starts: starts.into(), neighbours: neighbours.into() }
     }
 
-    /// The neighbours of sample `i`, nearest first, without itself. One that is among another's need not have that other
-    /// among its own.
+    /// The neighbours of sample `i`, nearest first, without itself. One that is among another's need not have
+    /// that other among its own.
     pub fn of(&self, i: usize) -> &'a [u32] {
         let starts = self.starts.as_slice();
         &self.neighbours.as_slice()[starts[i] as usize..starts[i + 1] as usize]
     }
 
-    /// Where the neighbours of each sample begin among [`all`](Self::all), and after the last one their number.
+    /// Where the neighbours of each sample begin among [`all`](Self::all), and after the last one their
+    /// number.
     pub fn starts(&self) -> &'a [u32] {
         self.starts.as_slice()
     }
@@ -137,9 +140,9 @@ impl<'a> HandleMotions<'a> {
         Self { motions: motions.into() }
     }
 
-    /// One map of space for each handle that [`Handles::handles`](crate::Handles::handles) gave, in its order:
-    /// from the rest pose to the user's, local coordinates. Those of what a handle hangs on are included (first its own
-    /// motion, then its parent's); the identity where neither was moved.
+    /// One map of space for each handle that [`Handles::handles`](crate::Handles::handles) gave, in its
+    /// order: from the rest pose to the user's, local coordinates. Those of what a handle hangs on are
+    /// included (first its own motion, then its parent's); the identity where neither was moved.
     pub fn all(&self) -> &'a [Affine] {
         self.motions.as_slice()
     }
@@ -149,8 +152,8 @@ impl<'a> HandleMotions<'a> {
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct Stroke<'a> {
-    /// The same for strokes that are the same in every respect, and nearly surely another for others: a plugin can
-    /// tell by it how many of the first strokes it has applied already.
+    /// The same for strokes that are the same in every respect, and nearly surely another for others: a
+    /// plugin can tell by it how many of the first strokes it has applied already.
     pub key: u64,
     /// Of the brush, local coordinates; above 0.
     pub radius: f64,
@@ -162,7 +165,8 @@ pub struct Stroke<'a> {
 }
 
 impl<'a> Stroke<'a> {
-    /// A stroke along `points`. `pressures` are as many or none, `params` the values of all parameters of the plugin.
+    /// A stroke along `points`. `pressures` are as many or none, `params` the values of all parameters of the
+    /// plugin.
     pub fn new(
         key: u64,
         radius: f64,
@@ -175,8 +179,8 @@ impl<'a> Stroke<'a> {
         Self { key, radius, strength, points, pressures, params }
     }
 
-    /// Its path on or near the surface, local coordinates: a polyline of at least one point. How many points there are
-    /// on the way depends on how fast the user's machine draws, and must not matter.
+    /// Its path on or near the surface, local coordinates: a polyline of at least one point. How many points
+    /// there are on the way depends on how fast the user's machine draws, and must not matter.
     pub fn points(&self) -> &'a [[f64; 3]] {
         self.points.as_slice()
     }

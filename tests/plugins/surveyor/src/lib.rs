@@ -28,7 +28,8 @@ enum Mode {
     Time,
     /// Along x by red, along y by quality, and along z by how many attributes there are.
     Paint,
-    /// To the point of the other model that has the sample's id, or else the nearest one; and along its normal.
+    /// To the point of the other model that has the sample's id, or else the nearest one; and along its
+    /// normal.
     Other,
 }
 

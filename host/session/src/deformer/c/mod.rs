@@ -360,8 +360,8 @@ unsafe extern "C" fn add_face(list: *mut SimodFaceList, corners: *const u32, cou
     if list.is_null() {
         return;
     }
-    // SAFETY: the plugin passes the list that it was given, whose context is the one that `handle_faces` made; it adds
-    // faces one by one.
+    // SAFETY: the plugin passes the list that it was given, whose context is the one that `handle_faces`
+    // made; it adds faces one by one.
     let found = unsafe { &mut *(*list).context.cast::<PluginResult<Vec<Vec<u32>>>>() };
     if let Ok(faces) = found {
         // SAFETY: the header asks for so many good numbers.
