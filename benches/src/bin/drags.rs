@@ -25,6 +25,7 @@ use simod_session::plugins::PluginFolder;
 use simod_session::session_file::{Role, Sampling};
 use simod_session::{Motion, PluginOptions, PluginRegistry};
 use simod_viewer::command::Area;
+use simod_viewer::shading::Rings;
 use simod_viewer::{Command, Selection, State};
 
 /// Measure how fast samples follow a drag in the viewer, as a Markdown table
@@ -74,14 +75,17 @@ enum Step {
     Param(&'static str, &'static str),
     /// A plugin with the model's foot fixed and its top as a handle; maybe in a mode.
     Handle(&'static str, Option<&'static str>),
+    /// A plugin that places handles itself, with the one that is dragged.
+    Own(&'static str, &'static str),
     /// Twice as many samples around the middle.
     Refine,
 }
 
-use Step::{Handle, Param, Refine};
+use Step::{Handle, Own, Param, Refine};
 
-const CASES: [Case; 7] = [
+const CASES: [Case; 8] = [
     Case { name: "warp, the angle", steps: &[Param("warp", "angle")], dragged: 0 },
+    Case { name: "lattice, a point", steps: &[Own("lattice", "1,1,1")], dragged: 0 },
     Case { name: "rbf", steps: &[Handle("rbf", None)], dragged: 0 },
     Case { name: "smooth-handle", steps: &[Handle("smooth-handle", None)], dragged: 0 },
     Case {
@@ -147,11 +151,15 @@ struct Dragged {
 /// A user.
 struct Hand {
     state: State,
+    /// The samples that pictures draw, and what is kept of them.
+    drawn: Arc<[u32]>,
+    rings: Option<Rings>,
 }
 
 impl Hand {
     fn new(plugins: Arc<PluginRegistry>, model: &Path, samples: u64) -> Result<Self> {
-        let mut hand = Self { state: State::new(plugins, Arc::new(|| ())) };
+        let state = State::new(plugins, Arc::new(|| ()));
+        let mut hand = Self { state, drawn: Arc::default(), rings: None };
         let sampling = Sampling { samples: Some(samples), ..Sampling::default() };
         hand.done(Command::Open { path: model.to_owned(), sampling, recover: false })?;
         Ok(hand)
@@ -169,7 +177,9 @@ impl Hand {
     fn add(&mut self, step: Step) -> Result<()> {
         let at = self.state.document().map_or(0, |document| document.steps().len());
         match step {
-            Param(plugin, _) => self.done(Command::AddStep { plugin: plugin.to_owned(), at: None }),
+            Param(plugin, _) | Own(plugin, _) => {
+                self.done(Command::AddStep { plugin: plugin.to_owned(), at: None })
+            }
             Handle(plugin, mode) => {
                 self.done(Command::AddStep { plugin: plugin.to_owned(), at: None })?;
                 if let Some(mode) = mode {
@@ -209,6 +219,10 @@ impl Hand {
             let t = f64::from(frame + 1) / f64::from(frames + 1);
             let change = match case.steps[case.dragged] {
                 Param(_, id) => Change::SetParam { id: id.to_owned(), value: Some((90.0 * t).into()) },
+                Own(_, id) => Change::MoveHandle {
+                    id: id.to_owned(),
+                    motion: Motion { translate: DVec3::X * (0.1 * t), ..Motion::default() },
+                },
                 _ => Change::MoveRegion {
                     region: 1,
                     motion: Motion {
@@ -232,16 +246,15 @@ impl Hand {
     }
 
     /// Has found how the surface lies at so many samples, spread over it.
-    fn shaded(&self, drawn: u32) {
+    fn shaded(&mut self, drawn: u32) {
         let Some(scene) = self.state.scene() else { return };
         let all = scene.len() as u32;
-        if drawn >= all {
-            std::hint::black_box(scene.shading());
-            return;
+        let drawn = drawn.min(all);
+        if self.drawn.len() != drawn as usize {
+            let spread = |k: u32| (u64::from(k) * u64::from(all) / u64::from(drawn)) as u32;
+            self.drawn = (0..drawn).map(spread).collect();
         }
-        let some: Vec<u32> =
-            (0..drawn).map(|k| (u64::from(k) * u64::from(all) / u64::from(drawn)) as u32).collect();
-        std::hint::black_box(scene.shading_of(&some));
+        std::hint::black_box(scene.shading_of(&self.drawn, &mut self.rings));
     }
 
     /// Does a command, and waits for other samples than before.

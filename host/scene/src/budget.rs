@@ -15,6 +15,8 @@ pub struct Budget {
     /// Frames in a row that took too long, or far less than they might.
     slow: u32,
     fast: u32,
+    /// What was done for the next frame before it was drawn.
+    besides: Duration,
 }
 
 impl Budget {
@@ -31,7 +33,15 @@ impl Budget {
 
     /// A budget for frames that take so long.
     pub fn new(goal: Duration) -> Self {
-        Self { goal, splats: Self::FIRST, step: Self::FIRST, coarse: false, slow: 0, fast: 0 }
+        Self {
+            goal,
+            splats: Self::FIRST,
+            step: Self::FIRST,
+            coarse: false,
+            slow: 0,
+            fast: 0,
+            besides: Duration::ZERO,
+        }
     }
 
     /// How many splats the next frame takes at most.
@@ -42,6 +52,11 @@ impl Budget {
     /// How many more splats a frame takes at most while nothing moves.
     pub fn step(&self) -> usize {
         self.step
+    }
+
+    /// Counts how long something took that is done for the next frame, by how many splats it draws.
+    pub fn also(&mut self, took: Duration) {
+        self.besides += took;
     }
 
     /// Learns how long such a frame took.
@@ -58,6 +73,7 @@ impl Budget {
 
     /// Learns how long a frame took, which showed all splats of its surface or not.
     pub fn learn(&mut self, took: Duration, all: bool) {
+        let took = took + std::mem::take(&mut self.besides);
         let ratio = took.as_secs_f64() / self.goal.as_secs_f64().max(1e-9);
         self.slow = if ratio > 1.0 { self.slow + 1 } else { 0 };
         self.fast = if ratio < 0.4 { self.fast + 1 } else { 0 };
@@ -97,6 +113,24 @@ mod tests {
             assert!((0.014..=0.04).contains(&took), "{took}");
             assert!(numbers[50..].iter().all(|(n, _)| *n == splats));
         }
+    }
+
+    /// What bringing the splats up to date takes is a part of a frame, as drawing them is.
+    #[test]
+    fn what_a_frame_takes_besides_counts() {
+        let numbers = |drawing: f64, besides: f64| {
+            let mut budget = Budget::new(Duration::from_millis(40));
+            let mut numbers = Vec::new();
+            for _ in 0..40 {
+                let splats = budget.splats() as f64;
+                budget.also(Duration::from_secs_f64(besides * splats));
+                budget.learn(Duration::from_secs_f64(drawing * splats), false);
+                numbers.push(budget.splats());
+            }
+            numbers
+        };
+        assert_eq!(numbers(4e-8, 6e-8), numbers(1e-7, 0.0));
+        assert_ne!(numbers(4e-8, 6e-8), numbers(4e-8, 0.0));
     }
 
     #[test]

@@ -164,10 +164,21 @@ impl Cloud {
 
     /// Uploads all of the first samples; the surface's lists have one entry for each of them.
     pub fn write_first(&self, queue: &Queue, first: &First, of: &Surface<'_>) {
-        let placed = |k: usize| packed(of.positions[k], of.normals[k]);
-        let geometry: Vec<Geometry> = first.in_order(placed);
-        let looks: Vec<Look> = first.in_order(|k| look(of.radii[k], of.colors.map(|colors| colors[k])));
-        let shapes: Vec<Shape> = first.in_order(|k| of.axes.get(k).map_or(ROUND, shape));
+        let packed = |k: usize| {
+            let color = of.colors.map(|colors| colors[k]);
+            let shape = of.axes.get(k).map_or(ROUND, shape);
+            (packed(of.positions[k], of.normals[k]), look(of.radii[k], color), shape)
+        };
+        let count = first.places.len();
+        let all: Vec<(Geometry, Look, Shape)> =
+            (0..count).into_par_iter().with_min_len(LEAST_TOGETHER).map(packed).collect();
+        // In the order of drawing.
+        let mut geometry = vec![Geometry::default(); count];
+        let (mut looks, mut shapes) = (vec![Look::default(); count], vec![Shape::default(); count]);
+        for (packed, place) in all.into_iter().zip(&first.places) {
+            let place = *place as usize;
+            (geometry[place], looks[place], shapes[place]) = packed;
+        }
         for chunk in &self.chunks {
             let places = chunk.places.start..chunk.places.end.min(first.places.len());
             if places.is_empty() {
@@ -230,17 +241,6 @@ impl Cloud {
             pass.set_index_buffer(triangles.buffer.slice(..), wgpu::IndexFormat::Uint32);
             pass.draw_indexed(0..triangles.indices, 0, 0..1);
         }
-    }
-}
-
-impl First {
-    /// What there is of each, as they are drawn.
-    fn in_order<T: Copy + Default + Send>(&self, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
-        let all: Vec<T> =
-            (0..self.places.len()).into_par_iter().with_min_len(LEAST_TOGETHER).map(&of).collect();
-        let mut placed = vec![T::default(); all.len()];
-        all.into_iter().zip(&self.places).for_each(|(value, place)| placed[*place as usize] = value);
-        placed
     }
 }
 
@@ -328,15 +328,20 @@ fn packed(position: Vec3, normal: Vec3) -> Geometry {
 /// The direction of the longer axis in 12 bits each way, and the other one's length in 8, as a part of it.
 fn shape([long, short]: &[Vec3; 2]) -> Shape {
     let Some(e) = on_octahedron(*long) else { return ROUND };
-    let word = |x: f32| ((x.clamp(-1.0, 1.0) * 2047.0).round() as i32 + 2047) as u32;
+    let word = |x: f32| (rounded(x.clamp(-1.0, 1.0) * 2047.0) + 2047) as u32;
     // A conversion saturates, and gives 0 for NaN.
-    let ratio = (255.0 * short.length() / long.length()).round() as u8;
+    let ratio = (255.0 * short.length() / long.length() + 0.5) as u8;
     word(e.x) | word(e.y) << 12 | u32::from(ratio) << 24
+}
+
+/// The nearest whole number: the library's way is a call for each of some in each picture.
+fn rounded(x: f32) -> i32 {
+    (x + 0.5_f32.copysign(x)) as i32
 }
 
 /// A direction as a point of an octahedron's net, in 16 bits each way.
 fn octahedral(normal: Vec3) -> u32 {
-    let word = |x: f32| u32::from((x.clamp(-1.0, 1.0) * 32767.0).round() as i16 as u16);
+    let word = |x: f32| u32::from(rounded(x.clamp(-1.0, 1.0) * 32767.0) as i16 as u16);
     on_octahedron(normal).map_or(UNKNOWN, |e| word(e.x) | word(e.y) << 16)
 }
 

@@ -111,3 +111,39 @@ fn fine_details_hide_what_is_behind() {
     assert!(scene.set_detail_colors(0, &[1.0], None).is_err());
     assert!(scene.set_detail(0, Some(&Surface { radii: &[], ..fine.surface() })).is_err());
 }
+
+/// A few of them, beside a surface of which only a part is drawn, by larger discs: they leave it their share
+/// of the splats, and stay as they are.
+#[test]
+fn few_details_are_no_larger_for_a_large_surface() {
+    let Some(gpu) = gpu() else { return };
+    let mut surface = sphere(Vec3::ZERO, 1.0, 150).colored([255, 0, 0]);
+    surface.radii.iter_mut().zip(&surface.positions).filter(|(_, p)| p.x > 0.2).for_each(|(r, _)| *r = -1.0);
+    let few = Model {
+        positions: (0..5).map(|k| Vec3::new(0.6, 0.3 * k as f32 - 0.6, 0.8)).collect(),
+        normals: vec![Vec3::Z; 5],
+        radii: vec![0.05; 5],
+        ..Model::default()
+    };
+    let few = few.colored([0, 0, 255]);
+    let mut scene = Scene::new(gpu);
+    scene.set_surface(&surface.surface()).unwrap();
+    scene.set_detail(0, Some(&few.surface())).unwrap();
+    let blue = |scene: &Scene| {
+        let image = scene.read().unwrap();
+        image.pixels().iter().filter(|[r, _, b]| *b > r.saturating_add(60)).count()
+    };
+    scene.render(&view(), &style(), None);
+    let (whole, all) = (blue(&scene), scene.splats());
+    assert!(whole > 100, "{whole}");
+    let mut budget = Budget::new(Duration::ZERO);
+    for _ in 0..20 {
+        budget.learn(Duration::from_secs(1), false);
+    }
+    scene.set_colors(&surface.radii, surface.colors.as_deref()).unwrap();
+    scene.render(&view(), &style(), Some(&mut budget));
+    let part = scene.drawn().drawn;
+    assert!(part < all && 2 * part > budget.splats(), "{part} of {all}");
+    // In other pixels, as what moves is drawn more coarsely, but as many.
+    assert!(blue(&scene).abs_diff(whole) < whole / 4, "{} {whole}", blue(&scene));
+}

@@ -1,6 +1,6 @@
 //! What is there to be seen: the samples, where the steps have moved them, and what the plugins placed.
 
-use crate::shading::{Ellipse, Shading};
+use crate::shading::{Ellipse, Rings, Shading};
 use glam::{DVec3, Vec3};
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_core::sampled_model::SampledModel;
@@ -89,12 +89,13 @@ impl Scene {
         self.shading.get_or_init(|| Shading::new(&self.sampled, &self.positions))
     }
 
-    /// How it lies at some of the samples, in their order.
-    pub fn shading_of(&self, some: &[u32]) -> Shading {
-        match self.shading.get() {
-            Some(all) => all.taken(some),
-            None => Shading::of(&self.sampled, &self.positions, some),
+    /// How it lies at some of the samples, in their order. What the rest shape says of these is kept from one
+    /// time to the next.
+    pub fn shading_of(&self, some: &Arc<[u32]>, kept: &mut Option<Rings>) -> Shading {
+        if let Some(all) = self.shading.get() {
+            return all.taken(some);
         }
+        Rings::keep(kept, &self.sampled, some).shading(&self.positions)
     }
 
     /// Unit normals where the samples are.

@@ -4,7 +4,7 @@ use crate::dialogs::Purpose;
 use crate::settings::{Lighting, Theme};
 use crate::tools::{Tool, is_of_use};
 use crate::window::{Palette, Window};
-use crate::{regions, steps, theme};
+use crate::{axis, regions, steps, theme};
 use eframe::egui::text_selection::LabelSelectionState;
 use eframe::egui::{self, Event, Key, Modifiers};
 use simod_scene::Mode;
@@ -236,7 +236,7 @@ pub const ALL: &[Action] = &[
     ),
     action(Menu::Select, "Refine Selection", &[(SHIFT, Key::R)], is_selected, regions::refine).begins(),
     action(Menu::View, "Frame All", &[(NONE, Key::Home), (SHIFT, Key::C)], is_open, |w| {
-        w.apply(Command::Camera(CameraMove::FrameAll));
+        axis::frame_all(w);
     }),
     action(Menu::View, "Frame Selection", &[(NONE, Key::F), (NONE, Key::Period)], is_selected, |w| {
         w.apply(Command::Camera(CameraMove::FrameSelection));

@@ -14,6 +14,7 @@
 mod actions;
 mod app;
 mod arguments;
+mod axis;
 mod clip;
 pub mod dialogs;
 mod example;

@@ -1,5 +1,6 @@
 //! What the window knows of steps: what can be done with one, from its row, by keys and by name.
 
+use crate::axis;
 use crate::tools::Tool;
 use crate::window::{Renaming, Window};
 use eframe::egui::ViewportCommand;
@@ -24,6 +25,7 @@ pub fn added(window: &mut Window, plugin: &Plugin, at: Option<usize>) {
     } else if !window.tools.tool.grabs() {
         window.tools.take(Tool::Move);
     }
+    axis::frame_new(window);
 }
 
 /// Has a name typed.

@@ -152,8 +152,11 @@ impl WithSimd for Packets<'_> {
         let displacements: Vec<[f32; 3]> =
             moved.displacements.iter().map(|d| d.truncate().as_vec3().into()).collect();
         let zero = simd.splat_f32s(0.0);
+        // Written anew for each packet, as far as there are functions.
+        let mut values = [[zero; MOST]; 3];
         for (out, rest) in out.chunks_mut(S::F32_LANES).zip(rest.chunks(S::F32_LANES)) {
-            let [wi, wj, wk] = weights(simd, moved.lattice, rest);
+            weights(simd, moved.lattice, rest, &mut values);
+            let [wi, wj, wk] = &values;
             let mut sum = [zero; 3];
             for i in ri.clone() {
                 let mut plane = [zero; 3];
@@ -188,7 +191,7 @@ fn add<S: Simd>(simd: S, a: &mut [S::f32s; 3], b: [S::f32s; 3], w: S::f32s) {
 
 /// Along each axis, the basis functions at some samples, as many as the lanes or less.
 #[inline(always)]
-fn weights<S: Simd>(simd: S, lattice: &Lattice, rest: &[[f32; 3]]) -> [[S::f32s; MOST]; 3] {
+fn weights<S: Simd>(simd: S, lattice: &Lattice, rest: &[[f32; 3]], all: &mut [[S::f32s; MOST]; 3]) {
     let mut places = [[[0.0; WIDEST]; 4]; 3];
     for (lane, p) in rest.iter().enumerate() {
         let u = lattice.frame.coordinates(DVec3::from(p.map(f64::from)));
@@ -199,7 +202,6 @@ fn weights<S: Simd>(simd: S, lattice: &Lattice, rest: &[[f32; 3]]) -> [[S::f32s;
             }
         }
     }
-    let mut all = [[simd.splat_f32s(0.0); MOST]; 3];
     for axis in 0..3 {
         let [u, fade, below, above] =
             [0, 1, 2, 3].map(|number| simd.partial_load_f32s(&places[axis][number][..S::F32_LANES]));
@@ -230,5 +232,4 @@ fn weights<S: Simd>(simd: S, lattice: &Lattice, rest: &[[f32; 3]]) -> [[S::f32s;
         values[degree] = simd.add_f32s(values[degree], above);
         values[degree - 1] = simd.sub_f32s(values[degree - 1], above);
     }
-    all
 }

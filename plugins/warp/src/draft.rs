@@ -2,6 +2,7 @@
 //! one after the other.
 
 use crate::map::{Deformation, Warp};
+use pulp::{Arch, Simd, WithSimd};
 
 /// Points at a time: loops over as many are what compilers make vectors of.
 const LANES: usize = 16;
@@ -47,25 +48,45 @@ impl Draft {
         Some(Self { centre, axis, from: from as f32, to: to as f32, kind })
     }
 
-    /// The images of points, of which there are as many.
+    /// The images of points, of which there are as many. Nothing is fused, so that all processors give the
+    /// same.
     pub fn apply(&self, points: &[[f32; 3]], images: &mut [[f32; 3]]) {
+        Arch::new().dispatch(Packets { draft: self, points, images });
+    }
+}
+
+/// In the words of whatever vectors the processor has.
+struct Packets<'a> {
+    draft: &'a Draft,
+    points: &'a [[f32; 3]],
+    images: &'a mut [[f32; 3]],
+}
+
+impl WithSimd for Packets<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { draft, points, images } = self;
         for (points, images) in points.chunks(LANES).zip(images.chunks_mut(LANES)) {
             let mut p = [[0.0; LANES]; 3];
             for (lane, point) in points.iter().enumerate() {
                 (0..3).for_each(|k| p[k][lane] = point[k]);
             }
-            match self.kind {
-                Kind::Twist { turn } => self.twist(&mut p, turn),
-                Kind::Bend { turn, across, still } => self.bend(&mut p, turn, across, still),
+            match draft.kind {
+                Kind::Twist { turn } => draft.twist(&mut p, turn),
+                Kind::Bend { turn, across, still } => draft.bend(&mut p, turn, across, still),
             }
             for (lane, image) in images.iter_mut().enumerate() {
                 *image = [p[0][lane], p[1][lane], p[2][lane]];
             }
         }
     }
+}
 
+impl Draft {
     /// Moves by what the turn adds, so that what it does not reach stays exactly.
-    #[inline]
+    #[inline(always)]
     fn twist(&self, p: &mut [Lanes; 3], turn: f32) {
         let (a, c) = (self.axis, self.centre);
         let mut angle = [0.0; LANES];
@@ -85,7 +106,7 @@ impl Draft {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn bend(&self, p: &mut [Lanes; 3], turn: f32, across: [f32; 3], still: f32) {
         let (a, c) = (self.axis, self.centre);
         let mut angle = [0.0; LANES];
@@ -112,7 +133,7 @@ impl Draft {
 
 /// Sines and cosines, to some 1e-7, by the polynomials of S. L. Moshier's Cephes, of angles up to some
 /// thousand turns.
-#[inline]
+#[inline(always)]
 fn sines(angles: &Lanes) -> (Lanes, Lanes) {
     /// Added, it leaves the nearest whole number in the lowest bits.
     const ROUND: f32 = 12_582_912.0;

@@ -204,7 +204,9 @@ impl Scene {
         if splats >= self.splats() {
             return Shares { surface: surface.len(), halved: 0 };
         }
-        let part = surface.part(if self.details.is_empty() { splats } else { splats / 2 });
+        // Half of them are the details', or as many as there are.
+        let details: usize = self.details.values().map(Cloud::len).sum();
+        let part = surface.part(splats - details.min(splats / 2));
         let fits = |times: &usize| {
             self.details.values().map(|c| c.halved(*times)).sum::<usize>() <= splats.saturating_sub(part)
         };

@@ -14,7 +14,7 @@ use simod_core::reconstruction::{
     DeformationField, Method, Reconstructed, Reconstruction, RestGeometry, Version, deformed_normals,
     known_gradients, reconstruct,
 };
-use simod_core::refinement::appended_deformed;
+use simod_core::refinement::{Finer, appended_deformed};
 use simod_core::sampled_model::SampledModel;
 use simod_model::follow::Follow;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
@@ -446,10 +446,23 @@ impl Evaluation {
             if refined.need.is_some_and(|need| need.samples == 0) {
                 progress.note("the deformation needs no more samples");
             }
-            let Some(after) = refined.sampled else { return Ok((sampled.clone(), positions.into())) };
+            let Some(after) = refined.sampled else {
+                if refined.need.is_none() {
+                    progress.note(nothing_to_refine(step.finer));
+                }
+                return Ok((sampled.clone(), positions.into()));
+            };
             let positions = with_appended(&after, positions, field);
             Ok((Arc::new(after), positions))
         })
+    }
+}
+
+/// Why a refinement adds nothing.
+fn nothing_to_refine(finer: Finer) -> &'static str {
+    match finer {
+        Finer::Error(error) if error > 0.0 => "nothing is refined: no cluster there has a larger error",
+        _ => "nothing is refined: all vertices there are samples already",
     }
 }
 

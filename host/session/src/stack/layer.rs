@@ -1,7 +1,7 @@
 //! One layer of a stack: a plugin with its parameters, regions, joints, handles and strokes.
 
 use super::rest::{Moment, Rest, RestShape, neighbour_lists, not_one_per_sample, rows};
-use crate::deformer::{Message, OwnHandles, Plugin, Watch};
+use crate::deformer::{Checked, Fingerprint, Message, OwnHandles, Plugin, Watch};
 use crate::key::Key;
 use crate::migration::{in_its_words, migrated};
 use crate::motion::to_local;
@@ -20,7 +20,7 @@ use simod_plugin_api as api;
 use std::collections::HashMap;
 use std::iter::repeat_n;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 #[derive(Debug)]
@@ -96,26 +96,36 @@ struct Preparation {
     attributes: Option<Arc<Attributes>>,
     /// Between deformations, which may go on where the last one stopped.
     scratch: Mutex<Option<api::Scratch>>,
-    /// What the plugin finds and has to leave as it is, as a hash; and whether it was called since it was
+    /// What the plugin finds and has to leave as it is; and how often it was called since all of that was
     /// looked at.
-    fingerprint: Option<u64>,
-    is_unchecked: AtomicBool,
+    fingerprint: Option<Fingerprint>,
+    unchecked: AtomicUsize,
     messages: Vec<Message>,
 }
 
+/// As few as these are looked at in less than a tenth of a millisecond.
+const FEW_SAMPLES: usize = 20_000;
+
 impl Preparation {
-    /// What the plugin was called with is what it was: later layers work on it, too. Drafts are looked at
-    /// with the result after them: it takes as long as a quick deformation.
+    /// What the plugin was called with is what it was: later layers work on it, too. After a draft a part of
+    /// it is looked at, each in its turn, as all of it takes as long as a quick deformation; and all with the
+    /// result.
     ///
     /// # Errors
     /// The plugin has changed it.
-    fn check_unchanged(&self, plugin: &Plugin) -> Result<()> {
-        if !self.is_unchecked.swap(false, Ordering::Relaxed) {
-            return Ok(());
+    fn check_unchanged(&self, plugin: &Plugin, effort: api::Effort) -> Result<()> {
+        let calls = self.unchecked.load(Ordering::Relaxed);
+        let is_long = self.rest.positions.len() > FEW_SAMPLES;
+        let of = match effort {
+            _ if calls == 0 => return Ok(()),
+            api::Effort::DRAFT if is_long => Checked::Part(calls - 1),
+            _ => Checked::All,
+        };
+        plugin.check_unchanged(self.fingerprint.as_ref(), &self.rest.samples(), of)?;
+        if effort != api::Effort::DRAFT {
+            self.unchecked.store(0, Ordering::Relaxed);
         }
-        let checked = plugin.check_unchanged(self.fingerprint, &self.rest.samples());
-        self.is_unchecked.store(checked.is_err(), Ordering::Relaxed);
-        checked
+        Ok(())
     }
 }
 
@@ -308,7 +318,7 @@ impl Layer {
                 if let Some(preparation) =
                     done.preparation.as_ref().filter(|_| moment.effort != api::Effort::DRAFT)
                 {
-                    preparation.check_unchanged(plugin)?;
+                    preparation.check_unchanged(plugin, moment.effort)?;
                 }
                 done.clone()
             }
@@ -528,7 +538,7 @@ impl Layer {
             attributes: shape.attributes.filter(|_| self.plugin.consumes().attributes).cloned(),
             scratch: Mutex::default(),
             fingerprint: self.plugin.fingerprint(&rest.samples()),
-            is_unchecked: AtomicBool::new(false),
+            unchecked: AtomicUsize::new(0),
             messages: watch.into_messages(),
         })
     }
@@ -549,13 +559,11 @@ impl Layer {
         let mut slot = preparation.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         // Out of its place, where it does not come back after a failure.
         let mut scratch = slot.take().map_or_else(|| self.plugin.new_scratch(), Ok)?;
-        preparation.is_unchecked.store(true, Ordering::Relaxed);
+        preparation.unchecked.fetch_add(1, Ordering::Relaxed);
         let done = motions.call(rest.samples(), rest.bounds, preparation.attributes.as_ref(), |input| {
             self.plugin.deform(&preparation.state, input, &mut scratch, bytemuck::cast_slice_mut(out), watch)
         });
-        if moment.effort != api::Effort::DRAFT {
-            preparation.check_unchanged(&self.plugin)?;
-        }
+        preparation.check_unchanged(&self.plugin, moment.effort)?;
         done?;
         *slot = Some(scratch);
         if !self.share.is_whole() {

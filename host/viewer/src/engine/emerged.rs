@@ -99,14 +99,14 @@ impl Emerged {
         Some(Self { bounds, changes: 1, vertices, frame: Some(frame), every: 1, ..Self::default() })
     }
 
-    /// All that is there to be seen.
-    pub fn points(&self) -> Points {
-        let Points { positions, normals, spacing } = &self.samples;
-        let mut all = self.vertices.clone();
-        all.positions.extend_from_slice(positions);
-        all.normals.extend_from_slice(normals);
-        all.spacing.extend_from_slice(spacing);
-        all
+    /// The samples that are there.
+    pub fn samples(&self) -> &Points {
+        &self.samples
+    }
+
+    /// Vertices where there are no samples yet.
+    pub fn vertices(&self) -> &Points {
+        &self.vertices
     }
 
     /// Takes in the samples of a cell.
@@ -214,7 +214,7 @@ mod tests {
             Ok(Some((if nowhere { DVec3::NAN } else { at(number) }, Vec3::ZERO)))
         };
         let mut emerged = Emerged::glimpse(&mut Glimpse::new(side * side, &mut read), || false).unwrap();
-        let seen = emerged.points();
+        let seen = emerged.vertices();
         let count = seen.positions.len();
         assert!(count > 1000 && seen.normals.len() == count && seen.spacing.len() == count);
         assert!(seen.normals.iter().all(|n| n.z.abs() > 0.999));
@@ -234,7 +234,7 @@ mod tests {
         let vertices = &emerged.vertices.positions;
         assert!(vertices.iter().all(|p| p.x > local(539, 0).x));
         assert!((vertices.len() as f64 / count as f64 - 0.5).abs() < 0.05);
-        assert_eq!(emerged.points().positions.len(), vertices.len() + 10_000);
+        assert_eq!(emerged.samples().positions.len(), 10_000);
         let right = local(side - 1, 0).x;
         let (low, high) = vertices.iter().fold((right, 0.0_f32), |(a, b), p| (a.min(p.x), b.max(p.x)));
         assert!(low < local(600, 0).x && (high - right).abs() < 0.02, "{low} {high} {right}");

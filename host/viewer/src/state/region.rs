@@ -8,7 +8,7 @@ use crate::body::{Ball, Body, largest_balls};
 use crate::motion::{PlacedHandle, placed_handles};
 use crate::pick::Hit;
 use crate::selection::Selection;
-use glam::{DVec3, Vec3};
+use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use simod_core::refinement::Finer;
 use simod_model::Result;
@@ -247,8 +247,29 @@ impl State {
     pub fn handles(&self, step: usize) -> Vec<(HandleDesc, PlacedHandle)> {
         let (Some(open), Ok(deformation)) = (&self.open, self.deformation(step)) else { return Vec::new() };
         let Some(OwnHandles { descs, .. }) = self.own_handles(step) else { return Vec::new() };
-        let moved = placed_handles(descs, &deformation.handles, &open.scene.frame());
-        descs.iter().cloned().zip(moved).collect()
+        let mut placed = placed_handles(descs, &deformation.handles, &open.scene.frame());
+        let is_joint = |id: &str| deformation.joints.iter().any(|joint| joint.id == id);
+        let is_moved = |id: &str| deformation.handles.iter().any(|handle| handle.id == id);
+        // What a joint reaches for is where that is, as long as nobody wants it elsewhere.
+        for i in (0..descs.len()).filter(|i| !is_joint(&descs[*i].id) && !is_moved(&descs[*i].id)) {
+            let is_of = |joint: &HandleDesc| is_joint(&joint.id) && joint.position == descs[i].position;
+            if descs[i].parent == HandleDesc::ROOT
+                && let Some(joint) = descs.iter().position(is_of)
+            {
+                let way = self.joint_place(step, joint, &placed) - placed[i].rest;
+                placed[i].map = DAffine3::from_translation(way);
+            }
+        }
+        descs.iter().cloned().zip(placed).collect()
+    }
+
+    /// Where a joint is: where the body takes it if an end reaches for a place. Model coordinates.
+    fn joint_place(&self, step: usize, joint: usize, placed: &[PlacedHandle]) -> DVec3 {
+        let frame = self.open.as_ref().map(|open| open.scene.frame());
+        match (self.posed(step).and_then(|posed| posed.get(joint)), frame) {
+            (Some(place), Some(frame)) => frame.to_model_exact(*place),
+            _ => placed[joint].position(),
+        }
     }
 
     /// Where a step has put the handles that its plugin placed, where it has joints and an end reaches for a

@@ -187,7 +187,7 @@ fn samples_emerge_while_a_model_is_opened() {
     while state.is_opening() {
         state.emerged(|emerged| {
             let [low, high] = emerged.bounds.map(|corner| corner.as_vec3());
-            let seen = emerged.points();
+            let seen = emerged.samples();
             inside &= seen.positions.iter().all(|p| p.cmpge(low - 1e-3).all() && p.cmple(high + 1e-3).all());
             assert_eq!([seen.normals.len(), seen.spacing.len()], [seen.positions.len(); 2]);
             counts.push(seen.positions.len());
@@ -260,14 +260,15 @@ fn a_part_of_a_draft_lies_as_all_of_it_does() {
     let mut state = state(plugins());
     done(&mut state, open(&path, 4000));
     done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
-    let some: Vec<u32> = (0..1300).map(|k| 3 * k).collect();
+    let some: std::sync::Arc<[u32]> = (0..1300).map(|k| 3 * k).collect();
+    let mut kept = None;
     let mut drafts = Vec::new();
     // Before anybody has asked for all of a draft, and after that, when they are found beforehand.
     for degrees in [40.0, 80.0, 120.0] {
         done(&mut state, Command::Drag(angle(degrees)));
         let scene = state.scene().unwrap().clone();
         assert!(scene.is_draft());
-        let part = scene.shading_of(&some);
+        let part = scene.shading_of(&some, &mut kept);
         for (k, i) in some.iter().map(|i| *i as usize).enumerate() {
             assert_eq!((part.normals[k], part.axes[k]), (scene.normals()[i], scene.axes()[i]), "{i}");
         }

@@ -1,7 +1,8 @@
 //! What goes wrong, and leaves the edit as it was.
 
-use super::helpers::common::{copy, load_isolated};
+use super::helpers::common::{copy, load, load_isolated};
 use super::{LONG, done, model, open, plugins, state};
+use simod_core::refinement::Finer;
 use simod_generate::Shape;
 use simod_model::ErrorKind;
 use simod_session::edit::{self, Change, Status};
@@ -145,6 +146,53 @@ fn what_runs_in_the_background_can_be_cancelled() {
     done(&mut state, Command::Write { output: output.clone() });
     assert!(output.exists());
     assert!(state.take_notices().iter().any(|n| matches!(n, Notice::Written(..))));
+}
+
+/// Before what it has spoiled comes into a result.
+#[test]
+fn a_plugin_that_writes_to_its_input_is_found_while_something_is_dragged() {
+    let folder = tempfile::tempdir().unwrap();
+    let libraries = folder.path().join("plugins");
+    std::fs::create_dir(&libraries).unwrap();
+    copy("misbehaving", &libraries, "misbehaving");
+    let mut state = state(Arc::new(load(&libraries)));
+    done(&mut state, open(&model(folder.path(), Shape::Amphora, 5000), 500));
+    done(&mut state, Command::AddStep { plugin: "misbehaving".into(), at: None });
+    let how = Change::SetParam { id: "how".into(), value: Some("writes-to-input".into()) };
+    done(&mut state, Command::Drag(edit::Command::Change { at: 0, change: how }));
+    let scene = state.scene().unwrap();
+    assert!(scene.is_draft());
+    let [(_, Status::Failed(error))] = &scene.statuses[..] else { panic!("{:?}", scene.statuses) };
+    assert!(error.to_string().contains("changed the samples"), "{error}");
+}
+
+#[test]
+fn a_refinement_that_adds_nothing_says_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut state = state(plugins());
+    // Each vertex is a sample.
+    done(&mut state, open(&model(folder.path(), Shape::Amphora, 1000), 4000));
+    let all = Command::Select {
+        area: simod_viewer::command::Area::All,
+        combine: Default::default(),
+        visible: false,
+        goes_on: false,
+    };
+    let told = |state: &mut State| {
+        let notes = state.take_notices().into_iter().filter_map(|notice| match notice {
+            Notice::Note(text) => Some(text),
+            _ => None,
+        });
+        notes.filter(|text| text.starts_with("nothing is refined")).collect::<Vec<_>>()
+    };
+    done(&mut state, all);
+    let before = state.scene().unwrap().len();
+    done(&mut state, Command::RefineSelection { finer: Finer::Factor(4.0) });
+    assert_eq!(state.scene().unwrap().len(), before);
+    assert_eq!(told(&mut state), ["nothing is refined: all vertices there are samples already"]);
+    done(&mut state, Command::Undo);
+    done(&mut state, Command::RefineSelection { finer: Finer::Error(0.5) });
+    assert_eq!(told(&mut state), ["nothing is refined: no cluster there has a larger error"]);
 }
 
 #[cfg(unix)]

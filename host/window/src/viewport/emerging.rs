@@ -17,6 +17,9 @@ const PAUSE: Duration = Duration::from_millis(200);
 /// ... with pauses this many times as long as drawing takes: in software, it holds the work up.
 const SHARE: u32 = 2;
 
+/// The number of the vertices that are shown where there are no samples yet.
+const VERTICES: u64 = 0;
+
 /// What is drawn of them.
 pub struct Emerging {
     scene: Scene,
@@ -77,17 +80,19 @@ impl Emerging {
         if emerged.changes == self.shown {
             return Ok(());
         }
-        let Points { positions, normals, spacing } = emerged.points();
         (self.bounds, self.seen) = (emerged.bounds, None);
-        let radii = disc_radii(&spacing);
         (self.shown, self.since) = (emerged.changes, Some(Instant::now()));
-        self.scene.set_surface(&Surface {
-            positions: &positions,
-            normals: &normals,
-            radii: &radii,
-            ..Surface::default()
-        })
+        let (samples, vertices) = (emerged.samples(), emerged.vertices());
+        // Beside each other, as of the samples only a part is drawn once they are many, by larger discs.
+        self.scene.set_surface(&surface(samples, &disc_radii(&samples.spacing)))?;
+        let radii = disc_radii(&vertices.spacing);
+        let vertices = (!vertices.positions.is_empty()).then(|| surface(vertices, &radii));
+        self.scene.set_detail(VERTICES, vertices.as_ref())
     }
+}
+
+fn surface<'a>(Points { positions, normals, .. }: &'a Points, radii: &'a [f32]) -> Surface<'a> {
+    Surface { positions, normals, radii, ..Surface::default() }
 }
 
 impl Theme {

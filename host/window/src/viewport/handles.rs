@@ -2,13 +2,12 @@
 //! the knobs of the planes between which it works along an axis.
 
 use super::Canvas;
+use crate::axis::{Axis, PLANES};
 use crate::theme;
 use crate::tools::{Target, Tool};
-use crate::widgets::values::{number_of, vector_of};
 use crate::window::Window;
 use eframe::egui::{Color32, CursorIcon, Pos2, Rect, Shape, Stroke, pos2, vec2};
 use glam::DVec3;
-use simod_plugin_api::{ParamDesc, ParamKind, Unit};
 use simod_session::edit::Change;
 use simod_session::session_file::Role;
 use simod_viewer::Command;
@@ -283,69 +282,10 @@ fn region_under(canvas: &Canvas<'_>, window: &mut Window) -> Option<Target> {
     deformation.regions.iter().position(holds).map(Target::Region)
 }
 
-/// The ids of the planes' places.
-const PLANES: [&str; 2] = ["from", "to"];
 /// Half a side of a plane, as a part of the model's diagonal.
 const SIDE: f64 = 0.22;
 /// Segments of a line, as a line may go behind the eye.
 const SEGMENTS: usize = 16;
-
-/// The axis along which a step works, with the planes between which it does, in local coordinates.
-///
-/// A plugin has one if it has these parameters: `center`, a point; `axis`, a direction; and `from` and `to`,
-/// numbers in the model's diagonal, signed, along the axis from that point.
-struct Axis {
-    step: usize,
-    center: DVec3,
-    /// Of length 1.
-    direction: DVec3,
-    /// Of the planes, along the axis.
-    places: [f64; 2],
-    /// The model's diagonal.
-    diagonal: f64,
-}
-
-impl Axis {
-    /// That of the chosen step, if it works along one.
-    fn find(window: &Window) -> Option<Self> {
-        let (step, _, deformation, plugin) = window.chosen()?;
-        let (plugin, scene) = (plugin?, window.state().scene()?);
-        let param = |id: &str, kind: ParamKind| plugin.params().iter().find(|d| d.id == id && d.kind == kind);
-        let value = |desc: &ParamDesc| deformation.params.get(desc.id.as_str());
-        let (frame, bounds) = (scene.frame(), scene.sampled.bounds);
-        let center = param("center", ParamKind::POINT)?;
-        let direction = param("axis", ParamKind::DIRECTION)?;
-        let place = |id: &str| {
-            let desc = param(id, ParamKind::FLOAT).filter(|d| d.unit == Unit::DIAGONAL)?;
-            Some(number_of(desc, value(desc)))
-        };
-        let [from, to] = PLANES.map(place);
-        let diagonal = (bounds.max - bounds.min).length() / frame.scale;
-        let center = DVec3::from(vector_of(center, value(center), &bounds));
-        let axis = DVec3::from(vector_of(direction, value(direction), &bounds)).try_normalize()?;
-        Some(Self {
-            step,
-            center: frame.to_local_exact(center),
-            direction: axis,
-            places: [from? * diagonal, to? * diagonal],
-            diagonal,
-        })
-    }
-
-    fn point(&self, place: f64) -> DVec3 {
-        self.center + self.direction * place
-    }
-
-    /// The place along it that is nearest to what is under a pixel.
-    fn place_under(&self, window: &Window, pixel: glam::DVec2) -> Option<f64> {
-        let ray = window.state().camera().ray(pixel, window.state().size());
-        let between = self.center - ray.origin;
-        let cosine = self.direction.dot(ray.direction);
-        let place =
-            (cosine * ray.direction.dot(between) - self.direction.dot(between)) / (1.0 - cosine * cosine);
-        place.is_finite().then_some(place)
-    }
-}
 
 /// Draws the axis along which the chosen step works, with its planes.
 pub fn draw_axis(canvas: &Canvas<'_>, window: &Window) {

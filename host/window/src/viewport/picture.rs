@@ -12,6 +12,7 @@ use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
 use glam::{Mat4, Vec3};
 use simod_scene::{Budget, Gpu, Scene, Style, Surface};
+use simod_viewer::shading::Rings;
 use simod_viewer::{Detail, Version};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -52,6 +53,8 @@ struct Drawing {
     changed: Instant,
     /// How far the surface of each sample goes at rest.
     extents: Vec<f32>,
+    /// What is kept of the samples that drafts draw.
+    rings: Option<Rings>,
     pieces: Pieces,
     /// What of the detail is shown.
     detail: Option<u64>,
@@ -165,6 +168,7 @@ impl Drawing {
             placed: 0,
             changed: Instant::now(),
             extents: Vec::new(),
+            rings: None,
             pieces: Pieces::default(),
             detail: None,
             ghost: false,
@@ -270,7 +274,7 @@ impl Drawing {
         let revision = detail.map(Detail::revision);
         let covers_others = revision != std::mem::replace(&mut self.detail, revision);
         if !same_samples {
-            self.extents = samples.extents();
+            (self.extents, self.rings) = (samples.extents(), None);
         }
         let colors = self.colors.of_samples();
         if !same_samples {
@@ -326,7 +330,7 @@ impl Drawing {
         }
         let detail = window.state().detail().filter(|_| self.version == Version::Now);
         let colors = self.colors.of_samples();
-        if reach >= scene.len() || !scene.is_draft() {
+        if !scene.is_draft() {
             let radii = sample_radii(&self.extents, scene.axes(), detail);
             self.scene.place_all(&Surface {
                 positions: &scene.positions,
@@ -340,7 +344,12 @@ impl Drawing {
             return Ok(());
         }
         let some = self.scene.first(reach);
-        let shading = scene.shading_of(&some);
+        // Those of the pictures that follow while the hand rests are others each time.
+        let (is_first, mut once) = (self.placed == 0, None);
+        let rings = if is_first { &mut self.rings } else { &mut once };
+        Rings::keep(rings, &scene.sampled, &some);
+        let started = Instant::now();
+        let shading = scene.shading_of(&some, rings);
         let positions: Vec<Vec3> = some.iter().map(|i| scene.positions[*i as usize]).collect();
         let colors: Option<Vec<[u8; 3]>> =
             colors.map(|colors| some.iter().map(|i| colors[*i as usize]).collect());
@@ -352,6 +361,9 @@ impl Drawing {
             colors: colors.as_deref(),
             triangles: &[],
         })?;
+        if is_first {
+            self.budget.1.also(started.elapsed());
+        }
         self.placed = reach;
         Ok(())
     }

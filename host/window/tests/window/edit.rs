@@ -427,6 +427,23 @@ fn bones_that_an_end_bends_are_where_the_body_is() {
     let joints = harness.state().window().chosen().unwrap().2.joints;
     let end = joints.last().unwrap().clone();
     let size = joints[0].at.distance(end.at);
+    // What the end reaches for is where the end is, as long as nobody has moved it, however the bones turn.
+    let turn = simod_session::Motion { axis: glam::DVec3::Z, degrees: 40.0, ..Default::default() };
+    let turned = Change::MoveHandle { id: joints[1].id.clone(), motion: turn };
+    done(&mut harness, Command::Edit(edit::Command::Change { at: 0, change: turned }));
+    let place = |harness: &Harness<'_, App>, id: &str| {
+        let handles = harness.state().window().state().handles(0);
+        handles.into_iter().find(|(desc, _)| desc.id == id).unwrap().1.position()
+    };
+    let reach = format!("{}/reach", end.id);
+    assert!(place(&harness, &end.id).distance(end.at) > 0.2 * size);
+    assert!(place(&harness, &reach).distance(place(&harness, &end.id)) < 1e-9 * size);
+    let motion = simod_session::Motion { translate: glam::DVec3::X * (0.1 * size), ..Default::default() };
+    let wanted = Change::MoveHandle { id: reach.clone(), motion };
+    done(&mut harness, Command::Edit(edit::Command::Change { at: 0, change: wanted }));
+    assert!(place(&harness, &reach).distance(end.at + motion.translate) < 1e-9 * size);
+    done(&mut harness, Command::Undo);
+    done(&mut harness, Command::Undo);
     let motion =
         simod_session::Motion { translate: glam::DVec3::new(0.45, -0.2, 0.0) * size, ..Default::default() };
     let reach = Change::MoveHandle { id: end.id.clone(), motion };

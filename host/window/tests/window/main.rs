@@ -2,6 +2,7 @@
 //! needed, but for the pictures.
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
+mod buttons;
 mod compare;
 mod detail;
 mod edit;

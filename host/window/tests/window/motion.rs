@@ -266,6 +266,93 @@ fn an_axis_has_planes_that_can_be_dragged() {
     assert_eq!(harness.state().window().steps().len(), steps);
 }
 
+/// Of a surface of which only a part is drawn while it is dragged, the result is whole in its first picture:
+/// fewer samples in between would flicker.
+#[test]
+fn a_result_takes_the_place_of_its_draft_at_once() {
+    if !can_draw() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.ply");
+    let options = ModelOptions { shape: Shape::Bar, vertices: 200_000, ..ModelOptions::default() };
+    write_file(&options, &path, &Silent).unwrap();
+    let mut harness = drawn_window();
+    let sampling = Sampling { samples: Some(150_000), ..Sampling::default() };
+    done(&mut harness, Command::Open { path, sampling, recover: false });
+    done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
+    harness.key_press(egui::Key::T);
+    settle(&mut harness);
+    assert_eq!(harness.state().window().mode(), Mode::Splats);
+    let drag = |angle: f64| {
+        let change = Change::SetParam { id: "angle".to_owned(), value: Some(angle.into()) };
+        Command::Drag(simod_session::edit::Command::Change { at: 0, change })
+    };
+    for angle in [20.0, 40.0] {
+        done(&mut harness, drag(angle));
+        let window = harness.state().window();
+        assert!(window.state().scene().unwrap().is_draft() && window.drawn.drawn > 0);
+    }
+    assert!(harness.state_mut().window_mut().apply(Command::Rest));
+    let end = Instant::now() + LONG;
+    while harness.state().window().state().scene().unwrap().is_draft() {
+        assert!(Instant::now() < end, "no result comes");
+        harness.run_steps(1);
+    }
+    // That was the picture in which it came.
+    let drawn = harness.state().window().drawn;
+    assert!(drawn.complete && drawn.drawn == drawn.of, "{drawn:?}");
+}
+
+/// The knobs of a step that is added are seen where all of the model is; and wherever all of it is asked for.
+#[test]
+fn knobs_are_in_the_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+    let front = Command::Camera(CameraMove::Look(simod_viewer::camera::Standard::Front));
+    done(&mut harness, front.clone());
+    done(&mut harness, Command::Camera(CameraMove::FrameAll));
+    let camera = |harness: &Harness<'_, App>| *harness.state().window().state().camera();
+    let whole = camera(&harness);
+    let are_seen = |harness: &Harness<'_, App>| {
+        let state = harness.state().window().state();
+        let scene = state.scene().unwrap();
+        let bounds = scene.sampled.bounds;
+        let (middle, diagonal) = (0.5 * (bounds.min + bounds.max), (bounds.max - bounds.min).length());
+        [-0.5, 0.5].iter().all(|place| {
+            let p = scene.frame().to_local_exact(middle + glam::DVec3::Y * *place * diagonal);
+            let pixel = state.camera().project(p, state.size()).unwrap().0;
+            (20.0..=state.size()[1] - 20.0).contains(&pixel.y)
+        })
+    };
+    let add = |harness: &mut Harness<'_, App>| {
+        harness.get_by_label("+ Add Step").click();
+        settle(harness);
+        harness.get_by_label("Warp warp").click();
+        settle(harness);
+    };
+    assert!(!are_seen(&harness), "the planes are a diagonal apart");
+    add(&mut harness);
+    assert_eq!(harness.state().window().steps().len(), 1);
+    assert!(are_seen(&harness));
+    assert_eq!((camera(&harness).yaw, camera(&harness).pitch), (whole.yaw, whole.pitch));
+    // Who looks closely goes on doing so.
+    let at = harness.state().window().state().size().map(|s| 0.5 * s);
+    done(&mut harness, Command::Camera(CameraMove::Zoom { factor: 4.0, at }));
+    let near = camera(&harness);
+    add(&mut harness);
+    assert_eq!(camera(&harness), near);
+    harness.key_press(egui::Key::Home);
+    settle(&mut harness);
+    assert!(are_seen(&harness));
+    let with_knobs = camera(&harness).distance;
+    harness.state_mut().window_mut().looks.handles = false;
+    harness.key_press(egui::Key::Home);
+    settle(&mut harness);
+    assert!(camera(&harness).distance < with_knobs, "the model alone");
+}
+
 /// Pictures for the eye: what is around the model, and over it.
 #[test]
 fn nothing_lies_over_the_model_that_need_not() {
