@@ -156,9 +156,9 @@
 // The path of a file that can be read, as text; empty where the user gave none.
 #define SIMOD_PARAM_FILE 9
 
-// The path of another model, as text, for messages; empty where the user gave none. The host reads it and hands
-// over its points: see SIMOD_INPUT_OTHER_MODELS. Its default number is how many points the plugin takes at
-// most, 1 to 4194304; set `invalidates_preparation`.
+// The path of another model, as text, for messages; empty where the user gave none. The host reads it and
+// hands over its points: see SIMOD_INPUT_OTHER_MODELS. Its default number is how many points the plugin
+// takes at most, 1 to 4194304; set `invalidates_preparation`.
 #define SIMOD_PARAM_MODEL 10
 
 // Nothing.
@@ -272,7 +272,8 @@ typedef struct SimodParamDesc {
     double hard_range[2];
     // What a slider shows, in the same way; values outside are fine.
     double soft_range[2];
-    // Default of the kinds of one to four numbers: as many as the kind has. Of SIMOD_PARAM_MODEL the most points.
+    // Default of the kinds of one to four numbers: as many as the kind has. Of SIMOD_PARAM_MODEL the most
+    // points.
     double default_numbers[4];
     // Default of the kinds of any number of them, as x0, y0, x1, y1, ... of a curve. Else NULL.
     const double *default_list;
@@ -534,15 +535,15 @@ typedef struct SimodHandles {
 typedef struct SimodFaceList {
     // The host's own.
     void *context;
-    // Adds a face of `count` corners, three at least: indices of handles, around it. Not by several threads at once.
-    // The host copies them.
+    // Adds a face of `count` corners, three at least: indices of handles, around it. Not by several threads
+    // at once. The host copies them.
     void (*add)(struct SimodFaceList *list, const uint32_t *corners, size_t count);
 } SimodFaceList;
 
 // SIMOD_HANDLE_FACES: the handles are the corners of a surface, as those of a cage.
 typedef struct SimodHandleFaces {
-    // Adds the faces between the handles that SIMOD_HANDLES gives for the same input; the host draws them with their
-    // edges. Called as `handles` is, after it. Required.
+    // Adds the faces between the handles that SIMOD_HANDLES gives for the same input; the host draws them
+    // with their edges. Called as `handles` is, after it. Required.
     uint32_t (*handle_faces)(const struct SimodPrepareInput *input,
                              struct SimodFaceList *list,
                              const struct SimodHost *host);
@@ -750,7 +751,8 @@ typedef struct SimodOtherModel {
     size_t triangle_count;
 } SimodOtherModel;
 
-// SIMOD_INPUT_OTHER_MODELS, of the preparation: the other models that the user gave. See `simod_other_model`.
+// SIMOD_INPUT_OTHER_MODELS, of the preparation: the other models that the user gave. See
+// `simod_other_model`.
 typedef struct SimodOtherModels {
     // In the order of the parameters.
     const struct SimodOtherModel *models;
