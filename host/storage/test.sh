@@ -17,7 +17,7 @@ python="$env/venv/bin/python"
 export PYTEST_DISABLE_PLUGIN_AUTOLOAD=1
 export SIMOD="${CARGO_TARGET_DIR:-$PWD/target}/release/simod"
 status=0
-"$python" -m pytest -p no:cacheprovider -rs host/storage/tests | tee "$env/log" || status=$?
+"$python" -m pytest -p no:cacheprovider -p xdist -n 4 -rs host/storage/tests | tee "$env/log" || status=$?
 
 # As cargo's tests have it, for the line over all.
 "$python" - "$env/log" <<'END'

@@ -142,7 +142,7 @@ fn in_folder<'a>(
         progress.note(&format!("method {} of {}: {}", i + 1, file.methods.len(), method.name));
         let begun = bench.begin(method, name, &mut records[i], progress);
         match begun {
-            Ok(Begun::Done(deformed)) => done.push((i, *deformed)),
+            Ok(Begun::Finished(deformed)) => done.push((i, *deformed)),
             Ok(Begun::Waiting(one)) => {
                 let is_full = waiting.len() == MAX_VERSIONS;
                 if waiting

@@ -74,7 +74,7 @@ pub(crate) struct Deformed {
 
 /// A method that was begun.
 pub(crate) enum Begun<'a> {
-    Done(Box<Deformed>),
+    Finished(Box<Deformed>),
     /// Its samples were deformed, and are still to be transferred.
     Waiting(Box<Waiting<'a>>),
 }
@@ -193,7 +193,7 @@ impl<'a> Bench<'a> {
         let (known, notices, sample) = self.known(method, name, record, progress)?;
         if self.file.runs > 1 || !deforms_samples(method) {
             let done = self.all_runs(&known, (notices, sample, &memory), record, progress)?;
-            return Ok(Begun::Done(Box::new(done)));
+            return Ok(Begun::Finished(Box::new(done)));
         }
         let ready = self.ready(&known, progress)?;
         let peak_memory_bytes = memory.peak().max(ready.moved.peak_memory_bytes);

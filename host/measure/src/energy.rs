@@ -1,8 +1,8 @@
-//! The energies of a deformation that papers tell: as rigid as possible (O. Sorkine, M. Alexa, *As-rigid-as-possible
-//! surface modeling*, SGP 2007, with the spokes and rims of I. Chao, U. Pinkall, P. Sanan, P. Schröder, *A
-//! simple geometric model for elastic deformations*, TOG 2010), and symmetric Dirichlet (J. Smith, S.
-//! Schaefer, *Bijective parameterization with free boundaries*, TOG 2015); and how lengths, areas and
-//! distortions are spread.
+//! The energies of a deformation that papers tell: as rigid as possible (O. Sorkine, M. Alexa,
+//! *As-rigid-as-possible surface modeling*, SGP 2007, with the spokes and rims of I. Chao, U. Pinkall, P.
+//! Sanan, P. Schröder, *A simple geometric model for elastic deformations*, TOG 2010), and symmetric
+//! Dirichlet (J. Smith, S. Schaefer, *Bijective parameterization with free boundaries*, TOG 2015); and how
+//! lengths, areas and distortions are spread.
 //!
 //! Energies are means over the area at rest, so that they have no unit and meshes of any fineness compare: a
 //! mesh that is only moved and turned has 0 and 4.

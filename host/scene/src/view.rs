@@ -83,8 +83,8 @@ pub enum Light {
     Key,
     /// From the eye.
     Head,
-    /// From all around, as it would lie on a ball before the eye (P.-P. Sloan, W. Martin, A. Gooch, B. Gooch, *The
-    /// Lit Sphere*, Graphics Interface 2001), by a formula instead of a picture of the ball.
+    /// From all around, as it would lie on a ball before the eye (P.-P. Sloan, W. Martin, A. Gooch, B. Gooch,
+    /// *The Lit Sphere*, Graphics Interface 2001), by a formula instead of a picture of the ball.
     Matcap(Matcap),
 }
 

@@ -1,9 +1,9 @@
 //! Blend shapes: targets are the samples as something has deformed them, and each is added by an amount.
 //!
-//! F. Parke, *Computer generated animation of faces*, ACM annual conference 1972; J. P. Lewis and others, *Practice
-//! and theory of blendshape facial models*, Eurographics 2014 (delta blendshapes, section 2): a sample goes
-//! to `p + Σ wᵢ (tᵢ - p₀)`, where `p₀` is where it was before all steps. Targets are matched by the samples'
-//! ids.
+//! F. Parke, *Computer generated animation of faces*, ACM annual conference 1972; J. P. Lewis and others,
+//! *Practice and theory of blendshape facial models*, Eurographics 2014 (delta blendshapes, section 2): a
+//! sample goes to `p + Σ wᵢ (tᵢ - p₀)`, where `p₀` is where it was before all steps. Targets are matched by
+//! the samples' ids.
 
 use glam::DVec3;
 use simod_plugin_api::{

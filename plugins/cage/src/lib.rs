@@ -1,7 +1,8 @@
 //! Deformation by a cage: a coarse closed surface about the model, whose vertices are handles.
 //!
 //! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005, or,
-//! where details are to keep their shape, J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates*, SIGGRAPH 2023.
+//! where details are to keep their shape, J. Chen, F. de Goes, M. Desbrun, *Somigliana coordinates*,
+//! SIGGRAPH 2023.
 //! Each sample's coordinates are found once, in `prepare`; a motion then costs one product for each sample
 //! and each vertex, with mean value coordinates each that does not move as it did the last time.
 

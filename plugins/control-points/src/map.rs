@@ -2,7 +2,8 @@
 //!
 //! - A similarity, or seven-parameter transformation: S. Umeyama, *Least-squares estimation of transformation
 //!   parameters between two point patterns*, PAMI 1991.
-//! - The thin-plate spline in space, whose kernel is the distance: F. L. Bookstein, *Principal warps*, PAMI 1989.
+//! - The thin-plate spline in space, whose kernel is the distance: F. L. Bookstein, *Principal warps*,
+//!   PAMI 1989.
 //! - Local weights: D. Shepard, *A two-dimensional interpolation function for irregularly-spaced data*, 1968,
 //!   of what the best simpler map leaves over.
 

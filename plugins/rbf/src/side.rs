@@ -1,4 +1,5 @@
-//! The side conditions of kernels with an affine part: sums `Σ w_j q(c_j)` over all affine functions `q` are 0.
+//! The side conditions of kernels with an affine part: sums `Σ w_j q(c_j)` over all affine functions `q`
+//! are 0.
 
 use crate::kernel::{Kernel, Point};
 use faer::{Mat, MatMut, MatRef};

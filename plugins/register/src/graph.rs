@@ -1,6 +1,6 @@
 //! A graph of nodes that carry space along (R. W. Sumner, J. Schmid, M. Pauly, *Embedded deformation for
-//! shape manipulation*, SIGGRAPH 2007), each turned as its neighbours' places tell (O. Sorkine, M. Alexa, *As-rigid-as-possible
-//! surface modeling*, SGP 2007): the energy of its edges is what bending costs.
+//! shape manipulation*, SIGGRAPH 2007), each turned as its neighbours' places tell (O. Sorkine, M. Alexa,
+//! *As-rigid-as-possible surface modeling*, SGP 2007): the energy of its edges is what bending costs.
 
 use crate::points::{farthest, nearest_turn};
 use faer::linalg::solvers::{Llt, Solve};

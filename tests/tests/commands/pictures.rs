@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::BufReader;
 
-/// A flat sheet: its left half is red, its right half is blue; intensity rises upwards, and classes are 2 and 6.
+/// A flat sheet: its left half is red, its right half is blue; intensity rises upwards, and classes are 2
+/// and 6.
 fn sheet(work: &Workplace) {
     const SIDE: u32 = 120;
     let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", SIDE * SIDE);

@@ -1,8 +1,9 @@
 //! Which bytes of a file are positions, normals and tangents, and whose.
 //!
 //! The vertices are the elements of all position accessors that a node shows: each run of bytes counts once,
-//! whoever uses it, and vertices are numbered in the order of the file. Bytes that are patched lie in *regions*:
-//! rows of equal length with a position, a normal or a tangent of a vertex in each, or several of them.
+//! whoever uses it, and vertices are numbered in the order of the file. Bytes that are patched lie in
+//! *regions*: rows of equal length with a position, a normal or a tangent of a vertex in each, or several of
+//! them.
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
