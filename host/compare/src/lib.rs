@@ -144,18 +144,10 @@ fn in_folder<'a>(
         match begun {
             Ok(Begun::Finished(deformed)) => done.push((i, *deformed)),
             Ok(Begun::Waiting(one)) => {
-                let is_full = waiting.len() == MAX_VERSIONS;
-                if waiting
-                    .first()
-                    .is_some_and(|(_, first): &(usize, Waiting<'_>)| is_full || !one.goes_with(first))
-                {
-                    done.extend(transfer(
-                        &bench,
-                        std::mem::take(&mut waiting),
-                        &mut records,
-                        folder,
-                        progress,
-                    )?);
+                let goes_with = |(_, first): &(usize, Waiting<'_>)| one.goes_with(first);
+                if waiting.len() == MAX_VERSIONS || !waiting.first().is_none_or(goes_with) {
+                    let together = std::mem::take(&mut waiting);
+                    done.extend(transfer(&bench, together, &mut records, folder, progress)?);
                 }
                 waiting.push((i, *one));
             }
