@@ -12,7 +12,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 /// Steps as a session file has them. They can be built as values, too: see
-/// `simod_session::session_file::Step`.
+/// `simod_session::step::Step`.
 const STEPS: &str = r#"
 [[step]]
 deform = "warp"

@@ -6,7 +6,7 @@ use crate::subject::Subject;
 use simod_plugin_api::ParamKind;
 use simod_session::migration::migrated;
 use simod_session::params::check_migration;
-use simod_session::session_file::Deformation;
+use simod_session::step::Deformation;
 
 /// Sessions of all versions that give nothing, or every parameter by its default and by each former name,
 /// become what the plugin takes; always the same, and nothing of what they become is changed once more.

@@ -7,7 +7,7 @@ use simod_model::memory::anonymous_of;
 use simod_model::output::write_file;
 use simod_model::{Error, ErrorKind, Progress, Result};
 use simod_session::child::{Ended, Tail};
-use simod_session::session_file::{Region, Role};
+use simod_session::step::{Region, Role};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Stdio;

@@ -6,7 +6,9 @@ use serde::Deserialize;
 use simod_core::reconstruction::Method as Reconstruction;
 use simod_model::{Error, ErrorKind, Result};
 use simod_picture::picture::Up;
-use simod_session::session_file::{RawModel, RawRegion, Region, Sampling, SessionText, read_text};
+use simod_session::session_file::{Sampling, read_text};
+use simod_session::session_text::{RegionTable, SessionText};
+use simod_session::step::Region;
 use std::path::{Path, PathBuf};
 use toml::Spanned;
 
@@ -169,13 +171,21 @@ struct RawCompare {
     model: Option<RawModel>,
     sampling: Option<Spanned<Sampling>>,
     #[serde(default)]
-    region: Vec<Spanned<RawRegion>>,
+    region: Vec<Spanned<RegionTable>>,
     camera: Option<Spanned<CameraPlace>>,
     #[serde(default)]
     crop: Vec<Spanned<RawCrop>>,
     runs: Option<Spanned<usize>>,
     #[serde(default)]
     method: Vec<Spanned<RawMethod>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawModel {
+    path: PathBuf,
+    columns: Option<String>,
+    fingerprint: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -431,7 +441,7 @@ fn method(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use simod_session::session_file::Role;
+    use simod_session::step::Role;
 
     fn parse(text: &str) -> Result<CompareFile> {
         CompareFile::parse(text, Path::new("edits/compare.toml"))

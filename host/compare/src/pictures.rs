@@ -12,7 +12,7 @@ use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, Vertices};
 use simod_picture::picture::{ColorOf, Crop, Drawn, PaintBy, View, of_painted, of_some};
 use simod_picture::{Coloring, Image, Paint, scale_color as color};
-use simod_session::session_file::{Region, Role};
+use simod_session::step::{Region, Role};
 use std::path::Path;
 
 const CLAY: [u8; 3] = [205, 198, 190];

@@ -15,7 +15,7 @@ use simod_core::sampling::sample as sample_model;
 use simod_model::{InMemory, Progress};
 use simod_session::edit::Refinements;
 use simod_session::pipeline::{MovedSamples, deform_from};
-use simod_session::session_file::Step;
+use simod_session::step::Step;
 
 use crate::errors::{OrRaise, argument};
 use crate::options::sampling;

@@ -7,7 +7,8 @@ use glam::DVec3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyString};
-use simod_session::session_file::{Action, SessionFile, Step};
+use simod_session::session_file::SessionFile;
+use simod_session::step::{Action, Step};
 use simod_session::{PickedPoints, Shape};
 use toml::{Table, Value};
 

@@ -3,8 +3,8 @@
 use crate::deformer::Message;
 use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages};
 use crate::plugins::PluginRegistry;
-use crate::session_file::Step;
 use crate::stack::PreparedStack;
+use crate::step::Step;
 use glam::Vec3;
 use simod_core::reconstruction::deformed_normals;
 use simod_core::sampled_model::SampledModel;

@@ -3,8 +3,8 @@
 
 use crate::deformer::{Plugin, limits};
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Action, Deformation, Step, Stroke};
 use crate::stack::located;
+use crate::step::{Action, Deformation, Step, Stroke};
 use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::{ParamDesc, ParamKind, Setting};
 use std::sync::Arc;

@@ -1,27 +1,69 @@
 //! How a handle moves.
 
+use crate::vector::maybe_three;
 use glam::{DAffine3, DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use simod_model::frame::Frame;
 
 /// A similarity of space: scaled and turned about a pivot, then translated. Model coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields, default)]
+#[serde(from = "MotionTable", into = "MotionTable")]
 pub struct Motion {
     /// In the model's unit.
-    #[serde(deserialize_with = "crate::vector::three")]
     pub translate: DVec3,
     /// About which it turns; any length but zero where it does turn.
-    #[serde(deserialize_with = "crate::vector::three")]
     pub axis: DVec3,
     /// How far, right-handed.
     pub degrees: f64,
     /// The point that turning and scaling leave in place. Unless given, it is the model's own zero for a
     /// region, and where it is at rest for a handle that a plugin placed.
-    #[serde(deserialize_with = "crate::vector::maybe_three", skip_serializing_if = "Option::is_none")]
     pub pivot: Option<DVec3>,
     /// Size after over size before; positive.
     pub scale: f64,
+}
+
+/// A motion as files have it: what differs from none at all.
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct MotionTable {
+    #[serde(default, deserialize_with = "maybe_three", skip_serializing_if = "Option::is_none")]
+    translate: Option<DVec3>,
+    #[serde(default, deserialize_with = "maybe_three", skip_serializing_if = "Option::is_none")]
+    axis: Option<DVec3>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    degrees: Option<f64>,
+    #[serde(default, deserialize_with = "maybe_three", skip_serializing_if = "Option::is_none")]
+    pivot: Option<DVec3>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    scale: Option<f64>,
+}
+
+impl From<MotionTable> for Motion {
+    fn from(table: MotionTable) -> Self {
+        let none = Self::default();
+        Self {
+            translate: table.translate.unwrap_or(none.translate),
+            axis: table.axis.unwrap_or(none.axis),
+            degrees: table.degrees.unwrap_or(none.degrees),
+            pivot: table.pivot,
+            scale: table.scale.unwrap_or(none.scale),
+        }
+    }
+}
+
+impl From<Motion> for MotionTable {
+    fn from(motion: Motion) -> Self {
+        let none = Motion::default();
+        let Motion { translate, axis, degrees, pivot, scale } = motion;
+        let turns = degrees != none.degrees || axis != none.axis;
+        Self {
+            translate: Some(translate).filter(|translate| *translate != none.translate),
+            axis: Some(axis).filter(|_| turns),
+            degrees: Some(degrees).filter(|_| turns),
+            pivot,
+            scale: Some(scale).filter(|scale| *scale != none.scale),
+        }
+    }
 }
 
 impl Default for Motion {

@@ -26,9 +26,10 @@ pub use crate::deformed_samples::{DeformedSamples, deform};
 use crate::deformer::Message;
 use crate::edit::{Document, Evaluation, Refinements, messages, turning_gradients};
 use crate::plugins::PluginRegistry;
-use crate::session_file::{self, SessionFile, Step};
+use crate::session_file::{self, SessionFile};
 use crate::sidecar;
 use crate::stack::Stack;
+use crate::step::Step;
 use crate::tolerance::{self, Certificate, Tolerance};
 
 /// Samples a session's model, which comes with it. Temporary files without a name are made in `folder`.

@@ -1,6 +1,6 @@
 //! Refinements (paper §6), of steps and of commands: more samples where shapes select the model.
 
-use crate::session_file::Refine;
+use crate::step::Refine;
 use glam::DVec3;
 use simod_core::reconstruction::DeformationField;
 use simod_core::refinement::{Refined, Refining, Selection, refine};

@@ -3,21 +3,22 @@
 
 use crate::motion::Motion;
 use crate::picked::PickedPoints;
-use crate::session_file::{
-    Action, Deformation, FIRST_VERSION, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile,
-    SessionTime, Step, Stroke, VERSION,
+use crate::session_file::{FIRST_VERSION, Sampling, SessionFile, SessionTime, VERSION, read_text};
+use crate::session_layout;
+use crate::session_tables::{
+    HandleTable, ModelTable, PathTable, RefineTable, RegionTable, SessionTable, StepTable, TileNames,
+    placeless,
 };
 use crate::shapes::Shape;
+use crate::step::{Action, Deformation, HandleMove, Refine, Region, Step};
 use crate::strokes_file;
-use glam::DVec3;
-use serde::Serialize;
 use simod_core::refinement::Finer;
 use simod_core::sampled_model::relative;
 use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind, Result, matching, output};
 use std::path::{Path, PathBuf};
-use toml_edit::ser::ValueSerializer;
-use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table, Value, value};
+use toml::Spanned;
+use toml_edit::{DocumentMut, Item, Table};
 
 impl SessionFile {
     /// Writes the session, whole or not at all; the model and the output are named as seen from its folder.
@@ -26,9 +27,60 @@ impl SessionFile {
     /// # Errors
     /// A file cannot be written; a path is no text.
     pub fn save(&self, path: &Path) -> Result<Vec<PathBuf>> {
-        let (text, strokes) = self.to_toml(path, true)?;
-        output::write_file(path, text.as_bytes())?;
-        Ok(strokes)
+        let (document, beside) = self.to_document(path, true)?;
+        output::write_file(path, document.to_string().as_bytes())?;
+        Ok(beside)
+    }
+
+    /// The same where a `former` session was changed to this one: its comments, its order and how it puts things stay
+    /// wherever it says the same.
+    ///
+    /// # Errors
+    /// As of [`save`](Self::save). A former session that cannot be read has nothing that could be kept.
+    pub fn save_over(&self, path: &Path, former: &Path) -> Result<Vec<PathBuf>> {
+        let (mut document, beside) = self.to_document(path, true)?;
+        if let Some((text, base)) = Self::as_it_stands(former, path) {
+            document = session_layout::changed(text, &base, document);
+        }
+        output::write_file(path, document.to_string().as_bytes())?;
+        Ok(beside)
+    }
+
+    /// A session's file, and the same as this program would put it at a place; nothing where either cannot be
+    /// had.
+    fn as_it_stands(former: &Path, path: &Path) -> Option<(DocumentMut, DocumentMut)> {
+        let text = read_text(former, "session", "").ok()?;
+        let session = Self::parse(&text, former).ok()?;
+        Some((text.parse().ok()?, session.to_document(path, false).ok()?.0))
+    }
+
+    /// The session's text at this path, with all strokes and selections in it.
+    pub(crate) fn to_toml(&self, path: &Path) -> Result<String> {
+        Ok(self.to_document(path, false)?.0.to_string())
+    }
+
+    /// The session at this path. Strokes and selections that are too long for it are written beside it, to these
+    /// files, unless all has to be in the text.
+    fn to_document(&self, path: &Path, beside: bool) -> Result<(DocumentMut, Vec<PathBuf>)> {
+        let mut writer =
+            Writer { session: beside.then_some(path), folder: folder_of(path), files: Vec::new() };
+        let mut table = SessionTable {
+            version: Some(placeless(FIRST_VERSION)),
+            model: writer.model(self)?.map(placeless),
+            follow: (!self.follow.is_empty()).then(|| placeless(self.follow.clone())),
+            sampling: (self.sampling != Sampling::default()).then_some(placeless(self.sampling)),
+            time: (self.time != SessionTime::default()).then_some(placeless(self.time)),
+            step: spanned(&self.steps, |step| writer.step(step))?,
+            output: self.output.as_deref().map(|output| writer.output(output)).transpose()?,
+        };
+        if table.of_version_2().is_some() {
+            table.version = Some(placeless(VERSION));
+        }
+        let document = toml_edit::ser::to_document(&table);
+        let mut document = document
+            .map_err(|e| Error::internal(format!("cannot write a session: {e}"), "report this").because(e))?;
+        lay_out(&mut document);
+        Ok((document, writer.files))
     }
 
     /// The files or patterns of its model, if that is made of tiles.
@@ -39,74 +91,32 @@ impl SessionFile {
             None => &self.tiles,
         }
     }
+}
 
-    /// The session's text at this path. Strokes and selections that are too long for it are written beside
-    /// it, to these files, unless all has to be in the text.
-    pub(crate) fn to_toml(&self, path: &Path, beside: bool) -> Result<(String, Vec<PathBuf>)> {
-        let mut document = DocumentMut::new();
-        document["version"] = value(self.version());
-        let folder = folder_of(path);
-        let mut files = Vec::new();
-        let tiles = self.named_tiles();
-        let named = match &self.model {
-            _ if !tiles.is_empty() => Some(tiles_table(tiles, folder)?),
-            Some(model) => Some(path_table(model, folder)?),
-            None => None,
-        };
-        if let Some(mut model) = named {
-            if let Some(columns) = &self.columns {
-                model["columns"] = value(columns);
-            }
-            if let Some(fingerprint) = &self.fingerprint {
-                model["fingerprint"] = value(fingerprint);
-            }
-            document["model"] = Item::Table(model);
+/// Tables by themselves, and what is in them in one line each.
+fn lay_out(document: &mut DocumentMut) {
+    for (key, item) in document.iter_mut() {
+        if key == "step" {
+            tables(item, |step| {
+                for (key, item) in step.iter_mut().filter(|(key, _)| SEVERAL.contains(&key.get())) {
+                    let _ = key;
+                    tables(item, |_| {});
+                }
+            });
+        } else if item.as_inline_table().is_some() {
+            *item = Item::Table(std::mem::take(item).into_table().unwrap_or_default());
         }
-        if !self.follow.is_empty() {
-            let declared = self.follow.iter().map(|(name, kind)| (name, Value::from(kind.name())));
-            document["follow"] = Item::Table(declared.collect::<InlineTable>().into_table());
-        }
-        let sampling = sampling(&self.sampling);
-        if !sampling.is_empty() {
-            document["sampling"] = Item::Table(sampling);
-        }
-        if self.time != SessionTime::default() {
-            document["time"] = Item::Table(time(&self.time));
-        }
-        if !self.steps.is_empty() {
-            let step = |s| step(s, beside.then_some(path), &mut files);
-            let steps = self.steps.iter().map(step).collect::<Result<ArrayOfTables>>()?;
-            document["step"] = Item::ArrayOfTables(steps);
-        }
-        if let Some(output) = &self.output {
-            document["output"] = Item::Table(path_table(output, folder)?);
-        }
-        Ok((document.to_string(), files))
-    }
-
-    /// The first version of the format that knows all that it says.
-    fn version(&self) -> i64 {
-        let has_amount = |step: &Step| step.deformation().is_some_and(|d| d.amount != 1.0);
-        let is_newer =
-            self.steps.iter().any(|step| step.title.is_some() || step.group.is_some() || has_amount(step));
-        let is_newer = is_newer || !self.follow.is_empty() || !self.named_tiles().is_empty();
-        if is_newer { VERSION } else { FIRST_VERSION }
     }
 }
 
-fn tiles_table(tiles: &[PathBuf], folder: &Path) -> Result<Table> {
-    let mut table = Table::new();
-    // The name of a link is kept, and a pattern is no name of a file.
-    let named = |tile: &PathBuf| relative(folder_of(tile), folder).join(tile.file_name().unwrap_or_default());
-    let paths = tiles.iter().map(|tile| text(&named(tile))).collect::<Result<Array>>()?;
-    table["tiles"] = value(paths);
-    Ok(table)
-}
+/// What a step may have several of, each a table by itself.
+const SEVERAL: [&str; 4] = ["region", "joint", "handle", "stroke"];
 
-fn path_table(path: &Path, folder: &Path) -> Result<Table> {
-    let mut table = Table::new();
-    table["path"] = value(text(&relative(path, folder))?);
-    Ok(table)
+/// An array of tables by themselves, each laid out.
+fn tables(item: &mut Item, lay_out: impl Fn(&mut Table)) {
+    let mut all = std::mem::take(item).into_array_of_tables().unwrap_or_default();
+    all.iter_mut().for_each(lay_out);
+    *item = Item::ArrayOfTables(all);
 }
 
 /// A path as a session has it.
@@ -117,235 +127,133 @@ pub(crate) fn text(path: &Path) -> Result<String> {
     })
 }
 
-fn sampling(from: &Sampling) -> Table {
-    let mut table = Table::new();
-    if let Some(samples) = from.samples {
-        table["samples"] = value(i64::try_from(samples).unwrap_or(i64::MAX));
-    }
-    if let Some(error) = from.error {
-        table["error"] = value(error);
-    }
-    if let Some(grid) = from.grid {
-        table["grid"] = value(i64::from(grid));
-    }
-    if let Some(by) = from.by {
-        table["by"] = value(by.name());
-    }
-    if let Some(place) = from.place {
-        table["place"] = value(place.name());
-    }
-    if let Some(sheets) = from.sheets {
-        table["sheets"] = value(sheets);
-    }
-    if let Some(least) = from.min_opacity {
-        table["min-opacity"] = value(least);
-    }
-    table
+/// Several tables, in order.
+fn spanned<T, U>(all: &[T], mut table: impl FnMut(&T) -> Result<U>) -> Result<Vec<Spanned<U>>> {
+    all.iter().map(|one| table(one).map(placeless)).collect()
 }
 
-fn time(from: &SessionTime) -> Table {
-    let mut table = Table::new();
-    if let Some(frame) = from.frame {
-        table["frame"] = value(frame);
-    }
-    if let Some(rate) = from.rate {
-        table["rate"] = value(rate);
-    }
-    if let Some(seconds) = from.seconds {
-        table["seconds"] = value(seconds);
-    }
-    table
+/// What makes the tables of a session that goes to a place.
+struct Writer<'a> {
+    /// The session's file, if what is too long may go beside it.
+    session: Option<&'a Path>,
+    /// What the model and the output are seen from.
+    folder: &'a Path,
+    /// What was written beside it.
+    files: Vec<PathBuf>,
 }
 
-fn step(from: &Step, session: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<Table> {
-    let mut table = Table::new();
-    if let Some(title) = &from.title {
-        table["title"] = value(title);
-    }
-    if let Some(group) = &from.group {
-        table["group"] = value(group);
-    }
-    if !from.enabled {
-        table["enabled"] = value(false);
-    }
-    match &from.action {
-        Action::Deform(from) => deformation(from, session, files, &mut table)?,
-        Action::Refine(from) => table["refine"] = value(refine(from, session, files)?),
-    }
-    Ok(table)
-}
-
-fn refine(from: &Refine, session: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<InlineTable> {
-    let count = |samples: u64| Value::from(i64::try_from(samples).unwrap_or(i64::MAX));
-    let shapes = shapes(&from.shapes.shapes, session, files)?;
-    let mut table = InlineTable::new();
-    if !shapes.is_empty() {
-        table.insert("shapes", shapes.into());
-    }
-    match from.finer {
-        Finer::Error(error) => _ = table.insert("error", error.into()),
-        Finer::Factor(factor) => _ = table.insert("factor", factor.into()),
-        Finer::Samples(samples) => _ = table.insert("samples", count(samples)),
-        Finer::Auto { error, samples } => {
-            table.insert("auto", true.into());
-            table.insert("error", error.into());
-            samples.map(|samples| table.insert("samples", count(samples)));
+impl Writer<'_> {
+    fn model(&self, session: &SessionFile) -> Result<Option<ModelTable>> {
+        let tiles = session.named_tiles();
+        let mut table = ModelTable::default();
+        if !tiles.is_empty() {
+            let names = tiles.iter().map(|tile| self.tile(tile)).collect::<Result<_>>()?;
+            table.tiles = Some(placeless(TileNames::Several(names)));
+        } else if let Some(model) = &session.model {
+            table.path = Some(text(&relative(model, self.folder))?.into());
+        } else {
+            return Ok(None);
         }
+        table.columns.clone_from(&session.columns);
+        table.fingerprint.clone_from(&session.fingerprint);
+        Ok(Some(table))
     }
-    Ok(table)
-}
 
-fn deformation(
-    from: &Deformation,
-    session: Option<&Path>,
-    files: &mut Vec<PathBuf>,
-    table: &mut Table,
-) -> Result<()> {
-    table["deform"] = value(&from.deform);
-    if let Some(origin) = &from.plugin {
-        let plugin = origin.serialize(ValueSerializer::new()).map_err(|e| lost("a plugin's origin", &e))?;
-        table["plugin"] = value(plugin);
+    /// A tile's name: that of a link is kept, and a pattern is no name of a file.
+    fn tile(&self, tile: &Path) -> Result<PathBuf> {
+        let name = relative(folder_of(tile), self.folder).join(tile.file_name().unwrap_or_default());
+        Ok(text(&name)?.into())
     }
-    if let Some(version) = from.state_version {
-        table["state-version"] = value(i64::from(version));
-    }
-    if !from.params.is_empty() {
-        table["params"] = value(inline(&from.params)?);
-    }
-    if from.amount != 1.0 {
-        table["amount"] = value(from.amount);
-    }
-    let long = session.filter(|_| strokes_file::is_needed(&from.strokes));
-    if let Some(session) = long {
-        let reference = strokes_file::write(session, &from.strokes)?;
-        files.push(folder_of(session).join(&reference.file));
-        let mut file = InlineTable::new();
-        file.insert("file", text(&reference.file)?.into());
-        file.insert("fingerprint", reference.fingerprint.into());
-        table["strokes"] = value(file);
-    }
-    let mut tables = |key: &str, all: ArrayOfTables| {
-        if !all.is_empty() {
-            table[key] = Item::ArrayOfTables(all);
-        }
-    };
-    let regions = from.regions.iter().map(|r| region(r, session, files));
-    tables("region", regions.collect::<Result<_>>()?);
-    tables("joint", from.joints.iter().map(joint).collect());
-    tables("handle", from.handles.iter().map(handle).collect());
-    if long.is_none() {
-        tables("stroke", from.strokes.iter().map(|s| stroke(s)).collect::<Result<_>>()?);
-    }
-    Ok(())
-}
 
-fn region(from: &Region, session: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<Table> {
-    let mut table = Table::new();
-    table["role"] = value(match from.role {
-        Role::Fixed => "fixed",
-        Role::Handle => "handle",
-        Role::Mask => "mask",
-    });
-    table["shapes"] = value(shapes(&from.shapes.shapes, session, files)?);
-    if from.shapes.falloff != 0.0 {
-        table["falloff"] = value(from.shapes.falloff);
+    fn output(&self, output: &Path) -> Result<PathTable> {
+        Ok(PathTable { path: text(&relative(output, self.folder))?.into() })
     }
-    if from.motion != Motion::default() {
-        table["move"] = value(motion(&from.motion));
-    }
-    Ok(table)
-}
 
-/// The shapes in one line; selections that are too long for it are written beside the session, if there is
-/// one.
-fn shapes(from: &[Shape], session: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<Array> {
-    let shape = |shape: &Shape| -> Result<Value> {
-        let in_file = match (shape, session) {
-            (Shape::Selection(picked), Some(session)) => picked.stored(session)?.map(|file| {
-                files.push(folder_of(session).join(&file.file));
-                Shape::Selection(PickedPoints::in_file(file))
-            }),
-            _ => None,
+    fn step(&mut self, from: &Step) -> Result<StepTable> {
+        let table = match &from.action {
+            Action::Deform(from) => self.deformation(from)?,
+            Action::Refine(from) => {
+                StepTable { refine: Some(placeless(self.refine(from)?)), ..StepTable::default() }
+            }
         };
-        in_file.as_ref().unwrap_or(shape).serialize(ValueSerializer::new()).map_err(|e| lost("a shape", &e))
-    };
-    from.iter().map(shape).collect()
-}
-
-/// What differs from no motion at all.
-fn motion(from: &Motion) -> InlineTable {
-    let none = Motion::default();
-    let mut table = InlineTable::new();
-    if from.translate != none.translate {
-        table.insert("translate", vector(from.translate));
+        Ok(StepTable {
+            title: from.title.clone().map(placeless),
+            group: from.group.clone().map(placeless),
+            enabled: (!from.enabled).then_some(false),
+            ..table
+        })
     }
-    if from.degrees != none.degrees || from.axis != none.axis {
-        table.insert("axis", vector(from.axis));
-        table.insert("degrees", from.degrees.into());
-    }
-    if let Some(pivot) = from.pivot {
-        table.insert("pivot", vector(pivot));
-    }
-    if from.scale != none.scale {
-        table.insert("scale", from.scale.into());
-    }
-    table
-}
 
-fn joint(from: &Joint) -> Table {
-    let mut table = Table::new();
-    table["id"] = value(&from.id);
-    table["at"] = value(vector(from.at));
-    if let Some(parent) = &from.parent {
-        table["parent"] = value(parent);
+    fn refine(&mut self, from: &Refine) -> Result<RefineTable> {
+        let shapes = self.shapes(&from.shapes.shapes)?;
+        let table = RefineTable {
+            shapes: Some(shapes).filter(|shapes| !shapes.is_empty()),
+            ..RefineTable::default()
+        };
+        Ok(match from.finer {
+            Finer::Error(error) => RefineTable { error: Some(error), ..table },
+            Finer::Factor(factor) => RefineTable { factor: Some(factor), ..table },
+            Finer::Samples(samples) => RefineTable { samples: Some(samples), ..table },
+            Finer::Auto { error, samples } => {
+                RefineTable { auto: Some(true), error: Some(error), samples, ..table }
+            }
+        })
     }
-    table
-}
 
-fn handle(from: &HandleMove) -> Table {
-    let mut table = Table::new();
-    table["id"] = value(&from.id);
-    table["move"] = value(motion(&from.motion));
-    table
-}
-
-fn stroke(from: &Stroke) -> Result<Table> {
-    let mut table = Table::new();
-    table["radius"] = value(from.radius);
-    table["strength"] = value(from.strength);
-    table["points"] = value(from.points.iter().map(|p| vector(*p)).collect::<Array>());
-    if !from.pressures.is_empty() {
-        table["pressures"] = value(from.pressures.iter().map(|p| f64::from(*p)).collect::<Array>());
+    fn deformation(&mut self, from: &Deformation) -> Result<StepTable> {
+        let long = self.session.filter(|_| strokes_file::is_needed(&from.strokes));
+        let strokes = long.map(|session| strokes_file::write(session, &from.strokes)).transpose()?;
+        if let Some(strokes) = &strokes {
+            text(&strokes.file)?;
+            self.files.push(self.folder.join(&strokes.file));
+        }
+        let params = from.params.iter().map(|(id, value)| (placeless(id.clone()), value.clone()));
+        let handle =
+            |from: &HandleMove| Ok(HandleTable { id: from.id.clone(), r#move: placeless(from.motion) });
+        Ok(StepTable {
+            deform: Some(from.deform.clone()),
+            plugin: from.plugin.clone(),
+            state_version: from.state_version,
+            params: params.collect(),
+            amount: Some(from.amount).filter(|amount| *amount != 1.0).map(placeless),
+            region: spanned(&from.regions, |region| self.region(region))?,
+            joint: spanned(&from.joints, |joint| Ok(joint.clone()))?,
+            handle: spanned(&from.handles, handle)?,
+            stroke: if strokes.is_some() { Vec::new() } else { spanned(&from.strokes, |s| Ok(s.clone()))? },
+            strokes: strokes.map(placeless),
+            ..StepTable::default()
+        })
     }
-    if !from.params.is_empty() {
-        table["params"] = value(inline(&from.params)?);
+
+    fn region(&mut self, from: &Region) -> Result<RegionTable> {
+        Ok(RegionTable {
+            role: from.role,
+            shapes: self.shapes(&from.shapes.shapes)?,
+            falloff: Some(from.shapes.falloff).filter(|falloff| *falloff != 0.0).map(placeless),
+            r#move: Some(from.motion).filter(|motion| *motion != Motion::default()).map(placeless),
+        })
     }
-    Ok(table)
-}
 
-fn vector(v: DVec3) -> Value {
-    Value::Array(v.to_array().into_iter().collect())
-}
-
-fn lost(what: &str, e: &dyn std::fmt::Display) -> Error {
-    Error::internal(format!("cannot write {what}: {e}"), "report this")
-}
-
-/// Values as they were given, in one line.
-fn inline(from: &toml::Table) -> Result<InlineTable> {
-    let text = toml::Value::Table(from.clone()).to_string();
-    match text.parse::<Value>() {
-        Ok(Value::InlineTable(table)) => Ok(table),
-        Ok(other) => Err(lost("parameters", &other.type_name())),
-        Err(e) => Err(lost("parameters", &e.message())),
+    /// Selections that are too long for one line are written beside the session, if that may be.
+    fn shapes(&mut self, from: &[Shape]) -> Result<Vec<Spanned<Shape>>> {
+        spanned(from, |shape| {
+            let in_file = match (shape, self.session) {
+                (Shape::Selection(picked), Some(session)) => picked.stored(session)?,
+                _ => None,
+            };
+            let Some(file) = in_file else { return Ok(shape.clone()) };
+            self.files.push(self.folder.join(&file.file));
+            Ok(Shape::Selection(PickedPoints::in_file(file)))
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session_file::Origin;
     use crate::shapes::Shapes;
+    use crate::step::{Joint, Origin, Role, Stroke};
+    use glam::DVec3;
     use simod_core::sampling::{By, Placement};
     use simod_model::follow::Kind;
     use std::sync::Arc;
@@ -492,7 +400,7 @@ mod tests {
         session.steps.truncate(2);
         let Action::Deform(first) = &mut session.steps[0].action else { panic!("a deformation") };
         first.strokes.clear();
-        let (text, _) = session.to_toml(&folder.join("edit.toml"), true).unwrap();
+        let text = session.to_toml(&folder.join("edit.toml")).unwrap();
         assert_eq!(
             text,
             r#"version = 2
@@ -562,15 +470,15 @@ refine = { shapes = [{ half-space = { point = [0.0, 0.0, 0.0], normal = [0.0, -1
 path = "out.ply"
 "#
         );
-        let empty = SessionFile::default().to_toml(Path::new("edit.toml"), true).unwrap();
-        assert_eq!(empty, ("version = 1\n".to_owned(), Vec::new()));
+        let empty = SessionFile::default().to_toml(Path::new("edit.toml")).unwrap();
+        assert_eq!(empty, "version = 1\n");
     }
 
     #[test]
     fn what_former_programs_understand_stays_of_the_first_version() {
         let version = |step: Step| {
             let session = SessionFile { steps: vec![step], ..SessionFile::default() };
-            session.to_toml(Path::new("edit.toml"), true).unwrap().0.lines().next().unwrap().to_owned()
+            session.to_toml(Path::new("edit.toml")).unwrap().lines().next().unwrap().to_owned()
         };
         let deform =
             |amount| Step::new(Action::Deform(Deformation { amount, ..Deformation::by_plugin("warp") }));

@@ -7,7 +7,8 @@ use serde::Deserialize;
 use simod_model::follow::{Follow, Kind};
 use simod_model::{Model, Result};
 
-use crate::session_file::{SessionText, read_text};
+use crate::session_file::read_text;
+use crate::session_text::SessionText;
 
 /// Behind the name of the model's file, that of its sidecar.
 const SUFFIX: &str = ".follow.toml";

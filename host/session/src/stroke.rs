@@ -16,10 +16,10 @@ pub struct Stroke {
     #[serde(deserialize_with = "crate::vector::threes")]
     pub points: Vec<DVec3>,
     /// The pen's pressure at each point, 0 to 1; none where there was no pen.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pressures: Vec<f32>,
     /// The parameters that differ from the step's.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "toml::Table::is_empty")]
     pub params: toml::Table,
 }
 

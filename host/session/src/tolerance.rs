@@ -17,8 +17,8 @@ use crate::deformed_samples::{DeformedSamples, deform};
 use crate::edit::Refinements;
 use crate::plugins::PluginRegistry;
 use crate::refining::{Pose, Room};
-use crate::session_file::{Refine, Step};
 use crate::shapes::Shapes;
+use crate::step::{Refine, Step};
 use simod_plugin_api::Time;
 
 /// Rounds of refinement; the number of samples may double in each.

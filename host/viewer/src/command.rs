@@ -10,7 +10,8 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use simod_core::refinement::Finer;
 use simod_session::edit;
-use simod_session::session_file::{Role, Sampling};
+use simod_session::session_file::Sampling;
+use simod_session::step::Role;
 use std::path::PathBuf;
 
 /// One thing that a user does. Steps are known by their place, 0 for the first; pixels are counted from the

@@ -6,7 +6,7 @@ use crate::skeleton::is_pin;
 use glam::{DAffine3, DVec3};
 use simod_plugin_api::{Gizmo, HandleDesc};
 use simod_session::Motion;
-use simod_session::session_file::HandleMove;
+use simod_session::step::HandleMove;
 use std::collections::BTreeSet;
 
 /// Handles as they were when a hand took them.

@@ -5,7 +5,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use simod_model::frame::Frame;
 use simod_plugin_api::HandleDesc;
 use simod_session::Motion;
-use simod_session::session_file::HandleMove;
+use simod_session::step::HandleMove;
 
 /// Where the gizmo of a handle region is: it is moved, turned and scaled as the region is, and begins at this
 /// pivot, whatever the motion's own is. Model coordinates.

@@ -6,7 +6,7 @@
 
 use crate::body::Ball;
 use glam::DVec3;
-use simod_session::session_file::Joint;
+use simod_session::step::Joint;
 
 /// The words by which sides are told in names, in pairs.
 const SIDES: [[&str; 2]; 4] = [["left", "right"], ["Left", "Right"], [".L", ".R"], ["_l", "_r"]];

@@ -8,7 +8,7 @@ use crate::{axis, regions, steps, theme};
 use eframe::egui::text_selection::LabelSelectionState;
 use eframe::egui::{self, Event, Key, Modifiers};
 use simod_scene::Mode;
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_viewer::camera::{Projection, Standard, Up};
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::{Command, Overlay, Previewed};

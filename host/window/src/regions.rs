@@ -4,7 +4,7 @@ use crate::tools::{Target, Tool};
 use crate::window::Window;
 use simod_core::refinement::Finer;
 use simod_session::edit::Entry;
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_viewer::Command;
 
 /// By how much a selection gets finer at once.

@@ -4,7 +4,7 @@ use crate::settings::Theme;
 use eframe::egui::{
     self, Color32, CornerRadius, FontFamily, FontId, Shadow, Stroke, TextStyle, Visuals, vec2,
 };
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 
 /// What is selected.
 pub const SELECTED: [u8; 3] = [255, 138, 30];

@@ -9,7 +9,7 @@ use simod_model::bounds::Bounds;
 use simod_model::output::write_file;
 use simod_picture::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
 use simod_session::SessionFile;
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 
 use crate::cases::Case;
 

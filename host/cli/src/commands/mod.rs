@@ -28,7 +28,7 @@ pub mod view;
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Cache, Error, ErrorKind, Result};
 
-use simod_session::session_file::Step;
+use simod_session::step::Step;
 use simod_session::{Message, PluginRegistry};
 
 use crate::report::{Report, count};

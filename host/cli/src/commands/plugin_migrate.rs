@@ -18,7 +18,7 @@ use crate::report::Report;
 /// Write a session anew with the parameters that its plugins have now
 ///
 /// Sessions that are older than their plugins work as they are, and say what is changed each time. Comments
-/// are not kept.
+/// stay.
 #[derive(Args)]
 pub struct Migrate {
     /// The session
@@ -56,7 +56,7 @@ impl Migrate {
         } else {
             self.output.clone()
         };
-        saved_at(&session, &place, &plugins)?.save(&place)?;
+        saved_at(&session, &place, &plugins)?.save_over(&place, &self.session)?;
         report.figure("changes", notes.as_slice());
         if notes.is_empty() {
             report.line("the session is as its plugins have it");

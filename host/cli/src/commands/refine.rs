@@ -12,7 +12,7 @@ use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
 use simod_session::refining::{Pose, Room};
-use simod_session::session_file::Refine as Refinement;
+use simod_session::step::Refine as Refinement;
 use simod_session::{Shape, Shapes};
 
 use super::overwrite::Overwrite;

@@ -2,8 +2,9 @@
 //! another edit, a message, or a file.
 
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Action, Deformation, LARGEST, Origin, ParamPlaces, SessionFile, Step};
+use crate::session_file::{LARGEST, SessionFile};
 use crate::session_writer::text;
+use crate::step::{Action, Deformation, Origin, ParamPlaces, Step};
 use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::ParamKind;
 use std::path::Path;
@@ -19,7 +20,7 @@ const CLIPBOARD: &str = "the clipboard";
 pub fn copied(steps: &[Step], plugins: &PluginRegistry) -> Result<String> {
     let steps = steps.iter().map(|step| with_whole_paths(step, plugins)).collect::<Result<_>>()?;
     let session = SessionFile { steps, ..SessionFile::default() };
-    let (copied, _) = session.to_toml(Path::new(CLIPBOARD), false)?;
+    let copied = session.to_toml(Path::new(CLIPBOARD))?;
     if copied.len() as u64 > LARGEST {
         let what = format!("the steps are {} MB of text, more than a session can have", copied.len() >> 20);
         return Err(Error::new(

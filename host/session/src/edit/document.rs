@@ -3,8 +3,9 @@
 use super::entry::{Entry, StepId};
 use super::groups;
 use crate::motion::Motion;
-use crate::session_file::{
-    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Step, Stroke, is_amount, name_defect,
+use crate::step::{
+    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Step, Stroke, check_amount, check_handles,
+    check_id, check_joints, check_motion, check_name,
 };
 use serde::{Deserialize, Serialize};
 use simod_model::{Error, ErrorKind, Result};
@@ -338,8 +339,8 @@ impl Document {
             Command::Group { steps: places, name } => {
                 check(places.start, places.end)?;
                 check(places.end - 1, count)?;
-                if let Some(what) = name.as_deref().and_then(|name| name_defect("group", name)) {
-                    return Err(refused(what, "give it a few words"));
+                if let Some(name) = &name {
+                    check_name("group", name)?;
                 }
                 groups::set(&mut steps[places.clone()], name.as_ref());
                 groups::part(&mut steps, places);
@@ -492,11 +493,7 @@ fn rename_joint(step: &mut Deformation, from: &str, to: String) -> Result<()> {
     if step.joints.iter().all(|joint| joint.id != from) {
         return Err(refused(format!("there is no joint `{from}`"), "choose another one"));
     }
-    let is_there = to != from && step.joints.iter().any(|joint| joint.id == to);
-    if to.is_empty() || to.contains(char::is_whitespace) || is_there {
-        let what = format!("`{to}` is no id for a joint, or is there twice");
-        return Err(refused(what, "give each joint one word of its own"));
-    }
+    check_id(&to, to != from && step.joints.iter().any(|joint| joint.id == to))?;
     let ids = step.joints.iter_mut().flat_map(|joint| [Some(&mut joint.id), joint.parent.as_mut()]).flatten();
     let moved = step.handles.iter_mut().map(|handle| &mut handle.id);
     ids.chain(moved).filter(|id| **id == from).for_each(|id| id.clone_from(&to));
@@ -508,55 +505,41 @@ fn no_stroke(stroke: usize, count: usize) -> Error {
 }
 
 fn edit(step: &mut Step, change: Change) -> Result<()> {
-    let sound = |motion: &Motion| match motion.defect() {
-        Some(what) => Err(refused(what, "give another motion")),
-        None => Ok(()),
-    };
     match (&mut step.action, change) {
         (_, Change::Enable(enabled)) => step.enabled = enabled,
         (_, Change::SetTitle(title)) => {
-            if let Some(what) = title.as_deref().and_then(|title| name_defect("title", title)) {
-                return Err(refused(what, "give it a few words, or none for what its plugin is called"));
+            if let Some(title) = &title {
+                check_name("title", title)?;
             }
             step.title = title;
         }
         (Action::Deform(step), Change::SetAmount(amount)) => {
-            if !is_amount(amount) {
-                return Err(refused("the amount of a step is not from 0 to 1", "give what is between"));
-            }
+            check_amount(amount)?;
             step.amount = amount;
         }
         (Action::Deform(step), Change::SetParam { id, value: Some(value) }) => {
             drop(step.params.insert(id, value))
         }
         (Action::Deform(step), Change::SetParam { id, value: None }) => drop(step.params.remove(&id)),
-        (Action::Deform(step), Change::SetRegions(regions)) => {
-            for region in &regions {
-                region.shapes.check().map_err(|what| refused(what, "give another shape"))?;
-                sound(&region.motion)?;
+        (Action::Deform(step), Change::SetRegions(mut regions)) => {
+            for region in &mut regions {
+                // A handle that becomes another region stays where it is.
+                if region.role != Role::Handle {
+                    region.motion = Motion::default();
+                }
+                region.check()?;
             }
             step.regions = regions;
         }
         (Action::Deform(step), Change::MoveRegion { region, motion }) => {
-            sound(&motion)?;
+            check_motion(&motion)?;
             let handle = step.regions.get_mut(region).filter(|r| r.role == Role::Handle);
             handle
                 .ok_or_else(|| refused(format!("region {region} is no handle"), "choose a handle"))?
                 .motion = motion;
         }
         (Action::Deform(step), Change::SetJoints(joints)) => {
-            for (i, joint) in joints.iter().enumerate() {
-                let before = &joints[..i];
-                let known = |id: &String| before.iter().any(|j| j.id == *id);
-                if joint.id.is_empty() || joint.id.contains(char::is_whitespace) || known(&joint.id) {
-                    let what = format!("`{}` is no id for a joint, or is there twice", joint.id);
-                    return Err(refused(what, "give each joint one word of its own"));
-                }
-                if joint.parent.as_ref().is_some_and(|parent| !known(parent)) || !joint.at.is_finite() {
-                    let what = format!("the joint `{}` hangs on none before it, or is nowhere", joint.id);
-                    return Err(refused(what, "put joints after those that they hang on"));
-                }
-            }
+            check_joints(&joints).map_err(|(_, defect)| defect)?;
             let gone =
                 |id: &str| step.joints.iter().any(|j| j.id == id) && !joints.iter().any(|j| j.id == id);
             step.handles.retain(|handle| !gone(&handle.id));
@@ -564,19 +547,14 @@ fn edit(step: &mut Step, change: Change) -> Result<()> {
         }
         (Action::Deform(step), Change::RenameJoint { from, to }) => rename_joint(step, &from, to)?,
         (Action::Deform(step), Change::MoveHandle { id, motion }) => {
-            sound(&motion)?;
+            check_motion(&motion)?;
             step.handles.retain(|handle| handle.id != id);
             if motion != Motion::default() {
                 step.handles.push(HandleMove { id, motion });
             }
         }
         (Action::Deform(step), Change::MoveHandles(moves)) => {
-            for (i, HandleMove { id, motion }) in moves.iter().enumerate() {
-                sound(motion)?;
-                if moves[..i].iter().any(|other| other.id == *id) {
-                    return Err(refused(format!("the handle `{id}` is moved twice"), "move it once"));
-                }
-            }
+            check_handles(&moves).map_err(|(_, defect)| defect)?;
             step.handles.retain(|handle| moves.iter().all(|other| other.id != handle.id));
             step.handles.extend(moves.into_iter().filter(|handle| handle.motion != Motion::default()));
         }
@@ -600,7 +578,7 @@ fn edit(step: &mut Step, change: Change) -> Result<()> {
             step.strokes.remove(stroke);
         }
         (Action::Refine(refine), Change::SetRefine(other)) => {
-            other.check().map_err(|(what, hint)| refused(what, hint))?;
+            other.check()?;
             *refine = other;
         }
         (Action::Refine(_), _) | (Action::Deform(_), Change::SetRefine(_)) => {

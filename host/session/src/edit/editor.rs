@@ -6,9 +6,10 @@ use super::evaluation::{Evaluation, Refinements};
 use crate::params::is_path;
 use crate::pipeline::sampled;
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Action, Deformation, Origin, SessionFile, Step};
+use crate::session_file::SessionFile;
 use crate::session_writer::text;
 use crate::side_file;
+use crate::step::{Action, Deformation, Origin, Step};
 use simod_core::sampled_model::{SampledModel, relative};
 use simod_core::sampling::Skip;
 use simod_model::follow::Follow;
@@ -158,13 +159,17 @@ impl Editor {
         self.saved.as_ref().is_some_and(|saved| Arc::ptr_eq(saved, self.document.steps()))
     }
 
-    /// Saves the session, whole or not at all. What was kept against a crash is not needed any more, and
+    /// Saves the session, whole or not at all; comments of the file that it was opened from stay. What was kept against a crash is not needed any more, and
     /// removed.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn save(&mut self, path: &Path) -> Result<()> {
-        self.session_at(path)?.save(path).map(drop)?;
+        let session = self.session_at(path)?;
+        match &self.path {
+            Some(former) => session.save_over(path, former)?,
+            None => session.save(path)?,
+        };
         let former = self.path.replace(path.to_owned()).unwrap_or_else(|| path.to_owned());
         self.saved = Some(self.document.steps().clone());
         self.kept = self.document.steps().clone();

@@ -1,6 +1,6 @@
 //! A step of a document, and what it is known by.
 
-use crate::session_file::Step;
+use crate::step::Step;
 use std::sync::Arc;
 
 /// Which step it is: the same after others were added, moved or removed, and after undo.

@@ -6,9 +6,9 @@ use crate::deformer::{Message, OwnHandles, Watch};
 use crate::key::Key;
 use crate::plugins::PluginRegistry;
 use crate::refining::{Pose, Room};
-use crate::session_file::{Action, Deformation, Refine, Step};
 use crate::sidecar;
 use crate::stack::{Done, Layer, LayerCache, Moment, PreparedStack, Rest, RestShape, located};
+use crate::step::{Action, Deformation, Refine, Step};
 use glam::{DVec3, Mat3, Vec3};
 use simod_core::reconstruction::{
     DeformationField, Method, Reconstructed, Reconstruction, RestGeometry, Version, deformed_normals,

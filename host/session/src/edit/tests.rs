@@ -5,8 +5,9 @@ use super::*;
 use crate::deformer::Plugin;
 use crate::motion::Motion;
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Action, HandleMove, Refine, Region, Role, SessionFile, Step, Stroke};
+use crate::session_file::SessionFile;
 use crate::shapes::{Shape, Shapes};
+use crate::step::{Action, HandleMove, Refine, Region, Role, Step, Stroke};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
@@ -368,7 +369,7 @@ fn what_makes_no_sense_changes_nothing() {
     let mut document = Document::new(steps());
     let before = document.steps().clone();
     let nan = Motion { translate: DVec3::NAN, ..Motion::default() };
-    let joint = |id: &str, parent: Option<&str>| crate::session_file::Joint {
+    let joint = |id: &str, parent: Option<&str>| crate::step::Joint {
         id: id.to_owned(),
         at: DVec3::ZERO,
         parent: parent.map(str::to_owned),
@@ -405,10 +406,30 @@ fn what_makes_no_sense_changes_nothing() {
     }
 }
 
+/// A session would not be read with a region that moves and is no handle.
+#[test]
+fn a_handle_that_becomes_another_region_stays_where_it_is() {
+    let mut document = Document::new([step("")]);
+    document.apply(change(0, Change::SetRegions(vec![handle()]))).unwrap();
+    let motion = Motion { degrees: 20.0, pivot: Some(DVec3::X), ..Motion::default() };
+    document.apply(change(0, Change::MoveRegion { region: 0, motion })).unwrap();
+    for role in [Role::Fixed, Role::Mask] {
+        let region = Region { role, motion, ..handle() };
+        document.apply(change(0, Change::SetRegions(vec![region]))).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("edit.toml");
+        let steps = document.steps().iter().map(|entry| (*entry.step).clone()).collect();
+        SessionFile { steps, ..SessionFile::default() }.save(&path).unwrap();
+        let read = SessionFile::load(&path).unwrap();
+        let region = &read.steps[0].deformation().unwrap().regions[0];
+        assert_eq!((region.role, region.motion), (role, Motion::default()));
+    }
+}
+
 #[test]
 fn a_joint_is_renamed_with_its_motion_and_what_hangs_on_it() {
     let mut document = Document::new([step("")]);
-    let joint = |id: &str, parent: Option<&str>| crate::session_file::Joint {
+    let joint = |id: &str, parent: Option<&str>| crate::step::Joint {
         id: id.to_owned(),
         at: DVec3::ZERO,
         parent: parent.map(str::to_owned),
@@ -721,6 +742,24 @@ fn what_was_not_saved_can_be_recovered() {
     editor.autosave().unwrap();
     forget(&path).unwrap();
     assert!(recover(&path).unwrap().is_none());
+}
+
+#[test]
+fn comments_of_the_file_stay_where_an_edit_is_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("edit.toml");
+    editor(folder.path()).0.save(&path).unwrap();
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, format!("# For the catalogue.\n{text}")).unwrap();
+    let (mut editor, _) = open_session(SessionFile::load(&path).unwrap(), &path);
+    let steps = editor.document().steps().len();
+    editor.document_mut().apply(Command::Add { at: steps, step: Box::new(step("")) }).unwrap();
+    for path in [path.clone(), folder.path().join("other.toml")] {
+        editor.save(&path).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.starts_with("# For the catalogue.\n"), "{text}");
+        assert_eq!(SessionFile::load(&path).unwrap().steps.len(), steps + 1);
+    }
 }
 
 #[cfg(unix)]

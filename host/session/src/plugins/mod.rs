@@ -9,7 +9,7 @@ mod load;
 
 use crate::deformer::{About, Plugin};
 use crate::params::nearest;
-use crate::session_file::Step;
+use crate::step::Step;
 #[cfg(unix)]
 use crate::worker::{self, WorkerCode, WorkerOptions};
 use cache::{Cache, Stamp};

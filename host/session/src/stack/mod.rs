@@ -9,7 +9,7 @@ mod rest;
 use crate::deformer::{Message, Plugin, Watch};
 use crate::params::Params;
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Deformation, Step};
+use crate::step::{Deformation, Step};
 use glam::{DVec3, Vec3};
 pub(crate) use layer::{Done, Layer, LayerCache};
 use rayon::prelude::*;

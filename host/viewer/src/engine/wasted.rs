@@ -3,7 +3,7 @@
 use super::watch::StageKind;
 use simod_plugin_api::Effort;
 use simod_session::edit::Entry;
-use simod_session::session_file::{Action, Region, Role, Step};
+use simod_session::step::{Action, Region, Role, Step};
 use std::sync::Arc;
 
 /// Whether doing `before`, of which step `at` is being done (or prepared), helps neither those who look nor

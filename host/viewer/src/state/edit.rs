@@ -12,7 +12,7 @@ use simod_model::target::folder_of;
 use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
 use simod_session::edit::{self, Change, Document, Editor, StepId};
-use simod_session::session_file::{Action, Deformation, Step};
+use simod_session::step::{Action, Deformation, Step};
 use std::path::{Path, PathBuf};
 
 impl State {

@@ -1,7 +1,7 @@
 //! A stroke that is being drawn.
 
 use simod_session::edit::{Entry, StepId};
-use simod_session::session_file::{Action, Stroke};
+use simod_session::step::{Action, Stroke};
 use std::sync::Arc;
 
 /// A stroke that is being drawn.

@@ -14,7 +14,7 @@ use simod_core::refinement::Finer;
 use simod_model::Result;
 use simod_plugin_api::HandleDesc;
 use simod_session::edit::{Change, StepId};
-use simod_session::session_file::{Action, HandleMove, Joint, Refine, Region, Role};
+use simod_session::step::{Action, HandleMove, Joint, Refine, Region, Role};
 use simod_session::{Motion, OwnHandles, PickedPoints, Shape, Shapes};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -162,7 +162,7 @@ impl State {
         let picked = self.picked(&open.scene.positions, &self.selection)?;
         let shapes = Shapes { shapes: vec![Shape::Selection(picked)], falloff: 0.0 };
         let refine = Refine { shapes, finer };
-        refine.check().map_err(|(what, hint)| refused(what, hint))?;
+        refine.check()?;
         self.add(self.open()?.steps().len(), Action::Refine(refine))
     }
 

@@ -7,7 +7,7 @@ use glam::DVec3;
 use simod_model::Result;
 use simod_plugin_api::Effort;
 use simod_session::edit::Change;
-use simod_session::session_file::Stroke;
+use simod_session::step::Stroke;
 use std::sync::Arc;
 
 fn none() -> simod_model::Error {

@@ -15,7 +15,7 @@ use simod_generate::Shape;
 use simod_model::memory::anonymous;
 use simod_session::Motion;
 use simod_session::edit::{self, Change};
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_viewer::camera::{Projection, Standard};
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::engine::Job;

@@ -8,7 +8,7 @@ use simod_generate::Shape;
 use simod_model::progress::Silent;
 use simod_plugin_api::Effort;
 use simod_session::edit::{self, Change};
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_session::{Motion, Run, SessionFile};
 use simod_viewer::camera::Standard;
 use simod_viewer::command::{Area, CameraMove};
@@ -129,11 +129,8 @@ fn a_drag_is_shown_as_drafts_and_undone_as_one() {
             simod_session::Shape::HalfSpace { point: DVec3::Y * (1.0 + 0.5 * sign), normal: DVec3::Y * sign };
         simod_session::Shapes { shapes: vec![shape], falloff: 0.0 }
     };
-    let region = |role, sign| simod_session::session_file::Region {
-        role,
-        shapes: half(sign),
-        motion: Motion::default(),
-    };
+    let region =
+        |role, sign| simod_session::step::Region { role, shapes: half(sign), motion: Motion::default() };
     let regions = vec![region(Role::Fixed, -1.0), region(Role::Handle, 1.0)];
     let set = edit::Command::Change { at: 0, change: Change::SetRegions(regions) };
     done(&mut state, Command::Edit(set));

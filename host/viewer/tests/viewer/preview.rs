@@ -9,7 +9,7 @@ use simod_model::{ErrorKind, for_vertices};
 use simod_plugin_api::Effort;
 use simod_session::Motion;
 use simod_session::edit::{self, Change};
-use simod_session::session_file::{Region, Role};
+use simod_session::step::{Region, Role};
 use simod_viewer::camera::Standard;
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::engine::Job;

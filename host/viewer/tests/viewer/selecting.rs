@@ -8,7 +8,7 @@ use simod_generate::Shape;
 use simod_model::Scalar;
 use simod_model::write_points;
 use simod_session::edit::{self, Change};
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_session::{PluginRegistry, SessionFile};
 use simod_viewer::camera::{Projection, Standard, Up};
 use simod_viewer::command::{Area, CameraMove};

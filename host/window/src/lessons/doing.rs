@@ -5,7 +5,7 @@ use crate::window::Window;
 use glam::DVec3;
 use simod_session::Motion;
 use simod_session::edit::{Change, StepId};
-use simod_session::session_file::{Deformation, HandleMove, Role};
+use simod_session::step::{Deformation, HandleMove, Role};
 use simod_viewer::camera::Standard;
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::{Command, Selection};

@@ -8,7 +8,7 @@ use super::doing::{
 use super::{Lesson, Part};
 use simod_generate::Shape;
 use simod_session::edit::Change;
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_viewer::command::CameraMove;
 use simod_viewer::{Command, Overlay, Version};
 

@@ -7,7 +7,7 @@ use eframe::egui::{
     Align, Align2, Color32, FontId, Frame, Layout, Margin, Mesh, Panel, Rect, RichText, Sense, Shape, Ui,
     pos2, vec2,
 };
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_viewer::Overlay;
 use simod_viewer::overlay::{Field, class_color, class_name, scale_color};
 

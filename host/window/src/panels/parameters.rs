@@ -8,7 +8,7 @@ use crate::window::{Asks, Window};
 use eframe::egui::{CollapsingHeader, RichText, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::edit::Change;
-use simod_session::session_file::Deformation;
+use simod_session::step::Deformation;
 use simod_viewer::Command;
 
 /// The parameters.

@@ -5,7 +5,7 @@ use crate::window::{Asks, Window};
 use eframe::egui::{Button, ComboBox, DragValue, Id, RichText, Ui};
 use simod_core::refinement::Finer;
 use simod_session::edit::Change;
-use simod_session::session_file::{Action, Refine};
+use simod_session::step::{Action, Refine};
 
 /// The ways to say how fine, as the user reads them.
 const FACTOR: &str = "Times as many samples";

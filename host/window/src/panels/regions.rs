@@ -10,7 +10,7 @@ use eframe::egui::{
     Stroke, TextEdit, Ui, vec2,
 };
 use simod_session::edit::Change;
-use simod_session::session_file::{Deformation, Region, Role};
+use simod_session::step::{Deformation, Region, Role};
 use simod_session::{Motion, Shape};
 use simod_viewer::command::Area;
 use simod_viewer::skeleton::{is_pin, mirrored};

@@ -13,7 +13,7 @@ use eframe::egui::{
 };
 use simod_core::refinement::Finer;
 use simod_session::edit::{self, Change, Entry, Status, StepId, group_at};
-use simod_session::session_file::Action;
+use simod_session::step::Action;
 use simod_viewer::Command;
 
 /// The list.

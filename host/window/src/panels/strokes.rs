@@ -7,7 +7,7 @@ use crate::window::{Asks, Window};
 use eframe::egui::{self, Button, DragValue, RichText, ScrollArea, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::edit::Change;
-use simod_session::session_file::Stroke;
+use simod_session::step::Stroke;
 use std::sync::Arc;
 
 /// Height of the list, beyond which it scrolls.

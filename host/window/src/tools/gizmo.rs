@@ -8,7 +8,7 @@ use eframe::egui::{Color32, Mesh, Pos2, Rgba, epaint};
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 use simod_session::Motion;
 use simod_session::edit::{Change, StepId};
-use simod_session::session_file::HandleMove;
+use simod_session::step::HandleMove;
 use simod_viewer::Command;
 use simod_viewer::held::Held;
 use simod_viewer::motion::handle_matrix;

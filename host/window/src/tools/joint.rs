@@ -6,7 +6,7 @@ use crate::window::Window;
 use eframe::egui::{Color32, CursorIcon, Pos2, Shape, Stroke};
 use glam::{DVec2, DVec3};
 use simod_session::edit::Change;
-use simod_session::session_file::{Deformation, Joint};
+use simod_session::step::{Deformation, Joint};
 use simod_viewer::Command;
 use simod_viewer::skeleton::{chained, free_id, is_pin, with_body_held};
 

@@ -6,7 +6,7 @@ use crate::theme;
 use crate::window::Window;
 use simod_session::Shapes;
 use simod_session::edit::StepId;
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_viewer::overlay::{self, Field, Scale};
 use simod_viewer::{Overlay, Scene, Selection, Tint, Version};
 use std::sync::Arc;

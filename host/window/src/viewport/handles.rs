@@ -9,7 +9,7 @@ use crate::window::Window;
 use eframe::egui::{Color32, CursorIcon, Pos2, Rect, Shape, Stroke, pos2, vec2};
 use glam::DVec3;
 use simod_session::edit::Change;
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_viewer::Command;
 use simod_viewer::motion::handle_matrix;
 use simod_viewer::skeleton::is_pin;
@@ -276,9 +276,8 @@ fn region_under(canvas: &Canvas<'_>, window: &mut Window) -> Option<Target> {
     let has_handle = deformation.regions.iter().any(|r| r.role == Role::Handle);
     let hit = window.state_mut().pick(canvas.pointer().filter(|_| has_handle)?)?;
     let at = window.state().in_step(step, &hit)?;
-    let holds = |region: &simod_session::session_file::Region| {
-        region.role == Role::Handle && region.shapes.weight(at) > 0.5
-    };
+    let holds =
+        |region: &simod_session::step::Region| region.role == Role::Handle && region.shapes.weight(at) > 0.5;
     deformation.regions.iter().position(holds).map(Target::Region)
 }
 

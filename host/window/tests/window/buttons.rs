@@ -3,7 +3,7 @@
 use super::*;
 use egui_kittest::Node;
 use egui_kittest::kittest::{NodeT, Queryable};
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_viewer::command::Area;
 use simod_window::dialogs::Answer;
 use std::collections::BTreeSet;

@@ -7,7 +7,7 @@ use egui_kittest::kittest::Queryable;
 use glam::DVec3;
 use simod_session::Motion;
 use simod_session::edit::{self, Change};
-use simod_session::session_file::{Region, Role};
+use simod_session::step::{Region, Role};
 use simod_viewer::command::Area;
 use simod_window::Tool;
 

@@ -6,7 +6,7 @@ use egui_kittest::kittest::Queryable;
 use glam::DVec3;
 use simod_core::refinement::Finer;
 use simod_session::edit::{self, Change};
-use simod_session::session_file::{Action, Deformation, Refine, Step, Stroke};
+use simod_session::step::{Action, Deformation, Refine, Step, Stroke};
 use simod_session::{Shape as Place, Shapes};
 use simod_viewer::State;
 

@@ -4,7 +4,7 @@ use super::*;
 
 use egui_kittest::kittest::Queryable;
 use glam::DVec3;
-use simod_session::session_file::HandleMove;
+use simod_session::step::HandleMove;
 use simod_viewer::command::CameraMove;
 use simod_window::Tool;
 use std::collections::BTreeSet;

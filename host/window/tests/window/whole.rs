@@ -8,7 +8,7 @@ use super::*;
 use egui_kittest::kittest::Queryable;
 use simod_picture::Image;
 use simod_session::SessionFile;
-use simod_session::session_file::Role;
+use simod_session::step::Role;
 use simod_window::dialogs::Answer;
 
 /// Cards round differently: so much a channel, but for a share of the pixels, at edges.
