@@ -224,9 +224,5 @@ fn column(path: &Path, name: &str) -> Result<Vec<f32>> {
 }
 
 fn unreadable(path: &Path) -> Error {
-    Error::new(
-        simod_model::ErrorKind::Format,
-        format!("{} is no file of diagnostics", path.display()),
-        "report this",
-    )
+    Error::format(format!("{} is no file of diagnostics", path.display()), "report this")
 }

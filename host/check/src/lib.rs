@@ -18,7 +18,7 @@ mod subject;
 
 use finding::Checked;
 pub use finding::{Finding, Verdict};
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_session::plugins::load_unchecked;
 use std::path::Path;
 use subject::Subject;
@@ -106,7 +106,7 @@ pub fn rule(id: &str) -> Result<&'static Rule> {
             Some(near) => format!("did you mean `{near}`?"),
             None => format!("there are {}", ids.collect::<Vec<_>>().join(", ")),
         };
-        Error::new(ErrorKind::Argument, format!("there is no rule `{id}`"), hint)
+        Error::argument(format!("there is no rule `{id}`"), hint)
     })
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use simod_model::{Error, ErrorKind, Result, matching};
+use simod_model::{Error, Result, matching};
 
 /// Stands in an output's name for what tells the versions apart.
 const PLACE: &str = "{}";
@@ -39,16 +39,14 @@ pub fn versions(
     let is_one = |target: &&Path| !target.to_str().is_some_and(|text| text.contains(PLACE));
     if let Some(target) = [output].into_iter().chain(diagnostics).find(is_one).filter(|_| versions.len() > 1)
     {
-        return Err(Error::new(
-            ErrorKind::Argument,
+        return Err(Error::argument(
             format!("{} versions of the model cannot all be written to {}", versions.len(), target.display()),
             "put {} where they differ, as in -o 'out-{}.ply': it stands for what the * of --deformed matched",
         ));
     }
     for (i, version) in versions.iter().enumerate() {
         if let Some(other) = versions[..i].iter().find(|v| v.output == version.output) {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!(
                     "{} and {} would both be written to {}",
                     other.deformed.display(),
@@ -61,8 +59,7 @@ pub fn versions(
         let targets = || [&version.output].into_iter().chain(&version.diagnostics);
         let is_output = |v: &&VersionPaths| targets().any(|target| is_same_file(&v.deformed, target));
         if let Some(read) = versions.iter().find(is_output) {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("{} is one of the deformed files", read.deformed.display()),
                 "write to another file",
             ));

@@ -5,7 +5,7 @@ use glam::DVec3;
 use simod_core::sampled_model::SampledModel;
 use simod_model::memory::anonymous_of;
 use simod_model::output::write_file;
-use simod_model::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, Progress, Result};
 use simod_session::child::{Ended, Tail};
 use simod_session::step::{Region, Role};
 use std::fmt::Write as _;
@@ -56,12 +56,12 @@ pub(crate) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress)
     };
     let words: Vec<String> = command.words.iter().map(filled).collect();
     let Some((program, arguments)) = words.split_first() else {
-        return Err(Error::internal("a command has no words", "report this"));
+        return Err(Error::internal("a command has no words"));
     };
     let refused = |e: std::io::Error| {
         let what = format!("cannot run {program}: {e}");
         let hint = "correct the command; its first word is a program that the system finds, or its path";
-        Error::new(ErrorKind::Io, what, hint)
+        Error::system(what, hint)
     };
     let mut process = std::process::Command::new(program);
     let folder = if command.folder.as_os_str().is_empty() { Path::new(".") } else { &command.folder };
@@ -89,15 +89,11 @@ pub(crate) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress)
         let last = lines[lines.len().saturating_sub(TOLD)..].join("; ");
         let last = if last.is_empty() { "and said nothing".to_owned() } else { last };
         let what = format!("{program} ended with {status}: {last}");
-        return Err(Error::new(
-            ErrorKind::Argument,
-            what,
-            "run it by hand with `simod sample`'s samples.ply",
-        ));
+        return Err(Error::argument(what, "run it by hand with `simod sample`'s samples.ply"));
     }
     if !files.output.is_file() {
         let what = format!("{program} ended well, and wrote no {{output}}");
-        return Err(Error::new(ErrorKind::Argument, what, "have it write to the path in place of {output}"));
+        return Err(Error::argument(what, "have it write to the path in place of {output}"));
     }
     Ok(Ran { seconds, peak_memory_bytes })
 }

@@ -173,7 +173,7 @@ impl Held {
             if triangles.len() as u64 > 4 * Self::MOST {
                 // Few polygons may have very many corners.
                 triangles.clear();
-                return Err(Error::new(ErrorKind::Argument, "too many triangles", "they are not held"));
+                return Err(Error::argument("too many triangles", "they are not held"));
             }
             Ok(())
         })

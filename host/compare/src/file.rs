@@ -4,7 +4,7 @@ use crate::html::hyphenated;
 use glam::DVec3;
 use serde::Deserialize;
 use simod_core::reconstruction::Method as Reconstruction;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_picture::picture::Up;
 use simod_session::session_file::{Sampling, read_text};
 use simod_session::session_text::{RegionTable, SessionText};
@@ -246,9 +246,7 @@ impl CompareFile {
         let source = SessionText { text, path };
         let raw: RawCompare = toml::from_str(text).map_err(|e| source.refused(&e))?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        let missing = |what: &str, hint: &str| {
-            Error::new(ErrorKind::Format, format!("{}: {what}", path.display()), hint)
-        };
+        let missing = |what: &str, hint: &str| Error::format(format!("{}: {what}", path.display()), hint);
         let model = raw
             .model
             .ok_or_else(|| missing("there is no model", "add [model] path = \"…\", relative to this file"))?;

@@ -4,7 +4,7 @@ use crate::file::Method;
 use crate::html::hyphenated;
 use serde::Deserialize;
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, Result, input};
+use simod_model::{Error, Result, input};
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
@@ -76,7 +76,7 @@ impl Target {
 
     fn refused(&self, what: &str) -> Error {
         let hint = "give the name of a new folder, or of a former comparison to replace";
-        Error::new(ErrorKind::Argument, format!("{} {what}", self.0.display()), hint)
+        Error::argument(format!("{} {what}", self.0.display()), hint)
     }
 }
 

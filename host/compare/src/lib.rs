@@ -95,8 +95,7 @@ pub fn compare(
 /// An error if a file names programs that may not be run.
 fn check_commands(file: &CompareFile, how: Comparing) -> Result<()> {
     match file.commands().next().filter(|_| !how.allow_commands) {
-        Some((method, command)) => Err(Error::new(
-            ErrorKind::Argument,
+        Some((method, command)) => Err(Error::argument(
             format!("{}: the method `{}` runs a program: {}", method.place, method.name, command.line),
             "if you know it, allow it with --allow-commands (from Python allow_commands=True)",
         )),
@@ -111,8 +110,7 @@ fn checked(file: &CompareFile, how: Comparing, output: &Path) -> Result<(ModelNa
     if let Some((method, _)) = file.commands().find(|(_, command)| command.makes_model())
         && matches!(named, ModelName::Tiles(_))
     {
-        return Err(Error::new(
-            ErrorKind::Argument,
+        return Err(Error::argument(
             format!(
                 "{}: the method `{}` takes a model of several tiles as one file",
                 method.place, method.name
@@ -263,5 +261,5 @@ fn beside_each_other(
 fn none_done(records: &[MethodRecord]) -> Error {
     let failure = records.iter().find_map(|r| r.error.as_ref());
     let (what, hint) = failure.map_or(("", ""), |f| (&*f.what, &*f.hint));
-    Error::new(ErrorKind::Argument, format!("no method could be done, the first because: {what}"), hint)
+    Error::argument(format!("no method could be done, the first because: {what}"), hint)
 }

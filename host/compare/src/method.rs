@@ -282,7 +282,7 @@ impl<'a> Bench<'a> {
         }
         let peak = memory.peak().map(|own| own.max(peak.unwrap_or(0)));
         let Some((once, result)) = first else {
-            return Err(Error::internal("a method was not run", "report this"));
+            return Err(Error::internal("a method was not run"));
         };
         Ok(finished(known, once, (runs, sample, peak, notices), (result, repeats), record))
     }
@@ -323,8 +323,7 @@ impl<'a> Bench<'a> {
         let made = simod_model::open_version(source.as_ref(), &output, source.columns())?;
         let (there, needed) = (made.info().vertices, source.info().vertices);
         if there != needed {
-            return Err(Error::new(
-                ErrorKind::Mismatch,
+            return Err(Error::mismatch(
                 format!("{} has {there} vertices, but the model has {needed}", output.display()),
                 "a deformed model has the model's vertices, in the same order: switch off what merges, sorts or splits \
                  them",
@@ -355,7 +354,7 @@ impl<'a> Bench<'a> {
     /// Transfers one deformation of samples.
     fn alone(&self, of: (&Known<'_>, &Ready), measure: bool, progress: &dyn Progress) -> Result<Once> {
         let transferred = self.transferred(&[of], measure, progress)?.into_iter().next();
-        transferred.ok_or_else(|| Error::internal("a method was not transferred", "report this"))
+        transferred.ok_or_else(|| Error::internal("a method was not transferred"))
     }
 
     /// Transfers deformations of the same samples, in one reading; each one's time is an equal part of it.

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use simod_model::object::is_object;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::canonical_folder;
-use simod_model::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, Progress, Result};
 use simod_session::plan::{
     Emit, FINISHED, PLAN, Planned, Stage, Unit, absolute, check_target, check_units, hash_of, put, read, text,
 };
@@ -93,11 +93,7 @@ pub fn make(
     let place = canonical_folder(folder)?;
     if output.starts_with(&place) || place.starts_with(&output) {
         let what = format!("{} and {} lie in each other", output.display(), folder.display());
-        return Err(Error::new(
-            ErrorKind::Argument,
-            what,
-            "have the plan and the comparison in folders of their own",
-        ));
+        return Err(Error::argument(what, "have the plan and the comparison in folders of their own"));
     }
     let new = OutputFolder::create(folder)?;
     let sessions = file.methods.iter().filter_map(|method| match &method.work {
@@ -232,8 +228,7 @@ impl ComparisonPlan {
     }
 
     fn changed(&self, path: &Path) -> Error {
-        Error::new(
-            ErrorKind::Mismatch,
+        Error::mismatch(
             format!("{} changed since the plan was made", path.display()),
             format!("make the plan again: `{}`", Self::COMMAND),
         )

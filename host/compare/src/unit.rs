@@ -78,7 +78,7 @@ pub fn do_unit(
         Stage::Sample => work.sample(),
         Stage::Method => work.method(),
         Stage::Page => work.page(),
-        _ => Err(Error::internal("no comparison has such a unit", "report this")),
+        _ => Err(Error::internal("no comparison has such a unit")),
     }
 }
 
@@ -262,8 +262,7 @@ fn link(from: &Path, to: &Path) -> Result<()> {
 }
 
 fn write_json<T: Serialize>(path: &Path, of: &T) -> Result<()> {
-    let bytes = serde_json::to_vec_pretty(of)
-        .map_err(|e| Error::internal(format!("a record cannot be written: {e}"), "report this").because(e))?;
+    let bytes = serde_json::to_vec_pretty(of).map_err(|e| Error::unwritable("a record", e))?;
     write_file(path, &bytes)
 }
 
@@ -271,6 +270,6 @@ fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let bytes = input::read(path, LONGEST)?;
     serde_json::from_slice(&bytes).map_err(|e| {
         let what = format!("{} is damaged: {e}", path.display());
-        Error::new(ErrorKind::Format, what, "remove it, and do the unit again that wrote it")
+        Error::format(what, "remove it, and do the unit again that wrote it")
     })
 }

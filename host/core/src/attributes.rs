@@ -10,7 +10,7 @@
 //! belongs to follow, the attributes, and a checksum.
 
 use serde::{Deserialize, Serialize};
-use simod_model::{Attribute, Error, ErrorKind, Result};
+use simod_model::{Attribute, Error, Result};
 
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 
@@ -53,9 +53,7 @@ impl Attributes {
 
     /// The content of a file, for the `samples.ply` and the model of these hashes.
     pub(crate) fn encode(&self, of: [&str; 2]) -> Result<Vec<u8>> {
-        seal(MAGIC, VERSION, &(of, self)).map_err(|e| {
-            Error::internal(format!("cannot write the attributes: {e}"), "report this").because(e)
-        })
+        seal(MAGIC, VERSION, &(of, self)).map_err(|e| Error::unwritable("the attributes", e))
     }
 
     /// Reads the content of a file, of so many samples.
@@ -88,5 +86,5 @@ impl Attributes {
 
 fn damaged(what: &str) -> Error {
     let what = format!("the file of attributes is of no use: {what}");
-    Error::new(ErrorKind::Format, what, "remove it, and it is made anew")
+    Error::format(what, "remove it, and it is made anew")
 }

@@ -7,7 +7,7 @@
 use std::path::Path;
 
 use glam::DVec3;
-use simod_model::{Error, ErrorKind, Model, Result, Scalar, VertexChunk};
+use simod_model::{Error, Model, Result, Scalar, VertexChunk};
 
 /// Most samples that are read: they are held, with some hundred bytes each.
 const MOST: u64 = 1 << 29;
@@ -39,8 +39,7 @@ pub fn open(path: &Path) -> Result<Box<dyn Model>> {
     let model = simod_model::open(path)?;
     let vertices = model.info().vertices;
     if vertices > MOST {
-        return Err(Error::new(
-            ErrorKind::Format,
+        return Err(Error::format(
             format!("{} has {vertices} vertices, and samples are {MOST} at most", path.display()),
             "give a file of samples, not the model",
         ));
@@ -79,7 +78,7 @@ pub fn read(path: &Path, samples: usize) -> Result<DeformedFile> {
 }
 
 fn refused(path: &Path, what: &str) -> Error {
-    Error::new(ErrorKind::Mismatch, format!("{} has {what}", path.display()), HABITS)
+    Error::mismatch(format!("{} has {what}", path.display()), HABITS)
 }
 
 /// Puts each position where its id says; or what is wrong, after "the file has".

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use simod_model::claim::Claim;
-use simod_model::{Error, ErrorKind, Progress, Result, output};
+use simod_model::{Error, Progress, Result, output};
 
 use crate::fingerprint::are_same;
 use crate::sampled_model::{CELLS, SAMPLES, SampledModel, file_fingerprint};
@@ -29,8 +29,7 @@ impl SampledModel {
             return Ok(kept);
         }
         if !self.refinements.is_empty() {
-            return Err(Error::new(
-                ErrorKind::Format,
+            return Err(Error::format(
                 format!("{} was refined, and its {CELLS} is missing or damaged since", folder.display()),
                 "sample the model again, and refine it again: `simod info` tells where it was refined",
             ));
@@ -47,8 +46,7 @@ impl SampledModel {
         }
         let same = again.samples.positions == self.samples.positions;
         let Some(kept) = again.into_cells().filter(|_| same) else {
-            return Err(Error::new(
-                ErrorKind::Mismatch,
+            return Err(Error::mismatch(
                 format!("{} was sampled by another version of SIMOD", folder.display()),
                 "sample the model again",
             ));

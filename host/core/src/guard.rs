@@ -10,7 +10,7 @@ use simod_model::input::{self, Identity};
 use simod_model::object::{self, is_object};
 use simod_model::resumable_folder::check_target;
 use simod_model::target::{canonical_target, folder_of};
-use simod_model::{Error, ErrorKind, Result, matching};
+use simod_model::{Error, Result, matching};
 
 use crate::sampled_model::{OWN_FILES, SampledModel};
 
@@ -117,7 +117,7 @@ impl Guard {
         if kind == Kind::Model && is_object(&target) {
             object::check_output(&target)?;
         }
-        let refused = |what: String, hint: &str| Err(Error::new(ErrorKind::Argument, what, hint));
+        let refused = |what: String, hint: &str| Err(Error::argument(what, hint));
         if let Some((input, _)) = self.input_at(&target) {
             let what = if canonical_target(input).is_ok_and(|input| input == target) && !path.is_symlink() {
                 format!("{} is read by this command, and would be overwritten", path.display())
@@ -182,8 +182,7 @@ impl Guard {
             *known == identity || input.canonicalize().is_ok_and(|input| input.starts_with(&place))
         };
         match self.inputs.iter().find(is_within) {
-            Some((input, _)) => Err(Error::new(
-                ErrorKind::Argument,
+            Some((input, _)) => Err(Error::argument(
                 format!("{} holds {}, which this command reads", folder.display(), input.display()),
                 "write to another folder",
             )),

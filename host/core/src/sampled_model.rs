@@ -16,7 +16,7 @@ use simod_model::object::{self, is_object};
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{
-    Attribute, Besides, Cache, Error, ErrorKind, FaceChunk, Model, ModelName, Progress, Result, Scalar, Tile,
+    Attribute, Besides, Cache, Error, FaceChunk, Model, ModelName, Progress, Result, Scalar, Tile,
     VertexChunk, output, pattern_of,
 };
 use xxhash_rust::xxh3::Xxh3Default;
@@ -535,9 +535,7 @@ impl SampledModel {
             },
             refinement: self.refinements.clone(),
         };
-        let text = toml::to_string(&description).map_err(|e| {
-            Error::internal(format!("cannot describe the samples: {e}"), "report this").because(e)
-        })?;
+        let text = toml::to_string(&description).map_err(|e| Error::unwritable(DESCRIPTION, e))?;
         output::write_file(&new.path().join(DESCRIPTION), text.as_bytes()).map_err(named)?;
         if let Some(kept) = &self.kept {
             let bytes = kept.encode(&description.samples_fingerprint)?;
@@ -564,7 +562,7 @@ impl SampledModel {
         object::check_file("write", folder)?;
         let refused = |what: String| {
             let hint = "give the name of a new folder, or of a sampled model to replace";
-            Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))
+            Err(Error::argument(format!("{} {what}", folder.display()), hint))
         };
         if folder.symlink_metadata().is_err() {
             let failed = |e: std::io::Error| Error::io("write", folder, &e);
@@ -602,16 +600,14 @@ impl SampledModel {
     pub fn load(folder: &Path) -> Result<Self> {
         let file = folder.join(DESCRIPTION);
         if !file.exists() {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("{} is no sampled model: it has no {DESCRIPTION}", folder.display()),
                 "give the folder that `simod sample` wrote",
             ));
         }
         let text = input::read_text(&file, LONGEST_DESCRIPTION)?;
         let damaged = |what: String| {
-            Error::new(
-                ErrorKind::Format,
+            Error::format(
                 format!("{}: {what}", file.display()),
                 "it is damaged, or of another version of SIMOD: sample the model again",
             )
@@ -633,16 +629,14 @@ impl SampledModel {
         };
         let samples = folder.join(SAMPLES);
         if file_fingerprint(&samples)? != description.samples_fingerprint {
-            return Err(Error::new(
-                ErrorKind::Mismatch,
+            return Err(Error::mismatch(
                 format!("{} is not what was sampled any more", samples.display()),
                 "deformed samples go to another file: sample the model again",
             ));
         }
         let Samples { positions, normals, colors, triangles } = Samples::read(&samples)?;
         if positions.len() as u64 != description.samples {
-            return Err(Error::new(
-                ErrorKind::Mismatch,
+            return Err(Error::mismatch(
                 format!(
                     "{} has {} vertices, but simod.toml says {} samples",
                     samples.display(),
@@ -734,8 +728,7 @@ impl SampledModel {
     /// They are not in memory, or of another model.
     pub(crate) fn checked_cells(&self) -> Result<&KeptCells> {
         let Some(kept) = self.held_cells() else {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 "the sampled model's cells are not there, without which no part of the model can be read again",
                 "sample the model again, without --skip cells",
             ));
@@ -801,8 +794,7 @@ impl SampledModel {
         if let Some(gone) =
             named.files().iter().find(|file| elsewhere.is_none() && !input::may_be_there(file))
         {
-            return Err(Error::new(
-                ErrorKind::Io,
+            return Err(Error::system(
                 format!("the sampled model's source {} is gone", gone.display()),
                 "put it back, or say where it is with --model",
             ));
@@ -818,8 +810,7 @@ impl SampledModel {
         }
         if tiles.len() != self.source.tiles.len() {
             let (now, then) = (tiles.len(), self.source.tiles.len());
-            return Err(Error::new(
-                ErrorKind::Mismatch,
+            return Err(Error::mismatch(
                 format!("{} is {}, but {} were sampled", path.display(), files(now), files(then)),
                 "give the tiles that were sampled, or the folder that they were moved to, with --model",
             ));
@@ -841,8 +832,7 @@ impl SampledModel {
                 format!(", probably {} and {} more of its tiles", one.display(), others.len())
             }
         };
-        Error::new(
-            ErrorKind::Mismatch,
+        Error::mismatch(
             format!("{} changed since it was sampled{which}", path.display()),
             "sample it again, or give the file that was sampled with --model",
         )
@@ -929,8 +919,7 @@ impl SampledModel {
         let local: Vec<Vec3> = positions.iter().map(|p| self.frame.to_local(*p)).collect();
         let mut bad = (0..local.len()).filter(|i| !local[*i].is_finite());
         if let Some(first) = bad.next() {
-            return Err(Error::new(
-                ErrorKind::Degenerate,
+            return Err(Error::degenerate(
                 format!(
                     "{} of the vertices of {whose} are not finite, the first is vertex {first}",
                     bad.count() + 1
@@ -940,8 +929,7 @@ impl SampledModel {
         }
         // Squares of lengths have to be numbers, too.
         if let Some(i) = local.iter().position(|p| p.abs().max_element() > FARTHEST) {
-            return Err(Error::new(
-                ErrorKind::Degenerate,
+            return Err(Error::degenerate(
                 format!("{whose}: sample {i} is at {}, too far from the model to go on", positions[i]),
                 "mend the deformation: no sample can be a trillion times the model's size away",
             ));

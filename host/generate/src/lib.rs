@@ -21,7 +21,7 @@ mod tile;
 use std::ops::Range;
 
 use rayon::prelude::*;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 
 use layout::{Patch, lay_out};
 use rows::Rows;
@@ -89,8 +89,7 @@ impl Surface {
     /// The number is not between [`MIN_VERTICES`] and [`MAX_VERTICES`].
     pub fn new(shape: Shape, vertices: u64) -> Result<Self> {
         if !(MIN_VERTICES..=MAX_VERTICES).contains(&vertices) {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("cannot generate a model of {vertices} vertices"),
                 format!("ask for {MIN_VERTICES} to {MAX_VERTICES}"),
             ));
@@ -148,7 +147,7 @@ impl Surface {
     pub fn mesh(&self) -> Result<(Vec<SurfaceVertex>, Vec<[u32; 3]>)> {
         if u32::try_from(self.vertices).is_err() {
             let what = format!("{} vertices are too many for a mesh in memory", self.vertices);
-            return Err(Error::new(ErrorKind::Argument, what, "ask for fewer, or visit them block by block"));
+            return Err(Error::argument(what, "ask for fewer, or visit them block by block"));
         }
         let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
         self.visit_vertices(|block| {

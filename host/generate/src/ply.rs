@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::DVec3;
 use simod_model::output::OutputFile;
-use simod_model::{Error, ErrorKind, Progress, Result, Scalar};
+use simod_model::{Error, Progress, Result, Scalar};
 
 use super::{Piece, Shape, Surface, SurfaceVertex};
 
@@ -109,7 +109,7 @@ pub fn write_ply(
         out.write_all(&piece).map_err(|error| {
             error.downcast().unwrap_or_else(|error| {
                 let what = format!("cannot write the generated model: {}", error.to_string().to_lowercase());
-                Error::new(ErrorKind::Io, what, "check the disk and the path, then try again")
+                Error::system(what, "check the disk and the path, then try again")
             })
         })?;
         bytes += piece.len() as u64;
@@ -137,8 +137,7 @@ impl<'a> Format<'a> {
         let vertices = surface.vertices();
         let faces = if options.faces { surface.faces() } else { 0 };
         if options.faces && vertices > u64::from(u32::MAX) {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("{vertices} vertices are too many for the 32-bit indices of a PLY file's faces"),
                 "generate it without faces",
             ));

@@ -20,7 +20,7 @@ use xxhash_rust::xxh3::xxh3_128;
 use crate::input::Identity;
 use crate::object;
 use crate::target::{regular_target, target_of};
-use crate::{Error, ErrorKind, Result};
+use crate::{Error, Result};
 
 /// Longest name of a target that the hidden names contain; names of files have at most 255 bytes.
 const LONGEST_NAME: usize = 200;
@@ -240,7 +240,7 @@ fn lock(places: &Places, resumes: bool) -> Result<File> {
     let failed = |e: io::Error| Error::io("write", path, &e);
     let in_the_way = || {
         let what = format!("cannot write {}: {} is in the way", path.display(), part.display());
-        Error::new(ErrorKind::Argument, what, "remove it")
+        Error::argument(what, "remove it")
     };
     for _ in 0..ATTEMPTS {
         let (file, is_new) = match create_new(part, target) {
@@ -280,8 +280,7 @@ fn lock(places: &Places, resumes: bool) -> Result<File> {
         }
         fs::remove_file(part).map_err(|_| in_the_way())?;
     }
-    Err(Error::new(
-        ErrorKind::Argument,
+    Err(Error::argument(
         format!("{} is being written by another process", path.display()),
         "wait until it is done, or write to another file",
     ))

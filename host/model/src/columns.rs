@@ -10,7 +10,7 @@ use crate::text::blocks::{Blocks, Builder};
 use crate::text::lines::{Lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
 use crate::text::{CUT_OFF, integer, is_space, next_word, parse, quoted};
-use crate::{Attribute, Error, ErrorKind, Model, ModelInfo, Result, Scalar, Type};
+use crate::{Attribute, Error, Model, ModelInfo, Result, Scalar, Type};
 
 /// Extensions of such files.
 pub(crate) const EXTENSIONS: [&str; 8] = ["xyz", "xyzn", "xyzrgb", "pts", "csv", "tsv", "txt", "asc"];
@@ -316,7 +316,7 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
             Some(wanted) => {
                 let path = source.path().display();
                 let what = format!("{path}, of the columns {}: {what}", quoted(wanted));
-                Error::new(ErrorKind::Argument, what, HINT)
+                Error::argument(what, HINT)
             }
             None => wrong(what),
         })?;

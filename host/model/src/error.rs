@@ -1,6 +1,8 @@
 //! Errors as values: what is wrong and where, and what to do about it.
 
+use std::fmt;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Result of every fallible function of the host's crates.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -28,14 +30,25 @@ pub enum ErrorKind {
 }
 
 /// A failure: one line that says what and where, one that says what to do.
-#[derive(Debug, thiserror::Error)]
-#[error("{what}")]
+#[derive(Debug, Clone)]
 pub struct Error {
     kind: ErrorKind,
     what: String,
     hint: String,
     /// What it came of, if a library or the system said so.
-    source: Option<Box<dyn std::error::Error + Send + Sync>>,
+    source: Option<Arc<dyn std::error::Error + Send + Sync>>,
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.what)
+    }
+}
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.source.as_deref().map(|source| source as _)
+    }
 }
 
 impl Error {
@@ -44,9 +57,59 @@ impl Error {
         Self { kind, what: what.into(), hint: hint.into(), source: None }
     }
 
+    /// A value of the user's that is out of range, unknown or of another type.
+    pub fn argument(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Argument, what, hint)
+    }
+
+    /// Content that is not what its format, or its own header, says.
+    pub fn format(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Format, what, hint)
+    }
+
+    /// Files that belong together and do not fit.
+    pub fn mismatch(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Mismatch, what, hint)
+    }
+
+    /// Content that is well-formed, and with which nothing can be done.
+    pub fn degenerate(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Degenerate, what, hint)
+    }
+
+    /// A plugin that is missing, cannot be loaded, or failed.
+    pub fn plugin(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Plugin, what, hint)
+    }
+
+    /// What the operating system refused, other than [reading or writing a file](Self::io).
+    pub fn system(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Io, what, hint)
+    }
+
+    /// A mistake in this program, which users are asked to report.
+    pub fn internal(what: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Internal, what, "this is a mistake in the program: please report it")
+    }
+
+    /// What is made by this program and no format can hold, which is a mistake in it.
+    pub fn unwritable(
+        what: impl fmt::Display,
+        source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+    ) -> Self {
+        let source = source.into();
+        Self::internal(format!("cannot write {what}: {source}")).because(source)
+    }
+
+    /// A file that somebody changed at the same time.
+    pub fn changed_while_read(path: &Path) -> Self {
+        let hint = "wait until the program that writes it is done, then try again";
+        Self::mismatch(format!("{} changed while it was read", path.display()), hint)
+    }
+
     /// The same, and what it came of.
     pub fn because(self, source: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
-        Self { source: Some(source.into()), ..self }
+        Self { source: Some(source.into().into()), ..self }
     }
 
     /// The same failure, in other words.
@@ -57,11 +120,6 @@ impl Error {
     /// The same failure, with something else to do about it.
     pub fn hinting(self, hint: impl Into<String>) -> Self {
         Self { hint: hint.into(), ..self }
-    }
-
-    /// A mistake in this program; `hint` asks for a report.
-    pub fn internal(what: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self::new(ErrorKind::Internal, what, hint)
     }
 
     /// A refused file operation: `action` completes "cannot …", as in "cannot read x.ply: permission denied".
@@ -123,5 +181,9 @@ mod tests {
         let kept = error.source().and_then(|e| e.downcast_ref::<io::Error>()).expect("a source");
         assert_eq!(kept.raw_os_error(), number);
         assert!(Error::cancelled().source().is_none());
+        let error = Error::unwritable("the plan", missing);
+        assert_eq!(error.kind(), ErrorKind::Internal);
+        assert!(error.to_string().starts_with("cannot write the plan: "), "{error}");
+        assert!(error.clone().source().is_some_and(|source| source.is::<io::Error>()));
     }
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use glam::{DVec3, Vec3};
 
 use crate::polygons::Polygons;
-use crate::{Error, ErrorKind, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk};
+use crate::{Error, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk};
 
 /// What is asked of a conversion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -54,8 +54,7 @@ impl Content<'_> {
         if count <= most {
             return Ok(());
         }
-        Err(Error::new(
-            ErrorKind::Argument,
+        Err(Error::argument(
             format!(
                 "{} has {count} {what}, and this format counts {most} at most",
                 self.model.path().display()
@@ -87,8 +86,7 @@ impl Rows<'_> {
     /// An error where a position does not fit.
     pub(crate) fn unfit(&self, i: usize, why: &str) -> Error {
         let (vertex, p) = (self.first + i as u64, self.positions[i]);
-        Error::new(
-            ErrorKind::Degenerate,
+        Error::degenerate(
             format!("vertex {vertex} is at ({}, {}, {}), {why}", p.x, p.y, p.z),
             "write a format that holds it, as PLY",
         )

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::cache::Making;
 use crate::pool::Pool;
 use crate::source::Source;
-use crate::{Error, ErrorKind, Model, Result, columns, e57, gltf, las, obj, off, pcd, ply, splats, stl};
+use crate::{Error, Model, Result, columns, e57, gltf, las, obj, off, pcd, ply, splats, stl};
 
 /// Extensions of all formats, by which names say what a file is.
 const EXTENSIONS: [&str; 12] = [
@@ -97,7 +97,7 @@ pub(crate) fn open_file(
     match (found, columns) {
         (Some(_), Some(_)) => {
             let what = format!("{} is no text in columns, but columns are given", path.display());
-            Err(Error::new(ErrorKind::Argument, what, "leave out the columns"))
+            Err(Error::argument(what, "leave out the columns"))
         }
         (Some((_, open)), None) => open(source, making),
         (None, Some(_)) => columns::open(source, &extension, columns),

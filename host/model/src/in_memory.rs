@@ -10,7 +10,7 @@ use crate::model::{
     CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, FaceChunk, FaceReader, Model, ModelInfo, Output, Rewriting,
     Scalar, VertexChunk, VertexReader,
 };
-use crate::{Error, ErrorKind, Progress, Result};
+use crate::{Error, Progress, Result};
 
 /// What stands for its name in messages.
 const NAME: &str = "the arrays in memory";
@@ -33,7 +33,7 @@ impl InMemory {
     pub fn new(positions: Vec<DVec3>, normals: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Result<Self> {
         if ![0, positions.len()].contains(&normals.len()) {
             let what = format!("there are {} normals of {} vertices", normals.len(), positions.len());
-            return Err(Error::new(ErrorKind::Argument, what, "give as many, or none"));
+            return Err(Error::argument(what, "give as many, or none"));
         }
         let (vertex_bytes, face_bytes) = (size_of_val(&*positions), size_of_val(&*triangles));
         let info = ModelInfo {
@@ -145,11 +145,7 @@ impl Model for InMemory {
 }
 
 fn no_file(what: &str) -> Error {
-    Error::new(
-        ErrorKind::Argument,
-        format!("{NAME} are no file: {what}"),
-        "write them to a file, and open that",
-    )
+    Error::argument(format!("{NAME} are no file: {what}"), "write them to a file, and open that")
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::{Model, SMALL_CHUNK, VertexChunk, VertexReader};
-use crate::{Error, ErrorKind, Progress, Result};
+use crate::{Error, Progress, Result};
 
 /// The same consecutive vertices in one of the models.
 #[derive(Debug, Clone, Copy)]
@@ -128,8 +128,7 @@ fn checked_count(models: &[&dyn Model]) -> Result<u64> {
     let Some(first) = models.first() else { return Ok(0) };
     let vertices = first.info().vertices;
     if let Some(other) = models.iter().find(|m| m.info().vertices != vertices) {
-        return Err(Error::new(
-            ErrorKind::Mismatch,
+        return Err(Error::mismatch(
             format!(
                 "{} has {} vertices, but {} has {vertices}",
                 other.path().display(),

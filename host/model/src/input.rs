@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use crate::object::{check_file, is_object};
 use crate::size::human_size;
-use crate::{Error, ErrorKind, Result};
+use crate::{Error, Result};
 
 /// Opens a regular file to read it, by way of links.
 ///
@@ -54,14 +54,12 @@ pub fn read(path: &Path, most: u64) -> Result<Vec<u8>> {
 /// # Errors
 /// As of [`read`], or it is no UTF-8.
 pub fn read_text(path: &Path, most: u64) -> Result<String> {
-    String::from_utf8(read(path, most)?).map_err(|_| {
-        Error::new(ErrorKind::Format, format!("{} is no text in UTF-8", path.display()), "give another file")
-    })
+    String::from_utf8(read(path, most)?)
+        .map_err(|_| Error::format(format!("{} is no text in UTF-8", path.display()), "give another file"))
 }
 
 fn too_long(path: &Path, most: u64) -> Error {
-    Error::new(
-        ErrorKind::Format,
+    Error::format(
         format!("{} is longer than the {} that such a file has at most", path.display(), human_size(most)),
         "give another file",
     )
@@ -72,8 +70,7 @@ fn check_regular(path: &Path, is: &Metadata) -> Result<()> {
         return Err(Error::io("open", path, &io::ErrorKind::IsADirectory.into()));
     }
     if !is.is_file() {
-        return Err(Error::new(
-            ErrorKind::Argument,
+        return Err(Error::argument(
             format!("{} is a pipe or a device, not a file", path.display()),
             "save what it gives to a file first",
         ));

@@ -16,7 +16,7 @@ use glam::{DVec3, Mat3, Vec3, Vec4};
 
 use crate::fan::Fan;
 use crate::follow::{self, Follow, Following};
-use crate::{Attribute, Error, ErrorKind, Progress, Result, ScaledIntegers, Summary};
+use crate::{Attribute, Error, Progress, Result, ScaledIntegers, Summary};
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
@@ -813,8 +813,7 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// The format has no integers for positions, or they cannot reach so far.
     fn make_room(&mut self, _moves: &[[DVec3; 2]], _margin: f64) -> Result<Option<String>> {
-        Err(Error::new(
-            ErrorKind::Argument,
+        Err(Error::argument(
             format!("{} has no offset: its positions are not stored as integers", self.path().display()),
             "leave out --offset auto",
         ))
@@ -832,8 +831,7 @@ pub trait Model: Send + Sync {
     /// What is declared is not there, or cannot be changed in the format; splats lack a property.
     fn follow(&mut self, follow: &Follow) -> Result<()> {
         let Some(name) = follow.declared.keys().next() else { return Ok(()) };
-        Err(Error::new(
-            ErrorKind::Argument,
+        Err(Error::argument(
             format!(
                 "{} has no property {name} that can be rewritten: its format is {}",
                 self.path().display(),

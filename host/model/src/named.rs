@@ -11,7 +11,7 @@ use crate::formats::open_file;
 use crate::input::may_be_there;
 use crate::progress::Silent;
 use crate::tiles::{TiledModel, names};
-use crate::{Error, ErrorKind, Model, Progress, Result};
+use crate::{Error, Model, Progress, Result};
 
 /// A model as it is named.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -50,11 +50,7 @@ impl ModelName {
             }
         }
         if files.is_empty() {
-            return Err(Error::new(
-                ErrorKind::Argument,
-                "the list of tiles is empty",
-                "name the files in it",
-            ));
+            return Err(Error::argument("the list of tiles is empty", "name the files in it"));
         }
         Ok(Self::Tiles(files))
     }
@@ -148,7 +144,7 @@ pub fn matching(path: &Path) -> Result<Option<Vec<PathBuf>>> {
     let Some(pattern) = path.to_str().filter(is_pattern) else { return Ok(None) };
     let refused = |what: String| {
         let hint = "give a pattern as 'frame-*.ply', in quotes, or the names of files";
-        Error::new(ErrorKind::Argument, what, hint)
+        Error::argument(what, hint)
     };
     let options = MatchOptions {
         case_sensitive: true,

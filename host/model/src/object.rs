@@ -12,7 +12,7 @@ use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use crate::{Error, ErrorKind, Result};
+use crate::{Error, Result};
 
 /// What URLs of objects begin with.
 const SCHEMES: [&str; 7] = ["s3", "gs", "az", "abfs", "abfss", "https", "http"];
@@ -136,8 +136,7 @@ fn whole(path: &Path) -> String {
 /// The store, with the URL that it is asked for.
 fn store(action: &str, path: &Path) -> Result<(&'static dyn Store, String)> {
     let store = STORE.get().ok_or_else(|| {
-        Error::new(
-            ErrorKind::Argument,
+        Error::argument(
             format!("cannot {action} {}: this build reads and writes files alone", path.display()),
             "build it with `cargo build --release --features object-storage`, or copy the model to a file",
         )
@@ -151,8 +150,7 @@ fn store(action: &str, path: &Path) -> Result<(&'static dyn Store, String)> {
 /// There is none, the store cannot be reached or refuses, or this program was built without any.
 pub fn open(path: &Path) -> Result<Arc<dyn Object>> {
     find(path)?.ok_or_else(|| {
-        Error::new(
-            ErrorKind::Io,
+        Error::system(
             format!("cannot open {}: there is no such object", path.display()),
             "check the bucket and the name",
         )
@@ -266,8 +264,7 @@ pub fn check_file(action: &str, path: &Path) -> Result<()> {
     if !is_object(path) {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Argument,
+    Err(Error::argument(
         format!("cannot {action} {}: it is an object, and here a file is needed", path.display()),
         "give the path of a file or folder; in a store are models alone, which `run`, `reconstruct` and `convert` write there",
     ))

@@ -6,7 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::object::{self, Begun};
-use crate::{Error, ErrorKind, Output, Result, Summary};
+use crate::{Error, Output, Result, Summary};
 
 /// Bytes of a part at least: stores take 5 MiB and more.
 const LEAST: u64 = 8 << 20;
@@ -73,7 +73,7 @@ impl ObjectOutput {
         if !self.at.is_multiple_of(self.part_bytes) {
             let what =
                 format!("{}: a part begins at byte {}, within another one", self.path.display(), self.at);
-            return Err(Error::internal(what, "report this"));
+            return Err(Error::internal(what));
         }
         self.tags.insert(self.number(), tag);
         self.at += self.part_bytes;
@@ -125,8 +125,7 @@ impl ObjectOutput {
             let of_part = bytes.len().min(self.part_bytes as usize - within);
             let there = self.held.get_mut(&number).and_then(|part| part.get_mut(within..within + of_part));
             let Some(there) = there else {
-                return Err(Error::new(
-                    ErrorKind::Argument,
+                return Err(Error::argument(
                     format!(
                         "{}: byte {at} is known only in the end, when it is sent already",
                         self.path.display()
@@ -160,10 +159,7 @@ impl ObjectOutput {
     pub fn commit(&mut self) -> Result<u64> {
         let tags = std::mem::take(&mut self.tags);
         if !tags.keys().copied().eq(0..tags.len()) {
-            return Err(Error::internal(
-                format!("{}: a part is missing", self.path.display()),
-                "report this",
-            ));
+            return Err(Error::internal(format!("{}: a part is missing", self.path.display())));
         }
         self.begun.complete(tags.into_values().collect(), self.at)?;
         Ok(self.at)

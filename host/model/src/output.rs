@@ -12,7 +12,7 @@ use std::path::Path;
 use crate::claim::Claim;
 use crate::size::human_size;
 use crate::target::{folder_of, regular_target};
-use crate::{Error, ErrorKind, Output, Result, Summary};
+use crate::{Error, Output, Result, Summary};
 
 /// Bytes collected before they are written; longer writes go straight through.
 const BUFFER: usize = 1 << 18;
@@ -128,8 +128,7 @@ pub fn check_space(path: &Path, folder: &Path, needed: u64) -> Result<()> {
     let Some(available) = available_space(folder).filter(|available| *available < needed) else {
         return Ok(());
     };
-    Err(Error::new(
-        ErrorKind::Io,
+    Err(Error::system(
         format!(
             "cannot write {}: it needs {}, and the disk has {} available",
             path.display(),
@@ -236,7 +235,10 @@ pub(crate) mod tests {
     #[test]
     fn a_device_or_a_folder_without_rights_is_refused() {
         use std::os::unix::fs::PermissionsExt;
-        assert_eq!(OutputFile::create(Path::new("/dev/null"), 0).unwrap_err().kind(), ErrorKind::Argument);
+        assert_eq!(
+            OutputFile::create(Path::new("/dev/null"), 0).unwrap_err().kind(),
+            crate::ErrorKind::Argument
+        );
         let folder = tempfile::tempdir().unwrap();
         fs::set_permissions(folder.path(), fs::Permissions::from_mode(0o555)).unwrap();
         // The superuser may write everywhere.

@@ -17,7 +17,7 @@ use super::{
     Division, Edit, Edited, MAX_VERSIONS, Normals, Output, RawChunk, Rewriting, Summary, VertexChunk,
 };
 use crate::source::Source;
-use crate::{Error, ErrorKind, Progress, Result};
+use crate::{Error, Progress, Result};
 
 /// Pieces that are between reading and writing, beside one for each thread: so that a thread whose piece has
 /// to wait need not.
@@ -86,7 +86,7 @@ pub(crate) trait Pieces: Send {
     /// Passes over so many pieces at the beginning of a file that can be [divided](Rewritable::division),
     /// without reading them.
     fn skip(&mut self, _pieces: u64) -> Result<Skipped> {
-        Err(Error::internal("a file that cannot be divided was divided", "report this"))
+        Err(Error::internal("a file that cannot be divided was divided"))
     }
 }
 
@@ -122,8 +122,7 @@ pub(crate) fn rewrite(
 ) -> Result<()> {
     let versions = outputs.len();
     if versions > MAX_VERSIONS {
-        return Err(Error::new(
-            ErrorKind::Argument,
+        return Err(Error::argument(
             format!("{versions} versions of a model at once"),
             format!("write at most {MAX_VERSIONS} in one reading"),
         ));
@@ -460,8 +459,7 @@ impl<F: Rewritable> Drop for Guard<'_, '_, '_, F> {
 
 /// A part was asked for of a file that has none.
 fn indivisible(file: &impl Rewritable) -> Error {
-    Error::new(
-        ErrorKind::Argument,
+    Error::argument(
         format!("{} cannot be rewritten in parts by itself", file.source().path().display()),
         "rewrite all of it at once",
     )
@@ -508,8 +506,7 @@ impl Edited {
             return Ok(());
         }
         let (vertices, first, edited) = (chunk.len(), chunk.first, self.positions.len());
-        Err(Error::new(
-            ErrorKind::Mismatch,
+        Err(Error::mismatch(
             format!("the {vertices} vertices from {first} on came back as {edited}"),
             "this is a bug in the deformation: it has to keep the number of vertices",
         ))

@@ -10,7 +10,7 @@ use std::time::SystemTime;
 
 use crate::input::{self, Identity};
 use crate::positioned::Positioned;
-use crate::{Error, ErrorKind, Result};
+use crate::{Error, Result};
 
 /// Most files that are open beside those that are being read just now, one for each thread.
 const MOST_OPEN: usize = 32;
@@ -84,11 +84,7 @@ impl Pooled {
         let file = input::open(&self.path)?;
         let is = file.metadata().map_err(|e| Error::io("open", &self.path, &e))?;
         if Stamp::new(&self.path, &is) != self.stamp {
-            return Err(Error::new(
-                ErrorKind::Mismatch,
-                format!("{} changed while it was read", self.path.display()),
-                "wait until the program that writes it is done, then try again",
-            ));
+            return Err(Error::changed_while_read(&self.path));
         }
         let file = Arc::new(Positioned::new(file));
         self.pool.keep(&self.path, &file);

@@ -150,7 +150,7 @@ impl ResumableFolder {
     /// Not all files were written.
     pub fn complete(&mut self) -> Result<()> {
         if self.finished < self.names.len() || self.current.is_some() {
-            return Err(Error::internal("a folder of tiles is not complete", "report this"));
+            return Err(Error::internal("a folder of tiles is not complete"));
         }
         Ok(())
     }
@@ -321,7 +321,7 @@ fn in_place(
 pub fn check_target(folder: &Path, names: &[PathBuf]) -> Result<()> {
     let refused = |what: String| {
         let hint = "tiles go to a folder of their own: give the name of a new one, or of one with former tiles alone";
-        Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))
+        Err(Error::argument(format!("{} {what}", folder.display()), hint))
     };
     let failed = |e: io::Error| Error::io("write", folder, &e);
     let Ok(is) = fs::metadata(folder) else {

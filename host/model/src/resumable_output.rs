@@ -10,7 +10,7 @@ use crate::resumable_folder::{
     FinishedFolder, OpenedFolder, ResumableFolder, bytes_in_folder, check_target, is_folder_left,
 };
 use crate::target::{canonical_folder, canonical_target};
-use crate::{Error, ErrorKind, Model, Output, Progress, Result};
+use crate::{Error, Model, Output, Progress, Result};
 
 /// The output of a model, in the making.
 pub enum ResumableOutput {
@@ -96,8 +96,7 @@ impl ResumableOutput {
         let Place { path, names, bytes } = place;
         if is_object(path) && names.is_empty() {
             if resume {
-                return Err(Error::new(
-                    ErrorKind::Argument,
+                return Err(Error::argument(
                     format!("{} is an object, whose beginning cannot be gone on with", path.display()),
                     "leave out --resume, or write to a file",
                 ));

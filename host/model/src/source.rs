@@ -12,7 +12,7 @@ use crate::object::{self, Object};
 use crate::pool::{Pool, Pooled};
 use crate::positioned::Positioned;
 use crate::scratch::Scratch;
-use crate::{Error, ErrorKind, Result, input};
+use crate::{Error, Result, input};
 
 /// An open file of known length that several threads read at once, each where it likes.
 #[derive(Debug, Clone)]
@@ -61,8 +61,7 @@ impl Source {
             (Handle::Open(Arc::new(Positioned::new(file))), len)
         };
         if len == 0 {
-            return Err(Error::new(
-                ErrorKind::Format,
+            return Err(Error::format(
                 format!("{} is empty", path.display()),
                 "copy or export the model again",
             ));
@@ -159,13 +158,13 @@ impl Source {
 
     /// An error about the content: `what` follows the file's name.
     pub(crate) fn malformed(&self, what: impl std::fmt::Display, hint: &str) -> Error {
-        Error::new(ErrorKind::Format, format!("{}: {what}", self.path.display()), hint)
+        Error::format(format!("{}: {what}", self.path.display()), hint)
     }
 
     /// An error where normals are to be left out of what cannot be without.
     pub(crate) fn keeps_normals(&self, hint: &str) -> Error {
         let what = format!("{}: normals cannot be left out of a file of this format", self.path.display());
-        Error::new(ErrorKind::Argument, what, hint)
+        Error::argument(what, hint)
     }
 
     /// An error of writing a new version.
@@ -174,10 +173,6 @@ impl Source {
     }
 
     fn changed(&self) -> Error {
-        Error::new(
-            ErrorKind::Mismatch,
-            format!("{} changed its length while it was read", self.path.display()),
-            "wait until the program that writes it is done, then try again",
-        )
+        Error::changed_while_read(&self.path)
     }
 }

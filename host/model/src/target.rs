@@ -5,7 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::object::{check_file, is_object};
-use crate::{Error, ErrorKind, Result};
+use crate::{Error, Result};
 
 /// Links followed from one to the next, before it is a circle.
 const MAX_LINKS: usize = 40;
@@ -22,8 +22,7 @@ pub(crate) fn regular_target(path: &Path) -> Result<PathBuf> {
     match is {
         Ok(meta) if meta.is_dir() => Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into())),
         // Renaming a file over a device would replace the device.
-        Ok(meta) if !meta.is_file() => Err(Error::new(
-            ErrorKind::Argument,
+        Ok(meta) if !meta.is_file() => Err(Error::argument(
             format!("cannot write {}: it is a pipe or a device", path.display()),
             "what is written has another name until it is whole, and a pipe or a device cannot take that back: give the path of \
              a file",
@@ -82,8 +81,7 @@ fn follow_links(path: &Path) -> Result<PathBuf> {
         let next = fs::read_link(&target).map_err(|e| Error::io("write", path, &e))?;
         target = folder_of(&target).join(next);
     }
-    Err(Error::new(
-        ErrorKind::Io,
+    Err(Error::system(
         format!("cannot write {}: too many links from one to the next", path.display()),
         "give the path of the file itself",
     ))

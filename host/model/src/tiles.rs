@@ -22,7 +22,7 @@ use crate::model::{
 };
 use crate::pool::Pool;
 use crate::target::folder_of;
-use crate::{Attribute, Error, ErrorKind, Progress, Result};
+use crate::{Attribute, Error, Progress, Result};
 
 /// Most tiles of which something is made to read them from anywhere: each has an open file for it.
 const MOST_UNPACKED: usize = 64;
@@ -79,8 +79,7 @@ impl TiledModel {
             let model = open_file(path, Some(&pool), columns, &making)?;
             unpacked += usize::from(cache.bytes().is_some());
             if unpacked > MOST_UNPACKED {
-                return Err(Error::new(
-                    ErrorKind::Argument,
+                return Err(Error::argument(
                     format!("{}: more than {MOST_UNPACKED} tiles have to be unpacked first", path.display()),
                     "have `simod convert` make uncompressed files of them",
                 ));
@@ -91,7 +90,7 @@ impl TiledModel {
             before = before.checked_add(vertices).ok_or_else(|| too_many(path))?;
         }
         let Some(first) = models.first() else {
-            return Err(Error::new(ErrorKind::Argument, "a model of no tiles", "name the files"));
+            return Err(Error::argument("a model of no tiles", "name the files"));
         };
         let attributes = common_attributes(&models);
         let info = first.model.info().clone();
@@ -204,10 +203,7 @@ impl TiledModel {
     fn tile_of_chunk(&self, chunk: &VertexChunk) -> Result<&Part> {
         let found = self.tile_of(chunk.first).filter(|(_, part)| part.before == chunk.before);
         found.map(|(_, part)| part).ok_or_else(|| {
-            Error::internal(
-                format!("a chunk is of none of the tiles of {}", self.path.display()),
-                "report this",
-            )
+            Error::internal(format!("a chunk is of none of the tiles of {}", self.path.display()))
         })
     }
 
@@ -250,12 +246,11 @@ fn twice(a: &Path, b: &Path) -> Error {
     } else {
         format!("the tiles {} and {} are the same file", a.display(), b.display())
     };
-    Error::new(ErrorKind::Argument, what, "name each tile once")
+    Error::argument(what, "name each tile once")
 }
 
 fn too_many(path: &Path) -> Error {
-    Error::new(
-        ErrorKind::Format,
+    Error::format(
         format!("{}: the tiles up to this one have more vertices than can be counted", path.display()),
         "copy or export the tile again",
     )
@@ -534,8 +529,7 @@ impl Model for TiledModel {
     }
 
     fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
-        Err(Error::new(
-            ErrorKind::Argument,
+        Err(Error::argument(
             format!("{}: the faces of tiles can be read only all at once", self.path.display()),
             "sample the model again",
         ))
@@ -610,8 +604,7 @@ impl Model for TiledModel {
         let mut numbers = 0..self.tiles.len() as u64;
         if let Some(only) = how.only {
             if self.division(how.normals).is_none() {
-                return Err(Error::new(
-                    ErrorKind::Argument,
+                return Err(Error::argument(
                     format!("{}: the tiles cannot be rewritten by themselves", self.path.display()),
                     "rewrite all of them at once",
                 ));

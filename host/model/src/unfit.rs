@@ -1,7 +1,7 @@
 //! Vertices whose edited position a file cannot hold.
 
+use crate::Error;
 use crate::source::Source;
-use crate::{Error, ErrorKind};
 
 /// A coordinate that the file cannot hold.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,8 +16,7 @@ impl Unfit {
     /// What is wrong where each finite number could be held; `first` is the first vertex of the chunk.
     pub(crate) fn error(&self, source: &Source, first: u64) -> Error {
         let (vertex, value, path) = (first + self.vertex as u64, self.value, source.path().display());
-        Error::new(
-            ErrorKind::Degenerate,
+        Error::degenerate(
             format!("{path}: the deformation moves vertex {vertex} to {value}"),
             "check the deformation: its steps have to give finite positions",
         )
@@ -29,8 +28,7 @@ impl Unfit {
         if !value.is_finite() {
             return self.error(source, first);
         }
-        Error::new(
-            ErrorKind::Degenerate,
+        Error::degenerate(
             format!("{path}: vertex {vertex} moves to {value:e}, too far for the type float of the file"),
             "move it less, or export the model with positions of type double",
         )

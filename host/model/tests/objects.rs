@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use simod_model::object::{self, Object, Store, Upload};
 use simod_model::object_output::{ObjectOutput, part_bytes};
 use simod_model::object_range::ObjectRange;
-use simod_model::{Error, ErrorKind, Output, Result, Summary};
+use simod_model::{Error, Output, Result, Summary};
 
 /// The objects, and the parts of those that are begun.
 #[derive(Default)]
@@ -82,7 +82,7 @@ impl Upload for Begun {
     }
 
     fn send(&mut self, number: usize, bytes: Vec<u8>) -> Result<()> {
-        let refused = || Error::new(ErrorKind::Io, "no such upload", "begin one");
+        let refused = || Error::system("no such upload", "begin one");
         self.sent.insert(number, format!("{number} of {}", bytes.len()));
         content().uploads.get_mut(&self.id).ok_or_else(refused)?.insert(number, bytes);
         Ok(())

@@ -807,7 +807,7 @@ fn an_error_of_the_edit_stops_everything() {
         assert!(begun.len() >= 5);
         let fail = |chunk: &VertexChunk, _: &mut [Edited]| match chunk.first {
             0 => Ok(()),
-            first => Err(Error::new(ErrorKind::Plugin, format!("no to {first}"), "never")),
+            first => Err(Error::plugin(format!("no to {first}"), "never")),
         };
         for _ in 0..20 {
             let mut out = Vec::new();

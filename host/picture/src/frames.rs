@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use simod_model::output::write_file;
 use simod_model::output_folder::OutputFolder;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 
 use super::Image;
 
@@ -45,7 +45,7 @@ impl FrameFolder {
     pub fn push_png(&mut self, png: &[u8]) -> Result<()> {
         if self.count == Self::MOST {
             let what = format!("there are more than {} frames", Self::MOST);
-            return Err(Error::new(ErrorKind::Argument, what, "make fewer"));
+            return Err(Error::argument(what, "make fewer"));
         }
         self.count += 1;
         let path = self.folder.path().join(format!("frame-{:04}.png", self.count));
@@ -67,7 +67,7 @@ fn check(target: &Path) -> Result<()> {
     let Ok(meta) = target.symlink_metadata() else { return Ok(()) };
     let refused = |what: String| {
         let hint = "give the name of a new folder, or of one of frames to replace";
-        Err(Error::new(ErrorKind::Argument, format!("{} {what}", target.display()), hint))
+        Err(Error::argument(format!("{} {what}", target.display()), hint))
     };
     if !meta.is_dir() {
         return refused("exists and is no folder".to_owned());

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 
 use super::font;
 
@@ -142,7 +142,7 @@ pub(crate) fn encode(width: u32, height: u32, color: png::ColorType, pixels: &[u
     encoder.set_depth(png::BitDepth::Eight);
     encoder.write_header().and_then(|mut writer| writer.write_image_data(pixels)).map_err(|error| {
         let what = format!("cannot encode a picture of {width} by {height}: {error}");
-        Error::new(ErrorKind::Argument, what, "make the picture smaller")
+        Error::argument(what, "make the picture smaller")
     })?;
     Ok(bytes)
 }

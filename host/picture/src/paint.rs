@@ -1,9 +1,7 @@
 //! The vertices' own colours, and other numbers of theirs as colours.
 
 use simod_core::colors::Bytes;
-use simod_model::{
-    Attribute, ColorScale, Colors, Error, ErrorKind, Model, Progress, Result, Vertices, for_vertices,
-};
+use simod_model::{Attribute, ColorScale, Colors, Error, Model, Progress, Result, Vertices, for_vertices};
 
 use super::Image;
 use super::palette::{class_color, scale_color};
@@ -81,7 +79,7 @@ impl Coloring {
                         [] => "they have positions and normals alone: leave the colour out".to_owned(),
                         names => format!("they have {}", names.join(", ")),
                     };
-                    Error::new(ErrorKind::Argument, what, hint)
+                    Error::argument(what, hint)
                 }),
         }
     }

@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use serde_json::{Value, json};
 use simod_core::guard::{Guard, Kind};
 use simod_core::sampling::{Sampling, sample};
-use simod_model::{Error, ErrorKind, ModelInfo, ModelName, Result, Scalar, VertexChunk, open_with_columns};
+use simod_model::{Error, ModelInfo, ModelName, Result, Scalar, VertexChunk, open_with_columns};
 use simod_session::{Running, pipeline};
 
 use crate::arrays;
@@ -189,7 +189,7 @@ impl Model {
             if !named.files().iter().all(|file| file.exists()) {
                 let what = format!("the model {} is gone since it was opened", self.path.display());
                 let hint = "put it back, or open it where it is now: its samples are good for that";
-                return Err(Error::new(ErrorKind::Io, what, hint));
+                return Err(Error::system(what, hint));
             }
             let model = sampled.open_source(Some(&self.path), watch).map_err(moved)?;
             let positions = sampled.rounded(&local);

@@ -10,7 +10,7 @@ use std::process::{Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use simod_model::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, Progress, Result};
 
 /// Bytes that are kept of what a process prints: the last ones.
 const KEPT: usize = 64 << 10;
@@ -42,7 +42,7 @@ pub struct Outcome {
 pub fn run(mut command: Command, time: Duration, progress: &dyn Progress) -> Result<Outcome> {
     let refused = |e: std::io::Error| {
         let what = format!("cannot run this program once more: {e}");
-        Error::new(ErrorKind::Io, what, "check the permissions of the program, and the limits on processes")
+        Error::system(what, "check the permissions of the program, and the limits on processes")
     };
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = Ended::start(command).map_err(refused)?;
@@ -184,7 +184,7 @@ pub fn limit_memory(bytes: u64) -> Result<()> {
         let most = Some(before.map_or(most, |before| before.min(most)));
         setrlimit(resource, Rlimit { current: most, maximum: most }).map_err(|e| {
             let what = format!("cannot limit the memory to {bytes} bytes: {e}");
-            Error::new(ErrorKind::Io, what, "check the limits that the shell sets, with `ulimit -a`")
+            Error::system(what, "check the limits that the shell sets, with `ulimit -a`")
         })?;
     }
     Ok(())

@@ -5,7 +5,7 @@ use crate::deformer::{Plugin, limits};
 use crate::plugins::PluginRegistry;
 use crate::stack::located;
 use crate::step::{Action, Deformation, Step, Stroke};
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_plugin_api::{ParamDesc, ParamKind, Setting};
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ pub fn migrated(step: &Deformation, plugin: &Plugin) -> Result<Option<Deformatio
     if from == 0 || from > now {
         let what =
             format!("the step is of state version {from} of plugin {}, which knows 1 to {now}", plugin.id());
-        return Err(Error::new(ErrorKind::Plugin, what, "use a later version of the plugin"));
+        return Err(Error::plugin(what, "use a later version of the plugin"));
     }
     let Some(migration) = plugin.migration() else { return Ok(None) };
     let mut to = step.clone();
@@ -88,7 +88,7 @@ fn rename(params: &mut toml::Table, former: &str, now: &str, plugin: &Plugin) ->
     if params.insert(now.to_owned(), value).is_some() {
         let what =
             format!("plugin {}: parameter `{former}` is called `{now}` now, and both are given", plugin.id());
-        return Err(Error::new(ErrorKind::Argument, what, format!("keep `{now}`")));
+        return Err(Error::argument(what, format!("keep `{now}`")));
     }
     Ok(true)
 }
@@ -123,7 +123,7 @@ fn brought(plugin: &Plugin, from: u32, now: u32, params: &toml::Table) -> Result
     let settings = params.iter().map(|(id, value)| {
         setting(id, value).ok_or_else(|| {
             let what = format!("{call}: parameter `{id}` is nothing that a parameter could be");
-            Error::new(ErrorKind::Argument, what, "give a number, a text, or a list of numbers")
+            Error::argument(what, "give a number, a text, or a list of numbers")
         })
     });
     let settings = settings.collect::<Result<Vec<_>>>()?;

@@ -10,7 +10,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{SampleSet, Sampling, Skip, Target, sample};
 use simod_model::bounds::Bounds;
 use simod_model::frame::Frame;
-use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result, VertexChunk, for_faces};
+use simod_model::{Cache, Error, Model, Progress, Result, VertexChunk, for_faces};
 use simod_plugin_api as api;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -89,8 +89,7 @@ impl OtherModel {
         for_faces(model, |chunk| {
             triangles.extend_from_slice(&chunk.triangles);
             if triangles.len() > most {
-                return Err(Error::new(
-                    ErrorKind::Format,
+                return Err(Error::format(
                     format!("there are more than {most} triangles between samples"),
                     "give the model without its property id, so that it is sampled",
                 ));
@@ -115,7 +114,7 @@ impl OtherModel {
         let positions: Vec<[f64; 3]> = samples.positions.iter().map(local).collect();
         if positions.iter().flatten().any(|x| !x.is_finite()) {
             let what = "its coordinates are too far from those of the model that is deformed";
-            return Err(Error::new(ErrorKind::Degenerate, what, "give both in the same unit"));
+            return Err(Error::degenerate(what, "give both in the same unit"));
         }
         let samples = if samples.knows_normals() || triangles.is_empty() {
             samples
@@ -154,7 +153,7 @@ fn sampled_folder(path: &Path) -> Option<PathBuf> {
 
 fn too_many(count: u64) -> Error {
     let what = format!("there are {count} samples, more than {MOST_SAMPLES}");
-    Error::new(ErrorKind::Argument, what, "give the model, which is sampled, or fewer samples")
+    Error::argument(what, "give the model, which is sampled, or fewer samples")
 }
 
 /// Positions and ids of a file of samples; nothing where it is none: where there are no ids, or not one for
@@ -186,7 +185,7 @@ fn samples_with_ids(model: &dyn Model, progress: &dyn Progress) -> Result<Option
         None => Ok(Some((positions, whole))),
         Some(i) => {
             let what = format!("sample {} of {} has no finite position", whole[i], model.path().display());
-            Err(Error::new(ErrorKind::Degenerate, what, "mend what moved the samples"))
+            Err(Error::degenerate(what, "mend what moved the samples"))
         }
     }
 }

@@ -5,7 +5,7 @@ use crate::key::{Key, Keyed};
 use glam::DVec3;
 use simod_model::bounds::Bounds;
 use simod_model::frame::Frame;
-use simod_model::{Error, ErrorKind, Result, input};
+use simod_model::{Error, Result, input};
 use simod_plugin_api::{ChoiceDesc, Curve, Descriptor, Param, ParamDesc, ParamKind, Unit};
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -197,7 +197,7 @@ pub(crate) fn is_path(kind: ParamKind) -> bool {
 }
 
 fn argument(what: impl Into<String>, hint: impl Into<String>) -> Error {
-    Error::new(ErrorKind::Argument, what, hint)
+    Error::argument(what, hint)
 }
 
 /// The candidate that was probably meant, if any is near.

@@ -17,8 +17,7 @@ use simod_model::follow::Follow;
 use simod_model::input::may_be_there;
 use simod_model::target::scratch_folder;
 use simod_model::{
-    Cache, Conversion, Converted, Error, ErrorKind, Model, ModelName, Normals, Progress, Result,
-    is_named_otherwise,
+    Cache, Conversion, Converted, Error, Model, ModelName, Normals, Progress, Result, is_named_otherwise,
 };
 use simod_plugin_api::Effort;
 
@@ -55,15 +54,13 @@ pub(crate) fn open(
     progress: &dyn Progress,
 ) -> Result<Box<dyn Model>> {
     let named = session.named_model()?.ok_or_else(|| {
-        Error::new(
-            ErrorKind::Argument,
+        Error::argument(
             "the session does not name a model",
             "add [model] path = \"…\" to it; the path is relative to the session's folder",
         )
     })?;
     if let Some(gone) = named.files().iter().find(|file| !may_be_there(file)) {
-        return Err(Error::new(
-            ErrorKind::Io,
+        return Err(Error::system(
             format!("the session's model {} is gone", gone.display()),
             "put it back, correct [model] path in the session, or say where it is with --model",
         ));
@@ -275,8 +272,7 @@ impl Run {
             stack.check_evaluable()?;
         }
         if tolerance.is_some() && (*exact || how.method != Method::BlendedJets) {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 "a tolerance is kept by refining for the method blended-jets",
                 "leave out --tolerance, or --exact and --method",
             ));

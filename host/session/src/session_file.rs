@@ -119,8 +119,7 @@ impl SessionFile {
     /// It does not say so, or names another place.
     pub fn output_beside(&self, path: &Path) -> Result<&Path> {
         let Some(output) = self.output.as_deref() else {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("{} does not say where the result goes", path.display()),
                 "add [output] path = \"…\" to the session, or give -o FILE",
             ));
@@ -137,8 +136,7 @@ impl SessionFile {
                 return Ok(output);
             }
         }
-        Err(Error::new(
-            ErrorKind::Argument,
+        Err(Error::argument(
             format!("{} would have its result written to {}", path.display(), output.display()),
             "a session by itself writes beside itself alone: say with -o FILE where the result goes",
         ))
@@ -148,11 +146,9 @@ impl SessionFile {
 /// The text of a small file; `what` it should be, and what to give, for errors.
 pub fn read_text(path: &Path, what: &str, hint: &str) -> Result<String> {
     input::read_text(path, LARGEST).map_err(|e| match e.kind() {
-        ErrorKind::Format => Error::new(
-            ErrorKind::Format,
-            format!("{} is no {what}: not UTF-8 text, or too long", path.display()),
-            hint,
-        ),
+        ErrorKind::Format => {
+            Error::format(format!("{} is no {what}: not UTF-8 text, or too long", path.display()), hint)
+        }
         _ => e,
     })
 }

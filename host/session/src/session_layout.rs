@@ -235,6 +235,7 @@ mod tests {
     use crate::step::{Action, Deformation, HandleMove, Joint, Step};
     use glam::DVec3;
     use proptest::prelude::*;
+    use simod_model::output::write_file;
     use std::path::Path;
 
     const FILE: &str = r#"# Bending the statue, for the catalogue.
@@ -277,7 +278,7 @@ refine = { factor = 4, shapes = [
     fn saved(file: &str, change: impl FnOnce(&mut SessionFile)) -> String {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("edit.toml");
-        std::fs::write(&path, file).unwrap();
+        write_file(&path, file.as_bytes()).unwrap();
         let mut session = SessionFile::load(&path).unwrap();
         change(&mut session);
         session.save_over(&path, &path).unwrap();
@@ -411,7 +412,7 @@ refine = { factor = 4, shapes = [
         let plain = std::fs::read_to_string(&path).unwrap();
         for text in [None, Some("version = 7"), Some("[[["), Some("a = 1")] {
             match text {
-                Some(text) => std::fs::write(&former, text).unwrap(),
+                Some(text) => write_file(&former, text.as_bytes()).unwrap(),
                 None => assert!(!Path::new(&former).exists()),
             }
             session.save_over(&path, &former).unwrap();
@@ -446,7 +447,7 @@ refine = { factor = 4, shapes = [
                 if line.starts_with('[') { format!("# {number}.\n{line}\n") } else { format!("{line}\n") }
             };
             let text: String = before.to_toml(&path).unwrap().lines().map(numbered).collect();
-            std::fs::write(&path, &text).unwrap();
+            write_file(&path, text.as_bytes()).unwrap();
             after.save_over(&path, &path).unwrap();
             let written = std::fs::read_to_string(&path).unwrap();
             let plain = after.to_toml(&path).unwrap();

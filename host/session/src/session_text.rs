@@ -11,7 +11,7 @@ use crate::step::{
 };
 use crate::strokes_file;
 use simod_core::refinement::Finer;
-use simod_model::{Error, ErrorKind, Result, input, object};
+use simod_model::{Error, Result, input, object};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -72,7 +72,7 @@ impl SessionText<'_> {
 
     /// An error of format, `what`, at a place in the file.
     pub fn error(&self, span: &Range<usize>, what: &str, hint: impl Into<String>) -> Error {
-        Error::new(ErrorKind::Format, format!("{}: {what}", self.place(span)), hint)
+        Error::format(format!("{}: {what}", self.place(span)), hint)
     }
 
     /// An error of what is named there.
@@ -91,7 +91,7 @@ impl SessionText<'_> {
         let message = error.message().lines().collect::<Vec<_>>().join("; ");
         let Some(span) = error.span() else {
             let what = format!("{}: {message}", self.path.display());
-            return Error::new(ErrorKind::Format, what, "compare it with the examples");
+            return Error::format(what, "compare it with the examples");
         };
         let start = self.text[..span.start.min(self.text.len())].rfind('\n').map_or(0, |i| i + 1);
         let line = self.text[start..].lines().next().unwrap_or_default().trim();

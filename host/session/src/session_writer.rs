@@ -15,7 +15,7 @@ use crate::strokes_file;
 use simod_core::refinement::Finer;
 use simod_core::sampled_model::relative;
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, Result, matching, output};
+use simod_model::{Error, Result, matching, output};
 use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml_edit::{DocumentMut, Item, Table};
@@ -77,8 +77,7 @@ impl SessionFile {
             table.version = Some(placeless(VERSION));
         }
         let document = toml_edit::ser::to_document(&table);
-        let mut document = document
-            .map_err(|e| Error::internal(format!("cannot write a session: {e}"), "report this").because(e))?;
+        let mut document = document.map_err(|e| Error::unwritable("a session", e))?;
         lay_out(&mut document);
         Ok((document, writer.files))
     }
@@ -123,7 +122,7 @@ fn tables(item: &mut Item, lay_out: impl Fn(&mut Table)) {
 pub(crate) fn text(path: &Path) -> Result<String> {
     path.to_str().map(str::to_owned).ok_or_else(|| {
         let what = format!("the name {} is no text, which a session has to be", path.display());
-        Error::new(ErrorKind::Argument, what, "rename the file or its folder")
+        Error::argument(what, "rename the file or its folder")
     })
 }
 

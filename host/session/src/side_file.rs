@@ -7,7 +7,7 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, Result, input, output};
+use simod_model::{Error, Result, input, output};
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
@@ -59,7 +59,7 @@ pub struct Reference {
 pub fn write(session: &Path, kind: Kind, content: &impl Serialize) -> Result<Reference> {
     let (magic, extension, what) = kind.names();
     let bytes = postcard::to_extend(content, magic.to_vec())
-        .map_err(|e| Error::internal(format!("cannot write a {what}: {e}"), "report this").because(e))?;
+        .map_err(|e| Error::unwritable(format_args!("a {what}"), e))?;
     let fingerprint = fingerprint(&bytes);
     let stem = stem(session);
     let short = fingerprint.rsplit(':').next().and_then(|hex| hex.get(..HASH)).unwrap_or_default();
@@ -117,7 +117,7 @@ impl Reference {
         let bytes = input::read(&path, LONGEST)?;
         let refused = |what: &str| {
             let what = format!("{} {what}", path.display());
-            Error::new(ErrorKind::Mismatch, what, "put the file that was saved with the session beside it")
+            Error::mismatch(what, "put the file that was saved with the session beside it")
         };
         if fingerprint(&bytes) != self.fingerprint {
             return Err(refused("is not what the session was saved with"));

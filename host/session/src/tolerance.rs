@@ -11,7 +11,7 @@ use simod_core::reconstruction::{Beyond, DeformationField, Method, RestGeometry}
 use simod_core::refinement::Finer;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::SampleSet;
-use simod_model::{Error, ErrorKind, Model, Progress, Result, Scalar};
+use simod_model::{Error, Model, Progress, Result, Scalar};
 
 use crate::deformed_samples::{DeformedSamples, deform};
 use crate::edit::Refinements;
@@ -109,8 +109,7 @@ pub struct Certificate {
 pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64) -> Result<()> {
     let diagonal = sampled.bounds.diagonal().max(f64::MIN_POSITIVE);
     let refused = |why: String, least: f64| {
-        Err(Error::new(
-            ErrorKind::Argument,
+        Err(Error::argument(
             format!("the tolerance of {tolerance:.1e} of the diagonal cannot be met: {why}"),
             format!(
                 "give {least:.1e} or more; `simod run --exact` does without samples where all plugins know their map"
@@ -382,8 +381,7 @@ fn not_met(tolerance: f64, left: f64, why: &str, beyond: Option<&Beyond>) -> Err
     let place = beyond.map_or_else(String::new, |b| {
         format!(" near ({:.6}, {:.6}, {:.6})", b.place.x, b.place.y, b.place.z)
     });
-    Error::new(
-        ErrorKind::Argument,
+    Error::argument(
         format!(
             "the tolerance of {tolerance:.1e} of the diagonal is not met{place}, where {left:.1e} is expected: {why}"
         ),

@@ -11,7 +11,7 @@ use object_store::http::HttpBuilder;
 use object_store::multipart::MultipartStore;
 use object_store::path::Path;
 use object_store::{ClientConfigKey, ObjectStore, RetryConfig};
-use simod_model::{Error, ErrorKind, Result, object};
+use simod_model::{Error, Result, object};
 
 use crate::failure::Failure;
 
@@ -70,7 +70,7 @@ impl Place {
         let path = path.map_err(|e| refused(e.into()))?;
         if host.is_empty() || path.as_ref().is_empty() {
             let hint = "name an object as s3://bucket/folder/model.ply or https://host/model.ply";
-            return Err(Error::new(ErrorKind::Argument, format!("{name} names no object"), hint));
+            return Err(Error::argument(format!("{name} names no object"), hint));
         }
         let retry = RetryConfig { retry_timeout: PATIENCE, ..RetryConfig::default() };
         // What is set in the environment is left as it is.

@@ -67,9 +67,8 @@ impl Object for StoredObject {
         while !buffer.is_empty() {
             let block = Blocks::of_process().get(&self.version, offset / BLOCK)?;
             let there = block.get((offset % BLOCK) as usize..).filter(|there| !there.is_empty());
-            let there = there.ok_or_else(|| {
-                Error::internal(format!("{} is read beyond its end", self.version.name()), "report this")
-            })?;
+            let there = there
+                .ok_or_else(|| Error::internal(format!("{} is read beyond its end", self.version.name())))?;
             let count = there.len().min(buffer.len());
             buffer[..count].copy_from_slice(&there[..count]);
             buffer = &mut buffer[count..];

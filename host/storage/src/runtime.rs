@@ -3,7 +3,7 @@
 use std::future::Future;
 use std::sync::OnceLock;
 
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use tokio::runtime::{Builder, Runtime};
 
 /// They wait most of the time.
@@ -18,7 +18,7 @@ pub(crate) fn runtime() -> Result<&'static Runtime> {
     let built = Builder::new_multi_thread().worker_threads(THREADS).thread_name("store").enable_all().build();
     let built = built.map_err(|e| {
         let what = format!("the threads that talk to stores cannot be started: {e}");
-        Error::new(ErrorKind::Io, what, "end other programs, then try again").because(e)
+        Error::system(what, "end other programs, then try again").because(e)
     })?;
     // Another thread may have been first: its runtime is as good, and this one ends.
     Ok(RUNTIME.get_or_init(|| built))

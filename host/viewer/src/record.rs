@@ -1,7 +1,7 @@
 //! Recordings of edits: commands, one JSON object a line.
 
 use crate::command::Command;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use std::io::Write;
 
 /// Writes commands down as they are done. Whatever was shown when they were: what depends on where samples
@@ -20,7 +20,7 @@ impl Recorder {
     /// It cannot be written.
     pub fn push(&mut self, command: &Command) -> Result<()> {
         let failed = |e: &dyn std::fmt::Display| {
-            Error::new(ErrorKind::Io, format!("cannot record a command: {e}"), "check the disk")
+            Error::system(format!("cannot record a command: {e}"), "check the disk")
         };
         let mut line = serde_json::to_string(command).map_err(|e| failed(&e))?;
         line.push('\n');
@@ -36,7 +36,7 @@ pub fn parse(text: &str) -> Result<Vec<Command>> {
     let command = |(i, line): (usize, &str)| {
         serde_json::from_str(line).map_err(|e| {
             let what = format!("line {} of the recording is no command: {e}", i + 1);
-            Error::new(ErrorKind::Format, what, "one JSON object a line, as recordings have")
+            Error::format(what, "one JSON object a line, as recordings have")
         })
     };
     text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()).map(command).collect()

@@ -53,7 +53,7 @@ impl App {
         self.viewport.lose();
         let what = "the graphics card went away";
         let hint = "the edit is kept: start simod-viewer again, and recover it";
-        self.window.toasts.error(&simod_model::Error::new(simod_model::ErrorKind::Io, what, hint));
+        self.window.toasts.error(&simod_model::Error::system(what, hint));
     }
 }
 

@@ -1,7 +1,7 @@
 //! The plugins that the window has, and the process that runs one of those that did not come with the
 //! program.
 
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_session::worker::{self, WorkerOptions};
 use simod_session::{Isolation, PluginOptions, PluginRegistry};
 use std::path::PathBuf;
@@ -20,7 +20,7 @@ pub const SERVE: &str = "serve-plugin";
 /// # Errors
 /// The arguments are not those that the program itself gives, or the plugin cannot be run.
 pub fn serve(rest: Vec<std::ffi::OsString>) -> Result<()> {
-    let wrong = || Error::new(ErrorKind::Argument, "the program calls this itself", "do not call it");
+    let wrong = || Error::argument("the program calls this itself", "do not call it");
     let [file, memory, parent] = rest.as_slice() else { return Err(wrong()) };
     let memory = memory.to_str().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;
     let parent = parent.to_str().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;

@@ -4,7 +4,7 @@ use crate::viewport::detail::{Splats, sample_colors, sample_radii, splats};
 use crate::viewport::seen::{disc_radii, mode_of, seen_clip, view};
 use crate::viewport::vertex_colors::VertexColors;
 use glam::{DVec3, Vec3};
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_picture::{CutOut, Image};
 use simod_scene::{Background, Dot, Gpu, NoGpu, Scale, Scene, Style, Surface};
 use simod_viewer::camera::Camera;
@@ -75,7 +75,7 @@ impl Shot {
     /// # Errors
     /// Nothing is open.
     pub fn take(state: &mut State) -> Result<Self> {
-        let none = || Error::new(ErrorKind::Argument, "there is no model to be drawn", "name one");
+        let none = || Error::argument("there is no model to be drawn", "name one");
         let shown = state.scene().cloned().ok_or_else(none)?;
         let (colors, tint) = (state.sample_colors(Version::Now), state.tint());
         let scale = state.field().map(|field| field.scale());
@@ -133,7 +133,7 @@ impl Shot {
     pub fn studio(&self) -> Result<Studio<'_>> {
         let gpu = Gpu::headless().map_err(|e| {
             let what = e.to_string().lines().next().unwrap_or_default().to_owned();
-            Error::new(ErrorKind::Io, what, NoGpu::HINT)
+            Error::system(what, NoGpu::HINT)
         })?;
         let (shown, samples) = (&self.shown, &self.shown.sampled.samples);
         let radii = disc_radii(&samples.extents());
@@ -152,7 +152,7 @@ impl Shot {
             radii: &radii,
             ..Surface::default()
         };
-        let bad = |e: simod_scene::BadSurface| Error::internal(e.to_string(), "report this");
+        let bad = |e: simod_scene::BadSurface| Error::internal(e.to_string()).because(e);
         scene.set_surface(&surface).map_err(bad)?;
         for (splats, number) in self.detail.iter().zip(0..) {
             scene.set_detail(number, Some(&splats.surface())).map_err(bad)?;
@@ -187,7 +187,7 @@ impl Studio<'_> {
         }
         let black = self.drawn(turn, Background::Black)?;
         let white = self.drawn(turn, Background::White)?;
-        let differ = || Error::internal("two pictures of the same differ in size", "report this");
+        let differ = || Error::internal("two pictures of the same differ in size");
         CutOut::from_backgrounds(&black, &white).ok_or_else(differ)?.to_png()
     }
 
@@ -196,7 +196,7 @@ impl Studio<'_> {
         let camera = Camera { yaw: camera.yaw + turn, ..*camera };
         let style = Style { background, ..*style };
         self.scene.render(&view(&camera, format.size.map(f64::from), self.bounds), &style, None);
-        let lost = || Error::new(ErrorKind::Io, "the picture cannot be drawn", NoGpu::HINT);
+        let lost = || Error::system("the picture cannot be drawn", NoGpu::HINT);
         self.scene.read().ok_or_else(lost)
     }
 }

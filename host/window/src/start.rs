@@ -11,7 +11,7 @@ use crate::{screenshot, turntable};
 use clap::Parser;
 use eframe::{NativeOptions, Renderer, egui};
 use simod_model::progress::Silent;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_scene::NoGpu;
 use simod_session::PluginRegistry;
 use simod_viewer::record::Recorder;
@@ -111,7 +111,7 @@ fn open_window(arguments: Arguments, recorded: Vec<Command>, plugins: Arc<Plugin
     match run {
         Ok(Ok(())) => Ok(()),
         Ok(Err(error)) => Err(refused(&error)),
-        Err(_) => Err(Error::new(ErrorKind::Io, "the window ended with a mistake in the program", RECOVER)),
+        Err(_) => Err(Error::system("the window ended with a mistake in the program", RECOVER)),
     }
 }
 
@@ -125,8 +125,8 @@ fn refused(error: &eframe::Error) -> Error {
         // Without the place in the library's source.
         let text = text.rsplit(": ").next().unwrap_or_default();
         let hint = "start it where there is a screen, or replay a recording with --no-window";
-        Error::new(ErrorKind::Io, format!("no window can be opened: {text}"), hint)
+        Error::system(format!("no window can be opened: {text}"), hint)
     } else {
-        Error::new(ErrorKind::Io, format!("no graphics card can be used: {text}"), NoGpu::HINT)
+        Error::system(format!("no graphics card can be used: {text}"), NoGpu::HINT)
     }
 }

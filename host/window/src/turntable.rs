@@ -188,7 +188,7 @@ impl Turning {
             Err(TryRecvError::Empty) => None,
             Err(TryRecvError::Disconnected) => {
                 let what = "the turntable ended with a mistake in the program";
-                Some(Err(Error::internal(what, "report this")))
+                Some(Err(Error::internal(what)))
             }
         }
     }

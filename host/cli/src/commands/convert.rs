@@ -10,7 +10,7 @@ use simod_core::guard::Kind;
 use simod_model::object::{self, is_object};
 use simod_model::target::scratch_folder;
 use simod_model::{
-    Cache, Conversion, Converted, Error, ErrorKind, Model, ModelName, Result, convert_tiles, converted_names,
+    Cache, Conversion, Converted, Error, Model, ModelName, Result, convert_tiles, converted_names,
 };
 
 use super::overwrite::Overwrite;
@@ -58,8 +58,7 @@ impl Convert {
         let named = ModelName::from_path(&self.model)?;
         match (&self.to, &named) {
             (Some(to), ModelName::Tiles(_)) => self.tiles(&named, to, report),
-            (Some(to), ModelName::File(_)) => Err(Error::new(
-                ErrorKind::Argument,
+            (Some(to), ModelName::File(_)) => Err(Error::argument(
                 format!("--to {to} is for tiles, and {} is one file", self.model.display()),
                 "leave it out: the extension of the file to write says the format",
             )),

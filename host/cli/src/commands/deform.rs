@@ -6,7 +6,7 @@ use clap::Args;
 use simod_core::guard::Kind;
 use simod_core::sampled_model::SampledModel;
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_session::edit::Refinements;
 use simod_session::session_file::inputs;
 use simod_session::{SessionFile, Stack, deform};
@@ -96,8 +96,7 @@ impl Deform {
         let mut refinements = session.steps.iter().filter(|step| step.enabled && step.refines());
         let Some(first) = refinements.next() else { return Ok(None) };
         let folder = self.refined.as_deref().ok_or_else(|| {
-            Error::new(
-                ErrorKind::Argument,
+            Error::argument(
                 format!("{}: this step refines the samples", first.place),
                 "say with --refined where the refined model goes, which the deformed samples belong to",
             )

@@ -26,7 +26,7 @@ mod time_options;
 pub mod view;
 
 use simod_core::sampled_model::SampledModel;
-use simod_model::{Cache, Error, ErrorKind, Result};
+use simod_model::{Cache, Error, Result};
 
 use simod_session::step::Step;
 use simod_session::{Message, PluginRegistry};
@@ -36,11 +36,7 @@ use crate::report::{Report, count};
 /// Sets the number of threads of everything that follows.
 pub fn set_threads(n: usize) -> Result<()> {
     rayon::ThreadPoolBuilder::new().num_threads(n).build_global().map_err(|e| {
-        Error::new(
-            ErrorKind::Argument,
-            format!("cannot use {n} threads: {e}"),
-            "leave --threads out to use all cores",
-        )
+        Error::argument(format!("cannot use {n} threads: {e}"), "leave --threads out to use all cores")
     })
 }
 

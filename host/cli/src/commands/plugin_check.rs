@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use serde_json::{Value, json};
 use simod_check::{Finding, RULES, Rule, Verdict};
-use simod_model::{Error, ErrorKind, Progress, Result, input};
+use simod_model::{Error, Progress, Result, input};
 
 use super::plugin_options::{PluginOptions, parse_seconds};
 use super::sample::parse_bytes;
@@ -182,7 +182,7 @@ impl Check {
             let failed = failed.collect::<Vec<_>>().join(", ");
             let what = format!("{} breaks rules: {failed}", file.display());
             let hint = "the report has a hint for each; tell the plugin's author if that is somebody else";
-            report.fail(Error::new(ErrorKind::Plugin, what, hint));
+            report.fail(Error::plugin(what, hint));
         }
     }
 

@@ -13,7 +13,7 @@ use serde_json::json;
 use simod_model::output::write_file;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 
 use super::plugin_options::PluginOptions;
 use crate::report::Report;
@@ -119,7 +119,7 @@ impl New {
                 "choose another id, such as my-{}: of two plugins with one id, one is not used",
                 names.id
             );
-            return Err(Error::new(ErrorKind::Argument, what, hint));
+            return Err(Error::argument(what, hint));
         }
         let folder = self.path.unwrap_or_default().join(&names.id);
         write_project(&folder, &names, self.lang)?;
@@ -182,7 +182,7 @@ struct Names {
 impl Names {
     fn from_name(name: &str) -> Result<Self> {
         let refused = |what: &str, hint: &str| {
-            Err(Error::new(ErrorKind::Argument, format!("a plugin cannot be called `{name}`: {what}"), hint))
+            Err(Error::argument(format!("a plugin cannot be called `{name}`: {what}"), hint))
         };
         let is_small = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit();
         if !name.chars().all(|c| is_small(c) || c == '-') || name.split('-').any(str::is_empty) {
@@ -247,7 +247,7 @@ fn write_project(folder: &Path, names: &Names, language: Language) -> Result<()>
     if is_there && !fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none()) {
         let what = format!("{} is there already, and is no empty folder", folder.display());
         let hint = "choose another name, or another place by --path";
-        return Err(Error::new(ErrorKind::Argument, what, hint));
+        return Err(Error::argument(what, hint));
     }
     let new = OutputFolder::create(folder)?;
     // What fails is told of the folder that was asked for, not of its temporary name.

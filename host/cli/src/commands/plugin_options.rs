@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use simod_model::{Error, Result};
+use simod_model::Result;
 use simod_session::worker::{self, MEMORY, PATIENCE, WorkerOptions};
 use simod_session::{Isolation, PluginOptions as Options, PluginRegistry};
 
@@ -82,7 +82,7 @@ impl PluginOptions {
         let options = Options { chosen: self.r#use, ..Options::standard(isolation, worker) };
         let registry = PluginRegistry::discover_with(&options, report.untimed())?;
         if let Some(error) = registry.refused_choice() {
-            return Err(Error::new(error.kind(), error.to_string(), error.hint()));
+            return Err(error.clone());
         }
         for rejected in registry.rejected() {
             report.warn(rejected.error.to_string());

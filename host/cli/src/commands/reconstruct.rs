@@ -12,7 +12,7 @@ use simod_core::reconstruction::{
     RestGeometry, Version, choose_offset, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
-use simod_model::{Conversion, Converted, Error, ErrorKind, Model, Result, is_named_otherwise};
+use simod_model::{Conversion, Converted, Error, Model, Result, is_named_otherwise};
 use simod_session::tolerance::check_precision;
 use simod_session::{Tolerance, sidecar};
 
@@ -225,8 +225,7 @@ impl Reconstruct {
         report: &mut Report,
     ) -> Result<f64> {
         if self.method != MethodName::BlendedJets {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 "what is expected is known of the method blended-jets alone",
                 "leave out --tolerance or --method",
             ));
@@ -241,8 +240,7 @@ impl Reconstruct {
                 .expecting(&sampled.frame, model.info());
             if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
                 let Beyond { worst, place, samples, needed, .. } = beyond;
-                return Err(Error::new(
-                    ErrorKind::Argument,
+                return Err(Error::argument(
                     format!(
                         "{}: vertices are expected to be off by up to {} near ({:.6}, {:.6}, {:.6}), and by more than the \
                          tolerance of {tolerance:.1e} around {} samples; nothing was written",

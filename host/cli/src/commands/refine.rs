@@ -10,7 +10,7 @@ use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deforme
 use simod_core::refinement::{Finer, Need, Refined, appended_deformed};
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, Model, Progress, Result};
+use simod_model::{Error, Model, Progress, Result};
 use simod_session::refining::{Pose, Room};
 use simod_session::step::Refine as Refinement;
 use simod_session::{Shape, Shapes};
@@ -171,7 +171,7 @@ impl Refine {
             self.half_space.iter().map(|h| Shape::HalfSpace { point: three(h), normal: three(&h[3..]) });
         let shapes: Vec<Shape> = spheres.chain(boxes).chain(sides).collect();
         match shapes.iter().find_map(Shape::defect) {
-            Some(what) => Err(Error::new(ErrorKind::Argument, what, "correct the shape")),
+            Some(what) => Err(Error::argument(what, "correct the shape")),
             None => Ok(Shapes { shapes, falloff: 0.0 }),
         }
     }

@@ -8,7 +8,7 @@ use glam::DVec3;
 use simod_core::guard::Kind;
 use simod_core::sampled_model::SampledModel;
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, Result, output};
+use simod_model::{Error, Result, output};
 use simod_picture::picture::{self, Crop, Drawn, Up, View};
 use simod_picture::{Coloring, FrameFolder, Image, Paint};
 
@@ -147,8 +147,7 @@ impl Render {
             let coloring = Coloring::choose(self.color.as_deref(), &model.info().attributes)?;
             let bounds = picture::bounds(model.as_ref(), progress)?;
             if bounds.is_empty() {
-                return Err(Error::new(
-                    ErrorKind::Degenerate,
+                return Err(Error::degenerate(
                     format!("{} has no vertex with a finite position", self.path.display()),
                     "there is nothing to draw",
                 ));

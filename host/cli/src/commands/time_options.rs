@@ -1,7 +1,7 @@
 //! When in a sequence the steps of a session are done.
 
 use clap::Args;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_session::session_file::SessionTime;
 
 /// `--frame` and `--time`.
@@ -26,11 +26,7 @@ impl TimeOptions {
             ..session
         };
         match time.defect() {
-            Some(_) => Err(Error::new(
-                ErrorKind::Argument,
-                "--time is no finite number",
-                "give seconds, such as 0.5",
-            )),
+            Some(_) => Err(Error::argument("--time is no finite number", "give seconds, such as 0.5")),
             None => Ok(time),
         }
     }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use clap::Args;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 
 /// Edit a model, the folder of a sampled one, or a session in a window
 #[derive(Args)]
@@ -25,12 +25,12 @@ impl View {
         let path = beside.filter(|path| path.is_file()).unwrap_or_else(|| PathBuf::from(&program));
         let status = Command::new(&path).args(self.arguments).status().map_err(|e| {
             let what = format!("cannot start {}: {e}", path.display());
-            Error::new(ErrorKind::Io, what, "build it with `cargo build --release -p simod-window`")
+            Error::system(what, "build it with `cargo build --release -p simod-window`")
         })?;
         if status.success() {
             return Ok(());
         }
         let hint = "see what it says above";
-        Err(Error::new(ErrorKind::Io, format!("simod-viewer ended with {status}"), hint))
+        Err(Error::system(format!("simod-viewer ended with {status}"), hint))
     }
 }

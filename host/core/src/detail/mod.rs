@@ -14,7 +14,7 @@ use std::ops::Range;
 
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
-use simod_model::{ColorScale, Colors, Error, ErrorKind, Model, Progress, Result};
+use simod_model::{ColorScale, Colors, Error, Model, Progress, Result};
 
 use crate::ellipses::{self, Ellipses};
 use crate::reconstruction::{DeformationField, Moved, VertexDiagnostics, carry, homes};
@@ -168,14 +168,14 @@ impl Chosen {
         let kept = sampled.checked_cells()?;
         if marks.len() != sampled.samples.len() {
             let what = format!("{} marks for {} samples", marks.len(), sampled.samples.len());
-            return Err(Error::new(ErrorKind::Argument, what, "give one for each sample"));
+            return Err(Error::argument(what, "give one for each sample"));
         }
         let is_marked =
             |cell: &u32| kept.cells[*cell as usize].tree.samples.iter().any(|s| marks[*s as usize]);
         let cells: Vec<u32> = (0..kept.cells.len() as u32).filter(is_marked).collect();
         if cells.is_empty() {
             let hint = "select a part of the model, or look at it";
-            return Err(Error::new(ErrorKind::Argument, "nothing of the model was chosen", hint));
+            return Err(Error::argument("nothing of the model was chosen", hint));
         }
         let vertices: Vec<u64> = cells.iter().map(|cell| kept.cells[*cell as usize].vertices).collect();
         Ok(Self { cells, stride: thinning::stride(&vertices, most as u64), shown: Shown::Nothing })
@@ -219,7 +219,7 @@ pub fn stream(
     let kept = sampled.checked_cells()?;
     if let Some(cell) = chosen.cells.iter().find(|cell| **cell as usize >= kept.cells.len()) {
         let what = format!("there is no cell {cell} among {}", kept.cells.len());
-        return Err(Error::new(ErrorKind::Argument, what, "choose cells of this model"));
+        return Err(Error::argument(what, "choose cells of this model"));
     }
     let changed = || sampled.source_changed(model.path());
     let (frame, shown) = (sampled.frame, chosen.shown);

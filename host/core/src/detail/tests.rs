@@ -1,8 +1,8 @@
 //! What is streamed is what a reconstruction writes.
 
 use glam::{DVec3, Vec3};
-use simod_model::for_vertices;
 use simod_model::progress::Silent;
+use simod_model::{ErrorKind, for_vertices};
 
 use super::*;
 use crate::reconstruction::{Method, Reconstruction, RestGeometry, Version, reconstruct};

@@ -12,7 +12,7 @@ use std::path::Path;
 use glam::Vec3;
 use serde::Deserialize;
 use simod_model::output::OutputFile;
-use simod_model::{Error, ErrorKind, Model, Progress, Result, VertexChunk, input};
+use simod_model::{Error, Model, Progress, Result, VertexChunk, input};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
 use super::RestGeometry;
@@ -60,9 +60,8 @@ pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &d
     let around = RestGeometry::new(samples);
     let normals = if samples.knows_normals() { Vec::new() } else { samples.normals().to_vec() };
     let RestGeometry { sheets, supports, .. } = &around;
-    let head = postcard::to_allocvec(&(key(sampled), normals, sheets, supports)).map_err(|e| {
-        Error::internal(format!("cannot write {}: {e}", path.display()), "report it").because(e)
-    })?;
+    let head = postcard::to_allocvec(&(key(sampled), normals, sheets, supports))
+        .map_err(|e| Error::unwritable(path.display(), e))?;
 
     let mut file = OutputFile::create(path, head.len() as u64)?;
     let mut bytes = (MAGIC.len() + 12 + 16 + head.len()) as u64;
@@ -212,8 +211,7 @@ impl Binding {
 }
 
 fn damaged(what: &str) -> Error {
-    Error::new(
-        ErrorKind::Format,
+    Error::format(
         format!("the binding of the model to its samples is of no use: {what}"),
         "run simod bind again, or delete binding.bin",
     )

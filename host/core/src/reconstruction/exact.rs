@@ -65,7 +65,7 @@ pub fn write_exact(
     let place = Place::for_model(model, version.output);
     let opened = ResumableOutput::open(&place, "exact".to_owned(), false, u64::MAX, progress)?;
     let OpenedOutput::Unfinished(mut file) = opened else {
-        return Err(Error::internal("an output is there that was not written", "report this"));
+        return Err(Error::internal("an output is there that was not written"));
     };
     let create = |path| DiagnosticsFile::create(path, model, sampled.bounds.diagonal());
     let mut diagnostics = version.diagnostics.map(create).transpose()?;

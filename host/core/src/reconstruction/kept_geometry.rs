@@ -152,8 +152,7 @@ pub(super) fn pack(around: &RestGeometry<'_>) -> Result<Vec<u8>> {
             .collect::<Vec<_>>(),
         pieces: pieces.collect(),
     };
-    seal(LETTERS, VERSION, &content)
-        .map_err(|e| Error::internal(format!("cannot write {REST}: {e}"), "report this").because(e))
+    seal(LETTERS, VERSION, &content).map_err(|e| Error::unwritable(REST, e))
 }
 
 /// Writes in which order a home's supports are: as places among its neighbours. `places` has [`OTHER`] for

@@ -11,7 +11,7 @@ use simod_model::object_range::{ObjectRange, SentRange};
 use simod_model::output::OutputFile;
 use simod_model::shared::SharedFile;
 use simod_model::shared_folder::{SharedFiles, WrittenFile};
-use simod_model::{Error, ErrorKind, Output, Progress, Result, Summary, input};
+use simod_model::{Error, Output, Progress, Result, Summary, input};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use crate::fingerprint::HashedPart;
@@ -142,9 +142,7 @@ impl<'a> PartFile<'a> {
         let tiles = kept.as_ref().map(SharedFiles::written).unwrap_or_default();
         let Content { key, pieces, hashed, folded } = content;
         let record = Record { key, pieces, place, sent, bytes, checksum, tiles, summary, hashed, folded };
-        let sealed = seal(LETTERS, VERSION, &record).map_err(|e| {
-            Error::internal(format!("cannot write {}: {e}", path.display()), "report this").because(e)
-        })?;
+        let sealed = seal(LETTERS, VERSION, &record).map_err(|e| Error::unwritable(path.display(), e))?;
         let length = (sealed.len() as u64).to_le_bytes();
         let written = self.own.write_all(&sealed).and_then(|()| self.own.write_all(&length));
         written.map_err(|e| Error::io("write", path, &e))?;
@@ -206,20 +204,12 @@ impl Output for PartFile<'_> {
 
 /// Why a part is not of the others, or of what is written.
 pub(super) fn refused(path: &Path, what: &str) -> Error {
-    Error::new(
-        ErrorKind::Mismatch,
-        format!("{} {what}", path.display()),
-        "remove it, and write that part again",
-    )
+    Error::mismatch(format!("{} {what}", path.display()), "remove it, and write that part again")
 }
 
 /// What is broken of a part.
 pub(super) fn damaged(path: &Path, what: &str) -> Error {
-    Error::new(
-        ErrorKind::Format,
-        format!("{} is damaged: {what}", path.display()),
-        "remove it, and write that part again",
-    )
+    Error::format(format!("{} is damaged: {what}", path.display()), "remove it, and write that part again")
 }
 
 /// A part's file, at its beginning, and its record.

@@ -152,7 +152,7 @@ pub fn write_part(
     model.rewrite(&mut [&mut part], rewriting, &transfer, progress)?;
     let hashed = match std::mem::replace(&mut *locked(&transfer.hash), Hashing::Part(HashedPart::default())) {
         Hashing::Part(hashed) => hashed,
-        Hashing::All(_) => return Err(Error::internal("a part was hashed as a whole", "report this")),
+        Hashing::All(_) => return Err(Error::internal("a part was hashed as a whole")),
     };
     let Folding { samples, first, .. } = Folding::of_samples(&fields[0], sampled);
     let folded = (samples, first.map(|p| p.to_array()));
@@ -198,7 +198,7 @@ pub fn join_parts(
 ) -> Result<Reconstructed> {
     let Some(Division { pieces, vertices, in_place }) = model.division(how.normals) else {
         let what = format!("{} cannot be written in parts", version.output.display());
-        return Err(Error::new(ErrorKind::Argument, what, "write all of it at once"));
+        return Err(Error::argument(what, "write all of it at once"));
     };
     let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
     let is_still = version.deformed.iter().map(bits).eq(sampled.samples.positions.iter().map(bits));
@@ -408,7 +408,7 @@ impl Output for Joined {
 
 fn written(file: &mut OutputFile, bytes: &[u8]) -> Result<()> {
     file.write_all(bytes)
-        .map_err(|e| e.downcast::<Error>().unwrap_or_else(|e| Error::internal(e.to_string(), "report this")))
+        .map_err(|e| e.downcast::<Error>().unwrap_or_else(|e| Error::internal(e.to_string()).because(e)))
 }
 
 /// What parts have to be.
@@ -461,8 +461,7 @@ impl Joining<'_> {
             found.folding.get_or_insert(Folding { samples, first, vertices: None });
         }
         if next != self.end {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("parts of {} are missing", self.output.display()),
                 "write all of them first",
             ));
@@ -477,8 +476,7 @@ impl Joining<'_> {
 /// An error unless a file has the bytes of all parts in their places.
 fn is_there(output: &Path, parts: &[&Path], progress: &dyn Progress) -> Result<()> {
     let gone = || {
-        Error::new(
-            ErrorKind::Mismatch,
+        Error::mismatch(
             format!("the bytes of the parts of {} are gone", output.display()),
             "remove the parts, and write all of them again",
         )

@@ -3,7 +3,7 @@
 
 use glam::{DVec3, Vec3};
 use simod_model::bounds::Bounds;
-use simod_model::{Error, ErrorKind, Model, Result};
+use simod_model::{Error, Model, Result};
 
 use crate::sampled_model::SampledModel;
 
@@ -33,8 +33,7 @@ pub(super) fn check_reach<'a>(
 fn no_room(model: &dyn Model, sample: usize, p: DVec3) -> Error {
     let path = model.path().display();
     let Some(integers) = model.info().written else {
-        return Error::new(
-            ErrorKind::Degenerate,
+        return Error::degenerate(
             format!(
                 "sample {sample} moves to {p}, for which {path} has no room in its integers; nothing was written"
             ),
@@ -44,8 +43,7 @@ fn no_room(model: &dyn Model, sample: usize, p: DVec3) -> Error {
     };
     let range = integers.range();
     let axis = (0..3).find(|axis| !(range.min[*axis]..=range.max[*axis]).contains(&p[*axis])).unwrap_or(0);
-    Error::new(
-        ErrorKind::Degenerate,
+    Error::degenerate(
         format!(
             "sample {sample} moves to {} = {}, but with its scale and offset {path} holds {} to {} alone; nothing was \
              written",

@@ -14,7 +14,7 @@ use simod_model::output::check_space;
 use simod_model::resumable_output::{FinishedOutput, OpenedOutput, Place, ResumableOutput};
 use simod_model::target::{canonical_target, folder_of};
 use simod_model::{
-    Error, ErrorKind, MAX_VERSIONS, Model, Normals, Output, Progress, Result, Rewriting, is_named_otherwise,
+    Error, MAX_VERSIONS, Model, Normals, Output, Progress, Result, Rewriting, is_named_otherwise,
 };
 use xxhash_rust::xxh3::Xxh3Default;
 
@@ -195,8 +195,7 @@ pub(super) fn checked_targets<'a>(
     how: &Reconstruction,
 ) -> Result<BTreeMap<PathBuf, (&'a Path, u64)>> {
     if how.resume && versions.iter().any(|v| v.diagnostics.is_some()) {
-        return Err(Error::new(
-            ErrorKind::Argument,
+        return Err(Error::argument(
             "diagnostics of an interrupted reconstruction cannot be gone on with",
             "leave out either --diagnostics or --resume",
         ));
@@ -218,8 +217,7 @@ pub(super) fn checked_targets<'a>(
         let place = Place::for_model(model, output);
         check_no_source(model, if is_model { place.files() } else { vec![output.to_owned()] })?;
         if is_model && is_named_otherwise(model, output) {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!(
                     "{} is named as if of another format than the model: {}",
                     output.display(),
@@ -233,8 +231,7 @@ pub(super) fn checked_targets<'a>(
         }
         let target = if is_model { place.checked()? } else { canonical_target(output)? };
         if targets.insert(target, (output, needed)).is_some() {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("two files go to {}", output.display()),
                 "give each of them a name of its own",
             ));
@@ -254,8 +251,7 @@ fn check_no_source(model: &dyn Model, files: Vec<PathBuf>) -> Result<()> {
     } else {
         ("is one of the model's tiles", "write the deformed tiles to another folder")
     };
-    Err(Error::new(
-        ErrorKind::Argument,
+    Err(Error::argument(
         format!("{} {what}", file.display()),
         format!("{hint}; the samples belong to the original"),
     ))
@@ -434,7 +430,7 @@ impl<'a> ReconstructionCall<'a> {
 
     /// Ends a call that failed.
     fn stop(self, error: Error, versions: &[Version<'_>]) -> Error {
-        use ErrorKind::{Cancelled, Degenerate, Format, Io, Mismatch};
+        use simod_model::ErrorKind::{Cancelled, Degenerate, Format, Io, Mismatch};
         // What is wrong with the content is so the next time, too.
         if !self.how.resume || matches!(error.kind(), Format | Degenerate | Mismatch) {
             return error;
@@ -485,8 +481,7 @@ pub(super) fn key(
     let ranges = &model.info().ranges;
     let numbers = (REVISION, method, normals, model.info().bytes, changed, frame, offset, ranges);
     let small = (env!("CARGO_PKG_VERSION"), &source.fingerprint, numbers);
-    let small = postcard::to_allocvec(&small)
-        .map_err(|e| Error::internal(format!("a key cannot be made: {e}"), "report this").because(e))?;
+    let small = postcard::to_allocvec(&small).map_err(|e| Error::unwritable("a key", e))?;
     let samples = &sampled.samples;
     let points = [&samples.positions, samples.known_normals(), deformed].map(bytemuck::cast_slice);
     let contacts = samples.contacts().map(|contacts| contacts.digest().to_le_bytes());

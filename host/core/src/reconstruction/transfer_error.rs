@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use simod_model::histogram::Histogram;
-use simod_model::{Error, ErrorKind, Model, Progress, Result, for_positions, in_step, range_in_step};
+use simod_model::{Error, Model, Progress, Result, for_positions, in_step, range_in_step};
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::expectation::Tally;
@@ -104,7 +104,7 @@ fn same_count(model: &dyn Model, deformed: &dyn Model) -> Result<()> {
     }
     let what =
         format!("{} has {b} vertices, but {} has {a}", deformed.path().display(), model.path().display());
-    Err(Error::new(ErrorKind::Mismatch, what, "compare versions of the same model"))
+    Err(Error::mismatch(what, "compare versions of the same model"))
 }
 
 /// What is known of the deviation so far.

@@ -278,8 +278,7 @@ impl Refined {
 }
 
 fn meets_nothing() -> Error {
-    Error::new(
-        ErrorKind::Argument,
+    Error::argument(
         "the selection does not meet the model: nothing is refined",
         "give shapes in the model's coordinates; `simod info` tells its bounding box",
     )
@@ -299,8 +298,7 @@ fn needs<'a>(
     }
     let mut expected = selection.so_far.map_or(vec![0.0; selected.len()], DeformationField::expected_error);
     if let Some(i) = expected.iter().position(|e| !e.is_finite()) {
-        return Err(Error::new(
-            ErrorKind::Argument,
+        return Err(Error::argument(
             format!("the deformation around sample {i} is no finite number"),
             "correct the deformed samples",
         ));
@@ -328,8 +326,7 @@ fn check(how: &Refining) -> Result<()> {
         Finer::Samples(n) | Finer::Auto { samples: Some(n @ 0), .. } => format!("the number of {n} samples"),
         Finer::Auto { error, .. } => format!("the transfer error {error}"),
     };
-    Err(Error::new(
-        ErrorKind::Argument,
+    Err(Error::argument(
         format!("{bad} is out of range"),
         "give an error of 0 or more (a fraction of the diagonal), a factor above 1, or at least 1 sample",
     ))
@@ -566,8 +563,7 @@ impl RefinementCall<'_, '_> {
         };
         let limit = self.limit() / 2;
         if let Some(largest) = cells.iter().map(bytes).max().filter(|bytes| *bytes > limit) {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("a cell of the model's grid takes {} of memory to refine", human_size(largest)),
                 format!(
                     "give --memory-limit {}M or more, or sample with a finer --grid",
@@ -617,8 +613,7 @@ fn splits<'a>(cells: &'a [Regrown], kept: &'a KeptCells) -> impl Iterator<Item =
 }
 
 fn too_many(most: u64) -> Error {
-    Error::new(
-        ErrorKind::Argument,
+    Error::argument(
         format!("this takes more than {most} new samples, which memory does not hold"),
         "select less, give a larger --error, or more memory with --memory-limit",
     )

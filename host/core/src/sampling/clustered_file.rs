@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use simod_model::{Error, ErrorKind, Result, input};
+use simod_model::{Error, Result, input};
 
 use super::cluster::Moments;
 use super::vs_tree::VsTree;
@@ -85,8 +85,7 @@ impl ClusteredFile {
     /// # Errors
     /// Never, for what clustering makes.
     pub fn sealed(&self) -> Result<Vec<u8>> {
-        seal(LETTERS, VERSION, self)
-            .map_err(|e| Error::internal("trees cannot be held in a file", "report this").because(e))
+        seal(LETTERS, VERSION, self).map_err(|e| Error::internal("trees cannot be held in a file").because(e))
     }
 }
 
@@ -97,9 +96,5 @@ pub fn mark_of(sealed: &[u8]) -> u128 {
 
 /// An error about a file, and what to do.
 pub fn refused(path: &Path, what: &str) -> Error {
-    Error::new(
-        ErrorKind::Mismatch,
-        format!("{} {what}", path.display()),
-        "remove it, and do the unit again that writes it",
-    )
+    Error::mismatch(format!("{} {what}", path.display()), "remove it, and do the unit again that writes it")
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use simod_model::{Error, ErrorKind, Model, Progress, Result, SMALL_CHUNK, VertexChunk, input, output};
+use simod_model::{Error, Model, Progress, Result, SMALL_CHUNK, VertexChunk, input, output};
 
 use super::grid::{CellKey, CellRecord, Grid, GridCounter};
 use super::opaque::Opaque;
@@ -91,9 +91,7 @@ fn write(
         bounds: [bounds.min, bounds.max],
         cells: cells.into_iter().map(|(key, r)| (key, [r.count, r.first, r.last])).collect(),
     };
-    let bytes = seal(LETTERS, VERSION, &counted).map_err(|e| {
-        Error::internal(format!("cannot write {}: {e}", path.display()), "report this").because(e)
-    })?;
+    let bytes = seal(LETTERS, VERSION, &counted).map_err(|e| Error::unwritable(path.display(), e))?;
     output::write_file(path, &bytes)
 }
 
@@ -150,8 +148,7 @@ fn added_up(
     let mut next = 0;
     let is_next = |range: &Range<u64>| std::mem::replace(&mut next, range.end) == range.start;
     if !ranges.iter().all(is_next) || next != model.info().vertices {
-        return Err(Error::new(
-            ErrorKind::Argument,
+        return Err(Error::argument(
             format!("the counts of {} are not of each vertex once", model.path().display()),
             "count all ranges first",
         ));
@@ -160,11 +157,7 @@ fn added_up(
 }
 
 fn refused(path: &Path, what: &str) -> Error {
-    Error::new(
-        ErrorKind::Mismatch,
-        format!("{} {what}", path.display()),
-        "remove it, and count that range again",
-    )
+    Error::mismatch(format!("{} {what}", path.display()), "remove it, and count that range again")
 }
 
 fn read(path: &Path) -> Result<Counted> {

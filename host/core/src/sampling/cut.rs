@@ -19,7 +19,7 @@ use std::ops::Range;
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 
 use super::cluster::{Moments, REACH_WEIGHT};
 use super::grid::{CellKey, CellMap, Grid};
@@ -107,8 +107,7 @@ impl Forest {
             }
         }
         if self.target.is_none() && self.leaves > self.most {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!(
                     "so small an error takes more than {} samples, which memory does not hold",
                     self.most

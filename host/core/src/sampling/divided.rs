@@ -9,7 +9,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use simod_model::{Error, ErrorKind, Model, Progress, Result, input, output};
+use simod_model::{Error, Model, Progress, Result, input, output};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::clustered_file::{CellOfFile, ClusteredFile, mark_of, refused};
@@ -117,7 +117,7 @@ impl<'a> Divided<'a> {
     ) -> Result<Self> {
         if let Some(why) = undivided(model, sampling)? {
             let what = format!("the sampling of {} cannot be divided: {why}", model.path().display());
-            return Err(Error::new(ErrorKind::Argument, what, "sample it at once"));
+            return Err(Error::argument(what, "sample it at once"));
         }
         model.check_complete(progress)?;
         let prepared = Prepared::new(model, sampling, Some(&[division.counts]), folder, progress)?;
@@ -149,7 +149,7 @@ impl<'a> Divided<'a> {
         let known = u32::try_from(number).ok().filter(|number| *number < self.shares.groups());
         known.map(owner).ok_or_else(|| {
             let what = format!("there is no part {number} of {}", self.shares.groups());
-            Error::new(ErrorKind::Argument, what, "count from 0")
+            Error::argument(what, "count from 0")
         })
     }
 
@@ -391,8 +391,7 @@ impl Divided<'_> {
             }
         }
         if known < items.len() {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 "not all ranges and groups of cells are clustered".to_owned(),
                 "do the units first that do so",
             ));

@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 use simod_model::frame::Frame;
 use simod_model::scratch::Scratch;
 use simod_model::{
-    Error, ErrorKind, FACES_OF_A_BLOCK, FaceChunk, FaceMark, Model, Progress, Result, SMALL_CHUNK,
-    VertexChunk, for_faces_at, for_faces_from, input, output,
+    Error, FACES_OF_A_BLOCK, FaceChunk, FaceMark, Model, Progress, Result, SMALL_CHUNK, VertexChunk,
+    for_faces_at, for_faces_from, input, output,
 };
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -184,7 +184,7 @@ pub fn cut(
         }
     }
     let bytes = seal(LETTERS, VERSION, &file)
-        .map_err(|e| Error::internal("the cut cannot be held in a file", "report this").because(e))?;
+        .map_err(|e| Error::internal("the cut cannot be held in a file").because(e))?;
     output::write_file(target, &bytes)?;
     Ok(true)
 }
@@ -300,9 +300,7 @@ impl Divided<'_> {
         let Owner::Range(range) = owner else { return Ok(()) };
         let (of_ranges, of_groups) = cut.trees.split_at(shares.ranges().len());
         let open = |path: &PathBuf, mark: &u128| Numbers::open(path, leaves_key(*mark));
-        let missing = || {
-            Error::new(ErrorKind::Argument, "not all leaves are there", "do the units first that write them")
-        };
+        let missing = || Error::argument("not all leaves are there", "do the units first that write them");
         let (path, mark) = files.leaves.iter().zip(of_ranges).nth(range as usize).ok_or_else(missing)?;
         let own = open(path, mark)?;
         let groups = files.leaves_of_groups.iter().zip(of_groups);
@@ -407,7 +405,7 @@ pub fn faces(
     let parts = files.faces.len() as u64;
     if part >= parts {
         let what = format!("there is no part {part} of {parts}");
-        return Err(Error::new(ErrorKind::Argument, what, "count from 0"));
+        return Err(Error::argument(what, "count from 0"));
     }
     let mut writer = NumbersWriter::create(target, key, list::COUNT)?;
     if cut.alone.is_none() {
@@ -641,7 +639,7 @@ impl Divided<'_> {
         }
         if at != (vertices.end - vertices.start) * size_of::<u32>() as u64 {
             let what = "not all vertices have been looked up";
-            return Err(Error::new(ErrorKind::Argument, what, "do the units first that do so"));
+            return Err(Error::argument(what, "do the units first that do so"));
         }
         Ok(scratch)
     }
@@ -857,8 +855,7 @@ fn records<const N: usize>(
 }
 
 fn no_triangles(model: &dyn Model) -> Error {
-    Error::new(
-        ErrorKind::Format,
+    Error::format(
         format!("{} has faces that are no triangles, which cannot be read in parts", model.path().display()),
         "sample it at once: by `simod run`, or a plan of --units 1",
     )

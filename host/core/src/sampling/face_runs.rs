@@ -74,7 +74,7 @@ pub fn find(model: &dyn Model, target: &Path, progress: &dyn Progress) -> Result
     progress.begin("finding the faces", model.info().face_bytes);
     let runs = FaceRuns::find(model, progress)?;
     let bytes = seal(LETTERS, VERSION, &runs)
-        .map_err(|e| Error::internal("the runs cannot be held in a file", "report this").because(e))?;
+        .map_err(|e| Error::internal("the runs cannot be held in a file").because(e))?;
     output::write_file(target, &bytes)?;
     Ok(true)
 }
@@ -142,7 +142,7 @@ impl FaceRuns {
         if runs.starts.len() as u64 == runs.triangles.div_ceil(FACES_OF_A_SUM) {
             return Ok(runs);
         }
-        Err(Error::internal(format!("{} has faces without marks", model.path().display()), "report this"))
+        Err(Error::internal(format!("{} has faces without marks", model.path().display())))
     }
 
     /// Those runs begin behind the last mark whose first triangle is one of so many.

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::Vec3;
 use simod_model::frame::Frame;
-use simod_model::{Error, ErrorKind, Model, Progress, Result};
+use simod_model::{Error, Model, Progress, Result};
 
 use crate::colors::{Picked, Picking};
 use crate::fingerprint::{PartHasher, VertexHash};
@@ -198,9 +198,5 @@ pub fn unit(n: Vec3) -> Vec3 {
 
 /// The model holds other vertices in pass 2 than in pass 1.
 pub(super) fn changed(model: &dyn Model) -> Error {
-    Error::new(
-        ErrorKind::Mismatch,
-        format!("{} changed while it was read", model.path().display()),
-        "wait until nothing writes to the file any more, then sample it again",
-    )
+    Error::changed_while_read(model.path())
 }

@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 
 use super::grid::CellKey;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
@@ -108,10 +108,8 @@ impl KeptCells {
     /// # Errors
     /// Never, for what sampling makes: only what cannot be held in a file would be refused.
     pub fn encode(&self, samples_fingerprint: &str) -> Result<Vec<u8>> {
-        seal(MAGIC, VERSION, &(samples_fingerprint, self)).map_err(|e| {
-            Error::internal("the cells cannot be held in a file", "this is a bug: please report it")
-                .because(e)
-        })
+        seal(MAGIC, VERSION, &(samples_fingerprint, self))
+            .map_err(|e| Error::internal("the cells cannot be held in a file").because(e))
     }
 
     /// Reads the content of a file: the hash of the `samples.ply` that it belongs to, and the cells.
@@ -208,7 +206,7 @@ impl From<FormerCells> for KeptCells {
 }
 
 fn damaged(what: &str) -> Error {
-    Error::new(ErrorKind::Format, format!("the cells' file is of no use: {what}"), "sample the model again")
+    Error::format(format!("the cells' file is of no use: {what}"), "sample the model again")
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ use memmap2::{Mmap, MmapMut};
 use rayon::prelude::*;
 use simod_model::output::check_space;
 use simod_model::scratch::Scratch;
-use simod_model::{Error, ModelInfo, Progress, Result};
+use simod_model::{ModelInfo, Progress, Result};
 
 use super::grid::{CellRecord, Grid};
 use crate::touching::{FoundTwins, Twins};
@@ -91,8 +91,10 @@ impl Membership {
         let bytes = FILES * BYTES
             + if noted.positions { size_of::<Vec3>() as u64 } else { 0 }
             + if noted.twins { BYTES } else { 0 };
-        check_space(folder, folder, bytes.saturating_mul(coming))
-            .map_err(|e| Error::new(e.kind(), e.to_string(), format!("{}; or {ADVICE}", e.hint())))?;
+        check_space(folder, folder, bytes.saturating_mul(coming)).map_err(|e| {
+            let hint = format!("{}; or {ADVICE}", e.hint());
+            e.hinting(hint)
+        })?;
         let leaves = Leaves { file: Scratch::new(folder, ADVICE)?, starts: starts(grid) };
         // Sparse: only so much is written as there are items.
         leaves.file.set_len(vertices * BYTES)?;

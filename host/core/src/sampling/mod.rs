@@ -224,8 +224,7 @@ impl<'a> Prepared<'a> {
     ) -> Result<Self> {
         let info = model.info();
         if info.vertices == 0 {
-            return Err(Error::new(
-                ErrorKind::Degenerate,
+            return Err(Error::degenerate(
                 format!("{} has no vertices", model.path().display()),
                 "a model needs at least one vertex to be sampled",
             ));
@@ -243,8 +242,7 @@ impl<'a> Prepared<'a> {
         };
         check_counted(model, &non_finite)?;
         if !grid.bounds.diagonal().is_finite() {
-            return Err(Error::new(
-                ErrorKind::Degenerate,
+            return Err(Error::degenerate(
                 format!("{} is too large for its own numbers", model.path().display()),
                 "scale it down: its extent has to be below 1e308",
             ));
@@ -360,13 +358,13 @@ impl<'a> Prepared<'a> {
                 None => {
                     grouping = Grouping::Never;
                     let vertices = self.stream(Job::Whole, foresight, grouping)?;
-                    vertices.ok_or_else(|| Error::internal("vertices find no room", "report this"))?
+                    vertices.ok_or_else(|| Error::internal("vertices find no room"))?
                 }
             };
             self.progress.begin("completing the samples", 0);
             let Clustered { forest, hash, ranges, membership, picked, .. } = clustered;
             let Hashing::All(hash) = hash else {
-                return Err(Error::internal("a part of the vertices was hashed", "report this"));
+                return Err(Error::internal("a part of the vertices was hashed"));
             };
             if let Some(cut) = forest.cut(&self.grid) {
                 return Ok(Found {
@@ -381,7 +379,7 @@ impl<'a> Prepared<'a> {
             }
         }
         // Without foresight, all is kept that the cut may need.
-        Err(Error::internal("the samples are fewer than was foreseen", "report this"))
+        Err(Error::internal("the samples are fewer than was foreseen"))
     }
 
     /// How sheets are parted, of cells whose vertices are in these ranges.
@@ -615,7 +613,7 @@ impl Reindexed {
                 "{}; or do without the faces, by --skip triangles,sheets and --place vertices",
                 e.hint()
             );
-            if e.kind() == ErrorKind::Format { Error::new(e.kind(), e.to_string(), hint) } else { e }
+            if e.kind() == ErrorKind::Format { e.hinting(hint) } else { e }
         })?;
         self.placed = planes.map(|planes| self.place(read, planes));
         self.faces =
@@ -750,8 +748,7 @@ fn check(sampling: &Sampling) -> Result<()> {
             _ => return check_memory(sampling),
         },
     };
-    Err(Error::new(
-        ErrorKind::Argument,
+    Err(Error::argument(
         format!("{bad} is out of range"),
         "give a number of samples from 1 to 2^32 - 1, an error above 0 (a fraction of the diagonal), a grid from 2 to 4096",
     ))
@@ -765,8 +762,7 @@ fn check_memory(sampling: &Sampling) -> Result<()> {
     };
     let least = LEAST_MEMORY.saturating_add(clusters);
     match sampling.memory_limit {
-        Some(limit) if limit < least => Err(Error::new(
-            ErrorKind::Argument,
+        Some(limit) if limit < least => Err(Error::argument(
             format!("a memory limit of {} is too small", human_size(limit)),
             format!("give --memory-limit {}M or more, or ask for fewer samples", least.div_ceil(1 << 20)),
         )),
@@ -813,15 +809,13 @@ fn count_cells(
 fn check_counted(model: &dyn Model, non_finite: &NonFinite) -> Result<()> {
     let info = model.info();
     if non_finite.count == info.vertices {
-        return Err(Error::new(
-            ErrorKind::Degenerate,
+        return Err(Error::degenerate(
             format!("none of the {} vertices of {} is finite", non_finite.count, model.path().display()),
             "check how the file was written: all of its positions hold NaN or infinity",
         ));
     }
     if non_finite.count + non_finite.transparent == info.vertices {
-        return Err(Error::new(
-            ErrorKind::Degenerate,
+        return Err(Error::degenerate(
             format!("all splats of {} are too transparent to be sampled", model.path().display()),
             "give a smaller --min-opacity, or 0 for all splats",
         ));

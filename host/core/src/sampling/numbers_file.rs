@@ -114,9 +114,8 @@ impl NumbersWriter {
     /// The disk is full, or the operating system refuses.
     pub fn commit(mut self) -> Result<()> {
         (0..self.buffers.len()).try_for_each(|list| self.close(list))?;
-        let table = seal(LETTERS, VERSION, &self.table).map_err(|e| {
-            Error::internal(format!("cannot write {}: {e}", self.path.display()), "report this").because(e)
-        })?;
+        let table =
+            seal(LETTERS, VERSION, &self.table).map_err(|e| Error::unwritable(self.path.display(), e))?;
         let failed = |e| Error::io("write", &self.path, &e);
         self.file.write_all(&table).map_err(failed)?;
         self.file.write_all(&(table.len() as u64).to_le_bytes()).map_err(failed)?;

@@ -5,7 +5,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use simod_model::{Error, ErrorKind, Model, Result, VertexChunk, follow};
+use simod_model::{Error, Model, Result, VertexChunk, follow};
 
 /// Splats of less opacity are left out, where nothing else is asked for.
 pub const LEAST_OPACITY: f64 = 0.1;
@@ -168,7 +168,7 @@ fn logit(opacity: f64) -> f64 {
 /// # Errors
 /// It is none from 0 to 1, or there is nothing of which it could be.
 pub(super) fn resolve(model: &dyn Model, asked: Option<f64>) -> Result<Option<f64>> {
-    let refused = |what: String, hint: &str| Err(Error::new(ErrorKind::Argument, what, hint));
+    let refused = |what: String, hint: &str| Err(Error::argument(what, hint));
     match asked {
         Some(least) if !(0.0..1.0).contains(&least) => refused(
             format!("the least opacity {least} is out of range"),

@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use glam::Vec3;
 use rayon::prelude::*;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 
 use super::kd_tree::KdTree;
 use super::neighbour_graph::NeighbourGraph;
@@ -52,7 +52,7 @@ impl SampleSet {
     /// # Errors
     /// There is no sample, or one that is not finite.
     pub fn new(positions: Vec<Vec3>, normals: Vec<Vec3>) -> Result<Self> {
-        let refused = |what: String| Err(Error::new(ErrorKind::Degenerate, what, "sample the model again"));
+        let refused = |what: String| Err(Error::degenerate(what, "sample the model again"));
         if positions.is_empty() {
             return refused("there are no samples".to_owned());
         }

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use simod_model::output::OutputFile;
-use simod_model::{Error, ErrorKind, Result, input};
+use simod_model::{Error, Result, input};
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::shares::PIECE;
@@ -255,9 +255,8 @@ impl SharedWriter {
                 self.flush(group)?;
             }
         }
-        let table = seal(LETTERS, VERSION, &self.table).map_err(|e| {
-            Error::internal(format!("cannot write {}: {e}", self.path.display()), "report this").because(e)
-        })?;
+        let table =
+            seal(LETTERS, VERSION, &self.table).map_err(|e| Error::unwritable(self.path.display(), e))?;
         let failed = |e| Error::io("write", &self.path, &e);
         self.file.write_all(&table).map_err(failed)?;
         self.file.write_all(&(table.len() as u64).to_le_bytes()).map_err(failed)?;
@@ -278,8 +277,7 @@ fn read_table(path: &Path) -> Result<(File, Table)> {
 }
 
 fn refused(path: &Path, what: &str) -> Error {
-    Error::new(
-        ErrorKind::Mismatch,
+    Error::mismatch(
         format!("{} {what}", path.display()),
         "remove it and the trees of its range beside it, and cluster that range again",
     )
@@ -355,7 +353,7 @@ impl SharedReader {
 
     fn read_block(&mut self) -> Result<()> {
         let Some((path, blocks)) = self.files.get_mut(self.at) else {
-            return Err(Error::internal("shared vertices are read beyond their end", "report this"));
+            return Err(Error::internal("shared vertices are read beyond their end"));
         };
         let Some(block) = blocks.pop() else {
             (self.open, self.at) = (None, self.at + 1);

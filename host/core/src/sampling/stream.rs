@@ -656,5 +656,5 @@ fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// A thread panicked.
 fn panicked() -> Error {
-    Error::internal("clustering a cell failed", "this is a bug: please report it, with the model")
+    Error::internal("clustering a cell failed").hinting("this is a bug: please report it, with the model")
 }

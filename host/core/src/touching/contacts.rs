@@ -11,7 +11,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use simod_model::output::OutputFile;
-use simod_model::{Error, ErrorKind, Result, input};
+use simod_model::{Error, Result, input};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::places::Places;
@@ -115,11 +115,7 @@ impl Contacts {
         }
         let file = input::open(path)?;
         let refused = |what: &str| {
-            Error::new(
-                ErrorKind::Format,
-                format!("{} is of no use: {what}", path.display()),
-                "sample the model again",
-            )
+            Error::format(format!("{} is of no use: {what}", path.display()), "sample the model again")
         };
         let cut_off = |_| refused("it is cut off");
         let length = file.metadata().map_err(|e| Error::io("read", path, &e))?.len();

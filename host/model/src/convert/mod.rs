@@ -33,8 +33,8 @@ use crate::polygons::{Counted, Joining, MOST_CORNERS, Polygons};
 use crate::source::Source;
 use crate::target::scratch_folder;
 use crate::{
-    Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
-    Rewriting, Scalar, VertexChunk, VertexReader, for_faces, pipeline,
+    Edit, Edited, Error, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, Scalar,
+    VertexChunk, VertexReader, for_faces, pipeline,
 };
 pub use tiles::{ConvertedTiles, convert_tiles, converted_names};
 use work::ConversionCall;
@@ -73,8 +73,7 @@ impl Converted {
     ) -> Result<Self> {
         let named = extension(target);
         let Some(extension) = WRITTEN.into_iter().find(|written| *written == named) else {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!(
                     "{} is named as if of another format than the model, {}, and of one that cannot be written anew",
                     target.display(),
@@ -88,8 +87,7 @@ impl Converted {
             ));
         };
         if !model.tiles().is_empty() {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("{} is a model of several tiles, which are not joined", model.path().display()),
                 "have each tile written by itself: name a folder, and say with --to what they become, as --to ply",
             ));
@@ -130,8 +128,7 @@ impl Converted {
             converted.info.position_type = Scalar::F32;
         }
         if !losses.is_empty() && !how.lossy {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("{} would lose: {}", target.display(), losses.join("; ")),
                 format!(
                     "give --lossy to write it without, or write the model as {}",
@@ -317,8 +314,7 @@ impl Model for Converted {
 
     fn make_room(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<Option<String>> {
         if !self.keeps_records {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("{} is not written with the offset of the model", self.path().display()),
                 "leave out --offset auto",
             ));
@@ -344,8 +340,7 @@ impl Model for Converted {
         }
         let form = self.form(how.normals == Normals::Drop, &mut Vec::new())?;
         if form.needs_vertices() && (outputs.len() > 1 || how.pieces_done > 0) {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("files of .{} are written one at a time, from their beginning", self.extension),
                 "leave out --resume, and write one version after the other",
             ));

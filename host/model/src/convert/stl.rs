@@ -9,7 +9,7 @@ use memmap2::Mmap;
 use crate::form::{Content, Form, Rows, attribute_loss};
 use crate::polygons::Polygons;
 use crate::scratch::Scratch;
-use crate::{Error, ErrorKind, Result, Scalar, Summary};
+use crate::{Error, Result, Scalar, Summary};
 
 /// Bytes of a facet.
 const FACET: usize = 50;
@@ -24,8 +24,7 @@ impl Stl {
     pub(super) fn new(content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
         let info = content.info();
         if content.faces.triangles == 0 {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::argument(
                 format!("{} has no faces, which STL consists of", content.model.path().display()),
                 "write another format, as PLY",
             ));

@@ -12,7 +12,7 @@ use crate::formats::open_file;
 use crate::output_folder::OutputFolder;
 use crate::resumable_folder::check_target;
 use crate::target::folder_of;
-use crate::{Error, ErrorKind, ModelName, Progress, Result};
+use crate::{Error, ModelName, Progress, Result};
 
 /// Tiles that were written in another format.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -33,8 +33,7 @@ pub struct ConvertedTiles {
 /// It cannot be written; two of them would have one name.
 pub fn converted_names(tiles: &ModelName, extension: &str) -> Result<Vec<PathBuf>> {
     if !WRITTEN.contains(&extension) {
-        return Err(Error::new(
-            ErrorKind::Argument,
+        return Err(Error::argument(
             format!("{extension} is no format that can be written anew"),
             format!("give one of {}", WRITTEN.join(", ")),
         ));
@@ -42,8 +41,7 @@ pub fn converted_names(tiles: &ModelName, extension: &str) -> Result<Vec<PathBuf
     let names: Vec<PathBuf> = tiles.tiles().iter().map(|name| name.with_extension(extension)).collect();
     let mut seen = BTreeSet::new();
     match names.iter().find(|name| !seen.insert(*name)) {
-        Some(name) => Err(Error::new(
-            ErrorKind::Argument,
+        Some(name) => Err(Error::argument(
             format!("two tiles would become {}", name.display()),
             "give them different names, or convert them to different folders",
         )),

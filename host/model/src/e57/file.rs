@@ -10,7 +10,7 @@ use super::pages::{DAMAGED, Window, physical};
 use super::scan::{NUMBER, Scan, TooWide};
 use crate::follow::Following;
 use crate::source::Source;
-use crate::{Attribute, Error, ErrorKind, ModelInfo, Result, Scalar, Type};
+use crate::{Attribute, Error, ModelInfo, Result, Scalar, Type};
 use glam::DVec3;
 
 /// Most points of which no field takes any bits: how many there are is held against nothing.
@@ -117,7 +117,7 @@ impl E57Model {
     pub(super) fn choose_ranges(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<Option<String>> {
         let refused = |what: String, hint: &str| {
             let what = format!("{}: {what}", self.source.path().display());
-            Err(Error::new(ErrorKind::Degenerate, what, hint))
+            Err(Error::degenerate(what, hint))
         };
         if self.info.step == DVec3::ZERO {
             let what = "its coordinates are floats, which reach everywhere".to_owned();

@@ -9,7 +9,7 @@ use super::scan::{Beyond, Reach};
 use crate::pipeline::{Pieces, Rewritable, Version};
 use crate::source::Source;
 use crate::unfit::Unfit;
-use crate::{Error, ErrorKind, Normals, Result, Summary, VertexChunk};
+use crate::{Error, Normals, Result, Summary, VertexChunk};
 
 impl Rewritable for E57Model {
     fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>> {
@@ -26,7 +26,7 @@ impl Rewritable for E57Model {
 
     fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
         let Some(layout) = chunk.of_format.first().and_then(|of| of.downcast_ref::<Layout>()) else {
-            return Err(Error::internal("a piece of E57 has no layout", "report this"));
+            return Err(Error::internal("a piece of E57 has no layout"));
         };
         let mut copy;
         let pages = if version.is_last {
@@ -176,8 +176,7 @@ impl Moving<'_, '_> {
         }
         let (least, most) = scan.range(field);
         let (name, field) = (&scan.described.name, &scan.described.fields[field].name);
-        Error::new(
-            ErrorKind::Degenerate,
+        Error::degenerate(
             format!(
                 "{}: vertex {vertex} moves to {field} = {value} of {name}, \
                  which has room for {least} to {most} alone",

@@ -10,7 +10,7 @@ use super::names;
 use super::rules::{Follow, Kind, Opacity};
 use super::splat::Splat;
 use super::turn::Turn;
-use crate::{Attribute, Error, ErrorKind, Progress, Result};
+use crate::{Attribute, Error, Progress, Result};
 
 /// A group of numbers that turn together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -187,5 +187,5 @@ impl Following {
 /// An error where it is not known what turns.
 fn misfit(why: &str, file: &Path) -> Error {
     let hint = "correct the file or the names, or give --follow none: all but positions and normals keep their bytes then";
-    Error::new(ErrorKind::Argument, format!("{}: {why}", file.display()), hint)
+    Error::argument(format!("{}: {why}", file.display()), hint)
 }

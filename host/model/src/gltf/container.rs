@@ -316,7 +316,7 @@ impl Container {
     pub(super) fn parse<'a, T: Deserialize<'a>>(&self, json: &'a [u8]) -> Result<T> {
         serde_json::from_slice(json).map_err(|e| {
             let what = format!("its JSON makes no sense: {e}");
-            Error::new(crate::ErrorKind::Format, format!("{}: {what}", self.source.path().display()), DAMAGED)
+            Error::format(format!("{}: {what}", self.source.path().display()), DAMAGED)
         })
     }
 

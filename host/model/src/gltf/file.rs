@@ -14,7 +14,7 @@ use super::limits::Limits;
 use super::places::{Place, Places, number_type};
 use crate::cache::Cache;
 use crate::source::Source;
-use crate::{Attribute, Error, ErrorKind, ModelInfo, Result, Scalar};
+use crate::{Attribute, Error, ModelInfo, Result, Scalar};
 
 /// Longest name of the program that made a file, as it is shown.
 const LONGEST_NAME: usize = 80;
@@ -105,8 +105,7 @@ fn check_version(container: &Container, document: &Document<'_>) -> Result<()> {
         return Ok(());
     }
     let version = asset.min_version.as_ref().unwrap_or(&asset.version);
-    Err(Error::new(
-        ErrorKind::Format,
+    Err(Error::format(
         format!(
             "{}: glTF of version \"{}\", where 2.0 can be read",
             container.source.path().display(),

@@ -15,7 +15,7 @@ use crate::shared_normal::mean;
 use crate::source::Source;
 use crate::summary::{PartBox, Summary};
 use crate::unfit::Unfit;
-use crate::{CHUNK_VERTICES, Edited, Error, ErrorKind, Normals, Progress, Result, SMALL_CHUNK, VertexChunk};
+use crate::{CHUNK_VERTICES, Edited, Error, Normals, Progress, Result, SMALL_CHUNK, VertexChunk};
 
 /// A model that is rewritten.
 pub(super) struct Rewriting<'a> {
@@ -146,8 +146,7 @@ impl Rewritable for Rewriting<'_> {
             let mut four = [0; 4];
             four.copy_from_slice(&head[at..at + 4]);
             let Some(longer) = u32::from_le_bytes(four).checked_add(room as u32) else {
-                return Err(Error::new(
-                    ErrorKind::Degenerate,
+                return Err(Error::degenerate(
                     format!(
                         "{}: {room} bytes more are too many for GLB, which has 4 GiB at most",
                         container.source.path().display()

@@ -9,9 +9,7 @@ use super::header::{RECORD_BYTES, at};
 use super::laszip::Laszip;
 use crate::bounds::Bounds;
 use crate::form::{Content, Form, Rows, attribute_loss, put_numbers};
-use crate::{
-    ColorScale, Colors, Error, ErrorKind, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions,
-};
+use crate::{ColorScale, Colors, Error, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions};
 
 /// Points of a compressed block: as LASzip has it.
 pub(super) const BLOCK: u32 = 50_000;
@@ -209,7 +207,7 @@ impl LasForm {
         if is_compressed {
             let extra = this.record - RECORD_BYTES[usize::from(format)];
             let laszip = Laszip::anew(format, extra as u16, BLOCK);
-            this.laszip = Some(laszip.map_err(|e| Error::internal(e.to_string(), "report this"))?);
+            this.laszip = Some(laszip.map_err(|e| Error::unwritable("compressed points", e))?);
         }
         Ok(this)
     }
@@ -299,16 +297,12 @@ impl LasForm {
                 // What is no number may be one of those that are none.
                 false if (least..=most).contains(&scaled) || least == f64::NEG_INFINITY => scaled,
                 false => {
-                    return Err(Error::new(
-                        ErrorKind::Degenerate,
-                        format!(
+                    return Err(Error::degenerate(format!(
                             "vertex {} has the {} {number}, which LAS counts from {least} to {most} in point format {}",
                             rows.first + i as u64,
                             field.name,
                             self.format
-                        ),
-                        "write a format that holds it, as PLY",
-                    ));
+                        ), "write a format that holds it, as PLY"));
                 }
             });
         }
@@ -357,15 +351,13 @@ pub(super) fn table(all: &Summary) -> Result<Vec<u8>> {
         byte_count: piece[1].into(),
     };
     let entries: Vec<_> = pieces(all).map(entry).collect();
-    table_of(&entries, !is_fixed(all))
-        .map_err(|e| Error::internal(format!("the table of blocks cannot be made: {e}"), "report this"))
+    table_of(&entries, !is_fixed(all)).map_err(|e| Error::unwritable("the table of blocks", e))
 }
 
 /// Compresses records in their place.
 pub(super) fn compress(laszip: &Laszip, records: &mut Vec<u8>) -> Result<()> {
     let block = laszip.compress(records);
-    *records =
-        block.map_err(|e| Error::internal(format!("points cannot be compressed: {e}"), "report this"))?;
+    *records = block.map_err(|e| Error::unwritable("compressed points", e))?;
     Ok(())
 }
 
@@ -503,7 +495,7 @@ fn integers(content: &Content<'_>, losses: &mut Vec<String>) -> Result<ScaledInt
     if let (Some(integers), None, None) = (info.integers, how.step, how.offset) {
         return Ok(integers);
     }
-    let wrong = |what: &str| Err(Error::new(ErrorKind::Argument, what, "give a positive length"));
+    let wrong = |what: &str| Err(Error::argument(what, "give a positive length"));
     if how.step.is_some_and(|step| !(step.is_finite() && step > 0.0)) {
         return wrong("the step between positions is none");
     }

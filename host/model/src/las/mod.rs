@@ -44,8 +44,8 @@ use crate::bounds::Bounds;
 use crate::follow::{Follow, Following};
 use crate::pipeline::Rewritable;
 use crate::{
-    Division, Edit, Error, ErrorKind, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
-    ScaledIntegers, VertexChunk, VertexReader, pipeline,
+    Division, Edit, Error, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, ScaledIntegers,
+    VertexChunk, VertexReader, pipeline,
 };
 
 /// Whether a file that begins so is LAS.
@@ -144,7 +144,7 @@ impl Model for LasModel {
             );
             let hint = "write the model with a coarser scale first, as `pdal translate IN.las OUT.las \
                         --writers.las.scale_x=0.01` (and _y, _z) does";
-            Error::new(ErrorKind::Degenerate, what, hint)
+            Error::degenerate(what, hint)
         })?;
         let Some(steps) = steps else { return Ok(None) };
         let ScaledIntegers { scale, offset } = integers;
@@ -169,7 +169,7 @@ impl Model for LasModel {
                 "{}: {name} is a whole number of 64 bits, and what turns has to be float, double or scaled",
                 self.source.path().display()
             );
-            return Err(Error::new(ErrorKind::Argument, what, "leave it out"));
+            return Err(Error::argument(what, "leave it out"));
         }
         self.following = following;
         Ok(())

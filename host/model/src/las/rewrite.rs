@@ -13,7 +13,7 @@ use crate::bounds::Bounds;
 use crate::pipeline::{Piece, Pieces, Rewritable, Skipped, Version};
 use crate::source::Source;
 use crate::unfit::Unfit;
-use crate::{Division, Error, ErrorKind, Normals, Result, ScaledIntegers, Summary, VertexChunk};
+use crate::{Division, Error, Normals, Result, ScaledIntegers, Summary, VertexChunk};
 
 /// Bytes that are copied at a time.
 const CHUNK_BYTES: usize = 4 << 20;
@@ -86,9 +86,8 @@ impl Rewritable for LasModel {
             let changed = self.turn((edited, vertices), positions, records, summary) || changed;
             let before = buffer.len();
             if changed {
-                let block = laszip.compress(records).map_err(|e| {
-                    Error::internal(format!("points cannot be compressed: {e}"), "report this")
-                })?;
+                let block =
+                    laszip.compress(records).map_err(|e| Error::unwritable("compressed points", e))?;
                 buffer.extend_from_slice(&block);
             } else {
                 buffer.extend_from_slice(&raw[bytes]);
@@ -380,10 +379,6 @@ impl LasModel {
             range.min[axis],
             range.max[axis]
         );
-        Error::new(
-            ErrorKind::Degenerate,
-            what,
-            "move it less, or give --offset auto, which chooses another offset",
-        )
+        Error::degenerate(what, "move it less, or give --offset auto, which chooses another offset")
     }
 }

@@ -11,7 +11,7 @@ use super::laszip::Laszip;
 use super::points;
 use super::vlrs::Kind;
 use crate::form::{Form, Rows};
-use crate::{Error, ErrorKind, Result, ScaledIntegers, Summary};
+use crate::{Error, Result, ScaledIntegers, Summary};
 
 /// Most bytes before or behind the points, which are held.
 const MOST: u64 = 256 << 20;
@@ -38,8 +38,7 @@ impl<'a> SameRecords<'a> {
         let path = source.source.path().display();
         for length in [header.points - header.len, behind.end - behind.start] {
             if length > MOST {
-                return Err(Error::new(
-                    ErrorKind::Argument,
+                return Err(Error::argument(
                     format!(
                         "{path} has {length} bytes before or behind its points, which are too many to be held"
                     ),
@@ -49,8 +48,7 @@ impl<'a> SameRecords<'a> {
         }
         let anew = || Laszip::anew(header.format, header.extra_bytes() as u16, BLOCK);
         let laszip = is_compressed.then(anew).transpose().map_err(|e| {
-            Error::new(
-                ErrorKind::Argument,
+            Error::argument(
                 format!("{path}: points of format {} cannot be compressed: {e}", header.format),
                 "write the model as las",
             )

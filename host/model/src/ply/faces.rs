@@ -276,10 +276,10 @@ impl<'a> SomeFaces<'a> {
     pub(super) fn new(model: &'a PlyModel, ranges: Vec<Range<u64>>) -> Result<Self> {
         let encoding = model.header.encoding;
         let [element] = with_triangles(&model.header)[..] else {
-            return Err(Error::internal(
-                format!("{}: its faces can be read only all at once", model.source.path().display()),
-                "this is a bug: please report it",
-            ));
+            return Err(Error::internal(format!(
+                "{}: its faces can be read only all at once",
+                model.source.path().display()
+            )));
         };
         let part = FaceElement::new(&model.header.elements[element], encoding, None);
         let mut cursor = Cursor::new(encoding, Window::new(&model.source, BLOCK));

@@ -117,7 +117,7 @@ impl Pieces for PlyPieces<'_> {
         let normals = if self.drop_normals { Normals::Drop } else { Normals::Keep };
         let (Some(Division { vertices, .. }), Some(stride)) = (model.division(normals), model.layout.stride)
         else {
-            return Err(Error::internal("a PLY file that cannot be divided was divided", "report this"));
+            return Err(Error::internal("a PLY file that cannot be divided was divided"));
         };
         if pieces < vertices.start {
             for _ in 0..pieces {

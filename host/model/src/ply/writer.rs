@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 
 use crate::output::OutputFile;
-use crate::{Error, ErrorKind, Result, Scalar};
+use crate::{Error, Result, Scalar};
 
 /// Writes points to a binary little-endian PLY file, which appears whole or not at all.
 ///
@@ -56,8 +56,7 @@ pub fn write_vertices(
     let Besides { normals, colors, ids, triangles } = besides;
     for (kind, number) in [("normals", normals.len()), ("colours", colors.len())] {
         if number != 0 && number != count {
-            return Err(Error::new(
-                ErrorKind::Mismatch,
+            return Err(Error::mismatch(
                 format!("{}: {number} {kind} for {count} positions", path.display()),
                 "give one for each position, or none",
             ));
@@ -75,8 +74,7 @@ pub fn write_vertices(
             Scalar::F32 => {
                 let rounded = position.as_vec3();
                 if position.is_finite() && !rounded.is_finite() {
-                    return Err(Error::new(
-                        ErrorKind::Degenerate,
+                    return Err(Error::degenerate(
                         format!("{}: point {i} at {position} is too far away for type float", path.display()),
                         "move the model towards the origin, or use type double",
                     ));

@@ -21,8 +21,8 @@ use crate::follow::{Follow, Following};
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
 use crate::source::Source;
 use crate::{
-    CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, Model, ModelInfo, Normals, Output, Progress, Result,
-    Rewriting, Summary, VertexChunk, VertexReader,
+    CHUNK_VERTICES, Edit, Edited, Error, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
+    Summary, VertexChunk, VertexReader,
 };
 
 /// What the unpacked file begins with.
@@ -224,11 +224,7 @@ impl Spz {
                     let (vertex, path) = (chunk.first + i as u64, self.source.path().display());
                     let what =
                         format!("{path}: vertex {vertex} moves to {}, too far for its 24 bits", now[axis]);
-                    return Err(Error::new(
-                        ErrorKind::Degenerate,
-                        what,
-                        "move it less, or write a .ply file",
-                    ));
+                    return Err(Error::degenerate(what, "move it less, or write a .ply file"));
                 }
                 to[start + 3 * axis..][..3].copy_from_slice(&(whole as i32).to_le_bytes()[..3]);
             }
@@ -375,7 +371,7 @@ impl Model for Spz {
                 "{}: what gzip compresses as a whole cannot be gone on with",
                 self.source.path().display()
             );
-            return Err(Error::new(ErrorKind::Argument, what, "leave out --resume, or write a .ply file"));
+            return Err(Error::argument(what, "leave out --resume, or write a .ply file"));
         }
         let mut packed: Vec<Packed<'_>> =
             outputs.iter_mut().map(|output| Packed::new(&mut **output)).collect();

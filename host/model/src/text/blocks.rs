@@ -307,10 +307,7 @@ impl<'a> BlockPieces<'a> {
 
 /// An error where a file is not what it was when it was opened.
 pub(crate) fn changed(source: &Source) -> Error {
-    source.malformed(
-        "the file changed while it was read",
-        "wait until the program that writes it is done, then try again",
-    )
+    Error::changed_while_read(source.path())
 }
 
 /// An error where more bytes than a [`GAP`] stand between what belongs together, before `offset`.

@@ -16,7 +16,7 @@ mod registers;
 
 use crate::params::{check_description, check_migration};
 use rayon::prelude::*;
-use simod_model::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, Progress, Result};
 use simod_plugin_api::{
     Consumes, DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, ParamDesc, PluginError,
     PrepareInput, Samples, Scratch, Setting, State,
@@ -122,11 +122,7 @@ impl Plugin {
         let About { descriptor, capabilities, migration } = about;
         let consumes = Consumes::from_inputs(&descriptor.inputs).map_err(|id| {
             let what = format!("{} needs the input `{id}`, which this program does not have", path.display());
-            Error::new(
-                ErrorKind::Plugin,
-                what,
-                "use a later version of the program, or an earlier one of the plugin",
-            )
+            Error::plugin(what, "use a later version of the program, or an earlier one of the plugin")
         })?;
         Ok(Self {
             code,
@@ -282,8 +278,7 @@ impl Plugin {
 
     /// That it has no map of space.
     pub(crate) fn samples_only(&self) -> Error {
-        Error::new(
-            ErrorKind::Plugin,
+        Error::plugin(
             format!(
                 "plugin {} deforms samples only, not any point of space, so the exact deformation is not known",
                 self.id()
@@ -354,8 +349,7 @@ impl Plugin {
         } else {
             "are unwritten or not finite"
         };
-        Err(Error::new(
-            ErrorKind::Plugin,
+        Err(Error::plugin(
             format!("plugin {}: {bad} of {count} positions {what}, the first at index {first}", self.id()),
             "try less extreme parameters; if that does not help, it is a bug of the plugin",
         ))
@@ -372,7 +366,7 @@ impl Plugin {
         } else {
             line(&error.hint)
         };
-        Error::new(ErrorKind::Plugin, format!("plugin {}: {}", self.id(), line(&error.message)), hint)
+        Error::plugin(format!("plugin {}: {}", self.id(), line(&error.message)), hint)
     }
 }
 
@@ -499,7 +493,7 @@ pub(crate) fn cannot_load(path: &Path, reason: &str) -> Error {
     } else {
         "is it a library for this system, and complete?"
     };
-    Error::new(ErrorKind::Plugin, what, hint)
+    Error::plugin(what, hint)
 }
 
 /// What to do about a mistake of a plugin.
@@ -507,7 +501,7 @@ pub(crate) const TELL_AUTHOR: &str = "this is a bug of the plugin; tell its auth
 
 /// A mistake of a plugin, which is named.
 pub(crate) fn plugins_bug(what: impl Into<String>) -> Error {
-    Error::new(ErrorKind::Plugin, what, TELL_AUTHOR)
+    Error::plugin(what, TELL_AUTHOR)
 }
 
 fn refused(path: &Path, what: &str) -> Error {

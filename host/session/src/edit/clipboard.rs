@@ -5,7 +5,7 @@ use crate::plugins::PluginRegistry;
 use crate::session_file::{LARGEST, SessionFile};
 use crate::session_writer::text;
 use crate::step::{Action, Deformation, Origin, ParamPlaces, Step};
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_plugin_api::ParamKind;
 use std::path::Path;
 
@@ -23,11 +23,7 @@ pub fn copied(steps: &[Step], plugins: &PluginRegistry) -> Result<String> {
     let copied = session.to_toml(Path::new(CLIPBOARD))?;
     if copied.len() as u64 > LARGEST {
         let what = format!("the steps are {} MB of text, more than a session can have", copied.len() >> 20);
-        return Err(Error::new(
-            ErrorKind::Argument,
-            what,
-            "save the session, and open it where it is needed",
-        ));
+        return Err(Error::argument(what, "save the session, and open it where it is needed"));
     }
     Ok(copied)
 }
@@ -42,11 +38,11 @@ pub fn pasted(text: &str, folder: &Path) -> Result<Vec<Step>> {
     if text.len() as u64 > LARGEST {
         let what =
             format!("what is on the clipboard is longer than a session can be: {} MB", text.len() >> 20);
-        return Err(Error::new(ErrorKind::Argument, what, hint));
+        return Err(Error::argument(what, hint));
     }
     let mut steps = SessionFile::parse(text, Path::new(CLIPBOARD))?.steps;
     if steps.is_empty() {
-        return Err(Error::new(ErrorKind::Argument, "there are no steps on the clipboard", hint));
+        return Err(Error::argument("there are no steps on the clipboard", hint));
     }
     for step in &mut steps {
         step.place.clear();

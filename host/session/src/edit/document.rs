@@ -8,7 +8,7 @@ use crate::step::{
     check_id, check_joints, check_motion, check_name,
 };
 use serde::{Deserialize, Serialize};
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use std::collections::VecDeque;
 use std::ops::Range;
 use std::sync::Arc;
@@ -189,7 +189,7 @@ pub struct Document {
 }
 
 fn refused(what: impl Into<String>, hint: &str) -> Error {
-    Error::new(ErrorKind::Argument, what, hint)
+    Error::argument(what, hint)
 }
 
 impl Document {

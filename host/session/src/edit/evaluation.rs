@@ -206,7 +206,7 @@ impl Evaluation {
         let (there, samples) = (positions.len(), self.sampled.samples.len());
         if there != samples {
             let what = format!("there are {there} positions of {samples} samples");
-            return Err(Error::new(ErrorKind::Mismatch, what, "give one for each sample"));
+            return Err(Error::mismatch(what, "give one for each sample"));
         }
         Ok(Self { start: Some(positions), beginning: None, ..self })
     }
@@ -509,5 +509,5 @@ fn with_shape<T>(sampled: &SampledModel, call: impl FnOnce(&RestShape<'_>) -> T)
 }
 
 fn no_deformation() -> Error {
-    Error::internal("the step deforms nothing", "report this")
+    Error::internal("the step deforms nothing")
 }

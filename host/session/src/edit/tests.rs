@@ -750,7 +750,7 @@ fn comments_of_the_file_stay_where_an_edit_is_saved() {
     let path = folder.path().join("edit.toml");
     editor(folder.path()).0.save(&path).unwrap();
     let text = std::fs::read_to_string(&path).unwrap();
-    std::fs::write(&path, format!("# For the catalogue.\n{text}")).unwrap();
+    simod_model::output::write_file(&path, format!("# For the catalogue.\n{text}").as_bytes()).unwrap();
     let (mut editor, _) = open_session(SessionFile::load(&path).unwrap(), &path);
     let steps = editor.document().steps().len();
     editor.document_mut().apply(Command::Add { at: steps, step: Box::new(step("")) }).unwrap();

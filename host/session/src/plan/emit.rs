@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 
 use super::units::{FINISHED, Stage, Unit};
 
@@ -42,7 +42,7 @@ pub fn emit(units: &[Unit], how: Emit, folder: &Path) -> Result<(&'static str, S
 
 fn no_text(path: &Path) -> Error {
     let what = format!("{} is no name that a script can hold", path.display());
-    Error::new(ErrorKind::Argument, what, "give it a name in UTF-8")
+    Error::argument(what, "give it a name in UTF-8")
 }
 
 /// A word for the shell.

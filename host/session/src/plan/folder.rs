@@ -7,7 +7,7 @@ use serde::Serialize;
 use simod_core::reconstruction::abort_object;
 use simod_model::object::is_object;
 use simod_model::output_folder::OutputFolder;
-use simod_model::{Error, ErrorKind, Progress, Result, input, output};
+use simod_model::{Error, Progress, Result, input, output};
 
 use super::emit::{Emit, emit};
 use super::graph::{
@@ -20,7 +20,7 @@ use super::units::{FINISHED, PLAN, Unit};
 pub fn check_target(folder: &Path) -> Result<()> {
     let refused = |what: String| {
         let hint = "give the name of a new folder, or of a plan to replace";
-        Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))
+        Err(Error::argument(format!("{} {what}", folder.display()), hint))
     };
     if folder.symlink_metadata().is_err() {
         return Ok(());
@@ -80,8 +80,7 @@ pub fn put<P: Serialize>(
     engines: &[Emit],
     progress: &dyn Progress,
 ) -> Result<()> {
-    let described = toml::to_string(plan)
-        .map_err(|e| Error::internal(format!("cannot describe the plan: {e}"), "report this").because(e))?;
+    let described = toml::to_string(plan).map_err(|e| Error::unwritable("the plan", e))?;
     let named = |e: Error| new.named(e);
     output::write_file(&new.path().join(PLAN), described.as_bytes()).map_err(named)?;
     for how in engines {
@@ -119,8 +118,7 @@ pub fn text(path: PathBuf) -> Result<PathBuf> {
     if path.to_str().is_some_and(plain) {
         return Ok(path);
     }
-    Err(Error::new(
-        ErrorKind::Argument,
+    Err(Error::argument(
         format!("{} is no name that a plan can hold", path.display()),
         "give it a name without control characters, in UTF-8",
     ))

@@ -12,7 +12,7 @@ use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_folder, canonical_target, folder_of};
-use simod_model::{Cache, Division, Error, ErrorKind, Model, ModelName, Normals, Progress, Result};
+use simod_model::{Cache, Division, Error, Model, ModelName, Normals, Progress, Result};
 
 use super::emit::Emit;
 use super::folder::{absolute, check_target, put, text};
@@ -76,7 +76,7 @@ pub fn make(
     };
     if folder.canonicalize().is_ok_and(|folder| output.starts_with(folder)) {
         let what = format!("{} lies in the plan's folder, which is replaced", output.display());
-        return Err(Error::new(ErrorKind::Argument, what, "write it to another folder"));
+        return Err(Error::argument(what, "write it to another folder"));
     }
     let new = OutputFolder::create(folder)?;
     let cache = &Arc::new(Cache::nameless(folder_of(folder)));

@@ -90,7 +90,7 @@ pub fn do_unit(
         Stage::Apply => work.apply(),
         Stage::Finish => work.finish(),
         Stage::Write => work.write(),
-        Stage::Method | Stage::Page => Err(Error::internal("no session has such a unit", "report this")),
+        Stage::Method | Stage::Page => Err(Error::internal("no session has such a unit")),
     }
 }
 
@@ -263,9 +263,7 @@ impl UnitRun<'_> {
         }
         if let Some(known) = turning_gradients(&sampled, &stack, &*model, self.progress)? {
             let bytes = postcard::to_allocvec(&known.iter().map(Mat3::to_cols_array).collect::<Vec<_>>());
-            let bytes = bytes.map_err(|e| {
-                Error::internal(format!("the gradients cannot be written: {e}"), "report this").because(e)
-            })?;
+            let bytes = bytes.map_err(|e| Error::unwritable("the gradients", e))?;
             output::write_file(&self.path(GRADIENTS), &sealed(bytes))?;
         }
         self.begin_upload(&*model)?;
@@ -300,7 +298,7 @@ impl UnitRun<'_> {
 
     /// Begins the upload that units will send their parts by, if they will.
     fn begin_upload(&self, model: &dyn Model) -> Result<()> {
-        let (_, normals) = self.plan.recorded().map_err(|e| Error::internal(e, "report this"))?;
+        let (_, normals) = self.plan.recorded().map_err(Error::internal)?;
         let is_divided = self.plan.units().iter().any(|unit| unit.stage == Stage::Apply);
         let is_in_place = is_divided && model.division(normals).is_some_and(|division| division.in_place);
         if is_in_place
@@ -401,8 +399,7 @@ impl UnitRun<'_> {
     }
 
     fn changed(&self, path: &Path) -> Error {
-        Error::new(
-            ErrorKind::Mismatch,
+        Error::mismatch(
             format!("{} changed since the plan was made", path.display()),
             "make the plan again: `simod plan`",
         )
@@ -416,7 +413,7 @@ impl UnitRun<'_> {
         let mut model = sampled.open_source(None, self.progress)?;
         model.follow(&self.plan.follow())?;
         let gradients = self.gradients(sampled.samples.len())?;
-        let known = self.plan.recorded().map_err(|e| Error::internal(e, "report this"))?;
+        let known = self.plan.recorded().map_err(Error::internal)?;
         let mut edit = Edit { sampled, model, deformed, gradients, method: known.0, normals: known.1 };
         if self.unit.stage != Stage::Write {
             self.choose_offset(&mut edit)?;
@@ -440,8 +437,7 @@ impl UnitRun<'_> {
         let bytes = input::read(&path, LONGEST)?;
         let known = unsealed(&bytes).and_then(|bytes| postcard::from_bytes::<Vec<[f32; 9]>>(bytes).ok());
         let known = known.filter(|known| known.len() == samples).ok_or_else(|| {
-            Error::new(
-                ErrorKind::Format,
+            Error::format(
                 format!("{} is damaged", path.display()),
                 format!("remove {DEFORMED} beside it, and do the unit again that wrote both"),
             )

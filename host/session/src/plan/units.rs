@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use simod_model::{Error, ErrorKind, Result, input};
+use simod_model::{Error, Result, input};
 
 /// The plan itself.
 pub const PLAN: &str = "plan.toml";
@@ -136,11 +136,10 @@ pub fn read<P: Planned>(folder: &Path) -> Result<P> {
     let file = folder.join(PLAN);
     let wrong = |what: String| {
         let hint = format!("make it again: `{}`", P::COMMAND);
-        Error::new(ErrorKind::Format, format!("{}: {what}", file.display()), hint)
+        Error::format(format!("{}: {what}", file.display()), hint)
     };
     if !file.exists() {
-        return Err(Error::new(
-            ErrorKind::Argument,
+        return Err(Error::argument(
             format!("{} is no plan: it has no {PLAN}", folder.display()),
             "give the folder that `simod plan` wrote",
         ));
@@ -152,8 +151,7 @@ pub fn read<P: Planned>(folder: &Path) -> Result<P> {
         return Err(wrong(format!("format is {format:?}, not {:?}", P::FORMAT)));
     }
     if program != env!("CARGO_PKG_VERSION") {
-        return Err(Error::new(
-            ErrorKind::Mismatch,
+        return Err(Error::mismatch(
             format!(
                 "{} was made by version {program} of the program, and this is {}",
                 file.display(),
@@ -170,8 +168,7 @@ pub fn read<P: Planned>(folder: &Path) -> Result<P> {
 pub fn unit_of<'a>(units: &'a [Unit], (folder, number): (&Path, usize)) -> Result<&'a Unit> {
     units.get(number).ok_or_else(|| {
         let last = units.len().saturating_sub(1);
-        Error::new(
-            ErrorKind::Argument,
+        Error::argument(
             format!("{} has no unit {number}", folder.display()),
             format!("its units are 0 to {last}: see plan.toml there"),
         )
@@ -186,8 +183,7 @@ pub fn check_before(units: &[Unit], unit: &Unit, folder: &Path) -> Result<()> {
         .map(|before| &units[*before])
         .find(|before| !folder.join(&before.writes).is_file())
     {
-        Some(Unit { number, stage, .. }) => Err(Error::new(
-            ErrorKind::Argument,
+        Some(Unit { number, stage, .. }) => Err(Error::argument(
             format!("unit {number} ({}) has to be done before unit {}", stage.name(), unit.number),
             format!("do it first: `simod unit {} {number}`", folder.display()),
         )),

@@ -6,7 +6,7 @@ use object::read::macho::{FatArch, MachOFatFile32, MachOFatFile64};
 use object::{
     Architecture, BinaryFormat, File, FileKind, Object, ObjectSegment, ObjectSymbol, ReadCache, ReadRef,
 };
-use simod_model::{Error, ErrorKind, Result, input};
+use simod_model::{Error, Result, input};
 use std::path::Path;
 
 /// How a plugin is to be called.
@@ -48,7 +48,7 @@ pub(super) fn kind(path: &Path) -> Result<Kind> {
             Some((_, Some(kind))) => return Ok(kind),
         },
     };
-    Err(Error::new(ErrorKind::Plugin, format!("{} {what}", path.display()), hint))
+    Err(Error::plugin(format!("{} {what}", path.display()), hint))
 }
 
 /// Whether a plugin in Rust was built with `panic = "abort"`; nothing where that cannot be told.

@@ -6,7 +6,7 @@ use crate::deformer::{
     RustCode, cannot_load, load_whole,
 };
 use abi_stable::library::{LibraryError, RootModule, lib_header_from_path};
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_plugin_api::{
     DeformInput, Descriptor, HostCalls, PluginError, PluginModRef, PluginResult, PrepareInput, Scratch,
     Setting, State,
@@ -177,5 +177,5 @@ fn explain(path: &Path, error: &LibraryError, theirs: Option<&str>) -> Error {
             (format!("{file} failed to start"), crate::deformer::TELL_AUTHOR.to_owned())
         }
     };
-    Error::new(ErrorKind::Plugin, what, hint)
+    Error::plugin(what, hint)
 }

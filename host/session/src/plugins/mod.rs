@@ -18,7 +18,7 @@ use load::LazyCode;
 pub(crate) use load::load_code;
 use semver::Version;
 use simod_model::progress::Silent;
-use simod_model::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, Progress, Result};
 use std::cmp::Ordering;
 use std::collections::HashMap;
 use std::env::consts::{DLL_EXTENSION, DLL_PREFIX};
@@ -411,11 +411,7 @@ impl PluginRegistry {
         self.plugins.iter().find(|p| p.id() == id).ok_or_else(|| {
             // Perhaps it is there, and was not loaded: then that is what to tell.
             if let Some(Rejected { error, .. }) = self.rejected.iter().find(|r| is_named(&r.path, id)) {
-                return Error::new(
-                    ErrorKind::Plugin,
-                    format!("there is no plugin `{id}`: {error}"),
-                    error.hint(),
-                );
+                return Error::plugin(format!("there is no plugin `{id}`: {error}"), error.hint());
             }
             let ids = self.plugins.iter().map(|p| p.id());
             let hint = match nearest(id, ids.clone()) {
@@ -425,7 +421,7 @@ impl PluginRegistry {
                 }
                 None => format!("there are {}", ids.collect::<Vec<_>>().join(", ")),
             };
-            Error::new(ErrorKind::Plugin, format!("there is no plugin `{id}`"), hint)
+            Error::plugin(format!("there is no plugin `{id}`"), hint)
         })
     }
 }

@@ -173,7 +173,7 @@ struct LocalStroke {
 }
 
 fn argument(what: String, hint: impl Into<String>) -> Error {
-    Error::new(ErrorKind::Argument, what, hint)
+    Error::argument(what, hint)
 }
 
 impl Layer {
@@ -405,7 +405,7 @@ impl Layer {
         }
         if rest.normals.is_empty() {
             let what = format!("plugin {} needs normals, and the samples have none", self.plugin.id());
-            return Err(Error::new(ErrorKind::Mismatch, what, "sample the model with normals"));
+            return Err(Error::mismatch(what, "sample the model with normals"));
         }
         let Some(renormal) = shape.renormal.filter(|_| !rest.normals_fit) else { return Ok(rest.clone()) };
         let normals: Arc<[Vec3]> = renormal(&rest.positions).into();
@@ -554,7 +554,7 @@ impl Layer {
         let rest = &preparation.rest;
         // Written where it stays.
         let mut images: Arc<[Vec3]> = repeat_n(Vec3::NAN, rest.positions.len()).collect();
-        let shared = || Error::internal("what was just made has another owner", "report this");
+        let shared = || Error::internal("what was just made has another owner");
         let out = Arc::get_mut(&mut images).ok_or_else(shared)?;
         let mut slot = preparation.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         // Out of its place, where it does not come back after a failure.

@@ -74,7 +74,7 @@ impl Rest {
 /// Lists of samples that do not fit together.
 pub(crate) fn not_one_per_sample(what: &str) -> Error {
     let what = format!("there is not one {what} per sample");
-    Error::new(ErrorKind::Mismatch, what, "sample the model again")
+    Error::mismatch(what, "sample the model again")
 }
 
 impl RestShape<'_> {
@@ -101,7 +101,7 @@ impl RestShape<'_> {
         let count = self.positions.len();
         if count == 0 {
             let hint = "sample the model more finely";
-            return Err(Error::new(ErrorKind::Degenerate, "there are no samples to deform", hint));
+            return Err(Error::degenerate("there are no samples to deform", hint));
         }
         if ![0, count].contains(&self.normals.len()) {
             return Err(not_one_per_sample("normal"));
@@ -112,7 +112,7 @@ impl RestShape<'_> {
         let finite = self.positions.par_iter().all(|p| p.is_finite());
         if !(finite && self.frame.is_valid() && self.bounds.min.is_finite() && self.bounds.max.is_finite()) {
             let what = "a sample, the frame or the bounding box is not finite";
-            return Err(Error::new(ErrorKind::Degenerate, what, "sample the model again"));
+            return Err(Error::degenerate(what, "sample the model again"));
         }
         Ok(())
     }

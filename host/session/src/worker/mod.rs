@@ -13,7 +13,7 @@ use crate::child::{Ended, Tail, describe, ran_out_of_memory};
 use crate::deformer::{About, Capabilities, Code, Migration, OwnHandles};
 use arena::{Arena, ControlMap, Range};
 use protocol::{InputRecord, MotionRecord, Refusal, Reply, Request, SettingRecord, Slice};
-use simod_model::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, Progress, Result};
 use simod_plugin_api::{
     DeformInput, Descriptor, ErrorCode, HostCalls, LogLevel, PluginError, PluginResult, PrepareInput,
     Scratch, Setting, State,
@@ -408,11 +408,7 @@ impl Worker {
     fn start(library: &Path, options: &Arc<WorkerOptions>, calls: &dyn HostCalls) -> Result<(Self, About)> {
         let refused = |e: std::io::Error| {
             let what = format!("cannot start a process for the plugin {}: {e}", library.display());
-            Error::new(
-                ErrorKind::Io,
-                what,
-                "check the limits on processes and memory, or use `--isolate never`",
-            )
+            Error::system(what, "check the limits on processes and memory, or use `--isolate never`")
         };
         let (mut socket, theirs) = UnixStream::pair().map_err(refused)?;
         let arena = Arena::create().map_err(refused)?;
@@ -455,13 +451,13 @@ impl Worker {
         let loaded = this.wait(&lock(&this.link), calls, options.silence, Duration::ZERO);
         match loaded {
             Ok(Reply::Loaded(Ok(about))) => Ok((this, *about)),
-            Ok(Reply::Loaded(Err(Refusal { what, hint }))) => Err(Error::new(ErrorKind::Plugin, what, hint)),
+            Ok(Reply::Loaded(Err(Refusal { what, hint }))) => Err(Error::plugin(what, hint)),
             Ok(_) => Err(refused(std::io::Error::other("it says what it was not asked"))),
             Err(End::Deaf) => Err(Error::cancelled()),
             Err(end) => {
                 let error = end.explain("loading", options.memory);
                 let what = format!("{}: {}", library.display(), error.message);
-                Err(Error::new(ErrorKind::Plugin, what, error.hint.as_str()))
+                Err(Error::plugin(what, error.hint.as_str()))
             }
         }
     }

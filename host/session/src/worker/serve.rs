@@ -9,7 +9,7 @@ use crate::deformer::{Care, Code, Plugin};
 use crate::plugins::load_code;
 use memmap2::Mmap;
 use rayon::prelude::*;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_plugin_api::{
     HostCalls, LogLevel, PluginError, PluginResult, PrepareInput, Scratch, Setting, State,
 };
@@ -34,7 +34,7 @@ pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
     end_with(parent);
     let refused = |e: std::io::Error| {
         let what = format!("this command is for the program itself: {e}");
-        Error::new(ErrorKind::Argument, what, "see `simod help` for the others")
+        Error::argument(what, "see `simod help` for the others")
     };
     let socket = UnixStream::from(std::io::stdin().as_fd().try_clone_to_owned().map_err(refused)?);
     let shared =

@@ -6,7 +6,7 @@ use glam::Vec3;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_core::refinement::appended_deformed;
 use simod_core::sampled_model::SampledModel;
-use simod_model::{Error, Progress, Result};
+use simod_model::{Progress, Result};
 use simod_plugin_api::Effort;
 use simod_session::PluginRegistry;
 use simod_session::edit::Evaluation;
@@ -31,7 +31,7 @@ impl Comparing {
                 if self.whole
                     && let Some((_, error)) = evaluated.failure()
                 {
-                    return Err(Error::new(error.kind(), error.to_string(), error.hint()));
+                    return Err(error.clone());
                 }
                 let scene = Scene::new(evaluated, &evaluation, Effort::FULL, *revision, &Arc::default());
                 Arc::new(if self.measure { scene.measured() } else { scene })

@@ -216,7 +216,7 @@ impl Engine {
             let left = end.saturating_duration_since(Instant::now());
             if left.is_zero() {
                 let what = format!("what was asked for has not come in {} s", longest.as_secs());
-                return Err(Error::internal(what, "save the session, and report this"));
+                return Err(Error::internal(what).hinting("save the session, and report this"));
             }
             if running.events == 0 {
                 drop(self.shared.changed.wait_timeout(inner, left));

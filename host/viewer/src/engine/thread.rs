@@ -94,7 +94,7 @@ pub(super) fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
         let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
         let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
         let what = format!("a mistake in the program: {text}");
-        Err(Error::internal(what, "save the session, and report this"))
+        Err(Error::internal(what).hinting("save the session, and report this"))
     })
 }
 
@@ -243,7 +243,7 @@ fn with_extra(scene: Scene, extra: &Extra, progress: &dyn Progress) -> Result<Sc
 }
 
 fn nothing_open() -> Error {
-    Error::new(ErrorKind::Argument, "no model is open", "open one")
+    Error::argument("no model is open", "open one")
 }
 
 fn event(job: Job, result: Result<Event>) -> Event {

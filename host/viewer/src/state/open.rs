@@ -2,7 +2,7 @@
 
 use crate::scene::Scene;
 use crate::selection::Adjacency;
-use simod_model::{Error, ErrorKind};
+use simod_model::Error;
 use simod_session::edit::{Editor, Entry};
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ impl Open {
 
 /// A command that makes no sense.
 pub(super) fn refused(what: impl Into<String>, hint: &str) -> Error {
-    Error::new(ErrorKind::Argument, what, hint)
+    Error::argument(what, hint)
 }
 
 /// A command that needs a model.

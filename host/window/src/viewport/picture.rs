@@ -372,6 +372,6 @@ impl Drawing {
 /// What is shown where the card does not take what there is.
 fn failed(error: simod_scene::BadSurface, rect: Rect, window: &mut Window) -> Shape {
     let hint = "save the session, and report this";
-    window.toasts.error(&simod_model::Error::internal(error.to_string(), hint));
+    window.toasts.error(&simod_model::Error::internal(error.to_string()).hinting(hint));
     background(rect, window.settings.theme)
 }

@@ -435,7 +435,7 @@ impl Window {
     pub fn open_now(&mut self, path: PathBuf, sampling: Sampling, recover: bool) {
         if !path.exists() {
             let what = format!("there is no file {}", path.display());
-            self.toasts.error(&Error::new(ErrorKind::Io, what, "check the path, or choose another file"));
+            self.toasts.error(&Error::system(what, "check the path, or choose another file"));
             self.settings.forget(&path);
             self.keep_settings();
             return;

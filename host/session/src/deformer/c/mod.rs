@@ -12,7 +12,7 @@ mod read;
 use super::{Capabilities, Code, Migration, OwnHandles, cannot_load, limits, line};
 use give::{with_deform_input, with_prepare_input, with_settings};
 use libloading::Library;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Error, Result};
 use simod_plugin_api::c::{
     SIMOD_INTERFACE_MAJOR, SIMOD_INTERFACE_MINOR, SIMOD_OK, SimodDeformInput, SimodEvaluate, SimodFaceList,
     SimodHandleDesc, SimodHandleFaces, SimodHandleList, SimodHandles, SimodHost, SimodIsIdentity,
@@ -127,9 +127,8 @@ impl CCode {
     /// What the pointer points to, if it is good, begins like a `SimodPlugin` as far as its version says so,
     /// and stays.
     unsafe fn new(table: *const SimodPlugin, path: &Path) -> Result<Self> {
-        let refused = |what: &str, hint: &str| {
-            Err(Error::new(ErrorKind::Plugin, format!("{}: {what}", path.display()), hint))
-        };
+        let refused =
+            |what: &str, hint: &str| Err(Error::plugin(format!("{}: {what}", path.display()), hint));
         let bug = crate::deformer::TELL_AUTHOR;
         if table.is_null() || !table.is_aligned() {
             return refused("simod_plugin_entry is no table", bug);
@@ -158,7 +157,7 @@ impl CCode {
         };
         let missing = |id: &CStr| {
             let what = format!("it offers {} without the function", id.to_string_lossy());
-            Error::new(ErrorKind::Plugin, format!("{}: {what}", path.display()), bug)
+            Error::plugin(format!("{}: {what}", path.display()), bug)
         };
         // SAFETY: the header says which struct has which id.
         let (evaluate, handles, handle_faces, is_identity, migration) = unsafe {
@@ -181,7 +180,7 @@ impl CCode {
                 .map(|e| e.is_identity.ok_or_else(|| missing(c"simod.is-identity/1")))
                 .transpose()?,
             migration: migration.transpose().map_err(|e: PluginError| {
-                Error::new(ErrorKind::Plugin, format!("{}: {}", path.display(), line(&e.message)), bug)
+                Error::plugin(format!("{}: {}", path.display(), line(&e.message)), bug)
             })?,
             describe,
             deform,
