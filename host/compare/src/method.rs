@@ -6,7 +6,7 @@ use crate::file::{Command, CompareFile, Method, Work};
 use crate::record::{Figures, MethodRecord, ResultFile, RunSeconds, Seconds, StepRecord, words};
 use glam::Vec3;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
-use simod_core::reconstruction::{ExpectedError, FoundGeometry, Reconstruction, Version, reconstruct};
+use simod_core::reconstruction::{ExpectedError, Reconstruction, RestGeometry, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::Skip;
 use simod_model::memory::MemoryWatch;
@@ -47,7 +47,6 @@ struct Taken {
 
 /// What reconstructions have to know of samples at rest, and what that took.
 struct Found {
-    geometry: FoundGeometry,
     seconds: f64,
     processor: Option<f64>,
 }
@@ -55,8 +54,8 @@ struct Found {
 impl Found {
     fn new(sampled: &SampledModel) -> Self {
         let (start, processor) = (Instant::now(), processor::seconds());
-        let geometry = FoundGeometry::new(&sampled.samples);
-        Self { geometry, seconds: start.elapsed().as_secs_f64(), processor: since(processor) }
+        RestGeometry::new(&sampled.samples).prepare();
+        Self { seconds: start.elapsed().as_secs_f64(), processor: since(processor) }
     }
 }
 
@@ -387,9 +386,7 @@ impl<'a> Bench<'a> {
         let method = known.method.reconstruction;
         // As one part: nobody goes on with what a comparison left, and its hash comes about by the way.
         let part_bytes = u64::MAX;
-        let geometry = found.map(|found| &found.geometry);
-        let how =
-            Reconstruction { method, gradients, part_bytes, found: geometry, ..Reconstruction::default() };
+        let how = Reconstruction { method, gradients, part_bytes, ..Reconstruction::default() };
         let done = reconstruct(sampled, source.as_ref(), &versions, &how, progress)?;
         let part = 1.0 / all.len() as f64;
         let (seconds, used) =

@@ -202,10 +202,11 @@ impl UnitRun<'_> {
 fn tidy(plan: &ComparisonPlan, folder: &Path) {
     for unit in plan.units() {
         match unit.stage {
-            Stage::Sample => drop(Claim::folder(&folder.join(sampled_folder(unit.part())))),
+            Stage::Sample => Claim::tidy(&folder.join(sampled_folder(unit.part()))),
             Stage::Method => {
                 let method = folder.join(method_folder(unit.part()));
-                drop((std::fs::remove_dir_all(&method), Claim::folder(&method)));
+                let _ = std::fs::remove_dir_all(&method);
+                Claim::tidy(&method);
             }
             _ => {}
         }

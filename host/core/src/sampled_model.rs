@@ -354,6 +354,94 @@ struct FrameRecord {
     max: DVec3,
 }
 
+impl Description {
+    /// The file of a folder.
+    ///
+    /// # Errors
+    /// There is none, it is damaged, or of a version that is not known.
+    fn read(folder: &Path) -> Result<Self> {
+        let file = folder.join(DESCRIPTION);
+        if !file.exists() {
+            return Err(Error::argument(
+                format!("{} is no sampled model: it has no {DESCRIPTION}", folder.display()),
+                "give the folder that `simod sample` wrote",
+            ));
+        }
+        let text = input::read_text(&file, LONGEST_DESCRIPTION)?;
+        let description: Self =
+            toml::from_str(&text).map_err(|e| damaged(folder, &e.message().replace('\n', " ")))?;
+        if description.format != FORMAT {
+            let what = format!("format is {:?}, not {FORMAT:?}", description.format);
+            return Err(damaged(folder, &what));
+        }
+        let FrameRecord { origin, scale, min, max } = description.frame;
+        if !(min.is_finite() && max.is_finite() && Frame { origin, scale }.is_valid()) {
+            return Err(damaged(folder, "the frame is not finite"));
+        }
+        Ok(description)
+    }
+
+    fn position_type(&self, folder: &Path) -> Result<Scalar> {
+        match self.position_type.as_str() {
+            "float" => Ok(Scalar::F32),
+            "double" => Ok(Scalar::F64),
+            other => {
+                Err(damaged(folder, &format!("position-type is {other:?}, not \"float\" or \"double\"")))
+            }
+        }
+    }
+
+    /// The samples that are described, from their file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or holds others.
+    fn samples(&self, path: &Path) -> Result<Samples> {
+        if file_fingerprint(path)? != self.samples_fingerprint {
+            return Err(Error::mismatch(
+                format!("{} is not what was sampled any more", path.display()),
+                "deformed samples go to another file: sample the model again",
+            ));
+        }
+        let samples = Samples::read(path)?;
+        let count = samples.positions.len();
+        if count as u64 != self.samples {
+            return Err(Error::mismatch(
+                format!(
+                    "{} has {count} vertices, but {DESCRIPTION} says {} samples",
+                    path.display(),
+                    self.samples
+                ),
+                "the samples were replaced: sample the model again, and write deformed samples to another file",
+            ));
+        }
+        Ok(samples)
+    }
+}
+
+fn damaged(folder: &Path, what: &str) -> Error {
+    Error::format(
+        format!("{}: {what}", folder.join(DESCRIPTION).display()),
+        "it is damaged, or of another version of SIMOD: sample the model again",
+    )
+}
+
+impl SamplingRecord {
+    /// As it was asked for, without what was left out.
+    fn options(&self, skip: Skip) -> Sampling {
+        Sampling {
+            target: self.target,
+            grid: self.grid,
+            memory_limit: None,
+            splitting: self.splitting,
+            by: self.by,
+            grouping: self.group_level.map_or(Grouping::Never, Grouping::Level),
+            placement: self.placement.unwrap_or(Placement::Vertices),
+            min_opacity: self.min_opacity,
+            skip,
+        }
+    }
+}
+
 impl SampledModel {
     /// Completes the samples, whose positions are rounded to what `samples.ply` will hold, so that working in
     /// memory and through the folder give the same bytes.
@@ -598,92 +686,42 @@ impl SampledModel {
     /// # Errors
     /// The folder is no sampled model, is of a version that is not known, or its files do not fit each other.
     pub fn load(folder: &Path) -> Result<Self> {
-        let file = folder.join(DESCRIPTION);
-        if !file.exists() {
-            return Err(Error::argument(
-                format!("{} is no sampled model: it has no {DESCRIPTION}", folder.display()),
-                "give the folder that `simod sample` wrote",
-            ));
-        }
-        let text = input::read_text(&file, LONGEST_DESCRIPTION)?;
-        let damaged = |what: String| {
-            Error::format(
-                format!("{}: {what}", file.display()),
-                "it is damaged, or of another version of SIMOD: sample the model again",
-            )
-        };
-        let description: Description =
-            toml::from_str(&text).map_err(|e| damaged(e.message().replace('\n', " ")))?;
-        if description.format != FORMAT {
-            return Err(damaged(format!("format is {:?}, not {FORMAT:?}", description.format)));
-        }
+        let description = Description::read(folder)?;
         let FrameRecord { origin, scale, min, max } = description.frame;
         let (bounds, frame) = (Bounds { min, max }, Frame { origin, scale });
-        if !(min.is_finite() && max.is_finite() && frame.is_valid()) {
-            return Err(damaged("the frame is not finite".to_owned()));
-        }
-        let position_type = match description.position_type.as_str() {
-            "float" => Scalar::F32,
-            "double" => Scalar::F64,
-            other => return Err(damaged(format!("position-type is {other:?}, not \"float\" or \"double\""))),
-        };
-        let samples = folder.join(SAMPLES);
-        if file_fingerprint(&samples)? != description.samples_fingerprint {
-            return Err(Error::mismatch(
-                format!("{} is not what was sampled any more", samples.display()),
-                "deformed samples go to another file: sample the model again",
-            ));
-        }
-        let Samples { positions, normals, colors, triangles } = Samples::read(&samples)?;
-        if positions.len() as u64 != description.samples {
-            return Err(Error::mismatch(
-                format!(
-                    "{} has {} vertices, but simod.toml says {} samples",
-                    samples.display(),
-                    positions.len(),
-                    description.samples
-                ),
-                "the samples were replaced: sample the model again, and write deformed samples to another file",
-            ));
-        }
+        let position_type = description.position_type(folder)?;
+        let path = folder.join(SAMPLES);
+        let Samples { positions, normals, colors, triangles } = description.samples(&path)?;
         let local = positions.iter().map(|p| frame.to_local(*p)).collect();
-        let mut set = SampleSet::new(local, normals).map_err(|e| {
-            let what = format!("{}: {e}", samples.display());
+        let mut samples = SampleSet::new(local, normals).map_err(|e| {
+            let what = format!("{}: {e}", path.display());
             e.saying(what)
         })?;
-        set.set_contacts(Contacts::load(&folder.join(SHEETS), &description.samples_fingerprint, set.len())?);
+        let fingerprint = description.samples_fingerprint;
+        samples.set_contacts(Contacts::load(&folder.join(SHEETS), &fingerprint, samples.len())?);
+        let skip = Skip {
+            normals: samples.known_normals().is_empty(),
+            sheets: samples.contacts().is_none(),
+            colors: colors.is_empty(),
+            ..Skip::default()
+        };
         Ok(Self {
             source: description.model.seen_from(folder),
-            sampling: Sampling {
-                target: description.sampling.target,
-                grid: description.sampling.grid,
-                memory_limit: None,
-                splitting: description.sampling.splitting,
-                by: description.sampling.by,
-                grouping: description.sampling.group_level.map_or(Grouping::Never, Grouping::Level),
-                placement: description.sampling.placement.unwrap_or(Placement::Vertices),
-                min_opacity: description.sampling.min_opacity,
-                skip: Skip {
-                    normals: set.known_normals().is_empty(),
-                    sheets: set.contacts().is_none(),
-                    colors: colors.is_empty(),
-                    ..Skip::default()
-                },
-            },
             cells: description.sampling.cells,
             cell_size: description.sampling.cell_size,
+            group_piece: description.sampling.group_piece.unwrap_or(u64::MAX),
+            sampling: description.sampling.options(skip),
             bounds,
             frame,
             position_type,
-            samples: set,
+            samples,
             colors,
             refinements: description.refinement,
             triangles,
             faces_without_vertex: 0,
             tangled_faces: false,
-            group_piece: description.sampling.group_piece.unwrap_or(u64::MAX),
             kept: None,
-            folder: Some((folder.to_owned(), description.samples_fingerprint)),
+            folder: Some((folder.to_owned(), fingerprint)),
             attributes: OnceLock::new(),
             cache: Arc::new(Cache::in_folder(&folder.join(CACHE))),
         })

@@ -12,7 +12,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_generate::{Encoding, ModelOptions, write_file};
 use simod_model::progress::Silent;
-use simod_model::{FaceChunk, Progress, VertexChunk, output};
+use simod_model::{FaceChunk, Model, Progress, VertexChunk, output};
 use simod_tests::damage::{damage, damaged, runner};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
@@ -40,6 +40,7 @@ impl Good {
         bind(&sampled, &*model, &at("m.simod/binding.bin"), &Silent).expect("a binding");
         let folder_again = SampledModel::load(&at("m.simod")).expect("a folder");
         assert!(folder_again.attributes(None, &Silent).expect("attributes").get("red").is_some());
+        moved(&folder_again, &*model, &at("out.ply"), &Reconstruction::default()).expect("a reconstruction");
         Self { folder, sampled }
     }
 
@@ -60,11 +61,10 @@ impl Good {
             let samples = sampled.samples.len();
             assert!(attributes.all().iter().all(|of| of.values.len() == samples));
         }
-        let deformed = sampled.samples.positions.clone();
-        let version = Version { deformed: &deformed, output: &at("out.ply"), diagnostics: None };
+        let _ = moved(&sampled, &*model, &at("out.ply"), &Reconstruction::default());
         let binding = at("m.simod/binding.bin");
         let how = Reconstruction { binding: Some(&binding), ..Reconstruction::default() };
-        let _ = reconstruct(&sampled, &*model, &[version], &how, &Silent);
+        let _ = moved(&sampled, &*model, &at("out.ply"), &how);
         if let Some(cells) = SampledModel::kept_cells(&at("m.simod")) {
             sampled.hold_cells(cells);
             let how = Refining { finer: Finer::Factor(2.0), memory_limit: None, shapes: Vec::new() };
@@ -73,6 +73,18 @@ impl Good {
             let _ = refine(&sampled, &*model, selection, &how, self.folder.path(), &Silent);
         }
     }
+}
+
+/// The model with its samples moved, unevenly.
+fn moved(
+    sampled: &SampledModel,
+    model: &dyn Model,
+    output: &Path,
+    how: &Reconstruction<'_>,
+) -> simod_model::Result<()> {
+    let deformed: Vec<_> = sampled.samples.positions.iter().map(|p| *p * (1.0 + p.y)).collect();
+    let version = Version { deformed: &deformed, output, diagnostics: None };
+    reconstruct(sampled, model, &[version], how, &Silent).map(drop)
 }
 
 fn read_all(path: &Path) {
@@ -115,7 +127,8 @@ fn damaged_models_do_no_harm() {
 #[test]
 fn damaged_folders_do_no_harm() {
     let good = Good::new(Encoding::BinaryLittleEndian);
-    let names = ["simod.toml", "samples.ply", "cells.bin", "binding.bin", "sheets.bin", "attributes.bin"];
+    let names =
+        ["simod.toml", "samples.ply", "cells.bin", "binding.bin", "sheets.bin", "attributes.bin", "rest.bin"];
     let kept: Vec<(String, Vec<u8>)> = names
         .iter()
         .map(|name| format!("m.simod/{name}"))
@@ -133,7 +146,7 @@ fn damaged_folders_do_no_harm() {
                     let hash = |bytes: &[u8]| format!("xxh3-128:{:032x}", xxh3_128(bytes));
                     good.put(&kept[0].0, text.replace(&hash(bytes), &hash(&spoilt)).as_bytes());
                 }
-                "cells.bin" | "sheets.bin" | "attributes.bin" if spoilt.len() > 16 => {
+                "cells.bin" | "sheets.bin" | "attributes.bin" | "rest.bin" if spoilt.len() > 16 => {
                     let end = spoilt.len() - 16;
                     let hash = xxh3_128(&spoilt[..end]).to_le_bytes();
                     spoilt[end..].copy_from_slice(&hash);

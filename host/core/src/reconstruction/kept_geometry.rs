@@ -75,16 +75,20 @@ struct Piece<'a> {
 }
 
 impl<'a> RestGeometry<'a> {
-    /// What is known of a model's samples at rest: as it was kept beside them, or found now.
+    /// What is known of a model's samples at rest: as somebody found it before, as it was kept beside them, or
+    /// found now.
     pub fn kept(sampled: &'a SampledModel) -> Self {
-        kept(sampled).unwrap_or_else(|| Self::new(&sampled.samples))
+        let held = Self::held(&sampled.samples).or_else(|| kept(sampled));
+        held.unwrap_or_else(|| Self::new(&sampled.samples))
     }
 }
 
 /// What was kept beside the samples, if it is there, whole, and of these.
 pub(super) fn kept(sampled: &SampledModel) -> Option<RestGeometry<'_>> {
     let samples = sampled.samples.len() as u64;
-    unpack(&sampled.samples, &sampled.read_beside(REST, LEAST + MOST * samples)?)
+    let around = unpack(&sampled.samples, &sampled.read_beside(REST, LEAST + MOST * samples)?)?;
+    around.set_kept();
+    Some(around)
 }
 
 /// Keeps it in the folder that the samples are from, if there is one, and as far as that can be written.
@@ -92,7 +96,9 @@ pub(super) fn kept(sampled: &SampledModel) -> Option<RestGeometry<'_>> {
 /// Memory: 90 bytes per sample, twice for a moment.
 pub(super) fn keep(sampled: &SampledModel, around: &RestGeometry<'_>) {
     // Nobody misses it.
-    let _ = sampled.keep_beside(REST, || pack(around));
+    if sampled.keep_beside(REST, || pack(around)).is_ok() {
+        around.set_kept();
+    }
 }
 
 /// Hash of all that is looked at where it is found.
@@ -212,7 +218,9 @@ pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeo
     let normals = normals.chunks_exact(3).map(Vec3::from_slice).collect();
     // At last, as whoever finds them anew otherwise shall not go by what was read.
     (samples.set_normals(normals) && samples.set_neighbours(sheets.graph().clone())).then_some(())?;
-    Some(RestGeometry::known(samples, sheets, supports).with_cells(cells))
+    let around = RestGeometry::known(samples, sheets, supports);
+    around.set_cells(cells);
+    Some(around)
 }
 
 /// Bytes four by four, if nothing is left over.

@@ -1,5 +1,7 @@
 //! What is kept of the samples at rest is what was found, and nothing else is taken for it.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use proptest::prelude::*;
 
@@ -88,6 +90,17 @@ fn what_was_kept_is_what_was_found() {
         let twice = [&points[..], &points[..]].concat();
         assert!(unpack(&set(&twice, &[]), &bytes).is_none());
     }
+}
+
+#[test]
+fn what_is_found_is_found_once() {
+    let mut samples = set(&plates(20, 2).0, &[]);
+    let supports = |samples: &SampleSet| RestGeometry::new(samples).supports.clone();
+    let first = supports(&samples);
+    assert!(Arc::ptr_eq(&first, &supports(&samples)));
+    // Who is on whose sheet is told otherwise from now on.
+    samples.set_contacts(None);
+    assert!(!Arc::ptr_eq(&first, &supports(&samples)));
 }
 
 /// Seals bytes again.

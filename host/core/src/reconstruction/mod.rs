@@ -74,7 +74,7 @@ use gradients::Gradients;
 pub(crate) use homes::RING as TANGENT_RING;
 pub use parts::{Part, Shared, abort_object, begin_object, join_parts, write_part};
 pub use reach::choose_offset;
-pub use rest_geometry::{FoundGeometry, RestGeometry};
+pub use rest_geometry::RestGeometry;
 use sheets::Sheets;
 pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, sheet_distance};
 pub use simod_model::Normals;

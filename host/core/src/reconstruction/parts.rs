@@ -202,76 +202,32 @@ pub fn join_parts(
     };
     let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
     let is_still = version.deformed.iter().map(bits).eq(sampled.samples.positions.iter().map(bits));
-    let rewrite = |only: PieceRange, to: &mut dyn Output| {
-        let rewriting = Rewriting { normals: how.normals, only: Some(only), ..Rewriting::default() };
-        model.rewrite(&mut [to], rewriting, &Nothing { is_still }, progress)
+    let joining = Joining {
+        sampled,
+        model,
+        paths: parts.iter().map(AsRef::as_ref).collect(),
+        output: version.output,
+        key: key(sampled, model, how, version.deformed)?,
+        first: vertices.start,
+        end: pieces,
+        normals: how.normals,
+        edit: Nothing { is_still },
+        progress,
     };
-    let before = PieceRange { first: 0, end: Some(vertices.start) };
-    let behind = PieceRange { first: pieces, end: None };
-    let paths: Vec<&Path> = parts.iter().map(AsRef::as_ref).collect();
-    let key = key(sampled, model, how, version.deformed)?;
-    let joining = Joining { key, first: vertices.start, end: pieces, output: version.output };
+    let targets = || checked_targets(model, std::slice::from_ref(version), how);
     let folding = match shared {
         Shared::File(folder) if !model.tiles().is_empty() => {
-            checked_targets(model, std::slice::from_ref(version), how)?;
-            join_tiles(&joining, &paths, sampled, model, folder, progress)?
+            targets()?;
+            joining.tiles(folder)?
         }
         Shared::File(shared) if in_place => {
-            checked_targets(model, std::slice::from_ref(version), how)?;
-            let found = joining.check(&paths, sampled, model, |_, _, _| Ok(()))?;
-            let is_short = !reaches(shared, found.end);
-            if is_short || has_holes(shared) {
-                // Killed when the output was in its place, and nobody had been told so: then there is no
-                // file, or one that a part has begun anew since, without the others.
-                match is_there(version.output, &paths, progress) {
-                    Ok(()) => {
-                        let _ = fs::remove_file(shared);
-                        // Who begins the output anew removes what the killed one has left beside it.
-                        drop(OutputFile::create(version.output, 0));
-                        return Ok(done(sampled, model, found.folding));
-                    }
-                    Err(e) if !shared.exists() => return Err(e),
-                    Err(_) if is_short => return Err(refused(shared, "is cut off: remove all parts")),
-                    Err(_) => is_there(shared, &paths, progress)?,
-                }
-            }
-            progress.begin("putting the parts together", 0);
-            let mut file = SharedFile::open(shared)?;
-            rewrite(before, &mut file)?;
-            // Nothing of the parts is written here: how far they reach is in their records.
-            let end = found.end.max(file.position());
-            if !reaches(shared, end) {
-                return Err(refused(shared, "is cut off: remove all parts"));
-            }
-            rewrite(behind, &mut Rest { to: &mut file, before: &found.summary })?;
-            file.sync(true)?;
-            progress.check()?;
-            file.become_output(version.output)?;
-            found.folding
+            targets()?;
+            joining.in_place(shared)?
         }
         _ => {
             check_targets(model, std::slice::from_ref(version), how)?;
             let sent = if let (Shared::Object(_, id), true) = (shared, in_place) { Some(id) } else { None };
-            let join = || -> Result<Found> {
-                let mut whole = Joined::create(version.output, sent, model.written_bytes())?;
-                progress.begin("putting the parts together", model.written_bytes());
-                rewrite(before, &mut whole)?;
-                let take = |path: &Path, part, record: &Record| whole.take(path, part, record, progress);
-                let found = joining.check(&paths, sampled, model, take)?;
-                rewrite(behind, &mut Rest { to: &mut whole, before: &found.summary })?;
-                progress.check()?;
-                whole.commit()?;
-                Ok(found)
-            };
-            let found = match join() {
-                // The upload may be over as the output is in its place, and nobody had been told so.
-                Err(e) if sent.is_some() && e.kind() == ErrorKind::Io => {
-                    is_there(version.output, &paths, progress).map_err(|_| e)?;
-                    joining.check(&paths, sampled, model, |_, _, _| Ok(()))?
-                }
-                joined => joined?,
-            };
-            found.folding
+            joining.one_after_the_other(sent)?
         }
     };
     Ok(done(sampled, model, folding))
@@ -286,37 +242,6 @@ fn done(sampled: &SampledModel, model: &dyn Model, folding: Option<Folding>) -> 
         expected: vec![None],
         hashes: vec![None],
     }
-}
-
-/// Puts the folder of all tiles in its place.
-fn join_tiles(
-    joining: &Joining<'_>,
-    paths: &[&Path],
-    sampled: &SampledModel,
-    model: &dyn Model,
-    shared: &Path,
-    progress: &dyn Progress,
-) -> Result<Option<Folding>> {
-    let (output, mut lost, mut written) = (joining.output, None, Vec::new());
-    let found = joining.check(paths, sampled, model, |path, _, record| {
-        if record.tiles.len() as u64 != record.pieces.end - record.pieces.start {
-            return Err(refused(path, "is of other tiles"));
-        }
-        lost = lost.take().or_else(|| lost_tile(record, model, shared).map(|tile| (path.to_owned(), tile)));
-        written.extend_from_slice(&record.tiles);
-        Ok(())
-    })?;
-    let names: Vec<PathBuf> = model.tiles().iter().map(|tile| tile.name.clone()).collect();
-    // Killed when the output was in its place, and nobody had been told so.
-    if names.iter().zip(&written).all(|(name, file)| file.is(&output.join(name))) {
-        settle(shared, output)?;
-        return Ok(found.folding);
-    }
-    if let Some((part, tile)) = lost {
-        return Err(refused(&part, &format!("speaks of {}, which is not there as a whole", tile.display())));
-    }
-    become_output(shared, &names, output, progress)?;
-    Ok(found.folding)
 }
 
 /// The whole that parts are put together to, where they are not in their places in a file.
@@ -411,13 +336,21 @@ fn written(file: &mut OutputFile, bytes: &[u8]) -> Result<()> {
         .map_err(|e| e.downcast::<Error>().unwrap_or_else(|e| Error::internal(e.to_string()).because(e)))
 }
 
-/// What parts have to be.
+/// Parts that are put together, and what they have to be.
 struct Joining<'a> {
+    sampled: &'a SampledModel,
+    model: &'a dyn Model,
+    /// Their files, in their order.
+    paths: Vec<&'a Path>,
+    output: &'a Path,
     key: String,
     /// The first of the pieces that they are of, and the one behind the last.
     first: u64,
     end: u64,
-    output: &'a Path,
+    normals: Normals,
+    /// What is done to the pieces before and behind.
+    edit: Nothing,
+    progress: &'a dyn Progress,
 }
 
 /// What parts say of themselves.
@@ -429,17 +362,111 @@ struct Found {
 }
 
 impl Joining<'_> {
+    /// Puts the folder of all tiles in its place.
+    fn tiles(&self, shared: &Path) -> Result<Option<Folding>> {
+        let (model, output) = (self.model, self.output);
+        let (mut lost, mut written) = (None, Vec::new());
+        let found = self.check(|path, _, record| {
+            if record.tiles.len() as u64 != record.pieces.end - record.pieces.start {
+                return Err(refused(path, "is of other tiles"));
+            }
+            let tile = || lost_tile(record, model, shared).map(|tile| (path.to_owned(), tile));
+            lost = lost.take().or_else(tile);
+            written.extend_from_slice(&record.tiles);
+            Ok(())
+        })?;
+        let names: Vec<PathBuf> = model.tiles().iter().map(|tile| tile.name.clone()).collect();
+        // Killed when the output was in its place, and nobody had been told so.
+        if names.iter().zip(&written).all(|(name, file)| file.is(&output.join(name))) {
+            settle(shared, output)?;
+            return Ok(found.folding);
+        }
+        if let Some((part, tile)) = lost {
+            let what = format!("speaks of {}, which is not there as a whole", tile.display());
+            return Err(refused(&part, &what));
+        }
+        become_output(shared, &names, output, self.progress)?;
+        Ok(found.folding)
+    }
+
+    /// Completes the file that the parts share, and puts it in its place.
+    fn in_place(&self, shared: &Path) -> Result<Option<Folding>> {
+        let found = self.check(|_, _, _| Ok(()))?;
+        let is_short = !reaches(shared, found.end);
+        if is_short || has_holes(shared) {
+            // Killed when the output was in its place, and nobody had been told so: then there is no file, or
+            // one that a part has begun anew since, without the others.
+            match self.is_there(self.output) {
+                Ok(()) => {
+                    let _ = fs::remove_file(shared);
+                    // Who begins the output anew removes what the killed one has left beside it.
+                    drop(OutputFile::create(self.output, 0));
+                    return Ok(found.folding);
+                }
+                Err(e) if !shared.exists() => return Err(e),
+                Err(_) if is_short => return Err(refused(shared, "is cut off: remove all parts")),
+                Err(_) => self.is_there(shared)?,
+            }
+        }
+        self.progress.begin("putting the parts together", 0);
+        let mut file = SharedFile::open(shared)?;
+        self.rewrite(self.before(), &mut file)?;
+        // Nothing of the parts is written here: how far they reach is in their records.
+        let end = found.end.max(file.position());
+        if !reaches(shared, end) {
+            return Err(refused(shared, "is cut off: remove all parts"));
+        }
+        self.rewrite(self.behind(), &mut Rest { to: &mut file, before: &found.summary })?;
+        file.sync(true)?;
+        self.progress.check()?;
+        file.become_output(self.output)?;
+        Ok(found.folding)
+    }
+
+    /// Writes the parts behind each other; where they were `sent` by an upload, only what it does not have.
+    fn one_after_the_other(&self, sent: Option<&str>) -> Result<Option<Folding>> {
+        let bytes = self.model.written_bytes();
+        let join = || -> Result<Found> {
+            let mut whole = Joined::create(self.output, sent, bytes)?;
+            self.progress.begin("putting the parts together", bytes);
+            self.rewrite(self.before(), &mut whole)?;
+            let found = self.check(|path, part, record| whole.take(path, part, record, self.progress))?;
+            self.rewrite(self.behind(), &mut Rest { to: &mut whole, before: &found.summary })?;
+            self.progress.check()?;
+            whole.commit()?;
+            Ok(found)
+        };
+        let found = match join() {
+            // The upload may be over as the output is in its place, and nobody had been told so.
+            Err(e) if sent.is_some() && e.kind() == ErrorKind::Io => {
+                self.is_there(self.output).map_err(|_| e)?;
+                self.check(|_, _, _| Ok(()))?
+            }
+            joined => joined?,
+        };
+        Ok(found.folding)
+    }
+
+    /// The pieces before those that have vertices.
+    fn before(&self) -> PieceRange {
+        PieceRange { first: 0, end: Some(self.first) }
+    }
+
+    /// Those behind.
+    fn behind(&self) -> PieceRange {
+        PieceRange { first: self.end, end: None }
+    }
+
+    fn rewrite(&self, only: PieceRange, to: &mut dyn Output) -> Result<()> {
+        let rewriting = Rewriting { normals: self.normals, only: Some(only), ..Rewriting::default() };
+        self.model.rewrite(&mut [to], rewriting, &self.edit, self.progress)
+    }
+
     /// Takes the parts in their order, and what they say together.
-    fn check(
-        &self,
-        paths: &[&Path],
-        sampled: &SampledModel,
-        model: &dyn Model,
-        mut take: impl FnMut(&Path, File, &Record) -> Result<()>,
-    ) -> Result<Found> {
+    fn check(&self, mut take: impl FnMut(&Path, File, &Record) -> Result<()>) -> Result<Found> {
         let (mut hash, mut next) = (Blocks::default(), self.first);
         let mut found = Found { summary: Summary::default(), folding: None, end: 0 };
-        for path in paths {
+        for path in &self.paths {
             let (part, record) = open(path)?;
             let refused = |what: &str| refused(path, what);
             if record.key != self.key {
@@ -466,37 +493,37 @@ impl Joining<'_> {
                 "write all of them first",
             ));
         }
-        if hash.fingerprint() != sampled.source.fingerprint {
-            return Err(sampled.source_changed(model.path()));
+        if hash.fingerprint() != self.sampled.source.fingerprint {
+            return Err(self.sampled.source_changed(self.model.path()));
         }
         Ok(found)
     }
-}
 
-/// An error unless a file has the bytes of all parts in their places.
-fn is_there(output: &Path, parts: &[&Path], progress: &dyn Progress) -> Result<()> {
-    let gone = || {
-        Error::mismatch(
-            format!("the bytes of the parts of {} are gone", output.display()),
-            "remove the parts, and write all of them again",
-        )
-    };
-    let object = is_object(output).then(|| object::open(output)).transpose()?;
-    for path in parts {
-        let record = open(path)?.1;
-        let (at, bytes) = (record.place.unwrap_or_default(), (record.bytes, record.checksum));
-        let nowhere = &mut |_: &[u8]| Ok(());
-        let read = match &object {
-            Some(object) => copy(Reading { object, at }, bytes, output, nowhere, progress),
-            None => {
-                let mut file = input::open(output).map_err(|_| gone())?;
-                file.seek(SeekFrom::Start(at)).map_err(|e| Error::io("read", output, &e))?;
-                copy(file, bytes, output, nowhere, progress)
-            }
+    /// An error unless a file has the bytes of all parts in their places.
+    fn is_there(&self, output: &Path) -> Result<()> {
+        let gone = || {
+            Error::mismatch(
+                format!("the bytes of the parts of {} are gone", output.display()),
+                "remove the parts, and write all of them again",
+            )
         };
-        read.map_err(|_| gone())?;
+        let object = is_object(output).then(|| object::open(output)).transpose()?;
+        for path in &self.paths {
+            let record = open(path)?.1;
+            let (at, bytes) = (record.place.unwrap_or_default(), (record.bytes, record.checksum));
+            let nowhere = &mut |_: &[u8]| Ok(());
+            let read = match &object {
+                Some(object) => copy(Reading { object, at }, bytes, output, nowhere, self.progress),
+                None => {
+                    let mut file = input::open(output).map_err(|_| gone())?;
+                    file.seek(SeekFrom::Start(at)).map_err(|e| Error::io("read", output, &e))?;
+                    copy(file, bytes, output, nowhere, self.progress)
+                }
+            };
+            read.map_err(|_| gone())?;
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 /// Whether less of a file is on the disk than its length says: parts of it were not written, or the disk

@@ -1,7 +1,6 @@
 //! The samples at rest: what is found of them once, for all deformations.
 
-use std::fmt;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
@@ -13,7 +12,7 @@ use super::workspace::Workspaces;
 use crate::sampling::SampleSet;
 
 /// What there is to know of the samples at rest, for all deformations of them: who is on whose sheet, and
-/// whose word counts where.
+/// whose word counts where. It is found once for a [`SampleSet`], which holds it for all who need it.
 ///
 /// Memory: about 290 bytes per sample, up to 130 more beside other sheets, and what [`SampleSet::prepare`]
 /// finds.
@@ -21,51 +20,41 @@ pub struct RestGeometry<'a> {
     pub(super) samples: &'a SampleSet,
     pub(super) sheets: Arc<Sheets>,
     pub(super) supports: Arc<Supports>,
-    /// What homes are found by: made when a place is first looked up, as fitting does not need it.
-    cells: Arc<OnceLock<Cells>>,
+    found: Arc<Found>,
     pub(super) workspaces: Workspaces,
     /// The number of vertices whose home each sample was.
     vertices: Vec<AtomicU64>,
 }
 
-/// What a [`RestGeometry`] found, for further reconstructions of the same samples: it is shared, not copied.
-#[derive(Clone)]
-pub struct FoundGeometry {
-    samples: usize,
+/// What is found of samples at rest, and held with them.
+struct Found {
     sheets: Arc<Sheets>,
     supports: Arc<Supports>,
-    cells: Arc<OnceLock<Cells>>,
-}
-
-impl FoundGeometry {
-    /// All that is found of these samples at rest.
-    pub fn new(samples: &SampleSet) -> Self {
-        let around = RestGeometry::new(samples);
-        around.cells();
-        let RestGeometry { sheets, supports, cells, .. } = around;
-        Self { samples: samples.len(), sheets, supports, cells }
-    }
-}
-
-impl fmt::Debug for FoundGeometry {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("FoundGeometry").field("samples", &self.samples).finish_non_exhaustive()
-    }
+    /// What homes are found by: made when a place is first looked up, as fitting does not need it.
+    cells: OnceLock<Cells>,
+    /// Whether it is on the disk, beside the samples.
+    is_kept: AtomicBool,
 }
 
 impl<'a> RestGeometry<'a> {
-    /// Finds the sheets and supports of the samples at rest.
+    /// The sheets and supports of the samples at rest: as somebody found them before, or found now.
     pub fn new(samples: &'a SampleSet) -> Self {
-        samples.prepare();
-        let sheets = Sheets::find(samples);
-        let supports = Supports::new(samples, &sheets);
-        Self::known(samples, sheets, supports)
+        Self::held(samples).unwrap_or_else(|| {
+            samples.prepare();
+            let sheets = Sheets::find(samples);
+            let supports = Supports::new(samples, &sheets);
+            Self::known(samples, sheets, supports)
+        })
     }
 
-    /// What was found of the same samples; nothing if they are not as many.
-    pub fn from_found(samples: &'a SampleSet, found: &FoundGeometry) -> Option<Self> {
-        let FoundGeometry { samples: count, sheets, supports, cells } = found.clone();
-        (count == samples.len()).then(|| Self::shared(samples, (sheets, supports, cells)))
+    /// Finds now what is otherwise found when a place is first looked up.
+    pub fn prepare(&self) {
+        self.cells();
+    }
+
+    /// What was found of the same samples, if it was.
+    pub(super) fn held(samples: &'a SampleSet) -> Option<Self> {
+        samples.rest().map(|found| Self::of_found(samples, found))
     }
 
     /// Whether a sample is on the sheet of another.
@@ -91,31 +80,43 @@ impl<'a> RestGeometry<'a> {
 
     /// What was found out before.
     pub(super) fn known(samples: &'a SampleSet, sheets: Sheets, supports: Supports) -> Self {
-        Self::shared(samples, (Arc::new(sheets), Arc::new(supports), Arc::default()))
+        let (sheets, supports) = (Arc::new(sheets), Arc::new(supports));
+        let found = Found { sheets, supports, cells: OnceLock::new(), is_kept: AtomicBool::new(false) };
+        let found = Arc::new(found);
+        samples.set_rest(found.clone());
+        Self::of_found(samples, found)
     }
 
-    fn shared(
-        samples: &'a SampleSet,
-        (sheets, supports, cells): (Arc<Sheets>, Arc<Supports>, Arc<OnceLock<Cells>>),
-    ) -> Self {
+    fn of_found(samples: &'a SampleSet, found: Arc<Found>) -> Self {
         let vertices = (0..samples.len()).map(|_| AtomicU64::new(0)).collect();
-        Self { samples, sheets, supports, cells, workspaces: Workspaces::default(), vertices }
+        let (sheets, supports) = (found.sheets.clone(), found.supports.clone());
+        Self { samples, sheets, supports, found, workspaces: Workspaces::default(), vertices }
+    }
+
+    /// Whether it is on the disk, beside the samples.
+    pub(super) fn is_kept(&self) -> bool {
+        self.found.is_kept.load(Ordering::Relaxed)
+    }
+
+    /// Notes that it is on the disk.
+    pub(super) fn set_kept(&self) {
+        self.found.is_kept.store(true, Ordering::Relaxed);
     }
 
     pub(super) fn cells(&self) -> &Cells {
-        match self.cells.get() {
+        match self.found.cells.get() {
             Some(cells) => cells,
             // Jobs of the thread pool make them: no other one may wait for that.
             None => {
                 let cells = Cells::build(self.samples, &self.supports.radius);
-                self.cells.get_or_init(|| cells)
+                self.found.cells.get_or_init(|| cells)
             }
         }
     }
 
     /// Sets what homes are found by, which was found out before.
-    pub(super) fn with_cells(self, cells: Cells) -> Self {
-        Self { cells: Arc::new(OnceLock::from(cells)), ..self }
+    pub(super) fn set_cells(&self, cells: Cells) {
+        let _ = self.found.cells.set(cells);
     }
 
     /// Counts vertices that were carried around homes.

@@ -22,7 +22,7 @@ use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
 use super::transfer::{Hashing, Surveys, Transfer, locked};
-use super::{DeformationField, ExpectedError, FoundGeometry, Method, RestGeometry, kept_geometry};
+use super::{DeformationField, ExpectedError, Method, RestGeometry, kept_geometry};
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
 
@@ -70,8 +70,6 @@ pub struct Reconstruction<'a> {
     /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it
     /// fits.
     pub binding: Option<&'a Path>,
-    /// What was found of the samples at rest before, where there is no binding.
-    pub found: Option<&'a FoundGeometry>,
     /// The [gradient](super::known_gradients) of the one version's map at each sample, where it is known: by
     /// it turns what [follows](Model::following).
     pub gradients: Option<&'a [Mat3]>,
@@ -85,7 +83,6 @@ impl Default for Reconstruction<'_> {
             resume: false,
             part_bytes: PART_BYTES,
             binding: None,
-            found: None,
             gradients: None,
         }
     }
@@ -282,15 +279,6 @@ struct Begun<'a> {
     diagnostics: Option<DiagnosticsFile>,
 }
 
-/// The geometry at rest.
-struct Surroundings<'a> {
-    /// With the homes of vertices.
-    binding: Option<Binding>,
-    geometry: RestGeometry<'a>,
-    /// Whether it was found now, and not read.
-    is_new: bool,
-}
-
 impl<'a> ReconstructionCall<'a> {
     fn write(&mut self, versions: &[Version<'a>]) -> Result<()> {
         for (number, version) in versions.iter().enumerate() {
@@ -328,7 +316,8 @@ impl<'a> ReconstructionCall<'a> {
         }
 
         self.progress.begin("preparing", 0);
-        let Surroundings { binding, geometry: surroundings, is_new } = self.surroundings();
+        let (binding, surroundings) = self.surroundings();
+        let is_bound = binding.is_some();
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
             field(self.sampled, self.model, self.how, &surroundings, begun.version.deformed)
@@ -388,29 +377,24 @@ impl<'a> ReconstructionCall<'a> {
         drop(fields);
         self.pass.clear();
         // At last, so that it takes no room from the outputs.
-        if is_new && is_last {
+        if is_last && !is_bound && !surroundings.is_kept() {
             kept_geometry::keep(self.sampled, &surroundings);
         }
         Ok(())
     }
 
-    /// The geometry at rest: as the caller found it, or the binding or a former call kept it, or found now.
-    fn surroundings(&self) -> Surroundings<'a> {
+    /// The geometry at rest: as a binding has it, or as it is [kept](RestGeometry::kept).
+    fn surroundings(&self) -> (Option<Binding>, RestGeometry<'a>) {
         if let Some(path) = self.how.binding {
             match Binding::open(path, self.sampled) {
                 Ok(Some((binding, geometry))) => {
-                    return Surroundings { binding: Some(binding), geometry, is_new: false };
+                    return (Some(binding), geometry);
                 }
                 Ok(None) => {}
                 Err(why) => self.progress.note(&format!("{} is not used: {why}", path.display())),
             }
         }
-        let samples = &self.sampled.samples;
-        let found = self.how.found.and_then(|found| RestGeometry::from_found(samples, found));
-        match found.or_else(|| kept_geometry::kept(self.sampled)) {
-            Some(geometry) => Surroundings { binding: None, geometry, is_new: false },
-            None => Surroundings { binding: None, geometry: RestGeometry::new(samples), is_new: true },
-        }
+        (None, RestGeometry::kept(self.sampled))
     }
 
     /// Number of files, and of pieces of the next one, that every version of the pass has, and that a part

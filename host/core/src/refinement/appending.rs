@@ -72,11 +72,33 @@ pub(super) fn append(
     bound: f32,
     guides: Option<&Guides<'_>>,
 ) -> Appended {
-    let mut of_sample = vec![0u32; positions.len()];
-    kept.cells.iter().flat_map(|c| &c.tree.samples).for_each(|s| of_sample[*s as usize] += 1);
+    let (trees, pieces) = renew(kept, positions, cells, bound, guides);
+    let mut out = Appended { trees, split: vec![false; positions.len()], ..Appended::default() };
+    let heirs = out.heirs(kept, &pieces, guides);
+    let mut beside = out.number(&pieces.parts, heirs);
+    out.starts.extend(pieces.starts);
+    out.starts.sort_unstable();
+    if let Some(guides) = guides {
+        // Where nothing is left of what a sample stood for, it is beside the first that has come of its
+        // cluster.
+        for (sample, cells) in &pieces.split {
+            let part = cells.first().map(|range| &pieces.parts[range.start]);
+            beside.extend(part.map(|part| (*sample, part.tree, part.place)));
+        }
+        out.parted = out.parted(kept, guides, &beside);
+    }
+    out
+}
 
-    let mut out = Appended { split: vec![false; positions.len()], ..Appended::default() };
-    let mut pieces = Pieces::default();
+/// The new trees of all cells, and what becomes of the samples whose clusters are split there.
+fn renew(
+    kept: &KeptCells,
+    positions: &[Vec3],
+    cells: &[Regrown],
+    bound: f32,
+    guides: Option<&Guides<'_>>,
+) -> (Vec<(u32, CutTree)>, Pieces) {
+    let (mut trees, mut pieces) = (Vec::with_capacity(cells.len()), Pieces::default());
     for cell in cells {
         let old = &kept.cells[cell.cell as usize].tree;
         let mut new = Renewed { old, tree: CutTree::default(), samples: old.samples.iter().copied() };
@@ -84,8 +106,7 @@ pub(super) fn append(
         let (mut at, mut next) = (0, cell.grown.iter().peekable());
         while at < ends.len() {
             if let Some(grown) = next.next_if(|grown| grown.root as usize == at) {
-                let place = out.trees.len();
-                let how = Taking { positions, guides, place };
+                let how = Taking { positions, guides, place: trees.len() };
                 new.take(grown, &grown.cut(bound, old), how, &mut pieces);
                 at = ends[at];
             } else {
@@ -96,61 +117,64 @@ pub(super) fn append(
                 at += 1;
             }
         }
-        out.trees.push((cell.cell, new.tree));
+        trees.push((cell.cell, new.tree));
     }
-
-    let Pieces { parts, split, starts } = pieces;
-    out.starts = starts;
-    let mut sample_of: Vec<Option<u32>> = vec![None; parts.len()];
-    for (sample, cells) in &split {
-        let parted = guides.map_or(&[][..], |guides| guides.parted_from(*sample));
-        for own in [sample].into_iter().chain(parted) {
-            out.split[*own as usize] = true;
-            // It may stand for whole cells besides, which are not split.
-            let stays = own == sample && of_sample[*own as usize] as usize > cells.len();
-            let nearest = |range: &Range<usize>| {
-                let own = range.clone().filter(|i| parts[*i].origin == *own);
-                own.min_by(|a, b| parts[*a].distance.total_cmp(&parts[*b].distance))
-            };
-            let near: Vec<usize> = cells.iter().filter_map(nearest).collect();
-            let within = |i: &&usize| parts[**i].distance <= parts[**i].reach;
-            let mut heirs: Vec<usize> = near.iter().filter(within).copied().collect();
-            if heirs.is_empty() && !stays {
-                let first = near.iter().min_by(|a, b| parts[**a].distance.total_cmp(&parts[**b].distance));
-                heirs.extend(first);
-            }
-            heirs.iter().for_each(|i| sample_of[*i] = Some(*own));
-        }
-    }
-    let mut beside: Vec<(u32, usize, usize)> = Vec::new();
-    for (part, sample) in parts.iter().zip(sample_of) {
-        let sample = sample.unwrap_or_else(|| {
-            out.positions.push(part.position);
-            out.normals.push(part.normal);
-            out.origins.push(part.origin);
-            (positions.len() + out.positions.len() - 1) as u32
-        });
-        if part.is_first {
-            out.trees[part.tree].1.samples[part.place] = sample;
-        } else {
-            beside.push((sample, part.tree, part.place));
-        }
-        out.starts.push((part.first, sample));
-    }
-    out.starts.sort_unstable();
-    if let Some(guides) = guides {
-        // Where nothing is left of what a sample stood for, it is beside the first that has come of its
-        // cluster.
-        for (sample, cells) in &split {
-            let part = cells.first().map(|range| &parts[range.start]);
-            beside.extend(part.map(|part| (*sample, part.tree, part.place)));
-        }
-        out.parted = out.parted(kept, guides, &beside);
-    }
-    out
+    (trees, pieces)
 }
 
 impl Appended {
+    /// The samples that go on standing for parts of what they stood for, for each part; they are split.
+    fn heirs(&mut self, kept: &KeptCells, pieces: &Pieces, guides: Option<&Guides<'_>>) -> Vec<Option<u32>> {
+        let Pieces { parts, split, .. } = pieces;
+        let mut of_sample = vec![0u32; self.split.len()];
+        kept.cells.iter().flat_map(|c| &c.tree.samples).for_each(|s| of_sample[*s as usize] += 1);
+        let mut sample_of: Vec<Option<u32>> = vec![None; parts.len()];
+        for (sample, cells) in split {
+            let parted = guides.map_or(&[][..], |guides| guides.parted_from(*sample));
+            for own in [sample].into_iter().chain(parted) {
+                self.split[*own as usize] = true;
+                // It may stand for whole cells besides, which are not split.
+                let stays = own == sample && of_sample[*own as usize] as usize > cells.len();
+                let nearest = |range: &Range<usize>| {
+                    let own = range.clone().filter(|i| parts[*i].origin == *own);
+                    own.min_by(|a, b| parts[*a].distance.total_cmp(&parts[*b].distance))
+                };
+                let near: Vec<usize> = cells.iter().filter_map(nearest).collect();
+                let within = |i: &&usize| parts[**i].distance <= parts[**i].reach;
+                let mut heirs: Vec<usize> = near.iter().filter(within).copied().collect();
+                if heirs.is_empty() && !stays {
+                    let first =
+                        near.iter().min_by(|a, b| parts[**a].distance.total_cmp(&parts[**b].distance));
+                    heirs.extend(first);
+                }
+                heirs.iter().for_each(|i| sample_of[*i] = Some(*own));
+            }
+        }
+        sample_of
+    }
+
+    /// Gives every part its sample, a new one where there is no heir. Those that are beside another one in
+    /// their tree are given back: the sample, the tree and the place there.
+    fn number(&mut self, parts: &[NewLeaf], heirs: Vec<Option<u32>>) -> Vec<(u32, usize, usize)> {
+        let before = self.split.len();
+        let mut beside = Vec::new();
+        for (part, heir) in parts.iter().zip(heirs) {
+            let sample = heir.unwrap_or_else(|| {
+                self.positions.push(part.position);
+                self.normals.push(part.normal);
+                self.origins.push(part.origin);
+                (before + self.positions.len() - 1) as u32
+            });
+            if part.is_first {
+                self.trees[part.tree].1.samples[part.place] = sample;
+            } else {
+                beside.push((sample, part.tree, part.place));
+            }
+            self.starts.push((part.first, sample));
+        }
+        beside
+    }
+
     /// The samples that no tree has: those that none had, and those that stand beside a place in a tree.
     fn parted(&self, kept: &KeptCells, guides: &Guides<'_>, beside: &[(u32, usize, usize)]) -> Vec<[u32; 2]> {
         let mut in_tree = vec![false; self.split.len() + self.positions.len()];

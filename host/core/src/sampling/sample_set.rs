@@ -1,6 +1,7 @@
 //! P_S: the samples, with what a deformation tool and the reconstruction need of them.
 
-use std::sync::OnceLock;
+use std::any::Any;
+use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -24,7 +25,7 @@ const SPACING_NEIGHBOURS: usize = 6;
 /// The small point set P_S, in local coordinates (see [`Frame`](simod_model::frame::Frame)).
 ///
 /// Memory: 24 bytes per sample; 12 more where normals were estimated (about 150 meanwhile), and 160 once the
-/// neighbours are asked for. The index of a sample never changes.
+/// neighbours are asked for, and what a [`RestGeometry`](crate::reconstruction::RestGeometry) found. The index of a sample never changes.
 pub struct SampleSet {
     /// Positions.
     pub positions: Vec<Vec3>,
@@ -37,6 +38,7 @@ pub struct SampleSet {
     surroundings: OnceLock<Neighbourhoods>,
     contacts: Option<Contacts>,
     tree: OnceLock<KdTree>,
+    rest: OnceLock<Arc<dyn Any + Send + Sync>>,
 }
 
 /// The neighbours of each sample and its spacing: found when it is first asked for, as writing the samples
@@ -73,6 +75,7 @@ impl SampleSet {
             surroundings: OnceLock::new(),
             contacts: None,
             tree: OnceLock::new(),
+            rest: OnceLock::new(),
         })
     }
 
@@ -124,6 +127,18 @@ impl SampleSet {
 
     pub(crate) fn set_contacts(&mut self, contacts: Option<Contacts>) {
         self.contacts = contacts;
+        self.rest = OnceLock::new();
+    }
+
+    /// What [`set_rest`](Self::set_rest) was given.
+    pub(crate) fn rest<T: Any + Send + Sync>(&self) -> Option<Arc<T>> {
+        self.rest.get().and_then(|rest| rest.clone().downcast().ok())
+    }
+
+    /// Holds what was found of the samples at rest, for all who need it as long as there are these samples: the
+    /// reconstruction's, whose type is not known here. Who found it at the same time found the same.
+    pub(crate) fn set_rest<T: Any + Send + Sync>(&self, rest: Arc<T>) {
+        let _ = self.rest.set(rest);
     }
 
     /// Number of samples.
@@ -278,6 +293,7 @@ impl SampleSet {
             surroundings: OnceLock::new(),
             contacts: None,
             tree: OnceLock::new(),
+            rest: OnceLock::new(),
         }
     }
 }

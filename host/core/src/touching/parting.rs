@@ -273,67 +273,32 @@ impl Parts {
     /// `becomes` says of which sample each cluster is now, which none of several sheets shares; `samples` is
     /// where these are.
     pub fn part(self, samples: &[Vec3], becomes: Option<&[u32]>, most: usize) -> Parted {
-        const OPEN: u32 = u32::MAX;
-        let first = samples.len() as u32;
         let of = |cluster: u32| becomes.map_or(cluster, |becomes| becomes[cluster as usize]);
-        let (gets, ..) = self.decide(most);
-        let (mut moved, mut added) = (Vec::new(), Vec::new());
-        let mut sample: Vec<u32> =
-            (0..self.graph.len()).map(|island| of(self.graph.cluster(island))).collect();
-        let mut open: Vec<(usize, usize)> = Vec::new();
-        for (i, (cluster, parts)) in self.mixed.iter().enumerate() {
-            for (j, part) in parts.iter().enumerate() {
-                let (position, normal, _) = part.moments.representative();
-                let of_part = if j == 0 {
-                    moved.push((of(*cluster), position, normal));
-                    of(*cluster)
-                } else if gets[i][j] {
-                    added.push((of(*cluster), position, normal));
-                    first + added.len() as u32 - 1
-                } else {
-                    open.push((i, j));
-                    OPEN
-                };
-                part.islands.iter().for_each(|island| sample[*island as usize] = of_part);
-            }
-        }
-        let moved_to: HashMap<u32, Vec3> = moved.iter().map(|(sample, p, _)| (*sample, *p)).collect();
-        let place = |sample: u32| match samples.get(sample as usize) {
-            Some(p) => moved_to.get(&sample).copied().unwrap_or(*p),
-            None => added[(sample - first) as usize].1,
-        };
-        // What has none of its own joins the nearest sample that faces join it with.
-        while !open.is_empty() {
-            let before = open.len();
-            let mut joins = Vec::new();
-            open.retain(|(i, j)| {
-                let part = &self.mixed[*i].1[*j];
-                let nearby = self.neighbours(part).map(|island| sample[island as usize]);
-                let center = part.moments.mean().as_vec3();
-                let nearer = |a: &u32, b: &u32| {
-                    let [p, q] = [*a, *b].map(place);
-                    let distance = |p: Vec3| p.distance_squared(center);
-                    distance(p).total_cmp(&distance(q)).then_with(|| by_place(p, q)).then(a.cmp(b))
-                };
-                let Some(to) = nearby.filter(|s| *s != OPEN).min_by(nearer) else { return true };
-                joins.extend(part.islands.iter().map(|island| (*island, to)));
-                false
-            });
-            joins.iter().for_each(|(island, to)| sample[*island as usize] = *to);
-            if open.len() == before {
-                // Nothing of its sheet has a sample: it stays with its cluster.
-                for (i, j) in open.drain(..) {
-                    let (cluster, parts) = &self.mixed[i];
-                    parts[j].islands.iter().for_each(|island| sample[*island as usize] = of(*cluster));
-                }
-            }
-        }
-        let of_mixed = || self.mixed.iter().flat_map(|(_, parts)| parts).flat_map(|part| &part.islands);
-        let mut seeds: Vec<u32> = of_mixed().map(|island| sample[*island as usize]).collect();
+        let mut given = Given::new(&self, samples, of, most);
+        given.join_open(&self, samples, of);
+        let Given { sample, moved, added, .. } = given;
+        let mut seeds: Vec<u32> = self.mixed_islands().map(|island| sample[island as usize]).collect();
         seeds.sort_unstable();
         seeds.dedup();
-        // The clusters of each sample: mostly one.
-        let mut cluster_of = vec![OPEN; first as usize];
+        let (cluster_of, merged) = self.clusters_of(samples.len(), of);
+        let mut mixed = vec![false; self.graph.clusters()];
+        self.mixed.iter().for_each(|(cluster, _)| mixed[*cluster as usize] = true);
+        let islands_of = self.islands_of(&sample, (&cluster_of, &merged), &mixed);
+        let mut has_own = vec![false; samples.len() + added.len()];
+        islands_of.keys().for_each(|sample| has_own[*sample as usize] = true);
+        let becomes = becomes.map(<[u32]>::to_vec);
+        let graph = self.graph;
+        Parted { sample, cluster_of, becomes, has_own, islands_of, mixed, moved, added, seeds, graph }
+    }
+
+    /// The islands of all clusters of several sheets.
+    fn mixed_islands(&self) -> impl Iterator<Item = u32> {
+        self.mixed.iter().flat_map(|(_, parts)| parts).flat_map(|part| &part.islands).copied()
+    }
+
+    /// A cluster of each of so many samples, and all of those that have more than one.
+    fn clusters_of(&self, samples: usize, of: impl Fn(u32) -> u32) -> (Vec<u32>, HashMap<u32, Vec<u32>>) {
+        let mut cluster_of = vec![OPEN; samples];
         let mut merged: HashMap<u32, Vec<u32>> = HashMap::new();
         for cluster in 0..self.graph.clusters() as u32 {
             let known = &mut cluster_of[of(cluster) as usize];
@@ -343,6 +308,16 @@ impl Parts {
                 merged.entry(of(cluster)).or_insert_with(|| vec![*known]).push(cluster);
             }
         }
+        (cluster_of, merged)
+    }
+
+    /// The islands of samples that have more or fewer than their cluster, by the sample of each island.
+    fn islands_of(
+        &self,
+        sample: &[u32],
+        (cluster_of, merged): (&[u32], &HashMap<u32, Vec<u32>>),
+        mixed: &[bool],
+    ) -> HashMap<u32, Vec<u32>> {
         let whole = |sample: u32| {
             let one = [cluster_of[sample as usize]];
             let clusters = merged.get(&sample).map_or(&one[..], |clusters| clusters);
@@ -350,31 +325,108 @@ impl Parts {
         };
         let mut islands_of: HashMap<u32, Vec<u32>> =
             merged.keys().map(|sample| (*sample, whole(*sample))).collect();
-        let mut mixed = vec![false; self.graph.clusters()];
-        self.mixed.iter().for_each(|(cluster, _)| mixed[*cluster as usize] = true);
-        for island in of_mixed() {
-            let of_sample = sample[*island as usize];
+        for island in self.mixed_islands() {
+            let of_sample = sample[island as usize];
             let own = || match cluster_of.get(of_sample as usize) {
                 Some(cluster) if !mixed[*cluster as usize] => whole(of_sample),
                 _ => Vec::new(),
             };
-            islands_of.entry(of_sample).or_insert_with(own).push(*island);
+            islands_of.entry(of_sample).or_insert_with(own).push(island);
         }
-        let mut has_own = vec![false; samples.len() + added.len()];
-        islands_of.keys().for_each(|sample| has_own[*sample as usize] = true);
-        let becomes = becomes.map(<[u32]>::to_vec);
-        Parted {
-            sample,
-            cluster_of,
-            becomes,
-            has_own,
-            islands_of,
-            mixed,
-            moved,
-            added,
-            seeds,
-            graph: self.graph,
+        islands_of
+    }
+}
+
+/// The sample of what has none yet.
+const OPEN: u32 = u32::MAX;
+
+/// The samples that parts of clusters are given.
+struct Given {
+    /// That of each island.
+    sample: Vec<u32>,
+    /// As of [`Parted`].
+    moved: Vec<(u32, Vec3, Vec3)>,
+    added: Vec<(u32, Vec3, Vec3)>,
+    /// The parts that got none of their own: which of the mixed clusters, and which of its parts.
+    open: Vec<(usize, usize)>,
+}
+
+impl Given {
+    /// The largest part of each cluster keeps its sample, and as many others as may get new ones.
+    fn new(parts: &Parts, samples: &[Vec3], of: impl Fn(u32) -> u32, most: usize) -> Self {
+        let first = samples.len() as u32;
+        let (gets, ..) = parts.decide(most);
+        let graph = &parts.graph;
+        let sample = (0..graph.len()).map(|island| of(graph.cluster(island))).collect();
+        let mut given = Self { sample, moved: Vec::new(), added: Vec::new(), open: Vec::new() };
+        for (i, (cluster, sheets)) in parts.mixed.iter().enumerate() {
+            for (j, sheet) in sheets.iter().enumerate() {
+                let (position, normal, _) = sheet.moments.representative();
+                let of_part = if j == 0 {
+                    given.moved.push((of(*cluster), position, normal));
+                    of(*cluster)
+                } else if gets[i][j] {
+                    given.added.push((of(*cluster), position, normal));
+                    first + given.added.len() as u32 - 1
+                } else {
+                    given.open.push((i, j));
+                    OPEN
+                };
+                given.set(sheet, of_part);
+            }
         }
+        given
+    }
+
+    fn set(&mut self, sheet: &ClusterSheet, to: u32) {
+        sheet.islands.iter().for_each(|island| self.sample[*island as usize] = to);
+    }
+
+    /// What has no sample of its own joins the nearest one that faces join it with, and what has none of these
+    /// either stays with its cluster.
+    fn join_open(&mut self, parts: &Parts, samples: &[Vec3], of: impl Fn(u32) -> u32) {
+        let moved_to: HashMap<u32, Vec3> = self.moved.iter().map(|(sample, p, _)| (*sample, *p)).collect();
+        while !self.open.is_empty() {
+            let before = self.open.len();
+            let mut joins = Vec::new();
+            let mut open = std::mem::take(&mut self.open);
+            open.retain(|(i, j)| {
+                let sheet = &parts.mixed[*i].1[*j];
+                let to = self.nearest(parts.neighbours(sheet), sheet, samples, &moved_to);
+                joins.extend(to.map(|to| (sheet, to)));
+                to.is_none()
+            });
+            joins.into_iter().for_each(|(sheet, to)| self.set(sheet, to));
+            if open.len() == before {
+                for (i, j) in open.drain(..) {
+                    let (cluster, sheets) = &parts.mixed[i];
+                    self.set(&sheets[j], of(*cluster));
+                }
+            }
+            self.open = open;
+        }
+    }
+
+    /// The sample among those of some islands that is nearest to the middle of a sheet, if they have any.
+    fn nearest(
+        &self,
+        islands: impl Iterator<Item = u32>,
+        sheet: &ClusterSheet,
+        samples: &[Vec3],
+        moved_to: &HashMap<u32, Vec3>,
+    ) -> Option<u32> {
+        let place = |sample: u32| match samples.get(sample as usize) {
+            Some(p) => moved_to.get(&sample).copied().unwrap_or(*p),
+            None => self.added[sample as usize - samples.len()].1,
+        };
+        let center = sheet.moments.mean().as_vec3();
+        let nearer = |a: &u32, b: &u32| {
+            let [p, q] = [*a, *b].map(place);
+            let distance = |p: Vec3| p.distance_squared(center);
+            distance(p).total_cmp(&distance(q)).then_with(|| by_place(p, q)).then(a.cmp(b))
+        };
+        let known = islands.map(|island| self.sample[island as usize]).filter(|sample| *sample != OPEN);
+        known.min_by(nearer)
     }
 }
 

@@ -448,7 +448,7 @@ impl UnitRun<'_> {
     /// Removes what is not needed any more, and what killed processes have left beside folders; a file that
     /// cannot be removed hurts nobody.
     fn tidy(&self) {
-        [SAMPLED, REFINED].iter().for_each(|name| drop(Claim::folder(&self.path(name))));
+        [SAMPLED, REFINED].iter().for_each(|name| Claim::tidy(&self.path(name)));
         let parts = self.plan.files_of(self.folder, Stage::Apply);
         let [ranges, groups] = self.clustered();
         let OfFaces { leaves, leaves_of_groups, members, faces, .. } = self.of_faces();
