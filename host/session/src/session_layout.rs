@@ -403,6 +403,21 @@ refine = { factor = 4, shapes = [
     }
 
     #[test]
+    fn files_are_named_as_seen_from_where_the_session_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().canonicalize().unwrap();
+        let (path, other) = (folder.join("edit.toml"), folder.join("sub").join("edit.toml"));
+        std::fs::create_dir(folder.join("sub")).unwrap();
+        write_file(&path, FILE.as_bytes()).unwrap();
+        let session = SessionFile::load(&path).unwrap();
+        session.save_over(&other, &path).unwrap();
+        let text = std::fs::read_to_string(&other).unwrap();
+        assert!(text.contains("path = \"../statue.ply\"") && text.contains("# as scanned"), "{text}");
+        let there = SessionFile::load(&other).unwrap();
+        assert_eq!(there.named_output.as_deref(), Some(Path::new("../bent.ply")));
+    }
+
+    #[test]
     fn a_former_file_that_is_no_session_is_written_over() {
         let folder = tempfile::tempdir().unwrap();
         let (path, former) = (folder.path().join("edit.toml"), folder.path().join("former.toml"));

@@ -39,19 +39,18 @@ impl SessionFile {
     /// As of [`save`](Self::save). A former session that cannot be read has nothing that could be kept.
     pub fn save_over(&self, path: &Path, former: &Path) -> Result<Vec<PathBuf>> {
         let (mut document, beside) = self.to_document(path, true)?;
-        if let Some((text, base)) = Self::as_it_stands(former, path) {
+        if let Some((text, base)) = Self::as_it_stands(former) {
             document = session_layout::changed(text, &base, document);
         }
         output::write_file(path, document.to_string().as_bytes())?;
         Ok(beside)
     }
 
-    /// A session's file, and the same as this program would put it at a place; nothing where either cannot be
-    /// had.
-    fn as_it_stands(former: &Path, path: &Path) -> Option<(DocumentMut, DocumentMut)> {
+    /// A session's file, and the same as this program would put it there; nothing where either cannot be had.
+    fn as_it_stands(former: &Path) -> Option<(DocumentMut, DocumentMut)> {
         let text = read_text(former, "session", "").ok()?;
         let session = Self::parse(&text, former).ok()?;
-        Some((text.parse().ok()?, session.to_document(path, false).ok()?.0))
+        Some((text.parse().ok()?, session.to_document(former, false).ok()?.0))
     }
 
     /// The session's text at this path, with all strokes and selections in it.

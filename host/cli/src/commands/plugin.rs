@@ -104,6 +104,15 @@ fn info(plugin: &Loaded, report: &mut Report) {
     }
     let place = if plugin.is_isolated() { ", in a process of its own" } else { "" };
     report.line(format!("library {}{place}", plugin.path().display()));
+    tell_needs(plugin, report);
+    tell_params(plugin, report);
+    report.figure("id", plugin.id());
+    report.figure("version", plugin.version());
+    report.figure("parameters", plugin.params().iter().map(param_data).collect::<Vec<_>>());
+}
+
+/// What a plugin takes, and what it can.
+fn tell_needs(plugin: &Loaded, report: &mut Report) {
     let consumes = plugin.consumes();
     let mut needs = Vec::new();
     for (used, least, role) in [
@@ -148,6 +157,10 @@ fn info(plugin: &Loaded, report: &mut Report) {
     }
     let needs = if needs.is_empty() { "nothing but the samples".to_owned() } else { needs.join("; ") };
     report.line(format!("takes {needs}"));
+}
+
+/// Its parameters, group by group, and what they were once called.
+fn tell_params(plugin: &Loaded, report: &mut Report) {
     let mut group = String::new();
     for param in simod_session::describe_params(plugin.params()) {
         if param.group != group {
@@ -170,7 +183,4 @@ fn info(plugin: &Loaded, report: &mut Report) {
     report.figure("state_version", plugin.state_version());
     report.figure("aliases", aliases.unwrap_or_default());
     report.figure("migrates", plugin.migration().is_some());
-    report.figure("id", plugin.id());
-    report.figure("version", plugin.version());
-    report.figure("parameters", plugin.params().iter().map(param_data).collect::<Vec<_>>());
 }

@@ -8,8 +8,8 @@ use glam::Vec3;
 use serde_json::json;
 use simod_core::guard::Kind;
 use simod_core::reconstruction::{
-    Beyond, DeformationField, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstruction,
-    RestGeometry, Version, choose_offset, reconstruct,
+    Beyond, DeformationField, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstructed,
+    Reconstruction, RestGeometry, Version, choose_offset, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::{Conversion, Converted, Error, Model, Result, is_named_otherwise};
@@ -135,31 +135,8 @@ impl Reconstruct {
         let sampled = SampledModel::load(&self.sampled)?;
         let deformed =
             paths.iter().map(|v| sampled.read_deformed(&v.deformed)).collect::<Result<Vec<_>>>()?;
-        let mut guard = self.overwrite.guard();
-        guard.reads(&self.sampled);
-        // That the model itself is kept is seen to where it is streamed.
-        guard.reads_all(self.model.is_some().then(|| sampled.source.files()).into_iter().flatten());
-        guard.reads(&sidecar::path_beside(self.model.as_ref().unwrap_or(&sampled.source.path)));
-        guard.reads_all(paths.iter().map(|v| &v.deformed));
-        let tiles = sampled.source.named(self.model.as_deref())?.tiles();
-        for VersionPaths { output, diagnostics, .. } in &paths {
-            guard.writes_model(output, &tiles)?;
-            diagnostics.iter().try_for_each(|path| guard.writes(path, Kind::Model))?;
-        }
-        let mut model = sampled.open_source(self.model.as_deref(), report.progress())?;
-        sidecar::follow(&mut *model, &self.following.follow(&BTreeMap::new()))?;
-        tell_following(&*model, report);
-        if self.offset == OffsetName::Auto {
-            let chosen = choose_offset(&sampled, model.as_mut(), deformed.iter().map(Vec::as_slice))?;
-            chosen.into_iter().for_each(|changed| report.progress().note(&changed));
-        }
-        if let Some(output) = paths.iter().map(|v| &v.output).find(|path| is_named_otherwise(&*model, path)) {
-            let drops_normals = self.normals == NormalsName::Drop;
-            let how = Conversion { lossy: self.lossy, drops_normals, ..Conversion::default() };
-            let converted = Converted::new(model, output, how, report.progress())?;
-            tell_losses(converted.losses(), report);
-            model = Box::new(converted);
-        }
+        self.check_paths(&paths, &sampled)?;
+        let model = self.open_model(&sampled, &paths, &deformed, report)?;
         let versions: Vec<Version<'_>> = paths
             .iter()
             .zip(&deformed)
@@ -188,15 +165,67 @@ impl Reconstruct {
             );
         }
         let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())?;
-        warn_non_finite(&sampled, report);
-        describe_folding(&paths, &done.folding, report);
-        self.describe_expected(&paths, &done.expected, sampled.bounds.diagonal(), report);
+        self.tell(&done, &paths, &sampled, report);
+        Ok(())
+    }
+
+    /// Nothing that is read is written over.
+    fn check_paths(&self, paths: &[VersionPaths], sampled: &SampledModel) -> Result<()> {
+        let mut guard = self.overwrite.guard();
+        guard.reads(&self.sampled);
+        // That the model itself is kept is seen to where it is streamed.
+        guard.reads_all(self.model.is_some().then(|| sampled.source.files()).into_iter().flatten());
+        guard.reads(&sidecar::path_beside(self.model.as_ref().unwrap_or(&sampled.source.path)));
+        guard.reads_all(paths.iter().map(|v| &v.deformed));
+        let tiles = sampled.source.named(self.model.as_deref())?.tiles();
+        for VersionPaths { output, diagnostics, .. } in paths {
+            guard.writes_model(output, &tiles)?;
+            diagnostics.iter().try_for_each(|path| guard.writes(path, Kind::Model))?;
+        }
+        Ok(())
+    }
+
+    /// The model, as it is to be written: with what turns, the offset and the format that were asked for.
+    fn open_model(
+        &self,
+        sampled: &SampledModel,
+        paths: &[VersionPaths],
+        deformed: &[Vec<Vec3>],
+        report: &mut Report,
+    ) -> Result<Box<dyn Model>> {
+        let mut model = sampled.open_source(self.model.as_deref(), report.progress())?;
+        sidecar::follow(&mut *model, &self.following.follow(&BTreeMap::new()))?;
+        tell_following(&*model, report);
+        if self.offset == OffsetName::Auto {
+            let chosen = choose_offset(sampled, model.as_mut(), deformed.iter().map(Vec::as_slice))?;
+            chosen.into_iter().for_each(|changed| report.progress().note(&changed));
+        }
+        let mut outputs = paths.iter().map(|v| &v.output);
+        let Some(output) = outputs.find(|path| is_named_otherwise(&*model, path)) else { return Ok(model) };
+        let drops_normals = self.normals == NormalsName::Drop;
+        let how = Conversion { lossy: self.lossy, drops_normals, ..Conversion::default() };
+        let converted = Converted::new(model, output, how, report.progress())?;
+        tell_losses(converted.losses(), report);
+        Ok(Box::new(converted))
+    }
+
+    /// What was written, and what there is to know of it.
+    fn tell(
+        &self,
+        done: &Reconstructed,
+        paths: &[VersionPaths],
+        sampled: &SampledModel,
+        report: &mut Report,
+    ) {
+        warn_non_finite(sampled, report);
+        describe_folding(paths, &done.folding, report);
+        self.describe_expected(paths, &done.expected, sampled.bounds.diagonal(), report);
         report.figure("vertices", done.vertices);
         tell_cache(sampled.cache(), report);
-        report.figure("versions", versions.len());
+        report.figure("versions", paths.len());
         report.figure("samples", sampled.samples.len());
         report.figure("diagonal", sampled.bounds.diagonal());
-        let into = match &paths[..] {
+        let into = match paths {
             [one] => one.output.display().to_string(),
             several => format!("each of {} versions", several.len()),
         };
@@ -207,9 +236,8 @@ impl Reconstruct {
         report.line(format!(
             "{} vertices in {into}, {}",
             count(done.vertices),
-            rate(done.vertices * versions.len() as u64, report.seconds())
+            rate(done.vertices * paths.len() as u64, report.seconds())
         ));
-        Ok(())
     }
 }
 

@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use simod_core::guard::Kind;
 use simod_core::sampled_model::SampledModel;
+use simod_model::bounds::Bounds;
 use simod_model::target::folder_of;
 use simod_model::{Error, Result, output};
 use simod_picture::picture::{self, Crop, Drawn, Up, View};
@@ -101,15 +102,6 @@ fn parse_part(text: &str) -> std::result::Result<f64, String> {
 
 impl Render {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let crop = Crop { around: self.target, part: self.crop };
-        let view = |bounds| View {
-            bounds,
-            yaw: self.yaw,
-            pitch: self.pitch,
-            size: self.size,
-            up: self.up.into(),
-            crop,
-        };
         // What is in the way is told before the model is read.
         let mut guard = self.overwrite.guard();
         guard.reads(&self.path);
@@ -123,48 +115,9 @@ impl Render {
             None => output::write_file(&self.output, &image.to_png()?),
         };
         if self.path.is_dir() {
-            let sampled = SampledModel::load(&self.path)?;
-            let (samples, view) = (&sampled.samples, view(sampled.bounds));
-            report.figure("samples", samples.len());
-            let (paint, colors) = self.of_samples(&sampled, report)?;
-            let colors = colors.as_deref();
-            let mut take = |image: &Image| take(&paint.with_legend(image));
-            match self.turntable {
-                Some(n) => {
-                    let (drawn, frames) = ((colors, !self.points), (n, &mut take as _));
-                    picture::turn_of_samples(&sampled, &view, drawn, frames, report.untimed())?;
-                }
-                None if self.points => take(&picture::of_discs(&sampled, &view, colors))?,
-                None => {
-                    let (positions, normals) = (&samples.positions, samples.normals());
-                    take(&picture::of_samples(&sampled, positions, normals, &view, colors))?;
-                }
-            }
+            self.draw_samples(&mut take, report)?;
         } else {
-            let (cache, progress) = (Arc::default(), report.progress());
-            let model = simod_model::open_with(&self.path, None, &cache, progress)?;
-            tell_cache(&cache, report);
-            let coloring = Coloring::choose(self.color.as_deref(), &model.info().attributes)?;
-            let bounds = picture::bounds(model.as_ref(), progress)?;
-            if bounds.is_empty() {
-                return Err(Error::degenerate(
-                    format!("{} has no vertex with a finite position", self.path.display()),
-                    "there is nothing to draw",
-                ));
-            }
-            report.figure("vertices", model.info().vertices);
-            let view = view(bounds);
-            let paint = Paint::of_model(model.as_ref(), coloring, progress)?;
-            let mut take = |image: &Image| take(&paint.with_legend(image));
-            let folder = folder_of(&self.output);
-            let how = (&paint, if self.points { Drawn::Points } else { Drawn::Faces(folder) });
-            match self.turntable {
-                Some(n) => {
-                    let frames = (n, &mut take as _);
-                    picture::turn_of_model(model.as_ref(), &bounds, &view, how, frames, progress)?;
-                }
-                None => take(&picture::of_model(model.as_ref(), &bounds, &view, how, progress)?)?,
-            }
+            self.draw_model(&mut take, report)?;
         }
         if let (Some(frames), Some(folder)) = (self.turntable, folder) {
             folder.commit()?;
@@ -178,6 +131,62 @@ impl Render {
             report.line(format!("drew {} as {}", self.path.display(), self.output.display()));
         }
         Ok(())
+    }
+
+    /// From where it is seen.
+    fn view(&self, bounds: Bounds) -> View {
+        let crop = Crop { around: self.target, part: self.crop };
+        let Self { yaw, pitch, size, up, .. } = *self;
+        View { bounds, yaw, pitch, size, up: up.into(), crop }
+    }
+
+    /// The samples of a folder, from one side or from all around.
+    fn draw_samples(&self, take: &mut dyn FnMut(&Image) -> Result<()>, report: &mut Report) -> Result<()> {
+        let sampled = SampledModel::load(&self.path)?;
+        let (samples, view) = (&sampled.samples, self.view(sampled.bounds));
+        report.figure("samples", samples.len());
+        let (paint, colors) = self.of_samples(&sampled, report)?;
+        let colors = colors.as_deref();
+        let mut take = |image: &Image| take(&paint.with_legend(image));
+        match self.turntable {
+            Some(n) => {
+                let (drawn, frames) = ((colors, !self.points), (n, &mut take as _));
+                picture::turn_of_samples(&sampled, &view, drawn, frames, report.untimed())
+            }
+            None if self.points => take(&picture::of_discs(&sampled, &view, colors)),
+            None => {
+                let (positions, normals) = (&samples.positions, samples.normals());
+                take(&picture::of_samples(&sampled, positions, normals, &view, colors))
+            }
+        }
+    }
+
+    /// The same of a model.
+    fn draw_model(&self, take: &mut dyn FnMut(&Image) -> Result<()>, report: &mut Report) -> Result<()> {
+        let (cache, progress) = (Arc::default(), report.progress());
+        let model = simod_model::open_with(&self.path, None, &cache, progress)?;
+        tell_cache(&cache, report);
+        let coloring = Coloring::choose(self.color.as_deref(), &model.info().attributes)?;
+        let bounds = picture::bounds(model.as_ref(), progress)?;
+        if bounds.is_empty() {
+            return Err(Error::degenerate(
+                format!("{} has no vertex with a finite position", self.path.display()),
+                "there is nothing to draw",
+            ));
+        }
+        report.figure("vertices", model.info().vertices);
+        let view = self.view(bounds);
+        let paint = Paint::of_model(model.as_ref(), coloring, progress)?;
+        let mut take = |image: &Image| take(&paint.with_legend(image));
+        let folder = folder_of(&self.output);
+        let how = (&paint, if self.points { Drawn::Points } else { Drawn::Faces(folder) });
+        match self.turntable {
+            Some(n) => {
+                let frames = (n, &mut take as _);
+                picture::turn_of_model(model.as_ref(), &bounds, &view, how, frames, progress)
+            }
+            None => take(&picture::of_model(model.as_ref(), &bounds, &view, how, progress)?),
+        }
     }
 
     /// What samples are coloured by, and their colours, unless all are alike.

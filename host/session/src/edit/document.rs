@@ -504,6 +504,10 @@ fn no_stroke(stroke: usize, count: usize) -> Error {
     refused(format!("there is no stroke {stroke} among {count}"), "strokes are counted from 0")
 }
 
+fn of_another_kind() -> Error {
+    refused("the step is of another kind", "choose another step")
+}
+
 fn edit(step: &mut Step, change: Change) -> Result<()> {
     match (&mut step.action, change) {
         (_, Change::Enable(enabled)) => step.enabled = enabled,
@@ -513,15 +517,25 @@ fn edit(step: &mut Step, change: Change) -> Result<()> {
             }
             step.title = title;
         }
-        (Action::Deform(step), Change::SetAmount(amount)) => {
+        (Action::Refine(refine), Change::SetRefine(other)) => {
+            other.check()?;
+            *refine = other;
+        }
+        (Action::Refine(_), _) => return Err(of_another_kind()),
+        (Action::Deform(deformation), change) => edit_deformation(deformation, change)?,
+    }
+    Ok(())
+}
+
+fn edit_deformation(step: &mut Deformation, change: Change) -> Result<()> {
+    match change {
+        Change::SetAmount(amount) => {
             check_amount(amount)?;
             step.amount = amount;
         }
-        (Action::Deform(step), Change::SetParam { id, value: Some(value) }) => {
-            drop(step.params.insert(id, value))
-        }
-        (Action::Deform(step), Change::SetParam { id, value: None }) => drop(step.params.remove(&id)),
-        (Action::Deform(step), Change::SetRegions(mut regions)) => {
+        Change::SetParam { id, value: Some(value) } => drop(step.params.insert(id, value)),
+        Change::SetParam { id, value: None } => drop(step.params.remove(&id)),
+        Change::SetRegions(mut regions) => {
             for region in &mut regions {
                 // A handle that becomes another region stays where it is.
                 if region.role != Role::Handle {
@@ -531,59 +545,46 @@ fn edit(step: &mut Step, change: Change) -> Result<()> {
             }
             step.regions = regions;
         }
-        (Action::Deform(step), Change::MoveRegion { region, motion }) => {
+        Change::MoveRegion { region, motion } => {
             check_motion(&motion)?;
             let handle = step.regions.get_mut(region).filter(|r| r.role == Role::Handle);
-            handle
-                .ok_or_else(|| refused(format!("region {region} is no handle"), "choose a handle"))?
-                .motion = motion;
+            let none = || refused(format!("region {region} is no handle"), "choose a handle");
+            handle.ok_or_else(none)?.motion = motion;
         }
-        (Action::Deform(step), Change::SetJoints(joints)) => {
+        Change::SetJoints(joints) => {
             check_joints(&joints).map_err(|(_, defect)| defect)?;
-            let gone =
-                |id: &str| step.joints.iter().any(|j| j.id == id) && !joints.iter().any(|j| j.id == id);
-            step.handles.retain(|handle| !gone(&handle.id));
+            let has = |joints: &[Joint], id: &str| joints.iter().any(|joint| joint.id == id);
+            step.handles.retain(|handle| !has(&step.joints, &handle.id) || has(&joints, &handle.id));
             step.joints = joints;
         }
-        (Action::Deform(step), Change::RenameJoint { from, to }) => rename_joint(step, &from, to)?,
-        (Action::Deform(step), Change::MoveHandle { id, motion }) => {
-            check_motion(&motion)?;
-            step.handles.retain(|handle| handle.id != id);
-            if motion != Motion::default() {
-                step.handles.push(HandleMove { id, motion });
-            }
-        }
-        (Action::Deform(step), Change::MoveHandles(moves)) => {
-            check_handles(&moves).map_err(|(_, defect)| defect)?;
-            step.handles.retain(|handle| moves.iter().all(|other| other.id != handle.id));
-            step.handles.extend(moves.into_iter().filter(|handle| handle.motion != Motion::default()));
-        }
-        (Action::Deform(step), Change::AddStroke(stroke)) => {
-            if let Some((what, hint)) = stroke.defect() {
-                return Err(refused(what, hint));
-            }
+        Change::RenameJoint { from, to } => rename_joint(step, &from, to)?,
+        Change::MoveHandle { id, motion } => move_handles(step, vec![HandleMove { id, motion }])?,
+        Change::MoveHandles(moves) => move_handles(step, moves)?,
+        Change::AddStroke(stroke) => {
+            check_stroke(&stroke)?;
             step.strokes.push(stroke);
         }
-        (Action::Deform(step), Change::SetStroke { stroke, to }) => {
-            if let Some((what, hint)) = to.defect() {
-                return Err(refused(what, hint));
-            }
+        Change::SetStroke { stroke, to } => {
+            check_stroke(&to)?;
             let count = step.strokes.len();
             *step.strokes.get_mut(stroke).ok_or_else(|| no_stroke(stroke, count))? = to;
         }
-        (Action::Deform(step), Change::RemoveStroke { stroke }) => {
-            if stroke >= step.strokes.len() {
-                return Err(no_stroke(stroke, step.strokes.len()));
-            }
-            step.strokes.remove(stroke);
-        }
-        (Action::Refine(refine), Change::SetRefine(other)) => {
-            other.check()?;
-            *refine = other;
-        }
-        (Action::Refine(_), _) | (Action::Deform(_), Change::SetRefine(_)) => {
-            return Err(refused("the step is of another kind", "choose another step"));
-        }
+        Change::RemoveStroke { stroke } if stroke < step.strokes.len() => drop(step.strokes.remove(stroke)),
+        Change::RemoveStroke { stroke } => return Err(no_stroke(stroke, step.strokes.len())),
+        // Of all steps, or of refinements.
+        Change::Enable(_) | Change::SetTitle(_) | Change::SetRefine(_) => return Err(of_another_kind()),
     }
     Ok(())
+}
+
+/// Handles that move get another motion, or none.
+fn move_handles(step: &mut Deformation, moves: Vec<HandleMove>) -> Result<()> {
+    check_handles(&moves).map_err(|(_, defect)| defect)?;
+    step.handles.retain(|handle| moves.iter().all(|other| other.id != handle.id));
+    step.handles.extend(moves.into_iter().filter(|handle| handle.motion != Motion::default()));
+    Ok(())
+}
+
+fn check_stroke(stroke: &Stroke) -> Result<()> {
+    stroke.defect().map_or(Ok(()), |(what, hint)| Err(refused(what, hint)))
 }
