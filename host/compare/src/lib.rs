@@ -18,7 +18,7 @@
 //! exact maps need, and then a field of each; of each distinct sampling its samples and triangles, and of
 //! each method 12 bytes a sample, to the end, and until all methods are done what is found of the samples at
 //! rest (420 bytes a sample); then up to four methods' smooth surfaces (220 bytes a sample each), or a tree
-//! of one method's triangles (400 bytes a sample), or for each thread a small chunk (about 1 MB) of each
+//! of one method's triangles (400 bytes a sample), or for each thread a chunk (about 300 kB) of each
 //! model, or a picture in the making, or two of up to a million pixels (380 bytes a pixel). On the disk, the
 //! deformed models of all methods at once, and the chosen vertices (three for each pixel, 24 bytes for each
 //! version).

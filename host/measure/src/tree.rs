@@ -82,10 +82,8 @@ impl Tree {
             }
             let node = &self.nodes[node as usize];
             let squares = node.least(p).to_array();
-            let mut parts: [usize; PARTS] = std::array::from_fn(|lane| lane);
-            parts.sort_unstable_by(|a, b| squares[*a].total_cmp(&squares[*b]));
             let first = waiting.len();
-            for lane in parts {
+            for lane in nearest_first(squares) {
                 match node.parts[lane] {
                     _ if squares[lane] > reach => break,
                     Part::None => {}
@@ -114,6 +112,18 @@ impl Tree {
             }
         }
     }
+}
+
+/// The places of squares, the least first; of equal ones the first. Squares are no less than 0, so that their
+/// bits are in the order of their values.
+#[inline]
+fn nearest_first(squares: [f32; PARTS]) -> [usize; PARTS] {
+    let key = |lane: usize| u64::from(squares[lane].to_bits()) << 2 | lane as u64;
+    let mut keys: [u64; PARTS] = std::array::from_fn(key);
+    for [a, b] in [[0, 1], [2, 3], [0, 2], [1, 3], [1, 2]] {
+        (keys[a], keys[b]) = (keys[a].min(keys[b]), keys[a].max(keys[b]));
+    }
+    keys.map(|key| (key & 3) as usize)
 }
 
 /// Coordinates in which all triangles reach from -1 to 1, where single precision tells what is far.
@@ -350,6 +360,17 @@ mod tests {
             Facet([at(t), at(t + 0.2), at(t) + DVec3::splat(0.1)], i)
         };
         (0..count as u32).map(of).collect()
+    }
+
+    #[test]
+    fn the_least_comes_first_and_of_equal_ones_the_first() {
+        let values = [0.0, 1e-30, 0.25, 0.25, 3.0, f32::INFINITY];
+        for n in 0..values.len().pow(4) {
+            let squares: [f32; 4] = std::array::from_fn(|k| values[n / values.len().pow(k as u32) % 6]);
+            let mut expected = [0, 1, 2, 3];
+            expected.sort_by(|a: &usize, b| squares[*a].total_cmp(&squares[*b]));
+            assert_eq!(nearest_first(squares), expected, "{squares:?}");
+        }
     }
 
     #[test]

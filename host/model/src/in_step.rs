@@ -77,7 +77,8 @@ pub fn in_step(
     mut visit: impl FnMut(&[Vertices<'_>]) -> Result<()>,
 ) -> Result<()> {
     let vertices = checked_count(models)?;
-    range_in_step(models, 0..vertices, attributes, progress, |_, parts| visit(parts))
+    let how = (0..vertices, SMALL_CHUNK);
+    chunks_in_step(models, how, attributes, progress, |_, parts| visit(parts))
 }
 
 /// Vertices of a range that one thread reads: so many that the files are read in large pieces.
@@ -86,11 +87,15 @@ const RANGE: u64 = 1 << 18;
 /// Ranges that are worked on for each thread until what was found of them is put together.
 const RANGES_AHEAD: usize = 2;
 
+/// Vertices of a chunk there: so few that those of several models stay near the processor from reading to
+/// comparing, and that their memory is not asked of the system anew for each range.
+const RANGE_CHUNK: usize = 1 << 12;
+
 /// As [`in_step`], by ranges of vertices on all threads where the models can be read from anywhere: what
 /// `visit` finds in each range, beginning with the default, comes to `merge` in the order of the ranges,
 /// which are the same for any number of threads. `visit` is told the first vertex' number, too.
 ///
-/// Memory: for each thread a small chunk of each model, and what is found of two ranges.
+/// Memory: for each thread a chunk of 4096 vertices of each model, and what is found of two ranges.
 ///
 /// # Errors
 /// As of [`in_step`].
@@ -104,7 +109,8 @@ pub fn in_ranges<T: Default + Send>(
     let vertices = checked_count(models)?;
     let of_range = |range: Range<u64>| {
         let mut found = T::default();
-        range_in_step(models, range, attributes, progress, |first, parts| visit(&mut found, first, parts))?;
+        let how = (range, RANGE_CHUNK);
+        chunks_in_step(models, how, attributes, progress, |first, parts| visit(&mut found, first, parts))?;
         Ok(found)
     };
     if !models.iter().all(|model| model.info().random_access) {
@@ -150,13 +156,24 @@ pub fn range_in_step(
     range: Range<u64>,
     attributes: usize,
     progress: &dyn Progress,
+    visit: impl FnMut(u64, &[Vertices<'_>]) -> Result<()>,
+) -> Result<()> {
+    chunks_in_step(models, (range, SMALL_CHUNK), attributes, progress, visit)
+}
+
+/// As [`range_in_step`], in chunks of so many vertices at most.
+fn chunks_in_step(
+    models: &[&dyn Model],
+    (range, chunk): (Range<u64>, usize),
+    attributes: usize,
+    progress: &dyn Progress,
     mut visit: impl FnMut(u64, &[Vertices<'_>]) -> Result<()>,
 ) -> Result<()> {
     let Some(first) = models.first() else { return Ok(()) };
     let mut cursors = Vec::with_capacity(models.len());
     for (i, model) in models.iter().enumerate() {
         let mut reader = model.vertices(range.clone())?;
-        reader.set_chunk(SMALL_CHUNK);
+        reader.set_chunk(chunk);
         let attributes = vec![Vec::new(); if i == 0 { attributes } else { 0 }];
         if attributes.is_empty() {
             reader.skip_attributes();

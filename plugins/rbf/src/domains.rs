@@ -19,7 +19,7 @@ const OWN: usize = 160;
 /// centres.
 const ALL: usize = 360;
 /// One centre of so many is a coarse one,
-const COARSE_OF: usize = 12;
+const COARSE_OF: usize = 5;
 /// between so few and so many.
 const COARSE: [usize; 2] = [500, 2000];
 /// What keeps a factorisation from failing by rounding, as a part of the matrix' mean eigenvalue: the first

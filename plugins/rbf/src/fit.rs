@@ -30,6 +30,9 @@ const RIDGE: f64 = 1e-9;
 const CHOSEN: usize = 1000;
 /// How many times more there are after each round of interpolation, at most.
 const MORE: usize = 6;
+/// All that are left become centres where more than this part of them are not met: the others would follow
+/// in a round of their own, which costs as much again.
+const NEARLY_ALL: f64 = 0.75;
 /// Centres of an interpolation are one where they are in the same cell of this size, in the unit box.
 const CELL: f64 = 1e-5;
 /// What interpolation leaves over at the centres, as a part of the tolerance.
@@ -185,6 +188,8 @@ impl Fitter<'_> {
         mut residuals: Vec<f64>,
         most: usize,
     ) -> PluginResult<Fit> {
+        // What the last round found, of its centres: the next one goes on from there.
+        let mut found = Mat::zeros(0, self.constraints.functions());
         while fit.residual > self.goal.tolerance && centers.len() < most {
             let wanted = most.min(MORE * centers.len());
             let before = centers.len();
@@ -197,8 +202,12 @@ impl Fitter<'_> {
             let targets = Mat::from_fn(centers.len(), self.constraints.functions(), |i, f| {
                 self.constraints.target(centers[i], f)
             });
-            let weights = interpolate(&functions, &targets, LEFT * self.goal.tolerance, self.host)?;
+            let start = Mat::from_fn(centers.len(), targets.ncols(), |i, f| {
+                if i < found.nrows() { found[(i, f)] } else { 0.0 }
+            });
+            let weights = interpolate(&functions, &targets, start, LEFT * self.goal.tolerance, self.host)?;
             self.check_finite(&weights)?;
+            found = weights.subrows(functions.kernel.affine(), centers.len()).to_owned();
             residuals = self.residuals(None, &functions, &weights)?;
             let residual = largest(&residuals);
             // Between few centres it may be off by more than before; and in the end by rounding.
@@ -210,7 +219,8 @@ impl Fitter<'_> {
     }
 
     /// Makes constraints that are not met centres, well spread, the worst of each place, until there are
-    /// `wanted`. Where few are not met, others that nearly are join them, so that rounds stay few.
+    /// `wanted`. Where few are not met, others that nearly are join them, and where nearly none is, all do,
+    /// so that rounds stay few.
     fn add_failing(&self, residuals: &[f64], wanted: usize, centers: &mut Vec<usize>) {
         let points = &self.constraints.points;
         let cell = |i: usize| points[i].map(|x| (x / CELL) as i32);
@@ -219,8 +229,10 @@ impl Fitter<'_> {
         worst.retain(|&i| taken.insert(cell(i)));
         let failing = worst.partition_point(|&i| residuals[i] > self.goal.tolerance);
         if failing > 0 {
-            worst.truncate(failing.max(centers.len() / 4));
             let room = wanted.saturating_sub(centers.len());
+            if worst.len() > room || failing as f64 <= NEARLY_ALL * worst.len() as f64 {
+                worst.truncate(failing.max(centers.len() / 4));
+            }
             centers.extend(spread_order(points, worst.into_iter(), room));
         }
     }

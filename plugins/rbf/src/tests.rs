@@ -444,6 +444,9 @@ fn long_borders_are_met_by_more_centres_than_can_be_chosen() {
             assert!(log.0.lock().unwrap().is_empty());
         }
     }
+    // Where nearly all constraints have to be centres, all are at once.
+    let state = Setup { kernel: "biharmonic", ..border(2500, 0.0) }.prepare(&()).unwrap();
+    assert_eq!(state.fit.functions.centers.len(), 2500);
     // As many as may be, and what is left over is told.
     let setup = Setup { max_centers: 1500.0, ..border(2500, 0.0) };
     let log = Log::default();
@@ -464,9 +467,14 @@ fn long_borders_are_met_by_more_centres_than_can_be_chosen() {
 #[ignore = "prints times, and asserts nothing"]
 fn cost() {
     for kernel in ["triharmonic", "biharmonic", "compact-c2", "compact-c4"] {
-        for (n, gap, tolerance) in
-            [(16_540, 0.0, 1e-7), (20_000, 0.0, 1e-6), (25_000, 0.8, 1e-6), (100_000, 3.2, 1e-6)]
-        {
+        for (n, gap, tolerance) in [
+            (16_540, 0.0, 1e-7),
+            (20_000, 0.0, 1e-6),
+            // Where rounding ends it, and all are centres.
+            (20_000, 0.0, 1e-9),
+            (25_000, 0.8, 1e-6),
+            (100_000, 3.2, 1e-6),
+        ] {
             let setup = Setup { kernel, tolerance, ..border(n, gap) };
             let start = std::time::Instant::now();
             let state = setup.prepare(&Threads).unwrap();
