@@ -133,7 +133,8 @@ mod tests {
     use super::*;
     use simod_plugin_api::Affine;
 
-    /// Many at a time are to the bit as each by itself, and what nothing moves stays, also a zero with a sign.
+    /// Many at a time are to the bit as each by itself, and what nothing moves stays, also a zero with a
+    /// sign.
     #[test]
     fn many_at_a_time_move_as_each_does() {
         let (samples, functions) = (8 * DEFORM_BLOCK / 5 + 3, 4);
