@@ -139,7 +139,7 @@ mod tests {
     fn many_at_a_time_move_as_each_does() {
         let (samples, functions) = (8 * DEFORM_BLOCK / 5 + 3, 4);
         let wave = |i: usize, k: usize| (0.37 * i as f64 + 1.9 * k as f64).sin();
-        let value = |i: usize, f: usize| if i % 7 == 0 { 0.0 } else { wave(i, f) as f32 };
+        let value = |i: usize, f: usize| if i.is_multiple_of(7) { 0.0 } else { wave(i, f) as f32 };
         let mut values = vec![[0.0; LANES]; samples.div_ceil(LANES) * functions];
         for (i, f) in (0..samples).flat_map(|i| (0..functions).map(move |f| (i, f))) {
             values[i / LANES * functions + f][i % LANES] = value(i, f);
