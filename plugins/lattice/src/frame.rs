@@ -49,8 +49,13 @@ impl Frame {
     /// The coordinates of a point: 0 to 1 inside.
     #[inline(always)]
     pub fn coordinates(&self, p: DVec3) -> [f64; 3] {
-        let x = p - self.centre;
-        self.inverses.map(|axis| 0.5 + x.dot(axis))
+        [0, 1, 2].map(|axis| self.coordinate(axis, p))
+    }
+
+    /// One of them.
+    #[inline(always)]
+    pub fn coordinate(&self, axis: usize, p: DVec3) -> f64 {
+        0.5 + (p - self.centre).dot(self.inverses[axis])
     }
 
     /// The point with these coordinates.

@@ -172,7 +172,7 @@ impl WithSimd for Packets<'_> {
             }
             let mut numbers = [[0.0; WIDEST]; 3];
             for (numbers, sum) in numbers.iter_mut().zip(sum) {
-                simd.partial_store_f32s(&mut numbers[..S::F32_LANES], sum);
+                S::as_mut_simd_f32s(numbers).0[0] = sum;
             }
             for (lane, (o, p)) in out.iter_mut().zip(rest).enumerate() {
                 *o = std::array::from_fn(|axis| p[axis] + numbers[axis][lane]);
@@ -192,44 +192,80 @@ fn add<S: Simd>(simd: S, a: &mut [S::f32s; 3], b: [S::f32s; 3], w: S::f32s) {
 /// Along each axis, the basis functions at some samples, as many as the lanes or less.
 #[inline(always)]
 fn weights<S: Simd>(simd: S, lattice: &Lattice, rest: &[[f32; 3]], all: &mut [[S::f32s; MOST]; 3]) {
-    let mut places = [[[0.0; WIDEST]; 4]; 3];
+    let mut points = [[0.0; WIDEST]; 3];
     for (lane, p) in rest.iter().enumerate() {
-        let u = lattice.frame.coordinates(DVec3::from(p.map(f64::from)));
-        for axis in 0..3 {
-            let place = lattice.bases[axis].place(u[axis]);
-            for (number, x) in [place.inside, place.fade, place.below, place.above].into_iter().enumerate() {
-                places[axis][number][lane] = x as f32;
-            }
-        }
+        (0..3).for_each(|axis| points[axis][lane] = f64::from(p[axis]));
     }
     for axis in 0..3 {
-        let [u, fade, below, above] =
-            [0, 1, 2, 3].map(|number| simd.partial_load_f32s(&places[axis][number][..S::F32_LANES]));
-        let rest_of_u = simd.sub_f32s(simd.splat_f32s(1.0), u);
-        let (values, degree) = (&mut all[axis], lattice.bases[axis].count() - 1);
-        // Bernstein's recurrence: as in `Basis::at`, with 0 for all knots on the left, and 1 for those on the
-        // right.
-        values[0] = fade;
-        for k in 1..=degree {
-            let mut carried = simd.splat_f32s(0.0);
-            for value in &mut values[..k] {
-                let old = *value;
-                *value = simd.add_f32s(carried, simd.mul_f32s(rest_of_u, old));
-                carried = simd.mul_f32s(u, old);
+        let (mut u, mut all_inside) = ([0.0; WIDEST], true);
+        for lane in 0..S::F32_LANES.min(WIDEST) {
+            let p = DVec3::new(points[0][lane], points[1][lane], points[2][lane]);
+            u[lane] = lattice.frame.coordinate(axis, p);
+            all_inside &= (0.0..=1.0).contains(&u[lane]);
+        }
+        let mut places = [u.map(|u| u as f32), [1.0; WIDEST], [0.0; WIDEST], [0.0; WIDEST]];
+        // Divisions take long.
+        if !all_inside {
+            for lane in 0..S::F32_LANES.min(WIDEST) {
+                let place = lattice.bases[axis].place_of_many(u[lane]);
+                places[0][lane] = place.inside as f32;
+                places[1][lane] = place.fade as f32;
+                places[2][lane] = place.below as f32;
+                places[3][lane] = place.above as f32;
             }
-            values[k] = carried;
         }
-        // The functions add up to one, times what they fade to, of which rounding leaves less the more of
-        // them there are.
-        let total =
-            values[..=degree].iter().fold(simd.splat_f32s(f32::MIN_POSITIVE), |a, b| simd.add_f32s(a, *b));
-        let whole = simd.div_f32s(fade, total);
-        for value in &mut values[..=degree] {
-            *value = simd.mul_f32s(*value, whole);
+        let [u, fade, below, above] = places.map(|place| S::as_simd_f32s(&place).0[0]);
+        let functions = &mut all[axis][..lattice.bases[axis].count()];
+        if let [a, b, c, d] = functions {
+            // The same in registers, as nearly all lattices are cubic.
+            let mut cubic = cubic(simd, u, fade);
+            complete(simd, &mut cubic, [fade, below, above]);
+            [*a, *b, *c, *d] = cubic;
+        } else {
+            bernstein(simd, u, fade, functions);
+            complete(simd, functions, [fade, below, above]);
         }
-        values[0] = simd.add_f32s(values[0], below);
-        values[1] = simd.sub_f32s(values[1], below);
-        values[degree] = simd.add_f32s(values[degree], above);
-        values[degree - 1] = simd.sub_f32s(values[degree - 1], above);
     }
+}
+
+/// Bernstein's recurrence, of functions that add up to `fade`: as in `Basis::at`, with 0 for all knots on the
+/// left, and 1 for those on the right.
+#[inline(always)]
+fn bernstein<S: Simd>(simd: S, u: S::f32s, fade: S::f32s, values: &mut [S::f32s]) {
+    let rest_of_u = simd.sub_f32s(simd.splat_f32s(1.0), u);
+    values[0] = fade;
+    for k in 1..values.len() {
+        let mut carried = simd.splat_f32s(0.0);
+        for value in &mut values[..k] {
+            let old = *value;
+            *value = simd.add_f32s(carried, simd.mul_f32s(rest_of_u, old));
+            carried = simd.mul_f32s(u, old);
+        }
+        values[k] = carried;
+    }
+}
+
+/// The same of four.
+#[inline(always)]
+fn cubic<S: Simd>(simd: S, u: S::f32s, fade: S::f32s) -> [S::f32s; CUBIC] {
+    let rest_of_u = simd.sub_f32s(simd.splat_f32s(1.0), u);
+    let (up, down) = (|x| simd.mul_f32s(u, x), |x| simd.mul_f32s(rest_of_u, x));
+    let both = |left, right| simd.add_f32s(up(left), down(right));
+    let [a, b] = [down(fade), up(fade)];
+    let [a, b, c] = [down(a), both(a, b), up(b)];
+    [down(a), both(a, b), both(b, c), up(c)]
+}
+
+/// Rounding leaves less of what they add up to, the more functions there are: it is put right. And what is
+/// beyond either end goes on.
+#[inline(always)]
+fn complete<S: Simd>(simd: S, values: &mut [S::f32s], [fade, below, above]: [S::f32s; 3]) {
+    let total = values.iter().fold(simd.splat_f32s(f32::MIN_POSITIVE), |a, b| simd.add_f32s(a, *b));
+    let whole = simd.div_f32s(fade, total);
+    values.iter_mut().for_each(|value| *value = simd.mul_f32s(*value, whole));
+    let degree = values.len() - 1;
+    values[0] = simd.add_f32s(values[0], below);
+    values[1] = simd.sub_f32s(values[1], below);
+    values[degree] = simd.add_f32s(values[degree], above);
+    values[degree - 1] = simd.sub_f32s(values[degree - 1], above);
 }

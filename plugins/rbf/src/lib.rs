@@ -19,6 +19,7 @@ mod kernel;
 mod least_squares;
 mod side;
 mod sums;
+mod table;
 
 use constraints::{Constraints, HandleFrame, PER_HANDLE};
 use fit::{Fit, Goal, MOST_CENTERS};
@@ -28,13 +29,12 @@ use simod_plugin_api::{
     Affine, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, PluginError, PluginResult,
     PrepareInput,
 };
+use table::Table;
 
 /// How far from the regions residuals are felt, in units of the diagonal.
 const HELD_REACH: f64 = 0.05;
 /// Share of the preparation's progress that the fit has; the samples' table has the rest.
 const FIT_SHARE: f64 = 0.7;
-/// Samples that are deformed at once on one thread.
-const DEFORM_BLOCK: usize = 8192;
 /// Blocks of points on one thread, which share their working memory.
 const TOGETHER: usize = 64;
 
@@ -48,8 +48,7 @@ struct Prepared {
     handles: Vec<HandleFrame>,
     has_fixed: bool,
     held: Held,
-    /// Each sample's values of all right-hand sides' solutions, sample by sample.
-    table: Vec<f32>,
+    table: Table,
 }
 
 impl Deformer for Rbf {
@@ -80,7 +79,7 @@ impl Deformer for Rbf {
         warn(&constraints, &fit, &goal, host);
         let reach = if goal.kernel.is_compact() { HELD_REACH.min(goal.support) } else { HELD_REACH };
         let held = Held::new(&constraints, &fit, length(reach), host)?;
-        let table = table(&fit, &held, &constraints, input.samples.positions(), host)?;
+        let table = Table::new(&fit, &held, &constraints, input.samples.positions(), host, FIT_SHARE)?;
         let Constraints { frame, handles, has_fixed, .. } = constraints;
         Ok(Prepared { fit, frame, handles, has_fixed, held, table })
     }
@@ -93,23 +92,11 @@ impl Deformer for Rbf {
         host: &Host<'_>,
     ) -> PluginResult<()> {
         let motion = state.motion(input.transforms())?;
-        let functions = motion.coefficients.len();
-        if out.len() * functions != state.table.len() || input.samples.positions().len() != out.len() {
+        let rest = input.samples.positions();
+        if !state.table.is_of(motion.coefficients.len(), out.len()) || rest.len() != out.len() {
             return Err(PluginError::internal("the samples are not those of the preparation"));
         }
-        let rest = input.samples.positions();
-        host.parallel_blocks(out, DEFORM_BLOCK, |first, out| {
-            let table = state.table[first * functions..].chunks_exact(functions);
-            for ((o, p), values) in out.iter_mut().zip(&rest[first..]).zip(table) {
-                let at = p.map(f64::from);
-                let mut q = motion.common.apply(at);
-                for (&value, k) in values.iter().zip(&motion.coefficients) {
-                    (0..3).for_each(|i| q[i] += f64::from(value) * k[i]);
-                }
-                // Bit for bit where it was, also a zero with a sign.
-                *o = if q == at { *p } else { q.map(|x| x as f32) };
-            }
-        })
+        state.table.deform(&motion, rest, out, host)
     }
 }
 
@@ -225,47 +212,6 @@ fn warn(constraints: &Constraints, fit: &Fit, goal: &Goal, host: &Host<'_>) {
     if goal.kernel.is_compact() && constraints.is_sparse(0.5 * fit.functions.support) {
         host.warn("the samples of a handle hardly reach each other, and move as bumps of their own: raise `support`");
     }
-}
-
-/// The solutions' values at all samples: those of the regions are told.
-fn table(
-    fit: &Fit,
-    held: &Held,
-    constraints: &Constraints,
-    positions: &[[f32; 3]],
-    host: &Host<'_>,
-) -> PluginResult<Vec<f32>> {
-    let functions = fit.weights.ncols();
-    let mut table = vec![0.0; positions.len() * functions];
-    let mut constraint_of = vec![u32::MAX; positions.len()];
-    constraints.samples.iter().zip(0..).for_each(|(&i, constraint)| constraint_of[i as usize] = constraint);
-    let total = positions.len().max(1) as f64;
-    let entries = BLOCK * functions;
-    host.parallel_blocks(&mut table, TOGETHER * entries, |first, table| {
-        let first = first / functions;
-        // Whether to go on is looked after by whoever hands out the blocks.
-        let _ = host.progress(FIT_SHARE + (1.0 - FIT_SHARE) * first as f64 / total);
-        let (mut free, mut sum) = (Vec::new(), vec![0.0; functions]);
-        for (table, first) in table.chunks_mut(entries).zip((first..).step_by(BLOCK)) {
-            free.clear();
-            for (i, values) in table.chunks_exact_mut(functions).enumerate() {
-                match constraint_of[first + i] {
-                    u32::MAX => free.push(i),
-                    c => (0..functions).for_each(|f| values[f] = constraints.target(c as usize, f) as f32),
-                }
-            }
-            let at = |i: &usize| constraints.frame.to_unit(positions[first + i].map(f64::from));
-            let points: Vec<Point> = free.iter().map(at).collect();
-            let sums = fit.functions.sums(&points, fit.weights.as_ref());
-            for (row, (i, p)) in free.iter().zip(&points).enumerate() {
-                sum.iter_mut().enumerate().for_each(|(f, sum)| *sum = sums[f][row]);
-                held.add(p, &mut sum);
-                let values = &mut table[i * functions..][..functions];
-                values.iter_mut().zip(&sum).for_each(|(value, sum)| *value = *sum as f32);
-            }
-        }
-    })?;
-    Ok(table)
 }
 
 simod_plugin_api::export_plugin!(Rbf, evaluate);

@@ -282,6 +282,16 @@ impl<'a> Profile<'a> {
         }
     }
 
+    /// Tells it from others: its number, and the points of one that is drawn.
+    pub fn key(&self) -> (u8, Vec<[f64; 2]>) {
+        match self {
+            Self::Linear => (0, Vec::new()),
+            Self::Smooth => (1, Vec::new()),
+            Self::Smoother => (2, Vec::new()),
+            Self::Curve(curve) => (3, curve.points().to_vec()),
+        }
+    }
+
     fn evaluate(&self, t: f64) -> f64 {
         match self {
             Self::Linear => t,

@@ -6,18 +6,21 @@
 //! The tool of most of the SIMOD paper's figures.
 
 mod distance;
+mod draft;
 mod influence;
 mod motion;
 mod regions;
 
+use draft::{Amounts, PartsTable};
 use glam::{DVec3, Vec3};
 use influence::{Measure, Profile, Shares};
-use motion::{Motion, PartsTable};
+use motion::Motion;
 use regions::Regions;
 use simod_plugin_api::{
     Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, IsIdentity, ParamSet,
     PluginError, PluginResult, PrepareInput,
 };
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Samples that are deformed at once on one thread.
 const BLOCK: usize = 4096;
@@ -48,6 +51,8 @@ enum Distance {
 
 /// Who follows whom.
 struct Prepared {
+    /// Tells it from others.
+    number: u64,
     shares: Shares,
     /// The handles' middles, about which they stretch.
     centers: Vec<DVec3>,
@@ -55,7 +60,7 @@ struct Prepared {
 
 impl Deformer for SmoothHandle {
     type State = Prepared;
-    type Scratch = ();
+    type Scratch = Amounts;
 
     fn descriptor() -> Descriptor {
         let [profile, curve] = Profile::params();
@@ -79,6 +84,7 @@ impl Deformer for SmoothHandle {
     }
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+        static PREPARED: AtomicU64 = AtomicU64::new(0);
         let positions: &[Vec3] = bytemuck::cast_slice(input.samples.positions());
         if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
             return Err(PluginError::input(format!("sample {i} is at no finite place")));
@@ -101,13 +107,14 @@ impl Deformer for SmoothHandle {
         };
         let centers = handles.map(|part| center(&part.core)).collect();
         let samples = influence::Samples { positions, normals, graph };
-        Ok(Prepared { shares: Shares::new(&regions, &samples, &measure, host)?, centers })
+        let shares = Shares::new(&regions, &samples, &measure, host)?;
+        Ok(Prepared { number: PREPARED.fetch_add(1, Ordering::Relaxed), shares, centers })
     }
 
     fn deform(
         state: &Prepared,
         input: &DeformInput<'_>,
-        _: &mut (),
+        kept: &mut Amounts,
         out: &mut [[f32; 3]],
         host: &Host<'_>,
     ) -> PluginResult<()> {
@@ -122,10 +129,15 @@ impl Deformer for SmoothHandle {
         let profile = Profile::from_params(input.params())?;
         let motions: Vec<Motion> =
             transforms.iter().zip(&state.centers).map(|(t, &center)| Motion::new(t, center)).collect();
-        // A hand mostly moves one handle, and wants one picture after the other.
-        let mut moving = motions.iter().filter(|motion| !motion.is_none());
-        let only = moving.next().filter(|_| input.effort() == Effort::DRAFT && moving.next().is_none());
-        let table = only.map(PartsTable::new);
+        let mut moving = motions.iter().enumerate().filter(|(_, motion)| !motion.is_none());
+        let is_draft = input.effort() == Effort::DRAFT;
+        if let (true, Some((handle, motion)), None) = (is_draft, moving.next(), moving.next()) {
+            let amounts = kept.of((&state.shares, state.number), handle, &profile, host)?;
+            let table = PartsTable::new(motion);
+            return host.parallel_blocks(out, BLOCK, |first, out| {
+                table.apply(&amounts[first..], &rest[first..], out);
+            });
+        }
         host.parallel_blocks(out, BLOCK, |first, block| {
             let mut amounts = vec![0.0; motions.len()];
             for ((i, out), p) in (first..).zip(block).zip(&rest[first..]) {
@@ -139,11 +151,7 @@ impl Deformer for SmoothHandle {
                     Some((motion, 1.0)) if amounts.iter().sum::<f64>() == 1.0 => {
                         motion.all(p64).as_vec3().to_array()
                     }
-                    Some(part) => {
-                        let known = table.as_ref().and_then(|table| table.part(part.1, p64));
-                        let exact = || motion::blend(p64, std::iter::once(part).chain(parts));
-                        known.unwrap_or_else(exact).as_vec3().to_array()
-                    }
+                    Some(part) => motion::blend(p64, std::iter::once(part).chain(parts)).as_vec3().to_array(),
                 };
             }
         })

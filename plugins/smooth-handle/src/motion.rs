@@ -7,7 +7,7 @@
 //! SIGGRAPH 2002. A turn of more than half a turn is one of less the other way round: the map does not tell
 //! which it was.
 
-use glam::{DAffine3, DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use simod_geometry::symmetric_eigen;
 use simod_plugin_api::Affine;
 
@@ -126,35 +126,6 @@ pub fn blend<'a>(p: DVec3, parts: impl Iterator<Item = (&'a Motion, f64)>) -> DV
     sum.apply(stretched) + straight
 }
 
-/// Parts of one motion, for drafts: what lies between two of them is taken from a straight line.
-pub struct PartsTable(Vec<DAffine3>);
-
-impl PartsTable {
-    /// So many parts: within a half turn, the line between two leaves the screw by about a millionth of the
-    /// distance from its axis.
-    const STEPS: usize = 1024;
-
-    /// Of a motion.
-    pub fn new(motion: &Motion) -> Self {
-        let part = |k: usize| {
-            let t = k as f64 / Self::STEPS as f64;
-            let image = |p: DVec3| blend(p, std::iter::once((motion, t)));
-            let origin = image(DVec3::ZERO);
-            let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| image(axis) - origin);
-            DAffine3 { matrix3: DMat3::from_cols(x, y, z), translation: origin }
-        };
-        Self((0..=Self::STEPS).map(part).collect())
-    }
-
-    /// The image of a point under a part of it; nothing of parts that are not from 0 to 1.
-    pub fn part(&self, t: f64, p: DVec3) -> Option<DVec3> {
-        let place = (0.0..=1.0).contains(&t).then_some(t * Self::STEPS as f64)?;
-        let below = (place as usize).min(Self::STEPS - 1);
-        let [from, to] = [below, below + 1].map(|k| self.0[k].transform_point3(p));
-        Some(from + (place - below as f64) * (to - from))
-    }
-}
-
 impl Stretch {
     /// That part of it.
     fn matrix(&self, t: f64) -> DMat3 {
@@ -220,24 +191,6 @@ fn integral_of_exp(re: f64, im: f64) -> (f64, f64) {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-
-    #[test]
-    fn parts_of_a_table_are_those_of_the_motion() {
-        let turn = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 0.5).normalize_or(DVec3::Y), 3.0);
-        let stretch = DMat3::from_diagonal(DVec3::new(1.5, 0.8, 1.0));
-        let center = DVec3::new(0.1, 0.3, -0.2);
-        for matrix in [turn, 1.3 * turn * stretch, DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0))] {
-            let motion = Motion::new(&affine(matrix, DVec3::new(0.2, -0.1, 0.4)), center);
-            let table = PartsTable::new(&motion);
-            for k in 0..=777 {
-                let (t, p) = (f64::from(k) / 777.0, DVec3::new(0.3, -0.4, 0.01 * f64::from(k % 50)));
-                let exact = blend(p, std::iter::once((&motion, t)));
-                let part = table.part(t, p).unwrap();
-                assert!(part.distance(exact) < 4e-6, "{t}: {part} {exact}");
-            }
-            assert!(table.part(1.01, center).is_none() && table.part(-0.01, center).is_none());
-        }
-    }
 
     fn affine(matrix: DMat3, offset: DVec3) -> Affine {
         let m = matrix.transpose();

@@ -87,12 +87,22 @@ impl Setup {
     }
 
     fn deform(&self, transforms: &[Affine]) -> Vec<[f32; 3]> {
-        let state = self.prepare(&()).unwrap();
+        self.deform_by(&self.prepare(&()).unwrap(), transforms, Effort::FULL, &mut Amounts::default())
+    }
+
+    fn deform_by(
+        &self,
+        state: &Prepared,
+        transforms: &[Affine],
+        effort: Effort,
+        kept: &mut Amounts,
+    ) -> Vec<[f32; 3]> {
         let samples = Samples::new(&self.positions, &self.normals, &[]);
         let mut out = vec![[f32::NAN; 3]; self.positions.len()];
+        let parts = [Part::new(&effort)];
         self.with(|params| {
-            let input = DeformInput::new(samples, self.bounds(), transforms, params);
-            SmoothHandle::deform(&state, &input, &mut (), &mut out, &Host::new(&())).unwrap();
+            let input = DeformInput::new(samples, self.bounds(), transforms, params).with_parts(&parts);
+            SmoothHandle::deform(state, &input, kept, &mut out, &Host::new(&())).unwrap();
         });
         out
     }
@@ -139,6 +149,32 @@ fn regions_do_exactly_as_told() {
         }
     }
     assert_eq!(setup.deform(&[Affine::IDENTITY]), setup.positions);
+}
+
+/// Whatever was drafted before with the same working memory.
+#[test]
+fn drafts_are_like_results() {
+    let mut kept = Amounts::default();
+    let turn = motion(DVec3::X, 70.0, DVec3::new(0.0, 0.5, 0.0), 1.2, DVec3::new(0.1, 0.0, 0.2));
+    for handles in [1, 2] {
+        let mut setup = Setup::bar(4000);
+        if handles == 2 {
+            setup.region(Role::HANDLE, |p| p.y > 0.4 && p.y < 0.5);
+        }
+        let state = setup.prepare(&()).unwrap();
+        for (profile, moved) in [("linear", 0), ("smoother", 0), ("curve", 0), ("curve", handles - 1)] {
+            setup.profile = profile;
+            let mut motions = vec![Affine::IDENTITY; handles];
+            motions[moved] = turn;
+            let exact = setup.deform_by(&state, &motions, Effort::FULL, &mut Amounts::default());
+            let draft = setup.deform_by(&state, &motions, Effort::DRAFT, &mut kept);
+            for ((p, q), r) in setup.positions.iter().zip(&exact).zip(&draft) {
+                assert!(Vec3::from(*q).distance(Vec3::from(*r)) < 4e-6, "{profile}, {moved}: {q:?} {r:?}");
+                // What stays does so in both.
+                assert_eq!(q == p, r == p, "{profile}, {moved}: {p:?} {q:?} {r:?}");
+            }
+        }
+    }
 }
 
 #[test]

@@ -140,8 +140,9 @@ pub(crate) fn messages(statuses: Vec<(StepId, Status)>) -> Result<Vec<Message>> 
 /// Does steps again and again, and keeps of each what the next time may need: what the plugin prepared, and
 /// the positions.
 ///
-/// Memory: what the plugins hold, 28 bytes a sample, and 12 a sample and step; a copy of the samples for each
-/// refinement. What is of steps that are gone, or switched off, is let go.
+/// Memory: what the plugins hold, 28 bytes a sample, and 12 a sample and step, twice as many of those that a
+/// drag moves; a copy of the samples for each refinement. What is of steps that are gone, or switched off, is
+/// let go.
 pub struct Evaluation {
     sampled: Arc<SampledModel>,
     /// Where the samples are before the first step, if not at rest.
@@ -177,7 +178,7 @@ enum StepState {
         key: u64,
         before: Arc<SampledModel>,
         after: Arc<SampledModel>,
-        positions: Arc<[Vec3]>,
+        rest: Arc<Rest>,
         /// For drafts, from the first one on.
         around: Option<Arc<Around>>,
     },
@@ -397,38 +398,33 @@ impl Evaluation {
         progress: &dyn Progress,
     ) -> Result<Between> {
         let Between { sampled, rest } = between;
-        let mut key = Key::from_key(rest.key).and(step).end();
         let positions = &rest.positions;
-        let (after, positions, around) = match self.known.remove(&id) {
-            Some(StepState::Refine { key: known, after, positions, around, .. }) if known == key => {
-                (after, positions, around)
+        let mut key = Key::from_key(rest.key).and(step).end();
+        let (after, rest, around) = match self.known.remove(&id) {
+            Some(StepState::Refine { key: known, after, rest, around, .. }) if known == key => {
+                (after, rest, around)
             }
-            Some(StepState::Refine { before, after, around, .. })
+            Some(StepState::Refine { before, after, rest, around, .. })
                 if effort == Effort::DRAFT
                     && Arc::ptr_eq(&before, sampled)
                     && !Arc::ptr_eq(&before, &after) =>
             {
-                let around = around.map_or_else(|| Around::new(&before, &after).map(Arc::new), Ok)?;
-                let positions = around.draft(&after, positions).into();
+                let around = around.unwrap_or_else(|| Arc::new(Around::new(&before, &after)));
+                let positions = around.draft(&after, positions);
                 // The result may be another one, whether the steps before it know drafts or not.
                 key = Key::from_key(key).and(&effort).end();
-                (after, positions, Some(around))
+                let rest = with_shape(&after, |shape| shape.rest_again(&rest, positions, key))?;
+                (after, Arc::new(rest), Some(around))
             }
             _ => {
                 let (after, positions) = self.refined(step, sampled, positions, progress)?;
-                (after, positions, None)
+                let rest = with_shape(&after, |shape| shape.rest_at(positions, key))?;
+                (after, Arc::new(rest), None)
             }
         };
-        let known = StepState::Refine {
-            key,
-            before: sampled.clone(),
-            after: after.clone(),
-            positions: positions.clone(),
-            around,
-        };
-        self.known.insert(id, known);
-        let rest = with_shape(&after, |shape| shape.rest_at(positions, key))?;
-        Ok(Between { sampled: after, rest: Arc::new(rest) })
+        let (before, between) = (sampled.clone(), Between { sampled: after.clone(), rest: rest.clone() });
+        self.known.insert(id, StepState::Refine { key, before, after, rest, around });
+        Ok(between)
     }
 
     /// Reads the model again where it is selected.

@@ -137,6 +137,9 @@ pub(crate) struct LayerCache {
     preparation: Option<(u64, Arc<Preparation>)>,
     strokes: Vec<(Arc<Stroke>, Arc<Params>, Arc<LocalStroke>)>,
     done: Option<(u64, Arc<Done>)>,
+    /// While something is dragged, the result before that: the next one is written there, where nobody looks
+    /// at it any more. Memory that is new takes the system as long as a quick deformation.
+    spare: Option<Arc<[Vec3]>>,
 }
 
 impl LayerCache {
@@ -295,6 +298,9 @@ impl Layer {
         progress: &dyn Progress,
     ) -> Result<(Arc<Rest>, Arc<Done>)> {
         let plugin = &self.plugin;
+        if moment.effort != api::Effort::DRAFT {
+            kept.spare = None;
+        }
         let watch = Watch::new(progress, plugin.id(), size_of_val(&*rest.positions) as u64);
         let motions = self.motions(rest, shape, kept, moment, &watch)?;
         let done = |preparation, rest: &Arc<Rest>, positions, messages: Vec<Message>, motions| {
@@ -324,7 +330,8 @@ impl Layer {
             }
             _ => {
                 let preparation = self.preparation(preparation_key, rest, shape, kept, progress)?;
-                let deformed = self.deform(&preparation, &motions, &shape.frame, moment, &watch);
+                let images = unwritten(kept.spare.take(), preparation.rest.positions.len());
+                let deformed = self.deform(&preparation, &motions, images, &shape.frame, moment, &watch);
                 if deformed.as_ref().is_err_and(|e| e.kind() != ErrorKind::Cancelled) {
                     // The process that it was in may have ended.
                     kept.preparation = None;
@@ -332,7 +339,9 @@ impl Layer {
                 let messages = preparation.messages.iter().cloned().chain(watch.into_messages()).collect();
                 let rest = preparation.rest.clone();
                 let done = done(Some(preparation), &rest, deformed?, messages, motions);
-                kept.done = Some((key, done.clone()));
+                let former = kept.done.replace((key, done.clone()));
+                let is_draft = moment.effort == api::Effort::DRAFT;
+                kept.spare = former.filter(|_| is_draft).map(|(_, former)| former.positions.clone());
                 done
             }
         };
@@ -359,7 +368,7 @@ impl Layer {
             return Ok(preparation.clone());
         }
         // Not two at a time, which may be large.
-        (kept.preparation, kept.done) = (None, None);
+        (kept.preparation, kept.done, kept.spare) = (None, None, None);
         let others = self.other_models(shape, kept, progress)?;
         let rest = self.with_normals(rest, shape)?;
         let preparation = Arc::new(self.prepare(&rest, shape, &others, progress)?);
@@ -547,13 +556,12 @@ impl Layer {
         &self,
         preparation: &Preparation,
         motions: &Motions,
+        mut images: Arc<[Vec3]>,
         frame: &Frame,
         moment: Moment,
         watch: &Watch<'_>,
     ) -> Result<Arc<[Vec3]>> {
         let rest = &preparation.rest;
-        // Written where it stays.
-        let mut images: Arc<[Vec3]> = repeat_n(Vec3::NAN, rest.positions.len()).collect();
         let shared = || Error::internal("what was just made has another owner");
         let out = Arc::get_mut(&mut images).ok_or_else(shared)?;
         let mut slot = preparation.scratch.lock().unwrap_or_else(PoisonError::into_inner);
@@ -605,6 +613,16 @@ impl Layer {
         }
         Ok(totals.into_iter().map(rows).collect())
     }
+}
+
+/// Positions of which none is written yet, as many as these: in their place, if nobody else has it.
+fn unwritten(spare: Option<Arc<[Vec3]>>, count: usize) -> Arc<[Vec3]> {
+    let mut spare = spare.filter(|spare| spare.len() == count);
+    match spare.as_mut().and_then(Arc::get_mut) {
+        Some(positions) => bytemuck::cast_slice_mut::<_, f32>(positions).fill(f32::NAN),
+        None => return repeat_n(Vec3::NAN, count).collect(),
+    }
+    spare.unwrap_or_default()
 }
 
 /// An error of another model, with whose it is, the parameter that names it, and its file.

@@ -97,6 +97,12 @@ impl RestShape<'_> {
         })
     }
 
+    /// The same once more at other positions, as `former` was made of.
+    pub(crate) fn rest_again(&self, former: &Rest, positions: Arc<[Vec3]>, key: u64) -> Result<Rest> {
+        self.check_finite(&positions)?;
+        Ok(Rest { normals_fit: *positions == *self.positions, positions, key, ..former.clone() })
+    }
+
     fn check(&self) -> Result<()> {
         let count = self.positions.len();
         if count == 0 {
@@ -109,7 +115,11 @@ impl RestShape<'_> {
         if ![0, count].contains(&self.spacing.len()) {
             return Err(not_one_per_sample("spacing distance"));
         }
-        let finite = self.positions.par_iter().all(|p| p.is_finite());
+        self.check_finite(self.positions)
+    }
+
+    fn check_finite(&self, positions: &[Vec3]) -> Result<()> {
+        let finite = positions.par_iter().all(|p| p.is_finite());
         if !(finite && self.frame.is_valid() && self.bounds.min.is_finite() && self.bounds.max.is_finite()) {
             let what = "a sample, the frame or the bounding box is not finite";
             return Err(Error::degenerate(what, "sample the model again"));
