@@ -66,14 +66,14 @@ impl Params {
                     None if descriptions.is_empty() => format!("{plugin} has no parameters"),
                     None => format!("{plugin} has {}", ids.collect::<Vec<_>>().join(", ")),
                 };
-                return Err(argument(format!("{plugin} has no parameter `{id}`"), hint));
+                return Err(Error::argument(format!("{plugin} has no parameter `{id}`"), hint));
             }
         }
         let value = |d: &ParamDesc| {
             let value = match given.get(d.id.as_str()) {
                 Some(value) => checked(plugin, d, value, folder)?,
                 // Descriptions were checked when the plugin was loaded.
-                None => default(d).map_err(|what| argument(format!("{plugin}: {what}"), ""))?,
+                None => default(d).map_err(|what| Error::argument(format!("{plugin}: {what}"), ""))?,
             };
             Ok((d.id.to_string(), d.kind, value))
         };
@@ -196,10 +196,6 @@ pub(crate) fn is_path(kind: ParamKind) -> bool {
     [ParamKind::FILE, ParamKind::MODEL].contains(&kind)
 }
 
-fn argument(what: impl Into<String>, hint: impl Into<String>) -> Error {
-    Error::argument(what, hint)
-}
-
 /// The candidate that was probably meant, if any is near.
 pub fn nearest<'a>(given: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     candidates
@@ -212,7 +208,7 @@ pub fn nearest<'a>(given: &str, candidates: impl Iterator<Item = &'a str>) -> Op
 fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> Result<ParamValue> {
     let id = &d.id;
     let wrong = |wanted: &str, example: &str| {
-        argument(
+        Error::argument(
             format!("parameter `{id}` of {plugin} is {}, not {wanted}", value.type_str()),
             format!("write it as {id} = {example}"),
         )
@@ -234,7 +230,10 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
                     || format!("use one of {}", ids.collect::<Vec<_>>().join(", ")),
                     |near| format!("did you mean `{near}`?"),
                 );
-                return Err(argument(format!("parameter `{id}` of {plugin} cannot be `{choice}`"), hint));
+                return Err(Error::argument(
+                    format!("parameter `{id}` of {plugin} cannot be `{choice}`"),
+                    hint,
+                ));
             }
             ParamValue::Choice(choice.to_owned())
         }
@@ -252,14 +251,20 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
         ),
         ParamKind::FILE => {
             let path = value.as_str().ok_or_else(|| wrong("a text", "\"file\""))?;
-            file(d, folder, path).map_err(|(what, hint)| argument(format!("{plugin}: {what}"), hint))?
+            file(d, folder, path)
+                .map_err(|(what, hint)| Error::argument(format!("{plugin}: {what}"), hint))?
         }
         ParamKind::MODEL => {
             let path = value.as_str().ok_or_else(|| wrong("a text", "\"model.ply\""))?;
             other_model(d, folder, path)
-                .map_err(|(what, hint)| argument(format!("{plugin}: {what}"), hint))?
+                .map_err(|(what, hint)| Error::argument(format!("{plugin}: {what}"), hint))?
         }
-        _ => return Err(argument(format!("{plugin} has a parameter of a kind unknown here: `{id}`"), "")),
+        _ => {
+            return Err(Error::argument(
+                format!("{plugin} has a parameter of a kind unknown here: `{id}`"),
+                "",
+            ));
+        }
     };
     in_range(d, &parsed).map_err(|what| {
         let hint = match d.kind {
@@ -270,7 +275,7 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
             ParamKind::DIRECTION | ParamKind::POINT => "give three finite numbers".to_owned(),
             _ => format!("give a value {}", range_text(d.hard_range)),
         };
-        argument(format!("{plugin}: {what}"), hint)
+        Error::argument(format!("{plugin}: {what}"), hint)
     })?;
     Ok(parsed)
 }

@@ -188,10 +188,6 @@ pub struct Document {
     silenced: Vec<StepId>,
 }
 
-fn refused(what: impl Into<String>, hint: &str) -> Error {
-    Error::argument(what, hint)
-}
-
 impl Document {
     /// A document with these steps, and nothing to undo.
     pub fn new(steps: impl IntoIterator<Item = Step>) -> Self {
@@ -305,7 +301,7 @@ impl Document {
                 return Ok(());
             }
             let what = format!("there is no place {at} among {count} steps");
-            Err(refused(what, "places are counted from 0"))
+            Err(Error::argument(what, "places are counted from 0"))
         };
         match command {
             Command::Add { at, step } => {
@@ -384,7 +380,7 @@ impl Document {
     fn solo(&mut self, steps: &mut [Entry], at: usize) -> Result<()> {
         let deforms = |entry: &Entry| entry.step.deformation().is_some();
         if !deforms(&steps[at]) {
-            return Err(refused(
+            return Err(Error::argument(
                 "a refinement moves nothing that could be looked at alone",
                 "choose a deformation",
             ));
@@ -476,7 +472,7 @@ impl Document {
 
 /// The group of the step at a place, which there has to be.
 fn group(steps: &[Entry], at: usize) -> Result<Range<usize>> {
-    let none = || refused(format!("step {at} is in no group"), "choose one that is");
+    let none = || Error::argument(format!("step {at} is in no group"), "choose one that is");
     groups::group_at(steps, at).ok_or_else(none)
 }
 
@@ -491,7 +487,7 @@ fn is_alone(steps: &[Entry], at: usize) -> bool {
 
 fn rename_joint(step: &mut Deformation, from: &str, to: String) -> Result<()> {
     if step.joints.iter().all(|joint| joint.id != from) {
-        return Err(refused(format!("there is no joint `{from}`"), "choose another one"));
+        return Err(Error::argument(format!("there is no joint `{from}`"), "choose another one"));
     }
     check_id(&to, to != from && step.joints.iter().any(|joint| joint.id == to))?;
     let ids = step.joints.iter_mut().flat_map(|joint| [Some(&mut joint.id), joint.parent.as_mut()]).flatten();
@@ -501,11 +497,11 @@ fn rename_joint(step: &mut Deformation, from: &str, to: String) -> Result<()> {
 }
 
 fn no_stroke(stroke: usize, count: usize) -> Error {
-    refused(format!("there is no stroke {stroke} among {count}"), "strokes are counted from 0")
+    Error::argument(format!("there is no stroke {stroke} among {count}"), "strokes are counted from 0")
 }
 
 fn of_another_kind() -> Error {
-    refused("the step is of another kind", "choose another step")
+    Error::argument("the step is of another kind", "choose another step")
 }
 
 fn edit(step: &mut Step, change: Change) -> Result<()> {
@@ -548,7 +544,7 @@ fn edit_deformation(step: &mut Deformation, change: Change) -> Result<()> {
         Change::MoveRegion { region, motion } => {
             check_motion(&motion)?;
             let handle = step.regions.get_mut(region).filter(|r| r.role == Role::Handle);
-            let none = || refused(format!("region {region} is no handle"), "choose a handle");
+            let none = || Error::argument(format!("region {region} is no handle"), "choose a handle");
             handle.ok_or_else(none)?.motion = motion;
         }
         Change::SetJoints(joints) => {
@@ -586,5 +582,5 @@ fn move_handles(step: &mut Deformation, moves: Vec<HandleMove>) -> Result<()> {
 }
 
 fn check_stroke(stroke: &Stroke) -> Result<()> {
-    stroke.defect().map_or(Ok(()), |(what, hint)| Err(refused(what, hint)))
+    stroke.defect().map_or(Ok(()), |(what, hint)| Err(Error::argument(what, hint)))
 }

@@ -175,10 +175,6 @@ struct LocalStroke {
     params: LocalParams,
 }
 
-fn argument(what: String, hint: impl Into<String>) -> Error {
-    Error::argument(what, hint)
-}
-
 impl Layer {
     /// Checks a step, which stands at this place of the session. `before` is what it was before it was
     /// edited: what it shares with that is not checked again.
@@ -261,11 +257,11 @@ impl Layer {
             let count = self.regions.iter().filter(|r| r.0 == role).count();
             if count > 0 && !used {
                 let hint = "remove the region; to limit where the step acts, use role = \"mask\"";
-                return Err(argument(format!("plugin {id} uses no {name} regions"), hint));
+                return Err(Error::argument(format!("plugin {id} uses no {name} regions"), hint));
             }
             if count < least as usize {
                 let what = format!("plugin {id} needs {least} {name} region(s), not {count}");
-                return Err(argument(what, format!("add a [[step.region]] with role = \"{name}\"")));
+                return Err(Error::argument(what, format!("add a [[step.region]] with role = \"{name}\"")));
             }
         }
         Ok(())
@@ -281,7 +277,7 @@ impl Layer {
         ];
         match given.into_iter().find(|(unused, ..)| *unused) {
             None => Ok(()),
-            Some((_, what, table)) => Err(argument(
+            Some((_, what, table)) => Err(Error::argument(
                 format!("plugin {} has no {what}", self.plugin.id()),
                 format!("remove the [[step.{table}]]"),
             )),
@@ -594,7 +590,7 @@ impl Layer {
                 None if placed.is_empty() => format!("with these parameters, {} has none", self.plugin.id()),
                 None => format!("there are {}", listed(ids)),
             };
-            return Err(argument(
+            return Err(Error::argument(
                 format!("plugin {} has no handle `{}`", self.plugin.id(), unknown.id),
                 hint,
             ));

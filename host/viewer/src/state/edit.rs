@@ -1,7 +1,7 @@
 //! Steps: added, changed, undone; saved and written.
 
 use super::State;
-use super::open::{Open, nothing_open, refused};
+use super::open::{Open, nothing_open};
 use crate::command::Command;
 use crate::engine::{Extra, Writing};
 use crate::overlay::Overlay;
@@ -117,13 +117,14 @@ impl State {
     /// The step at a place.
     pub(super) fn entry(&self, at: usize) -> Result<&edit::Entry> {
         let steps = self.open()?.steps();
-        let none = || refused(format!("there is no step {at} among {}", steps.len()), "places begin at 0");
+        let none =
+            || Error::argument(format!("there is no step {at} among {}", steps.len()), "places begin at 0");
         steps.get(at).ok_or_else(none)
     }
 
     /// The deformation at a place.
     pub(super) fn deformation(&self, at: usize) -> Result<&Deformation> {
-        let none = || refused(format!("step {at} deforms nothing"), "choose another step");
+        let none = || Error::argument(format!("step {at} deforms nothing"), "choose another step");
         self.entry(at)?.step.deformation().ok_or_else(none)
     }
 
@@ -149,7 +150,7 @@ impl State {
     /// It is in none; they are too long for a text.
     pub fn copied_group(&self, at: usize) -> Result<String> {
         let steps = self.open()?.steps();
-        let none = || refused(format!("step {at} is in no group"), "choose one that is");
+        let none = || Error::argument(format!("step {at} is in no group"), "choose one that is");
         let group = edit::group_at(steps, at).ok_or_else(none)?;
         let steps: Vec<Step> = steps[group].iter().map(|entry| (*entry.step).clone()).collect();
         edit::copied(&steps, &self.plugins)
@@ -182,14 +183,14 @@ impl State {
 
     pub(super) fn save(&mut self, path: Option<PathBuf>) -> Result<()> {
         let open = self.open.as_mut().ok_or_else(nothing_open)?;
-        let none = || refused("the session has no file yet", "say where to save it");
+        let none = || Error::argument("the session has no file yet", "say where to save it");
         let path = path.or_else(|| open.editor.path().map(Path::to_owned)).ok_or_else(none)?;
         open.editor.save(&path)
     }
 
     pub(super) fn write(&mut self, output: PathBuf) -> Result<()> {
         if self.engine.is_opening() {
-            return Err(refused("another model is being opened", "wait for it"));
+            return Err(Error::argument("another model is being opened", "wait for it"));
         }
         let open = self.open.as_mut().ok_or_else(nothing_open)?;
         open.editor.set_output(output.clone());
@@ -225,5 +226,5 @@ impl State {
 
 /// An error of something that is not there, for commands that name it.
 pub(super) fn missing(what: &str, which: impl std::fmt::Display) -> Error {
-    refused(format!("there is no {what} {which}"), "choose another one")
+    Error::argument(format!("there is no {what} {which}"), "choose another one")
 }

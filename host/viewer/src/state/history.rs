@@ -1,11 +1,10 @@
 //! Undo and redo: of the steps by their document, and of the selection between its changes.
 
 use super::State;
-use super::open::refused;
 use super::selections::Left;
 use crate::command::{Area, Command};
 use crate::selection::{Combine, Selection};
-use simod_model::Result;
+use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
 
 impl State {
@@ -54,7 +53,7 @@ impl State {
         let (former, steps) = (self.steps_now()?, self.open()?.steps().clone());
         let label = self.document_mut()?.undo();
         self.choose_near(&steps, true);
-        self.swapped(&label.ok_or_else(|| refused("there is nothing to undo", "go on"))?, former);
+        self.swapped(&label.ok_or_else(|| Error::argument("there is nothing to undo", "go on"))?, former);
         self.request(Effort::FULL);
         Ok(())
     }
@@ -70,7 +69,7 @@ impl State {
         let (former, steps) = (self.steps_now()?, self.open()?.steps().clone());
         let label = self.document_mut()?.redo();
         self.choose_near(&steps, true);
-        self.swapped(&label.ok_or_else(|| refused("there is nothing to do again", "go on"))?, former);
+        self.swapped(&label.ok_or_else(|| Error::argument("there is nothing to do again", "go on"))?, former);
         self.request(Effort::FULL);
         Ok(())
     }

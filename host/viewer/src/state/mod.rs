@@ -31,7 +31,7 @@ use crate::selection::{Adjacency, Selection};
 use full::Preview;
 use glam::DVec3;
 use known::Known;
-use open::{Open, refused};
+use open::Open;
 use open_stroke::OpenStroke;
 use selections::Selections;
 use simod_core::reconstruction::Reconstructed;
@@ -226,7 +226,7 @@ impl State {
     fn begin_opening(&mut self, opening: Opening) -> Result<()> {
         if self.engine.wants(Job::Write) {
             let what = "a model that was to be written waits for another one: wait for it, or cancel it";
-            return Err(refused(what, "open the other model afterwards"));
+            return Err(Error::argument(what, "open the other model afterwards"));
         }
         self.engine.open(opening);
         Ok(())

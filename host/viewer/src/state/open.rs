@@ -26,11 +26,7 @@ impl Open {
 }
 
 /// A command that makes no sense.
-pub(super) fn refused(what: impl Into<String>, hint: &str) -> Error {
-    Error::argument(what, hint)
-}
-
 /// A command that needs a model.
 pub(super) fn nothing_open() -> Error {
-    refused("no model is open", "open one")
+    Error::argument("no model is open", "open one")
 }

@@ -1,14 +1,14 @@
 //! The pinned version: other steps on the same samples, to compare with those that are worked on.
 
 use super::State;
-use super::open::{Open, nothing_open, refused};
+use super::open::{Open, nothing_open};
 use super::version::{Pinned, Steps, Version};
 use crate::engine::{Carried, Comparing};
 use crate::overlay::Overlay;
 use crate::scene::{Scene, common};
 use simod_core::fingerprint::are_same;
 use simod_core::sampled_model::SampledModel;
-use simod_model::Result;
+use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
 use simod_session::SessionFile;
 use std::path::Path;
@@ -42,7 +42,7 @@ impl State {
         let session = SessionFile::load(path)?;
         if !is_of(&session, open) {
             let what = format!("{} is an edit of another model", path.display());
-            return Err(refused(what, "choose a session of the model that is open"));
+            return Err(Error::argument(what, "choose a session of the model that is open"));
         }
         let steps = open.editor.document_mut().entries(session.steps);
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -67,10 +67,12 @@ impl State {
 
     pub(super) fn swap_pinned(&mut self) -> Result<()> {
         let former = self.steps_now()?;
-        let pinned =
-            self.pinned.as_ref().ok_or_else(|| refused("nothing is pinned", "pin a version first"))?;
+        let pinned = self
+            .pinned
+            .as_ref()
+            .ok_or_else(|| Error::argument("nothing is pinned", "pin a version first"))?;
         if pinned.scene().is_none() {
-            return Err(refused("the pinned version is not there yet", "wait for it"));
+            return Err(Error::argument("the pinned version is not there yet", "wait for it"));
         }
         let steps = pinned.version.steps.clone();
         self.document_mut()?.replace(SWAP, steps);

@@ -2,7 +2,7 @@
 
 use super::State;
 use super::edit::missing;
-use super::open::{Open, refused};
+use super::open::Open;
 use crate::appended::{as_found, owner_of};
 use crate::body::{Ball, Body, largest_balls};
 use crate::motion::{PlacedHandle, placed_handles};
@@ -11,7 +11,7 @@ use crate::selection::Selection;
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use simod_core::refinement::Finer;
-use simod_model::Result;
+use simod_model::{Error, Result};
 use simod_plugin_api::HandleDesc;
 use simod_session::edit::{Change, StepId};
 use simod_session::step::{Action, HandleMove, Joint, Refine, Region, Role};
@@ -58,7 +58,7 @@ impl State {
         let selected = |i: usize| selection.contains(i as u32);
         let inside: Vec<DVec3> = (0..count).filter(|i| selected(*i)).map(point).collect();
         if inside.is_empty() {
-            return Err(refused("nothing is selected", "select some samples first"));
+            return Err(Error::argument("nothing is selected", "select some samples first"));
         }
         let neighbours = scene.sampled.samples.neighbours();
         let mut next = vec![false; count];
@@ -77,13 +77,13 @@ impl State {
 
     pub(super) fn make_handle(&mut self, at: usize, band: f64) -> Result<()> {
         if !(band.is_finite() && band > 0.0) {
-            return Err(refused("the band that bends cannot be of that width", "give one above 0"));
+            return Err(Error::argument("the band that bends cannot be of that width", "give one above 0"));
         }
         let before = self.before(at)?;
         let handle = self.picked(before, &self.selection)?;
         let fixed = self.beyond(before, band)?;
         let fixed = self.picked(before, &fixed).map_err(|_| {
-            refused(
+            Error::argument(
                 "nothing is left to be fixed around the handle",
                 "have it bend within less, or select less",
             )

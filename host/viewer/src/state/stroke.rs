@@ -1,17 +1,16 @@
 //! A brush stroke while it is drawn: shown, but not yet one of the steps'.
 
 use super::State;
-use super::open::refused;
 use super::open_stroke::OpenStroke;
 use glam::DVec3;
-use simod_model::Result;
+use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
 use simod_session::edit::Change;
 use simod_session::step::Stroke;
 use std::sync::Arc;
 
 fn none() -> simod_model::Error {
-    refused("no stroke was begun", "put the brush on the surface first")
+    Error::argument("no stroke was begun", "put the brush on the surface first")
 }
 
 impl State {
@@ -27,7 +26,7 @@ impl State {
         // All but that it has no point yet.
         let some = Stroke { points: vec![DVec3::ZERO], ..stroke.clone() };
         if let Some((what, hint)) = some.defect() {
-            return Err(refused(what, hint));
+            return Err(Error::argument(what, hint));
         }
         self.stroke = Some(OpenStroke { step: self.entry(step)?.id, stroke });
         Ok(())
@@ -36,7 +35,7 @@ impl State {
     pub(super) fn stroke_point(&mut self, at: DVec3, pressure: Option<f32>) -> Result<()> {
         let OpenStroke { stroke, .. } = self.stroke.as_mut().ok_or_else(none)?;
         if !at.is_finite() || pressure.is_some_and(|p| !(0.0..=1.0).contains(&p)) {
-            return Err(refused("a point of a stroke makes no sense", "give finite numbers"));
+            return Err(Error::argument("a point of a stroke makes no sense", "give finite numbers"));
         }
         // Pressures are for all points or none: those without are at full pressure.
         if pressure.is_some() || !stroke.pressures.is_empty() {
@@ -51,7 +50,7 @@ impl State {
     pub(super) fn end_stroke(&mut self) -> Result<()> {
         let OpenStroke { step, stroke } = self.stroke.take().ok_or_else(none)?;
         let at = self.open()?.steps().iter().position(|entry| entry.id == step);
-        let gone = || refused("the step of the stroke is gone", "undo its removal, and draw again");
+        let gone = || Error::argument("the step of the stroke is gone", "undo its removal, and draw again");
         let result = at.ok_or_else(gone).and_then(|at| self.change(at, Change::AddStroke(Arc::new(stroke))));
         if result.is_err() {
             self.request(Effort::FULL);

@@ -1,7 +1,6 @@
 //! The camera, and what is shown on the surface.
 
 use super::State;
-use super::open::refused;
 use crate::camera::Camera;
 use crate::clip::Clip;
 use crate::command::CameraMove;
@@ -10,7 +9,7 @@ use crate::overlay::Overlay;
 use crate::pick::Hit;
 use crate::tint::Tint;
 use glam::{DVec2, DVec3};
-use simod_model::{Attribute, Colors, Result};
+use simod_model::{Attribute, Colors, Error, Result};
 use simod_plugin_api::Effort;
 
 /// Points that are measured along, at most.
@@ -71,7 +70,7 @@ impl State {
     pub(super) fn clip(&mut self, clip: Option<Clip>) -> Result<()> {
         self.open()?;
         if clip.is_some_and(|clip| !clip.is_plane()) {
-            return Err(refused(
+            return Err(Error::argument(
                 "that is no plane to cut by",
                 "give finite numbers, and a normal with a length",
             ));
@@ -95,7 +94,10 @@ impl State {
         self.open()?;
         if points.len() > MOST_MEASURED || !points.iter().all(|p| p.is_finite()) {
             let what = "these points cannot be measured along";
-            return Err(refused(what, &format!("give finite numbers, of {MOST_MEASURED} points at most")));
+            return Err(Error::argument(
+                what,
+                &format!("give finite numbers, of {MOST_MEASURED} points at most"),
+            ));
         }
         self.measured = points;
         Ok(())
@@ -117,7 +119,7 @@ impl State {
 
     pub(super) fn resize(&mut self, size: [f64; 2]) -> Result<()> {
         if !size.iter().all(|x| (1.0..=65536.0).contains(x)) {
-            return Err(refused("a picture cannot be of that size", "give 1 to 65536 pixels"));
+            return Err(Error::argument("a picture cannot be of that size", "give 1 to 65536 pixels"));
         }
         self.size = size;
         Ok(())
@@ -130,7 +132,7 @@ impl State {
             CameraMove::Pan { by } => camera.pan(by.into(), size),
             CameraMove::Zoom { factor, at } => {
                 if factor.is_nan() || factor <= 0.0 {
-                    return Err(refused("the camera cannot zoom by that factor", "give one above 0"));
+                    return Err(Error::argument("the camera cannot zoom by that factor", "give one above 0"));
                 }
                 let pixel = DVec2::from(at);
                 let hit = self.pick(pixel).map(|hit| hit.local);
@@ -144,7 +146,7 @@ impl State {
             CameraMove::Set(other) => camera = other,
         }
         if !camera.is_valid() {
-            return Err(refused("the camera cannot be there", "give finite numbers"));
+            return Err(Error::argument("the camera cannot be there", "give finite numbers"));
         }
         self.camera = camera;
         Ok(())
