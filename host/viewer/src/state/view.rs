@@ -96,7 +96,7 @@ impl State {
             let what = "these points cannot be measured along";
             return Err(Error::argument(
                 what,
-                &format!("give finite numbers, of {MOST_MEASURED} points at most"),
+                format!("give finite numbers, of {MOST_MEASURED} points at most"),
             ));
         }
         self.measured = points;
