@@ -29,7 +29,7 @@ impl Motion {
     }
 
     /// Where a point goes.
-    pub fn of(&self, p: DVec3) -> DVec3 {
+    pub fn image_of(&self, p: DVec3) -> DVec3 {
         self.pivot + self.turn * (p - self.pivot) * self.scale + self.shift
     }
 }

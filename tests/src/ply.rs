@@ -92,7 +92,7 @@ impl Ply {
     }
 
     /// A binary file of floats: these positions, and normals as many or none.
-    pub fn of(positions: &[DVec3], normals: &[DVec3]) -> Self {
+    pub fn from_points(positions: &[DVec3], normals: &[DVec3]) -> Self {
         let names = if normals.is_empty() { &NAMES[..3] } else { &NAMES[..] };
         let properties: String = names.iter().map(|name| format!("property float {name}\n")).collect();
         let header = "ply\nformat binary_little_endian 1.0\nelement vertex";
@@ -237,7 +237,7 @@ impl Type {
         }
     }
 
-    fn of(name: &str) -> Self {
+    fn from_name(name: &str) -> Self {
         match name {
             "char" | "uchar" | "int8" | "uint8" => Self::Integer { bytes: 1 },
             "short" | "ushort" | "int16" | "uint16" => Self::Integer { bytes: 2 },
@@ -272,8 +272,8 @@ fn header(bytes: &[u8]) -> (Encoding, Vec<Element>, usize) {
             }
             ["property", ref words @ .., name] => {
                 let (count, item) = match words {
-                    ["list", count, item] => (Some(Type::of(count)), Type::of(item)),
-                    [item] => (None, Type::of(item)),
+                    ["list", count, item] => (Some(Type::from_name(count)), Type::from_name(item)),
+                    [item] => (None, Type::from_name(item)),
                     _ => panic!("unknown property {line}"),
                 };
                 let element = elements.last_mut().expect("an element before its properties");

@@ -210,7 +210,7 @@ fn no_vector_instruction_is_a_function() {
 /// lacks a feature, or has one too many.
 #[test]
 fn what_the_program_needs_is_built_once() {
-    let program = Packages::of("normal,build", &[]);
+    let program = Packages::read("normal,build", &[]);
     let heavy = ["simod-scene", "simod-storage", "simod-window"];
     let tests: Vec<&str> =
         ["--workspace"].into_iter().chain(heavy.into_iter().flat_map(|name| ["--exclude", name])).collect();
@@ -225,7 +225,7 @@ fn what_the_program_needs_is_built_once() {
         "simod-cli/object-storage",
     ];
     for choice in [&tests[..], &["-p", "simod-scene", "-p", "simod-window"], &storage] {
-        let others = Packages::of("normal,build,dev", choice);
+        let others = Packages::read("normal,build,dev", choice);
         // What is asked for is a feature of the program itself.
         let libraries = program.0.iter().filter(|p| !p.starts_with("simod-cli "));
         let again: Vec<&String> =
@@ -238,7 +238,7 @@ fn what_the_program_needs_is_built_once() {
 struct Packages(BTreeSet<String>);
 
 impl Packages {
-    fn of(edges: &str, choice: &[&str]) -> Self {
+    fn read(edges: &str, choice: &[&str]) -> Self {
         let mut cargo = cargo("tree");
         cargo
             .args(["--locked", "--no-dedupe", "--prefix", "none", "--format", "{p} {f}", "-e", edges])

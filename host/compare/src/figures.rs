@@ -97,7 +97,7 @@ struct AtRest<'a> {
 impl<'a> AtRest<'a> {
     fn new(rest: &'a [DVec3], triangles: &'a [[u32; 3]]) -> Self {
         let ((closed, edges), details) = rayon::join(
-            || (is_closed(triangles), Edges::of(rest, triangles)),
+            || (is_closed(triangles), Edges::from_triangles(rest, triangles)),
             || Details::new(rest, triangles, DETAIL),
         );
         Self {
@@ -106,7 +106,7 @@ impl<'a> AtRest<'a> {
             edges,
             details,
             volume: closed.then(|| volume(rest, triangles)),
-            open: if closed { None } else { Open::of(rest, triangles) },
+            open: if closed { None } else { Open::from_triangles(rest, triangles) },
         }
     }
 
@@ -121,7 +121,7 @@ impl<'a> AtRest<'a> {
             progress.check()?;
             let ((edges, areas), energies) = rayon::join(
                 || (edge_distortion(rest, after, edges), area_distortion(rest, after, triangles)),
-                || Energies::of(rest, after, (triangles, edges)),
+                || Energies::between(rest, after, (triangles, edges)),
             );
             Ok(OnSamples {
                 volume_change: volume_change.filter(|x| x.is_finite()),

@@ -585,7 +585,7 @@ fn finished(
     record.figures = Some(Figures {
         samples: if is_model { 0 } else { sampled.samples.len() },
         triangles: if is_model { 0 } else { sampled.triangles.len() },
-        seconds: Seconds::of((!is_model).then_some(sample), runs),
+        seconds: Seconds::from_runs((!is_model).then_some(sample), runs),
         peak_memory_bytes,
         transfer_error: once.transfer_error,
         expected_error: once.expected_error,

@@ -227,7 +227,7 @@ pub(crate) type TimeOf = fn(&RunSeconds) -> Option<f64>;
 
 impl Seconds {
     /// Of runs.
-    pub(crate) fn of(sample: Option<f64>, runs: Vec<RunSeconds>) -> Self {
+    pub(crate) fn from_runs(sample: Option<f64>, runs: Vec<RunSeconds>) -> Self {
         let median = |of: TimeOf| median(runs.iter().filter_map(of).collect());
         Self {
             sample,
@@ -405,10 +405,10 @@ mod tests {
     #[test]
     fn of_several_runs_the_middle_counts() {
         let run = |deform: f64| RunSeconds { deform: Some(deform), ..RunSeconds::default() };
-        let seconds = Seconds::of(Some(2.0), [5.0, 1.0, 3.0].map(run).to_vec());
+        let seconds = Seconds::from_runs(Some(2.0), [5.0, 1.0, 3.0].map(run).to_vec());
         assert_eq!((seconds.sample, seconds.deform, seconds.reconstruct), (Some(2.0), Some(3.0), None));
         assert_eq!(seconds.spread(|r| r.deform), Some(2.0));
-        assert_eq!(Seconds::of(None, [1.0, 2.0].map(run).to_vec()).deform, Some(1.5));
-        assert_eq!(Seconds::of(None, vec![run(1.0)]).spread(|r| r.deform), None);
+        assert_eq!(Seconds::from_runs(None, [1.0, 2.0].map(run).to_vec()).deform, Some(1.5));
+        assert_eq!(Seconds::from_runs(None, vec![run(1.0)]).spread(|r| r.deform), None);
     }
 }

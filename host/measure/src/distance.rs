@@ -57,7 +57,7 @@ impl Surface {
         if facets.is_empty() {
             return None;
         }
-        let (tree, order) = Tree::of(&facets);
+        let (tree, order) = Tree::from_facets(&facets);
         let sorted = |i: &u32| Facet(facets[*i as usize].0, facets[*i as usize].1);
         let facets: Vec<Facet> = order.par_iter().map(sorted).collect();
         Some(Self { facets, tree })
@@ -87,7 +87,7 @@ impl Surface {
     /// The point of the surface that is nearest to a point, which has to be finite.
     pub fn closest(&self, p: DVec3) -> Option<OnSurface> {
         let (facet, point) = self.nearest(p, 0, &mut Vec::new());
-        Some(self.facets[facet].at(point))
+        Some(self.facets[facet].on_surface(point))
     }
 
     /// Where a ray of a finite origin and direction, which is not zero, meets the surface first, from either
@@ -101,7 +101,7 @@ impl Surface {
                 first = Some((t, facet));
             }
         });
-        first.map(|(t, facet)| facet.at(origin + t * direction))
+        first.map(|(t, facet)| facet.on_surface(origin + t * direction))
     }
 
     /// How far another surface is from this one: the corners of its triangles. All 0 for one without any.
@@ -147,7 +147,7 @@ impl Surface {
 
 impl Facet {
     /// A point that is on it but for rounding.
-    fn at(&self, position: DVec3) -> OnSurface {
+    fn on_surface(&self, position: DVec3) -> OnSurface {
         let [a, b, c] = self.0;
         let normal = cross(self.0);
         let part = |from: DVec3, to: DVec3| (to - from).cross(position - from).dot(normal).max(0.0);

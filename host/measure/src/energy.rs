@@ -79,7 +79,7 @@ impl Bins {
 impl Energies {
     /// Of triangles between positions at rest and deformed ones, and their edges. Triangles without an area
     /// at rest, and edges without a length, do not count.
-    pub fn of(rest: &[DVec3], deformed: &[DVec3], (triangles, edges): (&[[u32; 3]], &Edges)) -> Self {
+    pub fn between(rest: &[DVec3], deformed: &[DVec3], (triangles, edges): (&[[u32; 3]], &Edges)) -> Self {
         let both = |t: &[u32; 3]| Some((*t, corners(rest, *t)?, corners(deformed, *t)?));
         let all: Vec<_> = triangles
             .iter()
@@ -273,8 +273,8 @@ mod tests {
     use super::*;
     use glam::DQuat;
 
-    fn of(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Energies {
-        Energies::of(rest, deformed, (triangles, &Edges::of(rest, triangles)))
+    fn energies(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Energies {
+        Energies::between(rest, deformed, (triangles, &Edges::from_triangles(rest, triangles)))
     }
 
     /// A rolled sheet.
@@ -328,17 +328,17 @@ mod tests {
         for (axis, angle) in [(DVec3::X, 0.0), (DVec3::new(0.48, 0.6, 0.64), 2.9), (DVec3::Y, 3.1)] {
             let turn = DQuat::from_axis_angle(axis, angle);
             let moved: Vec<_> = rest.iter().map(|p| turn * *p + DVec3::new(1.0, 2.0, 3.0)).collect();
-            let found = of(&rest, &moved, &triangles);
+            let found = energies(&rest, &moved, &triangles);
             assert!(found.arap.abs() < 1e-20, "{found:?}");
             assert!((found.symmetric_dirichlet - 4.0).abs() < 1e-9, "{found:?}");
             assert_eq!((found.collapsed, found.histograms.edges.above), (0, 0));
         }
         // A mirror image of a flat sheet is that sheet turned over; of a curved one it is not.
         let mirrored: Vec<_> = rest.iter().map(|p| p.with_z(-p.z)).collect();
-        assert!(of(&rest, &mirrored, &triangles).arap > 1e-3);
+        assert!(energies(&rest, &mirrored, &triangles).arap > 1e-3);
         let flat: Vec<_> = rest.iter().map(|p| p.with_z(0.3 * p.x)).collect();
         let mirrored: Vec<_> = flat.iter().map(|p| p.with_z(-p.z)).collect();
-        assert!(of(&flat, &mirrored, &triangles).arap < 1e-20);
+        assert!(energies(&flat, &mirrored, &triangles).arap < 1e-20);
     }
 
     #[test]
@@ -346,7 +346,7 @@ mod tests {
         let (rest, triangles) = sheet();
         for scale in [0.5, 1.25, 3.0] {
             let scaled: Vec<_> = rest.iter().map(|p| *p * scale).collect();
-            let found = of(&rest, &scaled, &triangles);
+            let found = energies(&rest, &scaled, &triangles);
             let (arap, dirichlet) =
                 (2.0 * (scale - 1.0f64).powi(2), 2.0 * (scale * scale + 1.0 / (scale * scale)));
             assert!((found.arap / arap - 1.0).abs() < 1e-9, "{} instead of {arap}", found.arap);
@@ -361,16 +361,16 @@ mod tests {
         // Of a flat sheet that is stretched one way, the nearest rotation is none.
         let flat: Vec<_> = rest.iter().map(|p| p.with_z(0.0)).collect();
         let wide: Vec<_> = flat.iter().map(|p| p.with_x(2.0 * p.x)).collect();
-        let found = of(&flat, &wide, &triangles);
+        let found = energies(&flat, &wide, &triangles);
         assert!(
             (found.arap - 1.0).abs() < 1e-9 && (found.symmetric_dirichlet - 6.25).abs() < 1e-9,
             "{found:?}"
         );
         // And of one that is pressed together nothing is left.
         let gone: Vec<_> = flat.iter().map(|p| p.with_x(0.0)).collect();
-        let found = of(&flat, &gone, &triangles);
+        let found = energies(&flat, &gone, &triangles);
         assert!(found.collapsed > 1000 && found.symmetric_dirichlet_max.is_finite(), "{found:?}");
-        let nothing = of(&[], &[], &triangles);
+        let nothing = energies(&[], &[], &triangles);
         assert_eq!((nothing.arap, nothing.symmetric_dirichlet), (0.0, 0.0));
     }
 }

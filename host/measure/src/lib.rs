@@ -13,7 +13,7 @@
 //! let triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
 //! let doubled = corners.map(|p| p * 2.0);
 //! assert!((volume(&corners, &triangles) - 1.0 / 6.0).abs() < 1e-15);
-//! assert!((edge_distortion(&corners, &doubled, &Edges::of(&corners, &triangles)).rms - 1.0).abs() < 1e-15);
+//! assert!((edge_distortion(&corners, &doubled, &Edges::from_triangles(&corners, &triangles)).rms - 1.0).abs() < 1e-15);
 //! ```
 
 mod details;

@@ -43,7 +43,7 @@ pub struct Open {
 impl Open {
     /// The plane in the middle of the border at rest, at right angles to what the triangles' normals add up
     /// to; nothing where there is no border, or the sum is nothing.
-    pub fn of(rest: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
+    pub fn from_triangles(rest: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
         let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
         let sides = sorted(sides(valid.copied()).map(either_way));
         let border = sides.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).map(|same| pair(same[0]));
@@ -76,7 +76,7 @@ pub fn area(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
 /// The change |l′ / l − 1| of all edges, of length l at rest and l′ deformed. Edges without a length at rest
 /// do not count.
 pub fn edge_distortion(rest: &[DVec3], deformed: &[DVec3], edges: &Edges) -> Spread {
-    Spread::of(changes(edges.lengths(rest, deformed)))
+    Spread::from_amounts(changes(edges.lengths(rest, deformed)))
 }
 
 /// The change |A′ / A − 1| of all triangles, of area A at rest and A′ deformed. Those without an area at rest
@@ -85,7 +85,7 @@ pub fn area_distortion(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]
     let areas = triangles
         .iter()
         .filter_map(|t| Some([cross(corners(rest, *t)?).length(), cross(corners(deformed, *t)?).length()]));
-    Spread::of(changes(areas))
+    Spread::from_amounts(changes(areas))
 }
 
 fn changes(sizes: impl Iterator<Item = [f64; 2]>) -> Vec<f64> {
@@ -130,12 +130,14 @@ mod tests {
         let (rest, triangles) = brick();
         // Without the quad at the top, z = 3.
         let open: Vec<[u32; 3]> = [&triangles[..2], &triangles[4..]].concat();
-        let plane = Open::of(&rest, &open).unwrap();
+        let plane = Open::from_triangles(&rest, &open).unwrap();
         assert!((plane.volume(&rest, &open).abs() - 6.0).abs() < 1e-12);
         let deeper: Vec<_> = rest.iter().map(|p| if p.z == 0.0 { p.with_z(-1.0) } else { *p }).collect();
         let ratio = plane.volume(&deeper, &open) / plane.volume(&rest, &open);
         assert!((ratio - 4.0 / 3.0).abs() < 1e-12, "{ratio}");
-        assert!(Open::of(&rest, &triangles).is_none() && Open::of(&rest, &[]).is_none());
+        assert!(
+            Open::from_triangles(&rest, &triangles).is_none() && Open::from_triangles(&rest, &[]).is_none()
+        );
     }
 
     #[test]
@@ -149,7 +151,7 @@ mod tests {
                     assert!((figure - change.abs()).abs() < 1e-12, "{spread:?} instead of {change}");
                 }
             };
-            expect(edge_distortion(&rest, &moved, &Edges::of(&rest, &triangles)), scale - 1.0);
+            expect(edge_distortion(&rest, &moved, &Edges::from_triangles(&rest, &triangles)), scale - 1.0);
             expect(area_distortion(&rest, &moved, &triangles), scale * scale - 1.0);
             assert!((volume(&moved, &triangles) - 6.0 * scale.powi(3)).abs() < 1e-12);
         }
@@ -164,7 +166,7 @@ mod tests {
         let triangles = [[0, 1, 2], [0, 2, 3]];
         let diagonal = 2.5f64.sqrt() - 1.0;
         let expected = ((2.0 + diagonal * diagonal) / 5.0).sqrt();
-        let edges = edge_distortion(&rest, &deformed, &Edges::of(&rest, &triangles));
+        let edges = edge_distortion(&rest, &deformed, &Edges::from_triangles(&rest, &triangles));
         assert!((edges.rms - expected).abs() < 1e-12 && (edges.max - 1.0).abs() < 1e-12, "{edges:?}");
         assert!((area_distortion(&rest, &deformed, &triangles).rms - 1.0).abs() < 1e-12);
     }
@@ -175,7 +177,7 @@ mod tests {
         let triangles = [[0, 1, 2], [0, 1, 9], [1, 2, 3], [1, 1, 1]];
         assert_eq!(area(&positions, &triangles), 0.5);
         assert_eq!(
-            edge_distortion(&positions, &positions, &Edges::of(&positions, &triangles)),
+            edge_distortion(&positions, &positions, &Edges::from_triangles(&positions, &triangles)),
             Spread::default()
         );
         assert_eq!(area_distortion(&positions, &positions, &triangles), Spread::default());

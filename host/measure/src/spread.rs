@@ -15,7 +15,7 @@ pub struct Spread {
 
 impl Spread {
     /// Of amounts that are not negative.
-    pub fn of(mut amounts: Vec<f64>) -> Self {
+    pub fn from_amounts(mut amounts: Vec<f64>) -> Self {
         let Some(last) = amounts.len().checked_sub(1) else { return Self::default() };
         let squares: f64 = amounts.iter().map(|x| x * x).sum();
         let (_, p99, above) = amounts.select_nth_unstable_by(last * 99 / 100, f64::total_cmp);

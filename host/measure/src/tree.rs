@@ -54,11 +54,11 @@ enum Part {
 
 impl Tree {
     /// Of some triangles, and the order in which it has them.
-    pub fn of(facets: &[Facet]) -> (Self, Vec<u32>) {
+    pub fn from_facets(facets: &[Facet]) -> (Self, Vec<u32>) {
         let middle = |f: &Facet| 0.5 * (f.0[0].min(f.0[1]).min(f.0[2]) + f.0[0].max(f.0[1]).max(f.0[2]));
         let middles: Vec<DVec3> = facets.par_iter().map(middle).collect();
         let mut order: Vec<u32> = (0..facets.len() as u32).collect();
-        let unit = Unit::of(facets);
+        let unit = Unit::around(facets);
         let mut nodes = vec![Node::EMPTY; nodes_of(facets.len())];
         grow(&mut nodes, &mut order, [0, 0], (facets, &middles, &unit));
         (Self { nodes, unit }, order)
@@ -138,7 +138,7 @@ impl Unit {
     /// Farther points are taken for some that are nearer.
     const FARTHEST: DVec3 = DVec3::splat(1e15);
 
-    fn of(facets: &[Facet]) -> Self {
+    fn around(facets: &[Facet]) -> Self {
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for corner in facets.iter().flat_map(|facet| facet.0) {
             (low, high) = (low.min(corner), high.max(corner));
@@ -377,7 +377,7 @@ mod tests {
     fn each_triangle_has_one_place() {
         for count in (1..70).chain([255, 256, 257, 1000, 5 * APART + 3]) {
             let facets = some(count);
-            let (tree, mut order) = Tree::of(&facets);
+            let (tree, mut order) = Tree::from_facets(&facets);
             let mut found = Vec::new();
             let look = |place: usize| {
                 found.push(place as u32);
@@ -394,7 +394,7 @@ mod tests {
     #[test]
     fn what_is_far_is_not_looked_at() {
         let facets = some(5000);
-        let (tree, order) = Tree::of(&facets);
+        let (tree, order) = Tree::from_facets(&facets);
         for i in (0..5000).step_by(7) {
             let p = facets[i].0[0];
             let mut looked_at = Vec::new();

@@ -63,7 +63,7 @@ pub fn gather(sides: &mut Sides, rows: usize, values: impl Iterator<Item = DVec3
 
 /// The value of a row.
 #[inline(always)]
-pub fn at(sides: &Sides, row: usize) -> DVec3 {
+pub fn row_of(sides: &Sides, row: usize) -> DVec3 {
     let [x, y, z] = sides.each_ref().map(|side| side.as_flattened()[row]);
     DVec3::new(x, y, z)
 }
@@ -88,7 +88,7 @@ impl<T: Stored> Triangle<'_, T> {
         for j in 0..columns {
             let (column, after) = rest.split_at(columns - j);
             rest = after;
-            let value = at(x, j) / column[0].into();
+            let value = row_of(x, j) / column[0].into();
             set(x, j, value);
             for (side, value) in x.iter_mut().zip(value.to_array()) {
                 let side = &mut side.as_flattened_mut()[j + 1..columns];
@@ -105,7 +105,7 @@ impl<T: Stored> Triangle<'_, T> {
         for j in (0..columns).rev() {
             let (before, column) = rest.split_at(rest.len() - (columns - j));
             rest = before;
-            let mut value = x[j] - at(sums, j);
+            let mut value = x[j] - row_of(sums, j);
             for (c, side) in sums.iter().enumerate() {
                 value[c] -= dot(&column[1..], &side.as_flattened()[j + 1..columns]);
             }
@@ -195,7 +195,7 @@ impl<'a, T: Stored> Below<'a, T> {
                 add_product(&mut c, &column[i], &z[i]);
             }
             let sum = DVec3::new(total(&a), total(&b), total(&c));
-            set(sums, j, at(sums, j) + sum);
+            set(sums, j, row_of(sums, j) + sum);
         }
     }
 }

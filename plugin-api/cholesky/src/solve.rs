@@ -1,7 +1,7 @@
 //! Solutions by a factor: forward from the leaves of the tree to its root, and back.
 
 use crate::front::{Front, Update};
-use crate::kernels::{Below, Lanes, Sides, Stored, Triangle, WIDTH, at, clear, gather, lanes};
+use crate::kernels::{Below, Lanes, Sides, Stored, Triangle, WIDTH, clear, gather, lanes, row_of};
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use simod_plugin_api::{Host, PluginResult};
@@ -132,7 +132,7 @@ impl<T: Stored> Run<T> {
                 }
             })?;
             for (rows, (_, sums)) in part.inside.chunks(TOGETHER * WIDTH).zip(&blocks) {
-                rows.iter().enumerate().for_each(|(k, row)| own[*row as usize] -= at(sums, k));
+                rows.iter().enumerate().for_each(|(k, row)| own[*row as usize] -= row_of(sums, k));
             }
         }
         Ok(())
@@ -204,10 +204,10 @@ impl<T: Stored> WithSimd for Forward<'_, T> {
             clear(&mut sums, part.below.height());
             part.below.times(&known, &mut sums);
             for (k, row) in part.inside.iter().enumerate() {
-                own[*row as usize] -= at(&sums, k);
+                own[*row as usize] -= row_of(&sums, k);
             }
             for (k, row) in (part.inside.len()..).zip(part.beyond) {
-                beyond[*row as usize] -= at(&sums, k);
+                beyond[*row as usize] -= row_of(&sums, k);
             }
         }
     }
@@ -256,7 +256,7 @@ impl<T: Stored> FrontEntries<'_, T> {
         let own = &mut own[self.columns.clone()];
         gather(known, own.len(), own.iter().copied());
         self.triangle.solve(known, own.len());
-        own.iter_mut().enumerate().for_each(|(j, x)| *x = at(known, j));
+        own.iter_mut().enumerate().for_each(|(j, x)| *x = row_of(known, j));
     }
 
     /// Solves for the columns; `sums` are what the rows below take off, and mean nothing afterwards.

@@ -220,7 +220,7 @@ mod tests {
         Cage::new(vertices, triangles.map(out).collect()).unwrap()
     }
 
-    fn at(cage: &Cage, x: DVec3) -> (Vec<f64>, bool) {
+    fn coordinates_at(cage: &Cage, x: DVec3) -> (Vec<f64>, bool) {
         let mut out = vec![f64::NAN; cage.vertices.len()];
         let outside = cage.coordinates(x, &mut View::default(), &mut out);
         (out, outside)
@@ -228,7 +228,7 @@ mod tests {
 
     /// How far the coordinates of a point are from giving it back.
     fn miss(cage: &Cage, x: DVec3) -> f64 {
-        let (weights, _) = at(cage, x);
+        let (weights, _) = coordinates_at(&cage, x);
         let sum: f64 = weights.iter().sum();
         let mean: DVec3 = weights.iter().zip(&cage.vertices).map(|(w, p)| *w * *p).sum();
         (sum - 1.0).abs().max(mean.distance(x))
@@ -243,7 +243,7 @@ mod tests {
         for line in text.lines().filter(|l| !l.starts_with('#')) {
             let numbers: Vec<f64> = line.split(',').map(|n| n.parse().unwrap()).collect();
             let (x, expected) = numbers.split_at(3);
-            let (weights, is_outside) = at(&cage, DVec3::from_slice(x));
+            let (weights, is_outside) = coordinates_at(&cage, DVec3::from_slice(x));
             let worst = weights.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(weights.len() == expected.len() && worst < 1e-9, "{x:?}: {worst}");
             points += 1;
@@ -264,7 +264,7 @@ mod tests {
         fn inside_of_a_convex_cage_all_are_positive(x in prop::array::uniform3(-1.0..1.0_f64)) {
             let x = DVec3::from(x);
             let size = x.abs().element_sum();
-            let (weights, outside) = at(&octahedron(), x);
+            let (weights, outside) = coordinates_at(&octahedron(), x);
             prop_assert_eq!(outside, size > 1.0);
             prop_assert!(size > 1.0 || weights.iter().all(|w| *w > 0.0));
         }
@@ -287,8 +287,8 @@ mod tests {
             };
             let x = on + 10_f64.powf(-nearness) * DVec3::from(toward);
             prop_assert!(miss(&cage, x) < 1e-6, "{x} {}", miss(&cage, x));
-            let (near, _) = at(&cage, on);
-            let (weights, _) = at(&cage, x);
+            let (near, _) = coordinates_at(&cage, on);
+            let (weights, _) = coordinates_at(&cage, x);
             let worst = near.iter().zip(&weights).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             let rounding = IN_PLANE / ON_EDGE.sqrt();
             prop_assert!(worst < rounding + 30.0 * 10_f64.powf(-nearness), "{worst} at 1e-{nearness}");
@@ -309,7 +309,7 @@ mod tests {
             let [a, b, c] = triangle.corners;
             for (x, y, z) in [(1.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.0, 0.3, 0.7), (0.2, 0.3, 0.5)] {
                 let p = x * cage.vertices[a] + y * cage.vertices[b] + z * cage.vertices[c];
-                let (weights, _) = at(&cage, p);
+                let (weights, _) = coordinates_at(&cage, p);
                 assert!([(a, x), (b, y), (c, z)].iter().all(|(v, w)| (weights[*v] - w).abs() < 1e-7));
                 assert!((weights.iter().map(|w| w.abs()).sum::<f64>() - 1.0).abs() < 1e-7);
             }
@@ -335,7 +335,7 @@ mod tests {
     #[test]
     fn endlessly_far_they_are_finite() {
         for x in [DVec3::X * 1e6, DVec3::splat(-1e300), DVec3::Y * 3e38] {
-            assert!(at(&dented(), x).0.iter().all(|w| w.is_finite() && w.abs() < 1e4));
+            assert!(coordinates_at(&dented(), x).0.iter().all(|w| w.is_finite() && w.abs() < 1e4));
         }
     }
 }

@@ -313,7 +313,7 @@ mod tests {
         }
     }
 
-    fn at(cage: &Cage, body: &Body, x: DVec3) -> Coordinates {
+    fn coordinates_at(cage: &Cage, body: &Body, x: DVec3) -> Coordinates {
         let mut found = Coordinates::default();
         body.coordinates(cage, x, &mut found);
         found
@@ -339,7 +339,7 @@ mod tests {
         ) {
             let cage = box_of_bar(60);
             let x = DVec3::from(x) * DVec3::new(2.0, 0.4, 0.4);
-            let found = at(&cage, &Body::new(&cage, poisson), x);
+            let found = coordinates_at(&cage, &Body::new(&cage, poisson), x);
             let spin = DVec3::from(spin);
             let sum = found.vertices.iter().zip(&cage.vertices).fold(DVec3::ZERO, |sum, (w, p)| sum + *w * spin.cross(*p));
             prop_assert!(sum.distance(spin.cross(x)) < 1e-10 && miss(&found) < 1e-10, "{x} {poisson}");
@@ -360,11 +360,11 @@ mod tests {
                 _ => a.lerp(b, u).lerp(c, v),
             };
             let x = on + 10_f64.powf(-nearness) * DVec3::from(toward);
-            let found = at(&cage, &body, x);
+            let found = coordinates_at(&cage, &body, x);
             prop_assert!(miss(&found) < 1e-6, "{x} {}", miss(&found));
             let wave = |p: DVec3| p + 0.2 * DVec3::new((5.0 * p.y).sin(), (4.0 * p.z).cos(), (3.0 * p.x).sin());
             let pose = body.pose(&cage, &displacements(&cage, wave));
-            let gap = at(&cage, &body, on).apply(&cage, &pose, on).distance(found.apply(&cage, &pose, x));
+            let gap = coordinates_at(&cage, &body, on).apply(&cage, &pose, on).distance(found.apply(&cage, &pose, x));
             prop_assert!(gap < 3e-3 + 30.0 * 10_f64.powf(-nearness), "{gap} at 1e-{nearness}");
         }
 
@@ -381,7 +381,7 @@ mod tests {
                 .map(|(p, to)| scale * (*p + wild * DVec3::from(*to)) - *p).collect();
             let pose = body.pose(&cage, &moved);
             for x in [DVec3::ZERO, DVec3::splat(0.1), DVec3::splat(3.0), DVec3::X * 1e6, cage.vertices[3]] {
-                let y = at(&cage, &body, x).apply(&cage, &pose, x);
+                let y = coordinates_at(&cage, &body, x).apply(&cage, &pose, x);
                 prop_assert!(y.is_finite() && y.length() < 1e3 * (1.0 + x.length()), "{x} {y}");
             }
         }

@@ -73,8 +73,8 @@ impl Biharmonic {
     }
 
     /// What a place follows.
-    pub fn at(&self, p: DVec3, room: &mut Influences) {
-        self.weights.at(p, room);
+    pub fn influences_at(&self, p: DVec3, room: &mut Influences) {
+        self.weights.numbers_at(p, room);
         let largest = room.iter().map(|w| w.0).fold(f64::NEG_INFINITY, f64::max);
         // What is continued from the voxels may come to nothing.
         let part =

@@ -23,7 +23,7 @@ pub struct Matrix {
 
 impl Matrix {
     /// A number of it.
-    pub fn at(&self, row: usize, column: usize) -> f64 {
+    pub fn number(&self, row: usize, column: usize) -> f64 {
         self.numbers[column * self.rows + row]
     }
 
@@ -124,7 +124,7 @@ mod tests {
     #[test]
     fn text_and_binary_are_the_same() {
         let text = Matrix::parse(b"2 3\n1\n2\n3\n-4e-1 5 6\n").unwrap();
-        assert_eq!((text.rows, text.columns, text.at(2, 0), text.at(0, 1)), (3, 2, 3.0, -0.4));
+        assert_eq!((text.rows, text.columns, text.number(2, 0), text.number(0, 1)), (3, 2, 3.0, -0.4));
         let mut binary = b"0 0\n2 3\n".to_vec();
         [1.0, 2.0, 3.0, -0.4, 5.0, 6.0_f64].iter().for_each(|x| binary.extend(x.to_le_bytes()));
         assert_eq!(Matrix::parse(&binary).unwrap(), text);

@@ -57,11 +57,11 @@ impl Field {
 
     /// The numbers of the joints at a place. Beyond the model, and in parts of it that have none, they are
     /// those of the nearest place that has.
-    pub fn at(&self, p: DVec3, values: &mut Vec<(f64, u16)>) {
+    pub fn numbers_at(&self, p: DVec3, values: &mut Vec<(f64, u16)>) {
         let grid = &self.voxels.grid;
         let mut voxel = self.voxels.id(grid.cell(p));
         let mut p = p;
-        if voxel == NONE || !says(self.elsewhere, self.of(voxel)) {
+        if voxel == NONE || !says(self.elsewhere, self.entries_of(voxel)) {
             let at = p.as_vec3().to_array();
             let near = self.tree.query(&at).nearest_one::<SquaredEuclidean<f32>>().execute();
             voxel = self.reached[near.item as usize];
@@ -71,7 +71,7 @@ impl Field {
         self.between(p, voxel, values);
     }
 
-    fn of(&self, voxel: u32) -> &[Entry] {
+    fn entries_of(&self, voxel: u32) -> &[Entry] {
         let voxel = voxel as usize;
         &self.entries[self.starts[voxel] as usize..self.starts[voxel + 1] as usize]
     }
@@ -79,7 +79,7 @@ impl Field {
     /// The numbers of a place in a voxel for that voxel's joints: each of the eight voxels around predicts
     /// them to first order, and they are blended linearly.
     fn between(&self, p: DVec3, voxel: u32, values: &mut Vec<(f64, u16)>) {
-        let own = self.of(voxel);
+        let own = self.entries_of(voxel);
         values.clear();
         values.extend(own.iter().map(|e| (0.0, e.joint)));
         let (corner, part) = split(&self.voxels.grid, p);
@@ -101,7 +101,7 @@ impl Field {
             if other == NONE || share == 0.0 {
                 continue;
             }
-            let entries = self.of(other);
+            let entries = self.entries_of(other);
             if !says(self.elsewhere, entries) {
                 continue;
             }

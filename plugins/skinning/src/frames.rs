@@ -84,7 +84,7 @@ impl Frames {
     ///
     /// # Errors
     /// There is no such frame.
-    pub fn of(&self, frame: i64) -> PluginResult<&[DAffine3]> {
+    pub fn of_frame(&self, frame: i64) -> PluginResult<&[DAffine3]> {
         let count = self.motions.len() / self.bones;
         let frame = usize::try_from(frame).ok().filter(|f| *f < count).ok_or_else(|| {
             PluginError::parameter("pose", &format!("has {count} frames, and none of number {frame}"))
@@ -137,8 +137,8 @@ fn parse(text: &str) -> Result<Rows, Wrong> {
 }
 
 fn of_matrix(matrix: &Matrix) -> Result<Rows, Wrong> {
-    let whole = |row: usize| std::array::from_fn(|k| matrix.at(row, k));
-    let stacked = |bone: usize| std::array::from_fn(|k| matrix.at(4 * bone + k % 4, k / 4));
+    let whole = |row: usize| std::array::from_fn(|k| matrix.number(row, k));
+    let stacked = |bone: usize| std::array::from_fn(|k| matrix.number(4 * bone + k % 4, k / 4));
     match (matrix.columns, matrix.rows) {
         (NUMBERS, rows) => Ok(((0..rows).map(whole).collect(), Vec::new())),
         (3, rows) if rows.is_multiple_of(4) => Ok(((0..rows / 4).map(stacked).collect(), Vec::new())),
@@ -166,13 +166,13 @@ mod tests {
     fn transforms_are_of_the_model() {
         let frames =
             read(b"# two frames\n1 0 0 0 0 1 0 0 0 0 1 0\n\n0,-1,0,3, 1 0 0 4 0 0 1 5\n", ".txt", 1).unwrap();
-        assert_eq!(frames.of(0).unwrap(), [DAffine3::IDENTITY]);
+        assert_eq!(frames.of_frame(0).unwrap(), [DAffine3::IDENTITY]);
         let p = DVec3::new(0.25, 0.5, -0.75);
-        let q = frames.of(1).unwrap()[0].transform_point3(p);
+        let q = frames.of_frame(1).unwrap()[0].transform_point3(p);
         let x = DVec3::from(FRAME.to_model(p.to_array()));
         let y = DVec3::new(-x.y + 3.0, x.x + 4.0, x.z + 5.0);
         assert!(q.distance(FRAME.to_local(y.to_array()).into()) < 1e-12, "{q}");
-        assert!(frames.of(2).unwrap_err().message.contains("2 frames") && frames.of(-1).is_err());
+        assert!(frames.of_frame(2).unwrap_err().message.contains("2 frames") && frames.of_frame(-1).is_err());
         // The same as libigl has it: transposes on top of each other; or row by row.
         let stacked = b"3 8\n1 0 0 0 0 -1 0 3 0 1 0 0 1 0 0 4 0 0 1 0 0 0 1 5\n";
         let rows = b"12 2\n1 0 0 -1 0 0 0 3 0 1 1 0 0 0 0 4 0 0 0 0 1 1 0 5\n";

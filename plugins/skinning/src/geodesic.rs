@@ -95,8 +95,8 @@ impl Geodesic {
     }
 
     /// What a place follows.
-    pub fn at(&self, p: DVec3, room: &mut Influences) {
-        self.distances.at(p, room);
+    pub fn influences_at(&self, p: DVec3, room: &mut Influences) {
+        self.distances.numbers_at(p, room);
         self.weights(room);
         limited(room, self.rule.limit);
     }

@@ -82,7 +82,7 @@ impl Table {
     }
 
     /// The joints that a sample follows, and their weights, the largest first.
-    pub fn of(&self, sample: usize) -> impl Iterator<Item = (usize, f64)> + Clone + '_ {
+    pub fn of_sample(&self, sample: usize) -> impl Iterator<Item = (usize, f64)> + Clone + '_ {
         let range = self.starts[sample]..self.starts[sample + 1];
         self.influences[range].iter().map(|(w, j)| (usize::from(*j), f64::from(*w)))
     }

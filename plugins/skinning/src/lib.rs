@@ -159,12 +159,12 @@ struct Told {
 }
 
 impl Source {
-    fn at(&self, p: DVec3, influences: &mut Influences) -> Told {
+    fn influences_at(&self, p: DVec3, influences: &mut Influences) -> Told {
         match self {
-            Self::Biharmonic(binding) => binding.at(p, influences),
-            Self::Geodesic(binding) => binding.at(p, influences),
+            Self::Biharmonic(binding) => binding.influences_at(p, influences),
+            Self::Geodesic(binding) => binding.influences_at(p, influences),
             Self::File(rows, limit) => {
-                let far = rows.at(p, influences);
+                let far = rows.influences_at(p, influences);
                 return Told { far, lost: limited(influences, *limit) };
             }
         }
@@ -224,7 +224,7 @@ fn blend(state: &Prepared, input: &DeformInput<'_>) -> PluginResult<Blend> {
         Moved::Frames(frames) => {
             let mut motions = vec![DAffine3::IDENTITY; state.skeleton.joints.len()];
             let frame = input.time().frame;
-            for (bone, motion) in frames.of(frame)?.iter().enumerate() {
+            for (bone, motion) in frames.of_frame(frame)?.iter().enumerate() {
                 if matches!(method, Method::DualQuaternion) && blend::mirrors(motion) {
                     return Err(frames.mirrors(frame, bone));
                 }
@@ -326,7 +326,7 @@ impl Deformer for Skinning {
         let (far, lossy) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let near = NEAR * input.bounds.diagonal();
         let find = |p: DVec3, influences: &mut Influences| {
-            let told = weights.at(p, influences);
+            let told = weights.influences_at(p, influences);
             far.fetch_add(usize::from(told.far > near), Ordering::Relaxed);
             lossy.fetch_add(usize::from(told.lost > LOST), Ordering::Relaxed);
         };
@@ -372,7 +372,7 @@ impl Deformer for Skinning {
         host.parallel_blocks(out, TOGETHER, |first, out| {
             for (i, o) in (first..).zip(out) {
                 let p = DVec3::from(rest[i].map(f64::from));
-                *o = blend.apply(p, state.table.of(i)).as_vec3().into();
+                *o = blend.apply(p, state.table.of_sample(i)).as_vec3().into();
             }
         })
     }
@@ -391,7 +391,7 @@ impl Evaluate for Skinning {
             host.progress(0.0)?;
             for p in points {
                 let x = DVec3::from(*p);
-                state.weights.at(x, &mut room);
+                state.weights.influences_at(x, &mut room);
                 *p = blend.apply(x, room.iter().map(|(w, joint)| (usize::from(*joint), *w))).into();
             }
         }

@@ -52,12 +52,12 @@ impl Skeleton {
             let parent = (j.parent != GivenJoint::ROOT).then_some(j.parent as usize);
             (j.id().to_owned(), DVec3::from(j.position), parent)
         };
-        Self::of(given.iter().map(joint).collect(), &[])
+        Self::from_joints(given.iter().map(joint).collect(), &[])
     }
 
     /// Joints by their ids, places and parents, each after its parent; and the lower joints of bones, if
     /// these have an order of their own.
-    fn of(given: Vec<Placed>, bones: &[usize]) -> PluginResult<Self> {
+    fn from_joints(given: Vec<Placed>, bones: &[usize]) -> PluginResult<Self> {
         if given.is_empty() {
             return Err(PluginError::input("there are no joints")
                 .hint("place some by [[step.joint]], or give a file with a skeleton as `skeleton`"));
@@ -183,7 +183,10 @@ impl Skeleton {
             PluginError::parameter("skeleton", &format!("{what}: {}{place}", path.display()))
                 .hint("give points as `id x y z`, a line `#`, and bones as `upper-id lower-id`")
         })?;
-        Self::of(joints.into_iter().map(|(id, at, parent)| (id, to_local(at), parent)).collect(), &bones)
+        Self::from_joints(
+            joints.into_iter().map(|(id, at, parent)| (id, to_local(at), parent)).collect(),
+            &bones,
+        )
     }
 }
 

@@ -147,7 +147,7 @@ impl WeightTable {
     ///
     /// By R. Franke, G. Nielson, *Smooth interpolation of large sets of scattered data*, 1980: a row's part
     /// falls to nothing at the distance of the fifth, so that none jumps where another takes its place.
-    pub fn at(&self, p: DVec3, room: &mut Influences) -> f64 {
+    pub fn influences_at(&self, p: DVec3, room: &mut Influences) -> f64 {
         let count = NonZero::new(BLENDED + 1).unwrap_or(NonZero::<usize>::MIN);
         let near = self.tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
         let mut near: Vec<(f64, usize)> =
@@ -156,7 +156,7 @@ impl WeightTable {
         let nearest = near[0].0;
         room.clear();
         let mut add = |row: usize, part: f64| {
-            for (weight, joint) in self.rows.of(row) {
+            for (weight, joint) in self.rows.row(row) {
                 match room.iter_mut().find(|(_, j)| j == joint) {
                     Some((sum, _)) => *sum += part * weight,
                     None => room.push((part * weight, *joint)),
@@ -178,7 +178,7 @@ impl WeightTable {
 }
 
 impl Rows {
-    fn of(&self, row: usize) -> &[(f64, u16)] {
+    fn row(&self, row: usize) -> &[(f64, u16)] {
         let start = if row == 0 { 0 } else { self.ends[row - 1] };
         &self.weights[start..self.ends[row]]
     }
@@ -250,11 +250,11 @@ fn of_matrix(
     for (row, place) in places.into_iter().enumerate() {
         let wrong =
             |what: &str, bone: usize| (matrix.line(path, row, bone), format!("{what} in row {}", row + 1));
-        let all = || (0..matrix.columns).map(|bone| matrix.at(row, bone));
+        let all = || (0..matrix.columns).map(|bone| matrix.number(row, bone));
         let (largest, sum) = (all().fold(0.0, f64::max), all().sum());
         let mut weights: Influences = Vec::new();
         for bone in 0..matrix.columns {
-            let (weight, joint) = (matrix.at(row, bone), skeleton.mover(bone) as u16);
+            let (weight, joint) = (matrix.number(row, bone), skeleton.mover(bone) as u16);
             if is_negative(weight, largest) {
                 return Err(wrong("has a negative weight", bone));
             }
@@ -275,7 +275,7 @@ fn read_places(path: &Path) -> Result<Vec<DVec3>, Wrong> {
         if matrix.columns != 3 {
             return Err((None, format!("has {} columns instead of three", matrix.columns)));
         }
-        return Ok((0..matrix.rows).map(|row| [0, 1, 2].map(|k| matrix.at(row, k)).into()).collect());
+        return Ok((0..matrix.rows).map(|row| [0, 1, 2].map(|k| matrix.number(row, k)).into()).collect());
     }
     let file = File::open(path).map_err(|e| (None, format!("cannot be read: {e}")))?;
     let mut places = Vec::new();
@@ -408,7 +408,7 @@ mod tests {
     fn at(table: &WeightTable, p: [f64; 3]) -> [f64; 2] {
         let mut weights = [0.0; 2];
         let mut room = Vec::new();
-        table.at(p.into(), &mut room);
+        table.influences_at(p.into(), &mut room);
         room.iter().for_each(|(w, j)| weights[usize::from(*j)] = *w);
         weights
     }

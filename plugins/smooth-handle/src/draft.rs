@@ -28,7 +28,7 @@ struct Of {
 
 impl Amounts {
     /// Those of a handle, of which `shares`, the preparation of this number, tells the samples' shares.
-    pub fn of(
+    pub fn of_handle(
         &mut self,
         (shares, state): (&Shares, u64),
         handle: usize,

@@ -132,7 +132,7 @@ impl Deformer for SmoothHandle {
         let mut moving = motions.iter().enumerate().filter(|(_, motion)| !motion.is_none());
         let is_draft = input.effort() == Effort::DRAFT;
         if let (true, Some((handle, motion)), None) = (is_draft, moving.next(), moving.next()) {
-            let amounts = kept.of((&state.shares, state.number), handle, &profile, host)?;
+            let amounts = kept.of_handle((&state.shares, state.number), handle, &profile, host)?;
             let table = PartsTable::new(motion);
             return host.parallel_blocks(out, BLOCK, |first, out| {
                 table.apply(&amounts[first..], &rest[first..], out);

@@ -57,7 +57,7 @@ fn a_soup_stays_together() {
     let positions: Vec<DVec3> = order.iter().flat_map(|k| triangle(*k)).collect();
     let normal = |k: u64| (DVec3::new(hash(k) as f64, 2e19, hash(k + 1) as f64) - 1e19).normalize_or_zero();
     let normals: Vec<DVec3> = order.iter().flat_map(|k| [normal(*k); 3]).collect();
-    work.write("soup.ply", Ply::of(&positions, &normals).bytes);
+    work.write("soup.ply", Ply::from_points(&positions, &normals).bytes);
     work.simod("sample soup.ply -o soup.simod --samples 2000");
     work.move_samples("soup.simod", moved);
     let bits = |p: DVec3| p.to_array().map(f64::to_bits);
@@ -87,7 +87,7 @@ fn what_a_poor_order_costs_is_told_beforehand() {
     let in_none: Vec<DVec3> = order.iter().map(|i| place(*i)).collect();
     let told = "come in no order in space";
     for (positions, poor) in [(in_order, false), (in_none, true)] {
-        work.write("model.ply", Ply::of(&positions, &[]).bytes);
+        work.write("model.ply", Ply::from_points(&positions, &[]).bytes);
         let sampled = work.simod("sample model.ply -o model.simod --samples 500 --skip cells");
         work.move_samples("model.simod", moved);
         let reconstructed = work.simod("reconstruct model.simod --deformed deformed.ply -o out.ply");

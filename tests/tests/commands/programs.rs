@@ -42,7 +42,7 @@ struct Records {
 }
 
 impl Records {
-    fn of(bytes: &[u8]) -> Self {
+    fn from_bytes(bytes: &[u8]) -> Self {
         let end = bytes.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
         let header = String::from_utf8(bytes[..end].to_vec()).expect("text");
         let (mut properties, mut stride, mut count) = (Vec::new(), 0, 0);
@@ -123,7 +123,7 @@ fn deformed() -> (Workplace, Records) {
     work.write("m.ply", model("uchar"));
     work.simod("sample m.ply -o m.simod --samples 900");
     work.move_samples("m.simod", |p| p + DVec3::new(0.0, 0.002 * p.x * p.x, 0.1 * p.y));
-    let records = Records::of(&work.read("deformed.ply"));
+    let records = Records::from_bytes(&work.read("deformed.ply"));
     (work, records)
 }
 
@@ -133,7 +133,7 @@ fn samples_have_ids_and_the_colours_of_their_model() {
         let work = Workplace::new();
         work.write("m.ply", model(kind));
         work.simod(&format!("sample m.ply -o m.simod --samples {samples}"));
-        let samples = Records::of(&work.read("m.simod/samples.ply"));
+        let samples = Records::from_bytes(&work.read("m.simod/samples.ply"));
         let names: Vec<&str> = samples.properties.iter().map(|(.., name)| name.as_str()).collect();
         assert_eq!(names, ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "id"]);
         assert!(samples.ids().into_iter().eq(0..samples.vertices.len() as u32));
@@ -145,7 +145,7 @@ fn samples_have_ids_and_the_colours_of_their_model() {
         }
         // Refined ones keep theirs, and new ones have some.
         work.simod("refine m.simod --box 0,0,-9,40,40,9 --factor 2");
-        let refined = Records::of(&work.read("m.simod/samples.ply"));
+        let refined = Records::from_bytes(&work.read("m.simod/samples.ply"));
         assert!(refined.vertices[..samples.vertices.len()] == samples.vertices[..]);
         for i in samples.vertices.len()..refined.vertices.len() {
             let (p, [r, g, b]) = (refined.position(i), refined.color(i));
@@ -156,7 +156,7 @@ fn samples_have_ids_and_the_colours_of_their_model() {
     let work = Workplace::new();
     work.write("m.ply", model(""));
     work.simod("sample m.ply -o m.simod --samples 900");
-    let bare = Records::of(&work.read("m.simod/samples.ply"));
+    let bare = Records::from_bytes(&work.read("m.simod/samples.ply"));
     assert!(!bare.header.contains("red") && bare.header.contains("property int id"));
     work.write("m.ply", model("uchar"));
     work.simod("sample m.ply -o m.simod --samples 900 --skip colors");
@@ -180,7 +180,7 @@ fn ids_tell_which_sample_is_which() {
         assert!(work.read("out.ply") == expected, "{kind} {name}");
         // A refinement goes on from them, and writes all in their order.
         work.simod("refine m.simod --box 0,0,-99,40,99,99 --factor 2 --deformed deformed.ply -o more.ply --into n.simod");
-        let more = Records::of(&work.read("more.ply"));
+        let more = Records::from_bytes(&work.read("more.ply"));
         assert!(more.ids().into_iter().eq(0..more.vertices.len() as u32));
         work.simod("reconstruct n.simod --deformed more.ply -o more-out.ply");
         let (out, was) = (work.ply("more-out.ply").positions(), work.ply("expected.ply").positions());
@@ -199,7 +199,7 @@ fn samples_that_do_not_come_back_are_named() {
     let line = &format!("{RECONSTRUCT} out.ply");
     let with = |change: &dyn Fn(&mut Records), kind: &str, name: &str| {
         let mut records =
-            Records { vertices: records.vertices.clone(), ..Records::of(&work.read("deformed.ply")) };
+            Records { vertices: records.vertices.clone(), ..Records::from_bytes(&work.read("deformed.ply")) };
         change(&mut records);
         work.write("broken.ply", records.bytes(kind, name));
         line.replace("deformed.ply", "broken.ply")

@@ -129,7 +129,7 @@ fn only_what_is_needed_is_read() {
     work.simod("generate -o large.ply --vertices 2500000 --no-faces --no-normals --no-colors");
     let all = work.ply("large.ply").positions();
     let mixed: Vec<DVec3> = (0..all.len()).map(|i| all[i * 7_919_477 % all.len()]).collect();
-    work.write("mixed.ply", Ply::of(&mixed, &[]).bytes);
+    work.write("mixed.ply", Ply::from_points(&mixed, &[]).bytes);
     work.simod("sample mixed.ply -o mixed.simod --samples 20000");
     let outcome = work.simod("refine mixed.simod --sphere 0.41,1,0.41,0.1 --factor 10");
     assert!(outcome.lines("note: ")[0].contains("% of its vertices are read"), "{}", outcome.stderr);
@@ -155,7 +155,7 @@ fn clouds_and_soups_are_refined() {
     let mesh = work.ply("mesh.ply");
     let vertices = mesh.positions();
     let corners: Vec<DVec3> = vertices.windows(3).take(20_000).flatten().copied().collect();
-    work.write("soup.ply", Ply::of(&corners, &[]).bytes);
+    work.write("soup.ply", Ply::from_points(&corners, &[]).bytes);
     work.simod("sample soup.ply -o soup.simod --samples 1500");
     let report = work.report("refine soup.simod --half-space 0,0.3,0,0,-1,0 --error 0");
     // Corners that lie in one place share a sample.

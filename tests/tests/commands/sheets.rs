@@ -38,7 +38,7 @@ fn sampled(gap: f64, with_normals: bool) -> (Workplace, usize) {
     let work = Workplace::new();
     let (positions, normals) = plates(gap);
     let normals = if with_normals { &normals[..] } else { &[] };
-    work.write("plates.ply", Ply::of(&positions, normals).bytes);
+    work.write("plates.ply", Ply::from_points(&positions, normals).bytes);
     work.simod(&format!("sample plates.ply -o plates.simod --samples {SAMPLES}"));
     let samples = work.ply("plates.simod/samples.ply").positions();
     let between = samples.iter().filter(|p| p.y.abs().min((p.y - gap).abs()) > 0.2 * gap).count();
@@ -48,7 +48,7 @@ fn sampled(gap: f64, with_normals: bool) -> (Workplace, usize) {
 /// Moves the upper plate alone; the worst error on each plate.
 fn errors(work: &Workplace, gap: f64, motion: &Motion, method: &str) -> [f64; 2] {
     let upper = |p: DVec3| p.y > 0.5 * gap;
-    let moved = |p: DVec3| if upper(p) { motion.of(p) } else { p };
+    let moved = |p: DVec3| if upper(p) { motion.image_of(p) } else { p };
     work.move_samples("plates.simod", moved);
     work.simod(&format!("reconstruct plates.simod --deformed deformed.ply -o out.ply --method {method}"));
     let (before, after) = (work.ply("plates.ply"), work.ply("out.ply").positions());

@@ -10,12 +10,12 @@ fn check_moved(work: &Workplace, model: &str, samples: u64) {
     let before = work.ply(model);
     let [min, max] = before.bounds();
     let motion = Motion::rigid((min + max) / 2.0, before.diagonal());
-    work.move_samples("model.simod", |p| motion.of(p));
+    work.move_samples("model.simod", |p| motion.image_of(p));
     work.simod("reconstruct model.simod --deformed deformed.ply -o out.ply");
     let after = work.ply("out.ply");
 
     assert!(after.other_bytes() == before.other_bytes(), "{model}: more changed than positions and normals");
-    let worst = worst(&before.positions(), &after.positions(), |p| motion.of(p)) / before.diagonal();
+    let worst = worst(&before.positions(), &after.positions(), |p| motion.image_of(p)) / before.diagonal();
     assert!(worst < 1e-5, "{model}: positions are off by {worst:.1e} of the diagonal");
     let normals = before.normals();
     if !normals.is_empty() {

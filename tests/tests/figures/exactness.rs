@@ -25,11 +25,11 @@ fn check_identity(work: &Workplace, model: &str, before: &Ply) {
 }
 
 fn check_motion(work: &Workplace, model: &str, before: &Ply, motion: &Motion) {
-    work.move_samples("model.simod", |p| motion.of(p));
+    work.move_samples("model.simod", |p| motion.image_of(p));
     work.simod("reconstruct model.simod --deformed deformed.ply -o out.ply");
     let (before_positions, after) = (before.positions(), work.ply("out.ply").positions());
     assert_eq!(after.len(), before_positions.len());
-    let deviation = |(p, q): (&DVec3, &DVec3)| motion.of(*p).distance(*q);
+    let deviation = |(p, q): (&DVec3, &DVec3)| motion.image_of(*p).distance(*q);
     let deviations = before_positions.iter().zip(&after).map(deviation);
     // Not by `f64::max`, which passes over NaN.
     let worst = deviations.max_by(f64::total_cmp).expect("vertices") / before.diagonal();

@@ -88,7 +88,7 @@ fn the_horse_spreads_its_legs() {
     let work = Workplace::new();
     std::fs::copy(horse, work.path("horse.ply")).expect("a copy");
     let before = work.ply("horse.ply");
-    let (legs, diagonal) = (Legs::of(&before), before.diagonal());
+    let (legs, diagonal) = (Legs::from_horse(&before), before.diagonal());
     // The largest deviation of any vertex, as a fraction of the diagonal: of both methods, for so many
     // samples.
     for (samples, jets, barycentric) in [(10_000, 1e-4, 6e-3), (2000, 4e-4, 4e-2)] {
@@ -115,7 +115,7 @@ struct Legs {
 }
 
 impl Legs {
-    fn of(horse: &Ply) -> Self {
+    fn from_horse(horse: &Ply) -> Self {
         let [min, max] = horse.bounds();
         let size = max - min;
         let hips = min.z + 0.35 * size.z;

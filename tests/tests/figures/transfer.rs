@@ -19,7 +19,7 @@ fn ordered_and_shuffled(work: &Workplace, vertices: usize) -> Vec<usize> {
     // 7 919 477 is a prime: it visits all vertices once.
     let from: Vec<usize> = (0..ordered.len()).map(|i| i * 7_919_477 % ordered.len()).collect();
     let shuffled = |all: Vec<DVec3>| from.iter().map(|i| all[*i]).collect::<Vec<_>>();
-    let shuffled = Ply::of(&shuffled(ordered.positions()), &shuffled(ordered.normals()));
+    let shuffled = Ply::from_points(&shuffled(ordered.positions()), &shuffled(ordered.normals()));
     work.write("shuffled.ply", shuffled.bytes);
     from
 }

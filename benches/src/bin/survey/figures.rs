@@ -64,7 +64,7 @@ pub fn of(subject: &Subject<'_>, simod: &Path, session: &Path, output: &Path, ru
     let change = || volume(&deformed, triangles) / volume(rest, triangles) - 1.0;
     Ok(Figures {
         volume: case.is_closed.then(change),
-        edges: edge_distortion(rest, &deformed, &Edges::of(rest, triangles)),
+        edges: edge_distortion(rest, &deformed, &Edges::from_triangles(rest, triangles)),
         areas: area_distortion(rest, &deformed, triangles),
         rotation: Details::new(rest, triangles, case.details.unwrap_or(SMOOTH)).rotation(&deformed),
         has_details: case.details.is_some(),

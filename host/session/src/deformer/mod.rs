@@ -321,7 +321,7 @@ impl Plugin {
     /// What the samples' arrays are, about a millisecond for 350 000; nothing for a plugin in another
     /// process, which has a copy of them.
     pub(crate) fn fingerprint(&self, samples: &Samples<'_>) -> Option<Fingerprint> {
-        (!self.is_isolated()).then(|| Fingerprint::of(samples))
+        (!self.is_isolated()).then(|| Fingerprint::new(samples))
     }
 
     /// What the samples were before a call, they have to be after it: later layers work on them too.
@@ -388,7 +388,7 @@ impl Fingerprint {
     /// Bytes.
     const PAGE: usize = 4096;
 
-    fn of(samples: &Samples<'_>) -> Self {
+    fn new(samples: &Samples<'_>) -> Self {
         Self(std::array::from_fn(|part| Self::part(samples, part)))
     }
 
@@ -404,7 +404,7 @@ impl Fingerprint {
 
     fn fits(&self, samples: &Samples<'_>, of: Checked) -> bool {
         match of {
-            Checked::All => *self == Self::of(samples),
+            Checked::All => *self == Self::new(samples),
             Checked::Part(number) => {
                 let part = number % Self::PARTS;
                 self.0[part] == Self::part(samples, part)
@@ -595,7 +595,7 @@ mod tests {
         let mut positions: Vec<[f32; 3]> = (0..count).map(|i| [value(i), 1.0, -value(i)]).collect();
         let mut normals = vec![[0.0, 1.0, 0.0]; count];
         let mut spacing: Vec<f32> = (0..count).map(value).collect();
-        let before = Fingerprint::of(&Samples::new(&positions, &normals, &spacing));
+        let before = Fingerprint::new(&Samples::new(&positions, &normals, &spacing));
         let told = |positions: &[[f32; 3]], normals: &[[f32; 3]], spacing: &[f32]| {
             let samples = Samples::new(positions, normals, spacing);
             let tells = |part: &usize| !before.fits(&samples, Checked::Part(*part));

@@ -56,7 +56,7 @@ fn weights_are_those_of_exact_distances() {
     };
     let (mut worst, mut sum, mut count) = (0.0_f64, 0.0, 0);
     for (i, p) in scene.points.iter().enumerate().filter(|(_, p)| p[0].abs() < 0.7) {
-        let found: f64 = state.table.of(i).filter(|(j, _)| *j == 1).map(|(_, w)| w).sum();
+        let found: f64 = state.table.of_sample(i).filter(|(j, _)| *j == 1).map(|(_, w)| w).sum();
         let miss = found - share(f64::from(p[0]));
         worst = worst.max(miss.abs());
         sum += miss * miss;
@@ -73,7 +73,7 @@ fn weights_sum_to_one_and_are_as_few_as_wanted() {
         let scene = Scene { influences: f64::from(limit), binding, ..Scene::new(fork(), &FORK) };
         let state = scene.prepare();
         for i in 0..scene.points.len() {
-            let weights: Vec<(usize, f64)> = state.table.of(i).collect();
+            let weights: Vec<(usize, f64)> = state.table.of_sample(i).collect();
             let sum: f64 = weights.iter().map(|w| w.1).sum();
             assert!((sum - 1.0).abs() < 1e-6 && (1..=limit as usize).contains(&weights.len()), "{weights:?}");
             assert!(weights.iter().all(|(j, w)| *w > 0.0 && !FORK[*j].0.ends_with("tip")));
@@ -194,7 +194,7 @@ fn smooth_weights_are_whole_about_their_bones() {
     let state = scene.prepare();
     let of = |i: usize, id: &str| {
         let joint = FORK.iter().position(|j| j.0 == id).unwrap();
-        state.table.of(i).filter(|(j, _)| *j == joint).map(|(_, w)| w).sum::<f64>()
+        state.table.of_sample(i).filter(|(j, _)| *j == joint).map(|(_, w)| w).sum::<f64>()
     };
     let tip = (0..scene.points.len()).filter(|i| scene.points[*i][0] > 1.0 && scene.points[*i][1] < 0.08);
     let weights: Vec<f64> = tip.map(|i| of(i, "a-middle")).collect();
@@ -299,7 +299,7 @@ fn a_file_keeps_all_that_it_has_and_what_is_left_out_is_told() {
     let prepare = |scene: &Scene| {
         let host = Listener::default();
         let state = scene.try_prepare(&host).unwrap();
-        (state.table.of(0).count(), host.lines.into_inner().unwrap().concat())
+        (state.table.of_sample(0).count(), host.lines.into_inner().unwrap().concat())
     };
     scene.influences = 0.0;
     assert_eq!(prepare(&scene), (10, String::new()));
