@@ -108,8 +108,8 @@ impl Claim {
         Self::for_places(Places::of_folder(path)?, false)
     }
 
-    /// Removes what an earlier attempt has left beside a folder, unless another process is at it; as nobody may
-    /// come who claims the folder itself.
+    /// Removes what an earlier attempt has left beside a folder, unless another process is at it; as nobody
+    /// may come who claims the folder itself.
     pub fn tidy(path: &Path) {
         drop(Self::folder(path));
     }

@@ -1,9 +1,9 @@
-//! A session that was changed, in the words of its file: comments, order, spaces and spellings stay wherever the
-//! change has nothing to say.
+//! A session that was changed, in the words of its file: comments, order, spaces and spellings stay wherever
+//! the change has nothing to say.
 //!
-//! Three texts take part: the file as it stands, the same session as the program would write it (the base), and
-//! the changed session as the program would write it. What differs between the last two is the change, and only
-//! that is done to the first.
+//! Three texts take part: the file as it stands, the same session as the program would write it (the base),
+//! and the changed session as the program would write it. What differs between the last two is the change,
+//! and only that is done to the first.
 
 use std::collections::VecDeque;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -90,8 +90,8 @@ fn change_item(file: &mut Item, base: Option<&Item>, to: Item) {
     }
 }
 
-/// Tables in a row, as steps: those that are the same stay, those that became others are changed, and the rest
-/// comes and goes.
+/// Tables in a row, as steps: those that are the same stay, those that became others are changed, and the
+/// rest comes and goes.
 fn change_tables(file: &mut ArrayOfTables, base: &ArrayOfTables, to: ArrayOfTables) {
     let pairs = pairs(base, &to);
     let mut former: Vec<Option<Table>> = take(file).into_iter().map(Some).collect();
@@ -107,8 +107,8 @@ fn change_tables(file: &mut ArrayOfTables, base: &ArrayOfTables, to: ArrayOfTabl
     }
 }
 
-/// For each of the tables afterwards, the one before that it came from, if any: the same ones first, in order, and
-/// among those between two of these the next of the same kind.
+/// For each of the tables afterwards, the one before that it came from, if any: the same ones first, in
+/// order, and among those between two of these the next of the same kind.
 fn pairs(base: &ArrayOfTables, to: &ArrayOfTables) -> Vec<Option<usize>> {
     let hashes = |tables: &ArrayOfTables| tables.iter().map(hash).collect::<Vec<_>>();
     let (before, after) = (hashes(base), hashes(to));
@@ -139,8 +139,8 @@ fn common(before: &[u64], after: &[u64]) -> Vec<Option<usize>> {
     found.into()
 }
 
-/// The longest common subsequence by the table of lengths (R. A. Wagner and M. J. Fischer, *The string-to-string
-/// correction problem*, 1974).
+/// The longest common subsequence by the table of lengths (R. A. Wagner and M. J. Fischer, *The
+/// string-to-string correction problem*, 1974).
 fn subsequence(before: &[u64], after: &[u64]) -> Vec<Option<usize>> {
     let (rows, columns) = (before.len(), after.len());
     let mut found = vec![None; columns];
@@ -450,7 +450,8 @@ refine = { factor = 4, shapes = [
     }
 
     proptest! {
-        /// Whatever becomes of a session, it is the one that is meant, and comments are each there once at most.
+        /// Whatever becomes of a session, it is the one that is meant, and comments are each there once at
+        /// most.
         #[test]
         fn what_is_written_over_a_file_is_what_was_meant(before in steps(), after in steps()) {
             let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! Sessions as they are read: the tables of a file become a [`SessionFile`], or an error that says where it is
-//! wrong.
+//! Sessions as they are read: the tables of a file become a [`SessionFile`], or an error that says where it
+//! is wrong.
 
 use crate::session_file::{Sampling, SessionFile, SessionTime, VERSION, read_text};
 pub use crate::session_tables::RegionTable;

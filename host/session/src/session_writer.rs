@@ -32,8 +32,8 @@ impl SessionFile {
         Ok(beside)
     }
 
-    /// The same where a `former` session was changed to this one: its comments, its order and how it puts things stay
-    /// wherever it says the same.
+    /// The same where a `former` session was changed to this one: its comments, its order and how it puts
+    /// things stay wherever it says the same.
     ///
     /// # Errors
     /// As of [`save`](Self::save). A former session that cannot be read has nothing that could be kept.
@@ -58,8 +58,8 @@ impl SessionFile {
         Ok(self.to_document(path, false)?.0.to_string())
     }
 
-    /// The session at this path. Strokes and selections that are too long for it are written beside it, to these
-    /// files, unless all has to be in the text.
+    /// The session at this path. Strokes and selections that are too long for it are written beside it, to
+    /// these files, unless all has to be in the text.
     fn to_document(&self, path: &Path, beside: bool) -> Result<(DocumentMut, Vec<PathBuf>)> {
         let mut writer =
             Writer { session: beside.then_some(path), folder: folder_of(path), files: Vec::new() };

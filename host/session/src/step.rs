@@ -1,5 +1,5 @@
-//! The steps of an edit: what a session has and an edit changes, and what is wrong with those that make no sense.
-//! Whoever reads, changes or records steps judges them by what is here.
+//! The steps of an edit: what a session has and an edit changes, and what is wrong with those that make no
+//! sense. Whoever reads, changes or records steps judges them by what is here.
 
 use crate::deformer::Plugin;
 use crate::key::{Key, Keyed};

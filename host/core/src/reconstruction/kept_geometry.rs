@@ -75,8 +75,8 @@ struct Piece<'a> {
 }
 
 impl<'a> RestGeometry<'a> {
-    /// What is known of a model's samples at rest: as somebody found it before, as it was kept beside them, or
-    /// found now.
+    /// What is known of a model's samples at rest: as somebody found it before, as it was kept beside them,
+    /// or found now.
     pub fn kept(sampled: &'a SampledModel) -> Self {
         let held = Self::held(&sampled.samples).or_else(|| kept(sampled));
         held.unwrap_or_else(|| Self::new(&sampled.samples))

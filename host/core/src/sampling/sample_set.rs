@@ -25,7 +25,8 @@ const SPACING_NEIGHBOURS: usize = 6;
 /// The small point set P_S, in local coordinates (see [`Frame`](simod_model::frame::Frame)).
 ///
 /// Memory: 24 bytes per sample; 12 more where normals were estimated (about 150 meanwhile), and 160 once the
-/// neighbours are asked for, and what a [`RestGeometry`](crate::reconstruction::RestGeometry) found. The index of a sample never changes.
+/// neighbours are asked for, and what a [`RestGeometry`](crate::reconstruction::RestGeometry) found. The
+/// index of a sample never changes.
 pub struct SampleSet {
     /// Positions.
     pub positions: Vec<Vec3>,
@@ -135,8 +136,8 @@ impl SampleSet {
         self.rest.get().and_then(|rest| rest.clone().downcast().ok())
     }
 
-    /// Holds what was found of the samples at rest, for all who need it as long as there are these samples: the
-    /// reconstruction's, whose type is not known here. Who found it at the same time found the same.
+    /// Holds what was found of the samples at rest, for all who need it as long as there are these samples:
+    /// the reconstruction's, whose type is not known here. Who found it at the same time found the same.
     pub(crate) fn set_rest<T: Any + Send + Sync>(&self, rest: Arc<T>) {
         let _ = self.rest.set(rest);
     }

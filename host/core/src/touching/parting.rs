@@ -382,8 +382,8 @@ impl Given {
         sheet.islands.iter().for_each(|island| self.sample[*island as usize] = to);
     }
 
-    /// What has no sample of its own joins the nearest one that faces join it with, and what has none of these
-    /// either stays with its cluster.
+    /// What has no sample of its own joins the nearest one that faces join it with, and what has none of
+    /// these either stays with its cluster.
     fn join_open(&mut self, parts: &Parts, samples: &[Vec3], of: impl Fn(u32) -> u32) {
         let moved_to: HashMap<u32, Vec3> = self.moved.iter().map(|(sample, p, _)| (*sample, *p)).collect();
         while !self.open.is_empty() {

@@ -159,8 +159,8 @@ impl Editor {
         self.saved.as_ref().is_some_and(|saved| Arc::ptr_eq(saved, self.document.steps()))
     }
 
-    /// Saves the session, whole or not at all; comments of the file that it was opened from stay. What was kept against a crash is not needed any more, and
-    /// removed.
+    /// Saves the session, whole or not at all; comments of the file that it was opened from stay. What was
+    /// kept against a crash is not needed any more, and removed.
     ///
     /// # Errors
     /// The file cannot be written.
