@@ -228,7 +228,7 @@ mod tests {
 
     /// How far the coordinates of a point are from giving it back.
     fn miss(cage: &Cage, x: DVec3) -> f64 {
-        let (weights, _) = coordinates_at(&cage, x);
+        let (weights, _) = coordinates_at(cage, x);
         let sum: f64 = weights.iter().sum();
         let mean: DVec3 = weights.iter().zip(&cage.vertices).map(|(w, p)| *w * *p).sum();
         (sum - 1.0).abs().max(mean.distance(x))
