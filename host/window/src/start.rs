@@ -95,14 +95,12 @@ fn open_window(arguments: Arguments, recorded: Vec<Command>, plugins: Arc<Plugin
         .with_min_inner_size([800.0, 520.0])
         .with_drag_and_drop(true);
     let options = NativeOptions { viewport, renderer: Renderer::Wgpu, centered: true, ..Default::default() };
-    // The model is read while drivers of graphics cards are looked for, which takes as long.
-    let mut window = Window::new(&egui::Context::default(), plugins, Settings::load());
-    window.record(recorder);
-    if let Some(path) = arguments.path {
-        window.open(path, sampling(arguments.samples), false);
-    }
     let create: eframe::AppCreator<'_> = Box::new(move |cc| {
-        window.show_in(&cc.egui_ctx);
+        let mut window = Window::new(&cc.egui_ctx, plugins, Settings::load());
+        window.record(recorder);
+        if let Some(path) = arguments.path {
+            window.open(path, sampling(arguments.samples), false);
+        }
         window.replay(recorded);
         Ok(Box::new(App::new(cc, window)))
     });

@@ -30,8 +30,8 @@ use simod_viewer::state::{self, Notice};
 use simod_viewer::{Command, State, Version};
 use std::collections::{BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 pub use toasts::{Cause, Toasts};
 
@@ -52,8 +52,6 @@ pub struct Window {
     ctx: egui::Context,
     /// Whether the hand was quicker than the pictures, and events wait for their frame.
     waits: Arc<AtomicBool>,
-    /// What is woken when something was done that was asked for.
-    wakes: Arc<Mutex<egui::Context>>,
     /// What the user likes.
     pub settings: Settings,
     /// The tools, and which one is in the hand.
@@ -116,21 +114,15 @@ impl Window {
         theme::apply(ctx, settings.theme);
         let waits = Arc::new(AtomicBool::new(false));
         in_turn::install(ctx, waits.clone());
-        let wakes = Arc::new(Mutex::new(ctx.clone()));
-        let waker = wakes.clone();
-        let wake = move || {
-            let ctx = waker.lock().unwrap_or_else(PoisonError::into_inner).clone();
-            ctx.request_repaint();
-        };
+        let waker = ctx.clone();
         let mut toasts = Toasts::default();
         for rejected in plugins.rejected() {
             toasts.error(&rejected.error);
         }
         Self {
-            state: State::new(plugins, Arc::new(wake)),
+            state: State::new(plugins, Arc::new(move || waker.request_repaint())),
             ctx: ctx.clone(),
             waits,
-            wakes,
             settings,
             tools: Tools::default(),
             looks: Looks::default(),
@@ -162,16 +154,6 @@ impl Window {
             frame_time: Duration::ZERO,
             drawn: Drawn::default(),
         }
-    }
-
-    /// Goes over to the context that it is shown in, where it was made before there was one.
-    pub fn show_in(&mut self, ctx: &egui::Context) {
-        theme::apply(ctx, self.settings.theme);
-        in_turn::install(ctx, self.waits.clone());
-        self.wakes.lock().unwrap_or_else(PoisonError::into_inner).clone_from(ctx);
-        self.ctx = ctx.clone();
-        // What was done before woke nobody.
-        ctx.request_repaint();
     }
 
     /// The state, to be read; it changes by [`apply`](Self::apply) alone.
