@@ -402,6 +402,22 @@ refine = { factor = 4, shapes = [
         assert!(!std::fs::read_to_string(&path).unwrap().contains("stroke"));
     }
 
+    /// Joints are read in another order than they may stand in.
+    #[test]
+    fn joints_in_any_order_are_those_that_are_meant() {
+        let joint =
+            |id: &str, at: &str, rest: &str| format!("[[step.joint]]\nid = \"{id}\"\nat = {at}\n{rest}");
+        let hand = joint("hand", "[1, 0, 0]", "parent = \"arm\"\n");
+        let file =
+            format!("# A hand.\n[[step]]\ndeform = \"skinning\"\n{hand}{}", joint("arm", "[0, 0, 0]", ""));
+        assert_eq!(saved(&file, |_| ()), file);
+        let text = saved(&file, |session| {
+            let hand = deformation(session, 0).joints.iter_mut().find(|joint| joint.id == "hand").unwrap();
+            hand.at = DVec3::X * 2.0;
+        });
+        assert!(text.contains("id = \"hand\"\nat = [2.0, 0.0, 0.0]\nparent = \"arm\""), "{text}");
+    }
+
     #[test]
     fn files_are_named_as_seen_from_where_the_session_goes() {
         let folder = tempfile::tempdir().unwrap();

@@ -38,11 +38,18 @@ impl SessionFile {
     /// # Errors
     /// As of [`save`](Self::save). A former session that cannot be read has nothing that could be kept.
     pub fn save_over(&self, path: &Path, former: &Path) -> Result<Vec<PathBuf>> {
-        let (mut document, beside) = self.to_document(path, true)?;
-        if let Some((text, base)) = Self::as_it_stands(former) {
-            document = session_layout::changed(text, &base, document);
+        let (document, beside) = self.to_document(path, true)?;
+        let mut text = document.to_string();
+        if let Some((file, base)) = Self::as_it_stands(former) {
+            let changed = session_layout::changed(file, &base, document).to_string();
+            // Not where it would be read as another session: joints, say, may stand in another order than
+            // they are read in.
+            let read = Self::parse(&changed, path).and_then(|read| read.to_toml(path));
+            if read.is_ok_and(|read| Some(read) == self.to_toml(path).ok()) {
+                text = changed;
+            }
         }
-        output::write_file(path, document.to_string().as_bytes())?;
+        output::write_file(path, text.as_bytes())?;
         Ok(beside)
     }
 
@@ -96,10 +103,8 @@ fn lay_out(document: &mut DocumentMut) {
     for (key, item) in document.iter_mut() {
         if key == "step" {
             tables(item, |step| {
-                for (key, item) in step.iter_mut().filter(|(key, _)| SEVERAL.contains(&key.get())) {
-                    let _ = key;
-                    tables(item, |_| {});
-                }
+                let several = step.iter_mut().filter(|(key, _)| SEVERAL.contains(&key.get()));
+                several.for_each(|(_, item)| tables(item, |_| {}));
             });
         } else if item.as_inline_table().is_some() {
             *item = Item::Table(std::mem::take(item).into_table().unwrap_or_default());
