@@ -85,7 +85,10 @@ pub fn compare(
     let folder = OutputFolder::create(output)?;
     let cache = Arc::new(Cache::nameless(folder.path()));
     let rest = named.open(file.columns.as_deref(), &cache, progress)?;
-    let bench = Bench::new(file, plugins, (folder.path(), cache));
+    let mut bench = Bench::new(file, plugins, (folder.path(), cache));
+    if !how.keep_models {
+        bench.make_scratch();
+    }
     let made = in_folder(file, bench, how.keep_models, &folder, rest.as_ref(), &target, progress);
     let comparison = made.map_err(|e| folder.named(e))?;
     folder.commit()?;

@@ -34,6 +34,8 @@ pub(crate) struct Bench<'a> {
     samplings: Vec<Taken>,
     /// A method refines: samplings keep their cells.
     refines: bool,
+    /// The deformed models are measured by this process, and go with it.
+    is_scratch: bool,
 }
 
 /// A sampling that was done.
@@ -159,7 +161,12 @@ impl<'a> Bench<'a> {
         (folder, cache): (&'a Path, Arc<Cache>),
     ) -> Self {
         let refines = file.methods.iter().any(refines);
-        Self { file, plugins, folder, cache, samplings: Vec::new(), refines }
+        Self { file, plugins, folder, cache, samplings: Vec::new(), refines, is_scratch: false }
+    }
+
+    /// Nobody but this process needs the deformed models.
+    pub fn make_scratch(&mut self) {
+        self.is_scratch = true;
     }
 
     /// Takes a sampling that was done before, and how many seconds it took.
@@ -385,8 +392,8 @@ impl<'a> Bench<'a> {
         let gradients = gradients.as_deref();
         let method = known.method.reconstruction;
         // As one part: nobody goes on with what a comparison left, and its hash comes about by the way.
-        let part_bytes = u64::MAX;
-        let how = Reconstruction { method, gradients, part_bytes, ..Reconstruction::default() };
+        let (part_bytes, is_scratch) = (u64::MAX, self.is_scratch);
+        let how = Reconstruction { method, gradients, part_bytes, is_scratch, ..Reconstruction::default() };
         let done = reconstruct(sampled, source.as_ref(), &versions, &how, progress)?;
         let part = 1.0 / all.len() as f64;
         let (seconds, used) =

@@ -114,7 +114,7 @@ pub(crate) enum Piece {
 
 /// Streams `file` to `outputs` through `edit`: see [`Model::rewrite`](super::Model::rewrite).
 pub(crate) fn rewrite(
-    file: &impl Rewritable,
+    file: &dyn Rewritable,
     outputs: &mut [&mut dyn Output],
     how: Rewriting,
     edit: &dyn Edit,
@@ -185,8 +185,8 @@ pub(crate) fn rewrite(
 }
 
 /// A call of [`rewrite`].
-struct RewriteCall<'a, 'o, F> {
-    file: &'a F,
+struct RewriteCall<'a, 'o> {
+    file: &'a dyn Rewritable,
     versions: usize,
     how: Rewriting,
     edit: &'a dyn Edit,
@@ -253,7 +253,7 @@ struct Bench {
     edited: Vec<Edited>,
 }
 
-impl<'a, 'o, F: Rewritable> RewriteCall<'a, 'o, F> {
+impl<'a, 'o> RewriteCall<'a, 'o> {
     /// Takes pieces as long as there are any.
     fn go_on(&self) {
         let _guard = Guard(self);
@@ -447,9 +447,9 @@ impl Queue<'_, '_> {
 }
 
 /// Stops the others when its thread panics.
-struct Guard<'w, 'a, 'o, F: Rewritable>(&'w RewriteCall<'a, 'o, F>);
+struct Guard<'w, 'a, 'o>(&'w RewriteCall<'a, 'o>);
 
-impl<F: Rewritable> Drop for Guard<'_, '_, '_, F> {
+impl Drop for Guard<'_, '_, '_> {
     fn drop(&mut self) {
         if thread::panicking() {
             self.0.end(None);
@@ -458,14 +458,14 @@ impl<F: Rewritable> Drop for Guard<'_, '_, '_, F> {
 }
 
 /// A part was asked for of a file that has none.
-fn indivisible(file: &impl Rewritable) -> Error {
+fn indivisible(file: &dyn Rewritable) -> Error {
     Error::argument(
         format!("{} cannot be rewritten in parts by itself", file.source().path().display()),
         "rewrite all of it at once",
     )
 }
 
-fn failed_write(file: &impl Rewritable, error: io::Error) -> Error {
+fn failed_write(file: &dyn Rewritable, error: io::Error) -> Error {
     match error.downcast::<Error>() {
         // Our own writers know best what went wrong.
         Ok(error) => error,

@@ -37,7 +37,7 @@ const LONGEST: u64 = 64 << 20;
 /// A file in the making, a piece at a time. Dropped before [`commit`](Self::commit), it leaves no trace,
 /// unless it is to be [kept](Self::keep).
 ///
-/// Memory: 2 MiB, and the journal, of some 60 bytes for each part and 8 for each compressed block.
+/// Memory: 4 MiB, and the journal, of some 60 bytes for each part and 8 for each compressed block.
 pub struct ResumableFile {
     claim: Claim,
     /// The part file.
@@ -155,6 +155,13 @@ impl ResumableFile {
         parts.truncate(good);
         let is_complete = all && is_complete && length(self.file.file());
         Ok(Found { is_complete, parts, patches, in_target: false })
+    }
+
+    /// The file is read soon and then removed: it goes through the page cache, and nobody waits for the disk.
+    /// To be said before anything is written.
+    pub fn make_scratch(&mut self) {
+        self.file.cache();
+        self.syncs = false;
     }
 
     /// Leaves it to the caller to bring the complete file to the disk. Should that not come about, its
@@ -276,6 +283,7 @@ impl ResumableFile {
         if let Some(last) = journal.parts.last() {
             // The rest may be what fills the disk. If it cannot be cut off, it is when the file is gone on
             // with.
+            let _ = self.file.wait();
             let _ = self.file.file().set_len(last.end);
             let _ = remove(&self.claim.places().new_journal);
             self.claim.keep();

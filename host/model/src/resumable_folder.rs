@@ -26,6 +26,8 @@ pub struct ResumableFolder {
     names: Vec<PathBuf>,
     key: String,
     part_bytes: u64,
+    /// See [`ResumableFile::make_scratch`].
+    is_scratch: bool,
     /// How many files are finished, the first ones.
     finished: usize,
     /// Their bytes that an earlier call wrote.
@@ -72,6 +74,7 @@ impl ResumableFolder {
             names: names.to_vec(),
             key,
             part_bytes,
+            is_scratch: false,
             finished: 0,
             taken_over: Vec::new(),
             current: None,
@@ -144,6 +147,11 @@ impl ResumableFolder {
         Ok(bytes)
     }
 
+    /// Makes all files [scratch](ResumableFile::make_scratch). To be said before anything is written.
+    pub fn make_scratch(&mut self) {
+        self.is_scratch = true;
+    }
+
     /// Says that nothing more comes.
     ///
     /// # Errors
@@ -163,7 +171,9 @@ impl ResumableFolder {
         let target = self.folder.target().to_owned();
         check_target(&target, &self.names)?;
         let files = self.names.iter().map(|name| target.join(name)).collect();
-        self.sync().map_err(|e| Error::io("write", &target, &e))?;
+        if !self.is_scratch {
+            self.sync().map_err(|e| Error::io("write", &target, &e))?;
+        }
         self.folder.put_in_place()?;
         self.is_in_place = true;
         Ok(FinishedFolder { files, leave: false })
@@ -173,9 +183,10 @@ impl ResumableFolder {
     fn sync(&self) -> io::Result<()> {
         let folders: BTreeSet<&Path> = self.names.iter().flat_map(|name| name.ancestors().skip(1)).collect();
         let share = self.names.len().div_ceil(SYNCED_AT_ONCE).max(1);
+        let folder = self.folder.path();
         thread::scope(|scope| {
             let sync = |names: &[PathBuf]| -> io::Result<()> {
-                names.iter().try_for_each(|name| File::open(self.folder.path().join(name))?.sync_all())
+                names.iter().try_for_each(|name| File::open(folder.join(name))?.sync_all())
             };
             let shares: Vec<_> =
                 self.names.chunks(share).map(|names| scope.spawn(move || sync(names))).collect();
@@ -183,7 +194,7 @@ impl ResumableFolder {
                 .into_iter()
                 .try_for_each(|share| share.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
         })?;
-        folders.iter().try_for_each(|folder| sync_folder(&self.folder.path().join(folder)))
+        folders.iter().try_for_each(|inner| sync_folder(&folder.join(inner)))
     }
 
     /// Leaves what is recorded to a later call, if there is anything.
@@ -230,7 +241,11 @@ impl Output for ResumableFolder {
         let (key, silent) = (key_of(&self.key, number), &crate::progress::Silent);
         match ResumableFile::open(&path, key, false, self.part_bytes, silent).map_err(|e| self.packed(e))? {
             Opened::Unfinished(mut file) => {
-                file.leave_syncing();
+                if self.is_scratch {
+                    file.make_scratch()
+                } else {
+                    file.leave_syncing()
+                }
                 self.current = Some(file);
             }
             Opened::Finished(_) => return Err(io::Error::other("a tile is there that was not written")),

@@ -115,6 +115,16 @@ impl ResumableOutput {
         })
     }
 
+    /// The output is read soon and then removed: see [`ResumableFile::make_scratch`]. To be said before
+    /// anything is written.
+    pub fn make_scratch(&mut self) {
+        match self {
+            Self::File(file) => file.make_scratch(),
+            Self::Folder(folder) => folder.make_scratch(),
+            Self::Object(_) => {}
+        }
+    }
+
     /// After how many files, and how many pieces of the next one, work can be gone on with: ascending.
     pub fn boundaries(&self) -> Vec<(u64, u64)> {
         match self {

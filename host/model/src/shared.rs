@@ -13,7 +13,7 @@ use crate::{Error, Output, Result, Summary};
 
 /// A range of the file in the making, from where its pieces [begin](Output::begin_at).
 ///
-/// Memory: 2 MiB.
+/// Memory: 4 MiB.
 pub struct SharedFile {
     path: PathBuf,
     file: UncachedFile,
@@ -29,9 +29,7 @@ impl SharedFile {
     pub fn open(path: &Path) -> Result<Self> {
         let failed = |e: io::Error| Error::io("write", path, &e);
         let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path);
-        let mut file = UncachedFile::new(file.map_err(failed)?);
-        file.begin_at(0);
-        Ok(Self { path: path.to_owned(), file, at: 0 })
+        Ok(Self { path: path.to_owned(), file: UncachedFile::new(file.map_err(failed)?), at: 0 })
     }
 
     /// Where the next byte goes.
@@ -72,9 +70,9 @@ impl SharedFile {
 
 impl Output for SharedFile {
     fn begin_at(&mut self, at: u64) -> io::Result<()> {
-        self.file.flush().map_err(|e| self.named(&e))?;
+        let begun = self.file.flush().and_then(|()| self.file.begin_at(at.next_multiple_of(BLOCK as u64)));
+        begun.map_err(|e| self.named(&e))?;
         self.at = at;
-        self.file.begin_at(at.next_multiple_of(BLOCK as u64));
         Ok(())
     }
 

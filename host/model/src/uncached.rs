@@ -4,6 +4,8 @@
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
 
 /// Places in memory and in the file are multiples of this: as much as any device in use asks for.
 pub(crate) const BLOCK: usize = 4096;
@@ -11,73 +13,79 @@ pub(crate) const BLOCK: usize = 4096;
 /// Bytes that are written at once.
 const BUFFER: usize = 2 << 20;
 
-/// A file that is written from some place on, in order.
+/// A file that is written from some place on, in order. Where the operating system lets us write past the
+/// page cache, a full buffer is written by a thread of its own while the next one fills.
 ///
-/// Memory: 2 MiB.
+/// Memory: 4 MiB.
 #[derive(Debug)]
 pub(crate) struct UncachedFile {
-    file: File,
-    /// The bytes are those from `origin` on, which is a multiple of [`BLOCK`] in memory; `filled` of them
-    /// have a meaning.
-    buffer: Vec<u8>,
-    origin: usize,
-    filled: usize,
-    /// Where in the file they belong: a multiple of [`BLOCK`].
+    disk: Disk,
+    /// What belongs to the file from `offset` on.
+    buffer: Buffer,
+    /// Where in the file the buffer belongs: a multiple of [`BLOCK`].
     offset: u64,
     /// Where it began.
     begin: u64,
-    /// Whether nothing tells yet that the file system has no way but through the page cache.
-    is_direct: bool,
+    behind: Option<WriteBehind>,
 }
 
 impl UncachedFile {
     /// From the beginning of an open file on.
     pub(crate) fn new(file: File) -> Self {
-        Self { file, buffer: Vec::new(), origin: 0, filled: 0, offset: 0, begin: 0, is_direct: true }
+        let disk = Disk { file, is_direct: true };
+        Self { disk, buffer: Buffer::default(), offset: 0, begin: 0, behind: None }
+    }
+
+    /// Writes through the page cache from now on, for what is soon read.
+    pub(crate) fn cache(&mut self) {
+        self.disk.is_direct = false;
     }
 
     /// The file, in which what was written after the last [`flush`](Self::flush) may be missing.
     pub(crate) fn file(&self) -> &File {
-        &self.file
+        &self.disk.file
     }
 
-    /// Cuts the file off at `end`, and goes on there.
+    /// Cuts the file off at `end`, and goes on there. What was not [flushed](Self::flush) is lost.
     ///
     /// # Errors
     /// The operating system refuses.
     pub(crate) fn go_on_at(&mut self, end: u64) -> io::Result<()> {
-        self.allocate();
-        self.file.set_len(end)?;
-        self.filled = (end % BLOCK as u64) as usize;
-        self.offset = end - self.filled as u64;
-        self.file.seek(SeekFrom::Start(self.offset))?;
-        self.file.read_exact(&mut self.buffer[self.origin..self.origin + self.filled])
+        self.wait()?;
+        self.disk.file.set_len(end)?;
+        let of_block = (end % BLOCK as u64) as usize;
+        self.offset = end - of_block as u64;
+        self.disk.file.seek(SeekFrom::Start(self.offset))?;
+        self.buffer.filled = 0;
+        self.disk.file.read_exact(self.buffer.take_room(of_block))
     }
 
     /// Goes on at a multiple of [`BLOCK`], whatever is there and was written before. What was not
     /// [flushed](Self::flush) is lost.
-    pub(crate) fn begin_at(&mut self, offset: u64) {
-        self.allocate();
-        (self.filled, self.offset, self.begin) = (0, offset, offset);
+    ///
+    /// # Errors
+    /// What was written before could not be.
+    pub(crate) fn begin_at(&mut self, offset: u64) -> io::Result<()> {
+        self.wait()?;
+        (self.buffer.filled, self.offset, self.begin) = (0, offset, offset);
+        Ok(())
     }
 
     /// Whether nothing was written since it was said where to [begin](Self::begin_at).
     pub(crate) fn is_at_begin(&self) -> bool {
-        self.filled == 0 && self.offset == self.begin
+        self.buffer.filled == 0 && self.offset == self.begin
     }
 
     /// # Errors
-    /// The disk is full, or the operating system refuses.
+    /// The disk is full, or the operating system refuses; it may be told late, and at the next
+    /// [`flush`](Self::flush) at the latest.
     pub(crate) fn write(&mut self, mut bytes: &[u8]) -> io::Result<()> {
-        self.allocate();
         while !bytes.is_empty() {
-            let at = self.origin + self.filled;
-            let (now, later) = bytes.split_at(bytes.len().min(BUFFER - self.filled));
-            self.buffer[at..at + now.len()].copy_from_slice(now);
-            self.filled += now.len();
+            let (now, later) = bytes.split_at(bytes.len().min(BUFFER - self.buffer.filled));
+            self.buffer.take_room(now.len()).copy_from_slice(now);
             bytes = later;
-            if self.filled == BUFFER {
-                self.write_blocks()?;
+            if self.buffer.filled == BUFFER {
+                self.hand_over()?;
             }
         }
         Ok(())
@@ -88,43 +96,99 @@ impl UncachedFile {
     /// # Errors
     /// As of [`write`](Self::write).
     pub(crate) fn flush(&mut self) -> io::Result<()> {
-        self.write_blocks()?;
-        if self.filled > 0 {
+        self.wait()?;
+        let whole = self.buffer.filled - self.buffer.filled % BLOCK;
+        if whole > 0 {
+            self.disk.write(&self.buffer.bytes()[..whole], self.offset)?;
+            self.buffer.forget(whole);
+            self.offset += whole as u64;
+        }
+        if self.buffer.filled > 0 {
             // It stays here as well, and goes to the disk once more with the rest of its block.
-            self.put(self.filled)?;
+            self.disk.put(self.buffer.bytes(), self.offset)?;
         }
         Ok(())
     }
 
-    fn allocate(&mut self) {
-        if self.buffer.is_empty() {
-            self.buffer = vec![0; BUFFER + BLOCK];
-            self.origin = self.buffer.as_ptr().align_offset(BLOCK).min(BLOCK);
+    /// Has a full buffer written, and begins an empty one.
+    fn hand_over(&mut self) -> io::Result<()> {
+        if self.behind.is_none() {
+            self.disk.write(self.buffer.bytes(), self.offset)?;
+            self.buffer.filled = 0;
+            if self.disk.is_direct {
+                // A writer that only copies into the page cache would be one more thread that works.
+                self.behind = WriteBehind::start(&self.disk).ok();
+            }
+        } else if let Some(behind) = &mut self.behind {
+            self.buffer = behind.swap(std::mem::take(&mut self.buffer), self.offset)?;
         }
-    }
-
-    /// Writes the whole blocks, and puts the rest to the front.
-    fn write_blocks(&mut self) -> io::Result<()> {
-        let whole = self.filled - self.filled % BLOCK;
-        if whole == 0 {
-            return Ok(());
-        }
-        if !(self.is_direct && self.put_directly(whole)?) {
-            self.is_direct = false;
-            self.put(whole)?;
-        }
-        self.buffer.copy_within(self.origin + whole..self.origin + self.filled, self.origin);
-        self.filled -= whole;
-        self.offset += whole as u64;
+        self.offset += BUFFER as u64;
         Ok(())
     }
 
-    /// The same past the page cache, or `false` if that is not possible.
-    fn put_directly(&mut self, count: usize) -> io::Result<bool> {
+    /// Waits until the thread has written what it was given.
+    ///
+    /// # Errors
+    /// As of [`write`](Self::write).
+    pub(crate) fn wait(&mut self) -> io::Result<()> {
+        self.behind.as_mut().map_or(Ok(()), WriteBehind::wait)
+    }
+}
+
+/// Bytes that go to the disk together, in memory from a multiple of [`BLOCK`] on.
+#[derive(Debug, Default)]
+struct Buffer {
+    /// Empty until it is needed.
+    memory: Vec<u8>,
+    origin: usize,
+    /// So many bytes from `origin` on have a meaning.
+    filled: usize,
+}
+
+impl Buffer {
+    fn bytes(&self) -> &[u8] {
+        &self.memory[self.origin..self.origin + self.filled]
+    }
+
+    /// The next `count` bytes, for their values; no more than there is room for.
+    fn take_room(&mut self, count: usize) -> &mut [u8] {
+        if self.memory.is_empty() {
+            self.memory = vec![0; BUFFER + BLOCK];
+            self.origin = self.memory.as_ptr().align_offset(BLOCK).min(BLOCK);
+        }
+        let at = self.origin + self.filled;
+        self.filled += count;
+        &mut self.memory[at..at + count]
+    }
+
+    /// Puts what is behind the first `count` bytes to the front.
+    fn forget(&mut self, count: usize) {
+        self.memory.copy_within(self.origin + count..self.origin + self.filled, self.origin);
+        self.filled -= count;
+    }
+}
+
+/// A file, written at any place.
+#[derive(Debug)]
+struct Disk {
+    file: File,
+    /// Whether nothing tells yet that the file system has no way but through the page cache.
+    is_direct: bool,
+}
+
+impl Disk {
+    /// Writes whole blocks, past the page cache if that is possible.
+    fn write(&mut self, blocks: &[u8], offset: u64) -> io::Result<()> {
+        self.is_direct = self.is_direct && self.put_directly(blocks, offset)?;
+        if self.is_direct { Ok(()) } else { self.put(blocks, offset) }
+    }
+
+    /// Writes past the page cache, or returns `false` if that is not possible.
+    fn put_directly(&mut self, blocks: &[u8], offset: u64) -> io::Result<bool> {
         if self.set_direct(true).is_err() {
             return Ok(false);
         }
-        let put = self.put(count);
+        let put = self.put(blocks, offset);
         self.set_direct(false)?;
         match put {
             // Other rules than ours, or half a block up to some limit.
@@ -133,10 +197,9 @@ impl UncachedFile {
         }
     }
 
-    /// Writes so many bytes to their place.
-    fn put(&mut self, count: usize) -> io::Result<()> {
-        self.file.seek(SeekFrom::Start(self.offset))?;
-        self.file.write_all(&self.buffer[self.origin..self.origin + count])
+    fn put(&mut self, bytes: &[u8], offset: u64) -> io::Result<()> {
+        self.file.seek(SeekFrom::Start(offset))?;
+        self.file.write_all(bytes)
     }
 
     #[cfg(target_os = "linux")]
@@ -156,10 +219,87 @@ impl UncachedFile {
     }
 }
 
+/// A thread that writes one full buffer after the other, so that who fills them does not wait for the disk.
+/// It and its owner never use the file at the same time, whose place and flags they share.
+#[derive(Debug)]
+struct WriteBehind {
+    /// A buffer and where in the file it belongs; nothing once one could not be written.
+    full: Option<SyncSender<(Buffer, u64)>>,
+    /// The buffer that was written, empty again.
+    empty: Receiver<io::Result<Buffer>>,
+    /// The buffer that the thread does not have.
+    spare: Buffer,
+    is_writing: bool,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl WriteBehind {
+    fn start(disk: &Disk) -> io::Result<Self> {
+        let mut disk = Disk { file: disk.file.try_clone()?, is_direct: disk.is_direct };
+        let (full, to_write) = sync_channel::<(Buffer, u64)>(1);
+        let (written, empty) = sync_channel(1);
+        let work = move || {
+            for (mut buffer, offset) in to_write {
+                let wrote = disk.write(buffer.bytes(), offset);
+                buffer.filled = 0;
+                if written.send(wrote.map(|()| buffer)).is_err() {
+                    return;
+                }
+            }
+        };
+        let thread = Some(thread::Builder::new().name("write".to_owned()).spawn(work)?);
+        Ok(Self { full: Some(full), empty, spare: Buffer::default(), is_writing: false, thread })
+    }
+
+    /// Waits for the last buffer, hands over this one, and returns an empty one.
+    fn swap(&mut self, buffer: Buffer, offset: u64) -> io::Result<Buffer> {
+        self.wait()?;
+        self.full.as_ref().and_then(|full| full.send((buffer, offset)).ok()).ok_or_else(ended)?;
+        self.is_writing = true;
+        Ok(std::mem::take(&mut self.spare))
+    }
+
+    fn wait(&mut self) -> io::Result<()> {
+        if std::mem::take(&mut self.is_writing) {
+            let written = self.empty.recv().unwrap_or_else(|_| Err(ended()));
+            // Nothing more is taken behind a gap.
+            self.spare = written.inspect_err(|_| self.full = None)?;
+        }
+        self.full.as_ref().map(|_| ()).ok_or_else(ended)
+    }
+}
+
+impl Drop for WriteBehind {
+    fn drop(&mut self) {
+        self.full = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn ended() -> io::Error {
+    io::Error::other("what was written before could not be")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn what_was_not_written_behind_is_told_and_nothing_follows_it() {
+        let cannot_be_written = File::open(tempfile::NamedTempFile::new().unwrap().path()).unwrap();
+        let mut written = UncachedFile::new(cannot_be_written);
+        written.behind = Some(WriteBehind::start(&written.disk).unwrap());
+        let buffer = vec![7; BUFFER];
+        written.write(&buffer).unwrap();
+        let told = written.write(&buffer).unwrap_err();
+        assert_ne!(told.to_string(), ended().to_string());
+        for later in [written.write(&buffer), written.flush(), written.begin_at(0), written.go_on_at(0)] {
+            assert_eq!(later.unwrap_err().to_string(), ended().to_string());
+        }
+    }
 
     #[derive(Debug, Clone)]
     enum Action {
@@ -184,7 +324,7 @@ mod tests {
         #[test]
         fn the_file_is_what_was_written(actions in proptest::collection::vec(action(), 1..12), cached: bool) {
             let mut written = UncachedFile::new(tempfile::tempfile().unwrap());
-            written.is_direct = !cached;
+            written.disk.is_direct = !cached;
             let (mut expected, mut next) = (Vec::new(), 0u8);
             for action in actions {
                 match action {

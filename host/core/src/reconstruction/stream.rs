@@ -67,6 +67,8 @@ pub struct Reconstruction<'a> {
     /// A part of an output is on the disk, and can be relied on by a later call, each time so many bytes of
     /// the model are done; more where that would be over 1024 parts.
     pub part_bytes: u64,
+    /// Outputs are read soon and then removed: they go through the page cache, and nobody waits for the disk.
+    pub is_scratch: bool,
     /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it
     /// fits.
     pub binding: Option<&'a Path>,
@@ -82,6 +84,7 @@ impl Default for Reconstruction<'_> {
             normals: Normals::default(),
             resume: false,
             part_bytes: PART_BYTES,
+            is_scratch: false,
             binding: None,
             gradients: None,
         }
@@ -286,7 +289,10 @@ impl<'a> ReconstructionCall<'a> {
             let part_bytes = self.part_bytes();
             let place = Place::for_model(self.model, version.output);
             match ResumableOutput::open(&place, key, self.how.resume, part_bytes, self.progress)? {
-                OpenedOutput::Unfinished(file) => {
+                OpenedOutput::Unfinished(mut file) => {
+                    if self.how.is_scratch {
+                        file.make_scratch();
+                    }
                     let diagonal = self.sampled.bounds.diagonal();
                     let create = |path| DiagnosticsFile::create(path, self.model, diagonal);
                     let diagnostics = version.diagnostics.map(create).transpose()?;
