@@ -1,10 +1,12 @@
-//! simod-geometry: small dense geometry that plugins and the host share: symmetric eigenproblems, definite
-//! systems, the kernel.
+//! simod-geometry: small dense geometry that plugins and the host share: symmetric eigenproblems, rotations,
+//! definite systems, the kernel.
 
 mod jacobi;
+mod rotation;
 
 use glam::{DMat3, DVec3};
 pub use jacobi::jacobi_eigen;
+pub use rotation::nearest_rotation;
 
 /// Eigenvalues, ascending, and the unit eigenvectors (as columns) of a symmetric matrix. The lower triangle
 /// is not read.

@@ -8,9 +8,10 @@
 //!   of what the best simpler map leaves over.
 
 use crate::landmarks::Landmark;
+use faer::Mat;
 use faer::linalg::solvers::{PartialPivLu, Solve};
-use faer::{Mat, Side};
 use glam::{DAffine3, DMat3, DVec3};
+use simod_geometry::{nearest_rotation, symmetric_eigen};
 use simod_plugin_api::Choice;
 
 /// Landmarks extend in a direction if by more than this part of their largest extent.
@@ -81,13 +82,12 @@ impl Extent {
     pub fn measure(points: &[DVec3]) -> Self {
         let count = points.len().max(1) as f64;
         let mean = points.iter().sum::<DVec3>() / count;
-        let covariance = Mat::<f64>::from_fn(3, 3, |i, j| {
-            points.iter().map(|p| (*p - mean)[i] * (*p - mean)[j]).sum::<f64>() / count
+        let covariance = points.iter().fold(DMat3::ZERO, |sum, p| {
+            let p = *p - mean;
+            sum + DMat3::from_cols(p * p.x, p * p.y, p * p.z)
         });
-        let Ok(squares) = covariance.self_adjoint_eigenvalues(Side::Lower) else {
-            return Self { directions: 0, least: 0.0 };
-        };
-        let largest = squares.iter().fold(0.0_f64, |a, b| a.max(*b)).sqrt();
+        let squares = (symmetric_eigen(covariance).0 / count).to_array();
+        let largest = squares[2].max(0.0).sqrt();
         // What rounding leaves of points in one place.
         let size = points.iter().map(|p| p.length()).fold(0.0, f64::max);
         if largest <= 1e-12 * size {
@@ -271,24 +271,17 @@ fn covariance(used: &[&Landmark], [source, target]: [DVec3; 2]) -> DMat3 {
 fn similarity(used: &[&Landmark]) -> Result<DAffine3, Why> {
     let middle = means(used);
     let covariance = covariance(used, middle);
-    let matrix = Mat::<f64>::from_fn(3, 3, |i, j| covariance.col(j)[i]);
     let unsolved = || Why {
         what: "the landmarks' targets lie so that neither turns nor scales can be determined".to_owned(),
         remedy: "take more landmarks elsewhere",
     };
-    let svd = matrix.svd().map_err(|_| unsolved())?;
-    let dense =
-        |m: faer::MatRef<'_, f64>| DMat3::from_cols_array(&std::array::from_fn(|k| m[(k % 3, k / 3)]));
-    let (u, v) = (dense(svd.U()), dense(svd.V()));
-    let values = DVec3::from_array(std::array::from_fn(|i| svd.S().column_vector()[i]));
+    let (turn, values) = nearest_rotation(covariance);
     // The second largest decides whether the turn is known.
-    if values.y <= EXTENDS * EXTENDS * values.x || values.x <= 0.0 {
+    if !(values.y > EXTENDS * EXTENDS * values.x && values.x > 0.0) {
         return Err(unsolved());
     }
-    let signs = DVec3::new(1.0, 1.0, (u.determinant() * v.determinant()).signum());
-    let turn = u * DMat3::from_diagonal(signs) * v.transpose();
     let spread: f64 = used.iter().map(|l| l.weight * (l.source - middle[0]).length_squared()).sum();
-    let scaled = values.dot(signs) / spread * turn;
+    let scaled = values.element_sum() / spread * turn;
     Ok(DAffine3::from_mat3_translation(scaled, middle[1] - scaled * middle[0]))
 }
 

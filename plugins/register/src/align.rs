@@ -7,6 +7,7 @@ use crate::points::{Extent, Pair, similarity, some};
 use crate::tree::Tree;
 use crate::{Align, Method, Place, Settings};
 use glam::{DAffine3, DMat3, DVec3};
+use simod_geometry::symmetric_eigen;
 use simod_plugin_api::{Host, LogLevel, PluginError, PluginResult};
 
 /// Points of the model that are looked at, and of the target: in the search, and in the end.
@@ -288,11 +289,11 @@ fn axis_turns() -> impl Iterator<Item = DMat3> {
 
 /// The principal axes, as a turn; nothing where points lie in one place.
 fn axes(points: &[DVec3], middle: DVec3) -> Option<DMat3> {
-    let covariance = faer::Mat::<f64>::from_fn(3, 3, |i, j| {
-        points.iter().map(|p| (*p - middle)[i] * (*p - middle)[j]).sum::<f64>()
+    let covariance = points.iter().fold(DMat3::ZERO, |sum, p| {
+        let p = *p - middle;
+        sum + DMat3::from_cols(p * p.x, p * p.y, p * p.z)
     });
-    let found = covariance.self_adjoint_eigen(faer::Side::Lower).ok()?;
-    let column = |k: usize| DVec3::new(found.U()[(0, k)], found.U()[(1, k)], found.U()[(2, k)]);
-    let turn = DMat3::from_cols(column(0), column(1), column(0).cross(column(1)));
+    let (_, axes) = symmetric_eigen(covariance);
+    let turn = DMat3::from_cols(axes.x_axis, axes.y_axis, axes.x_axis.cross(axes.y_axis));
     turn.is_finite().then_some(turn)
 }

@@ -1,7 +1,7 @@
 //! Point sets: some of their points, how large they are, and the similarity that takes one to another.
 
-use faer::Mat;
 use glam::{DAffine3, DMat3, DVec3};
+use simod_geometry::nearest_rotation;
 
 /// Indices of at most so many of `count` things, spread evenly over their order.
 pub fn some(count: usize, most: usize) -> impl Iterator<Item = usize> {
@@ -84,19 +84,11 @@ fn products(pairs: &[Pair], of: impl Fn(&Pair) -> (DVec3, DVec3)) -> DMat3 {
     })
 }
 
-/// The turn that is nearest to a matrix, and the sum of its singular values, those of a mirror taken off (S.
+/// The turn that is nearest to a matrix, and the sum of its singular values, that of a mirror taken off (S.
 /// Umeyama, PAMI 1991); nothing where it is not determined.
 pub fn nearest_turn(matrix: DMat3) -> Option<(DMat3, f64)> {
-    let svd = Mat::<f64>::from_fn(3, 3, |i, j| matrix.col(j)[i]).svd().ok()?;
-    let dense =
-        |m: faer::MatRef<'_, f64>| DMat3::from_cols_array(&std::array::from_fn(|k| m[(k % 3, k / 3)]));
-    let (u, v) = (dense(svd.U()), dense(svd.V()));
-    let values = DVec3::from_array(std::array::from_fn(|i| svd.S().column_vector()[i]));
-    if !(values.y > 1e-12 * values.x && values.x > 0.0) {
-        return None;
-    }
-    let signs = DVec3::new(1.0, 1.0, (u.determinant() * v.determinant()).signum());
-    Some((u * DMat3::from_diagonal(signs) * v.transpose(), values.dot(signs)))
+    let (turn, values) = nearest_rotation(matrix);
+    (values.y > 1e-12 * values.x && values.x > 0.0).then(|| (turn, values.element_sum()))
 }
 
 /// The similarity that takes sources to targets best, or the rigid motion; nothing where they lie on a line,
