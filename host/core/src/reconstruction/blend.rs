@@ -29,7 +29,10 @@ use crate::sampling::SampleSet;
 pub const AROUND: usize = 28;
 
 /// Homes whose lists are made by one job.
-const TOGETHER: usize = 256;
+const HOMES_OF_JOB: usize = 256;
+
+/// Supports that are looked at before what they say is added.
+const TOGETHER: usize = 32;
 
 /// The support of a sample ends at this one of its neighbours.
 const SUPPORT_NEIGHBOURS: usize = 7;
@@ -99,10 +102,10 @@ impl Supports {
             counting_sort::sort(list);
         };
         // Places for as many as there may be: so lists that are made side by side stay where they are.
-        let (mut starts, mut jobs) = (Vec::with_capacity(n), Vec::with_capacity(n.div_ceil(TOGETHER)));
+        let (mut starts, mut jobs) = (Vec::with_capacity(n), Vec::with_capacity(n.div_ceil(HOMES_OF_JOB)));
         let (mut most, mut others) = (0, &one_way[..]);
         for home in 0..n {
-            if home % TOGETHER == 0 {
+            if home % HOMES_OF_JOB == 0 {
                 jobs.push((most, others));
             }
             let own = others.iter().take_while(|(h, _)| *h as usize == home).count();
@@ -119,10 +122,11 @@ impl Supports {
             parts.push((*others, part));
             rest = behind;
         }
-        let jobs = parts.into_par_iter().zip(starts.par_chunks(TOGETHER)).zip(ends.par_chunks_mut(TOGETHER));
+        let jobs =
+            parts.into_par_iter().zip(starts.par_chunks(HOMES_OF_JOB)).zip(ends.par_chunks_mut(HOMES_OF_JOB));
         jobs.enumerate().for_each_init(Vec::new, |one, (job, (((mut others, part), starts), ends))| {
             for (at, (start, end)) in starts.iter().zip(ends).enumerate() {
-                let home = job * TOGETHER + at;
+                let home = job * HOMES_OF_JOB + at;
                 let own = others.iter().take_while(|(h, _)| *h as usize == home).count();
                 list(home, &others[..own], one);
                 others = &others[own..];
@@ -146,8 +150,8 @@ impl Supports {
         let balls = Balls::new(positions, &radius);
         let starts: Vec<u32> = [0].into_iter().chain(ends.iter().copied()).take(ends.len()).collect();
         let mut rest = &mut reaching[..];
-        let mut jobs = Vec::with_capacity(ends.len().div_ceil(TOGETHER));
-        for (starts, ends) in starts.chunks(TOGETHER).zip(ends.chunks(TOGETHER)) {
+        let mut jobs = Vec::with_capacity(ends.len().div_ceil(HOMES_OF_JOB));
+        for (starts, ends) in starts.chunks(HOMES_OF_JOB).zip(ends.chunks(HOMES_OF_JOB)) {
             let all = ends.last().zip(starts.first()).map_or(0, |(end, start)| end - start);
             let (part, behind) = rest.split_at_mut(all as usize);
             jobs.push((part, starts, ends));
@@ -156,7 +160,7 @@ impl Supports {
         jobs.into_par_iter().enumerate().for_each(|(job, (part, starts, ends))| {
             for (at, (start, end)) in starts.iter().zip(ends).enumerate() {
                 let list = &mut part[(start - starts[0]) as usize..(end - starts[0]) as usize];
-                list.iter_mut().for_each(|r| *r = balls.reaching(job * TOGETHER + at, r.sample as usize));
+                list.iter_mut().for_each(|r| *r = balls.reaching(job * HOMES_OF_JOB + at, r.sample as usize));
             }
         });
         Self { radius, ranging, starts, ends, reaching }
@@ -477,6 +481,32 @@ fn slopes<S: Simd>(
     [xx.mul_add(dx, a), xy.mul_add(dx, yy.mul_add(dy, b)), xz.mul_add(dx, yz.mul_add(dy, zz.mul_add(dz, c)))]
 }
 
+/// Finds the supports that reach any vertex of a packet, of whom none is farther from its home than
+/// `furthest`: without a branch that the processor would have to foretell. Returns how many there are.
+#[inline(always)]
+fn reaching<S: Simd>(
+    simd: S,
+    p: [Lanes<S>; 3],
+    furthest: f32,
+    supports: &[ReachingSupport],
+    expansions: &[Expansion],
+    near: &mut [u32; TOGETHER],
+) -> usize {
+    let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
+    let mut count = 0;
+    for support in supports {
+        if support.from > furthest {
+            break;
+        }
+        let e = &expansions[support.sample as usize];
+        let d = from(simd, p, e.center);
+        let s = length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), one);
+        near[count] = support.sample;
+        count += usize::from(zero.less(s).any());
+    }
+    count
+}
+
 /// Blends the gradients of expansions for as many vertices as there are lanes; `sum` is that of their
 /// weights.
 #[inline(always)]
@@ -490,24 +520,21 @@ fn packet_turning<S: Simd>(
 ) -> [Lanes<S>; 9] {
     let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
     let mut gradient = [zero; 9];
+    let mut near = [0; TOGETHER];
     let furthest = length_squared(from(simd, p, home.center)).largest().sqrt();
-    for support in list {
-        if support.from > furthest {
-            break;
-        }
-        let e = &told[support.sample as usize];
-        let d = from(simd, p, e.center);
-        let s = length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), one);
-        if s.largest() <= 0.0 {
-            continue;
-        }
-        let s = s.max(zero);
-        let w = s * s * s;
-        for o in 0..3 {
-            let slopes = slopes(simd, e, o, d, inner(simd, e, o, d));
-            for column in 0..3 {
-                let g = &mut gradient[3 * column + o];
-                *g = w.mul_add(slopes[column], *g);
+    for supports in list.chunks(TOGETHER) {
+        let count = reaching(simd, p, furthest, supports, told, &mut near);
+        for sample in &near[..count] {
+            let e = &told[*sample as usize];
+            let d = from(simd, p, e.center);
+            let s = length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), one).max(zero);
+            let w = s * s * s;
+            for o in 0..3 {
+                let slopes = slopes(simd, e, o, d, inner(simd, e, o, d));
+                for column in 0..3 {
+                    let g = &mut gradient[3 * column + o];
+                    *g = w.mul_add(slopes[column], *g);
+                }
             }
         }
     }
@@ -534,42 +561,39 @@ fn packet<S: Simd, const GRADIENT: bool>(
     let mut blended = Blended { displacement: [zero; 3], sum: zero, gradient: [zero; 9] };
     let mut sum_slope = [zero; 3];
 
+    let mut near = [0; TOGETHER];
     let furthest = length_squared(from(simd, p, home.center)).largest().sqrt();
-    for support in list {
-        if support.from > furthest {
-            break;
-        }
-        let e = &expansions[support.sample as usize];
-        let d = from(simd, p, e.center);
-        // The kernel (1 - t²)³ and, but for d, its gradient -6 (1 - t²)² d / r²
-        let s = length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), one);
-        if s.largest() <= 0.0 {
-            continue;
-        }
-        let s = s.max(zero);
-        let w = s * s * s;
-        let w_slope = s * s * Lanes::splat(simd, -6.0 * e.inverse_square);
-        blended.sum += w;
-        if GRADIENT {
-            for i in 0..3 {
-                sum_slope[i] = w_slope.mul_add(d[i], sum_slope[i]);
-            }
-        }
-        let [dx, dy, dz] = d;
-        for o in 0..3 {
-            // As in `Expansion::evaluate`.
-            // Beyond the home's, for precision: weights that vanish have steep logarithms.
-            let u = Lanes::splat(simd, e.term(0, o) - home.term(0, o));
-            let inner = inner(simd, e, o, d);
-            let [a, b, c] = inner;
-            let u = a.mul_add(dx, b.mul_add(dy, c.mul_add(dz, u)));
-            blended.displacement[o] = w.mul_add(u, blended.displacement[o]);
+    for supports in list.chunks(TOGETHER) {
+        let count = reaching(simd, p, furthest, supports, expansions, &mut near);
+        for sample in &near[..count] {
+            let e = &expansions[*sample as usize];
+            let d = from(simd, p, e.center);
+            // The kernel (1 - t²)³ and, but for d, its gradient -6 (1 - t²)² d / r²
+            let s = length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), one).max(zero);
+            let w = s * s * s;
+            let w_slope = s * s * Lanes::splat(simd, -6.0 * e.inverse_square);
+            blended.sum += w;
             if GRADIENT {
-                let pull = w_slope * u;
-                let slopes = slopes(simd, e, o, d, inner);
-                for column in 0..3 {
-                    let g = &mut blended.gradient[3 * column + o];
-                    *g = w.mul_add(slopes[column], pull.mul_add(d[column], *g));
+                for i in 0..3 {
+                    sum_slope[i] = w_slope.mul_add(d[i], sum_slope[i]);
+                }
+            }
+            let [dx, dy, dz] = d;
+            for o in 0..3 {
+                // As in `Expansion::evaluate`.
+                // Beyond the home's, for precision: weights that vanish have steep logarithms.
+                let u = Lanes::splat(simd, e.term(0, o) - home.term(0, o));
+                let inner = inner(simd, e, o, d);
+                let [a, b, c] = inner;
+                let u = a.mul_add(dx, b.mul_add(dy, c.mul_add(dz, u)));
+                blended.displacement[o] = w.mul_add(u, blended.displacement[o]);
+                if GRADIENT {
+                    let pull = w_slope * u;
+                    let slopes = slopes(simd, e, o, d, inner);
+                    for column in 0..3 {
+                        let g = &mut blended.gradient[3 * column + o];
+                        *g = w.mul_add(slopes[column], pull.mul_add(d[column], *g));
+                    }
                 }
             }
         }

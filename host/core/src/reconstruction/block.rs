@@ -5,10 +5,10 @@ use glam::{DVec3, Mat3, UVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 
-use super::blend::{Blending, LEAST_WEIGHT, PACKET};
-use super::homes::Homes;
+use super::blend::{Blending, Grouped, LEAST_WEIGHT, PACKET};
+use super::homes::{Homes, with_room};
 use super::repeated::Repeated;
-use super::workspace::{Filled, Workspace};
+use super::workspace::{Filled, NOWHERE, Run, Workspace};
 use super::{DeformationField, Method, RestGeometry, Transport, VertexDiagnostics, projected_barycentric};
 
 /// Most vertices of a block that follow the surface: many, so that there are several of each home, and as few
@@ -29,9 +29,6 @@ const MORTON_BITS: u32 = 10;
 
 /// … if many are further from the one before than this part of where they all are.
 const JUMP: f64 = 0.1;
-
-/// The place of a vertex that does not move.
-const NOWHERE: u32 = u32::MAX;
 
 /// What vertices become: as they are until then.
 pub struct Moved<'a> {
@@ -157,10 +154,13 @@ impl Block<'_> {
             }
             workspace.group(fields);
             around.count(&workspace.grouped);
-            let moving = workspace.homes.iter().zip(&workspace.place).zip(counts);
-            moving
-                .filter(|((_, place), count)| **place != NOWHERE && **count > 1)
-                .for_each(|((home, _), count)| around.count_more(*home, u64::from(*count - 1)));
+            if !counts.is_empty() {
+                for run in workspace.runs.iter().filter(|run| run.place != NOWHERE) {
+                    let vertices = &workspace.order[run.range()];
+                    let more = vertices.iter().map(|i| u64::from(counts[*i as usize] - 1));
+                    around.count_more(run.home, more.sum());
+                }
+            }
             let versions = fields.iter().zip(moved);
             versions.for_each(|(field, moved)| workspace.carry(field, frame, positions, moved));
         });
@@ -178,7 +178,8 @@ pub fn homes(around: &RestGeometry<'_>, frame: &Frame, positions: &[DVec3], home
         around.workspaces.with(|workspace| {
             workspace.place(frame, positions);
             workspace.find_homes(around);
-            homes.copy_from_slice(&workspace.homes);
+            let found = workspace.order.iter().zip(&workspace.homes);
+            found.for_each(|(vertex, home)| homes[*vertex as usize] = *home);
         });
     });
 }
@@ -186,21 +187,23 @@ pub fn homes(around: &RestGeometry<'_>, frame: &Frame, positions: &[DVec3], home
 impl Workspace {
     /// Takes the positions of a block.
     fn place(&mut self, frame: &Frame, positions: &[DVec3]) {
-        self.local.clear();
-        // Anywhere, if it is not finite: what comes of it is not used. A sum with zero is never −0.
-        self.local.extend(
-            positions.iter().map(|p| if p.is_finite() { frame.to_local(*p) + 0.0 } else { Vec3::ZERO }),
-        );
-        put_in_order(positions, &self.local, &mut self.order, &mut self.keys);
+        self.is_finite = positions.iter().all(|p| p.is_finite());
+        put_in_order(frame, positions, &mut self.order, &mut self.keys);
+        self.local.iter_mut().for_each(|x| x.resize(with_room(positions.len()), 0.0));
+        let [x, y, z] = &mut self.local;
+        for (((i, x), y), z) in self.order.iter().zip(x).zip(y).zip(z) {
+            (*x, *y, *z) = local(frame, positions[*i as usize]).into();
+        }
     }
 
     fn find_homes(&mut self, around: &RestGeometry<'_>) {
-        Homes::new(around).find(&self.local, self.order.iter().map(|i| *i as usize), &mut self.homes);
+        let local = self.local.each_ref().map(|x| &x[..]);
+        Homes::new(around).find(local, self.order.len(), &mut self.homes);
     }
 
     fn take_homes(&mut self, homes: &[u32]) {
         self.homes.clear();
-        self.homes.extend_from_slice(homes);
+        self.homes.extend(self.order.iter().map(|i| homes[*i as usize]));
     }
 
     /// Carries the block over.
@@ -211,12 +214,7 @@ impl Workspace {
         let turning = if gradients.is_empty() { &[][..] } else { &field.turning };
         let is_blend = field.method == Method::BlendedJets;
         if is_blend || !turning.is_empty() {
-            self.grouped.normals.iter_mut().for_each(|v| {
-                v.resize(if normals.is_empty() { 0 } else { self.grouped.positions[0].len() }, 0.0)
-            });
-            for (n, place) in normals.iter().zip(&self.place).filter(|(_, place)| **place != NOWHERE) {
-                (0..3).for_each(|i| self.grouped.normals[i][*place as usize] = n[i]);
-            }
+            self.group_normals(normals);
             let gradient = !figures.is_empty()
                 || !gradients.is_empty() && turning.is_empty()
                 || !normals.is_empty() && field.limiter.is_needed();
@@ -234,71 +232,149 @@ impl Workspace {
         } else {
             self.grouped.is_within_range.clear();
         }
-        for (i, (p, image)) in positions.iter().zip(images).enumerate() {
-            let figures = figures.get_mut(i);
-            if !p.is_finite() {
-                figures.into_iter().for_each(|f| *f = VertexDiagnostics::UNKNOWN);
-                continue;
-            }
-            let home = self.homes[i] as usize;
-            let is_within_range = self.grouped.is_within_range.get(self.place[i] as usize);
-            let one_by_one = if is_within_range.is_some_and(|is| *is > 0.0) {
-                // Nothing but the blend.
-                None
-            } else if field.active[home] {
-                self.bounded(field, i, self.one_by_one(field, i))
+        let places_alone = gradients.is_empty() && figures.is_empty() && self.is_finite;
+        let mut moved = Moved { positions: images, normals, gradients, figures };
+        for run in &self.runs {
+            let within = run.grouped().and_then(|places| self.grouped.is_within_range.get(places));
+            if places_alone && within.is_some_and(|within| within.iter().all(|is| *is > 0.0)) {
+                self.take(run, frame, &mut moved);
             } else {
-                let dragged_along = field.still_drawn_back(home, self.local[i]);
-                if dragged_along.is_none() {
-                    let still = || field.figures(home, self.local[i], &Transport::NONE, frame.scale);
-                    figures.into_iter().for_each(|f| *f = still());
-                    continue;
-                }
-                dragged_along
-            };
-            // Only the displacement is in single precision.
-            let displacement = one_by_one.map_or_else(|| self.displacement(i), |moved| moved.displacement);
-            *image += displacement.as_dvec3() * frame.scale;
-            if let Some(n) = normals.get_mut(i).filter(|n| n.is_finite()) {
-                match one_by_one {
-                    Some(moved) => *n = moved.normal(*n, field.gradients.mirrored),
-                    None => self.take_normal(i, n),
-                }
-            }
-            if figures.is_none() && gradients.is_empty() {
-                continue;
-            }
-            let gradient = one_by_one.map_or_else(|| self.gradient(i), |moved| moved.gradient);
-            let moved = Transport { displacement, gradient };
-            if let Some(to) = gradients.get_mut(i) {
-                *to = match field.active[home] {
-                    _ if turning.is_empty() => gradient,
-                    true => self.turning(i).unwrap_or(gradient),
-                    // The vertex alone is drawn along.
-                    false => Mat3::IDENTITY,
-                };
-            }
-            if let Some(figures) = figures {
-                *figures = field.figures(home, self.local[i], &moved, frame.scale);
+                self.carry_one_by_one(run, field, frame, positions, &mut moved);
             }
         }
     }
 
-    /// What happens to vertex `i` of the block, where that is not just the blend.
+    /// Puts normals that are to be turned beside the vertices' positions.
+    fn group_normals(&mut self, normals: &[Vec3]) {
+        let Self { grouped, runs, order, .. } = self;
+        let length = if normals.is_empty() { 0 } else { grouped.positions[0].len() };
+        grouped.normals.iter_mut().for_each(|v| v.resize(length, 0.0));
+        if normals.is_empty() {
+            return;
+        }
+        for (run, places) in runs.iter().filter_map(|run| Some((run, run.grouped()?))) {
+            let [x, y, z] = grouped.normals.each_mut().map(|v| &mut v[places.clone()]);
+            for (((i, x), y), z) in order[run.range()].iter().zip(x).zip(y).zip(z) {
+                (*x, *y, *z) = normals[*i as usize].into();
+            }
+        }
+    }
+
+    /// Takes what became of vertices for which that is nothing but the blend.
     #[inline]
-    fn one_by_one(&self, field: &DeformationField<'_>, i: usize) -> Option<Transport> {
-        let (home, p) = (self.homes[i] as usize, self.local[i]);
+    fn take(&self, run: &Run, frame: &Frame, moved: &mut Moved<'_>) {
+        let places = run.place as usize..(run.place + run.count) as usize;
+        let vertices = &self.order[run.range()];
+        let [x, y, z] = self.grouped.displacement.each_ref().map(|v| &v[places.clone()]);
+        for (((i, x), y), z) in vertices.iter().zip(x).zip(y).zip(z) {
+            let image = &mut moved.positions[*i as usize];
+            // Only the displacement is in single precision.
+            image.x += f64::from(*x) * frame.scale;
+            image.y += f64::from(*y) * frame.scale;
+            image.z += f64::from(*z) * frame.scale;
+        }
+        if moved.normals.is_empty() {
+            return;
+        }
+        let [x, y, z] = self.grouped.normals.each_ref().map(|v| &v[places.clone()]);
+        for (((i, x), y), z) in vertices.iter().zip(x).zip(y).zip(z) {
+            let normal = &mut moved.normals[*i as usize];
+            if normal.is_finite() {
+                (normal.x, normal.y, normal.z) = (*x, *y, *z);
+            }
+        }
+    }
+
+    /// Carries vertices of a run over.
+    #[inline(never)]
+    fn carry_one_by_one(
+        &self,
+        run: &Run,
+        field: &DeformationField<'_>,
+        frame: &Frame,
+        positions: &[DVec3],
+        moved: &mut Moved<'_>,
+    ) {
+        for (at, within_run) in run.range().zip(0..) {
+            let i = self.order[at] as usize;
+            if !positions[i].is_finite() {
+                moved.figures.get_mut(i).into_iter().for_each(|f| *f = VertexDiagnostics::UNKNOWN);
+                continue;
+            }
+            let local = Vec3::from_array(self.local.each_ref().map(|x| x[at]));
+            let place = if run.place == NOWHERE { NOWHERE } else { run.place + within_run };
+            self.carry_one(
+                Vertex { i, home: run.home as usize, local, place: place as usize },
+                field,
+                frame,
+                moved,
+            );
+        }
+    }
+
+    fn carry_one(&self, vertex: Vertex, field: &DeformationField<'_>, frame: &Frame, moved: &mut Moved<'_>) {
+        let Moved { positions: images, normals, gradients, figures } = moved;
+        let Vertex { i, home, local, place } = vertex;
+        let figures = figures.get_mut(i);
+        let is_within_range = self.grouped.is_within_range.get(place);
+        let one_by_one = if is_within_range.is_some_and(|is| *is > 0.0) {
+            // Nothing but the blend.
+            None
+        } else if field.active[home] {
+            self.bounded(field, vertex, self.one_by_one(field, vertex))
+        } else {
+            let dragged_along = field.still_drawn_back(home, local);
+            if dragged_along.is_none() {
+                let still = || field.figures(home, local, &Transport::NONE, frame.scale);
+                figures.into_iter().for_each(|f| *f = still());
+                return;
+            }
+            dragged_along
+        };
+        // Only the displacement is in single precision.
+        let displacement = one_by_one.map_or_else(|| self.displacement(place), |moved| moved.displacement);
+        images[i] += displacement.as_dvec3() * frame.scale;
+        if let Some(n) = normals.get_mut(i).filter(|n| n.is_finite()) {
+            *n = match one_by_one {
+                Some(moved) => moved.normal(*n, field.gradients.mirrored),
+                None => Vec3::from_array(self.grouped.normals.each_ref().map(|v| v[place])),
+            };
+        }
+        if figures.is_none() && gradients.is_empty() {
+            return;
+        }
+        let gradient = one_by_one.map_or_else(|| self.gradient(place), |moved| moved.gradient);
+        let moved = Transport { displacement, gradient };
+        if let Some(to) = gradients.get_mut(i) {
+            let turning = !field.turning.is_empty();
+            *to = match field.active[home] {
+                _ if !turning => gradient,
+                true => self.turning(place).unwrap_or(gradient),
+                // The vertex alone is drawn along.
+                false => Mat3::IDENTITY,
+            };
+        }
+        if let Some(figures) = figures {
+            *figures = field.figures(home, local, &moved, frame.scale);
+        }
+    }
+
+    /// What happens to a vertex of the block, where that is not just the blend.
+    #[inline]
+    fn one_by_one(&self, field: &DeformationField<'_>, vertex: Vertex) -> Option<Transport> {
+        let Vertex { home, local: p, place, .. } = vertex;
         let nearer = || if field.reaches(home, p) { None } else { field.by_nearer_ones(home, p) };
         match field.method {
             Method::ProjectedBarycentric => Some(projected_barycentric::carry(field, home, p)),
-            Method::BlendedJets if self.grouped.sum[self.place[i] as usize] < LEAST_WEIGHT => {
+            Method::BlendedJets if self.grouped.sum[place] < LEAST_WEIGHT => {
                 Some(nearer().unwrap_or_else(|| field.beyond(home, p)))
             }
             Method::BlendedJets if field.limiter.concerns(home) => {
                 if let Some(moved) = nearer() {
                     return Some(moved);
                 }
-                let blended = Transport { displacement: self.displacement(i), gradient: self.gradient(i) };
+                let blended =
+                    Transport { displacement: self.displacement(place), gradient: self.gradient(place) };
                 Some(field.limiter.limited(&field.around.supports, &field.expansions, home, p, blended))
             }
             Method::BlendedJets => nearer(),
@@ -310,11 +386,11 @@ impl Workspace {
     fn bounded(
         &self,
         field: &DeformationField<'_>,
-        i: usize,
+        vertex: Vertex,
         one_by_one: Option<Transport>,
     ) -> Option<Transport> {
-        let (home, p) = (self.homes[i] as usize, self.local[i]);
-        let u = one_by_one.map_or_else(|| self.displacement(i), |moved| moved.displacement);
+        let Vertex { home, local: p, place, .. } = vertex;
+        let u = one_by_one.map_or_else(|| self.displacement(place), |moved| moved.displacement);
         if field.is_bounded(home, p, u) {
             return one_by_one;
         }
@@ -327,63 +403,31 @@ impl Workspace {
         field.drawn_back(p, u, gradient).or(one_by_one)
     }
 
-    /// The blend at vertex `i` of the block.
+    /// The blend at a place.
     #[inline]
-    fn displacement(&self, i: usize) -> Vec3 {
-        let at = self.place[i] as usize;
-        Vec3::from_array(self.grouped.displacement.each_ref().map(|v| v[at]))
-    }
-
-    /// Takes the normal that the blend turned: number by number, as what is put together in memory and read
-    /// again at once has to be waited for.
-    #[inline]
-    fn take_normal(&self, i: usize, normal: &mut Vec3) {
-        let at = self.place[i] as usize;
-        let [x, y, z] = &self.grouped.normals;
-        normal.x = x[at];
-        normal.y = y[at];
-        normal.z = z[at];
+    fn displacement(&self, place: usize) -> Vec3 {
+        Vec3::from_array(self.grouped.displacement.each_ref().map(|v| v[place]))
     }
 
     /// The gradient of the blend; nothing, if it was not asked for.
-    fn gradient(&self, i: usize) -> Mat3 {
-        let at = self.place[i] as usize;
-        let entry = |v: &Vec<f32>| v.get(at).copied().unwrap_or_default();
+    fn gradient(&self, place: usize) -> Mat3 {
+        let entry = |v: &Vec<f32>| v.get(place).copied().unwrap_or_default();
         Mat3::from_cols_array(&self.grouped.gradient.each_ref().map(entry))
     }
 
-    /// The gradient by which numbers turn at vertex `i`, if any support reaches it.
+    /// The gradient by which numbers turn at a place, if any support reaches it.
     #[inline]
-    fn turning(&self, i: usize) -> Option<Mat3> {
-        let at = self.place[i] as usize;
-        let is_reached = self.grouped.sum.get(at).is_some_and(|sum| *sum > 0.0);
-        is_reached.then(|| Mat3::from_cols_array(&self.grouped.turning.each_ref().map(|v| v[at])))
+    fn turning(&self, place: usize) -> Option<Mat3> {
+        let is_reached = self.grouped.sum.get(place).is_some_and(|sum| *sum > 0.0);
+        is_reached.then(|| Mat3::from_cols_array(&self.grouped.turning.each_ref().map(|v| v[place])))
     }
 
     /// Puts the vertices of each home that moves side by side.
     fn group(&mut self, fields: &[DeformationField<'_>]) {
-        let Self { local, order, homes, group_of, filled, place, grouped, .. } = self;
         let samples = &fields[0].around.samples.positions;
-        let moves = |home: u32| fields.iter().any(|field| field.active[home as usize]);
-        // Vertices that follow each other mostly have one home.
-        let runs = || {
-            let runs = order.chunk_by(|a, b| homes[*a as usize] == homes[*b as usize]);
-            runs.map(|run| (homes[run[0] as usize], run)).filter(|(home, _)| moves(*home))
-        };
-        group_of.resize(samples.len(), u32::MAX);
-        filled.clear();
-        grouped.groups.clear();
-        for (home, run) in runs() {
-            // What an earlier block left is no group of this one, unless that group is of the same home.
-            let group = &mut group_of[home as usize];
-            if grouped.groups.get(*group as usize).is_some_and(|(of, _)| *of == home) {
-                filled[*group as usize].next += run.len();
-            } else {
-                *group = grouped.groups.len() as u32;
-                grouped.groups.push((home, 0..0));
-                filled.push(Filled { next: run.len(), scattered: 0 });
-            }
-        }
+        self.group_of.resize(samples.len(), u32::MAX);
+        self.find_runs(|home| fields.iter().any(|field| field.active[home as usize]));
+        let Self { local, runs, group_of, filled, grouped, .. } = self;
         let mut end = 0;
         grouped.scattered.clear();
         for ((home, range), filled) in grouped.groups.iter_mut().zip(filled.iter_mut()) {
@@ -403,24 +447,86 @@ impl Workspace {
             let rest = range.end..range.end.next_multiple_of(PACKET);
             (0..3).for_each(|i| grouped.positions[i][rest.clone()].fill(center[i]));
         }
-        place.clear();
-        place.resize(local.len(), NOWHERE);
-        for (home, run) in runs() {
-            let group = group_of[home as usize] as usize;
-            let filled = &mut filled[group];
-            let room = grouped.groups[group].1.end - filled.next;
-            let (in_packets, scattered) = run.split_at(run.len().min(room));
-            for (part, at) in [(in_packets, filled.next), (scattered, end + filled.scattered)] {
-                let [x, y, z] = grouped.positions.each_mut().map(|v| &mut v[at..at + part.len()]);
-                for ((((i, at), x), y), z) in part.iter().zip(at as u32..).zip(x).zip(y).zip(z) {
-                    (*x, *y, *z) = local[*i as usize].into();
-                    place[*i as usize] = at;
-                }
+        for at in 0..runs.len() {
+            let run = &mut runs[at];
+            if run.place == NOWHERE {
+                continue;
             }
-            filled.next += in_packets.len();
-            filled.scattered += scattered.len();
+            let group = group_of[run.home as usize] as usize;
+            let filled = &mut filled[group];
+            let in_packets = run.count.min((grouped.groups[group].1.end - filled.next) as u32);
+            let (first, place) = (run.first + in_packets, (end + filled.scattered) as u32);
+            let scattered = Run { first, count: run.count - in_packets, place, ..*run };
+            (run.count, run.place) = (in_packets, filled.next as u32);
+            filled.next += in_packets as usize;
+            filled.scattered += scattered.count as usize;
+            grouped.put(run, local);
+            if scattered.count > 0 {
+                grouped.put(&scattered, local);
+                runs.push(scattered);
+            }
         }
     }
+
+    /// Finds the runs of vertices that have one home: mostly one follows the other. Counts those of each home
+    /// that moves, whose places are not known yet.
+    fn find_runs(&mut self, moves: impl Fn(u32) -> bool) {
+        let Self { order, homes, runs, group_of, filled, grouped, .. } = self;
+        let homes = &homes[..order.len()];
+        runs.clear();
+        filled.clear();
+        grouped.groups.clear();
+        let mut first = 0;
+        while first < homes.len() {
+            let home = homes[first];
+            let mut end = first + 1;
+            while end < homes.len() && homes[end] == home {
+                end += 1;
+            }
+            let (place, count) = (if moves(home) { 0 } else { NOWHERE }, end - first);
+            runs.push(Run { home, first: first as u32, count: count as u32, place });
+            first = end;
+            if place == NOWHERE {
+                continue;
+            }
+            // What an earlier block left is no group of this one, unless that group is of the same home.
+            let group = &mut group_of[home as usize];
+            if grouped.groups.get(*group as usize).is_some_and(|(of, _)| *of == home) {
+                filled[*group as usize].next += count;
+            } else {
+                *group = grouped.groups.len() as u32;
+                grouped.groups.push((home, 0..0));
+                filled.push(Filled { next: count, scattered: 0 });
+            }
+        }
+    }
+}
+
+impl Grouped {
+    /// Puts the coordinates of a run into its place.
+    #[inline]
+    fn put(&mut self, run: &Run, local: &[Vec<f32>; 3]) {
+        let places = run.place as usize..(run.place + run.count) as usize;
+        for (to, from) in self.positions.iter_mut().zip(local) {
+            to[places.clone()].copy_from_slice(&from[run.range()]);
+        }
+    }
+}
+
+/// A vertex of a block: its number, and the place of the blend for it, if there is one.
+#[derive(Clone, Copy)]
+struct Vertex {
+    i: usize,
+    home: usize,
+    local: Vec3,
+    place: usize,
+}
+
+/// The local coordinates of a position. Anywhere, if it is not finite: what comes of it is not used.
+#[inline]
+fn local(frame: &Frame, p: DVec3) -> Vec3 {
+    // A sum with zero is never −0.
+    if p.is_finite() { frame.to_local(p) + 0.0 } else { Vec3::ZERO }
 }
 
 /// The most vertices of a block of these.
@@ -439,19 +545,20 @@ fn is_in_order(positions: &[DVec3]) -> bool {
 
 /// Puts the numbers of vertices in an order in which those near to each other are mostly side by side: along
 /// a curve of Morton's, unless they are so as they are.
-fn put_in_order(positions: &[DVec3], local: &[Vec3], order: &mut Vec<u32>, keys: &mut Vec<u64>) {
+fn put_in_order(frame: &Frame, positions: &[DVec3], order: &mut Vec<u32>, keys: &mut Vec<u64>) {
     order.clear();
-    order.extend(0..local.len() as u32);
+    order.extend(0..positions.len() as u32);
     if is_in_order(positions) {
         return;
     }
-    let low = local.iter().copied().fold(Vec3::INFINITY, Vec3::min);
-    let high = local.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
+    let local = || positions.iter().map(|p| local(frame, *p));
+    let low = local().fold(Vec3::INFINITY, Vec3::min);
+    let high = local().fold(Vec3::NEG_INFINITY, Vec3::max);
     let size = (high - low).max_element();
     let steps = (1 << MORTON_BITS) as f32 * 0.999 / size;
     keys.clear();
-    let key = |p: &Vec3| u64::from(morton(((*p - low) * steps).as_uvec3())) << 32;
-    keys.extend(local.iter().zip(0u64..).map(|(p, i)| key(p) | i));
+    let key = |p: Vec3| u64::from(morton(((p - low) * steps).as_uvec3())) << 32;
+    keys.extend(local().zip(0u64..).map(|(p, i)| key(p) | i));
     keys.sort_unstable();
     order.iter_mut().zip(keys).for_each(|(to, key)| *to = *key as u32);
 }

@@ -40,8 +40,7 @@ fn compared(places: &[Vec3]) -> Vec<(f32, f32)> {
     let deformed: Vec<Vec3> = samples.positions.iter().map(|p| twisted(*p)).collect();
     let mut field = DeformationField::new(&around, &deformed, Method::BlendedJets);
     field.expected = field.around_samples(&[]);
-    let mut homes = Vec::new();
-    Homes::new(&around).find(places, 0..places.len(), &mut homes);
+    let homes = Homes::new(&around).of(places);
     let compare = |((p, image), home): ((&Vec3, Vec3), u32)| {
         (image.distance(twisted(*p)), field.expected_at(home as usize, *p, image - *p))
     };

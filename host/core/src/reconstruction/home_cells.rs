@@ -2,10 +2,12 @@
 
 use std::sync::OnceLock;
 
-use glam::{UVec3, Vec3, Vec4};
+use glam::{Vec3, Vec4};
+use pulp::Simd;
 use rayon::prelude::*;
 
 use super::expansion::Expansion;
+use super::lanes::{Lanes, from};
 use crate::sampling::SampleSet;
 
 /// Supports of so many samples may meet a cell that is not parted: fewer than each sample has neighbours.
@@ -112,6 +114,14 @@ impl Cells {
     #[inline]
     pub fn depth(&self, sample: u32, p: Vec3) -> f32 {
         depth(self.supports[sample as usize], p)
+    }
+
+    /// The same of many points, to the bit.
+    #[inline(always)]
+    pub fn depths<S: Simd>(&self, simd: S, sample: u32, p: [Lanes<S>; 3]) -> Lanes<S> {
+        let [x, y, z, inverse_square] = self.supports[sample as usize].to_array();
+        let d = from(simd, p, [x, y, z]);
+        (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) * Lanes::splat(simd, inverse_square)
     }
 }
 
@@ -271,8 +281,6 @@ impl Growing<'_> {
 /// Where the last place was found, as the next one is mostly near it. What is found does not depend on it.
 pub struct Finger<'a> {
     cells: &'a Cells,
-    /// The last place, in finest cells.
-    at: UVec3,
     /// The cells around it that are parted, by their level ...
     parted: [u32; LEVELS as usize],
     /// ... and the level and the sample of the one that is not.
@@ -281,32 +289,38 @@ pub struct Finger<'a> {
 }
 
 impl<'a> Finger<'a> {
+    /// One that has found nothing yet: the first place has to [differ](Self::differ) in any digit.
     pub fn new(cells: &'a Cells) -> Self {
-        let mut finger = Self { cells, at: UVec3::ZERO, parted: [0; LEVELS as usize], level: 0, sample: 0 };
-        finger.descend(0);
-        finger
+        Self { cells, parted: [0; LEVELS as usize], level: LEVELS, sample: 0 }
     }
 
-    /// The sample of the cell in which a point lies, or next to which.
-    #[inline]
-    pub fn sample(&mut self, p: Vec3) -> u32 {
-        let at = whole((p - self.cells.corner) * self.cells.scale);
-        let differ = at ^ self.at;
-        // Down to this level it is in the same cells as the last one.
-        let common = LEVELS - (u32::BITS - (differ.x | differ.y | differ.z).leading_zeros());
-        self.at = at;
-        if common < self.level {
-            self.descend(common);
-        }
+    /// How finest cells differ: where two lie in one cell of a level, in no higher digit than is below it.
+    #[inline(always)]
+    pub fn differ(a: [u32; 3], b: [u32; 3]) -> u32 {
+        (a[0] ^ b[0]) | (a[1] ^ b[1]) | (a[2] ^ b[2])
+    }
+
+    /// What differs by less from the last place is in the same cell.
+    #[inline(always)]
+    pub fn limit(&self) -> u32 {
+        1 << (LEVELS - self.level)
+    }
+
+    /// The sample of the last place's cell.
+    #[inline(always)]
+    pub fn sample(&self) -> u32 {
         self.sample
     }
 
-    fn descend(&mut self, from: u32) {
-        let mut level = from;
+    /// Goes to a [finest cell](Cells::finest), which differs so from the last one.
+    #[inline]
+    pub fn go(&mut self, at: [u32; 3], differ: u32) {
+        // Down to this level it is in the same cells as the last one.
+        let mut level = LEVELS.saturating_sub(u32::BITS - differ.leading_zeros());
         let mut parted = self.parted[level as usize];
         loop {
-            let bits = (self.at >> (LEVELS - 1 - level)) & 1;
-            let what = self.cells.parted[parted as usize][(bits.x | bits.y << 1 | bits.z << 2) as usize];
+            let [x, y, z] = at.map(|x| (x >> (LEVELS - 1 - level)) & 1);
+            let what = self.cells.parted[parted as usize][(x | y << 1 | z << 2) as usize];
             level += 1;
             if what & PARTED == 0 {
                 (self.level, self.sample) = (level, what);
@@ -318,33 +332,57 @@ impl<'a> Finger<'a> {
     }
 }
 
-/// The finest cell to which a way from the corner leads, or the one that is nearest to it: the whole part of
-/// each number, as none is less than nothing, three at once.
-#[inline]
-fn whole(way: Vec3) -> UVec3 {
-    // What is added to that has no digits behind the point.
+impl Cells {
+    /// The finest cells to which ways from the corner lead, or those that are nearest to them, along an axis:
+    /// whole numbers in the lower digits, below such that are the same for all.
+    #[inline(always)]
+    pub fn finest<S: Simd>(&self, axis: usize, p: Lanes<S>) -> S::u32s {
+        let simd = p.0;
+        let way = (p - Lanes::splat(simd, self.corner[axis])) * Lanes::splat(simd, self.scale);
+        whole(way)
+    }
+}
+
+/// The whole part of numbers, of which none is less than nothing, or the nearest that is the place of a cell.
+#[inline(always)]
+fn whole<S: Simd>(way: Lanes<S>) -> S::u32s {
+    // What is added to that has no digits behind the point, and the whole part in its last ones.
     const SHIFT: f32 = (1 << 23) as f32;
-    let most = ((1 << LEVELS) - 1) as f32;
-    let way = way.extend(0.0).clamp(Vec4::ZERO, Vec4::splat(most));
-    let rounded = (way + SHIFT) - SHIFT;
-    let down = rounded - Vec4::select(rounded.cmpgt(way), Vec4::ONE, Vec4::ZERO);
-    let [x, y, z, _] = (down + SHIFT).to_array().map(|x| x.to_bits() - SHIFT.to_bits());
-    UVec3::new(x, y, z)
+    let splat = |x: f32| Lanes::splat(way.0, x);
+    let (shift, zero, one) = (splat(SHIFT), splat(0.0), splat(1.0));
+    let way = way.max(zero).min(splat(((1 << LEVELS) - 1) as f32));
+    let rounded = (way + shift) - shift;
+    let down = rounded - way.less(rounded).select(one, zero);
+    way.0.transmute_u32s_f32s((down + shift).1)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use pulp::{Arch, WithSimd};
+
+    struct Whole(f32);
+
+    impl WithSimd for Whole {
+        type Output = u32;
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> u32 {
+            bytemuck::cast_slice(&[whole(Lanes::splat(simd, self.0))])[0]
+        }
+    }
 
     proptest! {
         #[test]
-        fn whole_parts_are_found_three_at_once(
+        fn whole_parts_are_found_many_at_once(
             way in prop::array::uniform3(prop_oneof![-2.0..70.0f32, -1e7..1e7f32, (0..1i32 << LEVELS).prop_map(|x| x as f32)]),
         ) {
-            let way = Vec3::from_array(way);
             let most = ((1 << LEVELS) - 1) as f32;
-            prop_assert_eq!(whole(way), way.clamp(Vec3::ZERO, Vec3::splat(most)).as_uvec3());
+            for x in way {
+                let found = Arch::new().dispatch(Whole(x));
+                prop_assert_eq!(found & ((1 << LEVELS) - 1), x.clamp(0.0, most) as u32);
+            }
         }
     }
 

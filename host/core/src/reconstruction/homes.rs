@@ -5,10 +5,15 @@
 //! its middle best. That one, or one of its neighbours, is the home. Where several sheets of the surface are
 //! near, it may be on the wrong one: there the home is the sample whose tangent plane the place lies near.
 
+use std::ops::Range;
+
 use glam::Vec3;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::RestGeometry;
+use super::blend::PACKET;
 use super::home_cells::{Cells, Finger};
+use super::lanes::{Lanes, triple_from};
 use super::sheets::{Sheets, sheet_distance};
 use crate::sampling::SampleSet;
 
@@ -35,26 +40,29 @@ impl<'a> Homes<'a> {
         Self { samples, sheets, radius: &supports.radius, cells: around.cells() }
     }
 
-    /// The homes of finite positions, each of its position alone; found in this order, which is fast where
-    /// neighbours follow each other.
-    pub fn find(&self, positions: &[Vec3], order: impl Iterator<Item = usize>, homes: &mut Vec<u32>) {
-        let mut finger = Finger::new(self.cells);
-        homes.clear();
-        homes.resize(positions.len(), 0);
-        for i in order {
-            let p = positions[i];
-            homes[i] = self.home(p, finger.sample(p));
-        }
+    /// The homes of `count` finite positions, each of its position alone; fast where neighbours follow each
+    /// other. Behind positions and homes there is [room](with_room).
+    pub fn find(&self, positions: [&[f32]; 3], count: usize, homes: &mut Vec<u32>) {
+        homes.resize(with_room(count), 0);
+        Arch::new().dispatch(Finding { by: *self, positions, count, homes });
     }
 
-    /// The home of a place, in the cell of a sample: a function of the place, and of nothing else that is
-    /// known of a vertex.
-    #[inline]
-    fn home(&self, p: Vec3, of_cell: u32) -> u32 {
-        let near = if self.cells.depth(of_cell, p) < NEAR { of_cell } else { self.near(p, of_cell) };
-        if !self.sheets.is_crowded(near as usize) {
-            return near;
+    /// The homes of finite positions.
+    pub fn of(&self, positions: &[Vec3]) -> Vec<u32> {
+        let count = positions.len();
+        let mut by_axis = [0; 3].map(|_| vec![0.0; with_room(count)]);
+        for (i, p) in positions.iter().enumerate() {
+            (0..3).for_each(|axis| by_axis[axis][i] = p[axis]);
         }
+        let mut homes = Vec::new();
+        self.find(by_axis.each_ref().map(|x| &x[..]), count, &mut homes);
+        homes.truncate(count);
+        homes
+    }
+
+    /// The home of a place that is near a sample.
+    #[inline(never)]
+    fn among_sheets(&self, p: Vec3, near: u32) -> u32 {
         // Where parts touch, it is known which sheet some places are on.
         match self.samples.contacts().and_then(|contacts| contacts.sample_at(p)) {
             Some(own) => self.nearest_on_sheet(own, p),
@@ -69,21 +77,9 @@ impl<'a> Homes<'a> {
         all.min_by(|a, b| depth(*a).total_cmp(&depth(*b)).then(a.cmp(b))).unwrap_or(own)
     }
 
-    /// A sample whose support reaches a point, if there is one, or else the nearest.
-    fn near(&self, p: Vec3, of_cell: u32) -> u32 {
-        let (mut best, mut least) = (of_cell, self.cells.depth(of_cell, p));
-        for i in self.samples.neighbours().nearest_to(of_cell as usize) {
-            let depth = self.cells.depth(*i, p);
-            if depth < least {
-                (best, least) = (*i, depth);
-                if depth < NEAR {
-                    return best;
-                }
-            }
-        }
-        if least < 1.0 {
-            return best;
-        }
+    /// The sample whose support reaches a point best, though none does that is near, or else the nearest.
+    #[inline(never)]
+    fn far(&self, p: Vec3) -> u32 {
         let largest = self.cells.largest.get_or_init(|| self.samples.largest_below(self.radius));
         let deepest = self.samples.deepest(p, self.radius, largest);
         deepest.unwrap_or_else(|| self.samples.nearest(p))
@@ -126,6 +122,133 @@ impl<'a> Homes<'a> {
     }
 }
 
+/// Positions whose cells are found before their homes.
+const TOGETHER: usize = 256;
+
+/// Length of a list that has room for vectors which begin within so many numbers.
+pub fn with_room(count: usize) -> usize {
+    count + PACKET
+}
+
+struct Finding<'a> {
+    by: Homes<'a>,
+    positions: [&'a [f32]; 3],
+    count: usize,
+    homes: &'a mut [u32],
+}
+
+impl WithSimd for Finding<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let mut finger = Finger::new(self.by.cells);
+        // The finest cells, behind that of the last position; the first one differs from it.
+        let mut finest = [[0; TOGETHER + PACKET]; 3];
+        let mut differ = [0; TOGETHER];
+        for first in (0..self.count).step_by(TOGETHER) {
+            let count = TOGETHER.min(self.count - first);
+            for at in (0..count).step_by(S::F32_LANES) {
+                let p = triple_from(simd, self.positions, first + at);
+                for axis in 0..3 {
+                    let to = &mut finest[axis][1 + at..1 + at + S::F32_LANES];
+                    S::as_mut_simd_u32s(to).0[0] = self.by.cells.finest(axis, p[axis]);
+                }
+            }
+            let [x, y, z] = &finest;
+            for i in 0..count {
+                differ[i] = Finger::differ([x[i], y[i], z[i]], [x[i + 1], y[i + 1], z[i + 1]]);
+            }
+            let mut start = 0;
+            while start < count {
+                if differ[start] >= finger.limit() {
+                    finger.go([x[start + 1], y[start + 1], z[start + 1]], differ[start]);
+                }
+                let mut end = start + 1;
+                while end < count && differ[end] < finger.limit() {
+                    end += 1;
+                }
+                self.in_cell(simd, finger.sample(), first + start..first + end);
+                start = end;
+            }
+            for axis in 0..3 {
+                finest[axis][0] = finest[axis][count];
+            }
+        }
+        self.tell_sheets_apart();
+    }
+}
+
+impl Finding<'_> {
+    /// Finds the samples near positions in the cell of a sample: that one, where its support reaches them
+    /// well, or the first of its neighbours whose does, or which reaches them best.
+    #[inline(always)]
+    fn in_cell<S: Simd>(&mut self, simd: S, sample: u32, range: Range<usize>) {
+        let by = self.by;
+        let (zero, one, near) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0), Lanes::splat(simd, NEAR));
+        let places = Lanes(simd, S::as_simd_f32s(&PLACES).0[0]);
+        for at in range.clone().step_by(S::F32_LANES) {
+            let p = triple_from(simd, self.positions, at);
+            let is_there = places.less(Lanes::splat(simd, (range.end - at) as f32));
+            let mut least = is_there.select(by.cells.depths(simd, sample, p), zero);
+            let mut best = simd.splat_u32s(sample);
+            if near.less_or_equal(least).any() {
+                for i in by.samples.neighbours().nearest_to(sample as usize) {
+                    let depth = by.cells.depths(simd, *i, p);
+                    let is_better = near.less_or_equal(least).and(depth.less(least));
+                    least = is_better.select(depth, least);
+                    best = is_better.select_whole(simd.splat_u32s(*i), best);
+                    if !near.less_or_equal(least).any() {
+                        break;
+                    }
+                }
+            }
+            S::as_mut_simd_u32s(&mut self.homes[at..at + S::F32_LANES]).0[0] = best;
+            if one.less_or_equal(least).any() {
+                self.far_off(&least.store(), at);
+            }
+        }
+    }
+
+    /// Finds the homes of those positions that no support near them reaches.
+    #[inline(never)]
+    fn far_off(&mut self, least: &[f32; PACKET], first: usize) {
+        for (at, _) in (first..).zip(least).filter(|(_, least)| **least >= 1.0) {
+            self.homes[at] = self.by.far(self.position(at));
+        }
+    }
+
+    /// Finds the homes of those positions that are near samples beside other sheets.
+    #[inline(always)]
+    fn tell_sheets_apart(&mut self) {
+        let (mut last, mut is_crowded) = (u32::MAX, false);
+        for at in 0..self.count {
+            let near = self.homes[at];
+            if near != last {
+                (last, is_crowded) = (near, self.by.sheets.is_crowded(near as usize));
+            }
+            if is_crowded {
+                self.homes[at] = self.by.among_sheets(self.position(at), near);
+            }
+        }
+    }
+
+    fn position(&self, at: usize) -> Vec3 {
+        Vec3::from_array(self.positions.map(|x| x[at]))
+    }
+}
+
+/// The places of a packet.
+const PLACES: [f32; PACKET] = {
+    let mut places = [0.0; PACKET];
+    let mut at = 0;
+    while at < PACKET {
+        places[at] = at as f32;
+        at += 1;
+    }
+    places
+};
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -157,12 +280,10 @@ mod tests {
                 .iter()
                 .map(|(i, x, y, z, size)| points[*i as usize % points.len()] + Vec3::new(*x, *y, *z) * 0.5f32.powi(*size))
                 .collect();
-            let (mut homes, mut one) = (Vec::new(), Vec::new());
-            Homes::new(&around).find(&places, 0..places.len(), &mut homes);
+            let homes = Homes::new(&around).of(&places);
             let cells = around.cells();
             for (p, home) in places.iter().zip(&homes) {
-                Homes::new(&around).find(&[*p], 0..1, &mut one);
-                prop_assert_eq!(&one, &[*home]);
+                prop_assert_eq!(Homes::new(&around).of(&[*p]), [*home]);
                 let reaches = |i: u32| cells.depth(i, *p) < 0.999;
                 let reached = (0..points.len() as u32).any(|i| reaches(i) && around.supports.radius[i as usize] > 1e-9);
                 let crowded = (0..points.len()).any(|i| around.sheets.is_crowded(i));

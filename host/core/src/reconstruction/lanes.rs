@@ -8,6 +8,8 @@ use std::ops::{Add, AddAssign, Mul, Sub};
 
 use pulp::Simd;
 
+use super::blend::PACKET;
+
 /// One number for each vertex of a packet.
 #[derive(Clone, Copy)]
 pub struct Lanes<S: Simd>(pub S, pub S::f32s);
@@ -43,16 +45,24 @@ impl<S: Simd> Lanes<S> {
         Mask(self.0, self.0.less_than_or_equal_f32s(self.1, than.1))
     }
 
-    /// The least of all.
+    /// Where it is between two others, or the same as one of them.
     #[inline(always)]
-    pub fn least(self) -> f32 {
-        self.0.reduce_min_f32s(self.1)
+    pub fn within(self, low: Self, high: Self) -> Mask<S> {
+        low.less_or_equal(self).and(self.less_or_equal(high))
     }
 
     /// The largest of all.
     #[inline(always)]
     pub fn largest(self) -> f32 {
         self.0.reduce_max_f32s(self.1)
+    }
+
+    /// The numbers one by one; of no meaning behind them.
+    #[inline(always)]
+    pub fn store(self) -> [f32; PACKET] {
+        let mut numbers = [0.0; PACKET];
+        S::as_mut_simd_f32s(&mut numbers).0[0] = self.1;
+        numbers
     }
 
     /// self · by + to, rounded once.
@@ -92,10 +102,28 @@ impl<S: Simd> Mask<S> {
         Self(self.0, self.0.and_m32s(self.1, other.1))
     }
 
+    /// Whether it holds anywhere.
+    #[inline(always)]
+    pub fn any(self) -> bool {
+        // Bits of a number are looked at all at once, and numbers of a vector by their largest.
+        if const { size_of::<S::m32s>() <= size_of::<u16>() } {
+            self.0.first_true_m32s(self.1) < S::F32_LANES
+        } else {
+            let (one, zero) = (Lanes::splat(self.0, 1.0), Lanes::splat(self.0, 0.0));
+            self.select(one, zero).largest() > 0.0
+        }
+    }
+
     /// `then` where it holds, and `or` elsewhere.
     #[inline(always)]
     pub fn select(self, then: Lanes<S>, or: Lanes<S>) -> Lanes<S> {
         Lanes(self.0, self.0.select_f32s(self.1, then.1, or.1))
+    }
+
+    /// The same of whole numbers.
+    #[inline(always)]
+    pub fn select_whole(self, then: S::u32s, or: S::u32s) -> S::u32s {
+        self.0.select_u32s(self.1, then, or)
     }
 }
 
@@ -103,6 +131,15 @@ impl<S: Simd> Mask<S> {
 #[inline(always)]
 pub fn triple<S: Simd>(simd: S, of: &[&[S::f32s]; 3], at: usize) -> [Lanes<S>; 3] {
     [Lanes(simd, of[0][at]), Lanes(simd, of[1][at]), Lanes(simd, of[2][at])]
+}
+
+/// What stands from a place on in three lists, which need not be one of whole packets.
+#[inline(always)]
+pub fn triple_from<S: Simd>(simd: S, of: [&[f32]; 3], at: usize) -> [Lanes<S>; 3] {
+    let x = S::as_simd_f32s(&of[0][at..at + S::F32_LANES]).0[0];
+    let y = S::as_simd_f32s(&of[1][at..at + S::F32_LANES]).0[0];
+    let z = S::as_simd_f32s(&of[2][at..at + S::F32_LANES]).0[0];
+    [Lanes(simd, x), Lanes(simd, y), Lanes(simd, z)]
 }
 
 /// The ways from one place to many.

@@ -89,15 +89,19 @@ fn packet<S: Simd>(
     let is_possible = distance.less(reach).and(is_reached).and(has_weight);
     let reach = reach * reach;
 
-    let (mut range, mut is_within) = (Extent::about(simd, e, field.bound.step(home)), zero);
+    // The margin comes last: numbers stay in their order when they are rounded.
+    let (mut range, mut is_within) = (Extent::of(simd, e, field.bound.step(home)), zero);
     for ring in field.around.sheets.of_sample(home).chunks(RING) {
         for j in ring {
             let j = *j as usize;
             let is_near = length_squared(from(simd, p, field.expansions[j].center)).less(reach);
-            range.include(is_near, Extent::about(simd, &field.expansions[j], field.bound.step(j)));
+            range.include(is_near, Extent::of(simd, &field.expansions[j], field.bound.step(j)));
         }
-        is_within = is_possible.and(range.holds(u)).select(one, zero);
-        if is_within.least() > 0.0 {
+        let holds = range.holds(u);
+        is_within = is_possible.and(holds).select(one, zero);
+        // More samples only make it wider.
+        let is_left = holds.select(zero, is_possible.select(one, zero));
+        if !zero.less(is_left).any() {
             break;
         }
     }
@@ -112,17 +116,12 @@ struct Extent<S: Simd> {
 }
 
 impl<S: Simd> Extent<S> {
-    /// The extent of one sample's displacement, widened by its rounding.
+    /// The extent of one sample's displacement.
     #[inline(always)]
-    fn about(simd: S, e: &Expansion, step: f32) -> Self {
-        let (u, step) = (e.displacement(), Lanes::splat(simd, step));
-        let (low, high) = (u - MARGIN, u + MARGIN);
+    fn of(simd: S, e: &Expansion, step: f32) -> Self {
         let splat = |x: f32| Lanes::splat(simd, x);
-        Self {
-            low: [splat(low.x), splat(low.y), splat(low.z)],
-            high: [splat(high.x), splat(high.y), splat(high.z)],
-            step,
-        }
+        let u = [splat(e.term(0, 0)), splat(e.term(0, 1)), splat(e.term(0, 2))];
+        Self { low: u, high: u, step: splat(step) }
     }
 
     #[inline(always)]
@@ -134,12 +133,14 @@ impl<S: Simd> Extent<S> {
         self.step = whether.select(self.step.max(other.step), self.step);
     }
 
+    /// Where it holds a displacement, widened by what may be off by rounding, and by a part of the step.
     #[inline(always)]
     fn holds(&self, u: [Lanes<S>; 3]) -> Mask<S> {
+        let margin = Lanes::splat(self.step.0, MARGIN);
         let slack = Lanes::splat(self.step.0, BEYOND) * self.step;
-        let x = (self.low[0] - slack).less_or_equal(u[0]).and(u[0].less_or_equal(self.high[0] + slack));
-        let y = (self.low[1] - slack).less_or_equal(u[1]).and(u[1].less_or_equal(self.high[1] + slack));
-        let z = (self.low[2] - slack).less_or_equal(u[2]).and(u[2].less_or_equal(self.high[2] + slack));
+        let x = u[0].within(self.low[0] - margin - slack, self.high[0] + margin + slack);
+        let y = u[1].within(self.low[1] - margin - slack, self.high[1] + margin + slack);
+        let z = u[2].within(self.low[2] - margin - slack, self.high[2] + margin + slack);
         x.and(y).and(z)
     }
 }

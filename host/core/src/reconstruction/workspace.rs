@@ -1,8 +1,7 @@
 //! Memory that is used again from block to block of vertices.
 
+use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
-
-use glam::Vec3;
 
 use super::blend::Grouped;
 
@@ -11,19 +10,48 @@ use super::blend::Grouped;
 /// About 100 bytes per vertex of a block, at most 400 if all homes have four, and 4 per sample.
 #[derive(Debug, Default)]
 pub struct Workspace {
-    /// Local positions.
-    pub local: Vec<Vec3>,
     /// The vertices in the order in which they are gone through, and what it is found by.
     pub order: Vec<u32>,
     pub keys: Vec<u64>,
+    /// Whether all of them have finite positions.
+    pub is_finite: bool,
+    /// Local coordinates, in this order, with room behind them …
+    pub local: [Vec<f32>; 3],
+    /// … and homes, likewise.
     pub homes: Vec<u32>,
+    /// Those that follow each other in this order and have one home.
+    pub runs: Vec<Run>,
     /// For each sample, the group of which it is the home, if that group is of this block.
     pub group_of: Vec<u32>,
     /// How far each group is filled.
     pub filled: Vec<Filled>,
-    /// Where each vertex is among the grouped ones, if its home moves.
-    pub place: Vec<u32>,
     pub grouped: Grouped,
+}
+
+/// Vertices of one home that follow each other.
+#[derive(Debug, Clone, Copy)]
+pub struct Run {
+    pub home: u32,
+    /// Their first place in the order, and their number.
+    pub first: u32,
+    pub count: u32,
+    /// Where they are among the grouped ones, side by side; [`NOWHERE`] if their home does not move.
+    pub place: u32,
+}
+
+/// The place of vertices that do not move.
+pub const NOWHERE: u32 = u32::MAX;
+
+impl Run {
+    /// Their places in the order.
+    pub fn range(&self) -> Range<usize> {
+        self.first as usize..(self.first + self.count) as usize
+    }
+
+    /// Their places among the grouped ones, if they are there.
+    pub fn grouped(&self) -> Option<Range<usize>> {
+        (self.place != NOWHERE).then(|| self.place as usize..(self.place + self.count) as usize)
+    }
 }
 
 /// Workspaces that are not in use: as many as there were ever blocks at a time.
