@@ -507,8 +507,11 @@ impl Grouped {
     #[inline]
     fn put(&mut self, run: &Run, local: &[Vec<f32>; 3]) {
         let places = run.place as usize..(run.place + run.count) as usize;
-        for (to, from) in self.positions.iter_mut().zip(local) {
-            to[places.clone()].copy_from_slice(&from[run.range()]);
+        let [from_x, from_y, from_z] = local.each_ref().map(|v| &v[run.range()]);
+        let [x, y, z] = self.positions.each_mut().map(|v| &mut v[places.clone()]);
+        // One by one, as these are few.
+        for at in 0..run.count as usize {
+            (x[at], y[at], z[at]) = (from_x[at], from_y[at], from_z[at]);
         }
     }
 }

@@ -17,6 +17,8 @@ use crate::{Edited, Scalar, VertexChunk};
 trait Codec: Copy {
     fn get(self, raw: &[u8], at: usize) -> f64;
     fn put(self, raw: &mut [u8], at: usize, value: f64);
+    /// Puts it there, or what is there already: without a branch.
+    fn put_if(self, raw: &mut [u8], at: usize, whether: bool, value: f64);
 }
 
 #[derive(Clone, Copy)]
@@ -35,6 +37,14 @@ impl<const BIG: bool> Codec for F32<BIG> {
         let bytes = if BIG { value.to_be_bytes() } else { value.to_le_bytes() };
         raw[at..at + bytes.len()].copy_from_slice(&bytes);
     }
+
+    #[inline(always)]
+    fn put_if(self, raw: &mut [u8], at: usize, whether: bool, value: f64) {
+        let value = value as f32;
+        let bytes = if BIG { value.to_be_bytes() } else { value.to_le_bytes() };
+        let bytes = if whether { bytes } else { bytes_at(raw, at) };
+        raw[at..at + bytes.len()].copy_from_slice(&bytes);
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -50,6 +60,13 @@ impl<const BIG: bool> Codec for F64<BIG> {
     #[inline(always)]
     fn put(self, raw: &mut [u8], at: usize, value: f64) {
         let bytes = if BIG { value.to_be_bytes() } else { value.to_le_bytes() };
+        raw[at..at + bytes.len()].copy_from_slice(&bytes);
+    }
+
+    #[inline(always)]
+    fn put_if(self, raw: &mut [u8], at: usize, whether: bool, value: f64) {
+        let bytes = if BIG { value.to_be_bytes() } else { value.to_le_bytes() };
+        let bytes = if whether { bytes } else { bytes_at(raw, at) };
         raw[at..at + bytes.len()].copy_from_slice(&bytes);
     }
 }
@@ -70,6 +87,13 @@ impl<const BIG: bool> Codec for Any<BIG> {
         match self.0 {
             Scalar::F32 => F32::<BIG>.put(raw, at, value),
             Scalar::F64 => F64::<BIG>.put(raw, at, value),
+        }
+    }
+
+    fn put_if(self, raw: &mut [u8], at: usize, whether: bool, value: f64) {
+        match self.0 {
+            Scalar::F32 => F32::<BIG>.put_if(raw, at, whether, value),
+            Scalar::F64 => F64::<BIG>.put_if(raw, at, whether, value),
         }
     }
 }
@@ -207,25 +231,32 @@ pub(super) fn patch(layout: &Layout, rest: Rest<'_>, edited: &Edited, raw: &mut 
 fn patch_positions<C: Codec>(
     codecs: [C; 3],
     raw: &mut [u8],
-    places: impl Iterator<Item = [usize; 3]>,
+    places: impl Iterator<Item = [usize; 3]> + Clone,
     rest: &[DVec3],
     edited: &[DVec3],
 ) -> Result<(), Unfit> {
-    for ((vertex, (old, new)), at) in rest.iter().zip(edited).enumerate().zip(places) {
+    let mut fits = true;
+    for ((old, new), at) in rest.iter().zip(edited).zip(places.clone()) {
         if !old.is_finite() {
             continue;
         }
-        for (c, (old, new)) in old.to_array().into_iter().zip(new.to_array()).enumerate() {
-            if old.to_bits() != new.to_bits() {
-                codecs[c].put(raw, at[c], new);
-                // Also where a finite number is too large for the type that the file keeps it in.
-                if !codecs[c].get(raw, at[c]).is_finite() {
-                    return Err(Unfit { vertex, axis: c, value: new });
-                }
-            }
+        // What did not change has the bytes that it had: this takes no branch.
+        for (c, new) in new.to_array().into_iter().enumerate() {
+            codecs[c].put(raw, at[c], new);
+            fits &= codecs[c].get(raw, at[c]).is_finite();
         }
     }
-    Ok(())
+    if fits {
+        return Ok(());
+    }
+    // A finite number may be too large for the type that the file keeps it in.
+    let of_finite =
+        rest.iter().zip(edited).enumerate().zip(places).filter(|((_, (old, _)), _)| old.is_finite());
+    let unfit = |((vertex, (_, new)), at): ((usize, (_, &DVec3)), [usize; 3])| {
+        let axis = (0..3).find(|c| !codecs[*c].get(raw, at[*c]).is_finite())?;
+        Some(Unfit { vertex, axis, value: new[axis] })
+    };
+    of_finite.map(unfit).find_map(|unfit| unfit).map_or(Ok(()), Err)
 }
 
 fn patch_normals<C: Codec>(
@@ -241,9 +272,7 @@ fn patch_normals<C: Codec>(
             continue;
         }
         for (c, (old, new)) in old.to_array().into_iter().zip(new.to_array()).enumerate() {
-            if !same_normal(old, new) {
-                codecs[c].put(raw, at[c], f64::from(new));
-            }
+            codecs[c].put_if(raw, at[c], !same_normal(old, new), f64::from(new));
         }
     }
 }
