@@ -59,9 +59,27 @@ impl Frame {
     }
 }
 
+/// Whether all coordinates are finite: as they say themselves, but without a branch for each. What is not
+/// finite is no number less itself.
+#[inline]
+pub fn is_finite(p: DVec3) -> bool {
+    (p - p).element_sum() == 0.0
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn coordinates_that_are_not_finite_are_found_at_any_place() {
+        for x in [0.0, -0.0, 1.0, f64::MAX, f64::MIN_POSITIVE, f64::INFINITY, f64::NEG_INFINITY, f64::NAN] {
+            for other in [0.0, f64::MIN, f64::INFINITY] {
+                for p in [DVec3::new(x, 1.0, other), DVec3::new(other, x, 1.0), DVec3::new(1.0, other, x)] {
+                    assert_eq!(is_finite(p), p.is_finite(), "{p}");
+                }
+            }
+        }
+    }
 
     #[test]
     fn round_trip_is_exact_to_single_precision() {

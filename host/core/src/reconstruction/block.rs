@@ -3,7 +3,7 @@
 
 use glam::{DVec3, Mat3, UVec3, Vec3};
 use rayon::prelude::*;
-use simod_model::frame::Frame;
+use simod_model::frame::{Frame, is_finite};
 
 use super::blend::{Blending, Grouped, LEAST_WEIGHT, PACKET};
 use super::homes::{Homes, with_room};
@@ -187,12 +187,14 @@ pub fn homes(around: &RestGeometry<'_>, frame: &Frame, positions: &[DVec3], home
 impl Workspace {
     /// Takes the positions of a block.
     fn place(&mut self, frame: &Frame, positions: &[DVec3]) {
-        self.is_finite = positions.iter().all(|p| p.is_finite());
         put_in_order(frame, positions, &mut self.order, &mut self.keys);
         self.local.iter_mut().for_each(|x| x.resize(with_room(positions.len()), 0.0));
         let [x, y, z] = &mut self.local;
+        self.is_finite = true;
         for (((i, x), y), z) in self.order.iter().zip(x).zip(y).zip(z) {
-            (*x, *y, *z) = local(frame, positions[*i as usize]).into();
+            let p = positions[*i as usize];
+            self.is_finite &= is_finite(p);
+            (*x, *y, *z) = local(frame, p).into();
         }
     }
 
@@ -279,7 +281,7 @@ impl Workspace {
         let [x, y, z] = self.grouped.normals.each_ref().map(|v| &v[places.clone()]);
         for (((i, x), y), z) in vertices.iter().zip(x).zip(y).zip(z) {
             let normal = &mut moved.normals[*i as usize];
-            if normal.is_finite() {
+            if is_finite(normal.as_dvec3()) {
                 (normal.x, normal.y, normal.z) = (*x, *y, *z);
             }
         }
@@ -529,7 +531,7 @@ struct Vertex {
 #[inline]
 fn local(frame: &Frame, p: DVec3) -> Vec3 {
     // A sum with zero is never −0.
-    if p.is_finite() { frame.to_local(p) + 0.0 } else { Vec3::ZERO }
+    if is_finite(p) { frame.to_local(p) + 0.0 } else { Vec3::ZERO }
 }
 
 /// The most vertices of a block of these.

@@ -9,6 +9,7 @@ use super::layout::{Layout, Slot};
 use super::patch::{Rest, same_normal};
 use crate::Type;
 use crate::follow::Following;
+use crate::frame::is_finite;
 use crate::text::round;
 use crate::unfit::Unfit;
 use crate::{Edited, Scalar, VertexChunk};
@@ -237,7 +238,7 @@ fn patch_positions<C: Codec>(
 ) -> Result<(), Unfit> {
     let mut fits = true;
     for ((old, new), at) in rest.iter().zip(edited).zip(places.clone()) {
-        if !old.is_finite() {
+        if !is_finite(*old) {
             continue;
         }
         // What did not change has the bytes that it had: this takes no branch.
@@ -251,7 +252,7 @@ fn patch_positions<C: Codec>(
     }
     // A finite number may be too large for the type that the file keeps it in.
     let of_finite =
-        rest.iter().zip(edited).enumerate().zip(places).filter(|((_, (old, _)), _)| old.is_finite());
+        rest.iter().zip(edited).enumerate().zip(places).filter(|((_, (old, _)), _)| is_finite(**old));
     let unfit = |((vertex, (_, new)), at): ((usize, (_, &DVec3)), [usize; 3])| {
         let axis = (0..3).find(|c| !codecs[*c].get(raw, at[*c]).is_finite())?;
         Some(Unfit { vertex, axis, value: new[axis] })
@@ -268,7 +269,7 @@ fn patch_normals<C: Codec>(
 ) {
     let of_vertex = rest.positions.iter().zip(rest.normals).zip(edited).zip(places);
     for (((position, old), new), at) in of_vertex {
-        if !position.is_finite() {
+        if !is_finite(*position) {
             continue;
         }
         for (c, (old, new)) in old.to_array().into_iter().zip(new.to_array()).enumerate() {
