@@ -146,11 +146,6 @@ pub struct Groups {
     tables: Vec<Option<Table>>,
     /// Tables of closed cells, to be filled again.
     spare: Vec<Table>,
-    /// By the place of each group, that of the same cell which was merged next when the stream last came by:
-    /// it comes by again, as row follows row. Both are the first of their cubes.
-    next: Vec<u32>,
-    /// The cell of the group that was merged last, and its place, if it is the first of its cube.
-    last: Option<(u32, u32)>,
 }
 
 /// Where the groups of each cube of a cell are, by [`key`].
@@ -163,31 +158,7 @@ impl Groups {
         tables.resize_with(cells, || None);
         // The tables take their part of the memory.
         let memory = memory / GROUP_BYTES * size_of::<Group>() as u64;
-        let open = OpenCells::new(cells, memory, Path::new(""));
-        Self { open, edge, tables, spare: Vec::new(), next: Vec::new(), last: None }
-    }
-
-    /// The place of the group that probably comes next, if it is of the same cell, which is open.
-    #[inline]
-    fn foreseen(&self, cell: u32) -> Option<u32> {
-        let (_, place) = self.last.filter(|(last, _)| *last == cell)?;
-        self.next.get(place as usize).copied().filter(|next| *next != NONE)
-    }
-
-    /// Notes that a group of a cell was merged, which is the first of its cube or not.
-    fn note(&mut self, cell: u32, place: u32, is_first: bool) {
-        if let Some((_, last)) = self.last.filter(|(last, _)| *last == cell && is_first) {
-            self.next[last as usize] = place;
-        }
-        self.last = is_first.then_some((cell, place));
-    }
-
-    /// Notes that a place has a new group: nothing is known to come after it.
-    fn forget_next(&mut self, place: u32) {
-        if place as usize >= self.next.len() {
-            self.next.resize(place as usize + 1, NONE);
-        }
-        self.next[place as usize] = NONE;
+        Self { open: OpenCells::new(cells, memory, Path::new("")), edge, tables, spare: Vec::new() }
     }
 }
 
@@ -200,26 +171,15 @@ impl Gather for Groups {
     }
 
     fn merge(&mut self, cell: u32, group: &Group) -> Result<Option<u32>> {
-        if let Some(place) = self.foreseen(cell) {
-            let known = self.open.at_mut(place);
-            if known.center() == group.center() && known.takes(group) {
-                known.add(group);
-                self.last = Some((cell, place));
-                return Ok(Some(known.index()));
-            }
-        }
         let spare = &mut self.spare;
         let table = self.tables[cell as usize].get_or_insert_with(|| spare.pop().unwrap_or_default());
-        let first = key(floor(group.center() * (1.0 / self.edge)));
-        let mut key = first;
+        let mut key = key(floor(group.center() * (1.0 / self.edge)));
         for _ in 0..SHEETS {
-            let Some(place) = table.get(&key).copied() else { break };
-            let known = self.open.at_mut(place);
+            let Some(place) = table.get(&key) else { break };
+            let known = self.open.at_mut(*place);
             if known.takes(group) {
                 known.add(group);
-                let index = known.index();
-                self.note(cell, place, key == first);
-                return Ok(Some(index));
+                return Ok(Some(known.index()));
             }
             key += NEXT_SHEET;
         }
@@ -227,10 +187,7 @@ impl Gather for Groups {
             return Ok(None);
         }
         let index = self.open.count(cell) as u32;
-        let place = self.open.push(cell, group.with_index(index))?;
-        table.insert(key, place);
-        self.forget_next(place);
-        self.note(cell, place, key == first);
+        table.insert(key, self.open.push(cell, group.with_index(index))?);
         Ok(Some(index))
     }
 
@@ -239,8 +196,6 @@ impl Gather for Groups {
             table.clear();
             self.spare.push(table);
         }
-        // What else is noted of its places is forgotten when they are filled again.
-        self.last = self.last.filter(|(last, _)| *last != cell);
         self.open.take(cell)
     }
 
