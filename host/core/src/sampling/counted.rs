@@ -6,7 +6,6 @@ use std::path::Path;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use simod_model::frame::is_finite;
 use simod_model::{Error, Model, Progress, Result, SMALL_CHUNK, VertexChunk, input, output};
 
 use super::grid::{CellKey, CellRecord, Grid, GridCounter};
@@ -207,7 +206,7 @@ pub(super) fn count_range(
     while reader.read(&mut chunk)? {
         progress.check()?;
         for (index, p) in (chunk.first..).zip(&chunk.positions) {
-            if !is_finite(*p) {
+            if !p.is_finite() {
                 non_finite.count += 1;
                 non_finite.first.get_or_insert(index);
             }
@@ -215,7 +214,7 @@ pub(super) fn count_range(
         if let Some(opaque) = opaque {
             non_finite.transparent += opaque.leave_out(model, &mut chunk)?;
         }
-        for (index, p) in (chunk.first..).zip(&chunk.positions).filter(|(_, p)| is_finite(**p)) {
+        for (index, p) in (chunk.first..).zip(&chunk.positions).filter(|(_, p)| p.is_finite()) {
             counter.add(*p, index);
         }
         progress.advance(chunk.raw().len() as u64);
