@@ -281,6 +281,21 @@ mod tests {
                 .map(|(i, x, y, z, size)| points[*i as usize % points.len()] + Vec3::new(*x, *y, *z) * 0.5f32.powi(*size))
                 .collect();
             let homes = Homes::new(&around).of(&places);
+            let by_axis = [0, 1, 2].map(|axis| {
+                places.iter().map(|p| p[axis]).chain([0.0; PACKET]).collect::<Vec<f32>>()
+            });
+            let with = |dispatch: &dyn Fn(Finding<'_>)| {
+                let mut homes = vec![0; with_room(places.len())];
+                let (by, positions) = (Homes::new(&around), by_axis.each_ref().map(|x| &x[..]));
+                dispatch(Finding { by, positions, count: places.len(), homes: &mut homes });
+                homes.truncate(places.len());
+                homes
+            };
+            prop_assert_eq!(&with(&|finding| finding.with_simd(pulp::Scalar::new())), &homes);
+            #[cfg(target_arch = "x86_64")]
+            if let Some(simd) = pulp::x86::V3::try_new() {
+                prop_assert_eq!(&with(&|finding| Simd::vectorize(simd, finding)), &homes);
+            }
             let cells = around.cells();
             for (p, home) in places.iter().zip(&homes) {
                 prop_assert_eq!(Homes::new(&around).of(&[*p]), [*home]);
