@@ -60,10 +60,10 @@ impl Frame {
 }
 
 /// Whether all coordinates are finite: as they say themselves, but without a branch for each. What is not
-/// finite is no number less itself.
+/// finite is no number as often as zero.
 #[inline]
 pub fn is_finite(p: DVec3) -> bool {
-    (p - p).element_sum() == 0.0
+    (p * 0.0).element_sum() == 0.0
 }
 
 #[cfg(test)]

@@ -157,16 +157,9 @@ impl ResumableFile {
         Ok(Found { is_complete, parts, patches, in_target: false })
     }
 
-    /// The file is read soon and then removed: it goes through the page cache, and nobody waits for the disk.
-    /// To be said before anything is written.
-    pub fn make_scratch(&mut self) {
-        self.file.cache();
-        self.syncs = false;
-    }
-
-    /// Leaves it to the caller to bring the complete file to the disk. Should that not come about, its
-    /// checksums tell.
-    pub(crate) fn leave_syncing(&mut self) {
+    /// Leaves it to the caller to bring the complete file to the disk, or not to, where it is removed soon.
+    /// Should that not come about, its checksums tell.
+    pub fn leave_syncing(&mut self) {
         self.syncs = false;
     }
 

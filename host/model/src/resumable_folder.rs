@@ -26,8 +26,8 @@ pub struct ResumableFolder {
     names: Vec<PathBuf>,
     key: String,
     part_bytes: u64,
-    /// See [`ResumableFile::make_scratch`].
-    is_scratch: bool,
+    /// In the end it waits until all is on the disk.
+    syncs: bool,
     /// How many files are finished, the first ones.
     finished: usize,
     /// Their bytes that an earlier call wrote.
@@ -74,7 +74,7 @@ impl ResumableFolder {
             names: names.to_vec(),
             key,
             part_bytes,
-            is_scratch: false,
+            syncs: true,
             finished: 0,
             taken_over: Vec::new(),
             current: None,
@@ -147,9 +147,9 @@ impl ResumableFolder {
         Ok(bytes)
     }
 
-    /// Makes all files [scratch](ResumableFile::make_scratch). To be said before anything is written.
-    pub fn make_scratch(&mut self) {
-        self.is_scratch = true;
+    /// Leaves it to the caller to bring the complete folder to the disk, or not to.
+    pub fn leave_syncing(&mut self) {
+        self.syncs = false;
     }
 
     /// Says that nothing more comes.
@@ -171,7 +171,7 @@ impl ResumableFolder {
         let target = self.folder.target().to_owned();
         check_target(&target, &self.names)?;
         let files = self.names.iter().map(|name| target.join(name)).collect();
-        if !self.is_scratch {
+        if self.syncs {
             self.sync().map_err(|e| Error::io("write", &target, &e))?;
         }
         self.folder.put_in_place()?;
@@ -241,11 +241,7 @@ impl Output for ResumableFolder {
         let (key, silent) = (key_of(&self.key, number), &crate::progress::Silent);
         match ResumableFile::open(&path, key, false, self.part_bytes, silent).map_err(|e| self.packed(e))? {
             Opened::Unfinished(mut file) => {
-                if self.is_scratch {
-                    file.make_scratch()
-                } else {
-                    file.leave_syncing()
-                }
+                file.leave_syncing();
                 self.current = Some(file);
             }
             Opened::Finished(_) => return Err(io::Error::other("a tile is there that was not written")),

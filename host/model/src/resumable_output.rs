@@ -115,12 +115,12 @@ impl ResumableOutput {
         })
     }
 
-    /// The output is read soon and then removed: see [`ResumableFile::make_scratch`]. To be said before
-    /// anything is written.
-    pub fn make_scratch(&mut self) {
+    /// Leaves it to the caller to bring the complete output to the disk, or not to, where it is removed soon.
+    /// A store has it in any case.
+    pub fn leave_syncing(&mut self) {
         match self {
-            Self::File(file) => file.make_scratch(),
-            Self::Folder(folder) => folder.make_scratch(),
+            Self::File(file) => file.leave_syncing(),
+            Self::Folder(folder) => folder.leave_syncing(),
             Self::Object(_) => {}
         }
     }

@@ -36,11 +36,6 @@ impl UncachedFile {
         Self { disk, buffer: Buffer::default(), offset: 0, begin: 0, behind: None }
     }
 
-    /// Writes through the page cache from now on, for what is soon read.
-    pub(crate) fn cache(&mut self) {
-        self.disk.is_direct = false;
-    }
-
     /// The file, in which what was written after the last [`flush`](Self::flush) may be missing.
     pub(crate) fn file(&self) -> &File {
         &self.disk.file

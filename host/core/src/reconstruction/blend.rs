@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::expansion::{Expansion, ReachingSupport};
-use super::lanes::{Lanes, from, length_squared, triple};
+use super::lanes::{Lanes, PACKET, from, length_squared, triple};
 use super::scattered;
 use super::sheets::Sheets;
 use crate::counting_sort;
@@ -257,9 +257,6 @@ impl Grouped {
         self.turning.iter_mut().for_each(|v| v.resize(if turning { length } else { 0 }, 0.0));
     }
 }
-
-/// The most vertices that any processor takes at once.
-pub const PACKET: usize = 16;
 
 /// What is blended.
 pub struct Blending<'a> {

@@ -5,8 +5,9 @@ use glam::{DVec3, Mat3, UVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::{Frame, is_finite};
 
-use super::blend::{Blending, Grouped, LEAST_WEIGHT, PACKET};
+use super::blend::{Blending, Grouped, LEAST_WEIGHT};
 use super::homes::{Homes, with_room};
+use super::lanes::PACKET;
 use super::repeated::Repeated;
 use super::workspace::{Filled, NOWHERE, Run, Workspace};
 use super::{DeformationField, Method, RestGeometry, Transport, VertexDiagnostics, projected_barycentric};

@@ -11,9 +11,8 @@ use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::RestGeometry;
-use super::blend::PACKET;
 use super::home_cells::{Cells, Finger};
-use super::lanes::{Lanes, triple_from};
+use super::lanes::{Lanes, PACKET, triple_from};
 use super::sheets::{Sheets, sheet_distance};
 use crate::sampling::SampleSet;
 
@@ -150,8 +149,8 @@ impl WithSimd for Finding<'_> {
             let count = TOGETHER.min(self.count - first);
             for at in (0..count).step_by(S::F32_LANES) {
                 let p = triple_from(simd, self.positions, first + at);
-                for axis in 0..3 {
-                    let to = &mut finest[axis][1 + at..1 + at + S::F32_LANES];
+                for (axis, cells) in finest.iter_mut().enumerate() {
+                    let to = &mut cells[1 + at..1 + at + S::F32_LANES];
                     S::as_mut_simd_u32s(to).0[0] = self.by.cells.finest(axis, p[axis]);
                 }
             }
@@ -171,8 +170,8 @@ impl WithSimd for Finding<'_> {
                 self.in_cell(simd, finger.sample(), first + start..first + end);
                 start = end;
             }
-            for axis in 0..3 {
-                finest[axis][0] = finest[axis][count];
+            for cells in &mut finest {
+                cells[0] = cells[count];
             }
         }
         self.tell_sheets_apart();

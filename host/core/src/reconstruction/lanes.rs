@@ -8,7 +8,8 @@ use std::ops::{Add, AddAssign, Mul, Sub};
 
 use pulp::Simd;
 
-use super::blend::PACKET;
+/// The most vertices that any processor takes at once.
+pub const PACKET: usize = 16;
 
 /// One number for each vertex of a packet.
 #[derive(Clone, Copy)]

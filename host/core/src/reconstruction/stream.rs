@@ -67,7 +67,7 @@ pub struct Reconstruction<'a> {
     /// A part of an output is on the disk, and can be relied on by a later call, each time so many bytes of
     /// the model are done; more where that would be over 1024 parts.
     pub part_bytes: u64,
-    /// Outputs are read soon and then removed: they go through the page cache, and nobody waits for the disk.
+    /// Outputs are removed soon: nobody waits until all of them is on the disk.
     pub is_scratch: bool,
     /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it
     /// fits.
@@ -291,7 +291,7 @@ impl<'a> ReconstructionCall<'a> {
             match ResumableOutput::open(&place, key, self.how.resume, part_bytes, self.progress)? {
                 OpenedOutput::Unfinished(mut file) => {
                     if self.how.is_scratch {
-                        file.make_scratch();
+                        file.leave_syncing();
                     }
                     let diagonal = self.sampled.bounds.diagonal();
                     let create = |path| DiagnosticsFile::create(path, self.model, diagonal);

@@ -330,7 +330,7 @@ proptest::proptest! {
         for i in (0..points.len()).step_by(500) {
             assert!(bits(&field, &points[i..=i])[0] == whole[i], "vertex {i} alone");
             // As many as fill packets, and some more.
-            let copies = vec![points[i]; 2 * super::blend::PACKET + 3];
+            let copies = vec![points[i]; 2 * super::lanes::PACKET + 3];
             assert!(bits(&field, &copies).iter().all(|b| *b == whole[i]), "vertex {i} in packets");
         }
         let (zero, other): (Vec<_>, Vec<_>) = points

@@ -7,8 +7,8 @@ use super::blend::Grouped;
 
 /// Memory that is used again from block to block.
 ///
-/// About 100 bytes per vertex of a block, at most 400 if all homes have four, 16 per run of vertices that have
-/// one home, and 4 per sample.
+/// About 100 bytes per vertex of a block, at most 400 if all homes have four, 16 per run of vertices that
+/// have one home, and 4 per sample.
 #[derive(Debug, Default)]
 pub struct Workspace {
     /// The vertices in the order in which they are gone through, and what it is found by.
