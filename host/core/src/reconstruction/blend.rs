@@ -478,6 +478,14 @@ fn slopes<S: Simd>(
     [xx.mul_add(dx, a), xy.mul_add(dx, yy.mul_add(dy, b)), xz.mul_add(dx, yz.mul_add(dy, zz.mul_add(dz, c)))]
 }
 
+/// The ways from the centre of a support to the vertices of a packet, and 1 - t² of each, which is above zero
+/// where the support reaches it: the kernel is its cube.
+#[inline(always)]
+fn within<S: Simd>(simd: S, e: &Expansion, p: [Lanes<S>; 3]) -> ([Lanes<S>; 3], Lanes<S>) {
+    let d = from(simd, p, e.center);
+    (d, length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), Lanes::splat(simd, 1.0)))
+}
+
 /// Finds the supports that reach any vertex of a packet, of whom none is farther from its home than
 /// `furthest`: without a branch that the processor would have to foretell. Returns how many there are.
 #[inline(always)]
@@ -489,15 +497,13 @@ fn reaching<S: Simd>(
     expansions: &[Expansion],
     near: &mut [u32; TOGETHER],
 ) -> usize {
-    let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
+    let zero = Lanes::splat(simd, 0.0);
     let mut count = 0;
     for support in supports {
         if support.from > furthest {
             break;
         }
-        let e = &expansions[support.sample as usize];
-        let d = from(simd, p, e.center);
-        let s = length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), one);
+        let (_, s) = within(simd, &expansions[support.sample as usize], p);
         near[count] = support.sample;
         count += usize::from(zero.less(s).any());
     }
@@ -523,8 +529,8 @@ fn packet_turning<S: Simd>(
         let count = reaching(simd, p, furthest, supports, told, &mut near);
         for sample in &near[..count] {
             let e = &told[*sample as usize];
-            let d = from(simd, p, e.center);
-            let s = length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), one).max(zero);
+            let (d, s) = within(simd, e, p);
+            let s = s.max(zero);
             let w = s * s * s;
             for o in 0..3 {
                 let slopes = slopes(simd, e, o, d, inner(simd, e, o, d));
@@ -564,9 +570,9 @@ fn packet<S: Simd, const GRADIENT: bool>(
         let count = reaching(simd, p, furthest, supports, expansions, &mut near);
         for sample in &near[..count] {
             let e = &expansions[*sample as usize];
-            let d = from(simd, p, e.center);
+            let (d, s) = within(simd, e, p);
             // The kernel (1 - t²)³ and, but for d, its gradient -6 (1 - t²)² d / r²
-            let s = length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), one).max(zero);
+            let s = s.max(zero);
             let w = s * s * s;
             let w_slope = s * s * Lanes::splat(simd, -6.0 * e.inverse_square);
             blended.sum += w;

@@ -266,7 +266,7 @@ impl Workspace {
     /// Takes what became of vertices for which that is nothing but the blend.
     #[inline]
     fn take(&self, run: &Run, frame: &Frame, moved: &mut Moved<'_>) {
-        let places = run.place as usize..(run.place + run.count) as usize;
+        let places = run.places();
         let vertices = &self.order[run.range()];
         let [x, y, z] = self.grouped.displacement.each_ref().map(|v| &v[places.clone()]);
         for (((i, x), y), z) in vertices.iter().zip(x).zip(y).zip(z) {
@@ -509,7 +509,7 @@ impl Grouped {
     /// Puts the coordinates of a run into its place.
     #[inline]
     fn put(&mut self, run: &Run, local: &[Vec<f32>; 3]) {
-        let places = run.place as usize..(run.place + run.count) as usize;
+        let places = run.places();
         let [from_x, from_y, from_z] = local.each_ref().map(|v| &v[run.range()]);
         let [x, y, z] = self.positions.each_mut().map(|v| &mut v[places.clone()]);
         // One by one, as these are few.

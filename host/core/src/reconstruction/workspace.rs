@@ -49,9 +49,14 @@ impl Run {
         self.first as usize..(self.first + self.count) as usize
     }
 
-    /// Their places among the grouped ones, if they are there.
+    /// Their places among the grouped ones, where they are.
+    pub fn places(&self) -> Range<usize> {
+        self.place as usize..(self.place + self.count) as usize
+    }
+
+    /// The same if they are there.
     pub fn grouped(&self) -> Option<Range<usize>> {
-        (self.place != NOWHERE).then(|| self.place as usize..(self.place + self.count) as usize)
+        (self.place != NOWHERE).then(|| self.places())
     }
 }
 

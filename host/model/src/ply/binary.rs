@@ -251,13 +251,13 @@ fn patch_positions<C: Codec>(
         return Ok(());
     }
     // A finite number may be too large for the type that the file keeps it in.
-    let of_finite =
+    let mut of_finite =
         rest.iter().zip(edited).enumerate().zip(places).filter(|((_, (old, _)), _)| is_finite(**old));
     let unfit = |((vertex, (_, new)), at): ((usize, (_, &DVec3)), [usize; 3])| {
         let axis = (0..3).find(|c| !codecs[*c].get(raw, at[*c]).is_finite())?;
         Some(Unfit { vertex, axis, value: new[axis] })
     };
-    of_finite.map(unfit).find_map(|unfit| unfit).map_or(Ok(()), Err)
+    of_finite.find_map(unfit).map_or(Ok(()), Err)
 }
 
 fn patch_normals<C: Codec>(
