@@ -1,6 +1,7 @@
 //! The attributes of the samples, found by one more stream of the model, and kept in the folder that the
 //! samples are from.
 
+use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -49,7 +50,12 @@ impl SampledModel {
     /// Puts the attributes into the folder, if there is one, unless another process is writing it, or has.
     fn keep_attributes(&self, attributes: &Attributes) -> Result<()> {
         let Some((_, samples)) = &self.folder else { return Ok(()) };
-        self.keep_beside(ATTRIBUTES, || attributes.encode([samples, &self.source.fingerprint]))
+        let of: [&str; 2] = [samples, &self.source.fingerprint];
+        let values = attributes.all().iter().map(|of| of.values.len());
+        let bytes = 4 * values.sum::<usize>() as u64;
+        self.keep_beside(ATTRIBUTES, bytes, |file| {
+            file.write_all(&attributes.encode(of).map_err(io::Error::other)?)
+        })
     }
 
     /// Reads the model that was sampled. Vertices without a finite position, and values that are no numbers,

@@ -38,14 +38,15 @@ impl WithSimd for Counting<'_> {
             }
             *less = count;
         }
-        let mut sorted = [u64::MAX; MOST];
+        // Where two are the same, one of their places stays free.
+        let (mut sorted, mut taken) = ([0; MOST], 0u64);
         for (number, less) in numbers.iter().zip(less) {
             sorted[less as usize % MOST] = *number;
+            taken |= 1 << (less as usize % MOST);
         }
-        let sorted = &sorted[..numbers.len()];
-        let is_sorted = !sorted.contains(&u64::MAX);
+        let is_sorted = taken.count_ones() as usize == numbers.len();
         if is_sorted {
-            numbers.copy_from_slice(sorted);
+            numbers.copy_from_slice(&sorted[..numbers.len()]);
         }
         is_sorted
     }

@@ -18,6 +18,7 @@ pub mod ellipses;
 pub mod fingerprint;
 mod found_cells;
 pub mod guard;
+mod hashed;
 pub mod reconstruction;
 pub mod refinement;
 pub mod sampled_model;

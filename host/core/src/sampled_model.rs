@@ -2,7 +2,7 @@
 //! and `samples.ply`, which any tool opens and any program may deform).
 
 use std::fmt::Display;
-use std::io::Read;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
@@ -13,11 +13,12 @@ use simod_model::claim::Claim;
 use simod_model::frame::Frame;
 use simod_model::input;
 use simod_model::object::{self, is_object};
+use simod_model::output::{self, OutputFile};
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{
     Attribute, Besides, Cache, Error, FaceChunk, Model, ModelName, Progress, Result, Scalar, Tile,
-    VertexChunk, output, pattern_of,
+    VertexChunk, pattern_of,
 };
 use xxhash_rust::xxh3::Xxh3Default;
 
@@ -735,19 +736,30 @@ impl SampledModel {
     }
 
     /// Puts a file into the folder that it was read from, if there is one, unless another process is writing
-    /// that, or it has other samples by now. What is made again of the rest in need goes by here: a link is
-    /// not followed.
+    /// that, or it has other samples by now: what `write` makes of it, of about so many bytes. What is made
+    /// again of the rest in need goes by here: a link is not followed, and nobody waits for the disk.
     ///
     /// # Errors
     /// The file cannot be written.
-    pub(crate) fn keep_beside(&self, name: &str, bytes: impl FnOnce() -> Result<Vec<u8>>) -> Result<()> {
+    pub(crate) fn keep_beside(
+        &self,
+        name: &str,
+        expected_bytes: u64,
+        write: impl FnOnce(&mut OutputFile) -> io::Result<()>,
+    ) -> Result<()> {
         let Some((folder, samples)) = &self.folder else { return Ok(()) };
         let Ok(_claim) = Claim::folder(folder) else { return Ok(()) };
         let path = folder.join(name);
         if path.is_symlink() || file_fingerprint(&folder.join(SAMPLES))? != *samples {
             return Ok(());
         }
-        output::write_file(&path, &bytes()?)
+        let mut file = OutputFile::create(&path, expected_bytes)?;
+        let failed = |e: io::Error| match e.downcast::<Error>() {
+            Ok(error) => error,
+            Err(e) => Error::io("write", &path, &e),
+        };
+        write(&mut file).map_err(failed)?;
+        file.commit_unsynced()
     }
 
     /// The cells, if they are in memory: after sampling, unless they were not wanted, and after a refinement.

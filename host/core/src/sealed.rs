@@ -2,13 +2,15 @@
 //! all before it.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use simod_model::{Error, Result as ModelResult, input};
 use xxhash_rust::xxh3::xxh3_128;
+
+use crate::hashed::Hashed;
 
 /// The bytes of a file.
 ///
@@ -20,6 +22,24 @@ pub fn seal(letters: &[u8; 8], version: u32, content: &impl Serialize) -> postca
     let checksum = xxh3_128(&bytes);
     bytes.extend_from_slice(&checksum.to_le_bytes());
     Ok(bytes)
+}
+
+/// Writes the same, without holding it.
+///
+/// # Errors
+/// It cannot be written.
+pub fn write_sealed(
+    letters: &[u8; 8],
+    version: u32,
+    content: &impl Serialize,
+    mut to: impl Write,
+) -> io::Result<()> {
+    let mut hashed = Hashed::new(&mut to);
+    hashed.write_all(letters)?;
+    hashed.write_all(&version.to_le_bytes())?;
+    let hashed = postcard::to_io(content, hashed).map_err(io::Error::other)?;
+    let checksum = hashed.hash.digest128();
+    to.write_all(&checksum.to_le_bytes())
 }
 
 /// The version of a file that begins with these letters, and its content; or what is wrong with it.

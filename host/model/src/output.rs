@@ -53,6 +53,17 @@ impl OutputFile {
         commit().map_err(|e| claim.failed(&e))
     }
 
+    /// The same without waiting for the disk: of what is made again where it is damaged, as a power failure
+    /// may leave it.
+    ///
+    /// # Errors
+    /// As of [`commit`](Self::commit), as far as the operating system tells by now.
+    pub fn commit_unsynced(self) -> Result<()> {
+        let Self { writer, mut claim } = self;
+        let flushed = writer.into_inner().map_err(io::IntoInnerError::into_error);
+        flushed.and_then(|_| claim.put_in_place()).map_err(|e| claim.failed(&e))
+    }
+
     /// What it will be called.
     pub(crate) fn path(&self) -> &Path {
         &self.claim.places().path

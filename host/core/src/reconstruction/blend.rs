@@ -13,16 +13,16 @@
 
 use std::ops::Range;
 
-use glam::{Vec3, Vec4};
+use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::expansion::{Expansion, ReachingSupport};
 use super::lanes::{Lanes, PACKET, from, length_squared, triple};
+use super::overlaps::{Balls, Lists};
 use super::scattered;
 use super::sheets::Sheets;
-use crate::counting_sort;
 use crate::sampling::SampleSet;
 
 /// Samples that a [range](super::bound) is of.
@@ -39,11 +39,6 @@ const SUPPORT_NEIGHBOURS: usize = 7;
 
 /// Least sum of weights at which the blend is that of the supports. Less is the margin of the last one.
 pub const LEAST_WEIGHT: f32 = 1e-6;
-
-/// The square of the distance between two samples, as the neighbours of a sample are ordered.
-fn squared(positions: &[Vec3], i: usize, j: u32) -> f32 {
-    positions[i].distance_squared(positions[j as usize])
-}
 
 /// For each sample, the supports that reach where it is the home.
 ///
@@ -65,76 +60,8 @@ impl Supports {
     /// The supports of samples, whose neighbours are those on their sheets.
     pub fn new(samples: &SampleSet, sheets: &Sheets) -> Self {
         let positions = &samples.positions;
-        let n = samples.len();
         let (radius, ranging) = reaches(positions, sheets);
-        let balls = Balls::new(positions, &radius);
-        let entry = |home: usize, j: usize| balls.overlap(home, j).then(|| balls.reaching(home, j));
-        // Where a sample is among the neighbours of another, but not the other way round: as between sparse
-        // and dense. Where a sample's neighbours are its nearest ones, the last tells whom it has.
-        let last: Vec<(f32, u32)> = (0..n)
-            .into_par_iter()
-            .map(|i| match sheets.of_sample(i).last() {
-                Some(last) if !sheets.is_crowded(i) => (squared(positions, i, *last), *last),
-                _ => (-1.0, 0),
-            })
-            .collect();
-        let is_unknown = |home: u32, j: u32| match last[home as usize] {
-            (distance, _) if distance < 0.0 => !sheets.of_sample(home as usize).contains(&j),
-            last => last < (squared(positions, home as usize, j), j),
-        };
-        let mut one_way: Vec<(u32, u32)> = (0..n)
-            .into_par_iter()
-            .flat_map_iter(|j| {
-                let homes = sheets.of_sample(j).iter().map(move |home| (*home, j as u32));
-                homes
-                    .filter(|(home, j)| is_unknown(*home, *j) && entry(*home as usize, *j as usize).is_some())
-            })
-            .collect();
-        one_way.par_sort_unstable();
-
-        // As numbers that are in the order of the entries.
-        let list = |home: usize, others: &[(u32, u32)], list: &mut Vec<u64>| {
-            let others = others.iter().map(|(_, j)| j);
-            let itself = [home as u32];
-            let all = itself.iter().chain(sheets.of_sample(home)).chain(others);
-            list.clear();
-            list.extend(all.filter_map(|j| entry(home, *j as usize)).map(ReachingSupport::to_ordered));
-            counting_sort::sort(list);
-        };
-        // Places for as many as there may be: so lists that are made side by side stay where they are.
-        let (mut starts, mut jobs) = (Vec::with_capacity(n), Vec::with_capacity(n.div_ceil(HOMES_OF_JOB)));
-        let (mut most, mut others) = (0, &one_way[..]);
-        for home in 0..n {
-            if home % HOMES_OF_JOB == 0 {
-                jobs.push((most, others));
-            }
-            let own = others.iter().take_while(|(h, _)| *h as usize == home).count();
-            starts.push(most as u32);
-            most += 1 + sheets.of_sample(home).len() + own;
-            others = &others[own..];
-        }
-        let (mut ends, mut reaching) = (vec![0; n], bytemuck::zeroed_vec::<ReachingSupport>(most));
-        let mut parts = Vec::with_capacity(jobs.len());
-        let mut rest = &mut reaching[..];
-        for (at, (first, others)) in jobs.iter().enumerate() {
-            let end = jobs.get(at + 1).map_or(most, |(first, _)| *first);
-            let (part, behind) = rest.split_at_mut(end - first);
-            parts.push((*others, part));
-            rest = behind;
-        }
-        let jobs =
-            parts.into_par_iter().zip(starts.par_chunks(HOMES_OF_JOB)).zip(ends.par_chunks_mut(HOMES_OF_JOB));
-        jobs.enumerate().for_each_init(Vec::new, |one, (job, (((mut others, part), starts), ends))| {
-            for (at, (start, end)) in starts.iter().zip(ends).enumerate() {
-                let home = job * HOMES_OF_JOB + at;
-                let own = others.iter().take_while(|(h, _)| *h as usize == home).count();
-                list(home, &others[..own], one);
-                others = &others[own..];
-                let to = &mut part[(start - starts[0]) as usize..];
-                to.iter_mut().zip(&*one).for_each(|(to, r)| *to = ReachingSupport::from_ordered(*r));
-                *end = start + one.len() as u32;
-            }
-        });
+        let Lists { starts, ends, reaching } = Lists::find(positions, &radius, sheets);
         Self { radius, ranging, starts, ends, reaching }
     }
 
@@ -193,29 +120,6 @@ fn reaches(positions: &[Vec3], sheets: &Sheets) -> (Vec<f32>, Vec<f32>) {
         None => f32::MAX,
     });
     (radius.collect(), ranging.collect())
-}
-
-/// Centres and radii of the supports, beside each other, as they are looked up in no order.
-struct Balls(Vec<Vec4>);
-
-impl Balls {
-    fn new(positions: &[Vec3], radius: &[f32]) -> Self {
-        Self(positions.iter().zip(radius).map(|(p, radius)| p.extend(*radius)).collect())
-    }
-
-    fn distance(&self, home: usize, j: usize) -> f32 {
-        self.0[home].truncate().distance(self.0[j].truncate())
-    }
-
-    /// Whether the supports of two samples have anything in common.
-    fn overlap(&self, home: usize, j: usize) -> bool {
-        self.distance(home, j) < self.0[home].w + self.0[j].w
-    }
-
-    /// The support of a sample, as it is seen from another.
-    fn reaching(&self, home: usize, j: usize) -> ReachingSupport {
-        ReachingSupport { from: self.distance(home, j) - self.0[j].w, sample: j as u32 }
-    }
 }
 
 /// Vertices of a block, grouped by their homes, in separate arrays by coordinate.

@@ -13,7 +13,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::expansion::{Expansion, ROUNDING};
+use super::expansion::ROUNDING;
 use super::sheets::Sheets;
 use crate::sampling::SampleSet;
 
@@ -72,22 +72,25 @@ impl Edges {
     pub const NONE: Self = Self { step: 0.0, steepest: 0.0 };
 
     /// The edges around one sample.
-    pub fn around(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion], i: usize) -> Self {
-        let mut found = [0; EDGES + 1];
-        // Beside other sheets the nearest samples may be theirs.
-        let ring: &mut dyn Iterator<Item = u32> = if sheets.is_crowded(i) {
-            &mut samples.nearest_ones(samples.positions[i], &mut found).filter(|j| *j as usize != i)
-        } else {
-            &mut sheets.of_sample(i).iter().copied()
-        };
+    pub fn around(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) -> Self {
+        let positions = &samples.positions;
+        let displacement = |i: usize| deformed[i] - positions[i];
         let mut edges = Self::NONE;
-        for j in ring.take(EDGES).map(|j| j as usize) {
-            let length = samples.positions[i].distance(samples.positions[j]);
-            let difference = expansions[i].displacement().distance(expansions[j].displacement());
+        let include = |j: usize| {
+            let length = positions[i].distance(positions[j]);
+            let difference = displacement(i).distance(displacement(j));
             edges.step = edges.step.max(difference);
             if length > 0.0 {
                 edges.steepest = edges.steepest.max(difference / length);
             }
+        };
+        // Beside other sheets the nearest samples may be theirs.
+        if sheets.is_crowded(i) {
+            let mut found = [0; EDGES + 1];
+            let near = samples.nearest_ones(positions[i], &mut found).map(|j| j as usize);
+            near.filter(|j| *j != i).take(EDGES).for_each(include);
+        } else {
+            sheets.of_sample(i).iter().take(EDGES).map(|j| *j as usize).for_each(include);
         }
         edges
     }
@@ -105,10 +108,10 @@ pub struct Bound {
 }
 
 impl Bound {
-    /// The bound that the expansions of all samples set.
-    pub fn new(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion]) -> Self {
-        let all = (0..expansions.len()).into_par_iter();
-        Self { edges: all.map(|i| Edges::around(samples, sheets, expansions, i)).collect() }
+    /// The bound that all samples set, by where they come to lie.
+    pub fn new(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
+        let all = (0..deformed.len()).into_par_iter();
+        Self { edges: all.map(|i| Edges::around(samples, sheets, deformed, i)).collect() }
     }
 
     /// The largest difference of displacements along an edge of a sample.

@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Mat3, Vec3};
+use rayon::prelude::*;
 use simod_model::follow::Following;
 use simod_model::output::OutputFile;
 use simod_model::{Error, Model, Result, Scalar};
@@ -90,14 +91,15 @@ impl Folds {
         neighbours: impl Fn(usize) -> &'s [u32],
     ) -> Self {
         let all = || 0..expansions.len();
-        let gradients: Vec<Mat3> = expansions.iter().map(|e| Mat3::IDENTITY + e.slope()).collect();
-        let signs = || gradients.iter().zip(is_told).filter(|(_, told)| **told).map(|(g, _)| g.determinant());
+        let gradient = |e: &Expansion| Mat3::IDENTITY + e.slope();
+        let determinants: Vec<f32> = expansions.par_iter().map(|e| gradient(e).determinant()).collect();
+        let signs = || determinants.iter().zip(is_told).filter(|(_, told)| **told).map(|(d, _)| *d);
         let mirrored = signs().filter(|d| *d < 0.0).count() > signs().filter(|d| *d > 0.0).count();
         let mut folds = Self { samples: 0, first: None, mirrored, near: Vec::new() };
 
-        let differs = |i: usize| is_told[i] && folds.differs(&gradients[i]);
+        let differs = |i: usize| is_told[i] && folds.differs(determinants[i]);
         let doubles_back = |i: usize, j: usize| {
-            let image = |i: usize| area_image(&gradients[i], normals[i]);
+            let image = |i: usize| area_image(&gradient(&expansions[i]), normals[i]);
             normals[i].dot(normals[j]) > 0.0 && image(i).dot(image(j)) < 0.0
         };
         let around = |i: usize| neighbours(i).iter().map(|j| *j as usize);
@@ -119,12 +121,11 @@ impl Folds {
 
     /// Whether a vertex of this home is folded, where the deformation has this gradient.
     pub fn contains(&self, home: usize, gradient: &Mat3) -> bool {
-        self.near.get(home).is_some_and(|near| *near) && self.differs(gradient)
+        self.near.get(home).is_some_and(|near| *near) && self.differs(gradient.determinant())
     }
 
-    /// Whether the determinant has not the sign that most samples have.
-    fn differs(&self, gradient: &Mat3) -> bool {
-        let determinant = gradient.determinant();
+    /// Whether the determinant of a gradient has not the sign that most samples have.
+    fn differs(&self, determinant: f32) -> bool {
         if self.mirrored { determinant > 0.0 } else { determinant < 0.0 }
     }
 }

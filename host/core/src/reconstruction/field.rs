@@ -64,7 +64,7 @@ impl<'a> DeformationField<'a> {
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
         let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
         let limiter = Limiter::new(supports, &expansions, &doubtful);
-        let bound = Bound::new(samples, sheets, &expansions);
+        let bound = Bound::new(samples, sheets, deformed);
         let neighbours = |i| sheets.of_sample(i);
         let folds = Folds::of(&expansions, &gradients.tells_side, samples.normals(), neighbours);
         Self {

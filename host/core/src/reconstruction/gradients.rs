@@ -63,29 +63,36 @@ impl Gradients {
     /// Fits all samples, to those of their own sheets first, which tell whom each may borrow besides.
     pub fn fit<'a>(samples: &SampleSet, sheets: &'a Sheets, deformed: &[Vec3]) -> (Self, Stencils<'a>) {
         let own = Stencils::own(sheets);
-        let mut fits = vec![(Mat3::IDENTITY, None); samples.len()];
-        fits.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, fits)| {
-            let first = (chunk * TOGETHER) as u32;
-            let all: Vec<u32> = (first..first + fits.len() as u32).collect();
-            Arch::new().dispatch(Fits { samples, stencils: &own, deformed, all: &all, fits });
+        // The system's own zeros: the threads that fit touch them first.
+        let mut gradient: Vec<Mat3> = bytemuck::zeroed_vec(samples.len());
+        let mut sides = vec![None; samples.len()];
+        let jobs = gradient.par_chunks_mut(TOGETHER).zip(sides.par_chunks_mut(TOGETHER)).enumerate();
+        jobs.for_each(|(chunk, (gradient, sides))| {
+            let mut fits = [(Mat3::IDENTITY, None); TOGETHER];
+            let fits = &mut fits[..gradient.len()];
+            let all: [u32; TOGETHER] = std::array::from_fn(|at| (chunk * TOGETHER + at) as u32);
+            let all = &all[..gradient.len()];
+            Arch::new().dispatch(Fits { samples, stencils: &own, deformed, all, fits });
+            for (at, fit) in fits.iter().enumerate() {
+                (gradient[at], sides[at]) = *fit;
+            }
         });
-        let stencils = Stencils::borrowing(samples, sheets, deformed, |i| fits[i].0);
+        let stencils = Stencils::borrowing(samples, sheets, deformed, |i| gradient[i]);
         let borrowers = stencils.borrowers();
         let mut again = vec![(Mat3::IDENTITY, None); borrowers.len()];
         again.par_chunks_mut(TOGETHER).zip(borrowers.par_chunks(TOGETHER)).for_each(|(fits, all)| {
             Arch::new().dispatch(Fits { samples, stencils: &stencils, deformed, all, fits });
         });
         for (i, fit) in borrowers.into_iter().zip(again) {
-            fits[i as usize] = fit;
+            (gradient[i as usize], sides[i as usize]) = fit;
         }
-        let (gradient, sides): (Vec<Mat3>, Vec<Option<f32>>) = fits.into_iter().unzip();
         let mirrored = sides.iter().flatten().sum::<f32>() < 0.0;
         let tells_side = sides.iter().map(Option::is_some).collect();
         let turned = |(gradient, n): (&Mat3, &Vec3)| {
             let moved = Transport { displacement: Vec3::ZERO, gradient: *gradient };
             moved.normal(*n, mirrored).normalize_or(*n)
         };
-        let normal = gradient.iter().zip(samples.normals()).map(turned).collect();
+        let normal = gradient.par_iter().zip(samples.normals()).map(turned).collect();
         (Self { gradient, normal, tells_side, mirrored }, stencils)
     }
 }

@@ -58,7 +58,7 @@ impl Cells {
         let growing = Growing { supports: &cells.supports, balls: &balls };
         let all: Vec<u32> = (0..positions.len() as u32).collect();
         let mut parted = Vec::new();
-        growing.part(whole, &all, &mut parted);
+        growing.part(whole, &all, &mut parted, &mut Reached::of_levels());
         parted.shrink_to_fit();
         cells.parted = parted;
         cells
@@ -181,18 +181,28 @@ fn behind(others: u32, what: u32) -> u32 {
     if what & PARTED == 0 { what } else { what + others }
 }
 
-/// The samples that reach each eighth of a cell: as many places for each as there are samples, of which the
-/// first are taken.
+/// The samples that reach each eighth of a cell: as many places for each as there are samples that reach the
+/// cell, of which the first are taken.
+#[derive(Default)]
 struct Reached {
     samples: Vec<u32>,
+    places: usize,
     counts: [u32; 8],
     /// The least radius of the samples of each eighth; infinite where there are none.
     least: [f32; 8],
 }
 
 impl Reached {
+    /// What parts of a cell, parts of these and so on are looked at with: the same for all of a level.
+    ///
+    /// Memory: 32 bytes for each sample that reaches a cell, of one cell of each level: of the samples that
+    /// are parted by one thread, up to [`SIDE_BY_SIDE`], twice as many.
+    fn of_levels() -> [Self; LEVELS as usize] {
+        Default::default()
+    }
+
     fn of_eighth(&self, eighth: usize) -> &[u32] {
-        let first = eighth * (self.samples.len() / 8);
+        let first = eighth * self.places;
         &self.samples[first..first + self.counts[eighth] as usize]
     }
 }
@@ -205,15 +215,18 @@ struct Growing<'a> {
 }
 
 impl Growing<'_> {
-    /// Parts a cell that some samples reach: appends itself and what is below.
-    fn part(&self, cell: Cell, near: &[u32], parted: &mut Vec<[u32; 8]>) {
+    /// Parts a cell that some samples reach: appends itself and what is below. `levels` are those of its parts
+    /// and below.
+    fn part(&self, cell: Cell, near: &[u32], parted: &mut Vec<[u32; 8]>, levels: &mut [Reached]) {
         let at = parted.len();
         parted.push([0; 8]);
-        let reached = self.reached(cell, near);
+        let Some((reached, below)) = levels.split_first_mut() else { return };
+        self.reach(cell, near, reached);
+        let reached = &*reached;
         if near.len() < SIDE_BY_SIDE {
             for i in 0..8 {
-                let least = reached.least[i];
-                parted[at][i] = self.fill(cell.eighth(i), near, reached.of_eighth(i), least, parted);
+                let (eighth, samples, least) = (cell.eighth(i), reached.of_eighth(i), reached.least[i]);
+                parted[at][i] = self.fill(eighth, near, samples, least, parted, below);
             }
             return;
         }
@@ -221,8 +234,9 @@ impl Growing<'_> {
             .into_par_iter()
             .map(|i| {
                 let mut below = Vec::new();
-                let least = reached.least[i];
-                (self.fill(cell.eighth(i), near, reached.of_eighth(i), least, &mut below), below)
+                let (eighth, samples, least) = (cell.eighth(i), reached.of_eighth(i), reached.least[i]);
+                let mut levels = Reached::of_levels();
+                (self.fill(eighth, near, samples, least, &mut below, &mut levels), below)
             })
             .collect();
         for (i, (what, below)) in eighths.into_iter().enumerate() {
@@ -232,11 +246,13 @@ impl Growing<'_> {
         }
     }
 
-    /// Which samples reach the eighths of a cell.
-    fn reached(&self, cell: Cell, near: &[u32]) -> Reached {
+    /// Finds which samples reach the eighths of a cell, of those that reach itself.
+    fn reach(&self, cell: Cell, near: &[u32], reached: &mut Reached) {
         let [low, high] = [0, 7].map(|eighth| cell.eighth(eighth));
-        let mut reached =
-            Reached { samples: vec![0; 8 * near.len()], counts: [0; 8], least: [f32::INFINITY; 8] };
+        if reached.samples.len() < 8 * near.len() {
+            reached.samples.resize(8 * near.len(), 0);
+        }
+        (reached.places, reached.counts, reached.least) = (near.len(), [0; 8], [f32::INFINITY; 8]);
         for sample in near {
             let ball = self.balls[*sample as usize];
             let reach = REACH * ball.w;
@@ -250,31 +266,38 @@ impl Growing<'_> {
                 met &= met - 1;
             }
         }
-        reached
     }
 
     /// What a cell is filled with, of which the one that it is a part of is reached by the samples `around`,
     /// and itself by those that are `near`, whose `least` radius is known.
-    fn fill(&self, cell: Cell, around: &[u32], near: &[u32], least: f32, parted: &mut Vec<[u32; 8]>) -> u32 {
+    fn fill(
+        &self,
+        cell: Cell,
+        around: &[u32],
+        near: &[u32],
+        least: f32,
+        parted: &mut Vec<[u32; 8]>,
+        levels: &mut [Reached],
+    ) -> u32 {
         if near.len() > MOST && cell.edge > EDGE * least && cell.level < LEVELS {
             let at = parted.len() as u32;
-            self.part(cell, near, parted);
+            self.part(cell, near, parted, levels);
             return at | PARTED;
         }
         let middle = cell.middle();
-        // Depths and squared distances are in the order of their bits.
-        let first = |from: &[u32], key: &dyn Fn(Vec4) -> f32| {
-            let keys = from
-                .iter()
-                .map(|i| u64::from(key(self.supports[*i as usize]).to_bits()) << 32 | u64::from(*i));
-            keys.min().unwrap_or_default() as u32
-        };
         // Where nobody reaches, the nearest.
         if near.is_empty() {
-            first(around, &|support| (middle - support.truncate()).length_squared())
+            self.first(around, |support| (middle - support.truncate()).length_squared())
         } else {
-            first(near, &|support| depth(support, middle))
+            self.first(near, |support| depth(support, middle))
         }
+    }
+
+    /// The sample whose support has the least key, which is not less than nothing, and of such the first.
+    fn first(&self, from: &[u32], key: impl Fn(Vec4) -> f32) -> u32 {
+        // They are in the order of their bits.
+        let bits = |i: &u32| u64::from(key(self.supports[*i as usize]).to_bits()) << 32 | u64::from(*i);
+        from.iter().map(bits).min().unwrap_or_default() as u32
     }
 }
 

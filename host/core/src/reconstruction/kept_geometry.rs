@@ -8,13 +8,13 @@
 //! damaged, or of other samples, all is found as if there were none, and where it cannot be written, nobody
 //! misses it.
 
+use std::io::{self, Write};
 use std::ops::Range;
 
 use bytemuck::Zeroable;
 use glam::Vec3;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-use simod_model::{Error, Result};
+use serde::{Deserialize, Serialize, Serializer};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::RestGeometry;
@@ -25,7 +25,7 @@ use super::near_lists::{self, BEHIND, LONGEST};
 use super::sheets::{Listed, Sheets};
 use crate::sampled_model::{REST, SampledModel};
 use crate::sampling::{NEIGHBOURS, NeighbourGraph, SampleSet};
-use crate::sealed::{seal, unseal};
+use crate::sealed::{unseal, write_sealed};
 use crate::touching::Contacts;
 use crate::varint::{self, Numbers};
 
@@ -40,6 +40,9 @@ const TOGETHER: usize = 4096;
 /// Most bytes of a file for each sample, beside [`LEAST`]: lists of 32 samples take 200 bytes at most, and
 /// there are three for each.
 const MOST: u64 = 1 << 10;
+
+/// Bytes of a file for each sample, mostly.
+const USUAL: u64 = 110;
 
 /// Bytes that a file of any number of samples may have.
 const LEAST: u64 = 1 << 16;
@@ -56,10 +59,13 @@ struct Content<'a> {
     /// Hash of all that it depends on.
     key: u128,
     /// Three numbers of each normal, if some had to be estimated.
+    #[serde(serialize_with = "as_bytes")]
     normals: &'a [u8],
     /// Lists of those that have their own, and strangers.
+    #[serde(serialize_with = "as_bytes")]
     sheets: &'a [u8],
     /// Eight numbers of each cell.
+    #[serde(serialize_with = "as_bytes")]
     cells: &'a [u8],
     #[serde(borrow)]
     pieces: Vec<Piece<'a>>,
@@ -68,10 +74,17 @@ struct Content<'a> {
 /// What is known of [`TOGETHER`] samples.
 #[derive(Serialize, Deserialize)]
 struct Piece<'a> {
+    #[serde(serialize_with = "as_bytes")]
     neighbours: &'a [u8],
     /// Number of the supports of all homes.
     reaching: u32,
+    #[serde(serialize_with = "as_bytes")]
     supports: &'a [u8],
+}
+
+/// Writes all bytes at once, in place of one by one.
+fn as_bytes<S: Serializer>(bytes: &[u8], to: S) -> std::result::Result<S::Ok, S::Error> {
+    to.serialize_bytes(bytes)
 }
 
 impl<'a> RestGeometry<'a> {
@@ -93,10 +106,11 @@ pub(super) fn kept(sampled: &SampledModel) -> Option<RestGeometry<'_>> {
 
 /// Keeps it in the folder that the samples are from, if there is one, and as far as that can be written.
 ///
-/// Memory: 90 bytes per sample, twice for a moment.
+/// Memory: 110 bytes per sample.
 pub(super) fn keep(sampled: &SampledModel, around: &RestGeometry<'_>) {
     // Nobody misses it.
-    if sampled.keep_beside(REST, || pack(around)).is_ok() {
+    let bytes = USUAL * sampled.samples.len() as u64;
+    if sampled.keep_beside(REST, bytes, |file| pack(around, file)).is_ok() {
         around.set_kept();
     }
 }
@@ -121,12 +135,14 @@ fn pieces(samples: usize) -> impl IndexedParallelIterator<Item = Range<usize>> {
     (0..samples.div_ceil(TOGETHER)).into_par_iter().map(piece)
 }
 
-/// The bytes of a file.
-pub(super) fn pack(around: &RestGeometry<'_>) -> Result<Vec<u8>> {
+/// Writes the bytes of a file.
+pub(super) fn pack(around: &RestGeometry<'_>, to: impl Write) -> io::Result<()> {
     let RestGeometry { samples, sheets, supports, .. } = around;
     let no_places = || vec![OTHER; samples.len()];
     let pack = |places: &mut Vec<u8>, homes: Range<usize>| {
-        let (mut neighbours, mut orders, mut reaching) = (Vec::new(), Vec::new(), 0);
+        // As much as most take.
+        let room = || Vec::with_capacity(homes.len() * USUAL as usize / 2);
+        let (mut neighbours, mut orders, mut reaching) = (room(), room(), 0);
         for i in homes {
             near_lists::push(i as u32, sheets.graph().nearest_to(i), &mut neighbours);
             pack_order(i, sheets.of_sample(i), supports.of_home(i), places, &mut orders);
@@ -141,24 +157,18 @@ pub(super) fn pack(around: &RestGeometry<'_>) -> Result<Vec<u8>> {
         reaching: *reaching,
         supports,
     });
+    let estimated = if samples.knows_normals() { &[] } else { samples.normals() };
+    let normals: Vec<_> = estimated.iter().map(|n| n.to_array().map(f32::to_le_bytes)).collect();
+    let cells: Vec<_> =
+        around.cells().parted().as_flattened().iter().map(|what| what.to_le_bytes()).collect();
     let content = Content {
         key: key(samples),
-        normals: &if samples.knows_normals() {
-            Vec::new()
-        } else {
-            samples.normals().iter().flat_map(|n| n.to_array()).flat_map(f32::to_le_bytes).collect()
-        },
+        normals: normals.as_flattened().as_flattened(),
         sheets: &pack_sheets(sheets, samples.len()),
-        cells: &around
-            .cells()
-            .parted()
-            .as_flattened()
-            .iter()
-            .flat_map(|what| what.to_le_bytes())
-            .collect::<Vec<_>>(),
+        cells: cells.as_flattened(),
         pieces: pieces.collect(),
     };
-    seal(LETTERS, VERSION, &content).map_err(|e| Error::unwritable(REST, e))
+    write_sealed(LETTERS, VERSION, &content, to)
 }
 
 /// Writes in which order a home's supports are: as places among its neighbours. `places` has [`OTHER`] for
@@ -167,10 +177,15 @@ fn pack_order(home: usize, near: &[u32], reaching: &[ReachingSupport], places: &
     near.iter().zip(0..).for_each(|(j, place)| places[*j as usize] = place);
     places[home] = ITSELF;
     varint::push(reaching.len() as u64, to);
-    for ReachingSupport { sample, .. } in reaching {
-        to.push(places[*sample as usize]);
-        if places[*sample as usize] == OTHER {
-            varint::push(u64::from(*sample), to);
+    let first = to.len();
+    to.extend(reaching.iter().map(|r| places[r.sample as usize]));
+    if to[first..].contains(&OTHER) {
+        to.truncate(first);
+        for ReachingSupport { sample, .. } in reaching {
+            to.push(places[*sample as usize]);
+            if places[*sample as usize] == OTHER {
+                varint::push(u64::from(*sample), to);
+            }
         }
     }
     places[home] = OTHER;

@@ -39,6 +39,7 @@ mod least_squares;
 mod limiter;
 mod near_lists;
 mod neighbourhood;
+mod overlaps;
 mod packets;
 mod part_file;
 mod parts;

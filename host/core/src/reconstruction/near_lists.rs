@@ -14,23 +14,23 @@ pub const BEHIND: [u8; 1] = [0];
 /// Appends a list of at most [`LONGEST`] samples: a bit for each that says whether it takes two bytes, and
 /// the bytes.
 pub fn push(of: u32, list: &[u32], to: &mut Vec<u8>) {
-    let bits = to.len();
-    to.extend([0; LONGEST / 8]);
-    let mut long = 0u32;
-    for (at, sample) in list.iter().enumerate() {
+    let mut bytes = [0; LONGEST / 8 + 6 * LONGEST];
+    let (mut long, mut end) = (0u32, LONGEST / 8);
+    for (bit, sample) in list.iter().enumerate() {
         let way = sample.wrapping_sub(of).cast_signed();
         let difference = ((way << 1) ^ (way >> 31)).cast_unsigned();
-        if difference < 1 << 8 {
-            to.push(difference as u8);
-            continue;
-        }
-        long |= 1 << at;
-        to.extend((difference.min(FAR) as u16).to_le_bytes());
+        // Without a branch, as which ones are long cannot be foretold.
+        let is_long = difference >= 1 << 8;
+        bytes[end..end + 2].copy_from_slice(&(difference.min(FAR) as u16).to_le_bytes());
+        long |= u32::from(is_long) << bit;
+        end += 1 + usize::from(is_long);
         if difference >= FAR {
-            to.extend(difference.to_le_bytes());
+            bytes[end..end + 4].copy_from_slice(&difference.to_le_bytes());
+            end += 4;
         }
     }
-    to[bits..bits + LONGEST / 8].copy_from_slice(&long.to_le_bytes());
+    bytes[..LONGEST / 8].copy_from_slice(&long.to_le_bytes());
+    to.extend_from_slice(&bytes[..end]);
 }
 
 /// Takes a list of so many samples off the beginning of `bytes`, [behind](BEHIND) which there is something;

@@ -20,6 +20,8 @@ pub struct Neighbours {
     /// Places of the longest list.
     pub longest: usize,
     pub places: [Place; MOST_NEIGHBOURS],
+    /// The neighbours' positions at rest and deformed, of which the ways are made.
+    positions: [[[f32; MOST_LANES]; 6]; MOST_NEIGHBOURS],
 }
 
 /// The neighbours of several samples that come at one place in their lists.
@@ -44,6 +46,7 @@ impl Default for Neighbours {
             scale: [1.0; MOST_LANES],
             longest: 0,
             places: [Place::NOBODY; MOST_NEIGHBOURS],
+            positions: [[[0.0; MOST_LANES]; 6]; MOST_NEIGHBOURS],
         }
     }
 }
@@ -71,24 +74,39 @@ impl Neighbours {
                 (lists[lane], self.longest) = (near, near.len().max(self.longest));
             }
         }
+        let mut own = [[0.0; MOST_LANES]; 6];
         for lane in 0..S::F64_LANES {
             let (i, list) = (packet[lane], lists[lane]);
-            let (q, image) = (positions[i], deformed[i].as_dvec3());
-            for (place, j) in self.places.iter_mut().zip(list) {
-                let way = (positions[*j as usize] - q).as_dvec3();
-                let moved = deformed[*j as usize].as_dvec3() - image;
-                place.is_there[lane] = 1.0;
-                for axis in 0..3 {
-                    (place.way[axis][lane], place.moved[axis][lane]) = (way[axis], moved[axis]);
-                }
+            set(&mut own, lane, positions[i], deformed[i]);
+            for (place, j) in self.positions.iter_mut().zip(list) {
+                set(place, lane, positions[*j as usize], deformed[*j as usize]);
             }
-            for place in &mut self.places[list.len()..self.longest] {
-                place.is_there[lane] = 0.0;
-                for axis in 0..3 {
-                    (place.way[axis][lane], place.moved[axis][lane]) = (0.0, 0.0);
+            // Where a list is over, the sample itself, to which there is no way.
+            for place in &mut self.positions[list.len()..self.longest] {
+                set(place, lane, positions[i], deformed[i]);
+            }
+        }
+        for at in 0..self.longest {
+            let (place, positions) = (&mut self.places[at], &self.positions[at]);
+            for lane in 0..S::F64_LANES {
+                place.is_there[lane] = if at < lists[lane].len() { 1.0 } else { 0.0 };
+            }
+            for axis in 0..3 {
+                for lane in 0..S::F64_LANES {
+                    place.way[axis][lane] = f64::from(positions[axis][lane] - own[axis][lane]);
+                    place.moved[axis][lane] =
+                        f64::from(positions[3 + axis][lane]) - f64::from(own[3 + axis][lane]);
                 }
             }
         }
+    }
+}
+
+/// Sets positions at rest and deformed.
+#[inline(always)]
+fn set(numbers: &mut [[f32; MOST_LANES]; 6], lane: usize, rest: Vec3, deformed: Vec3) {
+    for axis in 0..3 {
+        (numbers[axis][lane], numbers[3 + axis][lane]) = (rest[axis], deformed[axis]);
     }
 }
 

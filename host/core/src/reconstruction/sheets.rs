@@ -16,7 +16,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::lanes::{Lanes, triple};
+use crate::counting_sort;
 use crate::sampling::{NEIGHBOURS, NeighbourGraph, SampleSet};
+use crate::touching::Contacts;
 
 /// Most neighbours of a sample on its sheet.
 pub const SHEET_NEIGHBOURS: usize = 32;
@@ -80,24 +82,37 @@ impl Sheets {
         links.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, links)| {
             Arch::new().dispatch(Linking { positions, normals, graph, first: chunk * TOGETHER, links });
         });
+        let mut is_told = vec![false; samples.len()];
+        for i in samples.contacts().map_or(&[][..], Contacts::told) {
+            is_told[*i as usize] = true;
+        }
         let nowhere = || vec![NOWHERE; samples.len()];
         let alone = |places: &mut Vec<u8>, i: usize| {
-            let told = samples.contacts().and_then(|contacts| contacts.same_sheet(i));
+            let contacts = samples.contacts().filter(|_| is_told[i]);
+            let told = contacts.and_then(|contacts| contacts.same_sheet(i));
             if let Some(same) = told.filter(|same| same.len() >= LEAST) {
                 return Some(same.to_vec());
             }
             let near = graph.nearest_to(i);
             if links[i].are_all_beside
                 || are_linked(&links, i, near, places)
-                || reached(&links, i, near, places).count() == near.len()
+                || reached(&links, i, near, places).count_ones() as usize == near.len()
             {
                 return None;
             }
             // As far as so many may be, on a surface.
             let reach = near.last().map_or(0.0, |j| positions[*j as usize].distance(positions[i]));
             let reach = reach * (CROWDED_NEIGHBOURS as f32 / near.len() as f32).sqrt();
-            let near = samples.neighbours_about(i, reach, CROWDED_NEIGHBOURS);
-            let same: Vec<u32> = reached(&links, i, &near, places).take(SHEET_NEIGHBOURS).copied().collect();
+            let about = samples.unsorted_neighbours_about(i, reach, CROWDED_NEIGHBOURS);
+            let seen = reached(&links, i, &about.iter().map(|j| *j as u32).collect::<Vec<_>>(), places);
+            let mut same: Vec<u64> =
+                about.into_iter().enumerate().filter(|(at, _)| seen >> at & 1 == 1).map(|(_, j)| j).collect();
+            if same.len() > SHEET_NEIGHBOURS {
+                same.select_nth_unstable(SHEET_NEIGHBOURS);
+                same.truncate(SHEET_NEIGHBOURS);
+            }
+            counting_sort::sort(&mut same);
+            let same: Vec<u32> = same.into_iter().map(|j| j as u32).collect();
             // Noise and creases alone do not make a second sheet, and fewer samples do not tell how they
             // turn: mostly the normal is wrong.
             (same.len() >= LEAST && same[..] != near[..same.len()]).then_some(same)
@@ -139,16 +154,21 @@ impl Sheets {
         };
         own.iter().for_each(|(i, list)| sheets.push(*i as usize, list));
         if let Some(strangers) = strangers {
-            let mut strangers = strangers.iter().peekable();
-            sheets.stranger_starts.push(0);
-            for i in 0..samples {
-                if let Some((_, list)) = strangers.next_if(|(of, _)| *of as usize == i) {
-                    sheets.strangers.extend(list);
-                }
-                sheets.stranger_starts.push(sheets.strangers.len() as u32);
-            }
+            sheets.set_strangers(samples, strangers);
         }
         sheets
+    }
+
+    /// Sets the strangers of some samples, in ascending order; all others of so many have none.
+    fn set_strangers(&mut self, samples: usize, lists: &[Listed]) {
+        let mut lists = lists.iter().peekable();
+        self.stranger_starts.push(0);
+        for i in 0..samples {
+            if let Some((_, list)) = lists.next_if(|(of, _)| *of as usize == i) {
+                self.strangers.extend(list);
+            }
+            self.stranger_starts.push(self.strangers.len() as u32);
+        }
     }
 
     /// Whether faces have told who is on another sheet.
@@ -166,17 +186,13 @@ impl Sheets {
     /// Notes who of the nearest in space is on another sheet, where the faces have told.
     fn note_strangers(&mut self, samples: &SampleSet) {
         let Some(contacts) = samples.contacts() else { return };
-        let of_sample = |i: usize| -> Vec<u32> {
-            let is_stranger = |j: &&u32| !self.of_sample(i).contains(j);
-            let told = contacts.same_sheet(i).map(|_| samples.neighbours().nearest_to(i));
-            told.unwrap_or_default().iter().filter(is_stranger).copied().collect()
+        let of_sample = |i: &u32| -> Listed {
+            let is_stranger = |j: &&u32| !self.of_sample(*i as usize).contains(j);
+            let near = samples.neighbours().nearest_to(*i as usize);
+            (*i, near.iter().filter(is_stranger).copied().collect())
         };
-        let lists: Vec<Vec<u32>> = (0..samples.len()).into_par_iter().map(of_sample).collect();
-        self.stranger_starts.push(0);
-        for list in lists {
-            self.strangers.extend(list);
-            self.stranger_starts.push(self.strangers.len() as u32);
-        }
+        let lists: Vec<Listed> = contacts.told().par_iter().map(of_sample).collect();
+        self.set_strangers(samples.len(), &lists);
     }
 
     /// Leaves out neighbours on whose sheets the sample is not: those of a roof, which the walls below link
@@ -191,7 +207,11 @@ impl Sheets {
         // The list without those, if there are any, or if it is one of its own.
         let left = |i: usize| -> Option<(u32, Vec<u32>)> {
             let list = lists.of_sample(i);
-            let is_denied = |j: &u32| lists.denies(positions, *j as usize, i);
+            if !lists.is_crowded(i) && !list.iter().any(|j| lists.is_crowded(*j as usize)) {
+                return None;
+            }
+            let is_denied =
+                |j: &u32| lists.is_crowded(*j as usize) && lists.denies(positions, *j as usize, i);
             let denied = list.iter().filter(|j| is_denied(j)).count();
             if denied > 0 && list.len() >= ENOUGH + denied {
                 return Some((i as u32, list.iter().copied().filter(|j| !is_denied(j)).collect()));
@@ -208,9 +228,6 @@ impl Sheets {
     /// Whether sample `j`, beside which there are several sheets, knows that sample `i` is not on its own: it
     /// is nearer than others that are.
     fn denies(&self, positions: &[Vec3], j: usize, i: usize) -> bool {
-        if !self.is_crowded(j) {
-            return false;
-        }
         let same = self.of_sample(j);
         let distance = |k: usize| positions[k].distance_squared(positions[j]);
         same.last().is_some_and(|last| distance(i) < distance(*last as usize)) && !same.contains(&(i as u32))
@@ -435,14 +452,9 @@ fn are_linked(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> boo
     left == 0
 }
 
-/// The samples of `near` (fewer than 127) that links within them reach from sample `i`, in their order.
-/// `places` has one for each sample, all [`NOWHERE`], before and after.
-fn reached<'a>(
-    links: &[Links],
-    i: usize,
-    near: &'a [u32],
-    places: &mut [u8],
-) -> impl Iterator<Item = &'a u32> + use<'a> {
+/// Which samples of `near` (fewer than 127) links within them reach from sample `i`: a bit for each. `places`
+/// has one for each sample, all [`NOWHERE`], before and after.
+fn reached(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> u128 {
     // The sample itself has the last place.
     let nodes = || (0..).zip(near.iter().copied().chain([i as u32]));
     nodes().for_each(|(at, node)| places[node as usize] = at);
@@ -468,5 +480,6 @@ fn reached<'a>(
         }
         open &= !seen;
     }
-    near.iter().enumerate().filter(move |(at, _)| seen >> at & 1 == 1).map(|(_, j)| j)
+    // Without the sample itself.
+    seen & !(1 << near.len())
 }

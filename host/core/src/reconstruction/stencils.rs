@@ -30,17 +30,19 @@ pub struct Stencils<'a> {
     sheets: &'a Sheets,
     /// The neighbours of each sample that borrows, nearest first: at most [`SHEET_NEIGHBOURS`] each.
     mixed: HashMap<u32, Vec<u32>>,
+    /// Whether each sample does; empty where none does.
+    borrows: Vec<bool>,
 }
 
 impl<'a> Stencils<'a> {
     /// Stencils of each sample's own sheet alone.
     pub fn own(sheets: &'a Sheets) -> Self {
-        Self { sheets, mixed: HashMap::new() }
+        Self { sheets, mixed: HashMap::new(), borrows: Vec::new() }
     }
 
     /// With what goes one way with each sample, by the `gradients` that their own sheets tell.
     ///
-    /// Memory: at most 170 bytes for each sample near which parts touch.
+    /// Memory: at most 170 bytes for each sample near which parts touch, and one for each sample if any do.
     pub fn borrowing(
         samples: &SampleSet,
         sheets: &'a Sheets,
@@ -68,8 +70,10 @@ impl<'a> Stencils<'a> {
             all.truncate(SHEET_NEIGHBOURS);
             Some((i as u32, all))
         };
-        let mixed = (0..samples.len()).into_par_iter().filter_map(mixed).collect();
-        Self { sheets, mixed }
+        let mixed: HashMap<u32, Vec<u32>> = (0..samples.len()).into_par_iter().filter_map(mixed).collect();
+        let mut borrows = vec![false; if mixed.is_empty() { 0 } else { samples.len() }];
+        mixed.keys().for_each(|i| borrows[*i as usize] = true);
+        Self { sheets, mixed, borrows }
     }
 
     /// The samples that borrow.
@@ -80,7 +84,8 @@ impl<'a> Stencils<'a> {
     /// The samples that may be in fits at sample `i`, nearest first, without itself.
     #[inline]
     pub fn of_sample(&self, i: usize) -> &[u32] {
-        let mixed = if self.mixed.is_empty() { None } else { self.mixed.get(&(i as u32)) };
+        let borrows = self.borrows.get(i).is_some_and(|borrows| *borrows);
+        let mixed = if borrows { self.mixed.get(&(i as u32)) } else { None };
         match mixed {
             Some(mixed) => mixed,
             None => self.sheets.of_sample(i),

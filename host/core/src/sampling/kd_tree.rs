@@ -132,6 +132,13 @@ impl KdTree {
     /// All points that are not farther from `p` than `radius`, nearest first. The numbers' lower halves are
     /// the points' indices.
     pub fn within(&self, p: Vec3, radius: f32) -> Vec<Found> {
+        let mut found = self.within_unsorted(p, radius);
+        found.sort_unstable();
+        found
+    }
+
+    /// The same in no order.
+    pub fn within_unsorted(&self, p: Vec3, radius: f32) -> Vec<Found> {
         let most = radius * radius;
         let (mut found, mut open) = (Vec::new(), vec![(0, 0, self.leaves.len())]);
         while let Some((node, first, leaves)) = open.pop() {
@@ -145,7 +152,6 @@ impl KdTree {
             }
             self.leaves[first].gather(p, most, &mut found);
         }
-        found.sort_unstable();
         found
     }
 

@@ -1,9 +1,10 @@
 //! The nearest others of every point of a tree, leaf by leaf: the points of a leaf are near the same leaves,
 //! which are looked up once for all of them.
 //!
-//! What is nearest to one of them reaches no further than what is nearest to another, and the way between
-//! both. Within that, how far the right number reaches is guessed by the point before, and counted: so few
-//! are sorted that are not wanted.
+//! How far the right number reaches is guessed by the leaf before, whose points are mostly near. Where it
+//! reaches further, one point is looked up by itself: what is nearest to another reaches no further than that
+//! and the way between both. Within it, how far they reach is guessed by the point before, and counted: so
+//! few are sorted that are not wanted.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -24,6 +25,9 @@ const SPARE: usize = 12;
 /// Guesses, before what is sure is taken.
 const GUESSES: usize = 3;
 
+/// Squares of distances are expected to be no more than so many times those of the leaf before.
+const MORE: f32 = 1.4;
+
 /// Makes up for the rounding of sums of distances.
 const SURELY: f32 = 1.0001;
 
@@ -40,8 +44,15 @@ impl KdTree {
         // The system's own zeros: the threads that fill them touch them first.
         let lists: Vec<AtomicU32> = bytemuck::zeroed_vec(k * self.len());
         if k > 0 {
-            let batch =
-                || Batch { tree: self, k, near: Vec::new(), distances: Vec::new(), found: Vec::new() };
+            let batch = || Batch {
+                tree: self,
+                k,
+                last: 0.0,
+                farthest: 0.0,
+                near: Vec::new(),
+                distances: Vec::new(),
+                found: Vec::new(),
+            };
             (0..self.leaves.len()).into_par_iter().for_each_init(batch, |batch, leaf| {
                 batch.look_up(leaf, |point, found| {
                     let list = &lists[point as usize * k..];
@@ -57,6 +68,10 @@ impl KdTree {
 struct Batch<'a> {
     tree: &'a KdTree,
     k: usize,
+    /// The squared distance of the last neighbour of the last point, and the largest of those of the last
+    /// leaf.
+    last: f32,
+    farthest: f32,
     /// The leaves that are near.
     near: Vec<u32>,
     /// Squared distances of a point to all of their points.
@@ -70,34 +85,37 @@ impl Batch<'_> {
         let tree = self.tree;
         let leaf = &tree.leaves[leaf];
         let whole = Extent::from_points(leaf.points().map(|(p, _)| p));
-        let middle = 0.5 * (whole.min + whole.max);
-        let from_middle = |p: &(Vec3, u32)| p.0.distance_squared(middle);
-        let Some((first, index)) = leaf.points().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b)))
-        else {
-            return;
-        };
-        self.found.resize(self.k, 0);
-        tree.nearest_others(first, index, &mut self.found);
-        let mut last = distance(self.found[self.k - 1]);
-        let reach = last.sqrt();
-        let surely = |p: Vec3| (SURELY * (reach + p.distance(first))).powi(2) + LEAST;
-        let most = leaf.points().map(|(p, _)| surely(p)).fold(0.0, f32::max);
-        if !self.gather(&whole, most) {
-            for (p, index) in leaf.points() {
-                self.found.resize(self.k, 0);
-                tree.nearest_others(p, index, &mut self.found);
-                say(index, &self.found);
-            }
-            return;
-        }
+        let mut most = MORE * self.farthest;
+        let (mut is_gathered, mut is_sure) = (self.gather(&whole, most), false);
+        self.farthest = 0.0;
         for (point, index) in leaf.points() {
-            let one = One { point, index, guess: last, surely: surely(point), batch: self };
-            Arch::new().dispatch(one);
-            counting_sort::sort(&mut self.found);
-            self.found.truncate(self.k);
-            last = distance(self.found[self.k - 1]);
+            if !(is_gathered && self.find(point, index, most)) {
+                self.found.resize(self.k, 0);
+                tree.nearest_others(point, index, &mut self.found);
+                if !is_sure {
+                    let reach = distance(self.found[self.k - 1]).sqrt();
+                    let surely = |p: Vec3| (SURELY * (reach + p.distance(point))).powi(2) + LEAST;
+                    most = leaf.points().map(|(p, _)| surely(p)).fold(0.0, f32::max);
+                    (is_gathered, is_sure) = (self.gather(&whole, most), true);
+                }
+            }
+            self.last = distance(self.found[self.k - 1]);
+            self.farthest = self.farthest.max(self.last);
             say(index, &self.found);
         }
+    }
+
+    /// Finds the nearest others of a point among the leaves that were gathered, which have all points that
+    /// are no farther than the root of `most`; `false` if these are too few.
+    fn find(&mut self, point: Vec3, index: u32, most: f32) -> bool {
+        let k = self.k;
+        Arch::new().dispatch(One { point, index, guess: self.last, surely: most, batch: self });
+        if self.found.len() < k {
+            return false;
+        }
+        counting_sort::sort(&mut self.found);
+        self.found.truncate(k);
+        true
     }
 
     /// Gathers the leaves of which a point may be no farther from a box than the root of `most`; `false` if
@@ -128,13 +146,13 @@ fn distance(found: Found) -> f32 {
     f32::from_bits((found >> 32) as u32)
 }
 
-/// Finds the points around one, in no order: at least as many as are wanted.
+/// Finds the points around one, in no order: at least as many as are wanted, if there are.
 struct One<'a, 'b> {
     point: Vec3,
     index: u32,
     /// About the squared distance of the last that is wanted ...
     guess: f32,
-    /// ... and what it is at most.
+    /// ... and the most within which all are looked at.
     surely: f32,
     batch: &'a mut Batch<'b>,
 }
@@ -144,7 +162,7 @@ impl WithSimd for One<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Batch { tree, k, near, distances, found } = self.batch;
+        let Batch { tree, k, near, distances, found, .. } = self.batch;
         for (to, leaf) in distances.iter_mut().zip(near.iter()) {
             measure(simd, self.point, &tree.leaves[*leaf as usize], to);
         }

@@ -232,6 +232,24 @@ impl SampleSet {
         self.nearest_neighbours(i, count)
     }
 
+    /// The same in no order, as numbers that are in it: their lower halves are the neighbours.
+    pub(crate) fn unsorted_neighbours_about(&self, i: usize, reach: f32, count: usize) -> Vec<u64> {
+        for more in MORE.into_iter().take_while(|_| reach > 0.0) {
+            let mut found = self.tree().within_unsorted(self.positions[i], more * reach);
+            if found.len() > count {
+                found.retain(|found| *found as u32 != i as u32);
+                if found.len() > count {
+                    found.select_nth_unstable(count);
+                    found.truncate(count);
+                }
+                return found;
+            }
+        }
+        let mut found = vec![0; count.min(self.len() - 1)];
+        self.tree().nearest_others(self.positions[i], i as u32, &mut found);
+        found
+    }
+
     /// The sample nearest to a finite point. Costs about a microsecond: not for every vertex of P_L.
     pub fn nearest(&self, p: Vec3) -> u32 {
         self.tree().nearest(p)

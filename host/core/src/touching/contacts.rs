@@ -12,7 +12,8 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use simod_model::output::OutputFile;
 use simod_model::{Error, Result, input};
-use xxhash_rust::xxh3::Xxh3Default;
+
+use crate::hashed::Hashed;
 
 use super::places::Places;
 
@@ -60,6 +61,11 @@ impl Contacts {
         &self.lists.parted
     }
 
+    /// The samples of which it is known who is on their [sheet](Self::same_sheet), ascending.
+    pub fn told(&self) -> &[u32] {
+        &self.lists.samples
+    }
+
     /// Number of samples near which sheets meet.
     pub fn samples(&self) -> usize {
         self.lists.samples.len()
@@ -72,7 +78,7 @@ impl Contacts {
 
     /// A hash of all of it.
     pub fn digest(&self) -> u128 {
-        let mut hash = Hashed { to: io::sink(), hash: Xxh3Default::new() };
+        let mut hash = Hashed::new(io::sink());
         // What goes nowhere can be written.
         let _ = self.write_content("", &mut hash);
         hash.hash.digest128()
@@ -98,7 +104,7 @@ impl Contacts {
             Err(e) => Error::io("write", path, &e),
         };
         let mut file = OutputFile::create(path, 12 * self.places.all().len() as u64)?;
-        let mut hashed = Hashed { to: &mut file, hash: Xxh3Default::new() };
+        let mut hashed = Hashed::new(&mut file);
         self.write_content(samples_fingerprint, &mut hashed).map_err(failed)?;
         let checksum = hashed.hash.digest128();
         file.write_all(&checksum.to_le_bytes()).map_err(failed)?;
@@ -119,7 +125,7 @@ impl Contacts {
         };
         let cut_off = |_| refused("it is cut off");
         let length = file.metadata().map_err(|e| Error::io("read", path, &e))?.len();
-        let mut reader = Hashed { to: BufReader::new(file), hash: Xxh3Default::new() };
+        let mut reader = Hashed::new(BufReader::new(file));
         let mut start = [0; 20];
         reader.read_exact(&mut start).map_err(cut_off)?;
         let bytes = u64::from_le_bytes(start[12..].try_into().unwrap_or_default());
@@ -189,31 +195,5 @@ impl Lists {
                 let list = &self.same[self.starts[at] as usize..self.starts[at + 1] as usize];
                 !list.contains(&self.samples[at])
             })
-    }
-}
-
-/// Hashes what goes through.
-struct Hashed<T> {
-    to: T,
-    hash: Xxh3Default,
-}
-
-impl<T: Write> Write for Hashed<T> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.to.write(bytes)?;
-        self.hash.update(&bytes[..written]);
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.to.flush()
-    }
-}
-
-impl<T: Read> Read for Hashed<T> {
-    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        let read = self.to.read(bytes)?;
-        self.hash.update(&bytes[..read]);
-        Ok(read)
     }
 }
