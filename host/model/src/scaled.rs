@@ -24,9 +24,14 @@ impl ScaledIntegers {
     /// The number of an axis that is nearest to a coordinate, if there is one so far out.
     #[inline]
     pub fn nearest_of_axis(&self, axis: usize, coordinate: f64) -> Option<i32> {
-        let number = ((coordinate - self.offset[axis]) / self.scale[axis]).round();
-        let fits = number >= f64::from(i32::MIN) && number <= f64::from(i32::MAX);
-        fits.then_some(number as i32)
+        let number = (coordinate - self.offset[axis]) / self.scale[axis];
+        if number <= f64::from(i32::MIN) - 1.0 || number >= f64::from(i32::MAX) + 1.0 || number.is_nan() {
+            return None;
+        }
+        // As `round` has it, which is a call on processors that cannot do it at once.
+        let whole = number as i64;
+        let part = number - whole as f64;
+        i32::try_from(whole + i64::from(part >= 0.5) - i64::from(part <= -0.5)).ok()
     }
 
     /// The numbers that are nearest to a position, if there are any so far out.
@@ -83,6 +88,20 @@ mod tests {
             if far.max_element() < 0.4 && numbers.abs().max_element() < i32::MAX {
                 prop_assert_eq!(back, Some(numbers));
             }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn numbers_are_rounded_as_others_are(
+            whole in prop_oneof![-9..9i64, Just(i64::from(i32::MIN)), Just(i64::from(i32::MAX)), any::<i32>().prop_map(i64::from), any::<i64>()],
+            part in prop_oneof![Just(0.5f64), Just(-0.5), Just(0.49999999999999994), Just(f64::NAN), -1.0..1.0],
+        ) {
+            let coordinate = whole as f64 + part;
+            let integers = ScaledIntegers { scale: DVec3::ONE, offset: DVec3::ZERO };
+            let rounded = coordinate.round();
+            let fits = rounded >= f64::from(i32::MIN) && rounded <= f64::from(i32::MAX);
+            prop_assert_eq!(integers.nearest_of_axis(0, coordinate), fits.then_some(rounded as i32));
         }
     }
 
