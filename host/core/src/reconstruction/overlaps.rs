@@ -269,10 +269,10 @@ mod tests {
     fn uneven() -> SampleSet {
         let place = |i: u32| {
             let (x, z) = ((i as f32 * 0.754_877_7).fract(), (i as f32 * 0.569_840_3).fract());
-            let y = if i % 3 == 0 { -0.02 } else { 0.05 * (9.0 * z).cos() };
+            let y = if i.is_multiple_of(3) { -0.02 } else { 0.05 * (9.0 * z).cos() };
             Vec3::new(x * x * x * x, y, z * z)
         };
-        let normals = (0..1500).map(|i| if i % 3 == 0 { Vec3::NEG_Y } else { Vec3::Y }).collect();
+        let normals = (0..1500u32).map(|i| if i.is_multiple_of(3) { Vec3::NEG_Y } else { Vec3::Y }).collect();
         let samples = SampleSet::new((0..1500).map(place).collect(), normals).expect("samples");
         samples.prepare();
         samples

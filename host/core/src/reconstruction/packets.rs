@@ -1,5 +1,10 @@
 //! The neighbours of as many samples as the processor fits at once, gathered number by number.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "vectors are compiled for the processor only where they are inlined"
+)]
+
 use glam::Vec3;
 use pulp::Simd;
 
