@@ -215,8 +215,8 @@ struct Growing<'a> {
 }
 
 impl Growing<'_> {
-    /// Parts a cell that some samples reach: appends itself and what is below. `levels` are those of its parts
-    /// and below.
+    /// Parts a cell that some samples reach: appends itself and what is below. `levels` are those of its
+    /// parts and below.
     fn part(&self, cell: Cell, near: &[u32], parted: &mut Vec<[u32; 8]>, levels: &mut [Reached]) {
         let at = parted.len();
         parted.push([0; 8]);

@@ -18,7 +18,6 @@ use serde::{Deserialize, Serialize};
 use super::lanes::{Lanes, triple};
 use crate::counting_sort;
 use crate::sampling::{NEIGHBOURS, NeighbourGraph, SampleSet};
-use crate::touching::Contacts;
 
 /// Most neighbours of a sample on its sheet.
 pub const SHEET_NEIGHBOURS: usize = 32;
@@ -83,7 +82,7 @@ impl Sheets {
             Arch::new().dispatch(Linking { positions, normals, graph, first: chunk * TOGETHER, links });
         });
         let mut is_told = vec![false; samples.len()];
-        for i in samples.contacts().map_or(&[][..], Contacts::told) {
+        for i in samples.contacts().map_or(&[][..], |contacts| contacts.told()) {
             is_told[*i as usize] = true;
         }
         let nowhere = || vec![NOWHERE; samples.len()];
