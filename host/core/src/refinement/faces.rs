@@ -174,6 +174,7 @@ impl SampleOf<'_> {
         found.shrink_to_fit();
         let positions =
             planes.map(|planes| planes.place(|sample| slack.map_or(f32::INFINITY, |slack| slack[sample])));
+        let positions = positions.map(|all| all.into_iter().map(|placed| placed.at).collect());
         Ok(Reindexed { triangles: found, positions, bytes })
     }
 }

@@ -36,7 +36,7 @@ use super::numbers_file::{Numbers, NumbersWriter, is_there};
 use super::placement::{FACES_OF_A_SUM, LISTED, Placement, Planes};
 use super::shares::Owner;
 use super::triangles::{Reindexing, Triangles, Wanted};
-use super::{Found, Prepared, Read, Reindexed, Sampling, Skip, Target, are_apart};
+use super::{Found, Prepared, Read, Reindexed, Sampling, Target, are_apart, finds_triangles, keeps_faces};
 use crate::sampled_model::SampledModel;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 use crate::touching::{FoundTwins, Islands, TwinSearch, twins_may_be_there};
@@ -44,7 +44,8 @@ use crate::touching::{FoundTwins, Islands, TwinSearch, twins_may_be_there};
 /// What the file of a cut begins with.
 const LETTERS: &[u8; 8] = b"simodcut";
 
-const VERSION: u32 = 1;
+/// Of what units leave each other to know of the faces, all of which is bound to a cut.
+const VERSION: u32 = 2;
 
 /// No file of a cut is longer: of 2³² samples.
 const LONGEST: u64 = 1 << 40;
@@ -413,8 +414,8 @@ pub fn faces(
         if let Some(read) = runs.part(part, parts) {
             FacePart::new(&divided, &cut, read, runs.triangles()).read(files, &mut writer)?;
         } else {
-            let Skip { triangles, sheets, .. } = sampling.skip;
-            let none = Triangles { of_vertices: !triangles && !sheets, ..Triangles::default() };
+            let of_vertices = finds_triangles(&divided.prepared.sampling) && !sampling.skip.sheets;
+            let none = Triangles { of_vertices, ..Triangles::default() };
             write_triangles(&none, 0, &mut writer)?;
         }
     }
@@ -495,8 +496,8 @@ impl<'a> FacePart<'a> {
         let vertices = if places && count > 0 { Some(prepared.positions(sample_of, span)?) } else { None };
         let vertices: &[Vec3] = vertices.as_ref().map_or(&[], |map| cast_slice(map));
 
-        let (triangles, samples) = (!sampling.skip.triangles, cut.samples());
-        let mut ranges = (triangles && !sampling.skip.cells).then(|| FaceRanges::listed(&cut.trees, samples));
+        let (triangles, samples) = (finds_triangles(sampling), cut.samples());
+        let mut ranges = keeps_faces(sampling).then(|| FaceRanges::listed(&cut.trees, samples));
         let mut planes = places.then(|| Planes::listed(vertices, &cut.positions));
         let mut islands = if sampling.skip.sheets {
             None
@@ -674,8 +675,8 @@ impl Prepared<'_> {
 /// Samples a model of which all is known, by the files of all units.
 ///
 /// Memory: that of [`sample`](super::sample) without vertices; 12 bytes for each of at most 32 triangles per
-/// sample. Where sheets are told apart, temporary files of 8 bytes per vertex, and 12 more where some touch
-/// and faces place the samples.
+/// sample. Temporary files of 8 bytes per vertex where sheets are told apart; where faces place the samples,
+/// of 4 and 12 more, for which all vertices are read.
 ///
 /// # Errors
 /// A file is missing, damaged, or of something else; as of [`sample`](super::sample).
@@ -704,8 +705,9 @@ pub fn complete(
     let parting = prepared.parting(&ranges);
     let read = Read { sampling, bound: *bound, parting: &parting };
 
-    let sheets = !sampling.skip.sheets;
-    let mut sample_of = if sheets { Some(divided.samples_of(&cut, files, 0..info.vertices)?) } else { None };
+    let (sheets, places) = (!sampling.skip.sheets, sampling.placement == Placement::Faces);
+    let mut sample_of =
+        if sheets || places { Some(divided.samples_of(&cut, files, 0..info.vertices)?) } else { None };
     let known: &[u32] = sample_of.as_ref().map_or(&[], |map| cast_slice(map));
     let (mut islands, mut welded) = (None, false);
     if sheets {
@@ -717,13 +719,18 @@ pub fn complete(
         }
     }
     divided.take_faces(&cut, files, &read, (known, islands.as_mut()), &mut reindexed)?;
-    if let (Some(islands), Some(map)) = (islands, &mut sample_of) {
+    if let Some(map) = &mut sample_of {
         let sample_of: &mut [u32] = cast_slice_mut(map);
-        let changed = reindexed.part_sheets(&read, islands, sample_of, welded)?;
-        if let (Some(changed), true) = (changed, reindexed.placed.is_some()) {
-            let vertices = prepared.positions(sample_of, 0..info.vertices)?;
-            reindexed.place_again(&read, sample_of, cast_slice(&vertices), &changed)?;
+        let changed = match islands {
+            Some(islands) => reindexed.part_sheets(&read, islands, sample_of, welded)?,
+            None => None,
+        };
+        let vertices = if places { Some(prepared.positions(sample_of, 0..info.vertices)?) } else { None };
+        let vertices: Option<&[Vec3]> = vertices.as_ref().map(|map| cast_slice(map));
+        if let (Some(changed), Some(vertices)) = (changed, vertices) {
+            reindexed.place_again(&read, sample_of, vertices, &changed)?;
         }
+        reindexed.fit(&read, sample_of, vertices)?;
     }
     let CutFile { fingerprint, jumps, .. } = cut;
     let found =
@@ -755,8 +762,8 @@ impl Divided<'_> {
     ) -> Result<()> {
         let Prepared { sampling, progress, .. } = &self.prepared;
         let (trees, samples) = (&reindexed.cut.trees, reindexed.cut.samples());
-        let triangles = !sampling.skip.triangles;
-        let mut ranges = (triangles && !sampling.skip.cells).then(|| FaceRanges::new(trees, samples));
+        let triangles = finds_triangles(sampling);
+        let mut ranges = keeps_faces(sampling).then(|| FaceRanges::new(trees, samples));
         let places = sampling.placement == Placement::Faces;
         let mut planes = places.then(|| Planes::new(&[], &reindexed.cut.positions, 0));
         let wanted = Wanted { triangles, ranges: ranges.as_mut(), islands, planes: planes.as_mut() };

@@ -14,6 +14,7 @@ pub mod divided_faces;
 mod face_ranges;
 pub mod face_runs;
 pub(crate) mod finalization;
+mod fit;
 pub(crate) mod gather;
 mod glimpse;
 pub mod grid;
@@ -64,16 +65,17 @@ pub use splitting::Splitting;
 use crate::colors::{Picked, Picking};
 use crate::sampled_model::{SampledModel, Source, SourceTile};
 use crate::sampling::ranges::joined;
-use crate::touching::{Contacts, Islands, Parted, Parting};
+use crate::touching::{self, Contacts, Islands, Parted, Parting};
 use counted::{Counting, NonFinite, count_range};
 use density::Rule;
 use face_ranges::FaceRanges;
 use finalization::{Clustered, Hashing, Job, Pass};
+use fit::Members;
 use gather::{Groups, Vertices};
 use grid::{CellKey, CellRecord, Grid, GridCounter};
 use kept_cells::{KeptCell, KeptCells};
 use membership::{Membership, Noted, SampleOf};
-use placement::Planes;
+use placement::{Placed, Planes};
 pub use target::Target;
 use triangles::{Triangles, Wanted};
 
@@ -418,7 +420,9 @@ impl<'a> Prepared<'a> {
         let (model, progress) = (*model, *progress);
         let info = model.info();
         let Reindexed { mut cut, triangles, faces, parted, placed } = reindexed;
-        cut.positions = placed.unwrap_or(cut.positions);
+        if let Some(placed) = placed {
+            cut.positions = placed.into_iter().map(|placed| placed.at).collect();
+        }
         progress.check()?;
         let trees = cut.trees;
         let mut sampled = SampledModel::new(
@@ -505,7 +509,7 @@ struct Reindexed {
     /// How clusters of several sheets were parted.
     parted: Option<Parted>,
     /// Where the faces place the samples.
-    placed: Option<Vec<Vec3>>,
+    placed: Option<Vec<Placed>>,
 }
 
 impl Reindexed {
@@ -520,7 +524,10 @@ impl Reindexed {
         let info = parting.model.info();
         let twins = members.take_twins();
         let (sample_of, vertices) = members.all_mut();
-        let Some(twins) = twins else { return self.read_faces(read, sample_of, vertices, None) };
+        let Some(twins) = twins else {
+            self.read_faces(read, sample_of, vertices, None)?;
+            return self.fit(read, sample_of, vertices);
+        };
         let welded = are_apart(info, twins.count);
         let mut islands = Islands::new(twins, sample_of, self.cut.samples(), parting.folder);
         if welded {
@@ -531,7 +538,7 @@ impl Reindexed {
         if let (Some(changed), Some(vertices)) = (changed, vertices) {
             self.place_again(read, sample_of, vertices, &changed)?;
         }
-        Ok(())
+        self.fit(read, sample_of, vertices)
     }
 
     /// Parts the clusters of several sheets, if need be after a coarser cut, so that there are no more
@@ -574,7 +581,7 @@ impl Reindexed {
             self.cut.positions.push(*position);
             self.cut.normals.push(*normal);
         }
-        if self.triangles.of_vertices || sampling.skip.triangles || self.triangles.tangled {
+        if self.triangles.of_vertices || !finds_triangles(sampling) || self.triangles.tangled {
             self.triangles.put(sample_of);
         } else {
             // There were too many, and samples were put for them.
@@ -598,13 +605,13 @@ impl Reindexed {
         islands: Option<&mut Islands>,
     ) -> Result<()> {
         let Read { sampling, parting, .. } = *read;
-        let triangles = !sampling.skip.triangles;
-        if !triangles && islands.is_none() && vertices.is_none() {
+        let triangles = finds_triangles(sampling);
+        if !triangles && islands.is_none() {
             return Ok(());
         }
         parting.progress.begin("reindexing the faces", parting.model.info().face_bytes);
         let (trees, samples) = (&self.cut.trees, self.cut.samples());
-        let mut ranges = (triangles && !sampling.skip.cells).then(|| FaceRanges::new(trees, samples));
+        let mut ranges = keeps_faces(sampling).then(|| FaceRanges::new(trees, samples));
         let mut planes = vertices.map(|vertices| Planes::new(vertices, &self.cut.positions, 0));
         let wanted = Wanted { triangles, ranges: ranges.as_mut(), islands, planes: planes.as_mut() };
         let found = triangles::reindex(parting.model, sample_of, samples, wanted, parting.progress);
@@ -622,7 +629,7 @@ impl Reindexed {
     }
 
     /// Where the samples are by the planes around them.
-    fn place(&self, read: &Read<'_>, planes: Planes<'_>) -> Vec<Vec3> {
+    fn place(&self, read: &Read<'_>, planes: Planes<'_>) -> Vec<Placed> {
         // The promise of an error bound is kept.
         let slack = matches!(read.sampling.target, Target::Error(_))
             .then(|| cut::slack(self.cut.trees.iter(), 0..self.cut.samples(), read.bound));
@@ -666,6 +673,36 @@ impl Reindexed {
         self.placed = Some(placed);
         Ok(())
     }
+
+    /// Fits the samples to the vertices, if faces place them; the triangles are dropped then if they were not
+    /// wanted but for it.
+    fn fit(&mut self, read: &Read<'_>, sample_of: &[u32], vertices: Option<&[Vec3]>) -> Result<()> {
+        let triangles = &mut self.triangles.triangles;
+        if let (Some(placed), Some(vertices)) = (&mut self.placed, vertices) {
+            let members = Members { vertices, sample_of };
+            // Where sheets meet, samples that come nearer to their own get into what is on the other side.
+            let held = match &self.parted {
+                Some(parted) => touching::crowded(placed.iter().map(|placed| placed.at).collect(), parted)?,
+                None => Vec::new(),
+            };
+            fit::fit(placed, &self.cut.positions, triangles, members, &held, read.parting.progress)?;
+        }
+        if read.sampling.skip.triangles {
+            *triangles = Vec::new();
+            self.triangles.tangled = false;
+        }
+        Ok(())
+    }
+}
+
+/// Whether triangles of P_S are looked for: if they are wanted, or the samples are fitted by them.
+fn finds_triangles(sampling: &Sampling) -> bool {
+    !sampling.skip.triangles || sampling.placement == Placement::Faces
+}
+
+/// Whether it is kept where the faces of each cell are.
+fn keeps_faces(sampling: &Sampling) -> bool {
+    !sampling.skip.triangles && !sampling.skip.cells
 }
 
 /// Whether the faces of a model can tell anything of its samples.

@@ -239,6 +239,15 @@ impl Quadric {
     }
 }
 
+/// A sample that faces have placed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placed {
+    /// Where it is, local coordinates.
+    pub at: Vec3,
+    /// How far it may be from where the vertices have placed it.
+    pub most: f32,
+}
+
 /// Numbers of a sum that is listed: its sample, and those of its quadric.
 pub const LISTED: usize = 11;
 
@@ -371,17 +380,19 @@ impl<'a> Planes<'a> {
 
     /// Where the samples are by the faces: as far from where they were as the corners in their clusters are
     /// (rms), and as `most` allows, at most.
-    pub fn place(mut self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Vec3> {
+    pub fn place(mut self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Placed> {
         self.sum_up();
-        let Sums::Added(sums) = self.sums else { return self.samples.to_vec() };
+        let stays = |sample: &Vec3| Placed { at: *sample, most: 0.0 };
+        let Sums::Added(sums) = self.sums else { return self.samples.iter().map(stays).collect() };
         let moved = |(i, (sum, sample)): (usize, (&[f64; 10], &Vec3))| {
             let way = least(sum);
             let most = radius(sum).min(f64::from(most(i)));
             // Around some there are no planes.
             if way.is_finite() && most > 0.0 {
-                (sample.as_dvec3() + way.clamp_length_max(most)).as_vec3()
+                let at = (sample.as_dvec3() + way.clamp_length_max(most)).as_vec3();
+                Placed { at, most: most as f32 }
             } else {
-                *sample
+                stays(sample)
             }
         };
         sums.par_iter().zip(self.samples).enumerate().map(moved).collect()
@@ -421,7 +432,7 @@ mod tests {
             planes.take([1, 2, 3], [7; 3]);
             planes.count(3);
         }
-        planes.place(|_| most)[0]
+        planes.place(|_| most)[0].at
     }
 
     /// Three sides of a cube meet at (1, 1, 1).
@@ -498,6 +509,6 @@ mod tests {
         }
         assert!(!parts.add_listed(&[50; LISTED]) && !parts.add_listed(&[1]));
         let [whole, parts] = [whole, parts].map(|planes| planes.place(|_| f32::INFINITY));
-        assert!(whole == parts && whole != samples);
+        assert!(whole == parts && whole.iter().zip(samples).any(|(placed, sample)| placed.at != *sample));
     }
 }

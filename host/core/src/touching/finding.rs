@@ -409,6 +409,18 @@ struct Crowded {
 /// Samples that are looked at by one job.
 const JOB: usize = 256;
 
+/// The samples near which sheets meet, ascending, if samples are at these positions (local coordinates).
+///
+/// Memory: 33 bytes per sample, and on each thread another one.
+///
+/// # Errors
+/// A position is not finite.
+pub(crate) fn crowded(positions: Vec<Vec3>, parted: &Parted) -> Result<Vec<u32>> {
+    let samples = SampleSet::new(positions, Vec::new())?;
+    samples.prepare_tree();
+    Ok(same_sheet(&samples, parted).0.into_keys().collect())
+}
+
 /// The neighbours on its sheet of each sample near which sheets meet, and those that are left out: going out
 /// from those that were parted, as far as the nearest samples are not all on the same one.
 ///

@@ -19,7 +19,7 @@ mod sorter;
 mod twins;
 
 pub use contacts::Contacts;
-pub(crate) use finding::{Guides, Noted};
+pub(crate) use finding::{Guides, Noted, crowded};
 pub(crate) use islands::Islands;
 pub(crate) use parting::{Parted, Parting};
 pub(crate) use twins::{
