@@ -31,8 +31,8 @@ pub enum ErrorKind {
 
 /// A failure: one line that says what and where, one that says what to do.
 ///
-/// It is one pointer, as results that may be one are moved, and let go, wherever they are passed on. What makes
-/// one is cold, so that the compiler spends little on the code around it.
+/// It is one pointer, as results that may be one are moved, and let go, wherever they are passed on. What
+/// makes one is cold, so that the compiler spends little on the code around it.
 #[derive(Debug, Clone)]
 pub struct Error(Box<Failure>);
 
