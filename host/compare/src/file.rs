@@ -4,13 +4,13 @@ use crate::html::hyphenated;
 use glam::DVec3;
 use serde::Deserialize;
 use simod_core::reconstruction::Method as Reconstruction;
+use simod_core::tables::{self, Spanned};
 use simod_model::{Error, Result};
 use simod_picture::picture::Up;
 use simod_session::session_file::{Sampling, read_text};
 use simod_session::session_text::{RegionTable, SessionText};
 use simod_session::step::Region;
 use std::path::{Path, PathBuf};
-use toml::Spanned;
 
 /// Most methods of a comparison: all their models are read at once, and all pairs of them are compared.
 pub const MAX_METHODS: usize = 32;
@@ -244,7 +244,7 @@ impl CompareFile {
     /// As for [`load`](Self::load).
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let source = SessionText { text, path };
-        let raw: RawCompare = toml::from_str(text).map_err(|e| source.refused(&e))?;
+        let raw: RawCompare = tables::read(text).map_err(|e| source.refused(&e))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let missing = |what: &str, hint: &str| Error::format(format!("{}: {what}", path.display()), hint);
         let model = raw

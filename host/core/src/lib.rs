@@ -24,6 +24,7 @@ pub mod refinement;
 pub mod sampled_model;
 pub mod sampling;
 mod sealed;
+pub mod tables;
 pub mod touching;
 mod varint;
 

@@ -36,6 +36,7 @@ use crate::sampling::triangles::Triangles;
 use crate::sampling::{
     By, Grouping, Opaque, Placement, SampleSet, Sampling, Skip, Splitting, Target, UsualSplat,
 };
+use crate::tables;
 use crate::touching::Contacts;
 
 /// What is written on the first line of `simod.toml`.
@@ -370,7 +371,7 @@ impl Description {
         }
         let text = input::read_text(&file, LONGEST_DESCRIPTION)?;
         let description: Self =
-            toml::from_str(&text).map_err(|e| damaged(folder, &e.message().replace('\n', " ")))?;
+            tables::read(&text).map_err(|e| damaged(folder, &e.message().replace('\n', " ")))?;
         if description.format != FORMAT {
             let what = format!("format is {:?}, not {FORMAT:?}", description.format);
             return Err(damaged(folder, &what));

@@ -30,8 +30,14 @@ pub enum ErrorKind {
 }
 
 /// A failure: one line that says what and where, one that says what to do.
+///
+/// It is one pointer, as results that may be one are moved, and let go, wherever they are passed on. What
+/// makes one is cold, so that the compiler spends little on the code around it.
 #[derive(Debug, Clone)]
-pub struct Error {
+pub struct Error(Box<Failure>);
+
+#[derive(Debug, Clone)]
+struct Failure {
     kind: ErrorKind,
     what: String,
     hint: String,
@@ -41,58 +47,67 @@ pub struct Error {
 
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.what)
+        f.write_str(&self.0.what)
     }
 }
 
 impl std::error::Error for Error {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        self.source.as_deref().map(|source| source as _)
+        self.0.source.as_deref().map(|source| source as _)
     }
 }
 
 impl Error {
     /// A failure of the given kind; `what` names the thing and the place, `hint` what to do.
+    #[cold]
     pub fn new(kind: ErrorKind, what: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self { kind, what: what.into(), hint: hint.into(), source: None }
+        Self(Box::new(Failure { kind, what: what.into(), hint: hint.into(), source: None }))
     }
 
     /// A value of the user's that is out of range, unknown or of another type.
+    #[cold]
     pub fn argument(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(ErrorKind::Argument, what, hint)
     }
 
     /// Content that is not what its format, or its own header, says.
+    #[cold]
     pub fn format(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(ErrorKind::Format, what, hint)
     }
 
     /// Files that belong together and do not fit.
+    #[cold]
     pub fn mismatch(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(ErrorKind::Mismatch, what, hint)
     }
 
     /// Content that is well-formed, and with which nothing can be done.
+    #[cold]
     pub fn degenerate(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(ErrorKind::Degenerate, what, hint)
     }
 
     /// A plugin that is missing, cannot be loaded, or failed.
+    #[cold]
     pub fn plugin(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(ErrorKind::Plugin, what, hint)
     }
 
     /// What the operating system refused, other than [reading or writing a file](Self::io).
+    #[cold]
     pub fn system(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(ErrorKind::Io, what, hint)
     }
 
     /// A mistake in this program, which users are asked to report.
+    #[cold]
     pub fn internal(what: impl Into<String>) -> Self {
         Self::new(ErrorKind::Internal, what, "this is a mistake in the program: please report it")
     }
 
     /// What is made by this program and no format can hold, which is a mistake in it.
+    #[cold]
     pub fn unwritable(
         what: impl fmt::Display,
         source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
@@ -102,27 +117,35 @@ impl Error {
     }
 
     /// A file that somebody changed at the same time.
+    #[cold]
     pub fn changed_while_read(path: &Path) -> Self {
         let hint = "wait until the program that writes it is done, then try again";
         Self::mismatch(format!("{} changed while it was read", path.display()), hint)
     }
 
     /// The same, and what it came of.
-    pub fn because(self, source: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
-        Self { source: Some(source.into().into()), ..self }
+    #[cold]
+    pub fn because(mut self, source: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+        self.0.source = Some(source.into().into());
+        self
     }
 
     /// The same failure, in other words.
-    pub fn saying(self, what: impl Into<String>) -> Self {
-        Self { what: what.into(), ..self }
+    #[cold]
+    pub fn saying(mut self, what: impl Into<String>) -> Self {
+        self.0.what = what.into();
+        self
     }
 
     /// The same failure, with something else to do about it.
-    pub fn hinting(self, hint: impl Into<String>) -> Self {
-        Self { hint: hint.into(), ..self }
+    #[cold]
+    pub fn hinting(mut self, hint: impl Into<String>) -> Self {
+        self.0.hint = hint.into();
+        self
     }
 
     /// A refused file operation: `action` completes "cannot …", as in "cannot read x.ply: permission denied".
+    #[cold]
     pub fn io(action: &str, path: &Path, source: &std::io::Error) -> Self {
         use std::io::ErrorKind as K;
         let hint = match source.kind() {
@@ -145,18 +168,19 @@ impl Error {
     }
 
     /// The user asked to stop.
+    #[cold]
     pub fn cancelled() -> Self {
         Self::new(ErrorKind::Cancelled, "cancelled", "nothing is left half done; start again when you like")
     }
 
     /// What sort of failure it was.
     pub fn kind(&self) -> ErrorKind {
-        self.kind
+        self.0.kind
     }
 
     /// What to do about it: one line, no full stop.
     pub fn hint(&self) -> &str {
-        &self.hint
+        &self.0.hint
     }
 }
 

@@ -7,12 +7,12 @@ use crate::shapes::Shape;
 use crate::side_file;
 use crate::step::{Joint, Origin, Role, Stroke};
 use serde::{Deserialize, Serialize};
+use simod_core::tables::Spanned;
 use simod_model::follow::Kind;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
-use toml::Spanned;
 
 /// What is written, which has no place in a file yet.
 pub(crate) fn placeless<T>(value: T) -> Spanned<T> {

@@ -11,11 +11,11 @@ use crate::step::{
 };
 use crate::strokes_file;
 use simod_core::refinement::Finer;
+use simod_core::tables::{self, Spanned};
 use simod_model::{Error, Result, input, object};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use toml::Spanned;
 
 impl SessionFile {
     /// Reads a session; its paths are relative to the file's folder.
@@ -27,7 +27,7 @@ impl SessionFile {
     /// Reads a session from its text; `path` is where it came from.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let source = SessionText { text, path };
-        let table: SessionTable = toml::from_str(text).map_err(|e| source.refused(&e))?;
+        let table: SessionTable = tables::read(text).map_err(|e| source.refused(&e))?;
         source.check_version(&table)?;
         let folder = source.folder();
         let (model, tiles, columns, fingerprint) = match table.model {
@@ -87,7 +87,7 @@ impl SessionText<'_> {
     }
 
     /// The parser's complaint on one line, with the line of the file that it is about.
-    pub fn refused(&self, error: &toml::de::Error) -> Error {
+    pub fn refused(&self, error: &tables::Refusal) -> Error {
         let message = error.message().lines().collect::<Vec<_>>().join("; ");
         let Some(span) = error.span() else {
             let what = format!("{}: {message}", self.path.display());

@@ -14,10 +14,10 @@ use crate::step::{Action, Deformation, HandleMove, Refine, Region, Step};
 use crate::strokes_file;
 use simod_core::refinement::Finer;
 use simod_core::sampled_model::relative;
+use simod_core::tables::Spanned;
 use simod_model::target::folder_of;
 use simod_model::{Error, Result, matching, output};
 use std::path::{Path, PathBuf};
-use toml::Spanned;
 use toml_edit::{DocumentMut, Item, Table};
 
 impl SessionFile {

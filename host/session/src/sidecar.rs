@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
+use simod_core::tables;
 use simod_model::follow::{Follow, Kind};
 use simod_model::{Model, Result};
 
@@ -40,7 +41,7 @@ pub fn follow(model: &mut dyn Model, asked: &Follow) -> Result<Follow> {
     let hint = "write follow = { tangent = \"direction\" } there, or remove it";
     let text = read_text(&path, "declaration of what follows", hint)?;
     let source = SessionText { text: &text, path: &path };
-    let declared: Sidecar = toml::from_str(&text).map_err(|e| source.refused(&e))?;
+    let declared: Sidecar = tables::read(&text).map_err(|e| source.refused(&e))?;
     let follow = asked.clone().or_declared(&declared.follow);
     match model.follow(&follow) {
         Ok(()) => Ok(follow),

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use simod_core::tables;
 use simod_model::{Error, Result, input};
 
 /// The plan itself.
@@ -145,7 +146,7 @@ pub fn read<P: Planned>(folder: &Path) -> Result<P> {
         ));
     }
     let text = input::read_text(&file, LONGEST)?;
-    let plan: P = toml::from_str(&text).map_err(|e| wrong(e.message().replace('\n', " ")))?;
+    let plan: P = tables::read(&text).map_err(|e| wrong(e.message().replace('\n', " ")))?;
     let [format, program] = plan.head();
     if format != P::FORMAT {
         return Err(wrong(format!("format is {format:?}, not {:?}", P::FORMAT)));

@@ -4,7 +4,8 @@
 
 use object::read::macho::{FatArch, MachOFatFile32, MachOFatFile64};
 use object::{
-    Architecture, BinaryFormat, File, FileKind, Object, ObjectSegment, ObjectSymbol, ReadCache, ReadRef,
+    Architecture, BinaryFormat, File, FileKind, Object, ObjectSegment, ObjectSymbol, ReadCache, ReadCacheOps,
+    ReadRef,
 };
 use simod_model::{Error, Result, input};
 use std::path::Path;
@@ -57,7 +58,7 @@ pub(super) fn kind(path: &Path) -> Result<Kind> {
 /// one that begins that. One that aborts has the others alone, by which it finds out where it was.
 pub fn aborts_on_panic(path: &Path) -> Option<bool> {
     let cache = ReadCache::new(std::fs::File::open(path).ok()?);
-    let file = File::parse(&cache).ok()?;
+    let file = File::parse(cache.range(0, cache.len().ok()?)).ok()?;
     let has =
         |symbol: &[u8]| file.dynamic_symbols().any(|s| s.is_undefined() && s.name_bytes() == Ok(symbol));
     let is_rust = file.exports().ok()?.iter().any(|e| e.name() == SYMBOLS[0].0.as_bytes());
@@ -67,29 +68,29 @@ pub fn aborts_on_panic(path: &Path) -> Option<bool> {
 }
 
 /// The format of a library, and what kind of plugin it is, if any; nothing if something is missing.
-fn contents<'a, R: ReadRef<'a>>(data: R, format: FileKind) -> Option<(BinaryFormat, Option<Kind>)> {
-    match format {
+fn contents(data: &ReadCache<impl ReadCacheOps>, format: FileKind) -> Option<(BinaryFormat, Option<Kind>)> {
+    let all = data.len().ok()?;
+    let ours = match format {
         // macOS has libraries for several processors in one file.
-        FileKind::MachOFat32 => contents_of_arch(data, MachOFatFile32::parse(data).ok()?.arches()),
-        FileKind::MachOFat64 => contents_of_arch(data, MachOFatFile64::parse(data).ok()?.arches()),
-        _ => contents_of_one(data),
+        FileKind::MachOFat32 => range_of_ours(MachOFatFile32::parse(data).ok()?.arches()),
+        FileKind::MachOFat64 => range_of_ours(MachOFatFile64::parse(data).ok()?.arches()),
+        _ => Some((0, all)),
+    };
+    // Where there is none for this processor, the dynamic linker knows what to say.
+    let Some((start, length)) = ours else { return Some((BinaryFormat::MachO, Some(Kind::C))) };
+    if start.checked_add(length)? > all {
+        return None;
     }
+    contents_of_one(data.range(start, length))
 }
 
-/// As [`contents`], of the one for this processor.
-fn contents_of_arch<'a, R: ReadRef<'a>>(
-    data: R,
-    arches: &[impl FatArch],
-) -> Option<(BinaryFormat, Option<Kind>)> {
+/// Where the library for this processor is among several, in bytes: start and length.
+fn range_of_ours(arches: &[impl FatArch]) -> Option<(u64, u64)> {
     let ours = if cfg!(target_arch = "aarch64") { Architecture::Aarch64 } else { Architecture::X86_64 };
-    match arches.iter().find(|arch| arch.architecture() == ours) {
-        Some(arch) => contents_of_one(arch.data(data).ok()?),
-        // The dynamic linker knows what to say.
-        None => Some((BinaryFormat::MachO, Some(Kind::C))),
-    }
+    arches.iter().find(|arch| arch.architecture() == ours).map(FatArch::file_range)
 }
 
-/// As [`contents`], of a file with a single library.
+/// As [`contents`], of a single library.
 fn contents_of_one<'a, R: ReadRef<'a>>(data: R) -> Option<(BinaryFormat, Option<Kind>)> {
     let (file, length) = (File::parse(data).ok()?, data.len().ok()?);
     let is_there = |(start, size): (u64, u64)| start.checked_add(size).is_some_and(|end| end <= length);
@@ -107,6 +108,7 @@ fn contents_of_one<'a, R: ReadRef<'a>>(data: R) -> Option<(BinaryFormat, Option<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::io::Cursor;
 
     const ARM: u32 = 0x0100_000c;
     const INTEL: u32 = 0x0100_0007;
@@ -138,7 +140,7 @@ mod tests {
     }
 
     fn look_at(bytes: &[u8]) -> Option<(BinaryFormat, Option<Kind>)> {
-        contents(bytes, FileKind::parse(bytes).unwrap())
+        contents(&ReadCache::new(Cursor::new(bytes)), FileKind::parse(bytes).unwrap())
     }
 
     #[test]

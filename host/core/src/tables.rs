@@ -1,0 +1,632 @@
+//! Tables of TOML read into whatever serde derives reading for, with the values and complaints of the crate
+//! `toml`, which parses them.
+//!
+//! That crate has a deserializer for tables, and others for what is told with its place, for keys, names and
+//! dates: what is derived is compiled for each of them. Here is one for all, so that it is compiled once.
+
+use serde::de::{
+    DeserializeOwned, DeserializeSeed, EnumAccess, Error as _, IgnoredAny, MapAccess, SeqAccess, Unexpected,
+    VariantAccess, Visitor,
+};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, forward_to_deserialize_any};
+use std::borrow::{Borrow, Cow};
+use std::cmp::Ordering;
+use std::fmt;
+use std::marker::PhantomData;
+use std::ops::Range;
+use toml::Spanned as Placed;
+use toml::de::{DeTable, DeValue};
+use toml::value::Datetime;
+
+/// Why a text is no such table: what is wrong, and the bytes that it is about, where that is known.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refusal {
+    message: String,
+    span: Option<Range<usize>>,
+}
+
+impl Refusal {
+    fn new(message: impl Into<String>) -> Self {
+        Self { message: message.into(), span: None }
+    }
+
+    /// What is wrong; it may have several lines.
+    pub fn message(&self) -> &str {
+        &self.message
+    }
+
+    /// Where in the text, in bytes.
+    pub fn span(&self) -> Option<Range<usize>> {
+        self.span.clone()
+    }
+
+    /// The same, about that place unless it is about one within.
+    fn at(self, span: Option<&Range<usize>>) -> Self {
+        Self { span: self.span.or_else(|| span.cloned()), ..self }
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for Refusal {}
+
+impl serde::de::Error for Refusal {
+    fn custom<T: fmt::Display>(message: T) -> Self {
+        Self::new(message.to_string())
+    }
+}
+
+/// What a text of TOML says.
+///
+/// # Errors
+/// It is no TOML, or another table: what is wrong, and where.
+pub fn read<T: DeserializeOwned>(text: &str) -> Result<T, Refusal> {
+    let table =
+        DeTable::parse(text).map_err(|e| Refusal { message: e.message().to_owned(), span: e.span() })?;
+    T::deserialize(Node { what: What::Table(table.get_ref()), span: None })
+}
+
+/// A value with the bytes of the text that it stands at, if [`read`] reads it. It is compared by its value.
+#[derive(Debug, Clone, Default)]
+pub struct Spanned<T> {
+    span: Range<usize>,
+    value: T,
+}
+
+impl<T> Spanned<T> {
+    /// A value at a place.
+    pub fn new(span: Range<usize>, value: T) -> Self {
+        Self { span, value }
+    }
+
+    /// Where in the text, in bytes.
+    pub fn span(&self) -> Range<usize> {
+        self.span.clone()
+    }
+
+    /// The value.
+    pub fn get_ref(&self) -> &T {
+        &self.value
+    }
+
+    /// The value, without its place.
+    pub fn into_inner(self) -> T {
+        self.value
+    }
+}
+
+impl<T: PartialEq> PartialEq for Spanned<T> {
+    fn eq(&self, other: &Self) -> bool {
+        self.value == other.value
+    }
+}
+
+impl<T: Eq> Eq for Spanned<T> {}
+
+impl<T: Ord> PartialOrd for Spanned<T> {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl<T: Ord> Ord for Spanned<T> {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.value.cmp(&other.value)
+    }
+}
+
+impl Borrow<str> for Spanned<String> {
+    fn borrow(&self) -> &str {
+        &self.value
+    }
+}
+
+/// The name by which [`Spanned`] asks for a place.
+const SPANNED: &str = "simod::Spanned";
+/// The only key of the table that a date is to serde, as [`toml::Value`] expects it.
+const DATE: &str = "$__toml_private_datetime";
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Spanned<T> {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Seen<T>(PhantomData<T>);
+
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for Seen<T> {
+            type Value = Spanned<T>;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a spanned value")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut parts: A) -> Result<Self::Value, A::Error> {
+                let missing = || A::Error::custom("value is missing a span");
+                let (_, start) = parts.next_entry::<IgnoredAny, usize>()?.ok_or_else(missing)?;
+                let (_, end) = parts.next_entry::<IgnoredAny, usize>()?.ok_or_else(missing)?;
+                let (_, value) = parts.next_entry::<IgnoredAny, T>()?.ok_or_else(missing)?;
+                Ok(Spanned { span: start..end, value })
+            }
+        }
+
+        from.deserialize_struct(SPANNED, &[], Seen(PhantomData))
+    }
+}
+
+impl<T: Serialize> Serialize for Spanned<T> {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        self.value.serialize(to)
+    }
+}
+
+/// Part of a text that is read, and where it stands. The whole has no place.
+#[derive(Clone)]
+struct Node<'a> {
+    what: What<'a>,
+    span: Option<Range<usize>>,
+}
+
+#[derive(Clone, Copy)]
+enum What<'a> {
+    Value(&'a DeValue<'a>),
+    Table(&'a DeTable<'a>),
+    /// A key, or the name of a variant.
+    Name(&'a str),
+    /// An end of a place.
+    Byte(usize),
+    Date(&'a Datetime),
+}
+
+/// What it is to serde.
+enum Plain<'a> {
+    Text(&'a str),
+    Date(String),
+    Integer(i64),
+    /// Of integers, what is left of those with a sign.
+    Unsigned(u64),
+    /// Of integers, those that none here holds.
+    Other(String),
+    Float(f64),
+    Bool(bool),
+    List(Elements<'a>),
+    Table(Entries<'a>),
+}
+
+impl<'a> Node<'a> {
+    fn of(value: &'a Placed<DeValue<'a>>) -> Self {
+        Self { what: What::Value(value.get_ref()), span: Some(value.span()) }
+    }
+
+    fn name(name: &'a str, span: Option<Range<usize>>) -> Self {
+        Self { what: What::Name(name), span }
+    }
+
+    fn byte(byte: usize) -> Self {
+        Self { what: What::Byte(byte), span: None }
+    }
+
+    fn table(&self) -> Option<&'a DeTable<'a>> {
+        match self.what {
+            What::Table(table) | What::Value(DeValue::Table(table)) => Some(table),
+            _ => None,
+        }
+    }
+
+    fn plain(&self) -> Result<Plain<'a>, Refusal> {
+        let value = match self.what {
+            What::Value(value) => value,
+            What::Table(table) => return Ok(Plain::Table(Entries::of_table(table))),
+            What::Name(name) => return Ok(Plain::Text(name)),
+            What::Byte(byte) => return Ok(Plain::Unsigned(byte as u64)),
+            What::Date(date) => return Ok(Plain::Date(date.to_string())),
+        };
+        Ok(match value {
+            DeValue::String(text) => Plain::Text(text),
+            DeValue::Integer(number) => return integer(number.as_str(), number.radix()),
+            DeValue::Float(number) => match number.as_str().parse::<f64>() {
+                Ok(float) if float.is_finite() || float.is_nan() || number.as_str().contains("inf") => {
+                    Plain::Float(float)
+                }
+                _ => return Err(Refusal::new("floating-point number overflowed")),
+            },
+            DeValue::Boolean(value) => Plain::Bool(*value),
+            DeValue::Datetime(date) => Plain::Table(Entries::of_date(date)),
+            DeValue::Array(array) => Plain::List(Elements(array.iter())),
+            DeValue::Table(table) => Plain::Table(Entries::of_table(table)),
+        })
+    }
+
+    /// The variant of an enumeration: a name, or a table with it as its only key.
+    fn variant(&self) -> Result<Variant<'a>, Refusal> {
+        if let What::Value(DeValue::String(name)) = self.what {
+            return Ok(Variant { name: Node::name(name, self.span.clone()), content: None });
+        }
+        let Some(table) = self.table() else { return Err(Refusal::new("wanted string or table")) };
+        let mut entries = table.iter();
+        match (entries.next(), entries.next()) {
+            (None, _) => Err(Refusal::new("wanted exactly 1 element, found 0 elements")),
+            (Some(_), Some(_)) => Err(Refusal::new("wanted exactly 1 element, more than 1 element")),
+            (Some((name, content)), None) => Ok(Variant {
+                name: Node::name(name.get_ref(), Some(name.span())),
+                content: Some(Node::of(content)),
+            }),
+        }
+    }
+
+    /// A variant's table has no other keys than its fields.
+    fn check_keys(&self, fields: &[&str]) -> Result<(), Refusal> {
+        let Some(table) = self.table() else { return Ok(()) };
+        let extra: Vec<_> = table.keys().filter(|key| !fields.contains(&key.get_ref().as_ref())).collect();
+        let Some(first) = extra.first() else { return Ok(()) };
+        let names: Vec<&str> = extra.iter().map(|key| key.get_ref().as_ref()).collect();
+        let (names, fields) = (names.join(", "), fields.join(", "));
+        Err(Refusal::new(format!("unexpected keys in table: {names}, available keys: {fields}"))
+            .at(Some(&first.span())))
+    }
+}
+
+fn integer<'a>(digits: &str, radix: u32) -> Result<Plain<'a>, Refusal> {
+    let signed = i64::from_str_radix(digits, radix).map(Plain::Integer);
+    let unsigned = || u64::from_str_radix(digits, radix).map(Plain::Unsigned);
+    let long = || i128::from_str_radix(digits, radix).map(|n| Plain::Other(format!("integer `{n}` as i128")));
+    let longer =
+        || u128::from_str_radix(digits, radix).map(|n| Plain::Other(format!("integer `{n}` as u128")));
+    let read = signed.or_else(|_| unsigned()).or_else(|_| long()).or_else(|_| longer());
+    read.map_err(|_| Refusal::new("integer number overflowed"))
+}
+
+impl<'a> Deserializer<'a> for Node<'a> {
+    type Error = Refusal;
+
+    fn deserialize_any<V: Visitor<'a>>(self, visitor: V) -> Result<V::Value, Refusal> {
+        let read = self.plain().and_then(|plain| match plain {
+            Plain::Text(text) => visitor.visit_str(text),
+            Plain::Date(date) => visitor.visit_str(&date),
+            Plain::Integer(number) => visitor.visit_i64(number),
+            Plain::Unsigned(number) => visitor.visit_u64(number),
+            Plain::Other(number) => Err(Refusal::invalid_type(Unexpected::Other(&number), &visitor)),
+            Plain::Float(number) => visitor.visit_f64(number),
+            Plain::Bool(value) => visitor.visit_bool(value),
+            Plain::List(list) => visitor.visit_seq(list),
+            Plain::Table(table) => visitor.visit_map(table),
+        });
+        read.map_err(|e| e.at(self.span.as_ref()))
+    }
+
+    fn deserialize_option<V: Visitor<'a>>(self, visitor: V) -> Result<V::Value, Refusal> {
+        let span = self.span.clone();
+        visitor.visit_some(self).map_err(|e| e.at(span.as_ref()))
+    }
+
+    fn deserialize_newtype_struct<V: Visitor<'a>>(
+        self,
+        _: &'static str,
+        visitor: V,
+    ) -> Result<V::Value, Refusal> {
+        let span = self.span.clone();
+        visitor.visit_newtype_struct(self).map_err(|e| e.at(span.as_ref()))
+    }
+
+    fn deserialize_struct<V: Visitor<'a>>(
+        self,
+        name: &'static str,
+        _: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Refusal> {
+        match &self.span {
+            Some(span) if name == SPANNED => visitor.visit_map(Entries::of_place(span.clone(), self)),
+            _ => self.deserialize_any(visitor),
+        }
+    }
+
+    fn deserialize_enum<V: Visitor<'a>>(
+        self,
+        _: &'static str,
+        _: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Refusal> {
+        self.variant().and_then(|variant| visitor.visit_enum(variant)).map_err(|e| e.at(self.span.as_ref()))
+    }
+
+    forward_to_deserialize_any! { <V: Visitor<'a>>
+        bool u8 u16 u32 u64 u128 i8 i16 i32 i64 i128 f32 f64 char str string seq bytes byte_buf map unit
+        ignored_any unit_struct tuple_struct tuple identifier
+    }
+}
+
+/// The elements of an array.
+struct Elements<'a>(std::slice::Iter<'a, Placed<DeValue<'a>>>);
+
+impl<'a> SeqAccess<'a> for Elements<'a> {
+    type Error = Refusal;
+
+    fn next_element_seed<T: DeserializeSeed<'a>>(&mut self, seed: T) -> Result<Option<T::Value>, Refusal> {
+        self.0.next().map(|value| seed.deserialize(Node::of(value))).transpose()
+    }
+
+    fn size_hint(&self) -> Option<usize> {
+        Some(self.0.len())
+    }
+}
+
+/// Keys and values: of a table, of a value with its place, or of a date.
+struct Entries<'a> {
+    left: std::vec::IntoIter<(Node<'a>, Node<'a>)>,
+    value: Option<Node<'a>>,
+}
+
+impl<'a> Entries<'a> {
+    fn new(all: Vec<(Node<'a>, Node<'a>)>) -> Self {
+        Self { left: all.into_iter(), value: None }
+    }
+
+    fn of_table(table: &'a DeTable<'a>) -> Self {
+        let entry = |(key, value): (&'a Placed<Cow<'a, str>>, _)| {
+            (Node::name(key.get_ref(), Some(key.span())), Node::of(value))
+        };
+        Self::new(table.iter().map(entry).collect())
+    }
+
+    fn of_place(span: Range<usize>, value: Node<'a>) -> Self {
+        let parts = [("start", Node::byte(span.start)), ("end", Node::byte(span.end)), ("value", value)];
+        Self::new(parts.map(|(name, part)| (Node::name(name, None), part)).into())
+    }
+
+    fn of_date(date: &'a Datetime) -> Self {
+        Self::new(vec![(Node::name(DATE, None), Node { what: What::Date(date), span: None })])
+    }
+}
+
+impl<'a> MapAccess<'a> for Entries<'a> {
+    type Error = Refusal;
+
+    fn next_key_seed<K: DeserializeSeed<'a>>(&mut self, seed: K) -> Result<Option<K::Value>, Refusal> {
+        let Some((key, value)) = self.left.next() else { return Ok(None) };
+        self.value = Some(value);
+        let span = key.span.clone();
+        seed.deserialize(key).map(Some).map_err(|e| e.at(span.as_ref()))
+    }
+
+    fn next_value_seed<V: DeserializeSeed<'a>>(&mut self, seed: V) -> Result<V::Value, Refusal> {
+        let value = self.value.take().ok_or_else(|| Refusal::new("a value is read before its key"))?;
+        let span = value.span.clone();
+        seed.deserialize(value).map_err(|e| e.at(span.as_ref()))
+    }
+
+    fn size_hint(&self) -> Option<usize> {
+        Some(self.left.len())
+    }
+}
+
+/// A variant of an enumeration, with what it holds if it is more than a name.
+struct Variant<'a> {
+    name: Node<'a>,
+    content: Option<Node<'a>>,
+}
+
+impl<'a> Variant<'a> {
+    fn content(self, expected: &str) -> Result<Node<'a>, Refusal> {
+        self.content.ok_or_else(|| Refusal::invalid_type(Unexpected::UnitVariant, &expected))
+    }
+}
+
+impl<'a> EnumAccess<'a> for Variant<'a> {
+    type Error = Refusal;
+    type Variant = Self;
+
+    fn variant_seed<V: DeserializeSeed<'a>>(self, seed: V) -> Result<(V::Value, Self), Refusal> {
+        let name = self.name.clone();
+        let variant = seed.deserialize(name).map_err(|e| e.at(self.name.span.as_ref()))?;
+        Ok((variant, self))
+    }
+}
+
+impl<'a> VariantAccess<'a> for Variant<'a> {
+    type Error = Refusal;
+
+    fn unit_variant(self) -> Result<(), Refusal> {
+        let Some(Node { what, span }) = self.content else { return Ok(()) };
+        let wrong = match what {
+            What::Value(DeValue::Array(array)) if array.is_empty() => return Ok(()),
+            What::Value(DeValue::Table(table)) if table.is_empty() => return Ok(()),
+            What::Value(DeValue::Array(_)) => "expected empty array".to_owned(),
+            What::Value(value) if !value.is_table() => format!("expected table, found {}", value.type_str()),
+            _ => "expected empty table".to_owned(),
+        };
+        Err(Refusal::new(wrong).at(span.as_ref()))
+    }
+
+    fn newtype_variant_seed<T: DeserializeSeed<'a>>(self, seed: T) -> Result<T::Value, Refusal> {
+        seed.deserialize(self.content("newtype variant")?)
+    }
+
+    fn tuple_variant<V: Visitor<'a>>(self, count: usize, visitor: V) -> Result<V::Value, Refusal> {
+        let content = self.content("tuple variant")?;
+        match content.what {
+            What::Value(DeValue::Array(array)) if array.len() == count => content.deserialize_any(visitor),
+            _ => Err(Refusal::new(format!("expected tuple with length {count}")).at(content.span.as_ref())),
+        }
+    }
+
+    fn struct_variant<V: Visitor<'a>>(
+        self,
+        fields: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Refusal> {
+        let content = self.content("struct variant")?;
+        content.check_keys(fields).map_err(|e| e.at(content.span.as_ref()))?;
+        content.deserialize_any(visitor)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    #[derive(Debug, Deserialize, PartialEq)]
+    #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+    struct Everything {
+        text: Option<String>,
+        count: Option<u32>,
+        long: Option<i64>,
+        size: Option<f64>,
+        on: Option<bool>,
+        axis: Option<[f64; 3]>,
+        names: Option<Names>,
+        role: Option<Role>,
+        shape: Option<Shape>,
+        #[serde(default)]
+        inner: Vec<Inner>,
+        #[serde(default)]
+        params: BTreeMap<String, toml::Value>,
+        exact: Option<Exact>,
+    }
+
+    #[derive(Debug, Deserialize, PartialEq)]
+    #[serde(untagged)]
+    enum Names {
+        One(String),
+        Several(Vec<String>),
+    }
+
+    #[derive(Debug, Deserialize, PartialEq)]
+    #[serde(rename_all = "kebab-case")]
+    enum Role {
+        Fixed,
+        Handle,
+    }
+
+    #[derive(Debug, Deserialize, PartialEq)]
+    #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+    enum Shape {
+        Ball { center: [f64; 3], radius: f64 },
+        Points(Vec<f64>),
+        Pair(f64, f64),
+        All,
+    }
+
+    #[derive(Debug, Deserialize, PartialEq)]
+    #[serde(deny_unknown_fields)]
+    struct Inner {
+        name: String,
+        more: Option<Box<Inner>>,
+    }
+
+    #[derive(Debug, Deserialize, PartialEq)]
+    struct Exact(#[serde(deserialize_with = "two")] Vec<f64>);
+
+    fn two<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<f64>, D::Error> {
+        let numbers = Vec::<f64>::deserialize(from)?;
+        if numbers.len() == 2 { Ok(numbers) } else { Err(D::Error::custom("expected two numbers")) }
+    }
+
+    const VALUES: [&str; 42] = [
+        "3",
+        "-3",
+        "0x10",
+        "1_000",
+        "9223372036854775808",
+        "-9223372036854775809",
+        "340282366920938463463374607431768211455",
+        "999999999999999999999999999999999999999999",
+        "3.5",
+        "1e400",
+        "-inf",
+        "nan",
+        "true",
+        "'text'",
+        "\"te\\u0078t\"",
+        "'fixed'",
+        "'all'",
+        "'ball'",
+        "'points'",
+        "'pair'",
+        "1979-05-27",
+        "1979-05-27T07:32:00Z",
+        "[]",
+        "[1, 2]",
+        "[1, 2, 3.5]",
+        "[1, 'x', 2]",
+        "['a', 'b']",
+        "{}",
+        "{ all = {} }",
+        "{ all = [] }",
+        "{ all = [1] }",
+        "{ all = { x = 1 } }",
+        "{ all = 3 }",
+        "{ ball = { center = [0, 0, 0], radius = 1 } }",
+        "{ ball = { center = [0, 0], radius = 1 } }",
+        "{ ball = { center = [0, 0, 0], radius = 'x', y = 1 } }",
+        "{ ball = { center = [0, 0, 0] } }",
+        "{ points = [1, 2, true] }",
+        "{ pair = [1, 2] }",
+        "{ pair = [1] }",
+        "{ fixed = {}, handle = {} }",
+        "{ name = 'x', more = { name = 3 } }",
+    ];
+
+    const KEYS: [&str; 14] = [
+        "text", "count", "long", "size", "on", "axis", "names", "role", "shape", "inner", "params", "exact",
+        "other", "params.x",
+    ];
+
+    /// Every value below every key, alone and in a list, and texts that are no TOML.
+    fn texts() -> impl Iterator<Item = String> {
+        let of_key =
+            |key| VALUES.map(|value| [format!("# é\n{key} = {value}\n"), format!("{key} = [{value}]")]);
+        let tables =
+            ["", "[[inner]]\nname = 'x'\n[[inner]]\n", "[inner]\n", "a = ", "text = 'x'\ntext = 'y'"];
+        let tables = tables.into_iter().map(str::to_owned);
+        KEYS.into_iter().flat_map(of_key).flatten().chain(tables)
+    }
+
+    #[test]
+    fn what_is_read_and_what_is_refused_is_as_toml_has_it() {
+        let (mut read_well, mut refused) = (0, 0);
+        for text in texts() {
+            let theirs = toml::from_str::<Everything>(&text);
+            match (read::<Everything>(&text), theirs) {
+                (Ok(ours), Ok(theirs)) => {
+                    read_well += 1;
+                    // Not a number is equal to nothing.
+                    assert!(ours == theirs || format!("{ours:?}") == format!("{theirs:?}"), "{text}");
+                }
+                (Err(ours), Err(theirs)) => {
+                    refused += 1;
+                    assert_eq!((ours.message(), ours.span()), (theirs.message(), theirs.span()), "{text}");
+                }
+                (ours, theirs) => panic!("{text}: {ours:?}, {theirs:?}"),
+            }
+        }
+        assert!(read_well > 100 && refused > 500, "{read_well}, {refused}");
+    }
+
+    /// The same with places, which only one reading knows.
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Places<Text: Ord, Numbers> {
+        params: BTreeMap<Text, Numbers>,
+    }
+
+    #[test]
+    fn places_are_as_toml_has_them() {
+        type Ours = Places<Spanned<String>, Spanned<Vec<Spanned<f64>>>>;
+        type Theirs = Places<Placed<String>, Placed<Vec<Placed<f64>>>>;
+        let text = "[params]\nx = [1.5, 2.5]\n'ä y' = [ ]\n";
+        let (ours, theirs) = (read::<Ours>(text).unwrap(), toml::from_str::<Theirs>(text).unwrap());
+        assert_eq!(ours.params.len(), 2);
+        for ((key, numbers), (their_key, theirs)) in ours.params.iter().zip(&theirs.params) {
+            assert_eq!((key.get_ref(), key.span()), (their_key.get_ref(), their_key.span()));
+            assert_eq!(numbers.span(), theirs.span());
+            let ours = numbers.get_ref().iter().map(|n| (*n.get_ref(), n.span()));
+            assert!(ours.eq(theirs.get_ref().iter().map(|n| (*n.get_ref(), n.span()))));
+        }
+        for text in ["[params]\nx = 3", "[params]\nx = [1.5, 'y']", "params.x = [[1.0]]", "params = 1"] {
+            let (ours, theirs) =
+                (read::<Ours>(text).unwrap_err(), toml::from_str::<Theirs>(text).unwrap_err());
+            assert_eq!((ours.message(), ours.span()), (theirs.message(), theirs.span()), "{text}");
+        }
+    }
+}
