@@ -57,8 +57,8 @@ pub struct Members<'a> {
 }
 
 /// Moves the samples nearer to the vertices, but for those that are `held`; `first` says where the vertices
-/// have placed them. Depends neither on
-/// the number of threads, nor on the width of vectors, nor on the order of the vertices.
+/// have placed them. Depends neither on the number of threads, nor on the width of vectors, nor on the order
+/// of the vertices.
 ///
 /// Memory: 84 bytes for each triangle, and 64 per sample; 1.3 MiB, and 64 KiB for each thread.
 ///
@@ -176,6 +176,7 @@ impl<'a> Surface<'a> {
         let every = (members.vertices.len() / (ENOUGH * self.samples.len().max(1))).max(1);
         let looked_at = u32::MAX / every as u32;
         let (mut last, mut next) = (Vec::new(), Vec::new());
+        progress.begin_parts("fitting the samples", members.vertices.len() as u64);
         for begin in (0..members.vertices.len()).step_by(BLOCK) {
             progress.check()?;
             let end = members.vertices.len().min(begin + BLOCK);
@@ -185,6 +186,7 @@ impl<'a> Surface<'a> {
             };
             rayon::join(|| add(&mut moments, &last, per), || self.find(members, looked_at, &mut next));
             std::mem::swap(&mut last, &mut next);
+            progress.advance(members.vertices.len() as u64);
         }
         add(&mut moments, &last, per);
         Ok(moments)
