@@ -1,5 +1,5 @@
-//! Tables of TOML read into whatever serde derives reading for, with the values and complaints of the crate
-//! `toml`, which parses them.
+//! Tables of TOML read into what serde derives reading for, with the values and complaints of the crate
+//! `toml`, which parses them; but no tables as tuples, and no keys as numbers, which nobody here asks for.
 //!
 //! That crate has a deserializer for tables, and others for what is told with its place, for keys, names and
 //! dates: what is derived is compiled for each of them. Here is one for all, so that it is compiled once.

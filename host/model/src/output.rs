@@ -1,7 +1,8 @@
 //! Files that appear whole or not at all.
 //!
 //! Whatever the program writes goes to a hidden file beside the target first, which takes the target's name
-//! only when it is complete and on the disk. Killed at any moment, the program leaves the old file or the new
+//! only when it is complete and on the disk; caches, which know whether they are damaged and are made anew,
+//! when they are complete. Killed at any moment, the program leaves the old file or the new
 //! one (and perhaps the hidden one, `.simod-NAME.part`, which the next call to the same target removes:
 //! `claim`). Models, which take long, are written in parts (`resumable`).
 

@@ -42,8 +42,8 @@ impl Balls {
 /// The supports that reach where each sample is the home: the entries of its list begin and end at a place,
 /// and what lies between two lists is of no meaning.
 ///
-/// Memory: 8 bytes for each sample that may reach a home; as long as it is found, 24 for each sample besides,
-/// and 12 for each that is a neighbour of another which is none of its own.
+/// Memory: 8 bytes for each sample that may reach a home, and 8 for each sample; as long as it is found, 32
+/// for each sample besides, and 24 for each that is a neighbour of another which is none of its own.
 pub struct Lists {
     pub starts: Vec<u32>,
     pub ends: Vec<u32>,

@@ -493,7 +493,8 @@ impl<'a> FacePart<'a> {
             if count > 0 { Some(self.divided.samples_of(self.cut, files, span.clone())?) } else { None };
         let sample_of: &[u32] = sample_of.as_ref().map_or(&[], |map| cast_slice(map));
         let places = sampling.placement == Placement::Faces;
-        let vertices = if places && count > 0 { Some(prepared.positions(sample_of, span)?) } else { None };
+        let vertices =
+            if places && count > 0 { Some(prepared.positions(sample_of, span, &|_| ())?) } else { None };
         let vertices: &[Vec3] = vertices.as_ref().map_or(&[], |map| cast_slice(map));
 
         let (triangles, samples) = (finds_triangles(sampling), cut.samples());
@@ -647,8 +648,9 @@ impl Divided<'_> {
 }
 
 impl Prepared<'_> {
-    /// Where some vertices are, in local coordinates; nowhere those that have no sample.
-    fn positions(&self, sample_of: &[u32], vertices: Range<u64>) -> Result<Mmap> {
+    /// Where some vertices are, in local coordinates; nowhere those that have no sample. Calls `done` with
+    /// how many more it has read.
+    fn positions(&self, sample_of: &[u32], vertices: Range<u64>, done: &dyn Fn(u64)) -> Result<Mmap> {
         let scratch = Scratch::new(self.folder, ADVICE)?;
         let mut reader = self.model.vertices(vertices)?;
         reader.set_chunk(SMALL_CHUNK);
@@ -664,6 +666,7 @@ impl Prepared<'_> {
             local.extend(chunk.positions.iter().zip(samples.by_ref()).map(|both| place(both, &self.frame)));
             scratch.write_at(cast_slice(&local), at)?;
             at += size_of_val(&local[..]) as u64;
+            done(local.len() as u64);
         }
         if samples.next().is_some() {
             return Err(super::finalization::changed(self.model));
@@ -725,7 +728,13 @@ pub fn complete(
             Some(islands) => reindexed.part_sheets(&read, islands, sample_of, welded)?,
             None => None,
         };
-        let vertices = if places { Some(prepared.positions(sample_of, 0..info.vertices)?) } else { None };
+        let looked_at = places && (changed.is_some() || !reindexed.triangles.triangles.is_empty());
+        let vertices = if looked_at {
+            prepared.progress.begin_parts("reading the vertices", info.vertices);
+            Some(prepared.positions(sample_of, 0..info.vertices, &|more| prepared.progress.advance(more))?)
+        } else {
+            None
+        };
         let vertices: Option<&[Vec3]> = vertices.as_ref().map(|map| cast_slice(map));
         if let (Some(changed), Some(vertices)) = (changed, vertices) {
             reindexed.place_again(&read, sample_of, vertices, &changed)?;

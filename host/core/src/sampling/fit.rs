@@ -29,8 +29,12 @@ const OVER: f32 = 1.6;
 /// the surface where little tells them where to.
 const RIDGE: f64 = 0.1;
 
-/// So many vertices for each sample are looked at, at least: more tell little more.
-const ENOUGH: usize = 16;
+/// So many places of vertices are looked at for each sample, about, if it has as many: more tell little more.
+const ENOUGH: u32 = 16;
+
+/// Vertices whose sample has more triangles are not looked at: each would have to be compared with all of
+/// them.
+const MOST_AROUND: usize = 32;
 
 /// Vertices of which what is found is added up at a time, while the next ones are looked at.
 const BLOCK: usize = 1 << 15;
@@ -54,13 +58,15 @@ pub struct Members<'a> {
     pub vertices: &'a [Vec3],
     /// The sample of each; `u32::MAX` if it has none.
     pub sample_of: &'a [u32],
+    /// How many are at one place, about.
+    pub at_one_place: u32,
 }
 
 /// Moves the samples nearer to the vertices, but for those that are `held`; `first` says where the vertices
 /// have placed them. Depends neither on the number of threads, nor on the width of vectors, nor on the order
 /// of the vertices.
 ///
-/// Memory: 84 bytes for each triangle, and 64 per sample; 1.3 MiB, and 64 KiB for each thread.
+/// Memory: 84 bytes for each triangle, and 68 per sample; 1.3 MiB, and at most 150 KiB for each thread.
 ///
 /// # Errors
 /// The user cancelled.
@@ -173,35 +179,47 @@ impl<'a> Surface<'a> {
     fn moments(&self, members: Members<'_>, progress: &dyn Progress) -> Result<Vec<Moments>> {
         let per = self.extent.recip();
         let mut moments = vec![Moments::default(); self.triangles.len()];
-        let every = (members.vertices.len() / (ENOUGH * self.samples.len().max(1))).max(1);
-        let looked_at = u32::MAX / every as u32;
+        let chosen = self.chosen(members);
         let (mut last, mut next) = (Vec::new(), Vec::new());
         progress.begin_parts("fitting the samples", members.vertices.len() as u64);
         for begin in (0..members.vertices.len()).step_by(BLOCK) {
             progress.check()?;
             let end = members.vertices.len().min(begin + BLOCK);
-            let members = Members {
-                vertices: &members.vertices[begin..end],
-                sample_of: &members.sample_of[begin..end],
-            };
-            rayon::join(|| add(&mut moments, &last, per), || self.find(members, looked_at, &mut next));
+            let some = (&members.vertices[begin..end], &members.sample_of[begin..end]);
+            rayon::join(|| add(&mut moments, &last, per), || self.find(some, &chosen, &mut next));
             std::mem::swap(&mut last, &mut next);
-            progress.advance(members.vertices.len() as u64);
+            progress.advance((end - begin) as u64);
         }
         add(&mut moments, &last, per);
         Ok(moments)
     }
 
-    /// Finds the nearest points of vertices.
-    fn find(&self, members: Members<'_>, looked_at: u32, found: &mut Vec<Nearest>) {
-        found.resize(members.vertices.len(), Nearest::NONE);
+    /// For each sample below what the hashes of those of its vertices are that are looked at: as if by
+    /// chance, so that they are about as many as is enough.
+    fn chosen(&self, members: Members<'_>) -> Vec<u32> {
+        let mut chosen = vec![0u32; self.samples.len()];
+        for sample in members.sample_of {
+            if let Some(count) = chosen.get_mut(*sample as usize) {
+                *count = count.saturating_add(1);
+            }
+        }
+        let enough = ENOUGH * members.at_one_place;
+        for (count, sample) in chosen.iter_mut().zip(0..) {
+            *count =
+                if self.around(sample).len() > MOST_AROUND { 0 } else { u32::MAX / (*count / enough).max(1) };
+        }
+        chosen
+    }
+
+    /// Finds the nearest points of those of some vertices, with their samples, that are chosen.
+    fn find(&self, (vertices, sample_of): (&[Vec3], &[u32]), chosen: &[u32], found: &mut Vec<Nearest>) {
+        found.resize(vertices.len(), Nearest::NONE);
         let fans = || [(); FANS].map(|()| Fan::default());
-        let vertices = members.vertices.par_chunks(PIECE).zip(members.sample_of.par_chunks(PIECE));
-        found.par_chunks_mut(PIECE).zip(vertices).for_each_init(
+        let members = vertices.par_chunks(PIECE).zip(sample_of.par_chunks(PIECE));
+        found.par_chunks_mut(PIECE).zip(members).for_each_init(
             fans,
             |fans, (found, (vertices, sample_of))| {
-                let members = Members { vertices, sample_of };
-                Arch::new().dispatch(Finding { surface: self, members, looked_at, fans, found });
+                Arch::new().dispatch(Finding { surface: self, vertices, sample_of, chosen, fans, found });
             },
         );
     }
@@ -238,6 +256,10 @@ impl<'a> Surface<'a> {
     /// What takes a sample's part of what is left to its step: the inverse of its block, lumped, with a
     /// ridge.
     fn lumped(&self, sample: u32, moments: &[Moments]) -> Mat3 {
+        // Who is at the corner of a triangle of too many vertices stays, as all others would have their say.
+        if self.around(sample).iter().any(|triangle| moments[*triangle as usize].is_full()) {
+            return Mat3::ZERO;
+        }
         let (mut diagonal, mut off, mut weight) = (DVec3::ZERO, DVec3::ZERO, 0.0);
         for triangle in self.around(sample) {
             let corner = self.corner(*triangle, sample);
@@ -290,15 +312,18 @@ impl Moments {
             let add = |sum: &mut u32, x: f32| *sum = sum.saturating_add((x * WEIGHT) as u32);
             add(&mut self.squares[corner], square);
             add(&mut self.products[corner], product);
-            self.heights[corner] += (b[corner] * height * HEIGHT) as i64;
+            let height = (b[corner] * height * HEIGHT) as i64;
+            self.heights[corner] = self.heights[corner].saturating_add(height);
         }
     }
 
-    /// Σ b b of a corner with itself and the two after it; none of so many vertices that sums have no end.
+    /// Whether there are more vertices than can be summed up.
+    fn is_full(&self) -> bool {
+        self.squares.contains(&u32::MAX)
+    }
+
+    /// Σ b b of a corner with itself and the two after it.
     fn weights(&self, corner: usize) -> [f32; 3] {
-        if self.squares.contains(&u32::MAX) {
-            return [0.0; 3];
-        }
         let product = |next: usize| self.products[(corner + next) % 3];
         [self.squares[corner], product(2), product(1)].map(|sum| sum as f32 / WEIGHT)
     }
@@ -317,12 +342,12 @@ impl Moments {
     }
 }
 
-/// Finds the nearest points of those of some vertices that are looked at.
+/// Finds the nearest points of those of some vertices that are chosen.
 struct Finding<'a, 'b> {
     surface: &'a Surface<'b>,
-    members: Members<'a>,
-    /// Vertices whose hashes are greater are not.
-    looked_at: u32,
+    vertices: &'a [Vec3],
+    sample_of: &'a [u32],
+    chosen: &'a [u32],
     fans: &'a mut [Fan; FANS],
     found: &'a mut [Nearest],
 }
@@ -333,10 +358,10 @@ impl WithSimd for Finding<'_, '_> {
     // Inlined into a function for the processor's widest vectors, as all that it calls.
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { surface, members, looked_at, fans, found } = self;
-        for ((vertex, sample), found) in members.vertices.iter().zip(members.sample_of).zip(found) {
+        let Self { surface, vertices, sample_of, chosen, fans, found } = self;
+        for ((vertex, sample), found) in vertices.iter().zip(sample_of).zip(found) {
             *found = Nearest::NONE;
-            if (*sample as usize) < surface.samples.len() && hash(*vertex) <= looked_at {
+            if chosen.get(*sample as usize).is_some_and(|below| hash(*vertex) < *below) {
                 let fan = &mut fans[*sample as usize % FANS];
                 fan.turn_to(surface, *sample);
                 *found = fan.nearest(*vertex);
@@ -637,7 +662,7 @@ mod tests {
         sample_of[vertices.iter().position(|p| *p == Vec3::new(0.0, wave(0.0, 0.0), 0.0)).unwrap()] = NONE;
         let mut placed: Vec<Placed> = first.iter().map(|at| Placed { at: *at, most }).collect();
         placed[60].most = 0.0;
-        let members = Members { vertices: &vertices, sample_of: &sample_of };
+        let members = Members { vertices: &vertices, sample_of: &sample_of, at_one_place: 1 };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| fit(&mut placed, &first, &triangles, members, &[61], &Silent)).unwrap();
         (placed, first)
@@ -686,7 +711,7 @@ mod tests {
     fn where_there_are_no_triangles_samples_stay() {
         let (first, _) = square(3, |_, _| 0.0);
         let mut placed: Vec<Placed> = first.iter().map(|at| Placed { at: *at, most: 1.0 }).collect();
-        let members = Members { vertices: &[Vec3::ONE], sample_of: &[4] };
+        let members = Members { vertices: &[Vec3::ONE], sample_of: &[4], at_one_place: 1 };
         for triangles in [&[][..], &[[4, 5, 4], [4, 5, 5]]] {
             fit(&mut placed, &first, triangles, members, &[], &Silent).unwrap();
             assert!(placed.iter().zip(&first).all(|(placed, first)| placed.at == *first));

@@ -678,8 +678,11 @@ impl Reindexed {
     /// wanted but for it.
     fn fit(&mut self, read: &Read<'_>, sample_of: &[u32], vertices: Option<&[Vec3]>) -> Result<()> {
         let triangles = &mut self.triangles.triangles;
-        if let (Some(placed), Some(vertices)) = (&mut self.placed, vertices) {
-            let members = Members { vertices, sample_of };
+        if let (Some(placed), Some(vertices), false) = (&mut self.placed, vertices, triangles.is_empty()) {
+            // A closed surface has two faces for each place.
+            let info = read.parting.model.info();
+            let at_one_place = (2 * info.vertices / info.faces.max(1)).clamp(1, 6) as u32;
+            let members = Members { vertices, sample_of, at_one_place };
             // Where sheets meet, samples that come nearer to their own get into what is on the other side.
             let held = match &self.parted {
                 Some(parted) => touching::crowded(placed.iter().map(|placed| placed.at).collect(), parted)?,

@@ -133,12 +133,14 @@ impl Batch<'_> {
             if leaves > 1 {
                 let left = leaves / 2;
                 open.extend([(node + 1, first, left), (node + 2 * left, first + left, leaves - left)]);
-            } else {
+            } else if self.near.len() < MOST_LEAVES {
                 self.near.push(first as u32);
+            } else {
+                return false;
             }
         }
         self.distances.resize(self.near.len(), [0.0; LEAF]);
-        self.near.len() <= MOST_LEAVES
+        true
     }
 }
 

@@ -411,7 +411,8 @@ const JOB: usize = 256;
 
 /// The samples near which sheets meet, ascending, if samples are at these positions (local coordinates).
 ///
-/// Memory: 33 bytes per sample, and on each thread another one.
+/// Memory: 48 bytes per sample, and on each thread another one; the lists of neighbours of those that it
+/// finds.
 ///
 /// # Errors
 /// A position is not finite.
