@@ -30,7 +30,7 @@ const OVER: f32 = 1.6;
 const RIDGE: f64 = 0.1;
 
 /// So many places of vertices are looked at for each sample, about, if it has as many: more tell little more.
-const ENOUGH: u32 = 16;
+const ENOUGH: u32 = 24;
 
 /// Vertices whose sample has more triangles are not looked at: each would have to be compared with all of
 /// them.
