@@ -755,10 +755,7 @@ impl SampledModel {
             return Ok(());
         }
         let mut file = OutputFile::create(&path, expected_bytes)?;
-        let failed = |e: io::Error| match e.downcast::<Error>() {
-            Ok(error) => error,
-            Err(e) => Error::io("write", &path, &e),
-        };
+        let failed = |e: io::Error| Error::written(&path, e);
         write(&mut file).map_err(failed)?;
         file.commit_unsynced()
     }

@@ -144,6 +144,13 @@ impl Error {
         self
     }
 
+    /// What went wrong as a file was written: what a writer of our own has to say, which knows best, or what
+    /// the system has.
+    #[cold]
+    pub fn written(path: &Path, error: std::io::Error) -> Self {
+        error.downcast::<Self>().unwrap_or_else(|error| Self::io("write", path, &error))
+    }
+
     /// A refused file operation: `action` completes "cannot …", as in "cannot read x.ply: permission denied".
     #[cold]
     pub fn io(action: &str, path: &Path, source: &std::io::Error) -> Self {

@@ -51,10 +51,7 @@ struct Head {
 /// # Errors
 /// The model cannot be read or is not what was sampled, the file cannot be written, or the user cancelled.
 pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &dyn Progress) -> Result<u64> {
-    let failed = |e: io::Error| match e.downcast::<Error>() {
-        Ok(error) => error,
-        Err(e) => Error::io("write", path, &e),
-    };
+    let failed = |e: io::Error| Error::written(path, e);
     progress.begin("preparing", 0);
     let samples = &sampled.samples;
     let around = RestGeometry::new(samples);

@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use simod_model::{Progress, Result};
 
 use super::cluster::symmetric;
+use super::kd_tree::Extent;
 use super::placement::Placed;
 
 /// Steps of Jacobi's method: more come nearer to the vertices, and move samples farther along the surface.
@@ -126,8 +127,7 @@ impl<'a> Surface<'a> {
         }
         let normals =
             triangles.par_iter().map(|corners| normal(corners.map(|sample| samples[sample as usize])));
-        let nothing = [Vec3::INFINITY, Vec3::NEG_INFINITY];
-        let [min, max] = samples.iter().fold(nothing, |[min, max], p| [min.min(*p), max.max(*p)]);
+        let Extent { min, max } = Extent::from_points(samples.iter().copied());
         let extent = (max - min).max_element().max(f32::MIN_POSITIVE);
         let normals = normals.collect();
         let mut surface = Self { samples, triangles, normals, starts, around, extent };

@@ -129,16 +129,9 @@ impl KdTree {
         (least.1 != u32::MAX).then_some(least.1)
     }
 
-    /// All points that are not farther from `p` than `radius`, nearest first. The numbers' lower halves are
-    /// the points' indices.
+    /// All points that are not farther from `p` than `radius`, in no order. The numbers' lower halves are the
+    /// points' indices; they are in the order of the distances.
     pub fn within(&self, p: Vec3, radius: f32) -> Vec<Found> {
-        let mut found = self.within_unsorted(p, radius);
-        found.sort_unstable();
-        found
-    }
-
-    /// The same in no order.
-    pub fn within_unsorted(&self, p: Vec3, radius: f32) -> Vec<Found> {
         let most = radius * radius;
         let (mut found, mut open) = (Vec::new(), vec![(0, 0, self.leaves.len())]);
         while let Some((node, first, leaves)) = open.pop() {
@@ -359,7 +352,9 @@ mod tests {
             let mut near: Vec<u32> =
                 (0..points.len() as u32).filter(|i| distance(*i) <= radius * radius).collect();
             near.sort_by(|i, j| distance(*i).total_cmp(&distance(*j)).then(i.cmp(j)));
-            let found: Vec<u32> = tree.within(p, radius).iter().map(|f| *f as u32).collect();
+            let mut found = tree.within(p, radius);
+            found.sort_unstable();
+            let found: Vec<u32> = found.iter().map(|f| *f as u32).collect();
             prop_assert_eq!(found, near);
             prop_assert_eq!(tree.within(p, f32::INFINITY).len(), points.len());
         }

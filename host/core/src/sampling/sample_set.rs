@@ -217,25 +217,16 @@ impl SampleSet {
 
     /// The same, sooner if about so many are within `reach`.
     pub(crate) fn neighbours_about(&self, i: usize, reach: f32, count: usize) -> Vec<u32> {
-        // Some more, as their number is not the same everywhere.
-        for more in MORE {
-            let found = if reach > 0.0 { self.tree().within(self.positions[i], more * reach) } else { break };
-            if found.len() > count {
-                return found
-                    .into_iter()
-                    .map(|found| found as u32)
-                    .filter(|j| *j != i as u32)
-                    .take(count)
-                    .collect();
-            }
-        }
-        self.nearest_neighbours(i, count)
+        let mut found = self.unsorted_neighbours_about(i, reach, count);
+        found.sort_unstable();
+        found.into_iter().map(|found| found as u32).collect()
     }
 
     /// The same in no order, as numbers that are in it: their lower halves are the neighbours.
     pub(crate) fn unsorted_neighbours_about(&self, i: usize, reach: f32, count: usize) -> Vec<u64> {
+        // Some more, as their number is not the same everywhere.
         for more in MORE.into_iter().take_while(|_| reach > 0.0) {
-            let mut found = self.tree().within_unsorted(self.positions[i], more * reach);
+            let mut found = self.tree().within(self.positions[i], more * reach);
             if found.len() > count {
                 found.retain(|found| *found as u32 != i as u32);
                 if found.len() > count {

@@ -99,10 +99,7 @@ impl Contacts {
     /// # Errors
     /// It cannot be written.
     pub fn save(&self, path: &Path, samples_fingerprint: &str) -> Result<()> {
-        let failed = |e: io::Error| match e.downcast::<Error>() {
-            Ok(error) => error,
-            Err(e) => Error::io("write", path, &e),
-        };
+        let failed = |e: io::Error| Error::written(path, e);
         let mut file = OutputFile::create(path, 12 * self.places.all().len() as u64)?;
         let mut hashed = Hashed::new(&mut file);
         self.write_content(samples_fingerprint, &mut hashed).map_err(failed)?;
