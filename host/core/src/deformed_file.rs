@@ -4,7 +4,7 @@
 //! vertices in any order, and turn it into a floating-point number, or call it `scalar_id`, as CloudCompare
 //! does. Without an id the order counts. Whichever it is, all samples have to come back, each once.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use simod_model::{Error, Model, Result, Scalar, VertexChunk};
@@ -23,11 +23,14 @@ const HABITS: &str = "all samples have to come back, each once: switch off what 
                       or isolated ones, or splits them by normals or texture, on import and on export (often called merge, weld, \
                       clean or process); with the property id kept, their order does not matter";
 
-/// Deformed samples, in the order of the samples.
+/// Deformed samples as a file has them.
 pub struct DeformedFile {
-    /// In the model's coordinates.
-    pub positions: Vec<DVec3>,
-    /// How the file stores them.
+    path: PathBuf,
+    /// In the model's coordinates, and in the file's order.
+    positions: Vec<DVec3>,
+    /// Which sample each of them is, if the file tells.
+    ids: Option<Vec<f64>>,
+    /// How the file stores positions.
     pub scalar: Scalar,
 }
 
@@ -47,34 +50,45 @@ pub fn open(path: &Path) -> Result<Box<dyn Model>> {
     Ok(model)
 }
 
-/// Reads where so many samples went.
-///
-/// # Errors
-/// The file cannot be read; samples are missing, or there more than once; an id is none.
-pub fn read(path: &Path, samples: usize) -> Result<DeformedFile> {
-    let model = open(path)?;
-    let info = model.info();
-    let place = ID_NAMES.iter().find_map(|name| info.attributes.iter().position(|a| a.name == *name));
-    let (mut positions, mut ids) = (Vec::new(), Vec::new());
-    let mut lists = vec![Vec::new(); place.map_or(0, |place| place + 1)];
-    let mut reader = model.vertices(0..info.vertices)?;
-    let mut chunk = VertexChunk::default();
-    while reader.read(&mut chunk)? {
-        positions.extend_from_slice(&chunk.positions);
-        model.attributes(&chunk, &mut lists)?;
-        ids.extend_from_slice(lists.last().map_or(&[][..], Vec::as_slice));
+impl DeformedFile {
+    /// Reads a file, of whatever samples.
+    ///
+    /// # Errors
+    /// The file cannot be read, or has too many vertices.
+    pub fn read(path: &Path) -> Result<Self> {
+        let model = open(path)?;
+        let info = model.info();
+        let place = ID_NAMES.iter().find_map(|name| info.attributes.iter().position(|a| a.name == *name));
+        let (mut positions, mut ids) = (Vec::new(), Vec::new());
+        let mut lists = vec![Vec::new(); place.map_or(0, |place| place + 1)];
+        let mut reader = model.vertices(0..info.vertices)?;
+        let mut chunk = VertexChunk::default();
+        while reader.read(&mut chunk)? {
+            positions.extend_from_slice(&chunk.positions);
+            model.attributes(&chunk, &mut lists)?;
+            ids.extend_from_slice(lists.last().map_or(&[][..], Vec::as_slice));
+        }
+        let (path, ids) = (path.to_owned(), place.map(|_| ids));
+        Ok(Self { path, positions, ids, scalar: info.position_type })
     }
-    if place.is_some() {
-        positions = in_order(positions, &ids, samples).map_err(|what| refused(path, &what))?;
-    } else if positions.len() != samples {
+
+    /// Where so many samples went, in their order and in the model's coordinates.
+    ///
+    /// # Errors
+    /// Samples are missing, or there more than once; an id is none.
+    pub fn into_ordered(self, samples: usize) -> Result<Vec<DVec3>> {
+        let Self { path, positions, ids, .. } = self;
+        if let Some(ids) = ids {
+            return in_order(positions, &ids, samples).map_err(|what| refused(&path, &what));
+        }
+        if positions.len() == samples {
+            return Ok(positions);
+        }
         let (there, difference) = (positions.len(), positions.len().abs_diff(samples));
         let became = if there < samples { "are gone" } else { "are too many" };
-        return Err(refused(
-            path,
-            &format!("{there} vertices, but there are {samples} samples: {difference} {became}"),
-        ));
+        let what = format!("{there} vertices, but there are {samples} samples: {difference} {became}");
+        Err(refused(&path, &what))
     }
-    Ok(DeformedFile { positions, scalar: info.position_type })
 }
 
 fn refused(path: &Path, what: &str) -> Error {
@@ -84,6 +98,10 @@ fn refused(path: &Path, what: &str) -> Error {
 /// Puts each position where its id says; or what is wrong, after "the file has".
 fn in_order(positions: Vec<DVec3>, ids: &[f64], samples: usize) -> Result<Vec<DVec3>, String> {
     let vertices = positions.len();
+    // As most programs leave them.
+    if vertices == samples && ids.iter().zip(0u32..).all(|(id, i)| *id == f64::from(i)) {
+        return Ok(positions);
+    }
     // None of a position could be told from a sample that is there twice.
     let (mut ordered, mut is_there) = (vec![DVec3::ZERO; samples], vec![false; samples]);
     let (mut doubled, mut first_doubled) = (0, 0);

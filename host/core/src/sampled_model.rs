@@ -729,6 +729,21 @@ impl SampledModel {
         })
     }
 
+    /// The same, with what [`read_deformed`](Self::read_deformed) reads of several files. The first of them
+    /// is read beside the samples.
+    ///
+    /// # Errors
+    /// As both.
+    pub fn load_with_deformed(folder: &Path, paths: &[&Path]) -> Result<(Self, Vec<Vec<Vec3>>)> {
+        let first = || paths.first().map(|path| DeformedFile::read(path));
+        let (sampled, first) = rayon::join(|| Self::load(folder), first);
+        let (sampled, first) = (sampled?, first.transpose()?);
+        let first = first.into_iter().zip(paths).map(|(file, path)| sampled.localized(file, path));
+        let others = paths.iter().skip(1).map(|path| sampled.read_deformed(path));
+        let deformed = first.chain(others).collect::<Result<_>>()?;
+        Ok((sampled, deformed))
+    }
+
     /// What a file of the folder that it was read from holds, of at most so many bytes; `None` where there is
     /// none, or it cannot be read.
     pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<Vec<u8>> {
@@ -942,7 +957,9 @@ impl SampledModel {
         normals: &[Vec3],
     ) -> Result<()> {
         let there = self.samples.len().saturating_sub(more.len());
-        let DeformedFile { mut positions, scalar } = deformed_file::read(before, there)?;
+        let before = DeformedFile::read(before)?;
+        let scalar = before.scalar;
+        let mut positions = before.into_ordered(there)?;
         positions.extend_from_slice(more);
         self.write_as(path, positions.into_iter(), normals, scalar)
     }
@@ -954,8 +971,12 @@ impl SampledModel {
     /// # Errors
     /// The file cannot be read, has other vertices than P_S, or positions that are not finite.
     pub fn read_deformed(&self, path: &Path) -> Result<Vec<Vec3>> {
-        let DeformedFile { positions, .. } = deformed_file::read(path, self.samples.len())?;
-        self.to_local(&positions, &path.display())
+        self.localized(DeformedFile::read(path)?, path)
+    }
+
+    /// The local positions of deformed samples that were read from a file.
+    fn localized(&self, deformed: DeformedFile, path: &Path) -> Result<Vec<Vec3>> {
+        self.to_local(&deformed.into_ordered(self.samples.len())?, &path.display())
     }
 
     /// Local positions of deformed samples, which are in the model's coordinates; `whose` they are, for

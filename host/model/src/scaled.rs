@@ -34,6 +34,22 @@ impl ScaledIntegers {
         i32::try_from(whole + i64::from(part >= 0.5) - i64::from(part <= -0.5)).ok()
     }
 
+    /// The numbers that are nearest to a position: the same as of each axis, where none is at the end of what
+    /// a number can be.
+    #[inline(always)]
+    pub fn nearest_within(&self, p: DVec3) -> Option<IVec3> {
+        let number = (p - self.offset) / self.scale;
+        let (low, high) = (f64::from(i32::MIN) + 1.0, f64::from(i32::MAX) - 1.0);
+        // Not so of what is no number.
+        if !(number.min_element() > low && number.max_element() < high && !number.is_nan()) {
+            return None;
+        }
+        let whole = number.as_ivec3();
+        let part = number - whole.as_dvec3();
+        let up = |axis: usize| i32::from(part[axis] >= 0.5) - i32::from(part[axis] <= -0.5);
+        Some(whole + IVec3::from_array([0, 1, 2].map(up)))
+    }
+
     /// The numbers that are nearest to a position, if there are any so far out.
     pub fn nearest(&self, p: DVec3) -> Option<IVec3> {
         let [x, y, z] = [0, 1, 2].map(|axis| self.nearest_of_axis(axis, p[axis]));

@@ -1,7 +1,7 @@
 //! `simod reconstruct`: deformed samples back onto the whole model.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use glam::Vec3;
@@ -132,9 +132,8 @@ impl From<MethodName> for Method {
 impl Reconstruct {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let paths = versions(&self.deformed, &self.output, self.diagnostics.as_deref())?;
-        let sampled = SampledModel::load(&self.sampled)?;
-        let deformed =
-            paths.iter().map(|v| sampled.read_deformed(&v.deformed)).collect::<Result<Vec<_>>>()?;
+        let files: Vec<&Path> = paths.iter().map(|version| version.deformed.as_path()).collect();
+        let (sampled, deformed) = SampledModel::load_with_deformed(&self.sampled, &files)?;
         self.check_paths(&paths, &sampled)?;
         let model = self.open_model(&sampled, &paths, &deformed, report)?;
         let versions: Vec<Version<'_>> = paths

@@ -14,6 +14,7 @@ use std::ops::Range;
 use glam::{Mat3, Vec3};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use simod_model::memory;
 
 use super::double_lanes::{DoubleLanes, MOST_LANES, square};
 use super::expansion::Expansion;
@@ -110,7 +111,7 @@ pub fn expand(
         Expansion::new(q, deformed[i] - q, slope, [Vec3::ZERO; 6])
     };
     // The system's own zeros: the threads that fit touch them first.
-    let mut expansions: Vec<Expansion> = bytemuck::zeroed_vec(samples.len());
+    let mut expansions: Vec<Expansion> = memory::zeros(samples.len());
     let mut unresolved = vec![Unresolved::default(); samples.len()];
     let mut doubt = vec![0.0; samples.len()];
     let jobs = expansions.par_chunks_mut(TOGETHER).zip(unresolved.par_chunks_mut(TOGETHER));

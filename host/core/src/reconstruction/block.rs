@@ -241,10 +241,22 @@ impl Workspace {
             let within = run.grouped().and_then(|places| self.grouped.is_within_range.get(places));
             if places_alone && within.is_some_and(|within| within.iter().all(|is| *is > 0.0)) {
                 self.take(run, frame, &mut moved);
-            } else {
+            } else if !(places_alone && self.stays(run, field)) {
                 self.carry_one_by_one(run, field, frame, positions, &mut moved);
             }
         }
+    }
+
+    /// Whether the vertices of a run stay where they are, in all versions: neither their home moves nor who
+    /// reaches it, and it is among the nearest to each of them.
+    #[inline]
+    fn stays(&self, run: &Run, field: &DeformationField<'_>) -> bool {
+        if run.place != NOWHERE {
+            return false;
+        }
+        let [x, y, z] = self.local.each_ref().map(|x| &x[run.range()]);
+        let places = x.iter().zip(y).zip(z).map(|((x, y), z)| Vec3::new(*x, *y, *z));
+        field.keep_home_nearest(run.home as usize, places)
     }
 
     /// Puts normals that are to be turned beside the vertices' positions.

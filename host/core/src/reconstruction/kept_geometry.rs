@@ -15,6 +15,7 @@ use bytemuck::Zeroable;
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize, Serializer};
+use simod_model::memory;
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::RestGeometry;
@@ -251,7 +252,7 @@ fn unpack_graph(samples: usize, pieces: &[Piece<'_>]) -> Option<NeighbourGraph> 
         piece.neighbours.len() > (samples.min((at + 1) * TOGETHER) - at * TOGETHER) * k
     };
     pieces.iter().enumerate().all(is_there).then_some(())?;
-    let mut flat = vec![0; k * samples];
+    let mut flat = memory::zeros(k * samples);
     let lists = flat.par_chunks_mut((TOGETHER * k).max(1)).zip(pieces).enumerate();
     lists.try_for_each(|(at, (lists, piece))| {
         let mut bytes = piece.neighbours;
@@ -299,7 +300,7 @@ fn unpack_orders(
     pieces.iter().all(|piece| piece.reaching as usize <= piece.supports.len()).then_some(())?;
     let all: usize = pieces.iter().map(|piece| piece.reaching as usize).sum();
     u32::try_from(all).ok()?;
-    let (mut ends, mut reaching) = (vec![0; samples], bytemuck::zeroed_vec::<ReachingSupport>(all));
+    let (mut ends, mut reaching) = (vec![0; samples], memory::zeros::<ReachingSupport>(all));
     let (mut rest, mut first, mut rooms) = (&mut reaching[..], 0, Vec::with_capacity(pieces.len()));
     for piece in pieces {
         let (room, behind) = rest.split_at_mut(piece.reaching as usize);

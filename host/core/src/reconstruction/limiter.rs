@@ -29,10 +29,16 @@ struct PrevailingSlope {
 }
 
 impl PrevailingSlope {
-    /// The displacement at `d` from the sample, beyond the sample's, and its gradient.
-    fn evaluate(&self, d: Vec3) -> (Vec3, Mat3) {
-        let u = self.slope * d;
-        let held = u.clamp_length_max(self.most);
+    /// The displacement at `d` from the sample, beyond the sample's.
+    #[inline(always)]
+    fn evaluate(&self, d: Vec3) -> Vec3 {
+        (self.slope * d).clamp_length_max(self.most)
+    }
+
+    /// The same, and its gradient.
+    #[inline(always)]
+    fn evaluate_with_gradient(&self, d: Vec3) -> (Vec3, Mat3) {
+        let (u, held) = (self.slope * d, self.evaluate(d));
         (held, if held == u { self.slope } else { self.slope * (held.length() / u.length()) })
     }
 }
@@ -98,7 +104,7 @@ impl Limiter {
         let Some(held) = self.place.get(sample).and_then(|place| self.held.get(*place as usize)) else {
             return (u, slope);
         };
-        let (way, prevailing) = held.evaluate(d);
+        let (way, prevailing) = held.evaluate_with_gradient(d);
         let mixed = slope * (1.0 - held.doubt) + prevailing * held.doubt;
         (u.lerp(e.displacement() + way, held.doubt), mixed)
     }
@@ -113,29 +119,24 @@ impl Limiter {
         p: Vec3,
         blended: Transport,
     ) -> Transport {
-        // Weight and its gradient, displacement and its gradient, doubt.
-        let said = || {
+        // Of each support that reaches the vertex: the way from its centre, what is left of 1 at the vertex,
+        // and what prevails around its sample.
+        let reaching = || {
             supports.of_home(home).iter().filter_map(|r| {
-                let (e, held) =
-                    (&expansions[r.sample as usize], &self.held[self.place[r.sample as usize] as usize]);
+                let (e, place) = (&expansions[r.sample as usize], self.place[r.sample as usize]);
                 let d = p - Vec3::from_array(e.center);
                 let s = (1.0 - d.length_squared() * e.inverse_square).max(0.0);
-                let (way, slope) = held.evaluate(d);
-                let of_weight = -6.0 * s * s * e.inverse_square * d;
-                (s > 0.0).then_some((s * s * s, of_weight, e.displacement() + way, slope, held.doubt))
+                (s > 0.0).then_some((e, d, s, &self.held[place as usize]))
             })
         };
-        let (mut mean, mut slope, mut doubt) = (Vec3::ZERO, Mat3::ZERO, 0.0);
-        let (mut sum, mut sum_slope) = (0.0, Vec3::ZERO);
-        for (w, of_weight, u, of_u, amount) in said() {
-            mean += w * u;
-            slope += of_u * w + outer(u, of_weight);
-            doubt += w * amount;
+        let (mut mean, mut doubt, mut sum) = (Vec3::ZERO, 0.0, 0.0);
+        for (e, d, s, held) in reaching() {
+            let w = s * s * s;
+            mean += w * (e.displacement() + held.evaluate(d));
+            doubt += w * held.doubt;
             sum += w;
-            sum_slope += of_weight;
         }
         (mean, doubt) = (mean / sum, doubt / sum);
-        slope = (slope - outer(mean, sum_slope)) * (1.0 / sum);
         let departure = blended.displacement - mean;
         let length = departure.length();
         // Written so that NaN, from a vertex without a support, is left alone.
@@ -143,9 +144,22 @@ impl Limiter {
             return blended;
         }
         let along = |u: Vec3| (u - mean).dot(departure / length).max(0.0);
+        let fourths =
+            reaching().map(|(e, d, s, held)| s * s * s * fourth(along(e.displacement() + held.evaluate(d))));
         // Nearly the furthest of them, but a mean.
-        let most = (said().map(|(w, _, u, ..)| w * fourth(along(u))).sum::<f32>() / sum).sqrt().sqrt();
+        let most = (fourths.sum::<f32>() / sum).sqrt().sqrt();
         let back = doubt * (1.0 - (most / length).min(1.0));
+        if back == 0.0 {
+            return blended;
+        }
+        let (mut slope, mut sum_slope) = (Mat3::ZERO, Vec3::ZERO);
+        for (e, d, s, held) in reaching() {
+            let (way, of_way) = held.evaluate_with_gradient(d);
+            let of_weight = -6.0 * s * s * e.inverse_square * d;
+            slope += of_way * (s * s * s) + outer(e.displacement() + way, of_weight);
+            sum_slope += of_weight;
+        }
+        slope = (slope - outer(mean, sum_slope)) * (1.0 / sum);
         Transport {
             displacement: blended.displacement - departure * back,
             gradient: blended.gradient * (1.0 - back) + (Mat3::IDENTITY + slope) * back,

@@ -7,6 +7,7 @@
 use glam::{Vec3, Vec4};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use simod_model::memory;
 
 use super::expansion::ReachingSupport;
 use super::lanes::Lanes;
@@ -62,7 +63,7 @@ impl Lists {
             starts.push(most as u32);
             most += 1 + sheets.of_sample(home).len() + one_way.of(home).len();
         }
-        let (mut ends, mut reaching) = (vec![0; n], bytemuck::zeroed_vec::<ReachingSupport>(most));
+        let (mut ends, mut reaching) = (vec![0; n], memory::zeros::<ReachingSupport>(most));
         let (mut parts, mut rest, mut first) =
             (Vec::with_capacity(n.div_ceil(TOGETHER)), &mut reaching[..], 0);
         for end in starts.iter().step_by(TOGETHER).skip(1).map(|start| *start as usize).chain([most]) {

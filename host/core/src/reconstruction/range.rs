@@ -22,6 +22,14 @@ const EXPLAINED: f32 = 0.4;
 const UNEXPLAINED: f32 = 0.55;
 
 impl DeformationField<'_> {
+    /// Whether places are all so near to a home that it is surely among the nearest to each of them.
+    #[inline]
+    pub(super) fn keep_home_nearest(&self, home: usize, places: impl Iterator<Item = Vec3>) -> bool {
+        let center = self.around.samples.positions[home];
+        let farthest = places.map(|p| p.distance_squared(center)).fold(0.0, f32::max);
+        2.0 * farthest.sqrt() < self.around.supports.ranging[home]
+    }
+
     /// As [`drawn_back`](Self::drawn_back), of a vertex whose home does not move, nor any support that
     /// reaches there.
     #[inline]

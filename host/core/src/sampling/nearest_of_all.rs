@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use simod_model::memory;
 
 use super::kd_tree::{Extent, Found, KdTree, LEAF, Leaf};
 use crate::counting_sort;
@@ -42,13 +43,14 @@ impl KdTree {
     /// Memory: 4 bytes for each entry, and 9 kilobytes for each thread.
     pub fn nearest_others_of_all(&self, k: usize) -> Vec<u32> {
         // The system's own zeros: the threads that fill them touch them first.
-        let lists: Vec<AtomicU32> = bytemuck::zeroed_vec(k * self.len());
+        let lists: Vec<AtomicU32> = memory::zeros(k * self.len());
         if k > 0 {
             let batch = || Batch {
                 tree: self,
                 k,
                 last: 0.0,
                 farthest: 0.0,
+                open: Vec::new(),
                 near: Vec::new(),
                 distances: Vec::new(),
                 found: Vec::new(),
@@ -72,6 +74,8 @@ struct Batch<'a> {
     /// leaf.
     last: f32,
     farthest: f32,
+    /// Nodes that are still to be looked into: each with its first leaf and how many there are.
+    open: Vec<(usize, usize, usize)>,
     /// The leaves that are near.
     near: Vec<u32>,
     /// Squared distances of a point to all of their points.
@@ -125,14 +129,16 @@ impl Batch<'_> {
         if !most.is_finite() {
             return false;
         }
-        let mut open = vec![(0, 0, self.tree.leaves.len())];
-        while let Some((node, first, leaves)) = open.pop() {
+        self.open.clear();
+        self.open.push((0, 0, self.tree.leaves.len()));
+        while let Some((node, first, leaves)) = self.open.pop() {
             if self.tree.boxes[node].gap_squared(whole) > most {
                 continue;
             }
             if leaves > 1 {
                 let left = leaves / 2;
-                open.extend([(node + 1, first, left), (node + 2 * left, first + left, leaves - left)]);
+                let right = (node + 2 * left, first + left, leaves - left);
+                self.open.extend([(node + 1, first, left), right]);
             } else if self.near.len() < MOST_LEAVES {
                 self.near.push(first as u32);
             } else {

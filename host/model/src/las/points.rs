@@ -38,7 +38,11 @@ pub(super) fn patch(
         let was = numbers(bytes);
         let mut is = was;
         include(&mut before, was);
-        if shift != [0; 3] || old != new {
+        let within = to.nearest_within(*new).filter(|_| shift == [0; 3] && old.is_finite());
+        if let Some(nearest) = within {
+            // Without a branch: along which axes vertices move cannot be foretold.
+            is = IVec3::from_array([0, 1, 2].map(|i| if old[i] == new[i] { was[i] } else { nearest[i] }));
+        } else if shift != [0; 3] || old != new {
             for axis in 0..3 {
                 let (old, new) = (old[axis], new[axis]);
                 // What has no finite position, as the scale is huge, stays.
