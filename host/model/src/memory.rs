@@ -53,6 +53,16 @@ pub fn zeros<T: Zeroable>(count: usize) -> Vec<T> {
     list
 }
 
+/// Makes a buffer one of so many bytes, whatever these are: whoever calls overwrites them.
+pub(crate) fn resize(buffer: &mut Vec<u8>, bytes: usize) {
+    if buffer.capacity() < bytes {
+        *buffer = zeros(bytes);
+    } else {
+        // Not cleared first: filling a buffer with zeros, only to overwrite it, takes time.
+        buffer.resize(bytes, 0);
+    }
+}
+
 /// Watches the process' memory from a thread of its own.
 pub struct MemoryWatch {
     peak: Arc<AtomicU64>,

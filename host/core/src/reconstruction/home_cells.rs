@@ -250,7 +250,8 @@ impl Growing<'_> {
     fn reach(&self, cell: Cell, near: &[u32], reached: &mut Reached) {
         let [low, high] = [0, 7].map(|eighth| cell.eighth(eighth));
         if reached.samples.len() < 8 * near.len() {
-            reached.samples.resize(8 * near.len(), 0);
+            // The system's own zeros: most places stay free, and are not touched.
+            reached.samples = bytemuck::zeroed_vec(8 * near.len());
         }
         (reached.places, reached.counts, reached.least) = (near.len(), [0; 8], [f32::INFINITY; 8]);
         for sample in near {

@@ -10,6 +10,7 @@ use super::header::{CUT_OFF, DAMAGED};
 use super::kept::Compressed;
 use super::laszip::{Laszip, What};
 use super::points;
+use crate::memory;
 use crate::model::Block;
 use crate::{CHUNK_VERTICES, Result, VertexChunk, VertexReader};
 
@@ -60,7 +61,7 @@ impl<'a> Reader<'a> {
         let left = self.range.end - self.range.start;
         let count = left.min(self.chunk as u64).min((CHUNK_BYTES / header.record).max(1) as u64) as usize;
         chunk.first = self.range.start;
-        chunk.raw.resize(count * header.record, 0);
+        memory::resize(&mut chunk.raw, count * header.record);
         let at = header.points + self.range.start * header.record as u64;
         if source.read_at(&mut chunk.raw, at)? < chunk.raw.len() {
             let what = format!("the file ends within vertex {} of {}", self.range.start, header.count);

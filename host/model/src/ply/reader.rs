@@ -6,7 +6,7 @@ use super::file::PlyModel;
 use super::header::{DAMAGED, Encoding};
 use super::walk::CUT_OFF;
 use super::{ascii, binary};
-use crate::{CHUNK_VERTICES, Error, Result, VertexChunk, VertexReader};
+use crate::{CHUNK_VERTICES, Error, Result, VertexChunk, VertexReader, memory};
 
 /// A chunk ends with the vertex that reaches this many bytes, however few vertices that are.
 pub(super) const CHUNK_BYTES: usize = 4 << 20;
@@ -63,8 +63,7 @@ impl<'a> Reader<'a> {
     fn read_fixed(&mut self, chunk: &mut VertexChunk, stride: usize, limit: u64) -> Result<()> {
         let count = limit.min((CHUNK_BYTES / stride).max(1) as u64);
         let bytes = count as usize * stride;
-        // Not cleared first: filling a buffer with zeros, only to overwrite it, takes time.
-        chunk.raw.resize(bytes, 0);
+        memory::resize(&mut chunk.raw, bytes);
         if self.model.source.read_at(&mut chunk.raw, self.offset)? < bytes {
             return Err(self.ends_early(self.range.start));
         }
