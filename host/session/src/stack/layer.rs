@@ -9,7 +9,7 @@ use crate::other_model::{OtherModel, stamps};
 use crate::params::{LocalParams, ParamValue, Params, nearest};
 use crate::plugins::PluginRegistry;
 use crate::shapes::Shapes;
-use crate::step::{Deformation, HandleMove, Joint, Notes, ParamPlaces, Role, Stroke};
+use crate::step::{Deformation, HandleMove, Joint, Notes, Role, Stroke};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use simod_core::attributes::Attributes;
@@ -27,8 +27,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub(crate) struct Layer {
     /// Where in the session it stands; for errors.
     pub place: String,
-    /// Where its parameters stand; likewise.
-    pub param_places: ParamPlaces,
     pub plugin: Arc<Plugin>,
     /// What was changed when the step was brought up to the plugin.
     notes: Notes,
@@ -215,7 +213,6 @@ impl Layer {
         let strokes = step.strokes.iter().enumerate().map(stroke).collect::<Result<_>>()?;
         let mut layer = Self {
             place: place.to_owned(),
-            param_places: step.param_places.clone(),
             plugin,
             notes: step.notes.clone(),
             given: step.params.clone(),
