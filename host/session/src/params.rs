@@ -223,19 +223,8 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
             value.as_bool().map(ParamValue::Bool).ok_or_else(|| wrong("true or false", "true"))?
         }
         ParamKind::CHOICE => {
-            let choice = value.as_str().ok_or_else(|| wrong("a text", &format!("\"{}\"", d.default_text)))?;
-            let ids = d.choices.iter().map(|c| c.id.as_str());
-            if !ids.clone().any(|c| c == choice) {
-                let hint = nearest(choice, ids.clone()).map_or_else(
-                    || format!("use one of {}", ids.collect::<Vec<_>>().join(", ")),
-                    |near| format!("did you mean `{near}`?"),
-                );
-                return Err(Error::argument(
-                    format!("parameter `{id}` of {plugin} cannot be `{choice}`"),
-                    hint,
-                ));
-            }
-            ParamValue::Choice(choice.to_owned())
+            let text = value.as_str().ok_or_else(|| wrong("a text", &format!("\"{}\"", d.default_text)))?;
+            choice(plugin, d, text)?
         }
         ParamKind::DIRECTION => {
             vector(value).map(ParamValue::Direction).ok_or_else(|| wrong("three numbers", "[0, 1, 0]"))?
@@ -266,18 +255,34 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
             ));
         }
     };
-    in_range(d, &parsed).map_err(|what| {
-        let hint = match d.kind {
-            ParamKind::COLOUR => format!("give numbers from 0 to 1, as {id} = [0.8, 0.2, 0.1]"),
-            ParamKind::CURVE => format!(
-                "give at least two points [x, y] whose numbers are from 0 to 1 and whose x ascend, as {id} = [[0, 1], [0.5, 0.2], [1, 0]]"
-            ),
-            ParamKind::DIRECTION | ParamKind::POINT => "give three finite numbers".to_owned(),
-            _ => format!("give a value {}", range_text(d.hard_range)),
-        };
-        Error::argument(format!("{plugin}: {what}"), hint)
-    })?;
+    in_range(d, &parsed).map_err(|what| Error::argument(format!("{plugin}: {what}"), range_hint(d)))?;
     Ok(parsed)
+}
+
+/// A text that is one of the parameter's choices.
+fn choice(plugin: &str, d: &ParamDesc, choice: &str) -> Result<ParamValue> {
+    let ids = d.choices.iter().map(|c| c.id.as_str());
+    if ids.clone().any(|c| c == choice) {
+        return Ok(ParamValue::Choice(choice.to_owned()));
+    }
+    let hint = nearest(choice, ids.clone()).map_or_else(
+        || format!("use one of {}", ids.collect::<Vec<_>>().join(", ")),
+        |near| format!("did you mean `{near}`?"),
+    );
+    Err(Error::argument(format!("parameter `{}` of {plugin} cannot be `{choice}`", d.id), hint))
+}
+
+/// What to do about a value that is out of range.
+fn range_hint(d: &ParamDesc) -> String {
+    let id = &d.id;
+    match d.kind {
+        ParamKind::COLOUR => format!("give numbers from 0 to 1, as {id} = [0.8, 0.2, 0.1]"),
+        ParamKind::CURVE => format!(
+            "give at least two points [x, y] whose numbers are from 0 to 1 and whose x ascend, as {id} = [[0, 1], [0.5, 0.2], [1, 0]]"
+        ),
+        ParamKind::DIRECTION | ParamKind::POINT => "give three finite numbers".to_owned(),
+        _ => format!("give a value {}", range_text(d.hard_range)),
+    }
 }
 
 /// A parameter's default, as a user would write it.

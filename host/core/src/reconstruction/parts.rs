@@ -118,19 +118,7 @@ pub fn write_part(
     // What is there speaks of bytes that are written over from here on; if there is nothing, so much the
     // better.
     let _ = fs::remove_file(own);
-    let in_place = model.division(how.normals).is_some_and(|division| division.in_place);
-    let to = match shared {
-        Shared::File(folder) if !model.tiles().is_empty() => {
-            Bytes::Tiles(SharedFiles::new(folder, model.tiles()))
-        }
-        _ if !in_place => Bytes::Own,
-        Shared::File(path) => Bytes::Shared(SharedFile::open(path)?),
-        Shared::Object(path, id) => {
-            let range = ObjectRange::open(path, id, part_bytes(model.written_bytes()))?;
-            Bytes::Object(range, (*id).to_owned())
-        }
-    };
-    let mut part = PartFile::new(own_file, to);
+    let mut part = PartFile::new(own_file, place_of_bytes(model, shared, how.normals)?);
 
     progress.begin("preparing", 0);
     let surroundings = RestGeometry::kept(sampled);
@@ -158,6 +146,23 @@ pub fn write_part(
     let folded = (samples, first.map(|p| p.to_array()));
     part.commit(Content { key, pieces: pieces.clone(), hashed, folded }, own)?;
     Ok(true)
+}
+
+/// Where the bytes of a part go: to what all parts write, where the model's bytes keep their places, and
+/// otherwise to the part's own file.
+fn place_of_bytes<'a>(model: &'a dyn Model, shared: &Shared<'a>, normals: Normals) -> Result<Bytes<'a>> {
+    let in_place = model.division(normals).is_some_and(|division| division.in_place);
+    Ok(match shared {
+        Shared::File(folder) if !model.tiles().is_empty() => {
+            Bytes::Tiles(SharedFiles::new(folder, model.tiles()))
+        }
+        _ if !in_place => Bytes::Own,
+        Shared::File(path) => Bytes::Shared(SharedFile::open(path)?),
+        Shared::Object(path, id) => {
+            let range = ObjectRange::open(path, id, part_bytes(model.written_bytes()))?;
+            Bytes::Object(range, (*id).to_owned())
+        }
+    })
 }
 
 /// How many of all bytes a part has, about.
