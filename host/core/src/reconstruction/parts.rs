@@ -138,9 +138,10 @@ pub fn write_part(
     let only = PieceRange { first: pieces.start, end: Some(pieces.end) };
     let rewriting = Rewriting { normals: how.normals, only: Some(only), ..Rewriting::default() };
     model.rewrite(&mut [&mut part], rewriting, &transfer, progress)?;
-    let hashed = match std::mem::replace(&mut *locked(&transfer.hash), Hashing::Part(HashedPart::default())) {
-        Hashing::Part(hashed) => hashed,
-        Hashing::All(_) => return Err(Error::internal("a part was hashed as a whole")),
+    let Hashing::Part(hashed) =
+        std::mem::replace(&mut *locked(&transfer.hash), Hashing::Part(Default::default()))
+    else {
+        return Err(Error::internal("a part was hashed as a whole"));
     };
     let Folding { samples, first, .. } = Folding::of_samples(&fields[0], sampled);
     let folded = (samples, first.map(|p| p.to_array()));

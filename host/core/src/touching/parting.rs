@@ -156,12 +156,7 @@ impl Parting<'_> {
         let mixed = mixed.unwrap_or_else(|| graph.parts());
         let clusters: BTreeMap<u32, usize> = mixed.iter().map(|m| m.cluster).zip(0..).collect();
         let ranges = self.ranges_with(trees, |sample| clusters.contains_key(&sample));
-        let mut place_of: HashMap<u32, (usize, usize)> = HashMap::new();
-        for (i, Mixed { parts, .. }) in mixed.iter().enumerate() {
-            for (j, part) in parts.iter().enumerate() {
-                place_of.extend(part.iter().map(|island| (*island, (i, j))));
-            }
-        }
+        let place_of = places(&mixed);
         let mut found: Vec<(u32, Vec<ClusterSheet>)> = mixed
             .into_iter()
             .map(|Mixed { cluster, parts }| {
@@ -220,6 +215,17 @@ impl Parting<'_> {
         }
         Ok(())
     }
+}
+
+/// Of which cluster each island of several sheets is, and of which of its parts.
+fn places(mixed: &[Mixed]) -> HashMap<u32, (usize, usize)> {
+    let mut place_of = HashMap::new();
+    for (i, Mixed { parts, .. }) in mixed.iter().enumerate() {
+        for (j, part) in parts.iter().enumerate() {
+            place_of.extend(part.iter().map(|island| (*island, (i, j))));
+        }
+    }
+    place_of
 }
 
 impl Parts {
