@@ -219,10 +219,11 @@ fn beside_each_other(
     let beside = figures::beside(&models, diagonal, (attributes, &also), progress)?;
     let chosen = choosing.map(Choosing::finish).transpose()?;
     let on_samples = figures::on_samples(&deformed, progress)?;
-    let held = Held::read(rest, diagonal, progress)?;
-    let on_model = held.as_ref().map(|held| held.measure(&models[1..], progress)).transpose()?;
-    drop(held);
-    let mut on_model = on_model.unwrap_or_default().into_iter();
+    let on_model = match Held::read(rest, diagonal, progress)? {
+        Some(held) => held.measure(&models[1..], progress)?,
+        None => Vec::new(),
+    };
+    let mut on_model = on_model.into_iter();
     for (k, ((i, _), on_samples)) in done.iter().zip(on_samples).enumerate() {
         let found = (beside.displacements[k], beside.to_first(k));
         comparison.methods[*i].set_shape(found, on_samples, on_model.next());
@@ -230,7 +231,6 @@ fn beside_each_other(
     let names: Vec<String> = done.iter().map(|(i, _)| file.methods[*i].name.clone()).collect();
     comparison.pairs = figures::pairs(&names, &deformed, &beside, progress)?;
     comparison.color_scale = figures::color_scale(&comparison.pairs, &names[0]);
-
     let files: Vec<(usize, String)> = done.iter().map(|(i, d)| (*i, d.name.clone())).collect();
     let shown = (&models[..], chosen.as_ref());
     let drawn = easel.draw(shown, &beside.bounds, &files, &mut comparison, progress)?;

@@ -113,6 +113,20 @@ struct Ready {
     processor: Option<f64>,
 }
 
+impl Ready {
+    /// What it took so far.
+    fn seconds(&self) -> RunSeconds {
+        let Self { moved, deform, processor } = self;
+        RunSeconds {
+            deform: Some(*deform),
+            prepare: moved.prepare,
+            motion: moved.prepare.map(|prepare| (deform - prepare).max(0.0)),
+            reconstruct: None,
+            processor: *processor,
+        }
+    }
+}
+
 /// A run of a method.
 struct Once {
     sampled: Arc<SampledModel>,
@@ -401,13 +415,11 @@ impl<'a> Bench<'a> {
 
         let mut transferred = Vec::new();
         for (i, ((_, ready), output)) in all.iter().zip(outputs).enumerate() {
-            let Ready { moved, deform, processor } = ready;
+            let moved = &ready.moved;
             let seconds = RunSeconds {
-                deform: Some(*deform),
-                prepare: moved.prepare,
-                motion: moved.prepare.map(|prepare| (deform - prepare).max(0.0)),
                 reconstruct: Some(seconds + found.map_or(0.0, |found| found.seconds)),
-                processor: sum([*processor, found.map_or(Some(0.0), |found| found.processor), used]),
+                processor: sum([ready.processor, found.map_or(Some(0.0), |found| found.processor), used]),
+                ..ready.seconds()
             };
             let exact = moved.stack.as_ref().filter(|_| measure);
             let transfer_error =

@@ -213,6 +213,7 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
             format!("write it as {id} = {example}"),
         )
     };
+    let refused = |(what, hint): (String, String)| Error::argument(format!("{plugin}: {what}"), hint);
     let parsed = match d.kind {
         ParamKind::FLOAT => float(d, number(value).ok_or_else(|| wrong("a number", &default_number(d)))?),
         ParamKind::INT => value
@@ -240,13 +241,11 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
         ),
         ParamKind::FILE => {
             let path = value.as_str().ok_or_else(|| wrong("a text", "\"file\""))?;
-            file(d, folder, path)
-                .map_err(|(what, hint)| Error::argument(format!("{plugin}: {what}"), hint))?
+            file(d, folder, path).map_err(refused)?
         }
         ParamKind::MODEL => {
             let path = value.as_str().ok_or_else(|| wrong("a text", "\"model.ply\""))?;
-            other_model(d, folder, path)
-                .map_err(|(what, hint)| Error::argument(format!("{plugin}: {what}"), hint))?
+            other_model(d, folder, path).map_err(refused)?
         }
         _ => {
             return Err(Error::argument(

@@ -105,11 +105,8 @@ pub fn write_part(
 ) -> Result<bool> {
     let Part { pieces, own, shared } = part;
     let key = key(sampled, model, how, deformed)?;
-    if let Ok((_, there)) = open(own)
-        && there.key == key
-        && there.pieces == *pieces
-        && shared.has(&there, model)
-    {
+    let is_same = |there: &Record| there.key == key && there.pieces == *pieces && shared.has(there, model);
+    if open(own).is_ok_and(|(_, there)| is_same(&there)) {
         return Ok(false);
     }
     check_reach(sampled, model, std::iter::once(deformed))?;

@@ -390,22 +390,7 @@ impl Graph {
         let count = clusters + graph.further.len();
         let (mut starts, mut joined) = lists(count, pairs.iter().flat_map(|[a, b]| [(*a, *b), (*b, *a)]));
         drop(pairs);
-        // Each once: who was met last by whom.
-        let mut met = vec![NONE; count];
-        let (mut kept, mut from) = (0, 0);
-        for island in 0..count {
-            let to = starts[island + 1] as usize;
-            for at in from..to {
-                let other = joined[at];
-                if std::mem::replace(&mut met[other as usize], island as u32) != island as u32 {
-                    joined[kept] = other;
-                    kept += 1;
-                }
-            }
-            starts[island + 1] = kept as u32;
-            from = to;
-        }
-        joined.truncate(kept);
+        keep_once(&mut starts, &mut joined);
         Self { starts, joined, ..graph }
     }
 
@@ -521,6 +506,27 @@ impl Graph {
         }
         met
     }
+}
+
+/// Leaves each island in the list of another one once.
+fn keep_once(starts: &mut [u32], joined: &mut Vec<u32>) {
+    let count = starts.len() - 1;
+    // Who was met last by whom.
+    let mut met = vec![NONE; count];
+    let (mut kept, mut from) = (0, 0);
+    for island in 0..count {
+        let to = starts[island + 1] as usize;
+        for at in from..to {
+            let other = joined[at];
+            if std::mem::replace(&mut met[other as usize], island as u32) != island as u32 {
+                joined[kept] = other;
+                kept += 1;
+            }
+        }
+        starts[island + 1] = kept as u32;
+        from = to;
+    }
+    joined.truncate(kept);
 }
 
 #[cfg(test)]
