@@ -4,8 +4,9 @@
 //! Former programs recorded them field by field; what they wrote is read by what is derived for the types.
 
 use crate::edit::seen_from;
+use crate::motion::Motion;
 use crate::session_file::SessionFile;
-use crate::step::{Action, Deformation, HandleMove, Refine, Region, Step};
+use crate::step::{Action, Deformation, HandleMove, Refine, Region, Role, Step};
 use serde::de::Error as _;
 use serde::ser::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -80,7 +81,10 @@ impl<'de> Deserialize<'de> for Refine {
 
 impl Serialize for Region {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let around = Deformation { regions: vec![self.clone()], ..Deformation::by_plugin(ANY) };
+        // A region that was made another one than a handle may still say how it moved, which nobody reads.
+        let motion = if self.role == Role::Handle { self.motion } else { Motion::default() };
+        let region = Self { motion, ..self.clone() };
+        let around = Deformation { regions: vec![region], ..Deformation::by_plugin(ANY) };
         write(part_of("region", around), to)
     }
 }
@@ -166,10 +170,9 @@ fn only_element(list: Option<toml::Value>) -> Option<toml::Value> {
 mod tests {
     use super::*;
     use crate::edit::{Change, Command};
-    use crate::motion::Motion;
     use crate::picked::PickedPoints;
     use crate::shapes::{Shape, Shapes};
-    use crate::step::{Joint, Role, Stroke};
+    use crate::step::{Joint, Stroke};
     use glam::DVec3;
     use simod_core::refinement::Finer;
     use std::fmt::Debug;
@@ -228,6 +231,10 @@ mod tests {
         assert_comes_back(&Step::new(Action::Refine(refine())), r#""step":{"refine":{"auto":true,"#);
         assert_comes_back(&refine(), r#"{"auto":true,"error":0.001,"samples":7,"shapes":[{"#);
         assert_comes_back(&region(), r#""falloff":0.3,"move":{"degrees":30.1,"#);
+        let mask = Region { role: Role::Mask, ..region() };
+        let text = serde_json::to_string(&mask).unwrap();
+        let read: Region = serde_json::from_str(&text).unwrap();
+        assert_eq!(read, Region { motion: Motion::default(), ..mask });
         assert_comes_back(&HandleMove { id: "a".to_owned(), motion: motion() }, r#"{"id":"a","move":{"#);
     }
 

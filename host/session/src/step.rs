@@ -243,6 +243,18 @@ impl Deformation {
     }
 }
 
+impl Deformation {
+    /// As of [`Step::check`].
+    fn check(&self) -> Result<(), Defect> {
+        check_amount(self.amount)?;
+        self.regions.iter().try_for_each(Region::check)?;
+        check_joints(&self.joints).map_err(|(_, defect)| defect)?;
+        check_handles(&self.handles).map_err(|(_, defect)| defect)?;
+        let defect = self.strokes.iter().find_map(|stroke| stroke.defect());
+        defect.map_or(Ok(()), |(what, hint)| Err(Defect::new(what, hint)))
+    }
+}
+
 /// Longest title of a step, or name of a group, in characters.
 const LONGEST_NAME: usize = 200;
 
@@ -257,6 +269,19 @@ impl Step {
         match &self.action {
             Action::Deform(deformation) => &deformation.deform,
             Action::Refine(_) => "refine",
+        }
+    }
+
+    /// Whether it makes sense, as far as that can be told without its plugin.
+    ///
+    /// # Errors
+    /// What is wrong with it: a session that says so is not read.
+    pub fn check(&self) -> Result<(), Defect> {
+        self.title.as_deref().map_or(Ok(()), |title| check_name("title", title))?;
+        self.group.as_deref().map_or(Ok(()), |group| check_name("group", group))?;
+        match &self.action {
+            Action::Refine(refine) => refine.check(),
+            Action::Deform(deformation) => deformation.check(),
         }
     }
 

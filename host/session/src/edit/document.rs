@@ -300,6 +300,7 @@ impl Document {
         match command {
             Command::Add { at, step } => {
                 check(at, count + 1)?;
+                step.check()?;
                 let entry = self.entry(*step);
                 steps.insert(at, entry);
                 groups::settle(&mut steps, at);
@@ -317,6 +318,7 @@ impl Document {
             }
             Command::Insert { at, steps: new } => {
                 check(at, count + 1)?;
+                new.iter().try_for_each(Step::check)?;
                 let new: Vec<Entry> = new.into_iter().map(|step| self.entry(step)).collect();
                 let places = at..at + new.len();
                 steps.splice(at..at, new);
