@@ -230,7 +230,7 @@ mod tests {
         assert_comes_back(&step(), r#""step":{"amount":0.7,"deform":"rbf","enabled":false,"handle":[{"id""#);
         assert_comes_back(&Step::new(Action::Refine(refine())), r#""step":{"refine":{"auto":true,"#);
         assert_comes_back(&refine(), r#"{"auto":true,"error":0.001,"samples":7,"shapes":[{"#);
-        assert_comes_back(&region(), r#""falloff":0.3,"move":{"degrees":30.1,"#);
+        assert_comes_back(&region(), r#"{"falloff":0.3,"move":{"axis":[0.0,1.0,0.0],"degrees":30.1,"#);
         let mask = Region { role: Role::Mask, ..region() };
         let text = serde_json::to_string(&mask).unwrap();
         let read: Region = serde_json::from_str(&text).unwrap();
