@@ -7,6 +7,7 @@ use simod_plugin_api::ParamKind;
 use simod_session::migration::migrated;
 use simod_session::params::check_migration;
 use simod_session::step::Deformation;
+use simod_session::{Migration, Plugin};
 
 /// Sessions of all versions that give nothing, or every parameter by its default and by each former name,
 /// become what the plugin takes; always the same, and nothing of what they become is changed once more.
@@ -25,6 +26,34 @@ pub(crate) fn migration(subject: &Subject) -> Checked<Finding> {
             return Err(Finding::fail("it says something else of older sessions when asked twice", hint));
         }
     }
+    let tables = tables(plugin, migration);
+    let (mut refused, mut done) = (None, 0);
+    for from in (1..=migration.state_version).rev().take(VERSIONS).chain([1]) {
+        for params in &tables {
+            let step = Deformation {
+                state_version: Some(from),
+                params: params.clone(),
+                ..Deformation::by_plugin(plugin.id())
+            };
+            let fail = |what: String| Finding::fail(format!("from state version {from}: {what}"), HINT);
+            match brought(&step, plugin).map_err(fail)? {
+                Brought::Same => done += 1,
+                Brought::Refused(what) => _ = refused.get_or_insert(what),
+            }
+        }
+    }
+    Ok(match refused {
+        Some(what) if done == 0 => Finding::warn(format!("it refuses all older sessions: {what}"), HINT),
+        _ => Finding::pass(format!(
+            "state version {}, {} aliases",
+            migration.state_version,
+            migration.aliases.len()
+        )),
+    })
+}
+
+/// Parameters as older sessions may give them: none, all by their defaults, and each by each former name.
+fn tables(plugin: &Plugin, migration: &Migration) -> Vec<toml::Table> {
     let numbers = |x: &[f64]| toml::Value::Array(x.iter().map(|x| toml::Value::Float(*x)).collect());
     let given = plugin.params().iter().filter_map(|d| {
         let value = match (d.kind, d.default_numbers.as_slice()) {
@@ -47,43 +76,38 @@ pub(crate) fn migration(subject: &Subject) -> Checked<Finding> {
             tables.push(table);
         }
     }
-    let (mut refused, mut done) = (None, 0);
-    for from in (1..=migration.state_version).rev().take(VERSIONS).chain([1]) {
-        for params in &tables {
-            let step = Deformation {
-                state_version: Some(from),
-                params: params.clone(),
-                ..Deformation::by_plugin(plugin.id())
-            };
-            let fail = |what: String| Finding::fail(format!("from state version {from}: {what}"), HINT);
-            let brought =
-                |step: &Deformation| migrated(step, plugin).map(|new| new.unwrap_or_else(|| step.clone()));
-            let first = match brought(&step) {
-                Ok(first) => first,
-                // What old defaults were, nobody knows here: it may refuse what it cannot understand.
-                Err(e) if !e.hint().contains("bug of the plugin") && !e.to_string().contains("panicked") => {
-                    refused.get_or_insert_with(|| e.to_string());
-                    continue;
-                }
-                Err(e) => return Err(fail(e.to_string())),
-            };
-            if brought(&step).ok().as_ref() != Some(&first) {
-                return Err(fail("the same settings become others each time".to_owned()));
-            }
-            if brought(&first).ok().as_ref() != Some(&first) {
-                return Err(fail("what became of it is changed once more".to_owned()));
-            }
-            done += 1;
+    tables
+}
+
+/// What becomes of an older step.
+enum Brought {
+    /// The same each time, which is not changed once more.
+    Same,
+    /// The plugin refuses it, for this reason.
+    Refused(String),
+}
+
+/// Brings a step up to its plugin, more than once.
+///
+/// # Errors
+/// What is wrong with what becomes of it.
+fn brought(step: &Deformation, plugin: &Plugin) -> Result<Brought, String> {
+    let brought = |step: &Deformation| migrated(step, plugin).map(|new| new.unwrap_or_else(|| step.clone()));
+    let first = match brought(step) {
+        Ok(first) => first,
+        // What old defaults were, nobody knows here: it may refuse what it cannot understand.
+        Err(e) if !e.hint().contains("bug of the plugin") && !e.to_string().contains("panicked") => {
+            return Ok(Brought::Refused(e.to_string()));
         }
+        Err(e) => return Err(e.to_string()),
+    };
+    if brought(step).ok().as_ref() != Some(&first) {
+        return Err("the same settings become others each time".to_owned());
     }
-    Ok(match refused {
-        Some(what) if done == 0 => Finding::warn(format!("it refuses all older sessions: {what}"), HINT),
-        _ => Finding::pass(format!(
-            "state version {}, {} aliases",
-            migration.state_version,
-            migration.aliases.len()
-        )),
-    })
+    if brought(&first).ok().as_ref() != Some(&first) {
+        return Err("what became of it is changed once more".to_owned());
+    }
+    Ok(Brought::Same)
 }
 
 /// Versions that are tried, besides the first.

@@ -38,23 +38,27 @@ pub(crate) struct Files<'a> {
     pub output: &'a Path,
 }
 
-/// Runs a program in the folder of the file that names it, to its end.
-pub(crate) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress) -> Result<Ran> {
-    progress.begin("running a program", 0);
-    let whole = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    let filled = |word: &String| {
-        let mut word = word.clone();
+impl Files<'_> {
+    /// A word of a command, with the whole paths of the files that it names.
+    fn filled_in(&self, word: &str) -> String {
+        let whole = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        let mut word = word.to_owned();
         for (name, path) in [
-            ("{samples}", files.samples),
-            ("{constraints}", files.constraints),
-            ("{model}", files.model),
-            ("{output}", files.output),
+            ("{samples}", self.samples),
+            ("{constraints}", self.constraints),
+            ("{model}", self.model),
+            ("{output}", self.output),
         ] {
             word = word.replace(name, &whole(path).to_string_lossy());
         }
         word
-    };
-    let words: Vec<String> = command.words.iter().map(filled).collect();
+    }
+}
+
+/// Runs a program in the folder of the file that names it, to its end.
+pub(crate) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress) -> Result<Ran> {
+    progress.begin("running a program", 0);
+    let words: Vec<String> = command.words.iter().map(|word| files.filled_in(word)).collect();
     let Some((program, arguments)) = words.split_first() else {
         return Err(Error::internal("a command has no words"));
     };
@@ -82,13 +86,7 @@ pub(crate) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress)
     let seconds = started.elapsed().as_secs_f64();
     drop(child);
     if !status.success() {
-        let (output, errors) = (output.text(), errors.text());
-        // What a program says last tells most.
-        let said = if errors.trim().is_empty() { output } else { errors };
-        let lines: Vec<&str> = said.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
-        let last = lines[lines.len().saturating_sub(TOLD)..].join("; ");
-        let last = if last.is_empty() { "and said nothing".to_owned() } else { last };
-        let what = format!("{program} ended with {status}: {last}");
+        let what = format!("{program} ended with {status}: {}", last_said(&output.text(), &errors.text()));
         return Err(Error::argument(what, "run it by hand with `simod sample`'s samples.ply"));
     }
     if !files.output.is_file() {
@@ -96,6 +94,14 @@ pub(crate) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress)
         return Err(Error::argument(what, "have it write to the path in place of {output}"));
     }
     Ok(Ran { seconds, peak_memory_bytes })
+}
+
+/// What a program said last, which tells most.
+fn last_said(output: &str, errors: &str) -> String {
+    let said = if errors.trim().is_empty() { output } else { errors };
+    let lines: Vec<&str> = said.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    let last = lines[lines.len().saturating_sub(TOLD)..].join("; ");
+    if last.is_empty() { "and said nothing".to_owned() } else { last }
 }
 
 /// Writes what a program is given, as far as its command asks for it.

@@ -384,6 +384,23 @@ fn method(
         let what = format!("there are more than {MAX_METHODS} methods");
         return wrong(&what, "make two comparisons of it, which share a method");
     }
+    let (name, place) = (raw.name.clone(), source.place(&span));
+    let (sampling, reconstruction) = (raw.sampling.clone(), raw.reconstruction);
+    let work = work(raw, folder).map_err(|(what, hint)| source.error(&span, &what, hint))?;
+    if reconstruction.is_some()
+        && (matches!(&work, Work::Model(_))
+            || matches!(&work, Work::Command(command) if command.makes_model()))
+    {
+        return wrong("a method that gives a deformed model has no `reconstruction`", "leave it out");
+    }
+    let sampling = sampling.map_or(Ok(shared), |sampling| source.sampling(sampling))?;
+    let reconstruction = reconstruction.map(Reconstruction::from).unwrap_or_default();
+    Ok(Method { name, place, work, sampling, reconstruction })
+}
+
+/// What a method does, which is said in one way; or what is wrong, and what to do.
+fn work(raw: RawMethod, folder: &Path) -> std::result::Result<Work, (String, String)> {
+    let wrong = |what: &str, hint: &str| Err((what.to_owned(), hint.to_owned()));
     let what = [
         ("deform", raw.deform.is_some()),
         ("session", raw.session.is_some()),
@@ -406,14 +423,13 @@ fn method(
         }
     }
     if raw.deform.is_none() && !(raw.params.is_empty() && raw.state_version.is_none()) {
-        let hint = match raw.session {
-            Some(_) => "change them in the session",
-            None => "they are those of plugins: leave them out",
+        let (whose, hint) = match raw.session {
+            Some(_) => ("a whole session", "change them in the session"),
+            None => ("another program", "they are those of plugins: leave them out"),
         };
-        let whose = if raw.session.is_some() { "a whole session" } else { "another program" };
         return wrong(&format!("a method of {whose} has no `params`"), hint);
     }
-    let work = if let Some(deform) = raw.deform {
+    Ok(if let Some(deform) = raw.deform {
         let (state_version, params) = (raw.state_version, raw.params);
         Work::Plugin { deform, state_version, params, folder: folder.to_owned() }
     } else if let Some(session) = raw.session {
@@ -421,19 +437,10 @@ fn method(
     } else if let Some(deformed) = raw.deformed {
         Work::Deformed(folder.join(deformed))
     } else if let Some(line) = raw.command {
-        Work::Command(command(&line, folder).map_err(|(what, hint)| source.error(&span, &what, hint))?)
+        Work::Command(command(&line, folder)?)
     } else {
         Work::Model(folder.join(raw.model.unwrap_or_default()))
-    };
-    if raw.reconstruction.is_some()
-        && (matches!(&work, Work::Model(_))
-            || matches!(&work, Work::Command(command) if command.makes_model()))
-    {
-        return wrong("a method that gives a deformed model has no `reconstruction`", "leave it out");
-    }
-    let sampling = raw.sampling.map_or(Ok(shared), |sampling| source.sampling(sampling))?;
-    let reconstruction = raw.reconstruction.map(Reconstruction::from).unwrap_or_default();
-    Ok(Method { name: raw.name, place: source.place(&span), work, sampling, reconstruction })
+    })
 }
 
 #[cfg(test)]

@@ -219,10 +219,11 @@ fn beside_each_other(
     let beside = figures::beside(&models, diagonal, (attributes, &also), progress)?;
     let chosen = choosing.map(Choosing::finish).transpose()?;
     let on_samples = figures::on_samples(&deformed, progress)?;
-    let held = Held::read(rest, diagonal, progress)?;
-    let on_model = held.as_ref().map(|held| held.measure(&models[1..], progress)).transpose()?;
-    drop(held);
-    let mut on_model = on_model.unwrap_or_default().into_iter();
+    let on_model = match Held::read(rest, diagonal, progress)? {
+        Some(held) => held.measure(&models[1..], progress)?,
+        None => Vec::new(),
+    };
+    let mut on_model = on_model.into_iter();
     for (k, ((i, _), on_samples)) in done.iter().zip(on_samples).enumerate() {
         let found = (beside.displacements[k], beside.to_first(k));
         comparison.methods[*i].set_shape(found, on_samples, on_model.next());
@@ -230,34 +231,47 @@ fn beside_each_other(
     let names: Vec<String> = done.iter().map(|(i, _)| file.methods[*i].name.clone()).collect();
     comparison.pairs = figures::pairs(&names, &deformed, &beside, progress)?;
     comparison.color_scale = figures::color_scale(&comparison.pairs, &names[0]);
-
     let files: Vec<(usize, String)> = done.iter().map(|(i, d)| (*i, d.name.clone())).collect();
     let shown = (&models[..], chosen.as_ref());
     let drawn = easel.draw(shown, &beside.bounds, &files, &mut comparison, progress)?;
     drop(models);
-    for (name, bytes) in &drawn {
-        write_file(&folder.path().join(name), bytes)?;
-    }
-    for deformed in deformed.iter().filter(|deformed| deformed.is_ours) {
-        if keep_models {
-            let name = deformed.output.file_name().unwrap_or_default();
-            comparison.files.push(name.to_string_lossy().into_owned());
-        } else {
-            let is_folder = deformed.output.is_dir();
-            let remove = if is_folder { std::fs::remove_dir_all } else { std::fs::remove_file };
-            remove(&deformed.output).map_err(|e| Error::io("remove", &deformed.output, &e))?;
-        }
-    }
-    comparison.files.extend([INDEX, RECORD, CSV, LATEX].map(str::to_owned));
-    comparison.files.sort();
-    write_file(&folder.path().join(RECORD), comparison.to_json().as_bytes())?;
-    write_file(&folder.path().join(CSV), tables::csv(&comparison).as_bytes())?;
-    write_file(&folder.path().join(LATEX), tables::latex(&comparison).as_bytes())?;
-    let page = page::page(&comparison, &file.crops, &drawn);
-    write_file(&folder.path().join(INDEX), page.as_bytes())?;
+    comparison.files.extend(kept_models(&deformed, keep_models)?);
+    write(&mut comparison, file, &drawn, folder.path())?;
     progress.check()?;
     target.check_again()?;
     Ok(comparison)
+}
+
+/// The names of our deformed models, which are removed unless they are kept.
+fn kept_models(deformed: &[&Deformed], keep_models: bool) -> Result<Vec<String>> {
+    let mut kept = Vec::new();
+    for Deformed { output, .. } in deformed.iter().filter(|deformed| deformed.is_ours) {
+        if keep_models {
+            kept.push(output.file_name().unwrap_or_default().to_string_lossy().into_owned());
+        } else {
+            let remove = if output.is_dir() { std::fs::remove_dir_all } else { std::fs::remove_file };
+            remove(output).map_err(|e| Error::io("remove", output, &e))?;
+        }
+    }
+    Ok(kept)
+}
+
+/// Writes the pictures that were drawn, the record, the tables and the page to a folder.
+fn write(
+    comparison: &mut Comparison,
+    file: &CompareFile,
+    drawn: &[(String, Vec<u8>)],
+    folder: &Path,
+) -> Result<()> {
+    for (name, bytes) in drawn {
+        write_file(&folder.join(name), bytes)?;
+    }
+    comparison.files.extend([INDEX, RECORD, CSV, LATEX].map(str::to_owned));
+    comparison.files.sort();
+    write_file(&folder.join(RECORD), comparison.to_json().as_bytes())?;
+    write_file(&folder.join(CSV), tables::csv(comparison).as_bytes())?;
+    write_file(&folder.join(LATEX), tables::latex(comparison).as_bytes())?;
+    write_file(&folder.join(INDEX), page::page(comparison, &file.crops, drawn).as_bytes())
 }
 
 /// The first failure, told as that of all.

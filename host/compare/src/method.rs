@@ -113,6 +113,20 @@ struct Ready {
     processor: Option<f64>,
 }
 
+impl Ready {
+    /// What it took so far.
+    fn seconds(&self) -> RunSeconds {
+        let Self { moved, deform, processor } = self;
+        RunSeconds {
+            deform: Some(*deform),
+            prepare: moved.prepare,
+            motion: moved.prepare.map(|prepare| (deform - prepare).max(0.0)),
+            reconstruct: None,
+            processor: *processor,
+        }
+    }
+}
+
 /// A run of a method.
 struct Once {
     sampled: Arc<SampledModel>,
@@ -401,21 +415,15 @@ impl<'a> Bench<'a> {
 
         let mut transferred = Vec::new();
         for (i, ((_, ready), output)) in all.iter().zip(outputs).enumerate() {
-            let Ready { moved, deform, processor } = ready;
+            let moved = &ready.moved;
             let seconds = RunSeconds {
-                deform: Some(*deform),
-                prepare: moved.prepare,
-                motion: moved.prepare.map(|prepare| (deform - prepare).max(0.0)),
                 reconstruct: Some(seconds + found.map_or(0.0, |found| found.seconds)),
-                processor: sum([*processor, found.map_or(Some(0.0), |found| found.processor), used]),
+                processor: sum([ready.processor, found.map_or(Some(0.0), |found| found.processor), used]),
+                ..ready.seconds()
             };
             let exact = moved.stack.as_ref().filter(|_| measure);
-            let transfer_error = exact.map(|stack| {
-                let map = |points: &mut [glam::DVec3]| stack.evaluate_with(points, progress);
-                let deformed = simod_model::open_version(source.as_ref(), &output, source.columns())?;
-                let how = (sampled.bounds.diagonal(), Some(MEASURED));
-                transfer_error::measure(source.as_ref(), deformed.as_ref(), how, &map, progress)
-            });
+            let transfer_error =
+                exact.map(|stack| beside_exact(source.as_ref(), &output, stack, sampled, progress));
             transferred.push(Once {
                 sampled: sampled.clone(),
                 positions: Some(moved.positions.clone()),
@@ -558,6 +566,20 @@ impl<'a> Bench<'a> {
         self.samplings.push(Taken { of, sampled: sampled.clone(), seconds, found: OnceLock::new() });
         Ok((sampled, seconds))
     }
+}
+
+/// How far the vertices of a deformed model are from their exact images.
+fn beside_exact(
+    source: &dyn Model,
+    output: &Path,
+    stack: &PreparedStack,
+    sampled: &SampledModel,
+    progress: &dyn Progress,
+) -> Result<TransferError> {
+    let map = |points: &mut [glam::DVec3]| stack.evaluate_with(points, progress);
+    let deformed = simod_model::open_version(source, output, source.columns())?;
+    let how = (sampled.bounds.diagonal(), Some(MEASURED));
+    transfer_error::measure(source, deformed.as_ref(), how, &map, progress)
 }
 
 /// Whether a method says where samples go, and no more.

@@ -69,17 +69,7 @@ impl SampledModel {
     /// The model cannot be read, or is not what was sampled; the user cancelled.
     pub fn stream_attributes(&self, model: &dyn Model, progress: &dyn Progress) -> Result<Attributes> {
         let info = model.info();
-        let attributes = &info.attributes[..info.attributes.len().min(MOST)];
-        if let [_, .., last] = attributes
-            && attributes.len() < info.attributes.len()
-        {
-            progress.note(&format!(
-                "{} has {} attributes, of which the first {MOST} are taken, up to {}",
-                model.path().display(),
-                info.attributes.len(),
-                last.name
-            ));
-        }
+        let attributes = taken(model, progress);
         if attributes.is_empty() {
             return Ok(Attributes::default());
         }
@@ -121,6 +111,23 @@ impl SampledModel {
         });
         Ok(Attributes::new(all.collect()))
     }
+}
+
+/// The attributes that samples get: the first ones, if there are very many, which is told.
+fn taken<'a>(model: &'a dyn Model, progress: &dyn Progress) -> &'a [Attribute] {
+    let all = &model.info().attributes;
+    let attributes = &all[..all.len().min(MOST)];
+    if let [_, .., last] = attributes
+        && attributes.len() < all.len()
+    {
+        progress.note(&format!(
+            "{} has {} attributes, of which the first {MOST} are taken, up to {}",
+            model.path().display(),
+            all.len(),
+            last.name
+        ));
+    }
+    attributes
 }
 
 /// The mean of numbers of any size.

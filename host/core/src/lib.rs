@@ -19,6 +19,7 @@ pub mod fingerprint;
 mod found_cells;
 pub mod guard;
 mod hashed;
+mod lists;
 pub mod reconstruction;
 pub mod refinement;
 pub mod sampled_model;

@@ -591,10 +591,32 @@ impl SampledModel {
         let normals =
             if self.sampling.skip.normals { self.samples.known_normals() } else { self.samples.normals() };
         self.write_points(&points, &self.samples.positions, normals).map_err(named)?;
-        let description = Description {
+        let description = self.description(folder, file_fingerprint(&points).map_err(named)?);
+        let text = toml::to_string(&description).map_err(|e| Error::unwritable(DESCRIPTION, e))?;
+        output::write_file(&new.path().join(DESCRIPTION), text.as_bytes()).map_err(named)?;
+        if let Some(kept) = &self.kept {
+            let bytes = kept.encode(&description.samples_fingerprint)?;
+            output::write_file(&new.path().join(CELLS), &bytes).map_err(named)?;
+        }
+        if let Some(contacts) = self.samples.contacts() {
+            contacts.save(&new.path().join(SHEETS), &description.samples_fingerprint).map_err(named)?;
+        }
+        if let Some(attributes) = self.attributes.get() {
+            let of = [&*description.samples_fingerprint, &*self.source.fingerprint];
+            output::write_file(&new.path().join(ATTRIBUTES), &attributes.encode(of)?).map_err(named)?;
+        }
+        self.cache.link_to(&new.path().join(CACHE));
+        // What came there meanwhile is not lost.
+        Self::check_target(folder)?;
+        new.commit()
+    }
+
+    /// What `simod.toml` says, in a folder with these samples.
+    fn description(&self, folder: &Path, samples_fingerprint: String) -> Description {
+        Description {
             format: FORMAT.to_owned(),
             samples: self.samples.len() as u64,
-            samples_fingerprint: file_fingerprint(&points).map_err(named)?,
+            samples_fingerprint,
             position_type: match self.position_type {
                 Scalar::F32 => "float".to_owned(),
                 Scalar::F64 => "double".to_owned(),
@@ -624,24 +646,7 @@ impl SampledModel {
                 max: self.bounds.max,
             },
             refinement: self.refinements.clone(),
-        };
-        let text = toml::to_string(&description).map_err(|e| Error::unwritable(DESCRIPTION, e))?;
-        output::write_file(&new.path().join(DESCRIPTION), text.as_bytes()).map_err(named)?;
-        if let Some(kept) = &self.kept {
-            let bytes = kept.encode(&description.samples_fingerprint)?;
-            output::write_file(&new.path().join(CELLS), &bytes).map_err(named)?;
         }
-        if let Some(contacts) = self.samples.contacts() {
-            contacts.save(&new.path().join(SHEETS), &description.samples_fingerprint).map_err(named)?;
-        }
-        if let Some(attributes) = self.attributes.get() {
-            let of = [&*description.samples_fingerprint, &*self.source.fingerprint];
-            output::write_file(&new.path().join(ATTRIBUTES), &attributes.encode(of)?).map_err(named)?;
-        }
-        self.cache.link_to(&new.path().join(CACHE));
-        // What came there meanwhile is not lost.
-        Self::check_target(folder)?;
-        new.commit()
     }
 
     /// Whether [`save`](Self::save) may write there: better known before a large model is sampled.

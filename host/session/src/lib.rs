@@ -1,8 +1,8 @@
 //! simod-session: plugins, the stack of deformations, and session files.
 //!
 //! ```text
-//! session.toml ──SessionFile::load──▶ steps ──Stack::build──▶ Stack ──apply(P_S)──▶ Deformed: P_S*, and the
-//!                    plugin folders ──PluginRegistry::discover──┘                  PreparedStack for any point
+//! session.toml ──SessionFile::load──▶ steps ──deform(P_S)──▶ DeformedSamples: P_S*, and the
+//!            plugin folders ──PluginRegistry::discover──┘    PreparedStack for any point
 //! ```
 //!
 //! Model coordinates are double precision and in the model's unit; plugins see *local* ones (see
@@ -22,6 +22,7 @@ mod picked;
 pub mod pipeline;
 pub mod plan;
 pub mod plugins;
+mod recorded;
 pub mod refining;
 pub mod session_file;
 mod session_layout;
@@ -49,5 +50,5 @@ pub use pipeline::{ExactCost, Run, Running};
 pub use plugins::{Isolation, PluginOptions, PluginRegistry, Rejected};
 pub use session_file::SessionFile;
 pub use shapes::{Shape, Shapes};
-pub use stack::{Deformed, PreparedStack, Renormal, RestShape, Stack};
+pub use stack::{PreparedStack, Stack};
 pub use tolerance::{Certificate, Tolerance};

@@ -213,6 +213,7 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
             format!("write it as {id} = {example}"),
         )
     };
+    let refused = |(what, hint): (String, String)| Error::argument(format!("{plugin}: {what}"), hint);
     let parsed = match d.kind {
         ParamKind::FLOAT => float(d, number(value).ok_or_else(|| wrong("a number", &default_number(d)))?),
         ParamKind::INT => value
@@ -223,19 +224,8 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
             value.as_bool().map(ParamValue::Bool).ok_or_else(|| wrong("true or false", "true"))?
         }
         ParamKind::CHOICE => {
-            let choice = value.as_str().ok_or_else(|| wrong("a text", &format!("\"{}\"", d.default_text)))?;
-            let ids = d.choices.iter().map(|c| c.id.as_str());
-            if !ids.clone().any(|c| c == choice) {
-                let hint = nearest(choice, ids.clone()).map_or_else(
-                    || format!("use one of {}", ids.collect::<Vec<_>>().join(", ")),
-                    |near| format!("did you mean `{near}`?"),
-                );
-                return Err(Error::argument(
-                    format!("parameter `{id}` of {plugin} cannot be `{choice}`"),
-                    hint,
-                ));
-            }
-            ParamValue::Choice(choice.to_owned())
+            let text = value.as_str().ok_or_else(|| wrong("a text", &format!("\"{}\"", d.default_text)))?;
+            choice(plugin, d, text)?
         }
         ParamKind::DIRECTION => {
             vector(value).map(ParamValue::Direction).ok_or_else(|| wrong("three numbers", "[0, 1, 0]"))?
@@ -251,13 +241,11 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
         ),
         ParamKind::FILE => {
             let path = value.as_str().ok_or_else(|| wrong("a text", "\"file\""))?;
-            file(d, folder, path)
-                .map_err(|(what, hint)| Error::argument(format!("{plugin}: {what}"), hint))?
+            file(d, folder, path).map_err(refused)?
         }
         ParamKind::MODEL => {
             let path = value.as_str().ok_or_else(|| wrong("a text", "\"model.ply\""))?;
-            other_model(d, folder, path)
-                .map_err(|(what, hint)| Error::argument(format!("{plugin}: {what}"), hint))?
+            other_model(d, folder, path).map_err(refused)?
         }
         _ => {
             return Err(Error::argument(
@@ -266,18 +254,34 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
             ));
         }
     };
-    in_range(d, &parsed).map_err(|what| {
-        let hint = match d.kind {
-            ParamKind::COLOUR => format!("give numbers from 0 to 1, as {id} = [0.8, 0.2, 0.1]"),
-            ParamKind::CURVE => format!(
-                "give at least two points [x, y] whose numbers are from 0 to 1 and whose x ascend, as {id} = [[0, 1], [0.5, 0.2], [1, 0]]"
-            ),
-            ParamKind::DIRECTION | ParamKind::POINT => "give three finite numbers".to_owned(),
-            _ => format!("give a value {}", range_text(d.hard_range)),
-        };
-        Error::argument(format!("{plugin}: {what}"), hint)
-    })?;
+    in_range(d, &parsed).map_err(|what| Error::argument(format!("{plugin}: {what}"), range_hint(d)))?;
     Ok(parsed)
+}
+
+/// A text that is one of the parameter's choices.
+fn choice(plugin: &str, d: &ParamDesc, choice: &str) -> Result<ParamValue> {
+    let ids = d.choices.iter().map(|c| c.id.as_str());
+    if ids.clone().any(|c| c == choice) {
+        return Ok(ParamValue::Choice(choice.to_owned()));
+    }
+    let hint = nearest(choice, ids.clone()).map_or_else(
+        || format!("use one of {}", ids.collect::<Vec<_>>().join(", ")),
+        |near| format!("did you mean `{near}`?"),
+    );
+    Err(Error::argument(format!("parameter `{}` of {plugin} cannot be `{choice}`", d.id), hint))
+}
+
+/// What to do about a value that is out of range.
+fn range_hint(d: &ParamDesc) -> String {
+    let id = &d.id;
+    match d.kind {
+        ParamKind::COLOUR => format!("give numbers from 0 to 1, as {id} = [0.8, 0.2, 0.1]"),
+        ParamKind::CURVE => format!(
+            "give at least two points [x, y] whose numbers are from 0 to 1 and whose x ascend, as {id} = [[0, 1], [0.5, 0.2], [1, 0]]"
+        ),
+        ParamKind::DIRECTION | ParamKind::POINT => "give three finite numbers".to_owned(),
+        _ => format!("give a value {}", range_text(d.hard_range)),
+    }
 }
 
 /// A parameter's default, as a user would write it.

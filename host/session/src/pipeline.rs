@@ -202,6 +202,23 @@ impl Default for Running<'_> {
     }
 }
 
+impl Running<'_> {
+    /// # Errors
+    /// What is asked for cannot be had together, or not with these steps.
+    fn check(&self, stack: &Stack) -> Result<()> {
+        if self.measure || self.exact {
+            stack.check_evaluable()?;
+        }
+        if self.tolerance.is_some() && (self.exact || self.how.method != Method::BlendedJets) {
+            return Err(Error::argument(
+                "a tolerance is kept by refining for the method blended-jets",
+                "leave out --tolerance, or --exact and --method",
+            ));
+        }
+        Ok(())
+    }
+}
+
 /// What the evaluation of every vertex was expected to take.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExactCost {
@@ -264,19 +281,10 @@ impl Run {
         output: &Path,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let Running { how, diagnostics, measure, exact, tolerance, choose_offset: may_move, lossy, follow } =
-            running;
+        let Running { how, tolerance, choose_offset: may_move, lossy, follow, .. } = running;
         let start = Instant::now();
         let stack = Stack::build(&session.steps, plugins)?;
-        if *measure || *exact {
-            stack.check_evaluable()?;
-        }
-        if tolerance.is_some() && (*exact || how.method != Method::BlendedJets) {
-            return Err(Error::argument(
-                "a tolerance is kept by refining for the method blended-jets",
-                "leave out --tolerance, or --exact and --method",
-            ));
-        }
+        running.check(&stack)?;
         let folder = &*scratch_folder(output);
         let time = session.time.time();
         let skip = needed(session, &stack, tolerance.is_some());
@@ -310,15 +318,7 @@ impl Run {
             let chosen = choose_offset(&deformed.sampled, model.as_mut(), [&deformed.positions[..]])?;
             chosen.into_iter().for_each(|changed| progress.note(&changed));
         }
-        let version = Version { deformed: &deformed.positions, output, diagnostics: *diagnostics };
-        let (written, exact) = if *exact {
-            let cost = told_cost(&deformed, model.as_ref(), running, progress)?;
-            (evaluated(&deformed, model.as_ref(), &version, how, progress)?, Some(cost))
-        } else {
-            let known = turning_gradients(&deformed.sampled, &deformed.stack, model.as_ref(), progress)?;
-            let how = Reconstruction { gradients: known.as_deref(), ..*how };
-            (reconstruct(&deformed.sampled, model.as_ref(), &[version], &how, progress)?, None)
-        };
+        let (written, exact) = written(&deformed, model.as_ref(), running, output, progress)?;
         let seconds = start.elapsed().as_secs_f64();
         let output = output.to_owned();
         Ok(Self { deformed, output, written, certificate, exact, following, seconds })
@@ -336,6 +336,24 @@ impl Run {
         let map = |points: &mut [DVec3]| self.deformed.stack.evaluate_with(points, progress);
         transfer_error::measure(model.as_ref(), output.as_ref(), (diagonal, None), &map, progress)
     }
+}
+
+/// Writes the deformed model, by the samples or by the evaluation of each vertex, of which the cost is told.
+fn written(
+    deformed: &DeformedSamples,
+    model: &dyn Model,
+    running: &Running<'_>,
+    output: &Path,
+    progress: &dyn Progress,
+) -> Result<(Reconstructed, Option<ExactCost>)> {
+    let version = Version { deformed: &deformed.positions, output, diagnostics: running.diagnostics };
+    if running.exact {
+        let cost = told_cost(deformed, model, running, progress)?;
+        return Ok((evaluated(deformed, model, &version, &running.how, progress)?, Some(cost)));
+    }
+    let known = turning_gradients(&deformed.sampled, &deformed.stack, model, progress)?;
+    let how = Reconstruction { gradients: known.as_deref(), ..running.how };
+    Ok((reconstruct(&deformed.sampled, model, &[version], &how, progress)?, None))
 }
 
 /// What of a sampled model a session has no use for; `refines` says that more than its steps refines it.

@@ -1,5 +1,6 @@
 //! The steps of an edit: what a session has and an edit changes, and what is wrong with those that make no
-//! sense. Whoever reads, changes or records steps judges them by what is here.
+//! sense. Whoever reads, changes or records steps judges them by what is here. What is derived for reading
+//! is how former programs [recorded](crate::recorded) them.
 
 use crate::deformer::Plugin;
 use crate::key::{Key, Keyed};
@@ -16,8 +17,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 /// One step of an edit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(remote = "Self", rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Step {
     /// What is done.
     pub action: Action,
@@ -25,18 +26,18 @@ pub struct Step {
     #[serde(default = "yes")]
     pub enabled: bool,
     /// What the user calls it, if anything.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
     pub title: Option<String>,
     /// What the group is called that it is in, with those before and behind it that say the same.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
     pub group: Option<String>,
     /// Where in the file it stands, as `session.toml, line 7`; for errors.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
+    #[serde(default)]
     pub place: String,
 }
 
 /// What a step does.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[expect(clippy::large_enum_variant, reason = "nearly all steps are the large one, and a session has a few")]
 pub enum Action {
@@ -47,8 +48,8 @@ pub enum Action {
 }
 
 /// More samples in a part of the model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(remote = "Self", rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Refine {
     /// Where: on the model as the steps before have deformed it. None is everywhere, for those that find out
     /// by themselves ([`Finer::Auto`]).
@@ -87,7 +88,7 @@ pub(crate) const FINER: &str =
     "an error of 0 or more as a fraction of the diagonal, a factor above 1, or at least 1 sample";
 
 /// One deformation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Deformation {
     /// The plugin's id.
@@ -114,7 +115,7 @@ pub struct Deformation {
     pub strokes: Vec<Arc<Stroke>>,
     /// How much of it is done: 0 leaves all at rest, 1 is the whole deformation, and what is between is
     /// blended linearly.
-    #[serde(default = "full", skip_serializing_if = "is_full")]
+    #[serde(default = "full")]
     pub amount: f64,
     /// What paths among the parameters are relative to.
     #[serde(default)]
@@ -242,6 +243,18 @@ impl Deformation {
     }
 }
 
+impl Deformation {
+    /// As of [`Step::check`].
+    fn check(&self) -> Result<(), Defect> {
+        check_amount(self.amount)?;
+        self.regions.iter().try_for_each(Region::check)?;
+        check_joints(&self.joints).map_err(|(_, defect)| defect)?;
+        check_handles(&self.handles).map_err(|(_, defect)| defect)?;
+        let defect = self.strokes.iter().find_map(|stroke| stroke.defect());
+        defect.map_or(Ok(()), |(what, hint)| Err(Defect::new(what, hint)))
+    }
+}
+
 /// Longest title of a step, or name of a group, in characters.
 const LONGEST_NAME: usize = 200;
 
@@ -256,6 +269,19 @@ impl Step {
         match &self.action {
             Action::Deform(deformation) => &deformation.deform,
             Action::Refine(_) => "refine",
+        }
+    }
+
+    /// Whether it makes sense, as far as that can be told without its plugin.
+    ///
+    /// # Errors
+    /// What is wrong with it: a session that says so is not read.
+    pub fn check(&self) -> Result<(), Defect> {
+        self.title.as_deref().map_or(Ok(()), |title| check_name("title", title))?;
+        self.group.as_deref().map_or(Ok(()), |group| check_name("group", group))?;
+        match &self.action {
+            Action::Refine(refine) => refine.check(),
+            Action::Deform(deformation) => deformation.check(),
         }
     }
 
@@ -448,8 +474,8 @@ pub struct Joint {
 }
 
 /// How a handle that the plugin placed moves.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(remote = "Self", rename_all = "kebab-case", deny_unknown_fields)]
 pub struct HandleMove {
     /// The handle's id.
     pub id: String,
@@ -479,10 +505,6 @@ fn full() -> f64 {
     1.0
 }
 
-fn is_full(amount: &f64) -> bool {
-    *amount == full()
-}
-
 /// What a region's samples do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -496,8 +518,8 @@ pub enum Role {
 }
 
 /// A region of space with a role.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(remote = "Self", rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Region {
     /// What it is for.
     pub role: Role,

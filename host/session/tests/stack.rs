@@ -4,12 +4,16 @@
 mod common;
 
 use glam::{DVec3, Vec3};
+use simod_core::sampled_model::SampledModel;
+use simod_core::sampling::{SampleSet, Sampling, sample};
 use simod_model::bounds::Bounds;
 use simod_model::frame::Frame;
 use simod_model::progress::Silent;
-use simod_model::{Error, ErrorKind, Progress};
+use simod_model::{Error, ErrorKind, Progress, Scalar, write_points};
 use simod_plugin_api::LogLevel;
-use simod_session::{Deformed, RestShape, SessionFile, Stack};
+use simod_session::edit::Refinements;
+use simod_session::step::Step;
+use simod_session::{DeformedSamples, PluginRegistry, SessionFile, Stack, deform};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -30,33 +34,41 @@ fn about_origin(p: Vec3) -> Vec3 {
     (FRAME.to_model(p) - ORIGIN).as_vec3()
 }
 
-fn rest(positions: &[Vec3]) -> RestShape<'_> {
+/// A model with these samples, and no others.
+fn sampled(positions: &[Vec3]) -> SampledModel {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.ply");
+    let vertices = positions.iter().map(|p| FRAME.to_model(*p));
+    write_points(&path, vertices, &[], &[], Scalar::F64, &[]).unwrap();
+    let model = simod_model::open(&path).unwrap();
+    let mut sampled = sample(&*model, &Sampling::default(), folder.path(), &Silent).unwrap();
+    sampled.samples = SampleSet::new(positions.to_vec(), Vec::new()).unwrap();
+    sampled.frame = FRAME;
     let corner = |p| p + ORIGIN;
-    let bounds = Bounds { min: corner(DVec3::new(-1.0, 0.0, -1.0)), max: corner(DVec3::new(1.0, 8.0, 1.0)) };
-    RestShape {
-        positions,
-        normals: &[],
-        spacing: &[],
-        triangles: &[],
-        neighbours: None,
-        attributes: None,
-        folder: Path::new(""),
-        frame: FRAME,
-        bounds,
-        renormal: None,
-    }
+    sampled.bounds =
+        Bounds { min: corner(DVec3::new(-1.0, 0.0, -1.0)), max: corner(DVec3::new(1.0, 8.0, 1.0)) };
+    sampled
 }
 
-fn stack(session: &str) -> Result<Stack, Error> {
-    Stack::build(&SessionFile::parse(session, Path::new("s.toml"))?.steps, common::registry())
+fn steps(session: &str) -> Result<Vec<Step>, Error> {
+    Ok(SessionFile::parse(session, Path::new("s.toml"))?.steps)
 }
 
-fn apply(session: &str, positions: &[Vec3]) -> Result<Deformed, Error> {
-    stack(session)?.apply(&rest(positions), &Silent)
+fn apply(session: &str, positions: &[Vec3]) -> Result<DeformedSamples, Error> {
+    apply_by(common::registry(), session, positions, &Silent)
+}
+
+fn apply_by(
+    registry: &PluginRegistry,
+    session: &str,
+    positions: &[Vec3],
+    progress: &dyn Progress,
+) -> Result<DeformedSamples, Error> {
+    deform(sampled(positions), &steps(session)?, registry, Refinements::default(), progress)
 }
 
 /// The exact map and the samples agree to single precision.
-fn assert_evaluates(deformed: &Deformed, positions: &[Vec3], tolerance: f64) {
+fn assert_evaluates(deformed: &DeformedSamples, positions: &[Vec3], tolerance: f64) {
     assert!(deformed.stack.can_evaluate());
     let mut points: Vec<DVec3> = positions.iter().map(|p| FRAME.to_model(*p)).collect();
     deformed.stack.evaluate(&mut points).unwrap();
@@ -178,7 +190,7 @@ fn points_that_are_no_numbers_stay() {
 #[test]
 fn what_is_wrong_in_a_step_names_the_step() {
     let told = |session: &str, what: &str, hint: &str| {
-        let error = stack(session).unwrap_err();
+        let error = Stack::build(&steps(session).unwrap(), common::registry()).unwrap_err();
         let line = if what.contains("parameter") { 4 } else { 2 };
         assert!(error.to_string().starts_with(&format!("s.toml, line {line}: ")), "{error}");
         assert!(error.to_string().contains(what), "{error}");
@@ -195,7 +207,7 @@ fn what_is_wrong_in_a_step_names_the_step() {
 #[test]
 fn plugin_errors_come_out_with_their_hints() {
     let told = |session: &str, what: &str| {
-        let error = apply(session, &cylinder(500)).unwrap_err();
+        let error = apply(session, &cylinder(500)).err().unwrap();
         assert_eq!(error.kind(), ErrorKind::Plugin);
         assert!(error.to_string().contains(what), "{error}");
         assert!(!error.hint().is_empty());
@@ -206,7 +218,7 @@ fn plugin_errors_come_out_with_their_hints() {
     told(far, "holds no sample");
 }
 
-fn misbehave(how: &str) -> Result<Deformed, Error> {
+fn misbehave(how: &str) -> Result<DeformedSamples, Error> {
     // A good layer first: its work is lost as well, since the stack is one.
     apply(
         &format!("{BEND}[[step]]\ndeform = \"misbehaving\"\nparams = {{ how = \"{how}\" }}"),
@@ -226,7 +238,7 @@ fn misbehaviour_is_an_error_and_not_a_crash() {
         ("nan", "1 of 300 positions are unwritten or not finite, the first at index 100"),
         ("unwritten", "1 of 300 positions are unwritten or not finite, the first at index 299"),
     ] {
-        let error = misbehave(how).unwrap_err();
+        let error = misbehave(how).err().unwrap();
         assert_eq!(error.kind(), ErrorKind::Plugin, "{how}");
         assert!(error.to_string().contains(what), "{how}: {error}");
         assert!(!error.to_string().contains('\n') && !error.hint().contains('\n'));
@@ -258,19 +270,9 @@ fn cancelled_is_cancelled_whether_the_plugin_obeys_or_not() {
     let positions = cylinder(500);
     for session in [RBF, BEND, "[[step]]\ndeform = \"misbehaving\"\nparams = { how = \"ignore-cancel\" }"] {
         let stopped = Stopped(AtomicBool::new(true));
-        let error = stack(session).unwrap().apply(&rest(&positions), &stopped).unwrap_err();
+        let error = apply_by(common::registry(), session, &positions, &stopped).err().unwrap();
         assert_eq!(error.kind(), ErrorKind::Cancelled);
     }
-}
-
-#[test]
-fn shapes_that_cannot_be_deformed_are_refused() {
-    let bend = stack(BEND).unwrap();
-    assert_eq!(bend.apply(&rest(&[]), &Silent).unwrap_err().kind(), ErrorKind::Degenerate);
-    assert_eq!(bend.apply(&rest(&[Vec3::NAN]), &Silent).unwrap_err().kind(), ErrorKind::Degenerate);
-    let positions = cylinder(10);
-    let short = RestShape { normals: &[Vec3::X; 3], ..rest(&positions) };
-    assert_eq!(bend.apply(&short, &Silent).unwrap_err().kind(), ErrorKind::Mismatch);
 }
 
 /// A plugin's process that came to its end takes what it prepared with it, and nothing else.
@@ -284,8 +286,7 @@ fn the_next_call_starts_another_process() {
     let positions = cylinder(500);
     let apply = |how: &str| {
         let text = format!("[[step]]\ndeform = \"misbehaving\"\nparams = {{ how = \"{how}\" }}\n");
-        let steps = SessionFile::parse(&text, Path::new("s.toml")).unwrap().steps;
-        Stack::build(&steps, &registry).unwrap().apply(&rest(&positions), &Silent)
+        apply_by(&registry, &text, &positions, &Silent)
     };
     let first = apply("well").unwrap();
     assert_evaluates(&first, &positions, 1e-6);
@@ -294,7 +295,7 @@ fn the_next_call_starts_another_process() {
     assert_eq!(first.positions, second.positions);
     drop(second);
     for _ in 0..2 {
-        let error = apply("segfault").unwrap_err();
+        let error = apply("segfault").err().unwrap();
         assert!(error.to_string().contains("invalid memory access"), "{error}");
         let gone = first.stack.evaluate(&mut [DVec3::ZERO]).unwrap_err();
         assert!(gone.to_string().contains("process ended"), "{gone}");

@@ -6,7 +6,7 @@ use clap::Args;
 use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
 use simod_generate::{ModelOptions, write_file};
-use simod_model::{Error, Result, output};
+use simod_model::{Error, Progress, Result, output};
 use simod_picture::picture::{self, Crop, Drawn, Up, View};
 use simod_picture::{Image, Paint};
 use simod_session::{Run, SessionFile};
@@ -62,37 +62,7 @@ impl Demo {
         let run = Run::execute(&session, &plugins, &Reconstruction::default(), true, &edited, progress)?;
         describe(&run, report);
         describe_error(&run.transfer_error(progress)?, run.deformed.sampled.bounds.diagonal(), report);
-
-        let (before, after) = (simod_model::open(&file("amphora.ply"))?, simod_model::open(&edited)?);
-        let after_bounds = picture::bounds(after.as_ref(), progress)?;
-        let mut all = run.deformed.sampled.bounds;
-        all.include(after_bounds.min);
-        all.include(after_bounds.max);
-        let view =
-            View { bounds: all, yaw: 20.0, pitch: 10.0, size: [560, 700], up: Up::Y, crop: Crop::default() };
-        let samples = &run.deformed.sampled.samples;
-        // Faces of so many vertices are smaller than what a picture resolves.
-        let how = (&Paint::Clay, Drawn::Points);
-        let pictures = [
-            picture::of_model(before.as_ref(), &run.deformed.sampled.bounds, &view, how, progress)?,
-            picture::of_samples(&run.deformed.sampled, &samples.positions, samples.normals(), &view, None),
-            picture::of_samples(
-                &run.deformed.sampled,
-                &run.deformed.positions,
-                &run.deformed.normals,
-                &view,
-                None,
-            ),
-            picture::of_model(after.as_ref(), &after_bounds, &view, how, progress)?,
-        ];
-        let captions = [
-            format!("{} vertices", count(run.deformed.sampled.source.vertices)),
-            format!("{} samples", count(samples.len() as u64)),
-            "samples, deformed".to_owned(),
-            "all vertices, deformed".to_owned(),
-        ];
-        let panels: Vec<(&Image, &str)> = pictures.iter().zip(captions.iter().map(String::as_str)).collect();
-        output::write_file(&file("before-after.png"), &Image::side_by_side(&panels).to_png()?)?;
+        self.picture_stages(&run, progress)?;
 
         for (name, what) in [
             ("amphora.ply", "the generated model"),
@@ -103,6 +73,36 @@ impl Demo {
             report.line(format!("  {:40} {what}", file(name).display().to_string()));
         }
         Ok(())
+    }
+
+    /// Draws the model and its samples beside each other, before and after.
+    fn picture_stages(&self, run: &Run, progress: &dyn Progress) -> Result<()> {
+        let sampled = &*run.deformed.sampled;
+        let (before, after) =
+            (simod_model::open(&self.output.join("amphora.ply"))?, simod_model::open(&run.output)?);
+        let after_bounds = picture::bounds(after.as_ref(), progress)?;
+        let mut all = sampled.bounds;
+        all.include(after_bounds.min);
+        all.include(after_bounds.max);
+        let view =
+            View { bounds: all, yaw: 20.0, pitch: 10.0, size: [560, 700], up: Up::Y, crop: Crop::default() };
+        let samples = &sampled.samples;
+        // Faces of so many vertices are smaller than what a picture resolves.
+        let how = (&Paint::Clay, Drawn::Points);
+        let pictures = [
+            picture::of_model(before.as_ref(), &sampled.bounds, &view, how, progress)?,
+            picture::of_samples(sampled, &samples.positions, samples.normals(), &view, None),
+            picture::of_samples(sampled, &run.deformed.positions, &run.deformed.normals, &view, None),
+            picture::of_model(after.as_ref(), &after_bounds, &view, how, progress)?,
+        ];
+        let captions = [
+            format!("{} vertices", count(sampled.source.vertices)),
+            format!("{} samples", count(samples.len() as u64)),
+            "samples, deformed".to_owned(),
+            "all vertices, deformed".to_owned(),
+        ];
+        let panels: Vec<(&Image, &str)> = pictures.iter().zip(captions.iter().map(String::as_str)).collect();
+        output::write_file(&self.output.join("before-after.png"), &Image::side_by_side(&panels).to_png()?)
     }
 }
 

@@ -10,7 +10,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{By, Placement, Target};
 use simod_model::bounds::Bounds;
 use simod_model::follow::Follow;
-use simod_model::{ModelName, Result, Scalar, ScaledIntegers};
+use simod_model::{Model, ModelName, Result, Scalar, ScaledIntegers};
 use simod_picture::picture;
 use simod_session::sidecar;
 
@@ -49,32 +49,12 @@ impl Info {
         }
         let bounds = picture::bounds(model.as_ref(), report.progress())?;
         let info = model.info();
-        let scalar = scalar_name(info.position_type);
         let shown = match &self.path[..] {
             [path] => path.as_path(),
             _ => model.path(),
         };
         report.line(format!("{}: {}, {} bytes", shown.display(), info.format, count(info.bytes)));
-        let normals = if info.has_normals { "with" } else { "without" };
-        report.line(format!("{} vertices, positions in {scalar}, {normals} normals", count(info.vertices)));
-        report.line(format!("{} faces", count(info.faces)));
-        if let Some(ScaledIntegers { scale, offset }) = info.integers {
-            report.line(format!("positions are integers, with scale {scale} and offset {offset}"));
-            report.figure("scale", scale.to_array());
-            report.figure("offset", offset.to_array());
-        }
-        let details = model.details();
-        if !details.is_empty() {
-            details.iter().for_each(|line| report.line(line.as_str()));
-            report.figure("details", details);
-        }
-        if let Some(crs) = &info.crs {
-            report.line(format!("coordinate reference system: {crs}"));
-            report.figure("crs", crs.as_str());
-        }
-        if !info.other_properties.is_empty() {
-            report.line(format!("further properties: {}", info.other_properties.join(", ")));
-        }
+        tell_content(&*model, report);
         tell_following(&*model, report);
         if bounds.is_empty() {
             report.line("no vertex has a finite position");
@@ -85,7 +65,7 @@ impl Info {
         report.figure("vertices", info.vertices);
         report.figure("faces", info.faces);
         report.figure("normals", info.has_normals);
-        report.figure("position_type", scalar);
+        report.figure("position_type", scalar_name(info.position_type));
         report.figure("other_properties", info.other_properties.clone());
         report.figure("bytes", info.bytes);
         if !model.tiles().is_empty() {
@@ -104,32 +84,14 @@ impl Info {
             count(source.vertices),
             source.path.display()
         ));
-        let diagonal = sampled.bounds.diagonal();
-        let target = match sampled.sampling.target {
-            Target::Samples(n) => format!("{} samples", count(n)),
-            Target::Error(e) => {
-                format!("an error of {e} of the diagonal ({:.1e} in the model's unit)", e * diagonal)
-            }
-        };
-        report.line(format!(
-            "asked for {target}; {} cells of {:.4}",
-            count(sampled.cells),
-            sampled.cell_size
-        ));
-        if sampled.sampling.by != By::Error {
-            report.line(format!("spread by {}", sampled.sampling.by.name()));
-        }
-        if sampled.sampling.placement == Placement::Faces {
-            report.line("placed by the planes of the faces around them");
-        }
-        source.cost_of_order().into_iter().for_each(|cost| report.line(cost));
+        tell_sampling(&sampled, report);
         let kept = SampledModel::kept_cells(folder).is_some();
         let cells = if kept { "kept" } else { "not kept, or damaged" };
         report.line(format!("{} triangles; cells and trees {cells}", count(sampled.triangles.len() as u64)));
         for refinement in &sampled.refinements {
             report.line(format!(
                 "refined to an error of {}, {} samples more: {}",
-                length(refinement.error, diagonal),
+                length(refinement.error, sampled.bounds.diagonal()),
                 count(refinement.added),
                 refinement.places()
             ));
@@ -169,4 +131,52 @@ fn scalar_name(scalar: Scalar) -> &'static str {
         Scalar::F32 => "float",
         Scalar::F64 => "double",
     }
+}
+
+/// Tells what a model's vertices have, and what its file says besides.
+fn tell_content(model: &dyn Model, report: &mut Report) {
+    let info = model.info();
+    let normals = if info.has_normals { "with" } else { "without" };
+    report.line(format!(
+        "{} vertices, positions in {}, {normals} normals",
+        count(info.vertices),
+        scalar_name(info.position_type)
+    ));
+    report.line(format!("{} faces", count(info.faces)));
+    if let Some(ScaledIntegers { scale, offset }) = info.integers {
+        report.line(format!("positions are integers, with scale {scale} and offset {offset}"));
+        report.figure("scale", scale.to_array());
+        report.figure("offset", offset.to_array());
+    }
+    let details = model.details();
+    if !details.is_empty() {
+        details.iter().for_each(|line| report.line(line.as_str()));
+        report.figure("details", details);
+    }
+    if let Some(crs) = &info.crs {
+        report.line(format!("coordinate reference system: {crs}"));
+        report.figure("crs", crs.as_str());
+    }
+    if !info.other_properties.is_empty() {
+        report.line(format!("further properties: {}", info.other_properties.join(", ")));
+    }
+}
+
+/// Tells how a model was sampled.
+fn tell_sampling(sampled: &SampledModel, report: &mut Report) {
+    let diagonal = sampled.bounds.diagonal();
+    let target = match sampled.sampling.target {
+        Target::Samples(n) => format!("{} samples", count(n)),
+        Target::Error(e) => {
+            format!("an error of {e} of the diagonal ({:.1e} in the model's unit)", e * diagonal)
+        }
+    };
+    report.line(format!("asked for {target}; {} cells of {:.4}", count(sampled.cells), sampled.cell_size));
+    if sampled.sampling.by != By::Error {
+        report.line(format!("spread by {}", sampled.sampling.by.name()));
+    }
+    if sampled.sampling.placement == Placement::Faces {
+        report.line("placed by the planes of the faces around them");
+    }
+    sampled.source.cost_of_order().into_iter().for_each(|cost| report.line(cost));
 }

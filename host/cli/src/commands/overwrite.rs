@@ -1,7 +1,12 @@
 //! What a command's outputs may replace: the same for all commands.
 
+use std::path::Path;
+
 use clap::Args;
 use simod_core::guard::Guard;
+use simod_model::{ModelName, Result};
+use simod_session::session_file::inputs;
+use simod_session::{PluginRegistry, SessionFile, sidecar};
 
 /// The option on files that are there already.
 #[derive(Args)]
@@ -26,5 +31,25 @@ impl Overwrite {
     /// The guard of a command that reads nothing so far.
     pub fn guard(&self) -> Guard {
         Guard::new(self.force)
+    }
+
+    /// The guard of a command that does the session of a file, all of whose inputs it reads, and writes its
+    /// deformed model.
+    pub fn guard_session(
+        &self,
+        path: &Path,
+        session: &SessionFile,
+        plugins: &PluginRegistry,
+        output: &Path,
+    ) -> Result<Guard> {
+        let mut guard = self.guard();
+        guard.reads(path);
+        let named = session.named_model()?;
+        guard.reads_all(named.iter().flat_map(ModelName::files));
+        guard.reads_all(session.model.as_deref().map(sidecar::path_beside));
+        guard.reads_all(inputs(path)?);
+        guard.reads_all(plugins.files());
+        guard.writes_model(output, &named.map_or(Vec::new(), |named| named.tiles()))?;
+        Ok(guard)
     }
 }

@@ -1,15 +1,15 @@
 //! `simod plan` and `simod unit`: a session, or a comparison, by units, for more machines than one.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use simod_compare::ComparisonPlan;
 use simod_core::guard::Guard;
+use simod_model::Result;
 use simod_model::size::human_size;
-use simod_model::{ModelName, Result};
+use simod_session::SessionFile;
 use simod_session::plan::{Done, Options, Plan as Units, Stage, do_unit, make};
 use simod_session::session_file::inputs;
-use simod_session::{SessionFile, sidecar};
 
 use super::compare::{tell_comparison, tell_method};
 use super::engines::{EngineName, engines};
@@ -76,14 +76,7 @@ impl Plan {
         };
         let (chosen, force) = (self.plugins.chosen().to_owned(), self.overwrite.force());
         let plugins = self.plugins.discover(report)?;
-        let mut guard = self.overwrite.guard();
-        guard.reads(&self.session);
-        let named = session.named_model()?;
-        guard.reads_all(named.iter().flat_map(ModelName::files));
-        guard.reads_all(session.model.as_deref().map(sidecar::path_beside));
-        guard.reads_all(inputs(&self.session)?);
-        guard.reads_all(plugins.files());
-        guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
+        let guard = self.overwrite.guard_session(&self.session, &session, &plugins, &output)?;
         guard.replaces_folder(&self.output)?;
         let emit = engines(&self.emit);
         let options = Options {
@@ -100,34 +93,39 @@ impl Plan {
         };
         let plan =
             make(&session, &self.session, &plugins, &output, &options, &self.output, report.progress())?;
-        if let Some(why) = plan.undivided() {
-            report.warn(format!("one unit writes the model: {why}"));
-        }
-        let exchange = plan.exchange();
-        if let Some(why) = &exchange.undivided {
-            report.warn(format!("one unit samples the model: {why}"));
-        }
-        let of = |stage| plan.units().iter().filter(|unit| unit.stage == stage).count();
-        report.figure("units", plan.units().len());
-        report.figure("counting_units", of(Stage::Count));
-        report.figure("clustering_units", of(Stage::Cluster) + of(Stage::ClusterShared));
-        report.figure("face_units", of(Stage::Members) + of(Stage::Faces));
-        report.figure("exchange_at_most_bytes", exchange.at_most_bytes);
-        report.figure("writing_units", of(Stage::Apply) + of(Stage::Write));
-        report.figure("vertices", plan.vertices());
-        report.line(format!(
-            "{} units in {}, which write {}",
-            plan.units().len(),
-            self.output.display(),
-            plan.output().display()
-        ));
-        if exchange.at_most_bytes > 0 {
-            report.line(format!(
-                "they write down at most {} for each other, which it comes to where vertices, and faces, are in no order",
-                human_size(exchange.at_most_bytes)
-            ));
-        }
+        tell_plan(&plan, &self.output, report);
         Ok(())
+    }
+}
+
+/// Tells of which units a plan is.
+fn tell_plan(plan: &Units, folder: &Path, report: &mut Report) {
+    if let Some(why) = plan.undivided() {
+        report.warn(format!("one unit writes the model: {why}"));
+    }
+    let exchange = plan.exchange();
+    if let Some(why) = &exchange.undivided {
+        report.warn(format!("one unit samples the model: {why}"));
+    }
+    let of = |stage| plan.units().iter().filter(|unit| unit.stage == stage).count();
+    report.figure("units", plan.units().len());
+    report.figure("counting_units", of(Stage::Count));
+    report.figure("clustering_units", of(Stage::Cluster) + of(Stage::ClusterShared));
+    report.figure("face_units", of(Stage::Members) + of(Stage::Faces));
+    report.figure("exchange_at_most_bytes", exchange.at_most_bytes);
+    report.figure("writing_units", of(Stage::Apply) + of(Stage::Write));
+    report.figure("vertices", plan.vertices());
+    report.line(format!(
+        "{} units in {}, which write {}",
+        plan.units().len(),
+        folder.display(),
+        plan.output().display()
+    ));
+    if exchange.at_most_bytes > 0 {
+        report.line(format!(
+            "they write down at most {} for each other, which it comes to where vertices, and faces, are in no order",
+            human_size(exchange.at_most_bytes)
+        ));
     }
 }
 

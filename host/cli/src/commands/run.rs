@@ -7,9 +7,8 @@ use serde_json::json;
 use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
-use simod_model::{ModelName, Result};
-use simod_session::session_file::inputs;
-use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFile, Tolerance, sidecar};
+use simod_model::{Progress, Result};
+use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFile, Tolerance};
 
 use super::follow_options::FollowOptions;
 use super::overwrite::Overwrite;
@@ -90,14 +89,7 @@ impl Run {
             ..Reconstruction::default()
         };
         let plugins = self.plugins.discover(report)?;
-        let mut guard = self.overwrite.guard();
-        guard.reads(&self.session);
-        let named = session.named_model()?;
-        guard.reads_all(named.iter().flat_map(ModelName::files));
-        guard.reads_all(session.model.as_deref().map(sidecar::path_beside));
-        guard.reads_all(inputs(&self.session)?);
-        guard.reads_all(plugins.files());
-        guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
+        let mut guard = self.overwrite.guard_session(&self.session, &session, &plugins, &output)?;
         if let Some(diagnostics) = &self.diagnostics {
             guard.writes(diagnostics, Kind::Model)?;
         }
@@ -114,33 +106,39 @@ impl Run {
             follow: &self.following.follow(&session.follow),
         };
         let run = Pipeline::execute_with(&session, &plugins, &running, &output, progress)?;
-        describe(&run, report);
-        tell_cache(run.deformed.sampled.cache(), report);
-        if !run.following.is_empty() {
-            report.line(format!("turned with the surface: {}", run.following.join("; ")));
-            report.figure("following", run.following.clone());
-        }
-        let diagonal = run.deformed.sampled.bounds.diagonal();
-        if let Some(expected) = run.written.expected.first().copied().flatten() {
-            report.figure("expected_error", json!(expected));
-            describe_expected(&expected, diagonal, report);
-            if let Some(beyond) = expected.beyond {
-                let help = "add a step `refine = { auto = true }` at the end, or run with --tolerance";
-                warn_beyond("", &beyond, diagonal, help, report);
-            }
-        }
-        if let Some(cost) = run.exact {
-            describe_cost(&cost, report);
-        }
-        if let Some(certificate) = run.certificate {
-            describe_certificate(&certificate, diagonal, report);
-        }
-        if self.measure {
-            describe_error(&run.transfer_error(progress)?, diagonal, report);
-        }
+        tell_run(&run, self.measure, progress, report)?;
         report.line(format!("wrote {}", output.display()));
         Ok(())
     }
+}
+
+/// Tells what a session came to.
+fn tell_run(run: &Pipeline, measure: bool, progress: &dyn Progress, report: &mut Report) -> Result<()> {
+    describe(run, report);
+    tell_cache(run.deformed.sampled.cache(), report);
+    if !run.following.is_empty() {
+        report.line(format!("turned with the surface: {}", run.following.join("; ")));
+        report.figure("following", run.following.clone());
+    }
+    let diagonal = run.deformed.sampled.bounds.diagonal();
+    if let Some(expected) = run.written.expected.first().copied().flatten() {
+        report.figure("expected_error", json!(expected));
+        describe_expected(&expected, diagonal, report);
+        if let Some(beyond) = expected.beyond {
+            let help = "add a step `refine = { auto = true }` at the end, or run with --tolerance";
+            warn_beyond("", &beyond, diagonal, help, report);
+        }
+    }
+    if let Some(cost) = &run.exact {
+        describe_cost(cost, report);
+    }
+    if let Some(certificate) = &run.certificate {
+        describe_certificate(certificate, diagonal, report);
+    }
+    if measure {
+        describe_error(&run.transfer_error(progress)?, diagonal, report);
+    }
+    Ok(())
 }
 
 /// Reports a finished run.

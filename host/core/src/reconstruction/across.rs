@@ -18,6 +18,7 @@ use rayon::prelude::*;
 
 use super::expansion::{Expansion, ROUNDING};
 use super::stencils::Stencils;
+use crate::lists::lists;
 use crate::sampling::SampleSet;
 
 /// An anchor is fitted to all samples that so many links of the graph of neighbours lead to.
@@ -273,16 +274,9 @@ struct Heard {
 impl Heard {
     /// The anchors of each sample, from the samples of each anchor.
     fn new(samples: usize, of_anchors: &[Vec<u32>]) -> Self {
-        let mut starts = vec![0; samples + 1];
-        of_anchors.iter().flatten().for_each(|i| starts[*i as usize + 1] += 1);
-        (0..samples).for_each(|i| starts[i + 1] += starts[i]);
-        let (mut ends, mut anchors) = (starts.clone(), vec![0; starts[samples] as usize]);
-        for (anchor, all) in of_anchors.iter().enumerate() {
-            for i in all.iter().map(|i| *i as usize) {
-                anchors[ends[i] as usize] = anchor as u32;
-                ends[i] += 1;
-            }
-        }
+        let of_anchors = of_anchors.iter().zip(0..);
+        let pairs = of_anchors.flat_map(|(all, anchor)| all.iter().map(move |i| (*i, anchor)));
+        let (starts, anchors) = lists(samples, pairs);
         Self { starts, anchors }
     }
 

@@ -13,6 +13,7 @@ use super::expansion::ReachingSupport;
 use super::lanes::Lanes;
 use super::sheets::{SHEET_NEIGHBOURS, Sheets};
 use crate::counting_sort;
+use crate::lists::lists;
 
 /// Samples that are looked at by one job.
 const TOGETHER: usize = 256;
@@ -113,17 +114,7 @@ impl OneWay {
         };
         // The home, and the one whose neighbour it is: these ascending.
         let pairs: Vec<(u32, u32)> = (0..n.div_ceil(TOGETHER)).into_par_iter().flat_map_iter(job).collect();
-        let mut starts = vec![0; n + 1];
-        pairs.iter().for_each(|(home, _)| starts[*home as usize + 1] += 1);
-        for home in 0..n {
-            starts[home + 1] += starts[home];
-        }
-        let (mut samples, mut next) = (vec![0; pairs.len()], starts.clone());
-        for (home, sample) in pairs {
-            let at = &mut next[home as usize];
-            samples[*at as usize] = sample;
-            *at += 1;
-        }
+        let (starts, samples) = lists(n, pairs.iter().copied());
         Self { starts, samples }
     }
 

@@ -105,11 +105,8 @@ pub fn write_part(
 ) -> Result<bool> {
     let Part { pieces, own, shared } = part;
     let key = key(sampled, model, how, deformed)?;
-    if let Ok((_, there)) = open(own)
-        && there.key == key
-        && there.pieces == *pieces
-        && shared.has(&there, model)
-    {
+    let is_same = |there: &Record| there.key == key && there.pieces == *pieces && shared.has(there, model);
+    if open(own).is_ok_and(|(_, there)| is_same(&there)) {
         return Ok(false);
     }
     check_reach(sampled, model, std::iter::once(deformed))?;
@@ -118,19 +115,7 @@ pub fn write_part(
     // What is there speaks of bytes that are written over from here on; if there is nothing, so much the
     // better.
     let _ = fs::remove_file(own);
-    let in_place = model.division(how.normals).is_some_and(|division| division.in_place);
-    let to = match shared {
-        Shared::File(folder) if !model.tiles().is_empty() => {
-            Bytes::Tiles(SharedFiles::new(folder, model.tiles()))
-        }
-        _ if !in_place => Bytes::Own,
-        Shared::File(path) => Bytes::Shared(SharedFile::open(path)?),
-        Shared::Object(path, id) => {
-            let range = ObjectRange::open(path, id, part_bytes(model.written_bytes()))?;
-            Bytes::Object(range, (*id).to_owned())
-        }
-    };
-    let mut part = PartFile::new(own_file, to);
+    let mut part = PartFile::new(own_file, place_of_bytes(model, shared, how.normals)?);
 
     progress.begin("preparing", 0);
     let surroundings = RestGeometry::kept(sampled);
@@ -150,14 +135,32 @@ pub fn write_part(
     let only = PieceRange { first: pieces.start, end: Some(pieces.end) };
     let rewriting = Rewriting { normals: how.normals, only: Some(only), ..Rewriting::default() };
     model.rewrite(&mut [&mut part], rewriting, &transfer, progress)?;
-    let hashed = match std::mem::replace(&mut *locked(&transfer.hash), Hashing::Part(HashedPart::default())) {
-        Hashing::Part(hashed) => hashed,
-        Hashing::All(_) => return Err(Error::internal("a part was hashed as a whole")),
+    let Hashing::Part(hashed) =
+        std::mem::replace(&mut *locked(&transfer.hash), Hashing::Part(Default::default()))
+    else {
+        return Err(Error::internal("a part was hashed as a whole"));
     };
     let Folding { samples, first, .. } = Folding::of_samples(&fields[0], sampled);
     let folded = (samples, first.map(|p| p.to_array()));
     part.commit(Content { key, pieces: pieces.clone(), hashed, folded }, own)?;
     Ok(true)
+}
+
+/// Where the bytes of a part go: to what all parts write, where the model's bytes keep their places, and
+/// otherwise to the part's own file.
+fn place_of_bytes<'a>(model: &'a dyn Model, shared: &Shared<'a>, normals: Normals) -> Result<Bytes<'a>> {
+    let in_place = model.division(normals).is_some_and(|division| division.in_place);
+    Ok(match shared {
+        Shared::File(folder) if !model.tiles().is_empty() => {
+            Bytes::Tiles(SharedFiles::new(folder, model.tiles()))
+        }
+        _ if !in_place => Bytes::Own,
+        Shared::File(path) => Bytes::Shared(SharedFile::open(path)?),
+        Shared::Object(path, id) => {
+            let range = ObjectRange::open(path, id, part_bytes(model.written_bytes()))?;
+            Bytes::Object(range, (*id).to_owned())
+        }
+    })
 }
 
 /// How many of all bytes a part has, about.

@@ -8,8 +8,6 @@
 //! open is of the size of the strain and of how far they differ from each other. Where parts move apart,
 //! whatever little way, as rigid bodies, both are nothing, and nobody is borrowed.
 
-use std::collections::HashMap;
-
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
@@ -28,8 +26,9 @@ const ONE_OF: usize = 2;
 /// The samples that fits are of.
 pub struct Stencils<'a> {
     sheets: &'a Sheets,
-    /// The neighbours of each sample that borrows, nearest first: at most [`SHEET_NEIGHBOURS`] each.
-    mixed: HashMap<u32, Vec<u32>>,
+    /// The samples that borrow, ascending, each with its neighbours, nearest first: at most
+    /// [`SHEET_NEIGHBOURS`].
+    mixed: Vec<(u32, Vec<u32>)>,
     /// Whether each sample does; empty where none does.
     borrows: Vec<bool>,
 }
@@ -37,7 +36,7 @@ pub struct Stencils<'a> {
 impl<'a> Stencils<'a> {
     /// Stencils of each sample's own sheet alone.
     pub fn own(sheets: &'a Sheets) -> Self {
-        Self { sheets, mixed: HashMap::new(), borrows: Vec::new() }
+        Self { sheets, mixed: Vec::new(), borrows: Vec::new() }
     }
 
     /// With what goes one way with each sample, by the `gradients` that their own sheets tell.
@@ -70,26 +69,25 @@ impl<'a> Stencils<'a> {
             all.truncate(SHEET_NEIGHBOURS);
             Some((i as u32, all))
         };
-        let mixed: HashMap<u32, Vec<u32>> = (0..samples.len()).into_par_iter().filter_map(mixed).collect();
+        let mixed: Vec<(u32, Vec<u32>)> = (0..samples.len()).into_par_iter().filter_map(mixed).collect();
         let mut borrows = vec![false; if mixed.is_empty() { 0 } else { samples.len() }];
-        mixed.keys().for_each(|i| borrows[*i as usize] = true);
+        mixed.iter().for_each(|(i, _)| borrows[*i as usize] = true);
         Self { sheets, mixed, borrows }
     }
 
-    /// The samples that borrow.
+    /// The samples that borrow, ascending.
     pub fn borrowers(&self) -> Vec<u32> {
-        self.mixed.keys().copied().collect()
+        self.mixed.iter().map(|(i, _)| *i).collect()
     }
 
     /// The samples that may be in fits at sample `i`, nearest first, without itself.
     #[inline]
     pub fn of_sample(&self, i: usize) -> &[u32] {
-        let borrows = self.borrows.get(i).is_some_and(|borrows| *borrows);
-        let mixed = if borrows { self.mixed.get(&(i as u32)) } else { None };
-        match mixed {
-            Some(mixed) => mixed,
-            None => self.sheets.of_sample(i),
+        if !self.borrows.get(i).is_some_and(|borrows| *borrows) {
+            return self.sheets.of_sample(i);
         }
+        let at = self.mixed.partition_point(|(borrower, _)| (*borrower as usize) < i);
+        &self.mixed[at].1
     }
 
     /// At most `count` of them, and the radius of a kernel over these: see [`Sheets::around`].

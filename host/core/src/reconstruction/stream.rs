@@ -363,9 +363,21 @@ impl<'a> ReconstructionCall<'a> {
         self.pass.iter_mut().try_for_each(|begun| begun.file.complete(several))?;
         // That may have taken a while.
         self.progress.check()?;
-        for (field, Begun { number, file, diagnostics, .. }) in fields.iter().zip(&mut self.pass) {
+        let of_samples: Vec<Option<ExpectedError>> =
+            fields.iter().map(|field| field.expected_of_samples(self.sampled, info.vertices)).collect();
+        drop(fields);
+        self.commit_pass(of_samples)?;
+        // At last, so that it takes no room from the outputs.
+        if is_last && !is_bound && !surroundings.is_kept() {
+            kept_geometry::keep(self.sampled, &surroundings);
+        }
+        Ok(())
+    }
+
+    /// Finishes the files of the pass, whose vertices are written, with what their samples expect.
+    fn commit_pass(&mut self, of_samples: Vec<Option<ExpectedError>>) -> Result<()> {
+        for (Begun { number, file, diagnostics, .. }, of_samples) in self.pass.iter_mut().zip(of_samples) {
             let of_vertices = diagnostics.as_ref().map(|file| file.expected.sum(true));
-            let of_samples = field.expected_of_samples(self.sampled, info.vertices);
             self.expected[*number] = match (of_vertices, of_samples) {
                 (Some(vertices), Some(samples)) => Some(ExpectedError { beyond: samples.beyond, ..vertices }),
                 (vertices, samples) => vertices.or(samples),
@@ -380,12 +392,7 @@ impl<'a> ReconstructionCall<'a> {
             self.hashes[*number] = file.hash();
             self.finished.push(file);
         }
-        drop(fields);
         self.pass.clear();
-        // At last, so that it takes no room from the outputs.
-        if is_last && !is_bound && !surroundings.is_kept() {
-            kept_geometry::keep(self.sampled, &surroundings);
-        }
         Ok(())
     }
 

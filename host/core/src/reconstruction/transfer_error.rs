@@ -51,49 +51,76 @@ pub fn measure(
         share.is_none_or(|share| xxh3_64(&block.to_le_bytes()) as f64 / (u64::MAX as f64) < share)
     };
     let mut compared = Compared::new(diagonal);
-    let models = [model, deformed];
     if share.is_none() || !info.reads_exactly() || !deformed.info().reads_exactly() {
-        progress.begin("measuring", info.vertex_bytes);
-        let mut at = 0;
-        in_step(&models, 0, progress, |versions| {
-            let (rest, found) = (versions[0].positions, versions[1].positions);
-            // Parts of one block, or of the next.
-            let mut from = 0;
-            while from < rest.len() {
-                let block = (at + from as u64) / BLOCK;
-                let to = if share.is_none() { rest.len() } else { ((block + 1) * BLOCK - at) as usize };
-                let to = to.min(rest.len());
-                if is_chosen(block) {
-                    compared.add(&rest[from..to], &found[from..to], usize::MAX, exact)?;
-                } else {
-                    compared.last = None;
-                }
-                from = to;
-            }
-            at += rest.len() as u64;
-            Ok(())
-        })?;
+        let is_chosen = share.is_some().then_some(&is_chosen as _);
+        compare_all([model, deformed], is_chosen, &mut compared, exact, progress)?;
     } else {
         same_count(model, deformed)?;
         let chosen: Vec<u64> = (0..info.vertices.div_ceil(BLOCK)).filter(|block| is_chosen(*block)).collect();
-        let bytes = info.vertex_bytes / info.vertices.max(1) * BLOCK * chosen.len() as u64;
-        progress.begin("measuring some vertices", bytes);
-        // So many blocks are mapped together that all threads have work.
-        for some in chosen.chunks(1 << 6) {
-            let (mut rest, mut found) = (Vec::new(), Vec::new());
-            for block in some {
-                let range = block * BLOCK..info.vertices.min((block + 1) * BLOCK);
-                range_in_step(&models, range, 0, progress, |_, versions| {
-                    rest.extend_from_slice(versions[0].positions);
-                    found.extend_from_slice(versions[1].positions);
-                    Ok(())
-                })?;
-            }
-            compared.last = None;
-            compared.add(&rest, &found, BLOCK as usize, exact)?;
-        }
+        compare_some([model, deformed], &chosen, &mut compared, exact, progress)?;
     }
     Ok(compared.finish())
+}
+
+/// Maps points in place.
+type Exact<'a> = &'a dyn Fn(&mut [DVec3]) -> Result<()>;
+
+/// Reads all of both models, and compares them, or only the blocks that are chosen.
+fn compare_all(
+    models: [&dyn Model; 2],
+    is_chosen: Option<&dyn Fn(u64) -> bool>,
+    compared: &mut Compared,
+    exact: Exact<'_>,
+    progress: &dyn Progress,
+) -> Result<()> {
+    progress.begin("measuring", models[0].info().vertex_bytes);
+    let mut at = 0;
+    in_step(&models, 0, progress, |versions| {
+        let (rest, found) = (versions[0].positions, versions[1].positions);
+        // Parts of one block, or of the next.
+        let mut from = 0;
+        while from < rest.len() {
+            let block = (at + from as u64) / BLOCK;
+            let to = if is_chosen.is_none() { rest.len() } else { ((block + 1) * BLOCK - at) as usize };
+            let to = to.min(rest.len());
+            if is_chosen.is_none_or(|is_chosen| is_chosen(block)) {
+                compared.add(&rest[from..to], &found[from..to], usize::MAX, exact)?;
+            } else {
+                compared.last = None;
+            }
+            from = to;
+        }
+        at += rest.len() as u64;
+        Ok(())
+    })
+}
+
+/// Reads some blocks of both models, and compares these.
+fn compare_some(
+    models: [&dyn Model; 2],
+    chosen: &[u64],
+    compared: &mut Compared,
+    exact: Exact<'_>,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let info = models[0].info();
+    let bytes = info.vertex_bytes / info.vertices.max(1) * BLOCK * chosen.len() as u64;
+    progress.begin("measuring some vertices", bytes);
+    // So many blocks are mapped together that all threads have work.
+    for some in chosen.chunks(1 << 6) {
+        let (mut rest, mut found) = (Vec::new(), Vec::new());
+        for block in some {
+            let range = block * BLOCK..info.vertices.min((block + 1) * BLOCK);
+            range_in_step(&models, range, 0, progress, |_, versions| {
+                rest.extend_from_slice(versions[0].positions);
+                found.extend_from_slice(versions[1].positions);
+                Ok(())
+            })?;
+        }
+        compared.last = None;
+        compared.add(&rest, &found, BLOCK as usize, exact)?;
+    }
+    Ok(())
 }
 
 /// An error where two models differ in their number of vertices.

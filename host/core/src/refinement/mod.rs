@@ -169,16 +169,8 @@ pub fn refine(
     check(how)?;
     let kept = sampled.checked_cells()?;
     progress.begin("selecting", 0);
-    let mut need = None;
-    let sizing = match how.finer {
-        Finer::Auto { error, samples } => {
-            let (found, needs) = needs(sampled, selection, error, samples)?;
-            need = Some(found);
-            let Some(needs) = needs else { return Ok(Refined { need, ..Refined::nothing() }) };
-            Sizing::Needed(needs)
-        }
-        _ => Sizing::Selected(Selected::new(selection, sampled.frame)),
-    };
+    let (sizing, need) = sized(sampled, selection, how.finer)?;
+    let Some(sizing) = sizing else { return Ok(Refined { need, ..Refined::nothing() }) };
     let leaves = sizing.leaves(sampled, kept);
     if !leaves.iter().flatten().any(|leaf| leaf.inside) {
         return Err(meets_nothing());
@@ -187,79 +179,46 @@ pub fn refine(
     let near = OnceLock::new();
     let guides = contacts.map(|contacts| Guides::new(&sampled.samples, contacts, &near));
     let guides = guides.as_ref();
-    let work = RefinementCall { sampled, kept, model, sizing, leaves, guides, how, folder, progress };
-    let goal = work.goal();
-    let (bound, cells, members, noted, figures) = match work.regrow(goal)? {
-        Some(done) => done,
-        // What was foretold was too coarse.
-        None => match work.regrow(Goal { least: 0.0, ..goal })? {
-            Some(done) => done,
-            None => unreachable!("down to the vertices, no bound is too coarse"),
-        },
-    };
+    let call = RefinementCall { sampled, kept, model, sizing, leaves, guides, how, folder, progress };
+    let Done { bound, cells, members, noted, figures } = call.regrow_all()?;
     progress.begin("completing the samples", 0);
     let mut appended = append(kept, &sampled.samples.positions, &cells, bound, guides);
     drop(cells);
     let added = appended.positions.len() as u64;
-    let mut refined = Refined {
-        sampled: None,
-        added,
-        error: f64::from(bound) / sampled.local_diagonal().max(f64::MIN_POSITIVE),
-        need,
-        ..figures
-    };
+    let error = f64::from(bound) / sampled.local_diagonal().max(f64::MIN_POSITIVE);
+    let mut refined = Refined { added, error, need, ..figures };
     if added == 0 {
         return Ok(refined);
     }
     let mut triangles = Vec::new();
     if let Some(members) = members {
-        let sample_of = members.finish(sampled.samples.len(), &appended)?;
-        // A bound that was asked for is kept.
-        let slack = matches!(how.finer, Finer::Error(_)).then(|| {
-            let there = sampled.samples.len();
-            let trees = appended.trees.iter().map(|(_, tree)| tree);
-            cut::slack(trees, there..there + appended.positions.len(), bound)
-        });
-        let found = sample_of.reindex(model, &sampled.triangles, kept, slack.as_deref(), progress);
-        let found = found.map_err(|e| match e.kind() {
-            ErrorKind::Format if kept.knows_faces => sampled.source_changed(model.path()),
-            _ => e,
-        })?;
-        (triangles, refined.face_bytes) = (found.triangles, found.bytes);
-        appended.positions = found.positions.unwrap_or(appended.positions);
+        (triangles, refined.face_bytes) = call.reindex(members, &mut appended, bound)?;
     }
     progress.check()?;
-    let mut kept = kept.clone();
-    let Appended { positions, normals, origins, parted, trees, .. } = appended;
-    trees.into_iter().for_each(|(cell, tree)| kept.cells[cell as usize].tree = tree);
     let transfer_error = need.map(|need| need.allowed);
-    let record = Refinement { shapes: how.shapes.clone(), error: refined.error, added, transfer_error };
-    let mut with_new = sampled.refined((positions, normals), triangles, kept, record)?;
-    if let Some(contacts) = contacts {
-        with_new.samples.prepare();
-        let mut contacts = contacts.refined(&with_new.samples, &origins, parted);
-        if let Some(noted) = noted {
-            contacts = contacts.with_places(&with_new, noted, folder)?;
-        }
-        with_new.samples.set_contacts(Some(contacts));
-    }
-    let before = sampled.samples.len();
-    if sampled.colors.len() == before {
-        let cells = with_new.held_cells().map_or(&[][..], |kept| &kept.cells);
-        let is_new = |cell: &&KeptCell| cell.tree.samples.iter().any(|sample| *sample as usize >= before);
-        let ranges = cells.iter().filter(is_new).flat_map(|cell| cell.ranges.iter().cloned());
-        let ranges = joined(ranges, model.info().near());
-        let more = colors::of_ranges(
-            (&with_new.samples.positions, before),
-            &with_new.frame,
-            model,
-            &ranges,
-            progress,
-        )?;
-        with_new.colors = [&sampled.colors[..], &more].concat();
+    let record = Refinement { shapes: how.shapes.clone(), error, added, transfer_error };
+    let mut with_new = call.complete(appended, triangles, record, noted)?;
+    if sampled.colors.len() == sampled.samples.len() {
+        with_new.colors = [&sampled.colors[..], &call.new_colors(&with_new)?].concat();
     }
     refined.sampled = Some(with_new);
     Ok(refined)
+}
+
+/// How samples are sized where they are selected, and what the deformation needs, if that was asked for; no
+/// sizes, if it needs nothing.
+fn sized<'a>(
+    sampled: &'a SampledModel,
+    selection: Selection<'a>,
+    finer: Finer,
+) -> Result<(Option<Sizing<'a>>, Option<Need>)> {
+    match finer {
+        Finer::Auto { error, samples } => {
+            let (need, needs) = needs(sampled, selection, error, samples)?;
+            Ok((needs.map(Sizing::Needed), Some(need)))
+        }
+        _ => Ok((Some(Sizing::Selected(Selected::new(selection, sampled.frame))), None)),
+    }
 }
 
 /// Where the samples go that a refinement has appended, from `first` on (the model's coordinates), by a
@@ -347,6 +306,30 @@ struct RefinementCall<'a, 'g> {
     progress: &'a dyn Progress,
 }
 
+/// Trees as they grow, batch by batch.
+struct Growing {
+    /// What is split has larger errors, local units; it rises where there is more than was asked for.
+    bound: f32,
+    regrown: Vec<Regrown>,
+    /// Nodes that were built so far.
+    built: u32,
+    members: Option<Members>,
+    noted: Option<Noted>,
+}
+
+impl Growing {
+    /// One more cell, whose leaves are counted on from those before.
+    fn push(&mut self, mut cell: Regrown, leaves_from: u32) -> Result<()> {
+        cell.count_from(self.built, leaves_from);
+        self.built = self.built.wrapping_add(cell.built);
+        if let Some(members) = &self.members {
+            members.note(&mut cell)?;
+        }
+        self.regrown.push(cell);
+        Ok(())
+    }
+}
+
 /// What shall come of it.
 #[derive(Clone, Copy)]
 struct Goal {
@@ -361,7 +344,18 @@ struct Goal {
 /// A cell that is read, and which of its leaves may be split.
 type Met = (u32, Vec<bool>);
 
-type Done = (f32, Vec<Regrown>, Option<Members>, Option<Noted>, Refined);
+/// Trees that have grown.
+struct Done {
+    /// Which of their nodes are split: those of larger errors, local units.
+    bound: f32,
+    cells: Vec<Regrown>,
+    /// The vertices of the cells, where faces are looked at.
+    members: Option<Members>,
+    /// The vertices near contacts, where there are such.
+    noted: Option<Noted>,
+    /// How much was read.
+    figures: Refined,
+}
 
 impl RefinementCall<'_, '_> {
     fn limit(&self) -> u64 {
@@ -383,7 +377,7 @@ impl RefinementCall<'_, '_> {
                 let least = if let Sizing::Needed(needs) = &self.sizing { needs.least } else { 0.0 };
                 let most =
                     samples.unwrap_or((Finer::SHARE * self.sampled.samples.len() as f64).ceil() as u64);
-                let most = most.min(self.limit() / 2 / BYTES_PER_SAMPLE);
+                let most = most.min(self.most_samples());
                 return Goal { least, samples: usize::try_from(most).ok(), at_most: true };
             }
         };
@@ -401,116 +395,218 @@ impl RefinementCall<'_, '_> {
         cells.map(|(leaves, cell)| (cell, leaves.iter().map(may).collect())).collect()
     }
 
-    /// Grows the trees of all cells that the selection meets; `None` if the least bound is too coarse for the
-    /// number of samples.
-    fn regrow(&self, goal: Goal) -> Result<Option<Done>> {
-        let Self { sampled, kept, model, progress, .. } = self;
-        let wanted = self.wanted(goal.least);
-        let has_triangles = !sampled.triangles.is_empty();
-        let mut cells = wanted;
-        let members = if has_triangles && !cells.is_empty() {
-            self.add_neighbours(&mut cells);
-            let by_faces = sampled.sampling.placement == Placement::Faces;
-            Some(Members::new(sampled.source.vertices, by_faces, self.folder)?)
-        } else {
-            None
-        };
-        let gathering = Gathering {
-            model: *model,
-            kept,
-            frame: sampled.frame,
-            cubes: sampled.cubes(),
-            with_ids: has_triangles,
-            attributes: 0,
-            opaque: sampled.opaque(*model),
-        };
-        self.tell_scattered(&gathering, &cells);
-        let mut noted = self.guides.map(|_| Noted::new(self.folder)).transpose()?;
-        let mut bound = goal.least;
-        let mut regrown: Vec<Regrown> = Vec::new();
-        let (mut built, mut vertex_bytes) = (0u32, 0);
-        let most = self.limit() / 2 / BYTES_PER_SAMPLE;
-        for batch in self.batches(&cells)? {
-            let places: Vec<u32> = batch.iter().map(|(cell, _)| *cell).collect();
-            progress.begin("reading the cells", gathering.bytes_of(&places));
-            let (mut gathered, bytes) = gathering.read(&places, *progress)?.ok_or_else(|| self.changed())?;
-            vertex_bytes += bytes;
-            if let Some(members) = &members {
-                gathered.iter().try_for_each(|cell| members.note_positions(cell))?;
-            }
-            progress.begin("refining", 0);
-            if let Some(guides) = self.guides {
-                for cell in &mut gathered {
-                    if guides.concern(&kept.cells[cell.cell as usize].tree.samples) {
-                        cell.guides = guides.find(&sampled.frame, cell.vertices.iter().map(|v| v.position));
-                    }
-                    if let Some(noted) = &mut noted {
-                        let all =
-                            cell.vertices.iter().zip(&cell.guides).map(|(v, guide)| (v.position, *guide));
-                        noted.note(all.filter(|(_, guide)| guides.concern(&[*guide])))?;
-                    }
-                }
-            }
-            let how = Regrowing {
-                rule: sampled.rule(),
-                sizing: &self.sizing,
-                bound,
-                leaves_from: sampled.samples.len() as u32,
-                guides: self.guides,
-            };
-            let found: Result<Vec<Regrown>> = gathered
-                .into_par_iter()
-                .zip(batch)
-                .map(|(gathered, (_, wanted)): (Gathered, _)| {
-                    progress.check()?;
-                    let cell = &kept.cells[gathered.cell as usize];
-                    how.regrow(gathered, cell, wanted).map_err(|Changed| self.changed())
-                })
-                .collect();
-            for mut cell in found? {
-                cell.count_from(built, how.leaves_from);
-                built = built.wrapping_add(cell.built);
-                if let Some(members) = &members {
-                    members.note(&mut cell)?;
-                }
-                regrown.push(cell);
-            }
-            let more = splits(&regrown, kept).map(|(_, added)| u64::from(added)).sum::<u64>();
-            if let Some(target) = goal.samples
-                && more as f64 > KEEP_AT_MOST * target.max(1024) as f64
-            {
-                let keep = (PRUNE_TO * target.max(1024) as f64) as usize;
-                bound = bound.max(threshold_for(splits(&regrown, kept), 0, keep));
-                for cell in &mut regrown {
-                    let tree = &kept.cells[cell.cell as usize].tree;
-                    cell.grown.iter_mut().for_each(|grown| grown.prune(bound, tree));
-                }
-            } else if more > most || sampled.samples.len() as u64 + more > u64::from(u32::MAX) {
-                return Err(too_many(most));
-            }
+    /// Grows the trees of all cells that the selection meets.
+    fn regrow_all(&self) -> Result<Done> {
+        let goal = self.goal();
+        if let Some(done) = self.regrow(goal)? {
+            return Ok(done);
         }
+        // What was foretold was too coarse.
+        match self.regrow(Goal { least: 0.0, ..goal })? {
+            Some(done) => Ok(done),
+            None => unreachable!("down to the vertices, no bound is too coarse"),
+        }
+    }
+
+    /// The same down to the least bound; `None` if that is too coarse for the number of samples.
+    fn regrow(&self, goal: Goal) -> Result<Option<Done>> {
+        let mut cells = self.wanted(goal.least);
+        let members = self.members_of(&mut cells)?;
+        let gathering = self.gathering();
+        self.tell_scattered(&gathering, &cells);
+        let noted = self.guides.map(|_| Noted::new(self.folder)).transpose()?;
+        let mut growing = Growing { bound: goal.least, regrown: Vec::new(), built: 0, members, noted };
+        let mut vertex_bytes = 0;
+        for batch in self.batches(&cells)? {
+            let (gathered, bytes) = self.read(&gathering, batch)?;
+            vertex_bytes += bytes;
+            self.grow(&mut growing, gathered, batch)?;
+            self.keep_within_limit(&mut growing, goal)?;
+        }
+        let Growing { mut bound, regrown, members, noted, .. } = growing;
         if let Some(target) = goal.samples {
-            if target as u64 > most {
-                return Err(too_many(most));
-            }
-            // Sheets that share clusters take samples beside those of the trees.
-            let (mut left, mut threshold) = (target, threshold_for(splits(&regrown, kept), 0, target));
-            for _ in 0..ROUNDS_FOR_SHEETS {
-                let cut = bound.max(threshold);
-                let beside: usize = regrown.iter().map(|cell| cell.beside(cut, kept)).sum();
-                if left + beside <= target {
-                    break;
-                }
-                left = target.saturating_sub(beside).min(left.saturating_sub(1));
-                threshold = threshold_for(splits(&regrown, kept), 0, left);
-            }
+            let threshold = self.threshold(&regrown, bound, target)?;
             if !goal.at_most && threshold < bound && bound == goal.least && goal.least > 0.0 {
                 return Ok(None);
             }
             bound = bound.max(threshold);
         }
         let figures = Refined { cells: cells.len() as u64, vertex_bytes, ..Refined::nothing() };
-        Ok(Some((bound, regrown, members, noted, figures)))
+        Ok(Some(Done { bound, cells: regrown, members, noted, figures }))
+    }
+
+    /// Where the vertices of cells are noted, if there are triangles, of which more cells are concerned then.
+    fn members_of(&self, cells: &mut Vec<Met>) -> Result<Option<Members>> {
+        if self.sampled.triangles.is_empty() || cells.is_empty() {
+            return Ok(None);
+        }
+        self.add_neighbours(cells);
+        let by_faces = self.sampled.sampling.placement == Placement::Faces;
+        Members::new(self.sampled.source.vertices, by_faces, self.folder).map(Some)
+    }
+
+    fn gathering(&self) -> Gathering<'_> {
+        let Self { sampled, kept, model, .. } = *self;
+        Gathering {
+            model,
+            kept,
+            frame: sampled.frame,
+            cubes: sampled.cubes(),
+            with_ids: !sampled.triangles.is_empty(),
+            attributes: 0,
+            opaque: sampled.opaque(model),
+        }
+    }
+
+    /// The vertices of a batch of cells, and how many bytes they have in the model.
+    fn read(&self, gathering: &Gathering<'_>, batch: &[Met]) -> Result<(Vec<Gathered>, u64)> {
+        let places: Vec<u32> = batch.iter().map(|(cell, _)| *cell).collect();
+        self.progress.begin("reading the cells", gathering.bytes_of(&places));
+        gathering.read(&places, self.progress)?.ok_or_else(|| self.changed())
+    }
+
+    /// Grows the trees of a batch of cells by their vertices.
+    fn grow(&self, growing: &mut Growing, mut gathered: Vec<Gathered>, batch: &[Met]) -> Result<()> {
+        let Self { sampled, kept, progress, .. } = self;
+        if let Some(members) = &growing.members {
+            gathered.iter().try_for_each(|cell| members.note_positions(cell))?;
+        }
+        progress.begin("refining", 0);
+        if let Some(guides) = self.guides {
+            gathered.iter_mut().try_for_each(|cell| self.guide(guides, cell, growing.noted.as_mut()))?;
+        }
+        let how = Regrowing {
+            rule: sampled.rule(),
+            sizing: &self.sizing,
+            bound: growing.bound,
+            leaves_from: sampled.samples.len() as u32,
+            guides: self.guides,
+        };
+        let found: Result<Vec<Regrown>> = gathered
+            .into_par_iter()
+            .zip(batch)
+            .map(|(gathered, (_, wanted)): (Gathered, _)| {
+                progress.check()?;
+                let cell = &kept.cells[gathered.cell as usize];
+                how.regrow(gathered, cell, wanted).map_err(|Changed| self.changed())
+            })
+            .collect();
+        found?.into_iter().try_for_each(|cell| growing.push(cell, how.leaves_from))
+    }
+
+    /// Tells each vertex of a cell near a contact which side it is of, and notes it.
+    fn guide(&self, guides: &Guides<'_>, cell: &mut Gathered, noted: Option<&mut Noted>) -> Result<()> {
+        if guides.concern(&self.kept.cells[cell.cell as usize].tree.samples) {
+            let vertices = cell.vertices.iter().map(|v| v.position);
+            cell.guides = guides.find(&self.sampled.frame, vertices);
+        }
+        let Some(noted) = noted else { return Ok(()) };
+        let all = cell.vertices.iter().zip(&cell.guides).map(|(v, guide)| (v.position, *guide));
+        noted.note(all.filter(|(_, guide)| guides.concern(&[*guide])))
+    }
+
+    /// Cuts the trees back where they have far more leaves than are asked for.
+    ///
+    /// # Errors
+    /// By the bound alone, there are more samples than memory holds.
+    fn keep_within_limit(&self, growing: &mut Growing, goal: Goal) -> Result<()> {
+        let Self { sampled, kept, .. } = self;
+        let more = splits(&growing.regrown, kept).map(|(_, added)| u64::from(added)).sum::<u64>();
+        let most = self.most_samples();
+        if let Some(target) = goal.samples
+            && more as f64 > KEEP_AT_MOST * target.max(1024) as f64
+        {
+            let keep = (PRUNE_TO * target.max(1024) as f64) as usize;
+            growing.bound = growing.bound.max(threshold_for(splits(&growing.regrown, kept), 0, keep));
+            for cell in &mut growing.regrown {
+                let tree = &kept.cells[cell.cell as usize].tree;
+                cell.grown.iter_mut().for_each(|grown| grown.prune(growing.bound, tree));
+            }
+        } else if more > most || sampled.samples.len() as u64 + more > u64::from(u32::MAX) {
+            return Err(too_many(most));
+        }
+        Ok(())
+    }
+
+    /// The bound that gives so many samples more, those included that sheets which share clusters take beside
+    /// those of the trees.
+    fn threshold(&self, regrown: &[Regrown], bound: f32, target: usize) -> Result<f32> {
+        let (kept, most) = (self.kept, self.most_samples());
+        if target as u64 > most {
+            return Err(too_many(most));
+        }
+        let (mut left, mut threshold) = (target, threshold_for(splits(regrown, kept), 0, target));
+        for _ in 0..ROUNDS_FOR_SHEETS {
+            let cut = bound.max(threshold);
+            let beside: usize = regrown.iter().map(|cell| cell.beside(cut, kept)).sum();
+            if left + beside <= target {
+                break;
+            }
+            left = target.saturating_sub(beside).min(left.saturating_sub(1));
+            threshold = threshold_for(splits(regrown, kept), 0, left);
+        }
+        Ok(threshold)
+    }
+
+    /// So many new samples memory has room for.
+    fn most_samples(&self) -> u64 {
+        self.limit() / 2 / BYTES_PER_SAMPLE
+    }
+
+    /// The triangles of all samples by the model's faces, which place the new ones where they do so; and how
+    /// many bytes of faces were read.
+    fn reindex(&self, members: Members, appended: &mut Appended, bound: f32) -> Result<(Vec<[u32; 3]>, u64)> {
+        let Self { sampled, kept, model, progress, .. } = *self;
+        let sample_of = members.finish(sampled.samples.len(), appended)?;
+        // A bound that was asked for is kept.
+        let slack = matches!(self.how.finer, Finer::Error(_)).then(|| {
+            let there = sampled.samples.len();
+            let trees = appended.trees.iter().map(|(_, tree)| tree);
+            cut::slack(trees, there..there + appended.positions.len(), bound)
+        });
+        let found = sample_of.reindex(model, &sampled.triangles, kept, slack.as_deref(), progress);
+        let found = found.map_err(|e| match e.kind() {
+            ErrorKind::Format if kept.knows_faces => sampled.source_changed(model.path()),
+            _ => e,
+        })?;
+        if let Some(positions) = found.positions {
+            appended.positions = positions;
+        }
+        Ok((found.triangles, found.bytes))
+    }
+
+    /// The sampled model with the new samples, and where it touches itself.
+    fn complete(
+        &self,
+        appended: Appended,
+        triangles: Vec<[u32; 3]>,
+        record: Refinement,
+        noted: Option<Noted>,
+    ) -> Result<SampledModel> {
+        let mut kept = self.kept.clone();
+        let Appended { positions, normals, origins, parted, trees, .. } = appended;
+        trees.into_iter().for_each(|(cell, tree)| kept.cells[cell as usize].tree = tree);
+        let mut with_new = self.sampled.refined((positions, normals), triangles, kept, record)?;
+        if let Some(contacts) = self.sampled.samples.contacts() {
+            with_new.samples.prepare();
+            let mut contacts = contacts.refined(&with_new.samples, &origins, parted);
+            if let Some(noted) = noted {
+                contacts = contacts.with_places(&with_new, noted, self.folder)?;
+            }
+            with_new.samples.set_contacts(Some(contacts));
+        }
+        Ok(with_new)
+    }
+
+    /// The colours of the new samples.
+    fn new_colors(&self, with_new: &SampledModel) -> Result<Vec<[u8; 3]>> {
+        let before = self.sampled.samples.len();
+        let cells = with_new.held_cells().map_or(&[][..], |kept| &kept.cells);
+        let is_new = |cell: &&KeptCell| cell.tree.samples.iter().any(|sample| *sample as usize >= before);
+        let ranges = cells.iter().filter(is_new).flat_map(|cell| cell.ranges.iter().cloned());
+        let ranges = joined(ranges, self.model.info().near());
+        let new = (&with_new.samples.positions[..], before);
+        colors::of_ranges(new, &with_new.frame, self.model, &ranges, self.progress)
     }
 
     /// Adds the cells of all samples that share a triangle with one that may be split: the samples of their

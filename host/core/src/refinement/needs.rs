@@ -74,54 +74,10 @@ impl<'a> Needs<'a> {
 
     /// What it takes for an error to be met everywhere, and about how many new samples that is.
     fn allowing(samples: &'a SampleSet, errors: &[f32], expected: &[f32], allowed: f32) -> (Self, f64) {
-        let mut wanted = vec![f32::INFINITY; errors.len()];
-        // Non-negative numbers are in the order of their bits.
-        let mut open: BinaryHeap<Reverse<(u32, u32)>> = BinaryHeap::new();
-        let graph = samples.neighbours();
-        let mut needy = 0;
-        for (i, expected) in expected.iter().enumerate().filter(|(_, expected)| **expected > allowed) {
-            let smaller = (allowed / expected).powf(1.0 / ORDER);
-            // Where the cluster is a single place, what the expansion leaves out is due to those around.
-            let is_several = |k: &usize| errors[*k] > 0.0;
-            let near = graph.nearest_to(i).iter().map(|j| *j as usize);
-            let mut helping: Vec<usize> =
-                if is_several(&i) { vec![i] } else { near.clone().take(RING).filter(is_several).collect() };
-            if helping.is_empty() {
-                helping.extend(near.filter(is_several));
-            }
-            needy += usize::from(!helping.is_empty());
-            for k in helping {
-                let bound = smaller * errors[k];
-                if bound < wanted[k] {
-                    wanted[k] = bound;
-                    open.push(Reverse((bound.to_bits(), k as u32)));
-                }
-            }
-        }
-        // A tree has one of the samples of several sheets for all.
-        for [sample, of] in samples.contacts().map_or(&[][..], Contacts::parted) {
-            let bound = wanted[*sample as usize];
-            if bound < wanted[*of as usize] {
-                wanted[*of as usize] = bound;
-                open.push(Reverse((bound.to_bits(), *of)));
-            }
-        }
+        let (mut wanted, mut open) = (vec![f32::INFINITY; errors.len()], Open::new());
+        let needy = want(samples, (errors, expected), allowed, &mut wanted, &mut open);
         let least = wanted.iter().copied().fold(f32::INFINITY, f32::min);
-        while let Some(Reverse((bits, i))) = open.pop() {
-            let from = f32::from_bits(bits);
-            if from > wanted[i as usize] {
-                continue;
-            }
-            for j in graph.nearest_to(i as usize).iter().take(RING) {
-                let (i, j) = (i as usize, *j as usize);
-                let bound = from + RISE * samples.positions[i].distance(samples.positions[j]);
-                // Beyond, it changes nothing any more.
-                if bound < wanted[j].min(errors[j]) {
-                    wanted[j] = bound;
-                    open.push(Reverse((bound.to_bits(), j as u32)));
-                }
-            }
-        }
+        grade(samples, errors, &mut wanted, open);
         // Halving the size of clusters makes four of one.
         let more = |(error, wanted): (&f32, &f32)| f64::from((error / wanted).powi(2) - 1.0).max(0.0);
         let count = errors.iter().zip(&wanted).map(more).sum();
@@ -154,5 +110,70 @@ impl<'a> Needs<'a> {
             errors.zip(&tree.samples).map(leaf).collect()
         };
         kept.cells.iter().map(|cell| of_cell(&cell.tree)).collect()
+    }
+}
+
+/// Samples whose wanted error was lowered, the lowest first: non-negative numbers are in the order of their
+/// bits.
+type Open = BinaryHeap<Reverse<(u32, u32)>>;
+
+/// What the clusters around each sample that is off by more have to be split to; and how many such samples
+/// there are, around which that helps.
+fn want(
+    samples: &SampleSet,
+    (errors, expected): (&[f32], &[f32]),
+    allowed: f32,
+    wanted: &mut [f32],
+    open: &mut Open,
+) -> usize {
+    let graph = samples.neighbours();
+    let mut needy = 0;
+    for (i, expected) in expected.iter().enumerate().filter(|(_, expected)| **expected > allowed) {
+        let smaller = (allowed / expected).powf(1.0 / ORDER);
+        // Where the cluster is a single place, what the expansion leaves out is due to those around.
+        let is_several = |k: &usize| errors[*k] > 0.0;
+        let near = graph.nearest_to(i).iter().map(|j| *j as usize);
+        let mut helping: Vec<usize> =
+            if is_several(&i) { vec![i] } else { near.clone().take(RING).filter(is_several).collect() };
+        if helping.is_empty() {
+            helping.extend(near.filter(is_several));
+        }
+        needy += usize::from(!helping.is_empty());
+        for k in helping {
+            let bound = smaller * errors[k];
+            if bound < wanted[k] {
+                wanted[k] = bound;
+                open.push(Reverse((bound.to_bits(), k as u32)));
+            }
+        }
+    }
+    // A tree has one of the samples of several sheets for all.
+    for [sample, of] in samples.contacts().map_or(&[][..], Contacts::parted) {
+        let bound = wanted[*sample as usize];
+        if bound < wanted[*of as usize] {
+            wanted[*of as usize] = bound;
+            open.push(Reverse((bound.to_bits(), *of)));
+        }
+    }
+    needy
+}
+
+/// Errors rise with the distance from the samples that are open by no more than so much.
+fn grade(samples: &SampleSet, errors: &[f32], wanted: &mut [f32], mut open: Open) {
+    let graph = samples.neighbours();
+    while let Some(Reverse((bits, i))) = open.pop() {
+        let from = f32::from_bits(bits);
+        if from > wanted[i as usize] {
+            continue;
+        }
+        for j in graph.nearest_to(i as usize).iter().take(RING) {
+            let (i, j) = (i as usize, *j as usize);
+            let bound = from + RISE * samples.positions[i].distance(samples.positions[j]);
+            // Beyond, it changes nothing any more.
+            if bound < wanted[j].min(errors[j]) {
+                wanted[j] = bound;
+                open.push(Reverse((bound.to_bits(), j as u32)));
+            }
+        }
     }
 }

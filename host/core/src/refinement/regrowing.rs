@@ -19,6 +19,7 @@ use glam::Vec3;
 
 use super::gathering::{Gathered, VERTICES_OF_A_PART};
 use super::sizing::Sizing;
+use crate::lists::lists;
 
 /// A cluster below a sample of the first sampling.
 #[derive(Debug, Clone, Copy)]
@@ -195,19 +196,12 @@ impl Regrowing<'_, '_> {
         let leaf_of = self.follow(&mut gathered, tree, &top, seed)?;
 
         // The vertices of each leaf, side by side.
-        let mut starts = vec![0usize; top.leaves.len() + 1];
-        leaf_of.iter().for_each(|leaf| starts[*leaf as usize + 1] += 1);
-        (0..top.leaves.len()).for_each(|i| starts[i + 1] += starts[i]);
-        let (mut next, mut order) = (starts.clone(), vec![0u32; leaf_of.len()]);
-        for (vertex, leaf) in (0..).zip(&leaf_of) {
-            order[next[*leaf as usize]] = vertex;
-            next[*leaf as usize] += 1;
-        }
+        let (starts, order) = lists(top.leaves.len(), leaf_of.iter().copied().zip(0u32..));
 
         let mut found = Regrown { cell: gathered.cell, grown: Vec::new(), members: Vec::new(), built: 0 };
         let mut workspace = Workspace::<Vertex>::default();
         for (ordinal, leaf) in top.leaves.iter().enumerate() {
-            let of_leaf = &order[starts[ordinal]..starts[ordinal + 1]];
+            let of_leaf = &order[starts[ordinal] as usize..starts[ordinal + 1] as usize];
             let refined = wanted[leaf.samples.clone()].contains(&true);
             let has_grown = leaf.samples.len() > 1;
             let is_asked_for = has_grown && !gathered.ids.is_empty();

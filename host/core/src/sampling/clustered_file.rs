@@ -57,6 +57,20 @@ pub struct CellOfFile {
 }
 
 impl ClusteredFile {
+    /// One that says that groups found no room.
+    pub fn without_room(key: u128) -> Self {
+        Self {
+            key,
+            has_room: false,
+            bound: f32::INFINITY,
+            ends: None,
+            jumps: 0,
+            hashed: None,
+            cells: Vec::new(),
+            mark: 0,
+        }
+    }
+
     /// Reads a file of this key.
     ///
     /// # Errors

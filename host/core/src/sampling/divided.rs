@@ -167,17 +167,7 @@ impl<'a> Divided<'a> {
         }
         let key = self.key_of(owner);
         let Some(Clustered { forest, hash, ranges, items, ends, membership, .. }) = clustered else {
-            let none = ClusteredFile {
-                key,
-                has_room: false,
-                bound: f32::INFINITY,
-                ends: None,
-                jumps: 0,
-                hashed: None,
-                cells: Vec::new(),
-                mark: 0,
-            };
-            output::write_file(trees, &none.sealed()?)?;
+            output::write_file(trees, &ClusteredFile::without_room(key).sealed()?)?;
             return Ok(true);
         };
         let hashed = match hash {
@@ -195,17 +185,28 @@ impl<'a> Divided<'a> {
         let file = ClusteredFile { key, has_room: true, bound, ends, jumps, hashed, cells, mark: 0 };
         let sealed = file.sealed()?;
         if let Some(members) = membership {
-            let lists = match owner {
-                Owner::Range(_) => 1,
-                Owner::Group(_) => self.shares.ranges().len(),
-            };
-            let mut writer = NumbersWriter::create(leaves, leaves_key(mark_of(&sealed)), lists)?;
-            members.each_leaf(|list, some| writer.push(list as usize, some))?;
-            writer.commit()?;
+            self.leave_members(owner, members, leaves, leaves_key(mark_of(&sealed)))?;
         }
         // In the end, as it tells that all is there.
         output::write_file(trees, &sealed)?;
         Ok(true)
+    }
+
+    /// Leaves which leaf each vertex is in: of a group, by the ranges that the vertices are of.
+    fn leave_members(
+        &self,
+        owner: Owner,
+        members: super::Membership,
+        leaves: &Path,
+        key: u128,
+    ) -> Result<()> {
+        let lists = match owner {
+            Owner::Range(_) => 1,
+            Owner::Group(_) => self.shares.ranges().len(),
+        };
+        let mut writer = NumbersWriter::create(leaves, key, lists)?;
+        members.each_leaf(|list, some| writer.push(list as usize, some))?;
+        writer.commit()
     }
 
     /// Whether an owner has left all that it leaves.
@@ -341,6 +342,31 @@ pub fn sample_clustered(
 /// Why parts are of no use, and whether there are groups then.
 pub(super) type Useless = (&'static str, Grouping);
 
+/// What the ranges tell of the stream, put together in their order.
+#[derive(Default)]
+struct InOrder {
+    hash: Blocks,
+    /// How often the stream came into another cell.
+    jumps: u64,
+    /// The cell that the last range ended in.
+    last: Option<u32>,
+}
+
+impl InOrder {
+    /// Takes the next range; whether it is that.
+    fn goes_on_with(&mut self, file: &ClusteredFile) -> bool {
+        if !file.hashed.as_ref().is_some_and(|part| self.hash.append(part)) {
+            return false;
+        }
+        self.jumps += file.jumps;
+        if let Some([first, end]) = file.ends {
+            self.jumps += u64::from(self.last.is_some_and(|last| last != first));
+            self.last = Some(end);
+        }
+        true
+    }
+}
+
 impl Divided<'_> {
     /// The files of all ranges and all groups, with their owners.
     pub(super) fn files<'b>(
@@ -359,7 +385,7 @@ impl Divided<'_> {
         let mut forest = Forest::new(grid, *target, *bound, self.prepared.most(), None);
         let mut items = vec![0; grid.keys.len()];
         let mut ranges = vec![Vec::new(); grid.keys.len()];
-        let (mut hash, mut jumps, mut last) = (Blocks::default(), 0, None);
+        let mut stream = InOrder::default();
         let (mut known, mut marks) = (0, Vec::new());
         for (owner, path) in files {
             self.prepared.progress.check()?;
@@ -368,16 +394,8 @@ impl Divided<'_> {
             if !file.has_room {
                 return Ok(Err(("groups of vertices find no room", Grouping::Never)));
             }
-            if let Owner::Range(_) = owner {
-                let is_next = file.hashed.is_some_and(|part| hash.append(&part));
-                if !is_next {
-                    return Err(refused(path, "is not of the vertices behind those of the former range"));
-                }
-                jumps += file.jumps;
-                if let Some([first, end]) = file.ends {
-                    jumps += u64::from(last.is_some_and(|last| last != first));
-                    last = Some(end);
-                }
+            if matches!(owner, Owner::Range(_)) && !stream.goes_on_with(&file) {
+                return Err(refused(path, "is not of the vertices behind those of the former range"));
             }
             forest.raise(file.bound);
             for CellOfFile { cell, items: of_cell, ranges: where_it_is, moments, tree } in file.cells {
@@ -403,7 +421,7 @@ impl Divided<'_> {
             let why = "a part of the model has far more of the samples than of the vertices";
             return Ok(Err((why, grouping)));
         };
-        let fingerprint = hash.fingerprint();
+        let (fingerprint, jumps) = (stream.hash.fingerprint(), stream.jumps);
         let (membership, picked) = (None, None);
         Ok(Ok((Found { cut, fingerprint, jumps, ranges, membership, picked, grouping }, marks)))
     }

@@ -708,9 +708,12 @@ pub fn complete(
     let parting = prepared.parting(&ranges);
     let read = Read { sampling, bound: *bound, parting: &parting };
 
-    let (sheets, places) = (!sampling.skip.sheets, sampling.placement == Placement::Faces);
-    let mut sample_of =
-        if sheets || places { Some(divided.samples_of(&cut, files, 0..info.vertices)?) } else { None };
+    let sheets = !sampling.skip.sheets;
+    let mut sample_of = if sheets || sampling.placement == Placement::Faces {
+        Some(divided.samples_of(&cut, files, 0..info.vertices)?)
+    } else {
+        None
+    };
     let known: &[u32] = sample_of.as_ref().map_or(&[], |map| cast_slice(map));
     let (mut islands, mut welded) = (None, false);
     if sheets {
@@ -723,23 +726,7 @@ pub fn complete(
     }
     divided.take_faces(&cut, files, &read, (known, islands.as_mut()), &mut reindexed)?;
     if let Some(map) = &mut sample_of {
-        let sample_of: &mut [u32] = cast_slice_mut(map);
-        let changed = match islands {
-            Some(islands) => reindexed.part_sheets(&read, islands, sample_of, welded)?,
-            None => None,
-        };
-        let looked_at = places && (changed.is_some() || !reindexed.triangles.triangles.is_empty());
-        let vertices = if looked_at {
-            prepared.progress.begin_parts("reading the vertices", info.vertices);
-            Some(prepared.positions(sample_of, 0..info.vertices, &|more| prepared.progress.advance(more))?)
-        } else {
-            None
-        };
-        let vertices: Option<&[Vec3]> = vertices.as_ref().map(|map| cast_slice(map));
-        if let (Some(changed), Some(vertices)) = (changed, vertices) {
-            reindexed.place_again(&read, sample_of, vertices, &changed)?;
-        }
-        reindexed.fit(&read, sample_of, vertices)?;
+        divided.part_and_place(&read, islands, welded, cast_slice_mut(map), &mut reindexed)?;
     }
     let CutFile { fingerprint, jumps, .. } = cut;
     let found =
@@ -757,6 +744,36 @@ impl Divided<'_> {
         } else {
             FoundTwins::none(vertices, folder)
         }
+    }
+
+    /// Parts the samples of several sheets, and places samples by the faces around them.
+    fn part_and_place(
+        &self,
+        read: &Read<'_>,
+        islands: Option<Islands>,
+        welded: bool,
+        sample_of: &mut [u32],
+        reindexed: &mut Reindexed,
+    ) -> Result<()> {
+        let prepared = &self.prepared;
+        let changed = match islands {
+            Some(islands) => reindexed.part_sheets(read, islands, sample_of, welded)?,
+            None => None,
+        };
+        let places = prepared.sampling.placement == Placement::Faces;
+        let looked_at = places && (changed.is_some() || !reindexed.triangles.triangles.is_empty());
+        let vertices = if looked_at {
+            let all = 0..prepared.model.info().vertices;
+            prepared.progress.begin_parts("reading the vertices", all.end);
+            Some(prepared.positions(sample_of, all, &|more| prepared.progress.advance(more))?)
+        } else {
+            None
+        };
+        let vertices: Option<&[Vec3]> = vertices.as_ref().map(|map| cast_slice(map));
+        if let (Some(changed), Some(vertices)) = (changed, vertices) {
+            reindexed.place_again(read, sample_of, vertices, &changed)?;
+        }
+        reindexed.fit(read, sample_of, vertices)
     }
 
     /// Takes what all ranges of the faces told; what hangs together, if sheets are told apart, by the samples

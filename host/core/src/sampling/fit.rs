@@ -18,6 +18,7 @@ use simod_model::{Progress, Result};
 use super::cluster::symmetric;
 use super::kd_tree::Extent;
 use super::placement::Placed;
+use crate::lists::lists;
 
 /// Steps of Jacobi's method: more come nearer to the vertices, and move samples farther along the surface.
 const STEPS: usize = 5;
@@ -111,20 +112,8 @@ struct Surface<'a> {
 
 impl<'a> Surface<'a> {
     fn new(samples: &'a [Vec3], triangles: &'a [[u32; 3]]) -> Self {
-        let mut starts = vec![0; samples.len() + 1];
-        for sample in triangles.iter().flatten() {
-            starts[*sample as usize + 1] += 1;
-        }
-        for i in 0..samples.len() {
-            starts[i + 1] += starts[i];
-        }
-        let (mut next, mut around) = (starts.clone(), vec![0; 3 * triangles.len()]);
-        for (triangle, number) in triangles.iter().zip(0..) {
-            for sample in triangle {
-                around[next[*sample as usize] as usize] = number;
-                next[*sample as usize] += 1;
-            }
-        }
+        let corners = triangles.iter().zip(0..).flat_map(|(of, number)| of.map(|sample| (sample, number)));
+        let (starts, around) = lists(samples.len(), corners);
         let normals =
             triangles.par_iter().map(|corners| normal(corners.map(|sample| samples[sample as usize])));
         let Extent { min, max } = Extent::from_points(samples.iter().copied());

@@ -15,6 +15,7 @@ use simod_model::{Error, Result};
 
 use super::ADVICE;
 use super::twins::Found as FoundTwins;
+use crate::lists::lists;
 
 /// Most links for each sample: beyond it, faces are a tangle that tells nothing. There may be more of them on
 /// the way, while islands are still parts of larger ones.
@@ -387,34 +388,9 @@ impl Graph {
         }
 
         let count = clusters + graph.further.len();
-        let mut starts = vec![0u32; count + 1];
-        pairs.iter().flatten().for_each(|island| starts[*island as usize + 1] += 1);
-        (0..count).for_each(|i| starts[i + 1] += starts[i]);
-        let mut ends = starts.clone();
-        let mut joined = vec![0; 2 * pairs.len()];
-        for [a, b] in pairs {
-            for (island, other) in [(a, b), (b, a)] {
-                let end = &mut ends[island as usize];
-                joined[*end as usize] = other;
-                *end += 1;
-            }
-        }
-        // Each once: who was met last by whom.
-        let mut met = vec![NONE; count];
-        let (mut kept, mut from) = (0, 0);
-        for island in 0..count {
-            let to = starts[island + 1] as usize;
-            for at in from..to {
-                let other = joined[at];
-                if std::mem::replace(&mut met[other as usize], island as u32) != island as u32 {
-                    joined[kept] = other;
-                    kept += 1;
-                }
-            }
-            starts[island + 1] = kept as u32;
-            from = to;
-        }
-        joined.truncate(kept);
+        let (mut starts, mut joined) = lists(count, pairs.iter().flat_map(|[a, b]| [(*a, *b), (*b, *a)]));
+        drop(pairs);
+        keep_once(&mut starts, &mut joined);
         Self { starts, joined, ..graph }
     }
 
@@ -530,6 +506,27 @@ impl Graph {
         }
         met
     }
+}
+
+/// Leaves each island in the list of another one once.
+fn keep_once(starts: &mut [u32], joined: &mut Vec<u32>) {
+    let count = starts.len() - 1;
+    // Who was met last by whom.
+    let mut met = vec![NONE; count];
+    let (mut kept, mut from) = (0, 0);
+    for island in 0..count {
+        let to = starts[island + 1] as usize;
+        for at in from..to {
+            let other = joined[at];
+            if std::mem::replace(&mut met[other as usize], island as u32) != island as u32 {
+                joined[kept] = other;
+                kept += 1;
+            }
+        }
+        starts[island + 1] = kept as u32;
+        from = to;
+    }
+    joined.truncate(kept);
 }
 
 #[cfg(test)]

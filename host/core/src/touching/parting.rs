@@ -50,6 +50,12 @@ pub struct ClusterSheet {
 }
 
 impl ClusterSheet {
+    /// The sheets of a cluster, of no vertices so far.
+    fn of_cluster(Mixed { cluster, parts }: Mixed) -> (u32, Vec<Self>) {
+        let sheet = |islands| Self { islands, moments: Moments::default() };
+        (cluster, parts.into_iter().map(sheet).collect())
+    }
+
     /// The larger ones first, and of equal ones by where they are: vertices may come in any order.
     fn by_size(&self, other: &Self) -> Ordering {
         let larger = other.moments.count().total_cmp(&self.moments.count());
@@ -156,19 +162,9 @@ impl Parting<'_> {
         let mixed = mixed.unwrap_or_else(|| graph.parts());
         let clusters: BTreeMap<u32, usize> = mixed.iter().map(|m| m.cluster).zip(0..).collect();
         let ranges = self.ranges_with(trees, |sample| clusters.contains_key(&sample));
-        let mut place_of: HashMap<u32, (usize, usize)> = HashMap::new();
-        for (i, Mixed { parts, .. }) in mixed.iter().enumerate() {
-            for (j, part) in parts.iter().enumerate() {
-                place_of.extend(part.iter().map(|island| (*island, (i, j))));
-            }
-        }
-        let mut found: Vec<(u32, Vec<ClusterSheet>)> = mixed
-            .into_iter()
-            .map(|Mixed { cluster, parts }| {
-                let part = |islands| ClusterSheet { islands, moments: Moments::default() };
-                (cluster, parts.into_iter().map(part).collect())
-            })
-            .collect();
+        let place_of = places(&mixed);
+        let mut found: Vec<(u32, Vec<ClusterSheet>)> =
+            mixed.into_iter().map(ClusterSheet::of_cluster).collect();
         self.vertices(ranges, |vertex, p, normal| {
             let cluster = sample_of[vertex as usize];
             if !clusters.contains_key(&cluster) {
@@ -220,6 +216,17 @@ impl Parting<'_> {
         }
         Ok(())
     }
+}
+
+/// Of which cluster each island of several sheets is, and of which of its parts.
+fn places(mixed: &[Mixed]) -> HashMap<u32, (usize, usize)> {
+    let mut place_of = HashMap::new();
+    for (i, Mixed { parts, .. }) in mixed.iter().enumerate() {
+        for (j, part) in parts.iter().enumerate() {
+            place_of.extend(part.iter().map(|island| (*island, (i, j))));
+        }
+    }
+    place_of
 }
 
 impl Parts {

@@ -44,14 +44,17 @@ pub fn pasted(text: &str, folder: &Path) -> Result<Vec<Step>> {
     if steps.is_empty() {
         return Err(Error::argument("there are no steps on the clipboard", hint));
     }
-    for step in &mut steps {
-        step.place.clear();
-        if let Action::Deform(deformation) = &mut step.action {
-            folder.clone_into(&mut deformation.folder);
-            deformation.param_places = ParamPlaces::default();
-        }
-    }
+    steps.iter_mut().for_each(|step| seen_from(step, folder));
     Ok(steps)
+}
+
+/// Makes a step one that is in no file, with its files seen from a folder.
+pub(crate) fn seen_from(step: &mut Step, folder: &Path) {
+    step.place.clear();
+    if let Action::Deform(deformation) = &mut step.action {
+        folder.clone_into(&mut deformation.folder);
+        deformation.param_places = ParamPlaces::default();
+    }
 }
 
 /// A step whose files are named by whole paths, with where its plugin came from; as far as the plugin is

@@ -296,16 +296,11 @@ impl Document {
     fn changed(&mut self, command: Command) -> Result<Arc<[Entry]>> {
         let mut steps = self.steps.to_vec();
         let count = steps.len();
-        let check = |at: usize, end: usize| {
-            if at < end {
-                return Ok(());
-            }
-            let what = format!("there is no place {at} among {count} steps");
-            Err(Error::argument(what, "places are counted from 0"))
-        };
+        let check = |at: usize, end: usize| check_place(at, end, count);
         match command {
             Command::Add { at, step } => {
                 check(at, count + 1)?;
+                step.check()?;
                 let entry = self.entry(*step);
                 steps.insert(at, entry);
                 groups::settle(&mut steps, at);
@@ -323,6 +318,7 @@ impl Document {
             }
             Command::Insert { at, steps: new } => {
                 check(at, count + 1)?;
+                new.iter().try_for_each(Step::check)?;
                 let new: Vec<Entry> = new.into_iter().map(|step| self.entry(step)).collect();
                 let places = at..at + new.len();
                 steps.splice(at..at, new);
@@ -332,46 +328,11 @@ impl Document {
                 check(at, count)?;
                 self.solo(&mut steps, at)?;
             }
-            Command::Group { steps: places, name } => {
-                check(places.start, places.end)?;
-                check(places.end - 1, count)?;
-                if let Some(name) = &name {
-                    check_name("group", name)?;
-                }
-                groups::set(&mut steps[places.clone()], name.as_ref());
-                groups::part(&mut steps, places);
-            }
-            Command::JoinGroup { from, at } => {
-                check(from, count)?;
-                let to = group(&steps, at)?;
-                let name = steps[to.start].step.group.clone();
-                if !to.contains(&from) {
-                    let entry = steps.remove(from);
-                    let to = if from < to.start { to.end - 1 } else { to.end };
-                    steps.insert(to, entry);
-                    groups::set(&mut steps[to..=to], name.as_ref());
-                }
-            }
-            Command::EnableGroup { at, enabled } => {
-                let group = group(&steps, at)?;
-                for entry in steps[group].iter_mut().filter(|entry| entry.step.enabled != enabled) {
-                    Arc::make_mut(&mut entry.step).enabled = enabled;
-                }
-            }
-            Command::MoveGroup { at, to } => {
-                let group = group(&steps, at)?;
-                let length = group.len();
-                check(to, count + 1 - length)?;
-                let moved: Vec<Entry> = steps.drain(group).collect();
-                // A group has none within, so it goes behind one that it would come into.
-                let to = groups::gap_at(&steps, to);
-                steps.splice(to..to, moved);
-            }
-            Command::RemoveGroup { at } => drop(steps.drain(group(&steps, at)?)),
             Command::Change { at, change } => {
                 check(at, count)?;
                 edit(Arc::make_mut(&mut steps[at].step), change)?;
             }
+            of_groups => change_groups(&mut steps, of_groups)?,
         }
         Ok(steps.into())
     }
@@ -468,6 +429,61 @@ impl Document {
             _ => None,
         }
     }
+}
+
+/// A place that there is among the steps, which `end` is behind.
+fn check_place(at: usize, end: usize, count: usize) -> Result<()> {
+    if at < end {
+        return Ok(());
+    }
+    let what = format!("there is no place {at} among {count} steps");
+    Err(Error::argument(what, "places are counted from 0"))
+}
+
+/// Does one of the commands that are of groups; the others are done [before](Document::changed).
+fn change_groups(steps: &mut Vec<Entry>, command: Command) -> Result<()> {
+    let count = steps.len();
+    let check = |at: usize, end: usize| check_place(at, end, count);
+    match command {
+        Command::Group { steps: places, name } => {
+            check(places.start, places.end)?;
+            check(places.end - 1, count)?;
+            if let Some(name) = &name {
+                check_name("group", name)?;
+            }
+            groups::set(&mut steps[places.clone()], name.as_ref());
+            groups::part(steps, places);
+        }
+        Command::JoinGroup { from, at } => {
+            check(from, count)?;
+            let to = group(steps, at)?;
+            let name = steps[to.start].step.group.clone();
+            if !to.contains(&from) {
+                let entry = steps.remove(from);
+                let to = if from < to.start { to.end - 1 } else { to.end };
+                steps.insert(to, entry);
+                groups::set(&mut steps[to..=to], name.as_ref());
+            }
+        }
+        Command::EnableGroup { at, enabled } => {
+            let group = group(steps, at)?;
+            for entry in steps[group].iter_mut().filter(|entry| entry.step.enabled != enabled) {
+                Arc::make_mut(&mut entry.step).enabled = enabled;
+            }
+        }
+        Command::MoveGroup { at, to } => {
+            let group = group(steps, at)?;
+            let length = group.len();
+            check(to, count + 1 - length)?;
+            let moved: Vec<Entry> = steps.drain(group).collect();
+            // A group has none within, so it goes behind one that it would come into.
+            let to = groups::gap_at(steps, to);
+            steps.splice(to..to, moved);
+        }
+        Command::RemoveGroup { at } => drop(steps.drain(group(steps, at)?)),
+        _ => return Err(Error::internal("a command that is of no groups is done as if it was")),
+    }
+    Ok(())
 }
 
 /// The group of the step at a place, which there has to be.

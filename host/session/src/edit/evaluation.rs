@@ -37,6 +37,20 @@ pub enum Status {
     Waiting,
 }
 
+impl Status {
+    /// How a step fared that was done.
+    ///
+    /// # Errors
+    /// The user cancelled.
+    fn from_run(step: &Step, run: Result<Vec<Message>>) -> Result<Self> {
+        match run {
+            Ok(messages) => Ok(Self::Done(messages)),
+            Err(e) if e.kind() == ErrorKind::Cancelled => Err(e),
+            Err(e) => Ok(Self::Failed(located(step.place_of(&e), e))),
+        }
+    }
+}
+
 /// What became of the samples.
 pub struct Evaluated {
     /// The model with its samples at rest, those of refinements among them.
@@ -269,20 +283,12 @@ impl Evaluation {
                     }
                 }
             };
-            let status = if !step.enabled {
-                Status::Off
-            } else if failed {
-                Status::Waiting
-            } else {
-                match run() {
-                    Ok(messages) => Status::Done(messages),
-                    Err(e) if e.kind() == ErrorKind::Cancelled => return Err(e),
-                    Err(e) => {
-                        failed = true;
-                        Status::Failed(located(step.place_of(&e), e))
-                    }
-                }
+            let status = match step.enabled {
+                false => Status::Off,
+                true if failed => Status::Waiting,
+                true => Status::from_run(step, run())?,
             };
+            failed |= matches!(status, Status::Failed(_));
             statuses.push((*id, status));
         }
         let stack = PreparedStack { layers, frame: self.sampled.frame };

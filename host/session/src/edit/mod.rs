@@ -10,6 +10,7 @@ mod groups;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use clipboard::seen_from;
 pub use clipboard::{copied, pasted};
 pub use document::{Change, Command, Document};
 pub use editor::{Editor, forget, kept_at, recover, saved_at};

@@ -389,6 +389,7 @@ fn what_makes_no_sense_changes_nothing() {
         change(0, Change::SetAmount(f64::NAN)),
         change(0, Change::SetTitle(Some(String::new()))),
         Command::Insert { at: 4, steps: vec![step("")] },
+        Command::Insert { at: 0, steps: vec![refine(DVec3::ZERO, -1.0, Finer::Error(1.0))] },
         Command::Solo { at: 3 },
         change(0, Change::SetJoints(vec![joint("a", Some("a"))])),
         change(0, Change::SetJoints(vec![joint("a", None), joint("a", None)])),

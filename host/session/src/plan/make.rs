@@ -22,7 +22,7 @@ use super::graph::{
 use super::units::{FINISHED, Stage, Unit, hash_of};
 use crate::pipeline::{converted, needed, open, sampling_of};
 use crate::plugins::PluginRegistry;
-use crate::session_file::SessionFile;
+use crate::session_file::{SessionFile, SessionTime};
 use crate::sidecar;
 use crate::stack::Stack;
 
@@ -70,14 +70,7 @@ pub fn make(
     check_target(folder)?;
     // What is wrong with the steps is told now.
     let stack = Stack::build(&session.steps, registry)?;
-    let output = match session.named_model()? {
-        Some(ModelName::Tiles(_)) => canonical_folder(output)?,
-        _ => canonical_target(output)?,
-    };
-    if folder.canonicalize().is_ok_and(|folder| output.starts_with(folder)) {
-        let what = format!("{} lies in the plan's folder, which is replaced", output.display());
-        return Err(Error::argument(what, "write it to another folder"));
-    }
+    let output = output_outside(folder, session, output)?;
     let new = OutputFolder::create(folder)?;
     let cache = &Arc::new(Cache::nameless(folder_of(folder)));
     let becomes = converted(session, &output, (options.normals, options.lossy), (cache, progress))?;
@@ -97,20 +90,7 @@ pub fn make(
         tiles,
         model_bytes: info.bytes,
         vertices: info.vertices,
-        options: Recorded {
-            method: name_of(&METHODS, &options.method),
-            normals: name_of(&NORMALS, &options.normals),
-            choose_offset: options.choose_offset,
-            lossy: options.lossy,
-            force: options.force,
-            whole_samples: options.whole_samples,
-            splats: follow.splats,
-            opacity: follow.opacity,
-            max_anisotropy: follow.max_anisotropy,
-            plugins: options.plugins.iter().map(|file| absolute(file)).collect::<Result<_>>()?,
-            time: session.time,
-            follow: follow.declared,
-        },
+        options: recorded(options, follow, session.time)?,
         units: units(&*model, &sampling, undivided.is_some(), options)?,
         exchange: exchange(&*model, &sampling, options)?,
         undivided,
@@ -171,6 +151,37 @@ enum Of {
     Pieces(Range<u64>),
 }
 
+/// The deformed model's place, which is not in the plan's folder.
+fn output_outside(folder: &Path, session: &SessionFile, output: &Path) -> Result<PathBuf> {
+    let output = match session.named_model()? {
+        Some(ModelName::Tiles(_)) => canonical_folder(output)?,
+        _ => canonical_target(output)?,
+    };
+    if folder.canonicalize().is_ok_and(|folder| output.starts_with(folder)) {
+        let what = format!("{} lies in the plan's folder, which is replaced", output.display());
+        return Err(Error::argument(what, "write it to another folder"));
+    }
+    Ok(output)
+}
+
+/// The options as units read them.
+fn recorded(options: &Options<'_>, follow: Follow, time: SessionTime) -> Result<Recorded> {
+    Ok(Recorded {
+        method: name_of(&METHODS, &options.method),
+        normals: name_of(&NORMALS, &options.normals),
+        choose_offset: options.choose_offset,
+        lossy: options.lossy,
+        force: options.force,
+        whole_samples: options.whole_samples,
+        splats: follow.splats,
+        opacity: follow.opacity,
+        max_anisotropy: follow.max_anisotropy,
+        plugins: options.plugins.iter().map(|file| absolute(file)).collect::<Result<_>>()?,
+        time,
+        follow: follow.declared,
+    })
+}
+
 /// The graph.
 fn units(
     model: &dyn Model,
@@ -189,34 +200,7 @@ fn units(
         units.push(Unit { number: units.len(), stage, after, vertices, part, pieces, writes });
         units.len() - 1
     };
-    let mut before = Vec::new();
-    let info = model.info();
-    if is_read_anywhere(model, options.normals) {
-        for (number, range) in shares(info.vertices, options.units).enumerate() {
-            let writes = PathBuf::from(format!("count-{number}.bin"));
-            before.push(add(Stage::Count, Vec::new(), Of::Vertices(range), writes));
-        }
-    }
-    let (count, sampled) = (clustering(model, sampling, options)?, Path::new(SAMPLED).join("simod.toml"));
-    let sample = if count > 0 {
-        if reads_faces(model, sampling)? && have_to_be_found(model) {
-            before.push(add(Stage::FaceRuns, Vec::new(), Of::All, FACE_RUNS.into()));
-        }
-        let merged = vec![add(Stage::Merge, before, Of::All, COUNTS.into())];
-        let mut clustered = parts(&mut add, (Stage::Cluster, "cluster"), &merged, count);
-        clustered.extend(parts(&mut add, (Stage::ClusterShared, "group"), &clustered, count));
-        if reads_faces(model, sampling)? {
-            let cut = vec![add(Stage::Cut, clustered, Of::All, CUT.into())];
-            let members = parts(&mut add, (Stage::Members, "members"), &cut, count);
-            let ranges = face_ranges_of(model, count);
-            let faces = parts(&mut add, (Stage::Faces, "faces"), &members, ranges);
-            add(Stage::Complete, faces, Of::All, sampled)
-        } else {
-            add(Stage::Cut, clustered, Of::All, sampled)
-        }
-    } else {
-        add(Stage::Sample, before, Of::All, sampled)
-    };
+    let sample = sampling_units(model, sampling, options, &mut add)?;
     let deform = add(Stage::Deform, vec![sample], Of::All, DEFORMED.into());
     let division = model.division(options.normals).filter(|_| !undivided);
     let Some(division) = division else {
@@ -230,6 +214,43 @@ fn units(
     }
     add(Stage::Finish, written, Of::All, FINISHED.into());
     Ok(units)
+}
+
+/// The units that sample the model; the number of the last one.
+fn sampling_units(
+    model: &dyn Model,
+    sampling: &Sampling,
+    options: &Options<'_>,
+    add: &mut impl FnMut(Stage, Vec<usize>, Of, PathBuf) -> usize,
+) -> Result<usize> {
+    let mut before = Vec::new();
+    let info = model.info();
+    if is_read_anywhere(model, options.normals) {
+        for (number, range) in shares(info.vertices, options.units).enumerate() {
+            let writes = PathBuf::from(format!("count-{number}.bin"));
+            before.push(add(Stage::Count, Vec::new(), Of::Vertices(range), writes));
+        }
+    }
+    let (count, sampled) = (clustering(model, sampling, options)?, Path::new(SAMPLED).join("simod.toml"));
+    Ok(if count > 0 {
+        if reads_faces(model, sampling)? && have_to_be_found(model) {
+            before.push(add(Stage::FaceRuns, Vec::new(), Of::All, FACE_RUNS.into()));
+        }
+        let merged = vec![add(Stage::Merge, before, Of::All, COUNTS.into())];
+        let mut clustered = parts(add, (Stage::Cluster, "cluster"), &merged, count);
+        clustered.extend(parts(add, (Stage::ClusterShared, "group"), &clustered, count));
+        if reads_faces(model, sampling)? {
+            let cut = vec![add(Stage::Cut, clustered, Of::All, CUT.into())];
+            let members = parts(add, (Stage::Members, "members"), &cut, count);
+            let ranges = face_ranges_of(model, count);
+            let faces = parts(add, (Stage::Faces, "faces"), &members, ranges);
+            add(Stage::Complete, faces, Of::All, sampled)
+        } else {
+            add(Stage::Cut, clustered, Of::All, sampled)
+        }
+    } else {
+        add(Stage::Sample, before, Of::All, sampled)
+    })
 }
 
 /// Adds the units of a stage, each of a part that has its number, after the same others.

@@ -20,7 +20,7 @@ use semver::Version;
 use simod_model::progress::Silent;
 use simod_model::{Error, Progress, Result};
 use std::cmp::Ordering;
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::env::consts::{DLL_EXTENSION, DLL_PREFIX};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -75,6 +75,17 @@ pub enum Isolation {
     Always,
     /// None.
     Never,
+}
+
+impl Isolation {
+    /// Whether a library gets a process of its own.
+    fn isolates(self, shipped: bool) -> bool {
+        match self {
+            Self::Others => !shipped,
+            Self::Always => true,
+            Self::Never => false,
+        }
+    }
 }
 
 /// How plugins are looked for and run.
@@ -150,7 +161,7 @@ pub struct PluginRegistry {
     /// Libraries that are used whatever others there are.
     chosen: Vec<PathBuf>,
     /// All libraries that were looked at, as they were then, used or not.
-    seen: HashMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
+    seen: BTreeMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
 }
 
 /// The folders that [`PluginRegistry::discover`] looks in, most important first: those in
@@ -250,7 +261,7 @@ impl PluginRegistry {
         file: PathBuf,
         shipped: bool,
         options: &PluginOptions,
-        before: &HashMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
+        before: &BTreeMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
         cache: &mut Cache,
         progress: &dyn Progress,
     ) -> Result<()> {
@@ -272,11 +283,7 @@ impl PluginRegistry {
             self.add(plugin.clone());
             return Ok(());
         }
-        let isolated = match options.isolation {
-            Isolation::Others => !shipped,
-            Isolation::Always => true,
-            Isolation::Never => false,
-        };
+        let isolated = options.isolation.isolates(shipped);
         let started = Instant::now();
         let known = cache.get(&path, stamp);
         let plugin = open(&file, shipped, isolated, options, known.clone(), progress);

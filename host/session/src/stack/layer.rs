@@ -9,7 +9,7 @@ use crate::other_model::{OtherModel, stamps};
 use crate::params::{LocalParams, ParamValue, Params, nearest};
 use crate::plugins::PluginRegistry;
 use crate::shapes::Shapes;
-use crate::step::{Deformation, HandleMove, Joint, Notes, ParamPlaces, Role, Stroke};
+use crate::step::{Deformation, HandleMove, Joint, Notes, Role, Stroke};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use simod_core::attributes::Attributes;
@@ -27,8 +27,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub(crate) struct Layer {
     /// Where in the session it stands; for errors.
     pub place: String,
-    /// Where its parameters stand; likewise.
-    pub param_places: ParamPlaces,
     pub plugin: Arc<Plugin>,
     /// What was changed when the step was brought up to the plugin.
     notes: Notes,
@@ -215,7 +213,6 @@ impl Layer {
         let strokes = step.strokes.iter().enumerate().map(stroke).collect::<Result<_>>()?;
         let mut layer = Self {
             place: place.to_owned(),
-            param_places: step.param_places.clone(),
             plugin,
             notes: step.notes.clone(),
             given: step.params.clone(),
@@ -299,19 +296,13 @@ impl Layer {
         }
         let watch = Watch::new(progress, plugin.id(), size_of_val(&*rest.positions) as u64);
         let motions = self.motions(rest, shape, kept, moment, &watch)?;
-        let done = |preparation, rest: &Arc<Rest>, positions, messages: Vec<Message>, motions| {
-            let (plugin, share, rest) = (plugin.clone(), self.share.clone(), rest.clone());
-            let notes = self.notes.iter().map(|note| self.told(note));
-            let messages = notes.chain(messages).collect();
-            Arc::new(Done { positions, messages, plugin, preparation, rest, motions, share })
-        };
         let nothing = api::Samples::new(&[], &[], &[]);
         let is_identity = self.share.amount == 0.0
             || motions.call(nothing, rest.bounds, None, |input| plugin.is_identity(input, &watch))?;
         if is_identity {
             // What comes after it need not be done again.
             let positions = rest.positions.clone();
-            return Ok((rest.clone(), done(None, rest, positions, watch.into_messages(), motions)));
+            return Ok((rest.clone(), self.done(None, rest, positions, watch.into_messages(), motions)));
         }
         let preparation_key = self.preparation_key(rest.key);
         let key = motions.key(preparation_key).and(&self.share.masks).and(&self.share.amount).end();
@@ -326,15 +317,7 @@ impl Layer {
             }
             _ => {
                 let preparation = self.preparation(preparation_key, rest, shape, kept, progress)?;
-                let images = unwritten(kept.spare.take(), preparation.rest.positions.len());
-                let deformed = self.deform(&preparation, &motions, images, &shape.frame, moment, &watch);
-                if deformed.as_ref().is_err_and(|e| e.kind() != ErrorKind::Cancelled) {
-                    // The process that it was in may have ended.
-                    kept.preparation = None;
-                }
-                let messages = preparation.messages.iter().cloned().chain(watch.into_messages()).collect();
-                let rest = preparation.rest.clone();
-                let done = done(Some(preparation), &rest, deformed?, messages, motions);
+                let done = self.deformed(preparation, motions, shape, kept, moment, watch)?;
                 let former = kept.done.replace((key, done.clone()));
                 let is_draft = moment.effort == api::Effort::DRAFT;
                 kept.spare = former.filter(|_| is_draft).map(|(_, former)| former.positions.clone());
@@ -343,6 +326,42 @@ impl Layer {
         };
         let positions = done.positions.clone();
         Ok((Arc::new(Rest { positions, normals_fit: false, key, ..(**rest).clone() }), done))
+    }
+
+    /// Has the plugin deform what it has prepared.
+    fn deformed(
+        &self,
+        preparation: Arc<Preparation>,
+        motions: Motions,
+        shape: &RestShape<'_>,
+        kept: &mut LayerCache,
+        moment: Moment,
+        watch: Watch<'_>,
+    ) -> Result<Arc<Done>> {
+        let images = unwritten(kept.spare.take(), preparation.rest.positions.len());
+        let deformed = self.deform(&preparation, &motions, images, &shape.frame, moment, &watch);
+        if deformed.as_ref().is_err_and(|e| e.kind() != ErrorKind::Cancelled) {
+            // The process that it was in may have ended.
+            kept.preparation = None;
+        }
+        let messages = preparation.messages.iter().cloned().chain(watch.into_messages()).collect();
+        let rest = preparation.rest.clone();
+        Ok(self.done(Some(preparation), &rest, deformed?, messages, motions))
+    }
+
+    /// What was done, with the notes on the step before what its plugin had to say.
+    fn done(
+        &self,
+        preparation: Option<Arc<Preparation>>,
+        rest: &Arc<Rest>,
+        positions: Arc<[Vec3]>,
+        messages: Vec<Message>,
+        motions: Motions,
+    ) -> Arc<Done> {
+        let (plugin, share, rest) = (self.plugin.clone(), self.share.clone(), rest.clone());
+        let notes = self.notes.iter().map(|note| self.told(note));
+        let messages = notes.chain(messages).collect();
+        Arc::new(Done { positions, messages, plugin, preparation, rest, motions, share })
     }
 
     /// A note on the step, for users.

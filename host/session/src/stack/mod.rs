@@ -6,19 +6,18 @@
 mod layer;
 mod rest;
 
-use crate::deformer::{Message, Plugin, Watch};
+use crate::deformer::{Plugin, Watch};
 use crate::params::Params;
 use crate::plugins::PluginRegistry;
 use crate::step::{Deformation, Step};
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 pub(crate) use layer::{Done, Layer, LayerCache};
 use rayon::prelude::*;
-pub(crate) use rest::{Moment, Rest, located};
-pub use rest::{Renormal, RestShape, neighbour_lists, rows};
+pub(crate) use rest::{Moment, Rest, RestShape, located};
+pub use rest::{neighbour_lists, rows};
 use simod_model::frame::Frame;
 use simod_model::progress::Silent;
 use simod_model::{Progress, Result};
-use simod_plugin_api as api;
 use std::sync::Arc;
 
 /// Points evaluated at once on one thread.
@@ -28,17 +27,6 @@ const BLOCK: usize = 4096;
 #[derive(Debug)]
 pub struct Stack {
     layers: Vec<Layer>,
-}
-
-/// What a stack made of samples.
-#[derive(Debug)]
-pub struct Deformed {
-    /// Deformed positions, in the same local coordinates, one per sample.
-    pub positions: Vec<Vec3>,
-    /// The prepared layers, to be asked for other points.
-    pub stack: PreparedStack,
-    /// What the plugins had to say.
-    pub messages: Vec<Message>,
 }
 
 /// A stack prepared on samples: the map of space itself, where the plugins know it.
@@ -93,23 +81,6 @@ impl Stack {
     pub fn in_effect(&self) -> impl Iterator<Item = (&Plugin, &Params)> {
         self.layers.iter().map(|l| (&*l.plugin, l.params()))
     }
-
-    /// Deforms samples. On an error nothing has changed anywhere.
-    pub fn apply(&self, shape: &RestShape<'_>, progress: &dyn Progress) -> Result<Deformed> {
-        let mut rest = Arc::new(shape.rest(0)?);
-        let mut messages = Vec::new();
-        let mut layers = Vec::with_capacity(self.layers.len());
-        for layer in &self.layers {
-            let moment = Moment { effort: api::Effort::FULL, time: api::Time::default() };
-            let done = layer.update(&rest, shape, &mut LayerCache::default(), moment, progress);
-            let (next, done) = done.map_err(|e| located(layer.param_places.place_of(&layer.place, &e), e))?;
-            messages.extend(done.messages.iter().cloned());
-            layers.push(done);
-            rest = next;
-        }
-        let positions = rest.positions.to_vec();
-        Ok(Deformed { positions, stack: PreparedStack { layers, frame: shape.frame }, messages })
-    }
 }
 
 impl PreparedStack {
@@ -153,12 +124,42 @@ impl PreparedStack {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::SessionFile;
-    use simod_core::sampling::SampleSet;
+    use crate::deform;
+    use crate::edit::Refinements;
+    use crate::session_file::SessionFile;
+    use glam::Vec3;
+    use simod_core::sampled_model::SampledModel;
+    use simod_core::sampling::{SampleSet, Sampling, sample};
     use simod_model::bounds::Bounds;
+    use simod_model::{Scalar, write_points};
+    use simod_plugin_api as api;
     use simod_plugin_api::__private::{abi_stable, capability, find_extension, no_extension, root_module};
     use std::path::Path;
     use std::sync::atomic::{AtomicUsize, Ordering};
+
+    /// A model with these samples, and no others.
+    fn sampled(
+        positions: &[Vec3],
+        triangles: &[[u32; 3]],
+        (frame, bounds): (Frame, Bounds),
+    ) -> Arc<SampledModel> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.ply");
+        let vertices = positions.iter().map(|p| frame.to_model(*p));
+        write_points(&path, vertices, &[], triangles, Scalar::F64, &[]).unwrap();
+        let model = simod_model::open(&path).unwrap();
+        let mut sampled = sample(&*model, &Sampling::default(), folder.path(), &Silent).unwrap();
+        sampled.samples = SampleSet::new(positions.to_vec(), Vec::new()).unwrap();
+        sampled.triangles = triangles.to_vec();
+        (sampled.frame, sampled.bounds) = (frame, bounds);
+        Arc::new(sampled)
+    }
+
+    /// Where a session's steps take its samples.
+    fn deformed(session: &str, registry: &PluginRegistry, of: Arc<SampledModel>) -> Result<Vec<Vec3>> {
+        let session = SessionFile::parse(session, Path::new("s.toml"))?;
+        Ok(deform(of, &session.steps, registry, Refinements::default(), &Silent)?.positions)
+    }
 
     /// Moves each sample to the mean of its neighbours and of the corners of its triangles.
     struct Smooth;
@@ -211,21 +212,15 @@ mod tests {
         let triangles: Vec<[u32; 3]> = (0..48).map(|i| [i, i + 1, i + 2]).collect();
         let plugin = Plugin::in_process(root_module::<Smooth>(no_extension), Path::new("smooth")).unwrap();
         let registry = PluginRegistry::from_plugins([plugin]);
-        let session = SessionFile::parse("[[step]]\ndeform = \"smooth\"", Path::new("s.toml")).unwrap();
-        let stack = Stack::build(&session.steps, &registry).unwrap();
-        let shape = RestShape {
-            positions: &set.positions,
-            normals: &[],
-            spacing: &[],
-            triangles: &triangles,
-            neighbours: Some(set.neighbours()),
-            attributes: None,
-            folder: Path::new(""),
-            frame: Frame { origin: DVec3::ZERO, scale: 1.0 },
-            bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
-            renormal: None,
+        let placed = (
+            Frame { origin: DVec3::ZERO, scale: 1.0 },
+            Bounds { min: DVec3::ZERO, max: DVec3::splat(300.0) },
+        );
+        let smoothed = |triangles: &[[u32; 3]]| {
+            let sampled = sampled(&set.positions, triangles, placed);
+            deformed("[[step]]\ndeform = \"smooth\"", &registry, sampled)
         };
-        let deformed = stack.apply(&shape, &Silent).unwrap().positions;
+        let deformed = smoothed(&triangles).unwrap();
         let near = |i: usize| {
             let corners = triangles.iter().filter(move |t| t.contains(&(i as u32))).flatten();
             set.neighbours().nearest_to(i).iter().chain(corners).map(|j| set.positions[*j as usize])
@@ -234,7 +229,7 @@ mod tests {
             let mean = near(i).sum::<Vec3>() / near(i).count() as f32;
             assert!(p.abs_diff_eq(mean, 1e-4), "{i}: {p} is not {mean}");
         }
-        let without = stack.apply(&RestShape { triangles: &[], ..shape }, &Silent).unwrap_err();
+        let without = smoothed(&[]).unwrap_err();
         assert!(without.to_string().contains("it is not there"), "{without}");
     }
 
@@ -309,23 +304,12 @@ mod tests {
         let module = root_module::<Puppet>(puppet_extension);
         let registry =
             PluginRegistry::from_plugins([Plugin::in_process(module, Path::new("puppet")).unwrap()]);
-        let text = format!("[[step]]\ndeform = \"puppet\"\n{step}");
-        let session = SessionFile::parse(&text, Path::new("s.toml"))?;
         let positions = [Vec3::ZERO, Vec3::X, Vec3::X * 2.0];
         // Local coordinates are half of the model's, and begin at 10 along y.
-        let shape = RestShape {
-            positions: &positions,
-            normals: &[],
-            spacing: &[],
-            triangles: &[],
-            neighbours: None,
-            attributes: None,
-            folder: Path::new(""),
-            frame: Frame { origin: DVec3::Y * 10.0, scale: 2.0 },
-            bounds: Bounds { min: DVec3::Y * 10.0, max: DVec3::new(4.0, 11.0, 1.0) },
-            renormal: None,
-        };
-        Ok(Stack::build(&session.steps, &registry)?.apply(&shape, &Silent)?.positions)
+        let frame = Frame { origin: DVec3::Y * 10.0, scale: 2.0 };
+        let bounds = Bounds { min: DVec3::Y * 10.0, max: DVec3::new(4.0, 11.0, 1.0) };
+        let sampled = sampled(&positions, &[], (frame, bounds));
+        deformed(&format!("[[step]]\ndeform = \"puppet\"\n{step}"), &registry, sampled)
     }
 
     #[test]

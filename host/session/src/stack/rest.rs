@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Derives unit normals, one per sample, from changed positions (local coordinates).
-pub type Renormal<'a> = dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync + 'a;
+pub(crate) type Renormal<'a> = dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync + 'a;
 
 /// For what a deformation is, and when in a sequence.
 #[derive(Debug, Clone, Copy)]
@@ -23,7 +23,7 @@ pub(crate) struct Moment {
 
 /// The samples as they were taken, and where.
 #[derive(Clone, Copy)]
-pub struct RestShape<'a> {
+pub(crate) struct RestShape<'a> {
     /// Local positions; all finite.
     pub positions: &'a [Vec3],
     /// Unit normals, one per sample, or none at all.
@@ -147,4 +147,34 @@ pub fn rows(map: DAffine3) -> api::Affine {
     let (m, t) = (map.matrix3, map.translation);
     let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];
     api::Affine { rows: [row(0), row(1), row(2)] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn samples_that_cannot_be_deformed_are_refused() {
+        let shape = RestShape {
+            positions: &[Vec3::X, Vec3::Y],
+            normals: &[],
+            spacing: &[],
+            triangles: &[],
+            neighbours: None,
+            attributes: None,
+            folder: Path::new(""),
+            frame: Frame { origin: DVec3::ZERO, scale: 1.0 },
+            bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
+            renormal: None,
+        };
+        assert!(shape.rest(0).is_ok());
+        let refused = |shape: RestShape<'_>| shape.rest(0).unwrap_err().kind();
+        assert_eq!(refused(RestShape { positions: &[], ..shape }), ErrorKind::Degenerate);
+        assert_eq!(refused(RestShape { positions: &[Vec3::NAN], ..shape }), ErrorKind::Degenerate);
+        let bounds = Bounds { max: DVec3::INFINITY, ..shape.bounds };
+        assert_eq!(refused(RestShape { bounds, ..shape }), ErrorKind::Degenerate);
+        assert_eq!(refused(RestShape { normals: &[Vec3::X; 3], ..shape }), ErrorKind::Mismatch);
+        assert_eq!(refused(RestShape { spacing: &[1.0], ..shape }), ErrorKind::Mismatch);
+    }
 }

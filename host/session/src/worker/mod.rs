@@ -413,31 +413,9 @@ impl Worker {
         let (mut socket, theirs) = UnixStream::pair().map_err(refused)?;
         let arena = Arena::create().map_err(refused)?;
         let control = ControlMap::new(arena.shared()).map_err(refused)?;
-        let [program, arguments @ ..] = options.command.as_slice() else {
-            return Err(refused(std::io::Error::other("no program is named")));
-        };
-        let mut command = Command::new(program);
-        command.args(arguments).arg(library);
-        command.args([options.memory.to_string(), std::process::id().to_string()]);
-        command.env("RAYON_NUM_THREADS", rayon::current_num_threads().to_string());
-        // Both ends of the way are handed over as standard streams, which needs nothing unsafe. The process
-        // moves them.
-        command.stdin(Stdio::from(OwnedFd::from(theirs)));
-        command.stdout(Stdio::from(arena.shared().file().map_err(refused)?));
-        command.stderr(Stdio::piped());
-        let mut child = Ended::start(command).map_err(refused)?;
+        let mut child = serving(library, options, theirs, &arena).and_then(Ended::start).map_err(refused)?;
         let errors = Tail::read(child.stderr());
-
-        let (sender, replies) = sync_channel(64);
-        let mut reader = socket.try_clone().map_err(refused)?;
-        let read = move || {
-            while let Ok(Some(reply)) = protocol::receive(&mut reader) {
-                if sender.send(reply).is_err() {
-                    break;
-                }
-            }
-        };
-        std::thread::Builder::new().name("plugin".into()).spawn(read).map_err(refused)?;
+        let replies = replies(&socket).map_err(refused)?;
         // Where it has ended already, that is told below.
         let _ = protocol::send(&mut socket, &Request::Load);
         let this = Self {
@@ -530,4 +508,41 @@ impl Worker {
             last_words: crate::deformer::line(last_words),
         }
     }
+}
+
+/// The command that serves a library over one end of a socket, with an arena.
+fn serving(
+    library: &Path,
+    options: &WorkerOptions,
+    theirs: UnixStream,
+    arena: &Arena,
+) -> std::io::Result<Command> {
+    let [program, arguments @ ..] = options.command.as_slice() else {
+        return Err(std::io::Error::other("no program is named"));
+    };
+    let mut command = Command::new(program);
+    command.args(arguments).arg(library);
+    command.args([options.memory.to_string(), std::process::id().to_string()]);
+    command.env("RAYON_NUM_THREADS", rayon::current_num_threads().to_string());
+    // Both ends of the way are handed over as standard streams, which needs nothing unsafe. The process
+    // moves them.
+    command.stdin(Stdio::from(OwnedFd::from(theirs)));
+    command.stdout(Stdio::from(arena.shared().file()?));
+    command.stderr(Stdio::piped());
+    Ok(command)
+}
+
+/// What a process says, read by a thread of its own until it ends.
+fn replies(socket: &UnixStream) -> std::io::Result<Receiver<Reply>> {
+    let (sender, replies) = sync_channel(64);
+    let mut reader = socket.try_clone()?;
+    let read = move || {
+        while let Ok(Some(reply)) = protocol::receive(&mut reader) {
+            if sender.send(reply).is_err() {
+                break;
+            }
+        }
+    };
+    std::thread::Builder::new().name("plugin".into()).spawn(read)?;
+    Ok(replies)
 }

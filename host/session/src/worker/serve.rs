@@ -19,7 +19,7 @@ use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::channel;
+use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Mutex, PoisonError};
 
 /// Lines of a call that are passed on; the program keeps fewer.
@@ -46,17 +46,7 @@ pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
     rustix::stdio::dup2_stdin(nothing).map_err(|e| refused(e.into()))?;
     limit_memory(memory)?;
 
-    let mut reader = socket.try_clone().map_err(refused)?;
-    let (sender, requests) = channel();
-    let read = move || {
-        while let Ok(Some(request)) = protocol::receive::<Request>(&mut reader) {
-            if sender.send(request).is_err() {
-                break;
-            }
-        }
-        end();
-    };
-    std::thread::Builder::new().name("requests".into()).spawn(read).map_err(refused)?;
+    let requests = requests(&socket).map_err(refused)?;
 
     // By now the thread above is at work: one that begins while a library loads may have to wait until that
     // is done.
@@ -64,21 +54,7 @@ pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
         end();
     }
     let calls = Calls { control, socket: Mutex::new(socket), lines: AtomicUsize::new(0) };
-    let loaded = load_code(library, false).and_then(|code| {
-        let about = Plugin::ask(code.as_ref(), library)?;
-        Ok((code, about))
-    });
-    let code = match loaded {
-        Ok((code, about)) => {
-            calls.send(&Reply::Loaded(Ok(Box::new(about))));
-            code
-        }
-        Err(e) => {
-            let refusal = Refusal { what: e.to_string(), hint: e.hint().to_owned() };
-            calls.send(&Reply::Loaded(Err(refusal)));
-            return Ok(());
-        }
-    };
+    let Some(code) = load(library, &calls) else { return Ok(()) };
     let mut workshop =
         Workshop { code, shared, calls, states: HashMap::new(), scratches: HashMap::new(), made: 0 };
     for request in requests {
@@ -88,6 +64,41 @@ pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// What the program asks, read by a thread of its own, which ends the process when nobody asks any more.
+fn requests(socket: &UnixStream) -> std::io::Result<Receiver<Request>> {
+    let mut reader = socket.try_clone()?;
+    let (sender, requests) = channel();
+    let read = move || {
+        while let Ok(Some(request)) = protocol::receive::<Request>(&mut reader) {
+            if sender.send(request).is_err() {
+                break;
+            }
+        }
+        end();
+    };
+    std::thread::Builder::new().name("requests".into()).spawn(read)?;
+    Ok(requests)
+}
+
+/// Loads the library, and says what it is, or why it is refused.
+fn load(library: &Path, calls: &Calls) -> Option<Box<dyn Code>> {
+    let loaded = load_code(library, false).and_then(|code| {
+        let about = Plugin::ask(code.as_ref(), library)?;
+        Ok((code, about))
+    });
+    match loaded {
+        Ok((code, about)) => {
+            calls.send(&Reply::Loaded(Ok(Box::new(about))));
+            Some(code)
+        }
+        Err(e) => {
+            let refusal = Refusal { what: e.to_string(), hint: e.hint().to_owned() };
+            calls.send(&Reply::Loaded(Err(refusal)));
+            None
+        }
+    }
 }
 
 /// Ends this process at once, whatever the plugin's threads and destructors are about.

@@ -44,38 +44,8 @@ impl State {
         visible: bool,
         goes_on: bool,
     ) -> Result<()> {
-        let open = self.open()?;
-        let (scene, adjacency) = (open.scene.clone(), open.adjacency.clone());
-        let (camera, size, count) = (self.camera, self.size, scene.len());
-        let pointed = match area {
-            Area::All => Selection::from_marks(vec![true; count]),
-            Area::None => Selection::none(count),
-            Area::Inverse => self.selection.inverted(),
-            Area::Grown => self.selection.grown(&adjacency),
-            Area::Shrunk => self.selection.shrunk(&adjacency),
-            Area::Runs(runs) => Selection::from_runs(runs, count),
-            Area::Brush { path, radius } => {
-                Selection::from_marks(within(&scene, &camera, size, |p| near_path(path, *radius, p)))
-            }
-            Area::Lasso { path } => {
-                Selection::from_marks(within(&scene, &camera, size, |p| in_lasso(path, p)))
-            }
-            Area::Box { from, to } => {
-                let (a, b) = (DVec2::from(*from), DVec2::from(*to));
-                let (min, max) = (a.min(b), a.max(b));
-                Selection::from_marks(within(&scene, &camera, size, |p| {
-                    p.cmpge(min).all() && p.cmple(max).all()
-                }))
-            }
-            Area::Region { step, region } => {
-                let weights = overlay::region(&scene, self.before(*step)?, self.shapes(*step, *region)?);
-                Selection::from_marks(weights.values.iter().map(|w| *w >= 0.5).collect())
-            }
-            Area::Connected { at } => match self.pick(DVec2::from(*at)) {
-                Some(hit) => adjacency.connected(hit.sample),
-                None => Selection::none(count),
-            },
-        };
+        let scene = self.open()?.scene.clone();
+        let pointed = self.pointed(area)?;
         let is_pointed_at = matches!(area, Area::Brush { .. } | Area::Lasso { .. } | Area::Box { .. });
         let both = |seen: &[bool]| pointed.marks().iter().zip(seen).map(|(a, b)| *a && *b).collect();
         let seen = if !is_pointed_at {
@@ -92,5 +62,41 @@ impl State {
         let combine = if replaces { Combine::Replace } else { combine };
         self.set_selection(self.selection.combined(&seen, combine), goes_on);
         Ok(())
+    }
+
+    /// The samples of an area, seen or not.
+    fn pointed(&mut self, area: &Area) -> Result<Selection> {
+        let open = self.open()?;
+        let (scene, adjacency) = (&open.scene.clone(), &open.adjacency.clone());
+        let (camera, size, count) = (self.camera, self.size, scene.len());
+        Ok(match area {
+            Area::All => Selection::from_marks(vec![true; count]),
+            Area::None => Selection::none(count),
+            Area::Inverse => self.selection.inverted(),
+            Area::Grown => self.selection.grown(adjacency),
+            Area::Shrunk => self.selection.shrunk(adjacency),
+            Area::Runs(runs) => Selection::from_runs(runs, count),
+            Area::Brush { path, radius } => {
+                Selection::from_marks(within(scene, &camera, size, |p| near_path(path, *radius, p)))
+            }
+            Area::Lasso { path } => {
+                Selection::from_marks(within(scene, &camera, size, |p| in_lasso(path, p)))
+            }
+            Area::Box { from, to } => {
+                let (a, b) = (DVec2::from(*from), DVec2::from(*to));
+                let (min, max) = (a.min(b), a.max(b));
+                Selection::from_marks(within(scene, &camera, size, |p| {
+                    p.cmpge(min).all() && p.cmple(max).all()
+                }))
+            }
+            Area::Region { step, region } => {
+                let weights = overlay::region(scene, self.before(*step)?, self.shapes(*step, *region)?);
+                Selection::from_marks(weights.values.iter().map(|w| *w >= 0.5).collect())
+            }
+            Area::Connected { at } => match self.pick(DVec2::from(*at)) {
+                Some(hit) => adjacency.connected(hit.sample),
+                None => Selection::none(count),
+            },
+        })
     }
 }

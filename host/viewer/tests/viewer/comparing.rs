@@ -31,7 +31,9 @@ fn sheared(folder: &Path) -> State {
 }
 
 fn refined(factor: f64) -> Command {
-    let action = Action::Refine(Refine { shapes: Shapes::default(), finer: Finer::Factor(factor) });
+    let everywhere = simod_session::Shape::Sphere { center: glam::DVec3::ZERO, radius: 1e6 };
+    let shapes = Shapes { shapes: vec![everywhere], falloff: 0.0 };
+    let action = Action::Refine(Refine { shapes, finer: Finer::Factor(factor) });
     let step = Box::new(Step::new(action));
     Command::Edit(edit::Command::Add { at: 0, step })
 }

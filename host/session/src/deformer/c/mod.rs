@@ -127,33 +127,13 @@ impl CCode {
     /// What the pointer points to, if it is good, begins like a `SimodPlugin` as far as its version says so,
     /// and stays.
     unsafe fn new(table: *const SimodPlugin, path: &Path) -> Result<Self> {
-        let refused =
-            |what: &str, hint: &str| Err(Error::plugin(format!("{}: {what}", path.display()), hint));
         let bug = crate::deformer::TELL_AUTHOR;
-        if table.is_null() || !table.is_aligned() {
-            return refused("simod_plugin_entry is no table", bug);
-        }
-        // SAFETY: by the contract; all versions of the table begin with two numbers and a size.
-        let (major, minor, size) =
-            unsafe { ((*table).interface_major, (*table).interface_minor, (*table).size) };
-        if major != SIMOD_INTERFACE_MAJOR {
-            let what = format!(
-                "it was built for plugin interface {major}.{minor}, this program has \
-                 {SIMOD_INTERFACE_MAJOR}.{SIMOD_INTERFACE_MINOR}"
-            );
-            return refused(
-                &what,
-                "rebuild it with this program's simod_plugin.h, as `simod plugin new` writes it",
-            );
-        }
-        if size < size_of::<SimodPlugin>() {
-            let what = format!("its table has {size} bytes instead of {}", size_of::<SimodPlugin>());
-            return refused(&what, "set `size` to sizeof(SimodPlugin), as the header says");
-        }
-        // SAFETY: by the contract the table is one of this version, and as large as it says.
-        let plugin = unsafe { table.read() };
+        // SAFETY: by the contract.
+        let plugin = unsafe { read_table(table) }
+            .map_err(|(what, hint)| Error::plugin(format!("{}: {what}", path.display()), hint))?;
         let (Some(describe), Some(deform)) = (plugin.describe, plugin.deform) else {
-            return refused("its table lacks `describe` or `deform`", bug);
+            let what = format!("{}: its table lacks `describe` or `deform`", path.display());
+            return Err(Error::plugin(what, bug));
         };
         let missing = |id: &CStr| {
             let what = format!("it offers {} without the function", id.to_string_lossy());
@@ -187,6 +167,31 @@ impl CCode {
             plugin,
         })
     }
+}
+
+/// A table of this version; or what is wrong with it, and what to do.
+///
+/// # Safety
+/// What the pointer points to, if it is good, begins like a `SimodPlugin` as far as its version says so.
+unsafe fn read_table(table: *const SimodPlugin) -> std::result::Result<SimodPlugin, (String, &'static str)> {
+    if table.is_null() || !table.is_aligned() {
+        return Err(("simod_plugin_entry is no table".to_owned(), crate::deformer::TELL_AUTHOR));
+    }
+    // SAFETY: by the contract; all versions of the table begin with two numbers and a size.
+    let (major, minor, size) = unsafe { ((*table).interface_major, (*table).interface_minor, (*table).size) };
+    if major != SIMOD_INTERFACE_MAJOR {
+        let what = format!(
+            "it was built for plugin interface {major}.{minor}, this program has \
+             {SIMOD_INTERFACE_MAJOR}.{SIMOD_INTERFACE_MINOR}"
+        );
+        return Err((what, "rebuild it with this program's simod_plugin.h, as `simod plugin new` writes it"));
+    }
+    if size < size_of::<SimodPlugin>() {
+        let what = format!("its table has {size} bytes instead of {}", size_of::<SimodPlugin>());
+        return Err((what, "set `size` to sizeof(SimodPlugin), as the header says"));
+    }
+    // SAFETY: by the contract the table is one of this version, and as large as it says.
+    Ok(unsafe { table.read() })
 }
 
 /// The table of a capability; nothing where the plugin does not have it.
