@@ -28,8 +28,8 @@ const LEAST_SURROUNDED: f64 = 0.5;
 /// Most thickness of a sample and its neighbours, as a part of their lesser width, for which they are a surface.
 const MOST_THICKNESS: f64 = 0.3;
 
-/// Heights that are less than so many standard errors are noise: clusters of noisy vertices are split across the
-/// surface as well, so that their means scatter more than their vertices tell.
+/// Heights that are less than so many standard errors are noise: clusters of noisy vertices are split across
+/// the surface as well, so that their means scatter more than their vertices tell.
 const STANDARD_ERRORS: f64 = 6.0;
 
 /// How a sample stands over its neighbours.
