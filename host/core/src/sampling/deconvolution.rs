@@ -25,7 +25,8 @@ const REACH: f64 = 2.0;
 /// Least moment of the neighbours' weights, of what it is where these surround a sample.
 const LEAST_SURROUNDED: f64 = 0.5;
 
-/// Most thickness of a sample and its neighbours, as a part of their lesser width, for which they are a surface.
+/// Most thickness of a sample and its neighbours, as a part of their lesser width, for which they are a
+/// surface.
 const MOST_THICKNESS: f64 = 0.3;
 
 /// Heights that are less than so many standard errors are noise: clusters of noisy vertices are split across
