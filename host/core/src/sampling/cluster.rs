@@ -393,8 +393,8 @@ impl Moments {
         (position, self.mean_normal().as_vec3(), self.error(position) as f32)
     }
 
-    /// Variance of the mean across the plane of least squares, as far as the vertices' distances from it tell;
-    /// infinite where that is nothing, or the representative is not the mean, but what normals tell.
+    /// Variance of the mean across the plane of least squares, as far as the vertices' distances from it
+    /// tell; infinite where that is nothing, or the representative is not the mean, but what normals tell.
     pub fn variance_of_mean(&self) -> f32 {
         // A plane goes through three vertices.
         let free = self.count - 3.0;

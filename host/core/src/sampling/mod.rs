@@ -408,8 +408,8 @@ impl<'a> Prepared<'a> {
         self.assemble(found, reindexed, sample_of)
     }
 
-    /// Where the samples of a cloud are on the surface, and their neighbours before then: none is farther from
-    /// where its cluster has it than the error of that, and the promise of an error bound is kept.
+    /// Where the samples of a cloud are on the surface, and their neighbours before then: none is farther
+    /// from where its cluster has it than the error of that, and the promise of an error bound is kept.
     fn deconvolved(&self, cut: &cut::Cut) -> Option<(Vec<Vec3>, NeighbourGraph)> {
         if self.model.info().faces > 0 {
             return None;
