@@ -393,6 +393,18 @@ impl Moments {
         (position, self.mean_normal().as_vec3(), self.error(position) as f32)
     }
 
+    /// Variance of the mean across the plane of least squares, as far as the vertices' distances from it
+    /// tell; infinite where that is nothing, or the representative is not the mean, but what normals tell.
+    pub fn variance_of_mean(&self) -> f32 {
+        // A plane goes through three vertices.
+        let free = self.count - 3.0;
+        if free > 0.0 && self.with_normal == 0.0 {
+            (least_eigenvalue(self.covariance()).max(0.0) / free) as f32
+        } else {
+            f32::INFINITY
+        }
+    }
+
     /// Error of standing for the cluster by one sample, a length in the model's unit.
     ///
     /// With normals √(d·ν·s), where d is the rms distance to the mean plane (L²), ν the rms deviation of the

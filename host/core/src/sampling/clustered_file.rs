@@ -14,14 +14,14 @@ use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 /// What such a file begins with.
 const LETTERS: &[u8; 8] = b"simodtre";
 
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// No file is longer: of 10⁹ clusters.
 const LONGEST: u64 = 64 << 30;
 
 /// What a file holds.
 ///
-/// Memory: 36 bytes for each of about 1.4 nodes per cluster, 250 for each cell, and the ranges of cells; as
+/// Memory: 40 bytes for each of about 1.4 nodes per cluster, 250 for each cell, and the ranges of cells; as
 /// much again for the file.
 #[derive(Serialize, Deserialize)]
 pub struct ClusteredFile {

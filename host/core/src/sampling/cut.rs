@@ -47,7 +47,7 @@ pub struct ClusteredCell {
 
 /// The trees of all cells seen so far.
 ///
-/// Memory: 36 bytes for each of about 1.4 nodes per cluster, at most [`KEEP_AT_MOST`] clusters per sample of
+/// Memory: 40 bytes for each of about 1.4 nodes per cluster, at most [`KEEP_AT_MOST`] clusters per sample of
 /// the target and what one cell has; and the moments of each occupied cell.
 pub struct Forest {
     target: Option<usize>,
@@ -201,6 +201,8 @@ pub struct Cut {
     pub positions: Vec<Vec3>,
     /// Unit normals; zero where unknown.
     pub normals: Vec<Vec3>,
+    /// Their [variances](Moments::variance_of_mean).
+    pub variances: Vec<f32>,
     /// The tree of each cell.
     pub trees: Vec<CutTree>,
     /// Ascending: from this leaf on (all cells' leaves are counted in one row, in which each cell has as many
@@ -216,6 +218,7 @@ impl Cut {
         let samples = self.samples();
         let inner = |tree: &CutTree| tree.children.iter().filter(|children| **children > 0).count();
         self.normals.len() == samples
+            && self.variances.len() == samples
             && self.trees.iter().all(|tree| tree.defect(samples).is_none())
             && self.trees.iter().map(inner).sum::<usize>() == self.inner.len()
             && self.starts.is_sorted()
@@ -266,6 +269,8 @@ impl Cut {
                             let (position, normal) = own.copied().or_else(of_leaf).unwrap_or_default();
                             coarser.positions.push(position);
                             coarser.normals.push(normal);
+                            // It is for clouds, whose sheets no faces tell.
+                            coarser.variances.push(f32::INFINITY);
                         }
                         new.samples.push(to);
                         if *children > 0 {
@@ -291,6 +296,7 @@ impl Cut {
         self.starts.push((first_leaf.wrapping_add(node.first), self.samples() as u32));
         self.positions.push(node.position);
         self.normals.push(node.normal);
+        self.variances.push(node.variance);
     }
 }
 
@@ -325,6 +331,16 @@ pub fn slack<'a>(trees: impl Iterator<Item = &'a CutTree>, samples: Range<usize>
         }
     }
     slack
+}
+
+/// The errors of the samples' clusters.
+pub fn errors<'a>(trees: impl Iterator<Item = &'a CutTree>, samples: usize) -> Vec<f32> {
+    let mut errors = vec![0.0; samples];
+    for tree in trees {
+        let leaves = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
+        tree.samples.iter().zip(leaves).for_each(|(sample, (_, error))| errors[*sample as usize] = *error);
+    }
+    errors
 }
 
 /// Clusters beyond one per tree that are kept for a target, until they are pruned.
@@ -430,7 +446,8 @@ impl Upper {
                 stack.extend(node.children.iter().map(|c| (level - 1, *c as usize)));
             } else {
                 let (position, normal, _) = node.moments.representative();
-                emit(&self.cells(level, i), Node { position, normal, key: node.error, end: 0, first: 0 });
+                let (variance, key) = (node.moments.variance_of_mean(), node.error);
+                emit(&self.cells(level, i), Node { position, normal, variance, key, end: 0, first: 0 });
             }
         }
     }

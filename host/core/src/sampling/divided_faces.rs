@@ -45,7 +45,7 @@ use crate::touching::{FoundTwins, Islands, TwinSearch, twins_may_be_there};
 const LETTERS: &[u8; 8] = b"simodcut";
 
 /// Of what units leave each other to know of the faces, all of which is bound to a cut.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// No file of a cut is longer: of 2³² samples.
 const LONGEST: u64 = 1 << 40;

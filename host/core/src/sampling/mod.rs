@@ -8,6 +8,7 @@ pub mod cluster;
 mod clustered_file;
 mod counted;
 pub(crate) mod cut;
+mod deconvolution;
 pub(crate) mod density;
 pub mod divided;
 pub mod divided_faces;
@@ -407,6 +408,18 @@ impl<'a> Prepared<'a> {
         self.assemble(found, reindexed, sample_of)
     }
 
+    /// Where the samples of a cloud are on the surface, and their neighbours before then: none is farther
+    /// from where its cluster has it than the error of that, and the promise of an error bound is kept.
+    fn deconvolved(&self, cut: &cut::Cut) -> Option<(Vec<Vec3>, NeighbourGraph)> {
+        if self.model.info().faces > 0 {
+            return None;
+        }
+        let errors = cut::errors(cut.trees.iter(), cut.samples());
+        let slack = self.target.is_none().then(|| cut::slack(cut.trees.iter(), 0..cut.samples(), self.bound));
+        let most = |i: usize| slack.as_ref().map_or(errors[i], |slack| slack[i].min(errors[i]));
+        deconvolution::deconvolved(&cut.positions, &cut.variances, most)
+    }
+
     /// P_S, once all is known of it.
     fn assemble(
         self,
@@ -420,8 +433,11 @@ impl<'a> Prepared<'a> {
         let (model, progress) = (*model, *progress);
         let info = model.info();
         let Reindexed { mut cut, triangles, faces, parted, placed } = reindexed;
+        let mut neighbours = None;
         if let Some(placed) = placed {
             cut.positions = placed.into_iter().map(|placed| placed.at).collect();
+        } else if let Some((positions, graph)) = self.deconvolved(&cut) {
+            (cut.positions, neighbours) = (positions, Some(graph));
         }
         progress.check()?;
         let trees = cut.trees;
@@ -459,6 +475,9 @@ impl<'a> Prepared<'a> {
         }
         if !sampling.skip.normals && !sampled.samples.knows_normals() {
             progress.begin("estimating normals", 0);
+            if let Some(graph) = neighbours {
+                sampled.samples.estimate_normals(&graph);
+            }
             sampled.samples.normals();
         }
         progress.check()?;

@@ -96,6 +96,13 @@ impl SampleSet {
         })
     }
 
+    /// Estimates normals, where the model has not told them all, by neighbours that were found out before.
+    pub(super) fn estimate_normals(&self, graph: &NeighbourGraph) {
+        if !self.all_known {
+            self.estimated.get_or_init(|| normals::completed(&self.positions, &self.known, graph));
+        }
+    }
+
     /// Takes all normals, as they were estimated before; none, where the model has told them. `false` if they
     /// are not what they should be.
     pub(crate) fn set_normals(&self, normals: Vec<Vec3>) -> bool {

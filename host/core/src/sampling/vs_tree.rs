@@ -52,6 +52,8 @@ pub struct Node {
     pub position: Vec3,
     /// Its unit normal; zero where unknown.
     pub normal: Vec3,
+    /// [Variance](Moments::variance_of_mean) of the sample.
+    pub variance: f32,
     /// The least error of this cluster and those above it.
     pub key: f32,
     /// Index of the first node behind this one's subtree; the children follow their parent.
@@ -122,6 +124,7 @@ impl VsTree {
         let root = Node {
             position,
             normal,
+            variance: both.variance_of_mean(),
             // No less than what is below it.
             key: error.max(key(&first)).max(key(&second)),
             end: (1 + first.nodes.len() + second.nodes.len()) as u32,
@@ -161,7 +164,8 @@ impl VsTree {
             let end = node.end as usize;
             let fits = end > i && open.last().is_some_and(|around| end <= *around);
             open.push(end);
-            fits && node.key >= 0.0 && node.position.is_finite() && node.normal.is_finite()
+            let is_known = node.key >= 0.0 && node.variance >= 0.0;
+            fits && is_known && node.position.is_finite() && node.normal.is_finite()
         };
         let is_whole = self.nodes.first().is_some_and(|root| root.end as usize == count);
         is_whole && self.nodes.iter().enumerate().all(nests)
@@ -297,8 +301,8 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
             error = error.max(m.error_of_two_sheets(position));
         }
         let key = place.above.min((error * dither) as f32);
-        let at = self.nodes.len();
-        self.nodes.push(Node { position, normal, key, end: 0, first: self.built });
+        let (variance, at) = (m.variance_of_mean(), self.nodes.len());
+        self.nodes.push(Node { position, normal, variance, key, end: 0, first: self.built });
         let whole = !(self.goes_on)(&m, key, place.depth)
             || elements.len() == 1
             || m.min == m.max
