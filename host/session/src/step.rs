@@ -1,6 +1,6 @@
 //! The steps of an edit: what a session has and an edit changes, and what is wrong with those that make no
 //! sense. Whoever reads, changes or records steps judges them by what is here. What is derived for reading
-//! is how former programs [recorded](crate::recorded) them.
+//! is how former programs recorded them.
 
 use crate::deformer::Plugin;
 use crate::key::{Key, Keyed};

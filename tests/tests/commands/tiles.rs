@@ -418,6 +418,12 @@ fn methods_are_compared_on_tiles() {
     for i in [0, 1] {
         for figure in ["samples", "displacement", "to_first", "folded_samples"] {
             let [a, b] = [&tiles, &whole].map(|page| &page["methods"][i]["figures"][figure]);
+            // Sums of squares are those of as many vertices as are read at once, which end with a tile.
+            let [mut a, mut b] = [a.clone(), b.clone()];
+            if let [Some(x), Some(y)] = [&a, &b].map(|figure| figure["rms"].as_f64()) {
+                assert!((x - y).abs() <= 1e-13 * y, "{figure}: {x} and {y}");
+                (a["rms"], b["rms"]) = (serde_json::Value::Null, serde_json::Value::Null);
+            }
             assert_eq!(a, b, "{figure}");
             assert!(!a.is_null() || (i, figure) == (0, "to_first"), "method {i} has no {figure}");
         }

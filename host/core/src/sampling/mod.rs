@@ -68,6 +68,7 @@ use crate::sampled_model::{SampledModel, Source, SourceTile};
 use crate::sampling::ranges::joined;
 use crate::touching::{self, Contacts, Islands, Parted, Parting};
 use counted::{Counting, NonFinite, count_range};
+use deconvolution::Deconvolved;
 use density::Rule;
 use face_ranges::FaceRanges;
 use finalization::{Clustered, Hashing, Job, Pass};
@@ -408,9 +409,9 @@ impl<'a> Prepared<'a> {
         self.assemble(found, reindexed, sample_of)
     }
 
-    /// Where the samples of a cloud are on the surface, and their neighbours before then: none is farther
-    /// from where its cluster has it than the error of that, and the promise of an error bound is kept.
-    fn deconvolved(&self, cut: &cut::Cut) -> Option<(Vec<Vec3>, NeighbourGraph)> {
+    /// The samples of a cloud, on the surface: none is farther from where its cluster has it than the error
+    /// of that, and the promise of an error bound is kept.
+    fn deconvolved(&self, cut: &cut::Cut) -> Option<Deconvolved> {
         if self.model.info().faces > 0 {
             return None;
         }
@@ -433,11 +434,11 @@ impl<'a> Prepared<'a> {
         let (model, progress) = (*model, *progress);
         let info = model.info();
         let Reindexed { mut cut, triangles, faces, parted, placed } = reindexed;
-        let mut neighbours = None;
+        let mut around = None;
         if let Some(placed) = placed {
             cut.positions = placed.into_iter().map(|placed| placed.at).collect();
-        } else if let Some((positions, graph)) = self.deconvolved(&cut) {
-            (cut.positions, neighbours) = (positions, Some(graph));
+        } else if let Some(Deconvolved { positions, graph, across }) = self.deconvolved(&cut) {
+            (cut.positions, around) = (positions, Some((graph, across)));
         }
         progress.check()?;
         let trees = cut.trees;
@@ -475,8 +476,8 @@ impl<'a> Prepared<'a> {
         }
         if !sampling.skip.normals && !sampled.samples.knows_normals() {
             progress.begin("estimating normals", 0);
-            if let Some(graph) = neighbours {
-                sampled.samples.estimate_normals(&graph);
+            if let Some((graph, across)) = around {
+                sampled.samples.estimate_normals(&graph, &across);
             }
             sampled.samples.normals();
         }

@@ -2,6 +2,8 @@
 //! along a minimum spanning tree. H. Hoppe, T. DeRose, T. Duchamp, J. McDonald, W. Stuetzle,
 //! *Surface Reconstruction from Unorganized Points*, 1992.
 
+use std::ops::Range;
+
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -10,6 +12,9 @@ use crate::geometry::symmetric_eigen;
 
 /// Neighbours that are needed: they span the tangent plane.
 pub const NEIGHBOURS: usize = 12;
+
+/// Samples whose edges are found by one job.
+const TOGETHER: usize = 4096;
 
 /// Neighbours along which the orientation spreads.
 const ORIENT_NEIGHBOURS: usize = 8;
@@ -21,15 +26,24 @@ const ORIENT_NEIGHBOURS: usize = 8;
 /// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces
 /// only.
 ///
-/// Memory: 12 bytes for each of at most [`ORIENT_NEIGHBOURS`] edges per sample, about five; and 15 per
-/// sample.
+/// Memory: 12 bytes for each of at most [`ORIENT_NEIGHBOURS`] edges per sample, about five, twice while they
+/// are found; and 15 per sample.
 pub fn completed(positions: &[Vec3], known: &[Vec3], graph: &NeighbourGraph) -> Vec<Vec3> {
+    let across = |i: usize| plane_normal(positions, i, first(graph.nearest_to(i), NEIGHBOURS));
+    completed_from(positions, known, graph, across)
+}
+
+/// The same, of samples whose directions of least variance are known.
+pub fn completed_from(
+    positions: &[Vec3],
+    known: &[Vec3],
+    graph: &NeighbourGraph,
+    across: impl Fn(usize) -> Vec3 + Sync,
+) -> Vec<Vec3> {
     let mut normals = known.to_vec();
     normals.resize(positions.len(), Vec3::ZERO);
     let missing: Vec<bool> = normals.iter().map(|n| *n == Vec3::ZERO).collect();
-    normals.par_iter_mut().enumerate().filter(|(i, _)| missing[*i]).for_each(|(i, n)| {
-        *n = plane_normal(positions, i, first(graph.nearest_to(i), NEIGHBOURS));
-    });
+    normals.par_iter_mut().enumerate().filter(|(i, _)| missing[*i]).for_each(|(i, n)| *n = across(i));
     orient(positions, graph, &mut normals, &missing);
     normals
 }
@@ -46,7 +60,12 @@ pub fn plane_normal(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Vec3 {
     for d in neighbours.iter().map(around).map(|d| d - mean) {
         covariance += DMat3::from_cols(d * d.x, d * d.y, d * d.z);
     }
-    symmetric_eigen(covariance).1.x_axis.as_vec3().try_normalize().unwrap_or(Vec3::Z)
+    direction(symmetric_eigen(covariance).1.x_axis)
+}
+
+/// The direction of an axis, or any, if it has none.
+pub fn direction(axis: DVec3) -> Vec3 {
+    axis.as_vec3().try_normalize().unwrap_or(Vec3::Z)
 }
 
 /// An edge between two samples: the bits of its cost, which order as the cost does, and its ends.
@@ -57,13 +76,19 @@ type Edge = (u32, u32, u32);
 fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open: &[bool]) {
     let near = |i: usize| first(graph.nearest_to(i), ORIENT_NEIGHBOURS);
     let cost = |i: usize, j: usize| (1.0 - normals[i].dot(normals[j]).abs()).max(0.0).to_bits();
-    let mut edges: Vec<Edge> = Vec::with_capacity(positions.len() * ORIENT_NEIGHBOURS);
-    for i in 0..positions.len() {
-        // Each edge once, though most are known at both ends.
-        let once = |j: &usize| (i < *j || !near(*j).contains(&(i as u32))) && (open[i] || open[*j]);
-        let ends = near(i).iter().map(|j| *j as usize).filter(once);
-        edges.extend(ends.map(|j| (cost(i, j), i as u32, j as u32)));
-    }
+    let edges_of = |samples: Range<usize>| {
+        let mut edges: Vec<Edge> = Vec::new();
+        for i in samples {
+            // Each edge once, though most are known at both ends.
+            let once = |j: &usize| (i < *j || !near(*j).contains(&(i as u32))) && (open[i] || open[*j]);
+            let ends = near(i).iter().map(|j| *j as usize).filter(once);
+            edges.extend(ends.map(|j| (cost(i, j), i as u32, j as u32)));
+        }
+        edges
+    };
+    let jobs = (0..positions.len().div_ceil(TOGETHER)).into_par_iter();
+    let samples = |job: usize| job * TOGETHER..positions.len().min((job + 1) * TOGETHER);
+    let mut edges = jobs.map(|job| edges_of(samples(job))).collect::<Vec<_>>().concat();
 
     // All that look a way which is known are one part from the beginning.
     let mut parts = Parts::new(positions.len());

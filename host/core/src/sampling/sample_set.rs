@@ -96,10 +96,12 @@ impl SampleSet {
         })
     }
 
-    /// Estimates normals, where the model has not told them all, by neighbours that were found out before.
-    pub(super) fn estimate_normals(&self, graph: &NeighbourGraph) {
+    /// Estimates normals, where the model has not told them all, by neighbours and directions of least
+    /// variance that were found out before.
+    pub(super) fn estimate_normals(&self, graph: &NeighbourGraph, across: &[Vec3]) {
         if !self.all_known {
-            self.estimated.get_or_init(|| normals::completed(&self.positions, &self.known, graph));
+            let completed = || normals::completed_from(&self.positions, &self.known, graph, |i| across[i]);
+            self.estimated.get_or_init(completed);
         }
     }
 
