@@ -250,7 +250,8 @@ impl Element for Group {
 /// How much of a cluster's extent counts as error, whatever its shape: it bounds the spacing where the
 /// surface is flat and any geometric error is zero, for a deformation need not be flat there.
 ///
-/// So a sample is within error / `REACH_WEIGHT` of every vertex that it stands for.
+/// So a sample is within error / `REACH_WEIGHT` of every vertex that it stands for, but for the little by
+/// which it moves to the surface in the end.
 pub const REACH_WEIGHT: f64 = 0.08;
 
 /// Strength of the ridge towards the mean, relative to the trace of the quadric: weaker ones follow smooth

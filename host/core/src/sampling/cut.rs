@@ -31,8 +31,8 @@ const KEEP_AT_MOST: f64 = 1.6;
 /// … down to this many times the target.
 const PRUNE_TO: f64 = 1.2;
 
-/// Bytes for each sample of the target: [`KEEP_AT_MOST`] clusters in trees of about 1.4 nodes per cluster,
-/// once more while they are pruned, and the sample itself.
+/// Bytes for each sample of the target: [`KEEP_AT_MOST`] clusters in trees of about 1.4 nodes per cluster, of
+/// 40 bytes each; the sample itself; and what is kept of trees that are pruned one by one.
 pub const BYTES_PER_SAMPLE: u64 = 150;
 
 /// The clusters of one finalized cell.

@@ -62,7 +62,7 @@ pub struct Deconvolved {
 /// Nothing moves on a plane, nor where neighbours are all on one side or are no surface, nor where what
 /// vertices scatter by explains the heights.
 ///
-/// Memory: 72 bytes per sample, 20 more meanwhile, and the samples' tree.
+/// Memory: 72 bytes per sample, 32 more meanwhile, and the samples' tree.
 pub fn deconvolved(
     positions: &[Vec3],
     variances: &[f32],

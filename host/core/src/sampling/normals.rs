@@ -2,8 +2,6 @@
 //! along a minimum spanning tree. H. Hoppe, T. DeRose, T. Duchamp, J. McDonald, W. Stuetzle,
 //! *Surface Reconstruction from Unorganized Points*, 1992.
 
-use std::ops::Range;
-
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -26,8 +24,8 @@ const ORIENT_NEIGHBOURS: usize = 8;
 /// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces
 /// only.
 ///
-/// Memory: 12 bytes for each of at most [`ORIENT_NEIGHBOURS`] edges per sample, about five, twice while they
-/// are found; and 15 per sample.
+/// Memory: 12 bytes for each of at most [`ORIENT_NEIGHBOURS`] edges per sample, about five; and 15 per
+/// sample.
 pub fn completed(positions: &[Vec3], known: &[Vec3], graph: &NeighbourGraph) -> Vec<Vec3> {
     let across = |i: usize| plane_normal(positions, i, first(graph.nearest_to(i), NEIGHBOURS));
     completed_from(positions, known, graph, across)
@@ -71,24 +69,36 @@ pub fn direction(axis: DVec3) -> Vec3 {
 /// An edge between two samples: the bits of its cost, which order as the cost does, and its ends.
 type Edge = (u32, u32, u32);
 
+/// Parts of a list, of so many elements each.
+fn rooms<'a, T>(mut list: &'a mut [T], counts: &[usize]) -> Vec<&'a mut [T]> {
+    let mut rooms = Vec::with_capacity(counts.len());
+    for count in counts {
+        let (room, behind) = list.split_at_mut(*count);
+        rooms.push(room);
+        list = behind;
+    }
+    rooms
+}
+
 /// Turns the normals that are `open` so that those at the ends of each edge of a minimum spanning forest look
 /// the same way. Edges cost 1 − |nᵢ·nⱼ|: orientation spreads where the surface is flattest.
 fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open: &[bool]) {
     let near = |i: usize| first(graph.nearest_to(i), ORIENT_NEIGHBOURS);
     let cost = |i: usize, j: usize| (1.0 - normals[i].dot(normals[j]).abs()).max(0.0).to_bits();
-    let edges_of = |samples: Range<usize>| {
-        let mut edges: Vec<Edge> = Vec::new();
-        for i in samples {
-            // Each edge once, though most are known at both ends.
-            let once = |j: &usize| (i < *j || !near(*j).contains(&(i as u32))) && (open[i] || open[*j]);
-            let ends = near(i).iter().map(|j| *j as usize).filter(once);
-            edges.extend(ends.map(|j| (cost(i, j), i as u32, j as u32)));
-        }
-        edges
-    };
-    let jobs = (0..positions.len().div_ceil(TOGETHER)).into_par_iter();
+    // Each edge once, though most are known at both ends.
+    let once = |i: usize, j: usize| (i < j || !near(j).contains(&(i as u32))) && (open[i] || open[j]);
+    let ends = |i: usize| near(i).iter().map(|j| *j as usize).filter(move |j| once(i, *j));
     let samples = |job: usize| job * TOGETHER..positions.len().min((job + 1) * TOGETHER);
-    let mut edges = jobs.map(|job| edges_of(samples(job))).collect::<Vec<_>>().concat();
+    let jobs = (0..positions.len().div_ceil(TOGETHER)).into_par_iter();
+    // Counted first: lists that grow would take as much again.
+    let counts: Vec<usize> = jobs.map(|job| samples(job).map(|i| ends(i).count()).sum()).collect();
+    let mut edges: Vec<Edge> = vec![Edge::default(); counts.iter().sum()];
+    let rooms = rooms(&mut edges, &counts);
+    rooms.into_par_iter().enumerate().for_each(|(job, room)| {
+        let of_sample = |i: usize| ends(i).map(move |j| (i, j));
+        let pairs = samples(job).flat_map(of_sample);
+        room.iter_mut().zip(pairs).for_each(|(to, (i, j))| *to = (cost(i, j), i as u32, j as u32));
+    });
 
     // All that look a way which is known are one part from the beginning.
     let mut parts = Parts::new(positions.len());
