@@ -3,6 +3,7 @@
 
 import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -342,13 +343,18 @@ def test_in_the_background_with_progress(extension, tmp_path, monkeypatch):
 
 
 def test_cancel(extension, tmp_path):
-    big = tmp_path / "big.ply"
-    subprocess.run([SIMOD, "generate", "--vertices", "4000000", "-o", big], check=True)
+    big, out = tmp_path / "big.ply", tmp_path / "folder"
     jobs = sys.modules["simod_blender.jobs"]
-    out = tmp_path / "folder"
-    job = jobs.Job("sampling", [[SIMOD, "--json", "sample", str(big), "-o", str(out)]]).start()
-    while job.fraction == 0:
-        time.sleep(0.01)
+    # As large as it has to be for the job to be seen at work.
+    for vertices in (8_000_000, 32_000_000):
+        subprocess.run([SIMOD, "generate", "--vertices", str(vertices), "-o", big], check=True)
+        job = jobs.Job("sampling", [[SIMOD, "--json", "sample", str(big), "-o", str(out)]]).start()
+        while job.fraction == 0 and not job.is_over:
+            time.sleep(0.01)
+        if not job.is_over:
+            break
+        job.close()
+        shutil.rmtree(out)
     assert not job.is_over and job.stage in ("counting", "clustering")
     assert job.progress().startswith(job.stage)
     job.cancel()
