@@ -27,6 +27,7 @@ use crate::colors;
 use crate::deformed_file::{self, DeformedFile};
 use crate::fingerprint::fingerprint;
 use crate::refinement::Refinement;
+use crate::sampling::cut;
 use crate::sampling::density::Rule;
 use crate::sampling::gather::Cubes;
 use crate::sampling::grid::Grid;
@@ -810,14 +811,8 @@ impl SampledModel {
     /// # Errors
     /// The cells are not in memory, or of another model.
     pub fn cluster_errors(&self) -> Result<Vec<f32>> {
-        let mut errors = vec![0.0f32; self.samples.len()];
-        for tree in self.checked_cells()?.cells.iter().map(|cell| &cell.tree) {
-            let leaves = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
-            for ((_, error), sample) in leaves.zip(&tree.samples) {
-                let known = &mut errors[*sample as usize];
-                *known = known.max(*error);
-            }
-        }
+        let trees = self.checked_cells()?.cells.iter().map(|cell| &cell.tree);
+        let mut errors = cut::errors(trees, self.samples.len());
         // Those that share a cluster with one that a tree has.
         for [sample, of] in self.samples.contacts().map_or(&[][..], Contacts::parted) {
             errors[*sample as usize] = errors[*of as usize];

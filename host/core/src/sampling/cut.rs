@@ -321,24 +321,21 @@ fn raised(tree: &CutTree, stay: impl Fn(u32) -> bool) -> Cow<'_, [f32]> {
 /// if it does not yet.
 pub fn slack<'a>(trees: impl Iterator<Item = &'a CutTree>, samples: Range<usize>, bound: f32) -> Vec<f32> {
     let mut slack = vec![f32::INFINITY; samples.len()];
-    for tree in trees {
-        let leaves = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
-        for (sample, (_, error)) in tree.samples.iter().zip(leaves) {
-            let slack = (*sample as usize).checked_sub(samples.start).and_then(|i| slack.get_mut(i));
-            if let Some(slack) = slack.filter(|_| *error <= bound) {
-                *slack = (bound - error) / REACH_WEIGHT as f32;
-            }
+    for (sample, error) in trees.flat_map(CutTree::errors_of_samples) {
+        let slack = (sample as usize).checked_sub(samples.start).and_then(|i| slack.get_mut(i));
+        if let Some(slack) = slack.filter(|_| error <= bound) {
+            *slack = (bound - error) / REACH_WEIGHT as f32;
         }
     }
     slack
 }
 
-/// The errors of the samples' clusters.
+/// The error of each sample's clusters, the largest.
 pub fn errors<'a>(trees: impl Iterator<Item = &'a CutTree>, samples: usize) -> Vec<f32> {
-    let mut errors = vec![0.0; samples];
-    for tree in trees {
-        let leaves = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
-        tree.samples.iter().zip(leaves).for_each(|(sample, (_, error))| errors[*sample as usize] = *error);
+    let mut errors = vec![0.0f32; samples];
+    for (sample, error) in trees.flat_map(CutTree::errors_of_samples) {
+        let known = &mut errors[sample as usize];
+        *known = known.max(error);
     }
     errors
 }

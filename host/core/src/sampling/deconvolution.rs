@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::kd_tree::KdTree;
 use super::neighbour_graph::NeighbourGraph;
-use super::normals::{NEIGHBOURS, direction};
+use super::normals::{NEIGHBOURS, direction, outer, scatter};
 use crate::geometry::symmetric_eigen;
 
 /// Part of its height over its neighbours by which the mean of a cell is off the surface: the mean squared
@@ -95,10 +95,7 @@ fn height(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Height {
     for (d, j) in around.iter_mut().zip(neighbours) {
         *d = (positions[*j as usize] - positions[i]).as_dvec3();
     }
-    let mean = around.iter().sum::<DVec3>() / (around.len() + 1) as f64;
-    let outer = |d: DVec3| DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-    let scatter = around.iter().fold(outer(mean), |sum, d| sum + outer(*d - mean));
-    let (variances, axes) = symmetric_eigen(scatter);
+    let (variances, axes) = symmetric_eigen(scatter(around.iter().copied()));
     let none = Height { across: direction(axes.x_axis), height: 0.0, variance: 0.0 };
     if variances.x > MOST_THICKNESS * MOST_THICKNESS * variances.y {
         return none;

@@ -59,6 +59,12 @@ pub struct CutTree {
 }
 
 impl CutTree {
+    /// The sample of each leaf, with the error of its cluster.
+    pub fn errors_of_samples(&self) -> impl Iterator<Item = (u32, f32)> {
+        let leaves = self.children.iter().zip(&self.errors).filter(|(children, _)| **children == 0);
+        self.samples.iter().zip(leaves).map(|(sample, (_, error))| (*sample, *error))
+    }
+
     /// The index behind the subtree of each node.
     pub fn ends(&self) -> Vec<usize> {
         let mut ends = vec![0; self.children.len()];

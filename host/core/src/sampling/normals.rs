@@ -52,13 +52,19 @@ fn first(neighbours: &[u32], count: usize) -> &[u32] {
 
 /// The direction of least variance of a point and its neighbours.
 pub fn plane_normal(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Vec3 {
-    let around = |j: &u32| (positions[*j as usize] - positions[i]).as_dvec3();
-    let mean = neighbours.iter().map(around).sum::<DVec3>() / (neighbours.len() + 1) as f64;
-    let mut covariance = DMat3::from_cols(mean * mean.x, mean * mean.y, mean * mean.z);
-    for d in neighbours.iter().map(around).map(|d| d - mean) {
-        covariance += DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-    }
-    direction(symmetric_eigen(covariance).1.x_axis)
+    let around = neighbours.iter().map(|j| (positions[*j as usize] - positions[i]).as_dvec3());
+    direction(symmetric_eigen(scatter(around)).1.x_axis)
+}
+
+/// The scatter of a point and its neighbours about their mean, by the ways from it to them.
+pub fn scatter(around: impl ExactSizeIterator<Item = DVec3> + Clone) -> DMat3 {
+    let mean = around.clone().sum::<DVec3>() / (around.len() + 1) as f64;
+    around.fold(outer(mean), |sum, d| sum + outer(d - mean))
+}
+
+/// d dᵀ
+pub fn outer(d: DVec3) -> DMat3 {
+    DMat3::from_cols(d * d.x, d * d.y, d * d.z)
 }
 
 /// The direction of an axis, or any, if it has none.
