@@ -53,27 +53,24 @@ pub trait Gather: Send {
 
     /// Removes all items of a cell.
     fn take(&mut self, cell: u32) -> CellItems<Self::Item>;
-
-    /// Whether all cells of a model find room, which have so many items in the end: what there was room for
-    /// by the way depends on who gathers which cells.
-    fn finds_room(&self, records: &[CellRecord], items: &[u32]) -> bool;
 }
 
 /// Gathers the vertices of one piece of the stream.
 ///
 /// Memory: an item for each of its vertices at most, with 20 bytes to find it by.
-pub trait GatherPiece: Send {
+pub trait GatherPiece: Send + Sync {
     /// What it gathers.
     type Item: Element;
 
     /// Adds a vertex to a cell; which item of the piece it is, or is part of.
     fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> u32;
 
-    /// What was gathered, with the cell of each item, in the order in which items were begun.
-    fn items(&mut self) -> &[(u32, Self::Item)];
-
     /// The stream was in a cell that is not gathered: the next vertex is looked up as if it were so here.
     fn leave(&mut self);
+
+    /// What was gathered until it was last [left](Self::leave), with the cell of each item, in the order in
+    /// which items were begun.
+    fn items(&self) -> &[(u32, Self::Item)];
 
     /// Forgets everything, for the next piece.
     fn clear(&mut self);
@@ -108,10 +105,6 @@ impl Gather for Vertices {
     fn take(&mut self, cell: u32) -> CellItems<Vertex> {
         self.0.take(cell)
     }
-
-    fn finds_room(&self, _records: &[CellRecord], _items: &[u32]) -> bool {
-        true
-    }
 }
 
 /// The vertices of a piece as they are.
@@ -127,11 +120,11 @@ impl GatherPiece for PieceVertices {
         self.0.len() as u32 - 1
     }
 
-    fn items(&mut self) -> &[(u32, Vertex)] {
+    fn leave(&mut self) {}
+
+    fn items(&self) -> &[(u32, Vertex)] {
         &self.0
     }
-
-    fn leave(&mut self) {}
 
     fn clear(&mut self) {
         self.0.clear();
@@ -198,13 +191,10 @@ impl Gather for Groups {
         }
         self.open.take(cell)
     }
-
-    fn finds_room(&self, records: &[CellRecord], items: &[u32]) -> bool {
-        groups_find_room(records, items, self.open.blocks())
-    }
 }
 
-/// Whether groups find room in `memory` bytes, if the cells have so many in the end.
+/// Whether groups find room in `memory` bytes, if the cells have so many in the end: what there was room for
+/// by the way depends on who gathers which cells.
 pub fn find_room(records: &[CellRecord], groups: &[u32], memory: u64) -> bool {
     groups_find_room(records, groups, Groups::new(0, 1.0, memory).open.blocks())
 }
@@ -328,15 +318,14 @@ impl GatherPiece for PieceGroups {
         self.find_and_add(cell, cube, position, normal)
     }
 
-    fn items(&mut self) -> &[(u32, Group)] {
-        self.leave();
-        &self.items
-    }
-
     fn leave(&mut self) {
         if let Some(Last { place, sums, .. }) = self.last.take() {
             self.items[place as usize].1.set(&sums);
         }
+    }
+
+    fn items(&self) -> &[(u32, Group)] {
+        &self.items
     }
 
     fn clear(&mut self) {
@@ -489,6 +478,7 @@ mod tests {
             let merge = |(cell, item): &(u32, G::Item)| {
                 gather.merge(*cell, item).expect("no file is written").expect("room")
             };
+            piece.leave();
             let merged: Vec<u32> = piece.items().iter().map(merge).collect();
             let places = vertices.iter().zip(&of).map(|((cell, ..), item)| (cell, merged[*item as usize]));
             places.for_each(|(cell, index)| indices[*cell as usize].push(index));
@@ -553,6 +543,7 @@ mod tests {
         vertices().into_iter().for_each(|(cell, p, n)| {
             piece.add(cell, p, n);
         });
+        piece.leave();
         let merged = piece.items().iter().map(|(cell, group)| groups.merge(*cell, group).expect("no file"));
         assert!(merged.collect::<Vec<_>>().contains(&None));
     }

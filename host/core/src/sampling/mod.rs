@@ -73,7 +73,7 @@ use density::Rule;
 use face_ranges::FaceRanges;
 use finalization::{Clustered, Hashing, Job, Pass};
 use fit::Members;
-use gather::{Groups, Vertices};
+use gather::{Groups, Vertices, find_room};
 use grid::{CellKey, CellRecord, Grid, GridCounter};
 use kept_cells::{KeptCell, KeptCells};
 use membership::{Membership, Noted, SampleOf};
@@ -342,10 +342,16 @@ impl<'a> Prepared<'a> {
             progress: *progress,
         };
         let cells = grid.keys.len();
-        match grouping.edge(grid.cell_size(), frame) {
-            Some(edge) => stream::cluster(&pass, Groups::new(cells, edge, self.for_groups)),
-            None => stream::cluster(&pass, Vertices::new(cells, self.memory, folder)),
-        }
+        let Some(edge) = grouping.edge(grid.cell_size(), frame) else {
+            let part =
+                |parts: usize| Vertices::new(cells.div_ceil(parts), self.memory / parts as u64, folder);
+            return stream::cluster(&pass, part);
+        };
+        let part = |parts: usize| Groups::new(cells.div_ceil(parts), edge, self.for_groups / parts as u64);
+        let clustered = stream::cluster(&pass, part)?;
+        let has_room =
+            |found: &Clustered| !is_whole || find_room(&grid.records, &found.items, self.for_groups);
+        Ok(clustered.filter(has_room))
     }
 
     /// Pass 2 of the whole model.

@@ -1,8 +1,10 @@
 //! Pass 2 on all cores: the stream is gathered in pieces, several at a time, which are merged in its order.
 //!
-//! Each thread takes what there is to do: a cell that is complete is clustered, the piece that comes next in
-//! the stream is merged into the open cells, or another piece is read and gathered on its own. Only merging,
-//! and taking a cell's tree in, are done by one thread at a time.
+//! Open cells are dealt out to lanes. Each thread takes what there is to do: a cell that is complete is
+//! clustered; what a piece has for the cells of a lane is merged into them, if it comes next in the stream;
+//! a piece that all lanes have merged is finished, in the order of the stream; or another piece is read and
+//! gathered on its own. Only what is done by a lane, finishing, and taking a cell's tree in, are each done by
+//! one thread at a time.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
@@ -35,17 +37,35 @@ use super::vs_tree::Workspace;
 /// wait need not.
 const WAITING: u64 = 1;
 
+/// Most lanes: merging is a fifth to a fourth of the work.
+const MOST_LANES: usize = 8;
+
 /// Streams the model, or a part of it, through the grid and clusters each cell that is to be clustered, down
-/// to the bound or to that which the target has come to meanwhile. `None` if `gather` finds no room.
+/// to the bound or to that which the target has come to meanwhile. `gather(n)` makes what gathers one of so
+/// many parts of the cells, in as small a part of the memory. `None` if that finds no room for all cells.
 ///
-/// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells as may be
+/// Memory: that of `gather(1)`, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells as may be
 /// queued, and two parts of a cell on each thread; as many pieces as there are threads, and one more, of
-/// [`PIECE`] vertices: their bytes in the file, and at most 200 for each.
+/// [`PIECE`] vertices: their bytes in the file, and at most 208 for each.
 ///
 /// # Errors
 /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be
 /// written; the user cancelled.
-pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered>> {
+pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: impl Fn(usize) -> G) -> Result<Option<Clustered>> {
+    // Parts of a model hand on what they find, which cannot be done twice.
+    let is_whole = matches!(pass.job, Job::Whole);
+    let lanes = if is_whole { (rayon::current_num_threads() / 2).clamp(1, MOST_LANES) } else { 1 };
+    // What finds no room in a part of the memory may do so in all of it.
+    for lanes in if lanes > 1 { vec![lanes, 1] } else { vec![1] } {
+        let clustered = cluster_in_lanes(pass, (0..lanes).map(|_| gather(lanes)).collect())?;
+        if clustered.is_some() {
+            return Ok(clustered);
+        }
+    }
+    Ok(None)
+}
+
+fn cluster_in_lanes<G: Gather>(pass: &Pass<'_>, gather: Vec<G>) -> Result<Option<Clustered>> {
     let cells = pass.grid.keys.len();
     let hash = match pass.job {
         Job::Whole => Hashing::All(VertexHash::default()),
@@ -110,17 +130,23 @@ fn bytes_of(pass: &Pass<'_>) -> u64 {
 }
 
 /// Whether there was room.
-fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Result<bool> {
+fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> Result<bool> {
     let Clustered { forest, hash, ranges, items, ends, membership, picked } = found;
     let vertices = vertices_of(pass);
     let threads = rayon::current_num_threads();
     let in_order = !pass.model.info().reads_exactly() && !matches!(pass.job, Job::Group(..));
     let reader = in_order.then(|| positions_of(pass, vertices.clone())).transpose()?;
     let own = |(cell, record): (u32, &CellRecord)| if pass.job.has(cell) { record.count } else { 0 };
+    let mut left = deal((0..).zip(&pass.grid.records).map(own), gather.len());
     let pieces = match pass.job {
         Job::Group(_, _, reader) => lock(reader).records(),
         Job::Whole | Job::Range(..) => (vertices.end - vertices.start).div_ceil(PIECE),
     };
+    let lane = |gather| {
+        let left = left.pop_front().unwrap_or_default();
+        Mutex::new(Lane { gather, items: vec![0; left.len()], left, at: 0 })
+    };
+    let lanes: Vec<_> = gather.into_iter().map(lane).collect();
     let stream = Stream {
         pass,
         leaves: membership.as_ref().map(Membership::leaves),
@@ -129,20 +155,17 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Resul
         pieces,
         most: threads as u64 + WAITING,
         reading: Mutex::new(Reading { next: 0, reader }),
-        merging: Mutex::new(Merging {
-            gather,
-            left: (0..).zip(&pass.grid.records).map(own).collect(),
-            places: Vec::new(),
+        work: Mutex::new(Tasks::new(lanes.len())),
+        lanes,
+        finishing: Mutex::new(Finishing {
             hash,
             ranges,
-            items,
             ends,
             membership: membership.as_mut(),
             picked: picked.as_mut(),
         }),
         forest: Mutex::new((forest, true)),
         workspaces: Mutex::new(Vec::new()),
-        work: Mutex::new(Tasks::default()),
         moved: Condvar::new(),
     };
     thread::scope(|scope| {
@@ -151,7 +174,7 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Resul
         });
         stream.go_on();
     });
-    let Stream { merging, work, .. } = stream;
+    let Stream { lanes, work, .. } = stream;
     let Tasks { failed, has_no_room, .. } = work.into_inner().unwrap_or_else(PoisonError::into_inner);
     if has_no_room {
         return Ok(false);
@@ -159,11 +182,22 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Resul
     if let Some(error) = failed {
         return Err(error);
     }
-    let Merging { gather, left, items, .. } = merging.into_inner().unwrap_or_else(PoisonError::into_inner);
-    if left.iter().any(|n| *n > 0) {
+    let lanes: Vec<Lane<G>> =
+        lanes.into_iter().map(|lane| lane.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
+    if lanes.iter().flat_map(|lane| &lane.left).any(|n| *n > 0) {
         return Err(changed(pass.model));
     }
-    Ok(!matches!(pass.job, Job::Whole) || gather.finds_room(&pass.grid.records, items))
+    for (cell, items) in items.iter_mut().enumerate() {
+        *items = lanes[cell % lanes.len()].items[cell / lanes.len()];
+    }
+    Ok(true)
+}
+
+/// Deals what is of each cell out to so many lanes.
+fn deal<T>(of_cells: impl Iterator<Item = T>, lanes: usize) -> VecDeque<Vec<T>> {
+    let mut dealt: VecDeque<Vec<T>> = (0..lanes).map(|_| Vec::new()).collect();
+    of_cells.enumerate().for_each(|(cell, of_cell)| dealt[cell % lanes].push(of_cell));
+    dealt
 }
 
 /// A call of [`stream`].
@@ -179,12 +213,14 @@ struct Stream<'a, G: Gather> {
     /// Most of them between reading and merging.
     most: u64,
     reading: Mutex<Reading<'a>>,
-    merging: Mutex<Merging<'a, G>>,
+    /// A cell is of the lane of its number modulo theirs.
+    lanes: Vec<Mutex<Lane<G>>>,
+    finishing: Mutex<Finishing<'a>>,
     /// What all trees are taken into, and whether none is yet.
     forest: Mutex<(&'a mut Forest, bool)>,
     workspaces: Mutex<Vec<Workspace<G::Item>>>,
     work: Mutex<Tasks<G>>,
-    /// Something was merged or clustered, or the work is over.
+    /// There is something to do for a thread that waits, or the work is over.
     moved: Condvar,
 }
 
@@ -195,17 +231,22 @@ struct Reading<'a> {
     reader: Option<Box<dyn VertexReader + 'a>>,
 }
 
-/// What pieces are merged into.
-struct Merging<'a, G> {
+/// A part of the open cells, into which pieces are merged in the order of the stream. A cell is counted by
+/// its number divided by that of lanes.
+struct Lane<G> {
     gather: G,
     /// Vertices of each cell that are still to come.
     left: Vec<u64>,
-    /// The place of each item of the piece that is merged: cell and index.
-    places: Vec<(u32, u32)>,
+    /// How many items each cell had in the end.
+    items: Vec<u32>,
+    /// Items that are merged of those that the next piece has for the lane.
+    at: usize,
+}
+
+/// What is found by the way of pieces in the order of the stream.
+struct Finishing<'a> {
     hash: &'a mut Hashing,
     ranges: &'a mut Ranges,
-    /// How many items each cell had in the end.
-    items: &'a mut [u32],
     /// The cells of the first vertex and of the last one.
     ends: &'a mut Option<[u32; 2]>,
     membership: Option<&'a mut Membership>,
@@ -214,35 +255,59 @@ struct Merging<'a, G> {
 
 /// What there is to do.
 struct Tasks<G: Gather> {
-    /// Pieces that were taken, and of these that were merged.
+    /// Pieces that were taken, and of these that were finished.
     taken: u64,
-    merged: u64,
-    is_merging: bool,
-    /// Pieces that wait to be merged, by their numbers.
-    gathered: BTreeMap<u64, Piece<G::Piece>>,
+    finished: u64,
+    is_finishing: bool,
+    /// For each lane, the piece that it merges next, and whether it is at it.
+    lanes: Vec<(u64, bool)>,
+    /// Pieces that are gathered and not finished, by their numbers.
+    gathered: BTreeMap<u64, Arc<Piece<G::Piece>>>,
     /// Cells that wait to be clustered.
     complete: VecDeque<(u32, CellItems<G::Item>)>,
     /// Bytes of the items of these cells and of those that are clustered.
     queued: usize,
     has_no_room: bool,
     failed: Option<Error>,
-    /// Pieces that are merged, to be filled again.
+    /// Pieces that are finished, to be filled again.
     spare: Vec<Piece<G::Piece>>,
+    /// Threads that wait for something to do.
+    waiting: usize,
 }
 
-impl<G: Gather> Default for Tasks<G> {
-    fn default() -> Self {
+impl<G: Gather> Tasks<G> {
+    fn new(lanes: usize) -> Self {
         Self {
             taken: 0,
-            merged: 0,
-            is_merging: false,
+            finished: 0,
+            is_finishing: false,
+            lanes: vec![(0, false); lanes],
             gathered: BTreeMap::new(),
             complete: VecDeque::new(),
             queued: 0,
             has_no_room: false,
             failed: None,
             spare: Vec::new(),
+            waiting: 0,
         }
+    }
+
+    /// Whether the next piece can be finished: all lanes have merged it.
+    fn can_finish(&self) -> bool {
+        !self.is_finishing
+            && self.gathered.contains_key(&self.finished)
+            && self.lanes.iter().all(|(next, _)| *next > self.finished)
+    }
+
+    /// The lane that is furthest behind of those that can merge their next piece.
+    fn idle_lane(&self) -> Option<usize> {
+        if self.queued > MAX_QUEUED {
+            return None;
+        }
+        let can_merge =
+            |(_, (next, is_busy)): &(usize, &(u64, bool))| !is_busy && self.gathered.contains_key(next);
+        let lanes = self.lanes.iter().enumerate().filter(can_merge);
+        lanes.min_by_key(|(_, (next, _))| *next).map(|(lane, _)| lane)
     }
 }
 
@@ -258,6 +323,10 @@ struct Piece<P> {
     /// The vertices whose colours are kept.
     picks: Vec<Pick>,
     lists: Lists,
+    /// Which of what was gathered is of the cells of each lane, if there are several.
+    of_lanes: Vec<Vec<u32>>,
+    /// The place of each item in its cell, if it shall be known, once it is merged.
+    places: Vec<AtomicU32>,
     /// Each cell that the stream enters, and the vertices up to where it leaves it.
     visits: Vec<(u32, Range<u64>)>,
     /// Its vertices in cells that others cluster, and what is written down of them.
@@ -265,8 +334,6 @@ struct Piece<P> {
     records: Vec<(u32, Vec<u8>)>,
     /// What was read in the place of the model.
     bytes: u64,
-    /// Number of items that are merged.
-    merged: usize,
 }
 
 /// No item.
@@ -278,7 +345,9 @@ const OF_OTHERS: u32 = 1 << 31;
 
 enum Task<G: Gather> {
     Gather(Option<Piece<G::Piece>>),
-    Merge(Piece<G::Piece>),
+    /// By this lane.
+    Merge(usize, Arc<Piece<G::Piece>>),
+    Finish(Option<Arc<Piece<G::Piece>>>),
     Cluster(u32, CellItems<G::Item>),
 }
 
@@ -288,42 +357,66 @@ impl<'a, G: Gather> Stream<'a, G> {
         while let Some(task) = self.take() {
             let done = catch_unwind(AssertUnwindSafe(|| match task {
                 Task::Gather(spare) => self.gather(spare),
-                Task::Merge(piece) => self.merge(piece),
+                Task::Merge(lane, piece) => self.merge(lane, piece),
+                Task::Finish(piece) => piece.map_or(Ok(()), |piece| self.finish(piece)),
                 Task::Cluster(cell, items) => self.cluster(cell, items),
             }));
             if let Err(error) = done.unwrap_or_else(|_| Err(panicked())) {
                 self.work().failed.get_or_insert(error);
             }
-            self.moved.notify_all();
         }
+        self.moved.notify_all();
     }
 
-    /// The next task, once there is one; `None` if nothing is left.
+    /// The next task, once there is one; `None` if nothing is left. Where there is another one, a thread that
+    /// waits is woken for it: so each thread that makes something possible, and comes back for it, sees to it
+    /// that it is done.
     fn take(&self) -> Option<Task<G>> {
         let mut work = self.work();
         loop {
             if work.failed.is_some() || work.has_no_room {
                 return None;
             }
-            if !work.is_merging && work.queued <= MAX_QUEUED {
-                let next = work.merged;
-                if let Some(piece) = work.gathered.remove(&next) {
-                    work.is_merging = true;
-                    return Some(Task::Merge(piece));
+            if let Some(task) = self.next(&mut work) {
+                if work.waiting > 0 && self.has_task(&work) {
+                    self.moved.notify_one();
                 }
+                return Some(task);
             }
-            if let Some((cell, items)) = work.complete.pop_front() {
-                return Some(Task::Cluster(cell, items));
-            }
-            if work.taken < self.pieces && work.taken - work.merged < self.most {
-                work.taken += 1;
-                return Some(Task::Gather(work.spare.pop()));
-            }
-            if work.merged == self.pieces {
+            if work.finished == self.pieces {
                 return None;
             }
+            work.waiting += 1;
             work = self.moved.wait(work).unwrap_or_else(PoisonError::into_inner);
+            work.waiting -= 1;
         }
+    }
+
+    fn next(&self, work: &mut Tasks<G>) -> Option<Task<G>> {
+        if work.can_finish() {
+            work.is_finishing = true;
+            return Some(Task::Finish(work.gathered.remove(&work.finished)));
+        }
+        if let Some(lane) = work.idle_lane() {
+            let (next, is_busy) = &mut work.lanes[lane];
+            *is_busy = true;
+            return work.gathered.get(next).map(|piece| Task::Merge(lane, piece.clone()));
+        }
+        if let Some((cell, items)) = work.complete.pop_front() {
+            return Some(Task::Cluster(cell, items));
+        }
+        self.can_gather(work).then(|| {
+            work.taken += 1;
+            Task::Gather(work.spare.pop())
+        })
+    }
+
+    fn has_task(&self, work: &Tasks<G>) -> bool {
+        work.can_finish() || work.idle_lane().is_some() || !work.complete.is_empty() || self.can_gather(work)
+    }
+
+    fn can_gather(&self, work: &Tasks<G>) -> bool {
+        work.taken < self.pieces && work.taken - work.finished < self.most
     }
 
     fn work(&self) -> MutexGuard<'_, Tasks<G>> {
@@ -349,14 +442,17 @@ impl<'a, G: Gather> Stream<'a, G> {
             self.put_in_cells(&mut piece, vertices.end)?;
             number
         };
-        self.work().gathered.insert(number, piece);
+        piece.deal(self.lanes.len(), self.leaves.is_some());
+        self.work().gathered.insert(number, Arc::new(piece));
         Ok(())
     }
 
     fn piece(&self) -> Piece<G::Piece> {
         Piece {
             chunks: Vec::new(),
-            gathered: lock(&self.merging).gather.piece(),
+            gathered: lock(&self.lanes[0]).gather.piece(),
+            of_lanes: Vec::new(),
+            places: Vec::new(),
             items: Vec::new(),
             positions: Vec::new(),
             picks: Vec::new(),
@@ -365,7 +461,6 @@ impl<'a, G: Gather> Stream<'a, G> {
             shared: SharedPiece::default(),
             records: Vec::new(),
             bytes: 0,
-            merged: 0,
         }
     }
 
@@ -493,59 +588,67 @@ impl<'a, G: Gather> Stream<'a, G> {
         Ok(())
     }
 
-    /// Merges the piece that comes next in the stream into the open cells, until too many of them wait to be
-    /// clustered.
-    fn merge(&self, mut piece: Piece<G::Piece>) -> Result<()> {
-        let mut merging = lock(&self.merging);
-        let Merging { gather, left, places, hash, ranges, items: all, ends, membership, picked } =
-            &mut *merging;
-        if piece.merged == 0 {
-            places.clear();
-            for (cell, vertices) in &piece.visits {
-                ranges.visit(*cell, vertices.clone(), self.pass.job.has(*cell));
-                **ends = Some([ends.map_or(*cell, |[first, _]| first), *cell]);
-            }
+    /// Merges what the piece that comes next in the stream has for the cells of a lane into these, until too
+    /// many of them wait to be clustered.
+    fn merge(&self, lane: usize, piece: Arc<Piece<G::Piece>>) -> Result<()> {
+        let mut merging = lock(&self.lanes[lane]);
+        let has_all = match piece.of_lanes.get(lane) {
+            Some(own) => self.merge_items(&mut merging, &piece, own.iter().map(|item| *item as usize))?,
+            None => self.merge_items(&mut merging, &piece, 0..piece.gathered.items().len())?,
+        };
+        if has_all {
+            merging.at = 0;
         }
-        let items = piece.gathered.items();
-        for (cell, item) in &items[piece.merged..] {
-            piece.merged += 1;
-            let Some(index) = gather.merge(*cell, item)? else {
+        drop(merging);
+        // Whoever finishes the piece has it alone.
+        drop(piece);
+        let (next, is_busy) = &mut self.work().lanes[lane];
+        (*next, *is_busy) = (*next + u64::from(has_all), false);
+        Ok(())
+    }
+
+    /// Whether all of the items were merged.
+    fn merge_items(
+        &self,
+        lane: &mut Lane<G>,
+        piece: &Piece<G::Piece>,
+        own: impl ExactSizeIterator<Item = usize>,
+    ) -> Result<bool> {
+        let (items, count) = (piece.gathered.items(), own.len());
+        for item in own.skip(lane.at) {
+            lane.at += 1;
+            let (cell, item, place) = (items[item].0, &items[item].1, piece.places.get(item));
+            let of_lane = cell / self.lanes.len() as u32;
+            let Some(index) = lane.gather.merge(of_lane, item)? else {
                 self.work().has_no_room = true;
-                return Ok(());
+                return Ok(false);
             };
-            places.push((*cell, index));
-            let left = &mut left[*cell as usize];
+            if let Some(place) = place {
+                place.store(index, Ordering::Relaxed);
+            }
+            let left = &mut lane.left[of_lane as usize];
             *left = left.checked_sub(item.vertices().into()).ok_or_else(|| changed(self.pass.model))?;
             if *left == 0 {
-                let of_cell = gather.take(*cell);
-                all[*cell as usize] = u32::try_from(of_cell.count()).unwrap_or(u32::MAX);
-                if self.hand_over(*cell, of_cell) {
+                let of_cell = lane.gather.take(of_lane);
+                lane.items[of_lane as usize] = u32::try_from(of_cell.count()).unwrap_or(u32::MAX);
+                if self.hand_over(cell, of_cell) {
                     break;
                 }
             }
         }
-        if piece.merged < items.len() {
-            let mut work = self.work();
-            let number = work.merged;
-            work.gathered.insert(number, piece);
-            work.is_merging = false;
-            return Ok(());
+        Ok(lane.at == count)
+    }
+
+    /// Finishes the piece that comes next in the stream, which all lanes have merged.
+    fn finish(&self, piece: Arc<Piece<G::Piece>>) -> Result<()> {
+        let mut finishing = lock(&self.finishing);
+        let Finishing { hash, ranges, ends, membership, picked } = &mut *finishing;
+        for (cell, vertices) in &piece.visits {
+            ranges.visit(*cell, vertices.clone(), self.pass.job.has(*cell));
+            **ends = Some([ends.map_or(*cell, |[first, _]| first), *cell]);
         }
         if let Some(members) = membership {
-            piece.chunks.iter().try_for_each(|chunk| members.look_for_twins(&chunk.positions))?;
-            if let (Job::Group(shares, ..), Some((_, first))) = (self.pass.job, piece.visits.first()) {
-                members.begin_list(shares.range_of(first.start));
-            }
-            let mut positions = piece.positions.iter();
-            for item in &piece.items {
-                let position = positions.next().copied().unwrap_or(Vec3::NAN);
-                let place = match places.get(*item as usize) {
-                    Some(place) => Some(*place),
-                    None if *item == NONE => None,
-                    None => Some((*item & !OF_OTHERS, 0)),
-                };
-                members.push(place, position)?;
-            }
+            self.note_members(members, &piece)?;
         }
         if let Some(picked) = picked {
             picked.add(&piece.picks)?;
@@ -558,10 +661,31 @@ impl<'a, G: Gather> Stream<'a, G> {
             self.pass.progress.advance(chunk.raw().len() as u64);
         }
         self.pass.progress.advance(piece.bytes);
+        drop(finishing);
         let mut work = self.work();
-        work.merged += 1;
-        work.is_merging = false;
-        work.spare.push(piece);
+        work.finished += 1;
+        work.is_finishing = false;
+        work.spare.extend(Arc::into_inner(piece));
+        Ok(())
+    }
+
+    /// Notes which item each vertex of a piece is part of.
+    fn note_members(&self, members: &mut Membership, piece: &Piece<G::Piece>) -> Result<()> {
+        piece.chunks.iter().try_for_each(|chunk| members.look_for_twins(&chunk.positions))?;
+        if let (Job::Group(shares, ..), Some((_, first))) = (self.pass.job, piece.visits.first()) {
+            members.begin_list(shares.range_of(first.start));
+        }
+        let items = piece.gathered.items();
+        let mut positions = piece.positions.iter();
+        for item in &piece.items {
+            let position = positions.next().copied().unwrap_or(Vec3::NAN);
+            let place = match piece.places.get(*item as usize) {
+                Some(place) => Some((items[*item as usize].0, place.load(Ordering::Relaxed))),
+                None if *item == NONE => None,
+                None => Some((*item & !OF_OTHERS, 0)),
+            };
+            members.push(place, position)?;
+        }
         Ok(())
     }
 
@@ -571,7 +695,9 @@ impl<'a, G: Gather> Stream<'a, G> {
         // Those in the file as well: they will be read, and their trees held.
         work.queued += items.bytes();
         work.complete.push_back((cell, items));
-        self.moved.notify_one();
+        if work.waiting > 0 {
+            self.moved.notify_one();
+        }
         work.queued > MAX_QUEUED
     }
 
@@ -603,8 +729,26 @@ impl<'a, G: Gather> Stream<'a, G> {
 }
 
 impl<P: GatherPiece> Piece<P> {
+    /// Tells what is of the cells of each lane, once all is gathered.
+    fn deal(&mut self, lanes: usize, with_places: bool) {
+        let Self { gathered, of_lanes, places, .. } = self;
+        gathered.leave();
+        let items = gathered.items();
+        if lanes > 1 {
+            of_lanes.resize_with(lanes, Vec::new);
+            for ((cell, _), item) in items.iter().zip(0..) {
+                of_lanes[*cell as usize % lanes].push(item);
+            }
+        }
+        if with_places {
+            places.resize_with(items.len(), AtomicU32::default);
+        }
+    }
+
     fn clear(&mut self) {
         self.gathered.clear();
+        self.of_lanes.iter_mut().for_each(Vec::clear);
+        self.places.clear();
         self.items.clear();
         self.positions.clear();
         self.picks.clear();
@@ -612,7 +756,6 @@ impl<P: GatherPiece> Piece<P> {
         self.shared.clear();
         self.records.clear();
         self.bytes = 0;
-        self.merged = 0;
     }
 }
 

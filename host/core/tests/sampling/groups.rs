@@ -144,11 +144,33 @@ fn samples_do_not_depend_on_threads() {
         let with_threads = |n: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("a pool");
             let sampled = pool.install(|| body.sampled(sampling));
-            (sampled.samples.positions.clone(), sampled.samples.normals().to_vec(), sampled.triangles.clone())
+            let samples = &sampled.samples;
+            (samples.positions.clone(), samples.normals().to_vec(), sampled.triangles.clone(), sampled.cells)
         };
         let one = with_threads(1);
-        for threads in [2, 7] {
+        for threads in [2, 7, 16] {
             assert!(with_threads(threads) == one, "{sampling:?}: {threads} threads");
         }
     }
+}
+
+/// Many threads deal the cells, and the memory for their groups, out among lanes. A cell has more groups here
+/// than there is room for in a lane (8192), and fewer than in all of the memory (32 768).
+#[test]
+fn a_cell_that_is_too_large_for_its_lane_finds_room_in_all_of_the_memory() {
+    let mut body = Body::default();
+    // Irrational steps along each axis fill the cube evenly.
+    let place = |i: u32| (DVec3::new(0.754_877_67, 0.569_840_29, 0.819_172_51) * f64::from(i)).fract();
+    body.positions.extend((0..20_000).map(|i| place(i) * 0.2));
+    body.positions.push(DVec3::ONE);
+    let sampling =
+        Sampling { memory_limit: Some(33 << 20), grid: Some(4), ..samples(500, Grouping::Level(6)) };
+    let with_threads = |n: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("a pool");
+        let sampled = pool.install(|| body.sampled(sampling));
+        (sampled.samples.positions.clone(), sampled.sampling.grouping)
+    };
+    let one = with_threads(1);
+    assert_eq!(one.1, Grouping::Level(6));
+    assert!(with_threads(16) == one);
 }
