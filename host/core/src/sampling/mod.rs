@@ -39,6 +39,7 @@ pub(crate) mod shares;
 mod splitting;
 mod stream;
 mod target;
+mod tasks;
 pub(crate) mod triangles;
 pub mod vs_tree;
 

@@ -6,11 +6,11 @@
 //! gathered on its own. Only what is done by a lane, finishing, and taking a cell's tree in, are each done by
 //! one thread at a time.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 use glam::Vec3;
@@ -31,6 +31,7 @@ use super::open_cells::CellItems;
 use super::ranges::Ranges;
 use super::shared_vertices::{SharedPiece, Visit};
 use super::shares::{Owner, PIECE};
+use super::tasks::{Schedule, Stopped, Task, Tasks};
 use super::vs_tree::Workspace;
 
 /// Pieces that are read and not yet merged, beside one for each thread: so that a thread whose piece has to
@@ -152,10 +153,8 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> 
         leaves: membership.as_ref().map(Membership::leaves),
         stop: AtomicU32::new(pass.bound.to_bits()),
         vertices,
-        pieces,
-        most: threads as u64 + WAITING,
         reading: Mutex::new(Reading { next: 0, reader }),
-        work: Mutex::new(Tasks::new(lanes.len())),
+        schedule: Schedule::new(Tasks::new(pieces, threads as u64 + WAITING, lanes.len(), MAX_QUEUED)),
         lanes,
         finishing: Mutex::new(Finishing {
             hash,
@@ -166,7 +165,6 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> 
         }),
         forest: Mutex::new((forest, true)),
         workspaces: Mutex::new(Vec::new()),
-        moved: Condvar::new(),
     };
     thread::scope(|scope| {
         (1..threads).for_each(|_| {
@@ -174,13 +172,11 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> 
         });
         stream.go_on();
     });
-    let Stream { lanes, work, .. } = stream;
-    let Tasks { failed, has_no_room, .. } = work.into_inner().unwrap_or_else(PoisonError::into_inner);
-    if has_no_room {
-        return Ok(false);
-    }
-    if let Some(error) = failed {
-        return Err(error);
+    let Stream { lanes, schedule, .. } = stream;
+    match schedule.into_stopped() {
+        Some(Stopped::NoRoom) => return Ok(false),
+        Some(Stopped::Failed(error)) => return Err(error),
+        None => {}
     }
     let lanes: Vec<Lane<G>> =
         lanes.into_iter().map(|lane| lane.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
@@ -208,10 +204,6 @@ struct Stream<'a, G: Gather> {
     stop: AtomicU32,
     /// The vertices that are streamed.
     vertices: Range<u64>,
-    /// Number of pieces that these are.
-    pieces: u64,
-    /// Most of them between reading and merging.
-    most: u64,
     reading: Mutex<Reading<'a>>,
     /// A cell is of the lane of its number modulo theirs.
     lanes: Vec<Mutex<Lane<G>>>,
@@ -219,9 +211,7 @@ struct Stream<'a, G: Gather> {
     /// What all trees are taken into, and whether none is yet.
     forest: Mutex<(&'a mut Forest, bool)>,
     workspaces: Mutex<Vec<Workspace<G::Item>>>,
-    work: Mutex<Tasks<G>>,
-    /// There is something to do for a thread that waits, or the work is over.
-    moved: Condvar,
+    schedule: Schedule<Piece<G::Piece>, (u32, CellItems<G::Item>)>,
 }
 
 struct Reading<'a> {
@@ -251,64 +241,6 @@ struct Finishing<'a> {
     ends: &'a mut Option<[u32; 2]>,
     membership: Option<&'a mut Membership>,
     picked: Option<&'a mut Picked>,
-}
-
-/// What there is to do.
-struct Tasks<G: Gather> {
-    /// Pieces that were taken, and of these that were finished.
-    taken: u64,
-    finished: u64,
-    is_finishing: bool,
-    /// For each lane, the piece that it merges next, and whether it is at it.
-    lanes: Vec<(u64, bool)>,
-    /// Pieces that are gathered and not finished, by their numbers.
-    gathered: BTreeMap<u64, Arc<Piece<G::Piece>>>,
-    /// Cells that wait to be clustered.
-    complete: VecDeque<(u32, CellItems<G::Item>)>,
-    /// Bytes of the items of these cells and of those that are clustered.
-    queued: usize,
-    has_no_room: bool,
-    failed: Option<Error>,
-    /// Pieces that are finished, to be filled again.
-    spare: Vec<Piece<G::Piece>>,
-    /// Threads that wait for something to do.
-    waiting: usize,
-}
-
-impl<G: Gather> Tasks<G> {
-    fn new(lanes: usize) -> Self {
-        Self {
-            taken: 0,
-            finished: 0,
-            is_finishing: false,
-            lanes: vec![(0, false); lanes],
-            gathered: BTreeMap::new(),
-            complete: VecDeque::new(),
-            queued: 0,
-            has_no_room: false,
-            failed: None,
-            spare: Vec::new(),
-            waiting: 0,
-        }
-    }
-
-    /// Whether the next piece can be finished: all lanes have merged it.
-    fn can_finish(&self) -> bool {
-        !self.is_finishing
-            && self.gathered.contains_key(&self.finished)
-            && self.lanes.iter().all(|(next, _)| *next > self.finished)
-    }
-
-    /// The lane that is furthest behind of those that can merge their next piece.
-    fn idle_lane(&self) -> Option<usize> {
-        if self.queued > MAX_QUEUED {
-            return None;
-        }
-        let can_merge =
-            |(_, (next, is_busy)): &(usize, &(u64, bool))| !is_busy && self.gathered.contains_key(next);
-        let lanes = self.lanes.iter().enumerate().filter(can_merge);
-        lanes.min_by_key(|(_, (next, _))| *next).map(|(lane, _)| lane)
-    }
 }
 
 /// Consecutive vertices of the model.
@@ -343,84 +275,20 @@ const NONE: u32 = u32::MAX;
 /// fewer items, and grids fewer cells.
 const OF_OTHERS: u32 = 1 << 31;
 
-enum Task<G: Gather> {
-    Gather(Option<Piece<G::Piece>>),
-    /// By this lane.
-    Merge(usize, Arc<Piece<G::Piece>>),
-    Finish(Option<Arc<Piece<G::Piece>>>),
-    Cluster(u32, CellItems<G::Item>),
-}
-
 impl<'a, G: Gather> Stream<'a, G> {
     /// Does what there is to do, as long as there is anything.
     fn go_on(&self) {
-        while let Some(task) = self.take() {
+        while let Some(task) = self.schedule.take() {
             let done = catch_unwind(AssertUnwindSafe(|| match task {
                 Task::Gather(spare) => self.gather(spare),
                 Task::Merge(lane, piece) => self.merge(lane, piece),
-                Task::Finish(piece) => piece.map_or(Ok(()), |piece| self.finish(piece)),
-                Task::Cluster(cell, items) => self.cluster(cell, items),
+                Task::Finish(piece) => self.finish(piece),
+                Task::Cluster((cell, items)) => self.cluster(cell, items),
             }));
             if let Err(error) = done.unwrap_or_else(|_| Err(panicked())) {
-                self.work().failed.get_or_insert(error);
+                self.schedule.tasks().stop(Stopped::Failed(error));
             }
         }
-        self.moved.notify_all();
-    }
-
-    /// The next task, once there is one; `None` if nothing is left. Where there is another one, a thread that
-    /// waits is woken for it: so each thread that makes something possible, and comes back for it, sees to it
-    /// that it is done.
-    fn take(&self) -> Option<Task<G>> {
-        let mut work = self.work();
-        loop {
-            if work.failed.is_some() || work.has_no_room {
-                return None;
-            }
-            if let Some(task) = self.next(&mut work) {
-                if work.waiting > 0 && self.has_task(&work) {
-                    self.moved.notify_one();
-                }
-                return Some(task);
-            }
-            if work.finished == self.pieces {
-                return None;
-            }
-            work.waiting += 1;
-            work = self.moved.wait(work).unwrap_or_else(PoisonError::into_inner);
-            work.waiting -= 1;
-        }
-    }
-
-    fn next(&self, work: &mut Tasks<G>) -> Option<Task<G>> {
-        if work.can_finish() {
-            work.is_finishing = true;
-            return Some(Task::Finish(work.gathered.remove(&work.finished)));
-        }
-        if let Some(lane) = work.idle_lane() {
-            let (next, is_busy) = &mut work.lanes[lane];
-            *is_busy = true;
-            return work.gathered.get(next).map(|piece| Task::Merge(lane, piece.clone()));
-        }
-        if let Some((cell, items)) = work.complete.pop_front() {
-            return Some(Task::Cluster(cell, items));
-        }
-        self.can_gather(work).then(|| {
-            work.taken += 1;
-            Task::Gather(work.spare.pop())
-        })
-    }
-
-    fn has_task(&self, work: &Tasks<G>) -> bool {
-        work.can_finish() || work.idle_lane().is_some() || !work.complete.is_empty() || self.can_gather(work)
-    }
-
-    fn can_gather(&self, work: &Tasks<G>) -> bool {
-        work.taken < self.pieces && work.taken - work.finished < self.most
-    }
-
-    fn work(&self) -> MutexGuard<'_, Tasks<G>> {
-        self.work.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Reads a piece and gathers it.
@@ -443,7 +311,7 @@ impl<'a, G: Gather> Stream<'a, G> {
             number
         };
         piece.deal(self.lanes.len(), self.leaves.is_some());
-        self.work().gathered.insert(number, Arc::new(piece));
+        self.schedule.tasks().gathered(number, piece);
         Ok(())
     }
 
@@ -602,8 +470,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         drop(merging);
         // Whoever finishes the piece has it alone.
         drop(piece);
-        let (next, is_busy) = &mut self.work().lanes[lane];
-        (*next, *is_busy) = (*next + u64::from(has_all), false);
+        self.schedule.tasks().merged(lane, has_all);
         Ok(())
     }
 
@@ -620,7 +487,7 @@ impl<'a, G: Gather> Stream<'a, G> {
             let (cell, item, place) = (items[item].0, &items[item].1, piece.places.get(item));
             let of_lane = cell / self.lanes.len() as u32;
             let Some(index) = lane.gather.merge(of_lane, item)? else {
-                self.work().has_no_room = true;
+                self.schedule.tasks().stop(Stopped::NoRoom);
                 return Ok(false);
             };
             if let Some(place) = place {
@@ -631,7 +498,9 @@ impl<'a, G: Gather> Stream<'a, G> {
             if *left == 0 {
                 let of_cell = lane.gather.take(of_lane);
                 lane.items[of_lane as usize] = u32::try_from(of_cell.count()).unwrap_or(u32::MAX);
-                if self.hand_over(cell, of_cell) {
+                // Those in the file as well: they will be read, and their trees held.
+                let bytes = of_cell.bytes();
+                if self.schedule.hand_over((cell, of_cell), bytes) {
                     break;
                 }
             }
@@ -662,10 +531,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         }
         self.pass.progress.advance(piece.bytes);
         drop(finishing);
-        let mut work = self.work();
-        work.finished += 1;
-        work.is_finishing = false;
-        work.spare.extend(Arc::into_inner(piece));
+        self.schedule.tasks().finished(Arc::into_inner(piece));
         Ok(())
     }
 
@@ -689,18 +555,6 @@ impl<'a, G: Gather> Stream<'a, G> {
         Ok(())
     }
 
-    /// Lets a complete cell be clustered; whether too many wait for it now.
-    fn hand_over(&self, cell: u32, items: CellItems<G::Item>) -> bool {
-        let mut work = self.work();
-        // Those in the file as well: they will be read, and their trees held.
-        work.queued += items.bytes();
-        work.complete.push_back((cell, items));
-        if work.waiting > 0 {
-            self.moved.notify_one();
-        }
-        work.queued > MAX_QUEUED
-    }
-
     /// Clusters a cell, and takes its tree in: as they come, for the bound that they raise shortens the work
     /// on the rest.
     fn cluster(&self, cell: u32, items: CellItems<G::Item>) -> Result<()> {
@@ -709,7 +563,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         let clustered = self.pass.cluster(cell, items, &self.stop, self.leaves.as_deref(), &mut workspace);
         lock(&self.workspaces).push(workspace);
         let taken = clustered.and_then(|cell| self.collect(cell));
-        self.work().queued -= bytes;
+        self.schedule.tasks().clustered(bytes);
         taken
     }
 
