@@ -16,8 +16,11 @@ use super::{DeformationField, Method, RestGeometry, Transport, VertexDiagnostics
 /// as stay in the cache.
 const BLOCK: usize = 1 << 14;
 
-/// Most vertices of a block that are in no order: many, so that those side by side on a curve are near.
+/// Most vertices of a block that are in no order: many, so that those side by side on a curve are near …
 const LARGE_BLOCK: usize = 1 << 16;
+
+/// … but a quarter less where more threads than these have a block each, for the sake of memory.
+const FEW_THREADS: usize = 12;
 
 /// Two of so many vertices are looked at to tell whether they are in order.
 const LOOKED_AT: usize = 16;
@@ -549,7 +552,13 @@ fn local(frame: &Frame, p: DVec3) -> Vec3 {
 
 /// The most vertices of a block of these.
 fn most_of_block(positions: &[DVec3]) -> usize {
-    if is_in_order(positions) { BLOCK } else { LARGE_BLOCK }
+    if is_in_order(positions) {
+        BLOCK
+    } else if rayon::current_num_threads() <= FEW_THREADS {
+        LARGE_BLOCK
+    } else {
+        LARGE_BLOCK / 4 * 3
+    }
 }
 
 /// Whether most vertices are near to the one before, by some of them.
