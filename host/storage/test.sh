@@ -6,8 +6,10 @@ cd "$(dirname "$0")/../.."
 env=$(mktemp -d)
 trap 'rm -rf "$env"' EXIT
 
-cargo build --release --locked --features object-storage
-cargo test --release --locked -p simod-storage -- --show-output
+# Chosen together, they have the features of the program: what they depend on is built once.
+choice=(-p simod-storage -p simod-cli --features simod-cli/object-storage)
+cargo build --release --locked "${choice[@]}"
+cargo test --release --locked "${choice[@]}" -- --show-output
 
 python3 -m venv "$env/venv"
 python="$env/venv/bin/python"
