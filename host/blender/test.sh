@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Tests the extension with Blender as a module, in an environment of its own; `cargo build --release` came before. Says so
-# and does nothing where Blender's module cannot be installed or started: it is for Python 3.11 alone, and needs libraries
-# of X11 and OpenGL.
+# Tests the extension with Blender as a module, in an environment of its own: test.sh [FOLDER], of one that `environment.sh`
+# made beforehand. `cargo build --release` came before. Says so and does nothing where Blender's module cannot be installed
+# or started: it is for Python 3.11 alone, and needs libraries of X11 and OpenGL.
 set -euo pipefail
 cd "$(dirname "$0")"
 here=$PWD
@@ -16,12 +16,12 @@ skip() {
 }
 
 command -v python3.11 >/dev/null || skip "there is no python3.11"
-python3.11 -m venv "$env/venv"
-python="$env/venv/bin/python"
-"$python" -m pip install --quiet --disable-pip-version-check -r tests/requirements.txt || skip "bpy cannot be installed"
+venv=${1:-$env/venv}
+[ -e "$venv/complete" ] || ./environment.sh "$venv" || skip "bpy cannot be installed"
+python="$venv/bin/python"
 "$python" -c "import bpy" 2>/dev/null || skip "bpy cannot be started, as a library is missing"
 
-export SIMOD_PROGRAM="$target/release/simod" PYTHONDONTWRITEBYTECODE=1 BLENDER_USER_RESOURCES="$env/user"
+export SIMOD_PROGRAM="$target/release/simod" PYTHONPYCACHEPREFIX="$env/bytecode" BLENDER_USER_RESOURCES="$env/user"
 status=0
 "$python" -m pytest -p no:cacheprovider -q tests | tee "$env/log" || status=$?
 

@@ -1,16 +1,14 @@
 #!/usr/bin/env bash
-# Builds the wheel, installs it into an empty environment, and runs its tests and the checks of its types there. Needs
-# python3 (3.11 or later) with venv; `cargo build --release` came before.
+# Builds the wheel, installs it into an environment, and runs its tests and the checks of its types there: test.sh [FOLDER],
+# of an environment that `environment.sh` made beforehand. `cargo build --release` came before.
 set -euo pipefail
 cd "$(dirname "$0")"
 env=$(mktemp -d)
 trap 'rm -rf "$env"' EXIT
 
-python3 -m venv "$env/venv"
-python="$env/venv/bin/python"
-"$python" -m pip install --quiet --disable-pip-version-check -r tests/requirements.txt
-"$python" -m pip install --quiet --disable-pip-version-check -r tests/programs-requirements.txt ||
-    echo "some programs do not install: their tests are skipped"
+venv=${1:-$env/venv}
+[ -e "$venv/complete" ] || ./environment.sh "$venv"
+python="$venv/bin/python"
 "$python" -m maturin build --release --locked --out "$env/wheels" --interpreter "$python"
 "$python" -m pip install --quiet --disable-pip-version-check "$env"/wheels/*.whl
 

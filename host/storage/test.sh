@@ -1,17 +1,20 @@
 #!/usr/bin/env bash
 # Builds the program with object storage, starts a server that speaks S3, and runs the tests against it, with what goes wrong
-# on networks in between. Needs python3 (3.11 or later) with venv; `cargo build --release` came before.
+# on networks in between: test.sh [FOLDER], of an environment that `environment.sh` made beforehand. `cargo build --release`
+# came before.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 env=$(mktemp -d)
 trap 'rm -rf "$env"' EXIT
 
-cargo build --release --locked --features object-storage
-cargo test --release --locked -p simod-storage -- --show-output
+# Chosen together, they have the features of the program: what they depend on is built once.
+choice=(-p simod-storage -p simod-cli --features simod-cli/object-storage)
+cargo build --release --locked "${choice[@]}"
+cargo test --release --locked "${choice[@]}" -- --show-output
 
-python3 -m venv "$env/venv"
-python="$env/venv/bin/python"
-"$python" -m pip install --quiet --disable-pip-version-check -r host/storage/tests/requirements.txt
+venv=${1:-$env/venv}
+[ -e "$venv/complete" ] || host/storage/environment.sh "$venv"
+python="$venv/bin/python"
 
 # What other programs add to pytest is none of ours.
 export PYTEST_DISABLE_PLUGIN_AUTOLOAD=1

@@ -1,7 +1,7 @@
 //! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `model <- core, generate,
 //! measure`; `core <- picture`; `plugin-api, core, measure <- session <- check, compare, viewer,
 //! cli`; `measure, picture <- compare`; `check, compare <- cli`; `picture <- scene, viewer`; `viewer, scene
-//! <- window`; `core, plugin-api, session, compare <- python`, which is no crate of the workspace.
+//! <- window`; `core, plugin-api, session, compare <- python`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -153,6 +153,8 @@ fn arrows_go_one_way() {
     crates.expect_members("host/scene", &["simod-model", "simod-picture"]);
     let window = ["simod-generate", "simod-picture", "simod-plugin-api", "simod-scene", "simod-session"];
     crates.expect_members("host/window", &[&engine[..], &window, &["simod-viewer"]].concat());
+    let python = [&engine[..], &["simod-compare", "simod-plugin-api", "simod-session"]].concat();
+    crates.expect_members("host/python", &python);
 
     // What talks to stores is in the program if it is asked for, and nowhere else.
     for folder in ["plugins", "host/core", "host/session", "host/viewer", "host/cli"] {
@@ -166,25 +168,19 @@ fn arrows_go_one_way() {
     crates.expect_none("host/scene", &["egui", "eframe", "winit", "abi_stable", "simod-plugin-api"]);
 }
 
-/// The library for Python is a workspace of its own, so that nothing here waits for it, and is at the end of
-/// the arrows as the program is.
+/// Nothing waits for the library for Python, or needs Python: it is no part of the first build, and without
+/// tests of its own for `cargo test`.
 #[test]
-fn python_is_beside_the_workspace() {
+fn python_is_built_where_it_is_asked_for() {
     let read = |file: &str| -> toml::Table {
         let text = std::fs::read_to_string(workspace().join(file)).expect("a manifest");
         text.parse().expect("TOML")
     };
-    let (ours, python) = (read("Cargo.toml"), read("host/python/Cargo.toml"));
-    assert!(ours["workspace"]["exclude"].as_array().expect("a list").contains(&"host/python".into()));
-    let of_paths =
-        |(name, dependency): (&String, &toml::Value)| Some((name.clone(), dependency.get("path")?.clone()));
-    let used: BTreeMap<String, toml::Value> =
-        python["dependencies"].as_table().expect("a table").iter().filter_map(of_paths).collect();
-    let expected = ["simod-compare", "simod-core", "simod-model", "simod-plugin-api", "simod-session"];
-    assert_eq!(used.keys().collect::<Vec<_>>(), expected.iter().collect::<Vec<_>>());
-    let profile = |of: &toml::Table, key: &str| of["profile"]["release"][key].clone();
-    for key in ["codegen-units", "panic"] {
-        assert_eq!(profile(&ours, key), profile(&python, key), "{key}");
+    let built_first = &read("Cargo.toml")["workspace"]["default-members"];
+    assert_eq!(*built_first, vec!["plugins/*", "host/cli"].into());
+    let library = &read("host/python/Cargo.toml")["lib"];
+    for tests in ["test", "doctest"] {
+        assert_eq!(library[tests].as_bool(), Some(false), "{tests}");
     }
 }
 
@@ -206,25 +202,17 @@ fn no_vector_instruction_is_a_function() {
 }
 
 /// What the program depends on has the same features whatever is built, so that nothing of it is built a
-/// second time: in the first build, for the tests, and for the window. Where this fails, `host/features`
-/// lacks a feature, or has one too many.
+/// second time: in the first build, for the tests, the window, Python and stores. Where this fails,
+/// `host/features` lacks a feature, or has one too many.
 #[test]
 fn what_the_program_needs_is_built_once() {
     let program = Packages::read("normal,build", &[]);
     let heavy = ["simod-scene", "simod-storage", "simod-window"];
     let tests: Vec<&str> =
         ["--workspace"].into_iter().chain(heavy.into_iter().flat_map(|name| ["--exclude", name])).collect();
-    let storage = [
-        "-p",
-        "simod-storage",
-        "-p",
-        "simod-plugin-*",
-        "-p",
-        "simod-cli",
-        "--features",
-        "simod-cli/object-storage",
-    ];
-    for choice in [&tests[..], &["-p", "simod-scene", "-p", "simod-window"], &storage] {
+    let python = ["-p", "simod-python"];
+    let storage = ["-p", "simod-storage", "-p", "simod-cli", "--features", "simod-cli/object-storage"];
+    for choice in [&tests[..], &["-p", "simod-scene", "-p", "simod-window"], &python, &storage] {
         let others = Packages::read("normal,build,dev", choice);
         // What is asked for is a feature of the program itself.
         let libraries = program.0.iter().filter(|p| !p.starts_with("simod-cli "));

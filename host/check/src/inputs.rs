@@ -14,6 +14,9 @@ pub(crate) const LARGE: usize = 200_000;
 /// Samples of an ordinary case.
 pub(crate) const ORDINARY: usize = 2000;
 
+/// Samples where a rule tries many cases.
+pub(crate) const FEW: usize = 500;
+
 /// How far away samples are that lie far outside, in units of the diagonal.
 const FAR: f32 = 1e6;
 

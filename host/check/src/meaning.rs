@@ -3,7 +3,7 @@
 use crate::answer::{Refusal, answer};
 use crate::case::{Case, Other, motion};
 use crate::finding::{Checked, Finding};
-use crate::inputs::ORDINARY;
+use crate::inputs::{FEW, ORDINARY};
 use crate::subject::Subject;
 use glam::DVec3;
 use simod_model::bounds::Bounds;
@@ -313,7 +313,7 @@ pub(crate) fn attributes(subject: &Subject) -> Checked<Finding> {
 
 /// A plugin that takes other models does without them, and with any.
 pub(crate) fn other_models(subject: &Subject) -> Checked<Finding> {
-    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    let case = Case::bumpy_sphere(&subject.plugin, FEW)?;
     let Some(usual) = case.other.clone() else {
         return Ok(Finding::skip("it takes no other models"));
     };
@@ -330,7 +330,7 @@ pub(crate) fn other_models(subject: &Subject) -> Checked<Finding> {
         None,
         few(1),
         few(2),
-        few(ORDINARY / 2),
+        few(FEW / 2),
         Some(Other { ids: Vec::new(), triangles: Vec::new(), ..usual.clone() }),
         Some(Other { ids: usual.ids.iter().map(|id| u64::MAX - id).collect(), ..usual.clone() }),
         // All in one place; in a plane; turned inside out; in another unit; elsewhere; as far as numbers go.

@@ -3,15 +3,12 @@
 use crate::answer::Refusal;
 use crate::case::Case;
 use crate::finding::{Checked, Finding, Verdict};
-use crate::inputs::all_calls;
+use crate::inputs::{FEW, all_calls};
 use crate::meaning::difference;
 use crate::random::Random;
 use crate::subject::Subject;
 use simod_plugin_api::{ParamDesc, ParamKind};
 use toml::Value;
-
-/// Samples of the cases here, of which there are many.
-const SAMPLES: usize = 500;
 
 /// Assignments of random values.
 const RANDOM: usize = 32;
@@ -24,7 +21,7 @@ pub(crate) fn bounds(subject: &Subject) -> Checked<Finding> {
     if plugin.params().is_empty() {
         return Ok(Finding::skip("it has no parameters"));
     }
-    let case = Case::bumpy_sphere(plugin, SAMPLES)?;
+    let case = Case::bumpy_sphere(plugin, FEW)?;
     let mut random = Random::new(subject.seed);
     let mut tables: Vec<toml::Table> = Vec::new();
     for d in plugin.params() {
@@ -64,7 +61,7 @@ pub(crate) fn invalidation(subject: &Subject) -> Checked<Finding> {
     if free.is_empty() {
         return Ok(Finding::skip("no parameter is said not to matter to the preparation"));
     }
-    let case = Case::bumpy_sphere(plugin, SAMPLES)?;
+    let case = Case::bumpy_sphere(plugin, FEW)?;
     let old = subject.prepare(&case)?.map_err(Refusal::of_ordinary)?;
     let mut random = Random::new(subject.seed);
     let mut compared = 0;

@@ -1,8 +1,8 @@
 //! `simod._simod`: the library for Python.
 //!
 //! Work is done by threads of its own without the interpreter's lock, while the thread that asked for it
-//! looks after signals and progress ([`work`]). Arrays are numpy's, of doubles in the model's coordinates
-//! ([`arrays`]). All that the program does is done by the same functions: those of `simod-session` and
+//! looks after signals and progress (`work`). Arrays are numpy's, of doubles in the model's coordinates
+//! (`arrays`). All that the program does is done by the same functions: those of `simod-session` and
 //! `simod-core`.
 
 mod arrays;

@@ -113,14 +113,8 @@ impl<'a> PartsTable<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::tests::affine;
     use glam::DMat3;
-    use simod_plugin_api::Affine;
-
-    fn affine(matrix: DMat3, offset: DVec3) -> Affine {
-        let m = matrix.transpose();
-        let row = |v: DVec3, t: f64| [v.x, v.y, v.z, t];
-        Affine { rows: [row(m.x_axis, offset.x), row(m.y_axis, offset.y), row(m.z_axis, offset.z)] }
-    }
 
     #[test]
     fn parts_of_a_table_are_those_of_the_motion() {

@@ -188,11 +188,12 @@ fn integral_of_exp(re: f64, im: f64) -> (f64, f64) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn affine(matrix: DMat3, offset: DVec3) -> Affine {
+    /// The map that is a matrix and an offset.
+    pub(crate) fn affine(matrix: DMat3, offset: DVec3) -> Affine {
         let m = matrix.transpose();
         let row = |v: DVec3, t: f64| [v.x, v.y, v.z, t];
         Affine { rows: [row(m.x_axis, offset.x), row(m.y_axis, offset.y), row(m.z_axis, offset.z)] }

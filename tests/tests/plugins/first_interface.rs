@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use glam::DVec3;
-use simod_tests::{Workplace, outside_target, run_build, target_folder, workspace};
+use simod_tests::{Workplace, outside_target, run_build, workspace};
 
 const STEP: &str = "
     [[step]]
@@ -31,15 +31,15 @@ const STEP: &str = "
     params = { along = \"y\", up = false, times = 3, height = 1 }
     ";
 
-/// Builds the old plugin.
-fn build(target: &Path, configure: impl Fn(&mut Command)) -> PathBuf {
-    let folder = workspace().join("tests/first-interface");
+/// Builds the old plugin as its author did, or otherwise: what is in a folder of the target folder.
+fn build(folder: &str, configure: impl Fn(&mut Command)) -> PathBuf {
+    let target = outside_target();
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    cargo.current_dir(&folder).args(["build", "--locked", "--target-dir"]).arg(target);
+    cargo.current_dir(workspace().join("tests/first-interface"));
+    cargo.args(["build", "--release", "--locked", "--target-dir"]).arg(&target);
     configure(&mut cargo);
     run_build(cargo);
-    let profile = if target.join("release").is_dir() { "release" } else { "debug" };
-    target.join(profile).join(format!("{DLL_PREFIX}veteran{DLL_SUFFIX}"))
+    target.join(folder).join("release").join(format!("{DLL_PREFIX}veteran{DLL_SUFFIX}"))
 }
 
 fn works(library: &Path) {
@@ -74,17 +74,23 @@ fn works(library: &Path) {
 
 #[test]
 fn a_plugin_of_the_first_release_works() {
-    works(&build(&outside_target(), |cargo| {
-        cargo.arg("--release");
-    }));
+    works(&build("", |_| ()));
 }
 
 #[test]
 fn a_plugin_of_another_compiler_configuration_works() {
     // Rust's own layouts are shuffled, as another compiler's may be: only what is frozen may cross the
-    // boundary.
-    works(&build(&target_folder().join("first-interface-shuffled"), |cargo| {
-        cargo.env("RUSTC_BOOTSTRAP", "1").env("CARGO_PROFILE_DEV_DEBUG", "false");
+    // boundary. What runs in the compiler, its macros, is that of the other test.
+    let host = host_triple();
+    works(&build(&host, |cargo| {
+        cargo.args(["--target", &host]).env("RUSTC_BOOTSTRAP", "1");
         cargo.env("RUSTFLAGS", "-Zrandomize-layout -Copt-level=0 -Cdebug-assertions=on -Coverflow-checks=on");
     }));
+}
+
+/// The compiler's name for this platform.
+fn host_triple() -> String {
+    let rustc = Command::new("rustc").arg("-vV").output().expect("rustc runs");
+    let said = String::from_utf8(rustc.stdout).expect("UTF-8");
+    said.lines().find_map(|line| line.strip_prefix("host: ")).expect("rustc names the host").to_owned()
 }
