@@ -347,6 +347,11 @@ impl Model for Converted {
         }
         let work = ConversionCall::new(&*self.model, &self.source, &*form, how, edit, progress);
         pipeline::rewrite(&work, outputs, how, &work.edit(), &work.quietly())?;
+        let left_out = form.left_out() / outputs.len().max(1) as u64;
+        if left_out > 0 {
+            let of = self.path().display();
+            progress.note(&format!("{of}: {left_out} vertices without a position were left out"));
+        }
         if let Some(following) = self.following() {
             following.tell(self.path(), progress);
         }
