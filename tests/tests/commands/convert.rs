@@ -358,7 +358,8 @@ fn vertices_without_a_position_are_left_out_where_that_may_be() {
         let is_own = |(p, i): (&Point, &usize)| p.x == *i as f64 && usize::from(p.return_number) == 1 + i % 3;
         assert!(points.len() == there.len() && points.iter().zip(&there).all(is_own), "{out}");
     }
-    work.simod("convert m.ply out.csv --lossy");
+    let report = work.report("convert m.ply out.csv --lossy");
+    assert_eq!(report["vertices"], there.len());
     let expected: String = there.iter().map(|i| format!("{i},1,2,{}\n", 1 + i % 3)).collect();
     assert!(work.read("out.csv") == format!("x,y,z,return_number\n{expected}").as_bytes());
     work.simod("convert m.ply out.obj --lossy");

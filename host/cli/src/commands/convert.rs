@@ -105,7 +105,7 @@ impl Convert {
         } else {
             std::fs::metadata(&self.output).map_or(0, |meta| meta.len())
         };
-        self.tell((converted.info().vertices, converted.triangles(), bytes), "", report);
+        self.tell((converted.vertices(), converted.triangles(), bytes), "", report);
         Ok(())
     }
 

@@ -312,6 +312,8 @@ impl LasForm {
         for (i, number) in rows.attributes[field.from].iter().enumerate() {
             let scaled = number * scale;
             to.push(match field.rounds {
+                // What a scan does not have, though others do: as in PLY.
+                _ if scaled.is_nan() && least.is_finite() => 0.0,
                 true => scaled.round().clamp(least, most),
                 // What is no number may be one of those that are none.
                 false if (least..=most).contains(&scaled) || least == f64::NEG_INFINITY => scaled,
