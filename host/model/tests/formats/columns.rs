@@ -137,7 +137,7 @@ fn what_is_wrong_is_named_with_its_line() {
     assert_eq!(bad("1\n1 2 3\nmore\n", ".pts"), "line 3: \"more\" is no number of points");
     assert_eq!(bad("1,5;2,5;3,5\n", ".csv"), "there is no line of numbers in it");
     // As a full disk leaves them.
-    assert_eq!(bad("1 2 3\n\n4 5 \0\0\0\06\n7 8 9\n", ".xyz"), "line 3: vertex 1: a byte of zero");
+    assert_eq!(bad("1 2 3\n\n4 5 \0\0\0 6\n7 8 9\n", ".xyz"), "line 3: vertex 1: a byte of zero");
     let long = "1 2 3\n4 5 ".to_string() + &"6".repeat(17 << 20);
     assert_eq!(bad(&long, ".xyz"), "line 2 is longer than 16 MiB");
     go_over(b"1e999 2 3\n4 nan 6\n-1.#IND 0 0\n", ".xyz").unwrap();
