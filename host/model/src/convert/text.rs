@@ -242,12 +242,12 @@ impl Form for Lines {
         let separator = if let Kind::Named(separator) = self.kind { separator } else { b' ' };
         to.clear();
         for (i, p) in rows.positions.iter().enumerate() {
-            if !p.is_finite() && self.leaves_out {
+            if !p.is_finite() {
+                if !self.leaves_out {
+                    return Err(self.without_position(rows, i));
+                }
                 self.left_out.fetch_add(1, Ordering::Relaxed);
                 continue;
-            }
-            if !p.is_finite() {
-                return Err(self.without_position(rows, i));
             }
             if self.kind == Kind::Obj {
                 to.extend_from_slice(b"v ");
