@@ -1,9 +1,10 @@
 //! Points in columns of text: XYZ, PTS, CSV, TXT, ASC and the like.
 //!
-//! Columns are separated by blanks and tabs, by commas, or by semicolons. Which ones are the position and the
-//! normal is told by the user, by names in a line before the points (a comment, too), or by the file's
-//! extension; without any, the first three are the position. The others are attributes. A PTS file says
-//! first how many points follow, and so does each further scan in it.
+//! Columns are separated by blanks and tabs, by commas, or by semicolons; in TSV by each tab. Which ones are
+//! the position and the normal is told by the user, by names in a line before the points (a comment, too), or
+//! by the file's extension; without any, the first three are the position. The others are attributes, if they
+//! are numbers in the first point's line. A PTS file says first how many points follow, and so does each
+//! further scan in it.
 
 use crate::source::Source;
 use crate::text::blocks::{Blocks, Builder};
@@ -41,6 +42,8 @@ pub(crate) struct Columns {
     following: usize,
     /// Columns of the attributes.
     attributes: Vec<usize>,
+    /// What the others are called, which are not read.
+    unread: Vec<String>,
     /// Lines with a single word are numbers of points.
     is_counted: bool,
     /// What the user said that they are.
@@ -56,6 +59,7 @@ impl Columns {
             components,
             following: 0,
             attributes: (components..components + attributes).collect(),
+            unread: Vec::new(),
             is_counted: false,
             wanted: None,
         }
@@ -88,6 +92,7 @@ impl Columns {
             components: columns.len(),
             following: 0,
             attributes: Vec::new(),
+            unread: Vec::new(),
             is_counted,
             wanted: None,
         })
@@ -121,7 +126,7 @@ fn fields(line: &[u8], separator: Option<u8>) -> impl Iterator<Item = (usize, us
             return None;
         }
         let mut start = at;
-        while line.get(start).is_some_and(|b| is_space(*b)) {
+        while line.get(start).is_some_and(|b| is_space(*b) && *b != separator) {
             start += 1;
         }
         let quote = line.get(start) == Some(&b'"');
@@ -161,6 +166,11 @@ impl Grammar for Columns {
 
     fn components(&self) -> usize {
         self.components
+    }
+
+    fn besides(&self) -> Vec<String> {
+        let name = |name: &String| format!("the column {}, which is no attribute", quoted(name));
+        self.unread.iter().map(name).collect()
     }
 
     fn follow(&mut self, attributes: &[usize]) {
@@ -222,6 +232,7 @@ pub(crate) fn open(source: Source, extension: &str, wanted: Option<&str>) -> Res
     let separated = match columns.separator {
         None => "blanks",
         Some(b',') => "commas",
+        Some(b'\t') => "tabs",
         _ => "semicolons",
     };
     let others = names.iter().enumerate().filter(|(i, _)| columns.roles.get(*i).copied().flatten().is_none());
@@ -267,6 +278,7 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
     let mut mark = [0; 3];
     let begin = if source.read_at(&mut mark, 0)? == 3 && mark == *b"\xef\xbb\xbf" { 3 } else { 0 };
     let mut lines = Lines::new(source, begin, u64::MAX, false);
+    let separators: &[u8] = if extension == "tsv" { b"\t" } else { b";," };
     let (mut comment, mut is_counted, mut header) = (Vec::new(), false, None::<(Option<u8>, Vec<String>)>);
     loop {
         let Some((at, line)) = lines.next()? else {
@@ -277,7 +289,7 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
             comment.extend_from_slice(&line[..line.len().min(LONGEST_HEADER)]);
             continue;
         }
-        let separator = [b';', b','].into_iter().find(|b| line.contains(b));
+        let separator = separators.iter().copied().find(|b| line.contains(b));
         let words: Vec<&[u8]> =
             fields(line, separator).map(|(a, b)| &line[a..b]).take(MOST_COLUMNS).collect();
         let numbers: Vec<bool> = words.iter().map(|word| parse(Scalar::F64, word).is_some()).collect();
@@ -328,9 +340,14 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
             let is_number = numbers.get(column).copied().unwrap_or(false);
             let is_free = columns.roles.get(column).copied().flatten().is_none();
             let is_known = attributes.iter().any(|known| known.name == *name);
-            if is_free && is_number && !is_known && name != "_" && Attribute::is_name(name) {
+            if !is_free || name == "_" {
+                continue;
+            }
+            if is_number && !is_known && Attribute::is_name(name) {
                 attributes.push(Attribute { name: name.clone(), kind: Type::F64 });
                 columns.attributes.push(column);
+            } else if !name.is_empty() {
+                columns.unread.push(name.clone());
             }
         }
         return Ok(Head { columns, names, attributes, begin, start: at });

@@ -83,6 +83,12 @@ pub(crate) struct Rows<'a> {
 }
 
 impl Rows<'_> {
+    /// An error where a vertex has no position, in a format that could leave it out.
+    pub(crate) fn without_position(&self, i: usize, why: &str) -> Error {
+        self.unfit(i, why)
+            .hinting("give --lossy to leave such vertices out, or write a format that holds them, as PLY")
+    }
+
     /// An error where a position does not fit.
     pub(crate) fn unfit(&self, i: usize, why: &str) -> Error {
         let (vertex, p) = (self.first + i as u64, self.positions[i]);
@@ -137,6 +143,11 @@ pub(crate) trait Form: Send + Sync {
     /// It cannot be made.
     fn tail(&self, _all: &Summary) -> Result<Vec<u8>> {
         Ok(Vec::new())
+    }
+
+    /// How many vertices it left out so far, as they have no position.
+    fn left_out(&self) -> u64 {
+        0
     }
 
     /// What is replaced once all is there.

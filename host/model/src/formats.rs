@@ -102,7 +102,9 @@ pub(crate) fn open_file(
         (Some((_, open)), None) => open(source, making),
         (None, Some(_)) => columns::open(source, &extension, columns),
         (None, None) if extension == splats::records::EXTENSION => splats::records::open(source),
+        // Comments may come first, and the word OFF may be left out.
         (None, None) if extension == "off" => off::open(source),
+        (None, None) if extension == "pcd" => pcd::open(source, making),
         (None, None) if extension == "gltf" || gltf::is_gltf(&source)? => gltf::open(source, making),
         (None, None) if extension == "stl" || stl::is_stl(&source)? => stl::open(source),
         (None, None) if extension == "obj" || obj::is_obj(&source)? => obj::open(source, making),

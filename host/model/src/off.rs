@@ -54,6 +54,10 @@ fn before_comment(line: &[u8]) -> &[u8] {
     &line[..memchr::memchr(b'#', line).unwrap_or(line.len())]
 }
 
+fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
+    before_comment(line).split(|b| is_space(*b)).filter(|word| !word.is_empty())
+}
+
 /// Whether a file says that it is OFF.
 pub(crate) fn is_off(start: &[u8]) -> bool {
     Letters::parse(first_word(start)).is_some()
@@ -77,11 +81,21 @@ impl Head {
         let (mut letters, mut counts) = (None, Vec::new());
         while let Some((at, line)) = lines.next()? {
             let end = at + line.len() as u64;
-            let mut words = before_comment(line).split(|b| is_space(*b)).filter(|word| !word.is_empty());
+            let mut words = words(line);
+            let mut glued = None;
             if letters.is_none() {
                 let Some(word) = words.next() else { continue };
-                let Some(found) = Letters::parse(word) else { break };
-                letters = Some(found);
+                // The word may be left out, and ModelNet has the first count behind it without a blank.
+                let digits = word.iter().rev().take_while(|b| b.is_ascii_digit()).count();
+                let (keyword, count) = word.split_at(word.len() - digits);
+                let found =
+                    if keyword.is_empty() { Some(Letters::default()) } else { Letters::parse(keyword) };
+                let Some(found) = found else {
+                    let what =
+                        format!("{} is neither OFF nor a count", quoted(&String::from_utf8_lossy(word)));
+                    return Err(wrong_line(source, at, what, DAMAGED));
+                };
+                (letters, glued) = (Some(found), Some(count).filter(|count| !count.is_empty()));
                 if found.other_dimension {
                     let what = format!(
                         "{} has vertices of another dimension than three",
@@ -90,7 +104,7 @@ impl Head {
                     return Err(wrong_line(source, at, what, "export the model as OFF, with x, y and z"));
                 }
             }
-            for word in words {
+            for word in glued.into_iter().chain(words) {
                 if word.eq_ignore_ascii_case(b"BINARY") {
                     return Err(wrong_line(
                         source,
@@ -121,7 +135,7 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
     let head = Head::read(&source)?;
     let mut lines = Lines::new(&source, head.start, u64::MAX, false);
     let mut builder = Builder::new(head.start, 1);
-    let (mut faces, mut face_lines, mut numbers) = (0, 0..0, 0);
+    let (mut faces, mut face_lines, mut numbers, mut paints_faces) = (0, 0..0, 0, false);
     while builder.vertices() < head.vertices || faces < head.faces {
         let Some((at, line)) = lines.next()? else {
             let what = format!(
@@ -138,8 +152,7 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
         }
         if builder.vertices() < head.vertices {
             if builder.vertices() == 0 {
-                numbers =
-                    before_comment(line).split(|b| is_space(*b)).filter(|word| !word.is_empty()).count();
+                numbers = words(line).count();
                 if numbers > MOST_NUMBERS {
                     let what = format!("{numbers} numbers in the line of a vertex");
                     return Err(wrong_line(&source, at, what, "each vertex has to have a line of its own"));
@@ -149,6 +162,8 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
         } else {
             if faces == 0 {
                 face_lines.start = at;
+                let corners = integer(first_word(line)).unwrap_or_default();
+                paints_faces = words(line).count() as i64 > corners.saturating_add(1);
             }
             faces += 1;
             face_lines.end = end;
@@ -166,7 +181,7 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
         attributes: names.iter().map(|name| Attribute { name: (*name).into(), kind: Type::F64 }).collect(),
         ..info(&source, format!("{letters}OFF"))
     };
-    let off = Off { columns: Columns::in_order(components, names.len()), face_lines };
+    let off = Off { columns: Columns::in_order(components, names.len()), face_lines, paints_faces };
     Ok(Box::new(TextModel::new(source, off, builder.finish(), info)?))
 }
 
@@ -186,6 +201,8 @@ fn attributes(count: usize, texture: bool) -> Vec<&'static str> {
 struct Off {
     columns: Columns,
     face_lines: Range<u64>,
+    /// Numbers stand behind the corners of the first face, at least.
+    paints_faces: bool,
 }
 
 impl Grammar for Off {
@@ -193,6 +210,11 @@ impl Grammar for Off {
 
     fn components(&self) -> usize {
         self.columns.components()
+    }
+
+    fn besides(&self) -> Vec<String> {
+        let colours = self.paints_faces.then(|| "the colours of faces".to_owned());
+        colours.into_iter().collect()
     }
 
     fn follow(&mut self, attributes: &[usize]) {

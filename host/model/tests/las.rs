@@ -465,6 +465,36 @@ fn what_is_read_is_what_is_there() {
 }
 
 /// Moves a part of the points, and compares all that has to stay and all that has to change.
+/// As programs did before WKT, where a system had no code.
+#[test]
+fn a_coordinate_system_without_a_code_has_its_name() {
+    let mut built = Spec::new(2, 1).build(&hills(10));
+    // Its WKT becomes what nobody knows.
+    built[227 + 18] += 1;
+    let crs = |keys: &[[u16; 4]], texts: &[u8]| {
+        let keys = [&[[1, 1, 0, keys.len() as u16]], keys].concat();
+        let keys: Vec<u8> = keys.as_flattened().iter().flat_map(|n| n.to_le_bytes()).collect();
+        let vlrs = [(34735, &keys[..]), (34737, texts)]
+            .map(|(id, content)| Spec::vlr(b"LASF_Projection", id, content));
+        let vlrs = vlrs.concat();
+        let mut bytes = [&built[..227], &vlrs, &built[227..]].concat();
+        for (at, more) in [(96, vlrs.len() as u32), (100, 2)] {
+            let number = u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) + more;
+            bytes[at..at + 4].copy_from_slice(&number.to_le_bytes());
+        }
+        open(file(&bytes).path()).unwrap().info().crs.clone()
+    };
+    let texts = b"all of it|my own|\0";
+    let (all, own) = ([1026, 34737, 10, 0], [3073, 34737, 7, 10]);
+    assert_eq!(crs(&[[3072, 0, 1, 32632], own], texts).as_deref(), Some("EPSG:32632"));
+    assert_eq!(crs(&[all, [3072, 0, 1, 32767], own], texts).as_deref(), Some("my own"));
+    assert_eq!(crs(&[all], texts).as_deref(), Some("all of it"));
+    for lie in [[1026, 34737, 10, 9999], [1026, 34736, 10, 0], [1026, 34737, 0, 3]] {
+        assert_eq!(crs(&[lie], texts), None, "{lie:?}");
+    }
+    assert_eq!(crs(&[[1026, 34737, 9999, 10]], texts).as_deref(), Some("my own"));
+}
+
 fn check_moved(spec: &Spec, positions: &[[i32; 3]], map: impl Fn(DVec3) -> DVec3 + Sync) {
     let bytes = spec.build(positions);
     let out = rewritten(&bytes, &map).unwrap();

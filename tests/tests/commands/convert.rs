@@ -201,6 +201,9 @@ fn colours_go_to_obj_and_off() {
     assert_eq!(text("words.off"), "COFF\n2 0 0\n0 0 0 255 0 128 255\n1 2 3 0 0 0 255\n");
     work.simod("convert words.ply words.obj");
     assert!(text("words.obj").starts_with("v 0 0 0 1 0 0.5000076\n"), "{}", text("words.obj"));
+    // As Open3D reads them.
+    work.simod("convert words.ply words.xyzrgb");
+    assert!(text("words.xyzrgb").starts_with("0 0 0 1 0 0.5000076\n"), "{}", text("words.xyzrgb"));
 }
 
 /// Of 3 to 300 corners, as many as there are in no byte.
@@ -327,6 +330,43 @@ fn what_cannot_be_written() {
         work.simod("generate -o large.ply --vertices 60000");
         work.refuses_beyond(1 << 20, "convert large.ply large.obj", &["large.obj"]);
     }
+}
+
+/// As scanners write what came back from nowhere.
+#[test]
+fn vertices_without_a_position_are_left_out_where_that_may_be() {
+    let work = Workplace::new();
+    let head = "ply\nformat ascii 1.0\nelement vertex 120000\nproperty double x\nproperty double y\n\
+                property double z\nproperty uchar return_number\n";
+    let is_there = |i: usize| i % 7 != 3 && !(50_000..100_000).contains(&i);
+    let x = |i: usize| if is_there(i) { i.to_string() } else { "nan".to_owned() };
+    let rows: String = (0..120_000).map(|i| format!("{} 1 2 {}\n", x(i), 1 + i % 3)).collect();
+    work.write("m.ply", format!("{head}end_header\n{rows}"));
+    let there: Vec<usize> = (0..120_000).filter(|i| is_there(*i)).collect();
+    for out in ["out.las", "out.laz"] {
+        let line = format!("convert m.ply {out} --step 1");
+        let outcome = work.refuses(&line, &["vertex 3", "NaN"]);
+        assert!(outcome.hint().contains("--lossy"), "{}", outcome.hint());
+        let outcome = work.simod(&format!("{line} --lossy"));
+        let left_out = format!("{} vertices without a position were left out", 120_000 - there.len());
+        assert!(outcome.stderr.contains(&left_out), "{}", outcome.stderr);
+        let (header, points) = points(work.read(out));
+        assert_eq!(header.number_of_points() as usize, there.len());
+        assert_eq!((header.bounds().min.x, header.bounds().max.x), (0.0, 119_999.0));
+        let of_return = |n: usize| there.iter().filter(|i| 1 + *i % 3 == n).count() as u64;
+        assert_eq!(header.number_of_points_by_return(2), Some(of_return(2)));
+        let is_own = |(p, i): (&Point, &usize)| p.x == *i as f64 && usize::from(p.return_number) == 1 + i % 3;
+        assert!(points.len() == there.len() && points.iter().zip(&there).all(is_own), "{out}");
+    }
+    let report = work.report("convert m.ply out.csv --lossy");
+    assert_eq!(report["vertices"], there.len());
+    let expected: String = there.iter().map(|i| format!("{i},1,2,{}\n", 1 + i % 3)).collect();
+    assert!(work.read("out.csv") == format!("x,y,z,return_number\n{expected}").as_bytes());
+    work.simod("convert m.ply out.obj --lossy");
+    // Not where faces refer to them by their number.
+    let face = "element face 1\nproperty list uchar int vertex_indices\n";
+    work.write("f.ply", format!("{head}{face}end_header\n{rows}3 0 1 2\n"));
+    work.refuses("convert f.ply out.obj --lossy", &["vertex 3"]);
 }
 
 fn bend(p: DVec3) -> DVec3 {

@@ -277,6 +277,43 @@ fn what_another_format_holds_all_of_needs_no_word() {
     work.refuses("convert told.e57 none.ply", &["what is told of scans: description"]);
 }
 
+/// As where one scan of two has colours, and says of some points that they came from nowhere.
+#[test]
+fn scans_of_different_fields_become_one_cloud() {
+    let work = Workplace::new();
+    let mut writer = E57Writer::from_file(work.path("m.e57"), "guid").expect("a file");
+    let record = |name, data_type| Record { name, data_type };
+    let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+    for scan in 0..2 {
+        let number = |max| RecordDataType::Integer { min: 0, max };
+        let mut prototype = axes.clone().map(|name| record(name, RecordDataType::F64)).to_vec();
+        if scan == 1 {
+            prototype.push(record(RecordName::CartesianInvalidState, number(2)));
+            let colors = [RecordName::ColorRed, RecordName::ColorGreen, RecordName::ColorBlue];
+            prototype.extend(colors.map(|name| record(name, number(255))));
+        }
+        let mut cloud = writer.add_pointcloud(&format!("scan {scan}"), prototype).expect("a cloud");
+        for i in 0..50 {
+            let mut values = [i, scan, 0].map(|n| RecordValue::Double(n as f64)).to_vec();
+            if scan == 1 {
+                values.extend([i % 5 / 4 * 2, i, 2, 3].map(RecordValue::Integer));
+            }
+            cloud.add_point(values).expect("a point");
+        }
+        cloud.finalize().expect("a cloud");
+    }
+    writer.finalize().expect("a file");
+    let report = work.report("convert m.e57 m.laz --step 1 --lossy");
+    assert_eq!(report["vertices"], 90);
+    work.simod("convert m.laz m.csv --lossy");
+    let text = String::from_utf8(work.read("m.csv")).expect("text");
+    let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+    let red = rows[0].iter().position(|name| *name == "red").expect("a colour");
+    assert_eq!((rows[1][0], rows[1][red], rows[50][0], rows[50][red]), ("0", "0", "49", "0"));
+    assert_eq!((rows[90][0], rows[90][red]), ("48", "12336"));
+    assert_eq!(rows.len(), 91);
+}
+
 #[test]
 fn what_does_not_fit_is_refused_and_leaves_nothing() {
     let work = Workplace::new();

@@ -9,9 +9,7 @@ use serde_json::json;
 use simod_core::guard::Kind;
 use simod_model::object::{self, is_object};
 use simod_model::target::scratch_folder;
-use simod_model::{
-    Cache, Conversion, Converted, Error, Model, ModelName, Result, convert_tiles, converted_names,
-};
+use simod_model::{Cache, Conversion, Converted, Error, ModelName, Result, convert_tiles, converted_names};
 
 use super::overwrite::Overwrite;
 use super::tell_cache;
@@ -105,7 +103,7 @@ impl Convert {
         } else {
             std::fs::metadata(&self.output).map_or(0, |meta| meta.len())
         };
-        self.tell((converted.info().vertices, converted.triangles(), bytes), "", report);
+        self.tell((converted.vertices(), converted.triangles(), bytes), "", report);
         Ok(())
     }
 

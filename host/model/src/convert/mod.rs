@@ -17,6 +17,7 @@ mod work;
 
 use std::ops::Range;
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
 
@@ -57,6 +58,8 @@ pub struct Converted {
     keeps_records: bool,
     losses: Vec<String>,
     bytes: u64,
+    /// Vertices of each file written that were left out.
+    left_out: AtomicU64,
 }
 
 impl Converted {
@@ -108,6 +111,7 @@ impl Converted {
             keeps_records,
             losses: Vec::new(),
             bytes: 0,
+            left_out: AtomicU64::new(0),
         };
         let mut losses = if keeps_records { Vec::new() } else { converted.model.besides()? };
         if counted.without_vertex > 0 {
@@ -143,6 +147,11 @@ impl Converted {
     /// What the new file lacks, each in a few words.
     pub fn losses(&self) -> &[String] {
         &self.losses
+    }
+
+    /// Number of vertices that were written: without those that were left out.
+    pub fn vertices(&self) -> u64 {
+        self.info.vertices - self.left_out.load(Ordering::Relaxed)
     }
 
     /// Number of triangles that are written, where the format has any.
@@ -347,6 +356,12 @@ impl Model for Converted {
         }
         let work = ConversionCall::new(&*self.model, &self.source, &*form, how, edit, progress);
         pipeline::rewrite(&work, outputs, how, &work.edit(), &work.quietly())?;
+        let left_out = form.left_out() / outputs.len().max(1) as u64;
+        self.left_out.store(left_out, Ordering::Relaxed);
+        if left_out > 0 {
+            let of = self.path().display();
+            progress.note(&format!("{of}: {left_out} vertices without a position were left out"));
+        }
         if let Some(following) = self.following() {
             following.tell(self.path(), progress);
         }

@@ -1,12 +1,13 @@
 //! OBJ, OFF and text in columns: numbers in lines.
 
 use std::io::Write;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
 
 use crate::form::{Content, Faces, Form, Rows, attribute_loss};
 use crate::polygons::Polygons;
-use crate::{Attribute, ColorScale, Colors, Result, Scalar, Summary, Type};
+use crate::{Attribute, ColorScale, Colors, Error, Result, Scalar, Summary, Type};
 
 /// How positions become text: so that they come back.
 #[derive(Debug, Clone, Copy)]
@@ -81,7 +82,8 @@ pub(super) enum Kind {
     Off,
     /// Names first, and this between columns.
     Named(u8),
-    /// Positions, and normals (`.xyzn`) or colours (`.xyzrgb`) behind them.
+    /// Positions, and normals (`.xyzn`) or colours (`.xyzrgb`, as fractions: so Open3D, whose format it is,
+    /// reads them) behind them.
     Plain {
         with_normals: bool,
         with_colors: bool,
@@ -96,11 +98,14 @@ pub(super) struct Lines {
     faces: Faces,
     has_normals: bool,
     attributes: Vec<(String, Type, usize)>,
-    /// The colours of OBJ and OFF.
+    /// The colours of OBJ, OFF, and `.xyzrgb`.
     colors: Option<Painted>,
+    /// Nothing counts the vertices, so that they may be left out, and shall be.
+    leaves_out: bool,
+    left_out: AtomicU64,
 }
 
-/// Colours behind positions: in OBJ fractions of full light, in OFF bytes, with the alpha behind them.
+/// Colours behind positions: fractions of full light, but in OFF bytes, with the alpha behind them.
 struct Painted {
     colors: Colors,
     scale: ColorScale,
@@ -111,7 +116,8 @@ struct Painted {
 impl Painted {
     fn for_content(kind: Kind, content: &Content<'_>) -> Result<Option<Self>> {
         let info = content.info();
-        let Some(colors) = Colors::from_info(info).filter(|_| matches!(kind, Kind::Obj | Kind::Off)) else {
+        let is_painted = matches!(kind, Kind::Obj | Kind::Off | Kind::Plain { with_colors: true, .. });
+        let Some(colors) = Colors::from_info(info).filter(|_| is_painted) else {
             return Ok(None);
         };
         let scale = ColorScale::of_model(content.model, &colors)?;
@@ -167,10 +173,8 @@ impl Lines {
             if is_painted(place) {
                 continue;
             }
-            let is_color = ["red", "green", "blue"].contains(&attribute.name.as_str());
             let is_written = match kind {
-                Kind::Obj | Kind::Off => false,
-                Kind::Plain { with_colors, .. } => with_colors && is_color,
+                Kind::Obj | Kind::Off | Kind::Plain { .. } => false,
                 Kind::Named(separator) => {
                     let needs_care =
                         |c: char| c == separator as char || "\"'#,;\t\n\r".contains(c) || c == ' ';
@@ -185,11 +189,6 @@ impl Lines {
                 losses.push(attribute_loss(&attribute.name, attribute.kind));
             }
         }
-        if let Kind::Plain { with_colors: true, .. } = kind
-            && attributes.len() != 3
-        {
-            losses.extend(attributes.drain(..).map(|(name, kind, _)| attribute_loss(&name, kind)));
-        }
         Ok(Self {
             kind,
             digits: Digits::for_content(content),
@@ -198,7 +197,21 @@ impl Lines {
             has_normals: content.has_normals && holds_normals,
             attributes,
             colors,
+            leaves_out: content.how.lossy
+                && !(holds_faces && content.faces.triangles > 0)
+                && kind != Kind::Off,
+            left_out: AtomicU64::new(0),
         })
+    }
+
+    /// An error about a vertex without a position.
+    fn without_position(&self, rows: &Rows<'_>, i: usize) -> Error {
+        let why = "which is no number in text";
+        if self.has_faces() || self.kind == Kind::Off {
+            rows.unfit(i, why)
+        } else {
+            rows.without_position(i, why)
+        }
     }
 }
 
@@ -230,7 +243,11 @@ impl Form for Lines {
         to.clear();
         for (i, p) in rows.positions.iter().enumerate() {
             if !p.is_finite() {
-                return Err(rows.unfit(i, "which is no number in text"));
+                if !self.leaves_out {
+                    return Err(self.without_position(rows, i));
+                }
+                self.left_out.fetch_add(1, Ordering::Relaxed);
+                continue;
             }
             if self.kind == Kind::Obj {
                 to.extend_from_slice(b"v ");
@@ -246,7 +263,7 @@ impl Form for Lines {
                     whole_or_not(Type::F32, f64::from(component), to);
                 }
             }
-            if let Some(colors) = self.colors.as_ref().filter(|_| self.kind == Kind::Off) {
+            if let Some(colors) = self.colors.as_ref().filter(|_| self.kind != Kind::Obj) {
                 colors.write(self.kind, rows.attributes, i, to);
             }
             for (_, kind, place) in &self.attributes {
@@ -256,6 +273,10 @@ impl Form for Lines {
             to.push(b'\n');
         }
         Ok(())
+    }
+
+    fn left_out(&self) -> u64 {
+        self.left_out.load(Ordering::Relaxed)
     }
 
     fn has_faces(&self) -> bool {

@@ -85,7 +85,7 @@ pub fn convert_tiles(
             Ok(converted)
         };
         let converted = convert().map_err(|e| folder.named(e))?;
-        done.vertices += converted.info.vertices;
+        done.vertices += converted.vertices();
         done.triangles += converted.triangles();
         done.bytes += size(&path);
         for loss in converted.losses() {

@@ -1,6 +1,8 @@
 //! LAS and LAZ written anew, from models of other formats: point formats 6 to 8 of LAS 1.4, and 0 to 3 of LAS
 //! 1.2 where scan angles are the bytes that they are there.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use glam::{DVec3, IVec3};
 use laz::laszip::ChunkTableEntry;
 
@@ -60,6 +62,9 @@ pub(crate) struct LasForm {
     extra: Vec<u8>,
     /// How points are compressed, and the VLR that says so.
     laszip: Option<(Laszip, Vec<u8>)>,
+    /// Whether vertices without a position are left out, and how many were.
+    leaves_out: bool,
+    left_out: AtomicU64,
 }
 
 /// Where a standard attribute goes in a record, in point formats below 6 and from there on.
@@ -168,6 +173,8 @@ impl LasForm {
             integers,
             extra: Vec::new(),
             laszip: None,
+            leaves_out: content.how.lossy,
+            left_out: AtomicU64::new(0),
         };
         let scale = colors.map(|colors| full_light(content, &colors)).transpose()?;
         for (from, attribute) in info.attributes.iter().enumerate() {
@@ -236,6 +243,15 @@ impl LasForm {
         true
     }
 
+    /// Where the header says how many points there are, and that it is so many.
+    fn count(&self, points: u64) -> (u64, Vec<u8>) {
+        if self.format < 6 {
+            (107, (points as u32).to_le_bytes().to_vec())
+        } else {
+            (247, points.to_le_bytes().to_vec())
+        }
+    }
+
     fn header_len(&self) -> usize {
         if self.format < 6 { 227 } else { 375 }
     }
@@ -261,11 +277,14 @@ impl LasForm {
         to.resize(rows.positions.len() * self.record, 0);
         let (mut least, mut most) = (IVec3::MAX, IVec3::MIN);
         for (i, (record, p)) in to.chunks_exact_mut(self.record).zip(rows.positions).enumerate() {
+            if self.leaves_out && !p.is_finite() {
+                continue;
+            }
             let numbers = self.integers.nearest(*p).ok_or_else(|| self.unfit(rows, i))?;
             record[..12].copy_from_slice(numbers.to_array().map(i32::to_le_bytes).as_flattened());
             (least, most) = (least.min(numbers), most.max(numbers));
         }
-        if !rows.positions.is_empty() {
+        if least.x <= most.x {
             summary.before = Bounds { min: least.as_dvec3(), max: most.as_dvec3() };
             summary.after = summary.before;
         }
@@ -293,6 +312,8 @@ impl LasForm {
         for (i, number) in rows.attributes[field.from].iter().enumerate() {
             let scaled = number * scale;
             to.push(match field.rounds {
+                // What a scan does not have, though others do: as in PLY.
+                _ if scaled.is_nan() && least.is_finite() => 0.0,
                 true => scaled.round().clamp(least, most),
                 // What is no number may be one of those that are none.
                 false if (least..=most).contains(&scaled) || least == f64::NEG_INFINITY => scaled,
@@ -309,9 +330,20 @@ impl LasForm {
         Ok(())
     }
 
+    /// Takes the records away of vertices that have no position; returns how many there were.
+    fn leave_out(&self, rows: &Rows<'_>, records: &mut Vec<u8>) -> usize {
+        let mut kept = 0;
+        for (i, _) in rows.positions.iter().enumerate().filter(|(_, p)| p.is_finite()) {
+            records.copy_within(i * self.record..(i + 1) * self.record, kept * self.record);
+            kept += 1;
+        }
+        records.truncate(kept * self.record);
+        rows.positions.len() - kept
+    }
+
     fn unfit(&self, rows: &Rows<'_>, i: usize) -> Error {
         if !rows.positions[i].is_finite() {
-            return rows.unfit(i, "which LAS has no integers for");
+            return rows.without_position(i, "which LAS has no integers for");
         }
         let range = self.integers.range();
         let why = format!(
@@ -405,11 +437,8 @@ impl Form for LasForm {
         put(at::VLRS as usize, &u32::from(count).to_le_bytes());
         put(104, &[self.format | if self.is_compressed { 0x80 } else { 0 }]);
         put(105, &(self.record as u16).to_le_bytes());
-        if self.format < 6 {
-            put(107, &(self.vertices as u32).to_le_bytes());
-        } else {
-            put(247, &self.vertices.to_le_bytes());
-        }
+        let (at, count) = self.count(self.vertices);
+        put(at as usize, &count);
         let vector = |v: DVec3| v.to_array().map(f64::to_le_bytes);
         put(131, vector(self.integers.scale).as_flattened());
         put(at::OFFSETS as usize, vector(self.integers.offset).as_flattened());
@@ -423,14 +452,17 @@ impl Form for LasForm {
 
     fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()> {
         self.records(rows, to, summary)?;
+        let is_kept = |p: &DVec3| !self.leaves_out || p.is_finite();
         let mut tallies = [0; TALLIES];
-        tallies[0] = rows.positions.len() as u32;
+        tallies[0] = rows.positions.iter().filter(|p| is_kept(p)).count() as u32;
         match self.returns.map(|field| &rows.attributes[self.fields[field].from]) {
-            Some(returns) => returns.iter().for_each(|number| {
-                if let Some(tally) = tallies[2..].get_mut((*number as usize).wrapping_sub(1)) {
-                    *tally += 1;
+            Some(returns) => {
+                for (number, _) in returns.iter().zip(rows.positions).filter(|(_, p)| is_kept(p)) {
+                    if let Some(tally) = tallies[2..].get_mut((*number as usize).wrapping_sub(1)) {
+                        *tally += 1;
+                    }
                 }
-            }),
+            }
             None => {
                 // Of a point that nobody says more of, there is one return.
                 tallies[2] = tallies[0];
@@ -439,6 +471,12 @@ impl Form for LasForm {
                 let bits = if has_count { 1 } else { first };
                 to.chunks_exact_mut(self.record).for_each(|record| record[14] |= bits);
             }
+        }
+        if tallies[0] < rows.positions.len() as u32 {
+            self.left_out.fetch_add(self.leave_out(rows, to) as u64, Ordering::Relaxed);
+        }
+        if to.is_empty() {
+            return Ok(());
         }
         if let Some((laszip, _)) = &self.laszip {
             compress(laszip, to)?;
@@ -454,6 +492,9 @@ impl Form for LasForm {
 
     fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
         let mut patches = Vec::new();
+        // Some may have been left out.
+        let points: u64 = pieces(all).map(|piece| u64::from(piece[0])).sum();
+        patches.push(self.count(points));
         let mut returns = [0u64; TALLIES - 2];
         for piece in pieces(all) {
             returns.iter_mut().zip(&piece[2..]).for_each(|(sum, n)| *sum += u64::from(*n));
@@ -476,6 +517,10 @@ impl Form for LasForm {
             patches.extend(laszip_patches(self.header_len() as u64, self.start(), all));
         }
         Ok(patches)
+    }
+
+    fn left_out(&self) -> u64 {
+        self.left_out.load(Ordering::Relaxed)
     }
 
     fn integers(&self) -> Option<ScaledIntegers> {

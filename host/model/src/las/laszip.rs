@@ -1,7 +1,9 @@
 //! Blocks of compressed points (LASzip calls them chunks): each begins anew, so that any can be read alone.
 
+use std::cell::Cell;
 use std::io::{Cursor, Read, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Once;
 
 use laz::record::{
     LayeredPointRecordCompressor, LayeredPointRecordDecompressor, RecordCompressor, RecordDecompressor,
@@ -137,8 +139,7 @@ impl Laszip {
             }
             decompressor.decompress_many(records).map_err(|e| e.to_string())
         };
-        // Of what is no compressed point, the library's tables may have no entry.
-        catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err("its bytes mean nothing".to_owned()))
+        unless_it_panics(work)
     }
 
     /// An error where layers are longer than the block: so much would be allocated for them.
@@ -186,7 +187,7 @@ impl Laszip {
             }
             Ok(())
         };
-        catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err("its bytes mean nothing".to_owned()))?;
+        unless_it_panics(work)?;
         let end = from.stream_position().map_err(|e| e.to_string())?;
         Ok((most, end - start))
     }
@@ -207,5 +208,49 @@ impl Laszip {
             all.done()?;
             Ok(all.into_inner())
         }
+    }
+}
+
+thread_local! {
+    /// Whether a panic of this thread is no fault of the program.
+    static MAY_PANIC: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Does what the library panics in where its tables have no entry, as of bytes that are no compressed points:
+/// that is an error then, without a message.
+fn unless_it_panics(work: impl FnOnce() -> Result<(), String>) -> Result<(), String> {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let hook = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            if !MAY_PANIC.get() {
+                hook(panic);
+            }
+        }));
+    });
+    MAY_PANIC.set(true);
+    let done = catch_unwind(AssertUnwindSafe(work));
+    MAY_PANIC.set(false);
+    done.unwrap_or_else(|_| Err("its bytes mean nothing".to_owned()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_of_the_library_is_an_error_without_a_message() {
+        // The message goes to standard error, which another process can look at.
+        const CHILD: &str = "SIMOD_TEST_OF_PANICS";
+        if std::env::var_os(CHILD).is_some() {
+            assert!(unless_it_panics(|| panic!("no entry")).is_err());
+            assert!(unless_it_panics(|| Ok(())).is_ok());
+            return;
+        }
+        let mut child = std::process::Command::new(std::env::current_exe().unwrap());
+        let name = "las::laszip::tests::a_panic_of_the_library_is_an_error_without_a_message";
+        let done = child.args([name, "--exact", "--nocapture"]).env(CHILD, "1").output().unwrap();
+        let [said, told] = [done.stdout, done.stderr].map(|text| String::from_utf8(text).unwrap());
+        assert!(said.contains("1 passed") && !told.contains("no entry"), "{said}{told}");
     }
 }

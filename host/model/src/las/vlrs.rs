@@ -21,8 +21,9 @@ pub(super) enum Kind {
     ExtraBytes,
     /// The coordinate reference system as text.
     Wkt,
-    /// The same as numbers.
+    /// The same as numbers, and the texts that these name.
     GeoKeys,
+    GeoTexts,
 }
 
 /// A record that matters here.
@@ -95,6 +96,7 @@ impl Records {
             (b"LASF_Spec", 4) => Kind::ExtraBytes,
             (b"LASF_Projection", 2112) => Kind::Wkt,
             (b"LASF_Projection", 34735) => Kind::GeoKeys,
+            (b"LASF_Projection", 34737) => Kind::GeoTexts,
             _ => return Ok(Some(behind)),
         };
         // One of each, and those of COPC, all of which go: a file of many such records is no reason to hold
@@ -137,8 +139,21 @@ impl Records {
         let keys: Vec<[u16; 4]> =
             keys.map(|key| [0, 2, 4, 6].map(|at| u16::from_le_bytes(bytes_at(key, at)))).collect();
         // The projected system, or else the geographic one; 32767 says that it has no code.
-        let code = |wanted: u16| keys.iter().find(|[key, place, ..]| (*key, *place) == (wanted, 0));
-        let found = code(3072).or(code(2048)).map(|[.., value]| *value);
-        Ok(found.filter(|code| *code != 0 && *code != 32767).map(|code| format!("EPSG:{code}")))
+        let value =
+            |wanted: u16, at: u16| keys.iter().find(|[key, place, ..]| (*key, *place) == (wanted, at));
+        let found = value(3072, 0).or(value(2048, 0)).map(|[.., code]| *code);
+        if let Some(code) = found.filter(|code| *code != 0 && *code != 32767) {
+            return Ok(Some(format!("EPSG:{code}")));
+        }
+        // Then it may have a name: the projected system, all of it, or the geographic one.
+        let texts = self.content(source, Kind::GeoTexts, MOST_OF_CRS)?.unwrap_or_default();
+        let named = |[.., count, at]: &[u16; 4]| {
+            let text = texts.get(usize::from(*at)..)?;
+            let text = String::from_utf8_lossy(&text[..text.len().min(usize::from(*count))]).into_owned();
+            let text = text.split(['|', '\0']).next().unwrap_or_default().trim();
+            let text: String = text.chars().filter(|c| !c.is_control()).take(200).collect();
+            (!text.is_empty()).then_some(text)
+        };
+        Ok([3073, 1026, 2049].into_iter().find_map(|key| value(key, 34737).and_then(named)))
     }
 }

@@ -26,9 +26,15 @@ pub(crate) struct Obj {
     pub(super) others: BTreeMap<Vec<u8>, u64>,
 }
 
-impl Obj {
-    /// What these lines are, for people.
-    pub(super) fn besides(&self) -> Vec<String> {
+impl Grammar for Obj {
+    const EXTENSIONS: &[&str] = &["obj"];
+    const CONTINUES: bool = true;
+
+    fn components(&self) -> usize {
+        if self.beside { 6 } else { 3 }
+    }
+
+    fn besides(&self) -> Vec<String> {
         let name = |(word, count): (&Vec<u8>, &u64)| {
             let what = match &word[..] {
                 b"#" => "comments",
@@ -42,15 +48,6 @@ impl Obj {
             format!("{count} {what}: {}", quoted(&String::from_utf8_lossy(word)))
         };
         self.others.iter().map(name).collect()
-    }
-}
-
-impl Grammar for Obj {
-    const EXTENSIONS: &[&str] = &["obj"];
-    const CONTINUES: bool = true;
-
-    fn components(&self) -> usize {
-        if self.beside { 6 } else { 3 }
     }
 
     fn is_vertex(&self, line: &[u8]) -> bool {

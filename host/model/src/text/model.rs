@@ -38,6 +38,11 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         3
     }
 
+    /// What the file has that is given nowhere, as [`Model::besides`] says.
+    fn besides(&self) -> Vec<String> {
+        Vec::new()
+    }
+
     /// Is told which attributes turn with the surface: their numbers come behind the components.
     fn follow(&mut self, _attributes: &[usize]) {}
 
@@ -78,7 +83,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         Some(at)
     }
 
-    /// The word of an attribute in the line of a vertex.
+    /// The word of an attribute in the line of a vertex; an empty one says that there is no number.
     fn attribute<'l>(&self, _line: &'l [u8], _attribute: usize) -> Option<&'l [u8]> {
         None
     }
@@ -217,6 +222,14 @@ impl<G: Grammar> TextModel<G> {
         if self.grammar.find(raw, spans) != vertices {
             return Err(changed(&self.source));
         }
+        if let Some(at) = memchr::memchr(0, raw) {
+            // Where a disk was full, these are instead of what was written: nobody knows how many vertices.
+            let is_before =
+                |line: &(usize, usize)| line.1 <= at && self.grammar.is_vertex(&raw[line.0..line.1]);
+            let before = lines(raw, G::CONTINUES).filter(is_before).count() as u64;
+            let vertex = chunk.first + before;
+            return Err(self.wrong_vertex(vertex, format!("vertex {vertex}: a byte of zero"), DAMAGED));
+        }
         let components = self.grammar.components();
         for (vertex, spans) in spans.chunks_exact(self.grammar.numbers()).enumerate() {
             let mut values = [0.0; 6];
@@ -289,8 +302,10 @@ impl<G: Grammar> TextModel<G> {
                 continue;
             }
             for (i, values) in to.iter_mut().enumerate() {
-                let word = self.grammar.attribute(line, i).unwrap_or_default();
-                let Some(value) = parse(Scalar::F64, word) else {
+                let word = self.grammar.attribute(line, i);
+                let is_empty = word == Some(&[]);
+                let word = word.unwrap_or_default();
+                let Some(value) = is_empty.then_some(f64::NAN).or_else(|| parse(Scalar::F64, word)) else {
                     let (name, word) = (&self.info.attributes[i].name, String::from_utf8_lossy(word));
                     let what = format!("vertex {vertex}: {} {} is no number", quoted(name), quoted(&word));
                     return Err(self.wrong_vertex(vertex, what, DAMAGED));
@@ -439,6 +454,10 @@ impl<G: Grammar> Model for TextModel<G> {
 
     fn columns(&self) -> Option<&str> {
         self.grammar.wanted()
+    }
+
+    fn besides(&self) -> Result<Vec<String>> {
+        Ok(self.grammar.besides())
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {

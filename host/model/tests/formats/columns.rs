@@ -39,6 +39,7 @@ fn any_separator_and_header_are_understood() {
         ("2\n1 -2.5 3e2\n4 5 6\n", ".pts"),
         ("1\n1 -2.5 3e2 9\n1\r\n4 5 6 9\n", ".pts"),
         ("1 -2.5 3e2\n4 5 6\n", ".XYZ"),
+        ("name\tx\ty\tz\tn\n\t1\t-2.5\t3e2\t9\na b\t4\t5\t 6 \t\n", ".tsv"),
     ] {
         assert_eq!(positions(text, extension), expected, "{text:?}");
     }
@@ -61,6 +62,21 @@ fn columns_are_named_by_who_knows() {
     assert_eq!(names(model.as_ref()), ["a"]);
     assert_eq!(model.info().other_properties, ["a", "a", "word"]);
     assert_eq!(attributes(model.as_ref()), [[4.0, 1.0]]);
+    // Which are read by nobody is told.
+    let unread = ["the column \"a\", which is no attribute", "the column \"word\", which is no attribute"];
+    assert_eq!(model.besides().unwrap(), unread);
+}
+
+/// As pandas writes what is no number.
+#[test]
+fn an_empty_cell_is_no_number() {
+    let model = check_whole(b"x,y,z,a,b\n1,2,3,4,\"\"\n5,6,7,,9\n", ".csv");
+    assert_eq!(names(model.as_ref()), ["a"]);
+    let [a] = &attributes(model.as_ref())[..] else { panic!() };
+    assert!(a[0] == 4.0 && a[1].is_nan());
+    assert_eq!(model.besides().unwrap(), ["the column \"b\", which is no attribute"]);
+    // A separator at the end makes no column.
+    assert!(check_whole(b"x;y;z;\n1;2;3;\n", ".csv").besides().unwrap().is_empty());
 }
 
 #[test]
@@ -120,6 +136,8 @@ fn what_is_wrong_is_named_with_its_line() {
     assert_eq!(bad("3\n1 2 3\n4 5 6\n", ".pts"), "says that it has 3 points, but it has 2");
     assert_eq!(bad("1\n1 2 3\nmore\n", ".pts"), "line 3: \"more\" is no number of points");
     assert_eq!(bad("1,5;2,5;3,5\n", ".csv"), "there is no line of numbers in it");
+    // As a full disk leaves them.
+    assert_eq!(bad("1 2 3\n\n4 5 \0\0\0 6\n7 8 9\n", ".xyz"), "line 3: vertex 1: a byte of zero");
     let long = "1 2 3\n4 5 ".to_string() + &"6".repeat(17 << 20);
     assert_eq!(bad(&long, ".xyz"), "line 2 is longer than 16 MiB");
     go_over(b"1e999 2 3\n4 nan 6\n-1.#IND 0 0\n", ".xyz").unwrap();

@@ -36,6 +36,35 @@ fn letters_say_what_vertices_have() {
     assert_eq!(of("STCNOFF", "1 2 3 0 0 1 9 8 7 6 0.5 0.25"), is("STCNOFF", 2, "red green blue alpha s t"));
 }
 
+/// As Geomview allows it, and ModelNet has it.
+#[test]
+fn the_first_word_may_be_glued_or_left_out() {
+    let rest = " 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+    for start in ["OFF3", "3", "# by hand\n3", "OFF # by hand\n3"] {
+        let text = format!("{start}{rest}");
+        let model = check_whole(text.as_bytes(), ".off");
+        assert_eq!(
+            (model.info().vertices, triangles(model.as_ref()).unwrap()),
+            (3, vec![[0, 1, 2]]),
+            "{start}"
+        );
+    }
+    let model = check_whole(format!("COFF3{}", rest.replace("0\n", "0 9 9 9 9\n")).as_bytes(), ".off");
+    assert_eq!(model.info().attributes.len(), 4);
+    assert_eq!(
+        message(go_over(format!("off 3{rest}").as_bytes(), ".off")),
+        "line 1: \"off\" is neither OFF nor a count"
+    );
+}
+
+#[test]
+fn colours_of_faces_are_told() {
+    let text = "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 255 0 0 # red\n";
+    assert_eq!(check_whole(text.as_bytes(), ".off").besides().unwrap(), ["the colours of faces"]);
+    let text = text.replace("255 0 0", "");
+    assert!(check_whole(text.as_bytes(), ".off").besides().unwrap().is_empty());
+}
+
 #[test]
 fn what_is_wrong_is_named() {
     let bad = |text: &str| message(go_over(text.as_bytes(), ".off"));

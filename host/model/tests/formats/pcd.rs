@@ -103,6 +103,15 @@ fn check_points(model: &dyn Model) {
 }
 
 #[test]
+fn any_comment_may_come_first() {
+    let text = "# by hand\n".to_owned() + HEADER.split_once('\n').unwrap().1;
+    let text = text.replace("VERSION", &("# ".to_owned() + &"long ".repeat(30) + "\nVERSION"));
+    let body = String::from_utf8(ascii()).unwrap();
+    let text = text + body.strip_prefix(HEADER).unwrap();
+    assert_eq!(check_whole(text.as_bytes(), ".pcd").info().vertices, 6);
+}
+
+#[test]
 fn all_encodings_hold_the_same_points() {
     for (bytes, name) in [(ascii(), "PCD 0.7, ascii"), (binary(), "PCD 0.7, binary")] {
         let model = check_whole(&bytes, ".data");
