@@ -211,8 +211,11 @@ struct Stream<'a, G: Gather> {
     /// What all trees are taken into, and whether none is yet.
     forest: Mutex<(&'a mut Forest, bool)>,
     workspaces: Mutex<Vec<Workspace<G::Item>>>,
-    schedule: Schedule<Piece<G::Piece>, (u32, CellItems<G::Item>)>,
+    schedule: Schedule<Piece<G::Piece>, Complete<G>>,
 }
+
+/// A complete cell, and what was gathered of it.
+type Complete<G> = (u32, CellItems<<G as Gather>::Item>);
 
 struct Reading<'a> {
     /// Number of the piece that is read next.
