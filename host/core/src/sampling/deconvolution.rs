@@ -29,6 +29,21 @@ const LEAST_SURROUNDED: f64 = 0.5;
 /// surface.
 const MOST_THICKNESS: f64 = 0.3;
 
+/// Least thickness, likewise, for which it is looked whether the neighbours are of two sheets, which part more
+/// than this of the variance of their heights: their means stay where they are.
+const LEAST_THICKNESS: f64 = 1.0 / 64.0;
+const TWO_SHEETS: f64 = 0.95;
+
+/// Where it is less than this part at first, they need not be parted again: of heights that are spread evenly it
+/// is 3/4.
+const AS_OF_ONE: f64 = 0.75;
+
+/// So many neighbours that are of two sheets by themselves do not come about by chance.
+const FEW_OF_TWO: usize = 3;
+
+/// How often they are parted, each time across what they were parted into.
+const PARTINGS: usize = 5;
+
 /// Heights that are less than so many standard errors are noise: clusters of noisy vertices are split across
 /// the surface as well, so that their means scatter more than their vertices tell.
 const STANDARD_ERRORS: f64 = 6.0;
@@ -43,6 +58,8 @@ struct Height {
     height: f64,
     /// The variance of that height, for one of 1 of each sample.
     variance: f64,
+    /// They are of two sheets, one above the other.
+    is_of_two: bool,
 }
 
 /// Samples on the surface, and what was found on the way.
@@ -59,8 +76,8 @@ pub struct Deconvolved {
 /// means across their clusters' planes, as far as the vertices tell; a sample of which this is not known
 /// (infinite) stays, and none moves farther than `most`.
 ///
-/// Nothing moves on a plane, nor where neighbours are all on one side or are no surface, nor where what
-/// vertices scatter by explains the heights.
+/// Nothing moves on a plane, nor where neighbours are all on one side, are no surface or two of them, nor where
+/// what vertices scatter by explains the heights.
 ///
 /// Memory: 72 bytes per sample, 32 more meanwhile, and the samples' tree.
 pub fn deconvolved(
@@ -75,7 +92,10 @@ pub fn deconvolved(
     let height = |i: usize| height(positions, i, graph.nearest_to(i));
     let heights: Vec<Height> = (0..positions.len()).into_par_iter().map(height).collect();
     let moved = |i: usize| {
-        if !variances[i].is_finite() || heights[i].variance == 0.0 {
+        let is_of_two = |j: &&u32| heights[**j as usize].is_of_two;
+        // Of two sheets, most samples know it.
+        let beside = graph.nearest_to(i).iter().filter(is_of_two).count();
+        if !variances[i].is_finite() || heights[i].variance == 0.0 || beside >= FEW_OF_TWO {
             return positions[i];
         }
         let Height { across, height, .. } = heights[i];
@@ -88,7 +108,8 @@ pub fn deconvolved(
     Some(Deconvolved { positions: moved, graph, across })
 }
 
-/// The height of a point over its neighbours; none where these are all on one side of it, or are no surface.
+/// The height of a point over its neighbours; none where these are all on one side of it, or are no surface,
+/// or two of them.
 fn height(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Height {
     let mut around = [DVec3::ZERO; NEIGHBOURS];
     let around = &mut around[..neighbours.len()];
@@ -96,7 +117,7 @@ fn height(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Height {
         *d = (positions[*j as usize] - positions[i]).as_dvec3();
     }
     let (variances, axes) = symmetric_eigen(scatter(around.iter().copied()));
-    let none = Height { across: direction(axes.x_axis), height: 0.0, variance: 0.0 };
+    let none = Height { across: direction(axes.x_axis), height: 0.0, variance: 0.0, is_of_two: false };
     if variances.x > MOST_THICKNESS * MOST_THICKNESS * variances.y {
         return none;
     }
@@ -104,6 +125,9 @@ fn height(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Height {
     // Along the axes: x is across the surface. In units of how far apart samples are.
     let squared = |d: &DVec3| d.y * d.y + d.z * d.z;
     around.iter_mut().for_each(|d| *d = axes.transpose() * *d);
+    if variances.x > LEAST_THICKNESS * LEAST_THICKNESS * variances.y && are_two_sheets(around) {
+        return Height { is_of_two: true, ..none };
+    }
     let scale = (RING as f64 / around.iter().take(RING).map(squared).sum::<f64>()).sqrt();
     around.iter_mut().for_each(|d| *d *= scale);
     let weighted = |d: &DVec3| {
@@ -126,6 +150,34 @@ fn height(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Height {
     } else {
         none
     }
+}
+
+/// Whether a sample and its neighbours, at these ways from it, lie on two sheets, one above the other. Heights
+/// are at first along x, and then across what is found to be both sheets: with all in one, their plane leans
+/// from one sheet to the other.
+fn are_two_sheets(around: &[DVec3]) -> bool {
+    let (mut across, count) = (DVec3::X, around.len() as f64 + 1.0);
+    let mean = around.iter().sum::<DVec3>() / count;
+    let scatter = scatter(around.iter().copied());
+    for _ in 0..PARTINGS {
+        let middle = across.dot(mean);
+        let own = if middle < 0.0 { 1.0 } else { 0.0 };
+        let is_upper = |d: &&DVec3| across.dot(**d) > middle;
+        let add = |(sum, count): (DVec3, f64), d: &DVec3| (sum + *d, count + 1.0);
+        let (sum, upper) = around.iter().filter(is_upper).fold((DVec3::ZERO, own), add);
+        let lower = count - upper;
+        let apart = sum / upper - (mean * count - sum) / lower;
+        let between = outer(apart) * (upper * lower / count);
+        let part = across.dot(between * across) / across.dot(scatter * across);
+        if upper.min(lower) < 2.0 || part < AS_OF_ONE {
+            return false;
+        }
+        if part > TWO_SHEETS {
+            return true;
+        }
+        across = symmetric_eigen(scatter - between).1.x_axis;
+    }
+    false
 }
 
 /// How much of the heights of a sample and its neighbours is no noise: nothing, where they are no more than
@@ -225,6 +277,19 @@ mod tests {
             // Where neighbours are on one side, the plane through them tells less.
             let expected = if from_border == 0 { -1e-3..4.0 } else { 0.3..1.8 };
             assert!(expected.contains(&part), "{i}: {part}");
+        }
+    }
+
+    /// Of two sheets that bend alike, places of one stand out of those of the other by what is between.
+    #[test]
+    fn sheets_that_lie_one_above_the_other_stay_apart() {
+        for gap in [0.1, 0.2, 0.4] {
+            let above = |i: usize| if random(i, 4) > 0.0 { gap } else { 0.0 };
+            let sheets = sheet(|x, y, i| 1e-3 * (x * x + y * y) + above(i));
+            let off = sheets.iter().zip(moved(&sheets, 0.0)).map(|(p, q)| p.distance(q));
+            let off: Vec<f32> = off.collect();
+            let far = off.iter().filter(|off| **off > 0.02 * gap).count();
+            assert!(far * 50 < sheets.len(), "{gap}: {far} moved by more than a fiftieth of it");
         }
     }
 
