@@ -20,7 +20,7 @@ use super::double_lanes::{DoubleLanes, MOST_LANES, square};
 use super::expansion::Expansion;
 use super::gradients::Gradients;
 use super::least_squares::{LeastSquares, TERMS, Unresolved};
-use super::packets::{MOST_NEIGHBOURS, Neighbours};
+use super::packets::{MOST_NEIGHBOURS, Neighbours, triple};
 use super::stencils::Stencils;
 use crate::geometry::hermite;
 use crate::sampling::SampleSet;
@@ -327,11 +327,7 @@ impl Fits<'_> {
         }
         let (strained, bent) = (splat(STRAINED) * strain, bent * squares.scale * squares.scale);
         let off = strained.mul_add(strained, bent).sqrt();
-        let mut across = [off; 3];
-        for axis in 0..3 {
-            across[axis] = DoubleLanes::load(simd, &normal[axis]) * off;
-        }
-        let open = squares.unresolved(across);
+        let open = squares.unresolved(triple(simd, &normal), strain, off, left);
 
         let is_fitted = is_needed.and(is_solved).store();
         let (mut stored, mut unresolved) = ([[[0.0; MOST_LANES]; 3]; TERMS], [[0.0; MOST_LANES]; TERMS]);

@@ -41,8 +41,13 @@ const TELLING: f64 = 4.0;
 /// where samples alone are asked.
 const BY_SAMPLES: f32 = 0.42;
 
+/// Where gradients differ by κ from one sample to the next, as a part of their size, each order of a map is
+/// about κ times the one before, and what two expansions differ by is not most of what both leave out. So
+/// many times κ of it counts besides.
+const OF_TURNING: f32 = 2.0;
+
 /// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
-const OF_SPREAD: f32 = 0.5;
+const OF_SPREAD: f32 = 0.45;
 
 /// The other blend has supports so many times as wide, and so much of how far it is from the first one
 /// counts.
@@ -51,8 +56,8 @@ const OF_WIDER: f32 = 0.4;
 
 /// The parts of the samples' disagreement halfway that count, of its mean and of its largest, where a vertex
 /// lies among them.
-const OF_DISAGREEMENT: f32 = 0.27;
-const OF_LARGEST: f32 = 0.09;
+const OF_DISAGREEMENT: f32 = 0.25;
+const OF_LARGEST: f32 = 0.08;
 
 /// A vertex lies beyond the samples that reach it from this square of its distance from their middle on, each
 /// direction measured by how far they are spread in it: what they leave out counts as many times more as the
@@ -183,11 +188,13 @@ impl DeformationField<'_> {
         &near[..near.len().min(RING)]
     }
 
-    /// How far the expansions about two samples are apart halfway between them.
+    /// How far the expansions about two samples are apart halfway between them, and more where these are so
+    /// far from each other that this tells little.
     fn halfway(&self, i: usize, j: usize) -> f32 {
-        let positions = &self.around.samples.positions;
-        let halfway = 0.5 * (positions[i] + positions[j]);
-        says(&self.expansions[i], halfway).distance(says(&self.expansions[j], halfway))
+        let (one, other) = (&self.expansions[i], &self.expansions[j]);
+        let halfway = 0.5 * (Vec3::from_array(one.center) + Vec3::from_array(other.center));
+        let apart = says(one, halfway).distance(says(other, halfway));
+        hypot([apart, OF_TURNING * turning(one, other) * apart])
     }
 
     /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field
@@ -362,6 +369,14 @@ struct HeardAround {
     furthest: f32,
     /// How far their blend with wider supports is from that.
     wider: f32,
+}
+
+/// How far the gradients of two expansions differ, as a part of their mean size: at most 2.
+fn turning(one: &Expansion, other: &Expansion) -> f32 {
+    let norm = |f: Mat3| f.to_cols_array().iter().map(|x| x * x).sum::<f32>().sqrt();
+    let [f, g] = [one, other].map(|e| e.slope());
+    let size = norm(f + Mat3::IDENTITY) + norm(g + Mat3::IDENTITY);
+    2.0 * norm(f - g) / size.max(f32::MIN_POSITIVE)
 }
 
 /// The displacement at `p` by an expansion.

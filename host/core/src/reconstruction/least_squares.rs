@@ -42,12 +42,21 @@ const DOUBTFUL: f64 = 0.1;
 /// … and one that leaves over more than this is not to be believed.
 const USELESS: f64 = 0.3;
 
-/// How far an expansion is off around its sample, if the gradient across the surface is another one than the
-/// prior says: local units, for a gradient that differs by about what the deformation strains.
+/// The part of what a fit leaves over that counts as noise of the gradient across the surface: of a smooth
+/// map it is of third order, and turns the gradient less than chance would.
+const OF_NOISE: f64 = 0.75;
+
+/// The least part of the neighbours that nine terms leave free, where these are few.
+const LEAST_FREE: f64 = 0.1;
+
+/// How far an expansion is off around its sample where its neighbours tell little of the gradient across the
+/// surface, or nothing: local units.
 ///
-/// The fit takes such a difference for what it can explain along the samples' surface, and leaves
-/// (A + λ W)⁻¹ λ W e of it, e across, A of the fit's squares: next to nothing where neighbours tell about
-/// the direction across, and nothing at the neighbours themselves.
+/// With x = (A + λ W)⁻¹ e, e across and A of the fit's squares, an expansion whose gradient across is off by
+/// δ is off by δ x·t(d) / x·e at d from the sample, nothing at the neighbours themselves. What is left to the
+/// prior, λ W x·e, is off by as much as the map strains. What the neighbours tell by little relief takes the
+/// noise s of the fit for that, too, and has the variance s² (x·e − λ W x·x) of least squares (C. F. Gauss,
+/// *Theoria combinationis*, 1823).
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Unresolved(pub [f32; TERMS]);
 
@@ -180,11 +189,7 @@ impl<S: Simd> LeastSquares<S> {
         let splat = |x| DoubleLanes::splat(self.simd, x);
         let (_, left, is_found) = self.ridged(splat(LEAST_RIDGE));
         // What nine terms leave over of few neighbours is less than they are off by.
-        let used = self.squared_weights / (self.weights * self.weights);
-        let free = splat(TERMS as f64).negate_mul_add(used, splat(1.0)).max(splat(0.0));
-        let extent = strain / self.scale;
-        let signal = self.weights.mul_add(extent * extent, self.squares);
-        let noise = left * self.squares / (splat(EXPECTED) * free * signal);
+        let noise = left * self.squares / (splat(EXPECTED) * self.free() * self.signal(strain));
         let ridge = (splat(LEAST_RIDGE) + noise).min(splat(RIDGE));
         let (terms, left, is_solved) = self.ridged(ridge);
         (terms, left, ridge, is_found.and(is_solved))
@@ -203,24 +208,71 @@ impl<S: Simd> LeastSquares<S> {
         is_more.select(t * t * splat(-2.0).mul_add(t, splat(3.0)), splat(0.0))
     }
 
-    /// What the fit leaves of a gradient that is off by so much `across` the surface: the terms of
-    /// [`Unresolved`], nothing where they cannot be found.
+    /// What a fit that leaves this part of the squares over leaves open of the gradient `across` the surface,
+    /// where the map strains so much, and the prior is off by so much: the terms of [`Unresolved`], nothing
+    /// where they cannot be found.
     #[inline(always)]
-    pub fn unresolved(&self, across: Triple<S>) -> [DoubleLanes<S>; TERMS] {
+    pub fn unresolved(
+        &self,
+        across: Triple<S>,
+        strain: DoubleLanes<S>,
+        off: DoubleLanes<S>,
+        left: DoubleLanes<S>,
+    ) -> [DoubleLanes<S>; TERMS] {
         let zero = DoubleLanes::splat(self.simd, 0.0);
         let ridge = DoubleLanes::splat(self.simd, RIDGE) * self.weights;
         let (factor, is_found) = Factor::factorize(self.simd, &self.matrix, ridge);
         let mut right = [[zero; 1]; TERMS];
         for axis in 0..3 {
-            right[axis][0] = ridge * across[axis];
+            right[axis][0] = across[axis];
         }
-        let left = factor.solve(right);
+        let open = factor.solve(right);
+        let (mut along, mut length) = (zero, zero);
+        for a in 0..TERMS {
+            along = right[a][0].mul_add(open[a][0], along);
+            length = open[a][0].mul_add(open[a][0], length);
+        }
+        let told = ridge.negate_mul_add(length, along).max(zero);
+        let along = along.max(DoubleLanes::splat(self.simd, f64::MIN_POSITIVE));
+        let noise = self.noise(strain, left, told).sqrt() * self.scale / along;
+        let prior = ridge * off;
+        let amount = prior.mul_add(prior, noise * noise).sqrt();
         let mut terms = [zero; TERMS];
         for a in 0..TERMS {
-            let term = if a < 3 { left[a][0] } else { left[a][0] * self.scale };
-            terms[a] = is_found.select(term, zero);
+            let term = open[a][0] * amount;
+            terms[a] = is_found.select(if a < 3 { term } else { term * self.scale }, zero);
         }
         terms
+    }
+
+    /// The variance of a term that has so many times the noise's, where a fit leaves this part of the squares
+    /// over: by Bayes no more than those of the strain and of what there is to explain, and nothing where
+    /// rounding explains it.
+    #[inline(always)]
+    fn noise(&self, strain: DoubleLanes<S>, left: DoubleLanes<S>, told: DoubleLanes<S>) -> DoubleLanes<S> {
+        let splat = |x| DoubleLanes::splat(self.simd, x);
+        let mean_weight = self.squared_weights / self.weights;
+        let rounding = splat(ROUNDING * ROUNDING) * self.weights;
+        let left = (left * self.squares - rounding).max(splat(0.0));
+        let noise = left / (self.weights * self.free().max(splat(LEAST_FREE)));
+        let variance = splat(OF_NOISE * OF_NOISE) * mean_weight * noise * told;
+        let most = self.signal(strain) / self.weights;
+        variance * most / (variance + most).max(splat(f64::MIN_POSITIVE))
+    }
+
+    /// The weighted squares that terms may come to, where the map strains so much.
+    #[inline(always)]
+    fn signal(&self, strain: DoubleLanes<S>) -> DoubleLanes<S> {
+        let extent = strain / self.scale;
+        self.weights.mul_add(extent * extent, self.squares)
+    }
+
+    /// The part of the neighbours that nine terms leave free.
+    #[inline(always)]
+    fn free(&self) -> DoubleLanes<S> {
+        let splat = |x| DoubleLanes::splat(self.simd, x);
+        let used = self.squared_weights / (self.weights * self.weights);
+        splat(TERMS as f64).negate_mul_add(used, splat(1.0)).max(splat(0.0))
     }
 }
 
