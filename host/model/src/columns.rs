@@ -278,7 +278,7 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
     let mut mark = [0; 3];
     let begin = if source.read_at(&mut mark, 0)? == 3 && mark == *b"\xef\xbb\xbf" { 3 } else { 0 };
     let mut lines = Lines::new(source, begin, u64::MAX, false);
-    let separators: &[u8] = if extension == "tsv" { b"\t" } else { b";," };
+    let separators: &[u8] = if extension == "tsv" { b"\t;," } else { b";," };
     let (mut comment, mut is_counted, mut header) = (Vec::new(), false, None::<(Option<u8>, Vec<String>)>);
     loop {
         let Some((at, line)) = lines.next()? else {
@@ -332,7 +332,8 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
             }
             None => wrong(what),
         })?;
-        for column in names.len()..words.len() {
+        let named = names.len();
+        for column in named..words.len() {
             names.push(format!("column {}", column + 1));
         }
         let mut attributes: Vec<Attribute> = Vec::new();
@@ -346,7 +347,9 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
             if is_number && !is_known && Attribute::is_name(name) {
                 attributes.push(Attribute { name: name.clone(), kind: Type::F64 });
                 columns.attributes.push(column);
-            } else if !name.is_empty() {
+            } else if !name.is_empty()
+                && (column < named || words.get(column).is_some_and(|word| !word.is_empty()))
+            {
                 columns.unread.push(name.clone());
             }
         }

@@ -145,7 +145,7 @@ pub(crate) trait Form: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// How many vertices it left out so far, as they have no position.
+    /// How many vertices this process left out so far, as they have no position.
     fn left_out(&self) -> u64 {
         0
     }

@@ -63,6 +63,8 @@ pub fn is_model(path: &Path) -> Result<bool> {
         || obj::is_obj(&source)?
         || gltf::is_gltf(&source)?
         || extension(path) == splats::records::EXTENSION
+        || extension(path) == "off" && off::is_head(&source)
+        || extension(path) == "pcd" && pcd::is_head(&source)
         || columns::is_columns(&source, &extension(path)))
 }
 

@@ -63,6 +63,11 @@ pub(crate) fn is_off(start: &[u8]) -> bool {
     Letters::parse(first_word(start)).is_some()
 }
 
+/// Whether a file of that extension, which need not say so, begins as OFF.
+pub(crate) fn is_head(source: &Source) -> bool {
+    Head::read(source).is_ok()
+}
+
 fn has_content(line: &[u8]) -> bool {
     line.iter().find(|b| !is_space(**b)).is_some_and(|b| *b != b'#')
 }
@@ -162,6 +167,8 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
         } else {
             if faces == 0 {
                 face_lines.start = at;
+            }
+            if !paints_faces {
                 let corners = integer(first_word(line)).unwrap_or_default();
                 paints_faces = words(line).count() as i64 > corners.saturating_add(1);
             }

@@ -464,7 +464,6 @@ fn what_is_read_is_what_is_there() {
     }
 }
 
-/// Moves a part of the points, and compares all that has to stay and all that has to change.
 /// As programs did before WKT, where a system had no code.
 #[test]
 fn a_coordinate_system_without_a_code_has_its_name() {
@@ -495,6 +494,7 @@ fn a_coordinate_system_without_a_code_has_its_name() {
     assert_eq!(crs(&[[1026, 34737, 9999, 10]], texts).as_deref(), Some("my own"));
 }
 
+/// Moves a part of the points, and compares all that has to stay and all that has to change.
 fn check_moved(spec: &Spec, positions: &[[i32; 3]], map: impl Fn(DVec3) -> DVec3 + Sync) {
     let bytes = spec.build(positions);
     let out = rewritten(&bytes, &map).unwrap();

@@ -189,12 +189,13 @@ impl DeformationField<'_> {
     }
 
     /// How far the expansions about two samples are apart halfway between them, and more where these are so
-    /// far from each other that this tells little.
+    /// far from each other that this tells little; but for what rounding explains, which turns gradients, too.
     fn halfway(&self, i: usize, j: usize) -> f32 {
         let (one, other) = (&self.expansions[i], &self.expansions[j]);
         let halfway = 0.5 * (Vec3::from_array(one.center) + Vec3::from_array(other.center));
         let apart = says(one, halfway).distance(says(other, halfway));
-        hypot([apart, OF_TURNING * turning(one, other) * apart])
+        let rounding = TELLING as f32 * hypot([self.rounding_at(i), self.rounding_at(j)]);
+        hypot([apart, OF_TURNING * turning(one, other) * (apart - rounding).max(0.0)])
     }
 
     /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field

@@ -247,6 +247,7 @@ impl GroupsAgain {
 
     /// Merges the piece with those before.
     fn end_piece(&mut self) -> Result<()> {
+        self.piece.leave();
         let mut merged = Vec::with_capacity(self.piece.items().len());
         for (cell, group) in self.piece.items() {
             // There is no bound to their memory.

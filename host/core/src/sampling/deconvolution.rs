@@ -29,13 +29,13 @@ const LEAST_SURROUNDED: f64 = 0.5;
 /// surface.
 const MOST_THICKNESS: f64 = 0.3;
 
-/// Least thickness, likewise, for which it is looked whether the neighbours are of two sheets, which part more
-/// than this of the variance of their heights: their means stay where they are.
+/// Least thickness, likewise, for which it is looked whether the neighbours are of two sheets, which part
+/// more than this of the variance of their heights: their means stay where they are.
 const LEAST_THICKNESS: f64 = 1.0 / 64.0;
 const TWO_SHEETS: f64 = 0.95;
 
-/// Where it is less than this part at first, they need not be parted again: of heights that are spread evenly it
-/// is 3/4.
+/// Where it is less than this part at first, they need not be parted again: of heights that are spread evenly
+/// it is 3/4.
 const AS_OF_ONE: f64 = 0.75;
 
 /// So many neighbours that are of two sheets by themselves do not come about by chance.
@@ -76,8 +76,8 @@ pub struct Deconvolved {
 /// means across their clusters' planes, as far as the vertices tell; a sample of which this is not known
 /// (infinite) stays, and none moves farther than `most`.
 ///
-/// Nothing moves on a plane, nor where neighbours are all on one side, are no surface or two of them, nor where
-/// what vertices scatter by explains the heights.
+/// Nothing moves on a plane, nor where neighbours are all on one side, are no surface or two of them, nor
+/// where what vertices scatter by explains the heights.
 ///
 /// Memory: 72 bytes per sample, 32 more meanwhile, and the samples' tree.
 pub fn deconvolved(
@@ -152,9 +152,9 @@ fn height(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Height {
     }
 }
 
-/// Whether a sample and its neighbours, at these ways from it, lie on two sheets, one above the other. Heights
-/// are at first along x, and then across what is found to be both sheets: with all in one, their plane leans
-/// from one sheet to the other.
+/// Whether a sample and its neighbours, at these ways from it, lie on two sheets, one above the other.
+/// Heights are at first along x, and then across what is found to be both sheets: with all in one, their
+/// plane leans from one sheet to the other.
 fn are_two_sheets(around: &[DVec3]) -> bool {
     let (mut across, count) = (DVec3::X, around.len() as f64 + 1.0);
     let mean = around.iter().sum::<DVec3>() / count;

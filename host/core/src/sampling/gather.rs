@@ -51,6 +51,10 @@ pub trait Gather: Send {
     /// The temporary file cannot be written.
     fn merge(&mut self, cell: u32, item: &Self::Item) -> Result<Option<u32>>;
 
+    /// Memory that all items of a cell take, in bytes, also those in a file: they will be read, and their
+    /// trees held.
+    fn bytes(&self, cell: u32) -> usize;
+
     /// Removes all items of a cell.
     fn take(&mut self, cell: u32) -> CellItems<Self::Item>;
 }
@@ -100,6 +104,10 @@ impl Gather for Vertices {
         let index = self.0.count(cell) as u32;
         self.0.push(cell, Vertex { index, ..*vertex })?;
         Ok(Some(index))
+    }
+
+    fn bytes(&self, cell: u32) -> usize {
+        self.0.bytes(cell)
     }
 
     fn take(&mut self, cell: u32) -> CellItems<Vertex> {
@@ -182,6 +190,10 @@ impl Gather for Groups {
         let index = self.open.count(cell) as u32;
         table.insert(key, self.open.push(cell, group.with_index(index))?);
         Ok(Some(index))
+    }
+
+    fn bytes(&self, cell: u32) -> usize {
+        self.open.bytes(cell)
     }
 
     fn take(&mut self, cell: u32) -> CellItems<Group> {
@@ -325,6 +337,7 @@ impl GatherPiece for PieceGroups {
     }
 
     fn items(&self) -> &[(u32, Group)] {
+        debug_assert!(self.last.is_none(), "what the last vertices came to is not in their group yet");
         &self.items
     }
 

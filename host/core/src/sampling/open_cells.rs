@@ -124,6 +124,11 @@ impl<T: Pod> OpenCells<T> {
         cell.spilled + u64::from(cell.held)
     }
 
+    /// Memory that all of a cell's items take, also those that are in the file.
+    pub fn bytes(&self, cell: u32) -> usize {
+        bytes_of::<T>(self.count(cell))
+    }
+
     fn append_block(&mut self, cell: usize) -> Result<()> {
         if self.pool.is_full() {
             self.spill()?;
@@ -239,6 +244,11 @@ impl Spill {
     }
 }
 
+/// Memory that so many items take; less than what a sum of several could overflow by.
+fn bytes_of<T>(count: u64) -> usize {
+    usize::try_from(count).unwrap_or(usize::MAX).saturating_mul(size_of::<T>()).min(usize::MAX / 2)
+}
+
 /// All items of a complete cell: those in memory, and where the others are.
 pub struct CellItems<T> {
     held: Vec<T>,
@@ -254,8 +264,7 @@ impl<T: Pod> CellItems<T> {
 
     /// Memory that all of them take, also those that are in the file.
     pub fn bytes(&self) -> usize {
-        let count = usize::try_from(self.spilled).unwrap_or(usize::MAX).saturating_add(self.held.len());
-        count.saturating_mul(size_of::<T>()).min(usize::MAX / 2)
+        bytes_of::<T>(self.count())
     }
 
     /// Hands out the items in the order of the stream, in as many parts as it takes for none to have more

@@ -1,9 +1,9 @@
 //! Pass 2 on all cores: the stream is gathered in pieces, several at a time, which are merged in its order.
 //!
-//! Open cells are dealt out to lanes. Each thread takes what there is to do: a cell that is complete is
-//! clustered; what a piece has for the cells of a lane is merged into them, if it comes next in the stream;
-//! a piece that all lanes have merged is finished, in the order of the stream; or another piece is read and
-//! gathered on its own. Only what is done by a lane, finishing, and taking a cell's tree in, are each done by
+//! Open cells are dealt out to shards. Each thread takes what there is to do: a cell that is complete is
+//! clustered; what a piece has for the cells of a shard is merged into them, if it comes next in the stream;
+//! a piece that all shards have merged is finished, in the order of the stream; or another piece is read and
+//! gathered on its own. Only what is done by a shard, finishing, and taking a cell's tree in, are each done by
 //! one thread at a time.
 
 use std::collections::VecDeque;
@@ -38,14 +38,14 @@ use super::vs_tree::Workspace;
 /// wait need not.
 const WAITING: u64 = 1;
 
-/// Most lanes: merging is a fifth to a fourth of the work.
-const MOST_LANES: usize = 8;
+/// Most shards: merging is a fifth to a fourth of the work.
+const MOST_SHARDS: usize = 8;
 
 /// Streams the model, or a part of it, through the grid and clusters each cell that is to be clustered, down
 /// to the bound or to that which the target has come to meanwhile. `gather(n)` makes what gathers one of so
 /// many parts of the cells, in as small a part of the memory. `None` if that finds no room for all cells.
 ///
-/// Memory: that of `gather(1)`, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells as may be
+/// Memory: that of what gathers all parts, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells as may be
 /// queued, and two parts of a cell on each thread; as many pieces as there are threads, and one more, of
 /// [`PIECE`] vertices: their bytes in the file, and at most 208 for each.
 ///
@@ -55,10 +55,10 @@ const MOST_LANES: usize = 8;
 pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: impl Fn(usize) -> G) -> Result<Option<Clustered>> {
     // Parts of a model hand on what they find, which cannot be done twice.
     let is_whole = matches!(pass.job, Job::Whole);
-    let lanes = if is_whole { (rayon::current_num_threads() / 2).clamp(1, MOST_LANES) } else { 1 };
+    let shards = if is_whole { (rayon::current_num_threads() / 2).clamp(1, MOST_SHARDS) } else { 1 };
     // What finds no room in a part of the memory may do so in all of it.
-    for lanes in if lanes > 1 { vec![lanes, 1] } else { vec![1] } {
-        let clustered = cluster_in_lanes(pass, (0..lanes).map(|_| gather(lanes)).collect())?;
+    for shards in if shards > 1 { vec![shards, 1] } else { vec![1] } {
+        let clustered = cluster_in_shards(pass, (0..shards).map(|_| gather(shards)).collect())?;
         if clustered.is_some() {
             return Ok(clustered);
         }
@@ -66,7 +66,7 @@ pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: impl Fn(usize) -> G) -> Resul
     Ok(None)
 }
 
-fn cluster_in_lanes<G: Gather>(pass: &Pass<'_>, gather: Vec<G>) -> Result<Option<Clustered>> {
+fn cluster_in_shards<G: Gather>(pass: &Pass<'_>, gather: Vec<G>) -> Result<Option<Clustered>> {
     let cells = pass.grid.keys.len();
     let hash = match pass.job {
         Job::Whole => Hashing::All(VertexHash::default()),
@@ -143,19 +143,19 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> 
         Job::Group(_, _, reader) => lock(reader).records(),
         Job::Whole | Job::Range(..) => (vertices.end - vertices.start).div_ceil(PIECE),
     };
-    let lane = |gather| {
+    let shard = |gather| {
         let left = left.pop_front().unwrap_or_default();
-        Mutex::new(Lane { gather, items: vec![0; left.len()], left, at: 0 })
+        Mutex::new(Shard { gather, items: vec![0; left.len()], left, at: 0, complete: None })
     };
-    let lanes: Vec<_> = gather.into_iter().map(lane).collect();
+    let shards: Vec<_> = gather.into_iter().map(shard).collect();
     let stream = Stream {
         pass,
         leaves: membership.as_ref().map(Membership::leaves),
         stop: AtomicU32::new(pass.bound.to_bits()),
         vertices,
         reading: Mutex::new(Reading { next: 0, reader }),
-        schedule: Schedule::new(Tasks::new(pieces, threads as u64 + WAITING, lanes.len(), MAX_QUEUED)),
-        lanes,
+        schedule: Schedule::new(Tasks::new(pieces, threads as u64 + WAITING, shards.len(), MAX_QUEUED)),
+        shards,
         finishing: Mutex::new(Finishing {
             hash,
             ranges,
@@ -172,27 +172,27 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> 
         });
         stream.go_on();
     });
-    let Stream { lanes, schedule, .. } = stream;
+    let Stream { shards, schedule, .. } = stream;
     match schedule.into_stopped() {
         Some(Stopped::NoRoom) => return Ok(false),
         Some(Stopped::Failed(error)) => return Err(error),
         None => {}
     }
-    let lanes: Vec<Lane<G>> =
-        lanes.into_iter().map(|lane| lane.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
-    if lanes.iter().flat_map(|lane| &lane.left).any(|n| *n > 0) {
+    let shards: Vec<Shard<G>> =
+        shards.into_iter().map(|shard| shard.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
+    if shards.iter().flat_map(|shard| &shard.left).any(|n| *n > 0) {
         return Err(changed(pass.model));
     }
     for (cell, items) in items.iter_mut().enumerate() {
-        *items = lanes[cell % lanes.len()].items[cell / lanes.len()];
+        *items = shards[cell % shards.len()].items[cell / shards.len()];
     }
     Ok(true)
 }
 
-/// Deals what is of each cell out to so many lanes.
-fn deal<T>(of_cells: impl Iterator<Item = T>, lanes: usize) -> VecDeque<Vec<T>> {
-    let mut dealt: VecDeque<Vec<T>> = (0..lanes).map(|_| Vec::new()).collect();
-    of_cells.enumerate().for_each(|(cell, of_cell)| dealt[cell % lanes].push(of_cell));
+/// Deals what is of each cell out to so many shards.
+fn deal<T>(of_cells: impl Iterator<Item = T>, shards: usize) -> VecDeque<Vec<T>> {
+    let mut dealt: VecDeque<Vec<T>> = (0..shards).map(|_| Vec::new()).collect();
+    of_cells.enumerate().for_each(|(cell, of_cell)| dealt[cell % shards].push(of_cell));
     dealt
 }
 
@@ -205,8 +205,8 @@ struct Stream<'a, G: Gather> {
     /// The vertices that are streamed.
     vertices: Range<u64>,
     reading: Mutex<Reading<'a>>,
-    /// A cell is of the lane of its number modulo theirs.
-    lanes: Vec<Mutex<Lane<G>>>,
+    /// A cell is of the shard of its number modulo theirs.
+    shards: Vec<Mutex<Shard<G>>>,
     finishing: Mutex<Finishing<'a>>,
     /// What all trees are taken into, and whether none is yet.
     forest: Mutex<(&'a mut Forest, bool)>,
@@ -225,15 +225,17 @@ struct Reading<'a> {
 }
 
 /// A part of the open cells, into which pieces are merged in the order of the stream. A cell is counted by
-/// its number divided by that of lanes.
-struct Lane<G> {
+/// its number divided by that of shards.
+struct Shard<G> {
     gather: G,
     /// Vertices of each cell that are still to come.
     left: Vec<u64>,
     /// How many items each cell had in the end.
     items: Vec<u32>,
-    /// Items that are merged of those that the next piece has for the lane.
+    /// Items that are merged of those that the next piece has for the shard.
     at: usize,
+    /// A cell that is complete, for which there was no room yet.
+    complete: Option<u32>,
 }
 
 /// What is found by the way of pieces in the order of the stream.
@@ -258,8 +260,8 @@ struct Piece<P> {
     /// The vertices whose colours are kept.
     picks: Vec<Pick>,
     lists: Lists,
-    /// Which of what was gathered is of the cells of each lane, if there are several.
-    of_lanes: Vec<Vec<u32>>,
+    /// Which of what was gathered is of the cells of each shard, if there are several.
+    of_shards: Vec<Vec<u32>>,
     /// The place of each item in its cell, if it shall be known, once it is merged.
     places: Vec<AtomicU32>,
     /// Each cell that the stream enters, and the vertices up to where it leaves it.
@@ -284,7 +286,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         while let Some(task) = self.schedule.take() {
             let done = catch_unwind(AssertUnwindSafe(|| match task {
                 Task::Gather(spare) => self.gather(spare),
-                Task::Merge(lane, piece) => self.merge(lane, piece),
+                Task::Merge(shard, piece) => self.merge(shard, piece),
                 Task::Finish(piece) => self.finish(piece),
                 Task::Cluster((cell, items)) => self.cluster(cell, items),
             }));
@@ -313,7 +315,7 @@ impl<'a, G: Gather> Stream<'a, G> {
             self.put_in_cells(&mut piece, vertices.end)?;
             number
         };
-        piece.deal(self.lanes.len(), self.leaves.is_some());
+        piece.deal(self.shards.len(), self.leaves.is_some());
         self.schedule.tasks().gathered(number, piece);
         Ok(())
     }
@@ -321,8 +323,8 @@ impl<'a, G: Gather> Stream<'a, G> {
     fn piece(&self) -> Piece<G::Piece> {
         Piece {
             chunks: Vec::new(),
-            gathered: lock(&self.lanes[0]).gather.piece(),
-            of_lanes: Vec::new(),
+            gathered: lock(&self.shards[0]).gather.piece(),
+            of_shards: Vec::new(),
             places: Vec::new(),
             items: Vec::new(),
             positions: Vec::new(),
@@ -459,11 +461,11 @@ impl<'a, G: Gather> Stream<'a, G> {
         Ok(())
     }
 
-    /// Merges what the piece that comes next in the stream has for the cells of a lane into these, until too
+    /// Merges what the piece that comes next in the stream has for the cells of a shard into these, until too
     /// many of them wait to be clustered.
-    fn merge(&self, lane: usize, piece: Arc<Piece<G::Piece>>) -> Result<()> {
-        let mut merging = lock(&self.lanes[lane]);
-        let has_all = match piece.of_lanes.get(lane) {
+    fn merge(&self, shard: usize, piece: Arc<Piece<G::Piece>>) -> Result<()> {
+        let mut merging = lock(&self.shards[shard]);
+        let has_all = match piece.of_shards.get(shard) {
             Some(own) => self.merge_items(&mut merging, &piece, own.iter().map(|item| *item as usize))?,
             None => self.merge_items(&mut merging, &piece, 0..piece.gathered.items().len())?,
         };
@@ -473,45 +475,59 @@ impl<'a, G: Gather> Stream<'a, G> {
         drop(merging);
         // Whoever finishes the piece has it alone.
         drop(piece);
-        self.schedule.tasks().merged(lane, has_all);
+        self.schedule.tasks().merged(shard, has_all);
         Ok(())
     }
 
     /// Whether all of the items were merged.
     fn merge_items(
         &self,
-        lane: &mut Lane<G>,
+        shard: &mut Shard<G>,
         piece: &Piece<G::Piece>,
         own: impl ExactSizeIterator<Item = usize>,
     ) -> Result<bool> {
+        if !self.hand_over(shard) {
+            return Ok(false);
+        }
         let (items, count) = (piece.gathered.items(), own.len());
-        for item in own.skip(lane.at) {
-            lane.at += 1;
+        for item in own.skip(shard.at) {
+            shard.at += 1;
             let (cell, item, place) = (items[item].0, &items[item].1, piece.places.get(item));
-            let of_lane = cell / self.lanes.len() as u32;
-            let Some(index) = lane.gather.merge(of_lane, item)? else {
+            let of_shard = cell / self.shards.len() as u32;
+            let Some(index) = shard.gather.merge(of_shard, item)? else {
                 self.schedule.tasks().stop(Stopped::NoRoom);
                 return Ok(false);
             };
             if let Some(place) = place {
                 place.store(index, Ordering::Relaxed);
             }
-            let left = &mut lane.left[of_lane as usize];
+            let left = &mut shard.left[of_shard as usize];
             *left = left.checked_sub(item.vertices().into()).ok_or_else(|| changed(self.pass.model))?;
             if *left == 0 {
-                let of_cell = lane.gather.take(of_lane);
-                lane.items[of_lane as usize] = u32::try_from(of_cell.count()).unwrap_or(u32::MAX);
-                // Those in the file as well: they will be read, and their trees held.
-                let bytes = of_cell.bytes();
-                if self.schedule.hand_over((cell, of_cell), bytes) {
+                shard.complete = Some(cell);
+                if !self.hand_over(shard) {
                     break;
                 }
             }
         }
-        Ok(lane.at == count)
+        Ok(shard.at == count && shard.complete.is_none())
     }
 
-    /// Finishes the piece that comes next in the stream, which all lanes have merged.
+    /// Lets the complete cell of a shard be clustered, if it has one; `false` if there is no room for it yet.
+    fn hand_over(&self, shard: &mut Shard<G>) -> bool {
+        let Some(cell) = shard.complete else { return true };
+        let of_shard = cell / self.shards.len() as u32;
+        if !self.schedule.tasks().reserve(shard.gather.bytes(of_shard)) {
+            return false;
+        }
+        shard.complete = None;
+        let items = shard.gather.take(of_shard);
+        shard.items[of_shard as usize] = u32::try_from(items.count()).unwrap_or(u32::MAX);
+        self.schedule.hand_over((cell, items));
+        true
+    }
+
+    /// Finishes the piece that comes next in the stream, which all shards have merged.
     fn finish(&self, piece: Arc<Piece<G::Piece>>) -> Result<()> {
         let mut finishing = lock(&self.finishing);
         let Finishing { hash, ranges, ends, membership, picked } = &mut *finishing;
@@ -586,15 +602,15 @@ impl<'a, G: Gather> Stream<'a, G> {
 }
 
 impl<P: GatherPiece> Piece<P> {
-    /// Tells what is of the cells of each lane, once all is gathered.
-    fn deal(&mut self, lanes: usize, with_places: bool) {
-        let Self { gathered, of_lanes, places, .. } = self;
+    /// Tells what is of the cells of each shard, once all is gathered.
+    fn deal(&mut self, shards: usize, with_places: bool) {
+        let Self { gathered, of_shards, places, .. } = self;
         gathered.leave();
         let items = gathered.items();
-        if lanes > 1 {
-            of_lanes.resize_with(lanes, Vec::new);
+        if shards > 1 {
+            of_shards.resize_with(shards, Vec::new);
             for ((cell, _), item) in items.iter().zip(0..) {
-                of_lanes[*cell as usize % lanes].push(item);
+                of_shards[*cell as usize % shards].push(item);
             }
         }
         if with_places {
@@ -604,7 +620,7 @@ impl<P: GatherPiece> Piece<P> {
 
     fn clear(&mut self) {
         self.gathered.clear();
-        self.of_lanes.iter_mut().for_each(Vec::clear);
+        self.of_shards.iter_mut().for_each(Vec::clear);
         self.places.clear();
         self.items.clear();
         self.positions.clear();

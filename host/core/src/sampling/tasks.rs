@@ -1,8 +1,9 @@
 //! What the threads of pass 2 have to do, and in which order.
 //!
-//! Pieces of the stream are gathered by any thread, several at a time; each lane merges them in the order of
-//! the stream; and a piece that all lanes have merged is finished, in that order as well. Merging makes cells
-//! complete, which are clustered. What is furthest on comes first, so that little is held.
+//! Pieces of the stream are gathered by any thread, several at a time; each shard merges them in the order of
+//! the stream; and a piece that all shards have merged is finished, in that order as well. Merging makes cells
+//! complete, which are clustered. Finishing comes first, then merging, then clustering, so that few pieces are
+//! held.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -13,9 +14,9 @@ use simod_model::Error;
 pub enum Task<P, C> {
     /// Read the next piece and gather it, into this one if there is any.
     Gather(Option<P>),
-    /// Merge a piece by a lane.
+    /// Merge a piece by a shard.
     Merge(usize, Arc<P>),
-    /// Finish a piece that all lanes have merged.
+    /// Finish a piece that all shards have merged.
     Finish(Arc<P>),
     /// Cluster a complete cell.
     Cluster(C),
@@ -38,8 +39,8 @@ pub struct Tasks<P, C> {
     taken: u64,
     finished: u64,
     is_finishing: bool,
-    /// For each lane, the piece that it merges next, and whether it is at it.
-    lanes: Vec<(u64, bool)>,
+    /// For each shard, the piece that it merges next, and whether it is at it.
+    shards: Vec<(u64, bool)>,
     /// Pieces that are gathered and not finished, by their numbers.
     gathered: BTreeMap<u64, Arc<P>>,
     /// Cells that wait to be clustered.
@@ -55,16 +56,16 @@ pub struct Tasks<P, C> {
 }
 
 impl<P, C> Tasks<P, C> {
-    /// Those of so many pieces, of which at most so many are taken and not finished, and of so many lanes,
+    /// Those of so many pieces, of which at most so many are taken and not finished, and of so many shards,
     /// which merge until cells of so many bytes are complete and not clustered.
-    pub fn new(pieces: u64, most: u64, lanes: usize, most_queued: usize) -> Self {
+    pub fn new(pieces: u64, most: u64, shards: usize, most_queued: usize) -> Self {
         Self {
             pieces,
             most,
             taken: 0,
             finished: 0,
             is_finishing: false,
-            lanes: vec![(0, false); lanes],
+            shards: vec![(0, false); shards],
             gathered: BTreeMap::new(),
             complete: VecDeque::new(),
             queued: 0,
@@ -80,10 +81,10 @@ impl<P, C> Tasks<P, C> {
             self.is_finishing = true;
             return self.gathered.remove(&self.finished).map(Task::Finish);
         }
-        if let Some(lane) = self.idle_lane() {
-            let (next, is_busy) = &mut self.lanes[lane];
+        if let Some(shard) = self.idle_shard() {
+            let (next, is_busy) = &mut self.shards[shard];
             *is_busy = true;
-            return self.gathered.get(next).map(|piece| Task::Merge(lane, piece.clone()));
+            return self.gathered.get(next).map(|piece| Task::Merge(shard, piece.clone()));
         }
         if let Some(cell) = self.complete.pop_front() {
             return Some(Task::Cluster(cell));
@@ -95,25 +96,25 @@ impl<P, C> Tasks<P, C> {
     }
 
     fn has_next(&self) -> bool {
-        self.can_finish() || self.idle_lane().is_some() || !self.complete.is_empty() || self.can_gather()
+        self.can_finish() || self.idle_shard().is_some() || !self.complete.is_empty() || self.can_gather()
     }
 
-    /// Whether the next piece can be finished: all lanes have merged it.
+    /// Whether the next piece can be finished: all shards have merged it.
     fn can_finish(&self) -> bool {
         !self.is_finishing
             && self.gathered.contains_key(&self.finished)
-            && self.lanes.iter().all(|(next, _)| *next > self.finished)
+            && self.shards.iter().all(|(next, _)| *next > self.finished)
     }
 
-    /// The lane that is furthest behind of those that can merge their next piece.
-    fn idle_lane(&self) -> Option<usize> {
+    /// The shard that is furthest behind of those that can merge their next piece.
+    fn idle_shard(&self) -> Option<usize> {
         if self.queued > self.most_queued {
             return None;
         }
         let can_merge =
             |(_, (next, is_busy)): &(usize, &(u64, bool))| !is_busy && self.gathered.contains_key(next);
-        let lanes = self.lanes.iter().enumerate().filter(can_merge);
-        lanes.min_by_key(|(_, (next, _))| *next).map(|(lane, _)| lane)
+        let shards = self.shards.iter().enumerate().filter(can_merge);
+        shards.min_by_key(|(_, (next, _))| *next).map(|(shard, _)| shard)
     }
 
     fn can_gather(&self) -> bool {
@@ -125,9 +126,9 @@ impl<P, C> Tasks<P, C> {
         self.gathered.insert(number, Arc::new(piece));
     }
 
-    /// A lane has merged what it was given, or a part of it. It has let go of the piece.
-    pub fn merged(&mut self, lane: usize, has_all: bool) {
-        let (next, is_busy) = &mut self.lanes[lane];
+    /// A shard has merged what it was given, or a part of it. It has let go of the piece.
+    pub fn merged(&mut self, shard: usize, has_all: bool) {
+        let (next, is_busy) = &mut self.shards[shard];
         (*next, *is_busy) = (*next + u64::from(has_all), false);
     }
 
@@ -136,6 +137,16 @@ impl<P, C> Tasks<P, C> {
         self.finished += 1;
         self.is_finishing = false;
         self.spare.extend(piece);
+    }
+
+    /// Reserves so many bytes for a complete cell that is to be clustered; `false` where too many wait for it
+    /// or are in it.
+    pub fn reserve(&mut self, bytes: usize) -> bool {
+        let has_room = self.queued <= self.most_queued;
+        if has_room {
+            self.queued += bytes;
+        }
+        has_room
     }
 
     /// A cell of so many bytes is clustered.
@@ -169,7 +180,7 @@ impl<P, C> Schedule<P, C> {
 
     /// The next task, once there is one; `None` if nothing is left. Where there is yet another one, a thread
     /// that waits is woken for it: as each thread comes back for what it has made possible, nothing is left
-    /// undone, and no thread is woken in vain.
+    /// undone, and few are woken in vain.
     pub fn take(&self) -> Option<Task<P, C>> {
         let mut tasks = self.tasks();
         loop {
@@ -190,16 +201,14 @@ impl<P, C> Schedule<P, C> {
         }
     }
 
-    /// Lets a complete cell of so many bytes be clustered, while its lane goes on; whether too many wait for
-    /// it now.
-    pub fn hand_over(&self, cell: C, bytes: usize) -> bool {
+    /// Lets a complete cell be clustered, for which bytes are [reserved](Tasks::reserve), while its shard goes
+    /// on.
+    pub fn hand_over(&self, cell: C) {
         let mut tasks = self.tasks();
-        tasks.queued += bytes;
         tasks.complete.push_back(cell);
         if tasks.waiting > 0 {
             self.moved.notify_one();
         }
-        tasks.queued > tasks.most_queued
     }
 
     /// Why there was nothing left to do before the end, if so.
@@ -214,60 +223,70 @@ mod tests {
     use proptest::prelude::*;
     use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
-    /// A piece that knows how many lanes have merged it, and how often one had to stop in the middle.
-    #[derive(Default)]
+    /// A piece that knows how many shards have merged it.
     struct Numbered {
         number: u64,
         merged: AtomicUsize,
-        stops: AtomicUsize,
     }
+
+    /// Bytes of a cell.
+    const CELL: usize = 5;
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
-        /// Each lane merges all pieces in their order, whether at once or in parts; each is finished once all
+        /// Each shard merges all pieces in their order, whether at once or in parts; each is finished once all
         /// have, in order; all cells are clustered; and no more pieces are held than may be.
         #[test]
         fn all_is_done_in_order_by_any_number_of_threads(
-            pieces in 0u64..60, lanes in 1usize..5, threads in 1usize..6, more in 0u64..3,
+            pieces in 0u64..60, shards in 1usize..5, threads in 1usize..6, more in 0u64..3,
             most_queued in 0usize..20, cells_at in proptest::collection::vec(0usize..4, 1..6),
         ) {
             let most = threads as u64 + more;
-            let schedule = Schedule::new(Tasks::new(pieces, most, lanes, most_queued));
-            let next_of_lane: Vec<AtomicU64> = (0..lanes).map(|_| AtomicU64::new(0)).collect();
+            let schedule = Schedule::new(Tasks::new(pieces, most, shards, most_queued));
+            let next_of_shard: Vec<AtomicU64> = (0..shards).map(|_| AtomicU64::new(0)).collect();
             let (read, finished) = (AtomicU64::new(0), AtomicU64::new(0));
             let (made, clustered) = (AtomicUsize::new(0), AtomicUsize::new(0));
+            // Cells of its next piece that a shard has made, and bytes of those that are not clustered.
+            let made_of_shard: Vec<AtomicUsize> = (0..shards).map(|_| AtomicUsize::new(0)).collect();
+            let queued = AtomicUsize::new(0);
             let work = || while let Some(task) = schedule.take() {
                 match task {
                     Task::Gather(_) => {
                         let number = read.fetch_add(1, Ordering::SeqCst);
                         assert!(number < finished.load(Ordering::SeqCst) + most);
-                        schedule.tasks().gathered(number, Numbered { number, ..Numbered::default() });
+                        schedule.tasks().gathered(number, Numbered { number, merged: AtomicUsize::new(0) });
                     }
-                    Task::Merge(lane, piece) => {
-                        assert_eq!(next_of_lane[lane].load(Ordering::SeqCst), piece.number);
-                        let cells = cells_at[(piece.number as usize + lane) % cells_at.len()];
-                        let is_full = (0..cells).fold(false, |_, _| {
+                    Task::Merge(shard, piece) => {
+                        assert_eq!(next_of_shard[shard].load(Ordering::SeqCst), piece.number);
+                        let cells = cells_at[(piece.number as usize + shard) % cells_at.len()];
+                        let made_of_shard = &made_of_shard[shard];
+                        while made_of_shard.load(Ordering::SeqCst) < cells && schedule.tasks().reserve(CELL) {
+                            let before = queued.fetch_add(CELL, Ordering::SeqCst);
+                            assert!(before <= most_queued, "{before} bytes are queued");
+                            made_of_shard.fetch_add(1, Ordering::SeqCst);
                             made.fetch_add(1, Ordering::SeqCst);
-                            schedule.hand_over(5usize, 5)
-                        });
-                        // Who has to stop in the middle has the rest later.
-                        let has_all = !is_full || piece.stops.fetch_add(1, Ordering::SeqCst) % 2 == 1;
+                            schedule.hand_over(CELL);
+                        }
+                        // A shard that finds no room has the rest later.
+                        let has_all = made_of_shard.load(Ordering::SeqCst) == cells;
                         if has_all {
+                            made_of_shard.store(0, Ordering::SeqCst);
                             piece.merged.fetch_add(1, Ordering::SeqCst);
-                            next_of_lane[lane].fetch_add(1, Ordering::SeqCst);
+                            next_of_shard[shard].fetch_add(1, Ordering::SeqCst);
                         }
                         drop(piece);
-                        schedule.tasks().merged(lane, has_all);
+                        schedule.tasks().merged(shard, has_all);
                     }
                     Task::Finish(piece) => {
                         assert_eq!(finished.fetch_add(1, Ordering::SeqCst), piece.number);
-                        assert_eq!(piece.merged.load(Ordering::SeqCst), lanes);
+                        assert_eq!(piece.merged.load(Ordering::SeqCst), shards);
                         let piece = Arc::into_inner(piece);
-                        assert!(piece.is_some(), "a lane still has it");
+                        assert!(piece.is_some(), "a shard still has it");
                         schedule.tasks().finished(piece);
                     }
                     Task::Cluster(bytes) => {
                         clustered.fetch_add(1, Ordering::SeqCst);
+                        queued.fetch_sub(bytes, Ordering::SeqCst);
                         schedule.tasks().clustered(bytes);
                     }
                 }

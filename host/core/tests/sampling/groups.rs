@@ -154,10 +154,10 @@ fn samples_do_not_depend_on_threads() {
     }
 }
 
-/// Many threads deal the cells, and the memory for their groups, out among lanes. A cell has more groups here
-/// than there is room for in a lane (8192), and fewer than in all of the memory (32 768).
+/// Many threads deal the cells, and the memory for their groups, out among shards. A cell has more groups here
+/// than there is room for in a shard (8192), and fewer than in all of the memory (32 768).
 #[test]
-fn a_cell_that_is_too_large_for_its_lane_finds_room_in_all_of_the_memory() {
+fn a_cell_that_is_too_large_for_its_shard_finds_room_in_all_of_the_memory() {
     let mut body = Body::default();
     // Irrational steps along each axis fill the cube evenly.
     let place = |i: u32| (DVec3::new(0.754_877_67, 0.569_840_29, 0.819_172_51) * f64::from(i)).fract();

@@ -311,9 +311,11 @@ impl LasForm {
         to.clear();
         for (i, number) in rows.attributes[field.from].iter().enumerate() {
             let scaled = number * scale;
+            let is_whole = least.is_finite();
             to.push(match field.rounds {
-                // What a scan does not have, though others do: as in PLY.
-                _ if scaled.is_nan() && least.is_finite() => 0.0,
+                // Of what is left out, and where something may be lost, as what a scan does not have though
+                // others do: as in PLY.
+                _ if is_whole && self.leaves_out && (scaled.is_nan() || !rows.positions[i].is_finite()) => 0.0,
                 true => scaled.round().clamp(least, most),
                 // What is no number may be one of those that are none.
                 false if (least..=most).contains(&scaled) || least == f64::NEG_INFINITY => scaled,

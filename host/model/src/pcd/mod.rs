@@ -15,6 +15,11 @@ use crate::{Model, Result, Type};
 pub(crate) use header::is_pcd;
 use header::{Data, Field, Header};
 
+/// Whether a file of that extension begins as PCD, whatever its first comment says.
+pub(crate) fn is_head(source: &Source) -> bool {
+    Header::read(source).is_ok()
+}
+
 /// Opens a file; a compressed one is unpacked into the cache.
 pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
     let header = Header::read(&source)?;
