@@ -189,7 +189,8 @@ impl DeformationField<'_> {
     }
 
     /// How far the expansions about two samples are apart halfway between them, and more where these are so
-    /// far from each other that this tells little; but for what rounding explains, which turns gradients, too.
+    /// far from each other that this tells little; but for what rounding explains, which turns gradients,
+    /// too.
     fn halfway(&self, i: usize, j: usize) -> f32 {
         let (one, other) = (&self.expansions[i], &self.expansions[j]);
         let halfway = 0.5 * (Vec3::from_array(one.center) + Vec3::from_array(other.center));

@@ -3,8 +3,8 @@
 //! Open cells are dealt out to shards. Each thread takes what there is to do: a cell that is complete is
 //! clustered; what a piece has for the cells of a shard is merged into them, if it comes next in the stream;
 //! a piece that all shards have merged is finished, in the order of the stream; or another piece is read and
-//! gathered on its own. Only what is done by a shard, finishing, and taking a cell's tree in, are each done by
-//! one thread at a time.
+//! gathered on its own. Only what is done by a shard, finishing, and taking a cell's tree in, are each done
+//! by one thread at a time.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -45,9 +45,9 @@ const MOST_SHARDS: usize = 8;
 /// to the bound or to that which the target has come to meanwhile. `gather(n)` makes what gathers one of so
 /// many parts of the cells, in as small a part of the memory. `None` if that finds no room for all cells.
 ///
-/// Memory: that of what gathers all parts, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells as may be
-/// queued, and two parts of a cell on each thread; as many pieces as there are threads, and one more, of
-/// [`PIECE`] vertices: their bytes in the file, and at most 208 for each.
+/// Memory: that of what gathers all parts, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells
+/// as may be queued, and two parts of a cell on each thread; as many pieces as there are threads, and one
+/// more, of [`PIECE`] vertices: their bytes in the file, and at most 208 for each.
 ///
 /// # Errors
 /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be

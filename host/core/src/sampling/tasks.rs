@@ -1,9 +1,9 @@
 //! What the threads of pass 2 have to do, and in which order.
 //!
 //! Pieces of the stream are gathered by any thread, several at a time; each shard merges them in the order of
-//! the stream; and a piece that all shards have merged is finished, in that order as well. Merging makes cells
-//! complete, which are clustered. Finishing comes first, then merging, then clustering, so that few pieces are
-//! held.
+//! the stream; and a piece that all shards have merged is finished, in that order as well. Merging makes
+//! cells complete, which are clustered. Finishing comes first, then merging, then clustering, so that few
+//! pieces are held.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -201,8 +201,8 @@ impl<P, C> Schedule<P, C> {
         }
     }
 
-    /// Lets a complete cell be clustered, for which bytes are [reserved](Tasks::reserve), while its shard goes
-    /// on.
+    /// Lets a complete cell be clustered, for which bytes are [reserved](Tasks::reserve), while its shard
+    /// goes on.
     pub fn hand_over(&self, cell: C) {
         let mut tasks = self.tasks();
         tasks.complete.push_back(cell);
@@ -234,8 +234,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
-        /// Each shard merges all pieces in their order, whether at once or in parts; each is finished once all
-        /// have, in order; all cells are clustered; and no more pieces are held than may be.
+        /// Each shard merges all pieces in their order, whether at once or in parts; each is finished once
+        /// all have, in order; all cells are clustered; and no more pieces are held than may be.
         #[test]
         fn all_is_done_in_order_by_any_number_of_threads(
             pieces in 0u64..60, shards in 1usize..5, threads in 1usize..6, more in 0u64..3,
