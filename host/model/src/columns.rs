@@ -316,12 +316,15 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
             continue;
         }
         let separator = header.as_ref().map_or(separator, |h| h.0.or(separator));
+        let mut is_named = true;
         let mut names = match wanted {
             Some(wanted) => wanted.split(',').map(|name| name.trim().to_owned()).collect(),
             None => match header.take() {
                 Some((_, names)) => names,
-                None => in_comment(&comment, separator, words.len())
-                    .unwrap_or_else(|| usual(extension, is_counted, words.len())),
+                None => in_comment(&comment, separator, words.len()).unwrap_or_else(|| {
+                    is_named = false;
+                    usual(extension, is_counted, words.len())
+                }),
             },
         };
         let mut columns = Columns::named(separator, &names, is_counted).map_err(|what| match wanted {
@@ -332,8 +335,8 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
             }
             None => wrong(what),
         })?;
-        let named = names.len();
-        for column in named..words.len() {
+        let named = if is_named { names.len() } else { 0 };
+        for column in names.len()..words.len() {
             names.push(format!("column {}", column + 1));
         }
         let mut attributes: Vec<Attribute> = Vec::new();
