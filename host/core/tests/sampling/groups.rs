@@ -154,8 +154,8 @@ fn samples_do_not_depend_on_threads() {
     }
 }
 
-/// Many threads deal the cells, and the memory for their groups, out among shards. A cell has more groups here
-/// than there is room for in a shard (8192), and fewer than in all of the memory (32 768).
+/// Many threads deal the cells, and the memory for their groups, out among shards. A cell has more groups
+/// here than there is room for in a shard (8192), and fewer than in all of the memory (32 768).
 #[test]
 fn a_cell_that_is_too_large_for_its_shard_finds_room_in_all_of_the_memory() {
     let mut body = Body::default();
