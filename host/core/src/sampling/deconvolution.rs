@@ -125,7 +125,7 @@ fn height(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Height {
     // Along the axes: x is across the surface. In units of how far apart samples are.
     let squared = |d: &DVec3| d.y * d.y + d.z * d.z;
     around.iter_mut().for_each(|d| *d = axes.transpose() * *d);
-    if variances.x > LEAST_THICKNESS * LEAST_THICKNESS * variances.y && are_two_sheets(around) {
+    if variances.x > LEAST_THICKNESS * LEAST_THICKNESS * variances.y && are_two_sheets(around, variances) {
         return Height { is_of_two: true, ..none };
     }
     let scale = (RING as f64 / around.iter().take(RING).map(squared).sum::<f64>()).sqrt();
@@ -152,13 +152,13 @@ fn height(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Height {
     }
 }
 
-/// Whether a sample and its neighbours, at these ways from it, lie on two sheets, one above the other.
-/// Heights are at first along x, and then across what is found to be both sheets: with all in one, their
-/// plane leans from one sheet to the other.
-fn are_two_sheets(around: &[DVec3]) -> bool {
+/// Whether a sample and its neighbours, at these ways from it along the axes of their scatter, lie on two
+/// sheets, one above the other. Heights are at first along x, and then across what is found to be both
+/// sheets: with all in one, their plane leans from one sheet to the other.
+fn are_two_sheets(around: &[DVec3], scatter: DVec3) -> bool {
     let (mut across, count) = (DVec3::X, around.len() as f64 + 1.0);
     let mean = around.iter().sum::<DVec3>() / count;
-    let scatter = scatter(around.iter().copied());
+    let scatter = DMat3::from_diagonal(scatter);
     for _ in 0..PARTINGS {
         let middle = across.dot(mean);
         let own = if middle < 0.0 { 1.0 } else { 0.0 };

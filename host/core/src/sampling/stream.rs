@@ -6,7 +6,6 @@
 //! gathered on its own. Only what is done by a shard, finishing, and taking a cell's tree in, are each done
 //! by one thread at a time.
 
-use std::collections::VecDeque;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -56,14 +55,12 @@ pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: impl Fn(usize) -> G) -> Resul
     // Parts of a model hand on what they find, which cannot be done twice.
     let is_whole = matches!(pass.job, Job::Whole);
     let shards = if is_whole { (rayon::current_num_threads() / 2).clamp(1, MOST_SHARDS) } else { 1 };
-    // What finds no room in a part of the memory may do so in all of it.
-    for shards in if shards > 1 { vec![shards, 1] } else { vec![1] } {
-        let clustered = cluster_in_shards(pass, (0..shards).map(|_| gather(shards)).collect())?;
-        if clustered.is_some() {
-            return Ok(clustered);
-        }
+    let clustered = cluster_in_shards(pass, (0..shards).map(|_| gather(shards)).collect())?;
+    if clustered.is_some() || shards == 1 {
+        return Ok(clustered);
     }
-    Ok(None)
+    // What finds no room in a part of the memory may do so in all of it.
+    cluster_in_shards(pass, vec![gather(1)])
 }
 
 fn cluster_in_shards<G: Gather>(pass: &Pass<'_>, gather: Vec<G>) -> Result<Option<Clustered>> {
@@ -138,16 +135,19 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> 
     let in_order = !pass.model.info().reads_exactly() && !matches!(pass.job, Job::Group(..));
     let reader = in_order.then(|| positions_of(pass, vertices.clone())).transpose()?;
     let own = |(cell, record): (u32, &CellRecord)| if pass.job.has(cell) { record.count } else { 0 };
-    let mut left = deal((0..).zip(&pass.grid.records).map(own), gather.len());
+    let left = deal((0..).zip(&pass.grid.records).map(own), gather.len());
     let pieces = match pass.job {
         Job::Group(_, _, reader) => lock(reader).records(),
         Job::Whole | Job::Range(..) => (vertices.end - vertices.start).div_ceil(PIECE),
     };
-    let shard = |gather| {
-        let left = left.pop_front().unwrap_or_default();
-        Mutex::new(Shard { gather, items: vec![0; left.len()], left, at: 0, complete: None })
+    let shard = |(gather, left): (G, Vec<u64>)| Shard {
+        gather,
+        items: vec![0; left.len()],
+        left,
+        at: 0,
+        complete: None,
     };
-    let shards: Vec<_> = gather.into_iter().map(shard).collect();
+    let shards: Vec<_> = gather.into_iter().zip(left).map(shard).map(Mutex::new).collect();
     let stream = Stream {
         pass,
         leaves: membership.as_ref().map(Membership::leaves),
@@ -190,8 +190,8 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> 
 }
 
 /// Deals what is of each cell out to so many shards.
-fn deal<T>(of_cells: impl Iterator<Item = T>, shards: usize) -> VecDeque<Vec<T>> {
-    let mut dealt: VecDeque<Vec<T>> = (0..shards).map(|_| Vec::new()).collect();
+fn deal<T>(of_cells: impl Iterator<Item = T>, shards: usize) -> Vec<Vec<T>> {
+    let mut dealt: Vec<Vec<T>> = (0..shards).map(|_| Vec::new()).collect();
     of_cells.enumerate().for_each(|(cell, of_cell)| dealt[cell % shards].push(of_cell));
     dealt
 }
