@@ -2,7 +2,7 @@
 //! it gives back; and in what pages it is.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -51,6 +51,16 @@ pub fn zeros<T: Zeroable>(count: usize) -> Vec<T> {
         }
     }
     list
+}
+
+/// The same numbers, for several threads to change as long as the list is borrowed: those of a mapped file, say.
+pub fn atomics(list: &mut [u32]) -> &[AtomicU32] {
+    #[expect(unsafe_code, reason = "the standard library has no stable way from a slice to atomics")]
+    // SAFETY: both types have the same size, alignment and values. The list is borrowed as the only one who
+    // may read or write it, for as long as the atomics are.
+    unsafe {
+        std::slice::from_raw_parts(list.as_mut_ptr().cast(), list.len())
+    }
 }
 
 /// Makes a buffer one of so many bytes, whatever these are: whoever calls overwrites them.

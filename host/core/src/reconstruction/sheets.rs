@@ -457,28 +457,24 @@ fn reached(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> u128 {
     // The sample itself has the last place.
     let nodes = || (0..).zip(near.iter().copied().chain([i as u32]));
     nodes().for_each(|(at, node)| places[node as usize] = at);
-    let mut linked = [0u128; CROWDED_NEIGHBOURS + 1];
-    for ((_, node), linked) in nodes().zip(&mut linked) {
-        // Nowhere, cut to seven bits, is the last bit, which no node has.
-        let bit = |to: u32| 1u128 << (places[to as usize] & 127);
-        *linked = links[node as usize].to.iter().fold(0, |all, to| all | bit(*to)) & (u128::MAX >> 1);
+    // Links go both ways. Nowhere, cut to seven bits, is a place that no node has.
+    let mut linked = [0u128; 128];
+    for (at, node) in nodes() {
+        for to in links[node as usize].to {
+            let to = places[to as usize] & 127;
+            linked[at as usize] |= 1 << to;
+            linked[to as usize] |= 1 << at;
+        }
     }
     nodes().for_each(|(_, node)| places[node as usize] = NOWHERE);
-    let linked = &linked[..=near.len()];
-    let (mut seen, mut open) = (0u128, 1u128 << near.len());
+    let nowhere = 1 << 127;
+    let (mut seen, mut open) = (nowhere, 1u128 << near.len());
     while open != 0 {
-        // Along the links ...
-        while open != 0 {
-            let at = open.trailing_zeros();
-            seen |= 1 << at;
-            open = (open | linked[at as usize]) & !seen;
-        }
-        // ... and against them, as they go both ways.
-        for (at, linked) in linked.iter().enumerate() {
-            open |= u128::from(linked & seen != 0) << at;
-        }
-        open &= !seen;
+        let at = open.trailing_zeros();
+        seen |= 1 << at;
+        open = (open | linked[at as usize]) & !seen;
     }
+    let seen = seen & !nowhere;
     // Without the sample itself.
     seen & !(1 << near.len())
 }

@@ -148,15 +148,15 @@ impl SampleOf<'_> {
             progress.check()?;
             for corners in &chunk.triangles {
                 let [Some(a), Some(b), Some(c)] = corners.map(|vertex| self.get(vertex)) else { continue };
-                if let Some(planes) = &mut planes {
-                    planes.take(*corners, [a.0, b.0, c.0]);
-                }
                 if (a.1 || b.1 || c.1) && a.0 != b.0 && b.0 != c.0 && c.0 != a.0 {
                     found.push(first_least([a.0, b.0, c.0]));
                 }
             }
             if let Some(planes) = &mut planes {
-                planes.count(chunk.triangles.len());
+                planes.take(&chunk.triangles, |corners| {
+                    let [a, b, c] = corners.map(|vertex| self.get(vertex).map(|(sample, _)| sample));
+                    Some([a?, b?, c?])
+                });
             }
             if found.len() > limit {
                 once_each(&mut found);

@@ -80,6 +80,12 @@ impl FaceRanges {
         Self { cell_of, ranges: Kept::Joined(Ranges::new(trees.len())), open: None, met: Vec::new() }
     }
 
+    /// The cell of a sample, or the first of those that share it.
+    #[inline]
+    pub fn cell_of(&self, sample: u32) -> u32 {
+        self.cell_of[sample as usize]
+    }
+
     /// A block begins at this byte of the file, and the one before ends.
     pub fn mark(&mut self, offset: u64) {
         if let Some(start) = self.open.replace(offset).filter(|start| *start < offset) {
@@ -88,12 +94,23 @@ impl FaceRanges {
         self.met.clear();
     }
 
-    /// A face of the block has a corner in a sample's cluster.
-    #[inline]
-    pub fn meet(&mut self, sample: u32) {
-        let cell = self.cell_of[sample as usize];
-        if !self.met.contains(&cell) {
-            self.met.push(cell);
+    /// Takes what was met in the faces that come next.
+    pub fn take(&mut self, met: &MetCells) {
+        let MetCells { cells, marks, .. } = met;
+        let mut at = 0;
+        for (offset, before) in marks {
+            self.meet(&cells[at..*before]);
+            self.mark(*offset);
+            at = *before;
+        }
+        self.meet(&cells[at..]);
+    }
+
+    fn meet(&mut self, cells: &[u32]) {
+        for cell in cells {
+            if !self.met.contains(cell) {
+                self.met.push(*cell);
+            }
         }
     }
 
@@ -110,5 +127,34 @@ impl FaceRanges {
             }
         }
         Some(cells)
+    }
+}
+
+/// The cells met in faces that follow each other, each once in a block.
+///
+/// Memory: 4 bytes for each cell of a block, and 16 for each mark.
+#[derive(Debug, Default)]
+pub struct MetCells {
+    cells: Vec<u32>,
+    /// Where the cells of the block begin.
+    block: usize,
+    /// Where blocks begin in the file, and how many of the cells come before.
+    marks: Vec<(u64, usize)>,
+}
+
+impl MetCells {
+    /// A block begins at this byte of the file.
+    pub fn mark(&mut self, offset: u64) {
+        self.block = self.cells.len();
+        self.marks.push((offset, self.block));
+    }
+
+    /// A face of the block has a corner in a cell.
+    #[inline]
+    pub fn meet(&mut self, cell: u32) {
+        // Mostly the one that was met last.
+        if !self.cells[self.block..].iter().rev().any(|met| *met == cell) {
+            self.cells.push(cell);
+        }
     }
 }

@@ -677,12 +677,10 @@ impl Reindexed {
         let mut planes = Planes::new(vertices, &self.cut.positions, 0);
         let take = |chunk: &FaceChunk| {
             parting.progress.check()?;
-            for corners in &chunk.triangles {
-                if let [Some(a), Some(b), Some(c)] = corners.map(|vertex| sample_of.get(vertex as usize)) {
-                    planes.take(*corners, [*a, *b, *c]);
-                }
-            }
-            planes.count(chunk.triangles.len());
+            planes.take(&chunk.triangles, |corners| {
+                let [a, b, c] = corners.map(|vertex| sample_of.get(vertex as usize).copied());
+                Some([a?, b?, c?])
+            });
             Ok(())
         };
         match &self.faces {

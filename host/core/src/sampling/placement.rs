@@ -193,10 +193,14 @@ impl Unlike {
 /// the faces that begin at a multiple of this number, whoever reads which of them.
 pub const FACES_OF_A_SUM: u64 = 1 << 16;
 
+/// Faces that one job looks at.
+const FACES: usize = 1 << 12;
+
 /// The planes of the faces around each sample's cluster, summed up.
 ///
 /// Memory: 128 bytes per sample, and 4 for each time that one is met in a run of faces; without its own sums
-/// 48, and 44 bytes for each of the listed ones, of which a run has three for each face at most.
+/// 48, and 44 bytes for each of the listed ones, of which a run has three for each face at most. 28 bytes for
+/// each face across borders, of those that were taken at once and had most.
 pub struct Planes<'a> {
     /// Where the vertices of P_L are, local coordinates.
     vertices: &'a [Vec3],
@@ -204,12 +208,31 @@ pub struct Planes<'a> {
     samples: &'a [Vec3],
     /// The number of the first of these: those before it stay where they are.
     first: u32,
+    /// Those of so many samples each, one after the other: each is summed up by one thread at a time, in the
+    /// file's order.
+    shards: Vec<Shard>,
+    samples_of_a_shard: usize,
+    /// What each of the jobs finds in the faces that are taken at once.
+    crossing: Vec<Vec<CrossingFace>>,
+    /// How many faces of a run were taken.
+    faces: u64,
+}
+
+/// The planes around some samples that follow each other.
+struct Shard {
     /// Of the faces at hand, and the places of those samples that have any.
     quadrics: Vec<Quadric>,
     met: Vec<u32>,
-    /// How many faces these are.
-    faces: u64,
     sums: Sums,
+}
+
+/// A face across the border of clusters.
+struct CrossingFace {
+    /// Its number among those that are taken at once.
+    number: u32,
+    corners: [u32; 3],
+    /// The sample of each corner.
+    of: [u32; 3],
 }
 
 /// What becomes of the sums of some faces.
@@ -254,62 +277,139 @@ pub const LISTED: usize = 11;
 impl<'a> Planes<'a> {
     /// Planes of no face yet, around the samples from number `first` on.
     pub fn new(vertices: &'a [Vec3], samples: &'a [Vec3], first: u32) -> Self {
-        let sums = Sums::Added(vec![[0.0; 10]; samples.len()]);
-        let quadrics = vec![Quadric::default(); samples.len()];
-        Self { vertices, samples, first, quadrics, met: Vec::new(), faces: 0, sums }
+        let shards = rayon::current_num_threads();
+        Self::sharded(vertices, samples, first, shards, |samples| Sums::Added(vec![[0.0; 10]; samples]))
     }
 
     /// The same of a part of the faces, which begins at a multiple of [`FACES_OF_A_SUM`].
     pub fn listed(vertices: &'a [Vec3], samples: &'a [Vec3]) -> Self {
-        Self { sums: Sums::Listed(Vec::new()), ..Self::new(vertices, samples, 0) }
+        // One shard, as they are listed in the order of the faces.
+        Self::sharded(vertices, samples, 0, 1, |_| Sums::Listed(Vec::new()))
+    }
+
+    fn sharded(
+        vertices: &'a [Vec3],
+        samples: &'a [Vec3],
+        first: u32,
+        shards: usize,
+        sums: impl Fn(usize) -> Sums,
+    ) -> Self {
+        let samples_of_a_shard = samples.len().div_ceil(shards).max(1);
+        let shard = |samples: &[Vec3]| Shard {
+            quadrics: vec![Quadric::default(); samples.len()],
+            met: Vec::new(),
+            sums: sums(samples.len()),
+        };
+        let shards = samples.chunks(samples_of_a_shard).map(shard).collect();
+        Self { vertices, samples, first, shards, samples_of_a_shard, crossing: Vec::new(), faces: 0 }
     }
 
     /// The sums that were listed, [`LISTED`] numbers each, in the order of the faces; at the end all.
     pub fn take_listed(&mut self, is_end: bool) -> Vec<u32> {
-        if is_end {
-            self.sum_up();
+        let mut taken = Vec::new();
+        for shard in &mut self.shards {
+            if is_end {
+                shard.sum_up();
+            }
+            if let Sums::Listed(list) = &mut shard.sums {
+                taken.append(list);
+            }
         }
-        match &mut self.sums {
-            Sums::Listed(list) => std::mem::take(list),
-            Sums::Added(_) => Vec::new(),
-        }
+        taken
     }
 
     /// Adds sums that were listed, in the order of the faces; `false` if there are not such samples.
     pub fn add_listed(&mut self, listed: &[u32]) -> bool {
-        let Sums::Added(sums) = &mut self.sums else { return false };
         let (all, rest) = listed.as_chunks::<LISTED>();
-        rest.is_empty()
-            && all.iter().all(|[sample, numbers @ ..]| {
-                let sum = sums.get_mut(*sample as usize);
-                let known = sum.is_some();
-                sum.into_iter()
-                    .flatten()
-                    .zip(numbers)
-                    .for_each(|(sum, n)| *sum += f64::from(f32::from_bits(*n)));
-                known
-            })
+        rest.is_empty() && all.iter().all(|[sample, numbers @ ..]| self.add_one(*sample as usize, numbers))
     }
 
-    /// How many faces may be [taken](Self::take) until they have to be [counted](Self::count).
-    pub fn room(&self) -> usize {
-        (FACES_OF_A_SUM - self.faces) as usize
+    fn add_one(&mut self, sample: usize, numbers: &[u32]) -> bool {
+        let shard = self.shards.get_mut(sample / self.samples_of_a_shard);
+        let Some(Shard { sums: Sums::Added(sums), .. }) = shard else { return false };
+        let Some(sum) = sums.get_mut(sample % self.samples_of_a_shard) else { return false };
+        sum.iter_mut().zip(numbers).for_each(|(sum, n)| *sum += f64::from(f32::from_bits(*n)));
+        true
     }
 
-    /// So many faces were taken, or passed over.
-    pub fn count(&mut self, faces: usize) {
-        self.faces += faces as u64;
-        if self.faces >= FACES_OF_A_SUM {
-            self.sum_up();
-        }
+    /// Adds the faces across the border of clusters, each once to each sample that one of its corners belongs
+    /// to. The triangles of P_S reach from sample to sample, and so a surface fits them best that is known
+    /// where clusters meet: faces inside of them add nothing to that, and would take most of the time.
+    /// `samples_of` a face's corners are nothing if there is no such vertex, and the face is passed over. Takes
+    /// jobs of the thread pool.
+    pub fn take(&mut self, faces: &[[u32; 3]], samples_of: impl Fn([u32; 3]) -> Option<[u32; 3]> + Sync) {
+        let jobs = faces.len().div_ceil(FACES);
+        self.crossing.resize_with(jobs.max(self.crossing.len()), Vec::new);
+        let find = |(piece, (found, faces)): (usize, (&mut Vec<CrossingFace>, &[[u32; 3]]))| {
+            found.clear();
+            for (number, corners) in (piece * FACES..).zip(faces) {
+                if let Some(of) = samples_of(*corners).filter(|[a, b, c]| a != b || b != c) {
+                    found.push(CrossingFace { number: number as u32, corners: *corners, of });
+                }
+            }
+        };
+        let crossing = &mut self.crossing[..jobs];
+        crossing.par_iter_mut().zip(faces.par_chunks(FACES)).enumerate().for_each(find);
+        let Self { vertices, samples, first, ref mut shards, samples_of_a_shard, faces: before, .. } = *self;
+        let crossing = &self.crossing[..jobs];
+        let end = before + faces.len() as u64;
+        let add = |(at, (shard, samples)): (usize, (&mut Shard, &[Vec3]))| {
+            let first = first + (at * samples_of_a_shard) as u32;
+            let mut around = Around { vertices, samples, first, shard };
+            let mut next = FACES_OF_A_SUM;
+            for face in crossing.iter().flatten() {
+                while before + u64::from(face.number) >= next {
+                    around.shard.sum_up();
+                    next += FACES_OF_A_SUM;
+                }
+                around.take(face);
+            }
+            if end >= next {
+                around.shard.sum_up();
+            }
+        };
+        shards.par_iter_mut().zip(samples.par_chunks(samples_of_a_shard)).enumerate().for_each(add);
+        self.faces = end % FACES_OF_A_SUM;
     }
 
-    /// Adds a face across the border of clusters, once, to each sample that one of its corners belongs to.
-    /// The triangles of P_S reach from sample to sample, and so a surface fits them best that is known where
-    /// clusters meet: faces inside of them add nothing to that, and would take most of the time.
+    /// Where the samples are by the faces: as far from where they were as the corners in their clusters are
+    /// (rms), and as `most` allows, at most.
+    pub fn place(mut self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Placed> {
+        self.shards.par_iter_mut().for_each(Shard::sum_up);
+        let sum = |i: usize| match &self.shards[i / self.samples_of_a_shard].sums {
+            Sums::Added(sums) => Some(&sums[i % self.samples_of_a_shard]),
+            Sums::Listed(_) => None,
+        };
+        let placed = |(i, sample): (usize, &Vec3)| {
+            let moved = sum(i).map(|sum| (least(sum), radius(sum).min(f64::from(most(i)))));
+            // Around some there are no planes.
+            match moved.filter(|(way, most)| way.is_finite() && *most > 0.0) {
+                Some((way, most)) => {
+                    let at = (sample.as_dvec3() + way.clamp_length_max(most)).as_vec3();
+                    Placed { at, most: most as f32 }
+                }
+                None => Placed { at: *sample, most: 0.0 },
+            }
+        };
+        self.samples.par_iter().enumerate().map(placed).collect()
+    }
+}
+
+/// The planes of a shard, and what they are added by.
+struct Around<'a> {
+    vertices: &'a [Vec3],
+    /// The samples of the shard, and the number of the first of them.
+    samples: &'a [Vec3],
+    first: u32,
+    shard: &'a mut Shard,
+}
+
+impl Around<'_> {
+    /// Adds the plane of a face to each sample of the shard that one of its corners belongs to.
     #[inline]
-    pub fn take(&mut self, corners: [u32; 3], of: [u32; 3]) {
-        if of[0] == of[1] && of[1] == of[2] {
+    fn take(&mut self, face: &CrossingFace) {
+        let CrossingFace { corners, of, .. } = *face;
+        if !of.iter().any(|sample| (sample.wrapping_sub(self.first) as usize) < self.samples.len()) {
             return;
         }
         let [a, b, c] = corners.map(|vertex| Vec3A::from(self.vertices[vertex as usize]));
@@ -337,7 +437,7 @@ impl<'a> Planes<'a> {
     #[inline(always)]
     fn add(&mut self, sample: u32, plane: &Quadric, normal: Vec3A, corner: Vec3A) {
         let place = sample.wrapping_sub(self.first) as usize;
-        let Some((sample, quadric)) = self.samples.get(place).zip(self.quadrics.get_mut(place)) else {
+        let Some((sample, quadric)) = self.samples.get(place).zip(self.shard.quadrics.get_mut(place)) else {
             return;
         };
         let p = corner - Vec3A::from(*sample);
@@ -347,10 +447,12 @@ impl<'a> Planes<'a> {
         quadric.products += plane.products;
         quadric.toward += plane.toward * normal.dot(p);
         if is_first {
-            self.meet(place as u32);
+            self.shard.meet(place as u32);
         }
     }
+}
 
+impl Shard {
     /// A sample has its first planes, of which nothing may be left, so that it is met once more: it is summed
     /// up once, as it has nothing then.
     #[cold]
@@ -375,27 +477,6 @@ impl<'a> Planes<'a> {
                 }
             }
         }
-        self.faces = 0;
-    }
-
-    /// Where the samples are by the faces: as far from where they were as the corners in their clusters are
-    /// (rms), and as `most` allows, at most.
-    pub fn place(mut self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Placed> {
-        self.sum_up();
-        let stays = |sample: &Vec3| Placed { at: *sample, most: 0.0 };
-        let Sums::Added(sums) = self.sums else { return self.samples.iter().map(stays).collect() };
-        let moved = |(i, (sum, sample)): (usize, (&[f64; 10], &Vec3))| {
-            let way = least(sum);
-            let most = radius(sum).min(f64::from(most(i)));
-            // Around some there are no planes.
-            if way.is_finite() && most > 0.0 {
-                let at = (sample.as_dvec3() + way.clamp_length_max(most)).as_vec3();
-                Placed { at, most: most as f32 }
-            } else {
-                stays(sample)
-            }
-        };
-        sums.par_iter().zip(self.samples).enumerate().map(moved).collect()
     }
 }
 
@@ -424,14 +505,11 @@ mod tests {
     fn placed(vertices: &[Vec3], faces: &[[u32; 3]], sample: Vec3, most: f32) -> Vec3 {
         let samples = [sample];
         let mut planes = Planes::new(vertices, &samples, 7);
-        for corners in faces {
-            // With samples before and behind, which are none of these.
-            planes.take(*corners, [7, 7, 6]);
-            planes.take(*corners, [6, 8, u32::MAX]);
-            // Inside, it is for no triangle of P_S.
-            planes.take([1, 2, 3], [7; 3]);
-            planes.count(3);
-        }
+        // With samples before and behind, which are none of these.
+        planes.take(faces, |_| Some([7, 7, 6]));
+        planes.take(faces, |_| Some([6, 8, u32::MAX]));
+        // Inside, it is for no triangle of P_S.
+        planes.take(&[[1, 2, 3]; 3], |_| Some([7; 3]));
         planes.place(|_| most)[0].at
     }
 
@@ -487,13 +565,10 @@ mod tests {
         let faces: Vec<[u32; 3]> = (0..3 * FACES_OF_A_SUM as u32 - 77)
             .map(|i| [i, i * 7 + 1, i * i % 991].map(|v| v % 997))
             .collect();
-        let of = |corners: [u32; 3]| corners.map(|corner| corner % 53);
-        let read = |planes: &mut Planes<'_>, mut faces: &[[u32; 3]], mut taken: Vec<u32>| {
-            while let Some(some) = faces.split_off(..planes.room().min(faces.len()).min(10_007))
-                && !some.is_empty()
-            {
-                some.iter().for_each(|corners| planes.take(*corners, of(*corners)));
-                planes.count(some.len());
+        let of = |corners: [u32; 3]| Some(corners.map(|corner| corner % 53));
+        let read = |planes: &mut Planes<'_>, faces: &[[u32; 3]], mut taken: Vec<u32>| {
+            for some in faces.chunks(10_007) {
+                planes.take(some, of);
                 taken.extend(planes.take_listed(false));
             }
             taken.extend(planes.take_listed(true));

@@ -4,13 +4,16 @@
 use rayon::prelude::*;
 use simod_model::{FaceMark, Model, Progress, Result, for_faces};
 
-use super::face_ranges::FaceRanges;
+use super::face_ranges::{FaceRanges, MetCells};
 use super::placement::Planes;
 use crate::touching::Islands;
 
 /// Most triangles for each sample. A closed surface has two, and any that is worth the name not many more;
 /// beyond it the faces are a tangle that tells nothing of P_S, as large as P_L's own.
 const MOST_PER_SAMPLE: usize = 16;
+
+/// Faces that one job looks at.
+const FACES: usize = 1 << 12;
 
 /// Triangles of P_S, as found in a model's faces.
 #[derive(Debug, Default, PartialEq, Eq)]
@@ -88,70 +91,34 @@ impl<'a, 'p> Reindexing<'a, 'p> {
     }
 
     /// Takes the next triangles, and the marks among them; and those whose planes are summed up, which are
-    /// the same but for who reads a part of the faces.
+    /// the same but for who reads a part of the faces. Takes jobs of the thread pool.
     pub fn take(&mut self, triangles: &[[u32; 3]], marks: &[FaceMark], summed: &[[u32; 3]]) {
-        let Self { sample_of, samples, ref mut wanted, most, ref mut found } = *self;
-        let Wanted { triangles: wants_triangles, ranges, islands, planes } = wanted;
-        let mut reindex = || {
-            let mut marks = marks.iter().peekable();
-            for (at, corners) in triangles.iter().enumerate() {
-                if let Some(ranges) = ranges {
-                    while let Some(mark) = marks.next_if(|mark| mark.triangle <= at) {
-                        ranges.mark(mark.offset);
-                    }
-                    let known = corners.iter().filter_map(|corner| sample_of.get(*corner as usize).copied());
-                    known
-                        .filter(|sample| (*sample as usize) < samples)
-                        .for_each(|sample| ranges.meet(sample));
-                }
-                let [Some(a), Some(b), Some(c)] = corners.map(|corner| sample_of.get(corner as usize)) else {
-                    found.without_vertex += 1;
-                    continue;
-                };
-                // Vertices without a finite position have no sample.
-                if *wants_triangles
-                    && !found.tangled
-                    && a != b
-                    && b != c
-                    && c != a
-                    && [a, b, c].iter().all(|s| (**s as usize) < samples)
-                {
-                    found.triangles.push(if found.of_vertices {
-                        *corners
-                    } else {
-                        first_least([*a, *b, *c])
-                    });
-                }
-            }
-            if let Some(ranges) = ranges {
-                marks.for_each(|mark| ranges.mark(mark.offset));
-            }
-            found.keep_few(sample_of, most);
-        };
-        let known = |corners: [u32; 3]| match corners.map(|v| sample_of.get(v as usize)) {
-            [Some(a), Some(b), Some(c)] => Some([*a, *b, *c]),
-            _ => None,
-        };
-        let mut join = || {
-            let Some(islands) = islands else { return };
-            for corners in triangles {
-                known(*corners).into_iter().for_each(|of| islands.take(*corners, of));
-            }
-        };
-        let mut add_planes = || {
-            let Some(planes) = planes else { return };
-            let mut left = summed;
-            while !left.is_empty() {
-                let (some, behind) = left.split_at(left.len().min(planes.room()));
-                for corners in some {
-                    known(*corners).into_iter().for_each(|of| planes.take(*corners, of));
-                }
-                planes.count(some.len());
-                left = behind;
-            }
-        };
-        // Side by side, each in the file's order.
-        rayon::join(&mut reindex, || rayon::join(&mut join, &mut add_planes));
+        // One of the pool's threads does what follows: else it would have to be woken for each part.
+        rayon::scope(|_| {
+            let Self { sample_of, samples, ref mut wanted, ref found, .. } = *self;
+            let Wanted { triangles: wants_triangles, ranges, islands, planes } = wanted;
+            let (wants_triangles, of_vertices) = (*wants_triangles && !found.tangled, found.of_vertices);
+            let look = Look { sample_of, samples, wants_triangles, of_vertices, ranges: ranges.as_deref() };
+            let sample_of = |vertex: u32| sample_of.get(vertex as usize).copied();
+            let samples_of = |corners: [u32; 3]| {
+                let [a, b, c] = corners.map(sample_of);
+                Some([a?, b?, c?])
+            };
+            let mut join = || islands.iter_mut().for_each(|islands| islands.take(triangles, samples_of));
+            let mut add_planes = || planes.iter_mut().for_each(|planes| planes.take(summed, samples_of));
+            let (pieces, _) =
+                rayon::join(|| look.pieces(triangles, marks), || rayon::join(&mut join, &mut add_planes));
+            pieces.into_iter().for_each(|piece| self.add_piece(piece));
+            self.found.keep_few(self.sample_of, self.most);
+        });
+    }
+
+    fn add_piece(&mut self, piece: Piece) {
+        self.found.without_vertex += piece.without_vertex;
+        self.found.triangles.extend_from_slice(&piece.triangles);
+        if let Some(ranges) = &mut self.wanted.ranges {
+            ranges.take(&piece.met);
+        }
     }
 
     /// The sample of a vertex, if it has any.
@@ -204,6 +171,84 @@ impl<'a, 'p> Reindexing<'a, 'p> {
         found.triangles.shrink_to_fit();
         found
     }
+}
+
+/// How faces are looked at.
+struct Look<'a> {
+    sample_of: &'a [u32],
+    samples: usize,
+    wants_triangles: bool,
+    /// They are wanted as vertices.
+    of_vertices: bool,
+    /// Where the cells are of which it is noted that they are met.
+    ranges: Option<&'a FaceRanges>,
+}
+
+impl Look<'_> {
+    /// Looks at triangles, piece by piece, and the marks among them.
+    fn pieces(&self, triangles: &[[u32; 3]], marks: &[FaceMark]) -> Vec<Piece> {
+        let before = |end: usize| marks.partition_point(|mark| mark.triangle < end);
+        let piece = |(at, some): (usize, &[[u32; 3]])| {
+            let (first, end) = (at * FACES, at * FACES + some.len());
+            // The last one has those behind all triangles, too.
+            let last = if end == triangles.len() { marks.len() } else { before(end) };
+            self.piece(first, some, &marks[before(first)..last])
+        };
+        let mut pieces: Vec<Piece> = triangles.par_chunks(FACES).enumerate().map(piece).collect();
+        if triangles.is_empty() {
+            pieces.push(self.piece(0, &[], marks));
+        }
+        pieces
+    }
+
+    /// What is found in some triangles, of which the first one has a number that marks tell.
+    fn piece(&self, first: usize, triangles: &[[u32; 3]], marks: &[FaceMark]) -> Piece {
+        let mut piece = Piece::default();
+        let mut marks = marks.iter().peekable();
+        for (at, corners) in (first..).zip(triangles) {
+            while let Some(mark) = marks.next_if(|mark| mark.triangle <= at) {
+                piece.met.mark(mark.offset);
+            }
+            let of = corners.map(|corner| self.sample_of.get(corner as usize).copied());
+            let [Some(a), Some(b), Some(c)] = of else {
+                piece.without_vertex += 1;
+                of.iter().flatten().for_each(|sample| self.meet(*sample, &mut piece.met));
+                continue;
+            };
+            self.meet(a, &mut piece.met);
+            if a == b && b == c {
+                continue;
+            }
+            self.meet(b, &mut piece.met);
+            self.meet(c, &mut piece.met);
+            // Vertices without a finite position have no sample.
+            let are_samples = || a.max(b).max(c) < self.samples as u32;
+            if self.wants_triangles && a != b && b != c && c != a && are_samples() {
+                let triangle = if self.of_vertices { *corners } else { first_least([a, b, c]) };
+                piece.triangles.push(triangle);
+            }
+        }
+        marks.for_each(|mark| piece.met.mark(mark.offset));
+        piece
+    }
+
+    /// A face has a corner in a sample's cluster.
+    #[inline]
+    fn meet(&self, sample: u32, met: &mut MetCells) {
+        if let Some(ranges) = &self.ranges
+            && (sample as usize) < self.samples
+        {
+            met.meet(ranges.cell_of(sample));
+        }
+    }
+}
+
+/// What is found in some faces.
+#[derive(Default)]
+struct Piece {
+    triangles: Vec<[u32; 3]>,
+    without_vertex: u64,
+    met: MetCells,
 }
 
 /// Streams the faces of a model through a [`Reindexing`].

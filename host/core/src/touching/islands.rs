@@ -6,12 +6,13 @@
 //! [`Graph::parts`].
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use bytemuck::{cast_slice, cast_slice_mut};
 use memmap2::MmapMut;
 use rayon::prelude::*;
 use simod_model::scratch::Scratch;
-use simod_model::{Error, Result};
+use simod_model::{Error, Result, memory};
 
 use super::ADVICE;
 use super::twins::Found as FoundTwins;
@@ -26,6 +27,12 @@ const LINKS_AT_EASE: usize = 1 << 18;
 
 /// Links of each cluster that are remembered, as the next ones are probably among them.
 const LATEST: usize = 4;
+
+/// Faces that one job looks at.
+const FACES: usize = 1 << 12;
+
+/// Links of a job that are remembered: more than are met along the border of a cluster.
+const REMEMBERED: usize = 1 << 10;
 
 /// Islands of a cluster that so many steps from island to island join are on one sheet.
 const STEPS: usize = 4;
@@ -46,6 +53,8 @@ pub struct Islands {
     tangled: bool,
     /// Links that found no room, and why they could not be written, if so.
     spilled: Spilled,
+    /// What each of the jobs finds in the faces that are taken at once.
+    jobs: Vec<Job>,
 }
 
 /// Links in a temporary file.
@@ -112,6 +121,7 @@ impl Islands {
             most: MOST_PER_SAMPLE * samples.max(64),
             tangled: false,
             spilled: Spilled::new(folder),
+            jobs: Vec::new(),
         };
         if twins.count > 0 {
             islands.join_twins(sample_of);
@@ -130,66 +140,35 @@ impl Islands {
         }
     }
 
-    /// Takes a face: its corners, and the cluster of each; a cluster that there is not stands for none.
-    #[inline]
-    pub fn take(&mut self, corners: [u32; 3], clusters: [u32; 3]) {
+    /// Takes faces, in any order. `clusters_of` a face's corners are nothing if there is no such vertex; such
+    /// a face joins nothing, nor does one with a cluster that there is not. Takes jobs of the thread pool.
+    ///
+    /// Memory: 24 bytes for each face across the border of clusters, and 12 for each link that a job finds, of
+    /// which such a face has three at most: as much as it was for the faces that were most.
+    pub fn take(&mut self, faces: &[[u32; 3]], clusters_of: impl Fn([u32; 3]) -> Option<[u32; 3]> + Sync) {
+        if self.tangled {
+            return;
+        }
         let known = self.latest.len() as u32;
-        let [a, b, c] = clusters;
-        if self.tangled || a >= known || b >= known || c >= known {
-            return;
-        }
-        if a == b && b == c && self.are_plainly_one(corners) {
-            return;
-        }
-        let [mut u, mut v, mut w] = corners.map(|corner| self.first(corner));
-        if a == b {
-            u = self.unite(u, v);
-            v = u;
-        }
-        if b == c {
-            v = self.unite(v, w);
-            w = v;
-            u = if a == b { v } else { u };
-        }
-        if c == a && b != c {
-            u = self.unite(u, w);
-            w = u;
-        }
-        if a != b {
-            self.link((u, a), (v, b));
-        }
-        if c != a {
-            self.link((u, a), (w, c));
-        }
-        if a != b && b != c && c != a {
-            self.link((v, b), (w, c));
-        }
-    }
-
-    /// Whether the same vertex of their island is known of all.
-    #[inline]
-    fn are_plainly_one(&self, corners: [u32; 3]) -> bool {
-        let back: &[u32] = cast_slice(&self.back);
-        let [u, v, w] = corners.map(|corner| corner - back[corner as usize]);
-        u == v && v == w
-    }
-
-    /// Two islands are one, whose first vertex it gives.
-    #[inline]
-    fn unite(&mut self, u: u32, v: u32) -> u32 {
-        if u == v {
-            return u;
-        }
-        let (low, high) = (u.min(v), u.max(v));
-        cast_slice_mut(&mut self.back)[high as usize] = high - low;
-        low
+        let clusters_of = |corners: [u32; 3]| {
+            clusters_of(corners).filter(|clusters| clusters.iter().all(|cluster| *cluster < known))
+        };
+        let mut jobs = std::mem::take(&mut self.jobs);
+        jobs.resize_with(faces.len().div_ceil(FACES).max(jobs.len()), Job::default);
+        let vertices = Vertices::of(&mut self.back);
+        let used = &mut jobs[..faces.len().div_ceil(FACES)];
+        let unite = |(job, faces): (&mut Job, &[[u32; 3]])| job.unite(vertices, faces, clusters_of);
+        used.par_iter_mut().zip(faces.par_chunks(FACES)).for_each(unite);
+        // Links are of fewer vertices once all islands of these faces are what they will be.
+        used.par_iter_mut().for_each(|job| job.link(vertices));
+        used.iter().flat_map(|job| &job.links).for_each(|link| self.link(*link));
+        self.jobs = jobs;
     }
 
     /// Two islands of different clusters are joined.
     #[inline]
-    fn link(&mut self, (u, a): (u32, u32), (v, b): (u32, u32)) {
-        let (at, link) = if a < b { (a, [u, v]) } else { (b, [v, u]) };
-        let latest = &mut self.latest[at as usize];
+    fn link(&mut self, (cluster, link): Link) {
+        let latest = &mut self.latest[cluster as usize];
         if !latest.contains(&link) {
             let [a, b, c, _] = *latest;
             *latest = [link, a, b, c];
@@ -207,31 +186,19 @@ impl Islands {
         if self.tangled || a >= known || b >= known {
             return;
         }
-        let (u, v) = (self.first(u), self.first(v));
+        let vertices = Vertices::of(&mut self.back);
+        let (u, v) = (vertices.first(u), vertices.first(v));
         if a == b {
-            self.unite(u, v);
+            vertices.unite(u, v);
         } else {
-            self.link((u, a), (v, b));
+            self.link(link((u, a), (v, b)));
         }
     }
 
     /// The first vertex of a vertex' island.
     #[inline]
-    pub fn first(&mut self, mut vertex: u32) -> u32 {
-        let back: &mut [u32] = cast_slice_mut(&mut self.back);
-        loop {
-            let step = back[vertex as usize];
-            if step == 0 {
-                return vertex;
-            }
-            let before = vertex - step;
-            let next = back[before as usize];
-            if next == 0 {
-                return before;
-            }
-            back[vertex as usize] = step + next;
-            vertex = before - next;
-        }
+    pub fn first(&mut self, vertex: u32) -> u32 {
+        Vertices::of(&mut self.back).first(vertex)
     }
 
     /// The same, on any thread.
@@ -267,8 +234,8 @@ impl Islands {
 
     /// Two vertices are of one island of a cluster, as is known of other faces.
     pub fn unite_both(&mut self, u: u32, v: u32) {
-        let (u, v) = (self.first(u), self.first(v));
-        self.unite(u, v);
+        let vertices = Vertices::of(&mut self.back);
+        vertices.unite(vertices.first(u), vertices.first(v));
     }
 
     /// Two vertices of different clusters are joined, as is known of other faces.
@@ -323,6 +290,147 @@ impl Islands {
         let graph = Graph::new(&links, self.latest.len(), |first| sample_of[first as usize]);
         self.links = links;
         Ok(graph)
+    }
+}
+
+/// Two vertices of different clusters that are joined, that of the lower cluster first; and this cluster.
+type Link = (u32, [u32; 2]);
+
+/// The link between two vertices, each of a cluster.
+#[inline]
+fn link((u, a): (u32, u32), (v, b): (u32, u32)) -> Link {
+    if a < b { (a, [u, v]) } else { (b, [v, u]) }
+}
+
+/// What a job finds in some faces.
+struct Job {
+    /// The faces with corners in several clusters, and these.
+    crossing: Vec<([u32; 3], [u32; 3])>,
+    /// Links, mostly each once.
+    links: Vec<Link>,
+    /// Some of these, at places that their vertices tell.
+    remembered: [[u32; 2]; REMEMBERED],
+}
+
+impl Default for Job {
+    fn default() -> Self {
+        Self { crossing: Vec::new(), links: Vec::new(), remembered: [[0; 2]; REMEMBERED] }
+    }
+}
+
+impl Job {
+    /// Makes one island of those corners of each face that are of one cluster.
+    fn unite(
+        &mut self,
+        vertices: Vertices<'_>,
+        faces: &[[u32; 3]],
+        clusters_of: impl Fn([u32; 3]) -> Option<[u32; 3]>,
+    ) {
+        self.crossing.clear();
+        for corners in faces {
+            if let Some(clusters) = clusters_of(*corners)
+                && vertices.unite_corners(*corners, clusters)
+            {
+                self.crossing.push((*corners, clusters));
+            }
+        }
+    }
+
+    /// Finds the links between those that are of several.
+    fn link(&mut self, vertices: Vertices<'_>) {
+        self.links.clear();
+        self.remembered.fill([0; 2]);
+        for (corners, [a, b, c]) in &self.crossing {
+            let [u, v, w] = corners.map(|vertex| vertices.first(vertex));
+            for ((u, a), (v, b)) in [((u, *a), (v, *b)), ((v, *b), (w, *c)), ((w, *c), (u, *a))] {
+                if a == b {
+                    continue;
+                }
+                let (cluster, [u, v]) = link((u, a), (v, b));
+                let place = u.wrapping_mul(31).wrapping_add(v) as usize % REMEMBERED;
+                if std::mem::replace(&mut self.remembered[place], [u, v]) != [u, v] {
+                    self.links.push((cluster, [u, v]));
+                }
+            }
+        }
+    }
+}
+
+/// The islands that vertices are of, as sets that are united: each known by its first vertex, to which the
+/// steps back of its vertices lead. Any number of threads may unite them at once: a step only ever becomes a
+/// longer one to a vertex of the same set, so what others have not seen yet costs them another step.
+#[derive(Clone, Copy)]
+struct Vertices<'a> {
+    /// For each vertex, how far before it another one of its island is; 0 for the first of an island.
+    back: &'a [AtomicU32],
+}
+
+impl<'a> Vertices<'a> {
+    fn of(back: &'a mut MmapMut) -> Self {
+        Self { back: memory::atomics(cast_slice_mut(&mut back[..])) }
+    }
+
+    #[inline]
+    fn back(self, vertex: u32) -> u32 {
+        self.back[vertex as usize].load(Relaxed)
+    }
+
+    /// Those corners of a face that are of one cluster are of one island. Whether it has others.
+    #[inline]
+    fn unite_corners(self, corners: [u32; 3], [a, b, c]: [u32; 3]) -> bool {
+        let [u, v, w] = corners;
+        if a == b && b == c {
+            if !self.are_plainly_one(corners) {
+                let first = self.unite(self.first(u), self.first(v));
+                self.unite(first, self.first(w));
+            }
+            return false;
+        }
+        for ((u, a), (v, b)) in [((u, a), (v, b)), ((v, b), (w, c)), ((w, c), (u, a))] {
+            if a == b {
+                self.unite(self.first(u), self.first(v));
+            }
+        }
+        true
+    }
+
+    /// Whether the same vertex of their island is known of all.
+    #[inline]
+    fn are_plainly_one(self, corners: [u32; 3]) -> bool {
+        let [u, v, w] = corners.map(|corner| corner - self.back(corner));
+        u == v && v == w
+    }
+
+    /// The islands of which these were the first vertices are one, whose first vertex it gives.
+    #[inline]
+    fn unite(self, mut u: u32, mut v: u32) -> u32 {
+        while u != v {
+            let (low, high) = (u.min(v), u.max(v));
+            if self.back[high as usize].compare_exchange(0, high - low, Relaxed, Relaxed).is_ok() {
+                return low;
+            }
+            // Another thread has united it with one before it meanwhile.
+            (u, v) = (self.first(u), self.first(v));
+        }
+        u
+    }
+
+    /// The first vertex of a vertex' island.
+    #[inline]
+    fn first(self, mut vertex: u32) -> u32 {
+        loop {
+            let step = self.back(vertex);
+            if step == 0 {
+                return vertex;
+            }
+            let before = vertex - step;
+            let next = self.back(before);
+            if next == 0 {
+                return before;
+            }
+            self.back[vertex as usize].store(step + next, Relaxed);
+            vertex = before - next;
+        }
     }
 }
 
@@ -544,9 +652,7 @@ mod tests {
     /// Islands of faces over vertices whose clusters are given.
     fn graph(sample_of: &[u32], samples: usize, faces: &[[u32; 3]]) -> Graph {
         let mut islands = Islands::new(no_twins(sample_of.len()), sample_of, samples, &std::env::temp_dir());
-        for face in faces {
-            islands.take(*face, face.map(|v| sample_of[v as usize]));
-        }
+        islands.take(faces, |face| Some(face.map(|v| sample_of[v as usize])));
         assert!(!islands.tangled);
         islands.graph(sample_of).expect("a file")
     }
@@ -591,6 +697,39 @@ mod tests {
         assert_eq!([0, 1, 2].map(|island| graph.joined(island).to_vec()), [vec![1], vec![0, 2], vec![1]]);
         assert_eq!([0, 1].map(|cluster| graph.islands(cluster).collect::<Vec<_>>()), [vec![0, 2], vec![1]]);
         assert!(graph.parts().is_empty());
+    }
+
+    /// Faces of several jobs, which unite and link the same vertices at once, and the same ones by one.
+    #[test]
+    fn whoever_unites_them_at_once_islands_are_the_same() {
+        let random = |i: u32| i.wrapping_mul(2_654_435_761) >> 7;
+        let vertices = 20_000;
+        let sample_of: Vec<u32> = (0..vertices).map(|v| random(v) % 7 + v / 300 * 7).collect();
+        let samples = sample_of.iter().max().map_or(0, |most| *most as usize + 1);
+        // Near each other, but in no order.
+        let face =
+            |i: u32| [0, 1, 2].map(|k| (random(i) % vertices + random(3 * i + k) % 40).min(vertices - 1));
+        let faces: Vec<[u32; 3]> = (0..9 * FACES as u32 + 5).map(face).collect();
+        let at_once = graph(&sample_of, samples, &faces);
+        let mut islands = Islands::new(no_twins(sample_of.len()), &sample_of, samples, &std::env::temp_dir());
+        for face in faces.iter().rev() {
+            islands.take(&[*face], |face| Some(face.map(|v| sample_of[v as usize])));
+        }
+        let one_by_one = islands.graph(&sample_of).expect("a file");
+        let joined = |graph: &Graph| -> Vec<Vec<[u32; 2]>> {
+            let islands = (0..graph.len()).map(|island| {
+                let of = |other: &u32| [graph.cluster(*other), first(graph, *other)];
+                let mut joined: Vec<[u32; 2]> = graph.joined(island).iter().map(of).collect();
+                joined.push([graph.cluster(island), first(graph, island)]);
+                joined.sort_unstable();
+                joined
+            });
+            let mut all: Vec<_> = islands.collect();
+            all.sort_unstable();
+            all
+        };
+        assert!(!at_once.further.is_empty() && at_once.len() > samples as u32);
+        assert_eq!(joined(&at_once), joined(&one_by_one));
     }
 
     #[test]
