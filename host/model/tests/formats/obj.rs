@@ -200,7 +200,7 @@ fn a_shared_normal_is_the_mean_of_its_places_where_they_agree() {
     );
     assert!(notes[0].contains("which takes 144 bytes, and 48 bytes besides"), "{notes:?}");
     assert_eq!(notes.len(), 2);
-    assert!(notes[1].contains(": 1 normals (vn) are kept as they are"), "{notes:?}");
+    assert!(notes[1].ends_with("turn apart by more than 5\u{b0}: 1 normal kept"), "{notes:?}");
 }
 
 /// What the user is told.
