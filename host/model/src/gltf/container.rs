@@ -248,8 +248,7 @@ impl Container {
         Ok(replaced(json, changes))
     }
 
-    /// The same with other JSON and further binary data, which begins at a multiple of four bytes, and ends at
-    /// one.
+    /// The same with other JSON and further binary data, which begins and ends at multiples of four bytes.
     pub(super) fn with_more(mut self, text: Vec<u8>, more: Source) -> Result<(Self, Vec<u8>)> {
         let old = std::mem::take(&mut self.parts);
         let (bin, end) = (self.bin.clone(), if self.bin.is_empty() { self.json.end } else { self.bin.end });
