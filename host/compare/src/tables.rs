@@ -139,11 +139,12 @@ pub(crate) fn latex(c: &Comparison) -> String {
     // Text takes what is written.
     let _ = writeln!(
         text,
-        "% {} vertices of {}, by SIMOD {} on {}; lengths in percent of the diagonal.",
+        "% {} vertices of {}, by SIMOD {} on {}; lengths in percent of the diagonal: 1 % is {} in the model's unit.",
         c.model.vertices,
         comment(&c.model.name),
         c.simod,
-        comment(&c.machine.in_words())
+        comment(&c.machine.in_words()),
+        0.01 * c.model.diagonal
     );
     for (method, failure) in c.failed() {
         let _ = writeln!(text, "% {} could not be done: {}", comment(&method.name), comment(&failure.what));

@@ -64,6 +64,11 @@ impl Content<'_> {
     }
 }
 
+/// So many of something that is called so, as "1 comment" and "3 comments".
+pub(crate) fn counted(count: u64, one: &str) -> String {
+    format!("{count} {one}{}", if count == 1 { "" } else { "s" })
+}
+
 /// A loss, for people.
 pub(crate) fn attribute_loss(name: &str, kind: Type) -> String {
     format!("the attribute {name} ({})", kind.name())

@@ -645,7 +645,7 @@ fn vertices_that_are_not_finite_keep_their_bytes() {
     }
     let text =
         b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
-        end_header\nNAN 1 2\n1 -1.#IND 1e999\n 1.50  +2. 3e0 rest";
+        end_header\nNAN 1 2\n1 -1.#IND -inf\n 1.50  +2. 3e0 rest";
     let model = open(text).unwrap();
     let edited = rewrite(&*model, |chunk| chunk.positions.iter_mut().for_each(|p| p.z += 0.1)).unwrap();
     assert_eq!(edited, String::from_utf8_lossy(text).replace("3e0", "3.1").into_bytes());

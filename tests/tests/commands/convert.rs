@@ -111,7 +111,7 @@ fn las_and_laz_keep_everything() {
         work.simod("convert a.laz back.las");
         assert!(work.read("back.las") == work.read("a.las"), "{format:?}");
         // What goes to another format loses its reference system.
-        work.refuses("convert a.laz a.ply", &["1 variable length records", "ETRS89 / UTM zone 32N"]);
+        work.refuses("convert a.laz a.ply", &["1 variable length record, ", "ETRS89 / UTM zone 32N"]);
         // A deformation on the way: the points that it writes in its own format.
         work.simod("sample a.las -o m.simod --samples 2000");
         work.move_samples("m.simod", |p| p + DVec3::new(0.0, 0.0, 0.01 * (p.x - 412_345.678)));
@@ -241,7 +241,7 @@ fn polygons_stay_polygons() {
     work.refuses("convert m.off m.stl", &[&lost]);
     // What ends before it is a triangle.
     work.write("few.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\nf 1 2 3\n");
-    work.refuses("convert few.obj few.ply", &["would lose: 1 faces of fewer than three corners"]);
+    work.refuses("convert few.obj few.ply", &["would lose: 1 face of fewer than three corners"]);
     // Strips are triangles in other formats.
     let ply = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
                element tristrips 1\nproperty list int int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n1 1 0\n4 0 1 2 3\n";
@@ -255,12 +255,12 @@ fn what_would_be_lost_is_named() {
     let head = "mtllib a.mtl\n# one\n# two\n";
     work.write("rich.obj", format!("{head}{OBJ}vt 0 0\ng left\ns 1\nf 1/1 2/1 4/1 3/1\nf 1 2 9\n"));
     let losses = [
-        "1 materials: \"mtllib\"",
-        "2 comments",
-        "1 texture coordinates",
-        "1 groups",
-        "1 smoothing groups",
-        "1 triangles that refer to no vertex",
+        "1 material statement (mtllib); ",
+        "2 comments; ",
+        "1 texture coordinate (vt)",
+        "1 group statement (g)",
+        "1 smoothing group statement (s)",
+        "1 triangle with a corner that is no vertex",
     ];
     work.refuses("convert rich.obj rich.ply", &losses);
     let report = work.report("convert rich.obj rich.ply --lossy");
@@ -279,14 +279,14 @@ fn what_would_be_lost_is_named() {
                end_header\n0 0 0 1 0\n1 0 0 2 1 7\n0 1 0 3 0\n3 0 1 2 5\n4\n";
     work.write("rich.ply", ply);
     let of_ply = [
-        "1 comments",
+        "1 comment; ",
         "the property list uchar int seen_by of \"vertex\"",
         "the property int material of \"face\"",
         "the element \"edge\"",
     ];
     work.refuses("convert rich.ply out.obj", &[&of_ply[..], &["the attribute red (uchar)"]].concat());
-    work.refuses("convert rich.ply out.laz", &[&of_ply[..], &["1 faces", "rounded to", "--step"]].concat());
-    work.refuses("convert rich.ply out.pcd", &[&of_ply[..], &["1 faces"]].concat());
+    work.refuses("convert rich.ply out.laz", &[&of_ply[..], &["1 face; ", "rounded to", "--step"]].concat());
+    work.refuses("convert rich.ply out.pcd", &[&of_ply[..], &["1 face"]].concat());
     // To another file of the same format as well.
     work.refuses("convert rich.ply out.ply", &of_ply);
     work.simod("convert rich.ply out.ply --lossy");
@@ -330,6 +330,31 @@ fn what_cannot_be_written() {
         work.simod("generate -o large.ply --vertices 60000");
         work.refuses_beyond(1 << 20, "convert large.ply large.obj", &["large.obj"]);
     }
+}
+
+#[test]
+fn whole_numbers_that_doubles_do_not_hold_are_a_loss() {
+    let work = Workplace::new();
+    let text = |id: &str| format!("x,y,z,id,time\n0,0,0,1,0.12345678901234567\n1,0,0,{id},0\n0,1,0,3,0\n");
+    for id in ["9007199254740993", "-18446744073709551615"] {
+        work.write("wide.csv", text(id));
+        let losses = ["wide.ply would lose: digits of \"id\", which has whole numbers beyond 2^53"];
+        let outcome = work.refuses("convert wide.csv wide.ply", &losses);
+        assert!(outcome.hint().contains("in its own format, .csv"), "{}", outcome.hint());
+        work.simod("convert wide.csv lossy.ply --lossy");
+    }
+    work.write("narrow.csv", text("9007199254740992"));
+    work.simod("convert narrow.csv narrow.ply");
+}
+
+#[test]
+fn numbers_beyond_their_type_give_no_output() {
+    let work = Workplace::new();
+    work.write("far.xyz", "0 0 0\n1 -1e999 0\n0 1 0\n");
+    for line in ["sample far.xyz -o far.simod --samples 2", "convert far.xyz far.ply", "info far.xyz"] {
+        work.refuses(line, &["far.xyz: line 2: vertex 1: \"-1e999\" is beyond the type double"]);
+    }
+    assert!(!work.path("far.simod").exists() && !work.path("far.ply").exists());
 }
 
 /// As scanners write what came back from nowhere.

@@ -256,7 +256,7 @@ fn a_model_is_written_in_its_own_format_and_name() {
     let line = "reconstruct m.simod --deformed m.simod/samples.ply -o";
     let outcome = work.refuses(&format!("{line} out.pts"), &["out.pts", "cannot be written anew"]);
     assert!(outcome.hint().contains("obj"));
-    work.refuses(&format!("{line} out.las"), &["out.las would lose", "1 faces"]);
+    work.refuses(&format!("{line} out.las"), &["out.las would lose", "1 face; "]);
     work.simod(&format!("{line} out.obj"));
     // A model of any format may be replaced, and nothing else.
     work.simod(&format!("{line} out.obj"));
@@ -275,7 +275,9 @@ fn normals_that_corners_share_are_said_to_be_kept() {
     work.move_samples("m.simod", moved);
     let outcome = work.simod("reconstruct m.simod --deformed deformed.ply -o out.obj");
     assert!(
-        outcome.stderr.contains("1 normals (vn) are kept as they are: corners share"),
+        outcome
+            .stderr
+            .contains("corners that share a normal (vn) turn apart by more than 5\u{b0}: 1 normal kept"),
         "{}",
         outcome.stderr
     );
@@ -295,6 +297,11 @@ fn sessions_say_what_columns_are() {
     let report = work.report("run edit.toml --measure");
     let worst = report["transfer_error"]["max"].as_f64().expect("a number");
     assert!(worst < 1e-3, "{worst:e}");
+    let number = |value: &serde_json::Value| value.as_f64().expect("a number");
+    let diagonal = number(&report["diagonal"]);
+    for (error, one) in [("transfer_error", "max"), ("transfer_error", "rms"), ("expected_error", "worst")] {
+        assert_eq!(number(&report[error]["lengths"][one]), number(&report[error][one]) * diagonal);
+    }
     let out = String::from_utf8(work.read("out.txt")).expect("text");
     let ids = |text: &str| -> Vec<String> {
         text.lines().map(|line| line.split(' ').next().expect("a word").to_owned()).collect()

@@ -324,7 +324,13 @@ fn auto_refines_where_the_deformation_needs_it() {
     assert_eq!(work.ply("more.ply").len(), old + added);
     assert!(bytes_of(&work, "more.ply", old) == bits, "deformed samples have moved");
     let info = work.report("info model.simod");
-    assert!(info["refinements"][0]["transfer_error"].as_f64().expect("a number") >= 1e-5);
+    let number = |value: &serde_json::Value| value.as_f64().expect("a number");
+    let refinement = &info["refinements"][0];
+    assert!(number(&refinement["transfer_error"]) >= 1e-5);
+    let diagonal = number(&info["diagonal"]);
+    assert_eq!(number(&refinement["lengths"]["error"]), number(&refinement["error"]) * diagonal);
+    let expected = number(&report["expected_transfer_error"]) * number(&report["diagonal"]);
+    assert_eq!(number(&report["expected_transfer_error_length"]), expected);
     let outcome = work.simod("info model.simod");
     assert!(outcome.stdout.contains("wherever it was needed"), "{}", outcome.stdout);
 

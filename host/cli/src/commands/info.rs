@@ -16,7 +16,7 @@ use simod_session::sidecar;
 
 use super::reconstruct::tell_following;
 use super::tell_cache;
-use crate::report::{Report, count, length};
+use crate::report::{Report, count, length, with_lengths};
 
 /// Show what a model, or a sampled model, holds
 #[derive(Args)]
@@ -104,9 +104,10 @@ impl Info {
         report.figure("triangles", sampled.triangles.len());
         report.figure("cells_kept", kept);
         let refinement = |r: &Refinement| {
-            json!({
+            let figures = json!({
                 "shapes": r.shapes, "error": r.error, "added": r.added, "transfer_error": r.transfer_error
-            })
+            });
+            with_lengths(figures, &["error", "transfer_error"], sampled.bounds.diagonal())
         };
         report.figure("refinements", sampled.refinements.iter().map(refinement).collect::<Vec<_>>());
         report.figure("source", source.path.display().to_string());

@@ -77,7 +77,8 @@ fn warn_non_finite(sampled: &SampledModel, report: &mut Report) {
     if let (n @ 1.., Some(first)) = (sampled.source.non_finite, sampled.source.first_non_finite) {
         report.figure("non_finite", n);
         report.warn(format!(
-            "{} of the vertices have no finite position, the first is vertex {first}; they are left as they are",
+            "{} of the vertices have no finite position, the first is vertex {first}; they take no samples, and \
+             no deformation moves them",
             count(n)
         ));
     }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use glam::Vec3;
-use serde_json::json;
+use serde_json::{Value, json};
 use simod_core::guard::Kind;
 use simod_core::reconstruction::{
     Beyond, DeformationField, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstructed,
@@ -21,7 +21,7 @@ use super::follow_options::FollowOptions;
 use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
 use super::{tell_cache, warn_non_finite};
-use crate::report::{Report, count, errors, length, rate};
+use crate::report::{Report, count, errors, length, rate, with_lengths};
 use crate::versions::{VersionPaths, versions};
 
 /// Stream the deformation of the samples onto every vertex of the model, or several deformations at once
@@ -158,10 +158,9 @@ impl Reconstruct {
             report.progress().begin("estimating the error", 0);
             let expected =
                 self.check_tolerance(tolerance, &sampled, model.as_ref(), &paths, &deformed, report)?;
-            report.figure(
-                "tolerance",
-                json!({"fraction": tolerance.fraction(sampled.bounds.diagonal()), "expected": expected}),
-            );
+            let diagonal = sampled.bounds.diagonal();
+            let figures = json!({"fraction": tolerance.fraction(diagonal), "expected": expected});
+            report.figure("tolerance", with_lengths(figures, &["fraction", "expected"], diagonal));
         }
         let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())?;
         self.tell(&done, &paths, &sampled, report);
@@ -270,12 +269,13 @@ impl Reconstruct {
                 return Err(Error::argument(
                     format!(
                         "{}: vertices are expected to be off by up to {} near ({:.6}, {:.6}, {:.6}), and by more than the \
-                         tolerance of {tolerance:.1e} around {} samples; nothing was written",
+                         tolerance of {} around {} samples; nothing was written",
                         paths.output.display(),
                         length(worst, sampled.bounds.diagonal()),
                         place.x,
                         place.y,
                         place.z,
+                        length(tolerance, sampled.bounds.diagonal()),
                         count(samples)
                     ),
                     format!(
@@ -309,8 +309,10 @@ impl Reconstruct {
         report: &mut Report,
     ) {
         let figure = match expected {
-            [one] => json!(one),
-            several => json!(several),
+            [one] => json!(one.map(|one| expected_figure(&one, diagonal))),
+            several => {
+                several.iter().map(|one| json!(one.map(|one| expected_figure(&one, diagonal)))).collect()
+            }
         };
         report.figure("expected_error", figure);
         for (paths, expected) in paths.iter().zip(expected) {
@@ -340,6 +342,11 @@ pub fn tell_following(model: &dyn Model, report: &mut Report) {
     report.figure("following", following.descriptions().to_vec());
 }
 
+/// How far vertices are expected to be off, for `--json`.
+pub fn expected_figure(expected: &ExpectedError, diagonal: f64) -> Value {
+    with_lengths(json!(expected), &["rms", "p999", "worst"], diagonal)
+}
+
 /// Reports how far vertices are expected to be off.
 pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut Report) {
     let ExpectedError { rms, p999, worst, of_vertices, .. } = expected;
@@ -354,13 +361,13 @@ pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut R
 pub fn warn_beyond(which: &str, beyond: &Beyond, diagonal: f64, help: &str, report: &mut Report) {
     let Beyond { worst, place, samples, .. } = beyond;
     report.warn(format!(
-        "{which}vertices are expected to be off by up to {}, near ({:.6}, {:.6}, {:.6}), and by more than {:.0e} around \
+        "{which}vertices are expected to be off by up to {}, near ({:.6}, {:.6}, {:.6}), and by more than {} around \
          {} samples; {help}",
         length(*worst, diagonal),
         place.x,
         place.y,
         place.z,
-        ExpectedError::ACCEPTED,
+        length(ExpectedError::ACCEPTED, diagonal),
         count(*samples)
     ));
 }

@@ -204,6 +204,8 @@ fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &R
     report.figure("samples", samples);
     report.figure("added", done.added);
     report.figure("error", done.error);
+    report.figure("error_length", done.error * diagonal);
+    report.figure("diagonal", diagonal);
     report.figure("cells_read", done.cells);
     report.figure("bytes_read", json!({"vertices": done.vertex_bytes, "faces": done.face_bytes}));
     report.figure("model_bytes", info.bytes);
@@ -232,8 +234,10 @@ fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &R
 
 /// Tells how far vertices are expected to be off.
 fn tell_need(report: &mut Report, need: &Need, diagonal: f64) {
-    report.figure("expected_transfer_error", need.expected);
-    report.figure("allowed_transfer_error", need.allowed);
+    for (name, fraction) in [("expected", need.expected), ("allowed", need.allowed)] {
+        report.figure(&format!("{name}_transfer_error"), fraction);
+        report.figure(&format!("{name}_transfer_error_length"), fraction * diagonal);
+    }
     report.figure("needy_samples", need.samples);
     let expected = length(need.expected, diagonal);
     report.line(if need.samples == 0 {
@@ -243,8 +247,8 @@ fn tell_need(report: &mut Report, need: &Need, diagonal: f64) {
         )
     } else {
         format!(
-            "vertices are expected to be off by up to {expected}: by more than {:.1e} around {} samples",
-            need.allowed,
+            "vertices are expected to be off by up to {expected}: by more than {} around {} samples",
+            length(need.allowed, diagonal),
             count(need.samples)
         )
     });

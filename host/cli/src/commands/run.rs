@@ -13,10 +13,12 @@ use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFil
 use super::follow_options::FollowOptions;
 use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
-use super::reconstruct::{MethodName, NormalsName, OffsetName, describe_expected, warn_beyond};
+use super::reconstruct::{
+    MethodName, NormalsName, OffsetName, describe_expected, expected_figure, warn_beyond,
+};
 use super::time_options::TimeOptions;
 use super::{notices, tell, tell_cache, tell_transparent, warn_non_finite};
-use crate::report::{Report, count, errors, length, rate};
+use crate::report::{Report, count, errors, length, rate, with_lengths};
 
 /// Do a whole session: sample its model, deform the samples, write the deformed model
 #[derive(Args)]
@@ -122,7 +124,7 @@ fn tell_run(run: &Pipeline, measure: bool, progress: &dyn Progress, report: &mut
     }
     let diagonal = run.deformed.sampled.bounds.diagonal();
     if let Some(expected) = run.written.expected.first().copied().flatten() {
-        report.figure("expected_error", json!(expected));
+        report.figure("expected_error", expected_figure(&expected, diagonal));
         describe_expected(&expected, diagonal, report);
         if let Some(beyond) = expected.beyond {
             let help = "add a step `refine = { auto = true }` at the end, or run with --tolerance";
@@ -177,17 +179,19 @@ fn describe_cost(cost: &ExactCost, report: &mut Report) {
 /// Reports that a tolerance is met, and what tells so.
 fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut Report) {
     let Certificate { tolerance, expected, added, rounds, truth } = certificate;
-    report.figure(
-        "certificate",
-        json!({
-            "tolerance": tolerance,
-            "tolerance_length": tolerance * diagonal,
-            "expected": expected,
-            "added_samples": added,
-            "rounds": rounds,
-            "true_error": truth.map(|t| json!({"vertices": t.vertices, "rms": t.rms, "p999": t.p999, "max": t.max})),
-        }),
-    );
+    let true_error = truth.map(|t| {
+        let figures = json!({"vertices": t.vertices, "rms": t.rms, "p999": t.p999, "max": t.max});
+        with_lengths(figures, &["rms", "p999", "max"], diagonal)
+    });
+    let figures = json!({
+        "tolerance": tolerance,
+        "tolerance_length": tolerance * diagonal,
+        "expected": expected,
+        "added_samples": added,
+        "rounds": rounds,
+        "true_error": true_error,
+    });
+    report.figure("certificate", with_lengths(figures, &["tolerance", "expected"], diagonal));
     report.line(format!(
         "tolerance {}: up to {} are expected around the samples, {} of which were added in {rounds} rounds and \
          deformed by the plugins",
@@ -210,6 +214,10 @@ pub fn describe_error(error: &TransferError, diagonal: f64, report: &mut Report)
     report.line(format!("transfer error: {}", errors([error.rms, error.p999, error.max], diagonal)));
     report.figure(
         "transfer_error",
-        json!({"vertices": error.vertices, "rms": error.rms, "p999": error.p999, "max": error.max, "jump": error.jump}),
+        with_lengths(
+            json!({"vertices": error.vertices, "rms": error.rms, "p999": error.p999, "max": error.max, "jump": error.jump}),
+            &["rms", "p999", "max", "jump"],
+            diagonal,
+        ),
     );
 }

@@ -211,7 +211,7 @@ impl Sample {
 fn warn_faces(sampled: &SampledModel, report: &mut Report) {
     if sampled.faces_without_vertex > 0 {
         report.warn(format!(
-            "{} triangles of the model refer to vertices that it does not have; they are left as they are",
+            "{} of the model's triangles refer to vertices that it does not have; they are left as they are",
             count(sampled.faces_without_vertex)
         ));
     }

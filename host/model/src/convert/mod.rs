@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::DVec3;
 
 use crate::follow::{Follow, Following};
-use crate::form::{Content, Conversion, Faces, Form};
+use crate::form::{self, Content, Conversion, Faces, Form};
 use crate::formats::extension;
 use crate::las::LasModel;
 use crate::las::form::LasForm;
@@ -115,7 +115,8 @@ impl Converted {
         };
         let mut losses = if keeps_records { Vec::new() } else { converted.model.besides()? };
         if counted.without_vertex > 0 {
-            losses.push(format!("{} triangles that refer to no vertex", counted.without_vertex));
+            losses
+                .push(form::counted(counted.without_vertex, "triangle") + " with a corner that is no vertex");
         }
         let form = converted.form(how.drops_normals, &mut losses)?;
         if form.has_faces() {
@@ -135,13 +136,19 @@ impl Converted {
             return Err(Error::argument(
                 format!("{} would lose: {}", target.display(), losses.join("; ")),
                 format!(
-                    "give --lossy to write it without, or write the model as {}",
-                    converted.model.extensions().first().unwrap_or(&"ply")
+                    "give --lossy to write it without; in its own format, .{}, a deformed model keeps all of it",
+                    converted.own_extension()
                 ),
             ));
         }
         converted.losses = losses;
         Ok(converted)
+    }
+
+    /// The extension that the model has in its own format: that of its name, if it is one.
+    fn own_extension(&self) -> &'static str {
+        let (own, named) = (self.model.extensions(), extension(self.model.path()));
+        own.iter().find(|own| **own == named).or(own.first()).unwrap_or(&"ply")
     }
 
     /// What the new file lacks, each in a few words.
@@ -258,10 +265,11 @@ fn losses_of_faces(holds_polygons: bool, told: u64, counted: &Counted) -> Vec<St
     if is_of_strips || (!holds_polygons && faces != triangles + without_vertex) {
         losses.push(format!("which of the {triangles} triangles are one of {told} faces"));
     } else if long > 0 {
-        losses.push(format!("{long} polygons of more than {MOST_CORNERS} corners, which become triangles"));
+        let of = form::counted(long, "polygon");
+        losses.push(format!("{of} of more than {MOST_CORNERS} corners: triangles instead"));
     }
     if faces < told {
-        losses.push(format!("{} faces of fewer than three corners", told - faces));
+        losses.push(form::counted(told - faces, "face") + " of fewer than three corners");
     }
     losses
 }

@@ -3,7 +3,7 @@
 
 use std::collections::HashSet;
 
-use crate::form::{Content, Faces, Form, Rows, attribute_loss, put_numbers};
+use crate::form::{Content, Faces, Form, Rows, attribute_loss, counted, put_numbers};
 use crate::polygons::Polygons;
 use crate::{Attribute, Colors, Result, Scalar, Summary, Type};
 
@@ -42,7 +42,7 @@ impl Records {
         let own = if kind == Kind::Ply { PLY } else { PCD };
         let faces = if kind == Kind::Ply { content.faces } else { Faces::default() };
         if kind == Kind::Pcd && content.faces.triangles > 0 {
-            losses.push(format!("{} faces", content.faces.polygons));
+            losses.push(counted(content.faces.polygons, "face"));
         }
         if faces.triangles > 0 {
             content.too_many("vertices with faces", info.vertices, u64::from(u32::MAX))?;

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
 
-use crate::form::{Content, Faces, Form, Rows, attribute_loss};
+use crate::form::{Content, Faces, Form, Rows, attribute_loss, counted};
 use crate::polygons::Polygons;
 use crate::{Attribute, ColorScale, Colors, Error, Result, Scalar, Summary, Type};
 
@@ -150,7 +150,7 @@ impl Lines {
         let info = content.info();
         let holds_faces = matches!(kind, Kind::Obj | Kind::Off);
         if !holds_faces && content.faces.triangles > 0 {
-            losses.push(format!("{} faces", content.faces.polygons));
+            losses.push(counted(content.faces.polygons, "face"));
         }
         let holds_normals = !matches!(kind, Kind::Plain { with_normals: false, .. });
         if content.has_normals && !holds_normals {

@@ -179,7 +179,7 @@ impl<'a, 'i> Reading<'a, 'i> {
                 slots.extend(child(bounds, name).and_then(|node| self.slot(node, corner).ok()));
             }
         }
-        let pose = self.pose(node)?;
+        let pose = self.pose(node, &name)?;
         Ok(Described { name, count, place, fields, pose, slots, limits, besides: besides(node) })
     }
 
@@ -252,7 +252,8 @@ impl<'a, 'i> Reading<'a, 'i> {
         }
     }
 
-    fn pose(&self, node: Node<'a, 'i>) -> Result<Pose> {
+    /// Where a scan stands: where it says nothing, in the frame that all share.
+    fn pose(&self, node: Node<'a, 'i>, scan: &str) -> Result<Pose> {
         let Some(pose) = child(node, "pose") else { return Ok(Pose::default()) };
         let numbers = |of: &str, names: [&str; 4], otherwise: [f64; 4]| {
             let mut numbers = otherwise;
@@ -267,9 +268,11 @@ impl<'a, 'i> Reading<'a, 'i> {
         let [x, y, z, _] = numbers("translation", ["x", "y", "z", ""], [0.0; 4])?;
         let found = Pose::new(rotation, DVec3::new(x, y, z));
         found.ok_or_else(|| {
-            let what =
-                format!("the rotation {rotation:?} (w, x, y, z) and translation {:?} are no pose", [x, y, z]);
-            self.wrong(pose, what)
+            let what = format!(
+                "the pose of {scan} is none: its rotation is {rotation:?} (w, x, y, z), its translation {:?}",
+                [x, y, z]
+            );
+            self.wrong(pose, what).hinting("register the scan once more, or export it without a pose")
         })
     }
 

@@ -180,7 +180,7 @@ impl Container {
         bin: Option<Range<u64>>,
         (after, cache): (u64, &Cache),
     ) -> Result<(Self, Vec<u8>)> {
-        let mut this = Self { source, parts: Vec::new(), len: 0, json: 0..0, bin: 0..0 };
+        let this = Self { source, parts: Vec::new(), len: 0, json: 0..0, bin: 0..0 };
         let Buffers { buffers } = this.parse(&json)?;
         let (mut parts, mut len, mut starts) = (Vec::new(), 0, Vec::new());
         for (index, buffer) in buffers.iter().enumerate() {
@@ -205,47 +205,17 @@ impl Container {
             if buffer.byte_length > 0 {
                 parts.push(Segment { at: len, len: buffer.byte_length, bytes });
             }
-            len += buffer.byte_length;
-            let padding = len.next_multiple_of(4) - len;
-            if padding > 0 {
-                parts.push(Segment {
-                    at: len,
-                    len: padding,
-                    bytes: Bytes::Memory(vec![0; padding as usize]),
-                });
-                len += padding;
-            }
+            len = pad(&mut parts, len + buffer.byte_length);
         }
-        let mut text = this.gathered(&json, &starts, len)?;
-        text.resize(text.len().next_multiple_of(4), b' ');
-        let behind = this.source.len() - after.min(this.source.len());
+        let text = this.gathered(&json, &starts, len)?;
+        let there = this.source.len();
         // A `.gltf` has nothing but its JSON.
-        let behind = if after > 0 { behind } else { 0 };
-        let json_end = HEADER + CHUNK + text.len() as u64;
-        let total = json_end + CHUNK + len + behind;
-        let Ok(whole) = u32::try_from(total) else {
-            let what = format!(
-                "its buffers have {}, but GLB, as which it is written, 4 GiB at most",
-                human_size(len)
-            );
-            return Err(this.source.malformed(what, "divide the model"));
-        };
-        let mut head = MAGIC.to_vec();
-        for word in [2, whole, text.len() as u32, JSON] {
-            head.extend_from_slice(&word.to_le_bytes());
-        }
-        head.extend_from_slice(&text);
-        [len as u32, BIN].iter().for_each(|word| head.extend_from_slice(&word.to_le_bytes()));
-        this.json = HEADER + CHUNK..json_end;
-        this.bin = json_end + CHUNK..json_end + CHUNK + len;
-        this.len = total;
-        parts.iter_mut().for_each(|part| part.at += this.bin.start);
-        this.parts.push(Segment { at: 0, len: head.len() as u64, bytes: Bytes::Memory(head) });
-        this.parts.append(&mut parts);
-        if behind > 0 {
-            this.parts.push(Segment { at: this.bin.end, len: behind, bytes: Bytes::Opened(after) });
-        }
-        Ok((this, text))
+        let behind = (after > 0 && after < there).then(|| Segment {
+            at: 0,
+            len: there - after,
+            bytes: Bytes::Opened(after),
+        });
+        this.assembled(text, (parts, len), behind.into_iter().collect())
     }
 
     /// The JSON with one buffer in place of several, each of which begins at one of `starts` in it.
@@ -275,15 +245,65 @@ impl Container {
                 None => changes.push((span(json, view.buffer), format!("0,\"byteOffset\":{place}"))),
             }
         }
-        changes.sort_by_key(|(range, _)| range.start);
-        let (mut text, mut copied) = (Vec::new(), 0);
-        for (range, new) in changes {
-            text.extend_from_slice(&json[copied..range.start]);
-            text.extend_from_slice(new.as_bytes());
-            copied = range.end;
+        Ok(replaced(json, changes))
+    }
+
+    /// The same with other JSON and further binary data, which begins and ends at multiples of four bytes.
+    pub(super) fn with_more(mut self, text: Vec<u8>, more: Source) -> Result<(Self, Vec<u8>)> {
+        let old = std::mem::take(&mut self.parts);
+        let (bin, end) = (self.bin.clone(), if self.bin.is_empty() { self.json.end } else { self.bin.end });
+        let (mut parts, mut behind) = (Vec::new(), Vec::new());
+        for part in old.into_iter().filter(|part| part.at >= self.json.end) {
+            if part.at < end { parts.push(part) } else { behind.push(part) }
         }
-        text.extend_from_slice(&json[copied..]);
-        Ok(text)
+        if parts.is_empty() && !bin.is_empty() {
+            parts.push(Segment { at: bin.start, len: bin.end - bin.start, bytes: Bytes::Opened(bin.start) });
+            let (at, len) = (end, self.len - end);
+            behind.extend((len > 0).then_some(Segment { at, len, bytes: Bytes::Opened(end) }));
+        }
+        parts.iter_mut().for_each(|part| part.at -= bin.start);
+        let at = pad(&mut parts, bin.end - bin.start);
+        let len = at + more.len();
+        parts.push(Segment { at, len: more.len(), bytes: Bytes::File(more) });
+        self.assembled(text, (parts, len), behind)
+    }
+
+    /// A file of this JSON, parts of binary data that has `len` bytes, and what is behind these.
+    fn assembled(
+        mut self,
+        mut text: Vec<u8>,
+        (mut parts, len): (Vec<Segment>, u64),
+        mut behind: Vec<Segment>,
+    ) -> Result<(Self, Vec<u8>)> {
+        text.resize(text.len().next_multiple_of(4), b' ');
+        let json_end = HEADER + CHUNK + text.len() as u64;
+        let total = json_end + CHUNK + len + behind.iter().map(|part| part.len).sum::<u64>();
+        let Ok(whole) = u32::try_from(total) else {
+            let what = format!(
+                "its buffers have {}, but GLB, as which it is written, 4 GiB at most",
+                human_size(len)
+            );
+            return Err(self.source.malformed(what, "divide the model"));
+        };
+        let mut head = MAGIC.to_vec();
+        for word in [2, whole, text.len() as u32, JSON] {
+            head.extend_from_slice(&word.to_le_bytes());
+        }
+        head.extend_from_slice(&text);
+        [len as u32, BIN].iter().for_each(|word| head.extend_from_slice(&word.to_le_bytes()));
+        self.json = HEADER + CHUNK..json_end;
+        self.bin = json_end + CHUNK..json_end + CHUNK + len;
+        self.len = total;
+        parts.iter_mut().for_each(|part| part.at += self.bin.start);
+        let mut at = self.bin.end;
+        for part in &mut behind {
+            part.at = at;
+            at += part.len;
+        }
+        self.parts = vec![Segment { at: 0, len: head.len() as u64, bytes: Bytes::Memory(head) }];
+        self.parts.append(&mut parts);
+        self.parts.append(&mut behind);
+        Ok((self, text))
     }
 
     /// What a buffer's URI leads to.
@@ -385,6 +405,28 @@ impl Container {
             _ => Ok(()),
         })
     }
+}
+
+/// Adds zeros behind so many bytes up to a multiple of four, which is returned.
+fn pad(parts: &mut Vec<Segment>, len: u64) -> u64 {
+    let padding = len.next_multiple_of(4) - len;
+    if padding > 0 {
+        parts.push(Segment { at: len, len: padding, bytes: Bytes::Memory(vec![0; padding as usize]) });
+    }
+    len + padding
+}
+
+/// A text with other words in some places, none of which overlap.
+pub(super) fn replaced(json: &[u8], mut changes: Vec<(Range<usize>, String)>) -> Vec<u8> {
+    changes.sort_by_key(|(range, _)| range.start);
+    let (mut text, mut copied) = (Vec::new(), 0);
+    for (range, new) in changes {
+        text.extend_from_slice(&json[copied..range.start]);
+        text.extend_from_slice(new.as_bytes());
+        copied = range.end;
+    }
+    text.extend_from_slice(&json[copied..]);
+    text
 }
 
 /// Four bytes as a number.

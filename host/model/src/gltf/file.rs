@@ -12,7 +12,8 @@ use super::json::Document;
 use super::layout::{FACE, Layout};
 use super::limits::Limits;
 use super::places::{Place, Places, number_type};
-use crate::cache::Cache;
+use super::sparse::made_plain;
+use crate::cache::Making;
 use crate::source::Source;
 use crate::{Attribute, Error, ModelInfo, Result, Scalar};
 
@@ -23,6 +24,10 @@ const LONGEST_NAME: usize = 80;
 #[derive(Debug)]
 pub(super) struct GltfModel {
     pub(super) container: Container,
+    /// Buffers were elsewhere.
+    pub(super) is_gathered: bool,
+    /// Sparse accessors have become plain.
+    pub(super) had_sparse: bool,
     pub(super) layout: Layout,
     pub(super) limits: Limits,
     pub(super) info: ModelInfo,
@@ -82,8 +87,12 @@ impl GltfModel {
         Ok(found)
     }
 
-    pub(super) fn new(source: Source, cache: &Cache) -> Result<Self> {
-        let (container, json) = Container::open(source, cache)?;
+    pub(super) fn new(source: Source, making: &Making<'_>) -> Result<Self> {
+        let (container, json) = Container::open(source, making.cache)?;
+        let is_gathered = container.is_made();
+        let before = container.len();
+        let (container, json) = made_plain(container, json, making)?;
+        let had_sparse = container.len() != before;
         let document: Document<'_> = container.parse(&json)?;
         check_version(&container, &document)?;
         let layout = Places { container: &container, document: &document }.layout()?;
@@ -92,8 +101,8 @@ impl GltfModel {
             return Err(container.source.malformed(what, "export the model with its scene"));
         }
         let limits = Limits::from_accessor(&json, &document, &layout, &container)?;
-        let info = info(&container, &document, &layout);
-        Ok(Self { container, layout, limits, info })
+        let info = info(&container, is_gathered, &document, &layout);
+        Ok(Self { container, is_gathered, had_sparse, layout, limits, info })
     }
 }
 
@@ -115,7 +124,7 @@ fn check_version(container: &Container, document: &Document<'_>) -> Result<()> {
     ))
 }
 
-fn info(container: &Container, document: &Document<'_>, layout: &Layout) -> ModelInfo {
+fn info(container: &Container, is_gathered: bool, document: &Document<'_>, layout: &Layout) -> ModelInfo {
     let is_placed = layout.sets.iter().any(|set| set.placement.is_some());
     let has_normals = !layout.sets.is_empty() && layout.sets.iter().all(|set| set.normals.is_some());
     let attributes = colours(layout);
@@ -124,7 +133,7 @@ fn info(container: &Container, document: &Document<'_>, layout: &Layout) -> Mode
     other_properties.extend(layout.has_skins.then(|| "skins".into()));
     let regions = layout.regions.iter().filter(|region| region.has_positions());
     ModelInfo {
-        format: format(container, document, layout),
+        format: format(is_gathered, document, layout),
         vertices: layout.vertices,
         faces: layout.triangles,
         has_normals,
@@ -146,8 +155,8 @@ fn info(container: &Container, document: &Document<'_>, layout: &Layout) -> Mode
 }
 
 /// The format for people.
-fn format(container: &Container, document: &Document<'_>, layout: &Layout) -> String {
-    let kind = if container.is_made() { "with separate buffers" } else { "binary" };
+fn format(is_gathered: bool, document: &Document<'_>, layout: &Layout) -> String {
+    let kind = if is_gathered { "with separate buffers" } else { "binary" };
     let meshes = layout.meshes;
     let mut format = format!(
         "glTF {}, {kind}, {meshes} mesh{}",

@@ -62,7 +62,25 @@ pub(super) struct Accessor<'a> {
     pub(super) min: Option<&'a RawValue>,
     #[serde(borrow)]
     pub(super) max: Option<&'a RawValue>,
-    pub(super) sparse: Option<IgnoredAny>,
+    pub(super) sparse: Option<Sparse>,
+}
+
+/// Elements of an accessor that stand elsewhere.
+#[derive(Deserialize)]
+pub(super) struct Sparse {
+    pub(super) count: u64,
+    pub(super) indices: SparsePart,
+    pub(super) values: SparsePart,
+}
+
+/// Which ones, or the elements themselves.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct SparsePart {
+    pub(super) buffer_view: usize,
+    #[serde(default)]
+    pub(super) byte_offset: u64,
+    pub(super) component_type: Option<u32>,
 }
 
 #[derive(Deserialize)]

@@ -164,14 +164,7 @@ impl Places<'_> {
     pub(super) fn layout(&self) -> Result<Layout> {
         let document = self.document;
         // First, as what is compressed looks damaged otherwise.
-        for (index, view) in document.buffer_views.iter().enumerate() {
-            self.check_plain(&view.extensions, || format!("bufferView {index}"))?;
-        }
-        for (index, mesh) in document.meshes.iter().enumerate() {
-            for primitive in &mesh.primitives {
-                self.check_plain(&primitive.extensions, || format!("mesh {index}"))?;
-            }
-        }
+        self.check_uncompressed()?;
         for index in 0..document.accessors.len() {
             self.place(index)?;
         }
@@ -201,6 +194,19 @@ impl Places<'_> {
         builder.layout.meshes = shown.len();
         self.keep_others(&mut builder);
         self.finish(builder)
+    }
+
+    /// An error where something is compressed.
+    pub(super) fn check_uncompressed(&self) -> Result<()> {
+        for (index, view) in self.document.buffer_views.iter().enumerate() {
+            self.check_plain(&view.extensions, || format!("bufferView {index}"))?;
+        }
+        for (index, mesh) in self.document.meshes.iter().enumerate() {
+            for primitive in &mesh.primitives {
+                self.check_plain(&primitive.extensions, || format!("mesh {index}"))?;
+            }
+        }
+        Ok(())
     }
 
     fn check_plain(&self, extensions: &Names, name: impl Fn() -> String) -> Result<()> {

@@ -8,7 +8,7 @@
 //! | module | |
 //! |---|---|
 //! | `container` | the bytes of GLB, or of a `.gltf` as if it were one |
-//! | `json` | what of the JSON is read |
+//! | `json` | what of the JSON is read; `sparse` accessors made plain |
 //! | `places` | where accessors are; `nodes` where nodes are in the world |
 //! | `layout` | which bytes are of vertices; `limits` which text is of `min` and `max` |
 //! | `file` | what is known of a file once it is open |
@@ -25,6 +25,7 @@ mod nodes;
 mod places;
 mod reader;
 mod rewrite;
+mod sparse;
 
 use std::ops::Range;
 use std::path::Path;
@@ -56,7 +57,7 @@ pub(super) fn is_gltf(source: &Source) -> Result<bool> {
 
 /// Opens a file.
 pub(super) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
-    Ok(Box::new(GltfModel::new(source, making.cache)?))
+    Ok(Box::new(GltfModel::new(source, making)?))
 }
 
 impl Model for GltfModel {

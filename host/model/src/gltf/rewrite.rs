@@ -31,9 +31,14 @@ impl<'a> Rewriting<'a> {
 
     /// Says what of the file does not go with the surface, or is not where it was.
     pub(super) fn announce(&self, progress: &dyn Progress) {
-        let GltfModel { container, layout, .. } = self.model;
+        let GltfModel { container, layout, is_gathered, had_sparse, .. } = self.model;
         let path = container.source.path().display();
-        if container.is_made() {
+        if *had_sparse {
+            progress.note(&format!(
+                "{path}: its sparse positions, normals, tangents or indices become plain ones"
+            ));
+        }
+        if *is_gathered {
             progress.note(&format!(
                 "{path}: it becomes one GLB file with its buffers; images beside it are not copied, and are looked for beside the GLB"
             ));

@@ -242,10 +242,8 @@ impl Places {
                 };
                 let known = self.attributes.len();
                 self.add(name.trim(), kind, at, how);
-                // Whole numbers of 64 bits lose digits.
-                let is_exact = !matches!(whole, Whole::U64 | Whole::I64);
                 if self.attributes.len() > known {
-                    self.extra_bytes += if is_exact { bytes } else { 0 };
+                    self.extra_bytes += bytes;
                     let told = |bit: u8, at| (options & bit != 0).then_some(number * DESCRIPTION + at);
                     self.places[known].limits = Some(Limits { least: told(2, 64), most: told(4, 88) });
                 }
@@ -326,7 +324,13 @@ impl Places {
         wide.bytes(stored).map_or(Vec::new(), |(bytes, _)| bytes.to_vec())
     }
 
-    /// Extra bytes of a record that are not among the attributes as they are.
+    /// Names of the attributes that have whole numbers of 64 bits, of which doubles do not hold all digits.
+    pub fn of_64_bits(&self) -> impl Iterator<Item = &str> {
+        let are_wide = self.places.iter().map(|place| matches!(place.how, How::U64 | How::I64));
+        self.attributes.iter().zip(are_wide).filter(|(_, is_wide)| *is_wide).map(|(of, _)| of.name.as_str())
+    }
+
+    /// Extra bytes of a record that are not among the attributes.
     pub fn undescribed(&self, record: usize) -> usize {
         record - self.standard_bytes - self.extra_bytes
     }

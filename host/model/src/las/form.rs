@@ -10,7 +10,7 @@ use super::blocks::table_of;
 use super::header::{RECORD_BYTES, at};
 use super::laszip::Laszip;
 use crate::bounds::Bounds;
-use crate::form::{Content, Form, Rows, attribute_loss, put_numbers};
+use crate::form::{Content, Form, Rows, attribute_loss, counted, put_numbers};
 use crate::{ColorScale, Colors, Error, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions};
 
 /// Points of a compressed block: as LASzip has it.
@@ -139,7 +139,7 @@ impl LasForm {
     pub(crate) fn new(is_compressed: bool, content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
         let info = content.info();
         if content.faces.triangles > 0 {
-            losses.push(format!("{} faces", content.faces.polygons));
+            losses.push(counted(content.faces.polygons, "face"));
         }
         if content.has_normals {
             losses.push("the normals".to_owned());

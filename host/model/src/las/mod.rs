@@ -42,6 +42,7 @@ use vlrs::Kind;
 
 use crate::bounds::Bounds;
 use crate::follow::{Follow, Following};
+use crate::form::counted;
 use crate::pipeline::Rewritable;
 use crate::{
     Division, Edit, Error, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, ScaledIntegers,
@@ -70,6 +71,12 @@ impl Model for LasModel {
         Some(self)
     }
 
+    fn details(&self) -> Vec<String> {
+        // What cannot be read tells nothing.
+        let unit = self.records.unit(&self.source).ok().flatten();
+        unit.into_iter().map(|unit| format!("unit: {unit}")).collect()
+    }
+
     fn besides(&self) -> Result<Vec<String>> {
         let mut besides = Vec::new();
         let records = u64::from(self.header.vlrs) + self.header.evlrs.map_or(0, |(_, n)| u64::from(n));
@@ -80,7 +87,7 @@ impl Model for LasModel {
             let crs = self.info.crs.as_ref();
             let crs = crs
                 .map_or(String::new(), |crs| format!(", the coordinate reference system {crs} among them"));
-            besides.push(format!("{others} variable length records{crs}"));
+            besides.push(counted(others, "variable length record") + &crs);
         }
         if matches!(self.header.format, 4 | 5 | 9 | 10) {
             besides.push("waveforms".to_owned());
@@ -88,6 +95,9 @@ impl Model for LasModel {
         match self.places.undescribed(self.header.record) {
             0 => {}
             n => besides.push(format!("{n} extra bytes of each point that are no single numbers")),
+        }
+        for name in self.places.of_64_bits() {
+            besides.push(format!("digits of the attribute {name}, which has whole numbers of 64 bits"));
         }
         Ok(besides)
     }

@@ -124,6 +124,32 @@ impl Records {
         Ok(Some(bytes))
     }
 
+    /// The unit of lengths of the coordinate reference system, as far as the file says one: of the plane and
+    /// of heights, if these differ.
+    pub fn unit(&self, source: &Source) -> Result<Option<String>> {
+        if let Some(wkt) = self.content(source, Kind::Wkt, MOST_OF_CRS)? {
+            let units = units_of_wkt(&String::from_utf8_lossy(&wkt));
+            return Ok((!units.is_empty()).then(|| units.join(", ")));
+        }
+        let keys = self.content(source, Kind::GeoKeys, MOST_OF_CRS)?.unwrap_or_default();
+        let keys =
+            keys.chunks_exact(8).skip(1).map(|key| [0, 2, 6].map(|at| u16::from_le_bytes(bytes_at(key, at))));
+        let mut units: Vec<String> = Vec::new();
+        for [key, place, code] in keys {
+            let unit = match code {
+                9001 => "metre".to_owned(),
+                9002 => "foot".to_owned(),
+                9003 => "US survey foot".to_owned(),
+                _ => format!("EPSG:{code}"),
+            };
+            let is_told = matches!(key, 3076 | 4099) && place == 0 && !matches!(code, 0 | 32767);
+            if is_told && !units.contains(&unit) {
+                units.push(unit);
+            }
+        }
+        Ok((!units.is_empty()).then(|| units.join(", ")))
+    }
+
     /// The name of the coordinate reference system, as far as the file has one.
     pub fn crs(&self, source: &Source) -> Result<Option<String>> {
         if let Some(wkt) = self.content(source, Kind::Wkt, MOST_OF_CRS)? {
@@ -155,5 +181,44 @@ impl Records {
             (!text.is_empty()).then_some(text)
         };
         Ok([3073, 1026, 2049].into_iter().find_map(|key| value(key, 34737).and_then(named)))
+    }
+}
+
+/// Names of the units of lengths in a system in WKT, none twice.
+fn units_of_wkt(wkt: &str) -> Vec<String> {
+    // In WKT 2, ellipsoids and parameters have units of their own, before those of the axes.
+    let (wkt, keyword) = match wkt.find("CS[Cartesian") {
+        Some(at) => (&wkt[at..], "LENGTHUNIT[\""),
+        None => (wkt, "UNIT[\""),
+    };
+    let is_angle = |name: &str| ["deg", "grad", "gon", "rad"].iter().any(|angle| name.contains(angle));
+    let mut units: Vec<String> = Vec::new();
+    for (at, _) in wkt.match_indices(keyword) {
+        let name = wkt[at + keyword.len()..].split('"').next().unwrap_or_default().trim();
+        let name: String = name.chars().filter(|c| !c.is_control()).take(100).collect();
+        let is_other = wkt[..at].ends_with(|before: char| before.is_alphabetic());
+        if !is_other && !name.is_empty() && !is_angle(&name.to_lowercase()) && !units.contains(&name) {
+            units.push(name);
+        }
+    }
+    units
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_are_those_of_lengths() {
+        let plane = r#"PROJCS["A",GEOGCS["B",UNIT["degree",0.017]],UNIT["US survey foot",0.3048]]"#;
+        assert_eq!(units_of_wkt(plane), ["US survey foot"]);
+        let both = format!(r#"COMPD_CS["C",{plane},VERT_CS["D",UNIT["metre",1]]]"#);
+        assert_eq!(units_of_wkt(&both), ["US survey foot", "metre"]);
+        let second =
+            r#"PROJCRS["E",ELLIPSOID["F",1,2,LENGTHUNIT["metre",1]],CS[Cartesian,2],LENGTHUNIT["foot",0.3]]"#;
+        assert_eq!(units_of_wkt(second), ["foot"]);
+        assert!(
+            units_of_wkt("GEOGCS[\"B\",UNIT[\"Degree\",0.017]").is_empty() && units_of_wkt("").is_empty()
+        );
     }
 }

@@ -18,7 +18,7 @@ use crate::text::blocks::{BlockReader, Blocks, changed};
 use crate::text::digits::{Digits, Survey};
 use crate::text::lines::{lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, splice_normal};
-use crate::text::{DAMAGED, parse, quoted};
+use crate::text::{DAMAGED, coordinate, no_coordinate};
 use crate::{CHUNK_VERTICES, Error, Model, Normals, Result, Scalar, VertexChunk, VertexReader};
 
 /// Bytes that are copied at once.
@@ -104,7 +104,7 @@ impl ApartModel {
             let (mut normal, mut words) = (DVec3::ZERO, values(line));
             for c in 0..3 {
                 let (a, b) = words.next().unwrap_or_default();
-                let Some(value) = parse(Scalar::F64, &line[a..b]) else {
+                let Some(value) = coordinate(Scalar::F64, &line[a..b]) else {
                     return Err(self.wrong_normal(first + normals.len() as u64, &line[a..b]));
                 };
                 normal[c] = value;
@@ -116,15 +116,16 @@ impl ApartModel {
     }
 
     fn wrong_normal(&self, normal: u64, word: &[u8]) -> Error {
-        let what = if word.is_empty() {
-            format!("normal {normal} has fewer than 3 numbers")
+        let (what, hint) = if word.is_empty() {
+            (format!("normal {normal} has fewer than 3 numbers"), DAMAGED)
         } else {
-            format!("normal {normal}: {} is no number", quoted(&String::from_utf8_lossy(word)))
+            let (what, hint) = no_coordinate(Scalar::F64, word);
+            (format!("normal {normal}: {what}"), hint)
         };
         let source = &self.model.source;
-        let Some(blocks) = &self.normals else { return source.malformed(what, DAMAGED) };
+        let Some(blocks) = &self.normals else { return source.malformed(what, hint) };
         let Some((of_block, bytes)) = blocks.spread(usize::MAX).find(|(of, _)| of.contains(&normal)) else {
-            return source.malformed(what, DAMAGED);
+            return source.malformed(what, hint);
         };
         let mut raw = Vec::new();
         if let Err(error) = source.append_at(&mut raw, bytes.start, (bytes.end - bytes.start) as usize) {
@@ -132,7 +133,7 @@ impl ApartModel {
         }
         let end = cut(&raw, normal - of_block.start + 1).unwrap_or(raw.len());
         let in_line = raw[..end].trim_ascii_end().len().saturating_sub(1) as u64;
-        wrong_line(source, bytes.start + in_line, what, DAMAGED)
+        wrong_line(source, bytes.start + in_line, what, hint)
     }
 }
 

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::lines::{Statement, absolute, leading_integer, values};
+use crate::form::counted;
 use crate::model::NoFaces;
 use crate::text::faces::{FaceLines, LineFaces};
 use crate::text::lines::{Lines, lines};
@@ -37,15 +38,16 @@ impl Grammar for Obj {
     fn besides(&self) -> Vec<String> {
         let name = |(word, count): (&Vec<u8>, &u64)| {
             let what = match &word[..] {
-                b"#" => "comments",
-                b"vt" => "texture coordinates (vt)",
-                b"mtllib" | b"usemtl" => "materials",
-                b"g" | b"o" => "groups",
-                b"s" => "smoothing groups",
-                b"l" | b"p" => "lines and points",
-                _ => "statements",
+                b"#" => return counted(*count, "comment"),
+                b"vt" => "texture coordinate",
+                b"mtllib" | b"usemtl" => "material statement",
+                b"g" | b"o" => "group statement",
+                b"s" => "smoothing group statement",
+                b"l" => "line",
+                b"p" => "point statement",
+                _ => "statement",
             };
-            format!("{count} {what}: {}", quoted(&String::from_utf8_lossy(word)))
+            format!("{} ({})", counted(*count, what), String::from_utf8_lossy(word).escape_debug())
         };
         self.others.iter().map(name).collect()
     }

@@ -15,6 +15,7 @@ use super::apart::{ApartModel, ApartPieces, Sharing};
 use super::grammar::Obj;
 use super::lines::{Statement, absolute, leading_integer, values};
 use crate::cache::Need;
+use crate::form::counted;
 use crate::pipeline::{Pieces, Rewritable, Version};
 use crate::scratch::Scratch;
 use crate::shared_normal::mean;
@@ -74,8 +75,9 @@ impl<'a> SharedNormals<'a> {
         let kept = self.kept.load(Ordering::Relaxed);
         if kept > 0 {
             progress.note(&format!(
-                "{}: {kept} normals (vn) are kept as they are: corners share them that turn apart by more than 5\u{b0}",
-                self.model.path().display()
+                "{}: corners that share a normal (vn) turn apart by more than 5\u{b0}: {} kept",
+                self.model.path().display(),
+                counted(kept, "normal")
             ));
         }
     }

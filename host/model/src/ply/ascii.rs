@@ -7,7 +7,9 @@ use glam::{DVec3, Mat3, Vec3};
 use super::layout::{Component, Layout, Slot};
 use super::patch::same_normal;
 use crate::follow::Following;
-use crate::text::{drop_word, next_word, parse, quoted, round, word, write_number};
+use crate::text::{
+    coordinate, drop_word, next_word, no_coordinate, parse, quoted, round, word, write_number,
+};
 use crate::unfit::Unfit;
 use crate::{Edited, VertexChunk};
 
@@ -43,32 +45,32 @@ pub(super) fn scan(
     Ok(Some(at))
 }
 
-/// Which vertex of a chunk has what for a number.
+/// Which vertex of a chunk has what for a coordinate, and what to do about it.
 #[derive(Debug, PartialEq)]
-pub(super) struct NotANumber {
+pub(super) struct NoCoordinate {
     pub(super) vertex: usize,
     pub(super) property: &'static str,
-    pub(super) word: String,
+    pub(super) what: String,
+    pub(super) hint: &'static str,
 }
 
 /// Fills the chunk's positions and normals from its bytes.
-pub(super) fn decode(layout: &Layout, chunk: &mut VertexChunk) -> Result<(), NotANumber> {
+pub(super) fn decode(layout: &Layout, chunk: &mut VertexChunk) -> Result<(), NoCoordinate> {
     let VertexChunk { positions, normals, raw, spans, .. } = chunk;
     positions.clear();
     normals.clear();
     let position = layout.triple(0);
     let normal = layout.has_normals().then(|| layout.triple(3));
     for (vertex, spans) in spans.chunks_exact(layout.components.len()).enumerate() {
-        let not_a_number = |c: usize, of: [Component; 3], spans: &[[u32; 2]]| NotANumber {
-            vertex,
-            property: of[c].name,
-            word: quoted(&String::from_utf8_lossy(word(raw, spans[c]))),
+        let wrong = |c: usize, of: [Component; 3], spans: &[[u32; 2]]| {
+            let (what, hint) = no_coordinate(of[c].scalar, word(raw, spans[c]));
+            NoCoordinate { vertex, property: of[c].name, what, hint }
         };
-        let p = parse_triple(raw, position, spans).map_err(|c| not_a_number(c, position, spans))?;
+        let p = parse_triple(raw, position, spans).map_err(|c| wrong(c, position, spans))?;
         positions.push(DVec3::from_array(p));
         if let Some(normal) = normal {
             let spans = &spans[3..];
-            let n = parse_triple(raw, normal, spans).map_err(|c| not_a_number(c, normal, spans))?;
+            let n = parse_triple(raw, normal, spans).map_err(|c| wrong(c, normal, spans))?;
             normals.push(Vec3::from_array(n.map(|v| v as f32)));
         }
     }
@@ -140,12 +142,12 @@ pub(super) fn splice(
     Ok(())
 }
 
-/// Three numbers, or which of them is none.
+/// Three coordinates, or which of them is none.
 #[inline(always)]
 fn parse_triple(raw: &[u8], of: [Component; 3], spans: &[[u32; 2]]) -> Result<[f64; 3], usize> {
     let mut values = [0.0; 3];
     for c in 0..3 {
-        values[c] = parse(of[c].scalar, word(raw, spans[c])).ok_or(c)?;
+        values[c] = coordinate(of[c].scalar, word(raw, spans[c])).ok_or(c)?;
     }
     Ok(values)
 }

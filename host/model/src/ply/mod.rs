@@ -47,6 +47,7 @@ use super::{
     Division, Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline,
 };
 use crate::follow::{Follow, Following};
+use crate::form::counted;
 use crate::pipeline::Rewritable;
 use crate::progress::Silent;
 use crate::{Normals, Progress, Result};
@@ -147,7 +148,7 @@ impl PlyModel {
         let comments = text.split(|byte| matches!(byte, b'\n' | b'\r')).filter(is_comment).count();
         let mut besides = Vec::new();
         if comments > 0 {
-            besides.push(format!("{comments} comments"));
+            besides.push(counted(comments as u64, "comment"));
         }
         for (place, Element { name, count, properties }) in self.header.elements.iter().enumerate() {
             let name = header::quoted(name);

@@ -156,8 +156,8 @@ impl PlyModel {
             Encoding::Little | Encoding::Big => binary::decode(&self.layout, chunk),
             Encoding::Ascii => ascii::decode(&self.layout, chunk).map_err(|e| {
                 let vertex = chunk.first + e.vertex as u64;
-                let what = format!("vertex {vertex}: {} {} is no number", e.property, e.word);
-                self.source.malformed(what, DAMAGED)
+                let what = format!("vertex {vertex}: {} {}", e.property, e.what);
+                self.source.malformed(what, e.hint)
             })?,
         }
         Ok(())

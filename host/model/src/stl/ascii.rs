@@ -10,7 +10,7 @@ use crate::text::blocks::{Blocks, Builder, GAP, too_far};
 use crate::text::digits::Digits;
 use crate::text::lines::{Lines, lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
-use crate::text::{CUT_OFF, DAMAGED, is_space, next_word, parse, quoted};
+use crate::text::{CUT_OFF, DAMAGED, coordinate, is_space, next_word, no_coordinate, parse, quoted};
 use crate::unfit::Unfit;
 use crate::{Edited, FaceReader, Model, ModelInfo, Result, Scalar, VertexChunk};
 
@@ -85,6 +85,7 @@ fn scan(source: &Source) -> Result<(Blocks, u64)> {
             }
             Line::Facet => {
                 facets += 1;
+                check_normal(source, start, line)?;
                 in_solid && !std::mem::replace(&mut in_facet, true)
             }
             Line::EndFacet => std::mem::take(&mut in_facet) && builder.vertices() == 3 * facets,
@@ -113,6 +114,19 @@ fn scan(source: &Source) -> Result<(Blocks, u64)> {
         return Err(wrong_line(source, at, "the file ends before endsolid", CUT_OFF));
     }
     Ok((builder.finish(), facets))
+}
+
+/// An error where a facet's normal has a number that is too large; other words that are no numbers are kept.
+fn check_normal(source: &Source, start: u64, line: &[u8]) -> Result<()> {
+    let mut words = [[0; 2]; 3];
+    words_after(line, 2, &mut words);
+    for word in words.map(|[start, end]| &line[start..end]) {
+        if coordinate(Scalar::F64, word).is_none() && parse(Scalar::F64, word).is_some() {
+            let (what, hint) = no_coordinate(Scalar::F64, word);
+            return Err(wrong_line(source, start, format!("the normal of a facet: {what}"), hint));
+        }
+    }
+    Ok(())
 }
 
 /// The lines of STL.

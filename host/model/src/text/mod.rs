@@ -25,6 +25,13 @@ pub(crate) const DAMAGED: &str = "the file is damaged: copy or export it again";
 /// Hint for files that end too early.
 pub(crate) const CUT_OFF: &str = "the file is cut off, or its header lies: copy or export it again";
 
+/// Hint for numbers that are too large.
+const BEYOND: &str = "write nan in its place if the vertex has no position, or export the file again";
+
+/// Hint for numbers with commas.
+const POINTS: &str =
+    "write decimals with points, as 1.5, which is a setting of most programs that export text";
+
 /// Whether a byte separates words. Control characters do, so that a NUL is no part of a number.
 #[inline(always)]
 pub(crate) fn is_space(byte: u8) -> bool {
@@ -64,6 +71,24 @@ pub(crate) fn parse(scalar: Scalar, word: &[u8]) -> Option<f64> {
     value.or_else(|| is_microsoft_nan(std::str::from_utf8(word).ok()?).then_some(f64::NAN))
 }
 
+/// A coordinate of the given type: like [`parse`], but `None` for a finite number that the type cannot hold.
+#[inline]
+pub(crate) fn coordinate(scalar: Scalar, word: &[u8]) -> Option<f64> {
+    parse(scalar, word).filter(|value| !value.is_infinite() || !word.iter().any(u8::is_ascii_digit))
+}
+
+/// Why a word is no [`coordinate`], for people, and what to do about it.
+#[cold]
+pub(crate) fn no_coordinate(scalar: Scalar, word: &[u8]) -> (String, &'static str) {
+    let text = quoted(&String::from_utf8_lossy(word));
+    match (parse(scalar, word), scalar) {
+        (None, _) if word.contains(&b',') => (format!("{text} is no number"), POINTS),
+        (None, _) => (format!("{text} is no number"), DAMAGED),
+        (_, Scalar::F32) => (format!("{text} is beyond the type float"), BEYOND),
+        (_, Scalar::F64) => (format!("{text} is beyond the type double"), BEYOND),
+    }
+}
+
 /// A number of a type, rounded to it if that is single precision.
 pub(crate) fn number(kind: Type, word: &[u8]) -> Option<f64> {
     parse(if kind == Type::F32 { Scalar::F32 } else { Scalar::F64 }, word)
@@ -87,6 +112,21 @@ pub(crate) fn integer(word: &[u8]) -> Option<i64> {
     let value =
         digits.iter().fold(0i64, |value, b| value.saturating_mul(10).saturating_add(i64::from(b - b'0')));
     Some(if negative { -value } else { value })
+}
+
+/// Whether a word is a whole number of which doubles do not hold all digits.
+pub(crate) fn is_beyond_doubles(word: &[u8]) -> bool {
+    integer(word).is_some_and(|value| value.unsigned_abs() > 1 << 53)
+}
+
+/// Whether there are as many digits in a row as such a number has: one of them is at a multiple of that.
+pub(crate) fn has_many_digits(text: &[u8]) -> bool {
+    const MANY: usize = 16;
+    (0..text.len()).step_by(MANY).filter(|at| text[*at].is_ascii_digit()).any(|at| {
+        let before = text[..at].iter().rev().take_while(|byte| byte.is_ascii_digit()).take(MANY).count();
+        let behind = text[at..].iter().take_while(|byte| byte.is_ascii_digit()).take(MANY).count();
+        before + behind >= MANY
+    })
 }
 
 /// The word that was noted to stand there.
@@ -167,6 +207,20 @@ mod tests {
         assert_eq!(integer(&[b'9'; 1000]), Some(i64::MAX));
         for word in ["", "-", "+", "--1", "1.0", "1e3", "0x1", "x", "\u{e9}"] {
             assert_eq!(integer(word.as_bytes()), None, "{word}");
+        }
+    }
+
+    #[test]
+    fn whole_numbers_beyond_doubles_are_found() {
+        for (word, is_beyond) in [("9007199254740992", false), ("-9007199254740993", true), ("1e300", false)]
+        {
+            assert_eq!(is_beyond_doubles(word.as_bytes()), is_beyond, "{word}");
+        }
+        for (digits, are_many) in [(15, false), (16, true), (40, true)] {
+            for before in 0..40 {
+                let text = format!("{}{},5", "a".repeat(before), "7".repeat(digits));
+                assert_eq!(has_many_digits(text.as_bytes()), are_many, "{text}");
+            }
         }
     }
 

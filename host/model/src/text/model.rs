@@ -8,7 +8,7 @@ use glam::{DVec3, Mat3, Vec3};
 use super::blocks::{BlockPiece, BlockPieces, BlockReader, Blocks, changed};
 use super::digits::{Digits, Survey};
 use super::lines::{line_end, lines, wrong_line};
-use super::{DAMAGED, parse, quoted, word};
+use super::{DAMAGED, coordinate, has_many_digits, is_beyond_doubles, no_coordinate, parse, quoted, word};
 use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
@@ -235,8 +235,8 @@ impl<G: Grammar> TextModel<G> {
             let mut values = [0.0; 6];
             for (value, [start, end]) in values.iter_mut().zip(&spans[..components]) {
                 let word = &raw[*start as usize..*end as usize];
-                let Some(number) = parse(Scalar::F64, word) else {
-                    return Err(self.not_a_number(chunk.first + vertex as u64, word));
+                let Some(number) = coordinate(Scalar::F64, word) else {
+                    return Err(self.no_coordinate(chunk.first + vertex as u64, word));
                 };
                 *value = number;
             }
@@ -249,13 +249,13 @@ impl<G: Grammar> TextModel<G> {
         Ok(())
     }
 
-    fn not_a_number(&self, vertex: u64, word: &[u8]) -> Error {
-        let what = if word.is_empty() {
-            format!("vertex {vertex} has fewer than {} numbers", self.grammar.components())
-        } else {
-            format!("vertex {vertex}: {} is no number", quoted(&String::from_utf8_lossy(word)))
-        };
-        self.wrong_vertex(vertex, what, DAMAGED)
+    fn no_coordinate(&self, vertex: u64, word: &[u8]) -> Error {
+        if word.is_empty() {
+            let what = format!("vertex {vertex} has fewer than {} numbers", self.grammar.components());
+            return self.wrong_vertex(vertex, what, DAMAGED);
+        }
+        let (what, hint) = no_coordinate(Scalar::F64, word);
+        self.wrong_vertex(vertex, format!("vertex {vertex}: {what}"), hint)
     }
 
     /// An error about a vertex, which names its line.
@@ -315,6 +315,29 @@ impl<G: Grammar> TextModel<G> {
             vertex += 1;
         }
         Ok(())
+    }
+
+    /// What attributes lose that have whole numbers which doubles do not hold. All vertices are looked at.
+    fn beyond_doubles(&self) -> Result<Vec<String>> {
+        let mut are_beyond = vec![false; self.info.attributes.len()];
+        let mut raw = Vec::new();
+        for (_, bytes) in self.blocks.spread(usize::MAX) {
+            raw.clear();
+            self.source.append_at(&mut raw, bytes.start, (bytes.end - bytes.start) as usize)?;
+            if !has_many_digits(&raw) {
+                continue;
+            }
+            let of_vertices = lines(&raw, G::CONTINUES).map(|(start, end)| &raw[start..end]);
+            for line in of_vertices.filter(|line| has_many_digits(line) && self.grammar.is_vertex(line)) {
+                for (attribute, is_beyond) in are_beyond.iter_mut().enumerate() {
+                    *is_beyond |= self.grammar.attribute(line, attribute).is_some_and(is_beyond_doubles);
+                }
+            }
+        }
+        let beyond = self.info.attributes.iter().zip(are_beyond).filter(|(_, is_beyond)| *is_beyond);
+        Ok(beyond
+            .map(|(of, _)| format!("digits of {}, which has whole numbers beyond 2^53", quoted(&of.name)))
+            .collect())
     }
 
     /// Appends a chunk's bytes to `text`, with those numbers replaced that were edited, or turn.
@@ -457,7 +480,9 @@ impl<G: Grammar> Model for TextModel<G> {
     }
 
     fn besides(&self) -> Result<Vec<String>> {
-        Ok(self.grammar.besides())
+        let mut besides = self.grammar.besides();
+        besides.extend(self.beyond_doubles()?);
+        Ok(besides)
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {

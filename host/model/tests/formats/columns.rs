@@ -142,7 +142,11 @@ fn what_is_wrong_is_named_with_its_line() {
     assert_eq!(bad("1 2 3\n\n4 5 \0\0\0 6\n7 8 9\n", ".xyz"), "line 3: vertex 1: a byte of zero");
     let long = "1 2 3\n4 5 ".to_string() + &"6".repeat(17 << 20);
     assert_eq!(bad(&long, ".xyz"), "line 2 is longer than 16 MiB");
-    go_over(b"1e999 2 3\n4 nan 6\n-1.#IND 0 0\n", ".xyz").unwrap();
+    let commas = go_over(b"x;y;z\n1,5;2,5;3,5\n", ".csv").unwrap_err();
+    assert!(commas.hint().starts_with("write decimals with points"), "{}", commas.hint());
+    assert_eq!(bad("1 2 3\n4 1e999 6\n", ".xyz"), "line 2: vertex 1: \"1e999\" is beyond the type double");
+    // What is written as no number makes a vertex without a position; attributes are not looked at.
+    go_over(b"inf 2 3 1e999\n4 nan 6 1e999\n-1.#IND 0 0 1e999\n", ".xyz").unwrap();
 }
 
 #[test]

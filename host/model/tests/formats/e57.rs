@@ -860,6 +860,13 @@ fn what_is_wrong_is_named() {
     );
     assert!(bad("scale=\"0.0005\"", "scale=\"0.0000\"").contains("has the scale 0"));
     assert!(bad("cartesianZ ", "cartesianQ ").contains("cannot be read"));
+    let mut scans = three(5);
+    scans[2].xml = ["0.8", "0.36", "0.48"].iter().fold(POSE.to_owned(), |pose, one| pose.replace(one, "0"));
+    let error = go_over(&make(&scans, At::End, |left| left), ".e57").unwrap_err();
+    let text = error.to_string();
+    assert!(text.contains("line ") && text.contains("the pose of scan 3"), "{text}");
+    assert!(text.contains("is none: its rotation is [0.0, 0.0, 0.0, 0.0]"), "{text}");
+    assert!(error.hint().starts_with("register the scan once more"), "{}", error.hint());
 }
 
 /// Goes over a file without minding what comes of it, but for panics.

@@ -676,6 +676,72 @@ fn a_gltf_with_its_buffers_becomes_a_glb() {
     }
 }
 
+/// A member of an accessor that has so many sparse elements, of the first view's bytes.
+fn sparse_of(count: u64, kind: &str, indices: usize, values: usize) -> String {
+    format!(
+        ",\"sparse\":{{\"count\":{count},\"indices\":{{\"bufferView\":0,\"byteOffset\":{indices},\"componentType\":{kind}}},\
+         \"values\":{{\"bufferView\":0,\"byteOffset\":{values}}}}}"
+    )
+}
+
+#[test]
+fn sparse_accessors_become_plain() {
+    let base = points(9);
+    let others = [(2u32, Vec3::new(7.0, 8.0, 9.0)), (8, Vec3::new(-1.0, 0.5, 2.0))];
+    let mut expected = base.clone();
+    others.iter().for_each(|(place, p)| expected[*place as usize] = *p);
+    for (kind, size) in [(5121, 1), (5123, 2), (5125, 4)] {
+        let mut made = Glb::default();
+        let places: Vec<u8> =
+            others.iter().flat_map(|(place, _)| place.to_le_bytes()[..size].to_vec()).collect();
+        let (places, values) =
+            (made.view(&places, None), made.view(&floats(&rows(&others.map(|o| o.1))), None));
+        let sparse = format!(
+            ",\"sparse\":{{\"count\":2,\"indices\":{{\"bufferView\":{places},\"componentType\":{kind}}},\
+             \"values\":{{\"bufferView\":{values}}}}}"
+        );
+        // Between other numbers, as one of which the normals are.
+        let both: Vec<Vec<f32>> = base.iter().map(|p| [p.to_array(), [0.0, 0.0, 1.0]].concat()).collect();
+        let view = made.view(&floats(&both), Some(24));
+        let positions = made.accessor(view, 0, FLOAT, 9, "VEC3", &(limits(&expected) + &sparse));
+        let normals = made.accessor(view, 12, FLOAT, 9, "VEC3", "");
+        let indices = made.indices(&[0, 1, 2, 2, 8, 5], 5123);
+        let of = format!("\"POSITION\":{positions},\"NORMAL\":{normals}");
+        made.shown(&format!("{{\"attributes\":{{{of}}},\"indices\":{indices}}}"), "");
+        let bytes = made.bytes();
+        let model = open(&bytes, ".glb").unwrap();
+        assert!(model.info().has_normals && model.info().format.starts_with("glTF 2.0, binary, 1 mesh"));
+        let (found, turned) = read(&*model).unwrap();
+        check_near(
+            &found.iter().map(|p| p.as_vec3()).collect::<Vec<_>>(),
+            &expected.iter().map(|p| p.as_dvec3()).collect::<Vec<_>>(),
+            0.0,
+        );
+        assert_eq!(turned, [Vec3::Z; 9]);
+        assert_eq!(triangles(&*model).unwrap(), [[0, 1, 2], [2, 8, 5]]);
+        let map = DAffine3::from_translation(DVec3::new(1.0, 0.0, -2.0));
+        let moved = rewrite(&*model, |edited| carry(edited, map)).unwrap();
+        let plain: Vec<DVec3> = expected.iter().map(|p| map.transform_point3(p.as_dvec3())).collect();
+        check_near(&vectors(&moved, positions), &plain, 1e-6);
+        check_limits(&moved, positions);
+        let (document, data) = parts(&moved);
+        assert!(
+            document["accessors"][0].get("sparse").is_none()
+                && document["bufferViews"].as_array().unwrap().len() == 5
+        );
+        // What they were made of is still there.
+        let (_, old) = parts(&bytes);
+        assert!(data.starts_with(&old[..made.bin.len()]));
+        check_whole(&moved, ".glb");
+        // A chunk that nobody knows stays behind all.
+        let chunk: Vec<u8> =
+            [4u32, 0x1234_5678, 0x0bad_cafe].iter().flat_map(|word| word.to_le_bytes()).collect();
+        let mut more = [&bytes[..], &chunk].concat();
+        more[8..12].copy_from_slice(&(bytes.len() as u32 + 12).to_le_bytes());
+        assert!(rewrite(&*open(&more, ".glb").unwrap(), |_| {}).unwrap().ends_with(&chunk));
+    }
+}
+
 #[test]
 fn what_cannot_be_deformed_is_refused() {
     let simple = |positions: &str, node: &str, rest: &str| {
@@ -704,7 +770,31 @@ fn what_cannot_be_deformed_is_refused() {
             simple("{\"componentType\":5126,\"count\":6,\"type\":\"VEC3\"}", "", ""),
             "accessor 0 (POSITION) has no data",
         ),
-        (simple(&accessor(",\"sparse\":{\"count\":1}"), "", ""), "accessor 0 (POSITION) is sparse"),
+        (simple(&accessor(",\"sparse\":{\"count\":1}"), "", ""), "its JSON makes no sense"),
+        (
+            simple(
+                &accessor(&sparse_of(1, "5125", 0, 0)).replace("\"bufferView\":0,\"count\":6", "\"count\":6"),
+                "",
+                "",
+            ),
+            "accessor 0 is sparse, and has no data beneath",
+        ),
+        (
+            simple(&accessor(&sparse_of(1, "5126", 0, 0)), "", ""),
+            "the sparse indices of accessor 0 are no whole numbers",
+        ),
+        (
+            simple(&accessor(&sparse_of(1 << 60, "5125", 0, 0)), "", ""),
+            "accessor 0 says 1152921504606846976 sparse elements",
+        ),
+        (
+            simple(&accessor(&sparse_of(1, "5125", 70, 0)), "", ""),
+            "accessor 0 says 1 sparse elements, but bufferView 0",
+        ),
+        (
+            simple(&accessor(&sparse_of(1, "5125", 9, 0)), "", ""),
+            "accessor 0 has 6 elements, but its sparse indices",
+        ),
         (simple(&accessor("").replace("5126", "5122"), "", ""), "accessor 0 (POSITION) is quantised"),
         (
             simple(&accessor("").replace("VEC3", "VEC2"), "", ""),

@@ -287,8 +287,18 @@ fn texts_with_what_is_no_text_are_errors_or_sane() {
             let (before, after) = text.split_once(word).unwrap();
             go_over(&[before.as_bytes(), other, after.as_bytes()].concat(), extension)
         };
-        // A number beyond all doubles is none, and stays.
-        with(b"1e999").unwrap();
+        // What is said to be no number stays; a number beyond all doubles is a mistake.
+        ["nan", "-inf", "Infinity"].iter().for_each(|none| with(none.as_bytes()).unwrap());
+        for beyond in ["1e999", "-1E+999", &"9".repeat(310)] {
+            let error = with(beyond.as_bytes()).unwrap_err();
+            let (text, hint) = (error.to_string(), error.hint());
+            assert!(
+                text.contains(if extension == ".pcd" { "the type float" } else { "the type double" }),
+                "{text}"
+            );
+            assert!(text.contains("line ") || text.contains("vertex "), "{extension}: {text}");
+            assert!(hint.starts_with("write nan in its place"), "{hint}");
+        }
         for (what, other) in [
             ("NUL alone", &b"\0"[..]),
             ("NUL within", b"1.\x0025"),

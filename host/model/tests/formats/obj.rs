@@ -200,7 +200,7 @@ fn a_shared_normal_is_the_mean_of_its_places_where_they_agree() {
     );
     assert!(notes[0].contains("which takes 144 bytes, and 48 bytes besides"), "{notes:?}");
     assert_eq!(notes.len(), 2);
-    assert!(notes[1].contains(": 1 normals (vn) are kept as they are"), "{notes:?}");
+    assert!(notes[1].ends_with("turn apart by more than 5\u{b0}: 1 normal kept"), "{notes:?}");
 }
 
 /// What the user is told.
@@ -261,7 +261,12 @@ fn what_is_wrong_is_named_with_its_line() {
     assert_eq!(bad("v 1 2 3\nf 1 1 1.5\n"), "line 2: \"1.5\" is no corner of a face");
     let long = "v 1 2 3\n# ".to_string() + &"x".repeat(17 << 20);
     assert_eq!(bad(&long), "line 2 is longer than 16 MiB");
-    go_over(b"v 1e999 nan 0\nv 0 0 0", ".obj").unwrap();
+    let beyond = "is beyond the type double";
+    assert_eq!(bad("v 1 2 3\nv -1e999 2 3\n"), format!("line 2: vertex 1: \"-1e999\" {beyond}"));
+    assert_eq!(bad("v 1 2 3\nvn 0 0 1e999\n"), format!("line 2: vertex 0: \"1e999\" {beyond}"));
+    let apart = "v 1 2 3\nv 1 2 3\nvn 0 0 1\nvn 0 1e999 1\n";
+    assert_eq!(bad(apart), format!("line 4: normal 1: \"1e999\" {beyond}"));
+    go_over(b"v inf nan 0\nv 0 0 0\nvt 1e999 0\n", ".obj").unwrap();
 }
 
 #[test]

@@ -175,7 +175,11 @@ fn what_is_wrong_is_named_with_its_line() {
     let far = bad("vertex 1 0 0\n", &("\n".repeat(300_000) + "vertex 1 0 0\n"));
     assert!(far.starts_with("line 300005: more than 256 KiB lie between"), "{far}");
     // What is no finite number is left as it is.
-    go_over(good.replace("vertex 1 0 0", "vertex 1e999 nan 0").as_bytes(), ".stl").unwrap();
+    go_over(good.replace("vertex 1 0 0", "vertex inf nan 0").as_bytes(), ".stl").unwrap();
+    go_over(good.replace("normal 0 0 1", "normal nan inf none").as_bytes(), ".stl").unwrap();
+    let beyond = "\"1e999\" is beyond the type double";
+    assert_eq!(bad("vertex 1 0 0", "vertex 1 1e999 0"), format!("line 5: vertex 1: {beyond}"));
+    assert_eq!(bad("normal 0 0 1", "normal 0 0 1e999"), format!("line 2: the normal of a facet: {beyond}"));
 }
 
 #[test]
