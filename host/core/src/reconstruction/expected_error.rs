@@ -13,11 +13,12 @@
 //! about that very place. So does how far the blend is from another one with wider supports, which leaves out
 //! more of the same: two orders of one method tell its error, as in an embedded pair of Runge and Kutta (E.
 //! Fehlberg, *Low-order classical Runge-Kutta formulas with stepsize control*, 1969). What all leave out
-//! together they do not tell; how far the samples around are from where others would have them stands for that,
-//! with the worst that any two disagree by halfway, and for more of it where a vertex lies beyond the samples, as off the surface or outside a border, up to what those around say
-//! there. How the map varies across a sheet of gentle relief all of them guess alike: what that leaves open
-//! counts, too ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples'
-//! positions, of the displacement, and of the file that is written.
+//! together they do not tell; how far the samples around are from where others would have them stands for
+//! that, with the worst that any two disagree by halfway, and for more of it where a vertex lies beyond the
+//! samples, as off the surface or outside a border, up to what those around say there. How the map varies
+//! across a sheet of gentle relief all of them guess alike: what that leaves open counts, too
+//! ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples' positions, of
+//! the displacement, and of the file that is written.
 
 use std::iter;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -186,8 +187,8 @@ impl DeformationField<'_> {
         disagreement.into_iter().zip(largest).map(told).collect()
     }
 
-    /// Finds out how far samples are from where the others would have them, which what is expected of vertices
-    /// rests on, too. The field has to be [expecting](Self::expecting).
+    /// Finds out how far samples are from where the others would have them: what is expected of vertices
+    /// rests on that, too. The field has to be [expecting](Self::expecting).
     pub(super) fn expecting_of_vertices(mut self) -> Self {
         let squares: Vec<f32> = (0..self.expected.len()).into_par_iter().map(|i| self.without(i)).collect();
         let mean = |i: usize| {
