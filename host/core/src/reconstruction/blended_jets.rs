@@ -43,7 +43,7 @@ const NOISE: f64 = 0.3;
 const SMOOTH: f64 = 0.01;
 
 /// The part of the strain by which the gradient across a surface is expected to differ from its prior.
-const STRAINED: f64 = 0.5;
+const STRAINED: f64 = 0.4;
 
 /// The power of the ratio of costs by which an expansion is preferred to another.
 const CHOICE: i32 = 8;
@@ -321,9 +321,11 @@ impl Fits<'_> {
             is_solved = is_solved.and(is_found);
         }
         let doubt = squares.doubt(relied_on).store();
+        // How much the gradient differs at the radius: of a square it is twice the term, of a product each of
+        // two coordinates has it.
         let mut bent = splat(0.0);
-        for term in &terms[3..] {
-            bent += square(*term);
+        for (term, times) in terms[3..].iter().zip([4.0, 2.0, 2.0, 4.0, 2.0, 4.0]) {
+            bent = splat(times).mul_add(square(*term), bent);
         }
         let (strained, bent) = (splat(STRAINED) * strain, bent * squares.scale * squares.scale);
         let off = strained.mul_add(strained, bent).sqrt();

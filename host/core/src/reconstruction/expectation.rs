@@ -17,6 +17,9 @@ pub(super) struct Expectation {
     pub disagreement: f32,
     /// The furthest of that, and of those which have it among their neighbours.
     pub largest: f32,
+    /// The root of the mean square, of it and its neighbours, of how far it is from where the others would
+    /// have it.
+    pub left_out: f32,
 }
 
 /// What the file that is written rounds.

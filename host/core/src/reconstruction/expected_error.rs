@@ -5,15 +5,20 @@
 //! third order, for nothing; so the distance between what they say is of the size of what both leave out
 //! there. Where the deformation has details that the samples do not tell, as at a step, they differ by those.
 //!
+//! At a sample itself it is known where it went. How far what the others make of its place is from that is a
+//! true error of a blend, in which what samples leave out cancels as it does at vertices (M. Stone,
+//! *Cross-validatory choice and assessment of statistical predictions*, 1974).
+//!
 //! At a vertex all supports that reach it have a say, and how far these are from what is made of them tells
 //! about that very place. So does how far the blend is from another one with wider supports, which leaves out
 //! more of the same: two orders of one method tell its error, as in an embedded pair of Runge and Kutta (E.
 //! Fehlberg, *Low-order classical Runge-Kutta formulas with stepsize control*, 1969). What all leave out
-//! together they do not tell; what the samples disagree by halfway stands for that, and for more of it where
-//! a vertex lies beyond the samples, as off the surface or outside a border, up to what those around say
-//! there. How the map varies across a sheet of gentle relief all of them guess alike: what that leaves open
-//! counts, too ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples'
-//! positions, of the displacement, and of the file that is written.
+//! together they do not tell; how far the samples around are from where others would have them stands for
+//! that, with the worst that any two disagree by halfway, and for more of it where a vertex lies beyond the
+//! samples, as off the surface or outside a border, up to what those around say there. How the map varies
+//! across a sheet of gentle relief all of them guess alike: what that leaves open counts, too
+//! ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples' positions, of
+//! the displacement, and of the file that is written.
 
 use std::iter;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -47,27 +52,27 @@ const BY_SAMPLES: f32 = 0.42;
 const OF_TURNING: f32 = 2.0;
 
 /// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
-const OF_SPREAD: f32 = 0.45;
+const OF_SPREAD: f32 = 0.54;
 
 /// The other blend has supports so many times as wide, and so much of how far it is from the first one
 /// counts.
 const WIDER: f32 = 2.0;
-const OF_WIDER: f32 = 0.4;
+const OF_WIDER: f32 = 0.5;
 
-/// The parts of the samples' disagreement halfway that count, of its mean and of its largest, where a vertex
-/// lies among them.
-const OF_DISAGREEMENT: f32 = 0.25;
-const OF_LARGEST: f32 = 0.08;
+/// The parts that count of how far samples are from where others would have them, and of the largest of what
+/// they disagree by halfway, where a vertex lies among them.
+const OF_LEFT_OUT: f32 = 0.7;
+const OF_LARGEST: f32 = 0.05;
 
 /// A vertex lies beyond the samples that reach it from this square of its distance from their middle on, each
 /// direction measured by how far they are spread in it: what they leave out counts as many times more as the
 /// square is larger ...
-const AMONG: f32 = 0.6;
+const AMONG: f32 = 0.65;
 
 /// ... up to so much of what the one that differs most says there, together with so much of what the one of
 /// the home's ring says that differs most: where one sample has a say, there is nobody else to differ.
-const SAID: f32 = 0.6;
-const SAID_AROUND: f32 = 0.25;
+const SAID: f32 = 0.55;
+const SAID_AROUND: f32 = 0.23;
 
 /// The square of a distance that is far beyond any samples.
 const FAR: f32 = 1e9;
@@ -178,8 +183,38 @@ impl DeformationField<'_> {
         };
         let disagreement: Vec<f32> = (0..samples).into_par_iter().map(disagreement).collect();
         let largest = largest.into_iter().map(|bits| f32::from_bits(bits.into_inner()));
-        let told = |(disagreement, largest)| Expectation { disagreement, largest };
+        let told = |(disagreement, largest)| Expectation { disagreement, largest, left_out: 0.0 };
         disagreement.into_iter().zip(largest).map(told).collect()
+    }
+
+    /// Finds out how far samples are from where the others would have them: what is expected of vertices
+    /// rests on that, too. The field has to be [expecting](Self::expecting).
+    pub(super) fn expecting_of_vertices(mut self) -> Self {
+        let squares: Vec<f32> = (0..self.expected.len()).into_par_iter().map(|i| self.without(i)).collect();
+        let mean = |i: usize| {
+            let ring = self.ring(i);
+            let sum = squares[i] + ring.iter().map(|j| squares[*j as usize]).sum::<f32>();
+            (sum / (ring.len() + 1) as f32).sqrt()
+        };
+        let means: Vec<f32> = (0..squares.len()).into_par_iter().map(mean).collect();
+        self.expected.iter_mut().zip(means).for_each(|(expected, mean)| expected.left_out = mean);
+        self
+    }
+
+    /// The square of how far a sample is from where the blend of its neighbours alone would have it.
+    fn without(&self, i: usize) -> f32 {
+        let place = Vec3::from_array(self.expansions[i].center);
+        let went = self.expansions[i].displacement();
+        let (mut off, mut sum) = (Vec3::ZERO, 0.0);
+        for j in self.stencils.of_sample(i) {
+            let other = &self.expansions[*j as usize];
+            let s = other.within(place).max(0.0);
+            if s > 0.0 {
+                off += s * s * s * (says(other, place) - went);
+                sum += s * s * s;
+            }
+        }
+        if sum < LEAST_WEIGHT { 0.0 } else { (off / sum).length_squared() }
     }
 
     /// The neighbours that a sample's word is compared with.
@@ -200,14 +235,13 @@ impl DeformationField<'_> {
     }
 
     /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field
-    /// has to be [expecting](Self::expecting).
+    /// has to be [expecting of vertices](Self::expecting_of_vertices).
     pub(super) fn expected_at(&self, home: usize, p: Vec3, u: Vec3) -> f32 {
         let heard = self.heard(home, p, u);
         let around = self.heard_around(home, p, u);
         let radius = self.around.supports.radius[home].max(f32::MIN_POSITIVE);
         let further = (heard.beyond(FLAT * radius) / AMONG).max(1.0);
-        let disagreement =
-            hypot([OF_DISAGREEMENT * heard.disagreement / heard.sum, OF_LARGEST * heard.largest]);
+        let disagreement = hypot([OF_LEFT_OUT * heard.left_out / heard.sum, OF_LARGEST * heard.largest]);
         let said = SAID * heard.furthest + SAID_AROUND * around.furthest;
         hypot([
             OF_SPREAD * (heard.spread / heard.sum).sqrt(),
@@ -324,8 +358,9 @@ struct Heard {
     spread: f32,
     /// The largest of these.
     furthest: f32,
-    /// What they and their neighbours disagree by halfway, and the largest of that.
-    disagreement: f32,
+    /// How far they and their neighbours are from where others would have them.
+    left_out: f32,
+    /// The largest of what they and their neighbours disagree by halfway.
     largest: f32,
     /// What the gradient across the surface leaves open.
     unresolved: f32,
@@ -341,9 +376,9 @@ impl Heard {
         let d = Vec3::from_array(field.expansions[i].center) - p;
         self.spread += w * off;
         self.furthest = self.furthest.max(off.sqrt());
-        let unknown = Expectation { disagreement: f32::NAN, largest: f32::NAN };
-        let Expectation { disagreement, largest } = field.expected.get(i).copied().unwrap_or(unknown);
-        self.disagreement += w * disagreement;
+        let unknown = Expectation { disagreement: f32::NAN, largest: f32::NAN, left_out: f32::NAN };
+        let Expectation { left_out, largest, .. } = field.expected.get(i).copied().unwrap_or(unknown);
+        self.left_out += w * left_out;
         self.largest = self.largest.max(largest);
         self.unresolved += w * field.unresolved[i].length(-d);
         self.places += w * d;

@@ -40,6 +40,7 @@ fn compared(places: &[Vec3]) -> Vec<(f32, f32)> {
     let deformed: Vec<Vec3> = samples.positions.iter().map(|p| twisted(*p)).collect();
     let mut field = DeformationField::new(&around, &deformed, Method::BlendedJets);
     field.expected = field.around_samples(&[]);
+    let field = field.expecting_of_vertices();
     let homes = Homes::new(&around).of(places);
     let compare = |((p, image), home): ((&Vec3, Vec3), u32)| {
         (image.distance(twisted(*p)), field.expected_at(home as usize, *p, image - *p))

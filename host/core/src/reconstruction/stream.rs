@@ -326,7 +326,8 @@ impl<'a> ReconstructionCall<'a> {
         let is_bound = binding.is_some();
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
-            field(self.sampled, self.model, self.how, &surroundings, begun.version.deformed)
+            let field = field(self.sampled, self.model, self.how, &surroundings, begun.version.deformed);
+            if begun.diagnostics.is_some() { field.expecting_of_vertices() } else { field }
         };
         let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
         for (field, begun) in fields.iter().zip(&self.pass) {

@@ -47,6 +47,10 @@ const MOST_UNLIKE: f64 = 1.15;
 /// An angle by which normals may always differ, radians.
 const ALIKE: f64 = 0.03;
 
+/// The part of the area that may differ by more: at sharp edges, where vertices have the mean of the normals
+/// on both sides.
+const AT_EDGES: f64 = 0.05;
+
 impl Placement {
     /// As it is called in files.
     pub fn name(self) -> &'static str {
@@ -136,18 +140,15 @@ impl Corners {
     }
 }
 
-/// How much the normals of faces differ from those of their corners, and from one face to the next: mean
-/// squares, weighted by area.
+/// How much the normals of faces differ from those of their corners, and from one face to the next.
 #[derive(Default)]
 struct Unlike {
     /// Area of the triangles.
     area: f64,
-    /// Area of those with normals at their corners.
-    known: f64,
-    from_corners: f64,
-    /// Area of pairs.
-    pairs: f64,
-    from_next: f64,
+    /// Of those with normals at their corners.
+    from_corners: Squares,
+    /// Of pairs.
+    from_next: Squares,
     /// Corners, normal and area of the last triangle.
     last: Option<([u32; 3], DVec3, f64)>,
 }
@@ -162,30 +163,57 @@ impl Unlike {
         self.area += area;
         let mean: DVec3 = normals.into_iter().sum();
         if let Some(mean) = mean.try_normalize().filter(|_| !normals.contains(&DVec3::ZERO)) {
-            self.known += area;
             // Whichever side of the face they are on.
-            self.from_corners += area * (2.0 - 2.0 * normal.dot(mean).abs()).max(0.0);
+            self.from_corners.add((2.0 - 2.0 * normal.dot(mean).abs()).max(0.0), area);
         }
         if let Some((corners, last, last_area)) = self.last
             && corners.iter().any(|corner| triangle.contains(corner))
         {
-            let area = area.min(last_area);
-            self.pairs += area;
-            self.from_next += area * normal.distance_squared(last);
+            self.from_next.add(normal.distance_squared(last), area.min(last_area));
         }
         self.last = Some((triangle, normal, area));
     }
 
-    /// Whether there are normals, and nothing tells that they are others than those of the faces.
-    fn is_little(&self) -> bool {
+    /// Whether there are normals, and nothing tells that they are others than those of the faces: neither all
+    /// faces, nor those without the sharpest edges.
+    fn is_little(mut self) -> bool {
+        let known = self.from_corners.area();
         // Hardly a triangle shares a corner with the next.
-        if 4.0 * self.pairs < self.known {
+        if 4.0 * self.from_next.area() < known {
             return true;
         }
-        let mean = |sum: f64, area: f64| if area > 0.0 { sum / area } else { 0.0 };
-        let (from_corners, from_next) =
-            (mean(self.from_corners, self.known), mean(self.from_next, self.pairs));
-        2.0 * self.known >= self.area && from_corners <= MOST_UNLIKE.powi(2) * from_next + ALIKE.powi(2)
+        let mut is_little = |part| {
+            let (from_corners, from_next) = (self.from_corners.mean(part), self.from_next.mean(part));
+            from_corners <= MOST_UNLIKE.powi(2) * from_next + ALIKE.powi(2)
+        };
+        2.0 * known >= self.area && (is_little(1.0) || is_little(1.0 - AT_EDGES))
+    }
+}
+
+/// Squares of angles, each with its area.
+#[derive(Default)]
+struct Squares(Vec<[f64; 2]>);
+
+impl Squares {
+    fn add(&mut self, square: f64, area: f64) {
+        self.0.push([square, area]);
+    }
+
+    fn area(&self) -> f64 {
+        self.0.iter().map(|[_, area]| area).sum()
+    }
+
+    /// The mean of the least, as many as have this part of the area; 0 of none.
+    fn mean(&mut self, part: f64) -> f64 {
+        self.0.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+        let most = part * self.area();
+        let (mut sum, mut counted) = (0.0, 0.0);
+        for [square, area] in &self.0 {
+            let area = area.min(most - counted);
+            sum += square * area;
+            counted += area;
+        }
+        if counted > 0.0 { sum / counted } else { 0.0 }
     }
 }
 

@@ -210,7 +210,9 @@ fn normals_are_trusted_unless_faces_tell_otherwise() {
     let body = Body { normals: body.positions.iter().enumerate().map(own).collect(), ..body };
     assert_eq!(placed(&body), Placement::Vertices);
     assert_eq!(placed(&body.shuffled()), Placement::Vertices);
-    for shape in [Shape::Amphora, Shape::BumpySphere, Shape::BumpyPlane, Shape::Cactus, Shape::Bar] {
+    let sharp = [Shape::Bar, Shape::Cylinder];
+    let round = [Shape::Amphora, Shape::BumpySphere, Shape::BumpyPlane, Shape::Cactus];
+    for shape in round.into_iter().chain(sharp) {
         let body = Body::generated(shape, 40_000);
         assert_eq!(placed(&body), Placement::Vertices, "{shape:?}");
         assert_eq!(placed(&body.without_normals()), Placement::Faces, "{shape:?}");
