@@ -137,7 +137,7 @@ impl<'a> AtRest<'a> {
 }
 
 /// The model's own mesh, where it is small enough to be held.
-pub(crate) struct Held {
+pub(crate) struct HeldMesh {
     /// Of each vertex the first one at its place: soups have theirs several times.
     first: Vec<u32>,
     rest: Vec<DVec3>,
@@ -145,7 +145,7 @@ pub(crate) struct Held {
     scale: f64,
 }
 
-impl Held {
+impl HeldMesh {
     /// Most vertices and most triangles.
     ///
     /// Memory: 40 bytes for each, of those at rest and those of four methods; and a thousand while they are
