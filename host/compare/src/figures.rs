@@ -45,7 +45,7 @@ pub(crate) fn beside(
     also: (usize, &Also<'_>),
     progress: &dyn Progress,
 ) -> Result<Beside> {
-    let simod_measure::Beside { bounds, differences } =
+    let simod_measure::VersionsBeside { bounds, differences } =
         simod_measure::beside(models, diagonal, also, progress)?;
     let (rest, pairs): (Vec<_>, Vec<_>) = differences.into_iter().partition(|((a, _), _)| *a == 0);
     Ok(Beside {
