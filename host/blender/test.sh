@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Tests the extension with Blender as a module, in an environment of its own: test.sh [FOLDER], of one that `environment.sh`
-# made beforehand. `cargo build --release` came before. Says so and does nothing where Blender's module cannot be installed
-# or started: it is for Python 3.11 alone, and needs libraries of X11 and OpenGL.
+# Tests the extension with Blender as a module, in an environment of its own: test.sh [FOLDER], of one that
+# `tests/environment.sh` made beforehand. `cargo build --release` came before, or SIMOD_PROGRAM names another program. Says so
+# and does nothing where Blender's module cannot be installed or started: it is for Python 3.11 alone, and needs libraries of
+# X11 and OpenGL.
 set -euo pipefail
 cd "$(dirname "$0")"
 here=$PWD
@@ -17,19 +18,13 @@ skip() {
 
 command -v python3.11 >/dev/null || skip "there is no python3.11"
 venv=${1:-$env/venv}
-[ -e "$venv/complete" ] || ./environment.sh "$venv" || skip "bpy cannot be installed"
+[ -e "$venv/complete" ] || ../../tests/environment.sh blender "$venv" || skip "bpy cannot be installed"
 python="$venv/bin/python"
 "$python" -c "import bpy" 2>/dev/null || skip "bpy cannot be started, as a library is missing"
 
-export SIMOD_PROGRAM="$target/release/simod" PYTHONPYCACHEPREFIX="$env/bytecode" BLENDER_USER_RESOURCES="$env/user"
+export SIMOD_PROGRAM="${SIMOD_PROGRAM:-$target/release/simod}" PYTHONPYCACHEPREFIX="$env/bytecode" BLENDER_USER_RESOURCES="$env/user"
 status=0
 "$python" -m pytest -p no:cacheprovider -q tests | tee "$env/log" || status=$?
 
-# As cargo's tests have it, for the line over all.
-"$python" - "$env/log" <<'END'
-import re, sys
-last = [line for line in open(sys.argv[1]) if re.search(r"\d+ (passed|failed|error)", line)][-1]
-count = lambda what: sum(int(n) for n in re.findall(rf"(\d+) (?:{what})", last))
-print(f"test result: blender. {count('passed')} passed; {count('failed|error')} failed; {count('skipped')} ignored")
-END
+"$python" ../../tests/suite_result.py blender "$env/log"
 exit "$status"

@@ -45,7 +45,7 @@ pub(crate) fn beside(
     also: (usize, &Also<'_>),
     progress: &dyn Progress,
 ) -> Result<Beside> {
-    let simod_measure::Beside { bounds, differences } =
+    let simod_measure::VersionsBeside { bounds, differences } =
         simod_measure::beside(models, diagonal, also, progress)?;
     let (rest, pairs): (Vec<_>, Vec<_>) = differences.into_iter().partition(|((a, _), _)| *a == 0);
     Ok(Beside {
@@ -137,7 +137,7 @@ impl<'a> AtRest<'a> {
 }
 
 /// The model's own mesh, where it is small enough to be held.
-pub(crate) struct Held {
+pub(crate) struct HeldMesh {
     /// Of each vertex the first one at its place: soups have theirs several times.
     first: Vec<u32>,
     rest: Vec<DVec3>,
@@ -145,7 +145,7 @@ pub(crate) struct Held {
     scale: f64,
 }
 
-impl Held {
+impl HeldMesh {
     /// Most vertices and most triangles.
     ///
     /// Memory: 40 bytes for each, of those at rest and those of four methods; and a thousand while they are

@@ -47,9 +47,9 @@ pub use record::{
 pub use unit::{Done, do_unit};
 
 use chosen::Choosing;
-use figures::Held;
+use figures::HeldMesh;
 use folder::{CSV, INDEX, LATEX, RECORD, Target};
-use method::{Begun, Bench, Deformed, Waiting};
+use method::{BegunMethod, Bench, Deformed, UntransferredMethod};
 use pictures::Easel;
 use simod_model::output::write_file;
 use simod_model::output_folder::OutputFolder;
@@ -143,9 +143,9 @@ fn in_folder<'a>(
         progress.note(&format!("method {} of {}: {}", i + 1, file.methods.len(), method.name));
         let begun = bench.begin(method, name, &mut records[i], progress);
         match begun {
-            Ok(Begun::Finished(deformed)) => done.push((i, *deformed)),
-            Ok(Begun::Waiting(one)) => {
-                let goes_with = |(_, first): &(usize, Waiting<'_>)| one.goes_with(first);
+            Ok(BegunMethod::Finished(deformed)) => done.push((i, *deformed)),
+            Ok(BegunMethod::Untransferred(one)) => {
+                let goes_with = |(_, first): &(usize, UntransferredMethod<'_>)| one.goes_with(first);
                 if waiting.len() == MAX_VERSIONS || !waiting.first().is_none_or(goes_with) {
                     let together = std::mem::take(&mut waiting);
                     done.extend(transfer(&bench, together, &mut records, folder, progress)?);
@@ -166,12 +166,12 @@ fn in_folder<'a>(
 /// done.
 fn transfer(
     bench: &Bench<'_>,
-    waiting: Vec<(usize, Waiting<'_>)>,
+    waiting: Vec<(usize, UntransferredMethod<'_>)>,
     records: &mut [MethodRecord],
     folder: &OutputFolder,
     progress: &dyn Progress,
 ) -> Result<Vec<(usize, Deformed)>> {
-    let (numbers, waiting): (Vec<usize>, Vec<Waiting<'_>>) = waiting.into_iter().unzip();
+    let (numbers, waiting): (Vec<usize>, Vec<UntransferredMethod<'_>>) = waiting.into_iter().unzip();
     if numbers.len() > 1 {
         let names: Vec<&str> = numbers.iter().map(|i| records[*i].name.as_str()).collect();
         progress.note(&format!("transferring together: {}", names.join(", ")));
@@ -219,7 +219,7 @@ fn beside_each_other(
     let beside = figures::beside(&models, diagonal, (attributes, &also), progress)?;
     let chosen = choosing.map(Choosing::finish).transpose()?;
     let on_samples = figures::on_samples(&deformed, progress)?;
-    let on_model = match Held::read(rest, diagonal, progress)? {
+    let on_model = match HeldMesh::read(rest, diagonal, progress)? {
         Some(held) => held.measure(&models[1..], progress)?,
         None => Vec::new(),
     };

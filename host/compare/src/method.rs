@@ -31,7 +31,7 @@ pub(crate) struct Bench<'a> {
     plugins: &'a PluginRegistry,
     folder: &'a Path,
     cache: Arc<Cache>,
-    samplings: Vec<Taken>,
+    samplings: Vec<TakenSampling>,
     /// A method refines: samplings keep their cells.
     refines: bool,
     /// The deformed models are measured by this process, and go with it.
@@ -39,21 +39,21 @@ pub(crate) struct Bench<'a> {
 }
 
 /// A sampling that was done.
-struct Taken {
+struct TakenSampling {
     of: Sampling,
     sampled: Arc<SampledModel>,
     seconds: f64,
     /// What the first method to be transferred found of the samples at rest.
-    found: OnceLock<Found>,
+    found: OnceLock<PreparedRest>,
 }
 
 /// What reconstructions have to know of samples at rest, and what that took.
-struct Found {
+struct PreparedRest {
     seconds: f64,
     processor: Option<f64>,
 }
 
-impl Found {
+impl PreparedRest {
     fn new(sampled: &SampledModel) -> Self {
         let (start, processor) = (Instant::now(), processor::seconds());
         RestGeometry::new(&sampled.samples).prepare();
@@ -75,24 +75,24 @@ pub(crate) struct Deformed {
 }
 
 /// A method that was begun.
-pub(crate) enum Begun<'a> {
+pub(crate) enum BegunMethod<'a> {
     Finished(Box<Deformed>),
     /// Its samples were deformed, and are still to be transferred.
-    Waiting(Box<Waiting<'a>>),
+    Untransferred(Box<UntransferredMethod<'a>>),
 }
 
 /// A method whose samples were deformed once, so that it can be transferred in one reading with others of its
 /// kind.
-pub(crate) struct Waiting<'a> {
-    known: Known<'a>,
-    ready: Ready,
+pub(crate) struct UntransferredMethod<'a> {
+    known: PreparedMethod<'a>,
+    ready: TimedSamples,
     notices: Vec<String>,
     sample: f64,
     /// While its samples were deformed.
     peak_memory_bytes: Option<u64>,
 }
 
-impl Waiting<'_> {
+impl UntransferredMethod<'_> {
     /// Whether both have the same samples, and are transferred likewise.
     pub fn goes_with(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.ready.moved.sampled, &other.ready.moved.sampled)
@@ -102,18 +102,18 @@ impl Waiting<'_> {
 
 /// A method that was transferred.
 pub(crate) struct Transferred<'a> {
-    waiting: Waiting<'a>,
+    waiting: UntransferredMethod<'a>,
     once: Once,
 }
 
 /// Samples that went somewhere, and what that took.
-struct Ready {
+struct TimedSamples {
     moved: Moved,
     deform: f64,
     processor: Option<f64>,
 }
 
-impl Ready {
+impl TimedSamples {
     /// What it took so far.
     fn seconds(&self) -> RunSeconds {
         let Self { moved, deform, processor } = self;
@@ -158,7 +158,7 @@ struct Moved {
 }
 
 /// A method with what is known of it before it is done.
-struct Known<'a> {
+struct PreparedMethod<'a> {
     method: &'a Method,
     /// What its files begin with.
     name: String,
@@ -185,7 +185,7 @@ impl<'a> Bench<'a> {
 
     /// Takes a sampling that was done before, and how many seconds it took.
     pub fn take(&mut self, of: Sampling, sampled: Arc<SampledModel>, seconds: f64) {
-        self.samplings.push(Taken { of, sampled, seconds, found: OnceLock::new() });
+        self.samplings.push(TakenSampling { of, sampled, seconds, found: OnceLock::new() });
     }
 
     /// Does a method, as often as the file says. `record` gets what is known as soon as it is.
@@ -209,27 +209,34 @@ impl<'a> Bench<'a> {
         name: &str,
         record: &mut MethodRecord,
         progress: &dyn Progress,
-    ) -> Result<Begun<'a>> {
+    ) -> Result<BegunMethod<'a>> {
         let memory = MemoryWatch::start();
         let (known, notices, sample) = self.known(method, name, record, progress)?;
         if self.file.runs > 1 || !deforms_samples(method) {
             let done = self.all_runs(&known, (notices, sample, &memory), record, progress)?;
-            return Ok(Begun::Finished(Box::new(done)));
+            return Ok(BegunMethod::Finished(Box::new(done)));
         }
         let ready = self.ready(&known, progress)?;
         let peak_memory_bytes = memory.peak().max(ready.moved.peak_memory_bytes);
-        Ok(Begun::Waiting(Box::new(Waiting { known, ready, notices, sample, peak_memory_bytes })))
+        Ok(BegunMethod::Untransferred(Box::new(UntransferredMethod {
+            known,
+            ready,
+            notices,
+            sample,
+            peak_memory_bytes,
+        })))
     }
 
     /// Transfers methods that go with each other, in one reading of the model. If that cannot be done, each
     /// one is transferred by itself, so that one of them does not keep the others from being done.
     pub fn transfer(
         &self,
-        waiting: Vec<Waiting<'a>>,
+        waiting: Vec<UntransferredMethod<'a>>,
         progress: &dyn Progress,
     ) -> Vec<Result<Transferred<'a>>> {
         let memory = MemoryWatch::start();
-        let all: Vec<(&Known<'_>, &Ready)> = waiting.iter().map(|one| (&one.known, &one.ready)).collect();
+        let all: Vec<(&PreparedMethod<'_>, &TimedSamples)> =
+            waiting.iter().map(|one| (&one.known, &one.ready)).collect();
         let transferred = match self.transferred(&all, true, progress) {
             Err(e) if e.kind() != ErrorKind::Cancelled && all.len() > 1 => {
                 all.iter().map(|one| self.alone(*one, true, progress)).collect()
@@ -238,9 +245,9 @@ impl<'a> Bench<'a> {
             Ok(done) => done.into_iter().map(Ok).collect::<Vec<_>>(),
         };
         let peak = memory.peak();
-        let with = |(waiting, once): (Waiting<'a>, Result<Once>)| {
+        let with = |(waiting, once): (UntransferredMethod<'a>, Result<Once>)| {
             let peak_memory_bytes = peak.map(|peak| peak.max(waiting.peak_memory_bytes.unwrap_or(0)));
-            Ok(Transferred { once: once?, waiting: Waiting { peak_memory_bytes, ..waiting } })
+            Ok(Transferred { once: once?, waiting: UntransferredMethod { peak_memory_bytes, ..waiting } })
         };
         waiting.into_iter().zip(transferred).map(with).collect()
     }
@@ -252,8 +259,10 @@ impl<'a> Bench<'a> {
         record: &mut MethodRecord,
         progress: &dyn Progress,
     ) -> Result<Deformed> {
-        let Transferred { once, waiting: Waiting { known, sample, notices, peak_memory_bytes, .. } } =
-            transferred;
+        let Transferred {
+            once,
+            waiting: UntransferredMethod { known, sample, notices, peak_memory_bytes, .. },
+        } = transferred;
         let result = result_of(&once, progress)?;
         let runs = vec![once.seconds];
         Ok(finished(&known, once, (runs, sample, peak_memory_bytes, notices), (result, None), record))
@@ -267,20 +276,20 @@ impl<'a> Bench<'a> {
         name: &str,
         record: &mut MethodRecord,
         progress: &dyn Progress,
-    ) -> Result<(Known<'a>, Vec<String>, f64)> {
+    ) -> Result<(PreparedMethod<'a>, Vec<String>, f64)> {
         let steps = self.steps(method, record)?;
         let notices = self.plugins.notices(&steps);
         notices.iter().for_each(|notice| progress.note(notice));
         let stack = Stack::build(&steps, self.plugins)?;
         record.steps = stack.in_effect().map(StepRecord::new).collect();
         let (rest, sample) = self.sampling(method.sampling, progress)?;
-        Ok((Known { method, name: name.to_owned(), steps, rest }, notices, sample))
+        Ok((PreparedMethod { method, name: name.to_owned(), steps, rest }, notices, sample))
     }
 
     /// Does a method as often as the file says, each time by itself.
     fn all_runs(
         &self,
-        known: &Known<'_>,
+        known: &PreparedMethod<'_>,
         (notices, sample, memory): (Vec<String>, f64, &MemoryWatch),
         record: &mut MethodRecord,
         progress: &dyn Progress,
@@ -308,7 +317,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Does a method once; what does not change is measured where it is asked for.
-    fn once(&self, known: &Known<'_>, measure: bool, progress: &dyn Progress) -> Result<Once> {
+    fn once(&self, known: &PreparedMethod<'_>, measure: bool, progress: &dyn Progress) -> Result<Once> {
         match &known.method.work {
             Work::Model(path) => self.of_model(known, path.clone(), None, progress),
             Work::Command(command) if command.makes_model() => {
@@ -334,7 +343,7 @@ impl<'a> Bench<'a> {
     /// What is known of a deformed model that another program made.
     fn of_model(
         &self,
-        known: &Known<'_>,
+        known: &PreparedMethod<'_>,
         output: PathBuf,
         seconds: Option<RunSeconds>,
         progress: &dyn Progress,
@@ -365,14 +374,19 @@ impl<'a> Bench<'a> {
     }
 
     /// Deforms samples.
-    fn ready(&self, known: &Known<'_>, progress: &dyn Progress) -> Result<Ready> {
+    fn ready(&self, known: &PreparedMethod<'_>, progress: &dyn Progress) -> Result<TimedSamples> {
         let (start, processor) = (Instant::now(), processor::seconds());
         let moved = self.moved(known, progress)?;
-        Ok(Ready { moved, deform: start.elapsed().as_secs_f64(), processor: since(processor) })
+        Ok(TimedSamples { moved, deform: start.elapsed().as_secs_f64(), processor: since(processor) })
     }
 
     /// Transfers one deformation of samples.
-    fn alone(&self, of: (&Known<'_>, &Ready), measure: bool, progress: &dyn Progress) -> Result<Once> {
+    fn alone(
+        &self,
+        of: (&PreparedMethod<'_>, &TimedSamples),
+        measure: bool,
+        progress: &dyn Progress,
+    ) -> Result<Once> {
         let transferred = self.transferred(&[of], measure, progress)?.into_iter().next();
         transferred.ok_or_else(|| Error::internal("a method was not transferred"))
     }
@@ -380,11 +394,11 @@ impl<'a> Bench<'a> {
     /// Transfers deformations of the same samples, in one reading; each one's time is an equal part of it.
     fn transferred(
         &self,
-        all: &[(&Known<'_>, &Ready)],
+        all: &[(&PreparedMethod<'_>, &TimedSamples)],
         measure: bool,
         progress: &dyn Progress,
     ) -> Result<Vec<Once>> {
-        let Some((known, Ready { moved: Moved { sampled, .. }, .. })) = all.first() else {
+        let Some((known, TimedSamples { moved: Moved { sampled, .. }, .. })) = all.first() else {
             return Ok(Vec::new());
         };
         let found = self.found(sampled, progress);
@@ -394,7 +408,7 @@ impl<'a> Bench<'a> {
             // What turns with the surface knows the gradients of one map.
             return all.iter().map(|one| self.alone(*one, measure, progress)).collect();
         }
-        let output = |known: &Known<'_>| self.folder.join(file_name(&known.name, source.as_ref()));
+        let output = |known: &PreparedMethod<'_>| self.folder.join(file_name(&known.name, source.as_ref()));
         let outputs: Vec<PathBuf> = all.iter().map(|(known, _)| output(known)).collect();
         let mut versions = Vec::new();
         for ((_, ready), output) in all.iter().zip(&outputs) {
@@ -443,16 +457,16 @@ impl<'a> Bench<'a> {
 
     /// What reconstructions have to know of the samples of a sampling at rest, which is found once for all
     /// methods that have it; nothing of samples to which a method appended some.
-    fn found(&self, sampled: &Arc<SampledModel>, progress: &dyn Progress) -> Option<&Found> {
+    fn found(&self, sampled: &Arc<SampledModel>, progress: &dyn Progress) -> Option<&PreparedRest> {
         let taken = self.samplings.iter().find(|taken| Arc::ptr_eq(&taken.sampled, sampled))?;
         Some(taken.found.get_or_init(|| {
             progress.begin("preparing", 0);
-            Found::new(sampled)
+            PreparedRest::new(sampled)
         }))
     }
 
     /// Where a method has the samples go.
-    fn moved(&self, known: &Known<'_>, progress: &dyn Progress) -> Result<Moved> {
+    fn moved(&self, known: &PreparedMethod<'_>, progress: &dyn Progress) -> Result<Moved> {
         let by_another = |positions: Vec<Vec3>, peak_memory_bytes| Moved {
             sampled: known.rest.clone(),
             positions: known.rest.rounded(&positions),
@@ -498,7 +512,7 @@ impl<'a> Bench<'a> {
     fn run_program(
         &self,
         command: &Command,
-        known: &Known<'_>,
+        known: &PreparedMethod<'_>,
         output: &Path,
         progress: &dyn Progress,
     ) -> Result<Ran> {
@@ -563,7 +577,7 @@ impl<'a> Bench<'a> {
         let skip = Skip { cells: !self.refines, colors: true, ..Skip::default() };
         let sampled = Arc::new(sampled(&session, skip, (self.folder, &self.cache), progress)?.0);
         let seconds = start.elapsed().as_secs_f64();
-        self.samplings.push(Taken { of, sampled: sampled.clone(), seconds, found: OnceLock::new() });
+        self.samplings.push(TakenSampling { of, sampled: sampled.clone(), seconds, found: OnceLock::new() });
         Ok((sampled, seconds))
     }
 }
@@ -603,7 +617,7 @@ fn result_of(once: &Once, progress: &dyn Progress) -> Result<(u64, String)> {
 
 /// Puts what came of a method into its record, and gives what is compared.
 fn finished(
-    known: &Known<'_>,
+    known: &PreparedMethod<'_>,
     once: Once,
     (runs, sample, peak_memory_bytes, notices): (Vec<RunSeconds>, f64, Option<u64>, Vec<String>),
     ((bytes, hash), repeats): ((u64, String), Option<bool>),

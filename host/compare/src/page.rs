@@ -374,69 +374,68 @@ fn costs(c: &Comparison) -> Markup {
     section("Time and memory", &table.finish())
 }
 
+/// What the columns mean, but for the details, whose text has a figure in it.
+const TERMS: [(&str, &str); 15] = [
+    ("displacement", "how far vertices moved from where they are at rest."),
+    ("volume", "its relative change; a dash where the triangles between the samples are not closed."),
+    (
+        "edges, areas",
+        "relative changes |after / before − 1| of edges' lengths and triangles' areas; some come with any bend.",
+    ),
+    (
+        "folded triangles, folded samples",
+        "triangles that turn by more than a right angle against the smooth surface beneath; samples around which the \
+         map turns the surface inside out.",
+    ),
+    (
+        "vertices",
+        "distances between the same vertices of two results; 99 of 100 are below the 99th percentile (to 2 %).",
+    ),
+    ("normals", "the angle between the normals of the same vertices; a dash where the model has none."),
+    (
+        "surface, farthest, Hausdorff",
+        "distances from the samples of one result to the nearest points of the triangles of the other: the root mean \
+         square by area, the largest one way, and the larger of both ways. As samples alone are looked at, the last two \
+         are lower bounds. They do not see vertices that slide along the surface.",
+    ),
+    (
+        "transfer",
+        "vertices beside their exact images, where all plugins of a method know their map between the samples; a dash \
+         where not. Of more than four million vertices a million are looked at, so that the largest is a lower bound.",
+    ),
+    (
+        "expected",
+        "how far vertices are probably off by the transfer, as the samples tell it themselves where no exact map is \
+         known.",
+    ),
+    (
+        "ARAP",
+        "the energy of as-rigid-as-possible with spokes and rims, over the area: how far, squared, triangles' \
+         gradients are from the rotations that fit best about their corners. 0 for rigid motions.",
+    ),
+    (
+        "symmetric Dirichlet",
+        "σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of the triangles' stretches, in the mean over the area: 4 for rigid motions. \
+         Triangles that have collapsed are counted apart.",
+    ),
+    (
+        "volume over the border",
+        "of open surfaces, the relative change of the volume between the surface and the plane of its border at rest.",
+    ),
+    ("result", "the first digits of the hash of the deformed model's file; compare.json has all of them."),
+    (
+        "sample",
+        "done once for all methods with the same sampling, with triangles, though some methods would not need them.",
+    ),
+    (
+        "peak memory",
+        "anonymous memory of the process while the method was at work; what earlier methods left to be compared \
+         counts, too, and plugins in processes of their own do not.",
+    ),
+];
+
 /// What the columns mean.
 fn meaning() -> Markup {
-    let terms = [
-        ("displacement", "how far vertices moved from where they are at rest."),
-        ("volume", "its relative change; a dash where the triangles between the samples are not closed."),
-        (
-            "edges, areas",
-            "relative changes |after / before − 1| of edges' lengths and triangles' areas; some come with any bend.",
-        ),
-        (
-            "folded triangles, folded samples",
-            "triangles that turn by more than a right angle against the smooth surface beneath; samples around which the \
-             map turns the surface inside out.",
-        ),
-        (
-            "vertices",
-            "distances between the same vertices of two results; 99 of 100 are below the 99th percentile (to 2 %).",
-        ),
-        ("normals", "the angle between the normals of the same vertices; a dash where the model has none."),
-        (
-            "surface, farthest, Hausdorff",
-            "distances from the samples of one result to the nearest points of the triangles of the other: the root mean \
-             square by area, the largest one way, and the larger of both ways. As samples alone are looked at, the last two \
-             are lower bounds. They do not see vertices that slide along the surface.",
-        ),
-        (
-            "transfer",
-            "vertices beside their exact images, where all plugins of a method know their map between the samples; a dash \
-             where not. Of more than four million vertices a million are looked at, so that the largest is a lower bound.",
-        ),
-        (
-            "expected",
-            "how far vertices are probably off by the transfer, as the samples tell it themselves where no exact map is \
-             known.",
-        ),
-        (
-            "ARAP",
-            "the energy of as-rigid-as-possible with spokes and rims, over the area: how far, squared, triangles' \
-             gradients are from the rotations that fit best about their corners. 0 for rigid motions.",
-        ),
-        (
-            "symmetric Dirichlet",
-            "σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of the triangles' stretches, in the mean over the area: 4 for rigid motions. \
-             Triangles that have collapsed are counted apart.",
-        ),
-        (
-            "volume over the border",
-            "of open surfaces, the relative change of the volume between the surface and the plane of its border at rest.",
-        ),
-        (
-            "result",
-            "the first digits of the hash of the deformed model's file; compare.json has all of them.",
-        ),
-        (
-            "sample",
-            "done once for all methods with the same sampling, with triangles, though some methods would not need them.",
-        ),
-        (
-            "peak memory",
-            "anonymous memory of the process while the method was at work; what earlier methods left to be compared \
-             counts, too, and plugins in processes of their own do not.",
-        ),
-    ];
     let details = format!(
         "how far what is smaller than {} of the diagonal turns against the smooth surface beneath (M. Botsch, O. Sorkine, \
          IEEE TVCG 2008, as a figure). 0 for rigid motions.",
@@ -447,7 +446,7 @@ fn meaning() -> Markup {
         "\n"
         dl {
             "\n"
-            @for (term, text) in terms { (entry(term, text)) }
+            @for (term, text) in TERMS { (entry(term, text)) }
             (entry("details", &details))
         }
         "\n"

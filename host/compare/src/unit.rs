@@ -44,7 +44,7 @@ type Methods = (Vec<MethodRecord>, Vec<(usize, Deformed)>);
 
 /// What is noted of a sampling.
 #[derive(Serialize, Deserialize)]
-struct Taken {
+struct SamplingRecord {
     seconds: f64,
 }
 
@@ -100,7 +100,7 @@ impl UnitRun<'_> {
         let (sampled, seconds) = bench.sampling(of, self.progress)?;
         sampled.save_in(begun)?;
         // In the end, as it tells that the samples are there.
-        write_json(&self.folder.join(&self.unit.writes), &Taken { seconds })?;
+        write_json(&self.folder.join(&self.unit.writes), &SamplingRecord { seconds })?;
         Ok(Done::default())
     }
 
@@ -192,7 +192,7 @@ impl UnitRun<'_> {
         if cells {
             sampled.hold_cells(sampled.cells_or_resample(&folder, Some(&self.file.model), self.progress)?);
         }
-        let Taken { seconds } = read_json(&self.folder.join(format!("sampled-{part}.json")))?;
+        let SamplingRecord { seconds } = read_json(&self.folder.join(format!("sampled-{part}.json")))?;
         Ok((Arc::new(sampled), seconds))
     }
 }

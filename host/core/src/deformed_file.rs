@@ -4,7 +4,7 @@
 //! vertices in any order, and turn it into a floating-point number, or call it `scalar_id`, as CloudCompare
 //! does. Without an id the order counts. Whichever it is, all samples have to come back, each once.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::DVec3;
 use simod_model::{Error, Model, Result, Scalar, VertexChunk};
@@ -24,8 +24,9 @@ const HABITS: &str = "all samples have to come back, each once: switch off what 
                       clean or process); with the property id kept, their order does not matter";
 
 /// Deformed samples as a file has them.
-pub struct DeformedFile {
-    path: PathBuf,
+pub struct DeformedFile<'a> {
+    /// The file.
+    pub path: &'a Path,
     /// In the model's coordinates, and in the file's order.
     positions: Vec<DVec3>,
     /// Which sample each of them is, if the file tells.
@@ -50,12 +51,12 @@ pub fn open(path: &Path) -> Result<Box<dyn Model>> {
     Ok(model)
 }
 
-impl DeformedFile {
+impl<'a> DeformedFile<'a> {
     /// Reads a file, of whatever samples.
     ///
     /// # Errors
     /// The file cannot be read, or has too many vertices.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: &'a Path) -> Result<Self> {
         let model = open(path)?;
         let info = model.info();
         let place = ID_NAMES.iter().find_map(|name| info.attributes.iter().position(|a| a.name == *name));
@@ -68,8 +69,7 @@ impl DeformedFile {
             model.attributes(&chunk, &mut lists)?;
             ids.extend_from_slice(lists.last().map_or(&[][..], Vec::as_slice));
         }
-        let (path, ids) = (path.to_owned(), place.map(|_| ids));
-        Ok(Self { path, positions, ids, scalar: info.position_type })
+        Ok(Self { path, positions, ids: place.map(|_| ids), scalar: info.position_type })
     }
 
     /// Where so many samples went, in their order and in the model's coordinates.
@@ -79,7 +79,7 @@ impl DeformedFile {
     pub fn into_ordered(self, samples: usize) -> Result<Vec<DVec3>> {
         let Self { path, positions, ids, .. } = self;
         if let Some(ids) = ids {
-            return in_order(positions, &ids, samples).map_err(|what| refused(&path, &what));
+            return in_order(positions, &ids, samples).map_err(|what| refused(path, &what));
         }
         if positions.len() == samples {
             return Ok(positions);
@@ -87,7 +87,7 @@ impl DeformedFile {
         let (there, difference) = (positions.len(), positions.len().abs_diff(samples));
         let became = if there < samples { "are gone" } else { "are too many" };
         let what = format!("{there} vertices, but there are {samples} samples: {difference} {became}");
-        Err(refused(&path, &what))
+        Err(refused(path, &what))
     }
 }
 

@@ -16,7 +16,7 @@ use crate::sampled_model::{OWN_FILES, SampledModel};
 
 /// What is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum OutputKind {
     /// A model, or samples, of a format that can be read.
     Model,
     /// A picture, as PNG.
@@ -27,7 +27,7 @@ pub enum Kind {
     Binding,
 }
 
-impl Kind {
+impl OutputKind {
     /// What it is called.
     fn name(self) -> &'static str {
         match self {
@@ -112,9 +112,9 @@ impl Guard {
     /// # Errors
     /// It cannot be written; it is an input of the command, another of its outputs, or a file of a sampled
     /// model; or it is there, of another kind, and may not be replaced.
-    pub fn writes(&mut self, path: &Path, kind: Kind) -> Result<()> {
+    pub fn writes(&mut self, path: &Path, kind: OutputKind) -> Result<()> {
         let target = canonical_target(path)?;
-        if kind == Kind::Model && is_object(&target) {
+        if kind == OutputKind::Model && is_object(&target) {
             object::check_output(&target)?;
         }
         let refused = |what: String, hint: &str| Err(Error::argument(what, hint));
@@ -131,7 +131,7 @@ impl Guard {
             return refused(what, "write to another file");
         }
         let is_own = target.file_name().is_some_and(is_own) && SampledModel::is_at(folder_of(&target));
-        if is_own && kind != Kind::Binding {
+        if is_own && kind != OutputKind::Binding {
             let what =
                 format!("{} is a file of the sampled model {}", path.display(), folder_of(path).display());
             return refused(what, "write to a file outside that folder");
@@ -159,7 +159,7 @@ impl Guard {
     /// something else.
     pub fn writes_model(&mut self, path: &Path, tiles: &[PathBuf]) -> Result<()> {
         if tiles.is_empty() {
-            return self.writes(path, Kind::Model);
+            return self.writes(path, OutputKind::Model);
         }
         check_target(path, tiles)?;
         self.replaces_folder(path)?;
@@ -167,7 +167,7 @@ impl Guard {
             .iter()
             .map(|name| path.join(name))
             .filter(|file| file.exists())
-            .try_for_each(|file| self.writes(&file, Kind::Model))
+            .try_for_each(|file| self.writes(&file, OutputKind::Model))
     }
 
     /// An error if a folder may not be replaced, as an input of the command lies in it.
@@ -229,18 +229,20 @@ mod tests {
             let mut guard = Guard::new(force);
             guard.reads_all([at("a.ply"), at("missing")]);
             for name in ["a.ply", "./a.ply", "hard", "soft"] {
-                let error = guard.writes(&at(name), Kind::Model).unwrap_err().to_string();
+                let error = guard.writes(&at(name), OutputKind::Model).unwrap_err().to_string();
                 assert!(error.contains("a.ply") && error.contains("command"), "{error}");
             }
             let refused = guard.replaces_folder(folder.path()).unwrap_err().to_string();
             assert!(refused.contains("a.ply"), "{refused}");
             guard.replaces_folder(&at("elsewhere")).unwrap();
-            guard.writes(&at("b.ply"), Kind::Model).unwrap();
-            assert!(guard.writes(&at("b.ply"), Kind::Model).unwrap_err().to_string().contains("two files"));
-            guard.writes(&at("empty"), Kind::Picture).unwrap();
-            guard.writes(&at("new"), Kind::Picture).unwrap();
-            guard.writes(&at("edit.toml"), Kind::Session).unwrap();
-            for (name, kind) in [("letter", Kind::Model), ("Cargo.toml", Kind::Session)] {
+            guard.writes(&at("b.ply"), OutputKind::Model).unwrap();
+            assert!(
+                guard.writes(&at("b.ply"), OutputKind::Model).unwrap_err().to_string().contains("two files")
+            );
+            guard.writes(&at("empty"), OutputKind::Picture).unwrap();
+            guard.writes(&at("new"), OutputKind::Picture).unwrap();
+            guard.writes(&at("edit.toml"), OutputKind::Session).unwrap();
+            for (name, kind) in [("letter", OutputKind::Model), ("Cargo.toml", OutputKind::Session)] {
                 let allowed = guard.writes(&at(name), kind);
                 assert_eq!(allowed.is_ok(), force, "{allowed:?}");
             }
@@ -252,10 +254,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let own = folder.path().join("samples.ply");
         write_file(&own, b"ply\n").unwrap();
-        Guard::new(false).writes(&own, Kind::Model).unwrap();
+        Guard::new(false).writes(&own, OutputKind::Model).unwrap();
         write_file(&folder.path().join("simod.toml"), b"format = \"simod-sampled-model/1\"\n").unwrap();
-        let error = Guard::new(true).writes(&own, Kind::Model).unwrap_err().to_string();
+        let error = Guard::new(true).writes(&own, OutputKind::Model).unwrap_err().to_string();
         assert!(error.contains("a file of the sampled model"), "{error}");
-        Guard::new(false).writes(&folder.path().join("other.ply"), Kind::Model).unwrap();
+        Guard::new(false).writes(&folder.path().join("other.ply"), OutputKind::Model).unwrap();
     }
 }

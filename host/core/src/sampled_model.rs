@@ -744,7 +744,7 @@ impl SampledModel {
         let first = || paths.first().map(|path| DeformedFile::read(path));
         let (sampled, first) = rayon::join(|| Self::load(folder), first);
         let (sampled, first) = (sampled?, first.transpose()?);
-        let first = first.into_iter().zip(paths).map(|(file, path)| sampled.localized(file, path));
+        let first = first.into_iter().map(|file| sampled.localized(file));
         let others = paths.iter().skip(1).map(|path| sampled.read_deformed(path));
         let deformed = first.chain(others).collect::<Result<_>>()?;
         Ok((sampled, deformed))
@@ -971,11 +971,12 @@ impl SampledModel {
     /// # Errors
     /// The file cannot be read, has other vertices than P_S, or positions that are not finite.
     pub fn read_deformed(&self, path: &Path) -> Result<Vec<Vec3>> {
-        self.localized(DeformedFile::read(path)?, path)
+        self.localized(DeformedFile::read(path)?)
     }
 
     /// The local positions of deformed samples that were read from a file.
-    fn localized(&self, deformed: DeformedFile, path: &Path) -> Result<Vec<Vec3>> {
+    fn localized(&self, deformed: DeformedFile<'_>) -> Result<Vec<Vec3>> {
+        let path = deformed.path;
         self.to_local(&deformed.into_ordered(self.samples.len())?, &path.display())
     }
 

@@ -12,22 +12,20 @@ use xxhash_rust::xxh3::xxh3_128;
 
 use crate::hashed::Hashed;
 
-/// The bytes of a file.
+/// The bytes of such a file.
 ///
 /// # Errors
 /// The content cannot be held in a file.
-pub fn seal(letters: &[u8; 8], version: u32, content: &impl Serialize) -> postcard::Result<Vec<u8>> {
-    let bytes = [&letters[..], &version.to_le_bytes()].concat();
-    let mut bytes = postcard::to_extend(content, bytes)?;
-    let checksum = xxh3_128(&bytes);
-    bytes.extend_from_slice(&checksum.to_le_bytes());
+pub fn seal(letters: &[u8; 8], version: u32, content: &impl Serialize) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    write_sealed(letters, version, content, &mut bytes)?;
     Ok(bytes)
 }
 
-/// Writes the same, without holding it.
+/// Writes such a file, without holding its bytes.
 ///
 /// # Errors
-/// It cannot be written.
+/// The file cannot be written.
 pub fn write_sealed(
     letters: &[u8; 8],
     version: u32,

@@ -41,7 +41,7 @@ impl Refusal {
     }
 
     /// The same, about that place unless it is about one within.
-    fn at(self, span: Option<&Range<usize>>) -> Self {
+    fn located(self, span: Option<&Range<usize>>) -> Self {
         Self { span: self.span.or_else(|| span.cloned()), ..self }
     }
 }
@@ -194,7 +194,7 @@ enum Plain<'a> {
 }
 
 impl<'a> Node<'a> {
-    fn of(value: &'a Placed<DeValue<'a>>) -> Self {
+    fn value(value: &'a Placed<DeValue<'a>>) -> Self {
         Self { what: What::Value(value.get_ref()), span: Some(value.span()) }
     }
 
@@ -249,7 +249,7 @@ impl<'a> Node<'a> {
             (Some(_), Some(_)) => Err(Refusal::new("wanted exactly 1 element, more than 1 element")),
             (Some((name, content)), None) => Ok(Variant {
                 name: Node::name(name.get_ref(), Some(name.span())),
-                content: Some(Node::of(content)),
+                content: Some(Node::value(content)),
             }),
         }
     }
@@ -262,7 +262,7 @@ impl<'a> Node<'a> {
         let names: Vec<&str> = extra.iter().map(|key| key.get_ref().as_ref()).collect();
         let (names, fields) = (names.join(", "), fields.join(", "));
         Err(Refusal::new(format!("unexpected keys in table: {names}, available keys: {fields}"))
-            .at(Some(&first.span())))
+            .located(Some(&first.span())))
     }
 }
 
@@ -291,12 +291,12 @@ impl<'a> Deserializer<'a> for Node<'a> {
             Plain::List(list) => visitor.visit_seq(list),
             Plain::Table(table) => visitor.visit_map(table),
         });
-        read.map_err(|e| e.at(self.span.as_ref()))
+        read.map_err(|e| e.located(self.span.as_ref()))
     }
 
     fn deserialize_option<V: Visitor<'a>>(self, visitor: V) -> Result<V::Value, Refusal> {
         let span = self.span.clone();
-        visitor.visit_some(self).map_err(|e| e.at(span.as_ref()))
+        visitor.visit_some(self).map_err(|e| e.located(span.as_ref()))
     }
 
     fn deserialize_newtype_struct<V: Visitor<'a>>(
@@ -305,7 +305,7 @@ impl<'a> Deserializer<'a> for Node<'a> {
         visitor: V,
     ) -> Result<V::Value, Refusal> {
         let span = self.span.clone();
-        visitor.visit_newtype_struct(self).map_err(|e| e.at(span.as_ref()))
+        visitor.visit_newtype_struct(self).map_err(|e| e.located(span.as_ref()))
     }
 
     fn deserialize_struct<V: Visitor<'a>>(
@@ -326,7 +326,9 @@ impl<'a> Deserializer<'a> for Node<'a> {
         _: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Refusal> {
-        self.variant().and_then(|variant| visitor.visit_enum(variant)).map_err(|e| e.at(self.span.as_ref()))
+        self.variant()
+            .and_then(|variant| visitor.visit_enum(variant))
+            .map_err(|e| e.located(self.span.as_ref()))
     }
 
     forward_to_deserialize_any! { <V: Visitor<'a>>
@@ -342,7 +344,7 @@ impl<'a> SeqAccess<'a> for Elements<'a> {
     type Error = Refusal;
 
     fn next_element_seed<T: DeserializeSeed<'a>>(&mut self, seed: T) -> Result<Option<T::Value>, Refusal> {
-        self.0.next().map(|value| seed.deserialize(Node::of(value))).transpose()
+        self.0.next().map(|value| seed.deserialize(Node::value(value))).transpose()
     }
 
     fn size_hint(&self) -> Option<usize> {
@@ -363,7 +365,7 @@ impl<'a> Entries<'a> {
 
     fn of_table(table: &'a DeTable<'a>) -> Self {
         let entry = |(key, value): (&'a Placed<Cow<'a, str>>, _)| {
-            (Node::name(key.get_ref(), Some(key.span())), Node::of(value))
+            (Node::name(key.get_ref(), Some(key.span())), Node::value(value))
         };
         Self::new(table.iter().map(entry).collect())
     }
@@ -385,13 +387,13 @@ impl<'a> MapAccess<'a> for Entries<'a> {
         let Some((key, value)) = self.left.next() else { return Ok(None) };
         self.value = Some(value);
         let span = key.span.clone();
-        seed.deserialize(key).map(Some).map_err(|e| e.at(span.as_ref()))
+        seed.deserialize(key).map(Some).map_err(|e| e.located(span.as_ref()))
     }
 
     fn next_value_seed<V: DeserializeSeed<'a>>(&mut self, seed: V) -> Result<V::Value, Refusal> {
         let value = self.value.take().ok_or_else(|| Refusal::new("a value is read before its key"))?;
         let span = value.span.clone();
-        seed.deserialize(value).map_err(|e| e.at(span.as_ref()))
+        seed.deserialize(value).map_err(|e| e.located(span.as_ref()))
     }
 
     fn size_hint(&self) -> Option<usize> {
@@ -417,7 +419,7 @@ impl<'a> EnumAccess<'a> for Variant<'a> {
 
     fn variant_seed<V: DeserializeSeed<'a>>(self, seed: V) -> Result<(V::Value, Self), Refusal> {
         let name = self.name.clone();
-        let variant = seed.deserialize(name).map_err(|e| e.at(self.name.span.as_ref()))?;
+        let variant = seed.deserialize(name).map_err(|e| e.located(self.name.span.as_ref()))?;
         Ok((variant, self))
     }
 }
@@ -434,7 +436,7 @@ impl<'a> VariantAccess<'a> for Variant<'a> {
             What::Value(value) if !value.is_table() => format!("expected table, found {}", value.type_str()),
             _ => "expected empty table".to_owned(),
         };
-        Err(Refusal::new(wrong).at(span.as_ref()))
+        Err(Refusal::new(wrong).located(span.as_ref()))
     }
 
     fn newtype_variant_seed<T: DeserializeSeed<'a>>(self, seed: T) -> Result<T::Value, Refusal> {
@@ -445,7 +447,10 @@ impl<'a> VariantAccess<'a> for Variant<'a> {
         let content = self.content("tuple variant")?;
         match content.what {
             What::Value(DeValue::Array(array)) if array.len() == count => content.deserialize_any(visitor),
-            _ => Err(Refusal::new(format!("expected tuple with length {count}")).at(content.span.as_ref())),
+            _ => {
+                Err(Refusal::new(format!("expected tuple with length {count}"))
+                    .located(content.span.as_ref()))
+            }
         }
     }
 
@@ -455,7 +460,7 @@ impl<'a> VariantAccess<'a> for Variant<'a> {
         visitor: V,
     ) -> Result<V::Value, Refusal> {
         let content = self.content("struct variant")?;
-        content.check_keys(fields).map_err(|e| e.at(content.span.as_ref()))?;
+        content.check_keys(fields).map_err(|e| e.located(content.span.as_ref()))?;
         content.deserialize_any(visitor)
     }
 }

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use simod_model::{Progress, Result};
 
-use super::tree::{Facet, Tree, Waiting};
+use super::tree::{Facet, QueuedPart, Tree};
 use super::triangle::{corners, cross};
 
 /// Points that are looked up before the user is asked whether to go on.
@@ -65,7 +65,7 @@ impl Surface {
 
     /// The triangle nearest to a point, by its place in the order, and the nearest point of it. Quick where
     /// `near` is the place of one that is about as near; `waiting` is room for the search.
-    fn nearest(&self, p: DVec3, near: usize, waiting: &mut Vec<Waiting>) -> (usize, DVec3) {
+    fn nearest(&self, p: DVec3, near: usize, waiting: &mut Vec<QueuedPart>) -> (usize, DVec3) {
         let point = nearest_on(self.facets[near].0, p);
         let (mut best, mut square) = ((near, point), p.distance_squared(point));
         self.tree.nearest(p, square, waiting, |place| {

@@ -81,7 +81,7 @@ impl Energies {
     /// at rest, and edges without a length, do not count.
     pub fn between(rest: &[DVec3], deformed: &[DVec3], (triangles, edges): (&[[u32; 3]], &Edges)) -> Self {
         let both = |t: &[u32; 3]| Some((*t, corners(rest, *t)?, corners(deformed, *t)?));
-        let all: Vec<_> = triangles
+        let all: Vec<BothTriangles> = triangles
             .iter()
             .filter_map(both)
             .filter(|(_, before, _)| cross(*before).length_squared() > 0.0)
@@ -115,28 +115,36 @@ impl Energies {
         for [before, after] in edges.lengths(rest, deformed) {
             histograms.edges.add((after / before).log2());
         }
-        let rotations: Vec<DMat3> = covariances.par_iter().map(rotation).collect();
-        let energy = |(triangle, before, after): &([u32; 3], [DVec3; 3], [DVec3; 3])| {
-            let about = |i: &u32| {
-                let rotation = rotations[*i as usize];
-                let off = sides(before).into_iter().zip(sides(after)).zip(weights(before));
-                off.map(|((e, f), weight)| weight * (f - rotation * e).length_squared()).sum::<f64>()
-            };
-            triangle.iter().map(about).sum::<f64>()
-        };
-        // Summed up in pieces of one size, so that the sum does not depend on the threads.
-        let sums: Vec<f64> = all.par_chunks(1 << 12).map(|some| some.iter().map(energy).sum()).collect();
-        let arap: f64 = sums.into_iter().sum();
         let mean = |sum: f64, of: f64| if of > 0.0 { sum / of } else { 0.0 };
         Self {
             // Each triangle is about three corners.
-            arap: mean(arap / 3.0, area),
+            arap: mean(as_rigid_as_possible(&all, &covariances) / 3.0, area),
             symmetric_dirichlet: mean(dirichlet, kept),
             symmetric_dirichlet_max: dirichlet_max,
             collapsed,
             histograms,
         }
     }
+}
+
+/// A triangle's vertices, and its corners at rest and deformed.
+type BothTriangles = ([u32; 3], [DVec3; 3], [DVec3; 3]);
+
+/// The energy with spokes and rims of all triangles, about each of their corners: how far, squared, their
+/// gradients are from the rotation that fits best there, where `covariances` tell it.
+fn as_rigid_as_possible(all: &[BothTriangles], covariances: &[DMat3]) -> f64 {
+    let rotations: Vec<DMat3> = covariances.par_iter().map(rotation).collect();
+    let energy = |(triangle, before, after): &BothTriangles| {
+        let about = |i: &u32| {
+            let rotation = rotations[*i as usize];
+            let off = sides(before).into_iter().zip(sides(after)).zip(weights(before));
+            off.map(|((e, f), weight)| weight * (f - rotation * e).length_squared()).sum::<f64>()
+        };
+        triangle.iter().map(about).sum::<f64>()
+    };
+    // Summed up in pieces of one size, so that the sum does not depend on the threads.
+    let sums: Vec<f64> = all.par_chunks(1 << 12).map(|some| some.iter().map(energy).sum()).collect();
+    sums.into_iter().sum()
 }
 
 /// The sides of a triangle, each opposite to the corner of its number.

@@ -31,4 +31,4 @@ pub use energy::{Bins, Energies, Histograms};
 pub use size::{Open, area, area_distortion, edge_distortion, is_closed, volume};
 pub use spread::Spread;
 pub use triangle::Edges;
-pub use vertexwise::{Also, Angles, Beside, Difference, beside};
+pub use vertexwise::{Also, Angles, Difference, VersionsBeside, beside};

@@ -24,11 +24,11 @@ pub(crate) struct Facet(pub Corners, pub u32);
 pub(crate) struct Tree {
     /// The root first, and below each one its parts, one after the other.
     nodes: Vec<Node>,
-    unit: Unit,
+    unit: UnitCube,
 }
 
 /// A part that is still to be searched.
-pub(crate) struct Waiting {
+pub(crate) struct QueuedPart {
     node: u32,
     /// The square of how far it is at least, in the tree's unit.
     least: f32,
@@ -40,11 +40,11 @@ struct Node {
     low: [Vec4; 3],
     high: [Vec4; 3],
     discs: Discs,
-    parts: [Part; PARTS],
+    parts: [Child; PARTS],
 }
 
 #[derive(Clone, Copy)]
-enum Part {
+enum Child {
     None,
     /// By its place among the nodes.
     Node(u32),
@@ -58,7 +58,7 @@ impl Tree {
         let middle = |f: &Facet| 0.5 * (f.0[0].min(f.0[1]).min(f.0[2]) + f.0[0].max(f.0[1]).max(f.0[2]));
         let middles: Vec<DVec3> = facets.par_iter().map(middle).collect();
         let mut order: Vec<u32> = (0..facets.len() as u32).collect();
-        let unit = Unit::around(facets);
+        let unit = UnitCube::around(facets);
         let mut nodes = vec![Node::EMPTY; nodes_of(facets.len())];
         grow(&mut nodes, &mut order, [0, 0], (facets, &middles, &unit));
         (Self { nodes, unit }, order)
@@ -70,13 +70,13 @@ impl Tree {
         &self,
         p: DVec3,
         square: f64,
-        waiting: &mut Vec<Waiting>,
+        waiting: &mut Vec<QueuedPart>,
         mut look: impl FnMut(usize) -> f64,
     ) {
         let (p, mut reach) = (self.unit.point(p), self.unit.reach(square));
         // No more than three for each step down.
-        waiting.push(Waiting { node: 0, least: 0.0 });
-        while let Some(Waiting { node, least }) = waiting.pop() {
+        waiting.push(QueuedPart { node: 0, least: 0.0 });
+        while let Some(QueuedPart { node, least }) = waiting.pop() {
             if least > reach {
                 continue;
             }
@@ -86,9 +86,9 @@ impl Tree {
             for lane in nearest_first(squares) {
                 match node.parts[lane] {
                     _ if squares[lane] > reach => break,
-                    Part::None => {}
-                    Part::Node(node) => waiting.push(Waiting { node, least: squares[lane] }),
-                    Part::Triangle(place) => reach = self.unit.reach(look(place as usize)),
+                    Child::None => {}
+                    Child::Node(node) => waiting.push(QueuedPart { node, least: squares[lane] }),
+                    Child::Triangle(place) => reach = self.unit.reach(look(place as usize)),
                 }
             }
             // The nearest one comes first, which is put there last.
@@ -99,14 +99,14 @@ impl Tree {
     /// Has all triangles looked at that a ray may meet.
     pub fn on_ray(&self, origin: DVec3, direction: DVec3, mut look: impl FnMut(usize)) {
         let inverse = (direction * self.unit.scale).recip();
-        let along = Along { origin: self.unit.exactly(origin), inverse };
+        let along = RayBoxes { origin: self.unit.exactly(origin), inverse };
         let mut waiting = vec![0];
         while let Some(node) = waiting.pop() {
             let node = &self.nodes[node as usize];
             for (lane, part) in node.parts.iter().enumerate() {
                 match part {
-                    Part::Node(place) if along.meets(node, lane) => waiting.push(*place),
-                    Part::Triangle(place) if along.meets(node, lane) => look(*place as usize),
+                    Child::Node(place) if along.meets(node, lane) => waiting.push(*place),
+                    Child::Triangle(place) if along.meets(node, lane) => look(*place as usize),
                     _ => {}
                 }
             }
@@ -127,12 +127,12 @@ fn nearest_first(squares: [f32; PARTS]) -> [usize; PARTS] {
 }
 
 /// Coordinates in which all triangles reach from -1 to 1, where single precision tells what is far.
-struct Unit {
+struct UnitCube {
     middle: DVec3,
     scale: f64,
 }
 
-impl Unit {
+impl UnitCube {
     /// More than rounding makes of lengths here, and of the parts of longer ones.
     const ROUNDING: f32 = 1e-5;
     /// Farther points are taken for some that are nearer.
@@ -183,7 +183,7 @@ impl Discs {
 
     /// Puts the disc of some triangles at a place: about the mean of their corners, across the sum of their
     /// normals.
-    fn put(&mut self, lane: usize, facets: impl Iterator<Item = Corners> + Clone, unit: &Unit) {
+    fn put(&mut self, lane: usize, facets: impl Iterator<Item = Corners> + Clone, unit: &UnitCube) {
         let facets = facets.map(|corners| corners.map(|p| unit.exactly(p)));
         let corners = facets.clone().flatten();
         let (sum, count) = corners.clone().fold((DVec3::ZERO, 0.0), |(sum, n), p| (sum + p, n + 1.0));
@@ -217,7 +217,7 @@ impl Node {
         low: [Vec4::ZERO; 3],
         high: [Vec4::ZERO; 3],
         discs: Discs::ENDLESS,
-        parts: [Part::None; PARTS],
+        parts: [Child::None; PARTS],
     };
 
     /// The squares of how far the parts are at least from a point; 0 inside.
@@ -236,19 +236,19 @@ impl Node {
 }
 
 /// The boxes that a ray meets, in the tree's unit.
-struct Along {
+struct RayBoxes {
     origin: DVec3,
     /// One over the direction's components; infinite for those that are 0.
     inverse: DVec3,
 }
 
-impl Along {
+impl RayBoxes {
     fn meets(&self, node: &Node, lane: usize) -> bool {
         let (mut enter, mut leave) = (0.0f64, f64::INFINITY);
         for axis in 0..3 {
             let at = |x: f32| (f64::from(x) - self.origin[axis]) * self.inverse[axis];
-            let low = at(node.low[axis][lane] - Unit::ROUNDING);
-            let high = at(node.high[axis][lane] + Unit::ROUNDING);
+            let low = at(node.low[axis][lane] - UnitCube::ROUNDING);
+            let high = at(node.high[axis][lane] + UnitCube::ROUNDING);
             // Where the ray lies in a side's plane, which gives no number, that side says nothing.
             if !(low.is_nan() || high.is_nan()) {
                 (enter, leave) = (enter.max(low.min(high)), leave.min(low.max(high)));
@@ -285,7 +285,7 @@ fn grow(
     nodes: &mut [Node],
     order: &mut [u32],
     [this, mut place]: [u32; 2],
-    of @ (facets, middles, unit): (&[Facet], &[DVec3], &Unit),
+    of @ (facets, middles, unit): (&[Facet], &[DVec3], &UnitCube),
 ) {
     let Some((node, mut below)) = nodes.split_first_mut() else { return };
     let sizes = sizes(order.len());
@@ -314,9 +314,9 @@ fn grow(
             node.discs.put(lane, corners, unit);
         }
         if size == 1 {
-            node.parts[lane] = Part::Triangle(place);
+            node.parts[lane] = Child::Triangle(place);
         } else {
-            node.parts[lane] = Part::Node(next);
+            node.parts[lane] = Child::Node(next);
             let (own_nodes, other_nodes) = below.split_at_mut(nodes_of(size));
             below = other_nodes;
             parts.push((own_nodes, own, [next, place]));

@@ -35,7 +35,7 @@ pub struct Angles {
 
 /// Versions of a model beside each other.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Beside {
+pub struct VersionsBeside {
     /// Of the finite positions of each version.
     pub bounds: Vec<Bounds>,
     /// Each pair of versions: (0, 1), (0, 2), …, (1, 2), …
@@ -295,12 +295,12 @@ fn angle(a: DVec3, b: DVec3) -> f64 {
 
 /// What is known of all versions in a range of vertices.
 #[derive(Default)]
-struct Found {
+struct RangeFigures {
     bounds: Vec<Bounds>,
     pairs: Vec<Pair>,
 }
 
-impl Found {
+impl RangeFigures {
     fn add(&mut self, parts: &[Vertices<'_>], scale: f64) {
         self.make_room(parts.len());
         let arch = Arch::new();
@@ -360,12 +360,12 @@ pub fn beside(
     diagonal: f64,
     (attributes, also): (usize, &Also<'_>),
     progress: &dyn Progress,
-) -> Result<Beside> {
+) -> Result<VersionsBeside> {
     let scale = 1.0 / diagonal.max(f64::MIN_POSITIVE);
     progress.begin("measuring", models.first().map_or(0, |m| m.info().vertex_bytes));
-    let mut all = Found::default();
+    let mut all = RangeFigures::default();
     all.make_room(models.len());
-    let visit = |found: &mut Found, first: u64, parts: &[Vertices<'_>]| {
+    let visit = |found: &mut RangeFigures, first: u64, parts: &[Vertices<'_>]| {
         found.add(parts, scale);
         also(first, parts)
     };
@@ -374,7 +374,7 @@ pub fn beside(
         Ok(())
     })?;
     let differences = each_two(models.len()).zip(&all.pairs).map(|(of, pair)| (of, pair.finish()));
-    Ok(Beside { differences: differences.collect(), bounds: all.bounds })
+    Ok(VersionsBeside { differences: differences.collect(), bounds: all.bounds })
 }
 
 #[cfg(test)]

@@ -31,14 +31,14 @@ const NAMES: [&[&str]; 6] = [
 /// Which column is what.
 #[derive(Debug)]
 pub(crate) struct Columns {
-    /// What separates them; blanks and tabs if nothing else.
+    /// What separates columns; blanks and tabs if nothing else.
     separator: Option<u8>,
     /// For each column up to the last one that is written anew, which of a vertex' numbers it is: a
     /// component, or behind these one that turns.
     roles: Vec<Option<usize>>,
     /// 3, or 6 with a normal.
     components: usize,
-    /// Those that turn.
+    /// Number of the columns that turn with the surface.
     following: usize,
     /// Columns of the attributes.
     attributes: Vec<usize>,

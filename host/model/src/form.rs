@@ -115,7 +115,7 @@ pub(crate) trait Form: Send + Sync {
     /// Appends vertices.
     ///
     /// # Errors
-    /// They do not fit.
+    /// A vertex does not fit the format.
     fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()>;
 
     /// Whether faces follow the vertices.
@@ -145,7 +145,7 @@ pub(crate) trait Form: Send + Sync {
     /// What the file ends with, once all before is known.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The end cannot be made.
     fn tail(&self, _all: &Summary) -> Result<Vec<u8>> {
         Ok(Vec::new())
     }
@@ -155,10 +155,10 @@ pub(crate) trait Form: Send + Sync {
         0
     }
 
-    /// What is replaced once all is there.
+    /// What is replaced once all vertices and faces are written: places in the file, and bytes.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// A replacement cannot be made.
     fn patches(&self, _all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
         Ok(Vec::new())
     }

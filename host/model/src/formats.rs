@@ -54,7 +54,7 @@ pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
 /// Whether a file is a model, as far as its first bytes tell.
 ///
 /// # Errors
-/// It cannot be read.
+/// The file cannot be read.
 pub fn is_model(path: &Path) -> Result<bool> {
     let source = Source::open(path, None)?;
     let start = beginning(&source)?;

@@ -250,12 +250,12 @@ impl Edited {
 /// What becomes of a model's normals when it is rewritten. Of no effect where it has none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Normals {
-    /// They keep their bytes.
+    /// Normals keep their bytes.
     Keep,
-    /// They change with the positions, and so do tangents.
+    /// Normals change with the positions, and so do tangents.
     #[default]
     Transform,
-    /// They are left out of the new file, header and vertices.
+    /// Normals are left out of the new file, header and vertices.
     Drop,
 }
 
@@ -392,7 +392,7 @@ pub trait Output: Send {
     /// pieces each time.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The piece cannot be written.
     fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()>;
 
     /// The summaries of the pieces that are there already, as one.
@@ -404,7 +404,7 @@ pub trait Output: Send {
     /// Is called after the last piece, and before [`finish`](Self::finish).
     ///
     /// # Errors
-    /// They cannot be replaced.
+    /// The bytes cannot be replaced.
     fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
 
     /// Is called after the last piece of each file.

@@ -168,7 +168,7 @@ pub fn find(path: &Path) -> Result<Option<Arc<dyn Object>>> {
 
 /// An upload that this process has begun. Dropped before it is [complete](Self::complete), it leaves nothing
 /// in the store.
-pub struct Begun {
+pub struct BegunUpload {
     upload: Box<dyn Upload>,
     path: PathBuf,
     keeps: bool,
@@ -178,23 +178,23 @@ pub struct Begun {
 ///
 /// # Errors
 /// As there, or this program was built without any store.
-pub fn begin(path: &Path) -> Result<Begun> {
+pub fn begin(path: &Path) -> Result<BegunUpload> {
     let (store, url) = store("write", path)?;
     let upload = store.begin(&url)?;
     begun().push((path.to_owned(), upload.id().to_owned()));
-    Ok(Begun { upload, path: path.to_owned(), keeps: false })
+    Ok(BegunUpload { upload, path: path.to_owned(), keeps: false })
 }
 
 /// Goes on with an object that was begun: see [`Store::go_on`]. Dropped, it stays what it is.
 ///
 /// # Errors
 /// As of [`begin`].
-pub fn go_on(path: &Path, id: &str) -> Result<Begun> {
+pub fn go_on(path: &Path, id: &str) -> Result<BegunUpload> {
     let (store, url) = store("write", path)?;
-    Ok(Begun { upload: store.go_on(&url, id)?, path: path.to_owned(), keeps: true })
+    Ok(BegunUpload { upload: store.go_on(&url, id)?, path: path.to_owned(), keeps: true })
 }
 
-impl Begun {
+impl BegunUpload {
     /// The upload.
     pub fn upload(&mut self) -> &mut dyn Upload {
         &mut *self.upload
@@ -223,7 +223,7 @@ impl Begun {
     }
 }
 
-impl Drop for Begun {
+impl Drop for BegunUpload {
     fn drop(&mut self) {
         if !self.keeps {
             // Where the store cannot be reached, nothing can be done about what it has.

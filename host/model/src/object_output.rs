@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::object::{self, Begun};
+use crate::object::{self, BegunUpload};
 use crate::{Error, Output, Result, Summary};
 
 /// Bytes of a part at least: stores take 5 MiB and more.
@@ -25,7 +25,7 @@ pub fn part_bytes(bytes: u64) -> u64 {
 /// or a 9000th of an object of more than 70 GB.
 pub struct ObjectOutput {
     path: PathBuf,
-    begun: Begun,
+    begun: BegunUpload,
     part_bytes: u64,
     /// Where the next byte goes.
     at: u64,
@@ -55,7 +55,7 @@ impl ObjectOutput {
     }
 
     /// The same with parts of so many bytes.
-    pub fn with_parts(path: &Path, begun: Begun, part_bytes: u64) -> Self {
+    pub fn with_parts(path: &Path, begun: BegunUpload, part_bytes: u64) -> Self {
         let (held, tags) = (BTreeMap::new(), BTreeMap::new());
         Self { path: path.to_owned(), begun, part_bytes, at: 0, held, tags }
     }

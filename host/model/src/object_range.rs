@@ -5,13 +5,13 @@
 use std::path::Path;
 
 use crate::Result;
-use crate::object::{self, Begun};
+use crate::object::{self, BegunUpload};
 
 /// A range in the making.
 ///
 /// Memory: two parts, and what is on its way: see [`ObjectOutput`](crate::object_output::ObjectOutput).
 pub struct ObjectRange {
-    begun: Begun,
+    begun: BegunUpload,
     part_bytes: u64,
     /// Where the next byte goes.
     at: u64,

@@ -10,7 +10,7 @@ use crate::{Error, Result};
 pub struct Emerging<'a> {
     /// Whether it is the first one: what came before, if anything, is found anew.
     pub first: bool,
-    /// All of the model.
+    /// The box of the whole model.
     pub bounds: &'a Bounds,
     /// The model's local coordinates.
     pub frame: &'a Frame,
@@ -52,7 +52,7 @@ impl<'a> Glimpse<'a> {
     /// none.
     ///
     /// # Errors
-    /// It cannot be read.
+    /// The vertex cannot be read.
     pub fn vertex(&mut self, number: u64) -> Result<Option<(DVec3, Vec3)>> {
         (self.read)(number)
     }

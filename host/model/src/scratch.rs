@@ -24,7 +24,7 @@ impl Scratch {
     /// `advice`.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The file cannot be made.
     pub fn new(folder: &Path, advice: &'static str) -> Result<Self> {
         let file = tempfile::tempfile_in(folder).map_err(|e| refused("write", folder, advice, &e))?;
         Self::from_file(file, folder, advice)
@@ -39,7 +39,7 @@ impl Scratch {
     /// A new file beside it.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The file cannot be made.
     pub(crate) fn beside(&self) -> Result<Self> {
         Self::new(&self.folder, self.advice)
     }

@@ -45,11 +45,11 @@ pub(crate) struct TiledModel {
     path: PathBuf,
     info: ModelInfo,
     tiles: Vec<Part>,
-    /// What is told of them to others.
+    /// What others are told of the tiles.
     files: Vec<Tile>,
 }
 
-/// One of them.
+/// A tile, and where its vertices and attributes are among those of the whole model.
 struct Part {
     model: Box<dyn Model>,
     /// Vertices of the tiles before it.

@@ -198,7 +198,7 @@ impl Facets {
             canvas.pixels.par_chunks_mut(BAND * size[0]).enumerate().for_each(|(band, pixels)| {
                 let first = band * BAND;
                 let rows = [first, first + pixels.len() / size[0]];
-                for facet in bands.of(band, facets).flatten() {
+                for facet in bands.in_band(band, facets).flatten() {
                     facet.visit(rows, |x, y, depth, parts| {
                         hit(&mut pixels[(y - first) * size[0] + x], facet, lens.ray(x, y), depth, parts);
                     });

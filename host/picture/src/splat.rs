@@ -292,7 +292,7 @@ impl Canvas {
             let Self { pixels, batch: splats, bands, .. } = self;
             pixels.par_chunks_mut(BAND * size[0]).enumerate().for_each(|(band, pixels)| {
                 let first = band * BAND;
-                let all = || bands.of(band, splats).flatten();
+                let all = || bands.in_band(band, splats).flatten();
                 let mut show = |splat: &Splat| {
                     let [left, right] = splat.columns;
                     for y in splat.rows[0].max(first)..splat.rows[1].min(first + BAND) {
@@ -353,8 +353,8 @@ impl Bands {
         }
     }
 
-    /// Those of a band.
-    pub fn of<'a, T>(&'a self, band: usize, things: &'a [T]) -> impl Iterator<Item = &'a T> {
+    /// The things of a band.
+    pub fn in_band<'a, T>(&'a self, band: usize, things: &'a [T]) -> impl Iterator<Item = &'a T> {
         let range = self.starts[band] as usize..self.starts[band + 1] as usize;
         self.things[range].iter().map(|i| &things[*i as usize])
     }
@@ -424,7 +424,7 @@ mod tests {
             let things: Vec<_> = (0..200).map(|i| (i, rows(i))).collect();
             bands.sort(height, &things, |(_, rows)| *rows);
             for band in 0..height.div_ceil(BAND) {
-                let found: Vec<usize> = bands.of(band, &things).map(|(i, _)| *i).collect();
+                let found: Vec<usize> = bands.in_band(band, &things).map(|(i, _)| *i).collect();
                 let meets = |rows: [usize; 2]| rows[0] < (band + 1) * BAND && rows[1] > band * BAND;
                 let expected = things.iter().filter(|(_, rows)| rows.is_some_and(meets)).map(|(i, _)| *i);
                 assert_eq!(found, expected.collect::<Vec<_>>(), "{height}, {band}");

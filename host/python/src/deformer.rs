@@ -24,9 +24,9 @@ struct Description {
     summary: String,
     /// It is a map of space, and may be asked for any points.
     everywhere: bool,
-    /// It wants normals.
+    /// The deformer wants normals.
     normals: bool,
-    /// It wants regions.
+    /// The deformer wants regions.
     regions: bool,
     params: Vec<Parameter>,
 }

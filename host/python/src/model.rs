@@ -9,7 +9,7 @@ use numpy::PyArray2;
 use pyo3::exceptions::{PyIndexError, PyStopIteration};
 use pyo3::prelude::*;
 use serde_json::{Value, json};
-use simod_core::guard::{Guard, Kind};
+use simod_core::guard::{Guard, OutputKind};
 use simod_core::sampling::{Sampling, sample};
 use simod_model::{Error, ModelInfo, ModelName, Result, Scalar, VertexChunk, open_with_columns};
 use simod_session::{Running, pipeline};
@@ -185,7 +185,7 @@ impl Model {
             guard.reads(&self.path);
             let named = ModelName::from_path(&self.path)?;
             guard.writes_model(&out, &named.tiles())?;
-            diagnostics.iter().try_for_each(|path| guard.writes(path, Kind::Model))?;
+            diagnostics.iter().try_for_each(|path| guard.writes(path, OutputKind::Model))?;
             if !named.files().iter().all(|file| file.exists()) {
                 let what = format!("the model {} is gone since it was opened", self.path.display());
                 let hint = "put it back, or open it where it is now: its samples are good for that";

@@ -435,7 +435,7 @@ impl Samples {
         let write = || {
             let mut guard = simod_core::guard::Guard::default();
             guard.reads_all(sampled.source.files());
-            guard.writes(&path, simod_core::guard::Kind::Model)?;
+            guard.writes(&path, simod_core::guard::OutputKind::Model)?;
             let positions = sampled.rounded(&local);
             sampled.write_deformed(&path, &positions, &deformed_normals(&sampled.samples, &positions))
         };

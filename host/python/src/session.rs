@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use pyo3::prelude::*;
 use serde_json::json;
 use simod_compare::{CompareFile, Comparing};
-use simod_core::guard::{Guard, Kind};
+use simod_core::guard::{Guard, OutputKind};
 use simod_model::follow::Follow;
 use simod_session::session_file::inputs;
 use simod_session::{Run, Running, SessionFile, Tolerance};
@@ -114,7 +114,7 @@ impl Session {
             guard.reads_all(inputs(&self.path)?);
             guard.reads_all(plugins.files());
             guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
-            diagnostics.iter().try_for_each(|path| guard.writes(path, Kind::Model))?;
+            diagnostics.iter().try_for_each(|path| guard.writes(path, OutputKind::Model))?;
             let run = Run::execute_with(&session, &plugins, &running, &output, watch)?;
             let error = measure.then(|| run.transfer_error(watch)).transpose()?;
             Ok((run, error))

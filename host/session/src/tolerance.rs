@@ -168,8 +168,8 @@ pub(crate) fn meet(
     }
     loop {
         match search.look(&deformed)? {
-            Found::Met(certificate) => return Ok((deformed, certificate)),
-            Found::More(refined) => deformed = again(refined, &plain)?,
+            Round::Met(certificate) => return Ok((deformed, certificate)),
+            Round::More(refined) => deformed = again(refined, &plain)?,
         }
     }
 }
@@ -194,7 +194,7 @@ struct Search<'a> {
 }
 
 /// What a round of the search comes to.
-enum Found {
+enum Round {
     /// The tolerance is met.
     Met(Certificate),
     /// More samples, which are to be deformed.
@@ -227,7 +227,7 @@ impl<'a> Search<'a> {
     }
 
     /// Looks how far vertices are expected to be off, and adds samples there if that is too far.
-    fn look(&mut self, deformed: &DeformedSamples) -> Result<Found> {
+    fn look(&mut self, deformed: &DeformedSamples) -> Result<Round> {
         let of = &deformed.sampled;
         self.progress.begin("estimating the error", 0);
         let around = RestGeometry::new(&of.samples);
@@ -242,7 +242,7 @@ impl<'a> Search<'a> {
             None => {
                 let found = truth(deformed, self.model, &field, self.tolerance, self.progress)?;
                 if found.as_ref().is_none_or(|(truth, _)| truth.max <= self.tolerance) {
-                    return Ok(Found::Met(self.certificate(of, &field, found.map(|(truth, _)| truth))));
+                    return Ok(Round::Met(self.certificate(of, &field, found.map(|(truth, _)| truth))));
                 }
                 // The estimate was too small there.
                 field.learn(&found.map_or_else(Vec::new, |(_, places)| places));
@@ -252,7 +252,7 @@ impl<'a> Search<'a> {
             }
         };
         self.check_progress(of, &field, &beyond)?;
-        self.refine(of, &field, &beyond).map(Found::More)
+        self.refine(of, &field, &beyond).map(Round::More)
     }
 
     fn certificate(

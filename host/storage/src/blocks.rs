@@ -20,12 +20,12 @@ const AHEAD: u64 = 3;
 
 /// The blocks, and who waits for one.
 pub(crate) struct Blocks {
-    held: Mutex<Held>,
+    held: Mutex<HeldBlocks>,
     arrived: Condvar,
 }
 
 /// Those that are there or on their way, the last one that was used first.
-struct Held {
+struct HeldBlocks {
     blocks: VecDeque<Block>,
     most: usize,
 }
@@ -53,10 +53,10 @@ impl Blocks {
     }
 
     fn with_room_for(most: usize) -> Self {
-        Self { held: Mutex::new(Held { blocks: VecDeque::new(), most }), arrived: Condvar::new() }
+        Self { held: Mutex::new(HeldBlocks { blocks: VecDeque::new(), most }), arrived: Condvar::new() }
     }
 
-    fn locked(&self) -> MutexGuard<'_, Held> {
+    fn locked(&self) -> MutexGuard<'_, HeldBlocks> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -103,7 +103,7 @@ impl Blocks {
     }
 
     /// Has a block brought that is not here.
-    fn begin(&'static self, held: &mut Held, of: &Arc<Version>, number: u64) -> Result<()> {
+    fn begin(&'static self, held: &mut HeldBlocks, of: &Arc<Version>, number: u64) -> Result<()> {
         if held.find(of, number).is_some() {
             return Ok(());
         }
@@ -125,7 +125,7 @@ impl Blocks {
     }
 }
 
-impl Held {
+impl HeldBlocks {
     fn find(&self, of: &Version, number: u64) -> Option<usize> {
         let is_it = |block: &Block| {
             block.number == number && block.of.name() == of.name() && block.of.tag() == of.tag()

@@ -72,7 +72,7 @@ pub fn owners<'a>(
 
 /// All samples of a scene as a step finds them: those that it knows, and the others, which refinements
 /// appended by it or later, as they go along with what is around them.
-pub struct Found<'a> {
+pub struct StepSamples<'a> {
     /// Local coordinates.
     pub positions: Cow<'a, [Vec3]>,
     /// Of each sample, which of those that the step knows it belongs to; nothing where it knows all.
@@ -80,10 +80,10 @@ pub struct Found<'a> {
 }
 
 /// All samples as a step finds them; `before` has those that it knows, local coordinates.
-pub fn as_found<'a>(scene: &'a Scene, before: &'a [Vec3]) -> Found<'a> {
+pub fn as_found<'a>(scene: &'a Scene, before: &'a [Vec3]) -> StepSamples<'a> {
     let samples = &scene.sampled.samples;
     if before.len() >= samples.len() || before.is_empty() {
-        return Found { positions: Cow::Borrowed(before), owners: None };
+        return StepSamples { positions: Cow::Borrowed(before), owners: None };
     }
     let (rest, known) = (&samples.positions, before.len());
     samples.prepare();
@@ -108,7 +108,7 @@ pub fn as_found<'a>(scene: &'a Scene, before: &'a [Vec3]) -> Found<'a> {
     };
     let more = (known..samples.len()).into_par_iter().map(appended);
     let positions = Cow::Owned(before.par_iter().copied().chain(more).collect());
-    Found { positions, owners: Some(owners) }
+    StepSamples { positions, owners: Some(owners) }
 }
 
 /// Some samples around one that were there before, which are the first ones, from it outwards.

@@ -233,7 +233,7 @@ pub enum Area {
     },
     /// Within a box.
     Box {
-        /// One corner.
+        /// A corner of the rectangle.
         from: [f64; 2],
         /// The opposite one.
         to: [f64; 2],

@@ -36,7 +36,7 @@ pub struct Detail {
     chosen: Chosen,
     tint: Tint,
     /// What is held of each of the model's cells.
-    held: Vec<Option<Held>>,
+    held: Vec<Option<HeldCell>>,
     pieces: BTreeMap<u64, Piece>,
     made: u64,
     /// Of the samples as they are now.
@@ -60,7 +60,7 @@ pub struct Piece {
 }
 
 /// What is held of a cell.
-struct Held {
+struct HeldCell {
     piece: u64,
     /// Which of its cells it is there.
     run: usize,
@@ -142,8 +142,8 @@ impl Detail {
     /// The cells that are wanted and not there as they should be.
     pub fn missing(&self) -> Chosen {
         let stride = self.chosen.stride;
-        let is_tinted = |held: &Held| self.tint == Tint::Samples || held.tint == self.tint;
-        let there = |held: &Held| held.fresh && held.stride == stride && is_tinted(held);
+        let is_tinted = |held: &HeldCell| self.tint == Tint::Samples || held.tint == self.tint;
+        let there = |held: &HeldCell| held.fresh && held.stride == stride && is_tinted(held);
         let missing =
             |cell: &&u32| !self.held.get(**cell as usize).is_some_and(|h| h.as_ref().is_some_and(there));
         let cells = self.chosen.cells.iter().filter(missing).copied().collect();
@@ -156,7 +156,7 @@ impl Detail {
         self.made += 1;
         let fresh = pose.is(&self.pose);
         for (run, (cell, _)) in batch.cells.iter().enumerate() {
-            let new = Held { piece, run, stride, tint, pose: pose.clone(), fresh };
+            let new = HeldCell { piece, run, stride, tint, pose: pose.clone(), fresh };
             if let Some(held) = self.held.get_mut(*cell as usize)
                 && let Some(former) = held.replace(new)
             {
@@ -193,7 +193,7 @@ impl Detail {
     }
 
     /// The vertices of a cell are not shown any more.
-    fn bury(&mut self, held: &Held) {
+    fn bury(&mut self, held: &HeldCell) {
         if let Some(piece) = self.pieces.get_mut(&held.piece) {
             piece.dead += piece.batch.cells[held.run].1.len();
             piece.shown[held.run] = false;
@@ -264,7 +264,7 @@ impl Detail {
         let mut covered = vec![false; self.pose.positions.len()];
         let Some(kept) = self.pose.sampled.held_cells() else { return };
         for fresh in [true, false] {
-            let is_so = |held: &Option<Held>| held.as_ref().is_some_and(|held| held.fresh) == fresh;
+            let is_so = |held: &Option<HeldCell>| held.as_ref().is_some_and(|held| held.fresh) == fresh;
             let cells = kept.cells.iter().zip(&self.held).filter(|(_, held)| is_so(held));
             cells.flat_map(|(cell, _)| &cell.tree.samples).for_each(|s| covered[*s as usize] = fresh);
         }

@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 
 /// Handles as they were when a hand took them.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Held {
+pub struct GrabbedHandles {
     handles: Vec<HeldHandle>,
     pivot: DVec3,
 }
@@ -25,7 +25,7 @@ struct HeldHandle {
     weight: f64,
 }
 
-impl Held {
+impl GrabbedHandles {
     /// Holds those that were `chosen`, by their ids; others that are nearer to one of them than `reach` go
     /// along, the less the farther they are. What hangs on another that is held goes with that, and is not
     /// held itself; nor are those that hang on anything drawn along, nor pins. Nothing where none of them is
@@ -149,7 +149,7 @@ mod tests {
     fn several_turn_about_their_middle() {
         for can in [Gizmo::TRANSLATE, Gizmo(!0)] {
             let handles = row(4, can);
-            let held = Held::new(&with_places(&handles, &[]), &chosen(&["0", "2"]), 0.0).unwrap();
+            let held = GrabbedHandles::new(&with_places(&handles, &[]), &chosen(&["0", "2"]), 0.0).unwrap();
             assert_eq!(held.pivot(), DVec3::X);
             let turn = Motion { axis: DVec3::Z, degrees: 90.0, ..Motion::default() };
             let moves = held.moved(&turn).unwrap();
@@ -159,7 +159,8 @@ mod tests {
             let turned = if can == Gizmo::TRANSLATE { 0.0 } else { 90.0 };
             assert!(moves.iter().all(|m| (m.motion.degrees - turned).abs() < 1e-9), "{moves:?}");
             // From there they go on, as a hand takes them again.
-            let again = Held::new(&with_places(&handles, &moves), &chosen(&["0", "2"]), 0.0).unwrap();
+            let again =
+                GrabbedHandles::new(&with_places(&handles, &moves), &chosen(&["0", "2"]), 0.0).unwrap();
             let size = Motion { scale: 2.0, ..Motion::default() };
             let to = positions(&handles, &again.moved(&size).unwrap());
             assert!(to[0].abs_diff_eq(DVec3::new(1.0, -2.0, 0.0), 1e-9), "{to:?}");
@@ -169,7 +170,7 @@ mod tests {
     #[test]
     fn those_around_go_along_the_less_the_farther_they_are() {
         let handles = row(6, Gizmo::TRANSLATE);
-        let held = Held::new(&with_places(&handles, &[]), &chosen(&["0"]), 3.0).unwrap();
+        let held = GrabbedHandles::new(&with_places(&handles, &[]), &chosen(&["0"]), 3.0).unwrap();
         let up = Motion { translate: DVec3::Y, ..Motion::default() };
         let moves = held.moved(&up).unwrap();
         let heights: Vec<f64> = positions(&handles, &moves).iter().map(|p| p.y).collect();
@@ -184,7 +185,7 @@ mod tests {
                 ..handle.clone()
             })
             .collect();
-        let held = Held::new(&with_places(&pinned, &[]), &chosen(&["0"]), 3.0).unwrap();
+        let held = GrabbedHandles::new(&with_places(&pinned, &[]), &chosen(&["0"]), 3.0).unwrap();
         assert_eq!(held.moved(&up).unwrap().len(), 2, "a pin stays");
     }
 
@@ -193,10 +194,10 @@ mod tests {
         let arm = HandleDesc { gizmo: Gizmo(!0), ..HandleDesc::new("arm", [0.0; 3]) };
         let hand = HandleDesc { gizmo: Gizmo(!0), ..HandleDesc::new("hand", [1.0, 0.0, 0.0]) }.parent(0);
         let handles = [arm, hand];
-        let held = Held::new(&with_places(&handles, &[]), &chosen(&["arm", "hand"]), 10.0).unwrap();
+        let held = GrabbedHandles::new(&with_places(&handles, &[]), &chosen(&["arm", "hand"]), 10.0).unwrap();
         let moves = held.moved(&Motion { translate: DVec3::Y, ..Motion::default() }).unwrap();
         assert_eq!(moves.iter().map(|m| &*m.id).collect::<Vec<_>>(), ["arm"]);
         assert_eq!(positions(&handles, &moves), [DVec3::Y, DVec3::new(1.0, 1.0, 0.0)]);
-        assert!(Held::new(&with_places(&handles, &[]), &chosen(&["leg"]), 1.0).is_none());
+        assert!(GrabbedHandles::new(&with_places(&handles, &[]), &chosen(&["leg"]), 1.0).is_none());
     }
 }

@@ -41,7 +41,7 @@ const CONTROL: Modifiers = Modifiers { control: true, ..NONE };
 const ALT: Modifiers = Modifiers { alt: true, ..NONE };
 
 impl Navigation {
-    /// All there are.
+    /// All ways to navigate.
     pub const ALL: [Self; 2] = [
         Self {
             name: "Blender-like",

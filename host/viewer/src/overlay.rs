@@ -1,6 +1,6 @@
 //! Numbers for each sample, to be shown as colours.
 
-use crate::appended::{Found, as_found};
+use crate::appended::{StepSamples, as_found};
 use crate::gradients;
 use crate::scene::{Scene, common};
 use crate::selection::Selection;
@@ -107,7 +107,7 @@ pub fn selection(selection: &Selection) -> Field {
 /// to what is around them.
 pub fn region(scene: &Scene, before: &[Vec3], shapes: &Shapes) -> Field {
     let frame = scene.frame();
-    let Found { positions, owners } = as_found(scene, before);
+    let StepSamples { positions, owners } = as_found(scene, before);
     let weight = |p: &Vec3| shapes.weight(frame.to_model(*p)) as f32;
     let mut values: Vec<f32> = positions.par_iter().take(scene.len()).map(weight).collect();
     values.resize(scene.len(), 0.0);

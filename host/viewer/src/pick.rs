@@ -32,11 +32,11 @@ const NOBODY: u32 = u32::MAX;
 pub struct Hit {
     /// The nearest sample.
     pub sample: u32,
-    /// Where it is, local coordinates.
+    /// The point in local coordinates.
     pub local: DVec3,
-    /// The same in model coordinates.
+    /// The point in model coordinates.
     pub at: DVec3,
-    /// Of length 1, towards the outside.
+    /// The surface's normal there, of length 1, towards the outside.
     pub normal: DVec3,
 }
 

@@ -14,10 +14,10 @@ impl Recorder {
         Self(Box::new(to))
     }
 
-    /// One more command.
+    /// Writes a command down.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The command cannot be written.
     pub fn push(&mut self, command: &Command) -> Result<()> {
         let failed = |e: &dyn std::fmt::Display| {
             Error::system(format!("cannot record a command: {e}"), "check the disk")

@@ -10,12 +10,12 @@ const RING: usize = 6;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Combine {
-    /// It is the selection.
+    /// The pointed at samples are the selection.
     #[default]
     Replace,
-    /// It joins the selection.
+    /// The pointed at samples join the selection.
     Add,
-    /// It leaves the selection.
+    /// The pointed at samples leave the selection.
     Subtract,
 }
 
@@ -27,12 +27,12 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// None of so many samples.
+    /// No sample of so many.
     pub fn none(samples: usize) -> Self {
         Self { marks: vec![false; samples], count: 0 }
     }
 
-    /// Those that are marked.
+    /// The samples that are marked.
     pub fn from_marks(marks: Vec<bool>) -> Self {
         let count = marks.iter().filter(|m| **m).count();
         Self { marks, count }
@@ -74,7 +74,7 @@ impl Selection {
         Self::from_marks(self.marks.iter().zip(&others.marks).map(both).collect())
     }
 
-    /// All others.
+    /// All samples that are not selected.
     #[must_use]
     pub fn inverted(&self) -> Self {
         Self::from_marks(self.marks.iter().map(|m| !m).collect())

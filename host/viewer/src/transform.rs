@@ -7,7 +7,7 @@ use simod_session::Motion;
 
 /// What is done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum TransformKind {
     /// Shifted.
     Move,
     /// Turned.
@@ -26,7 +26,7 @@ const STEPS: [f64; 3] = [15.0, 0.1, 0.05];
 /// A motion that is going on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Transform {
-    kind: Kind,
+    kind: TransformKind,
     /// The middle about which it is, local coordinates.
     pivot: DVec3,
     /// The model's unit in local coordinates' one.
@@ -51,12 +51,12 @@ pub struct Seen<'a> {
 
 impl Transform {
     /// Begins where the pointer is. `pivot` is in local coordinates, of which one is `unit` of the model's.
-    pub fn new(kind: Kind, pivot: DVec3, unit: f64, pointer: DVec2) -> Self {
+    pub fn new(kind: TransformKind, pivot: DVec3, unit: f64, pointer: DVec2) -> Self {
         Self { kind, pivot, unit, axis: None, typed: String::new(), from: pointer, at: pointer, turned: 0.0 }
     }
 
     /// What is done.
-    pub fn kind(&self) -> Kind {
+    pub fn kind(&self) -> TransformKind {
         self.kind
     }
 
@@ -115,7 +115,7 @@ impl Transform {
         };
         let step = |x: f64, step: f64| if in_steps { (x / step).round() * step } else { x };
         let motion = match self.kind {
-            Kind::Move => {
+            TransformKind::Move => {
                 let local = match (typed, self.axis) {
                     (Some(x), axis) => AXES[axis.unwrap_or(0)] * (x / self.unit),
                     (None, Some(axis)) => AXES[axis] * step(self.along(AXES[axis], seen), STEPS[2]),
@@ -123,7 +123,7 @@ impl Transform {
                 };
                 Motion { translate: local * self.unit, ..Motion::default() }
             }
-            Kind::Turn => {
+            TransformKind::Turn => {
                 let back = seen.camera.axes()[2];
                 let axis = self.axis.map_or(back, |axis| AXES[axis]);
                 // What points away turns the other way round, as seen.
@@ -131,7 +131,7 @@ impl Transform {
                 let degrees = typed.unwrap_or_else(|| sign * step(self.turned.to_degrees(), STEPS[0]));
                 Motion { axis, degrees, ..Motion::default() }
             }
-            Kind::Scale => {
+            TransformKind::Scale => {
                 let scale = typed.unwrap_or_else(|| step(self.size(seen), STEPS[1]));
                 Motion { scale, ..Motion::default() }
             }
@@ -207,7 +207,7 @@ mod tests {
         ) {
             let seen = Seen { camera: &camera, size: SIZE };
             let (start, by) = (DVec2::new(500.0, 300.0), DVec2::from(by));
-            let mut transform = Transform::new(Kind::Move, pivot, unit, start);
+            let mut transform = Transform::new(TransformKind::Move, pivot, unit, start);
             transform.follow(start + by, seen);
             let motion = transform.motion(seen, false).unwrap();
             let before = camera.project(pivot, SIZE).unwrap().0;
@@ -222,7 +222,7 @@ mod tests {
             let (from, to) = (pivot, pivot + AXES[axis] * far);
             let [from, to] = [from, to].map(|p| camera.project(p, SIZE).unwrap().0);
             prop_assume!(AXES[axis].dot(camera.ray(from, SIZE).direction).abs() < 0.98);
-            let mut transform = Transform::new(Kind::Move, pivot, 1.0, from);
+            let mut transform = Transform::new(TransformKind::Move, pivot, 1.0, from);
             transform.toggle_axis(axis);
             transform.follow(to, seen);
             let moved = transform.motion(seen, false).unwrap().translate;
@@ -240,7 +240,7 @@ mod tests {
             let seen = Seen { camera: &camera, size: SIZE };
             let middle = camera.project(pivot, SIZE).unwrap().0;
             let at = |degrees: f64| middle + DVec2::from_angle(-degrees.to_radians()) * 90.0;
-            let mut transform = Transform::new(Kind::Turn, pivot, 1.0, at(0.0));
+            let mut transform = Transform::new(TransformKind::Turn, pivot, 1.0, at(0.0));
             about.iter().for_each(|axis| transform.toggle_axis(*axis));
             for i in 1..=20 {
                 transform.follow(at(far * f64::from(i) / 20.0), seen);
@@ -255,24 +255,24 @@ mod tests {
     fn numbers_are_typed() {
         let camera = camera(0.3, 0.4, Projection::Perspective);
         let seen = Seen { camera: &camera, size: SIZE };
-        let with = |kind: Kind, axis: Option<usize>, typed: &str| {
+        let with = |kind: TransformKind, axis: Option<usize>, typed: &str| {
             let mut transform = Transform::new(kind, DVec3::ZERO, 4.0, DVec2::new(10.0, 10.0));
             transform.follow(DVec2::new(300.0, 500.0), seen);
             axis.iter().for_each(|axis| transform.toggle_axis(*axis));
             typed.chars().for_each(|c| transform.type_in(c));
             transform.motion(seen, false)
         };
-        assert_eq!(with(Kind::Move, Some(1), "1.5").unwrap().translate, DVec3::Y * 1.5);
-        assert_eq!(with(Kind::Move, None, "2-").unwrap().translate, DVec3::X * -2.0);
-        assert_eq!(with(Kind::Move, Some(2), "-1,2,5-x").unwrap().translate, DVec3::Z * 1.25);
-        let turn = with(Kind::Turn, Some(2), "45").unwrap();
+        assert_eq!(with(TransformKind::Move, Some(1), "1.5").unwrap().translate, DVec3::Y * 1.5);
+        assert_eq!(with(TransformKind::Move, None, "2-").unwrap().translate, DVec3::X * -2.0);
+        assert_eq!(with(TransformKind::Move, Some(2), "-1,2,5-x").unwrap().translate, DVec3::Z * 1.25);
+        let turn = with(TransformKind::Turn, Some(2), "45").unwrap();
         assert_eq!((turn.axis, turn.degrees), (DVec3::Z, 45.0));
-        assert_eq!(with(Kind::Scale, None, "0.5").unwrap().scale, 0.5);
+        assert_eq!(with(TransformKind::Scale, None, "0.5").unwrap().scale, 0.5);
         for none in ["-", ".", "-."] {
-            assert_eq!(with(Kind::Move, Some(0), none), None, "{none} is no number yet");
+            assert_eq!(with(TransformKind::Move, Some(0), none), None, "{none} is no number yet");
         }
-        assert_eq!(with(Kind::Scale, None, "0"), None, "nothing is of no size");
-        let mut erased = Transform::new(Kind::Scale, DVec3::ZERO, 1.0, DVec2::ZERO);
+        assert_eq!(with(TransformKind::Scale, None, "0"), None, "nothing is of no size");
+        let mut erased = Transform::new(TransformKind::Scale, DVec3::ZERO, 1.0, DVec2::ZERO);
         "-2".chars().for_each(|c| erased.type_in(c));
         erased.erase();
         erased.erase();
@@ -287,7 +287,7 @@ mod tests {
         let camera = camera(0.0, 0.0, Projection::Orthographic);
         let seen = Seen { camera: &camera, size: SIZE };
         let middle = camera.project(DVec3::ZERO, SIZE).unwrap().0;
-        for kind in [Kind::Move, Kind::Turn, Kind::Scale] {
+        for kind in [TransformKind::Move, TransformKind::Turn, TransformKind::Scale] {
             let mut transform = Transform::new(kind, DVec3::ZERO, 1.0, middle + DVec2::X * 100.0);
             transform.follow(middle + DVec2::new(137.0, -81.0), seen);
             let motion = transform.motion(seen, true).unwrap();

@@ -11,7 +11,7 @@ use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// All of it.
+/// The program: its window, and what runs beside that.
 pub struct App {
     window: Window,
     viewport: Viewport,

@@ -11,7 +11,7 @@ const VERTICES: u64 = 400_000;
 /// The file of an amphora, which is made if it is not there yet.
 ///
 /// # Errors
-/// It cannot be written.
+/// The file cannot be written.
 pub fn file() -> Result<PathBuf> {
     model("amphora.ply", Shape::Amphora, VERTICES)
 }
@@ -19,7 +19,7 @@ pub fn file() -> Result<PathBuf> {
 /// The file of a generated model, which is made if it is not there yet.
 ///
 /// # Errors
-/// It cannot be written.
+/// The model cannot be written.
 pub fn model(name: &str, shape: Shape, vertices: u64) -> Result<PathBuf> {
     let folders = directories::ProjectDirs::from("", "", "simod");
     let folder = folders.map_or_else(std::env::temp_dir, |f| f.cache_dir().to_owned());

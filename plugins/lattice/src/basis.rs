@@ -132,7 +132,7 @@ impl Basis {
 
     /// The functions' values, which are written into `values`, at least [`width`](Self::width) numbers.
     #[inline(always)]
-    pub fn at<'v>(&self, u: f64, values: &'v mut [f64]) -> Weights<'v> {
+    pub fn values_at<'v>(&self, u: f64, values: &'v mut [f64]) -> Weights<'v> {
         let place = self.place(u);
         let (degree, t) = (self.degree, place.inside * self.spans() as f64);
         let first = (t as usize).min(self.spans() - 1);
@@ -184,7 +184,7 @@ mod tests {
     /// The sum of the functions, each with its factor.
     fn sum(basis: &Basis, u: f64, factor: impl Fn(usize) -> f64) -> f64 {
         let mut values = [0.0; MOST];
-        let weights = basis.at(u, &mut values);
+        let weights = basis.values_at(u, &mut values);
         weights.values.iter().enumerate().map(|(i, w)| w * factor(weights.first + i)).sum()
     }
 
@@ -198,7 +198,7 @@ mod tests {
             for basis in bases(count, Beyond::Clamped) {
                 prop_assert!((sum(&basis, u, |_| 1.0) - 1.0).abs() < 1e-14);
                 prop_assert!((sum(&basis, u, |i| basis.place_of(i)) - u).abs() < 1e-14);
-                prop_assert!(basis.at(u, &mut [0.0; MOST]).values.iter().all(|w| *w >= 0.0));
+                prop_assert!(basis.values_at(u, &mut [0.0; MOST]).values.iter().all(|w| *w >= 0.0));
             }
         }
 
@@ -257,7 +257,7 @@ mod tests {
             for basis in bases(count, Beyond::Smooth { reach: 0.5 }) {
                 assert!((value(&basis, 0.0, 0), value(&basis, 1.0, count - 1)) == (1.0, 1.0));
                 for u in [-0.5, 1.5, -1e300, 1e300] {
-                    assert!(basis.at(u, &mut [0.0; MOST]).values.iter().all(|w| *w == 0.0));
+                    assert!(basis.values_at(u, &mut [0.0; MOST]).values.iter().all(|w| *w == 0.0));
                 }
             }
             for basis in bases(count, Beyond::Clamped) {

@@ -76,7 +76,7 @@ impl<'a> Moved<'a> {
         let [bx, by, bz] = &self.lattice.bases;
         let mut values = [[0.0; N]; 3];
         let [x, y, z] = &mut values;
-        let (x, y, z) = (bx.at(u[0], x), by.at(u[1], y), bz.at(u[2], z));
+        let (x, y, z) = (bx.values_at(u[0], x), by.values_at(u[1], y), bz.values_at(u[2], z));
         let ([ri, rj, rk], [_, ny, nz]) = (&self.spans, self.lattice.counts());
         let ((some_i, wx), (some_j, wy), (some_k, wz)) = (both(&x, ri), both(&y, rj), both(&z, rk));
         if some_k.is_empty() {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use simod_core::guard::Kind;
+use simod_core::guard::OutputKind;
 use simod_core::reconstruction::bind;
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::claim::Claim;
@@ -40,7 +40,7 @@ impl Bind {
         let mut guard = self.overwrite.guard();
         guard.reads_all([model.path()].into_iter().chain(model.other_files()));
         guard.reads_all(sampled.source.files());
-        guard.writes(&path, Kind::Binding)?;
+        guard.writes(&path, OutputKind::Binding)?;
         let bytes = bind(&sampled, model.as_ref(), &path, report.progress())?;
         report.figure("vertices", model.info().vertices);
         report.figure("samples", sampled.samples.len());

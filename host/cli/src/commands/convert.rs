@@ -6,7 +6,7 @@ use std::sync::Arc;
 use clap::Args;
 use glam::DVec3;
 use serde_json::json;
-use simod_core::guard::Kind;
+use simod_core::guard::OutputKind;
 use simod_model::object::{self, is_object};
 use simod_model::target::scratch_folder;
 use simod_model::{Cache, Conversion, Converted, Error, ModelName, Result, convert_tiles, converted_names};
@@ -93,7 +93,7 @@ impl Convert {
         let cache = Arc::new(Cache::nameless(&scratch_folder(&self.output)));
         let model = simod_model::open_with(&self.model, self.columns.as_deref(), &cache, progress)?;
         guard.reads_all(model.other_files());
-        guard.writes(&self.output, Kind::Model)?;
+        guard.writes(&self.output, OutputKind::Model)?;
         let converted = Converted::new(model, &self.output, self.how(), progress)?;
         converted.write(&self.output, progress)?;
         tell_losses(converted.losses(), report);

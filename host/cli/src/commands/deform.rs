@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use simod_core::guard::Kind;
+use simod_core::guard::OutputKind;
 use simod_core::sampled_model::SampledModel;
 use simod_model::target::folder_of;
 use simod_model::{Error, Result};
@@ -59,7 +59,7 @@ impl Deform {
         let mut sampled = SampledModel::load(&self.sampled)?;
         guard.reads_all(sampled.source.files());
         guard.reads_all(&self.model);
-        guard.writes(&self.output, Kind::Model)?;
+        guard.writes(&self.output, OutputKind::Model)?;
         let begun = refined.as_deref().map(|folder| {
             guard.replaces_folder(folder)?;
             SampledModel::begin(folder)

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use simod_core::guard::Kind;
+use simod_core::guard::OutputKind;
 use simod_core::reconstruction::Reconstruction;
 use simod_generate::{ModelOptions, write_file};
 use simod_model::{Error, Progress, Result, output};
@@ -42,10 +42,10 @@ impl Demo {
         let file = |name: &str| self.output.join(name);
         let mut guard = self.overwrite.guard();
         for (name, kind) in [
-            ("amphora.ply", Kind::Model),
-            ("session.toml", Kind::Session),
-            ("amphora-edited.ply", Kind::Model),
-            ("before-after.png", Kind::Picture),
+            ("amphora.ply", OutputKind::Model),
+            ("session.toml", OutputKind::Session),
+            ("amphora-edited.ply", OutputKind::Model),
+            ("before-after.png", OutputKind::Picture),
         ] {
             guard.writes(&file(name), kind)?;
         }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
-use simod_core::guard::Kind;
+use simod_core::guard::OutputKind;
 use simod_generate::{Encoding, ModelOptions, Shape, write_file};
 use simod_model::{Result, Scalar};
 
@@ -104,7 +104,7 @@ impl Generate {
             faces: !self.no_faces,
             offset: self.offset,
         };
-        self.overwrite.guard().writes(&self.output, Kind::Model)?;
+        self.overwrite.guard().writes(&self.output, OutputKind::Model)?;
         let info = write_file(&options, &self.output, report.progress())?;
         report.figure("vertices", info.vertices);
         report.figure("faces", info.faces);

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use simod_core::guard::Kind;
+use simod_core::guard::OutputKind;
 use simod_model::Result;
 use simod_model::target::canonical_target;
 use simod_session::SessionFile;
@@ -40,7 +40,7 @@ impl Migrate {
         guard.reads(&self.session);
         guard.reads_all(inputs(&self.session)?);
         guard.reads_all(plugins.files());
-        guard.writes(&self.output, Kind::Session)?;
+        guard.writes(&self.output, OutputKind::Session)?;
         notices(&plugins, &session.steps, report);
         let notes = plugins.migrate(&mut session.steps)?;
         for step in &session.steps {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use serde_json::{Value, json};
-use simod_core::guard::Kind;
+use simod_core::guard::OutputKind;
 use simod_core::reconstruction::{
     Beyond, DeformationField, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstructed,
     Reconstruction, RestGeometry, Version, choose_offset, reconstruct,
@@ -178,7 +178,7 @@ impl Reconstruct {
         let tiles = sampled.source.named(self.model.as_deref())?.tiles();
         for VersionPaths { output, diagnostics, .. } in paths {
             guard.writes_model(output, &tiles)?;
-            diagnostics.iter().try_for_each(|path| guard.writes(path, Kind::Model))?;
+            diagnostics.iter().try_for_each(|path| guard.writes(path, OutputKind::Model))?;
         }
         Ok(())
     }

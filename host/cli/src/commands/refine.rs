@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{ArgGroup, Args};
 use glam::{DVec3, Vec3};
 use serde_json::json;
-use simod_core::guard::Kind;
+use simod_core::guard::OutputKind;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deformed_normals};
 use simod_core::refinement::{Finer, Need, Refined, appended_deformed};
 use simod_core::sampled_model::{BINDING, SampledModel};
@@ -130,7 +130,7 @@ impl Refine {
         }
         guard.reads(&self.sampled);
         guard.reads_all(&self.deformed);
-        self.output.iter().try_for_each(|output| guard.writes(output, Kind::Model))
+        self.output.iter().try_for_each(|output| guard.writes(output, OutputKind::Model))
     }
 
     fn finer(&self) -> Finer {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
-use simod_core::guard::Kind;
+use simod_core::guard::OutputKind;
 use simod_core::sampled_model::SampledModel;
 use simod_model::bounds::Bounds;
 use simod_model::target::folder_of;
@@ -107,7 +107,7 @@ impl Render {
         guard.reads(&self.path);
         match self.turntable {
             Some(_) => guard.replaces_folder(&self.output)?,
-            None => guard.writes(&self.output, Kind::Picture)?,
+            None => guard.writes(&self.output, OutputKind::Picture)?,
         }
         let mut folder = self.turntable.map(|_| FrameFolder::create(&self.output)).transpose()?;
         let mut take = |image: &Image| match &mut folder {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::json;
-use simod_core::guard::Kind;
+use simod_core::guard::OutputKind;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_model::{Progress, Result};
@@ -93,7 +93,7 @@ impl Run {
         let plugins = self.plugins.discover(report)?;
         let mut guard = self.overwrite.guard_session(&self.session, &session, &plugins, &output)?;
         if let Some(diagnostics) = &self.diagnostics {
-            guard.writes(diagnostics, Kind::Model)?;
+            guard.writes(diagnostics, OutputKind::Model)?;
         }
         notices(&plugins, &session.steps, report);
         let progress = report.progress();

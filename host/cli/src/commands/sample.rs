@@ -57,7 +57,7 @@ pub struct SamplingArguments {
     /// nearer to the surface, and less even; unless given, faces where vertices have no normals, or not those
     /// of the surface
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
-    place: Place,
+    place: PlacementRule,
     /// Leave Gaussian splats of less opacity out of the samples, as floaters, and large and far ones of up to
     /// 0.5; they are deformed all the same [default: 0.1; 0 takes all]
     #[arg(long, value_name = "A")]
@@ -96,7 +96,7 @@ enum Spread {
 
 /// What places samples.
 #[derive(Clone, Copy, Default, ValueEnum)]
-enum Place {
+enum PlacementRule {
     /// Faces where normals do not tell where the surface is
     #[default]
     Automatic,
@@ -155,9 +155,9 @@ impl SamplingArguments {
                 Spread::Vertices => By::Vertices,
             },
             placement: match self.place {
-                Place::Automatic => Placement::Automatic,
-                Place::Faces => Placement::Faces,
-                Place::Vertices => Placement::Vertices,
+                PlacementRule::Automatic => Placement::Automatic,
+                PlacementRule::Faces => Placement::Faces,
+                PlacementRule::Vertices => Placement::Vertices,
             },
             min_opacity: self.min_opacity,
             skip: Skip {

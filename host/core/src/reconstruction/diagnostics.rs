@@ -84,7 +84,7 @@ pub struct Folds {
 impl Folds {
     /// The folds of the expansions at all samples, which have these normals and neighbours at rest; `is_told`
     /// says of each whether the surface around it tells the sign of its determinant.
-    pub fn of<'s>(
+    pub fn new<'s>(
         expansions: &[Expansion],
         is_told: &[bool],
         normals: &[Vec3],
@@ -279,7 +279,7 @@ mod tests {
             };
             let expansions: Vec<Expansion> = scales.iter().map(expansion).collect();
             let neighbours = |i: usize| -> &[u32] { [&[1][..], &[0, 2], &[1, 3], &[2]][i] };
-            let folds = Folds::of(&expansions, is_told, &[Vec3::Z; 4][..scales.len()], neighbours);
+            let folds = Folds::new(&expansions, is_told, &[Vec3::Z; 4][..scales.len()], neighbours);
             (folds.samples, folds.first)
         };
         let along = |x: f32| Vec3::new(x, 1.0, 1.0);

@@ -66,7 +66,7 @@ impl<'a> DeformationField<'a> {
         let limiter = Limiter::new(supports, &expansions, &doubtful);
         let bound = Bound::new(samples, sheets, deformed);
         let neighbours = |i| sheets.of_sample(i);
-        let folds = Folds::of(&expansions, &gradients.tells_side, samples.normals(), neighbours);
+        let folds = Folds::new(&expansions, &gradients.tells_side, samples.normals(), neighbours);
         Self {
             around,
             deformed,

@@ -247,16 +247,16 @@ impl GroupsAgain {
 
     /// Merges the piece with those before.
     fn end_piece(&mut self) -> Result<()> {
-        self.piece.leave();
-        let mut merged = Vec::with_capacity(self.piece.items().len());
-        for (cell, group) in self.piece.items() {
+        let groups = self.piece.end();
+        let mut merged = Vec::with_capacity(groups.len());
+        for (cell, group) in &groups {
             // There is no bound to their memory.
             merged.push(self.all.merge(*cell, group)?.unwrap_or(0));
         }
         for (cell, group) in self.in_piece.drain(..) {
             self.group_of[cell as usize].push(merged[group as usize]);
         }
-        self.piece.clear();
+        self.piece.begin(groups);
         Ok(())
     }
 }

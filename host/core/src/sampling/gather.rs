@@ -72,12 +72,12 @@ pub trait GatherPiece: Send + Sync {
     /// The stream was in a cell that is not gathered: the next vertex is looked up as if it were so here.
     fn leave(&mut self);
 
-    /// What was gathered until it was last [left](Self::leave), with the cell of each item, in the order in
-    /// which items were begun.
-    fn items(&self) -> &[(u32, Self::Item)];
+    /// Ends the piece: all that was gathered, with the cell of each item, in the order in which items were
+    /// begun.
+    fn end(&mut self) -> Vec<(u32, Self::Item)>;
 
-    /// Forgets everything, for the next piece.
-    fn clear(&mut self);
+    /// Forgets everything, for the next piece, whose items take the memory of former ones.
+    fn begin(&mut self, memory: Vec<(u32, Self::Item)>);
 }
 
 /// Vertices as they are.
@@ -130,11 +130,12 @@ impl GatherPiece for PieceVertices {
 
     fn leave(&mut self) {}
 
-    fn items(&self) -> &[(u32, Vertex)] {
-        &self.0
+    fn end(&mut self) -> Vec<(u32, Vertex)> {
+        std::mem::take(&mut self.0)
     }
 
-    fn clear(&mut self) {
+    fn begin(&mut self, memory: Vec<(u32, Vertex)>) {
+        self.0 = memory;
         self.0.clear();
     }
 }
@@ -336,12 +337,13 @@ impl GatherPiece for PieceGroups {
         }
     }
 
-    fn items(&self) -> &[(u32, Group)] {
-        debug_assert!(self.last.is_none(), "what the last vertices came to is not in their group yet");
-        &self.items
+    fn end(&mut self) -> Vec<(u32, Group)> {
+        self.leave();
+        std::mem::take(&mut self.items)
     }
 
-    fn clear(&mut self) {
+    fn begin(&mut self, memory: Vec<(u32, Group)>) {
+        self.items = memory;
         self.items.clear();
         self.next.clear();
         self.cells.clear();
@@ -491,11 +493,11 @@ mod tests {
             let merge = |(cell, item): &(u32, G::Item)| {
                 gather.merge(*cell, item).expect("no file is written").expect("room")
             };
-            piece.leave();
-            let merged: Vec<u32> = piece.items().iter().map(merge).collect();
+            let items = piece.end();
+            let merged: Vec<u32> = items.iter().map(merge).collect();
             let places = vertices.iter().zip(&of).map(|((cell, ..), item)| (cell, merged[*item as usize]));
             places.for_each(|(cell, index)| indices[*cell as usize].push(index));
-            piece.clear();
+            piece.begin(items);
         }
         let items = |cell| {
             let mut items = Vec::new();
@@ -556,9 +558,8 @@ mod tests {
         vertices().into_iter().for_each(|(cell, p, n)| {
             piece.add(cell, p, n);
         });
-        piece.leave();
-        let merged = piece.items().iter().map(|(cell, group)| groups.merge(*cell, group).expect("no file"));
-        assert!(merged.collect::<Vec<_>>().contains(&None));
+        let merge = |(cell, group): &(u32, Group)| groups.merge(*cell, group).expect("no file");
+        assert!(piece.end().iter().map(merge).collect::<Vec<_>>().contains(&None));
     }
 
     #[test]

@@ -249,10 +249,12 @@ struct Finishing<'a> {
 }
 
 /// Consecutive vertices of the model.
-struct Piece<P> {
+struct Piece<P: GatherPiece> {
     /// As they were read.
     chunks: Vec<VertexChunk>,
-    gathered: P,
+    gatherer: P,
+    /// All that was gathered, once it is, and the cell of each item.
+    gathered: Vec<(u32, P::Item)>,
     /// Which item each vertex is part of, if it shall be known; [`NONE`] where it is not finite.
     items: Vec<u32>,
     /// Where they are, local units, if it shall be known.
@@ -323,7 +325,8 @@ impl<'a, G: Gather> Stream<'a, G> {
     fn piece(&self) -> Piece<G::Piece> {
         Piece {
             chunks: Vec::new(),
-            gathered: lock(&self.shards[0]).gather.piece(),
+            gatherer: lock(&self.shards[0]).gather.piece(),
+            gathered: Vec::new(),
             of_shards: Vec::new(),
             places: Vec::new(),
             items: Vec::new(),
@@ -359,7 +362,7 @@ impl<'a, G: Gather> Stream<'a, G> {
     fn put_in_cells(&self, piece: &mut Piece<G::Piece>, end: u64) -> Result<()> {
         let Pass { model, grid, frame, noted, job, .. } = *self.pass;
         let with_items = self.leaves.is_some();
-        let Piece { chunks, gathered, items, positions, picks, lists, visits, shared, records, .. } = piece;
+        let Piece { chunks, gatherer, items, positions, picks, lists, visits, shared, records, .. } = piece;
         let mut current: Option<(Bounds, u32, bool)> = None;
         for chunk in chunks {
             if let Some(opaque) = self.pass.opaque {
@@ -392,7 +395,7 @@ impl<'a, G: Gather> Stream<'a, G> {
                             }
                             visits.push((cell, vertex..end));
                             if !is_own {
-                                gathered.leave();
+                                gatherer.leave();
                                 shared.visits.push(Visit { cell, vertices: vertex..end, finite: 0 });
                             }
                         }
@@ -408,7 +411,7 @@ impl<'a, G: Gather> Stream<'a, G> {
                     }
                     continue;
                 }
-                let item = gathered.add(cell, local, normal);
+                let item = gatherer.add(cell, local, normal);
                 if with_items {
                     items.push(item);
                 }
@@ -439,7 +442,7 @@ impl<'a, G: Gather> Stream<'a, G> {
     /// The same of what ranges have written down.
     fn put_shared_in_cells(&self, piece: &mut Piece<G::Piece>) -> Result<()> {
         let with_items = self.leaves.is_some();
-        let Piece { gathered, items, visits, shared, .. } = piece;
+        let Piece { gatherer, items, visits, shared, .. } = piece;
         let SharedPiece { visits: from, positions, normals } = shared;
         let (mut vertices, mut last) = (positions.iter().zip(normals.iter()), None);
         for Visit { cell, vertices: range, finite } in from {
@@ -448,11 +451,11 @@ impl<'a, G: Gather> Stream<'a, G> {
             }
             // Between two visits the stream was elsewhere.
             if last.replace(range.end).is_some() {
-                gathered.leave();
+                gatherer.leave();
             }
             visits.push((*cell, range.clone()));
             vertices.by_ref().take(*finite as usize).for_each(|(position, normal)| {
-                let item = gathered.add(*cell, *position, *normal);
+                let item = gatherer.add(*cell, *position, *normal);
                 if with_items {
                     items.push(item);
                 }
@@ -467,7 +470,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         let mut merging = lock(&self.shards[shard]);
         let has_all = match piece.of_shards.get(shard) {
             Some(own) => self.merge_items(&mut merging, &piece, own.iter().map(|item| *item as usize))?,
-            None => self.merge_items(&mut merging, &piece, 0..piece.gathered.items().len())?,
+            None => self.merge_items(&mut merging, &piece, 0..piece.gathered.len())?,
         };
         if has_all {
             merging.at = 0;
@@ -489,7 +492,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         if !self.hand_over(shard) {
             return Ok(false);
         }
-        let (items, count) = (piece.gathered.items(), own.len());
+        let (items, count) = (&piece.gathered, own.len());
         for item in own.skip(shard.at) {
             shard.at += 1;
             let (cell, item, place) = (items[item].0, &items[item].1, piece.places.get(item));
@@ -560,12 +563,11 @@ impl<'a, G: Gather> Stream<'a, G> {
         if let (Job::Group(shares, ..), Some((_, first))) = (self.pass.job, piece.visits.first()) {
             members.begin_list(shares.range_of(first.start));
         }
-        let items = piece.gathered.items();
         let mut positions = piece.positions.iter();
         for item in &piece.items {
             let position = positions.next().copied().unwrap_or(Vec3::NAN);
             let place = match piece.places.get(*item as usize) {
-                Some(place) => Some((items[*item as usize].0, place.load(Ordering::Relaxed))),
+                Some(place) => Some((piece.gathered[*item as usize].0, place.load(Ordering::Relaxed))),
                 None if *item == NONE => None,
                 None => Some((*item & !OF_OTHERS, 0)),
             };
@@ -602,24 +604,23 @@ impl<'a, G: Gather> Stream<'a, G> {
 }
 
 impl<P: GatherPiece> Piece<P> {
-    /// Tells what is of the cells of each shard, once all is gathered.
+    /// Ends what is gathered, and tells what of it is of the cells of each shard.
     fn deal(&mut self, shards: usize, with_places: bool) {
-        let Self { gathered, of_shards, places, .. } = self;
-        gathered.leave();
-        let items = gathered.items();
+        let Self { gatherer, gathered, of_shards, places, .. } = self;
+        *gathered = gatherer.end();
         if shards > 1 {
             of_shards.resize_with(shards, Vec::new);
-            for ((cell, _), item) in items.iter().zip(0..) {
+            for ((cell, _), item) in gathered.iter().zip(0..) {
                 of_shards[*cell as usize % shards].push(item);
             }
         }
         if with_places {
-            places.resize_with(items.len(), AtomicU32::default);
+            places.resize_with(gathered.len(), AtomicU32::default);
         }
     }
 
     fn clear(&mut self) {
-        self.gathered.clear();
+        self.gatherer.begin(std::mem::take(&mut self.gathered));
         self.of_shards.iter_mut().for_each(Vec::clear);
         self.places.clear();
         self.items.clear();

@@ -35,7 +35,7 @@ pub(super) struct ConversionCall<'a> {
     turned: Condvar,
 }
 
-/// Whose turn it is.
+/// How far the vertices have come in their order.
 struct Turns {
     /// The first vertex that the edit was not told of.
     next: u64,

@@ -56,7 +56,7 @@ impl FromStr for Kind {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Opacity {
-    /// It stays.
+    /// The opacity stays.
     #[default]
     Keep,
     /// A splat that is stretched to twice the area lets as much light through as half of its matter would.

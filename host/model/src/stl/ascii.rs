@@ -241,6 +241,6 @@ fn facet_normal(raw: &[u8], part: Range<usize>) -> Option<([[usize; 2]; 3], DVec
 fn normal_digits(words: &[&[u8]; 3]) -> Digits {
     const FEW: usize = 4;
     const ENOUGH: usize = 6;
-    let digits = Digits::of(words.iter().copied());
+    let digits = Digits::most_of(words.iter().copied());
     if digits.decimals < FEW { Digits { decimals: ENOUGH, ..digits } } else { digits }
 }

@@ -81,7 +81,7 @@ impl Digits {
     const MOST: usize = 17;
 
     /// The most that some words have.
-    pub(crate) fn of<'w>(words: impl Iterator<Item = &'w [u8]>) -> Self {
+    pub(crate) fn most_of<'w>(words: impl Iterator<Item = &'w [u8]>) -> Self {
         let mut survey = Survey::default();
         words.for_each(|word| survey.take(0, word));
         survey.digits(Some(0.0))

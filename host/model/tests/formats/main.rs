@@ -1,16 +1,19 @@
-//! Files of formats other than PLY, written here by hand, then read, rewritten, cut off and spoilt.
+//! Files of formats, written here by hand, then read, rewritten, cut off and spoilt.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are tests, too
 
 mod columns;
 mod e57;
 mod gltf;
+mod las;
 mod obj;
 mod off;
 mod parts;
 mod pcd;
+mod ply;
 mod splats;
 mod stl;
+mod tiles;
 
 use std::io::{self, Write};
 use std::ops::Range;

@@ -213,7 +213,7 @@ impl Scene {
         Shares { surface: part, halved: (0..MOST_HALVED).find(fits).unwrap_or(MOST_HALVED) }
     }
 
-    /// These shares.
+    /// The surface's splats and the details' that these shares allow.
     fn parts(&self, shares: Shares) -> Vec<CloudRange<'_>> {
         let surface = self.surface.iter().map(|cloud| (&self.frame.group, cloud, shares.surface));
         let details = self.details.values().map(|c| (&self.detail_frame.group, c, c.halved(shares.halved)));

@@ -21,7 +21,7 @@ pub(crate) enum Care {
 
 /// Undoes it when it is dropped.
 #[must_use]
-pub(crate) struct Kept {
+pub(crate) struct RestoreOnDrop {
     modes: Modes,
     #[cfg(unix)]
     process: Option<&'static process::Process>,
@@ -29,8 +29,8 @@ pub(crate) struct Kept {
 
 impl Care {
     /// Remembers how things are.
-    pub fn enter(self) -> Kept {
-        Kept {
+    pub fn enter(self) -> RestoreOnDrop {
+        RestoreOnDrop {
             modes: Modes::current(),
             #[cfg(unix)]
             process: (self == Self::Process).then(process::Process::enter).flatten(),
@@ -38,7 +38,7 @@ impl Care {
     }
 }
 
-impl Drop for Kept {
+impl Drop for RestoreOnDrop {
     fn drop(&mut self) {
         clear_upper_halves();
         // To write them takes longer than to read them.

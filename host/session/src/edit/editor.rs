@@ -180,7 +180,7 @@ impl Editor {
     /// they change.
     ///
     /// # Errors
-    /// It cannot be removed.
+    /// The file cannot be removed.
     pub fn discard(&mut self) -> Result<()> {
         self.kept = self.document.steps().clone();
         forget(self.kept_beside())
@@ -278,7 +278,7 @@ pub fn kept_at(path: &Path) -> Option<SystemTime> {
 /// Removes what was kept of a session: the user does not want it.
 ///
 /// # Errors
-/// It cannot be removed.
+/// The file cannot be removed.
 pub fn forget(path: &Path) -> Result<()> {
     let kept = autosave_path(path);
     match std::fs::remove_file(&kept) {

@@ -27,13 +27,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// How a step fared.
 #[derive(Debug)]
 pub enum Status {
-    /// It is switched off.
+    /// The step is switched off.
     Off,
-    /// It was done; what the plugin had to say.
+    /// The step was done; what the plugin had to say.
     Done(Vec<Message>),
-    /// It could not be done. What the steps before it made still holds.
+    /// The step could not be done. The samples are those after the steps before it.
     Failed(Error),
-    /// One before it could not be done.
+    /// A step before this one could not be done.
     Waiting,
 }
 

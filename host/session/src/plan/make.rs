@@ -144,7 +144,7 @@ fn exchange(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> Re
 }
 
 /// What of a model a unit is of.
-enum Of {
+enum UnitExtent {
     All,
     Vertices(Range<u64>),
     Part(u64),
@@ -190,29 +190,29 @@ fn units(
     options: &Options<'_>,
 ) -> Result<Vec<Unit>> {
     let mut units: Vec<Unit> = Vec::new();
-    let mut add = |stage, after: Vec<usize>, of: Of, writes: PathBuf| {
+    let mut add = |stage, after: Vec<usize>, of: UnitExtent, writes: PathBuf| {
         let (vertices, part, pieces) = match of {
-            Of::All => (None, None, None),
-            Of::Vertices(range) => (Some(range), None, None),
-            Of::Part(part) => (None, Some(part), None),
-            Of::Pieces(range) => (None, None, Some(range)),
+            UnitExtent::All => (None, None, None),
+            UnitExtent::Vertices(range) => (Some(range), None, None),
+            UnitExtent::Part(part) => (None, Some(part), None),
+            UnitExtent::Pieces(range) => (None, None, Some(range)),
         };
         units.push(Unit { number: units.len(), stage, after, vertices, part, pieces, writes });
         units.len() - 1
     };
     let sample = sampling_units(model, sampling, options, &mut add)?;
-    let deform = add(Stage::Deform, vec![sample], Of::All, DEFORMED.into());
+    let deform = add(Stage::Deform, vec![sample], UnitExtent::All, DEFORMED.into());
     let division = model.division(options.normals).filter(|_| !undivided);
     let Some(division) = division else {
-        add(Stage::Write, vec![deform], Of::All, FINISHED.into());
+        add(Stage::Write, vec![deform], UnitExtent::All, FINISHED.into());
         return Ok(units);
     };
     let mut written = Vec::new();
     for (number, range) in pieces(model, &division, options.units).into_iter().enumerate() {
         let writes = PathBuf::from(format!("part-{number}.bin"));
-        written.push(add(Stage::Apply, vec![deform], Of::Pieces(range), writes));
+        written.push(add(Stage::Apply, vec![deform], UnitExtent::Pieces(range), writes));
     }
-    add(Stage::Finish, written, Of::All, FINISHED.into());
+    add(Stage::Finish, written, UnitExtent::All, FINISHED.into());
     Ok(units)
 }
 
@@ -221,47 +221,47 @@ fn sampling_units(
     model: &dyn Model,
     sampling: &Sampling,
     options: &Options<'_>,
-    add: &mut impl FnMut(Stage, Vec<usize>, Of, PathBuf) -> usize,
+    add: &mut impl FnMut(Stage, Vec<usize>, UnitExtent, PathBuf) -> usize,
 ) -> Result<usize> {
     let mut before = Vec::new();
     let info = model.info();
     if is_read_anywhere(model, options.normals) {
         for (number, range) in shares(info.vertices, options.units).enumerate() {
             let writes = PathBuf::from(format!("count-{number}.bin"));
-            before.push(add(Stage::Count, Vec::new(), Of::Vertices(range), writes));
+            before.push(add(Stage::Count, Vec::new(), UnitExtent::Vertices(range), writes));
         }
     }
     let (count, sampled) = (clustering(model, sampling, options)?, Path::new(SAMPLED).join("simod.toml"));
     Ok(if count > 0 {
         if reads_faces(model, sampling)? && have_to_be_found(model) {
-            before.push(add(Stage::FaceRuns, Vec::new(), Of::All, FACE_RUNS.into()));
+            before.push(add(Stage::FaceRuns, Vec::new(), UnitExtent::All, FACE_RUNS.into()));
         }
-        let merged = vec![add(Stage::Merge, before, Of::All, COUNTS.into())];
+        let merged = vec![add(Stage::Merge, before, UnitExtent::All, COUNTS.into())];
         let mut clustered = parts(add, (Stage::Cluster, "cluster"), &merged, count);
         clustered.extend(parts(add, (Stage::ClusterShared, "group"), &clustered, count));
         if reads_faces(model, sampling)? {
-            let cut = vec![add(Stage::Cut, clustered, Of::All, CUT.into())];
+            let cut = vec![add(Stage::Cut, clustered, UnitExtent::All, CUT.into())];
             let members = parts(add, (Stage::Members, "members"), &cut, count);
             let ranges = face_ranges_of(model, count);
             let faces = parts(add, (Stage::Faces, "faces"), &members, ranges);
-            add(Stage::Complete, faces, Of::All, sampled)
+            add(Stage::Complete, faces, UnitExtent::All, sampled)
         } else {
-            add(Stage::Cut, clustered, Of::All, sampled)
+            add(Stage::Cut, clustered, UnitExtent::All, sampled)
         }
     } else {
-        add(Stage::Sample, before, Of::All, sampled)
+        add(Stage::Sample, before, UnitExtent::All, sampled)
     })
 }
 
 /// Adds the units of a stage, each of a part that has its number, after the same others.
 fn parts(
-    add: &mut impl FnMut(Stage, Vec<usize>, Of, PathBuf) -> usize,
+    add: &mut impl FnMut(Stage, Vec<usize>, UnitExtent, PathBuf) -> usize,
     (stage, name): (Stage, &str),
     after: &[usize],
     count: u64,
 ) -> Vec<usize> {
     let writes = |part| PathBuf::from(format!("{name}-{part}.bin"));
-    (0..count).map(|part| add(stage, after.to_vec(), Of::Part(part), writes(part))).collect()
+    (0..count).map(|part| add(stage, after.to_vec(), UnitExtent::Part(part), writes(part))).collect()
 }
 
 /// The pieces of a model, tiles among them, that units write.

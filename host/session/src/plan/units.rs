@@ -74,9 +74,9 @@ pub enum Stage {
     Cut,
     /// Where faces have a say: the sample of each vertex of a range is looked up.
     Members,
-    /// It is found what a range of the faces tells.
+    /// A range of the faces is read for what it tells of the samples.
     Faces,
-    /// The samples are completed with that.
+    /// The samples are completed with what faces tell.
     Complete,
     /// The counts are added up, and the model is sampled, where clustering is not divided.
     Sample,
@@ -84,7 +84,7 @@ pub enum Stage {
     Deform,
     /// A range of the file is written, or some of the tiles.
     Apply,
-    /// These are put together.
+    /// The ranges or tiles that were written are put together.
     Finish,
     /// The whole file is written, where it cannot be divided.
     Write,

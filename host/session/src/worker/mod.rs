@@ -373,7 +373,7 @@ impl Link {
 }
 
 /// How a process came to its end during a call.
-enum End {
+enum CallEnd {
     /// It ended by itself; how, and the last line that it printed.
     Died { how: String, last_words: String, is_memory: bool },
     /// It gave no sign of life, and was ended.
@@ -382,7 +382,7 @@ enum End {
     Deaf,
 }
 
-impl End {
+impl CallEnd {
     fn explain(self, call: &str, memory: u64) -> PluginError {
         let check = "leave the step out, or choose other parameters; `simod plugin check` tells the plugin's author more";
         let error = |what: String| PluginError::new(ErrorCode::INTERNAL, what).hint(check);
@@ -431,7 +431,7 @@ impl Worker {
             Ok(Reply::Loaded(Ok(about))) => Ok((this, *about)),
             Ok(Reply::Loaded(Err(Refusal { what, hint }))) => Err(Error::plugin(what, hint)),
             Ok(_) => Err(refused(std::io::Error::other("it says what it was not asked"))),
-            Err(End::Deaf) => Err(Error::cancelled()),
+            Err(CallEnd::Deaf) => Err(Error::cancelled()),
             Err(end) => {
                 let error = end.explain("loading", options.memory);
                 let what = format!("{}: {}", library.display(), error.message);
@@ -451,7 +451,7 @@ impl Worker {
         request: &Request,
         calls: &dyn HostCalls,
         silence: Duration,
-    ) -> std::result::Result<Reply, End> {
+    ) -> std::result::Result<Reply, CallEnd> {
         for (request, range) in std::mem::take(&mut *lock(&self.drops)) {
             protocol::send(&mut link.socket, &request).map_err(|_| self.death())?;
             range.into_iter().for_each(|range| link.arena.release(range));
@@ -469,7 +469,7 @@ impl Worker {
         calls: &dyn HostCalls,
         silence: Duration,
         grace: Duration,
-    ) -> std::result::Result<Reply, End> {
+    ) -> std::result::Result<Reply, CallEnd> {
         let (mut beats, _) = self.control.read();
         let mut heard = Instant::now();
         let mut asked_to_stop: Option<Instant> = None;
@@ -488,21 +488,21 @@ impl Worker {
                 self.control.cancel.store(1, std::sync::atomic::Ordering::Relaxed);
                 if asked_to_stop.get_or_insert_with(Instant::now).elapsed() >= grace {
                     lock(&self.child).kill();
-                    return Err(End::Deaf);
+                    return Err(CallEnd::Deaf);
                 }
             } else if heard.elapsed() > silence {
                 lock(&self.child).kill();
-                return Err(End::Silent(silence));
+                return Err(CallEnd::Silent(silence));
             }
         }
     }
 
     /// How the process ended that does not answer any more.
-    fn death(&self) -> End {
+    fn death(&self) -> CallEnd {
         let status = lock(&self.child).end();
         let errors = self.errors.text();
         let last_words = errors.lines().rfind(|l| !l.trim().is_empty()).unwrap_or_default().trim();
-        End::Died {
+        CallEnd::Died {
             how: status.map_or_else(|| "ended for no known reason".to_owned(), describe),
             is_memory: ran_out_of_memory(&errors),
             last_words: crate::deformer::line(last_words),

@@ -1,7 +1,7 @@
 //! Steps: added, changed, undone; saved and written.
 
 use super::State;
-use super::open::{Open, nothing_open};
+use super::open::{OpenSession, nothing_open};
 use crate::command::Command;
 use crate::engine::{Extra, Writing};
 use crate::overlay::Overlay;
@@ -16,7 +16,7 @@ use simod_session::step::{Action, Deformation, Step};
 use std::path::{Path, PathBuf};
 
 impl State {
-    pub(super) fn open(&self) -> Result<&Open> {
+    pub(super) fn open(&self) -> Result<&OpenSession> {
         self.open.as_ref().ok_or_else(nothing_open)
     }
 
@@ -38,7 +38,7 @@ impl State {
         (self.shown, self.floor) = (self.requested, self.requested);
         let bounds = scene.bounds().map(|corner| corner.as_dvec3());
         self.camera.frame(bounds, self.size);
-        let open = Open::new(editor, scene);
+        let open = OpenSession::new(editor, scene);
         let has_steps = !open.steps().is_empty();
         self.open = Some(open);
         if has_steps {

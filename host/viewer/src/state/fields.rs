@@ -1,6 +1,6 @@
 //! The numbers that are shown on the surface, of both versions on one scale.
 
-use super::known::{Key, Known};
+use super::known::{Key, VersionNumbers};
 use super::{State, Version};
 use crate::overlay::{self, Field, Overlay};
 use crate::scene::Scene;
@@ -41,7 +41,7 @@ impl State {
         self.fields[version as usize] = self.found(version, known);
     }
 
-    fn found(&self, version: Version, known: Option<Known>) -> Option<Known> {
+    fn found(&self, version: Version, known: Option<VersionNumbers>) -> Option<VersionNumbers> {
         let scene = self.scene_of(version)?;
         let steps = self.document()?.steps();
         let (overlay, chosen) = (self.overlay, self.chosen());
@@ -54,7 +54,7 @@ impl State {
             Version::Pinned => None,
         };
         let compared = other.map(|other| (other.revision, carried.is_some()));
-        let is_same = |Known { key, .. }: &Known| {
+        let is_same = |VersionNumbers { key, .. }: &VersionNumbers| {
             let shown = match overlay {
                 Overlay::Selection => key.selection == self.selection,
                 Overlay::Region(_) => Arc::ptr_eq(&key.steps, steps) && key.chosen == chosen,
@@ -83,7 +83,7 @@ impl State {
         let key =
             Key { overlay, revision, other: compared, selection: self.selection.clone(), steps, chosen };
         let range = field.range;
-        Some(Known { key, field, range })
+        Some(VersionNumbers { key, field, range })
     }
 
     /// The scene of the other version.

@@ -6,7 +6,7 @@ use simod_session::edit::Entry;
 use std::sync::Arc;
 
 /// The numbers of a version, as they were found last.
-pub(super) struct Known {
+pub(super) struct VersionNumbers {
     pub key: Key,
     pub field: Field,
     /// Of these numbers alone.

@@ -30,8 +30,8 @@ use crate::scene::Scene;
 use crate::selection::{Adjacency, Selection};
 use full::Preview;
 use glam::DVec3;
-use known::Known;
-use open::Open;
+use known::VersionNumbers;
+use open::OpenSession;
 use open_stroke::OpenStroke;
 use selections::Selections;
 use simod_core::reconstruction::Reconstructed;
@@ -64,7 +64,7 @@ pub enum Notice {
 pub struct State {
     engine: Engine,
     plugins: Arc<PluginRegistry>,
-    open: Option<Open>,
+    open: Option<OpenSession>,
     selection: Selection,
     /// The former ones.
     selections: Selections,
@@ -92,7 +92,7 @@ pub struct State {
     /// Of the samples at rest, once a step with joints was chosen.
     body: Option<Body>,
     /// The numbers of both versions.
-    fields: [Option<Known>; 2],
+    fields: [Option<VersionNumbers>; 2],
     /// The version to compare with.
     pinned: Option<Pinned>,
     /// How many were pinned so far.
@@ -419,7 +419,7 @@ pub fn kept_at(path: &Path) -> Option<SystemTime> {
 /// Removes what was kept of a session or model against a crash.
 ///
 /// # Errors
-/// It cannot be removed.
+/// The file cannot be removed.
 pub fn forget(path: &Path) -> Result<()> {
     simod_session::edit::forget(path)
 }

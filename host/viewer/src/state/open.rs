@@ -7,14 +7,14 @@ use simod_session::edit::{Editor, Entry};
 use std::sync::Arc;
 
 /// What is open.
-pub(super) struct Open {
+pub(super) struct OpenSession {
     pub editor: Editor,
     pub scene: Arc<Scene>,
     /// Who is next to whom, of the scene's samples.
     pub adjacency: Arc<Adjacency>,
 }
 
-impl Open {
+impl OpenSession {
     pub fn new(editor: Editor, scene: Scene) -> Self {
         let adjacency = Arc::new(Adjacency::of_model(&scene.sampled));
         Self { editor, scene: Arc::new(scene), adjacency }

@@ -1,7 +1,7 @@
 //! The pinned version: other steps on the same samples, to compare with those that are worked on.
 
 use super::State;
-use super::open::{Open, nothing_open};
+use super::open::{OpenSession, nothing_open};
 use super::version::{Pinned, Steps, Version};
 use crate::engine::{Carried, Comparing};
 use crate::overlay::Overlay;
@@ -173,7 +173,7 @@ impl State {
 }
 
 /// Whether a session is one of the model that is open.
-fn is_of(session: &SessionFile, open: &Open) -> bool {
+fn is_of(session: &SessionFile, open: &OpenSession) -> bool {
     let source = &open.scene.sampled.source;
     let file = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let same = session.fingerprint.as_ref().and_then(|known| are_same(known, &source.fingerprint));

@@ -2,7 +2,7 @@
 
 use super::State;
 use super::edit::missing;
-use super::open::Open;
+use super::open::OpenSession;
 use crate::appended::{as_found, owner_of};
 use crate::body::{Ball, Body, largest_balls};
 use crate::motion::{PlacedHandle, placed_handles};
@@ -22,7 +22,7 @@ use std::collections::BinaryHeap;
 /// Neighbours of a selected sample that tell where the selection ends.
 const RING: usize = 8;
 
-impl Open {
+impl OpenSession {
     /// The samples as a step finds them, local coordinates. Of one that was not reached yet, as they are
     /// shown.
     fn before(&self, id: StepId) -> &[Vec3] {

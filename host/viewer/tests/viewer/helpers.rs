@@ -1,6 +1,6 @@
 //! What tests of the viewer share.
 
-#[path = "../../../session/tests/common/mod.rs"]
+#[path = "../../../session/tests/session/common/mod.rs"]
 pub mod common;
 
 use common::{copy, load};

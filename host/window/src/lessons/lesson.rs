@@ -4,7 +4,7 @@ use crate::window::Window;
 use simod_generate::Shape;
 use simod_viewer::Camera;
 
-/// One lesson.
+/// A lesson: exercises, one after the other.
 pub struct Lesson {
     /// What the user reads of it in menus.
     pub title: &'static str,
@@ -15,13 +15,13 @@ pub struct Lesson {
     /// The name of its file.
     pub file: &'static str,
     /// What is done.
-    pub parts: &'static [Part],
+    pub parts: &'static [Exercise],
     /// What is left to say.
     pub ends: &'static str,
 }
 
-/// One thing to do.
-pub struct Part {
+/// A thing to do in a lesson.
+pub struct Exercise {
     /// What the user reads.
     pub text: &'static str,
     /// Whether it is done, from where the camera was when it began.

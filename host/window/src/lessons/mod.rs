@@ -9,7 +9,7 @@ mod texts;
 use crate::example;
 use crate::tools::Tool;
 use crate::window::{Running, Window};
-pub use lesson::{Lesson, Part};
+pub use lesson::{Exercise, Lesson};
 use simod_model::Result;
 use simod_session::session_file::Sampling;
 use simod_viewer::{Command, Overlay, state};
@@ -26,7 +26,7 @@ pub fn lesson_of(running: &Running) -> &'static Lesson {
 }
 
 /// What is to be done now; nothing once all is.
-pub fn part_of(running: &Running) -> Option<&'static Part> {
+pub fn part_of(running: &Running) -> Option<&'static Exercise> {
     lesson_of(running).parts.get(running.part)
 }
 

@@ -5,7 +5,7 @@ use super::doing::{
     move_in_hand, move_region, number, paint, place_joints, select_between, step, strokes, take_highest,
     take_joint, turn_joint,
 };
-use super::{Lesson, Part};
+use super::{Exercise, Lesson};
 use simod_generate::Shape;
 use simod_session::edit::Change;
 use simod_session::step::Role;
@@ -26,7 +26,7 @@ pub const ALL: &[Lesson] = &[
         shape: Shape::Bar,
         file: "lesson-bar.ply",
         parts: &[
-            Part {
+            Exercise {
                 text: "Look around: drag with the left button beside the bar. The wheel zooms, the right button \
                        moves the picture.",
                 done: |w, began| w.state().camera() != began,
@@ -34,12 +34,12 @@ pub const ALL: &[Lesson] = &[
                     w.apply(Command::Camera(CameraMove::Orbit { yaw: 0.7, pitch: 0.1 }));
                 },
             },
-            Part {
+            Exercise {
                 text: "Whatever deforms the model is a step. Choose + Add Step at the right, and there Warp.",
                 done: |w, _| step(w, WARP).is_some(),
                 run: |w| add(w, WARP),
             },
-            Part {
+            Exercise {
                 text: "The bar is twisted by 90 degrees. Drag the number at Angle, or type another one: at \
                        least 180.",
                 done: |w, _| number(w, WARP, "angle").is_some_and(|angle| angle.abs() >= 180.0),
@@ -47,12 +47,12 @@ pub const ALL: &[Lesson] = &[
                     change(w, WARP, Change::SetParam { id: "angle".into(), value: Some(240.0.into()) });
                 },
             },
-            Part {
+            Exercise {
                 text: "Amount, above it, blends any step with what it begins with. Drag it to about a half.",
                 done: |w, _| step(w, WARP).is_some_and(|(.., d)| d.amount < 0.9),
                 run: |w| change(w, WARP, Change::SetAmount(0.5)),
             },
-            Part {
+            Exercise {
                 text: "Nothing is ever lost: Ctrl+Z takes a change back, Ctrl+Shift+Z does it again. Take one \
                        back.",
                 done: |w, _| w.state().can_redo().is_some(),
@@ -70,7 +70,7 @@ pub const ALL: &[Lesson] = &[
         shape: Shape::Cactus,
         file: "lesson-cactus.ply",
         parts: &[
-            Part {
+            Exercise {
                 text: "Look at it from its front: press 1, then Home to see all of it.",
                 done: |w, _| {
                     let camera = w.state().camera();
@@ -78,34 +78,34 @@ pub const ALL: &[Lesson] = &[
                 },
                 run: look_from_front,
             },
-            Part {
+            Exercise {
                 text: "Add a step of Laplacian surface editing: it bends a surface like a skin.",
                 done: |w, _| step(w, LAPLACIAN).is_some(),
                 run: |w| add(w, LAPLACIAN),
             },
-            Part {
+            Exercise {
                 text: "Some part has to stay. Take the box (B), choose Through above the picture, and draw a box \
                        round the foot.",
                 done: |w, _| is_selected(w),
                 run: |w| select_between(w, [0.0, 0.12]),
             },
-            Part {
+            Exercise {
                 text: "Choose Make Fixed at the right (Shift+F): what was selected is held.",
                 done: |w, _| has_region(w, LAPLACIAN, Role::Fixed),
                 run: |w| make_region(w, LAPLACIAN, Role::Fixed),
             },
-            Part {
+            Exercise {
                 text: "Now the part that you will move: take the box (B) again, and draw it round the top of the \
                        stem.",
                 done: |w, _| is_selected(w) || has_region(w, LAPLACIAN, Role::Handle),
                 run: |w| select_between(w, [0.88, 1.0]),
             },
-            Part {
+            Exercise {
                 text: "Choose Make Handle (Shift+H).",
                 done: |w, _| has_region(w, LAPLACIAN, Role::Handle),
                 run: |w| make_region(w, LAPLACIAN, Role::Handle),
             },
-            Part {
+            Exercise {
                 text: "Drag its arrows. R takes the rings that turn it, and the surface follows.",
                 done: |w, _| is_region_moved(w, LAPLACIAN),
                 run: |w| move_region(w, LAPLACIAN),
@@ -120,27 +120,27 @@ pub const ALL: &[Lesson] = &[
         shape: Shape::Amphora,
         file: "lesson-amphora.ply",
         parts: &[
-            Part {
+            Exercise {
                 text: "Add a step of the Lattice: points about the model, by which the space inside is bent.",
                 done: |w, _| step(w, LATTICE).is_some(),
                 run: |w| add(w, LATTICE),
             },
-            Part {
+            Exercise {
                 text: "Click one of the points near the top.",
                 done: |w, _| in_hand(w, LATTICE) >= 1,
                 run: |w| take_highest(w, LATTICE, 1),
             },
-            Part {
+            Exercise {
                 text: "Hold Shift, and click another one besides: both are in the hand.",
                 done: |w, _| in_hand(w, LATTICE) >= 2,
                 run: |w| take_highest(w, LATTICE, 4),
             },
-            Part {
+            Exercise {
                 text: "Press G, move the pointer, and click where they shall stay; or drag the arrows.",
                 done: |w, _| step(w, LATTICE).is_some_and(|(.., d)| !d.handles.is_empty()),
                 run: |w| move_in_hand(w, LATTICE),
             },
-            Part {
+            Exercise {
                 text: "See what was stretched: choose Stretch in the menu Overlay. The scale is below the picture.",
                 done: |w, _| w.state().overlay() == Overlay::Stretch,
                 run: |w| {
@@ -157,7 +157,7 @@ pub const ALL: &[Lesson] = &[
         shape: Shape::Cactus,
         file: "lesson-cactus.ply",
         parts: &[
-            Part {
+            Exercise {
                 text: "Look at it from its front: press 1, then Home to see all of it.",
                 done: |w, _| {
                     let camera = w.state().camera();
@@ -165,23 +165,23 @@ pub const ALL: &[Lesson] = &[
                 },
                 run: look_from_front,
             },
-            Part {
+            Exercise {
                 text: "Add a step of Skinning: bones carry what is around them.",
                 done: |w, _| step(w, SKINNING).is_some(),
                 run: |w| add(w, SKINNING),
             },
-            Part {
+            Exercise {
                 text: "Place Joints (J) is in the hand. Click the foot of the stem, its middle, and its top: \
                        they lie within it, and each hangs on the one before.",
                 done: |w, _| step(w, SKINNING).is_some_and(|(.., d)| d.joints.len() >= 3),
                 run: |w| place_joints(w, SKINNING),
             },
-            Part {
+            Exercise {
                 text: "Take Rotate (R), and click the joint in the middle.",
                 done: |w, _| in_hand(w, SKINNING) >= 1 && w.tools.tool == crate::tools::Tool::Rotate,
                 run: |w| take_joint(w, SKINNING, 1),
             },
-            Part {
+            Exercise {
                 text: "Drag one of the rings: all above the joint turns with it.",
                 done: |w, _| step(w, SKINNING).is_some_and(|(.., d)| !d.handles.is_empty()),
                 run: |w| turn_joint(w, SKINNING, 1),
@@ -195,34 +195,34 @@ pub const ALL: &[Lesson] = &[
         shape: Shape::BumpySphere,
         file: "lesson-sphere.ply",
         parts: &[
-            Part {
+            Exercise {
                 text: "Add a step of Displacement painting.",
                 done: |w, _| step(w, PAINT).is_some(),
                 run: |w| add(w, PAINT),
             },
-            Part {
+            Exercise {
                 text: "The brush is in the hand: paint a stroke over the sphere. [ and ] change its size.",
                 done: |w, _| strokes(w, PAINT) >= 1,
                 run: |w| paint(w, PAINT, 0.42),
             },
-            Part {
+            Exercise {
                 text: "Press P to pin this version, to compare with it later.",
                 done: |w, _| w.state().pinned().is_some(),
                 run: |w| {
                     w.apply(Command::Pin);
                 },
             },
-            Part {
+            Exercise {
                 text: "Paint another stroke, with Ctrl held if it shall dig in.",
                 done: |w, _| strokes(w, PAINT) >= 2,
                 run: |w| paint(w, PAINT, 0.58),
             },
-            Part {
+            Exercise {
                 text: "Press V to see both versions side by side; the key X, held, shows the pinned one in place.",
                 done: |w, _| w.looks.side_by_side,
                 run: |w| w.looks.side_by_side = true,
             },
-            Part {
+            Exercise {
                 text: "Where do they differ? Choose Difference from the Pinned Version in the menu Overlay.",
                 done: |w, _| {
                     w.state().overlay() == Overlay::Difference

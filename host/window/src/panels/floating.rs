@@ -4,7 +4,7 @@ use super::{film, keys, palette, picture, prompt, questions, report, toasts, tur
 use crate::window::{Asks, Window};
 use eframe::egui;
 
-/// Those that are open.
+/// Shows the panels that are open.
 pub fn show(ctx: &egui::Context, window: &mut Window) {
     let panels = [turntable::show, picture::show, film::show];
     panels.into_iter().for_each(|show| window.draw(|window, asks| show(ctx, window, asks)));

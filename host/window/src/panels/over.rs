@@ -12,7 +12,7 @@ use simod_viewer::selection::Combine;
 
 const MARGIN: f32 = 12.0;
 
-/// All of it.
+/// Shows what is over the picture.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
     if window.tools.has_options() {
         options(ui, rect, window, asks);

@@ -4,7 +4,7 @@ use super::frames::modal;
 use crate::dialogs::Purpose;
 use crate::numbers::ago;
 use crate::theme;
-use crate::window::{Ask, Asks, Kept, Leaving, Question, Window};
+use crate::window::{Ask, Asks, KeptEdit, Leaving, Question, Window};
 use eframe::egui::{self, Button, Color32, Id, Modal, RichText, Ui};
 use std::path::Path;
 
@@ -63,7 +63,7 @@ fn unsaved(ui: &mut Ui, leaving: &Leaving) -> Option<Ask> {
 }
 
 /// What to do, once it is known.
-fn recover(ui: &mut Ui, kept: &Kept) -> Option<Ask> {
+fn recover(ui: &mut Ui, kept: &KeptEdit) -> Option<Ask> {
     ui.heading("Recover the edit?");
     ui.add_space(6.0);
     ui.label(format!("{} was edited, and not saved before the program ended.", kept.path.display()));

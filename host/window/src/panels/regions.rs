@@ -21,7 +21,7 @@ const NEAR_MIDDLE: f64 = 0.01;
 
 const ROLES: [Role; 3] = [Role::Fixed, Role::Handle, Role::Mask];
 
-/// All of it.
+/// Shows the panel.
 pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let chosen = window.chosen();
     if let Some((step, _, deformation, Some(plugin))) = &chosen {

@@ -35,11 +35,11 @@ pub fn fields(ui: &mut Ui, format: &mut Format, shown: [u32; 2]) {
 
 /// What was answered.
 pub enum Answer {
-    /// It shall be done.
+    /// The picture shall be made.
     Do,
-    /// Where it goes shall be chosen.
+    /// The picture's file shall be chosen.
     Browse,
-    /// It shall not.
+    /// No picture shall be made.
     Cancel,
 }
 

@@ -1,6 +1,6 @@
 //! Arrows and rings that move a handle: a region's, or one that the plugin placed.
 
-use super::place::{Kind, Place, Several};
+use super::place::{MovedKind, Place, Several};
 use super::{Target, Tool};
 use crate::viewport::Canvas;
 use crate::window::Window;
@@ -10,7 +10,7 @@ use simod_session::Motion;
 use simod_session::edit::{Change, StepId};
 use simod_session::step::HandleMove;
 use simod_viewer::Command;
-use simod_viewer::held::Held;
+use simod_viewer::held::GrabbedHandles;
 use simod_viewer::motion::handle_matrix;
 use simod_viewer::skeleton::is_pin;
 use transform_gizmo::math::{Pos2 as GizmoPos, Rect as GizmoRect, Transform};
@@ -37,7 +37,7 @@ pub fn place(window: &mut Window) -> Option<Place> {
             };
             window.tools.pivot = Some((id, *region, pivot));
             let matrix = handle_matrix(&motion, pivot);
-            Some(Place { step, id, target, matrix, kind: Kind::Region { pivot }, can: all })
+            Some(Place { step, id, target, matrix, kind: MovedKind::Region { pivot }, can: all })
         }
         // Nobody moves a pin.
         Target::Handle(handle) if is_pin(handle) => None,
@@ -45,23 +45,23 @@ pub fn place(window: &mut Window) -> Option<Place> {
             let (desc, placed) =
                 window.state().handles(step).into_iter().find(|(desc, _)| desc.id == handle.as_str())?;
             let (matrix, can) = (placed.matrix(), desc.gizmo);
-            Some(Place { step, id, target, matrix, kind: Kind::Handle(placed), can })
+            Some(Place { step, id, target, matrix, kind: MovedKind::Handle(placed), can })
         }
     }
 }
 
 /// The handles that the hand holds, with those around them that go along.
-pub fn held(window: &Window, step: usize, id: StepId) -> Option<Held> {
+pub fn held(window: &Window, step: usize, id: StepId) -> Option<GrabbedHandles> {
     let bounds = window.state().scene()?.sampled.bounds;
     let reach = window.tools.reach * (bounds.max - bounds.min).length();
-    Held::new(&window.state().handles(step), &window.tools.handles(id), reach)
+    GrabbedHandles::new(&window.state().handles(step), &window.tools.handles(id), reach)
 }
 
 /// Other handles that move along, as they are now, if any do.
 fn several(place: &Place, window: &Window) -> Option<Several> {
     let tools = &window.tools;
     let alone = tools.reach == 0.0 && tools.handles(place.id).len() < 2;
-    if alone || !matches!(place.kind, Kind::Handle(_)) {
+    if alone || !matches!(place.kind, MovedKind::Handle(_)) {
         return None;
     }
     Some(Several { held: held(window, place.step, place.id)?, from: place.matrix })
@@ -149,7 +149,7 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
 pub fn reset(window: &mut Window) {
     let Some(place) = place(window) else { return };
     let change = match (&place.kind, place.target) {
-        (Kind::Region { pivot }, Target::Region(region)) => {
+        (MovedKind::Region { pivot }, Target::Region(region)) => {
             Change::MoveRegion { region, motion: Motion { pivot: Some(*pivot), ..Motion::default() } }
         }
         (_, Target::Handle(_)) => {

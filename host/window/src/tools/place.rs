@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DVec3};
 use simod_session::edit::{Change, StepId};
-use simod_viewer::held::Held;
+use simod_viewer::held::GrabbedHandles;
 use simod_viewer::motion::{PlacedHandle, motion_of};
 
 /// What the gizmo moves, of the chosen step.
@@ -23,14 +23,14 @@ pub struct Place {
     pub target: Target,
     /// Where it is: model coordinates.
     pub matrix: DAffine3,
-    pub kind: Kind,
+    pub kind: MovedKind,
     /// How it may be moved.
     pub can: simod_plugin_api::Gizmo,
 }
 
 /// What kind of thing it moves.
 #[derive(Clone)]
-pub enum Kind {
+pub enum MovedKind {
     /// A region, which turns about its pivot: model coordinates.
     Region { pivot: DVec3 },
     /// A handle that the plugin placed.
@@ -39,7 +39,7 @@ pub enum Kind {
 
 /// Several handles, as they were when the hand took them, and where the gizmo was.
 pub struct Several {
-    pub held: Held,
+    pub held: GrabbedHandles,
     pub from: DAffine3,
 }
 
@@ -57,10 +57,10 @@ impl Place {
     /// What it takes for its gizmo to be there.
     pub fn change_to(&self, matrix: DAffine3) -> Option<Change> {
         Some(match (&self.kind, &self.target) {
-            (Kind::Region { pivot }, Target::Region(region)) => {
+            (MovedKind::Region { pivot }, Target::Region(region)) => {
                 Change::MoveRegion { region: *region, motion: motion_of(matrix, *pivot)? }
             }
-            (Kind::Handle(placed), Target::Handle(id)) => {
+            (MovedKind::Handle(placed), Target::Handle(id)) => {
                 Change::MoveHandle { id: id.clone(), motion: placed.motion_to(matrix)? }
             }
             _ => return None,

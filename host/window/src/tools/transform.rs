@@ -2,34 +2,34 @@
 //! ends it, Escape or the right button takes it back.
 
 use super::gizmo;
-use super::transforming::{Next, Of, Transforming};
+use super::transforming::{Next, Transformed, Transforming};
 use super::{Target, Tool};
 use crate::viewport::Canvas;
 use crate::window::Window;
 use eframe::egui::CursorIcon;
 use simod_viewer::Command;
-use simod_viewer::transform::{Kind, Seen, Transform};
+use simod_viewer::transform::{Seen, Transform, TransformKind};
 
 /// Begins, if there is anything in the hand and the pointer is over the picture.
 pub fn begin(canvas: &Canvas<'_>, window: &mut Window, tool: Tool) {
     let kind = match tool {
-        Tool::Rotate => Kind::Turn,
-        Tool::Scale => Kind::Scale,
-        _ => Kind::Move,
+        Tool::Rotate => TransformKind::Turn,
+        Tool::Scale => TransformKind::Scale,
+        _ => TransformKind::Move,
     };
     let Some((step, id, ..)) = window.chosen() else { return };
     let (Some(place), Some(pointer)) = (gizmo::place(window), canvas.pointer()) else { return };
     let of = match &place.target {
-        Target::Region(_) => Of::Region(Box::new(place.clone()), place.matrix),
+        Target::Region(_) => Transformed::Region(Box::new(place.clone()), place.matrix),
         Target::Handle(_) => match gizmo::held(window, step, id) {
-            Some(held) => Of::Handles(held),
+            Some(held) => Transformed::Handles(held),
             None => return,
         },
     };
     let Some(frame) = window.state().scene().map(|scene| scene.frame()) else { return };
     let middle = match &of {
-        Of::Handles(held) => held.pivot(),
-        Of::Region(_, from) => from.translation,
+        Transformed::Handles(held) => held.pivot(),
+        Transformed::Region(_, from) => from.translation,
     };
     let middle = frame.to_local_exact(middle);
     let transform = Transform::new(kind, middle, frame.scale, pointer);

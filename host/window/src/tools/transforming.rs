@@ -7,8 +7,8 @@ use eframe::egui::{self, Align2, Color32, Event, FontId, Key, PointerButton, Str
 use glam::{DAffine3, DVec3};
 use simod_session::Motion;
 use simod_session::edit::{Change, StepId};
-use simod_viewer::held::Held;
-use simod_viewer::transform::{Kind, Seen, Transform};
+use simod_viewer::held::GrabbedHandles;
+use simod_viewer::transform::{Seen, Transform, TransformKind};
 
 /// Of the axes, as the gizmo has them.
 const COLORS: [Color32; 3] =
@@ -21,7 +21,7 @@ pub struct Transforming {
     /// What the pointer and the keys said so far, of which step, and what moves.
     pub transform: Transform,
     pub step: StepId,
-    pub of: Of,
+    pub of: Transformed,
     /// The middle, local coordinates.
     pub middle: DVec3,
     /// The motion that was done last.
@@ -31,14 +31,14 @@ pub struct Transforming {
 }
 
 /// What moves.
-pub enum Of {
+pub enum Transformed {
     /// Handles that the plugin placed.
-    Handles(Held),
+    Handles(GrabbedHandles),
     /// A handle region, from its gizmo's place.
     Region(Box<Place>, DAffine3),
 }
 
-impl Of {
+impl Transformed {
     /// What it takes to move it so from where it was.
     pub fn change(&self, motion: &Motion) -> Option<Change> {
         match self {
@@ -117,18 +117,18 @@ impl Transforming {
         let typed = self.transform.typed();
         let value = |shown: String| if typed.is_empty() { shown } else { format!("{typed}|") };
         let text = match (self.transform.kind(), axis) {
-            (Kind::Move, Some(axis)) => {
+            (TransformKind::Move, Some(axis)) => {
                 format!("Move along {}: {}", NAMES[axis], value(number(motion.translate[axis])))
             }
-            (Kind::Move, None) => {
+            (TransformKind::Move, None) => {
                 let all = motion.translate.to_array().map(number).join(", ");
                 format!("Move: {}", value(all))
             }
-            (Kind::Turn, axis) => {
+            (TransformKind::Turn, axis) => {
                 let about = axis.map_or_else(String::new, |axis| format!(" about {}", NAMES[axis]));
                 format!("Turn{about}: {}\u{b0}", value(format!("{:.1}", motion.degrees)))
             }
-            (Kind::Scale, _) => format!("Scale: {}", value(number(motion.scale))),
+            (TransformKind::Scale, _) => format!("Scale: {}", value(number(motion.scale))),
         };
         format!(
             "{text}     X, Y, Z: axis \u{b7} digits: how far \u{b7} Enter, click: done \u{b7} Escape: back"

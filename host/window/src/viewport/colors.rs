@@ -75,7 +75,7 @@ impl Colors {
         changed
     }
 
-    /// Those of vertices.
+    /// The colours of vertices, from those of their samples.
     pub fn of_vertices(&self) -> VertexColors<'_> {
         let Self { colors, mixing, scale, key, .. } = self;
         VertexColors { samples: colors.as_deref(), mixing: mixing.as_deref(), tint: key.tint, scale: *scale }

@@ -49,7 +49,7 @@ impl Emerging {
         }
     }
 
-    /// Those that are there.
+    /// A picture of the samples that there are so far.
     pub fn picture(&mut self, canvas: &Canvas<'_>, window: &Window) -> Result<Shape, BadSurface> {
         let state = window.state();
         // Once all are there they stay, until the model is shown.

@@ -12,7 +12,7 @@ pub enum Question {
     /// The edit is not saved, and this would lose it.
     Unsaved(Leaving),
     /// An edit of this path was kept against a crash.
-    Recover(Kept),
+    Recover(KeptEdit),
     /// The model of what was opened is not where it was.
     Moved {
         /// What was opened.
@@ -26,7 +26,7 @@ pub enum Question {
 
 /// An edit that was kept against a crash.
 #[derive(Clone)]
-pub struct Kept {
+pub struct KeptEdit {
     /// Of what.
     pub path: PathBuf,
     /// How it is sampled.

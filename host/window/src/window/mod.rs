@@ -12,7 +12,7 @@ use crate::tools::Tools;
 use crate::turntable::{AskedPicture, AskedTurntable, Film, Turning};
 use crate::viewport::seen::mode_of;
 use crate::{example, in_turn, plugins, theme};
-pub use asked::{Kept, Leaving, Palette, Question, Renaming, Report, Running};
+pub use asked::{KeptEdit, Leaving, Palette, Question, Renaming, Report, Running};
 pub use asks::{Ask, Asks};
 use eframe::egui;
 pub use looks::Looks;
@@ -412,7 +412,7 @@ impl Window {
         match made.map(|made| (made, state::recoverable(&path))) {
             Some((made, Ok(Some(kept)))) => {
                 let steps = kept.steps.len();
-                self.question = Some(Question::Recover(Kept { path, sampling, made, steps }));
+                self.question = Some(Question::Recover(KeptEdit { path, sampling, made, steps }));
             }
             // It is left alone, for whoever wants to look at it.
             Some((_, Err(error))) => {
@@ -424,7 +424,7 @@ impl Window {
     }
 
     /// Opens something without what was kept of it, which goes away.
-    pub fn open_without(&mut self, kept: &Kept) {
+    pub fn open_without(&mut self, kept: &KeptEdit) {
         if let Err(error) = state::forget(&kept.path) {
             self.toasts.error(&error);
         }

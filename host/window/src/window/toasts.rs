@@ -10,7 +10,7 @@ const STAYS: [Duration; 2] = [Duration::from_secs(5), Duration::from_secs(20)];
 /// How many there are at most.
 const MOST: usize = 5;
 
-/// One message.
+/// A message.
 pub struct Toast {
     /// What is so.
     pub text: String,

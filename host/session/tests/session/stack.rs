@@ -1,7 +1,7 @@
 //! Whole stacks of real plugins, on samples of a cylinder far from the model's zero.
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
-mod common;
+use crate::common;
 
 use glam::{DVec3, Vec3};
 use simod_core::sampled_model::SampledModel;

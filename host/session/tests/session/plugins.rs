@@ -1,7 +1,7 @@
 //! Loading real libraries: plugins, and files that are none.
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
-mod common;
+use crate::common;
 
 use common::{copy, load};
 use simod_model::ErrorKind;

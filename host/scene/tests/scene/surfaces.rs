@@ -1,7 +1,7 @@
 //! Splats and triangles against what geometry says.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
-mod common;
+use crate::common;
 
 use common::{
     Model, RED, apart, at, difference, draw, draw_from, gpu, is_red, lit, plain, project, same, sphere, view,

@@ -1,7 +1,7 @@
 //! Scenes that change: budgets, drags, ghosts, marks; and what must not go wrong.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
-mod common;
+use crate::common;
 
 use std::time::Duration;
 

@@ -1,5 +1,6 @@
 //! Builds the plugins that the tests load, and finds them.
 #![allow(dead_code, reason = "each test file uses its part")]
+#![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
 use simod_session::plugins::PluginFolder;
 use simod_session::{PluginOptions, PluginRegistry};

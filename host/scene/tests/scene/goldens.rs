@@ -1,9 +1,8 @@
-//! Pictures as they were: `goldens/`. `SIMOD_WRITE_GOLDENS=1 cargo test -p simod-scene --test goldens` makes
-//! them anew, by software Vulkan; look at them before they are committed.
+//! Pictures as they were: `../goldens/`. `SIMOD_WRITE_GOLDENS=1 cargo test -p simod-scene --test scene
+//! goldens` makes them anew, by software Vulkan; look at them before they are committed.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
-mod common;
-
+use crate::common;
 use std::path::Path;
 
 use common::{difference, gpu, sphere, view};

@@ -1,7 +1,7 @@
 //! Details are as one with the surface.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
-mod common;
+use crate::common;
 
 use std::time::Duration;
 

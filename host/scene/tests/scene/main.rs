@@ -1,0 +1,7 @@
+//! Pictures of samples, surfaces and vertices, by a graphics card or what stands in for one.
+
+mod common;
+mod details;
+mod goldens;
+mod scenes;
+mod surfaces;
