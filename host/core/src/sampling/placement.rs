@@ -176,7 +176,7 @@ impl Unlike {
 
     /// Whether there are normals, and nothing tells that they are others than those of the faces: neither all
     /// faces, nor those without the sharpest edges.
-    fn is_little(mut self) -> bool {
+    fn is_little(&mut self) -> bool {
         let known = self.from_corners.area();
         // Hardly a triangle shares a corner with the next.
         if 4.0 * self.from_next.area() < known {

@@ -24,7 +24,7 @@ pub(crate) fn is_head(source: &Source) -> bool {
 pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
     let header = Header::read(&source)?;
     let name = header.data.name();
-    let compressed = header.data == Data::Compressed;
+    let (compressed, is_text) = (header.data == Data::Compressed, header.data == Data::Ascii);
     let (source, header) = match header.data {
         Data::Compressed => {
             let source = unpack::unpack(&source, &header, making)?;
@@ -36,6 +36,9 @@ pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>
     let records = header.records();
     let other = header.fields.iter().filter(|f| !f.is_component()).map(Field::describe).collect();
     let mut model = PlyModel::from_header(source, records, header::without_normals)?;
+    if is_text {
+        model.unpack_colors();
+    }
     model.extensions = &["pcd"];
     model.besides = besides;
     model.info.format = format!("PCD {}, {name}", header.version);

@@ -103,12 +103,30 @@ fn decode_words(layout: &Layout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Re
                     next();
                 }
             }
-            if let Some((attribute, (values, _))) = wanted.next_if(|(_, (_, (slot, _)))| *slot == i) {
-                let value = text::number(layout.attributes[attribute].kind, word);
+            // Colours may be the bytes of one number.
+            while let Some((attribute, (values, (_, byte)))) =
+                wanted.next_if(|(_, (_, (slot, _)))| *slot == i)
+            {
+                let value = match layout.packed.filter(|(slot, _)| *slot == i) {
+                    Some((_, kind)) => packed(kind, word).map(|bytes| f64::from(bytes[*byte])),
+                    None => text::number(layout.attributes[attribute].kind, word),
+                };
                 let word = || quoted(&String::from_utf8_lossy(word));
                 values.push(value.ok_or_else(|| NotANumber { vertex, attribute, word: word() })?);
             }
         }
     }
     Ok(())
+}
+
+/// The bytes of a number of 32 bits; none is a colour where it is no number, as opaque ones are that were
+/// written as float.
+fn packed(kind: Type, word: &[u8]) -> Option<[u8; 4]> {
+    match kind {
+        Type::F32 => {
+            text::number(kind, word).map(|value| if value.is_nan() { 0 } else { (value as f32).to_bits() })
+        }
+        _ => text::integer(word).map(|value| value as u32),
+    }
+    .map(u32::to_le_bytes)
 }

@@ -45,6 +45,8 @@ pub(super) struct Layout {
     /// Where each of these stands: its index among the slots, and bytes from the start of the record where
     /// records are of fixed size.
     pub(super) places: Vec<(usize, usize)>,
+    /// The slot of a number, and its type, whose bytes are [colours](Self::unpack_colors) in a text.
+    pub(super) packed: Option<(usize, Type)>,
 }
 
 const POSITION: [&str; 3] = ["x", "y", "z"];
@@ -107,7 +109,35 @@ impl Layout {
                 Shape::List { .. } => None,
             };
         }
-        Ok(Self { encoding, components, has_normals, file_order, slots, stride, other, attributes, places })
+        let packed = None;
+        Ok(Self {
+            encoding,
+            components,
+            has_normals,
+            file_order,
+            slots,
+            stride,
+            other,
+            attributes,
+            places,
+            packed,
+        })
+    }
+
+    /// Makes colours of the bytes of the number `rgb` or `rgba` of a text, as PCD has them: blue, green and
+    /// red from the lowest byte on, and alpha. Each has the number's slot, and its byte for a place.
+    pub(super) fn unpack_colors(&mut self) {
+        let is_packed = |a: &Attribute| a.kind.size() == 4 && matches!(a.name.as_str(), "rgb" | "rgba");
+        let Some(at) = self.attributes.iter().position(is_packed) else { return };
+        let ((slot, _), Attribute { name, kind }) = (self.places[at], self.attributes[at].clone());
+        let colors = &["blue", "green", "red", "alpha"][..name.len()];
+        if self.attributes.iter().any(|known| colors.contains(&known.name.as_str())) {
+            return;
+        }
+        self.packed = Some((slot, kind));
+        let color = |name: &&str| Attribute { name: (*name).to_owned(), kind: Type::U8 };
+        self.attributes.splice(at..=at, colors.iter().map(color));
+        self.places.splice(at..=at, (0..colors.len()).map(|byte| (slot, byte)));
     }
 
     pub(super) fn has_normals(&self) -> bool {

@@ -80,6 +80,14 @@ impl PlyModel {
     ///
     /// # Errors
     /// As of [`new`](Self::new).
+    /// Makes colours of the bytes of a number of a [text](Layout::unpack_colors).
+    pub(super) fn unpack_colors(&mut self) {
+        self.layout.unpack_colors();
+        self.following = Following::recognised(&self.layout.attributes);
+        self.layout.follow(self.following.places());
+        self.info.attributes = self.layout.attributes.clone();
+    }
+
     pub(super) fn from_header(
         source: Source,
         header: Header,

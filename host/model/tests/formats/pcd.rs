@@ -138,6 +138,43 @@ fn colours_are_numbers_of_their_own() {
 }
 
 #[test]
+fn colours_of_text_are_the_bytes_of_a_number() {
+    let colours = |text: &str| {
+        let model = open(text.as_bytes(), ".pcd").unwrap();
+        let names: Vec<String> = model.info().attributes.iter().map(|a| a.name.clone()).collect();
+        let mut chunk = VertexChunk::default();
+        model.vertices(0..2).unwrap().read(&mut chunk).unwrap();
+        let mut colours = vec![Vec::new(); names.len()];
+        model.attributes(&chunk, &mut colours).unwrap();
+        assert!(rewrite(model.as_ref(), |_| {}).unwrap() == text.as_bytes());
+        (names.join(" "), colours)
+    };
+    let file = |name: &str, kind: &str, values: [&str; 2]| {
+        let [a, b] = values;
+        format!(
+            "VERSION 0.7\nFIELDS x y z {name} i\nSIZE 4 4 4 4 4\nTYPE F F F {kind} F\nCOUNT 1 1 1 1 1\nWIDTH 2\n\
+             HEIGHT 1\nPOINTS 2\nDATA ascii\n1 2 3 {a} 0.5\n4 5 6 {b} 0.25\n"
+        )
+    };
+    let bytes = u32::from_le_bytes([30, 20, 10, 0]);
+    let as_float = format!("{:e}", f32::from_bits(bytes));
+    let expected = vec![vec![30.0, 1.0], vec![20.0, 2.0], vec![10.0, 3.0], vec![0.5, 0.25]];
+    let other = u32::from_le_bytes([1, 2, 3, 0]);
+    let float = file("rgb", "F", [&as_float, &format!("{:e}", f32::from_bits(other))]);
+    assert_eq!(colours(&float), ("blue green red i".to_owned(), expected.clone()));
+    let whole = file("rgb", "U", [&bytes.to_string(), &other.to_string()]);
+    assert_eq!(colours(&whole), ("blue green red i".to_owned(), expected));
+    // Opaque, and what is left of that in text where it was written as float.
+    let (names, found) = colours(&file("rgba", "U", ["4278190335", "0"]));
+    assert_eq!(
+        (names.as_str(), found[0][0], found[3].clone()),
+        ("blue green red alpha i", 255.0, vec![255.0, 0.0])
+    );
+    let (_, found) = colours(&file("rgb", "F", ["nan", "0"]));
+    assert_eq!(found[2], [0.0, 0.0]);
+}
+
+#[test]
 fn what_moves_changes_and_normals_can_be_left_out() {
     let text = String::from_utf8(ascii()).unwrap();
     let model = open(&ascii(), ".pcd").unwrap();
