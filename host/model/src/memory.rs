@@ -53,7 +53,8 @@ pub fn zeros<T: Zeroable>(count: usize) -> Vec<T> {
     list
 }
 
-/// The same numbers, for several threads to change as long as the list is borrowed: those of a mapped file, say.
+/// The same numbers, for several threads to change as long as the list is borrowed: those of a mapped file,
+/// say.
 pub fn atomics(list: &mut [u32]) -> &[AtomicU32] {
     #[expect(unsafe_code, reason = "the standard library has no stable way from a slice to atomics")]
     // SAFETY: both types have the same size, alignment and values. The list is borrowed as the only one who

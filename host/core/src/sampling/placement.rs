@@ -363,8 +363,8 @@ impl<'a> Planes<'a> {
     /// Adds the faces across the border of clusters, each once to each sample that one of its corners belongs
     /// to. The triangles of P_S reach from sample to sample, and so a surface fits them best that is known
     /// where clusters meet: faces inside of them add nothing to that, and would take most of the time.
-    /// `samples_of` a face's corners are nothing if there is no such vertex, and the face is passed over. Takes
-    /// jobs of the thread pool.
+    /// `samples_of` a face's corners are nothing if there is no such vertex, and the face is passed over.
+    /// Takes jobs of the thread pool.
     pub fn take(&mut self, faces: &[[u32; 3]], samples_of: impl Fn([u32; 3]) -> Option<[u32; 3]> + Sync) {
         let jobs = faces.len().div_ceil(FACES);
         self.crossing.resize_with(jobs.max(self.crossing.len()), Vec::new);

@@ -143,8 +143,8 @@ impl Islands {
     /// Takes faces, in any order. `clusters_of` a face's corners are nothing if there is no such vertex; such
     /// a face joins nothing, nor does one with a cluster that there is not. Takes jobs of the thread pool.
     ///
-    /// Memory: 24 bytes for each face across the border of clusters, and 12 for each link that a job finds, of
-    /// which such a face has three at most: as much as it was for the faces that were most.
+    /// Memory: 24 bytes for each face across the border of clusters, and 12 for each link that a job finds,
+    /// of which such a face has three at most: as much as it was for the faces that were most.
     pub fn take(&mut self, faces: &[[u32; 3]], clusters_of: impl Fn([u32; 3]) -> Option<[u32; 3]> + Sync) {
         if self.tangled {
             return;
