@@ -5,11 +5,11 @@ import sys
 
 suite, log = sys.argv[1:]
 with open(log) as lines:
-    last = [line for line in lines if re.search(r"\d+ (passed|failed|error)", line)][-1]
+    last = [line for line in lines if re.search(r"\d+ (passed|failed|error|skipped)", line)][-1:]
 
 
 def count(what: str) -> int:
-    return sum(int(number) for number in re.findall(rf"(\d+) (?:{what})", last))
+    return sum(int(number) for number in re.findall(rf"(\d+) (?:{what})", "".join(last)))
 
 
 passed, failed, skipped = count("passed"), count("failed|error"), count("skipped")

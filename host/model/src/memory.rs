@@ -1,5 +1,5 @@
 //! Memory of this process: the peak of what it really holds, without the pages of files in the cache; what
-//! it gives back; and in what pages it is.
+//! it gives back; in what pages it is; and how several threads change the numbers of one list.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};

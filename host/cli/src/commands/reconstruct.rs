@@ -344,7 +344,11 @@ pub fn tell_following(model: &dyn Model, report: &mut Report) {
 
 /// How far vertices are expected to be off, for `--json`.
 pub fn expected_figure(expected: &ExpectedError, diagonal: f64) -> Value {
-    with_lengths(json!(expected), &["rms", "p999", "worst"], diagonal)
+    let mut figures = json!(expected);
+    if let Some(beyond) = figures.get_mut("beyond").filter(|beyond| beyond.is_object()) {
+        *beyond = with_lengths(beyond.take(), &["worst"], diagonal);
+    }
+    with_lengths(figures, &["rms", "p999", "worst"], diagonal)
 }
 
 /// Reports how far vertices are expected to be off.

@@ -5,9 +5,10 @@
 //! third order, for nothing; so the distance between what they say is of the size of what both leave out
 //! there. Where the deformation has details that the samples do not tell, as at a step, they differ by those.
 //!
-//! At a sample itself it is known where it went. How far what the others make of its place is from that is a
-//! true error of a blend, in which what samples leave out cancels as it does at vertices (M. Stone,
-//! *Cross-validatory choice and assessment of statistical predictions*, 1974).
+//! At a sample itself it is known where it went. How far what the others make of its place is from that is
+//! the error of a blend, in which what samples leave out cancels as it does at vertices (M. Stone,
+//! *Cross-validatory choice and assessment of statistical predictions*, 1974); somewhat less than its true
+//! one, as the expansions of the others were fitted to it, too.
 //!
 //! At a vertex all supports that reach it have a say, and how far these are from what is made of them tells
 //! about that very place. So does how far the blend is from another one with wider supports, which leaves out
@@ -63,6 +64,9 @@ const OF_WIDER: f32 = 0.5;
 /// they disagree by halfway, where a vertex lies among them.
 const OF_LEFT_OUT: f32 = 0.7;
 const OF_LARGEST: f32 = 0.05;
+
+/// The part of what a sample disagrees by with its ring that it is off by where no other one reaches it.
+const BY_HALFWAY: f32 = 0.36;
 
 /// A vertex lies beyond the samples that reach it from this square of its distance from their middle on, each
 /// direction measured by how far they are spread in it: what they leave out counts as many times more as the
@@ -201,7 +205,8 @@ impl DeformationField<'_> {
         self
     }
 
-    /// The square of how far a sample is from where the blend of its neighbours alone would have it.
+    /// The square of how far a sample is from where the blend of its neighbours alone would have it; where
+    /// none of them reaches it, what it disagrees by with them stands for that.
     fn without(&self, i: usize) -> f32 {
         let place = Vec3::from_array(self.expansions[i].center);
         let went = self.expansions[i].displacement();
@@ -214,7 +219,10 @@ impl DeformationField<'_> {
                 sum += s * s * s;
             }
         }
-        if sum < LEAST_WEIGHT { 0.0 } else { (off / sum).length_squared() }
+        if sum < LEAST_WEIGHT {
+            return (BY_HALFWAY * self.expected[i].disagreement).powi(2);
+        }
+        (off / sum).length_squared()
     }
 
     /// The neighbours that a sample's word is compared with.

@@ -132,7 +132,7 @@ impl FaceRanges {
 
 /// The cells met in faces that follow each other, each once in a block.
 ///
-/// Memory: 4 bytes for each cell of a block, and 16 for each mark.
+/// Memory: 4 bytes for each cell of each block, and 16 for each mark.
 #[derive(Debug, Default)]
 pub struct MetCells {
     cells: Vec<u32>,

@@ -72,7 +72,8 @@ pub struct Wanted<'a, 'p> {
 /// there are too many.
 ///
 /// Memory: 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles per sample, twice while the list
-/// grows; a surface has about two, found once or twice each.
+/// grows; a surface has about two, found once or twice each. Of the triangles that are taken at once at most
+/// 12 bytes each, 12 more where ranges are noted, and a byte for the marks.
 pub struct Reindexing<'a, 'p> {
     sample_of: &'a [u32],
     samples: usize,
@@ -292,4 +293,72 @@ pub fn first_least([a, b, c]: [u32; 3]) -> [u32; 3] {
 pub fn once_each(triangles: &mut Vec<[u32; 3]>) {
     triangles.sort_unstable();
     triangles.dedup();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::kept_cells::CutTree;
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Where marks are: mostly near where one piece ends and the next begins.
+    fn places(faces: usize) -> impl Strategy<Value = Vec<usize>> {
+        let near = (0..=faces / FACES, 0..4usize).prop_map(|(piece, beyond)| piece * FACES + beyond);
+        prop::collection::vec(prop_oneof![near, 0..=faces], 0..60).prop_map(move |mut places| {
+            places.iter_mut().for_each(|place| *place = (*place).min(faces));
+            places.sort_unstable();
+            places
+        })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        #[test]
+        fn faces_that_are_taken_at_once_tell_what_they_tell_one_by_one(
+            (faces, places) in (0..3 * FACES + 9).prop_flat_map(|faces| (Just(faces), places(faces))),
+            seed in 0..1000u32,
+        ) {
+            let random = |i: usize| (i as u32).wrapping_add(seed).wrapping_mul(2_654_435_761) >> 9;
+            let (samples, cells, vertices) = (40, 5, 900u32);
+            // Some vertices have no sample.
+            let sample_of: Vec<u32> =
+                (0..vertices).map(|v| if v % 97 == 0 { u32::MAX } else { v * samples / vertices }).collect();
+            let of_cell = |cell: u32| (0..samples).filter(|sample| sample * cells / samples == cell).collect();
+            let tree = |cell| CutTree { samples: of_cell(cell), ..CutTree::default() };
+            let trees: Vec<CutTree> = (0..cells).map(tree).collect();
+            // Near each other; some of no vertex.
+            let corner = |i: usize, k: u32| (i as u32 * vertices / faces.max(1) as u32 + random(i) % 30 + k * 7)
+                .min(vertices);
+            let triangles: Vec<[u32; 3]> =
+                (0..faces).map(|i| [corner(i, 0), corner(i, 1), corner(i, 2)]).collect();
+            let mark = |(number, triangle): (usize, &usize)| {
+                FaceMark { triangle: *triangle, offset: 100 + 10 * number as u64 }
+            };
+            let marks: Vec<FaceMark> = places.iter().enumerate().map(mark).collect();
+            let found = |one_by_one: bool| {
+                let mut ranges = FaceRanges::listed(&trees, samples as usize);
+                let wanted = Wanted { triangles: true, ranges: Some(&mut ranges), ..Wanted::default() };
+                let mut reindexing = Reindexing::new(&sample_of, samples as usize, wanted);
+                if one_by_one {
+                    for (at, triangle) in triangles.iter().enumerate() {
+                        let here = marks.iter().filter(|mark| mark.triangle == at);
+                        let here: Vec<FaceMark> =
+                            here.map(|mark| FaceMark { triangle: 0, offset: mark.offset }).collect();
+                        reindexing.take(&[*triangle], &here, &[]);
+                    }
+                    let behind = marks.iter().filter(|mark| mark.triangle >= faces);
+                    reindexing.take(&[], &behind.copied().collect::<Vec<_>>(), &[]);
+                } else {
+                    reindexing.take(&triangles, &marks, &[]);
+                }
+                let found = reindexing.finish();
+                let mut taken = ranges.take_listed(true);
+                taken.sort_by_key(|(cell, range)| (*cell, range.start));
+                (found, taken)
+            };
+            let (at_once, one_by_one) = (found(false), found(true));
+            prop_assert_eq!(at_once, one_by_one);
+        }
+    }
 }

@@ -143,8 +143,8 @@ impl Islands {
     /// Takes faces, in any order. `clusters_of` a face's corners are nothing if there is no such vertex; such
     /// a face joins nothing, nor does one with a cluster that there is not. Takes jobs of the thread pool.
     ///
-    /// Memory: 24 bytes for each face across the border of clusters, and 12 for each link that a job finds,
-    /// of which such a face has three at most: as much as it was for the faces that were most.
+    /// Memory: for each job 8 KiB, 24 bytes for each face across the border of clusters, and 12 for each link
+    /// that is found, of which such a face has three at most: as much as it was for the faces that were most.
     pub fn take(&mut self, faces: &[[u32; 3]], clusters_of: impl Fn([u32; 3]) -> Option<[u32; 3]> + Sync) {
         if self.tangled {
             return;
@@ -357,8 +357,10 @@ impl Job {
 }
 
 /// The islands that vertices are of, as sets that are united: each known by its first vertex, to which the
-/// steps back of its vertices lead. Any number of threads may unite them at once: a step only ever becomes a
-/// longer one to a vertex of the same set, so what others have not seen yet costs them another step.
+/// steps back of its vertices lead. Any number of threads may unite them at once: a step always leads to an
+/// earlier vertex of the same set, and where there is one, there will be one. So what a thread has not seen
+/// yet costs it further steps; and a first vertex gets its step once, so that in the end the least one is
+/// left, whatever the threads do.
 #[derive(Clone, Copy)]
 struct Vertices<'a> {
     /// For each vertex, how far before it another one of its island is; 0 for the first of an island.
@@ -709,7 +711,8 @@ mod tests {
         // In no order, each of even vertices alone, or of odd ones: two islands of a cluster.
         let face = |i: u32| [0, 1, 2].map(|k| random(i) % (vertices - 12) + random(3 * i + k) % 6 * 2);
         let faces: Vec<[u32; 3]> = (0..9 * FACES as u32 + 5).map(face).collect();
-        let at_once = graph(&sample_of, samples, &faces);
+        let threads = rayon::ThreadPoolBuilder::new().num_threads(4).build().expect("threads");
+        let at_once = threads.install(|| graph(&sample_of, samples, &faces));
         let mut islands = Islands::new(no_twins(sample_of.len()), &sample_of, samples, &std::env::temp_dir());
         for face in faces.iter().rev() {
             islands.take(&[*face], |face| Some(face.map(|v| sample_of[v as usize])));

@@ -133,12 +133,13 @@ impl Converted {
             converted.info.position_type = Scalar::F32;
         }
         if !losses.is_empty() && !how.lossy {
+            let own = converted.own_extension();
+            let all = format!("in its own format, .{own}, a deformed model keeps all of it");
+            let without = "give --lossy to write it without";
+            let hint = if own == extension { without.to_owned() } else { format!("{without}; {all}") };
             return Err(Error::argument(
                 format!("{} would lose: {}", target.display(), losses.join("; ")),
-                format!(
-                    "give --lossy to write it without; in its own format, .{}, a deformed model keeps all of it",
-                    converted.own_extension()
-                ),
+                hint,
             ));
         }
         converted.losses = losses;

@@ -90,9 +90,7 @@ impl GltfModel {
     pub(super) fn new(source: Source, making: &Making<'_>) -> Result<Self> {
         let (container, json) = Container::open(source, making.cache)?;
         let is_gathered = container.is_made();
-        let before = container.len();
-        let (container, json) = made_plain(container, json, making)?;
-        let had_sparse = container.len() != before;
+        let (container, json, had_sparse) = made_plain(container, json, making)?;
         let document: Document<'_> = container.parse(&json)?;
         check_version(&container, &document)?;
         let layout = Places { container: &container, document: &document }.layout()?;

@@ -62,7 +62,9 @@ pub(super) struct Accessor<'a> {
     pub(super) min: Option<&'a RawValue>,
     #[serde(borrow)]
     pub(super) max: Option<&'a RawValue>,
-    pub(super) sparse: Option<Sparse>,
+    /// As text: nobody asks for that of other accessors than those that are patched.
+    #[serde(borrow)]
+    pub(super) sparse: Option<&'a RawValue>,
 }
 
 /// Elements of an accessor that stand elsewhere.

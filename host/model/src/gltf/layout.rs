@@ -322,7 +322,7 @@ impl Places<'_> {
     /// Where the indices of a primitive are.
     fn indices(&self, index: usize) -> Result<Place> {
         let accessor = self.accessor(index)?;
-        let place = self.place(index)?.filter(|_| accessor.sparse.is_none());
+        let place = self.place(index)?;
         let is_index = accessor.shape == "SCALAR" && [5121, 5123, 5125].contains(&accessor.component_type);
         match place {
             _ if !is_index => Err(self.malformed(format_args!(
@@ -334,7 +334,7 @@ impl Places<'_> {
             None => Err(self
                 .container
                 .source
-                .malformed(format_args!("accessor {index} (indices) is sparse or has no data"), PLAIN)),
+                .malformed(format_args!("accessor {index} (indices) has no data"), PLAIN)),
         }
     }
 

@@ -189,9 +189,6 @@ impl Places<'_> {
         if accessor.shape != shape {
             return refused(&format!("is of type {}, not {shape}", accessor.shape.escape_debug()), DAMAGED);
         }
-        if accessor.sparse.is_some() {
-            return refused("is sparse", PLAIN);
-        }
         match self.place(index)? {
             Some(place) => Ok(place),
             None => refused("has no data", PLAIN),

@@ -30,17 +30,17 @@ struct Changed<'a> {
     accessors: Vec<&'a RawValue>,
 }
 
-/// The file with no such accessor, and its JSON: the same where it has none.
+/// The file with no such accessor, its JSON, and whether it had any: otherwise it is the same.
 pub(super) fn made_plain(
     container: Container,
     json: Vec<u8>,
     making: &Making<'_>,
-) -> Result<(Container, Vec<u8>)> {
+) -> Result<(Container, Vec<u8>, bool)> {
     let document: Document<'_> = container.parse(&json)?;
     let places = Places { container: &container, document: &document };
     let sparse = places.sparse();
     if sparse.is_empty() {
-        return Ok((container, json));
+        return Ok((container, json, false));
     }
     places.check_uncompressed()?;
     let mut bytes = 0u64;
@@ -70,9 +70,14 @@ pub(super) fn made_plain(
     } else {
         making.cache.get(&container.source, &need, making.progress, fill)?
     };
+    if plain.len() != bytes {
+        let what = format!("the cache holds {} bytes of its sparse accessors, not {bytes}", plain.len());
+        return Err(container.source.malformed(what, "remove the cache, which is made anew"));
+    }
     let before = container.bin.end - container.bin.start;
     let text = with_views(&container, &json, &starts, (before.next_multiple_of(4), &plain))?;
-    container.with_more(text, plain)
+    let (container, json) = container.with_more(text, plain)?;
+    Ok((container, json, true))
 }
 
 /// The JSON where these accessors have views of their own, each from some place on of further data.
@@ -136,9 +141,12 @@ impl Places<'_> {
 
     /// Writes all elements of a sparse accessor.
     fn write_plain(&self, index: usize, to: &Scratch, start: u64) -> Result<()> {
-        let (Some(place), Some(sparse)) = (self.place(index)?, &self.accessor(index)?.sparse) else {
+        let (Some(place), Some(sparse)) = (self.place(index)?, self.accessor(index)?.sparse) else {
             return Ok(());
         };
+        let sparse: Sparse = serde_json::from_str(sparse.get()).map_err(|e| {
+            self.malformed(format_args!("what is sparse of accessor {index} makes no sense: {e}"))
+        })?;
         let (mut raw, mut plain) = (Vec::new(), Vec::new());
         let step = CHUNK_VERTICES as u64;
         for first in (0..place.count).step_by(CHUNK_VERTICES) {
@@ -147,7 +155,7 @@ impl Places<'_> {
             raw.chunks(place.stride as usize).for_each(|row| plain.extend(&row[..place.size as usize]));
             to.write_at(&plain, start + first * place.size)?;
         }
-        self.write_others(index, sparse, (place.count, place.size), to, start)
+        self.write_others(index, &sparse, (place.count, place.size), to, start)
     }
 
     /// Writes the elements that a sparse accessor has instead of some of `count` ones of `size` bytes.

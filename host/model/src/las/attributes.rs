@@ -326,7 +326,7 @@ impl Places {
 
     /// Names of the attributes that have whole numbers of 64 bits, of which doubles do not hold all digits.
     pub fn of_64_bits(&self) -> impl Iterator<Item = &str> {
-        let are_wide = self.places.iter().map(|place| matches!(place.how, How::U64 | How::I64));
+        let are_wide = self.places.iter().map(Place::is_wide);
         self.attributes.iter().zip(are_wide).filter(|(_, is_wide)| *is_wide).map(|(of, _)| of.name.as_str())
     }
 
@@ -347,6 +347,11 @@ impl Places {
 }
 
 impl Place {
+    /// Whether it is a whole number of 64 bits, scaled or not.
+    fn is_wide(&self) -> bool {
+        matches!(self.how, How::U64 | How::I64 | How::Scaled { number: Whole::U64 | Whole::I64, .. })
+    }
+
     #[inline]
     fn number(self, record: &[u8]) -> f64 {
         let bytes = &record[self.at..];

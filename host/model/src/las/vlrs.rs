@@ -143,7 +143,7 @@ impl Records {
                 _ => format!("EPSG:{code}"),
             };
             let is_told = matches!(key, 3076 | 4099) && place == 0 && !matches!(code, 0 | 32767);
-            if is_told && !units.contains(&unit) {
+            if is_told && units.len() < MOST_UNITS && !units.contains(&unit) {
                 units.push(unit);
             }
         }
@@ -184,6 +184,9 @@ impl Records {
     }
 }
 
+/// Units that are told: there is one of the plane, and one of heights.
+const MOST_UNITS: usize = 4;
+
 /// Names of the units of lengths in a system in WKT, none twice.
 fn units_of_wkt(wkt: &str) -> Vec<String> {
     // In WKT 2, ellipsoids and parameters have units of their own, before those of the axes.
@@ -194,6 +197,9 @@ fn units_of_wkt(wkt: &str) -> Vec<String> {
     let is_angle = |name: &str| ["deg", "grad", "gon", "rad"].iter().any(|angle| name.contains(angle));
     let mut units: Vec<String> = Vec::new();
     for (at, _) in wkt.match_indices(keyword) {
+        if units.len() == MOST_UNITS {
+            break;
+        }
         let name = wkt[at + keyword.len()..].split('"').next().unwrap_or_default().trim();
         let name: String = name.chars().filter(|c| !c.is_control()).take(100).collect();
         let is_other = wkt[..at].ends_with(|before: char| before.is_alphabetic());

@@ -2,8 +2,10 @@
 
 use std::ops::Range;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 use glam::{DVec3, Mat3, Vec3};
+use rayon::prelude::*;
 
 use super::blocks::{BlockPiece, BlockPieces, BlockReader, Blocks, changed};
 use super::digits::{Digits, Survey};
@@ -318,22 +320,32 @@ impl<G: Grammar> TextModel<G> {
     }
 
     /// What attributes lose that have whole numbers which doubles do not hold. All vertices are looked at.
+    ///
+    /// Memory: a block for each thread.
     fn beyond_doubles(&self) -> Result<Vec<String>> {
-        let mut are_beyond = vec![false; self.info.attributes.len()];
-        let mut raw = Vec::new();
-        for (_, bytes) in self.blocks.spread(usize::MAX) {
-            raw.clear();
-            self.source.append_at(&mut raw, bytes.start, (bytes.end - bytes.start) as usize)?;
-            if !has_many_digits(&raw) {
-                continue;
+        let are_beyond: Vec<AtomicBool> =
+            self.info.attributes.iter().map(|_| AtomicBool::new(false)).collect();
+        let are_all = || are_beyond.iter().all(|is_beyond| is_beyond.load(Relaxed));
+        self.blocks.spread(usize::MAX).par_bridge().try_for_each_init(Vec::new, |raw, (_, bytes)| {
+            if are_all() {
+                return Ok(());
             }
-            let of_vertices = lines(&raw, G::CONTINUES).map(|(start, end)| &raw[start..end]);
+            raw.clear();
+            self.source.append_at(raw, bytes.start, (bytes.end - bytes.start) as usize)?;
+            if !has_many_digits(raw) {
+                return Ok(());
+            }
+            let of_vertices = lines(raw, G::CONTINUES).map(|(start, end)| &raw[start..end]);
             for line in of_vertices.filter(|line| has_many_digits(line) && self.grammar.is_vertex(line)) {
-                for (attribute, is_beyond) in are_beyond.iter_mut().enumerate() {
-                    *is_beyond |= self.grammar.attribute(line, attribute).is_some_and(is_beyond_doubles);
+                for (attribute, is_beyond) in are_beyond.iter().enumerate() {
+                    if self.grammar.attribute(line, attribute).is_some_and(is_beyond_doubles) {
+                        is_beyond.store(true, Relaxed);
+                    }
                 }
             }
-        }
+            Ok(())
+        })?;
+        let are_beyond = are_beyond.into_iter().map(AtomicBool::into_inner);
         let beyond = self.info.attributes.iter().zip(are_beyond).filter(|(_, is_beyond)| *is_beyond);
         Ok(beyond
             .map(|(of, _)| format!("digits of {}, which has whole numbers beyond 2^53", quoted(&of.name)))

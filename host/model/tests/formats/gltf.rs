@@ -770,7 +770,10 @@ fn what_cannot_be_deformed_is_refused() {
             simple("{\"componentType\":5126,\"count\":6,\"type\":\"VEC3\"}", "", ""),
             "accessor 0 (POSITION) has no data",
         ),
-        (simple(&accessor(",\"sparse\":{\"count\":1}"), "", ""), "its JSON makes no sense"),
+        (
+            simple(&accessor(",\"sparse\":{\"count\":1}"), "", ""),
+            "what is sparse of accessor 0 makes no sense: missing field `indices`",
+        ),
         (
             simple(
                 &accessor(&sparse_of(1, "5125", 0, 0)).replace("\"bufferView\":0,\"count\":6", "\"count\":6"),
