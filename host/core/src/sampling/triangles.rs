@@ -114,7 +114,7 @@ impl<'a, 'p> Reindexing<'a, 'p> {
         });
     }
 
-    fn add_piece(&mut self, piece: Piece) {
+    fn add_piece(&mut self, piece: FoundInFaces) {
         self.found.without_vertex += piece.without_vertex;
         self.found.triangles.extend_from_slice(&piece.triangles);
         if let Some(ranges) = &mut self.wanted.ranges {
@@ -187,7 +187,7 @@ struct Look<'a> {
 
 impl Look<'_> {
     /// Looks at triangles, piece by piece, and the marks among them.
-    fn pieces(&self, triangles: &[[u32; 3]], marks: &[FaceMark]) -> Vec<Piece> {
+    fn pieces(&self, triangles: &[[u32; 3]], marks: &[FaceMark]) -> Vec<FoundInFaces> {
         let before = |end: usize| marks.partition_point(|mark| mark.triangle < end);
         let piece = |(at, some): (usize, &[[u32; 3]])| {
             let (first, end) = (at * FACES, at * FACES + some.len());
@@ -195,7 +195,7 @@ impl Look<'_> {
             let last = if end == triangles.len() { marks.len() } else { before(end) };
             self.piece(first, some, &marks[before(first)..last])
         };
-        let mut pieces: Vec<Piece> = triangles.par_chunks(FACES).enumerate().map(piece).collect();
+        let mut pieces: Vec<FoundInFaces> = triangles.par_chunks(FACES).enumerate().map(piece).collect();
         if triangles.is_empty() {
             pieces.push(self.piece(0, &[], marks));
         }
@@ -203,8 +203,8 @@ impl Look<'_> {
     }
 
     /// What is found in some triangles, of which the first one has a number that marks tell.
-    fn piece(&self, first: usize, triangles: &[[u32; 3]], marks: &[FaceMark]) -> Piece {
-        let mut piece = Piece::default();
+    fn piece(&self, first: usize, triangles: &[[u32; 3]], marks: &[FaceMark]) -> FoundInFaces {
+        let mut piece = FoundInFaces::default();
         let mut marks = marks.iter().peekable();
         for (at, corners) in (first..).zip(triangles) {
             while let Some(mark) = marks.next_if(|mark| mark.triangle <= at) {
@@ -246,7 +246,7 @@ impl Look<'_> {
 
 /// What is found in some faces.
 #[derive(Default)]
-struct Piece {
+struct FoundInFaces {
     triangles: Vec<[u32; 3]>,
     without_vertex: u64,
     met: MetCells,

@@ -54,7 +54,7 @@ pub struct Islands {
     /// Links that found no room, and why they could not be written, if so.
     spilled: Spilled,
     /// What each of the jobs finds in the faces that are taken at once.
-    jobs: Vec<Job>,
+    jobs: Vec<FacesJob>,
 }
 
 /// Links in a temporary file.
@@ -154,13 +154,13 @@ impl Islands {
             clusters_of(corners).filter(|clusters| clusters.iter().all(|cluster| *cluster < known))
         };
         let mut jobs = std::mem::take(&mut self.jobs);
-        jobs.resize_with(faces.len().div_ceil(FACES).max(jobs.len()), Job::default);
-        let vertices = Vertices::of(&mut self.back);
+        jobs.resize_with(faces.len().div_ceil(FACES).max(jobs.len()), FacesJob::default);
+        let sets = DisjointSets::of(&mut self.back);
         let used = &mut jobs[..faces.len().div_ceil(FACES)];
-        let unite = |(job, faces): (&mut Job, &[[u32; 3]])| job.unite(vertices, faces, clusters_of);
+        let unite = |(job, faces): (&mut FacesJob, &[[u32; 3]])| job.unite(sets, faces, clusters_of);
         used.par_iter_mut().zip(faces.par_chunks(FACES)).for_each(unite);
         // Links are of fewer vertices once all islands of these faces are what they will be.
-        used.par_iter_mut().for_each(|job| job.link(vertices));
+        used.par_iter_mut().for_each(|job| job.link(sets));
         used.iter().flat_map(|job| &job.links).for_each(|link| self.link(*link));
         self.jobs = jobs;
     }
@@ -186,10 +186,10 @@ impl Islands {
         if self.tangled || a >= known || b >= known {
             return;
         }
-        let vertices = Vertices::of(&mut self.back);
-        let (u, v) = (vertices.first(u), vertices.first(v));
+        let sets = DisjointSets::of(&mut self.back);
+        let (u, v) = (sets.first(u), sets.first(v));
         if a == b {
-            vertices.unite(u, v);
+            sets.unite(u, v);
         } else {
             self.link(link((u, a), (v, b)));
         }
@@ -198,7 +198,7 @@ impl Islands {
     /// The first vertex of a vertex' island.
     #[inline]
     pub fn first(&mut self, vertex: u32) -> u32 {
-        Vertices::of(&mut self.back).first(vertex)
+        DisjointSets::of(&mut self.back).first(vertex)
     }
 
     /// The same, on any thread.
@@ -234,8 +234,8 @@ impl Islands {
 
     /// Two vertices are of one island of a cluster, as is known of other faces.
     pub fn unite_both(&mut self, u: u32, v: u32) {
-        let vertices = Vertices::of(&mut self.back);
-        vertices.unite(vertices.first(u), vertices.first(v));
+        let sets = DisjointSets::of(&mut self.back);
+        sets.unite(sets.first(u), sets.first(v));
     }
 
     /// Two vertices of different clusters are joined, as is known of other faces.
@@ -303,7 +303,7 @@ fn link((u, a): (u32, u32), (v, b): (u32, u32)) -> Link {
 }
 
 /// What a job finds in some faces.
-struct Job {
+struct FacesJob {
     /// The faces with corners in several clusters, and these.
     crossing: Vec<([u32; 3], [u32; 3])>,
     /// Links, mostly each once.
@@ -312,24 +312,24 @@ struct Job {
     remembered: [[u32; 2]; REMEMBERED],
 }
 
-impl Default for Job {
+impl Default for FacesJob {
     fn default() -> Self {
         Self { crossing: Vec::new(), links: Vec::new(), remembered: [[0; 2]; REMEMBERED] }
     }
 }
 
-impl Job {
+impl FacesJob {
     /// Makes one island of those corners of each face that are of one cluster.
     fn unite(
         &mut self,
-        vertices: Vertices<'_>,
+        sets: DisjointSets<'_>,
         faces: &[[u32; 3]],
         clusters_of: impl Fn([u32; 3]) -> Option<[u32; 3]>,
     ) {
         self.crossing.clear();
         for corners in faces {
             if let Some(clusters) = clusters_of(*corners)
-                && vertices.unite_corners(*corners, clusters)
+                && sets.unite_corners(*corners, clusters)
             {
                 self.crossing.push((*corners, clusters));
             }
@@ -337,11 +337,11 @@ impl Job {
     }
 
     /// Finds the links between those that are of several.
-    fn link(&mut self, vertices: Vertices<'_>) {
+    fn link(&mut self, sets: DisjointSets<'_>) {
         self.links.clear();
         self.remembered.fill([0; 2]);
         for (corners, [a, b, c]) in &self.crossing {
-            let [u, v, w] = corners.map(|vertex| vertices.first(vertex));
+            let [u, v, w] = corners.map(|vertex| sets.first(vertex));
             for ((u, a), (v, b)) in [((u, *a), (v, *b)), ((v, *b), (w, *c)), ((w, *c), (u, *a))] {
                 if a == b {
                     continue;
@@ -356,18 +356,18 @@ impl Job {
     }
 }
 
-/// The islands that vertices are of, as sets that are united: each known by its first vertex, to which the
-/// steps back of its vertices lead. Any number of threads may unite them at once: a step always leads to an
-/// earlier vertex of the same set, and where there is one, there will be one. So what a thread has not seen
-/// yet costs it further steps; and a first vertex gets its step once, so that in the end the least one is
-/// left, whatever the threads do.
+/// Islands as disjoint sets of vertices (R. E. Tarjan, *Efficiency of a good but not linear set union
+/// algorithm*, 1975), each known by its first vertex, to which the steps back of its vertices lead. Any
+/// number of threads may unite them at once: a step always leads to an earlier vertex of the same set, and
+/// where there is one, there will be one. So what a thread has not seen yet costs it further steps; and a
+/// first vertex gets its step once, so that in the end the least one is left, whatever the threads do.
 #[derive(Clone, Copy)]
-struct Vertices<'a> {
+struct DisjointSets<'a> {
     /// For each vertex, how far before it another one of its island is; 0 for the first of an island.
     back: &'a [AtomicU32],
 }
 
-impl<'a> Vertices<'a> {
+impl<'a> DisjointSets<'a> {
     fn of(back: &'a mut MmapMut) -> Self {
         Self { back: memory::atomics(cast_slice_mut(&mut back[..])) }
     }
