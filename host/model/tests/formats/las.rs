@@ -14,10 +14,11 @@ use proptest::prelude::*;
 use simod_model::follow::{Follow, Kind};
 use simod_model::progress::Silent;
 use simod_model::{
-    CHUNK_VERTICES, Colors, Edited, Error, ErrorKind, FaceChunk, Model, Output, Result, Rewriting, Summary,
-    VertexChunk,
+    CHUNK_VERTICES, Colors, Edited, Error, ErrorKind, FaceChunk, Model, Result, Rewriting, VertexChunk,
 };
 use tempfile::NamedTempFile;
+
+use super::Written;
 
 const RECORD_BYTES: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 
@@ -308,30 +309,10 @@ fn open(path: &Path) -> Result<Box<dyn Model>> {
     simod_model::open(path)
 }
 
-/// What was written, with what was replaced.
-#[derive(Default)]
-struct Memory(Vec<u8>);
-
-impl Output for Memory {
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
-        self.0.extend_from_slice(bytes);
-        Ok(())
-    }
-
-    fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
-        self.0[at as usize..at as usize + bytes.len()].copy_from_slice(bytes);
-        Ok(())
-    }
-
-    fn finish(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
 fn rewritten(bytes: &[u8], map: impl Fn(DVec3) -> DVec3 + Sync) -> Result<Vec<u8>> {
     let file = file(bytes);
     let model = open(file.path())?;
-    let mut out = Memory::default();
+    let mut out = Written::default();
     let edit = |_: &VertexChunk, versions: &mut [Edited]| {
         versions.iter_mut().for_each(|v| v.positions.iter_mut().for_each(|p| *p = map(*p)));
         Ok(())
@@ -1005,7 +986,7 @@ fn extra_bytes_turn_and_say_how_far_they_reach() {
             }
             Ok(())
         };
-        let mut out = Memory::default();
+        let mut out = Written::default();
         model.rewrite(&mut [&mut out], Rewriting::default(), &edit, &Silent).unwrap();
         let after = parse(&out.0);
         let [x, y, z] = [0, 1, 2].map(|i| shorts(&before.records, &spec, i));
@@ -1042,7 +1023,7 @@ fn another_offset_leaves_positions_where_they_are() {
         assert_eq!(model.make_room(&[[moves[0][0]; 2]], 0.0).unwrap(), None);
         let changed = model.make_room(&moves, 5.0).unwrap().unwrap();
         assert!(changed.contains("the offset of the positions becomes (3"), "{changed}");
-        let mut out = Memory::default();
+        let mut out = Written::default();
         let edit = |_: &VertexChunk, versions: &mut [Edited]| {
             versions.iter_mut().for_each(|v| v.positions.iter_mut().for_each(|p| p.x += 3e7));
             Ok(())
