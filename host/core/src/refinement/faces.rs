@@ -16,7 +16,7 @@ use super::regrowing::Regrown;
 use crate::sampling::kept_cells::{KeptCell, KeptCells};
 use crate::sampling::placement::Planes;
 use crate::sampling::ranges::joined;
-use crate::sampling::triangles::{first_least, once_each};
+use crate::sampling::triangles::{all_three, first_least, once_each};
 
 const ADVICE: &str = "sample the model with --skip triangles, which need it";
 
@@ -154,8 +154,7 @@ impl SampleOf<'_> {
             }
             if let Some(planes) = &mut planes {
                 planes.take(&chunk.triangles, |corners| {
-                    let [a, b, c] = corners.map(|vertex| self.get(vertex).map(|(sample, _)| sample));
-                    Some([a?, b?, c?])
+                    all_three(corners.map(|vertex| self.get(vertex).map(|(sample, _)| sample)))
                 });
             }
             if found.len() > limit {

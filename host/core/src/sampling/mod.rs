@@ -678,8 +678,7 @@ impl Reindexed {
         let take = |chunk: &FaceChunk| {
             parting.progress.check()?;
             planes.take(&chunk.triangles, |corners| {
-                let [a, b, c] = corners.map(|vertex| sample_of.get(vertex as usize).copied());
-                Some([a?, b?, c?])
+                triangles::all_three(corners.map(|vertex| sample_of.get(vertex as usize).copied()))
             });
             Ok(())
         };

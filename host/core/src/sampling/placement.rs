@@ -222,7 +222,7 @@ impl Squares {
 pub const FACES_OF_A_SUM: u64 = 1 << 16;
 
 /// Faces that one job looks at.
-const FACES: usize = 1 << 12;
+pub const FACES_OF_A_JOB: usize = 1 << 12;
 
 /// The planes of the faces around each sample's cluster, summed up.
 ///
@@ -366,18 +366,18 @@ impl<'a> Planes<'a> {
     /// `samples_of` a face's corners are nothing if there is no such vertex, and the face is passed over.
     /// Takes jobs of the thread pool.
     pub fn take(&mut self, faces: &[[u32; 3]], samples_of: impl Fn([u32; 3]) -> Option<[u32; 3]> + Sync) {
-        let jobs = faces.len().div_ceil(FACES);
+        let jobs = faces.len().div_ceil(FACES_OF_A_JOB);
         self.crossing.resize_with(jobs.max(self.crossing.len()), Vec::new);
         let find = |(piece, (found, faces)): (usize, (&mut Vec<CrossingFace>, &[[u32; 3]]))| {
             found.clear();
-            for (number, corners) in (piece * FACES..).zip(faces) {
+            for (number, corners) in (piece * FACES_OF_A_JOB..).zip(faces) {
                 if let Some(of) = samples_of(*corners).filter(|[a, b, c]| a != b || b != c) {
                     found.push(CrossingFace { number: number as u32, corners: *corners, of });
                 }
             }
         };
         let crossing = &mut self.crossing[..jobs];
-        crossing.par_iter_mut().zip(faces.par_chunks(FACES)).enumerate().for_each(find);
+        crossing.par_iter_mut().zip(faces.par_chunks(FACES_OF_A_JOB)).enumerate().for_each(find);
         let Self { vertices, samples, first, ref mut shards, samples_of_a_shard, faces: before, .. } = *self;
         let crossing = &self.crossing[..jobs];
         let end = before + faces.len() as u64;

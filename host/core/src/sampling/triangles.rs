@@ -5,15 +5,12 @@ use rayon::prelude::*;
 use simod_model::{FaceMark, Model, Progress, Result, for_faces};
 
 use super::face_ranges::{FaceRanges, MetCells};
-use super::placement::Planes;
+use super::placement::{FACES_OF_A_JOB, Planes};
 use crate::touching::Islands;
 
 /// Most triangles for each sample. A closed surface has two, and any that is worth the name not many more;
 /// beyond it the faces are a tangle that tells nothing of P_S, as large as P_L's own.
 const MOST_PER_SAMPLE: usize = 16;
-
-/// Faces that one job looks at.
-const FACES: usize = 1 << 12;
 
 /// Triangles of P_S, as found in a model's faces.
 #[derive(Debug, Default, PartialEq, Eq)]
@@ -101,10 +98,7 @@ impl<'a, 'p> Reindexing<'a, 'p> {
             let (wants_triangles, of_vertices) = (*wants_triangles && !found.tangled, found.of_vertices);
             let look = Look { sample_of, samples, wants_triangles, of_vertices, ranges: ranges.as_deref() };
             let sample_of = |vertex: u32| sample_of.get(vertex as usize).copied();
-            let samples_of = |corners: [u32; 3]| {
-                let [a, b, c] = corners.map(sample_of);
-                Some([a?, b?, c?])
-            };
+            let samples_of = |corners: [u32; 3]| all_three(corners.map(sample_of));
             let mut join = || islands.iter_mut().for_each(|islands| islands.take(triangles, samples_of));
             let mut add_planes = || planes.iter_mut().for_each(|planes| planes.take(summed, samples_of));
             let (pieces, _) =
@@ -190,12 +184,13 @@ impl Look<'_> {
     fn pieces(&self, triangles: &[[u32; 3]], marks: &[FaceMark]) -> Vec<FoundInFaces> {
         let before = |end: usize| marks.partition_point(|mark| mark.triangle < end);
         let piece = |(at, some): (usize, &[[u32; 3]])| {
-            let (first, end) = (at * FACES, at * FACES + some.len());
+            let (first, end) = (at * FACES_OF_A_JOB, at * FACES_OF_A_JOB + some.len());
             // The last one has those behind all triangles, too.
             let last = if end == triangles.len() { marks.len() } else { before(end) };
             self.piece(first, some, &marks[before(first)..last])
         };
-        let mut pieces: Vec<FoundInFaces> = triangles.par_chunks(FACES).enumerate().map(piece).collect();
+        let mut pieces: Vec<FoundInFaces> =
+            triangles.par_chunks(FACES_OF_A_JOB).enumerate().map(piece).collect();
         if triangles.is_empty() {
             pieces.push(self.piece(0, &[], marks));
         }
@@ -278,6 +273,11 @@ pub fn reindex(
     Ok(reindexing.finish())
 }
 
+/// All three, if all are known.
+pub fn all_three([a, b, c]: [Option<u32>; 3]) -> Option<[u32; 3]> {
+    Some([a?, b?, c?])
+}
+
 /// The same triangle, beginning with its least corner.
 pub fn first_least([a, b, c]: [u32; 3]) -> [u32; 3] {
     if a < b && a < c {
@@ -303,7 +303,8 @@ mod tests {
 
     /// Where marks are: mostly near where one piece ends and the next begins.
     fn places(faces: usize) -> impl Strategy<Value = Vec<usize>> {
-        let near = (0..=faces / FACES, 0..4usize).prop_map(|(piece, beyond)| piece * FACES + beyond);
+        let near = (0..=faces / FACES_OF_A_JOB, 0..4usize)
+            .prop_map(|(piece, beyond)| piece * FACES_OF_A_JOB + beyond);
         prop::collection::vec(prop_oneof![near, 0..=faces], 0..60).prop_map(move |mut places| {
             places.iter_mut().for_each(|place| *place = (*place).min(faces));
             places.sort_unstable();
@@ -316,7 +317,7 @@ mod tests {
 
         #[test]
         fn faces_that_are_taken_at_once_tell_what_they_tell_one_by_one(
-            (faces, places) in (0..3 * FACES + 9).prop_flat_map(|faces| (Just(faces), places(faces))),
+            (faces, places) in (0..3 * FACES_OF_A_JOB + 9).prop_flat_map(|faces| (Just(faces), places(faces))),
             seed in 0..1000u32,
         ) {
             let random = |i: usize| (i as u32).wrapping_add(seed).wrapping_mul(2_654_435_761) >> 9;

@@ -17,6 +17,7 @@ use simod_model::{Error, Result, memory};
 use super::ADVICE;
 use super::twins::Found as FoundTwins;
 use crate::lists::lists;
+use crate::sampling::placement::FACES_OF_A_JOB;
 
 /// Most links for each sample: beyond it, faces are a tangle that tells nothing. There may be more of them on
 /// the way, while islands are still parts of larger ones.
@@ -27,9 +28,6 @@ const LINKS_AT_EASE: usize = 1 << 18;
 
 /// Links of each cluster that are remembered, as the next ones are probably among them.
 const LATEST: usize = 4;
-
-/// Faces that one job looks at.
-const FACES: usize = 1 << 12;
 
 /// Links of a job that are remembered: more than are met along the border of a cluster.
 const REMEMBERED: usize = 1 << 10;
@@ -153,12 +151,12 @@ impl Islands {
         let clusters_of = |corners: [u32; 3]| {
             clusters_of(corners).filter(|clusters| clusters.iter().all(|cluster| *cluster < known))
         };
-        let mut jobs = std::mem::take(&mut self.jobs);
-        jobs.resize_with(faces.len().div_ceil(FACES).max(jobs.len()), FacesJob::default);
+        let (mut jobs, count) = (std::mem::take(&mut self.jobs), faces.len().div_ceil(FACES_OF_A_JOB));
+        jobs.resize_with(count.max(jobs.len()), FacesJob::default);
         let sets = DisjointSets::of(&mut self.back);
-        let used = &mut jobs[..faces.len().div_ceil(FACES)];
+        let used = &mut jobs[..count];
         let unite = |(job, faces): (&mut FacesJob, &[[u32; 3]])| job.unite(sets, faces, clusters_of);
-        used.par_iter_mut().zip(faces.par_chunks(FACES)).for_each(unite);
+        used.par_iter_mut().zip(faces.par_chunks(FACES_OF_A_JOB)).for_each(unite);
         // Links are of fewer vertices once all islands of these faces are what they will be.
         used.par_iter_mut().for_each(|job| job.link(sets));
         used.iter().flat_map(|job| &job.links).for_each(|link| self.link(*link));
@@ -710,7 +708,7 @@ mod tests {
         let samples = vertices.div_ceil(30) as usize;
         // In no order, each of even vertices alone, or of odd ones: two islands of a cluster.
         let face = |i: u32| [0, 1, 2].map(|k| random(i) % (vertices - 12) + random(3 * i + k) % 6 * 2);
-        let faces: Vec<[u32; 3]> = (0..9 * FACES as u32 + 5).map(face).collect();
+        let faces: Vec<[u32; 3]> = (0..9 * FACES_OF_A_JOB as u32 + 5).map(face).collect();
         let threads = rayon::ThreadPoolBuilder::new().num_threads(4).build().expect("threads");
         let at_once = threads.install(|| graph(&sample_of, samples, &faces));
         let mut islands = Islands::new(no_twins(sample_of.len()), &sample_of, samples, &std::env::temp_dir());
