@@ -14,6 +14,8 @@ pub mod colors;
 mod counting_sort;
 pub mod deformed_file;
 pub mod detail;
+mod double_lanes;
+mod eigen_lanes;
 pub mod ellipses;
 pub mod fingerprint;
 mod found_cells;

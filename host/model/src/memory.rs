@@ -15,16 +15,76 @@ const INTERVAL: Duration = Duration::from_millis(5);
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const LARGE: i32 = 256 << 10;
 
+/// The same while [blocks are used again](Reusing): the most that glibc allows.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const LARGEST: i32 = 32 << 20;
+
+/// Free memory at the end of each of the allocator's parts, of which each thread has one, from which on some
+/// goes back; and the same meanwhile. With the usual 128 KiB, the lists of each cell come from new pages.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const LITTLE_FREE: i32 = 4 << 20;
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const MUCH_FREE: i32 = 64 << 20;
+
+/// Whether large blocks go back to the system, and how many are at work that use them again.
+static RETURNING: AtomicBool = AtomicBool::new(false);
+static REUSING: AtomicU32 = AtomicU32::new(0);
+
 /// Lets large blocks of memory go back to the system as soon as they are free, in this process from now on,
 /// where its allocator can be told: that of glibc keeps more and more of them otherwise, and larger ones, as
 /// the work goes on.
 pub fn return_large_blocks() {
+    RETURNING.store(true, Ordering::Relaxed);
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    {
+    set_allocator(LARGE, LITTLE_FREE);
+}
+
+/// As long as there is one, large blocks are used again where they would [go back](return_large_blocks) to the
+/// system: for work that takes and frees many of them, as pages that the system gives out anew cost more than
+/// what is done in them. What is free in the end goes back to it.
+pub struct Reusing(());
+
+impl Reusing {
+    /// Uses large blocks again from now on.
+    pub fn begin() -> Self {
+        REUSING.fetch_add(1, Ordering::Relaxed);
+        #[cfg(all(target_os = "linux", target_env = "gnu"))]
+        if RETURNING.load(Ordering::Relaxed) {
+            set_allocator(LARGEST, MUCH_FREE);
+        }
+        Self(())
+    }
+}
+
+impl Drop for Reusing {
+    fn drop(&mut self) {
+        let is_last = REUSING.fetch_sub(1, Ordering::Relaxed) == 1;
+        #[cfg(all(target_os = "linux", target_env = "gnu"))]
+        if is_last && RETURNING.load(Ordering::Relaxed) {
+            give_back();
+        }
+        #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+        let _ = is_last;
+    }
+}
+
+/// Gives all that is free back to the system, and large blocks from now on.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+fn give_back() {
+    set_allocator(LARGE, LITTLE_FREE);
+    #[expect(unsafe_code, reason = "a call of the allocator")]
+    // SAFETY: it gives back pages in which nothing is, and locks what it changes.
+    let _ = unsafe { libc::malloc_trim(0) };
+}
+
+/// Sets the bytes from which on blocks go back to the system, and those free at the end of the allocator's
+/// memory.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+fn set_allocator(block: i32, free: i32) {
+    for (what, bytes) in [(libc::M_MMAP_THRESHOLD, block), (libc::M_TRIM_THRESHOLD, free)] {
         #[expect(unsafe_code, reason = "a setting of the allocator")]
-        // SAFETY: it takes two numbers, keeps the first for later calls of the allocator, and locks what it
-        // changes.
-        let _ = unsafe { libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE) };
+        // SAFETY: it takes two numbers, keeps them for later calls of the allocator, and locks what it changes.
+        let _ = unsafe { libc::mallopt(what, bytes) };
     }
 }
 

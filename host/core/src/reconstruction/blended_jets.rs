@@ -16,12 +16,12 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use simod_model::memory;
 
-use super::double_lanes::{DoubleLanes, MOST_LANES, square};
 use super::expansion::Expansion;
 use super::gradients::Gradients;
 use super::least_squares::{LeastSquares, TERMS, Unresolved};
 use super::packets::{MOST_NEIGHBOURS, Neighbours, triple};
 use super::stencils::Stencils;
+use crate::double_lanes::{DoubleLanes, MOST_LANES, square};
 use crate::geometry::hermite;
 use crate::sampling::SampleSet;
 

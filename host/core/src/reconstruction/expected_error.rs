@@ -136,7 +136,8 @@ impl DeformationField<'_> {
     /// local units.
     pub fn disagreement(&self, place: Vec3) -> f32 {
         let i = self.around.samples.nearest(place) as usize;
-        self.ring(i).iter().map(|j| self.halfway(i, *j as usize)).fold(0.0, f32::max)
+        let halfway = |j: &u32| self.halfway(i, *j as usize, |i| self.scale_at(i));
+        self.ring(i).iter().map(halfway).fold(0.0, f32::max)
     }
 
     /// Expects nothing between two samples whose clusters are single places, as there are no vertices. How
@@ -169,12 +170,13 @@ impl DeformationField<'_> {
         // A sample need not be among the neighbours of its own neighbour: both ends are told. Lengths are in
         // the order of their bits, and the largest is the same in whatever order they come.
         let samples = self.expansions.len();
+        let scales: Vec<Scale> = (0..samples).into_par_iter().map(|i| self.scale_at(i)).collect();
         let largest: Vec<AtomicU32> = (0..samples).map(|_| AtomicU32::new(0)).collect();
         let disagreement = |i: usize| {
             let near = self.ring(i);
             let mut squares = 0.0;
             for j in near.iter().map(|j| *j as usize) {
-                let off = self.halfway(i, j);
+                let off = self.halfway(i, j, |i| scales[i]);
                 squares += off * off;
                 let both_single = !is_single.is_empty() && is_single[i] && is_single[j];
                 if off > 0.0 && !both_single {
@@ -234,12 +236,22 @@ impl DeformationField<'_> {
     /// How far the expansions about two samples are apart halfway between them, and more where these are so
     /// far from each other that this tells little; but for what rounding explains, which turns gradients,
     /// too.
-    fn halfway(&self, i: usize, j: usize) -> f32 {
+    fn halfway(&self, i: usize, j: usize, scale: impl Fn(usize) -> Scale) -> f32 {
         let (one, other) = (&self.expansions[i], &self.expansions[j]);
+        let (scale, of_other) = (scale(i), scale(j));
         let halfway = 0.5 * (Vec3::from_array(one.center) + Vec3::from_array(other.center));
         let apart = says(one, halfway).distance(says(other, halfway));
-        let rounding = TELLING as f32 * hypot([self.rounding_at(i), self.rounding_at(j)]);
-        hypot([apart, OF_TURNING * turning(one, other) * (apart - rounding).max(0.0)])
+        let rounding = TELLING as f32 * hypot([scale.rounding, of_other.rounding]);
+        // How far their gradients differ, as a part of their mean size: at most 2.
+        let size = (scale.gradient + of_other.gradient).max(f32::MIN_POSITIVE);
+        let turning = 2.0 * norm(one.slope() - other.slope()) / size;
+        hypot([apart, OF_TURNING * turning * (apart - rounding).max(0.0)])
+    }
+
+    /// What differences from a sample's expansion are measured by.
+    fn scale_at(&self, i: usize) -> Scale {
+        let gradient = norm(self.expansions[i].slope() + Mat3::IDENTITY);
+        Scale { gradient, rounding: self.rounding_at(i) }
     }
 
     /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field
@@ -416,12 +428,18 @@ struct HeardAround {
     wider: f32,
 }
 
-/// How far the gradients of two expansions differ, as a part of their mean size: at most 2.
-fn turning(one: &Expansion, other: &Expansion) -> f32 {
-    let norm = |f: Mat3| f.to_cols_array().iter().map(|x| x * x).sum::<f32>().sqrt();
-    let [f, g] = [one, other].map(|e| e.slope());
-    let size = norm(f + Mat3::IDENTITY) + norm(g + Mat3::IDENTITY);
-    2.0 * norm(f - g) / size.max(f32::MIN_POSITIVE)
+/// What differences from a sample's expansion are measured by.
+#[derive(Clone, Copy)]
+struct Scale {
+    /// The norm of the deformation's gradient.
+    gradient: f32,
+    /// What rounding makes, local units.
+    rounding: f32,
+}
+
+/// The norm of Frobenius.
+fn norm(f: Mat3) -> f32 {
+    f.to_cols_array().iter().map(|x| x * x).sum::<f32>().sqrt()
 }
 
 /// The displacement at `p` by an expansion.

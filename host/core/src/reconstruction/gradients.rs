@@ -18,13 +18,13 @@ use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
-use super::eigen_lanes::{cross, dot, symmetric_eigen};
 use super::expansion::ROUNDING;
 use super::packets::{Neighbours, Place, triple};
 use super::sheets::Sheets;
 use super::stencils::Stencils;
 use super::transport::Transport;
+use crate::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
+use crate::eigen_lanes::{cross, dot, symmetric_eigen};
 use crate::sampling::SampleSet;
 
 /// Neighbours in a fit: two rings.

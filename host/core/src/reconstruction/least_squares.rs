@@ -16,9 +16,9 @@
 use glam::Vec3;
 use pulp::Simd;
 
-use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
 use super::expansion::ROUNDING;
 use super::packets::{Neighbours, Place, triple};
+use crate::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
 
 /// The largest ridge, relative to terms of the size of the neighbourhood ...
 const RIDGE: f64 = 1e-7;

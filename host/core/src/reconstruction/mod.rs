@@ -18,8 +18,6 @@ mod bound;
 #[cfg(test)]
 mod bound_tests;
 mod diagnostics;
-mod double_lanes;
-mod eigen_lanes;
 mod exact;
 mod expansion;
 mod expectation;

@@ -8,7 +8,7 @@
 use glam::Vec3;
 use pulp::Simd;
 
-use super::double_lanes::{DoubleLanes, MOST_LANES, Triple};
+use crate::double_lanes::{DoubleLanes, MOST_LANES, Triple};
 
 /// Most neighbours of a sample in a fit.
 pub const MOST_NEIGHBOURS: usize = 28;

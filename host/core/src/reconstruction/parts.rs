@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use glam::{DVec3, Vec3};
+use simod_model::memory::Reusing;
 use simod_model::object::{self, Object, is_object};
 use simod_model::object_output::{ObjectOutput, part_bytes};
 use simod_model::object_range::ObjectRange;
@@ -118,10 +119,12 @@ pub fn write_part(
     let mut part = PartFile::new(own_file, place_of_bytes(model, shared, how.normals)?);
 
     progress.begin("preparing", 0);
+    let reusing = Reusing::begin();
     let surroundings = RestGeometry::kept(sampled);
     let fields = [field(sampled, model, how, &surroundings, deformed)];
     // Here, on all threads of the pool.
     surroundings.cells();
+    drop(reusing);
     let transfer = Transfer {
         fields: &fields,
         frame: &sampled.frame,

@@ -9,6 +9,7 @@ use std::time::UNIX_EPOCH;
 
 use glam::{DVec3, Mat3, Vec3};
 use simod_model::input::Identity;
+use simod_model::memory::Reusing;
 use simod_model::object::{self, is_object};
 use simod_model::output::check_space;
 use simod_model::resumable_output::{FinishedOutput, OpenedOutput, Place, ResumableOutput};
@@ -322,6 +323,7 @@ impl<'a> ReconstructionCall<'a> {
         }
 
         self.progress.begin("preparing", 0);
+        let reusing = Reusing::begin();
         let (binding, surroundings) = self.surroundings();
         let is_bound = binding.is_some();
         let info = self.model.info();
@@ -343,6 +345,7 @@ impl<'a> ReconstructionCall<'a> {
             // Here, on all threads of the pool.
             surroundings.cells();
         }
+        drop(reusing);
         let transfer = Transfer {
             fields: &fields,
             frame: &self.sampled.frame,

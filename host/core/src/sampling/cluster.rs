@@ -5,6 +5,8 @@
 //! §4 proposes. The representative minimises the quadric of the vertices' tangent planes (M. Garland, P.
 //! Heckbert 1997; P. Lindstrom 2000), held to the mean by a small ridge.
 
+use std::cell::OnceCell;
+
 use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles};
 use serde::{Deserialize, Serialize};
 
@@ -281,6 +283,21 @@ pub struct Moments {
     with_normal: f64,
 }
 
+/// The covariance of a cluster's positions.
+pub struct Covariance {
+    /// The matrix.
+    pub matrix: DMat3,
+    /// Its least eigenvalue, once it was asked for.
+    least: OnceCell<f64>,
+}
+
+impl Covariance {
+    /// The variance of the positions across their plane of least squares.
+    pub fn least(&self) -> f64 {
+        *self.least.get_or_init(|| least_eigenvalue(self.matrix))
+    }
+}
+
 impl Default for Moments {
     fn default() -> Self {
         Self {
@@ -347,9 +364,11 @@ impl Moments {
     }
 
     /// Covariance of the positions.
-    pub fn covariance(&self) -> DMat3 {
+    pub fn covariance(&self) -> Covariance {
         let mean = self.mean();
-        symmetric(self.outer[0] / self.count - mean * mean, self.outer[1] / self.count - mean * mean.yzx())
+        let diagonal = self.outer[0] / self.count - mean * mean;
+        let off = self.outer[1] / self.count - mean * mean.yzx();
+        Covariance { matrix: symmetric(diagonal, off), least: OnceCell::new() }
     }
 
     /// Root mean square distance to the mean.
@@ -390,17 +409,22 @@ impl Moments {
     /// What stands for the cluster: position, unit normal (zero where unknown), and the error that this
     /// makes.
     pub fn representative(&self) -> (Vec3, Vec3, f32) {
+        self.representative_by(&self.covariance())
+    }
+
+    /// The same, where the cluster's covariance is known.
+    pub fn representative_by(&self, covariance: &Covariance) -> (Vec3, Vec3, f32) {
         let position = self.position();
-        (position, self.mean_normal().as_vec3(), self.error(position) as f32)
+        (position, self.mean_normal().as_vec3(), self.error(position, covariance) as f32)
     }
 
     /// Variance of the mean across the plane of least squares, as far as the vertices' distances from it
     /// tell; infinite where that is nothing, or the representative is not the mean, but what normals tell.
-    pub fn variance_of_mean(&self) -> f32 {
+    pub fn variance_of_mean(&self, covariance: &Covariance) -> f32 {
         // A plane goes through three vertices.
         let free = self.count - 3.0;
         if free > 0.0 && self.with_normal == 0.0 {
-            (least_eigenvalue(self.covariance()).max(0.0) / free) as f32
+            (covariance.least().max(0.0) / free) as f32
         } else {
             f32::INFINITY
         }
@@ -413,21 +437,20 @@ impl Moments {
     /// patch of size h and curvature κ it behaves as κh², the height of the surface over its chord. Without
     /// normals d alone, which does so too. A part of the distance to the farthest corner of the box is added
     /// (see [`REACH_WEIGHT`]).
-    fn error(&self, representative: Vec3) -> f64 {
+    fn error(&self, representative: Vec3, covariance: &Covariance) -> f64 {
         if self.count <= 1.0 {
             return 0.0;
         }
-        let covariance = self.covariance();
         let normal = self.mean_normal();
         let shape = if self.has_normals() {
             let spread = self.spread();
-            let distance = normal.dot(covariance * normal).max(0.0).sqrt();
+            let distance = normal.dot(covariance.matrix * normal).max(0.0).sqrt();
             let deviation = self.deviation();
             // Normals that cancel give no plane: then the extent itself is the distance.
             let distance = if normal == DVec3::ZERO { spread } else { distance };
             (distance * deviation * spread).sqrt()
         } else {
-            least_eigenvalue(covariance).sqrt()
+            covariance.least().sqrt()
         };
         shape + REACH_WEIGHT * self.reach(representative)
     }
@@ -523,7 +546,7 @@ mod tests {
         let (of_vertices, of_groups) = (Moments::of(&all), Moments::of(&groups));
         let ((p, n, _), (q, m, _)) = (of_vertices.representative(), of_groups.representative());
         assert!(p.distance(q) < 1e-5 && n.distance(m) < 1e-5, "{p} {q}");
-        assert!((of_vertices.covariance() - of_groups.covariance()).x_axis.length() < 1e-6);
+        assert!((of_vertices.covariance().matrix - of_groups.covariance().matrix).x_axis.length() < 1e-6);
         assert!(of_groups.min.cmple(of_vertices.min).all() && of_groups.max.cmpge(of_vertices.max).all());
         // A group of one sheet leaves the other to another.
         assert!(groups[0].sums().takes(Vec3::Y) && !groups[0].sums().takes(-Vec3::Y));

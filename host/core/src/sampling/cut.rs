@@ -442,8 +442,9 @@ impl Upper {
             if node.error > threshold {
                 stack.extend(node.children.iter().map(|c| (level - 1, *c as usize)));
             } else {
-                let (position, normal, _) = node.moments.representative();
-                let (variance, key) = (node.moments.variance_of_mean(), node.error);
+                let covariance = node.moments.covariance();
+                let (position, normal, _) = node.moments.representative_by(&covariance);
+                let (variance, key) = (node.moments.variance_of_mean(&covariance), node.error);
                 emit(&self.cells(level, i), Node { position, normal, variance, key, end: 0, first: 0 });
             }
         }

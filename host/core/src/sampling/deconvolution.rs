@@ -3,64 +3,25 @@
 //! die Intensitätsverteilung in Spektrallinien II*, 1931): each sample moves across the surface by a part of
 //! its height over its neighbours.
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
+use super::heights::{Height, RING, heights};
 use super::kd_tree::KdTree;
 use super::neighbour_graph::NeighbourGraph;
-use super::normals::{NEIGHBOURS, direction, outer, scatter};
-use crate::geometry::symmetric_eigen;
+use super::normals::NEIGHBOURS;
 
 /// Part of its height over its neighbours by which the mean of a cell is off the surface: the mean squared
 /// distance from the middle of a hexagonal cell, as a part of that of its neighbours. At 7/18 the triangles
 /// between samples would be nearest to the vertices, but what deformations are carried by is on the surface.
 const STEP: f64 = 5.0 / 36.0;
 
-/// Neighbours whose mean distance tells how far apart samples are: as many as in a hexagonal packing.
-const RING: usize = 6;
-
-/// Neighbours that are farther than this many times as much do not count.
-const REACH: f64 = 2.0;
-
-/// Least moment of the neighbours' weights, of what it is where these surround a sample.
-const LEAST_SURROUNDED: f64 = 0.5;
-
-/// Most thickness of a sample and its neighbours, as a part of their lesser width, for which they are a
-/// surface.
-const MOST_THICKNESS: f64 = 0.3;
-
-/// Least thickness, likewise, for which it is looked whether the neighbours are of two sheets, which part
-/// more than this of the variance of their heights: their means stay where they are.
-const LEAST_THICKNESS: f64 = 1.0 / 64.0;
-const TWO_SHEETS: f64 = 0.95;
-
-/// Where it is less than this part at first, they need not be parted again: of heights that are spread evenly
-/// it is 3/4.
-const AS_OF_ONE: f64 = 0.75;
-
 /// So many neighbours that are of two sheets by themselves do not come about by chance.
 const FEW_OF_TWO: usize = 3;
-
-/// How often they are parted, each time across what they were parted into.
-const PARTINGS: usize = 5;
 
 /// Heights that are less than so many standard errors are noise: clusters of noisy vertices are split across
 /// the surface as well, so that their means scatter more than their vertices tell.
 const STANDARD_ERRORS: f64 = 6.0;
-
-/// How a sample stands over its neighbours.
-#[derive(Clone, Copy)]
-struct Height {
-    /// The direction of least variance.
-    across: Vec3,
-    /// The height over what the neighbours come to, along that; nothing where these do not surround the
-    /// sample, or are no surface.
-    height: f64,
-    /// The variance of that height, for one of 1 of each sample.
-    variance: f64,
-    /// They are of two sheets, one above the other.
-    is_of_two: bool,
-}
 
 /// Samples on the surface, and what was found on the way.
 pub struct Deconvolved {
@@ -89,8 +50,7 @@ pub fn deconvolved(
         return None;
     }
     let graph = NeighbourGraph::of_points(&KdTree::new(positions), NEIGHBOURS);
-    let height = |i: usize| height(positions, i, graph.nearest_to(i));
-    let heights: Vec<Height> = (0..positions.len()).into_par_iter().map(height).collect();
+    let heights = heights(positions, &graph);
     let moved = |i: usize| {
         let is_of_two = |j: &&u32| heights[**j as usize].is_of_two;
         // Of two sheets, most samples know it.
@@ -106,78 +66,6 @@ pub fn deconvolved(
     let moved = (0..positions.len()).into_par_iter().map(moved).collect();
     let across = heights.iter().map(|height| height.across).collect();
     Some(Deconvolved { positions: moved, graph, across })
-}
-
-/// The height of a point over its neighbours; none where these are all on one side of it, or are no surface,
-/// or two of them.
-fn height(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Height {
-    let mut around = [DVec3::ZERO; NEIGHBOURS];
-    let around = &mut around[..neighbours.len()];
-    for (d, j) in around.iter_mut().zip(neighbours) {
-        *d = (positions[*j as usize] - positions[i]).as_dvec3();
-    }
-    let (variances, axes) = symmetric_eigen(scatter(around.iter().copied()));
-    let none = Height { across: direction(axes.x_axis), height: 0.0, variance: 0.0, is_of_two: false };
-    if variances.x > MOST_THICKNESS * MOST_THICKNESS * variances.y {
-        return none;
-    }
-
-    // Along the axes: x is across the surface. In units of how far apart samples are.
-    let squared = |d: &DVec3| d.y * d.y + d.z * d.z;
-    around.iter_mut().for_each(|d| *d = axes.transpose() * *d);
-    if variances.x > LEAST_THICKNESS * LEAST_THICKNESS * variances.y && are_two_sheets(around, variances) {
-        return Height { is_of_two: true, ..none };
-    }
-    let scale = (RING as f64 / around.iter().take(RING).map(squared).sum::<f64>()).sqrt();
-    around.iter_mut().for_each(|d| *d *= scale);
-    let weighted = |d: &DVec3| {
-        let weight = (1.0 - squared(d) / (REACH * REACH)).max(0.0).powi(2);
-        (weight, DVec3::new(1.0, d.y, d.z))
-    };
-    // How much of each neighbour's height their plane of weighted least squares has, here.
-    let normal = |sum: DMat3, (weight, at): (f64, DVec3)| sum + outer(at) * weight;
-    let plane = around.iter().map(weighted).fold(DMat3::ZERO, normal).inverse().x_axis;
-    let (mut height, mut moment, mut squares) = (0.0, 0.0, 1.0);
-    for (d, (weight, at)) in around.iter().map(|d| (d, weighted(d))) {
-        let part = weight * plane.dot(at);
-        height -= part * d.x;
-        moment += part * squared(d);
-        squares += part * part;
-    }
-    let height = height / (moment * scale);
-    if moment >= LEAST_SURROUNDED && height.is_finite() {
-        Height { height, variance: squares / (moment * moment), ..none }
-    } else {
-        none
-    }
-}
-
-/// Whether a sample and its neighbours, at these ways from it along the axes of their scatter, lie on two
-/// sheets, one above the other. Heights are at first along x, and then across what is found to be both
-/// sheets: with all in one, their plane leans from one sheet to the other.
-fn are_two_sheets(around: &[DVec3], scatter: DVec3) -> bool {
-    let (mut across, count) = (DVec3::X, around.len() as f64 + 1.0);
-    let mean = around.iter().sum::<DVec3>() / count;
-    let scatter = DMat3::from_diagonal(scatter);
-    for _ in 0..PARTINGS {
-        let middle = across.dot(mean);
-        let own = if middle < 0.0 { 1.0 } else { 0.0 };
-        let is_upper = |d: &&DVec3| across.dot(**d) > middle;
-        let add = |(sum, count): (DVec3, f64), d: &DVec3| (sum + *d, count + 1.0);
-        let (sum, upper) = around.iter().filter(is_upper).fold((DVec3::ZERO, own), add);
-        let lower = count - upper;
-        let apart = sum / upper - (mean * count - sum) / lower;
-        let between = outer(apart) * (upper * lower / count);
-        let part = across.dot(between * across) / across.dot(scatter * across);
-        if upper.min(lower) < 2.0 || part < AS_OF_ONE {
-            return false;
-        }
-        if part > TWO_SHEETS {
-            return true;
-        }
-        across = symmetric_eigen(scatter - between).1.x_axis;
-    }
-    false
 }
 
 /// How much of the heights of a sample and its neighbours is no noise: nothing, where they are no more than

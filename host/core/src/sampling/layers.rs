@@ -8,9 +8,9 @@
 
 use glam::{DMat3, DVec3, Vec3, Vec3Swizzles};
 
-use super::cluster::{Element, Moments};
+use super::cluster::{Covariance, Element, Moments};
 use super::random::mix;
-use crate::geometry::{least_eigenvalue, solve_positive_definite, symmetric_eigen};
+use crate::geometry::{solve_positive_definite, symmetric_eigen};
 
 /// Fewer elements than this do not make two layers.
 const LEAST: usize = 24;
@@ -54,12 +54,12 @@ pub struct Layers {
 
 impl Layers {
     /// The layers of a cluster with these moments; `None` where it is one, as it mostly is.
-    pub fn of<E: Element>(elements: &[E], m: &Moments, seed: u64) -> Option<Self> {
+    pub fn of<E: Element>(elements: &[E], m: &Moments, covariance: &Covariance, seed: u64) -> Option<Self> {
         if elements.len() < LEAST {
             return None;
         }
-        let covariance = m.covariance();
-        let [thin, width, length] = deviations(covariance);
+        let (covariance, least) = (covariance.matrix, covariance.least());
+        let [thin, width, length] = deviations(covariance, least);
         let thickness = if m.has_normals() {
             // Mostly it ends here.
             let (normal, bent) = (m.mean_normal(), BENT * m.deviation() * m.spread());
@@ -122,9 +122,8 @@ impl Layers {
     }
 }
 
-/// Standard deviations along the principal axes, ascending.
-fn deviations(covariance: DMat3) -> [f64; 3] {
-    let least = least_eigenvalue(covariance);
+/// Standard deviations along the principal axes, ascending, of which the least variance is known.
+fn deviations(covariance: DMat3, least: f64) -> [f64; 3] {
     let diagonal = DVec3::new(covariance.x_axis.x, covariance.y_axis.y, covariance.z_axis.z);
     let off = DVec3::new(covariance.x_axis.y, covariance.y_axis.z, covariance.z_axis.x);
     // Sum and product of the other two, from the trace and the sum of the principal minors.
@@ -179,6 +178,7 @@ fn two_heaps(heights: &[f32]) -> Option<(f32, f64, f64)> {
 mod tests {
     use super::super::cluster::Vertex;
     use super::*;
+    use crate::geometry::least_eigenvalue;
     use proptest::prelude::*;
 
     /// Points of a sheet that bends, so far above it.
@@ -203,7 +203,8 @@ mod tests {
     }
 
     fn layers(vertices: &[Vertex]) -> Option<Layers> {
-        Layers::of(vertices, &Moments::of(vertices), 3)
+        let m = Moments::of(vertices);
+        Layers::of(vertices, &m, &m.covariance(), 3)
     }
 
     proptest! {
@@ -251,7 +252,8 @@ mod tests {
         for i in 0..100 {
             let a = DMat3::from_cols_array(&std::array::from_fn(|j| f64::from(noise(9 * i + j as u32))));
             let covariance = a * a.transpose();
-            let (expected, found) = (symmetric_eigen(covariance).0, DVec3::from(deviations(covariance)));
+            let expected = symmetric_eigen(covariance).0;
+            let found = DVec3::from(deviations(covariance, least_eigenvalue(covariance)));
             assert!((expected - found * found).abs().max_element() < 1e-9 * expected.z, "{expected} {found}");
         }
     }

@@ -19,6 +19,7 @@ mod fit;
 pub(crate) mod gather;
 mod glimpse;
 pub mod grid;
+mod heights;
 pub(crate) mod kd_tree;
 pub mod kept_cells;
 mod layers;

@@ -57,13 +57,13 @@ pub fn plane_normal(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Vec3 {
 }
 
 /// The scatter of a point and its neighbours about their mean, by the ways from it to them.
-pub fn scatter(around: impl ExactSizeIterator<Item = DVec3> + Clone) -> DMat3 {
+fn scatter(around: impl ExactSizeIterator<Item = DVec3> + Clone) -> DMat3 {
     let mean = around.clone().sum::<DVec3>() / (around.len() + 1) as f64;
     around.fold(outer(mean), |sum, d| sum + outer(d - mean))
 }
 
 /// d dᵀ
-pub fn outer(d: DVec3) -> DMat3 {
+fn outer(d: DVec3) -> DMat3 {
     DMat3::from_cols(d * d.x, d * d.y, d * d.z)
 }
 

@@ -120,11 +120,12 @@ impl VsTree {
     /// One tree of two over disjoint sets of vertices, below a cluster with the moments of both.
     pub fn join(first: Self, second: Self, both: &Moments) -> Self {
         let key = |tree: &Self| tree.nodes.first().map_or(0.0, |root| root.key);
-        let (position, normal, error) = both.representative();
+        let covariance = both.covariance();
+        let (position, normal, error) = both.representative_by(&covariance);
         let root = Node {
             position,
             normal,
-            variance: both.variance_of_mean(),
+            variance: both.variance_of_mean(&covariance),
             // No less than what is below it.
             key: error.max(key(&first)).max(key(&second)),
             end: (1 + first.nodes.len() + second.nodes.len()) as u32,
@@ -291,9 +292,10 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
     /// content.
     fn node<E: Element>(&mut self, elements: &mut [E], spare: &mut [E], m: Moments, place: Place) {
         let dither = 1.0 + DITHER * (place.seed >> 40) as f64 / (1u64 << 24) as f64;
-        let (position, normal, error) = m.representative();
+        let covariance = m.covariance();
+        let (position, normal, error) = m.representative_by(&covariance);
         let layers = (self.rule.splitting == Splitting::Layered)
-            .then(|| Layers::of(elements, &m, place.seed))
+            .then(|| Layers::of(elements, &m, &covariance, place.seed))
             .flatten();
         let mut error = self.rule.key(&m, position, error);
         if layers.is_some() {
@@ -301,7 +303,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
             error = error.max(m.error_of_two_sheets(position));
         }
         let key = place.above.min((error * dither) as f32);
-        let (variance, at) = (m.variance_of_mean(), self.nodes.len());
+        let (variance, at) = (m.variance_of_mean(&covariance), self.nodes.len());
         self.nodes.push(Node { position, normal, variance, key, end: 0, first: self.built });
         let whole = !(self.goes_on)(&m, key, place.depth)
             || elements.len() == 1
@@ -313,7 +315,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
                 let below = |part| place.below(key, place.stage, part);
                 self.part(elements, spare, |e| usize::from(layers.is_upper(e)), below)
             }
-            None => self.split(elements, spare, &m, key, place),
+            None => self.split(elements, spare, (&m, &covariance.matrix), key, place),
         };
         if !split {
             for e in elements.iter() {
@@ -329,14 +331,14 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
         &mut self,
         elements: &mut [E],
         spare: &mut [E],
-        m: &Moments,
+        (m, covariance): (&Moments, &DMat3),
         key: f32,
         place: Place,
     ) -> bool {
         let stage = match place.stage {
             Stage::Surface(_) if m.mean_normal() != DVec3::ZERO => place.stage,
             _ if self.rule.splitting == Splitting::Octree => Stage::Volume,
-            _ => match examine(elements, m) {
+            _ => match examine(elements, m, *covariance) {
                 Shape::Sheet(tangents) => Stage::Surface(tangents),
                 Shape::TwoSheets(axis) => {
                     let side = |e: &E| usize::from(e.normal().dot(axis) < 0.0);
@@ -354,7 +356,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
             {
                 return true;
             }
-            if self.part(elements, spare, quadrant(m, tangents), below) {
+            if self.part(elements, spare, quadrant(m, *covariance, tangents), below) {
                 return true;
             }
             // All on one line along the normal, or too close to tell apart in the plane.
@@ -414,9 +416,8 @@ enum Shape {
 }
 
 /// The transition predicate of the VS-Tree: normals within a cone, or without normals a strict flatness test.
-fn examine<E: Element>(vertices: &[E], m: &Moments) -> Shape {
+fn examine<E: Element>(vertices: &[E], m: &Moments, covariance: DMat3) -> Shape {
     let normal = m.mean_normal();
-    let covariance = m.covariance();
     if !m.has_normals() {
         let (values, vectors) = symmetric_eigen(covariance);
         return if values.x <= FLATNESS * FLATNESS * values.y {
@@ -469,8 +470,12 @@ fn octant<E: Element>(m: &Moments) -> impl Fn(&E) -> usize + use<E> {
 }
 
 /// Likewise in the plane of two unit vectors, at the mean.
-fn quadrant<E: Element>(m: &Moments, tangents: [Vec3; 2]) -> impl Fn(&E) -> usize + use<E> {
-    let (mean, covariance) = (m.mean().as_vec3(), m.covariance());
+fn quadrant<E: Element>(
+    m: &Moments,
+    covariance: DMat3,
+    tangents: [Vec3; 2],
+) -> impl Fn(&E) -> usize + use<E> {
+    let mean = m.mean().as_vec3();
     let deviation = |t: Vec3| t.as_dvec3().dot(covariance * t.as_dvec3()).max(0.0).sqrt() as f32;
     let [bend1, bend2] = m.bending(tangents).map(|bending| bending.max(LEAST_BENDING));
     let [t1, t2] = tangents;

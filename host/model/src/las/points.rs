@@ -38,6 +38,11 @@ pub(super) fn patch(
         let was = numbers(bytes);
         let mut is = was;
         include(&mut before, was);
+        // Mostly, those around such a vertex do not move either.
+        if old == new && shift == [0; 3] {
+            include(&mut after, was);
+            continue;
+        }
         let within = to.nearest_within(*new).filter(|_| shift == [0; 3] && old.is_finite());
         if let Some(nearest) = within {
             // Without a branch: along which axes vertices move cannot be foretold.

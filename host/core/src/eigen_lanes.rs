@@ -8,7 +8,7 @@
 
 use pulp::Simd;
 
-use super::double_lanes::{DoubleLanes, DoubleMask, Triple, square};
+use crate::double_lanes::{DoubleLanes, DoubleMask, Triple, square};
 
 /// Steps of Newton's method from 2 to a root between √3 and 2: the error is about squared in each, from 0.27.
 const STEPS: usize = 6;
@@ -153,8 +153,8 @@ mod tests {
     use pulp::WithSimd;
 
     use super::*;
+    use crate::double_lanes::MOST_LANES;
     use crate::geometry;
-    use crate::reconstruction::double_lanes::MOST_LANES;
 
     /// The eigenvalues and eigenvectors of the first lane, which is the same matrix as all others.
     struct OfOne(DMat3);

@@ -1,4 +1,4 @@
-//! As [`lanes`](super::lanes), in double precision: one number for each of several samples.
+//! One number in double precision for each of several samples, in a vector register.
 
 use std::ops::{Add, AddAssign, Div, Mul, Sub};
 
@@ -108,6 +108,12 @@ impl<S: Simd> DoubleMask<S> {
     #[inline(always)]
     pub fn and(self, other: Self) -> Self {
         Self(self.0, self.0.and_m64s(self.1, other.1))
+    }
+
+    /// Where either holds.
+    #[inline(always)]
+    pub fn or(self, other: Self) -> Self {
+        Self(self.0, self.0.or_m64s(self.1, other.1))
     }
 
     /// `then` where it holds, and `or` elsewhere.
