@@ -3,7 +3,7 @@
 //! that pictures need no further reading.
 
 use glam::{DVec3, Vec3};
-use memmap2::Mmap;
+use simod_model::mapped::Map;
 use simod_model::scratch::Scratch;
 use simod_model::{Result, Vertices};
 use simod_picture::SurfacePoint;
@@ -30,7 +30,7 @@ pub(crate) struct Choosing {
 pub(crate) struct Chosen {
     versions: usize,
     origin: DVec3,
-    numbers: Mmap,
+    numbers: Map,
 }
 
 impl Choosing {

@@ -13,6 +13,7 @@ use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
 use glam::Vec3;
 use rayon::prelude::*;
 use simod_model::frame::Frame;
+use simod_model::mapped::looked_at;
 use simod_model::scratch::Scratch;
 use simod_model::{ColorScale, Colors, Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
@@ -183,6 +184,7 @@ impl Picked {
                 sample_of.and_then(|all| all.get(vertex as usize).copied())
             };
             means.add(&picks, known);
+            looked_at(size_of::<u32>() * picks.len() * picking.every as usize);
         }
         Ok(means.colors())
     }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use memmap2::{Mmap, MmapMut};
 
+use crate::mapped::{Map, MapMut, Mapped};
 use crate::positioned::Positioned;
 use crate::{Error, Result};
 
@@ -78,12 +79,12 @@ impl Scratch {
     ///
     /// # Errors
     /// The operating system refuses.
-    pub fn map(self) -> Result<Mmap> {
+    pub fn map(self) -> Result<Map> {
         #[expect(unsafe_code, reason = "the map of a file")]
         // SAFETY: the file has no name and both its handles are in `self`, which ends here: no one else can
         // shorten or change it as long as it is mapped.
         let map = unsafe { Mmap::map(&self.handle) };
-        map.map_err(|e| refused("read", &self.folder, self.advice, &e))
+        map.map(Mapped::new).map_err(|e| refused("read", &self.folder, self.advice, &e))
     }
 
     /// Likewise as memory that can be written. All of it must have been written before, so that the disk has
@@ -91,11 +92,11 @@ impl Scratch {
     ///
     /// # Errors
     /// The operating system refuses.
-    pub fn map_mut(self) -> Result<MmapMut> {
+    pub fn map_mut(self) -> Result<MapMut> {
         #[expect(unsafe_code, reason = "the map of a file")]
         // SAFETY: as of `map`: no one else has the file.
         let map = unsafe { MmapMut::map_mut(&self.handle) };
-        map.map_err(|e| refused("read", &self.folder, self.advice, &e))
+        map.map(Mapped::new).map_err(|e| refused("read", &self.folder, self.advice, &e))
     }
 }
 

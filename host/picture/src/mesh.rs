@@ -5,9 +5,9 @@ use std::path::Path;
 
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
-use memmap2::MmapMut;
 use rayon::prelude::*;
 use simod_model::bounds::Bounds;
+use simod_model::mapped::MapMut;
 use simod_model::scratch::Scratch;
 use simod_model::{Model, Progress, Result, SMALL_CHUNK, Vertices, for_faces, in_step};
 
@@ -40,7 +40,7 @@ struct Record {
 /// All of them.
 enum Records {
     Held(Vec<Record>),
-    Mapped(MmapMut),
+    Mapped(MapMut),
 }
 
 impl Records {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use bytemuck::cast_slice;
 use glam::Vec3;
-use memmap2::Mmap;
+use simod_model::mapped::{Map, looked_at};
 use simod_model::scratch::Scratch;
 use simod_model::{FaceChunk, Model, Progress, Result, for_faces, for_faces_at};
 
@@ -85,8 +85,8 @@ impl Members {
 
 /// The new sample of each vertex that was read.
 pub(super) struct SampleOf<'a> {
-    map: Mmap,
-    positions: Option<Mmap>,
+    map: Map,
+    positions: Option<Map>,
     /// Number of samples that were there.
     samples: u32,
     appended: &'a Appended,
@@ -162,6 +162,7 @@ impl SampleOf<'_> {
                 limit = 2 * found.len().max(1 << 16);
             }
             bytes += chunk.bytes;
+            looked_at(3 * (BYTES + POSITION_BYTES) as usize * chunk.triangles.len());
             progress.advance(chunk.bytes);
             Ok(())
         };

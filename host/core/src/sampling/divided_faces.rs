@@ -15,9 +15,9 @@ use std::path::{Path, PathBuf};
 
 use bytemuck::{cast_slice, cast_slice_mut};
 use glam::Vec3;
-use memmap2::{Mmap, MmapMut};
 use serde::{Deserialize, Serialize};
 use simod_model::frame::Frame;
+use simod_model::mapped::{Map, MapMut, looked_at};
 use simod_model::scratch::Scratch;
 use simod_model::{
     Error, FACES_OF_A_BLOCK, FaceChunk, FaceMark, Model, Progress, Result, SMALL_CHUNK, VertexChunk,
@@ -598,6 +598,7 @@ fn write_islands(
     for vertex in 0..vertices.end - vertices.start {
         if vertex.is_multiple_of(COPIED as u32) {
             progress.check()?;
+            looked_at(size_of::<u32>() * COPIED);
         }
         let first = islands.first(vertex);
         if first != vertex {
@@ -611,7 +612,7 @@ fn write_islands(
 
 impl Divided<'_> {
     /// The samples of some vertices, by the files of all ranges.
-    fn samples_of(&self, cut: &CutFile, files: &FaceFiles<'_>, vertices: Range<u64>) -> Result<MmapMut> {
+    fn samples_of(&self, cut: &CutFile, files: &FaceFiles<'_>, vertices: Range<u64>) -> Result<MapMut> {
         self.members_of(member::SAMPLES, cut, files, vertices)?.map_mut()
     }
 
@@ -650,7 +651,7 @@ impl Divided<'_> {
 impl Prepared<'_> {
     /// Where some vertices are, in local coordinates; nowhere those that have no sample. Calls `done` with
     /// how many more it has read.
-    fn positions(&self, sample_of: &[u32], vertices: Range<u64>, done: &dyn Fn(u64)) -> Result<Mmap> {
+    fn positions(&self, sample_of: &[u32], vertices: Range<u64>, done: &dyn Fn(u64)) -> Result<Map> {
         let scratch = Scratch::new(self.folder, ADVICE)?;
         let mut reader = self.model.vertices(vertices)?;
         reader.set_chunk(SMALL_CHUNK);

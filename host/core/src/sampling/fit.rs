@@ -13,6 +13,7 @@ use std::cmp::Ordering;
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use simod_model::mapped::looked_at;
 use simod_model::{Progress, Result};
 
 use super::cluster::symmetric;
@@ -177,6 +178,7 @@ impl<'a> Surface<'a> {
             let some = (&members.vertices[begin..end], &members.sample_of[begin..end]);
             rayon::join(|| add(&mut moments, &last, per), || self.find(some, &chosen, &mut next));
             std::mem::swap(&mut last, &mut next);
+            looked_at(size_of_val(some.0) + size_of_val(some.1));
             progress.advance((end - begin) as u64);
         }
         add(&mut moments, &last, per);
@@ -187,10 +189,13 @@ impl<'a> Surface<'a> {
     /// chance, so that they are about as many as is enough.
     fn chosen(&self, members: Members<'_>) -> Vec<u32> {
         let mut chosen = vec![0u32; self.samples.len()];
-        for sample in members.sample_of {
-            if let Some(count) = chosen.get_mut(*sample as usize) {
-                *count = count.saturating_add(1);
+        for some in members.sample_of.chunks(BLOCK) {
+            for sample in some {
+                if let Some(count) = chosen.get_mut(*sample as usize) {
+                    *count = count.saturating_add(1);
+                }
             }
+            looked_at(size_of_val(some));
         }
         let enough = ENOUGH * members.at_one_place;
         for (count, sample) in chosen.iter_mut().zip(0..) {

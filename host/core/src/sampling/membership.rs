@@ -11,8 +11,8 @@ use std::sync::Arc;
 
 use bytemuck::{cast_slice, cast_slice_mut};
 use glam::{DVec3, Vec3};
-use memmap2::{Mmap, MmapMut};
 use rayon::prelude::*;
+use simod_model::mapped::{Map, MapMut, looked_at};
 use simod_model::output::check_space;
 use simod_model::scratch::Scratch;
 use simod_model::{ModelInfo, Progress, Result};
@@ -169,6 +169,7 @@ impl Membership {
                 some.resize(BUFFER.min((end - at) as usize), 0);
                 self.items.read_at(cast_slice_mut(&mut some), at * BYTES)?;
                 some.iter_mut().for_each(|item| *item = leaves.get(*item as usize).copied().unwrap_or(NONE));
+                looked_at(size_of_val(&some[..]));
                 visit(list, &some)?;
                 at += some.len() as u64;
             }
@@ -195,6 +196,7 @@ impl Membership {
             for item in &mut chunk {
                 *item = leaves.get(*item as usize).map_or(NONE, |leaf| samples.sample_of(*leaf));
             }
+            looked_at(size_of_val(&chunk[..]));
             progress.advance(chunk.len() as u64);
             self.items.write_at(cast_slice(&chunk), first * BYTES)
         })?;
@@ -285,7 +287,7 @@ impl Positions {
         Ok(())
     }
 
-    fn finish(mut self) -> Result<Mmap> {
+    fn finish(mut self) -> Result<Map> {
         self.flush()?;
         self.file.map()
     }
@@ -293,14 +295,14 @@ impl Positions {
 
 /// The sample of each vertex.
 pub struct SampleOf {
-    samples: MmapMut,
-    positions: Option<Mmap>,
+    samples: MapMut,
+    positions: Option<Map>,
     twins: Option<FoundTwins>,
 }
 
 impl SampleOf {
     /// The samples of all vertices, by a file of them.
-    pub fn of_all(samples: MmapMut) -> Self {
+    pub fn of_all(samples: MapMut) -> Self {
         Self { samples, positions: None, twins: None }
     }
 

@@ -50,6 +50,7 @@ use std::path::Path;
 use glam::Vec3;
 use rayon::prelude::*;
 use simod_model::frame::Frame;
+use simod_model::mapped::looked_at;
 use simod_model::size::human_size;
 use simod_model::{Error, ErrorKind, FaceChunk, Model, ModelInfo, Progress, Result, for_faces, for_faces_at};
 
@@ -681,6 +682,7 @@ impl Reindexed {
             planes.take(&chunk.triangles, |corners| {
                 triangles::all_three(corners.map(|vertex| sample_of.get(vertex as usize).copied()))
             });
+            looked_at(triangles::BYTES_OF_A_FACE * chunk.triangles.len());
             Ok(())
         };
         match &self.faces {

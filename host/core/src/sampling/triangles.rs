@@ -2,6 +2,7 @@
 //! (J. Rossignac, P. Borrel, *Multi-resolution 3D approximations for rendering complex scenes*, 1993).
 
 use rayon::prelude::*;
+use simod_model::mapped::looked_at;
 use simod_model::{FaceMark, Model, Progress, Result, for_faces};
 
 use super::face_ranges::{FaceRanges, MetCells};
@@ -11,6 +12,9 @@ use crate::touching::Islands;
 /// Most triangles for each sample. A closed surface has two, and any that is worth the name not many more;
 /// beyond it the faces are a tangle that tells nothing of P_S, as large as P_L's own.
 const MOST_PER_SAMPLE: usize = 16;
+
+/// Bytes of temporary files that are looked up for a face: sample, place and island of each corner.
+pub const BYTES_OF_A_FACE: usize = 3 * 20;
 
 /// Triangles of P_S, as found in a model's faces.
 #[derive(Debug, Default, PartialEq, Eq)]
@@ -30,8 +34,13 @@ impl Triangles {
     /// Puts samples for vertices, if these are still there: each triangle once, without those that are none.
     pub fn put(&mut self, sample_of: &[u32]) {
         if std::mem::take(&mut self.of_vertices) {
-            self.triangles.par_iter_mut().for_each(|triangle| {
-                *triangle = first_least(triangle.map(|vertex| sample_of[vertex as usize]));
+            // They are in about the vertices' order.
+            let share = size_of_val(sample_of) / self.triangles.len().max(1);
+            self.triangles.par_chunks_mut(FACES_OF_A_JOB).for_each(|some| {
+                for triangle in some.iter_mut() {
+                    *triangle = first_least(triangle.map(|vertex| sample_of[vertex as usize]));
+                }
+                looked_at(share * some.len());
             });
             self.triangles.retain(|[a, b, c]| a != b && b != c && c != a);
             once_each(&mut self.triangles);
@@ -104,6 +113,7 @@ impl<'a, 'p> Reindexing<'a, 'p> {
             let (pieces, _) =
                 rayon::join(|| look.pieces(triangles, marks), || rayon::join(&mut join, &mut add_planes));
             pieces.into_iter().for_each(|piece| self.add_piece(piece));
+            looked_at(BYTES_OF_A_FACE * triangles.len().max(summed.len()));
             self.found.keep_few(self.sample_of, self.most);
         });
     }

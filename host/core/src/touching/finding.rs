@@ -11,6 +11,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::Result;
 use simod_model::frame::Frame;
+use simod_model::mapped::looked_at;
 use simod_model::scratch::Scratch;
 
 use super::ADVICE;
@@ -237,6 +238,7 @@ impl Noted {
             let positions: Vec<Vec3> = some.iter().map(place).collect();
             let samples: Vec<u32> = some.iter().map(|v| v[3]).collect();
             visit(&positions, &samples)?;
+            looked_at(size_of_val(some));
         }
         Ok(())
     }

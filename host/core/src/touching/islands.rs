@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use bytemuck::{cast_slice, cast_slice_mut};
-use memmap2::MmapMut;
 use rayon::prelude::*;
+use simod_model::mapped::{MapMut, looked_at};
 use simod_model::scratch::Scratch;
 use simod_model::{Error, Result, memory};
 
@@ -25,6 +25,9 @@ const MOST_PER_SAMPLE: usize = 16;
 
 /// Links that are not tidied up yet.
 const LINKS_AT_EASE: usize = 1 << 18;
+
+/// Vertices, or links, that are looked at until it is told of their files.
+const FEW: usize = 1 << 14;
 
 /// Links of each cluster that are remembered, as the next ones are probably among them.
 const LATEST: usize = 4;
@@ -41,7 +44,7 @@ const STEPS: usize = 4;
 /// file of 4 bytes per vertex, and another one of 8 bytes for each link that finds no room.
 pub struct Islands {
     /// For each vertex, how far before it another one of its island is; 0 for the first of an island.
-    back: MmapMut,
+    back: MapMut,
     latest: Vec<[[u32; 2]; LATEST]>,
     /// Vertices of different clusters that a face joins.
     links: Vec<[u32; 2]>,
@@ -135,6 +138,9 @@ impl Islands {
                 let twin = vertex - std::mem::take(back);
                 self.join((twin, sample_of[twin as usize]), (vertex, sample_of[vertex as usize]));
             }
+            if vertex.is_multiple_of(FEW as u32) {
+                looked_at(2 * size_of::<u32>() * FEW);
+            }
         }
     }
 
@@ -210,9 +216,14 @@ impl Islands {
 
     /// Each link once, by the islands as they are now.
     fn once_each(&self, links: &mut Vec<[u32; 2]>) {
-        links.par_iter_mut().for_each(|link| {
-            *link = link.map(|vertex| self.first_of(vertex));
-            link.sort_unstable();
+        // They are in about the vertices' order.
+        let share = self.back.len() / links.len().max(1);
+        links.par_chunks_mut(FEW).for_each(|some| {
+            for link in some.iter_mut() {
+                *link = link.map(|vertex| self.first_of(vertex));
+                link.sort_unstable();
+            }
+            looked_at(share * some.len());
         });
         links.par_sort_unstable();
         links.dedup();
@@ -366,7 +377,7 @@ struct DisjointSets<'a> {
 }
 
 impl<'a> DisjointSets<'a> {
-    fn of(back: &'a mut MmapMut) -> Self {
+    fn of(back: &'a mut MapMut) -> Self {
         Self { back: memory::atomics(cast_slice_mut(&mut back[..])) }
     }
 

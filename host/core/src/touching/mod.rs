@@ -13,6 +13,7 @@
 mod contacts;
 mod finding;
 mod islands;
+mod pairs;
 mod parting;
 mod places;
 mod sorter;

@@ -9,9 +9,11 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
+use simod_model::mapped::looked_at;
 use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
 use super::islands::{Graph, Islands, Mixed};
+use super::pairs::Pairs;
 use super::sorter::{Sorter, entry, hash_of};
 use crate::sampling::cluster::{Moments, Vertex};
 use crate::sampling::finalization::unit;
@@ -116,15 +118,17 @@ impl Parting<'_> {
                 if p.is_finite() { sorter.push(entry(hash_of(p), vertex)) } else { Ok(()) }
             },
         )?;
+        let mut pairs = Pairs::new(self.model.info().vertices, self.folder);
         let (mut last, mut joins): (Option<[u32; 3]>, bool) = (None, false);
         sorter.finish(|entry| {
-            if let Some(last) = last.filter(|last| last[..2] == entry[..2]) {
-                let with_cluster = |vertex: u32| (vertex, sample_of[vertex as usize]);
-                islands.join(with_cluster(last[2]), with_cluster(entry[2]));
-                joins = true;
-            }
-            last = Some(entry);
-            Ok(())
+            let twin = last.replace(entry).filter(|last| last[..2] == entry[..2]);
+            joins |= twin.is_some();
+            twin.map_or(Ok(()), |twin| pairs.push([twin[2], entry[2]]))
+        })?;
+        let with_cluster = |vertex: u32| (vertex, sample_of[vertex as usize]);
+        pairs.each(|some| {
+            some.iter().for_each(|pair| islands.join(with_cluster(pair[0]), with_cluster(pair[1])));
+            looked_at(size_of_val(some));
         })?;
         Ok(joins)
     }
@@ -212,6 +216,8 @@ impl Parting<'_> {
                     let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
                     visit((chunk.first + i as u64) as u32, *p, normal)?;
                 }
+                // The sample and the island of each.
+                looked_at(2 * size_of::<u32>() * chunk.len());
             }
         }
         Ok(())
@@ -441,6 +447,9 @@ impl Parted {
     /// Notes in `sample_of` which sample each vertex belongs to now.
     pub fn renumber(&self, islands: &Islands, sample_of: &mut [u32]) {
         sample_of.par_iter_mut().enumerate().for_each(|(vertex, sample)| {
+            if vertex.is_multiple_of(SMALL_CHUNK) {
+                looked_at(2 * size_of::<u32>() * SMALL_CHUNK);
+            }
             let Some(mixed) = self.mixed.get(*sample as usize) else { return };
             if *mixed && let Some(island) = self.graph.number(*sample, islands.first_of(vertex as u32)) {
                 *sample = self.sample[island as usize];

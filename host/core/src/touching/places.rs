@@ -5,8 +5,8 @@ use std::path::Path;
 
 use bytemuck::{cast_slice, cast_slice_mut};
 use glam::Vec3;
-use memmap2::Mmap;
 use simod_model::Result;
+use simod_model::mapped::Map;
 use simod_model::scratch::Scratch;
 
 use super::ADVICE;
@@ -26,7 +26,7 @@ const BYTES: u64 = size_of::<Entry>() as u64;
 #[derive(Debug)]
 pub enum Places {
     Held(Vec<Entry>),
-    Mapped(Mmap),
+    Mapped(Map),
 }
 
 impl Default for Places {

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use bytemuck::cast_slice;
 use glam::DVec3;
-use memmap2::MmapMut;
 use rayon::prelude::*;
 use simod_model::Result;
+use simod_model::mapped::MapMut;
 use simod_model::scratch::Scratch;
 
 use super::ADVICE;
@@ -56,7 +56,7 @@ pub struct Search {
 /// What was found.
 pub struct Found {
     /// For each vertex, how far before it one at the same position is; 0 where none is known.
-    pub back: MmapMut,
+    pub back: MapMut,
     /// How many vertices have one.
     pub count: u64,
 }

@@ -4,9 +4,9 @@
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 use glam::Vec3;
-use memmap2::Mmap;
 
 use crate::form::{Content, Form, Rows, attribute_loss};
+use crate::mapped::{Map, looked_at};
 use crate::polygons::Polygons;
 use crate::scratch::Scratch;
 use crate::{Error, Result, Scalar, Summary};
@@ -17,7 +17,7 @@ const FACET: usize = 50;
 pub(super) struct Stl {
     triangles: u64,
     vertices: Mutex<Option<Scratch>>,
-    map: OnceLock<Mmap>,
+    map: OnceLock<Map>,
 }
 
 impl Stl {
@@ -119,6 +119,7 @@ impl Form for Stl {
             let numbers = [normal, a, b, c].map(|v| v.to_array().map(f32::to_le_bytes));
             facet[..48].copy_from_slice(numbers.as_flattened().as_flattened());
         }
+        looked_at(3 * 12 * faces.len());
         Ok(())
     }
 

@@ -1,0 +1,116 @@
+//! Temporary files as memory, of which little stays resident: what is mapped counts as the process' own
+//! wherever its memory is looked at, though the system may take it back at any time.
+
+use std::ops::{Deref, DerefMut};
+use std::sync::{Mutex, PoisonError};
+
+use memmap2::{Mmap, MmapMut};
+
+/// Bytes that are looked at until all pages are given back: what a pass holds of its files, if it goes
+/// through them in about their order. So much is read again within a few thousandths of the time that looking at
+/// it takes; a pass in no order reads all files again each time.
+const RESIDENT: u64 = 64 << 20;
+
+/// All maps of this process.
+static MAPS: Mutex<Maps> = Mutex::new(Maps { all: Vec::new(), looked_at: 0 });
+
+struct Maps {
+    /// Address and length of each.
+    all: Vec<(usize, usize)>,
+    /// Bytes since pages were given back.
+    looked_at: u64,
+}
+
+/// A temporary file as memory to be read.
+pub type Map = Mapped<Mmap>;
+
+/// The same, to be read and written.
+pub type MapMut = Mapped<MmapMut>;
+
+/// A file as memory.
+#[derive(Debug)]
+pub struct Mapped<M: Deref<Target = [u8]>>(M);
+
+impl<M: Deref<Target = [u8]>> Mapped<M> {
+    /// A map of a whole file, which is shared with that: what is written to it is in the file.
+    pub(crate) fn new(map: M) -> Self {
+        let place = (map.as_ptr() as usize, map.len());
+        MAPS.lock().unwrap_or_else(PoisonError::into_inner).all.push(place);
+        Self(map)
+    }
+}
+
+impl<M: Deref<Target = [u8]>> Drop for Mapped<M> {
+    fn drop(&mut self) {
+        let place = (self.0.as_ptr() as usize, self.0.len());
+        let mut maps = MAPS.lock().unwrap_or_else(PoisonError::into_inner);
+        maps.all.retain(|other| *other != place);
+    }
+}
+
+impl<M: Deref<Target = [u8]>> Deref for Mapped<M> {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+impl<M: DerefMut<Target = [u8]>> DerefMut for Mapped<M> {
+    fn deref_mut(&mut self) -> &mut [u8] {
+        &mut self.0
+    }
+}
+
+/// Tells that about so many bytes of mapped files were looked at, which others are looked at next: from time
+/// to time all pages go back to the system, which keeps what is in them.
+pub fn looked_at(bytes: usize) {
+    let mut maps = MAPS.lock().unwrap_or_else(PoisonError::into_inner);
+    maps.looked_at += bytes as u64;
+    if maps.looked_at >= RESIDENT {
+        maps.looked_at = 0;
+        maps.all.iter().for_each(|place| release(*place));
+    }
+}
+
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+fn release((address, length): (usize, usize)) {
+    #[expect(unsafe_code, reason = "advice about memory")]
+    // SAFETY: it is the whole of a map that is there, as one that ends waits for the lock first. It is shared
+    // with its file, so that its pages keep what is in them and come back, whoever uses them meanwhile.
+    let _ = unsafe { libc::madvise(address as *mut libc::c_void, length, libc::MADV_DONTNEED) };
+}
+
+/// Nothing: these systems are not told.
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+fn release(_place: (usize, usize)) {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scratch::Scratch;
+
+    /// Bytes of a map that are resident in this process.
+    #[cfg(target_os = "linux")]
+    fn resident(map: &[u8]) -> u64 {
+        let maps = std::fs::read_to_string("/proc/self/smaps").unwrap();
+        let begin = format!("{:x}-", map.as_ptr() as usize);
+        let own = maps.lines().skip_while(|line| !line.starts_with(&begin));
+        let line = own.into_iter().find_map(|line| line.strip_prefix("Rss:")).unwrap();
+        line.trim().strip_suffix("kB").unwrap().trim().parse::<u64>().unwrap() << 10
+    }
+
+    #[test]
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    fn pages_are_given_back_and_keep_what_is_in_them() {
+        let file = Scratch::new(&std::env::temp_dir(), "").unwrap();
+        let bytes: Vec<u8> = (0..4 << 20).map(|i: u32| (i % 251) as u8).collect();
+        file.write_at(&bytes, 0).unwrap();
+        let mut map = file.map_mut().unwrap();
+        map.iter_mut().for_each(|byte| *byte ^= 1);
+        assert_eq!(resident(&map), bytes.len() as u64);
+        looked_at(RESIDENT as usize);
+        assert!(resident(&map) < bytes.len() as u64 / 4);
+        assert!(map.iter().zip(&bytes).all(|(a, b)| *a == b ^ 1));
+    }
+}
