@@ -104,7 +104,7 @@ mod tests {
         let at = |i: u32| DVec3::new(f64::from(i * 37 % 101), f64::from(i * 53 % 97), f64::from(i * 71 % 89));
         let corners: Vec<DVec3> = (0..300).map(at).collect();
         let triangles: Vec<[u32; 3]> = (0..100).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
-        let surface = simod_measure::Surface::new(&corners, &triangles).expect("triangles");
+        let surface = simod_measure::DistanceSurface::new(&corners, &triangles).expect("triangles");
         for p in (1000..2000).map(at).map(|p| 1.3 * p + 0.1) {
             let expected = to_triangles(&[p], &corners, &triangles).expect("a distance").worst;
             assert!((surface.distance(p) - expected).abs() < 1e-9, "{p}: {} {expected}", surface.distance(p));

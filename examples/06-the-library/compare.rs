@@ -2,10 +2,10 @@
 //! PLUGIN`.
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
-use simod_compare::{CameraPlace, CompareFile, Comparing, Method, Work, compare};
+use simod_compare::{CameraPlace, CompareFile, ComparedMethod, Comparing, MethodWork, compare};
 use simod_model::progress::Silent;
 use simod_session::plugins::standard_folders;
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_session::{PluginOptions, PluginRegistry};
 use std::error::Error;
 use std::path::PathBuf;
@@ -16,16 +16,16 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("give a model, a folder for the page, and a plugin's id".into());
     };
     let plugins = PluginRegistry::discover(&PluginOptions::in_process(standard_folders()));
-    let method = |samples: u64| Method {
+    let method = |samples: u64| ComparedMethod {
         name: format!("{samples} samples"),
         place: "here".to_owned(),
-        work: Work::Plugin {
+        work: MethodWork::Plugin {
             deform: plugin.clone(),
             state_version: None,
             params: toml::Table::new(),
             folder: PathBuf::new(),
         },
-        sampling: Sampling { samples: Some(samples), ..Sampling::default() },
+        sampling: SamplingTable { samples: Some(samples), ..SamplingTable::default() },
         reconstruction: Default::default(),
     };
     let file = CompareFile {

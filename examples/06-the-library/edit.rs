@@ -5,9 +5,9 @@
 use simod_core::reconstruction::Reconstruction;
 use simod_model::progress::Silent;
 use simod_plugin_api::Effort;
-use simod_session::edit::{Change, Command, Editor, Evaluated, Evaluation};
+use simod_session::edit::{Change, EditCommand, Editor, Evaluated, Evaluation};
 use simod_session::plugins::standard_folders;
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_session::{PluginOptions, PluginRegistry, SessionFile};
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("give a model, a file for the edited one, and one for the session".into());
     };
 
-    let sampling = Sampling { samples: Some(20_000), ..Sampling::default() };
+    let sampling = SamplingTable { samples: Some(20_000), ..SamplingTable::default() };
     let new = SessionFile { model: Some(model.clone()), sampling, ..SessionFile::default() };
     let plugins = Arc::new(PluginRegistry::discover(&PluginOptions::in_process(standard_folders())));
     // The editor has the steps, and the evaluation does them: it may as well be on a thread of its own.
@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         params = { operation = "twist", angle = 45 }"#;
     for (at, text) in [bend, twist].into_iter().enumerate() {
         let mut steps = SessionFile::parse(&format!("[[step]]\n{text}"), Path::new("steps.toml"))?.steps;
-        editor.document_mut().apply(Command::Add { at, step: Box::new(steps.remove(0)) })?;
+        editor.document_mut().apply(EditCommand::Add { at, step: Box::new(steps.remove(0)) })?;
     }
     work.tell("two steps", &editor)?;
 
@@ -41,7 +41,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     // one.
     for degrees in [50, 55, 60] {
         let change = Change::SetParam { id: "angle".to_owned(), value: Some(degrees.into()) };
-        editor.document_mut().apply(Command::Change { at: 1, change })?;
+        editor.document_mut().apply(EditCommand::Change { at: 1, change })?;
         work.update(&editor, Effort::DRAFT)?;
     }
     editor.document_mut().rest();

@@ -2,7 +2,7 @@
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
 use glam::DVec3;
-use simod_core::refinement::{Finer, Refining, Selection, refine};
+use simod_core::refinement::{Finer, Refining, SpaceSelection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_model::progress::Silent;
 use std::error::Error;
@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let model = sampled.open_source(None, &Silent)?;
     // Any function of space says what is selected: here the distance to a ball.
     let distance = |p: DVec3| p.distance(DVec3::new(x, y, z)) - radius;
-    let selection = Selection { distance: &distance, so_far: None, at_rest: true };
+    let selection = SpaceSelection { distance: &distance, so_far: None, at_rest: true };
     let how = Refining { finer: Finer::Factor(10.0), memory_limit: None, shapes: Vec::new() };
     let refined = refine(&sampled, model.as_ref(), selection, &how, &std::env::temp_dir(), &Silent)?;
 

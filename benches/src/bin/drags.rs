@@ -22,7 +22,7 @@ use simod_model::memory::anonymous;
 use simod_model::progress::Silent;
 use simod_session::edit::{self, Change};
 use simod_session::plugins::PluginFolder;
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_session::step::Role;
 use simod_session::{Motion, PluginOptions, PluginRegistry};
 use simod_viewer::command::Area;
@@ -161,7 +161,7 @@ impl Hand {
     fn new(plugins: Arc<PluginRegistry>, model: &Path, samples: u64) -> Result<Self> {
         let state = State::new(plugins, Arc::new(|| ()));
         let mut hand = Self { state, drawn: Arc::default(), rings: None };
-        let sampling = Sampling { samples: Some(samples), ..Sampling::default() };
+        let sampling = SamplingTable { samples: Some(samples), ..SamplingTable::default() };
         hand.done(Command::Open { path: model.to_owned(), sampling, recover: false })?;
         Ok(hand)
     }
@@ -185,7 +185,7 @@ impl Hand {
                 self.done(Command::AddStep { plugin: plugin.to_owned(), at: None })?;
                 if let Some(mode) = mode {
                     let change = Change::SetParam { id: "mode".to_owned(), value: Some(mode.into()) };
-                    self.done(Command::Edit(edit::Command::Change { at, change }))?;
+                    self.done(Command::Edit(edit::EditCommand::Change { at, change }))?;
                 }
                 self.region(at, Role::Fixed, 0.0..0.35)?;
                 self.region(at, Role::Handle, 0.9..1.1)
@@ -234,7 +234,7 @@ impl Hand {
                 },
             };
             let (start, before) = (Instant::now(), own_cpu());
-            self.shown(Command::Drag(edit::Command::Change { at: case.dragged, change }))?;
+            self.shown(Command::Drag(edit::EditCommand::Change { at: case.dragged, change }))?;
             self.shaded(drawn);
             if frame > 0 {
                 took.push(start.elapsed().as_secs_f64());

@@ -27,7 +27,7 @@ pub(crate) struct Choosing {
 }
 
 /// Vertices that were chosen, each in all versions.
-pub(crate) struct Chosen {
+pub(crate) struct ChosenVertices {
     versions: usize,
     origin: DVec3,
     numbers: Map,
@@ -85,13 +85,13 @@ impl Choosing {
     }
 
     /// All are there.
-    pub fn finish(self) -> Result<Chosen> {
+    pub fn finish(self) -> Result<ChosenVertices> {
         let (versions, origin) = (self.versions, self.origin);
-        Ok(Chosen { versions, origin, numbers: self.file.map()? })
+        Ok(ChosenVertices { versions, origin, numbers: self.file.map()? })
     }
 }
 
-impl Chosen {
+impl ChosenVertices {
     /// How many there are.
     pub fn len(&self) -> usize {
         self.words().len() / self.width()

@@ -8,17 +8,17 @@ use std::time::{Duration, Instant};
 /// Passes progress on, and counts the time of stages that prepare.
 pub(crate) struct Clock<'a> {
     progress: &'a dyn Progress,
-    state: Mutex<State>,
+    state: Mutex<ClockState>,
 }
 
 #[derive(Default)]
-struct State {
+struct ClockState {
     /// Since when there is something being prepared.
     since: Option<Instant>,
     before: Duration,
 }
 
-impl State {
+impl ClockState {
     fn stop(&mut self) {
         self.before += self.since.take().map_or(Duration::ZERO, |since| since.elapsed());
     }
@@ -37,7 +37,7 @@ impl<'a> Clock<'a> {
         state.before.as_secs_f64()
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, ClockState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -1,6 +1,6 @@
 //! Programs of the user's own that are methods, run on the samples or on the model.
 
-use crate::file::{Command, Given};
+use crate::file::{ProgramFile, ProgramMethod};
 use glam::DVec3;
 use simod_core::sampled_model::SampledModel;
 use simod_model::memory::anonymous_of;
@@ -56,7 +56,7 @@ impl Files<'_> {
 }
 
 /// Runs a program in the folder of the file that names it, to its end.
-pub(crate) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress) -> Result<Ran> {
+pub(crate) fn run(command: &ProgramMethod, files: &Files<'_>, progress: &dyn Progress) -> Result<Ran> {
     progress.begin("running a program", 0);
     let words: Vec<String> = command.words.iter().map(|word| files.filled_in(word)).collect();
     let Some((program, arguments)) = words.split_first() else {
@@ -106,16 +106,16 @@ fn last_said(output: &str, errors: &str) -> String {
 
 /// Writes what a program is given, as far as its command asks for it.
 pub(crate) fn write_given(
-    command: &Command,
+    command: &ProgramMethod,
     files: &Files<'_>,
     sampled: &SampledModel,
     regions: &[Region],
 ) -> Result<()> {
     let samples = &sampled.samples;
-    if command.given.contains(&Given::Samples) {
+    if command.given.contains(&ProgramFile::Samples) {
         sampled.write_deformed(files.samples, &samples.positions, samples.normals())?;
     }
-    if command.given.contains(&Given::Constraints) {
+    if command.given.contains(&ProgramFile::Constraints) {
         write_file(files.constraints, constraints(sampled, regions).as_bytes())?;
     }
     Ok(())

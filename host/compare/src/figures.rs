@@ -6,8 +6,8 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_core::sampled_model::SampledModel;
 use simod_measure::{
-    Also, Details, Difference, Distances, Edges, Energies, Open, Rotation, Surface, area_distortion,
-    edge_distortion, is_closed, volume,
+    Also, DetailRotation, Details, Difference, DistanceSurface, Distances, Edges, Energies, OpenMesh,
+    area_distortion, edge_distortion, is_closed, volume,
 };
 use simod_model::bounds::Bounds;
 use simod_model::{Error, ErrorKind, Model, Progress, Result, for_faces, for_positions};
@@ -20,7 +20,7 @@ pub(crate) const DETAIL: f64 = 0.015;
 /// Shapes that are measured at a time.
 const TOGETHER: usize = 4;
 
-impl Beside {
+impl ComparedModels {
     /// The vertices of a method beside those of the first, both counted from 0.
     pub fn to_first(&self, method: usize) -> Option<Difference> {
         let found = self.differences.iter().find(|(of, _)| *of == (0, method));
@@ -29,7 +29,7 @@ impl Beside {
 }
 
 /// All vertices of the models, the first one at rest.
-pub(crate) struct Beside {
+pub(crate) struct ComparedModels {
     /// Each method's vertices beside those at rest.
     pub displacements: Vec<Difference>,
     /// Of all models.
@@ -44,11 +44,11 @@ pub(crate) fn beside(
     diagonal: f64,
     also: (usize, &Also<'_>),
     progress: &dyn Progress,
-) -> Result<Beside> {
+) -> Result<ComparedModels> {
     let simod_measure::VersionsBeside { bounds, differences } =
         simod_measure::beside(models, diagonal, also, progress)?;
     let (rest, pairs): (Vec<_>, Vec<_>) = differences.into_iter().partition(|((a, _), _)| *a == 0);
-    Ok(Beside {
+    Ok(ComparedModels {
         displacements: rest.into_iter().map(|(_, difference)| difference).collect(),
         bounds,
         differences: pairs.into_iter().map(|((a, b), difference)| ((a - 1, b - 1), difference)).collect(),
@@ -91,7 +91,7 @@ struct AtRest<'a> {
     details: Details<'a>,
     /// Of a closed one.
     volume: Option<f64>,
-    open: Option<Open>,
+    open: Option<OpenMesh>,
 }
 
 impl<'a> AtRest<'a> {
@@ -106,7 +106,7 @@ impl<'a> AtRest<'a> {
             edges,
             details,
             volume: closed.then(|| volume(rest, triangles)),
-            open: if closed { None } else { Open::from_triangles(rest, triangles) },
+            open: if closed { None } else { OpenMesh::from_triangles(rest, triangles) },
         }
     }
 
@@ -115,9 +115,9 @@ impl<'a> AtRest<'a> {
         let Self { rest, triangles, ref edges, .. } = *self;
         progress.check()?;
         let details = self.details.rotations(&shapes.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        let each = |(after, details): (&Vec<DVec3>, Rotation)| {
+        let each = |(after, details): (&Vec<DVec3>, DetailRotation)| {
             let volume_change = self.volume.map(|before| volume(after, triangles) / before - 1.0);
-            let over_border = |open: &Open| [rest, after].map(|of| open.volume(of, triangles));
+            let over_border = |open: &OpenMesh| [rest, after].map(|of| open.volume(of, triangles));
             progress.check()?;
             let ((edges, areas), energies) = rayon::join(
                 || (edge_distortion(rest, after, edges), area_distortion(rest, after, triangles)),
@@ -222,7 +222,7 @@ fn in_diagonals(sampled: &SampledModel, positions: &[Vec3]) -> Vec<DVec3> {
 pub(crate) fn pairs(
     names: &[String],
     deformed: &[&Deformed],
-    beside: &Beside,
+    beside: &ComparedModels,
     progress: &dyn Progress,
 ) -> Result<Vec<Pair>> {
     let count = deformed.len();
@@ -234,7 +234,7 @@ pub(crate) fn pairs(
     for (to, target) in deformed.iter().enumerate() {
         let Some(positions) = &target.positions else { continue };
         let positions = in_diagonals(&target.sampled, positions);
-        let Some(surface) = Surface::new(&positions, &target.sampled.triangles) else { continue };
+        let Some(surface) = DistanceSurface::new(&positions, &target.sampled.triangles) else { continue };
         for (from, source) in deformed.iter().enumerate().filter(|(from, _)| *from != to) {
             let triangles = &source.sampled.triangles;
             if let Some(points) = source.positions.as_ref().filter(|_| !triangles.is_empty()) {

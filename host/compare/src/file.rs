@@ -7,7 +7,7 @@ use simod_core::reconstruction::Method as Reconstruction;
 use simod_core::tables::{self, Spanned};
 use simod_model::{Error, Result};
 use simod_picture::picture::Up;
-use simod_session::session_file::{Sampling, read_text};
+use simod_session::session_file::{SamplingTable, read_text};
 use simod_session::session_text::{RegionTable, SessionText};
 use simod_session::step::Region;
 use std::path::{Path, PathBuf};
@@ -46,7 +46,7 @@ pub struct CompareFile {
     /// How often each method is done: its times are the medians.
     pub runs: usize,
     /// At least one, with names that differ.
-    pub methods: Vec<Method>,
+    pub methods: Vec<ComparedMethod>,
 }
 
 /// From where pictures are taken, and how large, as `simod render` has it.
@@ -84,22 +84,22 @@ pub struct CropPlace {
 
 /// One of the methods that are compared.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Method {
+pub struct ComparedMethod {
     /// What the user calls it; unique.
     pub name: String,
     /// Where in the file it stands, as `compare.toml, line 7`; for errors.
     pub place: String,
     /// What is done.
-    pub work: Work,
+    pub work: MethodWork,
     /// How finely the model is sampled.
-    pub sampling: Sampling,
+    pub sampling: SamplingTable,
     /// How the deformation gets onto the model.
     pub reconstruction: Reconstruction,
 }
 
 /// What a method does to the samples.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Work {
+pub enum MethodWork {
     /// One plugin, on the shared regions.
     Plugin {
         /// Its id.
@@ -118,32 +118,32 @@ pub enum Work {
     /// Nothing: the deformed model is there.
     Model(PathBuf),
     /// A program of the user's.
-    Command(Command),
+    Command(ProgramMethod),
 }
 
 /// A program that deforms the samples, or the model itself.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Command {
+pub struct ProgramMethod {
     /// As the file has it.
     pub line: String,
     /// The program and its arguments, in which names in braces stand for files.
     pub words: Vec<String>,
     /// The files that it asks for.
-    pub given: Vec<Given>,
+    pub given: Vec<ProgramFile>,
     /// Where it runs.
     pub folder: PathBuf,
 }
 
-impl Command {
+impl ProgramMethod {
     /// Whether it makes a deformed model, and not deformed samples.
     pub fn makes_model(&self) -> bool {
-        self.given.contains(&Given::Model)
+        self.given.contains(&ProgramFile::Model)
     }
 }
 
 /// A file that a program asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Given {
+pub enum ProgramFile {
     /// The samples at rest: `{samples}`.
     Samples,
     /// Where the regions have samples go: `{constraints}`.
@@ -154,7 +154,7 @@ pub enum Given {
     Output,
 }
 
-impl Given {
+impl ProgramFile {
     const ALL: [(&'static str, Self); 4] = [
         ("samples", Self::Samples),
         ("constraints", Self::Constraints),
@@ -169,7 +169,7 @@ impl Given {
 #[serde(deny_unknown_fields)]
 struct RawCompare {
     model: Option<RawModel>,
-    sampling: Option<Spanned<Sampling>>,
+    sampling: Option<Spanned<SamplingTable>>,
     #[serde(default)]
     region: Vec<Spanned<RegionTable>>,
     camera: Option<Spanned<CameraPlace>>,
@@ -209,7 +209,7 @@ struct RawMethod {
     deformed: Option<PathBuf>,
     model: Option<PathBuf>,
     command: Option<String>,
-    sampling: Option<Spanned<Sampling>>,
+    sampling: Option<Spanned<SamplingTable>>,
     reconstruction: Option<RawReconstruction>,
 }
 
@@ -252,9 +252,9 @@ impl CompareFile {
             .ok_or_else(|| missing("there is no model", "add [model] path = \"…\", relative to this file"))?;
         let sampling = match raw.sampling {
             Some(sampling) => source.sampling(sampling)?,
-            None => Sampling::default(),
+            None => SamplingTable::default(),
         };
-        let mut methods: Vec<Method> = Vec::with_capacity(raw.method.len());
+        let mut methods: Vec<ComparedMethod> = Vec::with_capacity(raw.method.len());
         for raw in raw.method {
             let method = method(&source, raw, sampling, &methods)?;
             methods.push(method);
@@ -291,9 +291,9 @@ impl CompareFile {
     }
 
     /// The methods that are programs of the user's.
-    pub fn commands(&self) -> impl Iterator<Item = (&Method, &Command)> {
+    pub fn commands(&self) -> impl Iterator<Item = (&ComparedMethod, &ProgramMethod)> {
         self.methods.iter().filter_map(|method| match &method.work {
-            Work::Command(command) => Some((method, command)),
+            MethodWork::Command(command) => Some((method, command)),
             _ => None,
         })
     }
@@ -339,37 +339,40 @@ fn crop(source: &SessionText<'_>, raw: Spanned<RawCrop>, before: &[CropPlace]) -
 }
 
 /// Checks a command.
-fn command(line: &str, folder: &Path) -> std::result::Result<Command, (String, String)> {
+fn command(line: &str, folder: &Path) -> std::result::Result<ProgramMethod, (String, String)> {
     let words = shlex::split(line).filter(|words| !words.is_empty());
     let words = words.ok_or_else(|| {
         let hint = "quote words that hold spaces, as in a shell: command = \"python 'my arap.py' {samples} {output}\"";
         (format!("`command` is no program with arguments: {line}"), hint.to_owned())
     })?;
     let asks = |name: &str| words.iter().any(|word| word.contains(&format!("{{{name}}}")));
-    let given: Vec<Given> =
-        Given::ALL.iter().filter(|(name, _)| asks(name)).map(|(_, given)| *given).collect();
-    let has = |one: Given| given.contains(&one);
+    let given: Vec<ProgramFile> =
+        ProgramFile::ALL.iter().filter(|(name, _)| asks(name)).map(|(_, given)| *given).collect();
+    let has = |one: ProgramFile| given.contains(&one);
     let hint =
         "{samples} or {model} stands for what is to be deformed, and {output} for the file to be written"
             .to_owned();
-    if !has(Given::Output) {
+    if !has(ProgramFile::Output) {
         return Err(("`command` has no {output}".to_owned(), hint));
     }
-    if has(Given::Samples) == has(Given::Model) {
-        let both =
-            if has(Given::Samples) { "both {samples} and {model}" } else { "neither {samples} nor {model}" };
+    if has(ProgramFile::Samples) == has(ProgramFile::Model) {
+        let both = if has(ProgramFile::Samples) {
+            "both {samples} and {model}"
+        } else {
+            "neither {samples} nor {model}"
+        };
         return Err((format!("`command` has {both}"), hint));
     }
-    Ok(Command { line: line.to_owned(), words, given, folder: folder.to_owned() })
+    Ok(ProgramMethod { line: line.to_owned(), words, given, folder: folder.to_owned() })
 }
 
 /// Checks a method; `before` are those above it.
 fn method(
     source: &SessionText<'_>,
     raw: Spanned<RawMethod>,
-    shared: Sampling,
-    before: &[Method],
-) -> Result<Method> {
+    shared: SamplingTable,
+    before: &[ComparedMethod],
+) -> Result<ComparedMethod> {
     let (span, raw) = (raw.span(), raw.into_inner());
     let wrong = |what: &str, hint: &str| Err(source.error(&span, what, hint));
     let folder = source.path.parent().unwrap_or(Path::new(""));
@@ -388,18 +391,18 @@ fn method(
     let (sampling, reconstruction) = (raw.sampling.clone(), raw.reconstruction);
     let work = work(raw, folder).map_err(|(what, hint)| source.error(&span, &what, hint))?;
     if reconstruction.is_some()
-        && (matches!(&work, Work::Model(_))
-            || matches!(&work, Work::Command(command) if command.makes_model()))
+        && (matches!(&work, MethodWork::Model(_))
+            || matches!(&work, MethodWork::Command(command) if command.makes_model()))
     {
         return wrong("a method that gives a deformed model has no `reconstruction`", "leave it out");
     }
     let sampling = sampling.map_or(Ok(shared), |sampling| source.sampling(sampling))?;
     let reconstruction = reconstruction.map(Reconstruction::from).unwrap_or_default();
-    Ok(Method { name, place, work, sampling, reconstruction })
+    Ok(ComparedMethod { name, place, work, sampling, reconstruction })
 }
 
 /// What a method does, which is said in one way; or what is wrong, and what to do.
-fn work(raw: RawMethod, folder: &Path) -> std::result::Result<Work, (String, String)> {
+fn work(raw: RawMethod, folder: &Path) -> std::result::Result<MethodWork, (String, String)> {
     let wrong = |what: &str, hint: &str| Err((what.to_owned(), hint.to_owned()));
     let what = [
         ("deform", raw.deform.is_some()),
@@ -431,15 +434,15 @@ fn work(raw: RawMethod, folder: &Path) -> std::result::Result<Work, (String, Str
     }
     Ok(if let Some(deform) = raw.deform {
         let (state_version, params) = (raw.state_version, raw.params);
-        Work::Plugin { deform, state_version, params, folder: folder.to_owned() }
+        MethodWork::Plugin { deform, state_version, params, folder: folder.to_owned() }
     } else if let Some(session) = raw.session {
-        Work::Session(folder.join(session))
+        MethodWork::Session(folder.join(session))
     } else if let Some(deformed) = raw.deformed {
-        Work::Deformed(folder.join(deformed))
+        MethodWork::Deformed(folder.join(deformed))
     } else if let Some(line) = raw.command {
-        Work::Command(command(&line, folder)?)
+        MethodWork::Command(command(&line, folder)?)
     } else {
-        Work::Model(folder.join(raw.model.unwrap_or_default()))
+        MethodWork::Model(folder.join(raw.model.unwrap_or_default()))
     })
 }
 
@@ -467,7 +470,7 @@ mod tests {
         assert_eq!(arap.place, "edits/compare.toml, line 16");
         assert_eq!(rbf.sampling.samples, Some(5000));
         assert_eq!(rbf.reconstruction, Reconstruction::ProjectedBarycentric);
-        assert_eq!(session.work, Work::Session("edits/bend.toml".into()));
+        assert_eq!(session.work, MethodWork::Session("edits/bend.toml".into()));
         assert_eq!((file.runs, file.crops.len()), (1, 0));
     }
 
@@ -492,11 +495,11 @@ command = "python 'my arap.py' {samples} --to={output} --with {constraints}"
 "#;
         let file = parse(text).unwrap();
         let [a, b, c] = &file.methods[..] else { panic!("three methods") };
-        assert_eq!(a.work, Work::Deformed("edits/a-deformed.ply".into()));
-        assert_eq!(b.work, Work::Model("edits/b.ply".into()));
-        let Work::Command(command) = &c.work else { panic!("a command") };
+        assert_eq!(a.work, MethodWork::Deformed("edits/a-deformed.ply".into()));
+        assert_eq!(b.work, MethodWork::Model("edits/b.ply".into()));
+        let MethodWork::Command(command) = &c.work else { panic!("a command") };
         assert_eq!(command.words[..2], ["python", "my arap.py"]);
-        assert_eq!(command.given, [Given::Samples, Given::Constraints, Given::Output]);
+        assert_eq!(command.given, [ProgramFile::Samples, ProgramFile::Constraints, ProgramFile::Output]);
         assert!(!command.makes_model() && command.folder == Path::new("edits"));
         assert_eq!(file.commands().count(), 1);
         let head = CropPlace {

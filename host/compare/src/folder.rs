@@ -1,6 +1,6 @@
 //! The folder of a comparison: what may be replaced, and how its files are called.
 
-use crate::file::Method;
+use crate::file::ComparedMethod;
 use crate::html::hyphenated;
 use serde::Deserialize;
 use simod_model::target::folder_of;
@@ -28,7 +28,7 @@ pub(crate) const REST: &str = "rest";
 pub(crate) const FORMAT: &str = "simod-comparison/1";
 
 /// A place where a comparison may be written.
-pub(crate) struct Target(PathBuf);
+pub(crate) struct ComparisonFolder(PathBuf);
 
 /// As much of a record as tells which files are the comparison's own.
 #[derive(Deserialize)]
@@ -37,7 +37,7 @@ struct Former {
     files: Vec<String>,
 }
 
-impl Target {
+impl ComparisonFolder {
     /// Checks a place, before any work is done: nothing is there, or a former comparison, which does not hold
     /// the model.
     pub fn check(folder: &Path, model: &[PathBuf]) -> Result<Self> {
@@ -83,10 +83,10 @@ impl Target {
 /// Names for the files of methods: what there is of ASCII letters and digits in the methods' names.
 /// `NAME.png` and `NAME-difference.png` are of one method alone; no name has the `_` that stands before those
 /// of crops.
-pub(crate) fn names(methods: &[Method]) -> Vec<String> {
+pub(crate) fn names(methods: &[ComparedMethod]) -> Vec<String> {
     const LONGEST: usize = 60;
     let mut taken: HashSet<String> = ["rest", "index", "compare", "difference"].map(String::from).into();
-    let name = |method: &Method| {
+    let name = |method: &ComparedMethod| {
         let mut name = hyphenated(&method.name);
         name.truncate(LONGEST);
         if name.is_empty() {
@@ -137,7 +137,7 @@ mod tests {
     fn only_former_comparisons_are_replaced() {
         let place = tempfile::tempdir().unwrap();
         let at = |name: &str| place.path().join(name);
-        let check = |name: &str| Target::check(&at(name), &[at("out/a.ply")]).map(|_| ());
+        let check = |name: &str| ComparisonFolder::check(&at(name), &[at("out/a.ply")]).map(|_| ());
         let write = |name: &str, text: &str| {
             std::fs::create_dir_all(at(name).parent().unwrap()).unwrap();
             simod_model::output::write_file(&at(name), text.as_bytes()).unwrap();

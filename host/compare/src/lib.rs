@@ -38,17 +38,19 @@ mod record;
 mod tables;
 mod unit;
 
-pub use file::{CameraPlace, Command, CompareFile, CropPlace, Given, MAX_METHODS, Method, Work};
-pub use planned::{ComparisonPlan, Options, make};
+pub use file::{
+    CameraPlace, CompareFile, ComparedMethod, CropPlace, MAX_METHODS, MethodWork, ProgramFile, ProgramMethod,
+};
+pub use planned::{ComparisonPlan, ComparisonPlanOptions, make};
 pub use record::{
-    Comparison, Failure, Figures, MachineRecord, MethodRecord, ModelRecord, OnSamples, Pair, ResultFile,
-    RunSeconds, Seconds, StepRecord,
+    Comparison, DeformationRecord, Figures, MachineRecord, MethodFailure, MethodRecord, ModelRecord,
+    OnSamples, Pair, ResultFile, RunSeconds, Seconds,
 };
 pub use unit::{Done, do_unit};
 
 use chosen::Choosing;
 use figures::HeldMesh;
-use folder::{CSV, INDEX, LATEX, RECORD, Target};
+use folder::{CSV, ComparisonFolder, INDEX, LATEX, RECORD};
 use method::{BegunMethod, Bench, Deformed, UntransferredMethod};
 use pictures::Easel;
 use simod_model::output::write_file;
@@ -107,7 +109,7 @@ fn check_commands(file: &CompareFile, how: Comparing) -> Result<()> {
 }
 
 /// The model and the place of the result, if a comparison may be made as it is asked for.
-fn checked(file: &CompareFile, how: Comparing, output: &Path) -> Result<(ModelName, Target)> {
+fn checked(file: &CompareFile, how: Comparing, output: &Path) -> Result<(ModelName, ComparisonFolder)> {
     check_commands(file, how)?;
     let named = ModelName::from_path(&file.model)?;
     if let Some((method, _)) = file.commands().find(|(_, command)| command.makes_model())
@@ -121,7 +123,7 @@ fn checked(file: &CompareFile, how: Comparing, output: &Path) -> Result<(ModelNa
             "have it deform {samples}, or name the folder of tiles that it made with `model`",
         ));
     }
-    let target = Target::check(output, named.files())?;
+    let target = ComparisonFolder::check(output, named.files())?;
     Ok((named, target))
 }
 
@@ -131,11 +133,11 @@ fn in_folder<'a>(
     keep_models: bool,
     folder: &OutputFolder,
     rest: &dyn Model,
-    target: &Target,
+    target: &ComparisonFolder,
     progress: &dyn Progress,
 ) -> Result<Comparison> {
     let names = folder::names(&file.methods);
-    let new = |(method, name): (&Method, &String)| MethodRecord::new(method, name);
+    let new = |(method, name): (&ComparedMethod, &String)| MethodRecord::new(method, name);
     let mut records: Vec<MethodRecord> = file.methods.iter().zip(&names).map(new).collect();
     let (mut done, mut waiting) = (Vec::new(), Vec::new());
     for (i, (method, name)) in file.methods.iter().zip(&names).enumerate() {
@@ -194,7 +196,7 @@ fn beside_each_other(
     keep_models: bool,
     folder: &OutputFolder,
     rest: &dyn Model,
-    target: &Target,
+    target: &ComparisonFolder,
     progress: &dyn Progress,
 ) -> Result<Comparison> {
     let Some((_, first)) = done.first() else { return Err(none_done(&records)) };

@@ -2,21 +2,21 @@
 
 use crate::clock::Clock;
 use crate::external::{self, Files, Ran, write_given};
-use crate::file::{Command, CompareFile, Method, Work};
-use crate::record::{Figures, MethodRecord, ResultFile, RunSeconds, Seconds, StepRecord, words};
+use crate::file::{CompareFile, ComparedMethod, MethodWork, ProgramMethod};
+use crate::record::{DeformationRecord, Figures, MethodRecord, ResultFile, RunSeconds, Seconds, words};
 use glam::Vec3;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{ExpectedError, Reconstruction, RestGeometry, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::Skip;
 use simod_model::memory::MemoryWatch;
-use simod_model::resumable_output::Place;
+use simod_model::resumable_output::OutputPaths;
 use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result, processor};
 use simod_session::deformer::Message;
 use simod_session::edit::{Refinements, turning_gradients};
 use simod_session::pipeline::{DeformedSamples, deform, sampled};
 use simod_session::plugins::PluginRegistry;
-use simod_session::session_file::{Sampling, SessionFile, read_text};
+use simod_session::session_file::{SamplingTable, SessionFile, read_text};
 use simod_session::stack::{PreparedStack, Stack};
 use simod_session::step::{Action, Deformation, Role, Step};
 use std::io::Read;
@@ -40,7 +40,7 @@ pub(crate) struct Bench<'a> {
 
 /// A sampling that was done.
 struct TakenSampling {
-    of: Sampling,
+    of: SamplingTable,
     sampled: Arc<SampledModel>,
     seconds: f64,
     /// What the first method to be transferred found of the samples at rest.
@@ -108,7 +108,7 @@ pub(crate) struct Transferred<'a> {
 
 /// Samples that went somewhere, and what that took.
 struct TimedSamples {
-    moved: Moved,
+    moved: MethodSamples,
     deform: f64,
     processor: Option<f64>,
 }
@@ -147,7 +147,7 @@ struct Once {
 }
 
 /// Where samples went, by whatever.
-struct Moved {
+struct MethodSamples {
     sampled: Arc<SampledModel>,
     positions: Vec<Vec3>,
     messages: Vec<Message>,
@@ -159,7 +159,7 @@ struct Moved {
 
 /// A method with what is known of it before it is done.
 struct PreparedMethod<'a> {
-    method: &'a Method,
+    method: &'a ComparedMethod,
     /// What its files begin with.
     name: String,
     /// Those of plugins.
@@ -184,14 +184,14 @@ impl<'a> Bench<'a> {
     }
 
     /// Takes a sampling that was done before, and how many seconds it took.
-    pub fn take(&mut self, of: Sampling, sampled: Arc<SampledModel>, seconds: f64) {
+    pub fn take(&mut self, of: SamplingTable, sampled: Arc<SampledModel>, seconds: f64) {
         self.samplings.push(TakenSampling { of, sampled, seconds, found: OnceLock::new() });
     }
 
     /// Does a method, as often as the file says. `record` gets what is known as soon as it is.
     pub fn run(
         &mut self,
-        method: &'a Method,
+        method: &'a ComparedMethod,
         name: &str,
         record: &mut MethodRecord,
         progress: &dyn Progress,
@@ -205,7 +205,7 @@ impl<'a> Bench<'a> {
     /// others: where it is run once, so that nobody tells from several runs how long it takes by itself.
     pub fn begin(
         &mut self,
-        method: &'a Method,
+        method: &'a ComparedMethod,
         name: &str,
         record: &mut MethodRecord,
         progress: &dyn Progress,
@@ -272,7 +272,7 @@ impl<'a> Bench<'a> {
     /// sampling took.
     fn known(
         &mut self,
-        method: &'a Method,
+        method: &'a ComparedMethod,
         name: &str,
         record: &mut MethodRecord,
         progress: &dyn Progress,
@@ -281,7 +281,7 @@ impl<'a> Bench<'a> {
         let notices = self.plugins.notices(&steps);
         notices.iter().for_each(|notice| progress.note(notice));
         let stack = Stack::build(&steps, self.plugins)?;
-        record.steps = stack.in_effect().map(StepRecord::new).collect();
+        record.steps = stack.in_effect().map(DeformationRecord::new).collect();
         let (rest, sample) = self.sampling(method.sampling, progress)?;
         Ok((PreparedMethod { method, name: name.to_owned(), steps, rest }, notices, sample))
     }
@@ -319,8 +319,8 @@ impl<'a> Bench<'a> {
     /// Does a method once; what does not change is measured where it is asked for.
     fn once(&self, known: &PreparedMethod<'_>, measure: bool, progress: &dyn Progress) -> Result<Once> {
         match &known.method.work {
-            Work::Model(path) => self.of_model(known, path.clone(), None, progress),
-            Work::Command(command) if command.makes_model() => {
+            MethodWork::Model(path) => self.of_model(known, path.clone(), None, progress),
+            MethodWork::Command(command) if command.makes_model() => {
                 let source = known.rest.open_source(Some(&self.file.model), progress)?;
                 let output = self.folder.join(file_name(&known.name, source.as_ref()));
                 let processor = processor::seconds();
@@ -361,7 +361,7 @@ impl<'a> Bench<'a> {
         Ok(Once {
             sampled: known.rest.clone(),
             positions: None,
-            files: Place::for_model(source.as_ref(), &output).files(),
+            files: OutputPaths::for_model(source.as_ref(), &output).files(),
             output,
             messages: Vec::new(),
             seconds: seconds.unwrap_or_default(),
@@ -398,7 +398,7 @@ impl<'a> Bench<'a> {
         measure: bool,
         progress: &dyn Progress,
     ) -> Result<Vec<Once>> {
-        let Some((known, TimedSamples { moved: Moved { sampled, .. }, .. })) = all.first() else {
+        let Some((known, TimedSamples { moved: MethodSamples { sampled, .. }, .. })) = all.first() else {
             return Ok(Vec::new());
         };
         let found = self.found(sampled, progress);
@@ -441,7 +441,7 @@ impl<'a> Bench<'a> {
             transferred.push(Once {
                 sampled: sampled.clone(),
                 positions: Some(moved.positions.clone()),
-                files: Place::for_model(source.as_ref(), &output).files(),
+                files: OutputPaths::for_model(source.as_ref(), &output).files(),
                 output,
                 messages: moved.messages.clone(),
                 seconds,
@@ -466,8 +466,8 @@ impl<'a> Bench<'a> {
     }
 
     /// Where a method has the samples go.
-    fn moved(&self, known: &PreparedMethod<'_>, progress: &dyn Progress) -> Result<Moved> {
-        let by_another = |positions: Vec<Vec3>, peak_memory_bytes| Moved {
+    fn moved(&self, known: &PreparedMethod<'_>, progress: &dyn Progress) -> Result<MethodSamples> {
+        let by_another = |positions: Vec<Vec3>, peak_memory_bytes| MethodSamples {
             sampled: known.rest.clone(),
             positions: known.rest.rounded(&positions),
             messages: Vec::new(),
@@ -476,8 +476,8 @@ impl<'a> Bench<'a> {
             peak_memory_bytes,
         };
         match &known.method.work {
-            Work::Deformed(path) => Ok(by_another(known.rest.read_deformed(path)?, None)),
-            Work::Command(command) => {
+            MethodWork::Deformed(path) => Ok(by_another(known.rest.read_deformed(path)?, None)),
+            MethodWork::Command(command) => {
                 let output = self.folder.join("given-output.ply");
                 let ran = self.run_program(command, known, &output, progress)?;
                 let read = known.rest.read_deformed(&output);
@@ -495,7 +495,7 @@ impl<'a> Bench<'a> {
                 let done = deform(rest, &known.steps, self.plugins, refinements, &clock)?;
                 let DeformedSamples { sampled, positions, messages, stack, .. } = done;
                 let prepare = Some(clock.preparing());
-                Ok(Moved {
+                Ok(MethodSamples {
                     sampled,
                     positions,
                     messages,
@@ -511,7 +511,7 @@ impl<'a> Bench<'a> {
     /// Runs a program, which is given files of its own for as long.
     fn run_program(
         &self,
-        command: &Command,
+        command: &ProgramMethod,
         known: &PreparedMethod<'_>,
         output: &Path,
         progress: &dyn Progress,
@@ -533,16 +533,16 @@ impl<'a> Bench<'a> {
     }
 
     /// The steps of a method.
-    fn steps(&self, method: &Method, record: &mut MethodRecord) -> Result<Vec<Step>> {
+    fn steps(&self, method: &ComparedMethod, record: &mut MethodRecord) -> Result<Vec<Step>> {
         match &method.work {
-            Work::Session(path) => {
+            MethodWork::Session(path) => {
                 let text = read_text(path, "session", "give a session file (session.toml), not a model")?;
                 let session = SessionFile::parse(&text, path)?;
                 record.session = Some(text);
                 Ok(session.steps)
             }
-            Work::Deformed(_) | Work::Model(_) | Work::Command(_) => Ok(Vec::new()),
-            Work::Plugin { deform, state_version, params, folder } => {
+            MethodWork::Deformed(_) | MethodWork::Model(_) | MethodWork::Command(_) => Ok(Vec::new()),
+            MethodWork::Plugin { deform, state_version, params, folder } => {
                 let takes = self.plugins.get(deform)?.consumes();
                 let regions = self.file.regions.iter().filter(|region| match region.role {
                     Role::Fixed => takes.fixed_regions,
@@ -562,7 +562,11 @@ impl<'a> Bench<'a> {
     }
 
     /// The samples, which are taken once for all methods that want the same, and how long it took.
-    pub fn sampling(&mut self, of: Sampling, progress: &dyn Progress) -> Result<(Arc<SampledModel>, f64)> {
+    pub fn sampling(
+        &mut self,
+        of: SamplingTable,
+        progress: &dyn Progress,
+    ) -> Result<(Arc<SampledModel>, f64)> {
         if let Some(known) = self.samplings.iter().find(|known| known.of == of) {
             return Ok((known.sampled.clone(), known.seconds));
         }
@@ -597,11 +601,11 @@ fn beside_exact(
 }
 
 /// Whether a method says where samples go, and no more.
-fn deforms_samples(method: &Method) -> bool {
+fn deforms_samples(method: &ComparedMethod) -> bool {
     match &method.work {
-        Work::Model(_) => false,
-        Work::Command(command) => !command.makes_model(),
-        Work::Plugin { .. } | Work::Session(_) | Work::Deformed(_) => true,
+        MethodWork::Model(_) => false,
+        MethodWork::Command(command) => !command.makes_model(),
+        MethodWork::Plugin { .. } | MethodWork::Session(_) | MethodWork::Deformed(_) => true,
     }
 }
 
@@ -644,15 +648,15 @@ fn finished(
             .chain(words(&once.messages))
             .collect(),
     });
-    let is_ours = !matches!(known.method.work, Work::Model(_));
+    let is_ours = !matches!(known.method.work, MethodWork::Model(_));
     Deformed { name: known.name.clone(), sampled, positions, output, is_ours }
 }
 
 /// Whether a method appends samples.
-pub(crate) fn refines(method: &Method) -> bool {
+pub(crate) fn refines(method: &ComparedMethod) -> bool {
     match &method.work {
         // What is wrong with a session is told when it is done.
-        Work::Session(path) => SessionFile::load(path)
+        MethodWork::Session(path) => SessionFile::load(path)
             .is_ok_and(|session| session.steps.iter().any(|step| step.enabled && step.refines())),
         _ => false,
     }

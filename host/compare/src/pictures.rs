@@ -1,7 +1,7 @@
 //! The pictures of a comparison, all from one place: the model at rest, what each method makes of it, and how
 //! far that is from the first one.
 
-use crate::chosen::Chosen;
+use crate::chosen::ChosenVertices;
 use crate::file::{CompareFile, CropPlace};
 use crate::folder::{REST, difference};
 use crate::html::round_percent;
@@ -87,7 +87,7 @@ impl<'a> Easel<'a> {
     /// them. Gives the pictures' names and contents, and writes them into the record.
     pub fn draw(
         &self,
-        (models, chosen): (&[&dyn Model], Option<&Chosen>),
+        (models, chosen): (&[&dyn Model], Option<&ChosenVertices>),
         bounds: &[Bounds],
         files: &[(usize, String)],
         comparison: &mut Comparison,
@@ -100,7 +100,7 @@ impl<'a> Easel<'a> {
             [(String::new(), Crop::default())].into_iter().chain(crops).unzip();
         let views: Vec<View> = crops.into_iter().map(|crop| self.view(bounds, crop)).collect();
         let scale = end * comparison.model.diagonal;
-        let brush = Brush { easel: self, models, chosen, bounds, views: &views, scale, progress };
+        let brush = PictureBrush { easel: self, models, chosen, bounds, views: &views, scale, progress };
         let names = std::iter::once(REST).chain(files.iter().map(|(_, file)| file.as_str()));
         let names: Vec<(usize, &str)> = names.enumerate().collect();
         let of_version = |(version, file): &(usize, &str)| -> Result<Vec<(String, Vec<u8>)>> {
@@ -132,10 +132,10 @@ fn crop_of(place: &CropPlace) -> Crop {
 }
 
 /// Draws one model after the other, from some places.
-struct Brush<'a> {
+struct PictureBrush<'a> {
     easel: &'a Easel<'a>,
     models: &'a [&'a dyn Model],
-    chosen: Option<&'a Chosen>,
+    chosen: Option<&'a ChosenVertices>,
     bounds: &'a [Bounds],
     /// The first shows all.
     views: &'a [View],
@@ -152,7 +152,7 @@ struct Drawings {
     by_distance: Vec<Image>,
 }
 
-impl Brush<'_> {
+impl PictureBrush<'_> {
     fn draw(&self, version: usize) -> Result<Drawings> {
         let has_distance = version > 1;
         let (mut by_region, mut by_distance, mut views) = (Vec::new(), Vec::new(), self.views);

@@ -6,7 +6,7 @@
 //! sampled-1 ───▶ method-2 ─┘
 //! ```
 
-use crate::file::{CompareFile, Work};
+use crate::file::{CompareFile, MethodWork};
 use crate::{Comparing, check_commands, checked};
 use serde::{Deserialize, Serialize};
 use simod_model::object::is_object;
@@ -16,7 +16,7 @@ use simod_model::{Error, Progress, Result};
 use simod_session::plan::{
     Emit, FINISHED, PLAN, Planned, Stage, Unit, absolute, check_target, check_units, hash_of, put, read, text,
 };
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -48,7 +48,7 @@ pub struct ComparisonPlan {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     plugins: Vec<PathBuf>,
     /// The file, and the sessions that it names.
-    text: Vec<Text>,
+    text: Vec<PlannedText>,
     #[serde(rename = "unit")]
     units: Vec<Unit>,
 }
@@ -56,14 +56,14 @@ pub struct ComparisonPlan {
 /// A text that says what is done, and may not change until all is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-struct Text {
+struct PlannedText {
     file: PathBuf,
     hash: String,
 }
 
 /// How the units of a comparison are planned.
 #[derive(Debug, Clone, Copy)]
-pub struct Options<'a> {
+pub struct ComparisonPlanOptions<'a> {
     /// What the comparison may do.
     pub how: Comparing,
     /// Libraries of plugins that were chosen.
@@ -83,7 +83,7 @@ pub fn make(
     file: &CompareFile,
     path: &Path,
     output: &Path,
-    options: &Options<'_>,
+    options: &ComparisonPlanOptions<'_>,
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<ComparisonPlan> {
@@ -97,10 +97,10 @@ pub fn make(
     }
     let new = OutputFolder::create(folder)?;
     let sessions = file.methods.iter().filter_map(|method| match &method.work {
-        Work::Session(path) if path.is_file() => Some(path.as_path()),
+        MethodWork::Session(path) if path.is_file() => Some(path.as_path()),
         _ => None,
     });
-    let of_text = |path: &Path| Ok(Text { file: placed(path)?, hash: hash_of(path)? });
+    let of_text = |path: &Path| Ok(PlannedText { file: placed(path)?, hash: hash_of(path)? });
     let plan = ComparisonPlan {
         format: FORMAT.to_owned(),
         program: env!("CARGO_PKG_VERSION").to_owned(),
@@ -126,7 +126,7 @@ fn placed(path: &Path) -> Result<PathBuf> {
 }
 
 /// The samplings of all methods, each once.
-pub(crate) fn samplings(file: &CompareFile) -> Vec<Sampling> {
+pub(crate) fn samplings(file: &CompareFile) -> Vec<SamplingTable> {
     let mut samplings = Vec::new();
     for method in &file.methods {
         if !samplings.contains(&method.sampling) {
@@ -214,7 +214,7 @@ impl ComparisonPlan {
 
     /// The comparison, which says what it said when the plan was made.
     pub(crate) fn comparison(&self) -> Result<CompareFile> {
-        for Text { file, hash } in &self.text {
+        for PlannedText { file, hash } in &self.text {
             if hash_of(file)? != *hash {
                 return Err(self.changed(file));
             }

@@ -2,14 +2,14 @@
 //! box, angles in degrees, times in seconds. Two runs of the same file on one machine differ in `seconds` and
 //! `peak_memory_bytes` alone, but for what programs of the user's make.
 
-use crate::file::{CompareFile, Method, Work};
+use crate::file::{CompareFile, ComparedMethod, MethodWork};
 use crate::folder::FORMAT;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_core::reconstruction::{ExpectedError, Method as Reconstruction};
 use simod_core::sampled_model::SampledModel;
-use simod_measure::{Difference, Distances, Energies, Rotation, Spread};
+use simod_measure::{DetailRotation, Difference, Distances, Energies, Spread};
 use simod_model::Error;
 use simod_session::deformer::{Message, Plugin};
 use simod_session::params::{ParamValue, Params};
@@ -51,7 +51,7 @@ pub struct OnSamples {
     /// Relative changes of the triangles' areas.
     pub areas: Spread,
     /// How details turn against the smooth surface beneath, and how many triangles are folded.
-    pub details: Rotation,
+    pub details: DetailRotation,
     /// Energies as papers tell them, and how lengths, areas and distortions are spread.
     pub energies: Energies,
 }
@@ -108,18 +108,18 @@ pub struct MethodRecord {
     /// What another program made or is, as its file says: `deformed`, `model` or `command`, and which.
     pub from: Option<(String, String)>,
     /// The deformations that were done; none where they could not even be begun.
-    pub steps: Vec<StepRecord>,
+    pub steps: Vec<DeformationRecord>,
     /// The text of its session, if it is one.
     pub session: Option<String>,
     /// What came of it, if it was done.
     pub figures: Option<Figures>,
     /// Why it was not done.
-    pub error: Option<Failure>,
+    pub error: Option<MethodFailure>,
 }
 
 /// A deformation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct StepRecord {
+pub struct DeformationRecord {
     /// The plugin's id.
     pub plugin: String,
     /// The plugin's version.
@@ -130,7 +130,7 @@ pub struct StepRecord {
 
 /// Why a method was not done.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Failure {
+pub struct MethodFailure {
     /// What is wrong, and where.
     pub what: String,
     /// What to do.
@@ -290,7 +290,7 @@ impl Comparison {
     }
 
     /// Methods that could not be done.
-    pub fn failed(&self) -> impl Iterator<Item = (&MethodRecord, &Failure)> {
+    pub fn failed(&self) -> impl Iterator<Item = (&MethodRecord, &MethodFailure)> {
         self.methods.iter().filter_map(|m| Some((m, m.error.as_ref()?)))
     }
 }
@@ -313,7 +313,7 @@ impl MachineRecord {
 }
 
 impl MethodRecord {
-    pub(crate) fn new(method: &Method, file: &str) -> Self {
+    pub(crate) fn new(method: &ComparedMethod, file: &str) -> Self {
         let given = method.sampling;
         let numbers = [
             ("samples", given.samples.map(Value::from)),
@@ -328,10 +328,10 @@ impl MethodRecord {
         };
         let shown = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let (from, is_model) = match &method.work {
-            Work::Plugin { .. } | Work::Session(_) => (None, false),
-            Work::Deformed(path) => (Some(("deformed".to_owned(), shown(path))), false),
-            Work::Model(path) => (Some(("model".to_owned(), shown(path))), true),
-            Work::Command(command) => {
+            MethodWork::Plugin { .. } | MethodWork::Session(_) => (None, false),
+            MethodWork::Deformed(path) => (Some(("deformed".to_owned(), shown(path))), false),
+            MethodWork::Model(path) => (Some(("model".to_owned(), shown(path))), true),
+            MethodWork::Command(command) => {
                 (Some(("command".to_owned(), command.line.clone())), command.makes_model())
             }
         };
@@ -351,7 +351,7 @@ impl MethodRecord {
 
     pub(crate) fn fail(&mut self, e: &Error) {
         self.figures = None;
-        self.error = Some(Failure { what: e.to_string(), hint: e.hint().to_owned() });
+        self.error = Some(MethodFailure { what: e.to_string(), hint: e.hint().to_owned() });
     }
 
     /// What is known only when all methods are done.
@@ -368,7 +368,7 @@ impl MethodRecord {
     }
 }
 
-impl StepRecord {
+impl DeformationRecord {
     pub(crate) fn new((plugin, params): (&Plugin, &Params)) -> Self {
         Self {
             plugin: plugin.id().to_owned(),

@@ -1,6 +1,6 @@
 //! Doing a unit of a comparison: a sampling, a method, or the page.
 
-use crate::file::{CompareFile, Method, Work};
+use crate::file::{CompareFile, ComparedMethod, MethodWork};
 use crate::folder;
 use crate::method::{Bench, Deformed, file_name, refines};
 use crate::planned::{ComparisonPlan, METHOD_RECORD, method_folder, sampled_folder, samplings};
@@ -44,7 +44,7 @@ type Methods = (Vec<MethodRecord>, Vec<(usize, Deformed)>);
 
 /// What is noted of a sampling.
 #[derive(Serialize, Deserialize)]
-struct SamplingRecord {
+struct SamplingNote {
     seconds: f64,
 }
 
@@ -100,7 +100,7 @@ impl UnitRun<'_> {
         let (sampled, seconds) = bench.sampling(of, self.progress)?;
         sampled.save_in(begun)?;
         // In the end, as it tells that the samples are there.
-        write_json(&self.folder.join(&self.unit.writes), &SamplingRecord { seconds })?;
+        write_json(&self.folder.join(&self.unit.writes), &SamplingNote { seconds })?;
         Ok(Done::default())
     }
 
@@ -192,7 +192,7 @@ impl UnitRun<'_> {
         if cells {
             sampled.hold_cells(sampled.cells_or_resample(&folder, Some(&self.file.model), self.progress)?);
         }
-        let SamplingRecord { seconds } = read_json(&self.folder.join(format!("sampled-{part}.json")))?;
+        let SamplingNote { seconds } = read_json(&self.folder.join(format!("sampled-{part}.json")))?;
         Ok((Arc::new(sampled), seconds))
     }
 }
@@ -224,9 +224,9 @@ fn keep(deformed: &Deformed, rest: &Arc<SampledModel>, folder: &Path) -> Result<
 }
 
 /// The deformed model that a method names, if that is what it is.
-fn given_model(method: &Method) -> Option<&Path> {
+fn given_model(method: &ComparedMethod) -> Option<&Path> {
     match &method.work {
-        Work::Model(path) => Some(path),
+        MethodWork::Model(path) => Some(path),
         _ => None,
     }
 }

@@ -9,7 +9,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use simod_model::{Attribute, Model, Progress, Result};
 
-use crate::attributes::{Attributes, MOST, OfSamples};
+use crate::attributes::{MOST, OfSamples, SampleAttributes};
 use crate::fingerprint::VertexHash;
 use crate::reconstruction::{RestGeometry, homes};
 use crate::sampled_model::{ATTRIBUTES, LONGEST_ATTRIBUTES, SampledModel};
@@ -23,7 +23,11 @@ impl SampledModel {
     /// # Errors
     /// As of [`open_source`](Self::open_source); the model is not what was sampled, or cannot be read; the
     /// user cancelled.
-    pub fn attributes(&self, elsewhere: Option<&Path>, progress: &dyn Progress) -> Result<&Arc<Attributes>> {
+    pub fn attributes(
+        &self,
+        elsewhere: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<&Arc<SampleAttributes>> {
         if let Some(known) = self.attributes.get() {
             return Ok(known);
         }
@@ -41,14 +45,14 @@ impl SampledModel {
     }
 
     /// The attributes in the folder, if their file is there, whole, and of these samples.
-    fn kept_attributes(&self) -> Option<Attributes> {
+    fn kept_attributes(&self) -> Option<SampleAttributes> {
         let (_, samples) = self.folder.as_ref()?;
         let bytes = self.read_beside(ATTRIBUTES, LONGEST_ATTRIBUTES)?;
-        Attributes::decode(&bytes, [samples, &self.source.fingerprint], self.samples.len()).ok()
+        SampleAttributes::decode(&bytes, [samples, &self.source.fingerprint], self.samples.len()).ok()
     }
 
     /// Puts the attributes into the folder, if there is one, unless another process is writing it, or has.
-    fn keep_attributes(&self, attributes: &Attributes) -> Result<()> {
+    fn keep_attributes(&self, attributes: &SampleAttributes) -> Result<()> {
         let Some((_, samples)) = &self.folder else { return Ok(()) };
         let of: [&str; 2] = [samples, &self.source.fingerprint];
         let values = attributes.all().iter().map(|of| of.values.len());
@@ -67,17 +71,17 @@ impl SampledModel {
     ///
     /// # Errors
     /// The model cannot be read, or is not what was sampled; the user cancelled.
-    pub fn stream_attributes(&self, model: &dyn Model, progress: &dyn Progress) -> Result<Attributes> {
+    pub fn stream_attributes(&self, model: &dyn Model, progress: &dyn Progress) -> Result<SampleAttributes> {
         let info = model.info();
         let attributes = taken(model, progress);
         if attributes.is_empty() {
-            return Ok(Attributes::default());
+            return Ok(SampleAttributes::default());
         }
         let samples = &self.samples;
         progress.begin("reading the attributes", info.vertex_bytes);
         let around = RestGeometry::kept(self);
-        let mut gathered: Vec<Gathered> =
-            attributes.iter().map(|attribute| Gathered::new(attribute, samples.len())).collect();
+        let mut gathered: Vec<AttributeSource> =
+            attributes.iter().map(|attribute| AttributeSource::new(attribute, samples.len())).collect();
         // Of a chunk.
         let mut values = vec![Vec::new(); attributes.len()];
         let (mut home_of, mut hash) = (Vec::new(), VertexHash::like(&self.source.fingerprint));
@@ -109,7 +113,7 @@ impl SampledModel {
             let values = completed(&gathered.values(), &samples.positions)?;
             Some(OfSamples { attribute: attribute.clone(), values })
         });
-        Ok(Attributes::new(all.collect()))
+        Ok(SampleAttributes::new(all.collect()))
     }
 }
 
@@ -134,12 +138,12 @@ fn taken<'a>(model: &'a dyn Model, progress: &dyn Progress) -> &'a [Attribute] {
 ///
 /// Memory: 16 bytes per sample and attribute.
 #[derive(Debug, Clone, Copy, Default)]
-struct Mean {
+struct RunningMean {
     sum: f64,
     count: u64,
 }
 
-impl Mean {
+impl RunningMean {
     /// Takes one more, if it is a number; in the end they are rounded to single precision.
     fn add(&mut self, value: f64) {
         if value.is_finite() {
@@ -154,20 +158,20 @@ impl Mean {
 }
 
 /// What becomes an attribute of the samples.
-enum Gathered {
-    Means(Vec<Mean>),
+enum AttributeSource {
+    Means(Vec<RunningMean>),
     /// Classes: the distance of the nearest vertex so far, local, and its class.
     ///
     /// Memory: 8 bytes per sample.
     Classes(Vec<(f32, f32)>),
 }
 
-impl Gathered {
+impl AttributeSource {
     fn new(attribute: &Attribute, samples: usize) -> Self {
         if attribute.is_of_classes() {
             Self::Classes(vec![(f32::INFINITY, 0.0); samples])
         } else {
-            Self::Means(vec![Mean::default(); samples])
+            Self::Means(vec![RunningMean::default(); samples])
         }
     }
 

@@ -33,9 +33,9 @@ pub struct OfSamples {
 ///
 /// Memory: 4 bytes per sample and attribute.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Attributes(Vec<OfSamples>);
+pub struct SampleAttributes(Vec<OfSamples>);
 
-impl Attributes {
+impl SampleAttributes {
     /// All of these.
     pub(crate) fn new(all: Vec<OfSamples>) -> Self {
         Self(all)

@@ -30,12 +30,12 @@ const MOST: u64 = 4 << 20;
 const BLOCK: usize = 1 << 14;
 
 /// The colours of a model's vertices as bytes.
-pub struct Bytes {
+pub struct ColorBytes {
     colors: Colors,
     scale: ColorScale,
 }
 
-impl Bytes {
+impl ColorBytes {
     /// The range of a model's colours, where it has some. How large they are is told by vertices all over the
     /// file.
     ///
@@ -56,7 +56,7 @@ impl Bytes {
     /// # Errors
     /// In a text format, something is no number.
     pub fn decode(&self, model: &dyn Model, chunk: &VertexChunk, to: &mut Vec<[u8; 3]>) -> Result<()> {
-        let mut lists = Lists::default();
+        let mut lists = ColorLists::default();
         model.some_attributes(chunk, &self.colors.places, &mut lists)?;
         to.clear();
         to.extend((0..chunk.len()).map(|i| self.color(&lists, i)));
@@ -64,13 +64,13 @@ impl Bytes {
     }
 
     #[inline]
-    fn color(&self, lists: &Lists, vertex: usize) -> [u8; 3] {
+    fn color(&self, lists: &ColorLists, vertex: usize) -> [u8; 3] {
         [0, 1, 2].map(|part: usize| self.scale.byte(lists[part][vertex]))
     }
 }
 
 /// Red, green and blue of the vertices of a chunk, as they are in the file.
-pub type Lists = [Vec<f64>; 3];
+pub type ColorLists = [Vec<f64>; 3];
 
 /// A vertex that was picked.
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -83,7 +83,7 @@ pub struct Pick {
 
 /// Which vertices are picked, and what their colours are.
 pub struct Picking {
-    colors: Bytes,
+    colors: ColorBytes,
     /// One of so many is picked, from the first on.
     every: u64,
 }
@@ -96,7 +96,7 @@ impl Picking {
     pub fn for_model(model: &dyn Model, samples: Option<u64>) -> Result<Option<Self>> {
         let most = samples.map_or(MOST, |n| n.saturating_mul(ENOUGH));
         let every = (model.info().vertices / most.max(1)).max(1);
-        Ok(Bytes::for_model(model)?.map(|colors| Self { colors, every }))
+        Ok(ColorBytes::for_model(model)?.map(|colors| Self { colors, every }))
     }
 
     /// Picks of a chunk that was read of the model. `lists` are used for its numbers.
@@ -108,7 +108,7 @@ impl Picking {
         model: &dyn Model,
         frame: &Frame,
         chunk: &VertexChunk,
-        lists: &mut Lists,
+        lists: &mut ColorLists,
         to: &mut Vec<Pick>,
     ) -> Result<()> {
         let skip = chunk.first.next_multiple_of(self.every) - chunk.first;
@@ -254,9 +254,9 @@ pub fn of_ranges(
     progress: &dyn Progress,
 ) -> Result<Vec<[u8; 3]>> {
     let mut means = Means::new(positions, first);
-    if let Some(colors) = Bytes::for_model(model)? {
+    if let Some(colors) = ColorBytes::for_model(model)? {
         let picking = Picking { colors, every: 1 };
-        let (mut chunk, mut lists, mut picks) = (VertexChunk::default(), Lists::default(), Vec::new());
+        let (mut chunk, mut lists, mut picks) = (VertexChunk::default(), ColorLists::default(), Vec::new());
         for range in ranges {
             let mut reader = model.vertices(range.clone())?;
             reader.set_chunk(SMALL_CHUNK);

@@ -8,16 +8,16 @@ const MOST: usize = 64;
 
 /// Sorts numbers whose upper halves mostly differ.
 pub fn sort(numbers: &mut [u64]) {
-    if numbers.len() > MOST || !Arch::new().dispatch(Counting(numbers)) {
+    if numbers.len() > MOST || !Arch::new().dispatch(CountingSort(numbers)) {
         numbers.sort_unstable();
     }
 }
 
 /// Sorts numbers by their upper halves, or leaves them as they are and says so, if some of these are the
 /// same.
-struct Counting<'a>(&'a mut [u64]);
+struct CountingSort<'a>(&'a mut [u64]);
 
-impl WithSimd for Counting<'_> {
+impl WithSimd for CountingSort<'_> {
     type Output = bool;
 
     #[inline(always)]

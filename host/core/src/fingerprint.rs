@@ -27,7 +27,7 @@ pub fn are_same(a: &str, b: &str) -> Option<bool> {
 
 /// Hashes the bytes of all vertices, in their order.
 pub(crate) enum VertexHash {
-    Blocks(Box<Blocks>),
+    Blocks(Box<BlockHash>),
     /// As former versions did.
     Stream(Box<Xxh3Default>),
 }
@@ -63,7 +63,7 @@ impl VertexHash {
 
 /// A hash over blocks.
 #[derive(Default)]
-pub(crate) struct Blocks {
+pub(crate) struct BlockHash {
     /// The hash of the hashes of full blocks.
     hash: Xxh3Default,
     /// The hash of the last block, which is not full yet.
@@ -72,7 +72,7 @@ pub(crate) struct Blocks {
     bytes: u64,
 }
 
-impl Blocks {
+impl BlockHash {
     fn update(&mut self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
             let room = (BLOCK - self.bytes % BLOCK) as usize;
@@ -218,7 +218,7 @@ mod tests {
             let cuts = cuts.into_iter().map(|(cut, block)| if block { near(cut) } else { (cut * count as f64) as usize });
             let mut ends: Vec<usize> = cuts.chain([0, count]).collect();
             ends.sort_unstable();
-            let mut joined = Blocks::default();
+            let mut joined = BlockHash::default();
             for pair in ends.windows(2) {
                 let mut part = HashedPart::new(pair[0] as u64);
                 all[pair[0]..pair[1]].chunks(chunk).for_each(|some| part.update(some));

@@ -22,13 +22,13 @@ use simod_model::{
 };
 use xxhash_rust::xxh3::Xxh3Default;
 
-use crate::attributes::Attributes;
+use crate::attributes::SampleAttributes;
 use crate::colors;
 use crate::deformed_file::{self, DeformedFile};
 use crate::fingerprint::fingerprint;
 use crate::refinement::Refinement;
 use crate::sampling::cut;
-use crate::sampling::density::Rule;
+use crate::sampling::density::SplitRule;
 use crate::sampling::gather::Cubes;
 use crate::sampling::grid::Grid;
 use crate::sampling::kept_cells::KeptCells;
@@ -81,13 +81,13 @@ const FARTHEST: f32 = 1e12;
 /// The file of who is on whose sheet where parts touch: see [`Contacts`].
 const SHEETS: &str = "sheets.bin";
 
-/// The file of the samples' attributes, once they were asked for: see [`Attributes`].
+/// The file of the samples' attributes, once they were asked for: see [`SampleAttributes`].
 pub(crate) const ATTRIBUTES: &str = "attributes.bin";
 
 /// The model that was sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub struct Source {
+pub struct SourceRecord {
     /// The file; in `simod.toml` relative to the folder.
     #[serde(with = "any_path")]
     pub path: PathBuf,
@@ -152,7 +152,7 @@ fn is_none(count: &u64) -> bool {
 /// Fewer vertices than this are carried over in a second or two in any order.
 const MANY: u64 = 500_000;
 
-impl Source {
+impl SourceRecord {
     /// The files that were sampled.
     pub fn files(&self) -> Vec<PathBuf> {
         if self.tiles.is_empty() {
@@ -262,7 +262,7 @@ mod any_path {
 /// P_S with its source.
 pub struct SampledModel {
     /// The model that was sampled.
-    pub source: Source,
+    pub source: SourceRecord,
     /// What was asked for.
     pub sampling: Sampling,
     /// Number of occupied cells of the coarse grid.
@@ -295,7 +295,7 @@ pub struct SampledModel {
     /// The folder that it was read from, and the hash of the `samples.ply` there.
     pub(crate) folder: Option<(PathBuf, String)>,
     /// Once they were asked for.
-    pub(crate) attributes: OnceLock<Arc<Attributes>>,
+    pub(crate) attributes: OnceLock<Arc<SampleAttributes>>,
     /// What is made of the model where it cannot be read from anywhere as it is.
     cache: Arc<Cache>,
 }
@@ -303,13 +303,13 @@ pub struct SampledModel {
 /// The content of `simod.toml`.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-struct Description {
+struct ModelDescription {
     format: String,
     samples: u64,
     /// Hash of `samples.ply`, which deformers must not write to.
     samples_fingerprint: String,
     position_type: String,
-    model: Source,
+    model: SourceRecord,
     sampling: SamplingRecord,
     frame: FrameRecord,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -357,7 +357,7 @@ struct FrameRecord {
     max: DVec3,
 }
 
-impl Description {
+impl ModelDescription {
     /// The file of a folder.
     ///
     /// # Errors
@@ -398,14 +398,14 @@ impl Description {
     ///
     /// # Errors
     /// The file cannot be read, or holds others.
-    fn samples(&self, path: &Path) -> Result<Samples> {
+    fn samples(&self, path: &Path) -> Result<SamplesFile> {
         if file_fingerprint(path)? != self.samples_fingerprint {
             return Err(Error::mismatch(
                 format!("{} is not what was sampled any more", path.display()),
                 "deformed samples go to another file: sample the model again",
             ));
         }
-        let samples = Samples::read(path)?;
+        let samples = SamplesFile::read(path)?;
         let count = samples.positions.len();
         if count as u64 != self.samples {
             return Err(Error::mismatch(
@@ -449,7 +449,7 @@ impl SampledModel {
     /// Completes the samples, whose positions are rounded to what `samples.ply` will hold, so that working in
     /// memory and through the folder give the same bytes.
     pub(crate) fn new(
-        source: Source,
+        source: SourceRecord,
         sampling: Sampling,
         grid: &Grid,
         position_type: Scalar,
@@ -522,13 +522,13 @@ impl SampledModel {
     }
 
     /// How its clusters were split, and will be.
-    pub(crate) fn rule(&self) -> Rule {
-        let Source { vertices, non_finite, transparent, .. } = self.source;
+    pub(crate) fn rule(&self) -> SplitRule {
+        let SourceRecord { vertices, non_finite, transparent, .. } = self.source;
         let (finite, edge) = (
             vertices.saturating_sub(non_finite).saturating_sub(transparent),
             self.cell_size / self.frame.scale,
         );
-        Rule::new(self.sampling.splitting, self.sampling.by, finite, self.cells, edge)
+        SplitRule::new(self.sampling.splitting, self.sampling.by, finite, self.cells, edge)
     }
 
     /// Which splats of the model were left out, and are whenever it is read for samples.
@@ -613,8 +613,8 @@ impl SampledModel {
     }
 
     /// What `simod.toml` says, in a folder with these samples.
-    fn description(&self, folder: &Path, samples_fingerprint: String) -> Description {
-        Description {
+    fn description(&self, folder: &Path, samples_fingerprint: String) -> ModelDescription {
+        ModelDescription {
             format: FORMAT.to_owned(),
             samples: self.samples.len() as u64,
             samples_fingerprint,
@@ -694,12 +694,12 @@ impl SampledModel {
     /// # Errors
     /// The folder is no sampled model, is of a version that is not known, or its files do not fit each other.
     pub fn load(folder: &Path) -> Result<Self> {
-        let description = Description::read(folder)?;
+        let description = ModelDescription::read(folder)?;
         let FrameRecord { origin, scale, min, max } = description.frame;
         let (bounds, frame) = (Bounds { min, max }, Frame { origin, scale });
         let position_type = description.position_type(folder)?;
         let path = folder.join(SAMPLES);
-        let Samples { positions, normals, colors, triangles } = description.samples(&path)?;
+        let SamplesFile { positions, normals, colors, triangles } = description.samples(&path)?;
         let local = positions.iter().map(|p| frame.to_local(*p)).collect();
         let mut samples = SampleSet::new(local, normals).map_err(|e| {
             let what = format!("{}: {e}", path.display());
@@ -822,7 +822,7 @@ impl SampledModel {
 
     /// An error if these are not the cells of this model.
     pub(crate) fn check_cells(&self, kept: &KeptCells) -> Result<()> {
-        let Source { vertices, non_finite, transparent, bytes, .. } = self.source;
+        let SourceRecord { vertices, non_finite, transparent, bytes, .. } = self.source;
         let left_out = non_finite.saturating_add(transparent);
         let parted = self.samples.contacts().map_or(&[][..], Contacts::parted);
         let parted = parted.iter().map(|[sample, _]| *sample);
@@ -842,7 +842,7 @@ impl SampledModel {
     }
 
     /// The attributes, if they were [asked for](Self::attributes) since this was sampled or loaded.
-    pub fn held_attributes(&self) -> Option<&Arc<Attributes>> {
+    pub fn held_attributes(&self) -> Option<&Arc<SampleAttributes>> {
         self.attributes.get()
     }
 
@@ -1031,19 +1031,19 @@ pub(crate) fn file_fingerprint(path: &Path) -> Result<String> {
 }
 
 /// What a file of samples holds. For P_S alone, which fits in memory.
-struct Samples {
+struct SamplesFile {
     positions: Vec<DVec3>,
     normals: Vec<Vec3>,
     colors: Vec<[u8; 3]>,
     triangles: Vec<[u32; 3]>,
 }
 
-impl Samples {
+impl SamplesFile {
     /// Reads P_S whole. Its ids are the order, and not looked at.
     fn read(path: &Path) -> Result<Self> {
         let model = deformed_file::open(path)?;
         let (mut positions, mut normals, mut colors) = (Vec::new(), Vec::new(), Vec::new());
-        let of_colors = colors::Bytes::for_model(&*model)?;
+        let of_colors = colors::ColorBytes::for_model(&*model)?;
         let mut reader = model.vertices(0..model.info().vertices)?;
         let (mut chunk, mut some) = (VertexChunk::default(), Vec::new());
         while reader.read(&mut chunk)? {

@@ -20,12 +20,12 @@ use toml::value::Datetime;
 
 /// Why a text is no such table: what is wrong, and the bytes that it is about, where that is known.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Refusal {
+pub struct TableError {
     message: String,
     span: Option<Range<usize>>,
 }
 
-impl Refusal {
+impl TableError {
     fn new(message: impl Into<String>) -> Self {
         Self { message: message.into(), span: None }
     }
@@ -46,15 +46,15 @@ impl Refusal {
     }
 }
 
-impl fmt::Display for Refusal {
+impl fmt::Display for TableError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.message)
     }
 }
 
-impl std::error::Error for Refusal {}
+impl std::error::Error for TableError {}
 
-impl serde::de::Error for Refusal {
+impl serde::de::Error for TableError {
     fn custom<T: fmt::Display>(message: T) -> Self {
         Self::new(message.to_string())
     }
@@ -64,10 +64,10 @@ impl serde::de::Error for Refusal {
 ///
 /// # Errors
 /// It is no TOML, or another table: what is wrong, and where.
-pub fn read<T: DeserializeOwned>(text: &str) -> Result<T, Refusal> {
+pub fn read<T: DeserializeOwned>(text: &str) -> Result<T, TableError> {
     let table =
-        DeTable::parse(text).map_err(|e| Refusal { message: e.message().to_owned(), span: e.span() })?;
-    T::deserialize(Node { what: What::Table(table.get_ref()), span: None })
+        DeTable::parse(text).map_err(|e| TableError { message: e.message().to_owned(), span: e.span() })?;
+    T::deserialize(TableNode { what: NodeContent::Table(table.get_ref()), span: None })
 }
 
 /// A value with the bytes of the text that it stands at, if [`read`] reads it. It is compared by its value.
@@ -132,9 +132,9 @@ const DATE: &str = "$__toml_private_datetime";
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for Spanned<T> {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        struct Seen<T>(PhantomData<T>);
+        struct SpannedVisitor<T>(PhantomData<T>);
 
-        impl<'de, T: Deserialize<'de>> Visitor<'de> for Seen<T> {
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for SpannedVisitor<T> {
             type Value = Spanned<T>;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -150,7 +150,7 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Spanned<T> {
             }
         }
 
-        from.deserialize_struct(SPANNED, &[], Seen(PhantomData))
+        from.deserialize_struct(SPANNED, &[], SpannedVisitor(PhantomData))
     }
 }
 
@@ -162,13 +162,13 @@ impl<T: Serialize> Serialize for Spanned<T> {
 
 /// Part of a text that is read, and where it stands. The whole has no place.
 #[derive(Clone)]
-struct Node<'a> {
-    what: What<'a>,
+struct TableNode<'a> {
+    what: NodeContent<'a>,
     span: Option<Range<usize>>,
 }
 
 #[derive(Clone, Copy)]
-enum What<'a> {
+enum NodeContent<'a> {
     Value(&'a DeValue<'a>),
     Table(&'a DeTable<'a>),
     /// A key, or the name of a variant.
@@ -193,33 +193,33 @@ enum Plain<'a> {
     Table(Entries<'a>),
 }
 
-impl<'a> Node<'a> {
+impl<'a> TableNode<'a> {
     fn value(value: &'a Placed<DeValue<'a>>) -> Self {
-        Self { what: What::Value(value.get_ref()), span: Some(value.span()) }
+        Self { what: NodeContent::Value(value.get_ref()), span: Some(value.span()) }
     }
 
     fn name(name: &'a str, span: Option<Range<usize>>) -> Self {
-        Self { what: What::Name(name), span }
+        Self { what: NodeContent::Name(name), span }
     }
 
     fn byte(byte: usize) -> Self {
-        Self { what: What::Byte(byte), span: None }
+        Self { what: NodeContent::Byte(byte), span: None }
     }
 
     fn table(&self) -> Option<&'a DeTable<'a>> {
         match self.what {
-            What::Table(table) | What::Value(DeValue::Table(table)) => Some(table),
+            NodeContent::Table(table) | NodeContent::Value(DeValue::Table(table)) => Some(table),
             _ => None,
         }
     }
 
-    fn plain(&self) -> Result<Plain<'a>, Refusal> {
+    fn plain(&self) -> Result<Plain<'a>, TableError> {
         let value = match self.what {
-            What::Value(value) => value,
-            What::Table(table) => return Ok(Plain::Table(Entries::of_table(table))),
-            What::Name(name) => return Ok(Plain::Text(name)),
-            What::Byte(byte) => return Ok(Plain::Unsigned(byte as u64)),
-            What::Date(date) => return Ok(Plain::Date(date.to_string())),
+            NodeContent::Value(value) => value,
+            NodeContent::Table(table) => return Ok(Plain::Table(Entries::of_table(table))),
+            NodeContent::Name(name) => return Ok(Plain::Text(name)),
+            NodeContent::Byte(byte) => return Ok(Plain::Unsigned(byte as u64)),
+            NodeContent::Date(date) => return Ok(Plain::Date(date.to_string())),
         };
         Ok(match value {
             DeValue::String(text) => Plain::Text(text),
@@ -228,7 +228,7 @@ impl<'a> Node<'a> {
                 Ok(float) if float.is_finite() || float.is_nan() || number.as_str().contains("inf") => {
                     Plain::Float(float)
                 }
-                _ => return Err(Refusal::new("floating-point number overflowed")),
+                _ => return Err(TableError::new("floating-point number overflowed")),
             },
             DeValue::Boolean(value) => Plain::Bool(*value),
             DeValue::Datetime(date) => Plain::Table(Entries::of_date(date)),
@@ -238,54 +238,54 @@ impl<'a> Node<'a> {
     }
 
     /// The variant of an enumeration: a name, or a table with it as its only key.
-    fn variant(&self) -> Result<Variant<'a>, Refusal> {
-        if let What::Value(DeValue::String(name)) = self.what {
-            return Ok(Variant { name: Node::name(name, self.span.clone()), content: None });
+    fn variant(&self) -> Result<Variant<'a>, TableError> {
+        if let NodeContent::Value(DeValue::String(name)) = self.what {
+            return Ok(Variant { name: TableNode::name(name, self.span.clone()), content: None });
         }
-        let Some(table) = self.table() else { return Err(Refusal::new("wanted string or table")) };
+        let Some(table) = self.table() else { return Err(TableError::new("wanted string or table")) };
         let mut entries = table.iter();
         match (entries.next(), entries.next()) {
-            (None, _) => Err(Refusal::new("wanted exactly 1 element, found 0 elements")),
-            (Some(_), Some(_)) => Err(Refusal::new("wanted exactly 1 element, more than 1 element")),
+            (None, _) => Err(TableError::new("wanted exactly 1 element, found 0 elements")),
+            (Some(_), Some(_)) => Err(TableError::new("wanted exactly 1 element, more than 1 element")),
             (Some((name, content)), None) => Ok(Variant {
-                name: Node::name(name.get_ref(), Some(name.span())),
-                content: Some(Node::value(content)),
+                name: TableNode::name(name.get_ref(), Some(name.span())),
+                content: Some(TableNode::value(content)),
             }),
         }
     }
 
     /// A variant's table has no other keys than its fields.
-    fn check_keys(&self, fields: &[&str]) -> Result<(), Refusal> {
+    fn check_keys(&self, fields: &[&str]) -> Result<(), TableError> {
         let Some(table) = self.table() else { return Ok(()) };
         let extra: Vec<_> = table.keys().filter(|key| !fields.contains(&key.get_ref().as_ref())).collect();
         let Some(first) = extra.first() else { return Ok(()) };
         let names: Vec<&str> = extra.iter().map(|key| key.get_ref().as_ref()).collect();
         let (names, fields) = (names.join(", "), fields.join(", "));
-        Err(Refusal::new(format!("unexpected keys in table: {names}, available keys: {fields}"))
+        Err(TableError::new(format!("unexpected keys in table: {names}, available keys: {fields}"))
             .located(Some(&first.span())))
     }
 }
 
-fn integer<'a>(digits: &str, radix: u32) -> Result<Plain<'a>, Refusal> {
+fn integer<'a>(digits: &str, radix: u32) -> Result<Plain<'a>, TableError> {
     let signed = i64::from_str_radix(digits, radix).map(Plain::Integer);
     let unsigned = || u64::from_str_radix(digits, radix).map(Plain::Unsigned);
     let long = || i128::from_str_radix(digits, radix).map(|n| Plain::Other(format!("integer `{n}` as i128")));
     let longer =
         || u128::from_str_radix(digits, radix).map(|n| Plain::Other(format!("integer `{n}` as u128")));
     let read = signed.or_else(|_| unsigned()).or_else(|_| long()).or_else(|_| longer());
-    read.map_err(|_| Refusal::new("integer number overflowed"))
+    read.map_err(|_| TableError::new("integer number overflowed"))
 }
 
-impl<'a> Deserializer<'a> for Node<'a> {
-    type Error = Refusal;
+impl<'a> Deserializer<'a> for TableNode<'a> {
+    type Error = TableError;
 
-    fn deserialize_any<V: Visitor<'a>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_any<V: Visitor<'a>>(self, visitor: V) -> Result<V::Value, TableError> {
         let read = self.plain().and_then(|plain| match plain {
             Plain::Text(text) => visitor.visit_str(text),
             Plain::Date(date) => visitor.visit_str(&date),
             Plain::Integer(number) => visitor.visit_i64(number),
             Plain::Unsigned(number) => visitor.visit_u64(number),
-            Plain::Other(number) => Err(Refusal::invalid_type(Unexpected::Other(&number), &visitor)),
+            Plain::Other(number) => Err(TableError::invalid_type(Unexpected::Other(&number), &visitor)),
             Plain::Float(number) => visitor.visit_f64(number),
             Plain::Bool(value) => visitor.visit_bool(value),
             Plain::List(list) => visitor.visit_seq(list),
@@ -294,7 +294,7 @@ impl<'a> Deserializer<'a> for Node<'a> {
         read.map_err(|e| e.located(self.span.as_ref()))
     }
 
-    fn deserialize_option<V: Visitor<'a>>(self, visitor: V) -> Result<V::Value, Refusal> {
+    fn deserialize_option<V: Visitor<'a>>(self, visitor: V) -> Result<V::Value, TableError> {
         let span = self.span.clone();
         visitor.visit_some(self).map_err(|e| e.located(span.as_ref()))
     }
@@ -303,7 +303,7 @@ impl<'a> Deserializer<'a> for Node<'a> {
         self,
         _: &'static str,
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, TableError> {
         let span = self.span.clone();
         visitor.visit_newtype_struct(self).map_err(|e| e.located(span.as_ref()))
     }
@@ -313,7 +313,7 @@ impl<'a> Deserializer<'a> for Node<'a> {
         name: &'static str,
         _: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, TableError> {
         match &self.span {
             Some(span) if name == SPANNED => visitor.visit_map(Entries::of_place(span.clone(), self)),
             _ => self.deserialize_any(visitor),
@@ -325,7 +325,7 @@ impl<'a> Deserializer<'a> for Node<'a> {
         _: &'static str,
         _: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, TableError> {
         self.variant()
             .and_then(|variant| visitor.visit_enum(variant))
             .map_err(|e| e.located(self.span.as_ref()))
@@ -341,10 +341,10 @@ impl<'a> Deserializer<'a> for Node<'a> {
 struct Elements<'a>(std::slice::Iter<'a, Placed<DeValue<'a>>>);
 
 impl<'a> SeqAccess<'a> for Elements<'a> {
-    type Error = Refusal;
+    type Error = TableError;
 
-    fn next_element_seed<T: DeserializeSeed<'a>>(&mut self, seed: T) -> Result<Option<T::Value>, Refusal> {
-        self.0.next().map(|value| seed.deserialize(Node::value(value))).transpose()
+    fn next_element_seed<T: DeserializeSeed<'a>>(&mut self, seed: T) -> Result<Option<T::Value>, TableError> {
+        self.0.next().map(|value| seed.deserialize(TableNode::value(value))).transpose()
     }
 
     fn size_hint(&self) -> Option<usize> {
@@ -354,44 +354,48 @@ impl<'a> SeqAccess<'a> for Elements<'a> {
 
 /// Keys and values: of a table, of a value with its place, or of a date.
 struct Entries<'a> {
-    left: std::vec::IntoIter<(Node<'a>, Node<'a>)>,
-    value: Option<Node<'a>>,
+    left: std::vec::IntoIter<(TableNode<'a>, TableNode<'a>)>,
+    value: Option<TableNode<'a>>,
 }
 
 impl<'a> Entries<'a> {
-    fn new(all: Vec<(Node<'a>, Node<'a>)>) -> Self {
+    fn new(all: Vec<(TableNode<'a>, TableNode<'a>)>) -> Self {
         Self { left: all.into_iter(), value: None }
     }
 
     fn of_table(table: &'a DeTable<'a>) -> Self {
         let entry = |(key, value): (&'a Placed<Cow<'a, str>>, _)| {
-            (Node::name(key.get_ref(), Some(key.span())), Node::value(value))
+            (TableNode::name(key.get_ref(), Some(key.span())), TableNode::value(value))
         };
         Self::new(table.iter().map(entry).collect())
     }
 
-    fn of_place(span: Range<usize>, value: Node<'a>) -> Self {
-        let parts = [("start", Node::byte(span.start)), ("end", Node::byte(span.end)), ("value", value)];
-        Self::new(parts.map(|(name, part)| (Node::name(name, None), part)).into())
+    fn of_place(span: Range<usize>, value: TableNode<'a>) -> Self {
+        let parts =
+            [("start", TableNode::byte(span.start)), ("end", TableNode::byte(span.end)), ("value", value)];
+        Self::new(parts.map(|(name, part)| (TableNode::name(name, None), part)).into())
     }
 
     fn of_date(date: &'a Datetime) -> Self {
-        Self::new(vec![(Node::name(DATE, None), Node { what: What::Date(date), span: None })])
+        Self::new(vec![(
+            TableNode::name(DATE, None),
+            TableNode { what: NodeContent::Date(date), span: None },
+        )])
     }
 }
 
 impl<'a> MapAccess<'a> for Entries<'a> {
-    type Error = Refusal;
+    type Error = TableError;
 
-    fn next_key_seed<K: DeserializeSeed<'a>>(&mut self, seed: K) -> Result<Option<K::Value>, Refusal> {
+    fn next_key_seed<K: DeserializeSeed<'a>>(&mut self, seed: K) -> Result<Option<K::Value>, TableError> {
         let Some((key, value)) = self.left.next() else { return Ok(None) };
         self.value = Some(value);
         let span = key.span.clone();
         seed.deserialize(key).map(Some).map_err(|e| e.located(span.as_ref()))
     }
 
-    fn next_value_seed<V: DeserializeSeed<'a>>(&mut self, seed: V) -> Result<V::Value, Refusal> {
-        let value = self.value.take().ok_or_else(|| Refusal::new("a value is read before its key"))?;
+    fn next_value_seed<V: DeserializeSeed<'a>>(&mut self, seed: V) -> Result<V::Value, TableError> {
+        let value = self.value.take().ok_or_else(|| TableError::new("a value is read before its key"))?;
         let span = value.span.clone();
         seed.deserialize(value).map_err(|e| e.located(span.as_ref()))
     }
@@ -403,21 +407,21 @@ impl<'a> MapAccess<'a> for Entries<'a> {
 
 /// A variant of an enumeration, with what it holds if it is more than a name.
 struct Variant<'a> {
-    name: Node<'a>,
-    content: Option<Node<'a>>,
+    name: TableNode<'a>,
+    content: Option<TableNode<'a>>,
 }
 
 impl<'a> Variant<'a> {
-    fn content(self, expected: &str) -> Result<Node<'a>, Refusal> {
-        self.content.ok_or_else(|| Refusal::invalid_type(Unexpected::UnitVariant, &expected))
+    fn content(self, expected: &str) -> Result<TableNode<'a>, TableError> {
+        self.content.ok_or_else(|| TableError::invalid_type(Unexpected::UnitVariant, &expected))
     }
 }
 
 impl<'a> EnumAccess<'a> for Variant<'a> {
-    type Error = Refusal;
+    type Error = TableError;
     type Variant = Self;
 
-    fn variant_seed<V: DeserializeSeed<'a>>(self, seed: V) -> Result<(V::Value, Self), Refusal> {
+    fn variant_seed<V: DeserializeSeed<'a>>(self, seed: V) -> Result<(V::Value, Self), TableError> {
         let name = self.name.clone();
         let variant = seed.deserialize(name).map_err(|e| e.located(self.name.span.as_ref()))?;
         Ok((variant, self))
@@ -425,30 +429,34 @@ impl<'a> EnumAccess<'a> for Variant<'a> {
 }
 
 impl<'a> VariantAccess<'a> for Variant<'a> {
-    type Error = Refusal;
+    type Error = TableError;
 
-    fn unit_variant(self) -> Result<(), Refusal> {
-        let Some(Node { what, span }) = self.content else { return Ok(()) };
+    fn unit_variant(self) -> Result<(), TableError> {
+        let Some(TableNode { what, span }) = self.content else { return Ok(()) };
         let wrong = match what {
-            What::Value(DeValue::Array(array)) if array.is_empty() => return Ok(()),
-            What::Value(DeValue::Table(table)) if table.is_empty() => return Ok(()),
-            What::Value(DeValue::Array(_)) => "expected empty array".to_owned(),
-            What::Value(value) if !value.is_table() => format!("expected table, found {}", value.type_str()),
+            NodeContent::Value(DeValue::Array(array)) if array.is_empty() => return Ok(()),
+            NodeContent::Value(DeValue::Table(table)) if table.is_empty() => return Ok(()),
+            NodeContent::Value(DeValue::Array(_)) => "expected empty array".to_owned(),
+            NodeContent::Value(value) if !value.is_table() => {
+                format!("expected table, found {}", value.type_str())
+            }
             _ => "expected empty table".to_owned(),
         };
-        Err(Refusal::new(wrong).located(span.as_ref()))
+        Err(TableError::new(wrong).located(span.as_ref()))
     }
 
-    fn newtype_variant_seed<T: DeserializeSeed<'a>>(self, seed: T) -> Result<T::Value, Refusal> {
+    fn newtype_variant_seed<T: DeserializeSeed<'a>>(self, seed: T) -> Result<T::Value, TableError> {
         seed.deserialize(self.content("newtype variant")?)
     }
 
-    fn tuple_variant<V: Visitor<'a>>(self, count: usize, visitor: V) -> Result<V::Value, Refusal> {
+    fn tuple_variant<V: Visitor<'a>>(self, count: usize, visitor: V) -> Result<V::Value, TableError> {
         let content = self.content("tuple variant")?;
         match content.what {
-            What::Value(DeValue::Array(array)) if array.len() == count => content.deserialize_any(visitor),
+            NodeContent::Value(DeValue::Array(array)) if array.len() == count => {
+                content.deserialize_any(visitor)
+            }
             _ => {
-                Err(Refusal::new(format!("expected tuple with length {count}"))
+                Err(TableError::new(format!("expected tuple with length {count}"))
                     .located(content.span.as_ref()))
             }
         }
@@ -458,7 +466,7 @@ impl<'a> VariantAccess<'a> for Variant<'a> {
         self,
         fields: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Refusal> {
+    ) -> Result<V::Value, TableError> {
         let content = self.content("struct variant")?;
         content.check_keys(fields).map_err(|e| e.located(content.span.as_ref()))?;
         content.deserialize_any(visitor)

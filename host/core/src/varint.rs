@@ -11,9 +11,9 @@ pub(crate) fn push(mut x: u64, to: &mut Vec<u8>) {
 }
 
 /// The numbers of these bytes, up to the first that is none.
-pub(crate) struct Numbers<'a>(pub &'a [u8]);
+pub(crate) struct VarintNumbers<'a>(pub &'a [u8]);
 
-impl Iterator for Numbers<'_> {
+impl Iterator for VarintNumbers<'_> {
     type Item = u64;
 
     fn next(&mut self) -> Option<u64> {

@@ -4,12 +4,12 @@ use std::f64::consts::TAU;
 
 use glam::{DVec2, DVec3};
 
-use super::curve::Curve;
-use super::layout::Patch;
+use super::curve::BSpline;
+use super::layout::SurfacePatch;
 use super::noise::noise;
 use super::ornament;
-use super::sweep::{Axis, Raised, Relief, Site, Sweep};
-use super::tile::Tile;
+use super::sweep::{Raised, Relief, Site, Sweep, SweepAxis};
+use super::tile::ReliefTile;
 
 /// Control points of the body's profile: distance from the axis, height. From the middle of the underside up
 /// the outside, over the lip, down the inside of the neck to the middle of its floor.
@@ -36,19 +36,19 @@ const DARK: [f64; 3] = [52.0, 38.0, 34.0];
 const CREAM: [f64; 3] = [232.0, 200.0, 158.0];
 
 /// The body and both handles.
-pub(super) fn amphora() -> Vec<Box<dyn Patch>> {
+pub(super) fn amphora() -> Vec<Box<dyn SurfacePatch>> {
     vec![Box::new(body()), Box::new(handle(false)), Box::new(handle(true))]
 }
 
 fn body() -> Sweep<BodyRelief> {
-    let profile = Curve::new(BODY.map(DVec2::from).to_vec());
+    let profile = BSpline::new(BODY.map(DVec2::from).to_vec());
     let relief = BodyRelief::new(&profile);
-    Sweep { axis: Axis::Straight, profile, relief }
+    Sweep { axis: SweepAxis::Straight, profile, relief }
 }
 
 /// One handle; its flat ends lie within the body.
 fn handle(turned: bool) -> Sweep<RopeRelief> {
-    let curve = Curve::new(HANDLE.map(DVec2::from).to_vec());
+    let curve = BSpline::new(HANDLE.map(DVec2::from).to_vec());
     let end = curve.length();
     // Thicker at both ends, where the potter presses it on.
     let half =
@@ -56,9 +56,9 @@ fn handle(turned: bool) -> Sweep<RopeRelief> {
     let mut points = half.to_vec();
     points.extend([0.3, 0.5, 0.7].map(|part| [0.037, part * end]));
     points.extend(half.iter().rev().map(|[radius, way]| [*radius, end - way]));
-    let profile = Curve::new(points.into_iter().map(DVec2::from).collect());
+    let profile = BSpline::new(points.into_iter().map(DVec2::from).collect());
     let relief = RopeRelief { length: profile.length() };
-    Sweep { axis: Axis::Bent { curve, turned }, profile, relief }
+    Sweep { axis: SweepAxis::Bent { curve, turned }, profile, relief }
 }
 
 /// A band of ornament around the body.
@@ -69,7 +69,7 @@ struct Band {
     repeats: [f64; 2],
     /// Height of the ornament; negative where it is engraved.
     depth: f64,
-    tile: Tile,
+    tile: ReliefTile,
     /// Colours of the ground and of the ornament.
     colors: [[f64; 3]; 2],
 }
@@ -103,15 +103,11 @@ struct BodyRelief {
 }
 
 impl BodyRelief {
-    fn new(profile: &Curve) -> Self {
+    fn new(profile: &BSpline) -> Self {
         let lip = distance_at_height(profile, 1.999);
         let at = |height: f64| distance_at_height(profile, height);
-        let band = |low: f64, high: f64, around: f64, across: f64, depth: f64, tile: Tile, colors| Band {
-            range: [at(low), at(high)],
-            repeats: [around, across],
-            depth,
-            tile,
-            colors,
+        let band = |low: f64, high: f64, around: f64, across: f64, depth: f64, tile: ReliefTile, colors| {
+            Band { range: [at(low), at(high)], repeats: [around, across], depth, tile, colors }
         };
         let bands = vec![
             band(0.21, 0.56, 30.0, 1.0, 0.017, ornament::tongue(), [DARK, TERRACOTTA]),
@@ -130,7 +126,7 @@ impl BodyRelief {
 }
 
 /// The distance along the profile at which it first reaches a height, coming from the foot.
-fn distance_at_height(profile: &Curve, height: f64) -> f64 {
+fn distance_at_height(profile: &BSpline, height: f64) -> f64 {
     const STEPS: i32 = 2000;
     let step = profile.length() / f64::from(STEPS);
     // The underside lies higher than the foot's ring, so the search starts beyond it.

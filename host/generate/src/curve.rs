@@ -6,7 +6,7 @@ use glam::DVec2;
 const STEPS: usize = 16;
 
 /// A uniform cubic B-spline: twice continuously differentiable, so that swept normals have no creases.
-pub(super) struct Curve {
+pub(super) struct BSpline {
     points: Vec<DVec2>,
     /// Arc length from the start to each table entry.
     lengths: Vec<f64>,
@@ -22,7 +22,7 @@ pub(super) struct CurvePoint {
     pub bend: DVec2,
 }
 
-impl Curve {
+impl BSpline {
     /// The spline of at least four control points. It starts near the second and ends near the last but one.
     pub fn new(points: Vec<DVec2>) -> Self {
         debug_assert!(points.len() >= 4);
@@ -87,7 +87,7 @@ mod tests {
     #[test]
     fn travels_at_unit_speed() {
         let points = [(-1.0, 0.0), (0.0, 0.0), (1.0, 0.0), (1.2, 0.7), (0.4, 2.0), (0.0, 2.1), (-0.4, 2.0)];
-        let curve = Curve::new(points.map(DVec2::from).to_vec());
+        let curve = BSpline::new(points.map(DVec2::from).to_vec());
         let h = 1e-4;
         for i in 1..100 {
             let s = curve.length() * f64::from(i) / 100.0;

@@ -3,7 +3,7 @@
 //! Every row has its own number of columns, so a vase is sampled evenly from its foot to its belly, and poles
 //! are single vertices. Two neighbouring rows are sewn together like a zip.
 
-use super::{Rows, SurfaceVertex};
+use super::{BodyRows, SurfaceVertex};
 
 /// Fewest columns of a closed row that is no pole.
 const MIN_COLUMNS: u64 = 5;
@@ -11,7 +11,7 @@ const MIN_COLUMNS: u64 = 5;
 const MIN_ROWS: u64 = 4;
 
 /// A surface with parameters: rows follow its length, and each row goes along (or around) its width.
-pub(super) trait Patch: Sync + Send {
+pub(super) trait SurfacePatch: Sync + Send {
     /// Length, across the rows.
     fn length(&self) -> f64;
 
@@ -31,14 +31,14 @@ pub(super) trait Patch: Sync + Send {
 }
 
 /// A patch with its rows.
-struct Layout {
-    patch: Box<dyn Patch>,
+struct RowLayout {
+    patch: Box<dyn SurfacePatch>,
     columns: Vec<u32>,
     /// Index in the model of each row's first vertex, and of the first one after the patch.
     first: Vec<u64>,
 }
 
-impl Rows for Layout {
+impl BodyRows for RowLayout {
     fn rows(&self) -> usize {
         self.columns.len()
     }
@@ -92,7 +92,7 @@ impl Rows for Layout {
 }
 
 /// Lays exactly `vertices` vertices on the patches, evenly.
-pub(super) fn lay_out(patches: Vec<Box<dyn Patch>>, vertices: u64) -> Vec<Box<dyn Rows>> {
+pub(super) fn lay_out(patches: Vec<Box<dyn SurfacePatch>>, vertices: u64) -> Vec<Box<dyn BodyRows>> {
     // The widest spacing is halved until it gives enough, then bisected. The count is not quite monotonic,
     // as it is rounded by rows; any spacing slightly too wide will do, since the rest is dealt out below.
     let count = |spacing: f64| -> u64 {
@@ -129,20 +129,20 @@ pub(super) fn lay_out(patches: Vec<Box<dyn Patch>>, vertices: u64) -> Vec<Box<dy
     patches
         .into_iter()
         .zip(rows)
-        .map(|(patch, columns)| -> Box<dyn Rows> {
+        .map(|(patch, columns)| -> Box<dyn BodyRows> {
             let mut first = Vec::with_capacity(columns.len() + 1);
             first.push(next);
             for &c in &columns {
                 next += u64::from(c);
                 first.push(next);
             }
-            Box::new(Layout { patch, columns, first })
+            Box::new(RowLayout { patch, columns, first })
         })
         .collect()
 }
 
 /// Columns of each row of a patch at a given spacing.
-fn columns(patch: &dyn Patch, spacing: f64) -> impl Iterator<Item = u32> {
+fn columns(patch: &dyn SurfacePatch, spacing: f64) -> impl Iterator<Item = u32> {
     let length = patch.length();
     let rows = ((length / spacing).round() as u64 + 1).max(MIN_ROWS);
     (0..rows).map(move |row| {
@@ -158,7 +158,7 @@ fn columns(patch: &dyn Patch, spacing: f64) -> impl Iterator<Item = u32> {
 }
 
 /// Distance of a row of so many from the patch's first one. The rows between two creases are spread evenly.
-fn distance(patch: &dyn Patch, row: u64, rows: u64) -> f64 {
+fn distance(patch: &dyn SurfacePatch, row: u64, rows: u64) -> f64 {
     let (length, last) = (patch.length(), rows - 1);
     let (mut from, mut start) = (0, 0.0);
     for &crease in patch.creases() {

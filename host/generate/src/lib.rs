@@ -23,8 +23,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 use simod_model::{Error, Result};
 
-use layout::{Patch, lay_out};
-use rows::Rows;
+use layout::{SurfacePatch, lay_out};
+use rows::BodyRows;
 
 pub use ply::{Encoding, GeneratedInfo, ModelOptions, expected_bytes, write_file, write_ply};
 pub use rows::SurfaceVertex;
@@ -78,7 +78,7 @@ pub enum Shape {
 /// # }
 /// ```
 pub struct Surface {
-    bodies: Vec<Box<dyn Rows>>,
+    bodies: Vec<Box<dyn BodyRows>>,
     vertices: u64,
 }
 
@@ -94,7 +94,7 @@ impl Surface {
                 format!("ask for {MIN_VERTICES} to {MAX_VERTICES}"),
             ));
         }
-        let one = |patch: Box<dyn Patch>| lay_out(vec![patch], vertices);
+        let one = |patch: Box<dyn SurfacePatch>| lay_out(vec![patch], vertices);
         let bodies = match shape {
             Shape::Amphora => lay_out(amphora::amphora(), vertices),
             Shape::BumpySphere => one(shapes::bumpy_sphere()),
@@ -161,13 +161,13 @@ impl Surface {
         Ok((vertices, triangles))
     }
 
-    fn vertices_of(&self, piece: &Piece) -> Vec<SurfaceVertex> {
+    fn vertices_of(&self, piece: &RowPiece) -> Vec<SurfaceVertex> {
         let mut vertices = Vec::new();
         piece.rows.clone().for_each(|row| self.bodies[piece.body].row(row, &mut vertices));
         vertices
     }
 
-    fn triangles_of(&self, piece: &Piece) -> Vec<[u64; 3]> {
+    fn triangles_of(&self, piece: &RowPiece) -> Vec<[u64; 3]> {
         let mut triangles = Vec::new();
         piece.rows.clone().for_each(|row| self.bodies[piece.body].strip(row, &mut triangles));
         triangles
@@ -176,12 +176,12 @@ impl Surface {
     /// Computes pieces on all cores, a bounded number at a time, and consumes the results in order.
     fn in_pieces<T: Send>(
         &self,
-        compute: impl Fn(&Piece) -> T + Sync,
+        compute: impl Fn(&RowPiece) -> T + Sync,
         mut consume: impl FnMut(T) -> Result<()>,
     ) -> Result<()> {
         let mut pieces = self.pieces();
         loop {
-            let batch: Vec<Piece> = pieces.by_ref().take(PIECES).collect();
+            let batch: Vec<RowPiece> = pieces.by_ref().take(PIECES).collect();
             if batch.is_empty() {
                 return Ok(());
             }
@@ -191,7 +191,7 @@ impl Surface {
     }
 
     /// Cuts the surface between rows, in order.
-    fn pieces(&self) -> impl Iterator<Item = Piece> {
+    fn pieces(&self) -> impl Iterator<Item = RowPiece> {
         self.bodies.iter().enumerate().flat_map(|(index, body)| {
             let mut next = 0;
             std::iter::from_fn(move || {
@@ -201,14 +201,14 @@ impl Surface {
                     vertices += body.row_len(next);
                     next += 1;
                 }
-                (start < next).then_some(Piece { body: index, rows: start..next })
+                (start < next).then_some(RowPiece { body: index, rows: start..next })
             })
         })
     }
 }
 
 /// Some consecutive rows of a body.
-struct Piece {
+struct RowPiece {
     body: usize,
     rows: Range<usize>,
 }

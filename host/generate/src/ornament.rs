@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use super::tile::Tile;
+use super::tile::ReliefTile;
 
 /// One unit of a Greek key, between empty margins.
 #[rustfmt::skip]
@@ -19,18 +19,18 @@ const MEANDER: [&[u8; 8]; 9] = [
 ];
 
 /// A Greek key; its lines are as wide across as along where the unit's width is to its height as 8 to 9.
-pub(super) fn meander() -> Tile {
+pub(super) fn meander() -> ReliefTile {
     const CELL: usize = 6;
     let (width, height) = (MEANDER[0].len(), MEANDER.len());
-    Tile::new(width * CELL, height * CELL, |x, y| {
+    ReliefTile::new(width * CELL, height * CELL, |x, y| {
         let row = height - 1 - (y * height as f64) as usize;
         f64::from(MEANDER[row][(x * width as f64) as usize] == b'#')
     })
 }
 
 /// A tongue of a gadrooned belly: a ridge with a round upper end.
-pub(super) fn tongue() -> Tile {
-    Tile::new(96, 384, |x, y| {
+pub(super) fn tongue() -> ReliefTile {
+    ReliefTile::new(96, 384, |x, y| {
         let across = (2.0 * x - 1.0) / 0.94;
         let beyond = ((y - 0.86) / 0.10).max(0.0);
         (1.0 - across * across - beyond * beyond).max(0.0)
@@ -38,14 +38,14 @@ pub(super) fn tongue() -> Tile {
 }
 
 /// Two by two strands of a basket weave.
-pub(super) fn weave() -> Tile {
+pub(super) fn weave() -> ReliefTile {
     /// A strand along the first coordinate, over at even crossings, under at odd ones.
     fn strand(along: f64, across: f64) -> f64 {
         let over = 0.5 + 0.5 * (std::f64::consts::PI * along).cos();
         let round = 1.0 - (2.0 * across - 1.0).powi(2) / 0.85;
         if round <= 0.0 { 0.0 } else { (0.3 + 0.7 * over) * round.sqrt() }
     }
-    Tile::new(64, 64, |x, y| {
+    ReliefTile::new(64, 64, |x, y| {
         let (x, y) = (2.0 * x, 2.0 * y);
         let warp = strand(y - 0.5 + x.floor(), x.fract());
         let weft = strand(x - 0.5 + y.floor() + 1.0, y.fract());
@@ -54,9 +54,9 @@ pub(super) fn weave() -> Tile {
 }
 
 /// Two rows of overlapping scales, open to below.
-pub(super) fn scales() -> Tile {
+pub(super) fn scales() -> ReliefTile {
     // Coarse enough to give the free edges a slope that samples can follow.
-    Tile::new(56, 56, |x, y| {
+    ReliefTile::new(56, 56, |x, y| {
         // Scales hang from the centres of their discs, in rows half a tile apart; upper ones lie above.
         let mut height = 0.0;
         for row in (-1..=4).rev() {
@@ -77,7 +77,7 @@ pub(super) fn scales() -> Tile {
 }
 
 /// The word SIMOD and a diamond, on a tile 3.9 times as wide as it is high.
-pub(super) fn lettering() -> Tile {
+pub(super) fn lettering() -> ReliefTile {
     const ASPECT: f64 = 3.85;
     /// Letter height as a share of the tile's.
     const SIZE: f64 = 0.72;
@@ -88,7 +88,7 @@ pub(super) fn lettering() -> Tile {
     let width: f64 = letters.iter().map(|letter| letter.width + GAP).sum();
     let left = 0.5 * (ASPECT / SIZE - width + GAP);
     const WIDTH: usize = 1408;
-    Tile::new(WIDTH, (WIDTH as f64 / ASPECT) as usize, |x, y| {
+    ReliefTile::new(WIDTH, (WIDTH as f64 / ASPECT) as usize, |x, y| {
         let mut p = DVec2::new(x * ASPECT / SIZE - left, (y - 0.5) / SIZE + 0.5);
         let edge = 0.032;
         for letter in &letters {

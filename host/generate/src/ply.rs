@@ -7,7 +7,7 @@ use glam::DVec3;
 use simod_model::output::OutputFile;
 use simod_model::{Error, Progress, Result, Scalar};
 
-use super::{Piece, Shape, Surface, SurfaceVertex};
+use super::{RowPiece, Shape, Surface, SurfaceVertex};
 
 /// How a PLY file stores its numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,7 +73,7 @@ pub struct GeneratedInfo {
 /// # Errors
 /// As [`write_ply`] has for its options.
 pub fn expected_bytes(options: &ModelOptions) -> Result<Option<u64>> {
-    Ok(Format::new(options, &Surface::new(options.shape, options.vertices)?)?.bytes())
+    Ok(PlyFormat::new(options, &Surface::new(options.shape, options.vertices)?)?.bytes())
 }
 
 /// Generates a model into a file, which appears whole or not at all.
@@ -100,7 +100,7 @@ pub fn write_ply(
     progress: &dyn Progress,
 ) -> Result<GeneratedInfo> {
     let surface = Surface::new(options.shape, options.vertices)?;
-    let format = Format::new(options, &surface)?;
+    let format = PlyFormat::new(options, &surface)?;
     progress.begin("generating", format.bytes().unwrap_or(0));
 
     let mut bytes = 0;
@@ -125,14 +125,14 @@ pub fn write_ply(
 }
 
 /// How one model is encoded.
-struct Format<'a> {
+struct PlyFormat<'a> {
     options: &'a ModelOptions,
     header: String,
     vertices: u64,
     faces: u64,
 }
 
-impl<'a> Format<'a> {
+impl<'a> PlyFormat<'a> {
     fn new(options: &'a ModelOptions, surface: &Surface) -> Result<Self> {
         let vertices = surface.vertices();
         let faces = if options.faces { surface.faces() } else { 0 };
@@ -189,12 +189,12 @@ impl<'a> Format<'a> {
         position + if self.options.normals { 12 } else { 0 } + if self.options.colors { 3 } else { 0 }
     }
 
-    fn vertices(&self, surface: &Surface, piece: &Piece) -> Vec<u8> {
+    fn vertices(&self, surface: &Surface, piece: &RowPiece) -> Vec<u8> {
         let vertices = surface.vertices_of(piece);
         let mut bytes = Vec::with_capacity(vertices.len() * self.vertex_bytes() as usize);
         for vertex in &vertices {
             match self.options.encoding {
-                Encoding::Ascii => self.vertex(vertex, &mut Text(&mut bytes)),
+                Encoding::Ascii => self.vertex(vertex, &mut NumberText(&mut bytes)),
                 Encoding::BinaryLittleEndian => self.vertex(vertex, &mut LittleEndian(&mut bytes)),
                 Encoding::BinaryBigEndian => self.vertex(vertex, &mut BigEndian(&mut bytes)),
             }
@@ -218,7 +218,7 @@ impl<'a> Format<'a> {
         sink.end();
     }
 
-    fn faces(&self, surface: &Surface, piece: &Piece) -> Vec<u8> {
+    fn faces(&self, surface: &Surface, piece: &RowPiece) -> Vec<u8> {
         fn face(triangle: [u64; 3], sink: &mut impl Sink) {
             sink.byte(3);
             triangle.into_iter().for_each(|index| sink.index(index as u32));
@@ -228,7 +228,7 @@ impl<'a> Format<'a> {
         let mut bytes = Vec::with_capacity(triangles.len() * 13);
         for triangle in triangles {
             match self.options.encoding {
-                Encoding::Ascii => face(triangle, &mut Text(&mut bytes)),
+                Encoding::Ascii => face(triangle, &mut NumberText(&mut bytes)),
                 Encoding::BinaryLittleEndian => face(triangle, &mut LittleEndian(&mut bytes)),
                 Encoding::BinaryBigEndian => face(triangle, &mut BigEndian(&mut bytes)),
             }
@@ -281,16 +281,16 @@ impl Sink for BigEndian<'_> {
 }
 
 /// Shortest text that reads back as the same number, separated by spaces.
-struct Text<'a>(&'a mut Vec<u8>);
+struct NumberText<'a>(&'a mut Vec<u8>);
 
-impl Text<'_> {
+impl NumberText<'_> {
     fn number(&mut self, x: impl std::fmt::Display) {
         // Writing to a vector does not fail.
         let _ = write!(self.0, "{x} ");
     }
 }
 
-impl Sink for Text<'_> {
+impl Sink for NumberText<'_> {
     fn float(&mut self, x: f32) {
         self.number(x);
     }

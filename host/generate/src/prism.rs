@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use glam::{DVec2, DVec3};
 
 use super::SurfaceVertex;
-use super::layout::Patch;
+use super::layout::SurfacePatch;
 use super::shapes::CLAY;
 
 /// Half the width of all bars.
@@ -13,25 +13,25 @@ const RADIUS: f64 = 0.15;
 /// Height of all bars, from y = 0.
 const HEIGHT: f64 = 2.0;
 
-pub(super) fn cylinder() -> Box<dyn Patch> {
-    Box::new(Prism { section: Section::Disc })
+pub(super) fn cylinder() -> Box<dyn SurfacePatch> {
+    Box::new(Prism { section: PrismSection::Disc })
 }
 
-pub(super) fn bar() -> Box<dyn Patch> {
-    Box::new(Prism { section: Section::Square })
+pub(super) fn bar() -> Box<dyn SurfacePatch> {
+    Box::new(Prism { section: PrismSection::Square })
 }
 
 /// Rows go from the middle of the lower end to its rim, up the side, and to the middle of the upper end.
 struct Prism {
-    section: Section,
+    section: PrismSection,
 }
 
-enum Section {
+enum PrismSection {
     Disc,
     Square,
 }
 
-impl Section {
+impl PrismSection {
     /// Length around a section of radius 1.
     fn around(&self) -> f64 {
         match self {
@@ -59,7 +59,7 @@ impl Section {
     }
 }
 
-impl Patch for Prism {
+impl SurfacePatch for Prism {
     fn length(&self) -> f64 {
         HEIGHT + 2.0 * RADIUS
     }

@@ -14,7 +14,7 @@ pub struct SurfaceVertex {
 }
 
 /// A body of a model, row by row.
-pub(crate) trait Rows: Send + Sync {
+pub(crate) trait BodyRows: Send + Sync {
     fn rows(&self) -> usize;
 
     /// Number of vertices in a row.

@@ -5,19 +5,19 @@ use std::f64::consts::PI;
 use glam::{DVec2, DVec3};
 
 use super::SurfaceVertex;
-use super::curve::Curve;
-use super::layout::Patch;
-use super::sweep::{Axis, Raised, Relief, Site, Sweep};
+use super::curve::BSpline;
+use super::layout::SurfacePatch;
+use super::sweep::{Raised, Relief, Site, Sweep, SweepAxis};
 
 pub(super) const CLAY: [u8; 3] = [196, 168, 140];
 
 /// A sphere of radius 1 about the origin, with waves of two wavelengths.
-pub(super) fn bumpy_sphere() -> Box<dyn Patch> {
-    Box::new(Sweep { axis: Axis::Straight, profile: half_circle(), relief: SphereWaves })
+pub(super) fn bumpy_sphere() -> Box<dyn SurfacePatch> {
+    Box::new(Sweep { axis: SweepAxis::Straight, profile: half_circle(), relief: SphereWaves })
 }
 
 /// The half circle from pole to pole, as a spline that leaves the circle by less than 1e-6.
-fn half_circle() -> Curve {
+fn half_circle() -> BSpline {
     const SEGMENTS: i32 = 64;
     let step = PI / f64::from(SEGMENTS);
     // Control points lie slightly outside, such that the curve passes through the circle at its knots.
@@ -26,7 +26,7 @@ fn half_circle() -> Curve {
         let angle = step * f64::from(i);
         DVec2::new(angle.sin(), -angle.cos()) * radius
     };
-    Curve::new((-1..=SEGMENTS + 1).map(point).collect())
+    BSpline::new((-1..=SEGMENTS + 1).map(point).collect())
 }
 
 struct SphereWaves;
@@ -45,7 +45,7 @@ impl Relief for SphereWaves {
 }
 
 /// A square with waves of two wavelengths.
-pub(super) fn wavy_plane() -> Box<dyn Patch> {
+pub(super) fn wavy_plane() -> Box<dyn SurfacePatch> {
     let waves = |x: f64, z: f64| {
         let (mut y, mut by_x, mut by_z) = (0.0, 0.0, 0.0);
         for (wave, amplitude) in [(4.0, 0.08), (31.0, 0.004)] {
@@ -56,11 +56,11 @@ pub(super) fn wavy_plane() -> Box<dyn Patch> {
         }
         [y, by_x, by_z]
     };
-    Box::new(Plane { relief: waves })
+    Box::new(PlaneShape { relief: waves })
 }
 
 /// A square with bumps in rows and columns, flat between them.
-pub(super) fn bumpy_plane() -> Box<dyn Patch> {
+pub(super) fn bumpy_plane() -> Box<dyn SurfacePatch> {
     const WAVE: f64 = 10.0 * PI;
     const HEIGHT: f64 = 0.06;
     // sin² and its derivative, of the distance from the border.
@@ -69,16 +69,16 @@ pub(super) fn bumpy_plane() -> Box<dyn Patch> {
         let ((bx, by_x), (bz, by_z)) = (bump(x), bump(z));
         [bx * bz, by_x * bz, bx * by_z].map(|value| HEIGHT * value)
     };
-    Box::new(Plane { relief: bumps })
+    Box::new(PlaneShape { relief: bumps })
 }
 
 /// A square of side 2 in the plane of x and z, facing up. The relief gives the height, and its derivatives by
 /// x and z.
-struct Plane<R> {
+struct PlaneShape<R> {
     relief: R,
 }
 
-impl<R: Fn(f64, f64) -> [f64; 3] + Send + Sync> Patch for Plane<R> {
+impl<R: Fn(f64, f64) -> [f64; 3] + Send + Sync> SurfacePatch for PlaneShape<R> {
     fn length(&self) -> f64 {
         2.0
     }
@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn normals_are_those_of_the_surface() {
-        let sphere = Sweep { axis: Axis::Straight, profile: half_circle(), relief: SphereWaves };
+        let sphere = Sweep { axis: SweepAxis::Straight, profile: half_circle(), relief: SphereWaves };
         assert!(worst_normal(&sphere) < 1e-5);
     }
 

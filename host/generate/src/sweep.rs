@@ -5,22 +5,22 @@ use std::f64::consts::TAU;
 use glam::{DVec2, DVec3};
 
 use super::SurfaceVertex;
-use super::curve::{Curve, CurvePoint};
-use super::layout::Patch;
+use super::curve::{BSpline, CurvePoint};
+use super::layout::SurfacePatch;
 
 /// What a sweep turns around.
-pub(super) enum Axis {
+pub(super) enum SweepAxis {
     /// The y axis.
     Straight,
     /// A curve in the plane of x and y, perhaps turned by half a turn about the y axis.
-    Bent { curve: Curve, turned: bool },
+    Bent { curve: BSpline, turned: bool },
 }
 
 /// A profile turned around an axis: x of the profile is the distance from the axis, y the way along it. Both
 /// ends of the profile lie on the axis; the surface is outside to the right of the profile's direction.
 pub(super) struct Sweep<R> {
-    pub axis: Axis,
-    pub profile: Curve,
+    pub axis: SweepAxis,
+    pub profile: BSpline,
     pub relief: R,
 }
 
@@ -63,7 +63,7 @@ pub(super) trait Relief: Sync + Send {
 }
 
 /// A point of the axis with a frame of unit vectors: `outward` and `binormal` span the cross-section.
-struct Frame {
+struct AxisFrame {
     origin: DVec3,
     tangent: DVec3,
     outward: DVec3,
@@ -72,24 +72,24 @@ struct Frame {
     curvature: f64,
 }
 
-impl Axis {
-    fn frame(&self, way: f64) -> Frame {
+impl SweepAxis {
+    fn frame(&self, way: f64) -> AxisFrame {
         match self {
-            Axis::Straight => Frame {
+            SweepAxis::Straight => AxisFrame {
                 origin: DVec3::Y * way,
                 tangent: DVec3::Y,
                 outward: DVec3::X,
                 binormal: DVec3::Z,
                 curvature: 0.0,
             },
-            Axis::Bent { curve, turned } => {
+            SweepAxis::Bent { curve, turned } => {
                 let point = curve.point(way);
                 // At the caps the profile swings slightly beyond the ends: go on straight there.
                 let beyond = way - way.clamp(0.0, curve.length());
                 let flip = if *turned { -1.0 } else { 1.0 };
                 let place = |v: DVec2| DVec3::new(flip * v.x, v.y, 0.0);
                 let outward = DVec2::new(point.tangent.y, -point.tangent.x);
-                Frame {
+                AxisFrame {
                     origin: place(point.position + point.tangent * beyond),
                     tangent: place(point.tangent),
                     outward: place(outward),
@@ -101,7 +101,7 @@ impl Axis {
     }
 }
 
-impl<R: Relief> Patch for Sweep<R> {
+impl<R: Relief> SurfacePatch for Sweep<R> {
     fn length(&self) -> f64 {
         self.profile.length()
     }
@@ -121,19 +121,19 @@ impl<R: Relief> Patch for Sweep<R> {
 }
 
 /// What all vertices at one distance share.
-struct Ring {
+struct SweepRing {
     distance: f64,
     profile: CurvePoint,
-    frame: Frame,
+    frame: AxisFrame,
 }
 
 impl<R: Relief> Sweep<R> {
-    fn ring(&self, distance: f64) -> Ring {
+    fn ring(&self, distance: f64) -> SweepRing {
         let profile = self.profile.point(distance);
-        Ring { distance, profile, frame: self.axis.frame(profile.position.y) }
+        SweepRing { distance, profile, frame: self.axis.frame(profile.position.y) }
     }
 
-    fn vertex(&self, Ring { distance, profile, frame }: &Ring, turn: f64) -> SurfaceVertex {
+    fn vertex(&self, SweepRing { distance, profile, frame }: &SweepRing, turn: f64) -> SurfaceVertex {
         let radius = profile.position.x.max(0.0);
         // Derivatives of the radius, and of the way along the axis, by the profile's arc length.
         let (dr, dw) = (profile.tangent.x, profile.tangent.y);

@@ -4,13 +4,13 @@ use rayon::prelude::*;
 
 /// A periodic height field on the unit square: texels as the control points of a bicubic B-spline, which is
 /// twice continuously differentiable and rounds the edges of what was drawn by about a texel.
-pub(super) struct Tile {
+pub(super) struct ReliefTile {
     width: usize,
     height: usize,
     texels: Vec<f32>,
 }
 
-impl Tile {
+impl ReliefTile {
     /// Draws a tile: `ornament` gives the height in [0, 1] at a point of the unit square, y up.
     pub fn new(width: usize, height: usize, ornament: impl Fn(f64, f64) -> f64 + Sync) -> Self {
         let texels = (0..width * height)
@@ -63,7 +63,7 @@ mod tests {
 
     #[test]
     fn sampled_wave_has_its_derivatives_and_wraps() {
-        let tile = Tile::new(64, 32, |x, y| 0.5 + 0.25 * (TAU * x).sin() + 0.25 * (TAU * y).cos());
+        let tile = ReliefTile::new(64, 32, |x, y| 0.5 + 0.25 * (TAU * x).sin() + 0.25 * (TAU * y).cos());
         for i in 0..50 {
             let (x, y) = (f64::from(i) * 0.083 - 2.0, f64::from(i) * 0.131);
             let (value, by_x, by_y) = tile.sample(x, y);

@@ -22,7 +22,7 @@ pub struct Details<'a> {
     first: Vec<u32>,
     neighbours: Vec<u32>,
     /// Of the steps that smooth once, and of twice as many.
-    walks: [Walk; 2],
+    walks: [SmoothingSteps; 2],
     smooth: Vec<DVec3>,
     /// Of the smooth surface.
     normals: Vec<DVec3>,
@@ -34,7 +34,7 @@ type Split = (Vec<DVec3>, Vec<DVec3>);
 
 /// How details turn.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Rotation {
+pub struct DetailRotation {
     /// Degrees: root of the mean square over all vertices, weighted by the squared lengths of the details at
     /// rest.
     pub rms: f64,
@@ -73,7 +73,7 @@ impl<'a> Details<'a> {
         let variance = 0.25 * squares / edges.len().max(1) as f64;
         let steps = if variance > 0.0 { (radius * radius / variance).ceil().min(1e5) as u32 } else { 0 };
         let neighbours = edges.into_iter().map(|edge| pair(edge)[1]).collect();
-        let walks = [steps, 2 * steps].map(Walk::new);
+        let walks = [steps, 2 * steps].map(SmoothingSteps::new);
         let (smooth, normals, details) = (Vec::new(), Vec::new(), Vec::new());
         let mut own = Self { rest, triangles, first, neighbours, walks, smooth, normals, details };
         let [split] = own.split([rest]);
@@ -86,7 +86,7 @@ impl<'a> Details<'a> {
     ///
     /// # Panics
     /// There are not as many.
-    pub fn rotation(&self, deformed: &[DVec3]) -> Rotation {
+    pub fn rotation(&self, deformed: &[DVec3]) -> DetailRotation {
         let [split] = self.split([deformed]);
         self.compare(deformed, &split)
     }
@@ -97,7 +97,7 @@ impl<'a> Details<'a> {
     ///
     /// # Panics
     /// There are not as many vertices in one of them.
-    pub fn rotations(&self, deformed: &[&[DVec3]]) -> Vec<Rotation> {
+    pub fn rotations(&self, deformed: &[&[DVec3]]) -> Vec<DetailRotation> {
         let mut all = Vec::with_capacity(deformed.len());
         let mut add = |some: &[&[DVec3]], splits: &[Split]| {
             let each = some.par_iter().zip(splits).map(|(deformed, split)| self.compare(deformed, split));
@@ -114,7 +114,7 @@ impl<'a> Details<'a> {
         all
     }
 
-    fn compare(&self, deformed: &[DVec3], (smooth, details): &Split) -> Rotation {
+    fn compare(&self, deformed: &[DVec3], (smooth, details): &Split) -> DetailRotation {
         let normals = self.vertex_normals(smooth);
         let turns: Vec<Option<DMat3>> = (0..self.rest.len())
             .into_par_iter()
@@ -139,7 +139,7 @@ impl<'a> Details<'a> {
                 .fold(DVec3::ZERO, |sum, turn| sum + turn * cross(rest));
             turned.dot(cross(after)) < 0.0
         };
-        Rotation {
+        DetailRotation {
             rms: if weights > 0.0 { (sum / weights).sqrt() } else { 0.0 },
             folded: self.triangles.iter().filter(is_folded).count(),
         }
@@ -243,11 +243,11 @@ impl<'a> Details<'a> {
 /// polynomials: ((1 + W) / 2)ⁿ = Σ cₖ Tₖ(W). With W = cos t that is cos²ⁿ(t / 2), whose shares cₖ are those
 /// of the paths of a walk with 2 n halves of a step that end k steps off. Nearly all end within a few √n of
 /// them, so that so many polynomials are as good as n steps, and the rest is less than rounding.
-struct Walk {
+struct SmoothingSteps {
     shares: Vec<f64>,
 }
 
-impl Walk {
+impl SmoothingSteps {
     /// What is less than this part of all is left out.
     const LEAST: f64 = 1e-19;
 
@@ -326,7 +326,7 @@ mod tests {
         for (angle, scale) in [(0.0, 1.0), (3.0, 1.0), (1.0, 0.4), (2.0, 5.0)] {
             let turn = DQuat::from_axis_angle(DVec3::new(0.48, 0.6, 0.64), angle);
             let moved: Vec<_> = rest.iter().map(|p| turn * *p * scale + DVec3::Y).collect();
-            let Rotation { rms, folded } = details.rotation(&moved);
+            let DetailRotation { rms, folded } = details.rotation(&moved);
             assert!(rms < 1e-5 && folded == 0, "{rms}, {folded} folded");
         }
     }
@@ -379,7 +379,7 @@ mod tests {
         let shapes: Vec<Vec<DVec3>> = (0..11).map(|k| bent(k).collect()).collect();
         for count in 0..shapes.len() {
             let some: Vec<&[DVec3]> = shapes[..count].iter().map(Vec::as_slice).collect();
-            let one_by_one: Vec<Rotation> = some.iter().map(|shape| details.rotation(shape)).collect();
+            let one_by_one: Vec<DetailRotation> = some.iter().map(|shape| details.rotation(shape)).collect();
             assert_eq!(details.rotations(&some), one_by_one);
         }
     }

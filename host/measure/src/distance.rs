@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use simod_model::{Progress, Result};
 
-use super::tree::{Facet, QueuedPart, Tree};
+use super::tree::{QueuedPart, TreeTriangle, TriangleTree};
 use super::triangle::{corners, cross};
 
 /// Points that are looked up before the user is asked whether to go on.
@@ -31,10 +31,10 @@ pub struct Distances {
 /// each.
 ///
 /// Memory: about 180 bytes for each triangle, and 30 more in the making.
-pub struct Surface {
+pub struct DistanceSurface {
     /// In the order of the leaves.
-    facets: Vec<Facet>,
-    tree: Tree,
+    facets: Vec<TreeTriangle>,
+    tree: TriangleTree,
 }
 
 /// A point of a surface.
@@ -48,18 +48,19 @@ pub struct OnSurface {
     pub position: DVec3,
 }
 
-impl Surface {
+impl DistanceSurface {
     /// The triangles between these positions, but for those without an area: their sides belong to others.
     /// Nothing if none is left.
     pub fn new(positions: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
-        let facets = triangles.iter().zip(0..).filter_map(|(t, i)| Some(Facet(corners(positions, *t)?, i)));
-        let facets: Vec<Facet> = facets.filter(|f| cross(f.0).length_squared() > 0.0).collect();
+        let facets =
+            triangles.iter().zip(0..).filter_map(|(t, i)| Some(TreeTriangle(corners(positions, *t)?, i)));
+        let facets: Vec<TreeTriangle> = facets.filter(|f| cross(f.0).length_squared() > 0.0).collect();
         if facets.is_empty() {
             return None;
         }
-        let (tree, order) = Tree::from_facets(&facets);
-        let sorted = |i: &u32| Facet(facets[*i as usize].0, facets[*i as usize].1);
-        let facets: Vec<Facet> = order.par_iter().map(sorted).collect();
+        let (tree, order) = TriangleTree::from_facets(&facets);
+        let sorted = |i: &u32| TreeTriangle(facets[*i as usize].0, facets[*i as usize].1);
+        let facets: Vec<TreeTriangle> = order.par_iter().map(sorted).collect();
         Some(Self { facets, tree })
     }
 
@@ -93,7 +94,7 @@ impl Surface {
     /// Where a ray of a finite origin and direction, which is not zero, meets the surface first, from either
     /// side; of several triangles there, the first one.
     pub fn first_on_ray(&self, origin: DVec3, direction: DVec3) -> Option<OnSurface> {
-        let mut first = None::<(f64, &Facet)>;
+        let mut first = None::<(f64, &TreeTriangle)>;
         self.tree.on_ray(origin, direction, |place| {
             let facet = &self.facets[place];
             let Some(t) = meets(facet.0, origin, direction) else { return };
@@ -145,7 +146,7 @@ impl Surface {
     }
 }
 
-impl Facet {
+impl TreeTriangle {
     /// A point that is on it but for rounding.
     fn on_surface(&self, position: DVec3) -> OnSurface {
         let [a, b, c] = self.0;
@@ -254,7 +255,7 @@ mod tests {
     }
 
     fn between(from: &(Vec<DVec3>, Vec<[u32; 3]>), to: &(Vec<DVec3>, Vec<[u32; 3]>)) -> Distances {
-        Surface::new(&to.0, &to.1).unwrap().distances(&from.0, &from.1, &Silent).unwrap()
+        DistanceSurface::new(&to.0, &to.1).unwrap().distances(&from.0, &from.1, &Silent).unwrap()
     }
 
     #[test]
@@ -311,7 +312,7 @@ mod tests {
     #[test]
     fn points_of_a_surface_and_rays_know_their_triangles() {
         let (points, triangles) = sphere(1.0, 12);
-        let surface = Surface::new(&points, &triangles).unwrap();
+        let surface = DistanceSurface::new(&points, &triangles).unwrap();
         let mut met = 0;
         for i in 0..200 {
             let t = f64::from(i);
@@ -335,7 +336,7 @@ mod tests {
         assert_eq!(met, 200, "away from it nothing is met");
         // Along an axis, and in the plane of a box.
         let flat = square(1.0, 4);
-        let flat = Surface::new(&flat.0, &flat.1).unwrap();
+        let flat = DistanceSurface::new(&flat.0, &flat.1).unwrap();
         let down = flat.first_on_ray(DVec3::new(0.25, 2.0, 0.25), DVec3::NEG_Y).unwrap();
         assert_eq!(down.position, DVec3::new(0.25, 0.0, 0.25));
         assert_eq!(flat.first_on_ray(DVec3::new(-1.0, 0.0, 0.3), DVec3::X), None);
@@ -348,7 +349,7 @@ mod tests {
         for (middle, size) in [(DVec3::ZERO, 1.0), (DVec3::new(4e6, -1e5, 3.0), 2.5), (DVec3::X, 1e-9)] {
             let bumpy = |p: &DVec3| middle + *p * size * (1.0 + 0.2 * (9.0 * p.x).sin() * (7.0 * p.y).cos());
             let points: Vec<DVec3> = sphere.iter().map(bumpy).collect();
-            let surface = Surface::new(&points, &triangles).unwrap();
+            let surface = DistanceSurface::new(&points, &triangles).unwrap();
             // Points of it, near it, and so far from it that single precision does not tell how far.
             for i in 0..900 {
                 let t = f64::from(i);
@@ -367,10 +368,11 @@ mod tests {
 
     #[test]
     fn beyond_a_triangle_its_sides_and_corners_are_nearest() {
-        let triangle = Surface::new(&[DVec3::ZERO, DVec3::X, DVec3::Y], &[[0, 1, 2], [0, 1, 1]]).unwrap();
+        let triangle =
+            DistanceSurface::new(&[DVec3::ZERO, DVec3::X, DVec3::Y], &[[0, 1, 2], [0, 1, 1]]).unwrap();
         assert!((triangle.distance(DVec3::new(-3.0, -4.0, 0.0)) - 5.0).abs() < 1e-12);
         assert!((triangle.distance(DVec3::new(1.0, 1.0, 0.0)) - 0.5f64.sqrt()).abs() < 1e-12);
         assert!((triangle.distance(DVec3::new(0.2, 0.2, -0.7)) - 0.7).abs() < 1e-12);
-        assert!(Surface::new(&[DVec3::ZERO, DVec3::X], &[[0, 1, 1], [0, 1, 7]]).is_none());
+        assert!(DistanceSurface::new(&[DVec3::ZERO, DVec3::X], &[[0, 1, 1], [0, 1, 7]]).is_none());
     }
 }

@@ -25,10 +25,10 @@ mod tree;
 mod triangle;
 mod vertexwise;
 
-pub use details::{Details, Rotation};
-pub use distance::{Distances, OnSurface, Surface};
+pub use details::{DetailRotation, Details};
+pub use distance::{DistanceSurface, Distances, OnSurface};
 pub use energy::{Bins, Energies, Histograms};
-pub use size::{Open, area, area_distortion, edge_distortion, is_closed, volume};
+pub use size::{OpenMesh, area, area_distortion, edge_distortion, is_closed, volume};
 pub use spread::Spread;
 pub use triangle::Edges;
 pub use vertexwise::{Also, Angles, Difference, VersionsBeside, beside};

@@ -35,12 +35,12 @@ pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
 
 /// An open mesh, which holds a volume with the plane of its border: between each triangle and that plane,
 /// more where it is above, less below.
-pub struct Open {
+pub struct OpenMesh {
     origin: DVec3,
     normal: DVec3,
 }
 
-impl Open {
+impl OpenMesh {
     /// The plane in the middle of the border at rest, at right angles to what the triangles' normals add up
     /// to; nothing where there is no border, or the sum is nothing.
     pub fn from_triangles(rest: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
@@ -130,13 +130,14 @@ mod tests {
         let (rest, triangles) = brick();
         // Without the quad at the top, z = 3.
         let open: Vec<[u32; 3]> = [&triangles[..2], &triangles[4..]].concat();
-        let plane = Open::from_triangles(&rest, &open).unwrap();
+        let plane = OpenMesh::from_triangles(&rest, &open).unwrap();
         assert!((plane.volume(&rest, &open).abs() - 6.0).abs() < 1e-12);
         let deeper: Vec<_> = rest.iter().map(|p| if p.z == 0.0 { p.with_z(-1.0) } else { *p }).collect();
         let ratio = plane.volume(&deeper, &open) / plane.volume(&rest, &open);
         assert!((ratio - 4.0 / 3.0).abs() < 1e-12, "{ratio}");
         assert!(
-            Open::from_triangles(&rest, &triangles).is_none() && Open::from_triangles(&rest, &[]).is_none()
+            OpenMesh::from_triangles(&rest, &triangles).is_none()
+                && OpenMesh::from_triangles(&rest, &[]).is_none()
         );
     }
 

@@ -6,7 +6,7 @@
 use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
-use super::triangle::{Corners, cross};
+use super::triangle::{TriangleCorners, cross};
 
 /// Parts of a node, and most triangles of one without nodes below.
 const PARTS: usize = 4;
@@ -16,14 +16,14 @@ const APART: usize = 1 << 12;
 const FLAT: usize = 64;
 
 /// A triangle with an area, and which it is.
-pub(crate) struct Facet(pub Corners, pub u32);
+pub(crate) struct TreeTriangle(pub TriangleCorners, pub u32);
 
 /// Triangles by where they are.
 ///
 /// Memory: 256 bytes for each node, of which there is one for two or three triangles.
-pub(crate) struct Tree {
+pub(crate) struct TriangleTree {
     /// The root first, and below each one its parts, one after the other.
-    nodes: Vec<Node>,
+    nodes: Vec<TreeNode>,
     unit: UnitCube,
 }
 
@@ -36,7 +36,7 @@ pub(crate) struct QueuedPart {
 
 /// Parts side by side.
 #[derive(Clone)]
-struct Node {
+struct TreeNode {
     low: [Vec4; 3],
     high: [Vec4; 3],
     discs: Discs,
@@ -52,14 +52,15 @@ enum Child {
     Triangle(u32),
 }
 
-impl Tree {
+impl TriangleTree {
     /// Of some triangles, and the order in which it has them.
-    pub fn from_facets(facets: &[Facet]) -> (Self, Vec<u32>) {
-        let middle = |f: &Facet| 0.5 * (f.0[0].min(f.0[1]).min(f.0[2]) + f.0[0].max(f.0[1]).max(f.0[2]));
+    pub fn from_facets(facets: &[TreeTriangle]) -> (Self, Vec<u32>) {
+        let middle =
+            |f: &TreeTriangle| 0.5 * (f.0[0].min(f.0[1]).min(f.0[2]) + f.0[0].max(f.0[1]).max(f.0[2]));
         let middles: Vec<DVec3> = facets.par_iter().map(middle).collect();
         let mut order: Vec<u32> = (0..facets.len() as u32).collect();
         let unit = UnitCube::around(facets);
-        let mut nodes = vec![Node::EMPTY; nodes_of(facets.len())];
+        let mut nodes = vec![TreeNode::EMPTY; nodes_of(facets.len())];
         grow(&mut nodes, &mut order, [0, 0], (facets, &middles, &unit));
         (Self { nodes, unit }, order)
     }
@@ -138,7 +139,7 @@ impl UnitCube {
     /// Farther points are taken for some that are nearer.
     const FARTHEST: DVec3 = DVec3::splat(1e15);
 
-    fn around(facets: &[Facet]) -> Self {
+    fn around(facets: &[TreeTriangle]) -> Self {
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for corner in facets.iter().flat_map(|facet| facet.0) {
             (low, high) = (low.min(corner), high.max(corner));
@@ -183,7 +184,7 @@ impl Discs {
 
     /// Puts the disc of some triangles at a place: about the mean of their corners, across the sum of their
     /// normals.
-    fn put(&mut self, lane: usize, facets: impl Iterator<Item = Corners> + Clone, unit: &UnitCube) {
+    fn put(&mut self, lane: usize, facets: impl Iterator<Item = TriangleCorners> + Clone, unit: &UnitCube) {
         let facets = facets.map(|corners| corners.map(|p| unit.exactly(p)));
         let corners = facets.clone().flatten();
         let (sum, count) = corners.clone().fold((DVec3::ZERO, 0.0), |(sum, n), p| (sum + p, n + 1.0));
@@ -211,7 +212,7 @@ impl Discs {
     }
 }
 
-impl Node {
+impl TreeNode {
     /// One without parts.
     const EMPTY: Self = Self {
         low: [Vec4::ZERO; 3],
@@ -243,7 +244,7 @@ struct RayBoxes {
 }
 
 impl RayBoxes {
-    fn meets(&self, node: &Node, lane: usize) -> bool {
+    fn meets(&self, node: &TreeNode, lane: usize) -> bool {
         let (mut enter, mut leave) = (0.0f64, f64::INFINITY);
         for axis in 0..3 {
             let at = |x: f32| (f64::from(x) - self.origin[axis]) * self.inverse[axis];
@@ -282,10 +283,10 @@ fn nodes_of(triangles: usize) -> usize {
 /// place among those of the whole tree, and `place` that of the first triangle in the order. Large parts grow
 /// beside each other.
 fn grow(
-    nodes: &mut [Node],
+    nodes: &mut [TreeNode],
     order: &mut [u32],
     [this, mut place]: [u32; 2],
-    of @ (facets, middles, unit): (&[Facet], &[DVec3], &UnitCube),
+    of @ (facets, middles, unit): (&[TreeTriangle], &[DVec3], &UnitCube),
 ) {
     let Some((node, mut below)) = nodes.split_first_mut() else { return };
     let sizes = sizes(order.len());
@@ -353,11 +354,11 @@ mod tests {
     use super::*;
 
     /// So many small triangles along a wound line.
-    fn some(count: usize) -> Vec<Facet> {
+    fn some(count: usize) -> Vec<TreeTriangle> {
         let at = |i: f64| DVec3::new(i.sin(), 0.1 * i, (0.7 * i).cos());
         let of = |i: u32| {
             let t = f64::from(i);
-            Facet([at(t), at(t + 0.2), at(t) + DVec3::splat(0.1)], i)
+            TreeTriangle([at(t), at(t + 0.2), at(t) + DVec3::splat(0.1)], i)
         };
         (0..count as u32).map(of).collect()
     }
@@ -377,7 +378,7 @@ mod tests {
     fn each_triangle_has_one_place() {
         for count in (1..70).chain([255, 256, 257, 1000, 5 * APART + 3]) {
             let facets = some(count);
-            let (tree, mut order) = Tree::from_facets(&facets);
+            let (tree, mut order) = TriangleTree::from_facets(&facets);
             let mut found = Vec::new();
             let look = |place: usize| {
                 found.push(place as u32);
@@ -394,7 +395,7 @@ mod tests {
     #[test]
     fn what_is_far_is_not_looked_at() {
         let facets = some(5000);
-        let (tree, order) = Tree::from_facets(&facets);
+        let (tree, order) = TriangleTree::from_facets(&facets);
         for i in (0..5000).step_by(7) {
             let p = facets[i].0[0];
             let mut looked_at = Vec::new();

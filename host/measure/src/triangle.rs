@@ -4,10 +4,10 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 /// A corner of a triangle.
-pub(crate) type Corners = [DVec3; 3];
+pub(crate) type TriangleCorners = [DVec3; 3];
 
 /// The corners of a triangle in one shape; nothing where it has none.
-pub(crate) fn corners(positions: &[DVec3], triangle: [u32; 3]) -> Option<Corners> {
+pub(crate) fn corners(positions: &[DVec3], triangle: [u32; 3]) -> Option<TriangleCorners> {
     let [a, b, c] = triangle.map(|i| positions.get(i as usize).copied().filter(|p| p.is_finite()));
     Some([a?, b?, c?])
 }
@@ -65,6 +65,6 @@ impl Edges {
 }
 
 /// Twice the area of a triangle, along its normal.
-pub(crate) fn cross([a, b, c]: Corners) -> DVec3 {
+pub(crate) fn cross([a, b, c]: TriangleCorners) -> DVec3 {
     (b - a).cross(c - a)
 }

@@ -48,7 +48,7 @@ const BLOCK: usize = 64;
 const LANES: usize = 8;
 
 /// As many vertices as a block has, of one version, coordinate by coordinate.
-struct Block {
+struct VertexBlock {
     positions: [[f64; BLOCK]; 3],
     normals: [[f64; BLOCK]; 3],
     /// All positions are finite.
@@ -57,7 +57,7 @@ struct Block {
     has_normals: bool,
 }
 
-impl Block {
+impl VertexBlock {
     const EMPTY: Self = Self {
         positions: [[0.0; BLOCK]; 3],
         normals: [[0.0; BLOCK]; 3],
@@ -85,12 +85,12 @@ impl Block {
 
 /// A sum and the greatest of numbers, in lanes.
 #[derive(Default)]
-struct Lanes {
+struct LaneSums {
     sums: [f64; LANES],
     greatest: [f64; LANES],
 }
 
-impl Lanes {
+impl LaneSums {
     #[inline(always)]
     fn add(&mut self, lane: usize, square: f64, x: f64) {
         self.sums[lane] += square;
@@ -115,20 +115,20 @@ impl Lanes {
 
 /// What is known of a pair so far.
 #[derive(Default)]
-struct Pair {
+struct PairSums {
     histogram: Histogram,
     vertices: u64,
     /// Of the distances' squares.
-    squares: Lanes,
+    squares: LaneSums,
     normals: u64,
     /// Of the angles' squares, but the greatest of the angles.
-    angles: Lanes,
+    angles: LaneSums,
 }
 
 /// The box of a block's positions.
-struct Reach<'a>(&'a Block);
+struct BlockBox<'a>(&'a VertexBlock);
 
-impl WithSimd for Reach<'_> {
+impl WithSimd for BlockBox<'_> {
     type Output = Bounds;
 
     #[inline(always)]
@@ -150,7 +150,7 @@ impl WithSimd for Reach<'_> {
 }
 
 /// How far the vertices of a block are from each other; the squares are added to the lanes.
-struct Lengths<'a>([&'a Block; 2], f64, &'a mut Lanes);
+struct Lengths<'a>([&'a VertexBlock; 2], f64, &'a mut LaneSums);
 
 impl WithSimd for Lengths<'_> {
     type Output = [f64; BLOCK];
@@ -177,9 +177,9 @@ impl WithSimd for Lengths<'_> {
 }
 
 /// Angles between the normals of a block.
-struct Turns<'a>([&'a Block; 2], &'a mut Lanes);
+struct NormalAngles<'a>([&'a VertexBlock; 2], &'a mut LaneSums);
 
-impl WithSimd for Turns<'_> {
+impl WithSimd for NormalAngles<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -198,11 +198,11 @@ impl WithSimd for Turns<'_> {
     }
 }
 
-impl Pair {
+impl PairSums {
     /// Vertices of both versions, in the blocks if these have them.
     fn add(
         &mut self,
-        blocks: [&Block; 2],
+        blocks: [&VertexBlock; 2],
         [a, b]: [&Vertices<'_>; 2],
         range: Range<usize>,
         scale: f64,
@@ -216,7 +216,7 @@ impl Pair {
             self.add_positions([&a.positions[range.clone()], &b.positions[range.clone()]], scale);
         }
         if blocks.iter().all(|block| block.has_normals) {
-            arch.dispatch(Turns(blocks, &mut self.angles));
+            arch.dispatch(NormalAngles(blocks, &mut self.angles));
             self.normals += BLOCK as u64;
         } else {
             self.add_normals([a, b].map(|part| part.normals.get(range.clone()).unwrap_or_default()));
@@ -249,7 +249,7 @@ impl Pair {
     }
 
     fn finish(&self) -> Difference {
-        let rms = |squares: &Lanes, count: u64| (squares.sum() / count.max(1) as f64).sqrt();
+        let rms = |squares: &LaneSums, count: u64| (squares.sum() / count.max(1) as f64).sqrt();
         let angles = Angles {
             rms: rms(&self.angles, self.normals).to_degrees(),
             max: self.angles.greatest().to_degrees(),
@@ -297,7 +297,7 @@ fn angle(a: DVec3, b: DVec3) -> f64 {
 #[derive(Default)]
 struct RangeFigures {
     bounds: Vec<Bounds>,
-    pairs: Vec<Pair>,
+    pairs: Vec<PairSums>,
 }
 
 impl RangeFigures {
@@ -305,13 +305,13 @@ impl RangeFigures {
         self.make_room(parts.len());
         let arch = Arch::new();
         let count = parts.first().map_or(0, |part| part.positions.len());
-        let mut blocks: Vec<Block> = parts.iter().map(|_| Block::EMPTY).collect();
+        let mut blocks: Vec<VertexBlock> = parts.iter().map(|_| VertexBlock::EMPTY).collect();
         for first in (0..count).step_by(BLOCK) {
             let range = first..count.min(first + BLOCK);
             for ((block, part), bounds) in blocks.iter_mut().zip(parts).zip(&mut self.bounds) {
                 block.fill(part, range.clone());
                 if block.has_positions {
-                    bounds.absorb(&arch.dispatch(Reach(block)));
+                    bounds.absorb(&arch.dispatch(BlockBox(block)));
                 } else {
                     let finite = part.positions[range.clone()].iter().filter(|p| p.is_finite());
                     finite.for_each(|p| bounds.include(*p));
@@ -325,7 +325,7 @@ impl RangeFigures {
 
     fn make_room(&mut self, versions: usize) {
         self.bounds.resize_with(versions, Bounds::default);
-        self.pairs.resize_with(each_two(versions).count(), Pair::default);
+        self.pairs.resize_with(each_two(versions).count(), PairSums::default);
     }
 
     fn merge(&mut self, other: &Self) {
@@ -423,11 +423,11 @@ mod tests {
     #[test]
     fn the_box_of_a_block_is_that_of_its_positions() {
         let place = |i: usize| DVec3::new(1.3, 2.9, 7.1).map(|k| (k * i as f64).sin() * 5.0 - 1.0);
-        let mut block = Block::EMPTY;
+        let mut block = VertexBlock::EMPTY;
         for (axis, i) in (0..3).flat_map(|axis| (0..BLOCK).map(move |i| (axis, i))) {
             block.positions[axis][i] = place(i)[axis];
         }
-        assert_eq!(Arch::new().dispatch(Reach(&block)), Bounds::from_points((0..BLOCK).map(place)));
+        assert_eq!(Arch::new().dispatch(BlockBox(&block)), Bounds::from_points((0..BLOCK).map(place)));
     }
 
     #[test]

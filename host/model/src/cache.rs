@@ -21,7 +21,7 @@ use crate::source::{Source, Stamp};
 use crate::target::folder_of;
 use crate::{Error, Progress, Result, input};
 
-/// What a kept cache ends with: this, and the numbers of [`Made`].
+/// What a kept cache ends with: this, and the numbers of [`CacheStamp`].
 const MAGIC: &[u8; 8] = b"simodc01";
 
 /// Bytes at the end of a kept cache.
@@ -36,12 +36,12 @@ const ADVICE: &str = "write to a disk with more room, or set TMPDIR to a folder 
 /// Where what is made of a model goes.
 #[derive(Debug)]
 pub struct Cache {
-    place: Place,
+    place: CacheLocation,
     made: Mutex<Option<Cached>>,
 }
 
 #[derive(Debug)]
-enum Place {
+enum CacheLocation {
     /// A folder for a file without a name.
     Nameless(PathBuf),
     /// A file in a folder that this process is writing, and what it will be called.
@@ -54,13 +54,13 @@ enum Place {
 #[derive(Debug)]
 struct Cached {
     stamp: Option<Stamp>,
-    of: Made,
+    of: CacheStamp,
     file: Source,
 }
 
 /// What was made of what.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Made {
+struct CacheStamp {
     source_bytes: u64,
     source_hash: u128,
     bytes: u64,
@@ -68,7 +68,7 @@ struct Made {
 }
 
 /// What will be made.
-pub(crate) struct Need {
+pub(crate) struct CachedContent {
     /// What goes there of the model, as "its points are unpacked".
     pub what: &'static str,
     /// Bytes at most.
@@ -92,21 +92,21 @@ impl Default for Cache {
 impl Cache {
     /// One in a nameless file in `folder`, which is gone with the process.
     pub fn nameless(folder: &Path) -> Self {
-        Self::in_place(Place::Nameless(folder.to_owned()))
+        Self::in_place(CacheLocation::Nameless(folder.to_owned()))
     }
 
     /// One that is kept in the file `name` of a folder in the making.
     pub fn in_new_folder(folder: &OutputFolder, name: &str) -> Self {
-        Self::in_place(Place::Claimed(folder.path().join(name), folder.target().join(name)))
+        Self::in_place(CacheLocation::Claimed(folder.path().join(name), folder.target().join(name)))
     }
 
     /// One that is kept in the file `path` of a folder that is there. Where that is being written by others,
     /// or cannot be, it goes to a nameless file.
     pub fn in_folder(path: &Path) -> Self {
-        Self::in_place(Place::Shared(path.to_owned()))
+        Self::in_place(CacheLocation::Shared(path.to_owned()))
     }
 
-    fn in_place(place: Place) -> Self {
+    fn in_place(place: CacheLocation) -> Self {
         Self { place, made: Mutex::new(None) }
     }
 
@@ -117,7 +117,7 @@ impl Cache {
 
     /// Gives what is kept another name as well, if that can be done without copying it: it can be made anew.
     pub fn link_to(&self, path: &Path) {
-        if let Place::Claimed(file, _) | Place::Shared(file) = &self.place {
+        if let CacheLocation::Claimed(file, _) | CacheLocation::Shared(file) = &self.place {
             let _ = std::fs::hard_link(file, path);
         }
     }
@@ -125,9 +125,9 @@ impl Cache {
     /// The folder for files without a name.
     pub(crate) fn folder(&self) -> PathBuf {
         match &self.place {
-            Place::Nameless(folder) => folder.clone(),
-            Place::Claimed(file, _) => folder_of(file).to_owned(),
-            Place::Shared(_) => std::env::temp_dir(),
+            CacheLocation::Nameless(folder) => folder.clone(),
+            CacheLocation::Claimed(file, _) => folder_of(file).to_owned(),
+            CacheLocation::Shared(_) => std::env::temp_dir(),
         }
     }
 
@@ -144,7 +144,7 @@ impl Cache {
     pub(crate) fn get(
         &self,
         source: &Source,
-        need: &Need,
+        need: &CachedContent,
         progress: &dyn Progress,
         fill: impl FnOnce(&Scratch) -> Result<u64>,
     ) -> Result<Source> {
@@ -154,7 +154,7 @@ impl Cache {
             return Ok(known.file.clone());
         }
         let source_hash = hash(source, progress)?;
-        let is_same = |of: &Made| (of.source_bytes, of.source_hash) == (source.len(), source_hash);
+        let is_same = |of: &CacheStamp| (of.source_bytes, of.source_hash) == (source.len(), source_hash);
         let before = made.take().filter(|known| is_same(&known.of)).map(|known| (known.of, known.file));
         let (of, file) = match before.or_else(|| self.kept(source, is_same, progress)) {
             Some(found) => found,
@@ -168,16 +168,18 @@ impl Cache {
     fn kept(
         &self,
         source: &Source,
-        is_same: impl Fn(&Made) -> bool,
+        is_same: impl Fn(&CacheStamp) -> bool,
         progress: &dyn Progress,
-    ) -> Option<(Made, Source)> {
-        let (Place::Claimed(path, _) | Place::Shared(path)) = &self.place else { return None };
+    ) -> Option<(CacheStamp, Source)> {
+        let (CacheLocation::Claimed(path, _) | CacheLocation::Shared(path)) = &self.place else {
+            return None;
+        };
         let file = input::open(path).ok()?;
         let len = file.metadata().ok()?.len();
         let file = Positioned::new(file);
         let mut ending = [0; ENDING];
         file.read_exact_at(&mut ending, len.checked_sub(ENDING as u64)?).ok()?;
-        let of = Made::decode(&ending).filter(is_same)?;
+        let of = CacheStamp::decode(&ending).filter(is_same)?;
         if of.bytes != len - ENDING as u64 {
             return None;
         }
@@ -189,14 +191,14 @@ impl Cache {
         &self,
         source: &Source,
         source_hash: u128,
-        need: &Need,
+        need: &CachedContent,
         progress: &dyn Progress,
         fill: impl FnOnce(&Scratch) -> Result<u64>,
-    ) -> Result<(Made, Source)> {
+    ) -> Result<(CacheStamp, Source)> {
         let output = self.output(need)?;
         let folder = output.as_ref().map_or_else(|| self.folder(), |(o, _)| folder_of(o.path()).to_owned());
         let place = match (&self.place, &output) {
-            (Place::Claimed(_, shown), _) => shown.clone(),
+            (CacheLocation::Claimed(_, shown), _) => shown.clone(),
             (_, Some((output, _))) => output.path().to_owned(),
             (_, None) => format!("a temporary file in {}", folder.display()).into(),
         };
@@ -219,7 +221,7 @@ impl Cache {
         let bytes = fill(&scratch)?;
         source.check_unchanged()?;
         let file = Source::of_scratch(scratch, source.path(), bytes);
-        let mut of = Made { source_bytes: source.len(), source_hash, bytes, hash: 0 };
+        let mut of = CacheStamp { source_bytes: source.len(), source_hash, bytes, hash: 0 };
         // Nobody else will look whether a nameless one is whole.
         let Some((output, _claim)) = output else { return Ok((of, file)) };
         of.hash = hash(&file, progress)?;
@@ -230,12 +232,12 @@ impl Cache {
     }
 
     /// The file to be kept, with the right to write it; none if it is to have no name.
-    fn output(&self, need: &Need) -> Result<Option<(OutputFile, Option<Claim>)>> {
+    fn output(&self, need: &CachedContent) -> Result<Option<(OutputFile, Option<Claim>)>> {
         match &self.place {
-            Place::Nameless(_) => Ok(None),
+            CacheLocation::Nameless(_) => Ok(None),
             // Whether there is room is told by the name that it will have.
-            Place::Claimed(path, _) => Ok(Some((OutputFile::create(path, 0)?, None))),
-            Place::Shared(path) => {
+            CacheLocation::Claimed(path, _) => Ok(Some((OutputFile::create(path, 0)?, None))),
+            CacheLocation::Shared(path) => {
                 let Ok(claim) = Claim::folder(folder_of(path)) else { return Ok(None) };
                 let Ok(file) = OutputFile::create(path, need.bytes.saturating_add(need.meanwhile)) else {
                     return Ok(None);
@@ -246,7 +248,7 @@ impl Cache {
     }
 }
 
-impl Made {
+impl CacheStamp {
     fn encode(&self) -> Vec<u8> {
         let Self { source_bytes, source_hash, bytes, hash } = self;
         let mut ending = MAGIC.to_vec();

@@ -27,7 +27,7 @@ const LONGEST_NAME: usize = 200;
 
 /// The files that belong to an output.
 #[derive(Debug, Clone)]
-pub(crate) struct Places {
+pub(crate) struct OutputFiles {
     /// What the caller calls the output.
     pub path: PathBuf,
     /// The file or folder that is created or replaced: `path` itself, unless that is a link to a file.
@@ -39,7 +39,7 @@ pub(crate) struct Places {
     pub old_folder: PathBuf,
 }
 
-impl Places {
+impl OutputFiles {
     /// The places of a file.
     pub fn of_file(path: &Path) -> Result<Self> {
         Ok(Self::beside(path, regular_target(path)?))
@@ -84,7 +84,7 @@ impl Places {
 /// The right to write a target. Dropped, nothing hidden is left beside it, unless it is to be gone on with.
 #[derive(Debug)]
 pub struct Claim {
-    places: Places,
+    places: OutputFiles,
     /// The part file, locked.
     file: File,
     keeps: bool,
@@ -97,7 +97,7 @@ impl Claim {
     /// Another process has it, its folder is missing or cannot be written to, or `path` is a folder or a
     /// device.
     pub(crate) fn file(path: &Path, resumes: bool) -> Result<Self> {
-        Self::for_places(Places::of_file(path)?, resumes)
+        Self::for_places(OutputFiles::of_file(path)?, resumes)
     }
 
     /// Claims a folder, or the files in it that go with it; what was left of an earlier attempt is removed.
@@ -105,7 +105,7 @@ impl Claim {
     /// # Errors
     /// Another process has it, or the folder that it lies in is missing or cannot be written to.
     pub fn folder(path: &Path) -> Result<Self> {
-        Self::for_places(Places::of_folder(path)?, false)
+        Self::for_places(OutputFiles::of_folder(path)?, false)
     }
 
     /// Removes what an earlier attempt has left beside a folder, unless another process is at it; as nobody
@@ -119,13 +119,13 @@ impl Claim {
     /// # Errors
     /// As of [`folder`](Self::folder).
     pub(crate) fn folder_again(path: &Path) -> Result<Self> {
-        Self::for_places(Places::of_folder(path)?, true)
+        Self::for_places(OutputFiles::of_folder(path)?, true)
     }
 
-    fn for_places(places: Places, resumes: bool) -> Result<Self> {
+    fn for_places(places: OutputFiles, resumes: bool) -> Result<Self> {
         let file = lock(&places, resumes)?;
         let this = Self { places, file, keeps: false };
-        let Places { target, journal, new_journal, new_folder, old_folder, .. } = &this.places;
+        let OutputFiles { target, journal, new_journal, new_folder, old_folder, .. } = &this.places;
         let clean = || -> io::Result<()> {
             if target.symlink_metadata().is_err() && old_folder.symlink_metadata().is_ok_and(|is| is.is_dir())
             {
@@ -149,7 +149,7 @@ impl Claim {
         Ok(this)
     }
 
-    pub(crate) fn places(&self) -> &Places {
+    pub(crate) fn places(&self) -> &OutputFiles {
         &self.places
     }
 
@@ -219,13 +219,13 @@ impl Drop for Claim {
 
 /// Where a folder is written before it takes its name.
 pub(crate) fn new_folder_of(path: &Path) -> PathBuf {
-    Places::of_folder(path).map_or_else(|_| path.to_owned(), |places| places.new_folder)
+    OutputFiles::of_folder(path).map_or_else(|_| path.to_owned(), |places| places.new_folder)
 }
 
 /// What is claimed by this process and of no use to a later one.
-static CLAIMED: Mutex<Vec<Places>> = Mutex::new(Vec::new());
+static CLAIMED: Mutex<Vec<OutputFiles>> = Mutex::new(Vec::new());
 
-fn claimed() -> MutexGuard<'static, Vec<Places>> {
+fn claimed() -> MutexGuard<'static, Vec<OutputFiles>> {
     CLAIMED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -240,9 +240,9 @@ pub fn abandon_all() {
 }
 
 /// Opens the part file for this process alone.
-fn lock(places: &Places, resumes: bool) -> Result<File> {
+fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
     const ATTEMPTS: usize = 100;
-    let Places { path, target, part, .. } = places;
+    let OutputFiles { path, target, part, .. } = places;
     let failed = |e: io::Error| Error::io("write", path, &e);
     let in_the_way = || {
         let what = format!("cannot write {}: {} is in the way", path.display(), part.display());

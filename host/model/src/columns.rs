@@ -7,7 +7,7 @@
 //! further scan in it.
 
 use crate::source::Source;
-use crate::text::blocks::{Blocks, Builder};
+use crate::text::blocks::{TextBlocks, TextBlocksBuilder};
 use crate::text::lines::{Lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
 use crate::text::{CUT_OFF, integer, is_space, next_word, parse, quoted};
@@ -214,7 +214,7 @@ pub(crate) fn is_columns(source: &Source, extension: &str) -> bool {
 }
 
 /// What the lines before the first point tell.
-struct Head {
+struct ColumnsHead {
     columns: Columns,
     /// What the columns are called.
     names: Vec<String>,
@@ -226,7 +226,7 @@ struct Head {
 
 /// Opens a file, which is gone over once; `wanted` says what its columns are, as "x,y,z".
 pub(crate) fn open(source: Source, extension: &str, wanted: Option<&str>) -> Result<Box<dyn Model>> {
-    let Head { mut columns, names, attributes, begin, start } = head(&source, extension, wanted)?;
+    let ColumnsHead { mut columns, names, attributes, begin, start } = head(&source, extension, wanted)?;
     let blocks = scan(&source, &columns, begin, start)?;
     columns.wanted = wanted.map(str::to_owned);
     let separated = match columns.separator {
@@ -245,9 +245,9 @@ pub(crate) fn open(source: Source, extension: &str, wanted: Option<&str>) -> Res
 }
 
 /// Where the points are. Lines with a single word say how many, if any do.
-fn scan(source: &Source, columns: &Columns, begin: u64, start: u64) -> Result<Blocks> {
+fn scan(source: &Source, columns: &Columns, begin: u64, start: u64) -> Result<TextBlocks> {
     let mut lines = Lines::new(source, begin, u64::MAX, false);
-    let mut builder = Builder::new(start, 1);
+    let mut builder = TextBlocksBuilder::new(start, 1);
     let mut said = 0u64;
     while let Some((at, line)) = lines.next()? {
         if at >= start && columns.is_vertex(line) {
@@ -273,7 +273,7 @@ fn scan(source: &Source, columns: &Columns, begin: u64, start: u64) -> Result<Bl
     Ok(builder.finish())
 }
 
-fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> {
+fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<ColumnsHead> {
     // A mark of UTF-8 is no part of the first number.
     let mut mark = [0; 3];
     let begin = if source.read_at(&mut mark, 0)? == 3 && mark == *b"\xef\xbb\xbf" { 3 } else { 0 };
@@ -356,7 +356,7 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
                 columns.unread.push(name.clone());
             }
         }
-        return Ok(Head { columns, names, attributes, begin, start: at });
+        return Ok(ColumnsHead { columns, names, attributes, begin, start: at });
     }
 }
 

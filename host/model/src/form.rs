@@ -22,12 +22,12 @@ pub struct Conversion {
 }
 
 /// What there is to be written.
-pub(crate) struct Content<'a> {
+pub(crate) struct ConversionInput<'a> {
     pub(crate) model: &'a dyn Model,
     /// Whether vertices have normals that are kept.
     pub(crate) has_normals: bool,
     /// Its faces as polygons.
-    pub(crate) faces: Faces,
+    pub(crate) faces: FaceCounts,
     pub(crate) how: Conversion,
     /// Where temporary files go.
     pub(crate) folder: PathBuf,
@@ -35,7 +35,7 @@ pub(crate) struct Content<'a> {
 
 /// Faces of which all corners are vertices.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Faces {
+pub(crate) struct FaceCounts {
     pub(crate) polygons: u64,
     /// Corners of all of them, and of the largest.
     pub(crate) corners: u64,
@@ -44,7 +44,7 @@ pub(crate) struct Faces {
     pub(crate) triangles: u64,
 }
 
-impl Content<'_> {
+impl ConversionInput<'_> {
     pub(crate) fn info(&self) -> &ModelInfo {
         self.model.info()
     }
@@ -75,7 +75,7 @@ pub(crate) fn attribute_loss(name: &str, kind: Type) -> String {
 }
 
 /// Consecutive vertices, as they are to be written.
-pub(crate) struct Rows<'a> {
+pub(crate) struct WrittenRows<'a> {
     /// The first one's index.
     pub(crate) first: u64,
     pub(crate) positions: &'a [DVec3],
@@ -87,7 +87,7 @@ pub(crate) struct Rows<'a> {
     pub(crate) chunk: &'a VertexChunk,
 }
 
-impl Rows<'_> {
+impl WrittenRows<'_> {
     /// An error where a vertex has no position, in a format that could leave it out.
     pub(crate) fn without_position(&self, i: usize, why: &str) -> Error {
         self.unfit(i, why)
@@ -116,7 +116,7 @@ pub(crate) trait Form: Send + Sync {
     ///
     /// # Errors
     /// A vertex does not fit the format.
-    fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()>;
+    fn vertices(&self, rows: &WrittenRows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()>;
 
     /// Whether faces follow the vertices.
     fn has_faces(&self) -> bool {

@@ -60,13 +60,13 @@ impl InMemory {
 }
 
 /// Vertices from one index on, up to another.
-struct Vertices<'a> {
+struct MemoryVertices<'a> {
     model: &'a InMemory,
     left: Range<usize>,
     chunk: usize,
 }
 
-impl VertexReader for Vertices<'_> {
+impl VertexReader for MemoryVertices<'_> {
     fn set_chunk(&mut self, vertices: usize) {
         self.chunk = vertices.clamp(1, CHUNK_VERTICES);
     }
@@ -88,9 +88,9 @@ impl VertexReader for Vertices<'_> {
 }
 
 /// Triangles from one index on.
-struct Triangles<'a>(&'a [[u32; 3]]);
+struct MemoryTriangles<'a>(&'a [[u32; 3]]);
 
-impl FaceReader for Triangles<'_> {
+impl FaceReader for MemoryTriangles<'_> {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
         let (now, later) = self.0.split_at(self.0.len().min(CHUNK_TRIANGLES));
         self.0 = later;
@@ -113,7 +113,7 @@ impl Model for InMemory {
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         let end = range.end.min(self.info.vertices) as usize;
         let left = (range.start as usize).min(end)..end;
-        Ok(Box::new(Vertices { model: self, left, chunk: CHUNK_VERTICES }))
+        Ok(Box::new(MemoryVertices { model: self, left, chunk: CHUNK_VERTICES }))
     }
 
     fn attributes(&self, _chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
@@ -122,7 +122,7 @@ impl Model for InMemory {
     }
 
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(Triangles(&self.triangles)))
+        Ok(Box::new(MemoryTriangles(&self.triangles)))
     }
 
     fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {

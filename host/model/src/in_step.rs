@@ -30,7 +30,7 @@ impl Vertices<'_> {
 }
 
 /// A reader that is ahead of the others by a part of its chunk.
-struct Cursor<'a> {
+struct ChunkCursor<'a> {
     model: &'a dyn Model,
     reader: Box<dyn VertexReader + 'a>,
     chunk: VertexChunk,
@@ -38,7 +38,7 @@ struct Cursor<'a> {
     used: usize,
 }
 
-impl Cursor<'_> {
+impl ChunkCursor<'_> {
     /// Vertices that are there, after another chunk was read if there were none; 0 at the end.
     fn ready(&mut self) -> Result<usize> {
         if self.used == self.chunk.len() {
@@ -178,7 +178,13 @@ fn chunks_in_step(
         if attributes.is_empty() {
             reader.skip_attributes();
         }
-        cursors.push(Cursor { model: *model, reader, chunk: VertexChunk::default(), attributes, used: 0 });
+        cursors.push(ChunkCursor {
+            model: *model,
+            reader,
+            chunk: VertexChunk::default(),
+            attributes,
+            used: 0,
+        });
     }
     let per_vertex = first.info().vertex_bytes / first.info().vertices.max(1);
     let mut at = range.start;

@@ -142,13 +142,13 @@ pub struct VertexChunk {
     /// Their records, where `raw` is compressed.
     pub(crate) records: Vec<u8>,
     /// How many vertices each of the compressed blocks in `raw` has, and how many bytes.
-    pub(crate) blocks: Vec<Block>,
+    pub(crate) blocks: Vec<CompressedBlock>,
     /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
     pub(crate) spans: Vec<[u32; 2]>,
     /// The pages that are patched, where `raw` is what the vertices have of them.
     pub(crate) pages: Vec<u8>,
     /// Vertices of other chunks of which these bytes have some numbers.
-    pub(crate) beside: Beside,
+    pub(crate) beside: StraddlingVertices,
     /// What the format has to know of the bytes besides, for each part that was read by itself.
     pub(crate) of_format: Vec<Box<dyn Any + Send + Sync>>,
     /// The bytes are those of the vertices' normals, which stand elsewhere in the file than their positions.
@@ -207,7 +207,7 @@ impl VertexChunk {
 /// Vertices that are edited once more, as a part of their numbers lies among the bytes of another chunk than
 /// the rest: in groups, each by itself, and neither begun nor ended.
 #[derive(Debug, Default)]
-pub(crate) struct Beside {
+pub(crate) struct StraddlingVertices {
     pub(crate) positions: Vec<DVec3>,
     /// As many, where the model has any.
     pub(crate) normals: Vec<Vec3>,
@@ -217,7 +217,7 @@ pub(crate) struct Beside {
 
 /// A compressed block of a file, which can be read without the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct Block {
+pub(crate) struct CompressedBlock {
     pub(crate) vertices: u64,
     pub(crate) bytes: u64,
 }

@@ -8,7 +8,7 @@ use std::ops::Range;
 use crate::columns::Columns;
 use crate::model::NoFaces;
 use crate::source::Source;
-use crate::text::blocks::Builder;
+use crate::text::blocks::TextBlocksBuilder;
 use crate::text::faces::{FaceLines, LineFaces};
 use crate::text::lines::{Lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
@@ -65,7 +65,7 @@ pub(crate) fn is_off(start: &[u8]) -> bool {
 
 /// Whether a file of that extension, which need not say so, begins as OFF.
 pub(crate) fn is_head(source: &Source) -> bool {
-    Head::read(source).is_ok()
+    OffHead::read(source).is_ok()
 }
 
 fn has_content(line: &[u8]) -> bool {
@@ -73,14 +73,14 @@ fn has_content(line: &[u8]) -> bool {
 }
 
 /// The counts of vertices and faces, and where the first line behind them begins.
-struct Head {
+struct OffHead {
     letters: Letters,
     vertices: u64,
     faces: u64,
     start: u64,
 }
 
-impl Head {
+impl OffHead {
     fn read(source: &Source) -> Result<Self> {
         let mut lines = Lines::new(source, 0, u64::MAX, false);
         let (mut letters, mut counts) = (None, Vec::new());
@@ -137,9 +137,9 @@ impl Head {
 
 /// Opens a file, which is gone over once.
 pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
-    let head = Head::read(&source)?;
+    let head = OffHead::read(&source)?;
     let mut lines = Lines::new(&source, head.start, u64::MAX, false);
-    let mut builder = Builder::new(head.start, 1);
+    let mut builder = TextBlocksBuilder::new(head.start, 1);
     let (mut faces, mut face_lines, mut numbers, mut paints_faces) = (0, 0..0, 0, false);
     while builder.vertices() < head.vertices || faces < head.faces {
         let Some((at, line)) = lines.next()? else {
@@ -254,16 +254,16 @@ impl Grammar for Off {
         if all.is_empty() {
             return Ok(Box::new(NoFaces));
         }
-        Ok(Box::new(LineFaces::new(&model.source, Corners { left: 0 }, all, ranges)))
+        Ok(Box::new(LineFaces::new(&model.source, OffCorners { left: 0 }, all, ranges)))
     }
 }
 
 /// The corners of faces: their number, then as many.
-struct Corners {
+struct OffCorners {
     left: i64,
 }
 
-impl Corners {
+impl OffCorners {
     /// The next number of a line.
     #[inline]
     fn number(line: &[u8], at: &mut usize) -> Result<i64, String> {
@@ -274,7 +274,7 @@ impl Corners {
     }
 }
 
-impl FaceLines for Corners {
+impl FaceLines for OffCorners {
     fn face(&mut self, line: &[u8]) -> Result<Option<usize>, String> {
         if !has_content(line) {
             return Ok(None);

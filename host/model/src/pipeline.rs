@@ -32,7 +32,7 @@ pub(crate) trait Rewritable: Sync {
     fn decode(&self, chunk: &mut VertexChunk) -> Result<()>;
 
     /// Makes the bytes of the file for a version of a chunk.
-    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()>;
+    fn encode(&self, chunk: &mut VertexChunk, version: PieceVersion<'_>) -> Result<()>;
 
     /// The bytes of a [piece](Piece::Made) that follows from what became of all pieces before it.
     /// `is_still` says that nothing changes in this version.
@@ -55,7 +55,7 @@ pub(crate) trait Rewritable: Sync {
 }
 
 /// A version of a chunk on its way into bytes.
-pub(crate) struct Version<'a> {
+pub(crate) struct PieceVersion<'a> {
     pub(crate) edited: &'a Edited,
     pub(crate) normals: Normals,
     /// No further version is made of the chunk.
@@ -66,7 +66,7 @@ pub(crate) struct Version<'a> {
     pub(crate) summary: &'a mut Summary,
 }
 
-impl<'a> Version<'a> {
+impl<'a> PieceVersion<'a> {
     /// Begins with the bytes `raw` of the chunk, to be patched. They are gone if this is the last version.
     pub(crate) fn begin_with(&mut self, raw: &mut Vec<u8>) -> &mut Vec<u8> {
         if self.is_last {
@@ -146,9 +146,9 @@ pub(crate) fn rewrite(
         edit,
         progress,
         most: (threads + WAITING) as u64,
-        reading: Mutex::new(Reading { pieces, next: first, is_over: false }),
+        reading: Mutex::new(PieceReading { pieces, next: first, is_over: false }),
         queue: Mutex::new(Queue {
-            writing: Some(Writing {
+            writing: Some(PieceWriting {
                 summaries: outputs.iter().map(|output| output.summary()).collect(),
                 outputs,
             }),
@@ -170,7 +170,7 @@ pub(crate) fn rewrite(
     if let Some((_, error)) = failed {
         return Err(error);
     }
-    let Some(Writing { outputs, summaries }) = writing else { return Ok(()) };
+    let Some(PieceWriting { outputs, summaries }) = writing else { return Ok(()) };
     if how.only.is_some_and(|only| only.end.is_some()) {
         file.source().check_unchanged()?;
         let finish = |output: &mut &mut dyn Output| output.finish().map_err(|e| failed_write(file, e));
@@ -193,13 +193,13 @@ struct RewriteCall<'a, 'o> {
     progress: &'a dyn Progress,
     /// Most pieces between reading and writing.
     most: u64,
-    reading: Mutex<Reading<'a>>,
+    reading: Mutex<PieceReading<'a>>,
     queue: Mutex<Queue<'a, 'o>>,
     /// A piece was written, or the work is over.
     moved: Condvar,
 }
 
-struct Reading<'a> {
+struct PieceReading<'a> {
     pieces: Box<dyn Pieces + 'a>,
     /// Number of the piece that is read next.
     next: u64,
@@ -211,7 +211,7 @@ struct Reading<'a> {
 #[derive(Default)]
 struct Queue<'a, 'o> {
     /// Where it goes: not there while a thread writes.
-    writing: Option<Writing<'a, 'o>>,
+    writing: Option<PieceWriting<'a, 'o>>,
     /// The pieces that are ready, by their numbers.
     ready: BTreeMap<u64, Ready>,
     /// Number of pieces that were taken, and of those that are written.
@@ -226,7 +226,7 @@ struct Queue<'a, 'o> {
 }
 
 /// The outputs, and what is known of the pieces that each has.
-struct Writing<'a, 'o> {
+struct PieceWriting<'a, 'o> {
     outputs: &'a mut [&'o mut dyn Output],
     summaries: Vec<Summary>,
 }
@@ -248,7 +248,7 @@ struct Ready {
 
 /// What a thread works with.
 #[derive(Default)]
-struct Bench {
+struct PieceWorkspace {
     chunk: VertexChunk,
     edited: Vec<Edited>,
 }
@@ -256,8 +256,8 @@ struct Bench {
 impl<'a, 'o> RewriteCall<'a, 'o> {
     /// Takes pieces as long as there are any.
     fn go_on(&self) {
-        let _guard = Guard(self);
-        let mut bench = Bench::default();
+        let _guard = PanicGuard(self);
+        let mut bench = PieceWorkspace::default();
         bench.edited.resize_with(self.versions, Edited::default);
         while self.may_take() {
             let (number, piece) = self.read(&mut bench.chunk);
@@ -310,8 +310,8 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
     }
 
     /// What a piece becomes; nothing at the end of the file.
-    fn process(&self, number: u64, piece: &Piece, bench: &mut Bench) -> Result<Option<Ready>> {
-        let Bench { chunk, edited } = bench;
+    fn process(&self, number: u64, piece: &Piece, bench: &mut PieceWorkspace) -> Result<Option<Ready>> {
+        let PieceWorkspace { chunk, edited } = bench;
         let mut ready = Ready { source_bytes: chunk.source_bytes(), ..Ready::default() };
         match piece {
             Piece::End => return Ok(None),
@@ -334,7 +334,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
                 for (version, edited) in edited.iter().enumerate() {
                     let mut buffer = self.queue().spare.pop().unwrap_or_default();
                     let mut summary = Summary::default();
-                    let version = Version {
+                    let version = PieceVersion {
                         edited,
                         normals: self.how.normals,
                         is_last: version + 1 == self.versions,
@@ -399,13 +399,13 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
         queue.writing = Some(writing);
     }
 
-    fn write(&self, writing: &mut Writing<'_, '_>, ready: &Ready) -> Result<()> {
+    fn write(&self, writing: &mut PieceWriting<'_, '_>, ready: &Ready) -> Result<()> {
         // Here too: what is in flight need not be written any more.
         self.progress.check()?;
         if let Some(first) = ready.edited {
             self.edit.end(first)?;
         }
-        let Writing { outputs, summaries } = writing;
+        let PieceWriting { outputs, summaries } = writing;
         for (version, (output, before)) in outputs.iter_mut().zip(summaries).enumerate() {
             let made = || self.file.make(before, self.edit.is_still(version));
             let made = if ready.is_made { Some(made()?) } else { None };
@@ -447,9 +447,9 @@ impl Queue<'_, '_> {
 }
 
 /// Stops the others when its thread panics.
-struct Guard<'w, 'a, 'o>(&'w RewriteCall<'a, 'o>);
+struct PanicGuard<'w, 'a, 'o>(&'w RewriteCall<'a, 'o>);
 
-impl Drop for Guard<'_, '_, '_> {
+impl Drop for PanicGuard<'_, '_, '_> {
     fn drop(&mut self) {
         if thread::panicking() {
             self.0.end(None);

@@ -51,7 +51,7 @@ impl Polygons {
 ///
 /// Memory: [`MOST_CORNERS`].
 #[derive(Debug)]
-pub(crate) struct Joining {
+pub(crate) struct PolygonJoin {
     /// Number of vertices that there are.
     vertices: u64,
     /// Whether triangles are joined, or each is a polygon of its own.
@@ -59,12 +59,12 @@ pub(crate) struct Joining {
     /// The corners of the polygon that may go on, and whether it had too many to be held.
     open: Vec<u32>,
     is_long: bool,
-    pub(crate) counted: Counted,
+    pub(crate) counted: PolygonCounts,
 }
 
-/// What a [`Joining`] has met.
+/// What a [`PolygonJoin`] has met.
 #[derive(Debug, Default, Clone, Copy)]
-pub(crate) struct Counted {
+pub(crate) struct PolygonCounts {
     /// Triangles of vertices that there are, and others.
     pub(crate) triangles: u64,
     pub(crate) without_vertex: u64,
@@ -74,9 +74,9 @@ pub(crate) struct Counted {
     pub(crate) largest: usize,
 }
 
-impl Joining {
+impl PolygonJoin {
     pub(crate) fn new(vertices: u64, joins: bool) -> Self {
-        Self { vertices, joins, open: Vec::new(), is_long: false, counted: Counted::default() }
+        Self { vertices, joins, open: Vec::new(), is_long: false, counted: PolygonCounts::default() }
     }
 
     /// Appends the polygons that are known to be over once the chunk is.
@@ -161,8 +161,8 @@ mod tests {
         chunks
     }
 
-    fn joined(chunks: &[FaceChunk], vertices: u64, joins: bool) -> (Vec<Vec<u32>>, Counted) {
-        let (mut joining, mut polygons) = (Joining::new(vertices, joins), Polygons::default());
+    fn joined(chunks: &[FaceChunk], vertices: u64, joins: bool) -> (Vec<Vec<u32>>, PolygonCounts) {
+        let (mut joining, mut polygons) = (PolygonJoin::new(vertices, joins), Polygons::default());
         chunks.iter().for_each(|chunk| joining.add(chunk, &mut polygons));
         joining.finish(&mut polygons);
         (polygons.iter().map(<[u32]>::to_vec).collect(), joining.counted)
@@ -204,7 +204,7 @@ mod tests {
             prop_assert_eq!(polygons, expected.filter(is_there).collect::<Vec<_>>());
             let (apart, of_apart) = joined(&chunks, 10, false);
             prop_assert_eq!(&apart, &wide.iter().flat_map(fan).filter(is_there).collect::<Vec<_>>());
-            let numbers = |counted: Counted| (counted.triangles, counted.without_vertex);
+            let numbers = |counted: PolygonCounts| (counted.triangles, counted.without_vertex);
             prop_assert_eq!(numbers(counted), numbers(of_apart));
             prop_assert_eq!(counted.triangles, apart.len() as u64);
         }

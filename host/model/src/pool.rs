@@ -43,14 +43,14 @@ impl Pool {
 pub(crate) struct Pooled {
     pool: Arc<Pool>,
     path: PathBuf,
-    stamp: Stamp,
+    stamp: FileStamp,
 }
 
 /// What tells that a file is the one that it was.
 #[derive(Debug, PartialEq, Eq)]
-struct Stamp(Option<Identity>, u64, Option<SystemTime>);
+struct FileStamp(Option<Identity>, u64, Option<SystemTime>);
 
-impl Stamp {
+impl FileStamp {
     fn new(path: &Path, is: &Metadata) -> Self {
         Self(Identity::from_path(path), is.len(), is.modified().ok())
     }
@@ -65,7 +65,7 @@ impl Pooled {
         let file = input::open(path)?;
         let is = file.metadata().map_err(|e| Error::io("open", path, &e))?;
         pool.keep(path, &Arc::new(Positioned::new(file)));
-        Ok(Self { pool: pool.clone(), path: path.to_owned(), stamp: Stamp::new(path, &is) })
+        Ok(Self { pool: pool.clone(), path: path.to_owned(), stamp: FileStamp::new(path, &is) })
     }
 
     /// The files among which this one is.
@@ -83,7 +83,7 @@ impl Pooled {
         }
         let file = input::open(&self.path)?;
         let is = file.metadata().map_err(|e| Error::io("open", &self.path, &e))?;
-        if Stamp::new(&self.path, &is) != self.stamp {
+        if FileStamp::new(&self.path, &is) != self.stamp {
             return Err(Error::changed_while_read(&self.path));
         }
         let file = Arc::new(Positioned::new(file));

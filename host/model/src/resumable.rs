@@ -17,7 +17,7 @@ use std::thread::{self, JoinHandle};
 
 use xxhash_rust::xxh3::{Xxh3Default, xxh3_128};
 
-use crate::claim::{Claim, Places, remove};
+use crate::claim::{Claim, OutputFiles, remove};
 use crate::input::open_at_once;
 use crate::output::sync_folder;
 use crate::target::folder_of;
@@ -43,7 +43,7 @@ pub struct ResumableFile {
     /// The part file.
     file: UncachedFile,
     journal: Journal,
-    recorder: Recorder,
+    recorder: JournalRecorder,
     /// What is written: pieces, and bytes.
     pieces: u64,
     end: u64,
@@ -83,7 +83,7 @@ impl ResumableFile {
         let claim = Claim::file(path, resume)?;
         let handle = || claim.part().try_clone().map_err(|e| claim.failed(&e));
         let mut this = Self {
-            recorder: Recorder::new(handle()?, claim.places().clone()),
+            recorder: JournalRecorder::new(handle()?, claim.places().clone()),
             file: UncachedFile::new(handle()?),
             claim,
             journal: Journal { key, parts: Vec::new(), patches: Vec::new(), is_complete: false },
@@ -95,7 +95,7 @@ impl ResumableFile {
             part_bytes,
             syncs: true,
         };
-        let found = if resume { this.find(progress)? } else { Found::default() };
+        let found = if resume { this.find(progress)? } else { JournalState::default() };
         if found.in_target {
             // The empty part file goes, the journal stays until the end.
             this.claim.keep();
@@ -118,19 +118,19 @@ impl ResumableFile {
     }
 
     /// What an earlier call left that can be relied on.
-    fn find(&mut self, progress: &dyn Progress) -> Result<Found> {
+    fn find(&mut self, progress: &dyn Progress) -> Result<JournalState> {
         let places = self.claim.places().clone();
         let name = places.path.display();
-        let Some(journal) = Journal::read(&places) else { return Ok(Found::default()) };
+        let Some(journal) = Journal::read(&places) else { return Ok(JournalState::default()) };
         let Some(Journal { key, mut parts, patches, is_complete }) = journal else {
             progress.note(&format!("{name}: the journal is damaged; starting anew"));
-            return Ok(Found::default());
+            return Ok(JournalState::default());
         };
         if key != self.journal.key {
             progress.note(&format!(
                 "{name}: the model, the samples or an option changed since it was interrupted; starting anew"
             ));
-            return Ok(Found::default());
+            return Ok(JournalState::default());
         }
         let bytes = parts.last().map_or(0, |p| p.end);
         let in_target = is_complete && self.file.file().metadata().is_ok_and(|m| m.len() == 0);
@@ -147,14 +147,14 @@ impl ResumableFile {
             if !in_target {
                 progress.note(&format!("{name}: it is not there as it was written; starting anew"));
             }
-            return Ok(Found { in_target, ..Found::default() });
+            return Ok(JournalState { in_target, ..JournalState::default() });
         }
         if !all {
             progress.note(&format!("{name}: what was left of it is damaged; going on from before that"));
         }
         parts.truncate(good);
         let is_complete = all && is_complete && length(self.file.file());
-        Ok(Found { is_complete, parts, patches, in_target: false })
+        Ok(JournalState { is_complete, parts, patches, in_target: false })
     }
 
     /// Leaves it to the caller to bring the complete file to the disk, or not to, where it is removed soon.
@@ -180,7 +180,7 @@ impl ResumableFile {
     /// # Errors
     /// The journal cannot be written, or the part file cannot be cut.
     pub fn go_on_after(&mut self, pieces: u64) -> Result<u64> {
-        for Patch { at, old, .. } in &std::mem::take(&mut self.journal.patches) {
+        for JournalPatch { at, old, .. } in &std::mem::take(&mut self.journal.patches) {
             // Before the journal forgets them.
             write_at(self.file.file(), *at, old).map_err(|e| self.failed(&e))?;
         }
@@ -225,7 +225,7 @@ impl ResumableFile {
                 if is_recorded {
                     self.journal.replace(self.claim.places(), self.syncs)?;
                 }
-                for Patch { at, new, .. } in &self.journal.patches {
+                for JournalPatch { at, new, .. } in &self.journal.patches {
                     write_at(self.file.file(), *at, new)?;
                 }
                 self.sync()?;
@@ -317,7 +317,7 @@ impl Output for ResumableFile {
             file.seek(SeekFrom::Start(at))?;
             file.read_exact(&mut old)?;
             if old != bytes {
-                self.journal.patches.push(Patch { at, old, new: bytes.to_vec() });
+                self.journal.patches.push(JournalPatch { at, old, new: bytes.to_vec() });
             }
             Ok(())
         };
@@ -339,7 +339,7 @@ impl Drop for ResumableFile {
 
 /// A file that stands in its place; its journal is removed with this.
 pub struct Finished {
-    places: Places,
+    places: OutputFiles,
     hash: Option<u128>,
     leave: bool,
 }
@@ -371,11 +371,11 @@ impl Drop for Finished {
 }
 
 #[derive(Default)]
-struct Found {
+struct JournalState {
     /// The good ones.
     parts: Vec<JournalEntry>,
     /// What may be replaced in them.
-    patches: Vec<Patch>,
+    patches: Vec<JournalPatch>,
     /// They are the whole file.
     is_complete: bool,
     /// The whole file, good, stands in its place.
@@ -387,7 +387,7 @@ struct Found {
 fn good_parts(
     mut file: &File,
     parts: &[JournalEntry],
-    patches: &[Patch],
+    patches: &[JournalPatch],
     progress: &dyn Progress,
 ) -> Result<usize> {
     let (mut start, mut block) = (0, vec![0; BLOCK]);
@@ -418,7 +418,7 @@ fn good_parts(
 /// Bytes of the file `path` that the disk holds already: what is there of its part file, and with `resume`
 /// the file itself, if an earlier call finished it.
 pub fn bytes_there(path: &Path, resume: bool) -> u64 {
-    let Ok(places) = Places::of_file(path) else { return 0 };
+    let Ok(places) = OutputFiles::of_file(path) else { return 0 };
     let len = |path: &Path| fs::metadata(path).map_or(0, |m| m.len());
     match fs::metadata(&places.part) {
         Ok(part) => part.len(),
@@ -431,12 +431,12 @@ pub fn bytes_there(path: &Path, resume: bool) -> u64 {
 
 /// Whether an earlier call left something of the file `path`.
 pub fn is_left(path: &Path) -> bool {
-    Places::of_file(path).is_ok_and(|places| places.journal.exists())
+    OutputFiles::of_file(path).is_ok_and(|places| places.journal.exists())
 }
 
 /// Removes what tells later calls that the file `path` is finished.
 pub(crate) fn forget(path: &Path) {
-    if let Ok(places) = Places::of_file(path) {
+    if let Ok(places) = OutputFiles::of_file(path) {
         places.remove_journal();
     }
 }
@@ -449,7 +449,7 @@ struct Journal {
     /// Ascending.
     parts: Vec<JournalEntry>,
     /// What is replaced in them in the end.
-    patches: Vec<Patch>,
+    patches: Vec<JournalPatch>,
     /// The parts are the whole file.
     is_complete: bool,
 }
@@ -469,13 +469,13 @@ struct JournalEntry {
 
 /// Bytes that are replaced once all others are there, by as many.
 #[derive(Debug, Clone, PartialEq)]
-struct Patch {
+struct JournalPatch {
     at: u64,
     old: Vec<u8>,
     new: Vec<u8>,
 }
 
-impl Patch {
+impl JournalPatch {
     /// Puts what was there back into a block of the file, as far as it lies there, if all of that was
     /// replaced.
     fn undo(&self, start: u64, block: &mut [u8]) {
@@ -515,7 +515,7 @@ impl Journal {
             let summary = summary.encode().map(|word| format!(" {word}")).unwrap_or_default();
             text.push_str(&format!("part {pieces} {end} {hash:032x}{summary}\n"));
         }
-        for Patch { at, old, new } in &self.patches {
+        for JournalPatch { at, old, new } in &self.patches {
             text.push_str(&format!("patch {at} {} {}\n", hex(old), hex(new)));
         }
         if self.is_complete {
@@ -550,7 +550,7 @@ impl Journal {
                         },
                     });
                 }
-                ["patch", at, old, new] if old.len() == new.len() => journal.patches.push(Patch {
+                ["patch", at, old, new] if old.len() == new.len() => journal.patches.push(JournalPatch {
                     at: at.parse().ok()?,
                     old: from_hex(old)?,
                     new: from_hex(new)?,
@@ -563,7 +563,7 @@ impl Journal {
     }
 
     /// The journal in its place, if there is one; `Some(None)` if it is damaged.
-    fn read(places: &Places) -> Option<Option<Self>> {
+    fn read(places: &OutputFiles) -> Option<Option<Self>> {
         // Not through a link that somebody else put there.
         let file = open_at_once(&places.journal, false).ok()?;
         let mut bytes = Vec::new();
@@ -576,7 +576,7 @@ impl Journal {
     }
 
     /// Puts the journal in its place, at once; if it is to last through a power failure, by way of the disk.
-    fn replace(&self, places: &Places, sync: bool) -> io::Result<()> {
+    fn replace(&self, places: &OutputFiles, sync: bool) -> io::Result<()> {
         remove(&places.new_journal)?;
         let mut file = OpenOptions::new().write(true).create_new(true).open(&places.new_journal)?;
         file.write_all(self.encode().as_bytes())?;
@@ -589,14 +589,14 @@ impl Journal {
 
 /// Brings parts to the disk and then into the journal, on a thread of its own, so that writing goes on. One
 /// journal is worked on, and one may wait.
-struct Recorder {
+struct JournalRecorder {
     /// A second handle of the part file, until the thread begins.
-    idle: Option<(File, Places)>,
+    idle: Option<(File, OutputFiles)>,
     busy: Option<(SyncSender<Journal>, JoinHandle<io::Result<()>>)>,
 }
 
-impl Recorder {
-    fn new(file: File, places: Places) -> Self {
+impl JournalRecorder {
+    fn new(file: File, places: OutputFiles) -> Self {
         Self { idle: Some((file, places)), busy: None }
     }
 
@@ -659,7 +659,7 @@ mod tests {
             hash: u128::MAX / u128::from(n),
             summary: Summary { lengths: vec![5; n as usize - 1], ..Summary::default() },
         };
-        let patches = vec![Patch { at: 7, old: vec![0, 255], new: vec![16, 1] }];
+        let patches = vec![JournalPatch { at: 7, old: vec![0, 255], new: vec![16, 1] }];
         let journal = Journal { key: "k".into(), parts: vec![part(1), part(2)], patches, is_complete: true };
         let text = journal.encode();
         assert_eq!(Journal::decode(&text), Some(journal));
@@ -758,7 +758,7 @@ mod tests {
                 1 | 2 => {
                     file.recorder.finish().unwrap();
                     file.journal.replace(file.claim.places(), true).unwrap();
-                    for Patch { at, new, .. } in file.journal.patches.iter().take(stage) {
+                    for JournalPatch { at, new, .. } in file.journal.patches.iter().take(stage) {
                         write_at(file.file.file(), *at, new).unwrap();
                     }
                 }

@@ -32,14 +32,14 @@ pub enum OpenedOutput {
 
 /// What an output is called, and what its files are called in it, if it is a folder.
 #[derive(Debug, Clone)]
-pub struct Place {
+pub struct OutputPaths {
     path: PathBuf,
     names: Vec<PathBuf>,
     /// Its size, about.
     bytes: u64,
 }
 
-impl Place {
+impl OutputPaths {
     /// Where a model's output goes: a file, or a folder of tiles.
     pub fn for_model(model: &dyn Model, path: &Path) -> Self {
         let names = model.tiles().iter().map(|tile| tile.name.clone()).collect();
@@ -87,13 +87,13 @@ impl ResumableOutput {
     /// # Errors
     /// As there; an object cannot be gone on with.
     pub fn open(
-        place: &Place,
+        place: &OutputPaths,
         key: String,
         resume: bool,
         part_bytes: u64,
         progress: &dyn Progress,
     ) -> Result<OpenedOutput> {
-        let Place { path, names, bytes } = place;
+        let OutputPaths { path, names, bytes } = place;
         if is_object(path) && names.is_empty() {
             if resume {
                 return Err(Error::argument(

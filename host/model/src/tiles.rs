@@ -44,13 +44,13 @@ const MOST_DESCRIBED: usize = 20;
 pub(crate) struct TiledModel {
     path: PathBuf,
     info: ModelInfo,
-    tiles: Vec<Part>,
+    tiles: Vec<TilePart>,
     /// What others are told of the tiles.
     files: Vec<Tile>,
 }
 
 /// A tile, and where its vertices and attributes are among those of the whole model.
-struct Part {
+struct TilePart {
     model: Box<dyn Model>,
     /// Vertices of the tiles before it.
     before: u64,
@@ -85,7 +85,7 @@ impl TiledModel {
                 ));
             }
             let (vertices, bytes) = (model.info().vertices, model.info().bytes);
-            models.push(Part { model, before, bytes_before, places: Vec::new() });
+            models.push(TilePart { model, before, bytes_before, places: Vec::new() });
             bytes_before = bytes_before.saturating_add(bytes.saturating_add(1));
             before = before.checked_add(vertices).ok_or_else(|| too_many(path))?;
         }
@@ -99,7 +99,7 @@ impl TiledModel {
             part.places = attributes.iter().filter_map(|a| own.iter().position(|own| own == a)).collect();
         }
         let names = names(files);
-        let tile = |((part, path), name): ((&Part, &PathBuf), PathBuf)| Tile {
+        let tile = |((part, path), name): ((&TilePart, &PathBuf), PathBuf)| Tile {
             path: path.clone(),
             name,
             bytes: part.model.info().bytes,
@@ -193,14 +193,14 @@ impl TiledModel {
     }
 
     /// The tile that has a vertex; the last one at the end.
-    fn tile_of(&self, vertex: u64) -> Option<(usize, &Part)> {
+    fn tile_of(&self, vertex: u64) -> Option<(usize, &TilePart)> {
         let number = self.tiles.partition_point(|part| part.before + part.model.info().vertices <= vertex);
         let number = number.min(self.tiles.len().saturating_sub(1));
         self.tiles.get(number).map(|part| (number, part))
     }
 
     /// The tile that a chunk was read of.
-    fn tile_of_chunk(&self, chunk: &VertexChunk) -> Result<&Part> {
+    fn tile_of_chunk(&self, chunk: &VertexChunk) -> Result<&TilePart> {
         let found = self.tile_of(chunk.first).filter(|(_, part)| part.before == chunk.before);
         found.map(|(_, part)| part).ok_or_else(|| {
             Error::internal(format!("a chunk is of none of the tiles of {}", self.path.display()))
@@ -208,13 +208,13 @@ impl TiledModel {
     }
 
     /// Whether a tile's positions are whole numbers, whose range can be another one.
-    fn has_integers(part: &Part) -> bool {
+    fn has_integers(part: &TilePart) -> bool {
         part.model.info().step != DVec3::ZERO
     }
 }
 
 /// Attributes that all tiles have, in the order of the first one.
-fn common_attributes(tiles: &[Part]) -> Vec<Attribute> {
+fn common_attributes(tiles: &[TilePart]) -> Vec<Attribute> {
     common(tiles.iter().map(|part| &part.model.info().attributes))
 }
 
@@ -314,7 +314,7 @@ pub fn pattern_of(files: &[PathBuf]) -> PathBuf {
 struct TileReader<'a> {
     model: &'a TiledModel,
     range: Range<u64>,
-    open: Option<(&'a Part, Box<dyn VertexReader + 'a>)>,
+    open: Option<(&'a TilePart, Box<dyn VertexReader + 'a>)>,
     chunk: usize,
     skips_attributes: bool,
     skips_all_but_colors: bool,
@@ -322,7 +322,7 @@ struct TileReader<'a> {
 
 impl<'a> TileReader<'a> {
     /// The reader of the tile in which the range begins.
-    fn next(&mut self) -> Result<Option<(&'a Part, Box<dyn VertexReader + 'a>)>> {
+    fn next(&mut self) -> Result<Option<(&'a TilePart, Box<dyn VertexReader + 'a>)>> {
         if let Some(open) = self.open.take() {
             return Ok(Some(open));
         }
@@ -390,8 +390,8 @@ impl VertexReader for TileReader<'_> {
 /// Reads the faces of one tile after the other. What lies between those of two tiles is no face: they can be
 /// read on from any mark, but not from one to another.
 struct TileFaces<'a> {
-    tiles: std::slice::Iter<'a, Part>,
-    open: Option<(&'a Part, Box<dyn FaceReader + 'a>)>,
+    tiles: std::slice::Iter<'a, TilePart>,
+    open: Option<(&'a TilePart, Box<dyn FaceReader + 'a>)>,
 }
 
 impl FaceReader for TileFaces<'_> {

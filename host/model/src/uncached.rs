@@ -21,7 +21,7 @@ const BUFFER: usize = 2 << 20;
 pub(crate) struct UncachedFile {
     disk: Disk,
     /// What belongs to the file from `offset` on.
-    buffer: Buffer,
+    buffer: AlignedBuffer,
     /// Where in the file the buffer belongs: a multiple of [`BLOCK`].
     offset: u64,
     /// Where it began.
@@ -33,7 +33,7 @@ impl UncachedFile {
     /// From the beginning of an open file on.
     pub(crate) fn new(file: File) -> Self {
         let disk = Disk { file, is_direct: true };
-        Self { disk, buffer: Buffer::default(), offset: 0, begin: 0, behind: None }
+        Self { disk, buffer: AlignedBuffer::default(), offset: 0, begin: 0, behind: None }
     }
 
     /// The file, in which what was written after the last [`flush`](Self::flush) may be missing.
@@ -132,7 +132,7 @@ impl UncachedFile {
 
 /// Bytes that go to the disk together, in memory from a multiple of [`BLOCK`] on.
 #[derive(Debug, Default)]
-struct Buffer {
+struct AlignedBuffer {
     /// Empty until it is needed.
     memory: Vec<u8>,
     origin: usize,
@@ -140,7 +140,7 @@ struct Buffer {
     filled: usize,
 }
 
-impl Buffer {
+impl AlignedBuffer {
     fn bytes(&self) -> &[u8] {
         &self.memory[self.origin..self.origin + self.filled]
     }
@@ -219,11 +219,11 @@ impl Disk {
 #[derive(Debug)]
 struct WriteBehind {
     /// A buffer and where in the file it belongs; nothing once one could not be written.
-    full: Option<SyncSender<(Buffer, u64)>>,
+    full: Option<SyncSender<(AlignedBuffer, u64)>>,
     /// The buffer that was written, empty again.
-    empty: Receiver<io::Result<Buffer>>,
+    empty: Receiver<io::Result<AlignedBuffer>>,
     /// The buffer that the thread does not have.
-    spare: Buffer,
+    spare: AlignedBuffer,
     is_writing: bool,
     thread: Option<JoinHandle<()>>,
 }
@@ -231,7 +231,7 @@ struct WriteBehind {
 impl WriteBehind {
     fn start(disk: &Disk) -> io::Result<Self> {
         let mut disk = Disk { file: disk.file.try_clone()?, is_direct: disk.is_direct };
-        let (full, to_write) = sync_channel::<(Buffer, u64)>(1);
+        let (full, to_write) = sync_channel::<(AlignedBuffer, u64)>(1);
         let (written, empty) = sync_channel(1);
         let work = move || {
             for (mut buffer, offset) in to_write {
@@ -243,11 +243,11 @@ impl WriteBehind {
             }
         };
         let thread = Some(thread::Builder::new().name("write".to_owned()).spawn(work)?);
-        Ok(Self { full: Some(full), empty, spare: Buffer::default(), is_writing: false, thread })
+        Ok(Self { full: Some(full), empty, spare: AlignedBuffer::default(), is_writing: false, thread })
     }
 
     /// Waits for the last buffer, hands over this one, and returns an empty one.
-    fn swap(&mut self, buffer: Buffer, offset: u64) -> io::Result<Buffer> {
+    fn swap(&mut self, buffer: AlignedBuffer, offset: u64) -> io::Result<AlignedBuffer> {
         self.wait()?;
         self.full.as_ref().and_then(|full| full.send((buffer, offset)).ok()).ok_or_else(ended)?;
         self.is_writing = true;

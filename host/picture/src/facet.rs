@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::SurfacePoint;
 use super::camera::{Camera, Lens};
-use super::splat::{BAND, BATCH, Bands, Canvas, Pixel};
+use super::splat::{BAND, BATCH, Bands, Pixel, SplatBuffer};
 
 /// Steepest slope of a surface, in depths for each width of a sample, over which samples are still of one.
 const STEEPEST: f32 = 6.0;
@@ -18,7 +18,7 @@ const STEEPEST: f32 = 6.0;
 const LEAST_WEIGHT: f32 = 1e-4;
 
 /// A triangle in the picture.
-struct Facet {
+struct PictureTriangle {
     /// Where the corners are shown: as far outside as they like.
     corners: [DVec2; 3],
     /// One over twice the area, in samples; of either sign, and infinite where there is none.
@@ -37,7 +37,7 @@ struct Facet {
     only: Option<[usize; 2]>,
 }
 
-impl Facet {
+impl PictureTriangle {
     /// None for what is out of the picture of the given size, or has a corner that is not before the camera.
     fn new(camera: &Camera, lens: &Lens, size: [usize; 2], triangle: &[SurfacePoint; 3]) -> Option<Self> {
         let places = triangle.map(|corner| camera.to_view(corner.position));
@@ -160,19 +160,19 @@ fn towards(normal: Vec3, ray: Vec3) -> Vec3 {
 ///
 /// Memory: some 200 bytes for each triangle of a batch, 13 MB at most.
 #[derive(Default)]
-pub(super) struct Facets {
-    batch: Vec<Option<Facet>>,
+pub(super) struct TriangleRaster {
+    batch: Vec<Option<PictureTriangle>>,
     bands: Bands,
 }
 
-impl Facets {
+impl TriangleRaster {
     /// First pass: the depth of the nearest surface.
-    pub fn depth(&mut self, canvas: &mut Canvas, camera: &Camera, triangles: &[[SurfacePoint; 3]]) {
+    pub fn depth(&mut self, canvas: &mut SplatBuffer, camera: &Camera, triangles: &[[SurfacePoint; 3]]) {
         self.draw(canvas, camera, triangles, |pixel, _, _, depth, _| pixel.come_near(depth));
     }
 
     /// Second pass: what lies on the nearest surface.
-    pub fn blend(&mut self, canvas: &mut Canvas, camera: &Camera, triangles: &[[SurfacePoint; 3]]) {
+    pub fn blend(&mut self, canvas: &mut SplatBuffer, camera: &Camera, triangles: &[[SurfacePoint; 3]]) {
         self.draw(canvas, camera, triangles, |pixel, facet, ray, depth, parts| {
             if pixel.is_near(depth, facet.slack * depth) {
                 let normal = towards(mixed(parts, &facet.normals).normalize_or_zero(), ray);
@@ -183,15 +183,15 @@ impl Facets {
 
     fn draw(
         &mut self,
-        canvas: &mut Canvas,
+        canvas: &mut SplatBuffer,
         camera: &Camera,
         triangles: &[[SurfacePoint; 3]],
-        hit: impl Fn(&mut Pixel, &Facet, Vec3, f32, [f32; 3]) + Sync,
+        hit: impl Fn(&mut Pixel, &PictureTriangle, Vec3, f32, [f32; 3]) + Sync,
     ) {
         let lens = canvas.lens(camera);
         let size = [canvas.width, canvas.height];
         for batch in triangles.chunks(BATCH) {
-            let facet = |triangle| Facet::new(camera, &lens, size, triangle);
+            let facet = |triangle| PictureTriangle::new(camera, &lens, size, triangle);
             batch.par_iter().map(facet).collect_into_vec(&mut self.batch);
             self.bands.sort(size[1], &self.batch, |facet| facet.as_ref().map(|f| f.rows));
             let Self { batch: facets, bands } = self;

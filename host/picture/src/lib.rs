@@ -48,10 +48,10 @@ pub use point::SurfacePoint;
 pub use spacing::Spacing;
 pub use style::Style;
 
-use facet::Facets;
+use facet::TriangleRaster;
 use glam::Vec3;
 use ground::Ground;
-use splat::{Canvas, Pixel};
+use splat::{Pixel, SplatBuffer};
 
 /// Draws one picture: [`depth`](Self::depth) for all points, then [`blend`](Self::blend) for all points
 /// again, then [`finish`](Self::finish).
@@ -60,8 +60,8 @@ pub struct Renderer {
     height: u32,
     camera: Camera,
     style: Style,
-    canvas: Canvas,
-    facets: Facets,
+    canvas: SplatBuffer,
+    facets: TriangleRaster,
     ground: Option<Ground>,
 }
 
@@ -77,8 +77,8 @@ impl Renderer {
             height,
             camera,
             style,
-            canvas: Canvas::new(width * SUPERSAMPLING, height * SUPERSAMPLING),
-            facets: Facets::default(),
+            canvas: SplatBuffer::new(width * SUPERSAMPLING, height * SUPERSAMPLING),
+            facets: TriangleRaster::default(),
             ground: style.ground.map(|height| Ground::new(height, &camera)),
         }
     }

@@ -27,7 +27,7 @@ const CREASE: f32 = 0.7;
 /// What is kept of a vertex.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-struct Record {
+struct VertexRecord {
     /// From the middle of the bounds; not finite where the vertex is not.
     position: [f32; 3],
     /// As the model has it; or else the sum of the triangles' around it, by their areas.
@@ -38,13 +38,13 @@ struct Record {
 }
 
 /// All of them.
-enum Records {
-    Held(Vec<Record>),
+enum VertexRecords {
+    Held(Vec<VertexRecord>),
     Mapped(MapMut),
 }
 
-impl Records {
-    fn all(&self) -> &[Record] {
+impl VertexRecords {
+    fn all(&self) -> &[VertexRecord] {
         match self {
             Self::Held(all) => all,
             // The map begins with a page, and is of whole records.
@@ -52,7 +52,7 @@ impl Records {
         }
     }
 
-    fn all_mut(&mut self) -> &mut [Record] {
+    fn all_mut(&mut self) -> &mut [VertexRecord] {
         match self {
             Self::Held(all) => all,
             Self::Mapped(map) => bytemuck::cast_slice_mut(map),
@@ -68,9 +68,9 @@ pub(super) fn are_many(alone: usize, all: usize) -> bool {
 
 /// A model's vertices, to be drawn with its triangles; and those that no triangle has as discs, where these
 /// are many.
-pub(super) struct Mesh<'a> {
+pub(super) struct DrawnMesh<'a> {
     model: &'a dyn Model,
-    records: Records,
+    records: VertexRecords,
     origin: DVec3,
     spacing: Spacing,
     /// Normals were found by the triangles.
@@ -79,7 +79,7 @@ pub(super) struct Mesh<'a> {
     with_points: bool,
 }
 
-impl<'a> Mesh<'a> {
+impl<'a> DrawnMesh<'a> {
     /// Keeps the vertices of the first of several models that are read in step, as `paint` has them: of so
     /// many of the first attributes. The file, if there is one, is made in `folder`: 28 bytes for each
     /// vertex.
@@ -93,7 +93,7 @@ impl<'a> Mesh<'a> {
         progress: &dyn Progress,
     ) -> Result<Self> {
         let info = models[0].info();
-        let (width, mut at) = (size_of::<Record>() as u64, 0);
+        let (width, mut at) = (size_of::<VertexRecord>() as u64, 0);
         let mut held = Vec::new();
         let is_held = info.vertices * width <= HELD;
         let scratch = if is_held { None } else { Some(Scratch::new(folder, ADVICE)?) };
@@ -104,7 +104,7 @@ impl<'a> Mesh<'a> {
         in_step(models, paint.map_or(0, |(attributes, _)| attributes), progress, |parts| {
             let Vertices { positions, normals, .. } = parts[0];
             spacing.add(positions.iter().copied());
-            let record = |(i, p): (usize, &DVec3)| Record {
+            let record = |(i, p): (usize, &DVec3)| VertexRecord {
                 position: (*p - origin).as_vec3().to_array(),
                 normal: normals.get(i).copied().unwrap_or_default().to_array(),
                 color: paint.map_or([0; 3], |(_, paint)| paint(parts, i)),
@@ -119,8 +119,8 @@ impl<'a> Mesh<'a> {
             Ok(())
         })?;
         let records = match scratch {
-            Some(scratch) => Records::Mapped(scratch.map_mut()?),
-            None => Records::Held(held),
+            Some(scratch) => VertexRecords::Mapped(scratch.map_mut()?),
+            None => VertexRecords::Held(held),
         };
         let mut this = Self {
             model: models[0],
@@ -132,7 +132,7 @@ impl<'a> Mesh<'a> {
         };
         this.go_round(progress)?;
         let all = this.records.all();
-        let is_alone = |record: &&Record| record.used == 0 && Vec3::from(record.position).is_finite();
+        let is_alone = |record: &&VertexRecord| record.used == 0 && Vec3::from(record.position).is_finite();
         this.with_points = are_many(all.par_iter().filter(is_alone).count(), all.len());
         Ok(this)
     }
@@ -207,11 +207,11 @@ impl<'a> Mesh<'a> {
         Ok(())
     }
 
-    fn place(&self, record: &Record) -> DVec3 {
+    fn place(&self, record: &VertexRecord) -> DVec3 {
         self.origin + Vec3::from(record.position).as_dvec3()
     }
 
-    fn point(&self, record: &Record, up: Up) -> SurfacePoint {
+    fn point(&self, record: &VertexRecord, up: Up) -> SurfacePoint {
         SurfacePoint {
             position: up.turned(self.place(record)),
             normal: up.turned(Vec3::from(record.normal).as_dvec3()).as_vec3(),
@@ -220,9 +220,9 @@ impl<'a> Mesh<'a> {
         }
     }
 
-    fn triangle(&self, records: &[Record], triangle: [u32; 3], up: Up) -> [SurfacePoint; 3] {
+    fn triangle(&self, records: &[VertexRecord], triangle: [u32; 3], up: Up) -> [SurfacePoint; 3] {
         // Where there is no vertex, there is no finite position.
-        let nowhere = Record { position: [f32::NAN; 3], ..Record::zeroed() };
+        let nowhere = VertexRecord { position: [f32::NAN; 3], ..VertexRecord::zeroed() };
         let mut corners = triangle.map(|i| self.point(records.get(i as usize).unwrap_or(&nowhere), up));
         if self.derived {
             at_creases(&mut corners);

@@ -1,6 +1,6 @@
 //! The vertices' own colours, and other numbers of theirs as colours.
 
-use simod_core::colors::Bytes;
+use simod_core::colors::ColorBytes;
 use simod_model::{Attribute, ColorScale, Colors, Error, Model, Progress, Result, Vertices, for_vertices};
 
 use super::Image;
@@ -102,11 +102,11 @@ impl Paint {
     /// # Errors
     /// The model cannot be read; the user cancelled.
     pub fn of_model(model: &dyn Model, coloring: Coloring, progress: &dyn Progress) -> Result<Self> {
-        let mut numbers = Numbers::default();
+        let mut numbers = NumberSurvey::default();
         match &coloring {
             Coloring::Clay => {}
             Coloring::Own(_) => {
-                let meaning = Bytes::for_model(model)?.map(|bytes| bytes.meaning());
+                let meaning = ColorBytes::for_model(model)?.map(|bytes| bytes.meaning());
                 return Ok(meaning.map_or(Self::Clay, |(colors, scale)| Self::Own(colors, scale)));
             }
             Coloring::Attribute(place, _) => {
@@ -126,14 +126,14 @@ impl Paint {
 
     /// Colours of points whose numbers are held: `values` has a list for each attribute.
     pub fn of_values(coloring: Coloring, values: &[&[f32]]) -> Self {
-        let mut numbers = Numbers::default();
+        let mut numbers = NumberSurvey::default();
         for place in coloring.places() {
             values[*place].iter().for_each(|x| numbers.add(f64::from(*x)));
         }
         Self::new(coloring, &numbers)
     }
 
-    fn new(coloring: Coloring, numbers: &Numbers) -> Self {
+    fn new(coloring: Coloring, numbers: &NumberSurvey) -> Self {
         match coloring {
             Coloring::Clay => Self::Clay,
             Coloring::Own(colors) => Self::Own(colors, ColorScale::for_largest(&colors, numbers.most)),
@@ -199,7 +199,7 @@ fn short(x: f64) -> String {
 }
 
 /// What is known of many numbers: of their extremes, and by some of them, evenly spread, of most.
-struct Numbers {
+struct NumberSurvey {
     least: f64,
     most: f64,
     some: Vec<f64>,
@@ -208,13 +208,13 @@ struct Numbers {
     count: u64,
 }
 
-impl Default for Numbers {
+impl Default for NumberSurvey {
     fn default() -> Self {
         Self { least: f64::INFINITY, most: f64::NEG_INFINITY, some: Vec::new(), stride: 1, count: 0 }
     }
 }
 
-impl Numbers {
+impl NumberSurvey {
     /// Most that are held.
     const SOME: usize = 1 << 16;
 
@@ -261,14 +261,14 @@ mod tests {
 
     #[test]
     fn most_numbers_are_found_among_very_many() {
-        let mut numbers = Numbers::default();
+        let mut numbers = NumberSurvey::default();
         (0..1_000_000u32).for_each(|i| numbers.add(f64::from(i)));
         [1e30, -1e30, f64::NAN].into_iter().for_each(|x| numbers.add(x));
         let [from, to] = numbers.most_of_them();
         assert!((from - 1e4).abs() < 100.0 && (to - 9.9e5).abs() < 100.0, "{from} {to}");
         assert_eq!(numbers.extremes(), [-1e30, 1e30]);
-        assert!(numbers.some.len() <= Numbers::SOME);
-        assert_eq!(Numbers::default().most_of_them(), [0.0, 1.0]);
+        assert!(numbers.some.len() <= NumberSurvey::SOME);
+        assert_eq!(NumberSurvey::default().most_of_them(), [0.0, 1.0]);
     }
 
     #[test]

@@ -13,7 +13,7 @@ pub use super::paint::PaintBy;
 use super::paint::Painted;
 pub use super::view::{Crop, Up, View};
 
-use super::mesh::{Mesh, are_many};
+use super::mesh::{DrawnMesh, are_many};
 use super::{Camera, Image, Paint, Spacing, SurfacePoint};
 
 /// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
@@ -62,7 +62,7 @@ pub fn of_model(
     progress: &dyn Progress,
 ) -> Result<Image> {
     with_paint(paint, |by| {
-        Shown::new(&[model], bounds, by, drawn, progress)?.draw(view, view.camera(), progress)
+        ShownModel::new(&[model], bounds, by, drawn, progress)?.draw(view, view.camera(), progress)
     })
 }
 
@@ -82,7 +82,7 @@ pub fn turn_of_model(
 ) -> Result<()> {
     with_paint(paint, |by| {
         let models = [model];
-        let shown = Shown::new(&models, bounds, by, drawn, progress)?;
+        let shown = ShownModel::new(&models, bounds, by, drawn, progress)?;
         let draw = |camera| shown.draw(view, camera, progress);
         view.turn(frames.0).into_iter().try_for_each(|camera| (frames.1)(&draw(camera)?))
     })
@@ -103,7 +103,7 @@ pub fn of_painted(
     if views.is_empty() {
         return Ok(Vec::new());
     }
-    let shown = Shown::new(models, bounds, Some((attributes, paint)), drawn, progress)?;
+    let shown = ShownModel::new(models, bounds, Some((attributes, paint)), drawn, progress)?;
     views.iter().map(|view| shown.draw(view, view.camera(), progress)).collect()
 }
 
@@ -113,12 +113,12 @@ fn with_paint<T>(paint: &Paint, draw: impl FnOnce(Painted<'_>) -> Result<T>) -> 
 }
 
 /// What is drawn, from wherever.
-enum Shown<'a> {
-    Mesh(Box<Mesh<'a>>, bool),
+enum ShownModel<'a> {
+    Mesh(Box<DrawnMesh<'a>>, bool),
     Points(&'a [&'a dyn Model], Spacing, Painted<'a>),
 }
 
-impl<'a> Shown<'a> {
+impl<'a> ShownModel<'a> {
     fn new(
         models: &'a [&'a dyn Model],
         bounds: &Bounds,
@@ -128,7 +128,7 @@ impl<'a> Shown<'a> {
     ) -> Result<Self> {
         match drawn {
             Drawn::Faces(folder) if models[0].info().faces > 0 => {
-                let mesh = Mesh::new(models, bounds, paint, folder, progress)?;
+                let mesh = DrawnMesh::new(models, bounds, paint, folder, progress)?;
                 Ok(Self::Mesh(Box::new(mesh), paint.is_some()))
             }
             _ => Ok(Self::Points(models, spacing(models[0], bounds, progress)?, paint)),
@@ -154,7 +154,7 @@ fn spacing(model: &dyn Model, bounds: &Bounds, progress: &dyn Progress) -> Resul
 }
 
 /// Draws points, and the half axes of those that are ellipses.
-type Drawing<'a> = dyn FnMut(&[SurfacePoint], &[[Vec3; 2]]) + 'a;
+type PointDrawing<'a> = dyn FnMut(&[SurfacePoint], &[[Vec3; 2]]) + 'a;
 
 fn draw(
     models: &[&dyn Model],
@@ -190,7 +190,7 @@ fn draw(
     let wanted =
         paint.map_or(0, |(attributes, _)| attributes).max(ellipses.as_ref().map_or(0, Ellipses::count));
     let mut renderer = view.renderer(camera, paint.is_some());
-    let pass = |draw: &mut Drawing<'_>| {
+    let pass = |draw: &mut PointDrawing<'_>| {
         progress.begin("drawing", models[0].info().vertex_bytes);
         in_step(models, wanted, progress, |parts| {
             let (points, axes) = points_of(parts);
@@ -273,14 +273,14 @@ pub fn of_samples(
     view: &View,
     colors: Option<&[[u8; 3]]>,
 ) -> Image {
-    Samples::new(sampled, (positions, normals), view, colors, true).draw(view, view.camera())
+    DrawnSamples::new(sampled, (positions, normals), view, colors, true).draw(view, view.camera())
 }
 
 /// As [`of_samples`] of those at rest, each as a disc, whether there are triangles or not.
 pub fn of_discs(sampled: &SampledModel, view: &View, colors: Option<&[[u8; 3]]>) -> Image {
     let samples = &sampled.samples;
     let shape = (&samples.positions[..], samples.normals());
-    Samples::new(sampled, shape, view, colors, false).draw(view, view.camera())
+    DrawnSamples::new(sampled, shape, view, colors, false).draw(view, view.camera())
 }
 
 /// As [`of_samples`] of those at rest, or [`of_discs`] where no triangles are wanted, so many times while the
@@ -297,7 +297,7 @@ pub fn turn_of_samples(
 ) -> Result<()> {
     let samples = &sampled.samples;
     let shape = (&samples.positions[..], samples.normals());
-    let drawn = Samples::new(sampled, shape, view, colors, triangles);
+    let drawn = DrawnSamples::new(sampled, shape, view, colors, triangles);
     view.turn(frames).into_iter().try_for_each(|camera| {
         progress.check()?;
         frame(&drawn.draw(view, camera))
@@ -305,7 +305,7 @@ pub fn turn_of_samples(
 }
 
 /// Samples as they are drawn.
-struct Samples<'a> {
+struct DrawnSamples<'a> {
     points: Vec<SurfacePoint>,
     triangles: &'a [[u32; 3]],
     /// Those that no triangle has.
@@ -313,7 +313,7 @@ struct Samples<'a> {
     own_colors: bool,
 }
 
-impl<'a> Samples<'a> {
+impl<'a> DrawnSamples<'a> {
     fn new(
         sampled: &'a SampledModel,
         (positions, normals): (&[Vec3], &[Vec3]),

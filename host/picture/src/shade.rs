@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::camera::{Camera, Lens};
 use super::ground::Ground;
-use super::splat::{Canvas, Pixel};
+use super::splat::{Pixel, SplatBuffer};
 use super::style::{KEY_LIGHT, Style};
 
 /// Direction to the fill light.
@@ -22,13 +22,13 @@ const OCCLUSION_REACH: f32 = 0.13;
 
 /// Lights all samples, in each of some colours of theirs; linear colours, row by row.
 pub(super) fn shade<const N: usize>(
-    canvas: &Canvas,
+    canvas: &SplatBuffer,
     camera: &Camera,
     style: &Style,
     ground: Option<&Ground>,
     colors: [fn(&Pixel) -> Vec3; N],
 ) -> [Vec<Vec3>; N] {
-    let surface = Surface::new(canvas, camera);
+    let surface = SeenSurface::new(canvas, camera);
     let occlusion = surface.blurred(&surface.occlusion(camera.radius() as f32 * OCCLUSION_REACH));
     colors.map(|color| {
         let at = |(i, pixel): (usize, &Pixel)| {
@@ -46,7 +46,7 @@ pub(super) fn shade<const N: usize>(
 }
 
 /// The surface as the picture sees it.
-struct Surface {
+struct SeenSurface {
     width: usize,
     height: usize,
     lens: Lens,
@@ -54,8 +54,8 @@ struct Surface {
     normals: Vec<Vec3>,
 }
 
-impl Surface {
-    fn new(canvas: &Canvas, camera: &Camera) -> Self {
+impl SeenSurface {
+    fn new(canvas: &SplatBuffer, camera: &Camera) -> Self {
         let mut surface = Self {
             width: canvas.width,
             height: canvas.height,
@@ -210,7 +210,7 @@ fn lit(albedo: Vec3, normal: Vec3, eye: Vec3, occlusion: f32) -> Vec3 {
 
 /// Light paper, a little darker to the corners, with the ground's shadow.
 fn background(
-    canvas: &Canvas,
+    canvas: &SplatBuffer,
     camera: &Camera,
     lens: &Lens,
     ground: Option<&Ground>,
@@ -256,10 +256,10 @@ mod tests {
         let camera = Camera::frame([DVec3::splat(-1.0), DVec3::splat(1.0)], 0.7, 0.4, 1.0);
         for (known, worst_allowed, mean_allowed) in [(true, 0.03, 0.01), (false, 0.5, 0.06)] {
             let points = points(known);
-            let mut canvas = Canvas::new(400, 400);
+            let mut canvas = SplatBuffer::new(400, 400);
             canvas.depth(&camera, &points, &[]);
             canvas.blend(&camera, &points, &[]);
-            let surface = Surface::new(&canvas, &camera);
+            let surface = SeenSurface::new(&canvas, &camera);
             let center = camera.to_view(DVec3::ZERO);
             let (mut worst, mut sum, mut count) = (0.0f32, 0.0, 0.0);
             for i in 0..canvas.pixels.len() {

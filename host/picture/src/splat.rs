@@ -23,11 +23,11 @@ const MOST_REACH: f32 = 256.0;
 /// get it anew takes the system longer than to fill it.
 ///
 /// Memory: 48 bytes for each sample, and some 130 for each splat of a batch, 8 MB at most.
-pub(super) struct Canvas {
+pub(super) struct SplatBuffer {
     pub width: usize,
     pub height: usize,
     pub pixels: Vec<Pixel>,
-    batch: Vec<Option<Splat>>,
+    batch: Vec<Option<ViewSplat>>,
     bands: Bands,
 }
 
@@ -98,7 +98,7 @@ impl Pixel {
 }
 
 /// A disc, or an ellipse, in view coordinates.
-struct Splat {
+struct ViewSplat {
     center: Vec3,
     /// Unit normal towards the eye; zero where it is not known.
     normal: Vec3,
@@ -121,17 +121,17 @@ struct Splat {
 
 /// How much of splats is drawn.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Drawn {
+enum SplatDetail {
     /// What hides what is behind it, in any order.
     Hiding,
     All,
 }
 
-impl Splat {
+impl ViewSplat {
     /// None for what is out of the picture of the given size, or no disc at all.
     fn new(
         (camera, lens): (&Camera, &Lens),
-        (size, drawn): ([usize; 2], Drawn),
+        (size, drawn): ([usize; 2], SplatDetail),
         point: &SurfacePoint,
         axes: Option<&[Vec3; 2]>,
     ) -> Option<Self> {
@@ -149,7 +149,7 @@ impl Splat {
         let share = HIDING[usize::from(from_back)].max(LEAST_REACH / reach);
         let (radius, hiding) = (reach / scale, weight(share * share));
         let drawn = match drawn {
-            Drawn::Hiding if axes.is_none() => hiding_reach(center, radius, share) * scale,
+            SplatDetail::Hiding if axes.is_none() => hiding_reach(center, radius, share) * scale,
             _ => reach,
         };
         let drawn = drawn.max(LEAST_REACH).min(reach);
@@ -228,7 +228,7 @@ fn weight(distance: f32) -> f32 {
     t * t
 }
 
-impl Canvas {
+impl SplatBuffer {
     pub fn new(width: u32, height: u32) -> Self {
         let (width, height) = (width as usize, height as usize);
         let pixels = vec![Pixel::EMPTY; width * height];
@@ -241,42 +241,57 @@ impl Canvas {
 
     /// First pass: the depth of the nearest surface.
     pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
-        let may_show = |pixel: &Pixel, splat: &Splat| splat.least_depth() < pixel.nearest;
-        self.draw((camera, Drawn::Hiding), (points, axes, &[]), may_show, |pixel, splat, depth, weight| {
-            if weight >= splat.hiding {
-                pixel.come_near(depth);
-            }
-        });
+        let may_show = |pixel: &Pixel, splat: &ViewSplat| splat.least_depth() < pixel.nearest;
+        self.draw(
+            (camera, SplatDetail::Hiding),
+            (points, axes, &[]),
+            may_show,
+            |pixel, splat, depth, weight| {
+                if weight >= splat.hiding {
+                    pixel.come_near(depth);
+                }
+            },
+        );
     }
 
     /// Second pass: what lies on the nearest surface.
     pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
-        let may_show = |pixel: &Pixel, splat: &Splat| pixel.is_near(splat.least_depth(), splat.radius);
-        self.draw((camera, Drawn::All), (points, axes, &[]), may_show, |pixel, splat, depth, weight| {
-            // Neighbouring discs of one surface differ in depth by less than they are wide.
-            if pixel.is_near(depth, splat.radius) {
-                pixel.blend(weight, depth, splat.normal, splat.color);
-            }
-        });
+        let may_show = |pixel: &Pixel, splat: &ViewSplat| pixel.is_near(splat.least_depth(), splat.radius);
+        self.draw(
+            (camera, SplatDetail::All),
+            (points, axes, &[]),
+            may_show,
+            |pixel, splat, depth, weight| {
+                // Neighbouring discs of one surface differ in depth by less than they are wide.
+                if pixel.is_near(depth, splat.radius) {
+                    pixel.blend(weight, depth, splat.normal, splat.color);
+                }
+            },
+        );
     }
 
     /// The same for two pictures at once, in the points' colours and in others, of which there are as many.
     pub fn blend_both(&mut self, camera: &Camera, points: &[SurfacePoint], others: &[[u8; 3]]) {
-        let may_show = |pixel: &Pixel, splat: &Splat| pixel.is_near(splat.least_depth(), splat.radius);
-        self.draw((camera, Drawn::All), (points, &[], others), may_show, |pixel, splat, depth, weight| {
-            if pixel.is_near(depth, splat.radius) {
-                pixel.blend(weight, depth, splat.normal, splat.color);
-                pixel.other += splat.other * weight;
-            }
-        });
+        let may_show = |pixel: &Pixel, splat: &ViewSplat| pixel.is_near(splat.least_depth(), splat.radius);
+        self.draw(
+            (camera, SplatDetail::All),
+            (points, &[], others),
+            may_show,
+            |pixel, splat, depth, weight| {
+                if pixel.is_near(depth, splat.radius) {
+                    pixel.blend(weight, depth, splat.normal, splat.color);
+                    pixel.other += splat.other * weight;
+                }
+            },
+        );
     }
 
     fn draw(
         &mut self,
-        (camera, drawn): (&Camera, Drawn),
+        (camera, drawn): (&Camera, SplatDetail),
         (points, axes, others): (&[SurfacePoint], &[[Vec3; 2]], &[[u8; 3]]),
-        may_show: impl Fn(&Pixel, &Splat) -> bool + Sync,
-        hit: impl Fn(&mut Pixel, &Splat, f32, f32) + Sync,
+        may_show: impl Fn(&Pixel, &ViewSplat) -> bool + Sync,
+        hit: impl Fn(&mut Pixel, &ViewSplat, f32, f32) + Sync,
     ) {
         let lens = self.lens(camera);
         let size = [self.width, self.height];
@@ -284,8 +299,8 @@ impl Canvas {
             let axes = axes.get(number * BATCH..).unwrap_or_default();
             let others = others.get(number * BATCH..).unwrap_or_default();
             let splat = |(i, point)| {
-                let splat = Splat::new((camera, &lens), (size, drawn), point, axes.get(i))?;
-                Some(Splat { other: others.get(i).map_or(Vec3::ZERO, |color| color_of(*color)), ..splat })
+                let splat = ViewSplat::new((camera, &lens), (size, drawn), point, axes.get(i))?;
+                Some(ViewSplat { other: others.get(i).map_or(Vec3::ZERO, |color| color_of(*color)), ..splat })
             };
             batch.par_iter().enumerate().map(splat).collect_into_vec(&mut self.batch);
             self.bands.sort(size[1], &self.batch, |splat| splat.as_ref().map(|splat| splat.rows));
@@ -293,7 +308,7 @@ impl Canvas {
             pixels.par_chunks_mut(BAND * size[0]).enumerate().for_each(|(band, pixels)| {
                 let first = band * BAND;
                 let all = || bands.in_band(band, splats).flatten();
-                let mut show = |splat: &Splat| {
+                let mut show = |splat: &ViewSplat| {
                     let [left, right] = splat.columns;
                     for y in splat.rows[0].max(first)..splat.rows[1].min(first + BAND) {
                         let row = &mut pixels[(y - first) * size[0]..][..size[0]];
@@ -312,11 +327,11 @@ impl Canvas {
                 };
                 match drawn {
                     // What is seen from the front hides most of what is not.
-                    Drawn::Hiding => {
+                    SplatDetail::Hiding => {
                         all().filter(|splat| !splat.from_back).for_each(&mut show);
                         all().filter(|splat| splat.from_back).for_each(show);
                     }
-                    Drawn::All => all().for_each(show),
+                    SplatDetail::All => all().for_each(show),
                 }
             });
         }
@@ -394,10 +409,10 @@ mod tests {
                 radius: (size * (1.1 + number(i, 11.0))) as f32,
             };
             let points: Vec<SurfacePoint> = (0..4000).map(point).collect();
-            let [mut canvas, mut whole] = [Canvas::new(180, 120), Canvas::new(180, 120)];
+            let [mut canvas, mut whole] = [SplatBuffer::new(180, 120), SplatBuffer::new(180, 120)];
             canvas.depth(&camera, &points, &[]);
             whole.draw(
-                (&camera, Drawn::All),
+                (&camera, SplatDetail::All),
                 (&points, &[], &[]),
                 |_, _| true,
                 |pixel, splat, depth, weight| {
@@ -406,7 +421,7 @@ mod tests {
                     }
                 },
             );
-            let nearest = |canvas: &Canvas| canvas.pixels.iter().map(|p| p.nearest).collect::<Vec<_>>();
+            let nearest = |canvas: &SplatBuffer| canvas.pixels.iter().map(|p| p.nearest).collect::<Vec<_>>();
             assert!(nearest(&canvas) == nearest(&whole), "{yaw} {size}");
             assert!(whole.pixels.iter().any(|p| p.nearest.is_finite()));
         }

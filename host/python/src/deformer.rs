@@ -18,7 +18,7 @@ use crate::{arrays, plugins};
 
 /// What `simod.deformer` found out of a function.
 #[derive(Deserialize)]
-struct Description {
+struct FunctionDescription {
     id: String,
     name: String,
     summary: String,
@@ -38,12 +38,12 @@ struct Parameter {
     name: String,
     id: String,
     #[serde(flatten)]
-    kind: Kind,
+    kind: ParameterKind,
 }
 
 #[derive(Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind", content = "default")]
-enum Kind {
+enum ParameterKind {
     Float(f64),
     Int(i64),
     Bool(bool),
@@ -55,20 +55,20 @@ enum Kind {
 /// A Python function.
 struct Function {
     function: Py<PyAny>,
-    description: Description,
+    description: FunctionDescription,
 }
 
 /// Registers a function; `description` is JSON.
 #[pyfunction(name = "_register")]
 pub fn register(py: Python<'_>, function: Py<PyAny>, description: &str) -> PyResult<()> {
-    let description: Description = serde_json::from_str(description)
+    let description: FunctionDescription = serde_json::from_str(description)
         .map_err(|e| pyo3::exceptions::PyTypeError::new_err(e.to_string()))?;
     let code = Function { function, description };
     py.detach(|| Plugin::of_host(Box::new(code)).map(plugins::put)).or_raise(py)
 }
 
 /// What a call of the function needs beside the points, all in model coordinates.
-struct Prepared {
+struct CallInputs {
     frame: ModelFrame,
     /// Role and weights of each region.
     regions: Vec<(Role, Vec<f32>)>,
@@ -78,7 +78,7 @@ impl Function {
     fn call(
         &self,
         py: Python<'_>,
-        prepared: &Prepared,
+        prepared: &CallInputs,
         input: &DeformInput<'_>,
         points: Vec<DVec3>,
     ) -> PyResult<Vec<DVec3>> {
@@ -115,22 +115,27 @@ impl Function {
 }
 
 /// The value of a parameter as the function gets it.
-fn given<'py>(py: Python<'py>, params: &Params<'_>, id: &str, kind: &Kind) -> PyResult<Bound<'py, PyAny>> {
+fn given<'py>(
+    py: Python<'py>,
+    params: &Params<'_>,
+    id: &str,
+    kind: &ParameterKind,
+) -> PyResult<Bound<'py, PyAny>> {
     let wrong = |e: PluginError| pyo3::exceptions::PyRuntimeError::new_err(e.message.to_string());
     Ok(match kind {
-        Kind::Float(_) => params.float(id).map_err(wrong)?.into_pyobject(py)?.into_any(),
-        Kind::Int(_) => params.int(id).map_err(wrong)?.into_pyobject(py)?.into_any(),
-        Kind::Bool(_) => params.bool(id).map_err(wrong)?.into_pyobject(py)?.to_owned().into_any(),
-        Kind::Choice(_) => params.choice(id).map_err(wrong)?.into_pyobject(py)?.into_any(),
-        Kind::Direction(_) => PyArray1::from_slice(py, &params.vec3(id).map_err(wrong)?).into_any(),
-        Kind::File(()) => params.file(id).map_err(wrong)?.into_pyobject(py)?.into_any(),
+        ParameterKind::Float(_) => params.float(id).map_err(wrong)?.into_pyobject(py)?.into_any(),
+        ParameterKind::Int(_) => params.int(id).map_err(wrong)?.into_pyobject(py)?.into_any(),
+        ParameterKind::Bool(_) => params.bool(id).map_err(wrong)?.into_pyobject(py)?.to_owned().into_any(),
+        ParameterKind::Choice(_) => params.choice(id).map_err(wrong)?.into_pyobject(py)?.into_any(),
+        ParameterKind::Direction(_) => PyArray1::from_slice(py, &params.vec3(id).map_err(wrong)?).into_any(),
+        ParameterKind::File(()) => params.file(id).map_err(wrong)?.into_pyobject(py)?.into_any(),
     })
 }
 
 /// Regions as the function gets them.
 fn regions<'py>(
     py: Python<'py>,
-    prepared: &Prepared,
+    prepared: &CallInputs,
     transforms: &[Affine],
 ) -> PyResult<Vec<Bound<'py, PyAny>>> {
     let class = py.import("simod._records")?.getattr("Region")?;
@@ -163,7 +168,7 @@ fn no_state() -> PluginError {
 
 impl Code for Function {
     fn descriptor(&self) -> PluginResult<Descriptor> {
-        let Description { id, name, summary, normals, regions, params, .. } = &self.description;
+        let FunctionDescription { id, name, summary, normals, regions, params, .. } = &self.description;
         let consumes = Consumes {
             normals: *normals,
             fixed_regions: *regions,
@@ -172,16 +177,16 @@ impl Code for Function {
             ..Consumes::default()
         };
         let param = |of: &Parameter| match &of.kind {
-            Kind::Float(default) => ParamDesc::float(&of.id, &of.name, *default),
-            Kind::Int(default) => ParamDesc::int(&of.id, &of.name, *default),
-            Kind::Bool(default) => ParamDesc::bool(&of.id, &of.name, *default),
-            Kind::Choice([choices, default]) => {
+            ParameterKind::Float(default) => ParamDesc::float(&of.id, &of.name, *default),
+            ParameterKind::Int(default) => ParamDesc::int(&of.id, &of.name, *default),
+            ParameterKind::Bool(default) => ParamDesc::bool(&of.id, &of.name, *default),
+            ParameterKind::Choice([choices, default]) => {
                 let choices: Vec<(&str, &str)> = choices.iter().map(|c| (c.as_str(), c.as_str())).collect();
                 let default = default.first().map_or("", String::as_str);
                 ParamDesc::choice(&of.id, &of.name, default, &choices)
             }
-            Kind::Direction(default) => ParamDesc::direction(&of.id, &of.name, *default),
-            Kind::File(()) => ParamDesc::file(&of.id, &of.name, &[]),
+            ParameterKind::Direction(default) => ParamDesc::direction(&of.id, &of.name, *default),
+            ParameterKind::File(()) => ParamDesc::file(&of.id, &of.name, &[]),
         };
         let descriptor = Descriptor::new(id, name, "1.0.0").summary(summary).consumes(consumes);
         Ok(params.iter().map(param).fold(descriptor, Descriptor::param))
@@ -198,7 +203,7 @@ impl Code for Function {
     fn prepare(&self, input: &PrepareInput<'_>, _calls: &dyn HostCalls) -> PluginResult<State> {
         let frame = *input.frame().ok_or_else(|| PluginError::internal("the host gave no frame"))?;
         let regions = input.regions().iter().map(|r| (r.role, r.weights().to_vec())).collect();
-        Ok(State::new(Prepared { frame, regions }))
+        Ok(State::new(CallInputs { frame, regions }))
     }
 
     fn new_scratch(&self) -> PluginResult<Scratch> {
@@ -213,7 +218,7 @@ impl Code for Function {
         out: &mut [[f32; 3]],
         _calls: &dyn HostCalls,
     ) -> PluginResult<()> {
-        let prepared = state.get::<Prepared>().ok_or_else(no_state)?;
+        let prepared = state.get::<CallInputs>().ok_or_else(no_state)?;
         let frame = &prepared.frame;
         let rest = input.samples.positions().iter();
         let rest: Vec<DVec3> = rest.map(|p| frame.to_model(p.map(f64::from)).into()).collect();
@@ -234,7 +239,7 @@ impl Code for Function {
         points: &mut [[f64; 3]],
         _calls: &dyn HostCalls,
     ) -> PluginResult<()> {
-        let prepared = state.get::<Prepared>().ok_or_else(no_state)?;
+        let prepared = state.get::<CallInputs>().ok_or_else(no_state)?;
         let rest = points.iter().map(|p| prepared.frame.to_model(*p).into()).collect();
         let moved = self.with_lock(|py| self.call(py, prepared, input, rest))?;
         points.iter_mut().zip(moved).for_each(|(p, moved)| *p = prepared.frame.to_local(moved.into()));

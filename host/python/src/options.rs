@@ -49,8 +49,14 @@ pub fn sampling(
     }
     let (by, place) = (word(py, "by", by)?, word(py, "place", place)?);
     let samples = samples.map(|n| n as u64);
-    let sampling =
-        session_file::Sampling { samples, error, grid, place, by, ..session_file::Sampling::default() };
+    let sampling = session_file::SamplingTable {
+        samples,
+        error,
+        grid,
+        place,
+        by,
+        ..session_file::SamplingTable::default()
+    };
     Ok(Sampling { skip: Skip::default(), ..Sampling::from(sampling) })
 }
 

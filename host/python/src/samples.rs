@@ -34,23 +34,23 @@ const BATCH: usize = 1 << 19;
 /// `len(samples)` is their number. Move them by writing to `points`, or by `apply`.
 #[pyclass(module = "simod", frozen)]
 pub struct Samples {
-    state: Mutex<State>,
+    state: Mutex<SamplesState>,
     /// Whether the model is a file.
     of_file: bool,
 }
 
 /// How the samples are at a time.
-struct State {
-    now: Moment,
+struct SamplesState {
+    now: UndoMoment,
     rest: Py<PyArray2<f64>>,
     points: Py<PyArray2<f64>>,
-    past: Vec<Moment>,
-    future: Vec<Moment>,
+    past: Vec<UndoMoment>,
+    future: Vec<UndoMoment>,
 }
 
 /// What undo goes back to.
 #[derive(Clone)]
-struct Moment {
+struct UndoMoment {
     sampled: Arc<SampledModel>,
     /// Local positions, which are exact, and what they are in the model's coordinates: what is still so in
     /// the array was not moved by anybody else.
@@ -60,7 +60,7 @@ struct Moment {
     steps: Vec<String>,
 }
 
-impl Moment {
+impl UndoMoment {
     fn new(sampled: Arc<SampledModel>, local: Arc<[Vec3]>, steps: Vec<String>) -> Self {
         let points = local.iter().map(|p| sampled.frame.to_model(*p)).collect();
         Self { sampled, local, points, steps }
@@ -77,7 +77,7 @@ impl Moment {
     }
 }
 
-impl State {
+impl SamplesState {
     /// The array's points.
     fn read(&self, py: Python<'_>) -> PyResult<Vec<DVec3>> {
         let points = self.points.bind(py);
@@ -90,14 +90,14 @@ impl State {
     }
 
     /// How the samples are now, whoever moved them.
-    fn look(&self, py: Python<'_>) -> PyResult<Moment> {
+    fn look(&self, py: Python<'_>) -> PyResult<UndoMoment> {
         let points = self.read(py)?;
         let local = self.now.local_of(&points).or_raise(py)?;
-        Ok(Moment { local, points: points.into(), ..self.now.clone() })
+        Ok(UndoMoment { local, points: points.into(), ..self.now.clone() })
     }
 
     /// Goes to another time. The arrays stay the same ones as long as there are as many samples.
-    fn go_to(&mut self, py: Python<'_>, moment: Moment) -> PyResult<()> {
+    fn go_to(&mut self, py: Python<'_>, moment: UndoMoment) -> PyResult<()> {
         if Arc::ptr_eq(&moment.sampled, &self.now.sampled) {
             let points = self.points.bind(py).try_readwrite()?;
             let mut points = points;
@@ -124,21 +124,21 @@ impl Samples {
     pub fn new(py: Python<'_>, sampled: SampledModel, of_file: bool) -> PyResult<Self> {
         let sampled = Arc::new(sampled);
         let local = sampled.samples.positions.as_slice().into();
-        let now = Moment::new(sampled.clone(), local, Vec::new());
+        let now = UndoMoment::new(sampled.clone(), local, Vec::new());
         let rest = rest(py, &sampled)?;
         let points = arrays::of_points(py, now.points.to_vec())?.unbind();
-        let state = State { now, rest, points, past: Vec::new(), future: Vec::new() };
+        let state = SamplesState { now, rest, points, past: Vec::new(), future: Vec::new() };
         Ok(Self { state: Mutex::new(state), of_file })
     }
 
     /// The samples, and where they are now: finite local positions.
     pub fn now(&self, py: Python<'_>) -> PyResult<(Arc<SampledModel>, Arc<[Vec3]>)> {
-        let Moment { sampled, local, .. } = self.state(py).look(py)?;
+        let UndoMoment { sampled, local, .. } = self.state(py).look(py)?;
         Ok((sampled, local))
     }
 
     /// The state; who waits for it lets others have the interpreter's lock.
-    fn state(&self, py: Python<'_>) -> MutexGuard<'_, State> {
+    fn state(&self, py: Python<'_>) -> MutexGuard<'_, SamplesState> {
         self.state.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -151,7 +151,7 @@ impl Samples {
         &self,
         py: Python<'_>,
         step: Step,
-        before: Moment,
+        before: UndoMoment,
         progress: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let plugins = registry(py)?;
@@ -163,7 +163,7 @@ impl Samples {
         })?;
         let MovedSamples { sampled, positions, messages } = moved;
         let steps = before.steps.iter().cloned().chain([name]).collect();
-        let after = Moment::new(sampled, positions, steps);
+        let after = UndoMoment::new(sampled, positions, steps);
         let mut state = self.state(py);
         state.go_to(py, after)?;
         state.past.push(before);
@@ -451,7 +451,7 @@ impl Samples {
         let before = state.look(py)?;
         let named = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let steps = before.steps.iter().cloned().chain([named]).collect();
-        state.go_to(py, Moment::new(sampled, local.into(), steps))?;
+        state.go_to(py, UndoMoment::new(sampled, local.into(), steps))?;
         state.past.push(before);
         state.future.clear();
         Ok(())

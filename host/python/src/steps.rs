@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyString};
 use simod_session::session_file::SessionFile;
 use simod_session::step::{Action, Step};
-use simod_session::{PickedPoints, Shape};
+use simod_session::{PickedPoints, RegionShape};
 use toml::{Table, Value};
 
 use crate::errors::{OrRaise, argument};
@@ -37,7 +37,7 @@ pub fn step(name: &str, step: &Bound<'_, PyDict>, positions: &[DVec3]) -> PyResu
             if let Some(defect) = picked.defect() {
                 return Err(argument(py, &format!("{name}: {defect}"), "choose at least one sample"));
             }
-            region.shapes.shapes = vec![Shape::Selection(picked)];
+            region.shapes.shapes = vec![RegionShape::Selection(picked)];
         }
     }
     Ok(step)

@@ -8,7 +8,7 @@ use simod_compare::{CompareFile, Comparing, ComparisonPlan, MethodRecord};
 use simod_core::guard::Guard;
 use simod_model::ModelName;
 use simod_model::follow::Follow;
-use simod_session::plan::{Done, Options, Plan, Unit, do_unit, make};
+use simod_session::plan::{Done, Plan, PlanOptions, Unit, do_unit, make};
 use simod_session::session_file::inputs;
 use simod_session::{PluginRegistry, SessionFile};
 
@@ -50,7 +50,7 @@ pub fn plan(
         guard.reads_all(plugins.files());
         guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
         guard.replaces_folder(&folder)?;
-        let options = Options {
+        let options = PlanOptions {
             method: how.method,
             normals: how.normals,
             choose_offset,
@@ -94,7 +94,7 @@ pub fn comparison_plan(
         guard.replaces_folder(&out)?;
         guard.replaces_folder(&folder)?;
         let how = Comparing { keep_models, allow_commands };
-        let options = simod_compare::Options { how, plugins: &[], emit: &[] };
+        let options = simod_compare::ComparisonPlanOptions { how, plugins: &[], emit: &[] };
         simod_compare::make(&comparison, &file, &out, &options, &folder, watch)
     })?;
     warn(py, &notes)?;

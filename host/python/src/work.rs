@@ -37,20 +37,20 @@ pub fn keep_raised(error: PyErr) {
 #[derive(Default)]
 pub struct Watch {
     cancelled: AtomicBool,
-    stage: Mutex<Stage>,
+    stage: Mutex<WorkStage>,
     done: AtomicU64,
     notes: Mutex<Vec<String>>,
 }
 
 #[derive(Default, Clone, Copy)]
-struct Stage {
+struct WorkStage {
     name: &'static str,
     total: u64,
 }
 
 impl Progress for Watch {
     fn begin(&self, name: &'static str, total: u64) {
-        *locked(&self.stage) = Stage { name, total };
+        *locked(&self.stage) = WorkStage { name, total };
         self.done.store(0, Ordering::Relaxed);
     }
 
@@ -70,7 +70,7 @@ impl Progress for Watch {
 impl Watch {
     /// The stage, and how much of it is done: nothing where that is not known.
     fn place(&self) -> (&'static str, Option<f64>) {
-        let Stage { name, total } = *locked(&self.stage);
+        let WorkStage { name, total } = *locked(&self.stage);
         let done = self.done.load(Ordering::Relaxed);
         (name, (total > 0).then(|| (done as f64 / total as f64).min(1.0)))
     }

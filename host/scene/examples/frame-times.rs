@@ -15,7 +15,9 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_generate::{ModelOptions, Shape};
 use simod_model::progress::Silent;
-use simod_scene::{Background, Budget, Dot, Gpu, Light, Line, Mode, Scale, Scene, Style, Surface, View};
+use simod_scene::{
+    Background, Budget, Dot, Gpu, Light, Line, PixelScale, Scene, SceneStyle, Surface, SurfaceMode, View,
+};
 
 const SIZE: [u32; 2] = [1600, 1000];
 /// Radius of a disc over the spacing of samples.
@@ -75,11 +77,11 @@ fn measure(gpu: &Gpu, sampled: &SampledModel) -> Result<(), Box<dyn Error>> {
         scene.set_positions(&set.positions, set.normals()).map(|()| gpu.wait()).map(|()| set.len())
     })?;
 
-    let style = Style::default();
-    let plain = Style { occlusion: false, ..style };
+    let style = SceneStyle::default();
+    let plain = SceneStyle { occlusion: false, ..style };
     let mut budget = Budget::new(Duration::from_millis(40));
     let mut turn = 0.0;
-    let mut frame = |style: &Style, budget: Option<&mut Budget>| {
+    let mut frame = |style: &SceneStyle, budget: Option<&mut Budget>| {
         turn += 0.05;
         scene.render(&around(&set.positions, turn), style, budget);
         gpu.wait();
@@ -88,13 +90,13 @@ fn measure(gpu: &Gpu, sampled: &SampledModel) -> Result<(), Box<dyn Error>> {
     timed(set.len(), "splats", || frame(&style, None))?;
     timed(set.len(), "splats, no occlusion", || frame(&plain, None))?;
     timed(set.len(), "splats, four pixels for one", || {
-        frame(&Style { scale: Scale::Double, ..style }, None)
+        frame(&SceneStyle { scale: PixelScale::Double, ..style }, None)
     })?;
     for _ in 0..12 {
         frame(&style, Some(&mut budget))?;
     }
     timed(set.len(), "splats, budget of 40 ms", || frame(&style, Some(&mut budget)))?;
-    timed(set.len(), "triangles", || frame(&Style { mode: Mode::Triangles, ..style }, None))
+    timed(set.len(), "triangles", || frame(&SceneStyle { mode: SurfaceMode::Triangles, ..style }, None))
 }
 
 /// Prints the median of some frames' times, after one to warm up.
@@ -138,26 +140,27 @@ fn pictures(gpu: &Gpu, sampled: &SampledModel, folder: &Path) -> Result<(), Box<
     };
     let mut scene = Scene::new(gpu);
     scene.set_surface(&rest)?;
-    let shot = |scene: &mut Scene, name: &str, style: &Style, budget: Option<&mut Budget>, view: &View| {
-        let started = Instant::now();
-        scene.render(view, style, budget);
-        gpu.wait();
-        println!("{:>10}  {name}: {:.0} ms", set.len(), 1e3 * started.elapsed().as_secs_f64());
-        let picture = scene.read().ok_or("the device is lost")?;
-        let file = folder.join(format!("{name}.png"));
-        simod_model::output::write_file(&file, &picture.to_png()?)?;
-        Ok::<(), Box<dyn Error>>(())
-    };
+    let shot =
+        |scene: &mut Scene, name: &str, style: &SceneStyle, budget: Option<&mut Budget>, view: &View| {
+            let started = Instant::now();
+            scene.render(view, style, budget);
+            gpu.wait();
+            println!("{:>10}  {name}: {:.0} ms", set.len(), 1e3 * started.elapsed().as_secs_f64());
+            let picture = scene.read().ok_or("the device is lost")?;
+            let file = folder.join(format!("{name}.png"));
+            simod_model::output::write_file(&file, &picture.to_png()?)?;
+            Ok::<(), Box<dyn Error>>(())
+        };
     let view = around(&set.positions, 0.6);
     let near = View { view: view.view, projection: perspective(0.12, 1.6, 0.5, 10.0), size: SIZE };
-    let style = Style::default();
+    let style = SceneStyle::default();
     shot(&mut scene, "splats", &style, None, &view)?;
-    shot(&mut scene, "one-sided", &Style { two_sided: false, ..style }, None, &view)?;
+    shot(&mut scene, "one-sided", &SceneStyle { two_sided: false, ..style }, None, &view)?;
     shot(&mut scene, "near", &style, None, &near)?;
-    shot(&mut scene, "double", &Style { scale: Scale::Double, ..style }, None, &view)?;
-    shot(&mut scene, "coarse", &Style { scale: Scale::Half, ..style }, None, &view)?;
-    shot(&mut scene, "triangles", &Style { mode: Mode::Triangles, ..style }, None, &view)?;
-    let dark = Style { background: Background::Dark, light: Light::Head, ..style };
+    shot(&mut scene, "double", &SceneStyle { scale: PixelScale::Double, ..style }, None, &view)?;
+    shot(&mut scene, "coarse", &SceneStyle { scale: PixelScale::Half, ..style }, None, &view)?;
+    shot(&mut scene, "triangles", &SceneStyle { mode: SurfaceMode::Triangles, ..style }, None, &view)?;
+    let dark = SceneStyle { background: Background::Dark, light: Light::Head, ..style };
     shot(&mut scene, "dark", &dark, None, &view)?;
     shot(&mut scene, "budget", &style, Some(&mut Budget::new(Duration::from_millis(40))), &view)?;
 

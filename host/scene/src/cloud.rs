@@ -62,8 +62,8 @@ pub enum BadSurface {
 pub(crate) struct Cloud {
     /// In which the samples are held and drawn; triangles speak of places in it.
     order: Order,
-    chunks: Vec<Chunk>,
-    triangles: Option<Triangles>,
+    chunks: Vec<SampleChunk>,
+    triangles: Option<DrawnTriangles>,
     /// Half the diagonal of the bounding box.
     pub radius: f32,
 }
@@ -77,7 +77,7 @@ pub(crate) struct First {
 }
 
 /// A part of the samples.
-struct Chunk {
+struct SampleChunk {
     places: Range<usize>,
     geometry: Buffer,
     look: Buffer,
@@ -86,7 +86,7 @@ struct Chunk {
 }
 
 /// Three indices each.
-struct Triangles {
+struct DrawnTriangles {
     buffer: Buffer,
     indices: u32,
 }
@@ -94,15 +94,15 @@ struct Triangles {
 /// Position and packed normal; see `samples.wgsl`.
 type Geometry = [u32; 4];
 /// Radius and colour.
-type Look = [u32; 2];
+type DiscLook = [u32; 2];
 /// The longer axis, and how long the other one is beside it.
-type Shape = u32;
+type DiscShape = u32;
 
 /// Samples that a thread packs at once, at least.
 const LEAST_TOGETHER: usize = 4096;
 
 /// A disc's, which is as wide as it is long.
-const ROUND: Shape = 0xff00_0000;
+const ROUND: DiscShape = 0xff00_0000;
 
 /// Instead of a normal; the same in `samples.wgsl`.
 const HIDDEN: u32 = 0x8000_8000;
@@ -118,7 +118,7 @@ impl Cloud {
         let per_chunk = (most / size_of::<Geometry>()).min((u32::MAX / 3) as usize);
         let chunks = (0..samples)
             .step_by(per_chunk)
-            .map(|first| Chunk::new(&gpu.device, layout, first..samples.min(first + per_chunk)))
+            .map(|first| SampleChunk::new(&gpu.device, layout, first..samples.min(first + per_chunk)))
             .collect();
         let mut cloud = Self { order, chunks, triangles: None, radius: radius(surface.positions) };
         cloud.write_geometry(&gpu.queue, surface.positions, surface.normals);
@@ -127,7 +127,7 @@ impl Cloud {
         // Triangles reach all samples only where these are in one piece.
         if cloud.chunks.len() == 1 && !surface.triangles.is_empty() {
             cloud.triangles =
-                Triangles::new(gpu, &cloud.order.samples, surface.triangles, limits.max_buffer_size);
+                DrawnTriangles::new(gpu, &cloud.order.samples, surface.triangles, limits.max_buffer_size);
         }
         Ok(cloud)
     }
@@ -170,11 +170,11 @@ impl Cloud {
             (packed(of.positions[k], of.normals[k]), look(of.radii[k], color), shape)
         };
         let count = first.places.len();
-        let all: Vec<(Geometry, Look, Shape)> =
+        let all: Vec<(Geometry, DiscLook, DiscShape)> =
             (0..count).into_par_iter().with_min_len(LEAST_TOGETHER).map(packed).collect();
         // In the order of drawing.
         let mut geometry = vec![Geometry::default(); count];
-        let (mut looks, mut shapes) = (vec![Look::default(); count], vec![Shape::default(); count]);
+        let (mut looks, mut shapes) = (vec![DiscLook::default(); count], vec![DiscShape::default(); count]);
         for (packed, place) in all.into_iter().zip(&first.places) {
             let place = *place as usize;
             (geometry[place], looks[place], shapes[place]) = packed;
@@ -205,7 +205,8 @@ impl Cloud {
     pub fn write_shapes(&self, queue: &Queue, axes: &[[Vec3; 2]]) {
         let shape = |i: &u32| axes.get(*i as usize).map_or(ROUND, shape);
         for chunk in &self.chunks {
-            let packed: Vec<Shape> = self.order.samples[chunk.places.clone()].par_iter().map(shape).collect();
+            let packed: Vec<DiscShape> =
+                self.order.samples[chunk.places.clone()].par_iter().map(shape).collect();
             queue.write_buffer(&chunk.shape, 0, cast_slice(&packed));
         }
     }
@@ -213,7 +214,7 @@ impl Cloud {
     /// Uploads radii and colours, one for each sample.
     pub fn write_look(&self, queue: &Queue, radii: &[f32], colors: Option<&[[u8; 3]]>) {
         for chunk in &self.chunks {
-            let packed: Vec<Look> = self.order.samples[chunk.places.clone()]
+            let packed: Vec<DiscLook> = self.order.samples[chunk.places.clone()]
                 .par_iter()
                 .map(|&i| look(radii[i as usize], colors.map(|colors| colors[i as usize])))
                 .collect();
@@ -244,7 +245,7 @@ impl Cloud {
     }
 }
 
-impl Chunk {
+impl SampleChunk {
     fn new(device: &Device, layout: &BindGroupLayout, places: Range<usize>) -> Self {
         let buffer = |label, bytes: usize| {
             device.create_buffer(&wgpu::BufferDescriptor {
@@ -255,15 +256,15 @@ impl Chunk {
             })
         };
         let geometry = buffer("positions and normals", size_of::<Geometry>());
-        let look = buffer("radii and colours", size_of::<Look>());
-        let shape = buffer("axes", size_of::<Shape>());
+        let look = buffer("radii and colours", size_of::<DiscLook>());
+        let shape = buffer("axes", size_of::<DiscShape>());
         let buffers = [&geometry, &look, &shape].map(Buffer::as_entire_binding);
         let group = bind(device, "samples", layout, &buffers);
         Self { places, geometry, look, shape, group }
     }
 }
 
-impl Triangles {
+impl DrawnTriangles {
     /// None where the device takes no buffer that long.
     fn new(gpu: &Gpu, order: &[u32], triangles: &[[u32; 3]], most: u64) -> Option<Self> {
         let mut places = vec![0u32; order.len()];
@@ -314,7 +315,7 @@ fn radius(positions: &[Vec3]) -> f32 {
     if radius.is_finite() && radius > 0.0 { radius } else { 1.0 }
 }
 
-fn look(radius: f32, color: Option<[u8; 3]>) -> Look {
+fn look(radius: f32, color: Option<[u8; 3]>) -> DiscLook {
     let [r, g, b] = color.unwrap_or([255; 3]);
     let radius = if radius.is_finite() { radius } else { 0.0 };
     [radius.to_bits(), u32::from_le_bytes([r, g, b, 255])]
@@ -326,7 +327,7 @@ fn packed(position: Vec3, normal: Vec3) -> Geometry {
 }
 
 /// The direction of the longer axis in 12 bits each way, and the other one's length in 8, as a part of it.
-fn shape([long, short]: &[Vec3; 2]) -> Shape {
+fn shape([long, short]: &[Vec3; 2]) -> DiscShape {
     let Some(e) = on_octahedron(*long) else { return ROUND };
     let word = |x: f32| (rounded(x.clamp(-1.0, 1.0) * 2047.0) + 2047) as u32;
     // A conversion saturates, and gives 0 for NaN.

@@ -1,13 +1,13 @@
-//! What the shaders know of a frame: `Frame` in `common.wgsl`.
+//! What the shaders know of a frame: `FrameData` in `common.wgsl`.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Mat4, Vec3, Vec4};
 
-use crate::view::{Background, Light, Matcap, Style, View};
+use crate::view::{Background, Light, Matcap, SceneStyle, View};
 
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-pub(crate) struct Frame {
+pub(crate) struct FrameData {
     view: Mat4,
     projection: Mat4,
     key: Vec4,
@@ -41,11 +41,11 @@ const LIGHT: u32 = 8;
 /// How far the occlusion reaches, as a share of the surface's radius.
 const REACH: f32 = 0.13;
 
-impl Frame {
+impl FrameData {
     /// A frame drawn in so many pixels of a surface of a radius, with a ghost or not.
     pub fn new(
         view: &View,
-        style: &Style,
+        style: &SceneStyle,
         size: [u32; 2],
         finished: [u32; 2],
         radius: f32,

@@ -50,8 +50,8 @@ pub use budget::Budget;
 pub use cloud::{BadSurface, Surface};
 pub use gpu::{Gpu, NoGpu};
 pub use marks::{Dot, Line};
-pub use scene::{Drawn, Scene};
-pub use view::{Background, Light, Matcap, Mode, Scale, Style, View};
+pub use scene::{Scene, SurfaceShare};
+pub use view::{Background, Light, Matcap, PixelScale, SceneStyle, SurfaceMode, View};
 
 /// The format of the texture that [`Scene::render`] gives: 8 bits a channel, which hold sRGB values as they
 /// are (as in a PNG file; what egui takes as a texture of the user).

@@ -10,7 +10,7 @@ use wgpu::{
 };
 
 use crate::gpu::Gpu;
-use crate::pipeline::{Given, Recipe, begin, bind, layout, module, shader};
+use crate::pipeline::{Recipe, ShaderInput, begin, bind, layout, module, shader};
 use crate::targets::Targets;
 
 /// A straight line between two points.
@@ -91,7 +91,7 @@ impl Marks {
     pub const SHADER: &str = shader!("common.wgsl", "marks.wgsl");
 
     pub fn new(device: &Device, frame: &BindGroupLayout) -> Self {
-        let given = layout(device, "marks", &[Given::Storage, Given::Texture]);
+        let given = layout(device, "marks", &[ShaderInput::Storage, ShaderInput::Texture]);
         let target = wgpu::ColorTargetState {
             format: crate::FORMAT,
             blend: Some(wgpu::BlendState {

@@ -8,25 +8,25 @@ use std::cmp::Ordering;
 
 use wgpu::{BindGroup, BindGroupLayout, CommandEncoder, Device, RenderPipeline, TextureView};
 
-use crate::pipeline::{Given, Recipe, begin, bind, layout, module, shader};
+use crate::pipeline::{Recipe, ShaderInput, begin, bind, layout, module, shader};
 use crate::targets::{OCCLUSION, Targets};
 
 pub(crate) struct Passes {
-    occlusion: Pass,
-    shade: Pass,
+    occlusion: ScenePass,
+    shade: ScenePass,
     /// For more pixels than the finished picture has, as many, and fewer.
-    finish: [Pass; 3],
+    finish: [ScenePass; 3],
     sampler: wgpu::Sampler,
 }
 
-struct Pass {
+struct ScenePass {
     label: &'static str,
     pipeline: RenderPipeline,
     given: BindGroupLayout,
 }
 
 /// What the passes read of the targets.
-pub(crate) struct Groups {
+pub(crate) struct PassBindGroups {
     occlusion: BindGroup,
     shade: BindGroup,
     finish: BindGroup,
@@ -38,7 +38,7 @@ impl Passes {
     pub const FINISH_SHADER: &str = shader!("common.wgsl", "finish.wgsl");
 
     pub fn new(device: &Device, frame: &BindGroupLayout) -> Self {
-        let pass = |label, shader, fragment, given: &[Given], target: wgpu::TextureFormat| {
+        let pass = |label, shader, fragment, given: &[ShaderInput], target: wgpu::TextureFormat| {
             let given = layout(device, label, given);
             let recipe = Recipe {
                 label,
@@ -49,12 +49,18 @@ impl Passes {
                 targets: &[target.into()],
                 depth: None,
             };
-            Pass { label, pipeline: recipe.make(device), given }
+            ScenePass { label, pipeline: recipe.make(device), given }
         };
-        let smooth = [Given::Smooth, Given::Sampler];
+        let smooth = [ShaderInput::Smooth, ShaderInput::Sampler];
         Self {
-            occlusion: pass("occlusion", Self::OCCLUSION_SHADER, "pixel", &[Given::Texture; 2], OCCLUSION),
-            shade: pass("shade", Self::SHADE_SHADER, "pixel", &[Given::Texture; 6], crate::FORMAT),
+            occlusion: pass(
+                "occlusion",
+                Self::OCCLUSION_SHADER,
+                "pixel",
+                &[ShaderInput::Texture; 2],
+                OCCLUSION,
+            ),
+            shade: pass("shade", Self::SHADE_SHADER, "pixel", &[ShaderInput::Texture; 6], crate::FORMAT),
             finish: ["averaged", "smoothed", "stretched"]
                 .map(|way| pass("finish", Self::FINISH_SHADER, way, &smooth, crate::FORMAT)),
             sampler: device.create_sampler(&wgpu::SamplerDescriptor {
@@ -65,14 +71,14 @@ impl Passes {
         }
     }
 
-    pub fn groups(&self, device: &Device, targets: &Targets) -> Groups {
+    pub fn groups(&self, device: &Device, targets: &Targets) -> PassBindGroups {
         let texture = wgpu::BindingResource::TextureView;
         let seen = &targets.seen;
         // Without a ghost, the shader does not look at it.
         let ghost = targets.ghost.as_ref().unwrap_or(seen);
         let shade = [&seen.color, &seen.normal, &seen.depth, &targets.occlusion, &ghost.normal, &ghost.depth];
         let finish = [texture(&targets.lit), wgpu::BindingResource::Sampler(&self.sampler)];
-        Groups {
+        PassBindGroups {
             occlusion: self.occlusion.bind(device, &[&seen.normal, &seen.depth].map(texture)),
             shade: self.shade.bind(device, &shade.map(texture)),
             finish: self.finish[targets.way()].bind(device, &finish),
@@ -83,13 +89,19 @@ impl Passes {
         &self,
         encoder: &mut CommandEncoder,
         targets: &Targets,
-        groups: &Groups,
+        groups: &PassBindGroups,
         frame: &BindGroup,
     ) {
         self.occlusion.draw(encoder, &targets.occlusion, frame, &groups.occlusion);
     }
 
-    pub fn shade(&self, encoder: &mut CommandEncoder, targets: &Targets, groups: &Groups, frame: &BindGroup) {
+    pub fn shade(
+        &self,
+        encoder: &mut CommandEncoder,
+        targets: &Targets,
+        groups: &PassBindGroups,
+        frame: &BindGroup,
+    ) {
         self.shade.draw(encoder, &targets.lit, frame, &groups.shade);
     }
 
@@ -98,7 +110,7 @@ impl Passes {
         &self,
         encoder: &mut CommandEncoder,
         targets: &Targets,
-        groups: &Groups,
+        groups: &PassBindGroups,
         frame: &BindGroup,
         finished: &TextureView,
     ) {
@@ -106,7 +118,7 @@ impl Passes {
     }
 }
 
-impl Pass {
+impl ScenePass {
     fn bind(&self, device: &Device, resources: &[wgpu::BindingResource<'_>]) -> BindGroup {
         bind(device, self.label, &self.given, resources)
     }

@@ -14,7 +14,7 @@ pub(crate) use shader;
 
 /// What a shader is given.
 #[derive(Clone, Copy)]
-pub(crate) enum Given {
+pub(crate) enum ShaderInput {
     Uniform,
     Storage,
     /// Read pixel by pixel.
@@ -25,7 +25,7 @@ pub(crate) enum Given {
 }
 
 /// The layout of a group: what it gives, by binding.
-pub(crate) fn layout(device: &Device, label: &str, given: &[Given]) -> BindGroupLayout {
+pub(crate) fn layout(device: &Device, label: &str, given: &[ShaderInput]) -> BindGroupLayout {
     let texture = |filterable| BindingType::Texture {
         sample_type: TextureSampleType::Float { filterable },
         view_dimension: TextureViewDimension::D2,
@@ -39,11 +39,11 @@ pub(crate) fn layout(device: &Device, label: &str, given: &[Given]) -> BindGroup
             binding,
             visibility: ShaderStages::VERTEX_FRAGMENT,
             ty: match given {
-                Given::Uniform => buffer(BufferBindingType::Uniform),
-                Given::Storage => buffer(BufferBindingType::Storage { read_only: true }),
-                Given::Texture => texture(false),
-                Given::Smooth => texture(true),
-                Given::Sampler => BindingType::Sampler(SamplerBindingType::Filtering),
+                ShaderInput::Uniform => buffer(BufferBindingType::Uniform),
+                ShaderInput::Storage => buffer(BufferBindingType::Storage { read_only: true }),
+                ShaderInput::Texture => texture(false),
+                ShaderInput::Smooth => texture(true),
+                ShaderInput::Sampler => BindingType::Sampler(SamplerBindingType::Filtering),
             },
             count: None,
         })
@@ -167,15 +167,15 @@ pub(crate) fn begin<'a>(
 mod tests {
     use crate::marks::Marks;
     use crate::passes::Passes;
-    use crate::splats::Splats;
+    use crate::splats::SplatPasses;
     use crate::triangles::TriangleMesh;
 
     /// All shaders are valid for any device, without extensions.
     #[test]
     fn shaders_are_valid() {
         for (name, source) in [
-            ("splats", Splats::SHADER),
-            ("resolve", Splats::RESOLVE_SHADER),
+            ("splats", SplatPasses::SHADER),
+            ("resolve", SplatPasses::RESOLVE_SHADER),
             ("triangles", TriangleMesh::SHADER),
             ("occlusion", Passes::OCCLUSION_SHADER),
             ("shade", Passes::SHADE_SHADER),

@@ -16,11 +16,11 @@ use crate::cloud::{BadSurface, Cloud, First, Surface, same_length};
 use crate::gpu::Gpu;
 use crate::marks::{Dot, Line, Marks};
 use crate::passes::Passes;
-use crate::pipeline::{Given, layout};
-use crate::splats::Splats;
+use crate::pipeline::{ShaderInput, layout};
+use crate::splats::SplatPasses;
 use crate::triangles::TriangleMesh;
-use crate::view::{Scale, Style, View};
-use stage::{Filled, Stage, Uniform};
+use crate::view::{PixelScale, SceneStyle, View};
+use stage::{FilledSplats, SizedTargets, Uniform};
 
 /// In so many frames for each pass, at most, all splats are drawn at rest.
 const MOST_STEPS: usize = 64;
@@ -29,7 +29,7 @@ const MOST_STEPS: usize = 64;
 pub struct Scene {
     gpu: Gpu,
     samples: BindGroupLayout,
-    splats: Splats,
+    splats: SplatPasses,
     mesh: TriangleMesh,
     passes: Passes,
     marks: Marks,
@@ -46,21 +46,21 @@ pub struct Scene {
     details: BTreeMap<u64, Cloud>,
     ghost: Option<Cloud>,
     /// By how finely they are drawn.
-    stages: BTreeMap<Scale, Stage>,
+    stages: BTreeMap<PixelScale, SizedTargets>,
     finished: Option<(Texture, TextureView)>,
     /// What the picture is of, while surfaces are as they were.
-    of: Option<(View, Style)>,
+    of: Option<(View, SceneStyle)>,
     /// Which stage the picture comes from.
-    shown: Scale,
-    drawn: Drawn,
+    shown: PixelScale,
+    drawn: SurfaceShare,
     /// How far all splats are summed up, for the picture that follows one of a part of them.
-    filled: Filled,
+    filled: FilledSplats,
     marks_changed: bool,
 }
 
 /// How much of the surface the picture shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Drawn {
+pub struct SurfaceShare {
     /// Splats drawn (triangles, where these are shown) ...
     pub drawn: usize,
     /// ... of so many.
@@ -74,10 +74,10 @@ impl Scene {
     /// An empty scene.
     pub fn new(gpu: &Gpu) -> Self {
         let device = &gpu.device;
-        let frame = layout(device, "frame", &[Given::Uniform]);
-        let samples = layout(device, "samples", &[Given::Storage; 3]);
+        let frame = layout(device, "frame", &[ShaderInput::Uniform]);
+        let samples = layout(device, "samples", &[ShaderInput::Storage; 3]);
         Self {
-            splats: Splats::new(device, &frame, &samples),
+            splats: SplatPasses::new(device, &frame, &samples),
             mesh: TriangleMesh::new(device, &frame, &samples),
             passes: Passes::new(device, &frame),
             marks: Marks::new(device, &frame),
@@ -94,9 +94,9 @@ impl Scene {
             stages: BTreeMap::new(),
             finished: None,
             of: None,
-            shown: Scale::Full,
-            drawn: Drawn::default(),
-            filled: Filled::default(),
+            shown: PixelScale::Full,
+            drawn: SurfaceShare::default(),
+            filled: FilledSplats::default(),
             marks_changed: false,
         }
     }
@@ -233,7 +233,7 @@ impl Scene {
     }
 
     /// How much of the surface the last picture shows.
-    pub fn drawn(&self) -> Drawn {
+    pub fn drawn(&self) -> SurfaceShare {
         self.drawn
     }
 
@@ -242,8 +242,8 @@ impl Scene {
     ///
     /// Without a budget all is drawn at once, and the device may go on drawing when this returns. With one, a
     /// changed scene is drawn as well as its time allows; then calls draw more, and every few of them show a
-    /// picture of some more splats, until [`Drawn::complete`].
-    pub fn render(&mut self, view: &View, style: &Style, budget: Option<&mut Budget>) -> &TextureView {
+    /// picture of some more splats, until [`SurfaceShare::complete`].
+    pub fn render(&mut self, view: &View, style: &SceneStyle, budget: Option<&mut Budget>) -> &TextureView {
         let (view, style) = self.drawable(view, style);
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         let started = Instant::now();
@@ -251,9 +251,9 @@ impl Scene {
         if changed || (budget.is_none() && !self.drawn.complete) {
             self.resize(&view, style.scale);
             self.of = Some((view, style));
-            self.filled = Filled::default();
+            self.filled = FilledSplats::default();
             let (splats, scale) = match &budget {
-                Some(budget) if budget.is_coarse() => (budget.splats(), Scale::Half),
+                Some(budget) if budget.is_coarse() => (budget.splats(), PixelScale::Half),
                 Some(budget) => (budget.splats(), style.scale),
                 None => (usize::MAX, style.scale),
             };
@@ -279,11 +279,11 @@ impl Scene {
     }
 
     /// What the device can draw of this.
-    fn drawable(&self, view: &View, style: &Style) -> (View, Style) {
+    fn drawable(&self, view: &View, style: &SceneStyle) -> (View, SceneStyle) {
         let most = self.gpu.device.limits().max_texture_dimension_2d;
         let view = View { size: view.size.map(|s| s.clamp(1, most)), ..*view };
-        let is_large = style.scale == Scale::Double && view.size.iter().any(|s| 2 * s > most);
-        (view, Style { scale: if is_large { Scale::Full } else { style.scale }, ..*style })
+        let is_large = style.scale == PixelScale::Double && view.size.iter().any(|s| 2 * s > most);
+        (view, SceneStyle { scale: if is_large { PixelScale::Full } else { style.scale }, ..*style })
     }
 
     /// The last picture; none before there is any, or where the device is lost.

@@ -11,10 +11,10 @@ use std::ops::Range;
 use wgpu::{BindGroup, BindGroupLayout, CommandEncoder, Device, RenderPipeline, TextureView};
 
 use crate::cloud::Cloud;
-use crate::pipeline::{Given, Recipe, begin, bind, layout, module, shader};
-use crate::targets::{DEPTHS, SEEN, SUMS, Seen, Targets};
+use crate::pipeline::{Recipe, ShaderInput, begin, bind, layout, module, shader};
+use crate::targets::{DEPTHS, SEEN, SUMS, SurfaceTargets, Targets};
 
-pub(crate) struct Splats {
+pub(crate) struct SplatPasses {
     depth: RenderPipeline,
     blend: RenderPipeline,
     resolve: RenderPipeline,
@@ -30,20 +30,20 @@ pub(crate) struct CloudRange<'a> {
 }
 
 /// What the passes read of the targets.
-pub(crate) struct Groups {
+pub(crate) struct SplatBindGroups {
     nearest: BindGroup,
     sums: BindGroup,
 }
 
-impl Splats {
+impl SplatPasses {
     pub const SHADER: &str = shader!("common.wgsl", "samples.wgsl", "splats.wgsl");
     pub const RESOLVE_SHADER: &str = shader!("common.wgsl", "resolve.wgsl");
 
     pub fn new(device: &Device, frame: &BindGroupLayout, samples: &BindGroupLayout) -> Self {
         let splats = module(device, "splats", Self::SHADER);
         let resolve = module(device, "resolve", Self::RESOLVE_SHADER);
-        let nearest = layout(device, "nearest", &[Given::Texture]);
-        let sums = layout(device, "sums", &[Given::Texture; 3]);
+        let nearest = layout(device, "nearest", &[ShaderInput::Texture]);
+        let sums = layout(device, "sums", &[ShaderInput::Texture; 3]);
         let one = wgpu::BlendComponent {
             src_factor: wgpu::BlendFactor::One,
             dst_factor: wgpu::BlendFactor::One,
@@ -85,10 +85,10 @@ impl Splats {
         Self { depth, blend, resolve, nearest, sums }
     }
 
-    pub fn groups(&self, device: &Device, targets: &Targets) -> Groups {
+    pub fn groups(&self, device: &Device, targets: &Targets) -> SplatBindGroups {
         let texture = wgpu::BindingResource::TextureView;
         let Targets { nearest, colors, surfaces, .. } = targets;
-        Groups {
+        SplatBindGroups {
             nearest: bind(device, "nearest", &self.nearest, &[texture(nearest)]),
             sums: bind(device, "sums", &self.sums, &[texture(nearest), texture(colors), texture(surfaces)]),
         }
@@ -114,7 +114,7 @@ impl Splats {
         &self,
         encoder: &mut CommandEncoder,
         targets: &Targets,
-        groups: &Groups,
+        groups: &SplatBindGroups,
         parts: &[CloudRange<'_>],
         anew: bool,
     ) {
@@ -127,7 +127,13 @@ impl Splats {
     }
 
     /// The means of the sums.
-    pub fn resolve(&self, encoder: &mut CommandEncoder, groups: &Groups, frame: &BindGroup, seen: &Seen) {
+    pub fn resolve(
+        &self,
+        encoder: &mut CommandEncoder,
+        groups: &SplatBindGroups,
+        frame: &BindGroup,
+        seen: &SurfaceTargets,
+    ) {
         let mut pass = begin(encoder, "splats: resolve", &seen.attachments(), None);
         pass.set_pipeline(&self.resolve);
         pass.set_bind_group(0, frame, &[]);

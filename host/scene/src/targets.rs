@@ -25,15 +25,15 @@ pub(crate) struct Targets {
     pub colors: TextureView,
     pub surfaces: TextureView,
     /// What is seen of the surface.
-    pub seen: Seen,
+    pub seen: SurfaceTargets,
     /// What is seen of the ghost, once there is one.
-    pub ghost: Option<Seen>,
+    pub ghost: Option<SurfaceTargets>,
     pub occlusion: TextureView,
     pub lit: TextureView,
 }
 
 /// The surface that is seen: colour, normal, depth.
-pub(crate) struct Seen {
+pub(crate) struct SurfaceTargets {
     pub color: TextureView,
     pub normal: TextureView,
     pub depth: TextureView,
@@ -49,7 +49,7 @@ impl Targets {
             nearest: view("nearest", DEPTHS),
             colors: view("sums of colours", SUMS),
             surfaces: view("sums of normals", SUMS),
-            seen: Seen::new(device, size),
+            seen: SurfaceTargets::new(device, size),
             ghost: None,
             occlusion: texture(device, "occlusion", size.map(|s| s.div_ceil(2)), OCCLUSION)
                 .create_view(&Default::default()),
@@ -58,7 +58,7 @@ impl Targets {
     }
 }
 
-impl Seen {
+impl SurfaceTargets {
     pub fn new(device: &Device, size: [u32; 2]) -> Self {
         let [color, normal, depth] =
             SEEN.map(|format| texture(device, "seen", size, format).create_view(&Default::default()));
@@ -94,7 +94,7 @@ pub(crate) fn texture(
     })
 }
 
-impl Seen {
+impl SurfaceTargets {
     /// Nothing is seen.
     pub fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
         begin(encoder, "nothing", &self.attachments(), None);

@@ -4,7 +4,7 @@ use wgpu::{BindGroup, BindGroupLayout, CommandEncoder, Device, RenderPipeline, T
 
 use crate::cloud::Cloud;
 use crate::pipeline::{Recipe, begin, module, shader};
-use crate::targets::{SEEN, Seen};
+use crate::targets::{SEEN, SurfaceTargets};
 
 pub(crate) struct TriangleMesh {
     pipeline: RenderPipeline,
@@ -30,7 +30,7 @@ impl TriangleMesh {
         &self,
         encoder: &mut CommandEncoder,
         depth: &TextureView,
-        seen: &Seen,
+        seen: &SurfaceTargets,
         frame: &BindGroup,
         cloud: &Cloud,
     ) {

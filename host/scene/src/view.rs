@@ -16,9 +16,9 @@ pub struct View {
 
 /// How.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Style {
+pub struct SceneStyle {
     /// What stands for the surface.
-    pub mode: Mode,
+    pub mode: SurfaceMode,
     /// Whether samples show their own colours, or all the same clay.
     pub own_colors: bool,
     /// What is behind the surface.
@@ -35,13 +35,13 @@ pub struct Style {
     /// How much the ghost hides, from 0 to 1.
     pub ghost_opacity: f32,
     /// How finely it is drawn.
-    pub scale: Scale,
+    pub scale: PixelScale,
 }
 
-impl Default for Style {
+impl Default for SceneStyle {
     fn default() -> Self {
         Self {
-            mode: Mode::Splats,
+            mode: SurfaceMode::Splats,
             own_colors: false,
             background: Background::Light,
             light: Light::Key,
@@ -49,14 +49,14 @@ impl Default for Style {
             two_sided: true,
             clip: None,
             ghost_opacity: 0.5,
-            scale: Scale::Full,
+            scale: PixelScale::Full,
         }
     }
 }
 
 /// What stands for the surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mode {
+pub enum SurfaceMode {
     /// A disc for each sample.
     Splats,
     /// Triangles, where the surface has any; else discs.
@@ -103,7 +103,7 @@ pub enum Matcap {
 
 /// How many pixels are drawn for a pixel of the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Scale {
+pub enum PixelScale {
     /// One for four: coarse, for software that draws while something moves.
     Half,
     /// One each, with edges smoothed afterwards.
@@ -112,7 +112,7 @@ pub enum Scale {
     Double,
 }
 
-impl Scale {
+impl PixelScale {
     /// Width or height in drawn pixels.
     pub(crate) fn drawn(self, pixels: u32) -> u32 {
         match self {

@@ -184,7 +184,7 @@ impl Keyed for Finer {
 mod tests {
     use super::*;
     use crate::params::ParamValue;
-    use crate::shapes::{Shape, Shapes};
+    use crate::shapes::{RegionShape, Shapes};
     use std::collections::HashSet;
 
     fn key(what: &(impl Keyed + ?Sized)) -> u64 {
@@ -193,7 +193,7 @@ mod tests {
 
     #[test]
     fn equal_things_have_equal_keys_and_others_do_not() {
-        let ball = |radius| Shape::Sphere { center: DVec3::ONE, radius };
+        let ball = |radius| RegionShape::Sphere { center: DVec3::ONE, radius };
         let cases = [
             key(&("ab", "c")),
             key(&("a", "bc")),
@@ -206,8 +206,8 @@ mod tests {
             key(&None::<f64>),
             key(&ball(1.0)),
             key(&ball(1.0 + f64::EPSILON)),
-            key(&Shape::Box { min: DVec3::ZERO, max: DVec3::ONE }),
-            key(&Shape::HalfSpace { point: DVec3::ZERO, normal: DVec3::ONE }),
+            key(&RegionShape::Box { min: DVec3::ZERO, max: DVec3::ONE }),
+            key(&RegionShape::HalfSpace { point: DVec3::ZERO, normal: DVec3::ONE }),
             key(&Shapes { shapes: vec![ball(1.0)], falloff: 0.0 }),
             key(&Shapes { shapes: vec![ball(1.0), ball(1.0)], falloff: 0.0 }),
             key(&ParamValue::Float(1.0)),

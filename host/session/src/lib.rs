@@ -49,6 +49,6 @@ pub use picked::PickedPoints;
 pub use pipeline::{ExactCost, Run, Running};
 pub use plugins::{Isolation, PluginOptions, PluginRegistry, Rejected};
 pub use session_file::SessionFile;
-pub use shapes::{Shape, Shapes};
+pub use shapes::{RegionShape, Shapes};
 pub use stack::{PreparedStack, Stack};
 pub use tolerance::{Certificate, Tolerance};

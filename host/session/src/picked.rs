@@ -2,7 +2,7 @@
 //! are not.
 
 use crate::key::{Key, Keyed};
-use crate::side_file::{Kind, MOST_IN_SESSION, Reference, write as write_file};
+use crate::side_file::{MOST_IN_SESSION, Reference, SideFileKind, write as write_file};
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -17,20 +17,20 @@ use xxhash_rust::xxh3::xxh3_128;
 ///
 /// Memory: 24 bytes a point, and 32 more once distances are asked for. A clone shares it.
 #[derive(Clone)]
-pub struct PickedPoints(Arc<Content>);
+pub struct PickedPoints(Arc<PickedContent>);
 
-struct Content {
+struct PickedContent {
     inside: Vec<DVec3>,
     outside: Vec<DVec3>,
     /// A file of them that was not read yet.
     file: Option<Reference>,
     /// Stands for all of it.
     hash: u128,
-    search: OnceLock<Search>,
+    search: OnceLock<PickedSearch>,
 }
 
 /// Finds the nearest of points.
-struct Search {
+struct PickedSearch {
     /// Nothing where there are no points.
     inside: Option<ImmutableKdTree<f64, 3>>,
     outside: Option<ImmutableKdTree<f64, 3>>,
@@ -61,7 +61,7 @@ impl PickedPoints {
         let count = inside.len().to_le_bytes();
         let bytes = inside.iter().chain(&outside).flat_map(|p| p.to_array()).flat_map(f64::to_le_bytes);
         let hash = xxh3_128(&count.into_iter().chain(bytes).collect::<Vec<u8>>());
-        Self(Arc::new(Content { inside, outside, file, hash, search: OnceLock::new() }))
+        Self(Arc::new(PickedContent { inside, outside, file, hash, search: OnceLock::new() }))
     }
 
     /// The points that are in it.
@@ -96,8 +96,8 @@ impl PickedPoints {
     /// difference between those to the nearest points of both; farther out, where the nearest one outside
     /// tells nothing, that to the nearest point inside, without its half of the gap.
     pub fn signed_distance(&self, p: DVec3) -> f64 {
-        let Content { inside, outside, .. } = &*self.0;
-        let search = self.0.search.get_or_init(|| Search::new(inside, outside));
+        let PickedContent { inside, outside, .. } = &*self.0;
+        let search = self.0.search.get_or_init(|| PickedSearch::new(inside, outside));
         let Some((i, to_inside)) = nearest(search.inside.as_ref(), inside, p) else { return f64::INFINITY };
         let Some((_, to_outside)) = nearest(search.outside.as_ref(), outside, p) else { return -f64::MAX };
         let near = 0.5 * (to_inside - to_outside);
@@ -110,7 +110,7 @@ impl PickedPoints {
     /// The file cannot be read, or is not what the session was saved with.
     pub(crate) fn loaded(self, folder: &Path) -> Result<Self> {
         let Some(file) = &self.0.file else { return Ok(self) };
-        file.read(folder, Kind::Selection, |raw: [Vec<[f64; 3]>; 2]| {
+        file.read(folder, SideFileKind::Selection, |raw: [Vec<[f64; 3]>; 2]| {
             let [inside, outside] = raw.map(points);
             let read = Self::new(inside, outside);
             read.defect().map_or(Ok(read), |what| Err(what.to_owned()))
@@ -131,7 +131,7 @@ impl PickedPoints {
             return Ok(None);
         }
         let content = [arrays(&self.0.inside), arrays(&self.0.outside)];
-        write_file(session, Kind::Selection, &content).map(Some)
+        write_file(session, SideFileKind::Selection, &content).map(Some)
     }
 
     /// What stands for it where it is in a file.
@@ -148,7 +148,7 @@ fn arrays(from: &[DVec3]) -> Vec<[f64; 3]> {
     from.iter().map(DVec3::to_array).collect()
 }
 
-impl Search {
+impl PickedSearch {
     fn new(inside: &[DVec3], outside: &[DVec3]) -> Self {
         let tree = |points: &[DVec3]| ImmutableKdTree::new_from_slice(&arrays(points)).ok();
         let outside_tree = tree(outside).filter(|_| !outside.is_empty());
@@ -179,14 +179,14 @@ impl Keyed for PickedPoints {
 
 impl std::fmt::Debug for PickedPoints {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Content { inside, outside, file, hash, .. } = &*self.0;
+        let PickedContent { inside, outside, file, hash, .. } = &*self.0;
         write!(f, "PickedPoints({} inside, {} outside, {hash:032x}, {file:?})", inside.len(), outside.len())
     }
 }
 
 impl Serialize for PickedPoints {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let Content { inside, outside, file, .. } = &*self.0;
+        let PickedContent { inside, outside, file, .. } = &*self.0;
         Raw { inside: arrays(inside), outside: arrays(outside), file: file.clone() }.serialize(serializer)
     }
 }
@@ -201,7 +201,7 @@ impl<'de> Deserialize<'de> for PickedPoints {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shapes::{Shape, Shapes};
+    use crate::shapes::{RegionShape, Shapes};
 
     /// A grid of unit spacing on the plane, of which those left of x = 0 are selected; outside are `rings`
     /// columns.
@@ -225,7 +225,7 @@ mod tests {
 
     #[test]
     fn it_fades_out_as_other_shapes_do() {
-        let soft = Shapes { shapes: vec![Shape::Selection(half(1))], falloff: 4.0 };
+        let soft = Shapes { shapes: vec![RegionShape::Selection(half(1))], falloff: 4.0 };
         let weight = |x: f64| soft.weight(DVec3::new(x, 0.5, 0.1));
         assert_eq!((weight(-2.0), weight(0.0), weight(6.0)), (1.0, 1.0, 0.0));
         assert!((weight(2.5) - 0.5).abs() < 0.1, "{}", weight(2.5));
@@ -248,7 +248,7 @@ mod tests {
         assert!(half(1).defect().is_none());
         assert!(PickedPoints::new(Vec::new(), vec![DVec3::ONE]).defect().is_some());
         assert!(PickedPoints::new(vec![DVec3::ONE], vec![DVec3::NAN]).defect().is_some());
-        let read: Shape =
+        let read: RegionShape =
             toml::from_str("selection = { file = { file = \"a\", fingerprint = \"b\" } }").unwrap();
         assert!(read.defect().unwrap().contains("only a session"));
     }

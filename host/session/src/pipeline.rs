@@ -430,8 +430,8 @@ fn evaluated(
     write_exact(sampled, model, &field, &map, version, how, progress)
 }
 
-impl From<session_file::Sampling> for Sampling {
-    fn from(from: session_file::Sampling) -> Self {
+impl From<session_file::SamplingTable> for Sampling {
+    fn from(from: session_file::SamplingTable) -> Self {
         let target = match (from.samples, from.error) {
             (Some(n), _) => Target::Samples(n),
             (None, Some(e)) => Target::Error(e),

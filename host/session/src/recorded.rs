@@ -169,9 +169,9 @@ fn only_element(list: Option<toml::Value>) -> Option<toml::Value> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::edit::{Change, Command};
+    use crate::edit::{Change, EditCommand};
     use crate::picked::PickedPoints;
-    use crate::shapes::{Shape, Shapes};
+    use crate::shapes::{RegionShape, Shapes};
     use crate::step::{Joint, Stroke};
     use glam::DVec3;
     use simod_core::refinement::Finer;
@@ -179,9 +179,9 @@ mod tests {
     use std::sync::Arc;
 
     fn region() -> Region {
-        let ball = Shape::Sphere { center: DVec3::new(0.1, 300.0, 1e-30), radius: 1.0 / 3.0 };
+        let ball = RegionShape::Sphere { center: DVec3::new(0.1, 300.0, 1e-30), radius: 1.0 / 3.0 };
         let picked = PickedPoints::new(vec![DVec3::splat(1.0 / 3.0)], vec![DVec3::X]);
-        let shapes = Shapes { shapes: vec![ball, Shape::Selection(picked)], falloff: 0.3 };
+        let shapes = Shapes { shapes: vec![ball, RegionShape::Selection(picked)], falloff: 0.3 };
         Region { role: Role::Handle, shapes, motion: motion() }
     }
 
@@ -242,11 +242,11 @@ mod tests {
     #[test]
     fn former_recordings_are_read() {
         let lines = include_str!("former-recording.jsonl").lines();
-        let read: Vec<Command> = lines.map(|line| serde_json::from_str(line).unwrap()).collect();
-        let change = |change| Command::Change { at: 0, change };
+        let read: Vec<EditCommand> = lines.map(|line| serde_json::from_str(line).unwrap()).collect();
+        let change = |change| EditCommand::Change { at: 0, change };
         let expected = [
-            Command::Add { at: 0, step: Box::new(step()) },
-            Command::Insert { at: 0, steps: vec![Step::new(Action::Refine(refine()))] },
+            EditCommand::Add { at: 0, step: Box::new(step()) },
+            EditCommand::Insert { at: 0, steps: vec![Step::new(Action::Refine(refine()))] },
             change(Change::SetRegions(vec![region()])),
             change(Change::MoveHandles(vec![HandleMove { id: "3,3,3".to_owned(), motion: motion() }])),
             change(Change::SetRefine(refine())),

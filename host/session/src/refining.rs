@@ -3,7 +3,7 @@
 use crate::step::Refine;
 use glam::DVec3;
 use simod_core::reconstruction::DeformationField;
-use simod_core::refinement::{Refined, Refining, Selection, refine};
+use simod_core::refinement::{Refined, Refining, SpaceSelection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Model, Progress, Result};
 use std::path::Path;
@@ -19,7 +19,7 @@ pub struct Room<'a> {
 
 /// The pose of the model in which the shapes are meant.
 #[derive(Clone, Copy)]
-pub enum Pose<'a> {
+pub enum ShapePose<'a> {
     /// As the deformation so far, if there is one, has left it.
     Deformed(Option<&'a DeformationField<'a>>),
     /// At rest, whatever the deformation so far.
@@ -36,17 +36,17 @@ impl Refine {
         &self,
         sampled: &SampledModel,
         model: &dyn Model,
-        pose: Pose<'_>,
+        pose: ShapePose<'_>,
         room: Room<'_>,
         progress: &dyn Progress,
     ) -> Result<Refined> {
         let everywhere = self.shapes.shapes.is_empty();
         let distance = |p: DVec3| if everywhere { -1.0 } else { self.shapes.signed_distance(p) };
         let (so_far, at_rest) = match pose {
-            Pose::Deformed(so_far) => (so_far, false),
-            Pose::Rest(so_far) => (so_far, true),
+            ShapePose::Deformed(so_far) => (so_far, false),
+            ShapePose::Rest(so_far) => (so_far, true),
         };
-        let selection = Selection { distance: &distance, so_far, at_rest };
+        let selection = SpaceSelection { distance: &distance, so_far, at_rest };
         let Room { memory_limit, folder } = room;
         let how = Refining { finer: self.finer, memory_limit, shapes: self.shapes.tables() };
         refine(sampled, model, selection, &how, folder, progress)

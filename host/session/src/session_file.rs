@@ -3,7 +3,7 @@
 use crate::step::Step;
 use serde::{Deserialize, Serialize};
 use simod_core::sampling::{By, Placement};
-use simod_model::follow::Kind;
+use simod_model::follow::TensorKind;
 use simod_model::target::{canonical_target, folder_of};
 use simod_model::{Error, ErrorKind, ModelName, Result, input};
 use simod_plugin_api::Time;
@@ -31,11 +31,11 @@ pub struct SessionFile {
     /// What its columns are, if it is a text in columns that does not say so, as "x,y,z,_,nx,ny,nz".
     pub columns: Option<String>,
     /// Numbers of the vertices that turn with the surface, by what their names begin with.
-    pub follow: BTreeMap<String, Kind>,
-    /// The model's [fingerprint](simod_core::sampled_model::Source) when the session was saved.
+    pub follow: BTreeMap<String, TensorKind>,
+    /// The model's [fingerprint](simod_core::sampled_model::SourceRecord) when the session was saved.
     pub fingerprint: Option<String>,
     /// How finely to sample it.
-    pub sampling: Sampling,
+    pub sampling: SamplingTable,
     /// Deformations and refinements, first to last.
     pub steps: Vec<Step>,
     /// When in a sequence the steps are done.
@@ -49,7 +49,7 @@ pub struct SessionFile {
 /// How finely to sample. At most one of `samples` and `error` is given.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub struct Sampling {
+pub struct SamplingTable {
     /// How many samples to take.
     pub samples: Option<u64>,
     /// Largest error, as a fraction of the diagonal of the bounding box.

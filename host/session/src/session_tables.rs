@@ -2,13 +2,13 @@
 //! sessions and those who write them. A place in the file goes along with what may be wrong.
 
 use crate::motion::Motion;
-use crate::session_file::{Sampling, SessionTime};
-use crate::shapes::Shape;
+use crate::session_file::{SamplingTable, SessionTime};
+use crate::shapes::RegionShape;
 use crate::side_file;
 use crate::step::{Joint, Origin, Role, Stroke};
 use serde::{Deserialize, Serialize};
 use simod_core::tables::Spanned;
-use simod_model::follow::Kind;
+use simod_model::follow::TensorKind;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -24,8 +24,8 @@ pub(crate) fn placeless<T>(value: T) -> Spanned<T> {
 pub(crate) struct SessionTable {
     pub version: Option<Spanned<i64>>,
     pub model: Option<Spanned<ModelTable>>,
-    pub follow: Option<Spanned<BTreeMap<String, Kind>>>,
-    pub sampling: Option<Spanned<Sampling>>,
+    pub follow: Option<Spanned<BTreeMap<String, TensorKind>>>,
+    pub sampling: Option<Spanned<SamplingTable>>,
     pub time: Option<Spanned<SessionTime>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub step: Vec<Spanned<StepTable>>,
@@ -119,7 +119,7 @@ impl StepTable {
 #[derive(Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub(crate) struct RefineTable {
-    pub shapes: Option<Vec<Spanned<Shape>>>,
+    pub shapes: Option<Vec<Spanned<RegionShape>>>,
     pub auto: Option<bool>,
     pub error: Option<f64>,
     pub factor: Option<f64>,
@@ -132,7 +132,7 @@ pub(crate) struct RefineTable {
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct RegionTable {
     pub(crate) role: Role,
-    pub(crate) shapes: Vec<Spanned<Shape>>,
+    pub(crate) shapes: Vec<Spanned<RegionShape>>,
     pub(crate) falloff: Option<Spanned<f64>>,
     pub(crate) r#move: Option<Spanned<Motion>>,
 }

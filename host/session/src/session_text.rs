@@ -1,13 +1,13 @@
 //! Sessions as they are read: the tables of a file become a [`SessionFile`], or an error that says where it
 //! is wrong.
 
-use crate::session_file::{Sampling, SessionFile, SessionTime, VERSION, read_text};
+use crate::session_file::{SamplingTable, SessionFile, SessionTime, VERSION, read_text};
 pub use crate::session_tables::RegionTable;
 use crate::session_tables::{HandleTable, ModelTable, RefineTable, SessionTable, StepTable, TileNames};
-use crate::shapes::{Shape, Shapes};
+use crate::shapes::{RegionShape, Shapes};
 use crate::step::{
-    self, Action, Defect, Deformation, FINER, HandleMove, Joint, ParamPlaces, Part, Refine, Region, Role,
-    Step, Stroke,
+    self, Action, Defect, Deformation, FINER, HandleMove, Joint, ParamPlaces, Refine, Region, RegionPart,
+    Role, Step, Stroke,
 };
 use crate::strokes_file;
 use simod_core::refinement::Finer;
@@ -40,7 +40,9 @@ impl SessionFile {
             columns,
             fingerprint,
             follow: table.follow.map(Spanned::into_inner).unwrap_or_default(),
-            sampling: table.sampling.map_or(Ok(Sampling::default()), |sampling| source.sampling(sampling))?,
+            sampling: table
+                .sampling
+                .map_or(Ok(SamplingTable::default()), |sampling| source.sampling(sampling))?,
             time: table.time.map_or(Ok(SessionTime::default()), |time| source.time(&time))?,
             steps: table.step.into_iter().map(|s| source.step(s)).collect::<Result<_>>()?,
             output: table.output.as_ref().map(|output| named_from(folder, &output.path)),
@@ -87,7 +89,7 @@ impl SessionText<'_> {
     }
 
     /// The parser's complaint on one line, with the line of the file that it is about.
-    pub fn refused(&self, error: &tables::Refusal) -> Error {
+    pub fn refused(&self, error: &tables::TableError) -> Error {
         let message = error.message().lines().collect::<Vec<_>>().join("; ");
         let Some(span) = error.span() else {
             let what = format!("{}: {message}", self.path.display());
@@ -103,7 +105,7 @@ impl SessionText<'_> {
     ///
     /// # Errors
     /// Both a number of samples and an error are given, or a value is out of range: with the line.
-    pub fn sampling(&self, sampling: Spanned<Sampling>) -> Result<Sampling> {
+    pub fn sampling(&self, sampling: Spanned<SamplingTable>) -> Result<SamplingTable> {
         let span = sampling.span();
         let sampling = sampling.into_inner();
         let wrong = |what, hint: &str| Err(self.error(&span, what, hint));
@@ -235,12 +237,13 @@ impl SessionText<'_> {
     }
 
     /// Shapes that all make sense, selections with their points.
-    fn shapes(&self, tables: Vec<Spanned<Shape>>) -> Result<Shapes> {
+    fn shapes(&self, tables: Vec<Spanned<RegionShape>>) -> Result<Shapes> {
         let mut shapes = Shapes::default();
         for shape in tables {
             let (span, mut shape) = (shape.span(), shape.into_inner());
-            if let Shape::Selection(picked) = shape {
-                shape = Shape::Selection(picked.loaded(self.folder()).map_err(|e| self.locate(&span, e))?);
+            if let RegionShape::Selection(picked) = shape {
+                shape =
+                    RegionShape::Selection(picked.loaded(self.folder()).map_err(|e| self.locate(&span, e))?);
             }
             if let Some(what) = shape.defect() {
                 return Err(self.error(&span, what, "correct the shape"));
@@ -304,7 +307,7 @@ impl SessionText<'_> {
         }
         step::check_handles(&handles).map_err(|(number, defect)| {
             let (whole, motion) = &spans[number];
-            self.defect(if defect.part == Part::Move { motion } else { whole }, &defect)
+            self.defect(if defect.part == RegionPart::Move { motion } else { whole }, &defect)
         })?;
         Ok(handles)
     }
@@ -327,9 +330,9 @@ impl SessionText<'_> {
             (falloff.as_ref().map(Spanned::span), r#move.as_ref().map(Spanned::span));
         let refused = |defect: Defect| {
             let span = match defect.part {
-                Part::Whole => whole.clone(),
-                Part::Falloff => spanned(&falloff_span),
-                Part::Move => spanned(&move_span),
+                RegionPart::Whole => whole.clone(),
+                RegionPart::Falloff => spanned(&falloff_span),
+                RegionPart::Move => spanned(&move_span),
             };
             self.defect(&span, &defect)
         };
@@ -389,7 +392,10 @@ path = "/elsewhere/out.ply"
         assert_eq!(rbf.place, "edits/session.toml, line 6");
         let [rbf, warp] = [rbf, warp].map(|step| step.deformation().unwrap());
         assert_eq!((rbf.deform.as_str(), rbf.regions.len()), ("rbf", 2));
-        assert_eq!(rbf.regions[1].shapes.shapes[0], Shape::Sphere { center: DVec3::Y * 300.0, radius: 40.0 });
+        assert_eq!(
+            rbf.regions[1].shapes.shapes[0],
+            RegionShape::Sphere { center: DVec3::Y * 300.0, radius: 40.0 }
+        );
         assert_eq!(rbf.regions[1].shapes.falloff, 2.0);
         assert_eq!(rbf.regions[1].motion.degrees, 30.0);
         assert!(warp.params.is_empty());

@@ -3,13 +3,13 @@
 
 use crate::motion::Motion;
 use crate::picked::PickedPoints;
-use crate::session_file::{FIRST_VERSION, Sampling, SessionFile, SessionTime, VERSION, read_text};
+use crate::session_file::{FIRST_VERSION, SamplingTable, SessionFile, SessionTime, VERSION, read_text};
 use crate::session_layout;
 use crate::session_tables::{
     HandleTable, ModelTable, PathTable, RefineTable, RegionTable, SessionTable, StepTable, TileNames,
     placeless,
 };
-use crate::shapes::Shape;
+use crate::shapes::RegionShape;
 use crate::step::{Action, Deformation, HandleMove, Refine, Region, Step};
 use crate::strokes_file;
 use simod_core::refinement::Finer;
@@ -74,7 +74,7 @@ impl SessionFile {
             version: Some(placeless(FIRST_VERSION)),
             model: writer.model(self)?.map(placeless),
             follow: (!self.follow.is_empty()).then(|| placeless(self.follow.clone())),
-            sampling: (self.sampling != Sampling::default()).then_some(placeless(self.sampling)),
+            sampling: (self.sampling != SamplingTable::default()).then_some(placeless(self.sampling)),
             time: (self.time != SessionTime::default()).then_some(placeless(self.time)),
             step: spanned(&self.steps, |step| writer.step(step))?,
             output: self.output.as_deref().map(|output| writer.output(output)).transpose()?,
@@ -238,15 +238,15 @@ impl Writer<'_> {
     }
 
     /// Selections that are too long for one line are written beside the session, if that may be.
-    fn shapes(&mut self, from: &[Shape]) -> Result<Vec<Spanned<Shape>>> {
+    fn shapes(&mut self, from: &[RegionShape]) -> Result<Vec<Spanned<RegionShape>>> {
         spanned(from, |shape| {
             let in_file = match (shape, self.session) {
-                (Shape::Selection(picked), Some(session)) => picked.stored(session)?,
+                (RegionShape::Selection(picked), Some(session)) => picked.stored(session)?,
                 _ => None,
             };
             let Some(file) = in_file else { return Ok(shape.clone()) };
             self.files.push(self.folder.join(&file.file));
-            Ok(Shape::Selection(PickedPoints::in_file(file)))
+            Ok(RegionShape::Selection(PickedPoints::in_file(file)))
         })
     }
 }
@@ -258,7 +258,7 @@ mod tests {
     use crate::step::{Joint, Origin, Role, Stroke};
     use glam::DVec3;
     use simod_core::sampling::{By, Placement};
-    use simod_model::follow::Kind;
+    use simod_model::follow::TensorKind;
     use std::sync::Arc;
 
     fn stroke(points: usize) -> Arc<Stroke> {
@@ -270,9 +270,9 @@ mod tests {
 
     fn session(folder: &Path) -> SessionFile {
         let shapes = vec![
-            Shape::HalfSpace { point: DVec3::ZERO, normal: DVec3::NEG_Y },
-            Shape::Sphere { center: DVec3::new(0.1, 300.0, 0.0), radius: 1.0 / 3.0 },
-            Shape::Box { min: DVec3::ZERO, max: DVec3::ONE },
+            RegionShape::HalfSpace { point: DVec3::ZERO, normal: DVec3::NEG_Y },
+            RegionShape::Sphere { center: DVec3::new(0.1, 300.0, 0.0), radius: 1.0 / 3.0 },
+            RegionShape::Box { min: DVec3::ZERO, max: DVec3::ONE },
         ];
         let region = |role, falloff, motion| Region {
             role,
@@ -309,7 +309,7 @@ mod tests {
         for points in [10, 5000] {
             let all: Vec<DVec3> = (0..points).map(|i| DVec3::splat(f64::from(i) / 3.0)).collect();
             let picked = PickedPoints::new(all, vec![DVec3::NEG_X]);
-            long.regions[0].shapes.shapes.push(Shape::Selection(picked));
+            long.regions[0].shapes.shapes.push(RegionShape::Selection(picked));
         }
         let refine =
             |finer| Action::Refine(Refine { shapes: Shapes { shapes: shapes.clone(), falloff: 0.0 }, finer });
@@ -323,9 +323,9 @@ mod tests {
             model: Some(folder.join("models/nefertiti.ply")),
             tiles: Vec::new(),
             columns: Some("x,y,z,_,nx,ny,nz".into()),
-            follow: [("n1".to_owned(), Kind::Normal), ("t".to_owned(), Kind::Vector)].into(),
+            follow: [("n1".to_owned(), TensorKind::Normal), ("t".to_owned(), TensorKind::Vector)].into(),
             fingerprint: Some("xxh3-128:0".to_owned()),
-            sampling: Sampling {
+            sampling: SamplingTable {
                 samples: Some(50_000),
                 error: None,
                 grid: Some(64),

@@ -9,7 +9,7 @@ use simod_model::bounds::Bounds;
 /// A part of space, in model coordinates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Shape {
+pub enum RegionShape {
     /// All points on the side of a plane that its normal points to.
     HalfSpace {
         /// A point on the plane.
@@ -40,7 +40,7 @@ pub enum Shape {
     Selection(PickedPoints),
 }
 
-impl Shape {
+impl RegionShape {
     /// What is wrong with it, or nothing.
     pub fn defect(&self) -> Option<&'static str> {
         match *self {
@@ -82,7 +82,7 @@ impl Shape {
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Shapes {
     /// The shapes; none is nowhere.
-    pub shapes: Vec<Shape>,
+    pub shapes: Vec<RegionShape>,
     /// How far beyond the surface the weight falls to 0, in the model's unit; 0 for at once.
     #[serde(default)]
     pub falloff: f64,
@@ -94,7 +94,7 @@ impl Shapes {
     /// # Errors
     /// That.
     pub fn check(&self) -> Result<(), &'static str> {
-        if let Some(what) = self.shapes.iter().find_map(Shape::defect) {
+        if let Some(what) = self.shapes.iter().find_map(RegionShape::defect) {
             return Err(what);
         }
         if self.falloff >= 0.0 && self.falloff.is_finite() {
@@ -122,8 +122,8 @@ impl Shapes {
             let content = entries.map(|(key, value)| (key.to_owned(), value));
             toml::Table::from_iter([("selection".to_owned(), toml::Table::from_iter(content).into())])
         };
-        let table = |shape: &Shape| match shape {
-            Shape::Selection(picked) if picked.is_long() => summary(picked),
+        let table = |shape: &RegionShape| match shape {
+            RegionShape::Selection(picked) if picked.is_long() => summary(picked),
             _ => match toml::Value::try_from(shape) {
                 Ok(toml::Value::Table(table)) => table,
                 // Numbers are always TOML.
@@ -148,7 +148,7 @@ impl Shapes {
     }
 }
 
-impl Keyed for Shape {
+impl Keyed for RegionShape {
     fn add_to(&self, key: &mut Key) {
         match self {
             Self::HalfSpace { point, normal } => (0u8, [point, normal]).add_to(key),
@@ -170,13 +170,14 @@ impl Keyed for Shapes {
 mod tests {
     use super::*;
 
-    const BOX: Shape = Shape::Box { min: DVec3::ZERO, max: DVec3::new(1.0, 2.0, 3.0) };
+    const BOX: RegionShape = RegionShape::Box { min: DVec3::ZERO, max: DVec3::new(1.0, 2.0, 3.0) };
 
     #[test]
     fn distances() {
-        let above = Shape::HalfSpace { point: DVec3::new(0.0, 5.0, 0.0), normal: DVec3::new(0.0, 10.0, 0.0) };
+        let above =
+            RegionShape::HalfSpace { point: DVec3::new(0.0, 5.0, 0.0), normal: DVec3::new(0.0, 10.0, 0.0) };
         assert_eq!(above.signed_distance(DVec3::new(9.0, 7.0, 1.0)), -2.0);
-        let ball = Shape::Sphere { center: DVec3::X, radius: 2.0 };
+        let ball = RegionShape::Sphere { center: DVec3::X, radius: 2.0 };
         assert_eq!(ball.signed_distance(DVec3::X * 6.0), 3.0);
         assert_eq!(BOX.signed_distance(DVec3::new(0.5, 1.0, 1.0)), -0.5);
         assert_eq!(BOX.signed_distance(DVec3::new(4.0, 6.0, 1.0)), 5.0);
@@ -184,7 +185,7 @@ mod tests {
 
     #[test]
     fn weights_fall_off_smoothly_over_the_union() {
-        let ball = Shape::Sphere { center: DVec3::new(10.0, 0.0, 0.0), radius: 1.0 };
+        let ball = RegionShape::Sphere { center: DVec3::new(10.0, 0.0, 0.0), radius: 1.0 };
         let hard = Shapes { shapes: vec![BOX, ball], falloff: 0.0 };
         assert_eq!(hard.weight(DVec3::ONE), 1.0);
         assert_eq!(hard.weight(DVec3::new(11.0, 0.0, 0.0)), 1.0);
@@ -197,14 +198,15 @@ mod tests {
 
     #[test]
     fn tables_are_read_as_the_same_shapes() {
-        let ball = Shape::Sphere { center: DVec3::X, radius: 2.0 };
-        let half = Shape::HalfSpace { point: DVec3::ZERO, normal: DVec3::Y };
-        let picked = Shape::Selection(PickedPoints::new(vec![DVec3::ONE], vec![DVec3::X, DVec3::Z]));
+        let ball = RegionShape::Sphere { center: DVec3::X, radius: 2.0 };
+        let half = RegionShape::HalfSpace { point: DVec3::ZERO, normal: DVec3::Y };
+        let picked = RegionShape::Selection(PickedPoints::new(vec![DVec3::ONE], vec![DVec3::X, DVec3::Z]));
         let all = Shapes { shapes: vec![BOX, ball, half, picked], falloff: 0.0 };
-        let read: Vec<Shape> = all.tables().into_iter().map(|t| t.try_into().unwrap()).collect();
+        let read: Vec<RegionShape> = all.tables().into_iter().map(|t| t.try_into().unwrap()).collect();
         assert_eq!(read, all.shapes);
         let long = PickedPoints::new((0..2000).map(|i| DVec3::splat(f64::from(i))).collect(), Vec::new());
-        let summary = &Shapes { shapes: vec![Shape::Selection(long)], falloff: 0.0 }.tables()[0]["selection"];
+        let summary =
+            &Shapes { shapes: vec![RegionShape::Selection(long)], falloff: 0.0 }.tables()[0]["selection"];
         assert_eq!(
             (summary["points"].as_integer(), summary["max"][0].as_float()),
             (Some(2000), Some(1999.0))
@@ -214,9 +216,9 @@ mod tests {
     #[test]
     fn defects_are_found() {
         assert!(BOX.defect().is_none());
-        assert!(Shape::Box { min: DVec3::ONE, max: DVec3::ZERO }.defect().is_some());
-        assert!(Shape::Sphere { center: DVec3::ZERO, radius: 0.0 }.defect().is_some());
-        assert!(Shape::Sphere { center: DVec3::ZERO, radius: f64::NAN }.defect().is_some());
-        assert!(Shape::HalfSpace { point: DVec3::ZERO, normal: DVec3::ZERO }.defect().is_some());
+        assert!(RegionShape::Box { min: DVec3::ONE, max: DVec3::ZERO }.defect().is_some());
+        assert!(RegionShape::Sphere { center: DVec3::ZERO, radius: 0.0 }.defect().is_some());
+        assert!(RegionShape::Sphere { center: DVec3::ZERO, radius: f64::NAN }.defect().is_some());
+        assert!(RegionShape::HalfSpace { point: DVec3::ZERO, normal: DVec3::ZERO }.defect().is_some());
     }
 }

@@ -22,14 +22,14 @@ const HASH: usize = 12;
 
 /// What is in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum SideFileKind {
     /// The strokes of a step.
     Strokes,
     /// A region that was selected by hand.
     Selection,
 }
 
-impl Kind {
+impl SideFileKind {
     const ALL: [Self; 2] = [Self::Strokes, Self::Selection];
 
     /// How files of this kind begin, how their names end, and what they are called.
@@ -56,7 +56,7 @@ pub struct Reference {
 ///
 /// # Errors
 /// It cannot be written.
-pub fn write(session: &Path, kind: Kind, content: &impl Serialize) -> Result<Reference> {
+pub fn write(session: &Path, kind: SideFileKind, content: &impl Serialize) -> Result<Reference> {
     let (magic, extension, what) = kind.names();
     let bytes = postcard::to_extend(content, magic.to_vec())
         .map_err(|e| Error::unwritable(format_args!("a {what}"), e))?;
@@ -92,7 +92,7 @@ pub fn beside(session: &Path) -> Result<Vec<PathBuf>> {
         let name = path.file_name().and_then(|name| name.to_str());
         let rest = name.and_then(|n| n.strip_prefix(&*stem)?.strip_prefix('-')?.split_once('.'));
         rest.is_some_and(|(hex, extension)| {
-            Kind::ALL.iter().any(|kind| kind.names().1 == extension)
+            SideFileKind::ALL.iter().any(|kind| kind.names().1 == extension)
                 && hex.len() == HASH
                 && hex.bytes().all(|b| b.is_ascii_hexdigit())
         })
@@ -109,7 +109,7 @@ impl Reference {
     pub fn read<C: DeserializeOwned, T>(
         &self,
         folder: &Path,
-        kind: Kind,
+        kind: SideFileKind,
         make: impl FnOnce(C) -> Result<T, String>,
     ) -> Result<T> {
         let (magic, _, what) = kind.names();
@@ -141,7 +141,7 @@ mod tests {
     fn other_bytes_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let content: Vec<f64> = (0..100).map(f64::from).collect();
-        for kind in Kind::ALL {
+        for kind in SideFileKind::ALL {
             let (magic, _, what) = kind.names();
             let reference = write(&folder.path().join("edit.toml"), kind, &content).unwrap();
             let path = folder.path().join(&reference.file);

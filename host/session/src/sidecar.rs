@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use simod_core::tables;
-use simod_model::follow::{Follow, Kind};
+use simod_model::follow::{Follow, TensorKind};
 use simod_model::{Model, Result};
 
 use crate::session_file::read_text;
@@ -17,7 +17,7 @@ const SUFFIX: &str = ".follow.toml";
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Sidecar {
-    follow: BTreeMap<String, Kind>,
+    follow: BTreeMap<String, TensorKind>,
 }
 
 /// Where the sidecar of a model is, if it has one.

@@ -5,7 +5,7 @@
 use crate::deformer::Plugin;
 use crate::key::{Key, Keyed};
 use crate::motion::Motion;
-use crate::shapes::{Shape, Shapes};
+use crate::shapes::{RegionShape, Shapes};
 pub use crate::stroke::Stroke;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -419,7 +419,7 @@ pub(crate) fn check_handles(handles: &[HandleMove]) -> Result<(), (usize, Defect
 /// It is no similarity of space.
 pub(crate) fn check_motion(motion: &Motion) -> Result<(), Defect> {
     match motion.defect() {
-        Some(what) => Err(Defect { part: Part::Move, ..Defect::new(what, "correct the move") }),
+        Some(what) => Err(Defect { part: RegionPart::Move, ..Defect::new(what, "correct the move") }),
         None => Ok(()),
     }
 }
@@ -428,7 +428,7 @@ pub(crate) fn check_motion(motion: &Motion) -> Result<(), Defect> {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Defect {
     /// Which part.
-    pub part: Part,
+    pub part: RegionPart,
     /// What is wrong, as the beginning of a sentence.
     pub what: Cow<'static, str>,
     /// What to do.
@@ -437,7 +437,7 @@ pub struct Defect {
 
 /// The part of a region or a handle that makes no sense.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
+pub enum RegionPart {
     /// No part by itself.
     Whole,
     /// How far beyond its border a region fades out.
@@ -456,7 +456,7 @@ impl From<Defect> for Error {
 impl Defect {
     /// A defect of the whole.
     pub(crate) fn new(what: impl Into<Cow<'static, str>>, hint: &'static str) -> Self {
-        Self { part: Part::Whole, what: what.into(), hint }
+        Self { part: RegionPart::Whole, what: what.into(), hint }
     }
 }
 
@@ -540,12 +540,12 @@ impl Region {
         if self.shapes.shapes.is_empty() {
             return Err(Defect::new("the region has no shape", "give one, such as a sphere"));
         }
-        if let Some(what) = self.shapes.shapes.iter().find_map(Shape::defect) {
+        if let Some(what) = self.shapes.shapes.iter().find_map(RegionShape::defect) {
             return Err(Defect::new(what, "correct the shape"));
         }
         if let Err(what) = self.shapes.check() {
             let hint = "give a distance in the model's unit";
-            return Err(Defect { part: Part::Falloff, ..Defect::new(what, hint) });
+            return Err(Defect { part: RegionPart::Falloff, ..Defect::new(what, hint) });
         }
         if self.role != Role::Handle && self.motion != Motion::default() {
             return Err(Self::moves());
@@ -556,6 +556,6 @@ impl Region {
     /// The defect of a region that is said to move, and is no handle.
     pub(crate) fn moves() -> Defect {
         let what = "only regions with role = \"handle\" have a `move`";
-        Defect { part: Part::Move, ..Defect::new(what, "remove the move, or change the role") }
+        Defect { part: RegionPart::Move, ..Defect::new(what, "remove the move, or change the role") }
     }
 }

@@ -1,6 +1,6 @@
 //! Brush strokes in a file [beside](crate::side_file) a session: `NAME-HASH.strokes`.
 
-use crate::side_file::{Kind, MOST_IN_SESSION, Reference, write as write_file};
+use crate::side_file::{MOST_IN_SESSION, Reference, SideFileKind, write as write_file};
 use crate::stroke::Stroke;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 #[derive(Serialize, Deserialize)]
-struct Record {
+struct FileStroke {
     radius: f64,
     strength: f64,
     points: Vec<[f64; 3]>,
@@ -28,14 +28,14 @@ pub fn is_needed(strokes: &[Arc<Stroke>]) -> bool {
 /// # Errors
 /// The file cannot be written.
 pub fn write(session: &Path, strokes: &[Arc<Stroke>]) -> Result<Reference> {
-    let record = |s: &Arc<Stroke>| Record {
+    let record = |s: &Arc<Stroke>| FileStroke {
         radius: s.radius,
         strength: s.strength,
         points: s.points.iter().map(DVec3::to_array).collect(),
         pressures: s.pressures.clone(),
         params: s.params.to_string(),
     };
-    write_file(session, Kind::Strokes, &strokes.iter().map(record).collect::<Vec<_>>())
+    write_file(session, SideFileKind::Strokes, &strokes.iter().map(record).collect::<Vec<_>>())
 }
 
 /// Reads them; `folder` is the session's.
@@ -43,7 +43,7 @@ pub fn write(session: &Path, strokes: &[Arc<Stroke>]) -> Result<Reference> {
 /// # Errors
 /// The file cannot be read, is not the one that the session was saved with, or holds what is no stroke.
 pub fn read(reference: &Reference, folder: &Path) -> Result<Vec<Arc<Stroke>>> {
-    let stroke = |r: Record| {
+    let stroke = |r: FileStroke| {
         let stroke = Stroke {
             radius: r.radius,
             strength: r.strength,
@@ -54,7 +54,9 @@ pub fn read(reference: &Reference, folder: &Path) -> Result<Vec<Arc<Stroke>>> {
         stroke.defect().map_or(Ok(()), |(what, _)| Err(what.to_owned()))?;
         Ok(Arc::new(stroke))
     };
-    reference.read(folder, Kind::Strokes, |records: Vec<Record>| records.into_iter().map(stroke).collect())
+    reference.read(folder, SideFileKind::Strokes, |records: Vec<FileStroke>| {
+        records.into_iter().map(stroke).collect()
+    })
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use glam::DVec3;
-use simod_core::reconstruction::transfer_error::{Places, TransferError, measure_some};
-use simod_core::reconstruction::{Beyond, DeformationField, Method, RestGeometry};
+use simod_core::reconstruction::transfer_error::{Excesses, TransferError, measure_some};
+use simod_core::reconstruction::{DeformationField, ErrorExcess, Method, RestGeometry};
 use simod_core::refinement::Finer;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::SampleSet;
@@ -16,7 +16,7 @@ use simod_model::{Error, Model, Progress, Result, Scalar};
 use crate::deformed_samples::{DeformedSamples, deform};
 use crate::edit::Refinements;
 use crate::plugins::PluginRegistry;
-use crate::refining::{Pose, Room};
+use crate::refining::{Room, ShapePose};
 use crate::shapes::Shapes;
 use crate::step::{Refine, Step};
 use simod_plugin_api::Time;
@@ -155,7 +155,7 @@ pub(crate) fn meet(
     progress: &dyn Progress,
 ) -> Result<(DeformedSamples, Certificate)> {
     check_precision(&sampled, model, tolerance)?;
-    let mut search = Search::new(&sampled, model, tolerance, folder, progress);
+    let mut search = ToleranceSearch::new(&sampled, model, tolerance, folder, progress);
     let refinements = Refinements { folder: folder.to_owned(), time, ..Refinements::default() };
     let again = |sampled: Arc<SampledModel>, steps: &[Step]| {
         deform(sampled, steps, plugins, refinements.clone(), progress)
@@ -175,7 +175,7 @@ pub(crate) fn meet(
 }
 
 /// The search for samples by which no vertex is expected to be off by more.
-struct Search<'a> {
+struct ToleranceSearch<'a> {
     model: &'a dyn Model,
     folder: &'a Path,
     progress: &'a dyn Progress,
@@ -190,7 +190,7 @@ struct Search<'a> {
     /// The least of the largest errors that were expected, and for how many rounds it has been that.
     least: f64,
     waited: usize,
-    beginning: Option<Beginning>,
+    beginning: Option<UnrefinedState>,
 }
 
 /// What a round of the search comes to.
@@ -201,7 +201,7 @@ enum Round {
     More(Arc<SampledModel>),
 }
 
-impl<'a> Search<'a> {
+impl<'a> ToleranceSearch<'a> {
     fn new(
         sampled: &SampledModel,
         model: &'a dyn Model,
@@ -233,7 +233,7 @@ impl<'a> Search<'a> {
         let around = RestGeometry::new(&of.samples);
         let mut field = DeformationField::new(&around, &deformed.positions, Method::default())
             .expecting(&of.frame, self.model.info());
-        self.beginning.get_or_insert_with(|| Beginning::new(of, &field));
+        self.beginning.get_or_insert_with(|| UnrefinedState::new(of, &field));
         if deformed.stack.can_evaluate() {
             field = field.expecting_at_vertices(of)?;
         }
@@ -267,7 +267,12 @@ impl<'a> Search<'a> {
     }
 
     /// Why more samples would not help, if they would not.
-    fn why_not(&self, of: &SampledModel, field: &DeformationField<'_>, beyond: &Beyond) -> Option<String> {
+    fn why_not(
+        &self,
+        of: &SampledModel,
+        field: &DeformationField<'_>,
+        beyond: &ErrorExcess,
+    ) -> Option<String> {
         self.beginning.as_ref()?.why_not(of, field, beyond)
     }
 
@@ -276,7 +281,7 @@ impl<'a> Search<'a> {
         &mut self,
         of: &SampledModel,
         field: &DeformationField<'_>,
-        beyond: &Beyond,
+        beyond: &ErrorExcess,
     ) -> Result<()> {
         self.waited += 1;
         if beyond.worst < FALLS * self.least {
@@ -302,13 +307,13 @@ impl<'a> Search<'a> {
         &mut self,
         of: &SampledModel,
         field: &DeformationField<'_>,
-        beyond: &Beyond,
+        beyond: &ErrorExcess,
     ) -> Result<Arc<SampledModel>> {
         let samples = of.samples.len() as u64;
         let finer = Finer::Auto { error: self.asked, samples: Some((self.most - samples).min(samples)) };
         let everywhere = Refine { shapes: Shapes::default(), finer };
         let room = Room { memory_limit: None, folder: self.folder };
-        let done = everywhere.refine(of, self.model, Pose::Rest(Some(field)), room, self.progress)?;
+        let done = everywhere.refine(of, self.model, ShapePose::Rest(Some(field)), room, self.progress)?;
         let Some(refined) = done.sampled else {
             let none_left = || "there are no vertices left there that could be samples".to_owned();
             let why = self.why_not(of, field, beyond).unwrap_or_else(none_left);
@@ -326,20 +331,25 @@ impl<'a> Search<'a> {
 /// What was expected before samples were added.
 ///
 /// Memory: P_S as it was.
-struct Beginning {
+struct UnrefinedState {
     sampled: Arc<SampledModel>,
     /// Around each sample; local units.
     expected: Vec<f32>,
 }
 
-impl Beginning {
+impl UnrefinedState {
     fn new(sampled: &Arc<SampledModel>, field: &DeformationField<'_>) -> Self {
         Self { sampled: sampled.clone(), expected: field.expected_error() }
     }
 
     /// Why more samples would not help where most is expected, if it is not for want of vertices.
-    fn why_not(&self, now: &SampledModel, field: &DeformationField<'_>, beyond: &Beyond) -> Option<String> {
-        let Beyond { worst, rounding, place, .. } = *beyond;
+    fn why_not(
+        &self,
+        now: &SampledModel,
+        field: &DeformationField<'_>,
+        beyond: &ErrorExcess,
+    ) -> Option<String> {
+        let ErrorExcess { worst, rounding, place, .. } = *beyond;
         if ROUNDING * rounding > worst {
             return Some(format!("rounding to floats alone makes about {rounding:.1e} where it goes"));
         }
@@ -369,7 +379,7 @@ fn truth(
     field: &DeformationField<'_>,
     tolerance: f64,
     progress: &dyn Progress,
-) -> Result<Option<(TransferError, Places)>> {
+) -> Result<Option<(TransferError, Excesses)>> {
     if !deformed.stack.can_evaluate() {
         return Ok(None);
     }
@@ -377,7 +387,7 @@ fn truth(
     measure_some(model, field, &deformed.sampled, (MEASURED, tolerance), &exact, progress).map(Some)
 }
 
-fn not_met(tolerance: f64, left: f64, why: &str, beyond: Option<&Beyond>) -> Error {
+fn not_met(tolerance: f64, left: f64, why: &str, beyond: Option<&ErrorExcess>) -> Error {
     let place = beyond.map_or_else(String::new, |b| {
         format!(" near ({:.6}, {:.6}, {:.6})", b.place.x, b.place.y, b.place.z)
     });

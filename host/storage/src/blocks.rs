@@ -11,41 +11,41 @@ use std::thread::available_parallelism;
 use bytes::Bytes;
 use simod_model::Result;
 
-use crate::failure::Failure;
+use crate::failure::RequestFailure;
 use crate::runtime::runtime;
-use crate::version::Version;
+use crate::version::ObjectVersion;
 
 /// How many blocks behind one that is read in order are on their way.
 const AHEAD: u64 = 3;
 
 /// The blocks, and who waits for one.
-pub(crate) struct Blocks {
+pub(crate) struct BlockCache {
     held: Mutex<HeldBlocks>,
     arrived: Condvar,
 }
 
 /// Those that are there or on their way, the last one that was used first.
 struct HeldBlocks {
-    blocks: VecDeque<Block>,
+    blocks: VecDeque<CachedBlock>,
     most: usize,
 }
 
-struct Block {
-    of: Arc<Version>,
+struct CachedBlock {
+    of: Arc<ObjectVersion>,
     number: u64,
-    state: State,
+    state: BlockState,
 }
 
-enum State {
+enum BlockState {
     Coming,
     There { bytes: Bytes, was_read: bool },
-    Failed(Failure),
+    Failed(RequestFailure),
 }
 
-impl Blocks {
+impl BlockCache {
     /// The one cache. Each thread reads at one place at most.
     pub fn of_process() -> &'static Self {
-        static BLOCKS: OnceLock<Blocks> = OnceLock::new();
+        static BLOCKS: OnceLock<BlockCache> = OnceLock::new();
         BLOCKS.get_or_init(|| {
             let threads = available_parallelism().map_or(1, usize::from);
             Self::with_room_for(threads * (AHEAD as usize + 1) + 8)
@@ -61,15 +61,15 @@ impl Blocks {
     }
 
     /// Keeps a block that came by itself.
-    pub fn put(&self, of: &Arc<Version>, number: u64, bytes: Bytes) {
-        self.locked().insert(of, number, State::There { bytes, was_read: false });
+    pub fn put(&self, of: &Arc<ObjectVersion>, number: u64, bytes: Bytes) {
+        self.locked().insert(of, number, BlockState::There { bytes, was_read: false });
     }
 
     /// A block, once it is there.
     ///
     /// # Errors
     /// It cannot be brought, or the object has another version by now.
-    pub fn get(&'static self, of: &Arc<Version>, number: u64) -> Result<Bytes> {
+    pub fn get(&'static self, of: &Arc<ObjectVersion>, number: u64) -> Result<Bytes> {
         let mut held = self.locked();
         if held.is_new(of, number) {
             let is_in_order = number.checked_sub(1).is_some_and(|before| held.find(of, before).is_some());
@@ -81,16 +81,16 @@ impl Blocks {
         loop {
             match held.find(of, number) {
                 Some(at) => match &mut held.blocks[at].state {
-                    State::Coming => {
+                    BlockState::Coming => {
                         held = self.arrived.wait(held).unwrap_or_else(PoisonError::into_inner);
                     }
-                    State::There { bytes, was_read } => {
+                    BlockState::There { bytes, was_read } => {
                         *was_read = true;
                         let bytes = bytes.clone();
                         held.use_now(at);
                         return Ok(bytes);
                     }
-                    State::Failed(failure) => {
+                    BlockState::Failed(failure) => {
                         let failure = failure.clone();
                         held.blocks.remove(at);
                         return Err(failure.into());
@@ -103,16 +103,16 @@ impl Blocks {
     }
 
     /// Has a block brought that is not here.
-    fn begin(&'static self, held: &mut HeldBlocks, of: &Arc<Version>, number: u64) -> Result<()> {
+    fn begin(&'static self, held: &mut HeldBlocks, of: &Arc<ObjectVersion>, number: u64) -> Result<()> {
         if held.find(of, number).is_some() {
             return Ok(());
         }
-        held.insert(of, number, State::Coming);
+        held.insert(of, number, BlockState::Coming);
         let of = of.clone();
         runtime()?.spawn(async move {
             let state = match of.fetch(number).await {
-                Ok(bytes) => State::There { bytes, was_read: false },
-                Err(failure) => State::Failed(failure),
+                Ok(bytes) => BlockState::There { bytes, was_read: false },
+                Err(failure) => BlockState::Failed(failure),
             };
             let mut held = self.locked();
             if let Some(at) = held.find(&of, number) {
@@ -126,17 +126,17 @@ impl Blocks {
 }
 
 impl HeldBlocks {
-    fn find(&self, of: &Version, number: u64) -> Option<usize> {
-        let is_it = |block: &Block| {
+    fn find(&self, of: &ObjectVersion, number: u64) -> Option<usize> {
+        let is_it = |block: &CachedBlock| {
             block.number == number && block.of.name() == of.name() && block.of.tag() == of.tag()
         };
         self.blocks.iter().position(is_it)
     }
 
     /// Whether nobody has read a block, as far as is known.
-    fn is_new(&self, of: &Version, number: u64) -> bool {
+    fn is_new(&self, of: &ObjectVersion, number: u64) -> bool {
         let found = self.find(of, number).map(|at| &self.blocks[at].state);
-        !matches!(found, Some(State::There { was_read: true, .. }))
+        !matches!(found, Some(BlockState::There { was_read: true, .. }))
     }
 
     fn use_now(&mut self, at: usize) {
@@ -146,43 +146,43 @@ impl HeldBlocks {
     }
 
     /// Adds a block, in the place of those that were used least.
-    fn insert(&mut self, of: &Arc<Version>, number: u64, state: State) {
+    fn insert(&mut self, of: &Arc<ObjectVersion>, number: u64, state: BlockState) {
         while self.blocks.len() >= self.most {
             // What is on its way is waited for.
-            let idle = self.blocks.iter().rposition(|block| !matches!(block.state, State::Coming));
+            let idle = self.blocks.iter().rposition(|block| !matches!(block.state, BlockState::Coming));
             let Some(idle) = idle else { break };
             self.blocks.remove(idle);
         }
-        self.blocks.push_front(Block { of: of.clone(), number, state });
+        self.blocks.push_front(CachedBlock { of: of.clone(), number, state });
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::place::Place;
+    use crate::place::ObjectLocation;
     use crate::runtime::wait;
     use crate::version::BLOCK;
     use object_store::memory::InMemory;
     use object_store::{ObjectStore, ObjectStoreExt, PutPayload};
 
     /// An object of so many bytes, and the store that it is in.
-    fn object(bytes: usize) -> (Place, Vec<u8>) {
+    fn object(bytes: usize) -> (ObjectLocation, Vec<u8>) {
         let store: Arc<dyn ObjectStore> = Arc::new(InMemory::new());
-        let place = Place { name: "s3://b/a".to_owned(), store, parts: None, path: "a".into() };
+        let place = ObjectLocation { name: "s3://b/a".to_owned(), store, parts: None, path: "a".into() };
         let content: Vec<u8> =
             (0..bytes as u64).map(|i| (i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 56) as u8).collect();
         put(&place, content.clone());
         (place, content)
     }
 
-    fn put(place: &Place, content: Vec<u8>) {
+    fn put(place: &ObjectLocation, content: Vec<u8>) {
         wait(place.store.put(&place.path, PutPayload::from(content))).unwrap().unwrap();
     }
 
-    fn version(place: &Place) -> Arc<Version> {
+    fn version(place: &ObjectLocation) -> Arc<ObjectVersion> {
         let meta = wait(place.store.head(&place.path)).unwrap().unwrap();
-        Arc::new(Version::from_meta(place.clone(), &meta))
+        Arc::new(ObjectVersion::from_meta(place.clone(), &meta))
     }
 
     #[test]
@@ -191,7 +191,7 @@ mod tests {
         let version = version(&place);
         assert_eq!(version.blocks(), 11);
         // Less than all, and more than two threads have on their way.
-        let blocks: &'static Blocks = Box::leak(Box::new(Blocks::with_room_for(10)));
+        let blocks: &'static BlockCache = Box::leak(Box::new(BlockCache::with_room_for(10)));
         std::thread::scope(|scope| {
             for thread in 0..2u64 {
                 let (version, content) = (&version, &content);
@@ -213,7 +213,7 @@ mod tests {
     fn the_next_blocks_are_on_their_way_where_reading_is_in_order() {
         let (place, _) = object(9 * BLOCK as usize);
         let version = version(&place);
-        let blocks: &'static Blocks = Box::leak(Box::new(Blocks::with_room_for(9)));
+        let blocks: &'static BlockCache = Box::leak(Box::new(BlockCache::with_room_for(9)));
         let numbers = || {
             let mut numbers: Vec<u64> = blocks.locked().blocks.iter().map(|block| block.number).collect();
             numbers.sort_unstable();
@@ -235,7 +235,7 @@ mod tests {
     fn another_version_of_an_object_is_not_read() {
         let (place, mut content) = object(3 * BLOCK as usize);
         let version = version(&place);
-        let blocks: &'static Blocks = Box::leak(Box::new(Blocks::with_room_for(4)));
+        let blocks: &'static BlockCache = Box::leak(Box::new(BlockCache::with_room_for(4)));
         blocks.get(&version, 1).unwrap();
         content[0] ^= 1;
         put(&place, content);

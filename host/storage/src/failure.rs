@@ -12,13 +12,13 @@ pub(crate) const TRIES: usize = 4;
 
 /// A failure of one request, of which several may want to hear.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Failure {
+pub(crate) struct RequestFailure {
     pub kind: ErrorKind,
     pub what: String,
     pub hint: String,
 }
 
-impl Failure {
+impl RequestFailure {
     /// What was wanted, as "cannot read s3://bucket/x.ply", and why it could not be.
     pub fn new(wanted: &str, error: &StoreError) -> Self {
         let (why, hint) = reason(error);
@@ -41,8 +41,8 @@ impl Failure {
     }
 }
 
-impl From<Failure> for Error {
-    fn from(failure: Failure) -> Self {
+impl From<RequestFailure> for Error {
+    fn from(failure: RequestFailure) -> Self {
         Self::new(failure.kind, failure.what, failure.hint)
     }
 }
@@ -150,9 +150,9 @@ fn plain(error: &StoreError) -> String {
 mod tests {
     use super::*;
 
-    fn refused(text: &str) -> Failure {
+    fn refused(text: &str) -> RequestFailure {
         let source: Box<dyn std::error::Error + Send + Sync> = text.to_owned().into();
-        Failure::new("cannot read s3://b/x", &StoreError::Generic { store: "S3", source })
+        RequestFailure::new("cannot read s3://b/x", &StoreError::Generic { store: "S3", source })
     }
 
     #[test]

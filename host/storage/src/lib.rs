@@ -18,7 +18,7 @@ use std::sync::Arc;
 use simod_model::Result;
 use simod_model::object::{self, Object, Store, Upload};
 
-use place::Place;
+use place::ObjectLocation;
 use reading::StoredObject;
 use upload::PartsUpload;
 
@@ -32,15 +32,15 @@ struct Stores;
 
 impl Store for Stores {
     fn open(&self, url: &str) -> Result<Option<Arc<dyn Object>>> {
-        let object = StoredObject::open(Place::to_read(url)?)?;
+        let object = StoredObject::open(ObjectLocation::to_read(url)?)?;
         Ok(object.map(|object| Arc::new(object) as Arc<dyn Object>))
     }
 
     fn begin(&self, url: &str) -> Result<Box<dyn Upload>> {
-        Ok(Box::new(PartsUpload::begin(Place::to_write(url)?)?))
+        Ok(Box::new(PartsUpload::begin(ObjectLocation::to_write(url)?)?))
     }
 
     fn go_on(&self, url: &str, id: &str) -> Result<Box<dyn Upload>> {
-        Ok(Box::new(PartsUpload::go_on(Place::to_write(url)?, id)?))
+        Ok(Box::new(PartsUpload::go_on(ObjectLocation::to_write(url)?, id)?))
     }
 }

@@ -13,7 +13,7 @@ use object_store::path::Path;
 use object_store::{ClientConfigKey, ObjectStore, RetryConfig};
 use simod_model::{Error, Result, object};
 
-use crate::failure::Failure;
+use crate::failure::RequestFailure;
 
 /// No request is repeated that began so long ago.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -25,7 +25,7 @@ const WRITING: &str = "300 seconds";
 
 /// An object by its store, and the name in it.
 #[derive(Clone)]
-pub(crate) struct Place {
+pub(crate) struct ObjectLocation {
     /// Its URL, without what may be secret.
     pub name: String,
     pub store: Arc<dyn ObjectStore>,
@@ -34,14 +34,14 @@ pub(crate) struct Place {
     pub path: Path,
 }
 
-impl fmt::Debug for Place {
+impl fmt::Debug for ObjectLocation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         // What a store knows of itself has credentials.
-        f.debug_struct("Place").field("name", &self.name).finish_non_exhaustive()
+        f.debug_struct("ObjectLocation").field("name", &self.name).finish_non_exhaustive()
     }
 }
 
-impl Place {
+impl ObjectLocation {
     /// Of an object that is read.
     ///
     /// # Errors
@@ -60,7 +60,8 @@ impl Place {
 
     fn from_url(url: &str, timeout: &str) -> Result<Self> {
         let name = object::admit(url).to_string_lossy().into_owned();
-        let refused = |e: object_store::Error| Error::from(Failure::new(&format!("cannot open {name}"), &e));
+        let refused =
+            |e: object_store::Error| Error::from(RequestFailure::new(&format!("cannot open {name}"), &e));
         // Of another provider none is linked, so that it is this one or an equal one.
         let _ = rustls::crypto::ring::default_provider().install_default();
         let (scheme, rest) = url.split_once("://").unwrap_or((url, ""));

@@ -6,16 +6,16 @@ use object_store::{Error as StoreError, GetOptions, GetRange};
 use simod_model::object::Object;
 use simod_model::{Error, Result};
 
-use crate::blocks::Blocks;
-use crate::failure::{Failure, TRIES, broke_off, is_beyond_end};
-use crate::place::Place;
+use crate::blocks::BlockCache;
+use crate::failure::{RequestFailure, TRIES, broke_off, is_beyond_end};
+use crate::place::ObjectLocation;
 use crate::runtime::wait;
-use crate::version::{BLOCK, Version};
+use crate::version::{BLOCK, ObjectVersion};
 
 /// An object that is open.
 #[derive(Debug)]
 pub(crate) struct StoredObject {
-    version: Arc<Version>,
+    version: Arc<ObjectVersion>,
 }
 
 impl StoredObject {
@@ -23,7 +23,7 @@ impl StoredObject {
     ///
     /// # Errors
     /// The store cannot be reached, or refuses.
-    pub fn open(place: Place) -> Result<Option<Self>> {
+    pub fn open(place: ObjectLocation) -> Result<Option<Self>> {
         // As bytes, and not what is known of it, as a URL that was signed allows nothing else.
         let first = GetOptions { range: Some(GetRange::Bounded(0..BLOCK)), ..GetOptions::default() };
         let ask = async || {
@@ -38,17 +38,17 @@ impl StoredObject {
                 Err(e) if broke_off(&e) && tries.next().is_some() => {}
                 Err(StoreError::NotFound { .. }) => return Ok(None),
                 Err(e) if is_beyond_end(&e) => {
-                    return Ok(Some(Self { version: Arc::new(Version::empty(place)) }));
+                    return Ok(Some(Self { version: Arc::new(ObjectVersion::empty(place)) }));
                 }
-                Err(e) => return Err(Failure::new(&format!("cannot open {}", place.name), &e).into()),
+                Err(e) => return Err(RequestFailure::new(&format!("cannot open {}", place.name), &e).into()),
             }
         };
-        let version = Arc::new(Version::from_meta(place, &meta));
+        let version = Arc::new(ObjectVersion::from_meta(place, &meta));
         // It comes again if it did not come whole.
         if let Ok(block) = block
             && block.len() as u64 == BLOCK.min(version.bytes())
         {
-            Blocks::of_process().put(&version, 0, block);
+            BlockCache::of_process().put(&version, 0, block);
         }
         Ok(Some(Self { version }))
     }
@@ -65,7 +65,7 @@ impl Object for StoredObject {
 
     fn read_at(&self, mut buffer: &mut [u8], mut offset: u64) -> Result<()> {
         while !buffer.is_empty() {
-            let block = Blocks::of_process().get(&self.version, offset / BLOCK)?;
+            let block = BlockCache::of_process().get(&self.version, offset / BLOCK)?;
             let there = block.get((offset % BLOCK) as usize..).filter(|there| !there.is_empty());
             let there = there
                 .ok_or_else(|| Error::internal(format!("{} is read beyond its end", self.version.name())))?;

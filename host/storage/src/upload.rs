@@ -10,8 +10,8 @@ use simod_model::object::Upload;
 use simod_model::{Error, Result};
 use tokio::task::JoinSet;
 
-use crate::failure::{Failure, TRIES, is_cut};
-use crate::place::Place;
+use crate::failure::{RequestFailure, TRIES, is_cut};
+use crate::place::ObjectLocation;
 use crate::runtime::{runtime, wait};
 
 /// Most bytes on their way, and most parts; but one part is, however long.
@@ -25,7 +25,7 @@ const ABORTION: Duration = Duration::from_secs(10);
 ///
 /// Memory: the parts on their way, 64 MiB at most, or one part if that is longer.
 pub(crate) struct PartsUpload {
-    place: Place,
+    place: ObjectLocation,
     parts: Arc<dyn MultipartStore>,
     id: String,
     on_way: JoinSet<(usize, usize, Result<PartId, StoreError>)>,
@@ -38,7 +38,7 @@ impl PartsUpload {
     ///
     /// # Errors
     /// The store cannot be reached, refuses, or takes no parts.
-    pub fn begin(place: Place) -> Result<Self> {
+    pub fn begin(place: ObjectLocation) -> Result<Self> {
         let mut this = Self::go_on(place, "")?;
         let mut tries = 1..TRIES;
         loop {
@@ -55,18 +55,18 @@ impl PartsUpload {
     ///
     /// # Errors
     /// The store takes no parts.
-    pub fn go_on(place: Place, id: &str) -> Result<Self> {
+    pub fn go_on(place: ObjectLocation, id: &str) -> Result<Self> {
         let parts = place.parts.clone().ok_or_else(|| {
             let (operation, implementer) = ("parts".to_owned(), "HttpStore".to_owned());
             let error = StoreError::NotImplemented { operation, implementer };
-            Error::from(Failure::new(&format!("cannot write {}", place.name), &error))
+            Error::from(RequestFailure::new(&format!("cannot write {}", place.name), &error))
         })?;
         let (on_way, tags) = (JoinSet::new(), BTreeMap::new());
         Ok(Self { place, parts, id: id.to_owned(), on_way, bytes_on_way: 0, tags })
     }
 
     fn failed(&self, error: &StoreError) -> Error {
-        Failure::new(&format!("cannot write {}", self.place.name), error).into()
+        RequestFailure::new(&format!("cannot write {}", self.place.name), error).into()
     }
 
     /// Waits until one more part has arrived.
@@ -146,7 +146,9 @@ impl Upload for PartsUpload {
         match wait(aborted)? {
             Ok(Ok(()) | Err(StoreError::NotFound { .. })) => Ok(()),
             Ok(Err(e)) => Err(self.failed(&e)),
-            Err(_) => Err(Failure::broken(&format!("cannot abort the upload of {}", self.place.name)).into()),
+            Err(_) => {
+                Err(RequestFailure::broken(&format!("cannot abort the upload of {}", self.place.name)).into())
+            }
         }
     }
 }

@@ -3,8 +3,8 @@
 use bytes::Bytes;
 use object_store::{Error as StoreError, GetOptions, GetRange, ObjectMeta};
 
-use crate::failure::Failure;
-use crate::place::Place;
+use crate::failure::RequestFailure;
+use crate::place::ObjectLocation;
 
 /// Bytes of a block.
 pub(crate) const BLOCK: u64 = 4 << 20;
@@ -14,8 +14,8 @@ const TRIES: usize = 4;
 
 /// A version of an object, and how it is asked for.
 #[derive(Debug)]
-pub(crate) struct Version {
-    place: Place,
+pub(crate) struct ObjectVersion {
+    place: ObjectLocation,
     bytes: u64,
     /// What tells it from others: its tag or, where the store gives none, when it was written.
     tag: String,
@@ -23,14 +23,14 @@ pub(crate) struct Version {
     only: GetOptions,
 }
 
-impl Version {
+impl ObjectVersion {
     /// What a store says of an object.
-    pub fn from_meta(place: Place, meta: &ObjectMeta) -> Self {
+    pub fn from_meta(place: ObjectLocation, meta: &ObjectMeta) -> Self {
         Self { place, bytes: meta.size, tag: tag_of(meta), only: only(meta) }
     }
 
     /// An object without bytes.
-    pub fn empty(place: Place) -> Self {
+    pub fn empty(place: ObjectLocation) -> Self {
         Self { place, bytes: 0, tag: "empty".to_owned(), only: GetOptions::default() }
     }
 
@@ -55,26 +55,26 @@ impl Version {
     }
 
     /// Brings a block from the store.
-    pub async fn fetch(&self, number: u64) -> Result<Bytes, Failure> {
+    pub async fn fetch(&self, number: u64) -> Result<Bytes, RequestFailure> {
         let range = number * BLOCK..self.bytes.min((number + 1) * BLOCK);
         let length = range.end - range.start;
         let wanted = GetOptions { range: Some(GetRange::Bounded(range)), ..self.only.clone() };
         let what = format!("cannot read {}", self.name());
-        let mut failure = Failure::broken(&what);
+        let mut failure = RequestFailure::broken(&what);
         for _ in 0..TRIES {
             let answer = match self.place.store.get_opts(&self.place.path, wanted.clone()).await {
                 Ok(answer) => answer,
-                Err(StoreError::Precondition { .. }) => return Err(Failure::changed(self.name())),
-                Err(e) => return Err(Failure::new(&what, &e)),
+                Err(StoreError::Precondition { .. }) => return Err(RequestFailure::changed(self.name())),
+                Err(e) => return Err(RequestFailure::new(&what, &e)),
             };
             // Not all stores look at what they are asked for.
             if tag_of(&answer.meta) != self.tag || answer.meta.size != self.bytes {
-                return Err(Failure::changed(self.name()));
+                return Err(RequestFailure::changed(self.name()));
             }
             match answer.bytes().await {
                 Ok(bytes) if bytes.len() as u64 == length => return Ok(bytes),
                 Ok(_) => {}
-                Err(e) => failure = Failure::new(&what, &e),
+                Err(e) => failure = RequestFailure::new(&what, &e),
             }
         }
         Err(failure)

@@ -1,7 +1,7 @@
 //! Whom the samples belong to that a refinement appended: to those around them that were there before.
 
 use crate::gradients::tangent_map;
-use crate::scene::{Scene, common};
+use crate::scene::{ViewerScene, common};
 use glam::Vec3;
 use rayon::prelude::*;
 use simod_core::sampled_model::SampledModel;
@@ -80,7 +80,7 @@ pub struct StepSamples<'a> {
 }
 
 /// All samples as a step finds them; `before` has those that it knows, local coordinates.
-pub fn as_found<'a>(scene: &'a Scene, before: &'a [Vec3]) -> StepSamples<'a> {
+pub fn as_found<'a>(scene: &'a ViewerScene, before: &'a [Vec3]) -> StepSamples<'a> {
     let samples = &scene.sampled.samples;
     if before.len() >= samples.len() || before.is_empty() {
         return StepSamples { positions: Cow::Borrowed(before), owners: None };
@@ -112,7 +112,7 @@ pub fn as_found<'a>(scene: &'a Scene, before: &'a [Vec3]) -> StepSamples<'a> {
 }
 
 /// Some samples around one that were there before, which are the first ones, from it outwards.
-fn known_around(scene: &Scene, of: u32, known: usize) -> Vec<u32> {
+fn known_around(scene: &ViewerScene, of: u32, known: usize) -> Vec<u32> {
     let neighbours = scene.sampled.samples.neighbours();
     let mut found = Vec::new();
     let mut seen = HashSet::from([of]);

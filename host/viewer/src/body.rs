@@ -50,12 +50,12 @@ impl Ball {
 
 /// The largest balls inside of the samples of a model, found on a thread of their own: a hand that places a
 /// joint does not wait for them.
-pub struct Body {
+pub struct InscribedBalls {
     of: Arc<SampledModel>,
     balls: Arc<OnceLock<Vec<Ball>>>,
 }
 
-impl Body {
+impl InscribedBalls {
     /// Begins to find them.
     pub fn find(of: &Arc<SampledModel>) -> Self {
         let this = Self { of: of.clone(), balls: Arc::default() };

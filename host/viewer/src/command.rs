@@ -10,7 +10,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use simod_core::refinement::Finer;
 use simod_session::edit;
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_session::step::Role;
 use std::path::PathBuf;
 
@@ -25,7 +25,7 @@ pub enum Command {
         path: PathBuf,
         /// How finely a model is sampled.
         #[serde(default)]
-        sampling: Sampling,
+        sampling: SamplingTable,
         /// Takes what was kept of it against a crash.
         #[serde(default)]
         recover: bool,
@@ -41,10 +41,10 @@ pub enum Command {
         recover: bool,
     },
     /// Changes the steps.
-    Edit(edit::Command),
+    Edit(edit::EditCommand),
     /// Changes them while something is dragged: a draft is made of it. All changes of the same thing are
     /// undone as one.
-    Drag(edit::Command),
+    Drag(edit::EditCommand),
     /// What was dragged rests.
     Rest,
     /// Takes the last change of the steps, or of the selection, back.

@@ -5,11 +5,11 @@
 //! they were when it was carried over; else it is *stale*, and its samples stand for it again. So what was
 //! streamed stays of use when a change is taken back.
 
-use crate::engine::Pose;
+use crate::engine::SamplePose;
 use crate::tint::Tint;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use simod_core::detail::{Batch, Chosen};
+use simod_core::detail::{DetailBatch, DetailRequest};
 use simod_core::touching::Contacts;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -33,22 +33,22 @@ pub enum Previewed {
 /// for what was chosen before, until that is replaced.
 pub struct Detail {
     of: Previewed,
-    chosen: Chosen,
+    chosen: DetailRequest,
     tint: Tint,
     /// What is held of each of the model's cells.
     held: Vec<Option<HeldCell>>,
-    pieces: BTreeMap<u64, Piece>,
+    pieces: BTreeMap<u64, DetailPiece>,
     made: u64,
     /// Of the samples as they are now.
-    pose: Pose,
+    pose: SamplePose,
     covered: Arc<[bool]>,
     revision: u64,
 }
 
 /// A batch, as much of it as is shown.
-pub struct Piece {
+pub struct DetailPiece {
     /// The vertices.
-    pub batch: Arc<Batch>,
+    pub batch: Arc<DetailBatch>,
     /// What they have values of.
     pub tint: Tint,
     /// Whether those of each of its cells are shown.
@@ -66,13 +66,13 @@ struct HeldCell {
     run: usize,
     stride: u64,
     tint: Tint,
-    pose: Pose,
+    pose: SamplePose,
     fresh: bool,
 }
 
 /// How much is shown in full.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Figures {
+pub struct DetailCounts {
     /// Number of vertices that are shown ...
     pub vertices: u64,
     /// ... one of so many that are there ...
@@ -85,7 +85,7 @@ pub struct Figures {
 
 impl Detail {
     /// Nothing is there yet.
-    pub fn new(of: Previewed, chosen: Chosen, pose: Pose, tint: Tint) -> Self {
+    pub fn new(of: Previewed, chosen: DetailRequest, pose: SamplePose, tint: Tint) -> Self {
         let cells = pose.sampled.held_cells().map_or(0, |kept| kept.cells.len());
         let held = (0..cells).map(|_| None).collect();
         let covered = vec![false; pose.positions.len()].into();
@@ -110,7 +110,7 @@ impl Detail {
     }
 
     /// The pieces, by numbers that are not given twice.
-    pub fn pieces(&self) -> &BTreeMap<u64, Piece> {
+    pub fn pieces(&self) -> &BTreeMap<u64, DetailPiece> {
         &self.pieces
     }
 
@@ -126,7 +126,7 @@ impl Detail {
 
     /// Other cells are wanted, or others of their vertices. What is there and not wanted is let go; what is
     /// wanted in another number stays until that has come.
-    pub fn choose(&mut self, of: Previewed, chosen: Chosen) {
+    pub fn choose(&mut self, of: Previewed, chosen: DetailRequest) {
         (self.of, self.chosen) = (of, chosen);
         for cell in 0..self.held.len() {
             if self.chosen.cells.binary_search(&(cell as u32)).is_err()
@@ -140,18 +140,18 @@ impl Detail {
     }
 
     /// The cells that are wanted and not there as they should be.
-    pub fn missing(&self) -> Chosen {
+    pub fn missing(&self) -> DetailRequest {
         let stride = self.chosen.stride;
         let is_tinted = |held: &HeldCell| self.tint == Tint::Samples || held.tint == self.tint;
         let there = |held: &HeldCell| held.fresh && held.stride == stride && is_tinted(held);
         let missing =
             |cell: &&u32| !self.held.get(**cell as usize).is_some_and(|h| h.as_ref().is_some_and(there));
         let cells = self.chosen.cells.iter().filter(missing).copied().collect();
-        Chosen { cells, ..self.chosen }
+        DetailRequest { cells, ..self.chosen }
     }
 
     /// Takes vertices that were carried by a pose.
-    pub fn take(&mut self, batch: Batch, stride: u64, tint: Tint, pose: &Pose) {
+    pub fn take(&mut self, batch: DetailBatch, stride: u64, tint: Tint, pose: &SamplePose) {
         let piece = self.made;
         self.made += 1;
         let fresh = pose.is(&self.pose);
@@ -164,7 +164,7 @@ impl Detail {
             }
         }
         let shown = vec![fresh; batch.cells.len()];
-        self.pieces.insert(piece, Piece { batch: Arc::new(batch), tint, shown, revision: 0, dead: 0 });
+        self.pieces.insert(piece, DetailPiece { batch: Arc::new(batch), tint, shown, revision: 0, dead: 0 });
         self.tidy();
         if !fresh {
             self.compare();
@@ -173,7 +173,7 @@ impl Detail {
     }
 
     /// The samples are somewhere else, or there are others.
-    pub fn follow(&mut self, pose: Pose) {
+    pub fn follow(&mut self, pose: SamplePose) {
         if !pose.is(&self.pose) {
             self.pose = pose;
             self.compare();
@@ -182,14 +182,14 @@ impl Detail {
     }
 
     /// How much there is.
-    pub fn figures(&self) -> Figures {
+    pub fn figures(&self) -> DetailCounts {
         let [_, wanted] = self.chosen.vertices(&self.pose.sampled);
         let count = |fresh: bool| -> u64 {
             let held = self.held.iter().flatten().filter(|held| held.fresh == fresh);
             held.map(|held| self.pieces[&held.piece].batch.cells[held.run].1.len() as u64).sum()
         };
         let stale = count(false) as f64 / wanted.max(1) as f64;
-        Figures { vertices: count(true), stride: self.chosen.stride, wanted, stale: stale.min(1.0) }
+        DetailCounts { vertices: count(true), stride: self.chosen.stride, wanted, stale: stale.min(1.0) }
     }
 
     /// The vertices of a cell are not shown any more.
@@ -203,7 +203,7 @@ impl Detail {
 
     /// Lets go of pieces that are dead, and of the dead part of those that are for the most part.
     fn tidy(&mut self) {
-        let all = |piece: &Piece| piece.batch.positions.len();
+        let all = |piece: &DetailPiece| piece.batch.positions.len();
         let old: Vec<u64> =
             self.pieces.iter().filter(|(_, p)| 2 * p.dead > all(p)).map(|(number, _)| *number).collect();
         for number in old {
@@ -226,13 +226,13 @@ impl Detail {
             }
             let shown = kept.iter().map(|run| former.shown[*run]).collect();
             let batch = Arc::new(part(&former.batch, &kept));
-            self.pieces.insert(piece, Piece { batch, tint: former.tint, shown, revision: 0, dead: 0 });
+            self.pieces.insert(piece, DetailPiece { batch, tint: former.tint, shown, revision: 0, dead: 0 });
         }
     }
 
     /// Finds out which cells are fresh. These were carried by the pose as it is, too.
     fn compare(&mut self) {
-        let mut known: Vec<(Pose, Option<Vec<bool>>)> = Vec::new();
+        let mut known: Vec<(SamplePose, Option<Vec<bool>>)> = Vec::new();
         let Some(kept) = self.pose.sampled.held_cells() else { return };
         for (held, cell) in self.held.iter_mut().zip(&kept.cells) {
             let Some(held) = held else { continue };
@@ -280,7 +280,7 @@ impl Detail {
 ///
 /// Where a vertex goes is told by expansions around it, and these by the samples around theirs: two rings of
 /// neighbours.
-fn elsewhere(a: &Pose, b: &Pose) -> Option<Vec<bool>> {
+fn elsewhere(a: &SamplePose, b: &SamplePose) -> Option<Vec<bool>> {
     if !Arc::ptr_eq(&a.sampled, &b.sampled) {
         return None;
     }
@@ -300,8 +300,8 @@ fn elsewhere(a: &Pose, b: &Pose) -> Option<Vec<bool>> {
 }
 
 /// Some cells of a batch.
-fn part(batch: &Batch, runs: &[usize]) -> Batch {
-    let mut part = Batch::default();
+fn part(batch: &DetailBatch, runs: &[usize]) -> DetailBatch {
+    let mut part = DetailBatch::default();
     for run in runs {
         let (cell, range) = &batch.cells[*run];
         let (first, range) = (part.positions.len() as u32, range.start as usize..range.end as usize);

@@ -1,14 +1,14 @@
 //! What the steps do to the surface around a sample, to the first order: for the eye, and for what is carried
 //! over between samples.
 
-use crate::scene::Scene;
+use crate::scene::ViewerScene;
 use glam::{Mat3, Vec3};
 
 /// Neighbours that tell how the surface is stretched around a sample.
 const RING: usize = 12;
 
 /// The linear map of the surface around a sample; nothing where the neighbours do not tell.
-pub fn around(scene: &Scene, i: usize) -> Option<Mat3> {
+pub fn around(scene: &ViewerScene, i: usize) -> Option<Mat3> {
     let samples = &scene.sampled.samples;
     let neighbours = samples.neighbours();
     let near = &neighbours.nearest_to(i)[..RING.min(neighbours.k())];

@@ -3,7 +3,7 @@
 
 use crate::gradients::around;
 use crate::pick::Hit;
-use crate::scene::Scene;
+use crate::scene::ViewerScene;
 use glam::{DMat3, DVec3, Mat3};
 
 /// Neighbours of the nearest sample that say where a point goes.
@@ -55,7 +55,7 @@ pub fn angle(a: &MeasuredPoint, b: &MeasuredPoint, c: &MeasuredPoint) -> Measure
 }
 
 /// The linear map of the surface around a sample, with its normal.
-fn map(scene: &Scene, sample: usize) -> DMat3 {
+fn map(scene: &ViewerScene, sample: usize) -> DMat3 {
     let normal = scene.sampled.samples.normals()[sample];
     let Some(along) = around(scene, sample) else { return DMat3::IDENTITY };
     // Along the normal, which the neighbours tell nothing of, it turns as the normal does.
@@ -67,7 +67,7 @@ fn map(scene: &Scene, sample: usize) -> DMat3 {
 
 /// Where a point goes, local coordinates: the mean of where the samples around it say, which count the less
 /// the farther they are; and the linear map of the nearest one.
-fn carry(scene: &Scene, rest: DVec3) -> (DVec3, DMat3) {
+fn carry(scene: &ViewerScene, rest: DVec3) -> (DVec3, DMat3) {
     let samples = &scene.sampled.samples;
     let nearest = samples.nearest(rest.as_vec3()) as usize;
     let neighbours = samples.neighbours();
@@ -89,7 +89,7 @@ fn carry(scene: &Scene, rest: DVec3) -> (DVec3, DMat3) {
 
 /// Where a point that is seen was before all steps, model coordinates: the point that is [carried](carry) to
 /// it, by Newton steps from what its own sample says.
-pub(crate) fn at_rest(scene: &Scene, hit: &Hit) -> DVec3 {
+pub(crate) fn at_rest(scene: &ViewerScene, hit: &Hit) -> DVec3 {
     let sample = hit.sample as usize;
     let way = hit.local - scene.positions[sample].as_dvec3();
     let mut rest = scene.sampled.samples.positions[sample].as_dvec3() + map(scene, sample).inverse() * way;
@@ -109,7 +109,7 @@ pub(crate) fn at_rest(scene: &Scene, hit: &Hit) -> DVec3 {
 }
 
 /// The point with where the steps take it.
-pub(crate) fn carried(scene: &Scene, rest: DVec3) -> MeasuredPoint {
+pub(crate) fn carried(scene: &ViewerScene, rest: DVec3) -> MeasuredPoint {
     let (to, _) = carry(scene, scene.frame().to_local_exact(rest));
     MeasuredPoint { rest, now: scene.frame().to_model_exact(to) }
 }

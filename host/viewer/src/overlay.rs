@@ -2,14 +2,14 @@
 
 use crate::appended::{StepSamples, as_found};
 use crate::gradients;
-use crate::scene::{Scene, common};
+use crate::scene::{ViewerScene, common};
 use crate::selection::Selection;
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::principal_stretches;
 pub use simod_picture::{class_color, class_name, scale_color};
-use simod_session::{Shape, Shapes};
+use simod_session::{RegionShape, Shapes};
 
 /// What is shown on the surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -42,7 +42,7 @@ pub enum Overlay {
 
 /// Numbers, one for each sample, and what the ends of the scale stand for.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Field {
+pub struct ScalarField {
     /// The numbers; none is not finite.
     pub values: Vec<f32>,
     /// From the scale's first colour to its last.
@@ -53,12 +53,12 @@ pub struct Field {
 
 /// What numbers look like.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scale {
+pub struct OverlayScale {
     range: [f32; 2],
     are_classes: bool,
 }
 
-impl Scale {
+impl OverlayScale {
     /// The colour of a number, 8-bit sRGB.
     pub fn color(&self, number: f32) -> [u8; 3] {
         if self.are_classes {
@@ -69,7 +69,7 @@ impl Scale {
     }
 }
 
-impl Field {
+impl ScalarField {
     /// Numbers with a range that most of them are in: a few of the largest are beyond it.
     fn ranged(values: Vec<f32>, from: f32) -> Self {
         let values: Vec<f32> = values.into_iter().map(|x| if x.is_finite() { x } else { from }).collect();
@@ -93,19 +93,19 @@ impl Field {
     }
 
     /// What its numbers look like.
-    pub fn scale(&self) -> Scale {
-        Scale { range: self.range, are_classes: self.are_classes }
+    pub fn scale(&self) -> OverlayScale {
+        OverlayScale { range: self.range, are_classes: self.are_classes }
     }
 }
 
 /// Which samples are selected.
-pub fn selection(selection: &Selection) -> Field {
-    Field::weights(selection.marks().iter().map(|m| f32::from(u8::from(*m))).collect())
+pub fn selection(selection: &Selection) -> ScalarField {
+    ScalarField::weights(selection.marks().iter().map(|m| f32::from(u8::from(*m))).collect())
 }
 
 /// The weight of shapes on what a step began with, local positions; samples that it did not know yet belong
 /// to what is around them.
-pub fn region(scene: &Scene, before: &[Vec3], shapes: &Shapes) -> Field {
+pub fn region(scene: &ViewerScene, before: &[Vec3], shapes: &Shapes) -> ScalarField {
     let frame = scene.frame();
     let StepSamples { positions, owners } = as_found(scene, before);
     let weight = |p: &Vec3| shapes.weight(frame.to_model(*p)) as f32;
@@ -113,7 +113,7 @@ pub fn region(scene: &Scene, before: &[Vec3], shapes: &Shapes) -> Field {
     values.resize(scene.len(), 0.0);
     // The border of what a hand picked is halfway between samples, along the surface: what lies behind a thin
     // wall tells nothing.
-    let is_picked = |shape: &Shape| matches!(shape, Shape::Selection(_));
+    let is_picked = |shape: &RegionShape| matches!(shape, RegionShape::Selection(_));
     if let Some(owners) = owners.filter(|_| shapes.shapes.iter().all(is_picked)) {
         for i in before.len()..scene.len() {
             let owner = values[owners[i] as usize];
@@ -122,25 +122,25 @@ pub fn region(scene: &Scene, before: &[Vec3], shapes: &Shapes) -> Field {
             }
         }
     }
-    Field::weights(values)
+    ScalarField::weights(values)
 }
 
 /// How far apart samples are in two versions. `carried` has where the other one has all samples of the scene,
 /// local positions; otherwise only those that both have are compared, and the rest take the mean of their
 /// neighbours.
-pub fn difference(scene: &Scene, other: &Scene, carried: Option<&[Vec3]>) -> Field {
+pub fn difference(scene: &ViewerScene, other: &ViewerScene, carried: Option<&[Vec3]>) -> ScalarField {
     let scale = scene.frame().scale as f32;
     let to = carried.unwrap_or(&other.positions);
     let known = if carried.is_some() { scene.len() } else { common(&scene.sampled, &other.sampled) };
     let pairs = scene.positions.par_iter().zip(to).take(known);
     let mut values: Vec<f32> = pairs.map(|(p, q)| p.distance(*q) * scale).collect();
     spread(&mut values, scene);
-    Field::ranged(values, 0.0)
+    ScalarField::ranged(values, 0.0)
 }
 
 /// Numbers for the samples behind those that have one: the mean of the neighbours that have, from these
 /// outwards.
-fn spread(values: &mut Vec<f32>, scene: &Scene) {
+fn spread(values: &mut Vec<f32>, scene: &ViewerScene) {
     let known = values.len();
     values.resize(scene.len(), f32::NAN);
     let neighbours = scene.sampled.samples.neighbours();
@@ -164,14 +164,14 @@ fn spread(values: &mut Vec<f32>, scene: &Scene) {
 }
 
 /// How far samples have moved.
-pub fn displacement(scene: &Scene) -> Field {
+pub fn displacement(scene: &ViewerScene) -> ScalarField {
     let scale = scene.frame().scale as f32;
     let pairs = scene.positions.par_iter().zip(&scene.sampled.samples.positions);
-    Field::ranged(pairs.map(|(p, q)| p.distance(*q) * scale).collect(), 0.0)
+    ScalarField::ranged(pairs.map(|(p, q)| p.distance(*q) * scale).collect(), 0.0)
 }
 
 /// How much the surface is stretched or squeezed.
-pub fn stretch(scene: &Scene) -> Field {
+pub fn stretch(scene: &ViewerScene) -> ScalarField {
     scene.sampled.samples.prepare();
     let normals = scene.sampled.samples.normals();
     let of = |i: usize| {
@@ -179,35 +179,35 @@ pub fn stretch(scene: &Scene) -> Field {
         let [most, least] = principal_stretches(&map, normals[i]);
         most.max(1.0 / least)
     };
-    Field::ranged((0..scene.len()).into_par_iter().map(of).collect(), 1.0)
+    ScalarField::ranged((0..scene.len()).into_par_iter().map(of).collect(), 1.0)
 }
 
 /// How far samples are apart at rest.
-pub fn density(scene: &Scene) -> Field {
+pub fn density(scene: &ViewerScene) -> ScalarField {
     let scale = scene.frame().scale as f32;
     let values: Vec<f32> = scene.sampled.samples.spacing().iter().map(|s| s * scale).collect();
     let least = values.iter().copied().fold(f32::INFINITY, f32::min);
-    Field::ranged(values, if least.is_finite() { least } else { 0.0 })
+    ScalarField::ranged(values, if least.is_finite() { least } else { 0.0 })
 }
 
 /// The error to be expected between the samples; nothing where the scene does not have it yet.
-pub fn transfer_error(scene: &Scene) -> Option<Field> {
+pub fn transfer_error(scene: &ViewerScene) -> Option<ScalarField> {
     let scale = scene.frame().scale as f32;
     let expected = scene.expected_error.as_ref()?;
-    Some(Field::ranged(expected.iter().map(|e| e * scale).collect(), 0.0))
+    Some(ScalarField::ranged(expected.iter().map(|e| e * scale).collect(), 0.0))
 }
 
 /// An attribute of the vertices, of each sample; nothing where it is not known yet, or none of them has a
 /// number. The range is that of most of them.
-pub fn attribute(scene: &Scene, place: usize) -> Option<Field> {
+pub fn attribute(scene: &ViewerScene, place: usize) -> Option<ScalarField> {
     let attribute = scene.sampled.source.attributes.get(place)?;
     let values = scene.sampled.held_attributes()?.get(&attribute.name)?.to_vec();
     if attribute.is_of_classes() {
-        return Some(Field { values, range: [0.0, 1.0], are_classes: true });
+        return Some(ScalarField { values, range: [0.0, 1.0], are_classes: true });
     }
     let mut sorted = values.clone();
     let few = sorted.len() / 100;
     let (_, least, _) = sorted.select_nth_unstable_by(few, f32::total_cmp);
     let least = *least;
-    Some(Field::ranged(values, least))
+    Some(ScalarField::ranged(values, least))
 }

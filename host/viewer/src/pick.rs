@@ -3,7 +3,7 @@
 
 use crate::camera::{Camera, Projection, Ray};
 use crate::clip::cuts;
-use crate::scene::Scene;
+use crate::scene::ViewerScene;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -47,7 +47,7 @@ pub struct DepthBuffer {
     size: [f64; 2],
     /// What lies beyond this plane is not there: unit normal and distance, local coordinates.
     clip: Option<(DVec3, f64)>,
-    lens: Lens,
+    lens: PixelMap,
     width: usize,
     height: usize,
     nearest: Vec<(f32, u32)>,
@@ -67,7 +67,7 @@ struct Disc {
 }
 
 /// The camera's map to the pixels of the buffer, with all that many points share.
-struct Lens {
+struct PixelMap {
     eye: DVec3,
     axes: [DVec3; 3],
     flat: bool,
@@ -76,7 +76,7 @@ struct Lens {
     size: DVec2,
 }
 
-impl Lens {
+impl PixelMap {
     fn new(camera: &Camera, size: [f64; 2]) -> Self {
         let flat = camera.projection == Projection::Orthographic;
         let height = 0.5 * size[1] * camera.pixel_length(1.0, size);
@@ -127,7 +127,7 @@ impl Lens {
 impl DepthBuffer {
     /// Of the samples as a picture of so many pixels shows them, but those beyond a plane (unit normal and
     /// distance, local coordinates).
-    pub fn new(scene: &Scene, camera: &Camera, size: [f64; 2], clip: Option<(DVec3, f64)>) -> Self {
+    pub fn new(scene: &ViewerScene, camera: &Camera, size: [f64; 2], clip: Option<(DVec3, f64)>) -> Self {
         let shrink = (LONGEST / size[0].max(size[1]).max(1.0)).min(1.0);
         let pixels = |length: f64| ((length * shrink).ceil() as usize).max(1);
         let (width, height) = (pixels(size[0]), pixels(size[1]));
@@ -140,7 +140,7 @@ impl DepthBuffer {
         };
         let radii: Vec<f32> = (0..scene.len()).into_par_iter().map(radius).collect();
         let nearest = vec![(f32::INFINITY, NOBODY); width * height];
-        let lens = Lens::new(camera, [width as f64, height as f64]);
+        let lens = PixelMap::new(camera, [width as f64, height as f64]);
         let mut this = Self { camera: *camera, size, clip, lens, width, height, nearest, radii };
         for i in 0..scene.len() {
             if let Some(disc) = this.disc(scene, i) {
@@ -156,7 +156,7 @@ impl DepthBuffer {
     }
 
     /// What is seen of a sample; nothing where it is cut away, or behind the eye.
-    fn disc(&self, scene: &Scene, i: usize) -> Option<Disc> {
+    fn disc(&self, scene: &ViewerScene, i: usize) -> Option<Disc> {
         if cuts(self.clip, scene.positions[i]) {
             return None;
         }
@@ -182,7 +182,7 @@ impl DepthBuffer {
     }
 
     /// Whether each sample is seen, and none lies before it.
-    pub fn visible(&self, scene: &Scene) -> Vec<bool> {
+    pub fn visible(&self, scene: &ViewerScene) -> Vec<bool> {
         let is_seen = |i: usize| {
             let Some(disc) = self.disc(scene, i) else { return false };
             let Some((depth, _)) = self.look_up(disc.pixel) else { return false };
@@ -194,7 +194,7 @@ impl DepthBuffer {
     }
 
     /// Whether each sample is seen, or its disc is, though its middle may be outside of the picture.
-    pub fn seen(&self, scene: &Scene) -> Vec<bool> {
+    pub fn seen(&self, scene: &ViewerScene) -> Vec<bool> {
         let mut seen = self.visible(scene);
         let nearest = self.nearest.iter().map(|(_, sample)| *sample);
         nearest.filter(|sample| *sample != NOBODY).for_each(|sample| seen[sample as usize] = true);
@@ -209,14 +209,14 @@ impl DepthBuffer {
     }
 
     /// The point of the surface under a pixel of the window; nothing where there is none.
-    pub fn pick(&self, scene: &Scene, pixel: DVec2) -> Option<Hit> {
+    pub fn pick(&self, scene: &ViewerScene, pixel: DVec2) -> Option<Hit> {
         let (_, sample) = self.look_up(self.shrunk(pixel)).filter(|(_, sample)| *sample != NOBODY)?;
         Some(self.hit(scene, pixel, sample))
     }
 
     /// Behind the point under a pixel, where the body ends that begins there: at the nearest surface that
     /// looks away. Nothing where there is none, as in an open scan.
-    pub fn pick_far_side(&self, scene: &Scene, pixel: DVec2) -> Option<Hit> {
+    pub fn pick_far_side(&self, scene: &ViewerScene, pixel: DVec2) -> Option<Hit> {
         let at = self.shrunk(pixel);
         let (front, first) = self.look_up(at).filter(|(_, sample)| *sample != NOBODY)?;
         let from = front + self.radii[first as usize];
@@ -237,7 +237,7 @@ impl DepthBuffer {
         pixel * DVec2::new(self.width as f64 / width, self.height as f64 / height)
     }
 
-    fn hit(&self, scene: &Scene, pixel: DVec2, sample: u32) -> Hit {
+    fn hit(&self, scene: &ViewerScene, pixel: DVec2, sample: u32) -> Hit {
         let ray = self.camera.ray(pixel, self.size);
         surface(scene, &ray, sample, f64::from(self.radii[sample as usize]))
     }
@@ -252,7 +252,7 @@ fn plane(ray: &Ray, point: DVec3, normal: DVec3) -> Option<DVec3> {
 
 /// Where a ray meets the surface near a sample: first the sample's own plane, then the mean one of the
 /// samples around (M. Alexa et al., *Point Set Surfaces*, 2001, with two steps).
-fn surface(scene: &Scene, ray: &Ray, sample: u32, radius: f64) -> Hit {
+fn surface(scene: &ViewerScene, ray: &Ray, sample: u32, radius: f64) -> Hit {
     let of = |i: u32| (scene.positions[i as usize].as_dvec3(), scene.normals()[i as usize].as_dvec3());
     let (center, own) = of(sample);
     let near = |p: DVec3| p.distance(center) <= 2.0 * radius;
@@ -281,7 +281,7 @@ fn surface(scene: &Scene, ray: &Ray, sample: u32, radius: f64) -> Hit {
 
 /// Samples whose pixels are so; those behind the camera are not.
 pub fn within(
-    scene: &Scene,
+    scene: &ViewerScene,
     camera: &Camera,
     size: [f64; 2],
     is_in: impl Fn(DVec2) -> bool + Sync,

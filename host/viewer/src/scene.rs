@@ -1,6 +1,6 @@
 //! What is there to be seen: the samples, where the steps have moved them, and what the plugins placed.
 
-use crate::shading::{Ellipse, Rings, Shading};
+use crate::shading::{EllipseAxes, Rings, Shading};
 use glam::{DVec3, Vec3};
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_core::sampled_model::SampledModel;
@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
 /// The samples after the steps. All arrays have one entry for each sample; all coordinates are local.
-pub struct Scene {
+pub struct ViewerScene {
     /// The model with its samples at rest: their normals, spacing, neighbours, and the triangles between
     /// them.
     pub sampled: Arc<SampledModel>,
@@ -40,7 +40,7 @@ pub struct Scene {
     asked: Arc<AtomicBool>,
 }
 
-impl Scene {
+impl ViewerScene {
     /// Of samples that the steps have moved. Of a draft, how the surface lies is found where somebody asks:
     /// most of its samples may not be drawn; unless it was `asked` for all of the draft before.
     pub(crate) fn new(
@@ -104,7 +104,7 @@ impl Scene {
     }
 
     /// What a circle of radius 1 around each sample at rest becomes: see [`Shading::axes`].
-    pub fn axes(&self) -> &Arc<[Ellipse]> {
+    pub fn axes(&self) -> &Arc<[EllipseAxes]> {
         &self.shading().axes
     }
 

@@ -23,7 +23,7 @@ const LANES: usize = 16;
 const RINGS_TOGETHER: usize = 64;
 
 /// The axes of an ellipse: half of each, the longer one first, at right angles to each other.
-pub type Ellipse = [Vec3; 2];
+pub type EllipseAxes = [Vec3; 2];
 
 /// Of all samples, or of those of a list.
 #[derive(Debug, Clone, Default)]
@@ -32,7 +32,7 @@ pub struct Shading {
     pub normals: Arc<[Vec3]>,
     /// What a circle of radius 1 around each at rest becomes, in the tangent plane. Empty where nothing has
     /// moved.
-    pub axes: Arc<[Ellipse]>,
+    pub axes: Arc<[EllipseAxes]>,
 }
 
 impl Shading {
@@ -43,11 +43,11 @@ impl Shading {
         if is_still(sampled, positions) {
             return Self { normals: samples.normals().into(), axes: Arc::default() };
         }
-        let (surface, count, arch) = (Surface::new(sampled), samples.len(), Arch::new());
+        let (surface, count, arch) = (RestSurface::new(sampled), samples.len(), Arch::new());
         made(count, |k, normals, axes| {
             let of = |lane: usize| (LANES * k + lane).min(count - 1);
             let alone = |lane| surface.turned(positions, of(lane));
-            Ring::new(&surface, of).shade(positions, arch, (normals, axes), alone);
+            LaneRing::new(&surface, of).shade(positions, arch, (normals, axes), alone);
         })
     }
 
@@ -66,16 +66,16 @@ impl Shading {
 pub struct Rings {
     sampled: Arc<SampledModel>,
     some: Arc<[u32]>,
-    rings: Vec<Ring>,
+    rings: Vec<LaneRing>,
 }
 
 impl Rings {
     /// Of some of the samples.
     fn new(sampled: Arc<SampledModel>, some: Arc<[u32]>) -> Self {
         sampled.samples.prepare();
-        let surface = Surface::new(&sampled);
+        let surface = RestSurface::new(&sampled);
         let ring =
-            |k: usize| Ring::new(&surface, |lane| some[(LANES * k + lane).min(some.len() - 1)] as usize);
+            |k: usize| LaneRing::new(&surface, |lane| some[(LANES * k + lane).min(some.len() - 1)] as usize);
         let rings = (0..some.len().div_ceil(LANES)).into_par_iter().with_min_len(RINGS_TOGETHER).map(ring);
         Self { rings: rings.collect(), sampled, some }
     }
@@ -94,7 +94,7 @@ impl Rings {
     /// How the surface lies at these samples, in their order, once all samples have moved to these positions:
     /// to the last digit as [`Shading::new`] has it.
     pub fn shading(&self, positions: &[Vec3]) -> Shading {
-        let (surface, arch) = (Surface::new(&self.sampled), Arch::new());
+        let (surface, arch) = (RestSurface::new(&self.sampled), Arch::new());
         if is_still(&self.sampled, positions) {
             let normals = self.some.iter().map(|i| surface.normals[*i as usize]).collect();
             return Shading { normals, axes: Arc::default() };
@@ -112,9 +112,9 @@ fn is_still(sampled: &SampledModel, positions: &[Vec3]) -> bool {
 
 /// So many, as many at a time as there are lanes: by the number of their ring, and where they are written,
 /// which is where they stay: a million samples have 36 MB of them.
-fn made(count: usize, shade: impl Fn(usize, &mut [Vec3], &mut [Ellipse]) + Sync) -> Shading {
+fn made(count: usize, shade: impl Fn(usize, &mut [Vec3], &mut [EllipseAxes]) + Sync) -> Shading {
     let mut normals: Arc<[Vec3]> = repeat_n(Vec3::ZERO, count).collect();
-    let mut axes: Arc<[Ellipse]> = repeat_n([Vec3::ZERO; 2], count).collect();
+    let mut axes: Arc<[EllipseAxes]> = repeat_n([Vec3::ZERO; 2], count).collect();
     if let (Some(normals), Some(axes)) = (Arc::get_mut(&mut normals), Arc::get_mut(&mut axes)) {
         let rings = normals.par_chunks_mut(LANES).zip(axes.par_chunks_mut(LANES)).enumerate();
         rings.with_min_len(RINGS_TOGETHER).for_each(|(k, (normals, axes))| shade(k, normals, axes));
@@ -123,13 +123,13 @@ fn made(count: usize, shade: impl Fn(usize, &mut [Vec3], &mut [Ellipse]) + Sync)
 }
 
 /// The samples at rest.
-struct Surface<'a> {
+struct RestSurface<'a> {
     positions: &'a [Vec3],
     normals: &'a [Vec3],
     neighbours: &'a NeighbourGraph,
 }
 
-impl<'a> Surface<'a> {
+impl<'a> RestSurface<'a> {
     fn new(sampled: &'a SampledModel) -> Self {
         let samples = &sampled.samples;
         Self { positions: &samples.positions, normals: samples.normals(), neighbours: samples.neighbours() }
@@ -142,9 +142,9 @@ impl<'a> Surface<'a> {
     /// A sample's normal, turned as the triangles between it and its nearest neighbours are:
     /// `Σ (r₁ × r₂ · n) d₁ × d₂` over pairs of neighbours, where `r` are the ways to them at rest and `d`
     /// those now. With tangents `s × t = n` that is `(Σ (r·s) d) × (Σ (r·t) d)`. And the ellipse of the
-    /// linear map that carries these ways over best. A [`Ring`] does the same of many at a time, unless their
+    /// linear map that carries these ways over best. A [`LaneRing`] does the same of many at a time, unless their
     /// neighbours lie on a line.
-    fn turned(&self, now: &[Vec3], i: usize) -> (Vec3, Ellipse) {
+    fn turned(&self, now: &[Vec3], i: usize) -> (Vec3, EllipseAxes) {
         let (rest, n) = (self.positions, self.normals[i]);
         let (s, t) = n.any_orthonormal_pair();
         let (mut along_s, mut along_t) = (Vec3::ZERO, Vec3::ZERO);
@@ -191,9 +191,9 @@ struct Lying {
     least: Lanes,
 }
 
-/// What the rest shape says of some samples, side by side. What [`Surface::turned`] sums up is linear in the
+/// What the rest shape says of some samples, side by side. What [`RestSurface::turned`] sums up is linear in the
 /// ways to the neighbours now; so what stands before these is known beforehand.
-struct Ring {
+struct LaneRing {
     /// The samples, and their neighbours; the sample itself where there are fewer.
     near: [[u32; 1 + RING]; LANES],
     /// By how much the way to each neighbour counts in what becomes of either tangent ...
@@ -205,9 +205,9 @@ struct Ring {
     odd: u16,
 }
 
-impl Ring {
+impl LaneRing {
     /// Of so many samples, by their lanes.
-    fn new(surface: &Surface<'_>, of: impl Fn(usize) -> usize) -> Self {
+    fn new(surface: &RestSurface<'_>, of: impl Fn(usize) -> usize) -> Self {
         let zero = [0.0; LANES];
         let mut this = Self {
             near: [[0; 1 + RING]; LANES],
@@ -219,7 +219,7 @@ impl Ring {
         this
     }
 
-    fn set(&mut self, lane: usize, surface: &Surface<'_>, i: usize) {
+    fn set(&mut self, lane: usize, surface: &RestSurface<'_>, i: usize) {
         self.near[lane] = [i as u32; 1 + RING];
         let ring = surface.ring(i);
         let rest = surface.positions;
@@ -262,8 +262,8 @@ impl Ring {
         &self,
         now: &[Vec3],
         arch: Arch,
-        (normals, axes): (&mut [Vec3], &mut [Ellipse]),
-        alone: impl Fn(usize) -> (Vec3, Ellipse),
+        (normals, axes): (&mut [Vec3], &mut [EllipseAxes]),
+        alone: impl Fn(usize) -> (Vec3, EllipseAxes),
     ) {
         let Lying { normal, square, along, most, least } = arch.dispatch(|| self.lying(now));
         let at = |lanes: &Lanes3, i: usize| Vec3::new(lanes[0][i], lanes[1][i], lanes[2][i]);
@@ -360,7 +360,7 @@ fn axes_of([u, v]: &[Lanes3; 2]) -> (Lanes3, [Lanes; 2]) {
 
 /// Half axes of what a circle of radius 1 becomes, by where a linear map takes two of its radii at right
 /// angles; in the plane of a normal, and within bounds that can be drawn.
-fn ellipse(radii: [Vec3; 2], normal: Vec3) -> Ellipse {
+fn ellipse(radii: [Vec3; 2], normal: Vec3) -> EllipseAxes {
     let [u, v] = radii.map(|radius| radius - radius.dot(normal) * normal);
     let (uu, uv, vv) = (u.dot(u), u.dot(v), v.dot(v));
     let (sin, cos) = half_angle(2.0 * uv, uu - vv);
@@ -432,7 +432,7 @@ mod tests {
         let flat = 500..600;
         now[flat.clone()].iter_mut().for_each(|p| *p = Vec3::X * p.x);
         let all = Shading::new(&sampled, &now);
-        let surface = Surface::new(&sampled);
+        let surface = RestSurface::new(&sampled);
         let close = |a: Vec3, b: Vec3| (a - b).length() < 2e-3 * b.length();
         for i in 0..sampled.samples.len() {
             let (normal, [long, short]) = surface.turned(&now, i);

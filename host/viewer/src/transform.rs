@@ -42,7 +42,7 @@ pub struct Transform {
 
 /// What things look like.
 #[derive(Debug, Clone, Copy)]
-pub struct Seen<'a> {
+pub struct ScreenView<'a> {
     /// The camera.
     pub camera: &'a Camera,
     /// The picture, in pixels.
@@ -95,7 +95,7 @@ impl Transform {
     }
 
     /// The pointer goes on to a pixel.
-    pub fn follow(&mut self, pixel: DVec2, seen: Seen<'_>) {
+    pub fn follow(&mut self, pixel: DVec2, seen: ScreenView<'_>) {
         if let Some((middle, _)) = seen.camera.project(self.pivot, seen.size) {
             let (a, b) = (self.at - middle, pixel - middle);
             if a.length() > LEAST && b.length() > LEAST {
@@ -108,7 +108,7 @@ impl Transform {
 
     /// The motion as it is now, of the model; in steps where these are wanted and nothing is typed. Nothing
     /// where what is typed is no number yet, or none that makes sense.
-    pub fn motion(&self, seen: Seen<'_>, in_steps: bool) -> Option<Motion> {
+    pub fn motion(&self, seen: ScreenView<'_>, in_steps: bool) -> Option<Motion> {
         let typed = match self.typed.as_str() {
             "" => None,
             text => Some(text.parse::<f64>().ok()?),
@@ -140,7 +140,7 @@ impl Transform {
     }
 
     /// How far the pointer went with the picture, at the middle's depth.
-    fn across(&self, seen: Seen<'_>) -> DVec3 {
+    fn across(&self, seen: ScreenView<'_>) -> DVec3 {
         let Some((_, depth)) = seen.camera.project(self.pivot, seen.size) else { return DVec3::ZERO };
         let [right, up, _] = seen.camera.axes();
         let by = (self.at - self.from) * seen.camera.pixel_length(depth, seen.size);
@@ -148,7 +148,7 @@ impl Transform {
     }
 
     /// How far it went along an axis through the middle.
-    fn along(&self, axis: DVec3, seen: Seen<'_>) -> f64 {
+    fn along(&self, axis: DVec3, seen: ScreenView<'_>) -> f64 {
         // Where the middle is seen, and where it goes with the pointer.
         let Some((middle, _)) = seen.camera.project(self.pivot, seen.size) else { return 0.0 };
         let ray = seen.camera.ray(middle + self.at - self.from, seen.size);
@@ -163,7 +163,7 @@ impl Transform {
     }
 
     /// How far the pointer is from the middle, to how far it was.
-    fn size(&self, seen: Seen<'_>) -> f64 {
+    fn size(&self, seen: ScreenView<'_>) -> f64 {
         let Some((middle, _)) = seen.camera.project(self.pivot, seen.size) else { return 1.0 };
         (self.at.distance(middle) / self.from.distance(middle).max(LEAST)).max(0.01)
     }
@@ -205,7 +205,7 @@ mod tests {
             by in prop::array::uniform2(-200.0..200.0_f64),
             unit in 0.01..100.0_f64,
         ) {
-            let seen = Seen { camera: &camera, size: SIZE };
+            let seen = ScreenView { camera: &camera, size: SIZE };
             let (start, by) = (DVec2::new(500.0, 300.0), DVec2::from(by));
             let mut transform = Transform::new(TransformKind::Move, pivot, unit, start);
             transform.follow(start + by, seen);
@@ -218,7 +218,7 @@ mod tests {
         /// Along an axis, too, as far as that is seen from the side.
         #[test]
         fn it_follows_along_an_axis(camera in cameras(), pivot in pivots(), axis in 0..3_usize, far in -0.5..0.5_f64) {
-            let seen = Seen { camera: &camera, size: SIZE };
+            let seen = ScreenView { camera: &camera, size: SIZE };
             let (from, to) = (pivot, pivot + AXES[axis] * far);
             let [from, to] = [from, to].map(|p| camera.project(p, SIZE).unwrap().0);
             prop_assume!(AXES[axis].dot(camera.ray(from, SIZE).direction).abs() < 0.98);
@@ -237,7 +237,7 @@ mod tests {
             about in prop::option::of(0..3_usize),
             far in -500.0..500.0_f64,
         ) {
-            let seen = Seen { camera: &camera, size: SIZE };
+            let seen = ScreenView { camera: &camera, size: SIZE };
             let middle = camera.project(pivot, SIZE).unwrap().0;
             let at = |degrees: f64| middle + DVec2::from_angle(-degrees.to_radians()) * 90.0;
             let mut transform = Transform::new(TransformKind::Turn, pivot, 1.0, at(0.0));
@@ -254,7 +254,7 @@ mod tests {
     #[test]
     fn numbers_are_typed() {
         let camera = camera(0.3, 0.4, Projection::Perspective);
-        let seen = Seen { camera: &camera, size: SIZE };
+        let seen = ScreenView { camera: &camera, size: SIZE };
         let with = |kind: TransformKind, axis: Option<usize>, typed: &str| {
             let mut transform = Transform::new(kind, DVec3::ZERO, 4.0, DVec2::new(10.0, 10.0));
             transform.follow(DVec2::new(300.0, 500.0), seen);
@@ -285,7 +285,7 @@ mod tests {
     #[test]
     fn a_hand_in_steps_stops_at_whole_ones() {
         let camera = camera(0.0, 0.0, Projection::Orthographic);
-        let seen = Seen { camera: &camera, size: SIZE };
+        let seen = ScreenView { camera: &camera, size: SIZE };
         let middle = camera.project(DVec3::ZERO, SIZE).unwrap().0;
         for kind in [TransformKind::Move, TransformKind::Turn, TransformKind::Scale] {
             let mut transform = Transform::new(kind, DVec3::ZERO, 1.0, middle + DVec2::X * 100.0);

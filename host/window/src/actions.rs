@@ -3,11 +3,11 @@
 use crate::dialogs::Purpose;
 use crate::settings::{Lighting, Theme};
 use crate::tools::{Tool, is_of_use};
-use crate::window::{Palette, Window};
+use crate::window::{CommandPalette, Window};
 use crate::{axis, regions, steps, theme};
 use eframe::egui::text_selection::LabelSelectionState;
 use eframe::egui::{self, Event, Key, Modifiers};
-use simod_scene::Mode;
+use simod_scene::SurfaceMode;
 use simod_session::step::Role;
 use simod_viewer::camera::{Projection, Standard, Up};
 use simod_viewer::command::{Area, CameraMove};
@@ -29,7 +29,7 @@ pub enum Menu {
 }
 
 /// Something that the user can do by name.
-pub struct Action {
+pub struct NamedAction {
     /// What the user reads.
     pub name: &'static str,
     /// Where it is found.
@@ -74,11 +74,11 @@ const fn action(
     keys: &'static [(Modifiers, Key)],
     can: fn(&Window) -> bool,
     run: fn(&mut Window),
-) -> Action {
-    Action { name, menu, keys, can, is_on: None, run, begins: false }
+) -> NamedAction {
+    NamedAction { name, menu, keys, can, is_on: None, run, begins: false }
 }
 
-impl Action {
+impl NamedAction {
     const fn on(self, is_on: fn(&Window) -> bool) -> Self {
         Self { is_on: Some(is_on), ..self }
     }
@@ -150,7 +150,7 @@ fn is_deformation(w: &Window) -> bool {
 }
 
 /// All of them, in the order of their menus.
-pub const ALL: &[Action] = &[
+pub const ALL: &[NamedAction] = &[
     action(Menu::File, "Open\u{2026}", &[(CTRL, Key::O)], always, |w| w.ask(Purpose::Open)),
     action(Menu::File, "Open Sampled Folder\u{2026}", &[], always, |w| w.ask(Purpose::OpenFolder)),
     action(Menu::File, "Open the Example", &[], always, Window::open_example),
@@ -199,7 +199,7 @@ pub const ALL: &[Action] = &[
     )
     .begins(),
     action(Menu::Edit, "Search Commands\u{2026}", &[(CTRL, Key::P), (CTRL, Key::K)], always, |w| {
-        w.palette = Some(Palette::default());
+        w.palette = Some(CommandPalette::default());
     })
     .begins(),
     action(Menu::Select, "Select All", &[(CTRL, Key::A), (NONE, Key::A)], is_open, |w| select(w, Area::All)),
@@ -263,9 +263,9 @@ pub const ALL: &[Action] = &[
     })
     .on(|w| w.state().camera().up == Up::Z),
     action(Menu::View, "Triangles", &[(NONE, Key::T)], has_triangles, |w| {
-        w.looks.triangles = Some(w.mode() != Mode::Triangles);
+        w.looks.triangles = Some(w.mode() != SurfaceMode::Triangles);
     })
-    .on(|w| w.mode() == Mode::Triangles)
+    .on(|w| w.mode() == SurfaceMode::Triangles)
     .begins(),
     action(Menu::View, "Ghost of the Rest Shape", &[(SHIFT, Key::G)], is_open, |w| w.looks.ghost ^= true)
         .on(|w| w.looks.ghost),
@@ -394,7 +394,7 @@ pub const ALL: &[Action] = &[
     }),
     action(Menu::Edit, "Remove the Chosen Step", &[], has_step, |w| {
         if let Some(at) = w.state().chosen() {
-            w.apply(Command::Edit(simod_session::edit::Command::Remove { at }));
+            w.apply(Command::Edit(simod_session::edit::EditCommand::Remove { at }));
         }
     })
     .begins(),
@@ -407,7 +407,7 @@ const fn tool(
     keys: &'static [(Modifiers, Key)],
     run: fn(&mut Window),
     is_on: fn(&Window) -> bool,
-) -> Action {
+) -> NamedAction {
     let can: fn(&Window) -> bool = match tool {
         Tool::Stroke => |w| is_of_use(Tool::Stroke, w),
         Tool::Joint => |w| is_of_use(Tool::Joint, w),

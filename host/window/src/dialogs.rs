@@ -78,7 +78,7 @@ impl Purpose {
 
 /// What came of a dialog.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Answer {
+pub enum DialogAnswer {
     /// The user chose this.
     Chosen(PathBuf),
     /// The user closed it.
@@ -88,17 +88,17 @@ pub enum Answer {
 }
 
 /// How a dialog is shown: called on a thread of its own, with what for and where it begins. It asks
-/// [`Turn::take`] right before the user sees it.
-pub type Chooser = Arc<dyn Fn(&Purpose, Option<&Path>, &Turn) -> Answer + Send + Sync>;
+/// [`DialogTurn::take`] right before the user sees it.
+pub type Chooser = Arc<dyn Fn(&Purpose, Option<&Path>, &DialogTurn) -> DialogAnswer + Send + Sync>;
 
 /// Whose turn it is: that of the system's dialog, or that of the window, which went on without it.
 #[derive(Default)]
-pub struct Turn(AtomicU8);
+pub struct DialogTurn(AtomicU8);
 
 const SHOWN: u8 = 1;
 const LEFT: u8 = 2;
 
-impl Turn {
+impl DialogTurn {
     /// The dialog is shown now; `false` if the window went on without it, and it must not be.
     pub fn take(&self) -> bool {
         self.0.compare_exchange(0, SHOWN, Ordering::Relaxed, Ordering::Relaxed).is_ok()
@@ -119,9 +119,9 @@ pub struct Dialog {
     pub purpose: Purpose,
     /// Where it began.
     pub at: Option<PathBuf>,
-    turn: Arc<Turn>,
+    turn: Arc<DialogTurn>,
     since: Instant,
-    answer: Receiver<Answer>,
+    answer: Receiver<DialogAnswer>,
 }
 
 impl Dialog {
@@ -133,7 +133,7 @@ impl Dialog {
         wake: impl FnOnce() + Send + 'static,
     ) -> Self {
         let (sender, answer) = channel();
-        let turn = Arc::new(Turn::default());
+        let turn = Arc::new(DialogTurn::default());
         let (what, begin, turns) = (purpose.clone(), at.clone(), turn.clone());
         std::thread::spawn(move || {
             let answer = chooser(&what, begin.as_deref(), &turns);
@@ -145,12 +145,12 @@ impl Dialog {
     }
 
     /// What came of it, once. A system that says nothing has no dialogs.
-    pub fn answer(&self) -> Option<Answer> {
+    pub fn answer(&self) -> Option<DialogAnswer> {
         match self.answer.try_recv() {
             Ok(answer) => Some(answer),
-            Err(TryRecvError::Disconnected) => Some(Answer::Absent("it went away".to_owned())),
+            Err(TryRecvError::Disconnected) => Some(DialogAnswer::Absent("it went away".to_owned())),
             Err(TryRecvError::Empty) if self.since.elapsed() > PATIENCE && self.turn.leave() => {
-                Some(Answer::Absent("it does not answer".to_owned()))
+                Some(DialogAnswer::Absent("it does not answer".to_owned()))
             }
             Err(TryRecvError::Empty) => None,
         }
@@ -164,14 +164,14 @@ impl Dialog {
 
 /// The system's dialogs.
 pub fn system() -> Chooser {
-    Arc::new(|purpose: &Purpose, at: Option<&Path>, turn: &Turn| {
+    Arc::new(|purpose: &Purpose, at: Option<&Path>, turn: &DialogTurn| {
         if let Err(why) = available() {
-            return Answer::Absent(why);
+            return DialogAnswer::Absent(why);
         }
         if !turn.take() {
-            return Answer::Closed;
+            return DialogAnswer::Closed;
         }
-        chosen(purpose, at).map_or(Answer::Closed, Answer::Chosen)
+        chosen(purpose, at).map_or(DialogAnswer::Closed, DialogAnswer::Chosen)
     })
 }
 

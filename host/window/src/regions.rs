@@ -1,6 +1,6 @@
 //! What the window knows of regions: to make them of the selection.
 
-use crate::tools::{Target, Tool};
+use crate::tools::{MovedPart, Tool};
 use crate::window::Window;
 use simod_core::refinement::Finer;
 use simod_session::edit::Entry;
@@ -71,7 +71,7 @@ pub fn make_handle(window: &mut Window) {
 
 /// Takes a handle region that was made of the selection into the hand; nothing is selected any more.
 fn take_into_hand(window: &mut Window, region: usize) {
-    window.tools.target = Some(Target::Region(region));
+    window.tools.target = Some(MovedPart::Region(region));
     if !window.tools.tool.is_gizmo() {
         window.tools.take(Tool::Move);
     }

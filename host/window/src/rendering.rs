@@ -1,11 +1,11 @@
 //! Pictures and turntables of what the window shows: what is asked before, and their beginning.
 
-use crate::screenshot::{Format, Shot};
-use crate::turntable::{AskedPicture, AskedTurntable, FRAMES, Turning, Work, of_film};
+use crate::screenshot::{ScreenshotFormat, Shot};
+use crate::turntable::{AskedPicture, AskedTurntable, FRAMES, Turning, TurntableWork, of_film};
 use crate::viewport::detail::sample_dots;
 use crate::window::Window;
 use simod_model::Result;
-use simod_scene::Style;
+use simod_scene::SceneStyle;
 use std::path::{Path, PathBuf};
 
 /// The size of a window's picture, even as films have to be.
@@ -26,7 +26,7 @@ pub fn ask(window: &mut Window) {
         path.with_file_name(format!("{stem}-turntable"))
     });
     let folder = beside.unwrap_or_else(|| PathBuf::from("turntable")).display().to_string();
-    let format = Format { size: shown_size(window), transparent: false };
+    let format = ScreenshotFormat { size: shown_size(window), transparent: false };
     window.turntable = Some(AskedTurntable { folder, frames: FRAMES, format });
 }
 
@@ -35,21 +35,21 @@ pub fn ask_for_picture(window: &mut Window) {
     let Some(editor) = window.state().editor() else { return };
     let beside = editor.path().or(editor.model()).map(|path| path.with_extension("png"));
     let file = beside.unwrap_or_else(|| PathBuf::from("picture.png")).display().to_string();
-    let format = Format { size: shown_size(window), transparent: false };
+    let format = ScreenshotFormat { size: shown_size(window), transparent: false };
     window.picture = Some(AskedPicture { file, format });
 }
 
 /// Begins one, as the window looks.
-pub fn begin(window: &mut Window, folder: &Path, frames: u32, format: Format) {
-    begin_work(window, Work::Turntable(frames), folder, of_film(format));
+pub fn begin(window: &mut Window, folder: &Path, frames: u32, format: ScreenshotFormat) {
+    begin_work(window, TurntableWork::Turntable(frames), folder, of_film(format));
 }
 
 /// Begins a picture, as the window looks.
-pub fn begin_picture(window: &mut Window, file: &Path, format: Format) {
-    begin_work(window, Work::Picture, file, format);
+pub fn begin_picture(window: &mut Window, file: &Path, format: ScreenshotFormat) {
+    begin_work(window, TurntableWork::Picture, file, format);
 }
 
-fn begin_work(window: &mut Window, work: Work, target: &Path, format: Format) {
+fn begin_work(window: &mut Window, work: TurntableWork, target: &Path, format: ScreenshotFormat) {
     match shot_of(window) {
         Ok(shot) => {
             let ctx = window.ctx().clone();
@@ -72,8 +72,8 @@ fn shot_of(window: &mut Window) -> Result<Shot> {
     let mut shot = Shot::take(window.state_mut())?;
     let detail = window.state().detail().filter(|_| looks.samples);
     shot.dots = sample_dots(shot.positions(), detail);
-    shot.format = Format { size: shown_size(window), transparent: false };
-    shot.style = Style { mode, background: theme.background(), light, occlusion, ..shot.style };
+    shot.format = ScreenshotFormat { size: shown_size(window), transparent: false };
+    shot.style = SceneStyle { mode, background: theme.background(), light, occlusion, ..shot.style };
     shot.ghost = looks.ghost;
     Ok(shot)
 }

@@ -1,14 +1,14 @@
 //! Pictures of the model without a window, or beside it.
 
-use crate::viewport::detail::{Splats, sample_colors, sample_radii, splats};
+use crate::viewport::detail::{PieceSplats, sample_colors, sample_radii, splats};
 use crate::viewport::seen::{disc_radii, mode_of, seen_clip, view};
 use crate::viewport::vertex_colors::VertexColors;
 use glam::{DVec3, Vec3};
 use simod_model::{Error, Result};
 use simod_picture::{CutOut, Image};
-use simod_scene::{Background, Dot, Gpu, NoGpu, Scale, Scene, Style, Surface};
+use simod_scene::{Background, Dot, Gpu, NoGpu, PixelScale, Scene, SceneStyle, Surface};
 use simod_viewer::camera::Camera;
-use simod_viewer::{State, Version};
+use simod_viewer::{ComparedVersion, State};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -18,14 +18,14 @@ const SIZE: [u32; 2] = [1600, 1000];
 pub const LARGEST: u32 = 8192;
 /// How large a picture that is saved is, and what is behind the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Format {
+pub struct ScreenshotFormat {
     /// Width and height in pixels.
     pub size: [u32; 2],
     /// The background is seen through.
     pub transparent: bool,
 }
 
-impl Default for Format {
+impl Default for ScreenshotFormat {
     fn default() -> Self {
         Self { size: SIZE, transparent: false }
     }
@@ -35,7 +35,7 @@ impl Default for Format {
 ///
 /// # Errors
 /// Nothing is open, there is nothing to draw with, or the file cannot be written.
-pub fn write(state: &mut State, file: &Path, format: Format) -> Result<()> {
+pub fn write(state: &mut State, file: &Path, format: ScreenshotFormat) -> Result<()> {
     write_shot(&Shot::take(state)?.formatted(format), file)
 }
 
@@ -49,16 +49,16 @@ pub fn write_shot(shot: &Shot, file: &Path) -> Result<()> {
 
 /// What is drawn, and how: it does not change with what it was taken of.
 pub struct Shot {
-    shown: Arc<simod_viewer::Scene>,
+    shown: Arc<simod_viewer::ViewerScene>,
     radii: Vec<f32>,
     colors: Option<Vec<[u8; 3]>>,
     /// What is shown in full.
-    detail: Vec<Splats>,
+    detail: Vec<PieceSplats>,
     /// Samples over that.
     pub(crate) dots: Vec<Dot>,
     camera: Camera,
-    pub(crate) format: Format,
-    pub(crate) style: Style,
+    pub(crate) format: ScreenshotFormat,
+    pub(crate) style: SceneStyle,
     pub(crate) ghost: bool,
 }
 
@@ -77,7 +77,7 @@ impl Shot {
     pub fn take(state: &mut State) -> Result<Self> {
         let none = || Error::argument("there is no model to be drawn", "name one");
         let shown = state.scene().cloned().ok_or_else(none)?;
-        let (colors, tint) = (state.sample_colors(Version::Now), state.tint());
+        let (colors, tint) = (state.sample_colors(ComparedVersion::Now), state.tint());
         let scale = state.field().map(|field| field.scale());
         let detail = state.detail();
         let radii = sample_radii(&shown.sampled.samples.extents(), shown.axes(), detail);
@@ -88,13 +88,13 @@ impl Shot {
             Some(_) => Some(sample_colors(shown.len(), colors.as_deref())),
             None => colors,
         };
-        let style = Style {
+        let style = SceneStyle {
             mode: mode_of(&shown),
             own_colors: colors.is_some(),
             background: Background::Dark,
-            scale: Scale::Double,
+            scale: PixelScale::Double,
             clip: seen_clip(state),
-            ..Style::default()
+            ..SceneStyle::default()
         };
         let camera = *state.camera();
         Ok(Self {
@@ -104,7 +104,7 @@ impl Shot {
             detail: in_full,
             dots: Vec::new(),
             camera,
-            format: Format::default(),
+            format: ScreenshotFormat::default(),
             style,
             ghost: false,
         })
@@ -116,9 +116,9 @@ impl Shot {
     }
 
     /// The same in another size, or before another background.
-    pub fn formatted(self, format: Format) -> Self {
+    pub fn formatted(self, format: ScreenshotFormat) -> Self {
         let size = format.size.map(|side| side.clamp(1, LARGEST));
-        Self { format: Format { size, ..format }, ..self }
+        Self { format: ScreenshotFormat { size, ..format }, ..self }
     }
 
     /// Whether the background is seen through.
@@ -194,7 +194,7 @@ impl Studio<'_> {
     fn drawn(&mut self, turn: f64, background: Background) -> Result<Image> {
         let Shot { camera, format, style, .. } = self.shot;
         let camera = Camera { yaw: camera.yaw + turn, ..*camera };
-        let style = Style { background, ..*style };
+        let style = SceneStyle { background, ..*style };
         self.scene.render(&view(&camera, format.size.map(f64::from), self.bounds), &style, None);
         let lost = || Error::system("the picture cannot be drawn", NoGpu::HINT);
         self.scene.read().ok_or_else(lost)

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use simod_scene::{Light, Matcap};
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_viewer::Navigation;
 use std::path::{Path, PathBuf};
 
@@ -128,8 +128,8 @@ pub fn is_sampled(path: &Path) -> bool {
 }
 
 /// How finely a model is sampled, if `--samples` says so.
-pub fn sampling(samples: Option<u64>) -> Sampling {
-    Sampling { samples, ..Sampling::default() }
+pub fn sampling(samples: Option<u64>) -> SamplingTable {
+    SamplingTable { samples, ..SamplingTable::default() }
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 use crate::app::App;
 use crate::arguments::Arguments;
 use crate::plugins::{SERVE, discover, serve};
-use crate::screenshot::{Format, Shot};
+use crate::screenshot::{ScreenshotFormat, Shot};
 use crate::settings::{Settings, is_sampled, sampling};
 use crate::window::Window;
 use crate::{screenshot, turntable};
@@ -63,7 +63,7 @@ fn execute(arguments: Arguments) -> Result<()> {
             return Err(error);
         }
     }
-    let format = Format { size: arguments.size, transparent: arguments.transparent };
+    let format = ScreenshotFormat { size: arguments.size, transparent: arguments.transparent };
     if let Some(file) = &arguments.screenshot {
         screenshot::write(&mut state, file, format)?;
     }

@@ -6,7 +6,7 @@ use crate::window::{Renaming, Window};
 use eframe::egui::ViewportCommand;
 use simod_model::Result;
 use simod_session::Plugin;
-use simod_session::edit::{Change, Command as Edit, free_name, group_at};
+use simod_session::edit::{Change, EditCommand, free_name, group_at};
 use simod_viewer::Command;
 
 /// Adds a step, and takes the tool that it needs.
@@ -50,15 +50,15 @@ pub fn group(window: &mut Window, at: usize) {
         return;
     }
     let command = match all[above].step.group {
-        Some(_) => Edit::JoinGroup { from: at, at: above },
-        None => Edit::Group { steps: above..at + 1, name: Some(free_name(&all, "Group")) },
+        Some(_) => EditCommand::JoinGroup { from: at, at: above },
+        None => EditCommand::Group { steps: above..at + 1, name: Some(free_name(&all, "Group")) },
     };
     window.apply(Command::Edit(command));
 }
 
 /// Takes a step out of its group.
 pub fn ungroup(window: &mut Window, at: usize) {
-    window.apply(Command::Edit(Edit::Group { steps: at..at + 1, name: None }));
+    window.apply(Command::Edit(EditCommand::Group { steps: at..at + 1, name: None }));
 }
 
 /// Puts all steps of a group on the clipboard, as the text of a session.
@@ -70,7 +70,7 @@ pub fn copy_group(window: &mut Window, at: usize) {
 /// The same once more, behind it.
 pub fn duplicate(window: &mut Window, at: usize) {
     let Some(entry) = window.steps().get(at).cloned() else { return };
-    if window.apply(Command::Edit(Edit::Add { at: at + 1, step: Box::new((*entry.step).clone()) })) {
+    if window.apply(Command::Edit(EditCommand::Add { at: at + 1, step: Box::new((*entry.step).clone()) })) {
         window.apply(Command::Choose { step: Some(at + 1) });
         window.tools.target = None;
     }
@@ -118,7 +118,7 @@ pub fn is_alone(window: &Window, at: usize) -> bool {
 
 /// Switches all other deformations off, or on again.
 pub fn solo(window: &mut Window, at: usize) {
-    window.apply(Command::Edit(Edit::Solo { at }));
+    window.apply(Command::Edit(EditCommand::Solo { at }));
 }
 
 /// Another amount of the chosen step, in steps of a tenth.

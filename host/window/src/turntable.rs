@@ -1,7 +1,7 @@
 //! A turntable: frames of a full turn about the model's upright axis, drawn in the background; and single
 //! pictures.
 
-use crate::screenshot::{self, Format, Shot};
+use crate::screenshot::{self, ScreenshotFormat, Shot};
 use simod_model::progress::Progress;
 use simod_model::{Error, Result, memory};
 use simod_picture::FrameFolder;
@@ -45,7 +45,7 @@ pub struct AskedTurntable {
     /// Frames of the turn.
     pub frames: u32,
     /// How large they are, and their background.
-    pub format: Format,
+    pub format: ScreenshotFormat,
 }
 
 /// What is asked before a picture is drawn.
@@ -54,7 +54,7 @@ pub struct AskedPicture {
     /// The file, which is to be made.
     pub file: String,
     /// How large it is, and its background.
-    pub format: Format,
+    pub format: ScreenshotFormat,
 }
 
 /// Frames of a turntable, of which a film can be made.
@@ -86,13 +86,13 @@ pub fn film(folder: &Path, rate: u32, transparent: bool) -> String {
 }
 
 /// The format with even sides, as films take no others.
-pub fn of_film(format: Format) -> Format {
-    Format { size: format.size.map(|side| side.next_multiple_of(2)), ..format }
+pub fn of_film(format: ScreenshotFormat) -> ScreenshotFormat {
+    ScreenshotFormat { size: format.size.map(|side| side.next_multiple_of(2)), ..format }
 }
 
 /// What is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Work {
+pub enum TurntableWork {
     /// So many frames, into a folder.
     Turntable(u32),
     /// One, to a file.
@@ -101,22 +101,22 @@ pub enum Work {
 
 /// One that is being drawn. Dropped, it is stopped, and leaves nothing.
 pub struct Turning {
-    watch: Arc<Watch>,
+    watch: Arc<TurntableWatch>,
     made: Receiver<Result<()>>,
     thread: Option<JoinHandle<()>>,
-    work: Work,
+    work: TurntableWork,
     target: PathBuf,
     transparent: bool,
     since: Instant,
 }
 
-struct Watch {
+struct TurntableWatch {
     done: AtomicU32,
     cancelled: AtomicBool,
     wake: Box<dyn Fn() + Send + Sync>,
 }
 
-impl Progress for Watch {
+impl Progress for TurntableWatch {
     fn begin(&self, _: &'static str, _: u64) {}
 
     fn advance(&self, frames: u64) {
@@ -131,16 +131,21 @@ impl Progress for Watch {
 
 impl Turning {
     /// Begins to draw, in a thread of its own, which calls `wake` after each frame.
-    pub fn begin(shot: Shot, work: Work, target: &Path, wake: impl Fn() + Send + Sync + 'static) -> Self {
+    pub fn begin(
+        shot: Shot,
+        work: TurntableWork,
+        target: &Path,
+        wake: impl Fn() + Send + Sync + 'static,
+    ) -> Self {
         let (done, cancelled) = (AtomicU32::new(0), AtomicBool::new(false));
-        let watch = Arc::new(Watch { done, cancelled, wake: Box::new(wake) });
+        let watch = Arc::new(TurntableWatch { done, cancelled, wake: Box::new(wake) });
         let (sender, made) = channel();
         let (to, progress, transparent) = (target.to_owned(), watch.clone(), shot.is_transparent());
         let thread = std::thread::spawn(move || {
             // Nobody waits any more once the window is closed.
             let _ = sender.send(match work {
-                Work::Turntable(frames) => write(&shot, &to, frames, &*progress),
-                Work::Picture => screenshot::write_shot(&shot, &to),
+                TurntableWork::Turntable(frames) => write(&shot, &to, frames, &*progress),
+                TurntableWork::Picture => screenshot::write_shot(&shot, &to),
             });
             drop(sender);
             (progress.wake)();
@@ -165,8 +170,8 @@ impl Turning {
     /// Frames that are drawn, of how many.
     pub fn progress(&self) -> (u32, u32) {
         let frames = match self.work {
-            Work::Turntable(frames) => frames,
-            Work::Picture => 1,
+            TurntableWork::Turntable(frames) => frames,
+            TurntableWork::Picture => 1,
         };
         (self.watch.done.load(Relaxed), frames)
     }
@@ -196,22 +201,22 @@ impl Turning {
     /// What the user reads when it is there.
     pub fn done(&self) -> String {
         match self.work {
-            Work::Turntable(frames) => format!("{frames} frames are in {}.", self.target.display()),
-            Work::Picture => format!("The picture is in {}.", self.target.display()),
+            TurntableWork::Turntable(frames) => format!("{frames} frames are in {}.", self.target.display()),
+            TurntableWork::Picture => format!("The picture is in {}.", self.target.display()),
         }
     }
 
     /// What it is called.
     pub fn name(&self) -> &'static str {
         match self.work {
-            Work::Turntable(_) => "Turntable",
-            Work::Picture => "Picture",
+            TurntableWork::Turntable(_) => "Turntable",
+            TurntableWork::Picture => "Picture",
         }
     }
 
     /// What a film can be made of, where it is frames.
     pub fn film(&self) -> Option<Film> {
-        let Work::Turntable(frames) = self.work else { return None };
+        let TurntableWork::Turntable(frames) = self.work else { return None };
         let (folder, transparent) = (self.target.clone(), self.transparent);
         Some(Film { folder, frames, transparent, rate: RATE })
     }

@@ -8,7 +8,7 @@ use syn::spanned::Spanned;
 use syn::{Data, DataStruct, DeriveInput, Error, ExprRange, Field, Fields, Ident, Type};
 
 use crate::names;
-use crate::words::{Kind, ParamWords};
+use crate::words::{KindFunctions, ParamWords};
 
 /// The implementation of the trait.
 pub fn expand(input: &DeriveInput) -> syn::Result<TokenStream> {
@@ -92,7 +92,7 @@ fn parameter(field: &Field, used: &mut HashSet<String>) -> syn::Result<Parameter
 /// How a parameter is made and read whose kind the type does not tell. The compiler checks that the type
 /// fits.
 fn named_kind(
-    Kind { make, read }: &Kind,
+    KindFunctions { make, read }: &KindFunctions,
     ty: &Type,
     id: &str,
     name: &str,

@@ -8,7 +8,7 @@ use syn::{Attribute, Error, Expr, ExprRange, Ident, LitStr, RangeLimits};
 const KINDS: [(&str, &str); 3] = [("colour", "colour"), ("direction", "vec3"), ("point", "vec3")];
 
 /// A kind that is named, where the type does not tell it.
-pub struct Kind {
+pub struct KindFunctions {
     /// The function of `ParamDesc` that makes it.
     pub make: Ident,
     /// The method of `Params` that reads it.
@@ -27,7 +27,7 @@ pub struct ParamWords {
     pub unit: Option<Ident>,
     pub hard: Option<ExprRange>,
     pub soft: Option<ExprRange>,
-    pub kind: Option<Kind>,
+    pub kind: Option<KindFunctions>,
     pub invalidates_preparation: bool,
 }
 
@@ -44,7 +44,7 @@ impl ParamWords {
         let word = meta.path.get_ident().map(Ident::to_string).unwrap_or_default();
         if let Some((_, read)) = KINDS.iter().find(|(kind, _)| *kind == word) {
             let span = meta.path.segments[0].ident.span();
-            let kind = Kind { make: Ident::new(&word, span), read: Ident::new(read, span) };
+            let kind = KindFunctions { make: Ident::new(&word, span), read: Ident::new(read, span) };
             return match self.kind.replace(kind) {
                 Some(_) => Err(meta.error("a parameter has one kind")),
                 None => Ok(()),

@@ -21,7 +21,7 @@ use simod_plugin_api::{
     Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, HandleFaces, Handles,
     Host, IsIdentity, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
 };
-use somigliana::{Body, Coordinates};
+use somigliana::{CageBody, Coordinates};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use sums::Sums;
 
@@ -38,10 +38,10 @@ struct CagePlugin;
 
 /// How a cage is made.
 #[derive(ParamSet)]
-struct Made {
+struct CageSettings {
     /// Made about the model, unless there is a file
-    #[param(default = Kind::Hull, invalidates_preparation)]
-    cage: Kind,
+    #[param(default = CageShape::Hull, invalidates_preparation)]
+    cage: CageShape,
     /// About how many vertices a cage has that is made
     #[param(default = 40, hard = 6..=400, soft = 6..=150, invalidates_preparation)]
     detail: i64,
@@ -50,7 +50,7 @@ struct Made {
     margin: f64,
 }
 
-impl Made {
+impl CageSettings {
     /// About how many vertices it has.
     fn vertices(&self) -> PluginResult<usize> {
         usize::try_from(self.detail).map_err(|_| PluginError::parameter("detail", "is negative"))
@@ -58,7 +58,7 @@ impl Made {
 }
 
 #[derive(Choice, Clone, Copy)]
-enum Kind {
+enum CageShape {
     #[choice(label = "About the model")]
     Hull,
     #[choice(label = "A box")]
@@ -70,8 +70,8 @@ enum Kind {
 struct Followed {
     /// Somigliana: as an elastic body goes; details keep their shape, where mean values shear them. It takes
     /// more memory and time
-    #[param(default = Kept::MeanValue, invalidates_preparation)]
-    coordinates: Kept,
+    #[param(default = CageCoordinates::MeanValue, invalidates_preparation)]
+    coordinates: CageCoordinates,
     /// Somigliana: Poisson's ratio. A low one keeps the shape of details, a high one the volume where single
     /// vertices are drawn out
     #[param(default = -0.25, hard = -0.9..=0.49, soft = -0.5..=0.45, invalidates_preparation)]
@@ -79,7 +79,7 @@ struct Followed {
 }
 
 #[derive(Choice, Clone, Copy)]
-enum Kept {
+enum CageCoordinates {
     #[choice(label = "Mean value")]
     MeanValue,
     #[choice(label = "Somigliana")]
@@ -98,8 +98,8 @@ struct Prepared {
 enum Table {
     /// Tile by tile, vertex by vertex, sample by sample; the last tile is as long as the others.
     MeanValue(Vec<f32>),
-    /// As [`Body::tabulate`] has them.
-    Somigliana(Body, Vec<f32>),
+    /// As [`CageBody::tabulate`] has them.
+    Somigliana(CageBody, Vec<f32>),
 }
 
 /// The cage that the parameters describe.
@@ -112,10 +112,10 @@ fn cage(input: &PrepareInput<'_>) -> PluginResult<Cage> {
         })?;
         return Cage::read(path, |p| frame.to_local(p.into()).into());
     }
-    let made: Made = params.read()?;
+    let made: CageSettings = params.read()?;
     let make = match made.cage {
-        Kind::Hull => made::hull,
-        Kind::Box => made::divided_box,
+        CageShape::Hull => made::hull,
+        CageShape::Box => made::divided_box,
     };
     make(&input.bounds, input.samples.positions(), made.margin * input.bounds.diagonal(), made.vertices()?)
 }
@@ -175,7 +175,7 @@ impl Deformer for CagePlugin {
                 "T. Ju, S. Schaefer, J. Warren, Mean value coordinates for closed triangular meshes, SIGGRAPH 2005; J. Chen, \
                  F. de Goes, M. Desbrun, Somigliana coordinates, SIGGRAPH 2023",
             )
-            .param_set::<Made>()
+            .param_set::<CageSettings>()
             .param_set::<Followed>()
             .param(
                 ParamDesc::file("file", "File", &["obj"])
@@ -189,13 +189,13 @@ impl Deformer for CagePlugin {
         let Followed { coordinates, poisson } = input.params().read()?;
         let (samples, vertices) = (input.samples.positions(), cage.vertices.len());
         let (table, outside) = match coordinates {
-            Kept::MeanValue => {
+            CageCoordinates::MeanValue => {
                 check_size(samples.len(), vertices, vertices)?;
                 let (table, outside) = tabulate(&cage, samples, host)?;
                 (Table::MeanValue(table), outside)
             }
-            Kept::Somigliana => {
-                let body = Body::new(&cage, poisson);
+            CageCoordinates::Somigliana => {
+                let body = CageBody::new(&cage, poisson);
                 check_size(samples.len(), vertices, somigliana::NUMBERS * vertices)?;
                 let (table, outside) = body.tabulate(&cage, samples, host)?;
                 (Table::Somigliana(body, table), outside)
@@ -304,9 +304,9 @@ impl Handles for CagePlugin {
 
 impl HandleFaces for CagePlugin {
     fn handle_faces(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Vec<Vec<u32>>> {
-        let (params, made) = (input.params(), input.params().read::<Made>()?);
+        let (params, made) = (input.params(), input.params().read::<CageSettings>()?);
         // A hull takes several looks at all samples, for its vertices alone.
-        if params.file("file")?.is_none() && matches!(made.cage, Kind::Hull) {
+        if params.file("file")?.is_none() && matches!(made.cage, CageShape::Hull) {
             return Ok(made::hull_faces(made.vertices()?));
         }
         Ok(cage(input)?.faces)

@@ -16,12 +16,12 @@ const NEAREST: f64 = 0.05;
 
 /// The box about the model at rest, and about the samples where earlier steps have moved them, with a margin.
 #[derive(Debug, Clone, Copy)]
-struct Around {
+struct ModelBox {
     centre: DVec3,
     half: DVec3,
 }
 
-impl Around {
+impl ModelBox {
     fn new(bounds: &Bounds, samples: &[[f32; 3]], margin: f64) -> Self {
         let (mut min, mut max) = (DVec3::from(bounds.min), DVec3::from(bounds.max));
         for p in samples.iter().map(|p| DVec3::from(p.map(f64::from))) {
@@ -37,7 +37,7 @@ impl Around {
 
 /// A box whose faces are divided into about square cells, so that it has about `detail` vertices.
 pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: usize) -> PluginResult<Cage> {
-    let around = Around::new(bounds, samples, margin);
+    let around = ModelBox::new(bounds, samples, margin);
     let divided = |along: i32| {
         (around.half / around.half.max_element() * f64::from(along)).round().as_ivec3().max(IVec3::ONE)
     };
@@ -54,7 +54,7 @@ pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: u
         }
     }
     let n = best;
-    let (mut mesh, mut faces) = (Corners::default(), Vec::new());
+    let (mut mesh, mut faces) = (GridTriangles::default(), Vec::new());
     for axis in 0..3 {
         let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
         for side in [0, n[axis]] {
@@ -90,7 +90,7 @@ pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: u
 /// On a triangle with corners `v_k / x_k`, a sample `s Σ β_k v_k` lies inside if `Σ s β_k x_k <= 1`: in the
 /// inverse radii `x` these are linear, and a sample has to do with one triangle alone.
 pub fn hull(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: usize) -> PluginResult<Cage> {
-    let around = Around::new(bounds, samples, 0.0);
+    let around = ModelBox::new(bounds, samples, 0.0);
     let sphere = Octahedron::with_about(detail);
     let seen = |p: &[f32; 3]| {
         let x = DVec3::from(p.map(f64::from)) - around.centre;
@@ -99,7 +99,7 @@ pub fn hull(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: usize) -
     };
 
     // The outermost samples of parts of triangles, to begin with.
-    let mut outermost: Vec<Option<Seen>> = vec![None; sphere.mesh.triangles.len() * PARTS * PARTS];
+    let mut outermost: Vec<Option<CentredPoint>> = vec![None; sphere.mesh.triangles.len() * PARTS * PARTS];
     for seen in samples.iter().filter_map(seen) {
         let [_, b, c] = seen.share.to_array().map(|x| ((x * PARTS as f64) as usize).min(PARTS - 1));
         let part = &mut outermost[(seen.triangle * PARTS + b) * PARTS + c];
@@ -107,7 +107,7 @@ pub fn hull(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: usize) -
             *part = Some(seen);
         }
     }
-    let outermost: Vec<Seen> = outermost.into_iter().flatten().collect();
+    let outermost: Vec<CentredPoint> = outermost.into_iter().flatten().collect();
     let unit: Vec<f64> = sphere.mesh.grid.iter().map(|v| v.as_dvec3().length()).collect();
     let mut x: Vec<f64> = unit.iter().map(|length| length / 4.0).collect();
     let mut limits = Vec::new();
@@ -142,13 +142,13 @@ pub fn hull_faces(detail: usize) -> Vec<Vec<u32>> {
 
 /// Triangles between points of a grid.
 #[derive(Debug, Default)]
-struct Corners {
+struct GridTriangles {
     grid: Vec<IVec3>,
     known: HashMap<IVec3, usize>,
     triangles: Vec<[usize; 3]>,
 }
 
-impl Corners {
+impl GridTriangles {
     fn vertex(&mut self, at: IVec3) -> usize {
         *self.known.entry(at).or_insert_with(|| {
             self.grid.push(at);
@@ -175,7 +175,7 @@ impl Corners {
 /// The surface `|x| + |y| + |z| = n`, with a vertex at each point of the grid.
 struct Octahedron {
     n: i32,
-    mesh: Corners,
+    mesh: GridTriangles,
     /// The triangles by the points of the grid where they begin: see [`Octahedron::place`].
     by_place: Vec<usize>,
 }
@@ -192,7 +192,7 @@ fn is_mirrored(octant: u8) -> bool {
 
 /// A point as seen from the centre.
 #[derive(Debug, Clone, Copy)]
-struct Seen {
+struct CentredPoint {
     /// Which triangle is in front of it.
     triangle: usize,
     /// Its barycentric coordinates there.
@@ -209,7 +209,7 @@ impl Octahedron {
     }
 
     fn new(n: i32) -> Self {
-        let mut this = Self { n, mesh: Corners::default(), by_place: Vec::new() };
+        let mut this = Self { n, mesh: GridTriangles::default(), by_place: Vec::new() };
         this.by_place.resize(16 * (n * n) as usize, usize::MAX);
         for octant in 0..8_u8 {
             let sign = |bit: u8| if octant >> bit & 1 == 0 { 1 } else { -1 };
@@ -235,7 +235,7 @@ impl Octahedron {
     }
 
     /// The triangle in front of a point; nothing for the centre.
-    fn locate(&self, p: DVec3) -> Option<Seen> {
+    fn locate(&self, p: DVec3) -> Option<CentredPoint> {
         let size = p.abs().element_sum() / f64::from(self.n);
         if size == 0.0 {
             return None;
@@ -248,13 +248,13 @@ impl Octahedron {
         let upright = x + y <= 1.0 || i + j == self.n - 1;
         let [a, b, c] = if upright { [1.0 - x - y, x, y] } else { [x + y - 1.0, 1.0 - x, 1.0 - y] };
         let share = if is_mirrored(octant) { DVec3::new(a, c, b) } else { DVec3::new(a, b, c) };
-        Some(Seen { triangle: self.by_place[self.place(octant, i, j, upright)], share, size })
+        Some(CentredPoint { triangle: self.by_place[self.place(octant, i, j, upright)], share, size })
     }
 
     /// For each vertex, the most that its triangles' samples come to; 0 where there is none.
-    fn limits(&self, x: &[f64], samples: impl Iterator<Item = Seen>) -> Vec<f64> {
+    fn limits(&self, x: &[f64], samples: impl Iterator<Item = CentredPoint>) -> Vec<f64> {
         let mut of_triangles = vec![0.0_f64; self.mesh.triangles.len()];
-        for Seen { triangle, share, size } in samples {
+        for CentredPoint { triangle, share, size } in samples {
             let [a, b, c] = self.mesh.triangles[triangle];
             let most = &mut of_triangles[triangle];
             *most = most.max(size * share.dot(DVec3::new(x[a], x[b], x[c])));

@@ -34,7 +34,7 @@ const ASIDE: f64 = 1e-3;
 
 /// A cage and its material.
 #[derive(Debug)]
-pub struct Body {
+pub struct CageBody {
     panels: Vec<Panel>,
     poisson: f64,
 }
@@ -53,7 +53,7 @@ pub struct Coordinates {
 /// Numbers of each sample for each vertex.
 pub const NUMBERS: usize = 10;
 
-impl Body {
+impl CageBody {
     /// A body with Poisson's ratio below 0.5.
     pub fn new(cage: &Cage, poisson: f64) -> Self {
         Self { panels: Panel::all(cage), poisson }
@@ -280,7 +280,7 @@ mod tests {
     }
 
     fn both(cage: &Cage, poisson: f64, map: impl Fn(DVec3) -> DVec3) -> [[f64; 3]; 2] {
-        let (displacements, body) = (displacements(cage, map), Body::new(cage, poisson));
+        let (displacements, body) = (displacements(cage, map), CageBody::new(cage, poisson));
         let (mut view, mut weights) = (View::default(), vec![0.0; cage.vertices.len()]);
         let mean_value = distortion(|x| {
             cage.coordinates(x, &mut view, &mut weights);
@@ -313,7 +313,7 @@ mod tests {
         }
     }
 
-    fn coordinates_at(cage: &Cage, body: &Body, x: DVec3) -> Coordinates {
+    fn coordinates_at(cage: &Cage, body: &CageBody, x: DVec3) -> Coordinates {
         let mut found = Coordinates::default();
         body.coordinates(cage, x, &mut found);
         found
@@ -339,7 +339,7 @@ mod tests {
         ) {
             let cage = box_of_bar(60);
             let x = DVec3::from(x) * DVec3::new(2.0, 0.4, 0.4);
-            let found = coordinates_at(&cage, &Body::new(&cage, poisson), x);
+            let found = coordinates_at(&cage, &CageBody::new(&cage, poisson), x);
             let spin = DVec3::from(spin);
             let sum = found.vertices.iter().zip(&cage.vertices).fold(DVec3::ZERO, |sum, (w, p)| sum + *w * spin.cross(*p));
             prop_assert!(sum.distance(spin.cross(x)) < 1e-10 && miss(&found) < 1e-10, "{x} {poisson}");
@@ -352,7 +352,7 @@ mod tests {
             toward in prop::array::uniform3(-1.0..1.0_f64), poisson in -0.9..0.49_f64,
         ) {
             let cage = dented();
-            let body = Body::new(&cage, poisson);
+            let body = CageBody::new(&cage, poisson);
             let [a, b, c] = cage.triangles[triangle].corners.map(|v| cage.vertices[v]);
             let on = match kind {
                 0 => a,
@@ -375,7 +375,7 @@ mod tests {
             flat in prop::array::uniform3(prop::bool::ANY), mirrored in prop::bool::ANY, wild in 0.0..1.0_f64,
         ) {
             let cage = dented();
-            let body = Body::new(&cage, 0.3);
+            let body = CageBody::new(&cage, 0.3);
             let scale = DVec3::from(flat.map(|f| if f { 0.0 } else { 1.0 })) * if mirrored { DVec3::new(-1.0, 1.0, 1.0) } else { DVec3::ONE };
             let moved: Vec<DVec3> = cage.vertices.iter().zip(&to)
                 .map(|(p, to)| scale * (*p + wild * DVec3::from(*to)) - *p).collect();

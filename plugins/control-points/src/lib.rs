@@ -10,7 +10,7 @@ mod report;
 
 use glam::{DAffine3, DVec3};
 use landmarks::Landmark;
-use map::{Extent, Kind, Map, Open};
+use map::{Extent, Map, MapKind, Open};
 use report::Report;
 use simod_plugin_api::{
     Bounds, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, IsIdentity, LogLevel,
@@ -34,8 +34,8 @@ struct ControlPoints;
 #[derive(ParamSet)]
 struct Settings {
     /// Splines and local weights meet each landmark; the others as well as they can
-    #[param(default = Kind::ThinPlate, invalidates_preparation)]
-    method: Kind,
+    #[param(default = MapKind::ThinPlate, invalidates_preparation)]
+    method: MapKind,
     /// How much a thin-plate spline may miss landmarks, for those that are not exact; 0 meets them
     #[param(default = 0.0, unit = "diagonal", hard = 0.0..=1e3, soft = 0.0..=0.1, invalidates_preparation)]
     smoothing: f64,
@@ -174,10 +174,10 @@ fn are_near((path, landmarks): (&Path, &[Landmark]), bounds: &Bounds, host: &Hos
 }
 
 /// Tells what the user may not want.
-fn warn(map: &Map, method: Kind, landmarks: &[Landmark], host: &Host<'_>) {
+fn warn(map: &Map, method: MapKind, landmarks: &[Landmark], host: &Host<'_>) {
     let used: Vec<DVec3> = landmarks.iter().filter(|l| l.weight > 0.0).map(|l| l.source).collect();
     let extent = Extent::measure(&used);
-    if matches!(method, Kind::Affine | Kind::ThinPlate) && extent.is_uncertain() {
+    if matches!(method, MapKind::Affine | MapKind::ThinPlate) && extent.is_uncertain() {
         host.warn(&format!(
             "the landmarks lie nearly in a plane ({:.1e} of their extent across it): what happens across it is \
              uncertain; `method = \"similarity\"` does without",

@@ -23,7 +23,7 @@ const FLAT: f64 = 1e-2;
 
 /// The kind of map.
 #[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum MapKind {
     #[choice(label = "Thin-plate spline")]
     ThinPlate,
     #[choice(label = "Local weights")]
@@ -34,7 +34,7 @@ pub enum Kind {
     Translation,
 }
 
-impl Kind {
+impl MapKind {
     /// What a session calls it.
     pub fn id(self) -> &'static str {
         match self {
@@ -61,7 +61,7 @@ impl Kind {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Open {
     pub why: Why,
-    pub instead: Option<Kind>,
+    pub instead: Option<MapKind>,
 }
 
 /// Why landmarks determine no map of a kind, and what to do about them.
@@ -150,19 +150,19 @@ impl Map {
     ///
     /// # Errors
     /// They do not determine it.
-    pub fn fit(kind: Kind, landmarks: &[Landmark], smoothing: f64) -> Result<Self, Open> {
-        let determined = |simpler: &&Kind| Self::of_kind(**simpler, landmarks, smoothing).is_ok();
+    pub fn fit(kind: MapKind, landmarks: &[Landmark], smoothing: f64) -> Result<Self, Open> {
+        let determined = |simpler: &&MapKind| Self::of_kind(**simpler, landmarks, smoothing).is_ok();
         Self::of_kind(kind, landmarks, smoothing)
             .map_err(|why| Open { why, instead: kind.simpler().iter().find(determined).copied() })
     }
 
-    fn of_kind(kind: Kind, landmarks: &[Landmark], smoothing: f64) -> Result<Self, Why> {
+    fn of_kind(kind: MapKind, landmarks: &[Landmark], smoothing: f64) -> Result<Self, Why> {
         let used: Vec<&Landmark> = landmarks.iter().filter(|l| l.weight > 0.0).collect();
         let extent = Extent::measure(&used.iter().map(|l| l.source).collect::<Vec<_>>());
         let needed = match kind {
-            Kind::ThinPlate | Kind::Affine => 3,
-            Kind::Similarity => 2,
-            Kind::Translation | Kind::LocalWeights => 0,
+            MapKind::ThinPlate | MapKind::Affine => 3,
+            MapKind::Similarity => 2,
+            MapKind::Translation | MapKind::LocalWeights => 0,
         };
         if used.is_empty() {
             let what = "no landmark has a weight above 0".to_owned();
@@ -172,11 +172,11 @@ impl Map {
             return Err(open(extent, used.len()));
         }
         match kind {
-            Kind::Translation => Ok(Self::Affine(translation(&used))),
-            Kind::Similarity => similarity(&used).map(Self::Affine),
-            Kind::Affine => Ok(Self::Affine(affine(&used))),
-            Kind::ThinPlate => Spline::new(&used, smoothing).map(|spline| spline.map(&used)),
-            Kind::LocalWeights => {
+            MapKind::Translation => Ok(Self::Affine(translation(&used))),
+            MapKind::Similarity => similarity(&used).map(Self::Affine),
+            MapKind::Affine => Ok(Self::Affine(affine(&used))),
+            MapKind::ThinPlate => Spline::new(&used, smoothing).map(|spline| spline.map(&used)),
+            MapKind::LocalWeights => {
                 distinct(&used)?;
                 let map = match extent.directions {
                     3 => affine(&used),
@@ -191,8 +191,8 @@ impl Map {
 
     /// By how far each landmark is missed by the map that all others determine; nothing where these do not
     /// determine one.
-    pub fn left_out(kind: Kind, landmarks: &[Landmark], smoothing: f64) -> Vec<Option<DVec3>> {
-        if kind == Kind::ThinPlate {
+    pub fn left_out(kind: MapKind, landmarks: &[Landmark], smoothing: f64) -> Vec<Option<DVec3>> {
+        if kind == MapKind::ThinPlate {
             return Spline::left_out(landmarks, smoothing);
         }
         let without = |i: usize| {

@@ -1,7 +1,7 @@
 //! How well a map meets its landmarks.
 
 use crate::landmarks::Landmark;
-use crate::map::{Kind, Map};
+use crate::map::{Map, MapKind};
 use glam::DVec3;
 use serde_json::{Value, json};
 
@@ -33,12 +33,12 @@ pub struct Row {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
     pub rows: Vec<Row>,
-    kind: Kind,
+    kind: MapKind,
 }
 
 impl Report {
     /// Of a map for landmarks in local coordinates, of which a unit is `scale` of the model's.
-    pub fn new(map: &Map, kind: Kind, landmarks: &[Landmark], smoothing: f64, scale: f64) -> Self {
+    pub fn new(map: &Map, kind: MapKind, landmarks: &[Landmark], smoothing: f64, scale: f64) -> Self {
         let left_out = if landmarks.len() <= MOST_LEFT_OUT {
             Map::left_out(kind, landmarks, smoothing)
         } else {
@@ -127,7 +127,7 @@ impl Report {
 /// Those that stand out, one after the other: each is left out before the next is looked for, as a map that
 /// is wrong in one place is so beside it, too.
 fn outliers(
-    kind: Kind,
+    kind: MapKind,
     landmarks: &[Landmark],
     smoothing: f64,
     mut left_out: Vec<Option<DVec3>>,

@@ -43,7 +43,13 @@ fn each_map_finds_maps_of_its_kind() {
         DVec3::X,
     );
     let aside = DAffine3::from_translation(DVec3::new(0.5, -0.25, 3.0));
-    let all = [Kind::Translation, Kind::Similarity, Kind::Affine, Kind::ThinPlate, Kind::LocalWeights];
+    let all = [
+        MapKind::Translation,
+        MapKind::Similarity,
+        MapKind::Affine,
+        MapKind::ThinPlate,
+        MapKind::LocalWeights,
+    ];
     for (simplest, truth) in [(0, aside), (1, helmert()), (2, shear)] {
         let landmarks = moved(&places(12, 3), |p| truth.transform_point3(p));
         for kind in &all[simplest..] {
@@ -60,7 +66,7 @@ fn each_map_finds_maps_of_its_kind() {
     }
     // A plane is enough for a similarity, and for local weights.
     let landmarks = moved(&places(8, 2), |p| helmert().transform_point3(p));
-    for kind in [Kind::Similarity, Kind::LocalWeights] {
+    for kind in [MapKind::Similarity, MapKind::LocalWeights] {
         let map = Map::fit(kind, &landmarks, 0.0).unwrap();
         assert!(map.apply(DVec3::ONE).distance(helmert().transform_point3(DVec3::ONE)) < 1e-9);
     }
@@ -71,10 +77,10 @@ fn splines_and_local_weights_meet_landmarks_and_smoothing_misses_them() {
     let landmarks = moved(&places(30, 3), bend);
     let worst =
         |map: &Map| landmarks.iter().map(|l| map.apply(l.source).distance(l.target)).fold(0.0, f64::max);
-    assert!(worst(&Map::fit(Kind::ThinPlate, &landmarks, 0.0).unwrap()) < 1e-12);
-    assert!(worst(&Map::fit(Kind::LocalWeights, &landmarks, 0.0).unwrap()) < 1e-12);
-    let affine = worst(&Map::fit(Kind::Affine, &landmarks, 0.0).unwrap());
-    let [some, much] = [0.1, 1e6].map(|s| worst(&Map::fit(Kind::ThinPlate, &landmarks, s).unwrap()));
+    assert!(worst(&Map::fit(MapKind::ThinPlate, &landmarks, 0.0).unwrap()) < 1e-12);
+    assert!(worst(&Map::fit(MapKind::LocalWeights, &landmarks, 0.0).unwrap()) < 1e-12);
+    let affine = worst(&Map::fit(MapKind::Affine, &landmarks, 0.0).unwrap());
+    let [some, much] = [0.1, 1e6].map(|s| worst(&Map::fit(MapKind::ThinPlate, &landmarks, s).unwrap()));
     assert!(
         1e-3 < some && some < affine && (much - affine).abs() < 1e-3 * affine,
         "{some}, {much}, {affine}"
@@ -82,8 +88,8 @@ fn splines_and_local_weights_meet_landmarks_and_smoothing_misses_them() {
     // One that does not count is no landmark, but is told of.
     let mut checked = landmarks.clone();
     checked[4].weight = 0.0;
-    let map = Map::fit(Kind::ThinPlate, &checked, 0.0).unwrap();
-    let report = Report::new(&map, Kind::ThinPlate, &checked, 0.0, 1.0);
+    let map = Map::fit(MapKind::ThinPlate, &checked, 0.0).unwrap();
+    let report = Report::new(&map, MapKind::ThinPlate, &checked, 0.0, 1.0);
     assert!(report.rows[4].is_check && report.rows[4].residual > 1e-4 && report.rms() < 1e-12);
 }
 
@@ -92,7 +98,7 @@ fn splines_and_local_weights_meet_landmarks_and_smoothing_misses_them() {
 #[test]
 fn the_spline_is_scipy_s() {
     let landmarks = moved(&places(20, 3), bend);
-    let map = Map::fit(Kind::ThinPlate, &landmarks, 0.0).unwrap();
+    let map = Map::fit(MapKind::ThinPlate, &landmarks, 0.0).unwrap();
     let expected = DVec3::new(0.3385551995986, -0.1714479271681, 0.5912229100208);
     assert!(
         map.apply(DVec3::new(0.3, -0.2, 0.6)).distance(expected) < 1e-9,
@@ -104,7 +110,7 @@ fn the_spline_is_scipy_s() {
 #[test]
 fn a_landmark_is_left_out_as_if_it_were_not_there() {
     let landmarks = moved(&places(15, 3), bend);
-    for kind in [Kind::ThinPlate, Kind::LocalWeights, Kind::Affine, Kind::Similarity] {
+    for kind in [MapKind::ThinPlate, MapKind::LocalWeights, MapKind::Affine, MapKind::Similarity] {
         for smoothing in [0.0, 0.2] {
             let left_out = Map::left_out(kind, &landmarks, smoothing);
             for (i, left) in left_out.iter().enumerate() {
@@ -117,7 +123,7 @@ fn a_landmark_is_left_out_as_if_it_were_not_there() {
     }
     // Four are needed all.
     let four = moved(&places(4, 3), bend);
-    for kind in [Kind::ThinPlate, Kind::Affine] {
+    for kind in [MapKind::ThinPlate, MapKind::Affine] {
         assert!(Map::left_out(kind, &four, 0.0).iter().all(Option::is_none));
     }
 }
@@ -126,30 +132,30 @@ fn a_landmark_is_left_out_as_if_it_were_not_there() {
 fn what_cannot_be_determined_is_said_and_the_next_simpler_map_offered() {
     let fit = |kind, landmarks: &[Landmark]| Map::fit(kind, landmarks, 0.0).unwrap_err();
     for (directions, what, instead) in [
-        (2, "one plane", Kind::Similarity),
-        (1, "one line", Kind::Translation),
-        (0, "one place", Kind::Translation),
+        (2, "one plane", MapKind::Similarity),
+        (1, "one line", MapKind::Translation),
+        (0, "one place", MapKind::Translation),
     ] {
         let landmarks = moved(&places(9, directions), |p| p + DVec3::X);
-        for kind in [Kind::ThinPlate, Kind::Affine] {
+        for kind in [MapKind::ThinPlate, MapKind::Affine] {
             let Open { why, instead: offered } = fit(kind, &landmarks);
             let told = why.what;
             assert!(told.contains(what) && offered == Some(instead), "{told}, {offered:?}");
         }
         // What is offered can be had.
         Map::fit(instead, &landmarks, 0.0).unwrap();
-        assert_eq!(Map::fit(Kind::Similarity, &landmarks, 0.0).is_ok(), directions > 1);
+        assert_eq!(Map::fit(MapKind::Similarity, &landmarks, 0.0).is_ok(), directions > 1);
     }
     // Those that coincide are named, also where rounding has them apart, and what is offered can be had.
-    for (directions, instead) in [(3, Kind::Affine), (2, Kind::Similarity), (1, Kind::Translation)] {
+    for (directions, instead) in [(3, MapKind::Affine), (2, MapKind::Similarity), (1, MapKind::Translation)] {
         for apart in [0.0, 1e-12] {
             let mut landmarks = moved(&places(9, directions), |p| p + DVec3::X);
             landmarks[7].source = landmarks[2].source + DVec3::splat(apart);
             landmarks[7].line = 2;
-            for kind in [Kind::ThinPlate, Kind::LocalWeights] {
+            for kind in [MapKind::ThinPlate, MapKind::LocalWeights] {
                 let told = fit(kind, &landmarks);
                 let coincide = told.why.what.contains("`2` and `7` coincide");
-                assert!(coincide || (kind == Kind::ThinPlate && directions < 3), "{told:?}");
+                assert!(coincide || (kind == MapKind::ThinPlate && directions < 3), "{told:?}");
                 assert_eq!(told.instead, Some(instead), "{told:?}");
                 Map::fit(instead, &landmarks, 0.0).unwrap();
             }
@@ -157,7 +163,7 @@ fn what_cannot_be_determined_is_said_and_the_next_simpler_map_offered() {
     }
     let mut landmarks = moved(&places(9, 3), bend);
     landmarks.iter_mut().for_each(|l| l.weight = 0.0);
-    assert!(fit(Kind::Translation, &landmarks).why.what.contains("weight"));
+    assert!(fit(MapKind::Translation, &landmarks).why.what.contains("weight"));
 }
 
 #[test]
@@ -167,7 +173,7 @@ fn a_wrong_landmark_stands_out() {
             + 1e-3 * DVec3::new((9.0 * p.x).sin(), (7.0 * p.y).cos(), (5.0 * p.z).sin())
     });
     landmarks[6].target.y += 0.3;
-    for kind in [Kind::Similarity, Kind::Affine] {
+    for kind in [MapKind::Similarity, MapKind::Affine] {
         let map = Map::fit(kind, &landmarks, 0.0).unwrap();
         let report = Report::new(&map, kind, &landmarks, 0.0, 1.0);
         assert_eq!(report.outliers(), ["6"], "{kind:?}");
@@ -256,7 +262,9 @@ proptest! {
     #[test]
     fn any_landmarks_give_a_map_or_an_offer(
         points in proptest::collection::vec((proptest::array::uniform3(-2_i8..3), proptest::array::uniform3(-2_i8..3), 0_u8..3), 1..12),
-        kind in prop::sample::select(vec![Kind::ThinPlate, Kind::LocalWeights, Kind::Affine, Kind::Similarity, Kind::Translation]),
+        kind in prop::sample::select(vec![
+            MapKind::ThinPlate, MapKind::LocalWeights, MapKind::Affine, MapKind::Similarity, MapKind::Translation,
+        ]),
         smoothing in prop::sample::select(vec![0.0, 0.1]),
     ) {
         let dense = |p: [i8; 3]| DVec3::from_array(p.map(f64::from));

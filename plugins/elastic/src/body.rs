@@ -9,7 +9,7 @@
 use crate::cell::{Deformed, Eight, Forces, Matrices, Slopes};
 use crate::contact::Touch;
 use crate::held::{Goals, Spring};
-use crate::lattice::{CORNERS, Lattice, Place, slopes};
+use crate::lattice::{CORNERS, CellPoint, Lattice, slopes};
 use crate::material;
 use crate::multilevel::{Inverse, Multilevel};
 use glam::{DAffine3, DMat3, DVec3};
@@ -88,7 +88,7 @@ impl Body {
     }
 
     /// How the cell of a place is deformed there.
-    pub fn gradient(&self, place: Place, x: &[DVec3]) -> DMat3 {
+    pub fn gradient(&self, place: CellPoint, x: &[DVec3]) -> DMat3 {
         let slopes = slopes(place.at).map(|slope| slope / self.lattice.size);
         deformation(&self.lattice.cells[place.cell as usize].map(|c| x[c as usize]), &slopes)
     }

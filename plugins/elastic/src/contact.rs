@@ -2,7 +2,7 @@
 //! them.
 
 use crate::body::Body;
-use crate::lattice::{Lattice, Place, weights};
+use crate::lattice::{CellPoint, Lattice, weights};
 use crate::material;
 use crate::occupancy::Occupancy;
 use glam::{DVec3, I64Vec3};
@@ -44,7 +44,7 @@ struct Point {
 /// Two points that are too near, each by its corners' weights.
 #[derive(Debug, Clone)]
 pub struct Touch {
-    places: [Place; 2],
+    places: [CellPoint; 2],
     /// From the second out to the first.
     normal: DVec3,
     gap: f64,
@@ -113,7 +113,7 @@ impl Surface {
     pub fn touches(
         &self,
         body: &Body,
-        places: &[Option<Place>],
+        places: &[Option<CellPoint>],
         x: &[DVec3],
         host: &Host<'_>,
     ) -> PluginResult<Vec<Touch>> {
@@ -127,7 +127,7 @@ impl Surface {
             }
         })?;
         let reach = REACH * self.size;
-        let places = |(_, at, out): (Place, DVec3, DVec3)| ((at / reach).floor().as_i64vec3(), out);
+        let places = |(_, at, out): (CellPoint, DVec3, DVec3)| ((at / reach).floor().as_i64vec3(), out);
         let cells = Cells::new(now.iter().map(|n| n.map(places)));
         let (near, gap) = (NEAR * self.size, GAP * self.size);
         let beside = BESIDE * self.size;
@@ -143,7 +143,7 @@ impl Surface {
                 }
                 let i = cells.points[at] as usize;
                 let Some((place, at, normal)) = now[i] else { continue };
-                let mut best: Option<(f64, Place, DVec3)> = None;
+                let mut best: Option<(f64, CellPoint, DVec3)> = None;
                 for slot in around.iter().cloned().flatten() {
                     if normal.dot(cells.normals[slot]) >= 0.0 {
                         continue;

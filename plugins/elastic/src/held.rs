@@ -1,6 +1,6 @@
 //! What regions ask of the samples, and the springs by which they hold the lattice.
 
-use crate::lattice::{Lattice, Place, weights};
+use crate::lattice::{CellPoint, Lattice, weights};
 use glam::{DAffine3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult, PrepareInput, Role};
 use std::collections::BTreeMap;
@@ -76,7 +76,7 @@ impl Held {
     }
 
     /// The springs of a lattice, by where in it each sample lies.
-    pub fn springs(&self, lattice: &Lattice, places: &[Option<Place>]) -> Vec<Spring> {
+    pub fn springs(&self, lattice: &Lattice, places: &[Option<CellPoint>]) -> Vec<Spring> {
         let mut counts = vec![0_u32; lattice.cells.len()];
         places.iter().flatten().for_each(|p| counts[p.cell as usize] += 1);
         let mut forms: BTreeMap<(u32, u32), [[f64; 8]; 8]> = BTreeMap::new();

@@ -34,7 +34,7 @@ pub struct Lattice {
 
 /// A place in a cell.
 #[derive(Debug, Clone, Copy)]
-pub struct Place {
+pub struct CellPoint {
     /// The cell.
     pub cell: u32,
     /// How far along its edges, 0 to 1.
@@ -129,26 +129,26 @@ impl Lattice {
     }
 
     /// The cell that a point of the body lies in. None where there is no cell.
-    pub fn place(&self, body: &Occupancy, p: DVec3) -> Option<Place> {
+    pub fn place(&self, body: &Occupancy, p: DVec3) -> Option<CellPoint> {
         self.place_in(body.cell(p), p)
     }
 
     /// The place of a point in the cell over some fine cell.
-    pub fn place_in(&self, fine: [usize; 3], p: DVec3) -> Option<Place> {
+    pub fn place_in(&self, fine: [usize; 3], p: DVec3) -> Option<CellPoint> {
         let cell = Some(self.over(fine)).filter(|id| *id != NONE)?;
         let at = (p - self.origin) / self.size - DVec3::from(fine.map(|n| (n / self.parts) as f64));
-        Some(Place { cell, at })
+        Some(CellPoint { cell, at })
     }
 
     /// What is interpolated from a cell's corners.
-    pub fn interpolate(&self, place: Place, values: &[DVec3]) -> DVec3 {
+    pub fn interpolate(&self, place: CellPoint, values: &[DVec3]) -> DVec3 {
         let corners = &self.cells[place.cell as usize];
         weights(place.at).iter().zip(corners).map(|(w, c)| *w * values[*c as usize]).sum()
     }
 
     /// How far a point goes, blended of what each corner's map (to shifts) does to it: smooth from cell to
     /// cell.
-    pub fn shift(&self, place: Place, at: DVec3, maps: &[DAffine3]) -> DVec3 {
+    pub fn shift(&self, place: CellPoint, at: DVec3, maps: &[DAffine3]) -> DVec3 {
         let corners = &self.cells[place.cell as usize];
         weights(place.at).iter().zip(corners).map(|(w, c)| *w * maps[*c as usize].transform_point3(at)).sum()
     }

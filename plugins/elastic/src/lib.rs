@@ -31,8 +31,8 @@ use body::Body;
 use contact::Surface;
 use glam::{DAffine3, DMat3, DVec3};
 use held::{Goals, Held};
-use lattice::{Lattice, Place};
-use occupancy::{Kind, Occupancy, PARTS};
+use lattice::{CellPoint, Lattice};
+use occupancy::{Enclosure, Occupancy, PARTS};
 use path::Path;
 use simod_plugin_api::{
     Affine, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, ParamSet, PluginError, PluginResult,
@@ -119,9 +119,9 @@ impl Unit {
 /// A lattice that is held, and where the samples are in it.
 struct Level {
     body: Body,
-    places: Vec<Option<Place>>,
+    places: Vec<Option<CellPoint>>,
     /// Where its corners are in the next coarser one.
-    corners: Vec<Place>,
+    corners: Vec<CellPoint>,
 }
 
 /// A part that hangs on nothing that is held: its number, and the sample that leads it.
@@ -186,7 +186,7 @@ impl Deformer for Elastic {
         host.progress(0.4)?;
         tell(space.kind, host);
         let loose = loose(&mut space, &points, &held, host)?;
-        let surface = (space.kind != Kind::Skin).then(|| {
+        let surface = (space.kind != Enclosure::Skin).then(|| {
             let of = |i: u32| {
                 let normal = input.samples.normals().get(i as usize).copied().unwrap_or_default();
                 (i, points[i as usize], DVec3::from(normal.map(f64::from)))
@@ -385,13 +385,13 @@ fn paths(state: &Prepared, transforms: &[Affine]) -> Vec<Path> {
 }
 
 /// What a body's surface means for it.
-fn tell(kind: Kind, host: &Host<'_>) {
+fn tell(kind: Enclosure, host: &Host<'_>) {
     match kind {
-        Kind::Closed => {}
-        Kind::Open => host.warn(
+        Enclosure::Closed => {}
+        Enclosure::Open => host.warn(
             "the surface has holes: what sees it in nearly all directions is taken for the inside of the body",
         ),
-        Kind::Skin => host.warn(
+        Enclosure::Skin => host.warn(
             "the surface encloses nothing: the body is a skin, as thick as a cell of the lattice, and does not look after \
              contact with itself; raise `resolution` for a thinner one, or take `laplacian` for surfaces",
         ),
@@ -415,19 +415,19 @@ fn level(
     let place = |(p, loose): (&DVec3, &Option<u32>)| {
         if loose.is_some() { None } else { lattice.place(space, *p) }
     };
-    let places: Vec<Option<Place>> = points.iter().zip(&loose.parts).map(place).collect();
+    let places: Vec<Option<CellPoint>> = points.iter().zip(&loose.parts).map(place).collect();
     let springs = held.springs(&lattice, &places);
     Ok(Level { body: Body::new(lattice, springs, poisson), places, corners: Vec::new() })
 }
 
 /// Where the corners of a lattice are in one of twice the size; `parts` is the finer one's.
-fn corners(fine: &Lattice, coarse: &Lattice, parts: usize) -> Vec<Place> {
+fn corners(fine: &Lattice, coarse: &Lattice, parts: usize) -> Vec<CellPoint> {
     let of = |(i, rest): (usize, &DVec3)| {
         // Over any of the cells about it there is one.
         let [_, corner] = fine.uses(i)[0];
         let by = lattice::CORNERS[corner as usize];
         let cell: [usize; 3] = std::array::from_fn(|a| (fine.places[i][a] as usize - by[a]) * parts);
-        coarse.place_in(cell, *rest).unwrap_or(Place { cell: 0, at: DVec3::ZERO })
+        coarse.place_in(cell, *rest).unwrap_or(CellPoint { cell: 0, at: DVec3::ZERO })
     };
     fine.rest.iter().enumerate().map(of).collect()
 }

@@ -24,7 +24,7 @@ const TOGETHER: usize = 1024;
 
 /// What encloses the body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum Enclosure {
     /// A closed surface.
     Closed,
     /// One with holes, but most lines of sight from within end at it.
@@ -43,7 +43,7 @@ pub struct Occupancy {
     /// Cells along each axis.
     pub counts: [usize; 3],
     /// What encloses the body.
-    pub kind: Kind,
+    pub kind: Enclosure,
     values: Vec<u8>,
 }
 
@@ -72,7 +72,7 @@ impl Occupancy {
                 low[axis] - 0.5 * step[axis]
             };
         }
-        let mut this = Self { origin, step, counts, kind: Kind::Closed, values: Vec::new() };
+        let mut this = Self { origin, step, counts, kind: Enclosure::Closed, values: Vec::new() };
         this.values = this.surface(points, input, host)?;
         host.progress(0.1)?;
         let on = this.values.iter().filter(|v| **v == SURFACE).count();
@@ -80,7 +80,7 @@ impl Occupancy {
         let mut inside = this.enclosed(host)?;
         if !encloses(&inside) {
             inside = this.seen();
-            this.kind = if encloses(&inside) { Kind::Open } else { Kind::Skin };
+            this.kind = if encloses(&inside) { Enclosure::Open } else { Enclosure::Skin };
         }
         this.values.iter_mut().zip(inside).filter(|(_, i)| *i).for_each(|(v, _)| *v = INSIDE);
         Ok(this)

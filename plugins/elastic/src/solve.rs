@@ -6,7 +6,7 @@
 use crate::body::{Body, Load};
 use crate::contact::{Surface, Touch};
 use crate::held::Goals;
-use crate::lattice::Place;
+use crate::lattice::CellPoint;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
 
@@ -34,7 +34,7 @@ pub struct Task<'a> {
     /// The force on a unit of the body.
     pub weight: DVec3,
     /// Contact with itself, where samples lie.
-    pub contact: Option<(&'a Surface, &'a [Option<Place>])>,
+    pub contact: Option<(&'a Surface, &'a [Option<CellPoint>])>,
 }
 
 /// When it is at rest.

@@ -252,7 +252,7 @@ mod tests {
     use crate::constraints::Target;
     use crate::elements::Element;
     use crate::intrinsic;
-    use crate::problem::Kind;
+    use crate::problem::Constraint;
     use crate::tests::scene::{tube, turn};
     use simod_plugin_api::Affine;
 
@@ -260,13 +260,13 @@ mod tests {
         let scene = tube(14, 24, 0.15);
         let rest: Vec<DVec3> = scene.points.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
         let kind = |p: &DVec3| match p.z {
-            z if z < 0.2 => Kind::Held(Target::Fixed),
-            z if z > 0.8 => Kind::Held(Target::Handle(0)),
-            _ => Kind::Free,
+            z if z < 0.2 => Constraint::Held(Target::Fixed),
+            z if z > 0.8 => Constraint::Held(Target::Handle(0)),
+            _ => Constraint::Free,
         };
-        let kinds: Vec<Kind> = rest.iter().map(kind).collect();
+        let kinds: Vec<Constraint> = rest.iter().map(kind).collect();
         let elements: Vec<Element> = intrinsic::plain(&rest, &scene.triangles);
-        let node = kinds.iter().position(|k| *k == Kind::Free).unwrap() as u32;
+        let node = kinds.iter().position(|k| *k == Constraint::Free).unwrap() as u32;
         let soft = [Soft { node, target: Target::Handle(0), strength: 0.1 }];
         let host = Host::new(&());
         let mut problem = Problem::new(&rest, &elements, &kinds, &soft, &host).unwrap();

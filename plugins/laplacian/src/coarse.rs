@@ -8,7 +8,7 @@
 
 use crate::constraints::{Soft, Target};
 use crate::elements::Element;
-use crate::problem::{Kind, Problem};
+use crate::problem::{Constraint, Problem};
 use crate::rotation;
 use glam::{DAffine3, DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
@@ -239,7 +239,8 @@ pub fn coarsen(fine: &Problem, host: &Host<'_>) -> PluginResult<Option<(Problem,
     for (a, area) in areas.into_iter().enumerate() {
         elements.push(Element { corners: [a as u32; 3], weights: [0.0; 3], areas: [area, 0.0, 0.0] });
     }
-    let kinds: Vec<Kind> = graph.targets.iter().map(|t| t.map_or(Kind::Free, Kind::Held)).collect();
+    let kinds: Vec<Constraint> =
+        graph.targets.iter().map(|t| t.map_or(Constraint::Free, Constraint::Held)).collect();
     let soft: Vec<Soft> = fine
         .soft
         .iter()

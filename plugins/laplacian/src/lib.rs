@@ -42,7 +42,7 @@ use followers::Followers;
 use glam::{DAffine3, DMat3, DVec3};
 use guidance::Hierarchy;
 use linear::{BiLaplacian, Smoothest};
-use problem::{Kind, Problem};
+use problem::{Constraint, Problem};
 use rotated::{Rotated, Stiffness};
 use simod_plugin_api::{
     Choice, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, Migrate, MigrationDesc, ParamSet,
@@ -112,7 +112,7 @@ enum Surroundings {
 /// What does not depend on the handles' motions.
 struct Prepared {
     /// What becomes of each sample.
-    places: Vec<Place>,
+    places: Vec<ImageOf>,
     method: Method,
     has_fixed: bool,
     handles: usize,
@@ -127,7 +127,7 @@ enum Method {
 
 /// Where a sample's image is found.
 #[derive(Debug, Clone, Copy)]
-enum Place {
+enum ImageOf {
     /// A free node.
     Node(u32),
     /// What a region does.
@@ -170,7 +170,7 @@ impl Deformer for Laplacian {
 
         let kinds = kinds(&constraints, &surface::components(positions.len(), &elements));
         let parts = parts(&kinds, &surface::components(positions.len(), &elements));
-        let is_loose = |i: u32| kinds[i as usize] == Kind::Loose;
+        let is_loose = |i: u32| kinds[i as usize] == Constraint::Loose;
         let followers = Followers::new(input.samples.positions(), &parts, is_loose, input.graph(), host)?;
         let mut problem = Problem::new(&positions, &elements, &kinds, &constraints.soft, host)?;
         drop(elements);
@@ -256,12 +256,12 @@ impl Deformer for Laplacian {
         };
         let at = |i: usize| DVec3::from(rest[i].map(f64::from));
         let image = |i: usize| match state.places[i] {
-            Place::Node(node) => {
+            ImageOf::Node(node) => {
                 let displacement = displacements.get(node as usize).copied().unwrap_or(DVec3::ZERO);
                 motion.common.transform_point3(at(i)) + turn * displacement
             }
-            Place::Held(Target::Handle(h)) => handles[h as usize].transform_point3(at(i)),
-            Place::Held(Target::Fixed) | Place::Part(_) => at(i),
+            ImageOf::Held(Target::Handle(h)) => handles[h as usize].transform_point3(at(i)),
+            ImageOf::Held(Target::Fixed) | ImageOf::Part(_) => at(i),
         };
         let parts = if motion.is_common() {
             Vec::new()
@@ -271,7 +271,7 @@ impl Deformer for Laplacian {
         host.parallel_blocks(out, DEFORM_BLOCK, |first, out| {
             for (i, o) in (first..).zip(out) {
                 let q = match state.places[i] {
-                    Place::Part(part) => {
+                    ImageOf::Part(part) => {
                         parts.get(part as usize).unwrap_or(&motion.common).transform_point3(at(i))
                     }
                     _ => image(i),
@@ -306,44 +306,44 @@ impl Migrate for Laplacian {
 }
 
 /// What becomes of each sample: what is held, and what is connected to anything that is held or drawn.
-fn kinds(constraints: &Constraints, components: &[u32]) -> Vec<Kind> {
+fn kinds(constraints: &Constraints, components: &[u32]) -> Vec<Constraint> {
     let mut is_tied = vec![false; components.len()];
     let held = constraints.hard.iter().enumerate().filter(|(_, t)| t.is_some()).map(|(i, _)| i);
     for i in held.chain(constraints.soft.iter().map(|s| s.node as usize)) {
         is_tied[components[i] as usize] = true;
     }
     let kind = |(target, component): (&Option<Target>, &u32)| match target {
-        Some(target) => Kind::Held(*target),
-        None if is_tied[*component as usize] => Kind::Free,
-        None => Kind::Loose,
+        Some(target) => Constraint::Held(*target),
+        None if is_tied[*component as usize] => Constraint::Free,
+        None => Constraint::Loose,
     };
     constraints.hard.iter().zip(components).map(kind).collect()
 }
 
 /// The samples of each loose part, by its component.
-fn parts(kinds: &[Kind], components: &[u32]) -> BTreeMap<u32, Vec<u32>> {
+fn parts(kinds: &[Constraint], components: &[u32]) -> BTreeMap<u32, Vec<u32>> {
     let mut parts: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
     for (i, (_, component)) in
-        kinds.iter().zip(components).enumerate().filter(|(_, (k, _))| **k == Kind::Loose)
+        kinds.iter().zip(components).enumerate().filter(|(_, (k, _))| **k == Constraint::Loose)
     {
         parts.entry(*component).or_default().push(i as u32);
     }
     parts
 }
 
-fn places(kinds: &[Kind], parts: &BTreeMap<u32, Vec<u32>>, problem: &Problem) -> Vec<Place> {
-    let mut places: Vec<Place> = kinds
+fn places(kinds: &[Constraint], parts: &BTreeMap<u32, Vec<u32>>, problem: &Problem) -> Vec<ImageOf> {
+    let mut places: Vec<ImageOf> = kinds
         .iter()
         .map(|kind| match kind {
-            Kind::Held(target) => Place::Held(*target),
-            Kind::Free | Kind::Loose => Place::Held(Target::Fixed),
+            Constraint::Held(target) => ImageOf::Held(*target),
+            Constraint::Free | Constraint::Loose => ImageOf::Held(Target::Fixed),
         })
         .collect();
     for (node, sample) in problem.samples[..problem.free].iter().enumerate() {
-        places[*sample as usize] = Place::Node(node as u32);
+        places[*sample as usize] = ImageOf::Node(node as u32);
     }
     for (part, samples) in parts.values().enumerate() {
-        samples.iter().for_each(|i| places[*i as usize] = Place::Part(part as u32));
+        samples.iter().for_each(|i| places[*i as usize] = ImageOf::Part(part as u32));
     }
     places
 }

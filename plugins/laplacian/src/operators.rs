@@ -31,7 +31,7 @@ pub struct Operators {
 
 /// What two samples are to each other, or one to itself.
 #[derive(Debug, Clone, Copy)]
-pub struct Entry {
+pub struct MatrixEntry {
     /// The other sample.
     pub column: usize,
     /// Of the Laplacian.
@@ -46,8 +46,8 @@ impl Operators {
     /// Sums up elements whose corners are below the number of positions.
     pub fn new(rest: &[DVec3], elements: &[Element], host: &Host<'_>) -> PluginResult<Self> {
         let at = |i: u32| rest[i as usize];
-        let corners = Corners::new(rest.len(), elements);
-        let mut rows: Vec<Vec<Entry>> = vec![Vec::new(); rest.len()];
+        let corners = SampleElements::new(rest.len(), elements);
+        let mut rows: Vec<Vec<MatrixEntry>> = vec![Vec::new(); rest.len()];
         host.parallel_blocks(&mut rows, TOGETHER, |first, rows| {
             let mut laplacians = Vec::new();
             for (i, row) in (first..).zip(rows) {
@@ -116,9 +116,9 @@ impl Operators {
     }
 
     /// The entries of a row, by column.
-    pub fn row(&self, i: usize) -> impl Iterator<Item = Entry> {
+    pub fn row(&self, i: usize) -> impl Iterator<Item = MatrixEntry> {
         let vector = |v: &[f32; 3]| DVec3::from(v.map(f64::from));
-        (self.starts[i]..self.starts[i + 1]).map(move |k| Entry {
+        (self.starts[i]..self.starts[i + 1]).map(move |k| MatrixEntry {
             column: self.columns[k] as usize,
             stiffness: self.stiffness[k],
             out: vector(&self.out[k]),
@@ -137,9 +137,9 @@ impl Operators {
     }
 }
 
-fn entry(row: &mut Vec<Entry>, column: usize) -> &mut Entry {
+fn entry(row: &mut Vec<MatrixEntry>, column: usize) -> &mut MatrixEntry {
     let k = row.iter().position(|e| e.column == column).unwrap_or_else(|| {
-        row.push(Entry { column, stiffness: 0.0, out: DVec3::ZERO, into: DVec3::ZERO });
+        row.push(MatrixEntry { column, stiffness: 0.0, out: DVec3::ZERO, into: DVec3::ZERO });
         row.len() - 1
     });
     &mut row[k]
@@ -159,13 +159,13 @@ fn areas(samples: usize, elements: &[Element]) -> Vec<f64> {
 }
 
 /// The elements around each sample.
-struct Corners {
+struct SampleElements {
     starts: Vec<usize>,
     /// Three times the element, plus the corner.
     all: Vec<u32>,
 }
 
-impl Corners {
+impl SampleElements {
     fn new(samples: usize, elements: &[Element]) -> Self {
         let corners = || elements.iter().flat_map(|e| e.corners).map(|c| c as usize);
         let mut starts = vec![0; samples + 1];

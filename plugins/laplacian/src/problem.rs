@@ -13,7 +13,7 @@ const TOGETHER: usize = 2048;
 
 /// What becomes of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum Constraint {
     /// It is to be found.
     Free,
     /// It does what a region does.
@@ -49,12 +49,12 @@ impl Problem {
     pub fn new(
         rest: &[DVec3],
         elements: &[Element],
-        kinds: &[Kind],
+        kinds: &[Constraint],
         soft: &[Soft],
         host: &Host<'_>,
     ) -> PluginResult<Self> {
         const FAR: u8 = u8::MAX;
-        let mut ring: Vec<u8> = kinds.iter().map(|k| if *k == Kind::Free { 0 } else { FAR }).collect();
+        let mut ring: Vec<u8> = kinds.iter().map(|k| if *k == Constraint::Free { 0 } else { FAR }).collect();
         for distance in 1..=2 {
             for e in elements {
                 let nearest = e.corners.iter().map(|c| ring[*c as usize]).min().unwrap_or(FAR);
@@ -81,11 +81,11 @@ impl Problem {
         let at: Vec<DVec3> = samples.iter().map(|i| rest[*i as usize]).collect();
         let operators = Operators::new(&at, &elements, host)?;
         let held = samples[free..].iter().map(|i| match kinds[*i as usize] {
-            Kind::Held(target) => target,
+            Constraint::Held(target) => target,
             // Nothing loose shares an element with what is free.
-            Kind::Free | Kind::Loose => Target::Fixed,
+            Constraint::Free | Constraint::Loose => Target::Fixed,
         });
-        let soft = soft.iter().filter(|s| kinds[s.node as usize] == Kind::Free);
+        let soft = soft.iter().filter(|s| kinds[s.node as usize] == Constraint::Free);
         Ok(Self {
             held: held.collect(),
             soft: soft.map(|s| Soft { node: node[s.node as usize], ..*s }).collect(),

@@ -41,7 +41,7 @@ pub struct Weights<'v> {
 
 /// Where a parameter lies: inside, or how far beyond which end.
 #[derive(Debug, Clone, Copy)]
-pub struct Place {
+pub struct KnotPosition {
     /// The nearest parameter inside.
     pub inside: f64,
     /// What the functions inside are multiplied with.
@@ -99,20 +99,20 @@ impl Basis {
 
     /// Where a parameter lies, which may be any finite number.
     #[inline(always)]
-    pub fn place(&self, u: f64) -> Place {
+    pub fn place(&self, u: f64) -> KnotPosition {
         if (0.0..=1.0).contains(&u) {
-            return Place { inside: u, fade: 1.0, below: 0.0, above: 0.0 };
+            return KnotPosition { inside: u, fade: 1.0, below: 0.0, above: 0.0 };
         }
         self.place_of_many(u)
     }
 
     /// The same to the bit without a branch, for loops over many parameters.
     #[inline(always)]
-    pub fn place_of_many(&self, u: f64) -> Place {
+    pub fn place_of_many(&self, u: f64) -> KnotPosition {
         let inside = u.clamp(0.0, 1.0);
         let over = u - inside;
         let Beyond::Smooth { reach } = self.beyond else {
-            return Place { inside, fade: 1.0, below: 0.0, above: 0.0 };
+            return KnotPosition { inside, fade: 1.0, below: 0.0, above: 0.0 };
         };
         let t = (over.abs() / reach).min(1.0);
         let left = 1.0 - t;
@@ -122,7 +122,7 @@ impl Basis {
         // not, it is a groove beside the face.
         let slope = (self.degree * self.spans()) as f64;
         let along = over * slope * left * left * left;
-        Place { inside, fade, below: (-along).max(0.0), above: along.max(0.0) }
+        KnotPosition { inside, fade, below: (-along).max(0.0), above: along.max(0.0) }
     }
 
     /// How many functions are not zero at a parameter.
@@ -153,7 +153,14 @@ impl Basis {
 /// The B-splines of a degree that are not zero at `t`, from the knots around: as many as the degree before
 /// `t`, and after.
 #[inline(always)]
-fn recurrence(degree: usize, t: f64, knots: &[f64], inverses: &[f64], values: &mut [f64], place: &Place) {
+fn recurrence(
+    degree: usize,
+    t: f64,
+    knots: &[f64],
+    inverses: &[f64],
+    values: &mut [f64],
+    place: &KnotPosition,
+) {
     let mut inverses = inverses.iter();
     values[0] = place.fade;
     for k in 1..=degree {
@@ -207,7 +214,7 @@ mod tests {
             let beyond = Beyond::Smooth { reach: 0.3 };
             for basis in bases(count, beyond) {
                 for u in [-over, 1.0 + over] {
-                    let Place { inside, fade, .. } = basis.place(u);
+                    let KnotPosition { inside, fade, .. } = basis.place(u);
                     prop_assert!((0.0..=1.0).contains(&fade) && (sum(&basis, u, |_| 1.0) - fade).abs() < 1e-13);
                     let tangent = (u - inside) * (1.0 - over / 0.3).powi(3);
                     let reproduced = sum(&basis, u, |i| basis.place_of(i));
@@ -245,7 +252,7 @@ mod tests {
         for beyond in [Beyond::Clamped, Beyond::Smooth { reach: 0.3 }] {
             let basis = Basis::b_spline(5, beyond);
             for u in (-400..=1400).map(|k| 1e-3 * f64::from(k)).chain([-0.0, -1e300, 1e300]) {
-                let all = |p: Place| [p.inside, p.fade, p.below, p.above];
+                let all = |p: KnotPosition| [p.inside, p.fade, p.below, p.above];
                 assert_eq!(all(basis.place(u)), all(basis.place_of_many(u)), "{u}");
             }
         }

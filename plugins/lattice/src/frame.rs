@@ -11,7 +11,7 @@ const THINNEST: f64 = 0.05;
 
 /// An oriented box with a coordinate from 0 to 1 along each of its axes.
 #[derive(Debug, Clone, Copy)]
-pub struct Frame {
+pub struct LatticeFrame {
     centre: DVec3,
     /// The edges, at right angles.
     edges: [DVec3; 3],
@@ -19,7 +19,7 @@ pub struct Frame {
     inverses: [DVec3; 3],
 }
 
-impl Frame {
+impl LatticeFrame {
     /// The box of these settings, for a model with this box (at rest) and these samples.
     pub fn new(settings: &Settings, bounds: &Bounds, samples: &[[f32; 3]]) -> PluginResult<Self> {
         let (axis, angle) = (DVec3::from(settings.axis), settings.angle.to_radians());

@@ -11,7 +11,7 @@ mod frame;
 mod moved;
 
 use basis::{Basis, Beyond, MOST};
-use frame::Frame;
+use frame::LatticeFrame;
 use glam::DVec3;
 use moved::Moved;
 use simod_plugin_api::{
@@ -90,7 +90,7 @@ enum Outside {
 
 /// A lattice at rest.
 struct Lattice {
-    frame: Frame,
+    frame: LatticeFrame,
     bases: [Basis; 3],
 }
 
@@ -113,7 +113,7 @@ impl Lattice {
             along("resolution-y", settings.resolution_y)?,
             along("resolution-z", settings.resolution_z)?,
         ];
-        Ok(Self { frame: Frame::new(&settings, &input.bounds, input.samples.positions())?, bases })
+        Ok(Self { frame: LatticeFrame::new(&settings, &input.bounds, input.samples.positions())?, bases })
     }
 
     /// Control points along each axis.

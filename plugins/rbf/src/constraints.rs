@@ -7,7 +7,7 @@
 //! A sample is in a region where its weight is above one half, and then does all that the region does.
 
 use crate::fit::Goal;
-use crate::kernel::{Frame, Point};
+use crate::kernel::{Point, UnitBoxMap};
 use faer::{Mat, Side};
 use simod_plugin_api::{Host, PluginError, PluginResult, PrepareInput, Role};
 use std::collections::HashSet;
@@ -44,7 +44,7 @@ pub struct HandleFrame {
 #[derive(Debug)]
 pub struct Constraints {
     /// Maps local coordinates to the unit box.
-    pub frame: Frame,
+    pub frame: UnitBoxMap,
     /// Their positions, in the unit box; after them those of constraints that are no samples.
     pub points: Vec<Point>,
     /// The samples' numbers.
@@ -103,7 +103,7 @@ impl Constraints {
         // A compact kernel has a length of its own.
         let is_compact = goal.kernel.is_compact();
         let least = if is_compact { goal.support * input.bounds.diagonal() } else { 0.0 };
-        let frame = Frame::from_points(&all, least).ok_or_else(|| {
+        let frame = UnitBoxMap::from_points(&all, least).ok_or_else(|| {
             PluginError::input("all samples in the regions lie in one point")
                 .hint("enlarge the regions, or add a fixed one elsewhere")
         })?;

@@ -64,12 +64,12 @@ impl Kernel {
 
 /// Moves the constraints' box to the unit box about 0, for the sake of conditioning.
 #[derive(Debug, Clone, Copy)]
-pub struct Frame {
+pub struct UnitBoxMap {
     origin: Point,
     scale: f64,
 }
 
-impl Frame {
+impl UnitBoxMap {
     /// The frame of the points' box, of which a side is at least `least` long; nothing where none has an
     /// extent.
     pub fn from_points(points: &[Point], least: f64) -> Option<Self> {

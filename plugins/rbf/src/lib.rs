@@ -24,7 +24,7 @@ mod table;
 use constraints::{Constraints, HandleFrame, PER_HANDLE};
 use fit::{Fit, Goal, MOST_CENTERS};
 use held::Held;
-use kernel::{BLOCK, Frame, Point};
+use kernel::{BLOCK, Point, UnitBoxMap};
 use simod_plugin_api::{
     Affine, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, PluginError, PluginResult,
     PrepareInput,
@@ -44,7 +44,7 @@ struct Rbf;
 /// The solutions for all handle motions.
 struct Prepared {
     fit: Fit,
-    frame: Frame,
+    frame: UnitBoxMap,
     handles: Vec<HandleFrame>,
     has_fixed: bool,
     held: Held,

@@ -39,15 +39,15 @@ pub fn faded(weights: &mut Influences, shares: [f64; 2]) {
 }
 
 /// How many joints each sample of a block follows, and these, one sample after the other.
-type Block = (Vec<usize>, Vec<(f32, u16)>);
+type InfluenceBlock = (Vec<usize>, Vec<(f32, u16)>);
 
 /// The influences of all samples, one after the other.
-pub struct Table {
+pub struct InfluenceTable {
     starts: Vec<usize>,
     influences: Vec<(f32, u16)>,
 }
 
-impl Table {
+impl InfluenceTable {
     /// Finds those of each sample, on all threads.
     pub fn new(
         samples: &[[f32; 3]],
@@ -55,7 +55,7 @@ impl Table {
         host: &Host<'_>,
     ) -> PluginResult<Self> {
         let blocks = samples.len().div_ceil(TOGETHER);
-        let mut all: Vec<Block> = vec![Block::default(); blocks];
+        let mut all: Vec<InfluenceBlock> = vec![InfluenceBlock::default(); blocks];
         host.parallel_blocks(&mut all, 1, |block, all| {
             // Whether to go on is looked after by whoever hands out the blocks.
             let _ = host.progress(0.92 + 0.08 * block as f64 / blocks as f64);

@@ -35,7 +35,7 @@ use blend::Blend;
 use frames::Frames;
 use geodesic::{Geodesic, Rule};
 use glam::{DAffine3, DVec3};
-use influences::{Influences, Table, limited};
+use influences::{InfluenceTable, Influences, limited};
 use pose::Reaching;
 use simod_plugin_api::{
     Affine, Choice, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity,
@@ -132,7 +132,7 @@ struct Prepared {
     skeleton: Skeleton,
     moved: Moved,
     weights: Source,
-    table: Table,
+    table: InfluenceTable,
 }
 
 /// What moves the joints.
@@ -330,7 +330,7 @@ impl Deformer for Skinning {
             far.fetch_add(usize::from(told.far > near), Ordering::Relaxed);
             lossy.fetch_add(usize::from(told.lost > LOST), Ordering::Relaxed);
         };
-        let table = Table::new(samples, find, host)?;
+        let table = InfluenceTable::new(samples, find, host)?;
         let lossy = lossy.into_inner();
         if lossy > 0 {
             host.warn(&format!(

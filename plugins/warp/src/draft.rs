@@ -16,12 +16,12 @@ pub struct Draft {
     axis: [f32; 3],
     from: f32,
     to: f32,
-    kind: Kind,
+    kind: DraftMap,
 }
 
 /// See [`Deformation`].
 #[derive(Debug, Clone, Copy)]
-enum Kind {
+enum DraftMap {
     /// Turns by so much per length along the axis.
     Twist { turn: f32 },
     /// Bends by so much per length along the axis, towards a direction across it; one place of the axis
@@ -35,8 +35,8 @@ impl Draft {
         let [from, to] = warp.range;
         let per_length = |angle: f64| Some((angle / (to - from)) as f32).filter(|turn| turn.is_normal());
         let kind = match warp.deformation {
-            Deformation::Twist { angle } => Kind::Twist { turn: per_length(angle)? },
-            Deformation::Bend { angle, direction } => Kind::Bend {
+            Deformation::Twist { angle } => DraftMap::Twist { turn: per_length(angle)? },
+            Deformation::Bend { angle, direction } => DraftMap::Bend {
                 turn: per_length(angle)?,
                 across: direction.map(|x| x as f32),
                 still: 0.0_f64.clamp(from, to) as f32,
@@ -74,8 +74,8 @@ impl WithSimd for Packets<'_> {
                 (0..3).for_each(|k| p[k][lane] = point[k]);
             }
             match draft.kind {
-                Kind::Twist { turn } => draft.twist(&mut p, turn),
-                Kind::Bend { turn, across, still } => draft.bend(&mut p, turn, across, still),
+                DraftMap::Twist { turn } => draft.twist(&mut p, turn),
+                DraftMap::Bend { turn, across, still } => draft.bend(&mut p, turn, across, still),
             }
             for (lane, image) in images.iter_mut().enumerate() {
                 *image = [p[0][lane], p[1][lane], p[2][lane]];

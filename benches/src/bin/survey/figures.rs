@@ -7,7 +7,7 @@ use glam::DVec3;
 use simod_benches::median;
 use simod_benches::process::{Result, number, phase, report};
 use simod_generate::Surface;
-use simod_measure::{Details, Edges, Rotation, Spread, area_distortion, edge_distortion, volume};
+use simod_measure::{DetailRotation, Details, Edges, Spread, area_distortion, edge_distortion, volume};
 
 use crate::cases::Case;
 
@@ -27,7 +27,7 @@ pub struct Figures {
     volume: Option<f64>,
     edges: Spread,
     areas: Spread,
-    rotation: Rotation,
+    rotation: DetailRotation,
     has_details: bool,
     /// Seconds.
     prepare: f64,

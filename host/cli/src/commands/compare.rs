@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use simod_compare::{CompareFile, Comparing, Comparison, MethodRecord, Options};
+use simod_compare::{CompareFile, Comparing, Comparison, ComparisonPlanOptions, MethodRecord};
 use simod_core::guard::Guard;
 use simod_model::Result;
 use simod_session::session_file::inputs;
 
 use super::engines::{EngineName, engines};
-use super::plugin_options::PluginOptions;
+use super::plugin_options::PluginArgs;
 use crate::report::{Report, count, duration};
 
 /// Do several methods on one model, and compare what they make of it: a page, figures and pictures
@@ -38,7 +38,7 @@ pub struct Compare {
     #[arg(long)]
     allow_commands: bool,
     #[command(flatten)]
-    plugins: PluginOptions,
+    plugins: PluginArgs,
 }
 
 impl Compare {
@@ -56,7 +56,7 @@ impl Compare {
         let how = Comparing { keep_models: self.keep_models, allow_commands: self.allow_commands };
         if let Some(folder) = &self.plan {
             guard.replaces_folder(folder)?;
-            let options = Options { how, plugins: &chosen, emit: &engines(&self.emit) };
+            let options = ComparisonPlanOptions { how, plugins: &chosen, emit: &engines(&self.emit) };
             let plan = simod_compare::make(&file, &self.file, &self.output, &options, folder, progress)?;
             report.figure("units", plan.units().len());
             report.figure("methods", file.methods.len());

@@ -12,7 +12,7 @@ use simod_session::session_file::inputs;
 use simod_session::{SessionFile, Stack, deform};
 
 use super::overwrite::Overwrite;
-use super::plugin_options::PluginOptions;
+use super::plugin_options::PluginArgs;
 use super::time_options::TimeOptions;
 use super::{notices, tell};
 use crate::report::{Report, count};
@@ -42,7 +42,7 @@ pub struct Deform {
     #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten)]
-    plugins: PluginOptions,
+    plugins: PluginArgs,
 }
 
 impl Deform {

@@ -12,7 +12,7 @@ use simod_picture::{Image, Paint};
 use simod_session::{Run, SessionFile};
 
 use super::overwrite::Overwrite;
-use super::plugin_options::PluginOptions;
+use super::plugin_options::PluginArgs;
 use super::run::{describe, describe_error};
 use crate::report::{Report, count};
 
@@ -49,7 +49,7 @@ impl Demo {
         ] {
             guard.writes(&file(name), kind)?;
         }
-        let plugins = PluginOptions::default().discover(report)?;
+        let plugins = PluginArgs::default().discover(report)?;
         let progress = report.progress();
 
         let options = ModelOptions { vertices: self.vertices, ..ModelOptions::default() };

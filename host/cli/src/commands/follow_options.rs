@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use clap::{Args, ValueEnum};
-use simod_model::follow::{Follow, Kind, Opacity};
+use simod_model::follow::{Follow, Opacity, TensorKind};
 
 /// The options on what turns besides positions and normals.
 #[derive(Args)]
@@ -34,7 +34,7 @@ enum OpacityName {
 
 impl FollowOptions {
     /// What follows, where a session declares what the command line does not.
-    pub fn follow(&self, declared: &BTreeMap<String, Kind>) -> Follow {
+    pub fn follow(&self, declared: &BTreeMap<String, TensorKind>) -> Follow {
         let opacity = match self.opacity {
             OpacityName::Keep => Opacity::Keep,
             OpacityName::Conserve => Opacity::Conserve,

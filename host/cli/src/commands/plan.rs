@@ -8,14 +8,14 @@ use simod_core::guard::Guard;
 use simod_model::Result;
 use simod_model::size::human_size;
 use simod_session::SessionFile;
-use simod_session::plan::{Done, Options, Plan as Units, Stage, do_unit, make};
+use simod_session::plan::{Done, Plan as Units, PlanOptions, Stage, do_unit, make};
 use simod_session::session_file::inputs;
 
 use super::compare::{tell_comparison, tell_method};
 use super::engines::{EngineName, engines};
 use super::follow_options::FollowOptions;
 use super::overwrite::Overwrite;
-use super::plugin_options::PluginOptions;
+use super::plugin_options::PluginArgs;
 use super::reconstruct::{MethodName, NormalsName, OffsetName};
 use super::tell;
 use super::time_options::TimeOptions;
@@ -62,7 +62,7 @@ pub struct Plan {
     #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten)]
-    plugins: PluginOptions,
+    plugins: PluginArgs,
 }
 
 impl Plan {
@@ -79,7 +79,7 @@ impl Plan {
         let guard = self.overwrite.guard_session(&self.session, &session, &plugins, &output)?;
         guard.replaces_folder(&self.output)?;
         let emit = engines(&self.emit);
-        let options = Options {
+        let options = PlanOptions {
             method: self.method.into(),
             normals: self.normals.into(),
             choose_offset: self.offset == OffsetName::Auto,
@@ -139,7 +139,7 @@ pub struct Unit {
     #[arg(value_name = "N")]
     number: usize,
     #[command(flatten)]
-    plugins: PluginOptions,
+    plugins: PluginArgs,
 }
 
 impl Unit {

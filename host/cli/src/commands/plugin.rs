@@ -8,7 +8,7 @@ use simod_session::{Plugin as Loaded, PluginRegistry, param_data};
 use super::plugin_check::{Check, CheckRule};
 use super::plugin_migrate::Migrate;
 use super::plugin_new::New;
-use super::plugin_options::{PluginOptions, Serve};
+use super::plugin_options::{PluginArgs, Serve};
 use crate::report::Report;
 
 /// List the deformation plugins, show one, check one, or begin a new one
@@ -22,14 +22,14 @@ pub enum Plugin {
     /// List the plugins that were found
     List {
         #[command(flatten)]
-        plugins: PluginOptions,
+        plugins: PluginArgs,
     },
     /// Show a plugin's parameters
     Info {
         /// The plugin's id, as `warp`
         id: String,
         #[command(flatten)]
-        plugins: PluginOptions,
+        plugins: PluginArgs,
     },
     Serve(Serve),
     New(New),

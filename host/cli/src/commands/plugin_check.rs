@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use simod_check::{Finding, RULES, Rule, Verdict};
 use simod_model::{Error, Progress, Result, input};
 
-use super::plugin_options::{PluginOptions, parse_seconds};
+use super::plugin_options::{PluginArgs, parse_seconds};
 use super::sample::parse_bytes;
 use crate::report::Report;
 use simod_session::child::{self, End};
@@ -59,7 +59,7 @@ fn parse_rule(id: &str) -> std::result::Result<&'static Rule, String> {
 }
 
 /// What became of a rule.
-struct Checked {
+struct RuleResult {
     rule: &'static Rule,
     finding: Finding,
     time: Duration,
@@ -91,7 +91,7 @@ impl Check {
         }
         let progress = report.untimed();
         progress.begin("checking the plugin", 0);
-        let mut all: Vec<Checked> = Vec::new();
+        let mut all: Vec<RuleResult> = Vec::new();
         for rule in RULES.iter().filter(|r| self.rule.is_empty() || self.rule.iter().any(|w| w.id == r.id)) {
             let started = Instant::now();
             let useless =
@@ -101,7 +101,7 @@ impl Check {
             } else {
                 self.check(rule, &file, progress)?
             };
-            all.push(Checked { rule, finding, time: started.elapsed() });
+            all.push(RuleResult { rule, finding, time: started.elapsed() });
         }
         self.tell(&file, &all, report);
         Ok(())
@@ -111,7 +111,7 @@ impl Check {
     fn library(&self, report: &mut Report) -> Result<PathBuf> {
         let path = Path::new(&self.plugin);
         if path.extension().is_none() && path.components().count() == 1 && (path.is_dir() || !path.exists()) {
-            let plugins = PluginOptions::default().discover(report)?;
+            let plugins = PluginArgs::default().discover(report)?;
             let plugin = plugins.get(&self.plugin)?;
             plugins.replaced(plugin).into_iter().for_each(|notice| report.warn(notice));
             return Ok(plugin.path().to_owned());
@@ -153,8 +153,8 @@ impl Check {
         })
     }
 
-    fn tell(&self, file: &Path, all: &[Checked], report: &mut Report) {
-        for Checked { rule, finding, .. } in all {
+    fn tell(&self, file: &Path, all: &[RuleResult], report: &mut Report) {
+        for RuleResult { rule, finding, .. } in all {
             report.line(format!("{:4} {:21} {}", finding.verdict, rule.id, finding.found));
             if !finding.hint.is_empty() {
                 report.line(format!("     hint: {}", finding.hint));
@@ -186,7 +186,7 @@ impl Check {
         }
     }
 
-    fn value(&self, file: &Path, Checked { rule, finding, time }: &Checked) -> Value {
+    fn value(&self, file: &Path, RuleResult { rule, finding, time }: &RuleResult) -> Value {
         json!({
             "rule": rule.id, "asks": rule.asks, "verdict": finding.verdict, "found": finding.found,
             "hint": finding.hint, "again": self.again(file, rule), "seconds": time.as_secs_f64(),

@@ -12,7 +12,7 @@ use simod_session::session_file::inputs;
 
 use super::notices;
 use super::overwrite::Overwrite;
-use super::plugin_options::PluginOptions;
+use super::plugin_options::PluginArgs;
 use crate::report::Report;
 
 /// Write a session anew with the parameters that its plugins have now
@@ -29,7 +29,7 @@ pub struct Migrate {
     #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten)]
-    plugins: PluginOptions,
+    plugins: PluginArgs,
 }
 
 impl Migrate {

@@ -15,7 +15,7 @@ use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{Error, Result};
 
-use super::plugin_options::PluginOptions;
+use super::plugin_options::PluginArgs;
 use crate::report::Report;
 
 /// Begin a plugin of your own: a project in Rust or C that builds, tests itself and works
@@ -111,8 +111,8 @@ const LONGEST: usize = 64;
 
 impl New {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let names = Names::from_name(&self.name)?;
-        let known = PluginOptions::default().discover(report)?;
+        let names = PluginNames::from_name(&self.name)?;
+        let known = PluginArgs::default().discover(report)?;
         if let Some(other) = known.plugins().iter().find(|plugin| plugin.id() == names.id) {
             let what = format!("there is a plugin `{}` already: {}", names.id, other.path().display());
             let hint = format!(
@@ -145,7 +145,7 @@ impl New {
 
 impl Language {
     /// What builds and checks a project.
-    fn commands(self, names: &Names) -> [String; 2] {
+    fn commands(self, names: &PluginNames) -> [String; 2] {
         match self {
             Self::Rust => {
                 ["cargo build --release".to_owned(), format!("simod plugin check {}", names.library)]
@@ -166,7 +166,7 @@ impl Language {
 }
 
 /// What is called after the plugin.
-struct Names {
+struct PluginNames {
     /// `soft-bulge`: the id, the package and the folder.
     id: String,
     /// `Soft bulge`: what the user reads.
@@ -179,7 +179,7 @@ struct Names {
     c_library: String,
 }
 
-impl Names {
+impl PluginNames {
     fn from_name(name: &str) -> Result<Self> {
         let refused = |what: &str, hint: &str| {
             Err(Error::argument(format!("a plugin cannot be called `{name}`: {what}"), hint))
@@ -241,7 +241,7 @@ fn interface() -> impl Iterator<Item = (String, &'static str)> {
 }
 
 /// Makes the project's folder, whole or not at all. There may be an empty one.
-fn write_project(folder: &Path, names: &Names, language: Language) -> Result<()> {
+fn write_project(folder: &Path, names: &PluginNames, language: Language) -> Result<()> {
     let failed = |e: &io::Error| Error::io("create", folder, e);
     let is_there = folder.symlink_metadata().is_ok();
     if is_there && !fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none()) {
@@ -310,26 +310,26 @@ mod tests {
 
     #[test]
     fn names_follow_from_one() {
-        let names = Names::from_name("soft-bulge-2").unwrap();
+        let names = PluginNames::from_name("soft-bulge-2").unwrap();
         assert_eq!((&*names.title, &*names.type_name), ("Soft bulge 2", "SoftBulge2"));
         assert!(names.library.contains("soft_bulge_2"));
-        assert_eq!(Names::from_name("host").unwrap().type_name, "HostDeformation");
-        assert_eq!(Names::from_name("vec").unwrap().type_name, "VecDeformation");
+        assert_eq!(PluginNames::from_name("host").unwrap().type_name, "HostDeformation");
+        assert_eq!(PluginNames::from_name("vec").unwrap().type_name, "VecDeformation");
         for bad in
             ["", "-", "Bulge", "soft_bulge", "soft--bulge", "bulge-", "-bulge", "2d", "bülge", "a/b", "fn"]
         {
-            let error = Names::from_name(bad).err().unwrap();
+            let error = PluginNames::from_name(bad).err().unwrap();
             assert!(error.to_string().contains(&format!("`{bad}`")) && !error.hint().is_empty(), "{error}");
         }
         assert!(
-            Names::from_name(&"a".repeat(LONGEST)).is_ok()
-                && Names::from_name(&"a".repeat(LONGEST + 1)).is_err()
+            PluginNames::from_name(&"a".repeat(LONGEST)).is_ok()
+                && PluginNames::from_name(&"a".repeat(LONGEST + 1)).is_err()
         );
     }
 
     #[test]
     fn all_words_are_filled_in() {
-        let names = Names::from_name("soft-bulge").unwrap();
+        let names = PluginNames::from_name("soft-bulge").unwrap();
         let words = ["__NAME__", "__TITLE__", "__TYPE__", "__LIBRARY__", "__LIBRARY_NAME__"];
         for (path, text) in Language::Rust.files().chain(Language::C.files()) {
             // The interface has words of its own.
@@ -344,7 +344,7 @@ mod tests {
     fn the_documentation_shows_the_plugin_as_it_is() {
         let (_, library) = PROJECT.iter().find(|(path, _)| *path == "src/lib.rs").unwrap();
         assert!(library.lines().count() < 130, "no short plugin");
-        let library = Names::from_name("soft-bulge").unwrap().fill_in(library);
+        let library = PluginNames::from_name("soft-bulge").unwrap().fill_in(library);
         let plugin = &library[library.find("use simod_plugin_api").unwrap()..];
         assert!(read("docs/plugins.md").contains(&format!("```rust\n{plugin}```\n")), "write it anew");
     }
@@ -354,7 +354,7 @@ mod tests {
     fn the_documentation_shows_c_as_it_is() {
         let (_, plugin) = C_PROJECT.iter().find(|(path, _)| *path == "plugin.c").unwrap();
         let sources = [
-            Names::from_name("soft-bulge").unwrap().fill_in(plugin),
+            PluginNames::from_name("soft-bulge").unwrap().fill_in(plugin),
             read("examples/04-a-plugin-in-c/grab.c"),
         ];
         let page = read("docs/plugins.md");
@@ -369,7 +369,7 @@ mod tests {
     fn a_project_is_written_whole_or_not_at_all() {
         let place = tempfile::tempdir().unwrap();
         let folder = place.path().join("soft-bulge");
-        let names = Names::from_name("soft-bulge").unwrap();
+        let names = PluginNames::from_name("soft-bulge").unwrap();
         let found =
             || fs::read_dir(place.path()).unwrap().map(|e| e.unwrap().file_name()).collect::<Vec<_>>();
         write_project(&place.path().join("missing/soft-bulge"), &names, Language::C).unwrap_err();

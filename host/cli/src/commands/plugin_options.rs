@@ -14,7 +14,7 @@ use crate::report::Report;
 /// Options on plugins
 #[derive(Args)]
 #[command(next_help_heading = "Plugins")]
-pub struct PluginOptions {
+pub struct PluginArgs {
     /// Use this plugin's library, whatever others of its id there are (may be given several times)
     #[arg(long, value_name = "FILE")]
     r#use: Vec<PathBuf>,
@@ -42,7 +42,7 @@ enum Isolate {
 }
 
 /// What is the default on the command line.
-impl Default for PluginOptions {
+impl Default for PluginArgs {
     fn default() -> Self {
         Self {
             r#use: Vec::new(),
@@ -53,7 +53,7 @@ impl Default for PluginOptions {
     }
 }
 
-impl PluginOptions {
+impl PluginArgs {
     /// The libraries that were chosen.
     pub fn chosen(&self) -> &[PathBuf] {
         &self.r#use
@@ -136,10 +136,10 @@ mod tests {
         #[derive(Parser)]
         struct Line {
             #[command(flatten)]
-            plugins: PluginOptions,
+            plugins: PluginArgs,
         }
         let parsed = Line::parse_from(["simod"]).plugins;
-        let default = PluginOptions::default();
+        let default = PluginArgs::default();
         assert_eq!(
             (parsed.plugin_patience, parsed.plugin_memory),
             (default.plugin_patience, default.plugin_memory)

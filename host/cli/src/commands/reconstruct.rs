@@ -8,7 +8,7 @@ use glam::Vec3;
 use serde_json::{Value, json};
 use simod_core::guard::OutputKind;
 use simod_core::reconstruction::{
-    Beyond, DeformationField, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstructed,
+    DeformationField, ErrorExcess, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstructed,
     Reconstruction, RestGeometry, Version, choose_offset, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
@@ -265,7 +265,7 @@ impl Reconstruct {
             let field = DeformationField::new(&around, deformed, self.method.into())
                 .expecting(&sampled.frame, model.info());
             if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
-                let Beyond { worst, place, samples, needed, .. } = beyond;
+                let ErrorExcess { worst, place, samples, needed, .. } = beyond;
                 return Err(Error::argument(
                     format!(
                         "{}: vertices are expected to be off by up to {} near ({:.6}, {:.6}, {:.6}), and by more than the \
@@ -362,8 +362,8 @@ pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut R
 }
 
 /// Warns where more is expected than a user will accept.
-pub fn warn_beyond(which: &str, beyond: &Beyond, diagonal: f64, help: &str, report: &mut Report) {
-    let Beyond { worst, place, samples, .. } = beyond;
+pub fn warn_beyond(which: &str, beyond: &ErrorExcess, diagonal: f64, help: &str, report: &mut Report) {
+    let ErrorExcess { worst, place, samples, .. } = beyond;
     report.warn(format!(
         "{which}vertices are expected to be off by up to {}, near ({:.6}, {:.6}, {:.6}), and by more than {} around \
          {} samples; {help}",

@@ -7,13 +7,13 @@ use glam::{DVec3, Vec3};
 use serde_json::json;
 use simod_core::guard::OutputKind;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deformed_normals};
-use simod_core::refinement::{Finer, Need, Refined, appended_deformed};
+use simod_core::refinement::{Finer, Refined, SamplesNeed, appended_deformed};
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::target::folder_of;
 use simod_model::{Error, Model, Progress, Result};
-use simod_session::refining::{Pose, Room};
+use simod_session::refining::{Room, ShapePose};
 use simod_session::step::Refine as Refinement;
-use simod_session::{Shape, Shapes};
+use simod_session::{RegionShape, Shapes};
 
 use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
@@ -160,17 +160,19 @@ impl Refine {
             .map(|(around, deformed)| DeformationField::new(around, deformed, Method::default()));
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         let room = Room { memory_limit: self.memory_limit, folder: folder_of(target) };
-        how.refine(sampled, model, Pose::Rest(field.as_ref()), room, progress)
+        how.refine(sampled, model, ShapePose::Rest(field.as_ref()), room, progress)
     }
 
     fn shapes(&self) -> Result<Shapes> {
         let three = |x: &[f64]| DVec3::from_slice(x);
-        let spheres = self.sphere.iter().map(|s| Shape::Sphere { center: three(s), radius: s[3] });
-        let boxes = self.boxes.iter().map(|b| Shape::Box { min: three(b), max: three(&b[3..]) });
-        let sides =
-            self.half_space.iter().map(|h| Shape::HalfSpace { point: three(h), normal: three(&h[3..]) });
-        let shapes: Vec<Shape> = spheres.chain(boxes).chain(sides).collect();
-        match shapes.iter().find_map(Shape::defect) {
+        let spheres = self.sphere.iter().map(|s| RegionShape::Sphere { center: three(s), radius: s[3] });
+        let boxes = self.boxes.iter().map(|b| RegionShape::Box { min: three(b), max: three(&b[3..]) });
+        let sides = self
+            .half_space
+            .iter()
+            .map(|h| RegionShape::HalfSpace { point: three(h), normal: three(&h[3..]) });
+        let shapes: Vec<RegionShape> = spheres.chain(boxes).chain(sides).collect();
+        match shapes.iter().find_map(RegionShape::defect) {
             Some(what) => Err(Error::argument(what, "correct the shape")),
             None => Ok(Shapes { shapes, falloff: 0.0 }),
         }
@@ -233,7 +235,7 @@ fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &R
 }
 
 /// Tells how far vertices are expected to be off.
-fn tell_need(report: &mut Report, need: &Need, diagonal: f64) {
+fn tell_need(report: &mut Report, need: &SamplesNeed, diagonal: f64) {
     for (name, fraction) in [("expected", need.expected), ("allowed", need.allowed)] {
         report.figure(&format!("{name}_transfer_error"), fraction);
         report.figure(&format!("{name}_transfer_error_length"), fraction * diagonal);

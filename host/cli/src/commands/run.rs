@@ -12,7 +12,7 @@ use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFil
 
 use super::follow_options::FollowOptions;
 use super::overwrite::Overwrite;
-use super::plugin_options::PluginOptions;
+use super::plugin_options::PluginArgs;
 use super::reconstruct::{
     MethodName, NormalsName, OffsetName, describe_expected, expected_figure, warn_beyond,
 };
@@ -72,7 +72,7 @@ pub struct Run {
     #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten)]
-    plugins: PluginOptions,
+    plugins: PluginArgs,
 }
 
 impl Run {

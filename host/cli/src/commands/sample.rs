@@ -47,12 +47,12 @@ pub struct SamplingArguments {
     memory_limit: Option<u64>,
     /// How clusters are split: in space and then in their plane, or in space alone
     #[arg(long, value_enum, default_value_t, value_name = "TREE")]
-    tree: Tree,
+    tree: TreeKind,
     /// What samples are spread by: the `error` of their clusters, so that more are where the surface bends;
     /// `area`, as far apart everywhere; or `vertices`, the error beside the distance between vertices, so
     /// that finer parts get finer samples
     #[arg(long, value_enum, default_value_t, value_name = "WHAT")]
-    by: Spread,
+    by: SpreadBy,
     /// What places a sample in its cluster: its vertices alone, or the planes of the model's faces, which are
     /// nearer to the surface, and less even; unless given, faces where vertices have no normals, or not those
     /// of the surface
@@ -74,7 +74,7 @@ pub struct SamplingArguments {
 
 /// How clusters are split.
 #[derive(Clone, Copy, Default, ValueEnum)]
-enum Tree {
+enum TreeKind {
     /// Octree, then quadtree (VS-Tree)
     #[default]
     Vs,
@@ -84,7 +84,7 @@ enum Tree {
 
 /// What samples are spread by.
 #[derive(Clone, Copy, Default, ValueEnum)]
-enum Spread {
+enum SpreadBy {
     /// Error of clusters
     #[default]
     Error,
@@ -145,14 +145,14 @@ impl SamplingArguments {
             grid: self.grid,
             memory_limit: self.memory_limit,
             splitting: match self.tree {
-                Tree::Vs => Splitting::Layered,
-                Tree::Octree => Splitting::Octree,
+                TreeKind::Vs => Splitting::Layered,
+                TreeKind::Octree => Splitting::Octree,
             },
             grouping: Grouping::Automatic,
             by: match self.by {
-                Spread::Error => By::Error,
-                Spread::Area => By::Area,
-                Spread::Vertices => By::Vertices,
+                SpreadBy::Error => By::Error,
+                SpreadBy::Area => By::Area,
+                SpreadBy::Vertices => By::Vertices,
             },
             placement: match self.place {
                 PlacementRule::Automatic => Placement::Automatic,

@@ -38,18 +38,18 @@ const MOST_STRETCH: f32 = 8.0;
 
 /// The cells to be streamed, how finely, and with what.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Chosen {
+pub struct DetailRequest {
     /// Their places among the kept cells; ascending.
     pub cells: Vec<u32>,
     /// One of so many vertices is taken: 1 for all.
     pub stride: u64,
     /// What comes with them.
-    pub shown: Shown,
+    pub shown: DetailAttributes,
 }
 
 /// What of the vertices' attributes comes with them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Shown {
+pub enum DetailAttributes {
     /// Nothing.
     #[default]
     Nothing,
@@ -59,7 +59,7 @@ pub enum Shown {
     Attribute(usize),
 }
 
-impl Shown {
+impl DetailAttributes {
     /// How many of the first attributes have to be read.
     fn count(&self) -> usize {
         match self {
@@ -91,12 +91,14 @@ pub enum Values {
 }
 
 impl Values {
-    fn push(&mut self, shown: &Shown, vertex: &Visited<'_>) {
+    fn push(&mut self, shown: &DetailAttributes, vertex: &Visited<'_>) {
         match (self, shown) {
-            (Self::Colors(all), Shown::Colors(colors, scale)) => {
+            (Self::Colors(all), DetailAttributes::Colors(colors, scale)) => {
                 all.push(colors.places.map(|place| scale.byte(vertex.attribute(place))));
             }
-            (Self::Numbers(all), Shown::Attribute(place)) => all.push(vertex.attribute(*place) as f32),
+            (Self::Numbers(all), DetailAttributes::Attribute(place)) => {
+                all.push(vertex.attribute(*place) as f32)
+            }
             _ => {}
         }
     }
@@ -140,7 +142,7 @@ pub struct Streamed {
 /// Memory: 32 bytes per vertex, 3 or 4 more for what of its attributes is shown, 24 more for splats, 12 per
 /// cell.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Batch {
+pub struct DetailBatch {
     /// Where the deformation takes them.
     pub positions: Vec<Vec3>,
     /// Unit normals: the model's own, or else estimated at rest, turned by the deformation.
@@ -154,11 +156,11 @@ pub struct Batch {
     pub axes: Vec<[Vec3; 2]>,
     /// What was asked for of their attributes.
     pub values: Values,
-    /// The cells, as in [`Chosen::cells`], and which vertices are theirs, in the order of the model.
+    /// The cells, as in [`DetailRequest::cells`], and which vertices are theirs, in the order of the model.
     pub cells: Vec<(u32, Range<u32>)>,
 }
 
-impl Chosen {
+impl DetailRequest {
     /// The cells with a marked sample, so finely that they give at most `most` vertices; or one of each cell,
     /// where that is more.
     ///
@@ -178,11 +180,11 @@ impl Chosen {
             return Err(Error::argument("nothing of the model was chosen", hint));
         }
         let vertices: Vec<u64> = cells.iter().map(|cell| kept.cells[*cell as usize].vertices).collect();
-        Ok(Self { cells, stride: thinning::stride(&vertices, most as u64), shown: Shown::Nothing })
+        Ok(Self { cells, stride: thinning::stride(&vertices, most as u64), shown: DetailAttributes::Nothing })
     }
 
     /// The same with something of the vertices' attributes.
-    pub fn showing(self, shown: Shown) -> Self {
+    pub fn showing(self, shown: DetailAttributes) -> Self {
         Self { shown, ..self }
     }
 
@@ -211,10 +213,10 @@ impl Chosen {
 pub fn stream(
     sampled: &SampledModel,
     model: &dyn Model,
-    chosen: &Chosen,
+    chosen: &DetailRequest,
     field: Option<&DeformationField<'_>>,
     progress: &dyn Progress,
-    mut each: impl FnMut(Batch) -> Result<()>,
+    mut each: impl FnMut(DetailBatch) -> Result<()>,
 ) -> Result<Streamed> {
     let kept = sampled.checked_cells()?;
     if let Some(cell) = chosen.cells.iter().find(|cell| **cell as usize >= kept.cells.len()) {
@@ -300,7 +302,7 @@ struct CellVertices {
 }
 
 impl CellVertices {
-    fn new(cell: u32, shown: &Shown) -> Self {
+    fn new(cell: u32, shown: &DetailAttributes) -> Self {
         let (positions, normals, axes) = Default::default();
         Self { cell, seen: 0, positions, normals, axes, values: shown.none() }
     }
@@ -325,7 +327,7 @@ struct Carrying<'a> {
 }
 
 impl Carrying<'_> {
-    fn batch(&self, parts: &[CellVertices]) -> Result<Batch> {
+    fn batch(&self, parts: &[CellVertices]) -> Result<DetailBatch> {
         let mut cells = Vec::with_capacity(parts.len());
         let (mut rest, mut known, mut axes) = (Vec::new(), Vec::new(), Vec::new());
         let mut values = Values::Nothing;
@@ -338,7 +340,7 @@ impl Carrying<'_> {
             cells.push((part.cell, first..rest.len() as u32));
         }
         if rest.is_empty() {
-            return Ok(Batch { cells, ..Batch::default() });
+            return Ok(DetailBatch { cells, ..DetailBatch::default() });
         }
         let frame = &self.sampled.frame;
         let local: Vec<Vec3> = rest.par_iter().map(|p| frame.to_local(*p)).collect();
@@ -359,7 +361,15 @@ impl Carrying<'_> {
         axes.iter_mut().flatten().for_each(|axis: &mut Vec3| *axis *= wider);
         self.progress.check()?;
         let Some(field) = self.field else {
-            return Ok(Batch { positions: local, normals: turned, spacing, homes: at, axes, values, cells });
+            return Ok(DetailBatch {
+                positions: local,
+                normals: turned,
+                spacing,
+                homes: at,
+                axes,
+                values,
+                cells,
+            });
         };
         let mut moved = rest.clone();
         let mut figures = vec![VertexDiagnostics::UNKNOWN; rest.len()];
@@ -377,7 +387,7 @@ impl Carrying<'_> {
         });
         axes.iter_mut().zip(&gradients).for_each(|(axes, g)| *axes = ellipses::image(*axes, g));
         let positions = moved.par_iter().map(|p| frame.to_local(*p)).collect();
-        Ok(Batch { positions, normals: turned, spacing, homes: at, axes, values, cells })
+        Ok(DetailBatch { positions, normals: turned, spacing, homes: at, axes, values, cells })
     }
 
     /// Normals at rest of vertices of which some are known, and their spacing.

@@ -28,9 +28,9 @@ fn near(sampled: &SampledModel, at: DVec3, radius: f64) -> Vec<bool> {
 fn streamed(
     sampled: &SampledModel,
     model: &dyn Model,
-    chosen: &Chosen,
+    chosen: &DetailRequest,
     deformed: Option<&[Vec3]>,
-) -> Result<(Vec<Batch>, Streamed)> {
+) -> Result<(Vec<DetailBatch>, Streamed)> {
     let mut batches = Vec::new();
     let mut run = |field: Option<&DeformationField<'_>>| {
         stream(sampled, model, chosen, field, &Silent, |batch| {
@@ -86,7 +86,7 @@ fn vertices_are_where_a_reconstruction_writes_them() {
         reconstruct(&sampled, model.as_ref(), &[version], &Reconstruction::default(), &Silent).unwrap();
         let (written, turned) = read(simod_model::open(&output).unwrap().as_ref());
 
-        let all = Chosen::select(&sampled, &vec![true; sampled.samples.len()], ENOUGH).unwrap();
+        let all = DetailRequest::select(&sampled, &vec![true; sampled.samples.len()], ENOUGH).unwrap();
         assert_eq!((all.stride, all.vertices(&sampled)), (1, [60_000; 2]));
         let (batches, report) = streamed(&sampled, model.as_ref(), &all, Some(&deformed)).unwrap();
         assert_eq!([report.vertices, report.of], [60_000; 2]);
@@ -117,7 +117,7 @@ fn only_the_chosen_cells_are_read() {
     let body = Body::new(150_000);
     let (sampled, model) = body.sampled(samples(5000));
     let marks = near(&sampled, DVec3::new(0.41, 1.0, 0.41), 0.12);
-    let chosen = Chosen::select(&sampled, &marks, ENOUGH).unwrap();
+    let chosen = DetailRequest::select(&sampled, &marks, ENOUGH).unwrap();
     let kept = sampled.held_cells().unwrap();
     for (cell, place) in kept.cells.iter().zip(0..) {
         let meets = cell.tree.samples.iter().any(|s| marks[*s as usize]);
@@ -152,7 +152,7 @@ fn no_more_vertices_are_taken_than_allowed_and_they_are_spread() {
         let deformed = twisted(&sampled);
         let cells = sampled.held_cells().unwrap().cells.len();
         for most in [40_000, 10_000, 100] {
-            let chosen = Chosen::select(&sampled, &marks, most).unwrap();
+            let chosen = DetailRequest::select(&sampled, &marks, most).unwrap();
             let (batches, report) = streamed(&sampled, model.as_ref(), &chosen, Some(&deformed)).unwrap();
             let taken: usize = batches.iter().map(|b| b.positions.len()).sum();
             assert!(taken <= most.max(cells) && taken * 4 > most, "{taken} of {most}");
@@ -176,7 +176,7 @@ fn threads_change_nothing() {
     let body = Body::new(80_000).without_normals();
     let (sampled, model) = body.sampled(samples(3000));
     let deformed = twisted(&sampled);
-    let chosen = Chosen::select(&sampled, &vec![true; sampled.samples.len()], 30_000).unwrap();
+    let chosen = DetailRequest::select(&sampled, &vec![true; sampled.samples.len()], 30_000).unwrap();
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| streamed(&sampled, model.as_ref(), &chosen, Some(&deformed)).unwrap())
@@ -198,7 +198,7 @@ fn normals_and_spacings_are_those_of_the_surface() {
     }
     let (sampled, model) = body.sampled(samples(3000));
     for (most, tolerance) in [(ENOUGH, 0.15), (15_000, 0.25)] {
-        let chosen = Chosen::select(&sampled, &vec![true; sampled.samples.len()], most).unwrap();
+        let chosen = DetailRequest::select(&sampled, &vec![true; sampled.samples.len()], most).unwrap();
         let (batches, report) = streamed(&sampled, model.as_ref(), &chosen, None).unwrap();
         let mut area = 0.0;
         for batch in &batches {
@@ -230,18 +230,18 @@ fn what_cannot_be_streamed_is_told() {
     body.positions[777] = DVec3::NAN;
     let (mut sampled, model) = body.sampled(samples(3000));
     let marks = vec![true; sampled.samples.len()];
-    let all = Chosen::select(&sampled, &marks, ENOUGH).unwrap();
+    let all = DetailRequest::select(&sampled, &marks, ENOUGH).unwrap();
     let (batches, report) = streamed(&sampled, model.as_ref(), &all, None).unwrap();
     assert_eq!(report.vertices, 59_999);
     assert!(batches.iter().flat_map(|b| &b.positions).all(|p| p.is_finite()));
 
     let refused = |marks: &[bool], text: &str| {
-        let error = Chosen::select(&sampled, marks, ENOUGH).expect_err("an error");
+        let error = DetailRequest::select(&sampled, marks, ENOUGH).expect_err("an error");
         assert!(error.to_string().contains(text), "{error}");
     };
     refused(&vec![false; marks.len()], "nothing of the model");
     refused(&marks[1..], "marks for");
-    let nowhere = Chosen { cells: vec![u32::MAX], stride: 1, shown: Shown::Nothing };
+    let nowhere = DetailRequest { cells: vec![u32::MAX], stride: 1, shown: DetailAttributes::Nothing };
     assert!(streamed(&sampled, model.as_ref(), &nowhere, None).is_err());
 
     // Stopped by the one who takes them, or by the user.
@@ -261,5 +261,5 @@ fn what_cannot_be_streamed_is_told() {
     let mut cells = sampled.held_cells().unwrap().clone();
     cells.cells[0].vertices += 1;
     sampled.hold_cells(cells);
-    assert!(Chosen::select(&sampled, &marks, ENOUGH).is_err());
+    assert!(DetailRequest::select(&sampled, &marks, ENOUGH).is_err());
 }

@@ -176,13 +176,13 @@ pub fn told(
     expansions: &[Expansion],
 ) -> Vec<Expansion> {
     let chosen = anchors(stencils, expansions);
-    let fit = |walk: &mut Walk, i: &u32| {
-        let fit = Fit { samples, stencils, deformed, affine: gradient[*i as usize], i: *i as usize };
+    let fit = |walk: &mut NeighbourWalk, i: &u32| {
+        let fit = AnchorFit { samples, stencils, deformed, affine: gradient[*i as usize], i: *i as usize };
         Arch::new().dispatch(|| fit.anchor(walk))
     };
-    let fitted = chosen.par_iter().map_init(|| Walk::new(samples.len()), fit);
+    let fitted = chosen.par_iter().map_init(|| NeighbourWalk::new(samples.len()), fit);
     let (anchors, heard): (Vec<Anchor>, Vec<Vec<u32>>) = fitted.unzip();
-    let heard = Heard::new(samples.len(), &heard);
+    let heard = AnchorLists::new(samples.len(), &heard);
     let told = |(i, e): (usize, &Expansion)| {
         let near = heard.anchors(i);
         if e.is_still() || near.is_empty() {
@@ -215,7 +215,7 @@ pub fn told(
 /// The anchors, ascending, among samples that move.
 fn anchors(stencils: &Stencils<'_>, expansions: &[Expansion]) -> Vec<u32> {
     let (mut is_near, mut chosen) = (vec![false; expansions.len()], Vec::new());
-    let mut walk = Walk::new(expansions.len());
+    let mut walk = NeighbourWalk::new(expansions.len());
     for i in (0..expansions.len()).filter(|i| !expansions[*i].is_still()) {
         if !is_near[i] {
             let (near, _) = walk.from(i as u32, APART, |j| {
@@ -230,13 +230,13 @@ fn anchors(stencils: &Stencils<'_>, expansions: &[Expansion]) -> Vec<u32> {
 }
 
 /// A way through the graph of neighbours, to each sample once.
-struct Walk {
+struct NeighbourWalk {
     /// In which walk each sample was met last.
     met: Vec<u32>,
     walks: u32,
 }
 
-impl Walk {
+impl NeighbourWalk {
     fn new(samples: usize) -> Self {
         Self { met: vec![0; samples], walks: 0 }
     }
@@ -266,12 +266,12 @@ impl Walk {
 }
 
 /// Which anchors have a say at each sample, ascending.
-struct Heard {
+struct AnchorLists {
     starts: Vec<u32>,
     anchors: Vec<u32>,
 }
 
-impl Heard {
+impl AnchorLists {
     /// The anchors of each sample, from the samples of each anchor.
     fn new(samples: usize, of_anchors: &[Vec<u32>]) -> Self {
         let of_anchors = of_anchors.iter().zip(0..);
@@ -286,7 +286,7 @@ impl Heard {
 }
 
 /// What an anchor is fitted to.
-struct Fit<'a> {
+struct AnchorFit<'a> {
     samples: &'a SampleSet,
     stencils: &'a Stencils<'a>,
     deformed: &'a [Vec3],
@@ -294,10 +294,10 @@ struct Fit<'a> {
     i: usize,
 }
 
-impl Fit<'_> {
+impl AnchorFit<'_> {
     /// The anchor, and the samples at which it has a say.
     #[inline(always)]
-    fn anchor(&self, walk: &mut Walk) -> (Anchor, Vec<u32>) {
+    fn anchor(&self, walk: &mut NeighbourWalk) -> (Anchor, Vec<u32>) {
         let Self { samples, stencils, deformed, affine, i } = *self;
         let (mut near, heard) = walk.from(i as u32, LINKS, |j| stencils.of_sample(j));
         let way = |j: u32| samples.positions[j as usize] - samples.positions[i];
@@ -315,7 +315,7 @@ impl Fit<'_> {
             return (none, Vec::new());
         }
         let radius = f64::from(square).sqrt();
-        let mut squares = Squares::new();
+        let mut squares = ResidualSquares::new();
         for j in &near {
             let d = way(*j).as_dvec3();
             let moved = (deformed[*j as usize].as_dvec3() - deformed[i].as_dvec3()) - affine.as_dmat3() * d;
@@ -381,7 +381,7 @@ const ROW: usize = TERMS.next_multiple_of(BLOCK);
 type Rows = [[f64; ROW]; TERMS];
 
 /// The squares of what the affine map leaves over, to be explained by the terms in units of the radius.
-struct Squares {
+struct ResidualSquares {
     /// Lower triangle of the products of terms, which is read, with what is beside it in blocks of [`BLOCK`];
     /// and the products with what is to be explained.
     matrix: Rows,
@@ -395,7 +395,7 @@ struct Squares {
     largest: f64,
 }
 
-impl Squares {
+impl ResidualSquares {
     fn new() -> Self {
         let (matrix, right) = ([[0.0; ROW]; TERMS], [DVec3::ZERO; TERMS]);
         Self { matrix, right, weights: 0.0, squared_weights: 0.0, squares: 0.0, largest: 0.0 }
@@ -448,7 +448,7 @@ impl Squares {
     }
 
     /// Cholesky's decomposition of the products, with a ridge along the diagonal.
-    fn ridged(&self, ridge: f64) -> Option<Factor> {
+    fn ridged(&self, ridge: f64) -> Option<CholeskyFactor> {
         let mut rows = self.matrix;
         for j in 0..TERMS {
             for i in j..TERMS {
@@ -463,14 +463,14 @@ impl Squares {
             rows[j][j] = root;
             (j + 1..TERMS).for_each(|i| rows[i][j] /= root);
         }
-        Some(Factor(rows))
+        Some(CholeskyFactor(rows))
     }
 }
 
 /// The lower triangle of Cholesky's decomposition.
-struct Factor(Rows);
+struct CholeskyFactor(Rows);
 
-impl Factor {
+impl CholeskyFactor {
     fn solve(&self, mut right: [DVec3; TERMS]) -> [DVec3; TERMS] {
         let Self(rows) = self;
         for i in 0..TERMS {

@@ -22,7 +22,7 @@ use super::sheets::Sheets;
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
 use crate::touching::Contacts;
-use crate::varint::{self, Numbers};
+use crate::varint::{self, VarintNumbers};
 
 /// What a binding begins with.
 pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
@@ -35,7 +35,7 @@ const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;
 
 /// What is known of the samples.
 #[derive(Deserialize)]
-struct Head {
+struct BindingHead {
     /// Hash of all that it depends on.
     key: String,
     /// Normals, if some had to be estimated.
@@ -118,7 +118,7 @@ fn encode(homes: &[u32], runs: &mut Vec<u8>) {
 /// The homes of runs, each less than `samples`, `count` in all; `None` if that is not what they are.
 fn decode(runs: &[u8], count: usize, samples: usize, homes: &mut Vec<u32>) -> Option<()> {
     homes.clear();
-    let mut numbers = Numbers(runs);
+    let mut numbers = VarintNumbers(runs);
     let mut home = 0i64;
     while homes.len() < count {
         let (step, length) = (numbers.next()?, numbers.next()?);
@@ -168,7 +168,7 @@ impl Binding {
         if xxh3_128(&head) != u128::from_le_bytes(checksum) {
             return Err("its checksum is wrong".to_owned());
         }
-        let head: Head = postcard::from_bytes(&head).map_err(|e| e.to_string())?;
+        let head: BindingHead = postcard::from_bytes(&head).map_err(|e| e.to_string())?;
         let samples = &sampled.samples;
         if head.key != key(sampled) {
             return Err("it belongs to other samples".to_owned());

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use super::expansion::{Expansion, ReachingSupport};
 use super::lanes::{Lanes, PACKET, from, length_squared, triple};
-use super::overlaps::{Balls, Lists};
+use super::overlaps::{Balls, HomeLists};
 use super::scattered;
 use super::sheets::Sheets;
 use crate::sampling::SampleSet;
@@ -61,7 +61,7 @@ impl Supports {
     pub fn new(samples: &SampleSet, sheets: &Sheets) -> Self {
         let positions = &samples.positions;
         let (radius, ranging) = reaches(positions, sheets);
-        let Lists { starts, ends, reaching } = Lists::find(positions, &radius, sheets);
+        let HomeLists { starts, ends, reaching } = HomeLists::find(positions, &radius, sheets);
         Self { radius, ranging, starts, ends, reaching }
     }
 

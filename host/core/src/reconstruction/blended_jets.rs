@@ -119,7 +119,7 @@ pub fn expand(
         |(chunk, ((expansions, unresolved), doubt))| {
             let first = chunk * TOGETHER;
             expansions.iter_mut().zip(first..).for_each(|(e, i)| *e = affine(i));
-            Arch::new().dispatch(Fits { fitted, first, expansions, unresolved, doubt });
+            Arch::new().dispatch(ExpansionFits { fitted, first, expansions, unresolved, doubt });
         },
     );
     let in_doubt: Vec<u32> = (0..).zip(&doubt).filter(|(_, doubt)| **doubt > 0.0).map(|(i, _)| i).collect();
@@ -253,7 +253,7 @@ struct Fitted<'a> {
 
 /// Fits samples that follow each other from the first: the affine map is left where nothing more is to be
 /// explained, or cannot be.
-struct Fits<'a> {
+struct ExpansionFits<'a> {
     fitted: Fitted<'a>,
     first: usize,
     expansions: &'a mut [Expansion],
@@ -263,7 +263,7 @@ struct Fits<'a> {
     doubt: &'a mut [f32],
 }
 
-impl WithSimd for Fits<'_> {
+impl WithSimd for ExpansionFits<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -281,7 +281,7 @@ impl WithSimd for Fits<'_> {
     }
 }
 
-impl Fits<'_> {
+impl ExpansionFits<'_> {
     /// Fits the samples of a packet.
     #[inline(always)]
     fn fit<S: Simd>(
@@ -396,14 +396,14 @@ mod tests {
             deformed: &deformed,
             gradient: &gradients.gradient,
         };
-        let fit = |by: &dyn Fn(Fits<'_>)| {
+        let fit = |by: &dyn Fn(ExpansionFits<'_>)| {
             let affine =
                 |(p, g): (&Vec3, &Mat3)| Expansion::new(*p, Vec3::ZERO, *g - Mat3::IDENTITY, [Vec3::ZERO; 6]);
             let mut expansions: Vec<Expansion> =
                 samples.positions.iter().zip(&gradients.gradient).map(affine).collect();
             let (mut unresolved, mut doubt) = (vec![Unresolved::default(); 961], vec![0.0; 961]);
             let (expansions_of, unresolved_of) = (&mut expansions, &mut unresolved);
-            by(Fits {
+            by(ExpansionFits {
                 fitted,
                 first: 0,
                 expansions: expansions_of,

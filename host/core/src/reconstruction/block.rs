@@ -9,7 +9,7 @@ use super::blend::{Blending, Grouped, LEAST_WEIGHT};
 use super::homes::{Homes, with_room};
 use super::lanes::PACKET;
 use super::repeated::Repeated;
-use super::workspace::{Filled, NOWHERE, Run, Workspace};
+use super::workspace::{GroupFill, HomeRun, NOWHERE, Workspace};
 use super::{DeformationField, Method, RestGeometry, Transport, VertexDiagnostics, projected_barycentric};
 
 /// Most vertices of a block that follow the surface: many, so that there are several of each home, and as few
@@ -253,7 +253,7 @@ impl Workspace {
     /// Whether the vertices of a run stay where they are, in all versions: neither their home moves nor who
     /// reaches it, and it is among the nearest to each of them.
     #[inline]
-    fn stays(&self, run: &Run, field: &DeformationField<'_>) -> bool {
+    fn stays(&self, run: &HomeRun, field: &DeformationField<'_>) -> bool {
         if run.place != NOWHERE {
             return false;
         }
@@ -280,7 +280,7 @@ impl Workspace {
 
     /// Takes what became of vertices for which that is nothing but the blend.
     #[inline]
-    fn take(&self, run: &Run, frame: &Frame, moved: &mut Moved<'_>) {
+    fn take(&self, run: &HomeRun, frame: &Frame, moved: &mut Moved<'_>) {
         let places = run.places();
         let vertices = &self.order[run.range()];
         let [x, y, z] = self.grouped.displacement.each_ref().map(|v| &v[places.clone()]);
@@ -307,7 +307,7 @@ impl Workspace {
     #[inline(never)]
     fn carry_one_by_one(
         &self,
-        run: &Run,
+        run: &HomeRun,
         field: &DeformationField<'_>,
         frame: &Frame,
         positions: &[DVec3],
@@ -452,7 +452,7 @@ impl Workspace {
             let rest = filled.next % PACKET;
             let scattered = if rest <= FEW { rest } else { 0 };
             *range = end..end + filled.next - scattered;
-            *filled = Filled { next: end, scattered: grouped.scattered.len() };
+            *filled = GroupFill { next: end, scattered: grouped.scattered.len() };
             grouped.scattered.extend(std::iter::repeat_n(*home, scattered));
             end = range.end.next_multiple_of(PACKET);
         }
@@ -474,7 +474,7 @@ impl Workspace {
             let filled = &mut filled[group];
             let in_packets = run.count.min((grouped.groups[group].1.end - filled.next) as u32);
             let (first, place) = (run.first + in_packets, (end + filled.scattered) as u32);
-            let scattered = Run { first, count: run.count - in_packets, place, ..*run };
+            let scattered = HomeRun { first, count: run.count - in_packets, place, ..*run };
             (run.count, run.place) = (in_packets, filled.next as u32);
             filled.next += in_packets as usize;
             filled.scattered += scattered.count as usize;
@@ -502,7 +502,7 @@ impl Workspace {
                 end += 1;
             }
             let (place, count) = (if moves(home) { 0 } else { NOWHERE }, end - first);
-            runs.push(Run { home, first: first as u32, count: count as u32, place });
+            runs.push(HomeRun { home, first: first as u32, count: count as u32, place });
             first = end;
             if place == NOWHERE {
                 continue;
@@ -514,7 +514,7 @@ impl Workspace {
             } else {
                 *group = grouped.groups.len() as u32;
                 grouped.groups.push((home, 0..0));
-                filled.push(Filled { next: count, scattered: 0 });
+                filled.push(GroupFill { next: count, scattered: 0 });
             }
         }
     }
@@ -523,7 +523,7 @@ impl Workspace {
 impl Grouped {
     /// Puts the coordinates of a run into its place.
     #[inline]
-    fn put(&mut self, run: &Run, local: &[Vec<f32>; 3]) {
+    fn put(&mut self, run: &HomeRun, local: &[Vec<f32>; 3]) {
         let places = run.places();
         let [from_x, from_y, from_z] = local.each_ref().map(|v| &v[run.range()]);
         let [x, y, z] = self.positions.each_mut().map(|v| &mut v[places.clone()]);

@@ -29,12 +29,12 @@ pub const MARGIN: f32 = ROUNDING as f32;
 
 /// Displacements between the least and the greatest, coordinate by coordinate.
 #[derive(Debug, Clone, Copy)]
-pub struct Extent {
+pub struct DisplacementBox {
     pub low: Vec3,
     pub high: Vec3,
 }
 
-impl Extent {
+impl DisplacementBox {
     /// Which holds none.
     pub const NOTHING: Self = Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
 
@@ -61,14 +61,14 @@ impl Extent {
 
 /// What the edges of samples show.
 #[derive(Debug, Clone, Copy)]
-pub struct Edges {
+pub struct EdgeStretches {
     /// The largest difference of displacements.
     pub step: f32,
     /// The largest such difference over the edge's length.
     pub steepest: f32,
 }
 
-impl Edges {
+impl EdgeStretches {
     pub const NONE: Self = Self { step: 0.0, steepest: 0.0 };
 
     /// The edges around one sample.
@@ -104,14 +104,14 @@ impl Edges {
 ///
 /// Memory: 8 bytes per sample.
 pub struct Bound {
-    pub edges: Vec<Edges>,
+    pub edges: Vec<EdgeStretches>,
 }
 
 impl Bound {
     /// The bound that all samples set, by where they come to lie.
     pub fn new(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
         let all = (0..deformed.len()).into_par_iter();
-        Self { edges: all.map(|i| Edges::around(samples, sheets, deformed, i)).collect() }
+        Self { edges: all.map(|i| EdgeStretches::around(samples, sheets, deformed, i)).collect() }
     }
 
     /// The largest difference of displacements along an edge of a sample.

@@ -11,7 +11,7 @@ use simod_model::output::OutputFile;
 use simod_model::{Error, Model, Result, Scalar};
 
 use super::expansion::Expansion;
-use super::expectation::Tally;
+use super::expectation::ErrorSums;
 
 /// Vertices that are encoded at a time.
 const BLOCK: usize = 1 << 12;
@@ -152,7 +152,7 @@ pub struct DiagnosticsFile {
     /// Folded vertices up to here.
     pub folded: u64,
     /// What is expected of the vertices up to here, as fractions of the diagonal.
-    pub expected: Tally,
+    pub expected: ErrorSums,
 }
 
 impl DiagnosticsFile {
@@ -187,7 +187,7 @@ impl DiagnosticsFile {
         header.push_str("end_header\n");
         let file = OutputFile::create(path, Self::expected_bytes(model))?;
         let inverse_diagonal = 1.0 / diagonal.max(f64::MIN_POSITIVE);
-        let expected = Tally::default();
+        let expected = ErrorSums::default();
         let path = path.to_owned();
         let mut this = Self { file, path, scalar, of_splats, inverse_diagonal, folded: 0, expected };
         this.file.write_all(header.as_bytes()).map_err(|e| this.failed(e))?;

@@ -7,7 +7,7 @@ use std::sync::Mutex;
 use glam::{DMat3, DVec3, Mat3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
-use simod_model::resumable_output::{OpenedOutput, Place, ResumableOutput};
+use simod_model::resumable_output::{OpenedOutput, OutputPaths, ResumableOutput};
 use simod_model::{
     Edit, Edited, Error, Model, Normals, Output, Progress, RawChunk, Result, Rewriting, VertexChunk,
 };
@@ -62,7 +62,7 @@ pub fn write_exact(
     check_reach(sampled, model, [version.deformed])?;
     let info = model.info();
     // Nothing is gone on with: the key is of no use to anybody.
-    let place = Place::for_model(model, version.output);
+    let place = OutputPaths::for_model(model, version.output);
     let opened = ResumableOutput::open(&place, "exact".to_owned(), false, u64::MAX, progress)?;
     let OpenedOutput::Unfinished(mut file) = opened else {
         return Err(Error::internal("an output is there that was not written"));
@@ -72,7 +72,7 @@ pub fn write_exact(
     let gradients = needs_gradient(model, how.normals, version.diagnostics);
     let surveys = Surveys::new([diagnostics.as_mut()]);
     let hash = Mutex::new(VertexHash::like(&sampled.source.fingerprint));
-    let mut exact = Exact { sampled, field, map, gradients, is_still: false, hash, surveys };
+    let mut exact = ExactEdit { sampled, field, map, gradients, is_still: false, hash, surveys };
     exact.is_still = field.is_still() && exact.moves_nothing(model, progress)?;
     progress.begin("evaluating every vertex", info.bytes);
     let outputs: &mut [&mut dyn Output] = &mut [file.as_output()];
@@ -143,7 +143,7 @@ pub fn known_gradients(sampled: &SampledModel, map: &ExactMap<'_>) -> Result<Vec
     Ok(gradients(map, frame, &positions)?.iter().map(|gradient| gradient.as_mat3()).collect())
 }
 
-struct Exact<'a> {
+struct ExactEdit<'a> {
     sampled: &'a SampledModel,
     field: &'a DeformationField<'a>,
     map: &'a ExactMap<'a>,
@@ -156,7 +156,7 @@ struct Exact<'a> {
     surveys: Surveys<'a>,
 }
 
-impl Edit for Exact<'_> {
+impl Edit for ExactEdit<'_> {
     fn begin(&self, chunk: &RawChunk<'_>) -> Result<()> {
         locked(&self.hash).update(chunk.bytes);
         Ok(())
@@ -185,7 +185,7 @@ impl Edit for Exact<'_> {
     }
 }
 
-impl Exact<'_> {
+impl ExactEdit<'_> {
     /// Whether the map leaves all vertices where they are, which takes an evaluation of each: asked where it
     /// leaves the samples there, as formats make room for what may change.
     fn moves_nothing(&self, model: &dyn Model, progress: &dyn Progress) -> Result<bool> {
@@ -195,7 +195,7 @@ impl Exact<'_> {
         while reader.read(&mut chunk)? {
             progress.check()?;
             let carried = self.carry(&chunk.positions, self.gradients)?;
-            let is_still = |c: &Carried| c.way == DVec3::ZERO && c.gradient == DMat3::IDENTITY;
+            let is_still = |c: &ExactImage| c.way == DVec3::ZERO && c.gradient == DMat3::IDENTITY;
             if !carried.iter().all(is_still) {
                 return Ok(false);
             }
@@ -205,7 +205,7 @@ impl Exact<'_> {
     }
 
     /// Moves the vertices of each version; what the map does to them.
-    fn moved(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<Vec<Carried>> {
+    fn moved(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<Vec<ExactImage>> {
         let turns = |edited: &Edited| !edited.normals.is_empty() || !edited.gradients.is_empty();
         let moved = self.carry(&chunk.positions, self.gradients || versions.iter().any(turns))?;
         for edited in versions {
@@ -229,22 +229,22 @@ impl Exact<'_> {
 
 /// What the map does to a vertex.
 #[derive(Clone, Copy)]
-struct Carried {
+struct ExactImage {
     /// In the model's unit; nothing where the vertex is not finite.
     way: DVec3,
     gradient: DMat3,
 }
 
-impl Carried {
+impl ExactImage {
     /// The same in local units of this length.
     fn transport(&self, scale: f64) -> Transport {
         Transport { displacement: (self.way / scale).as_vec3(), gradient: self.gradient.as_mat3() }
     }
 }
 
-impl Exact<'_> {
+impl ExactEdit<'_> {
     /// Evaluates the map at vertices, and around them if the gradient is asked for.
-    fn carry(&self, positions: &[DVec3], gradient: bool) -> Result<Vec<Carried>> {
+    fn carry(&self, positions: &[DVec3], gradient: bool) -> Result<Vec<ExactImage>> {
         let frame = &self.sampled.frame;
         let mut images = positions.to_vec();
         (self.map)(&mut images)?;
@@ -252,9 +252,9 @@ impl Exact<'_> {
             // What the map does not move comes back from local coordinates rounded.
             let still = frame.to_model_exact(frame.to_local_exact(*p));
             let way = if p.is_finite() { *image - still } else { DVec3::ZERO };
-            Carried { way, gradient: DMat3::IDENTITY }
+            ExactImage { way, gradient: DMat3::IDENTITY }
         };
-        let mut carried: Vec<Carried> = positions.iter().zip(&images).map(way).collect();
+        let mut carried: Vec<ExactImage> = positions.iter().zip(&images).map(way).collect();
         if !gradient {
             return Ok(carried);
         }
@@ -265,10 +265,10 @@ impl Exact<'_> {
     }
 
     /// What becomes of the surface at vertices.
-    fn figures(&self, positions: &[DVec3], carried: &[Carried]) -> Vec<VertexDiagnostics> {
+    fn figures(&self, positions: &[DVec3], carried: &[ExactImage]) -> Vec<VertexDiagnostics> {
         let Self { sampled, field, .. } = self;
         let frame = &sampled.frame;
-        let figures = |(p, carried): (&DVec3, &Carried)| {
+        let figures = |(p, carried): (&DVec3, &ExactImage)| {
             if !p.is_finite() {
                 return VertexDiagnostics::UNKNOWN;
             }

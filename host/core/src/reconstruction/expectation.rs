@@ -77,12 +77,12 @@ pub struct ExpectedError {
     pub of_vertices: bool,
     /// Where samples alone tell that it is more than will be [accepted](Self::ACCEPTED).
     #[serde(skip)]
-    pub beyond: Option<Beyond>,
+    pub beyond: Option<ErrorExcess>,
 }
 
 /// Where more is expected than is accepted.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Beyond {
+pub struct ErrorExcess {
     /// The largest error that is expected around a sample, as a fraction of the diagonal.
     pub worst: f64,
     /// What rounding alone makes there, as a fraction of the diagonal.
@@ -108,7 +108,7 @@ impl ExpectedError {
 
 /// Estimates of many vertices, summed up. Fractions of the diagonal.
 #[derive(Default)]
-pub(super) struct Tally {
+pub(super) struct ErrorSums {
     histogram: Histogram,
     count: u64,
     squares: f64,
@@ -116,7 +116,7 @@ pub(super) struct Tally {
     pub worst: f64,
 }
 
-impl Tally {
+impl ErrorSums {
     /// Adds `vertices` for which so much is expected.
     pub fn add(&mut self, expected: f64, vertices: u64) {
         if vertices > 0 && expected.is_finite() {

@@ -31,7 +31,7 @@ use simod_model::{ModelInfo, Result};
 
 use super::blend::LEAST_WEIGHT;
 use super::expansion::{Expansion, ROUNDING};
-use super::expectation::{Beyond, Expectation, ExpectedError, Rounding, Tally, hypot};
+use super::expectation::{ErrorExcess, ErrorSums, Expectation, ExpectedError, Rounding, hypot};
 use super::homes::Homes;
 use super::neighbourhood::Neighbourhood;
 use super::{DeformationField, Method, Moved, blended_jets, carry};
@@ -317,7 +317,7 @@ impl DeformationField<'_> {
             return None;
         }
         let diagonal = of.local_diagonal();
-        let (mut tally, mut counted) = (Tally::default(), 0);
+        let (mut tally, mut counted) = (ErrorSums::default(), 0);
         for (i, e) in self.expected.iter().enumerate() {
             let n = self.around.vertices_of(i);
             let part = |x: f32| f64::from(hypot([x, self.rounding_at(i)])) / diagonal;
@@ -343,7 +343,7 @@ impl DeformationField<'_> {
 
     /// Where more is expected than `accepted`, a fraction of the diagonal of the model of which the samples
     /// are. The field has to be [expecting](Self::expecting).
-    pub fn expected_beyond(&self, of: &SampledModel, accepted: f64) -> Option<Beyond> {
+    pub fn expected_beyond(&self, of: &SampledModel, accepted: f64) -> Option<ErrorExcess> {
         self.where_beyond(of, accepted, |i, e| hypot([e.largest, self.rounding_at(i)]))
     }
 
@@ -353,13 +353,13 @@ impl DeformationField<'_> {
         of: &SampledModel,
         accepted: f64,
         expected: impl Fn(usize, &Expectation) -> f32,
-    ) -> Option<Beyond> {
+    ) -> Option<ErrorExcess> {
         let diagonal = of.local_diagonal();
         let part = |(i, e): (usize, &Expectation)| (i, f64::from(expected(i, e)) / diagonal);
         let beyond = || self.expected.iter().enumerate().map(part).filter(|(_, e)| *e > accepted);
         let (at, worst) = beyond().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))?;
         let more = |(_, e): (usize, f64)| (e / accepted).powf(2.0 / ExpectedError::ORDER) - 1.0;
-        Some(Beyond {
+        Some(ErrorExcess {
             worst,
             rounding: f64::from(self.rounding_at(at)) / diagonal,
             place: of.frame.to_model(self.around.samples.positions[at]),

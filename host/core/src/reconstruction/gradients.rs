@@ -19,7 +19,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::expansion::ROUNDING;
-use super::packets::{Neighbours, Place, triple};
+use super::packets::{NeighbourPacket, Neighbours, triple};
 use super::sheets::Sheets;
 use super::stencils::Stencils;
 use super::transport::Transport;
@@ -146,7 +146,7 @@ impl<S: Simd> Sums<S> {
         let mut sums = Self { diagonal: [zero; 3], off: [zero; 3], images: [[zero; 3]; 3], weights: zero };
         let scale = DoubleLanes::load(simd, &neighbours.scale);
         for place in 0..neighbours.longest {
-            let Place { is_there, way, moved } = &neighbours.places[place];
+            let NeighbourPacket { is_there, way, moved } = &neighbours.places[place];
             let (d, moved) = (triple(simd, way), triple(simd, moved));
             let t = square(d).sqrt() * scale;
             let w = DoubleLanes::load(simd, is_there) * kernel(simd, t);
@@ -285,7 +285,7 @@ fn explained<S: Simd>(
     let limit = splat(ROUNDING * ROUNDING);
     let mut explained = [splat(0.0).less(limit); 2];
     for place in 0..neighbours.longest {
-        let Place { way, moved, .. } = &neighbours.places[place];
+        let NeighbourPacket { way, moved, .. } = &neighbours.places[place];
         let (d, mut left) = (triple(simd, way), triple(simd, moved));
         for at in 0..2 {
             let (axis, image) = axes[at];

@@ -28,7 +28,7 @@ use crate::sampled_model::{REST, SampledModel};
 use crate::sampling::{NEIGHBOURS, NeighbourGraph, SampleSet};
 use crate::sealed::{unseal, write_sealed};
 use crate::touching::Contacts;
-use crate::varint::{self, Numbers};
+use crate::varint::{self, VarintNumbers};
 
 const LETTERS: &[u8; 8] = b"SIMODRST";
 
@@ -56,7 +56,7 @@ const OTHER: u8 = ITSELF + 1;
 
 /// The content of the file.
 #[derive(Serialize, Deserialize)]
-struct Content<'a> {
+struct RestFile<'a> {
     /// Hash of all that it depends on.
     key: u128,
     /// Three numbers of each normal, if some had to be estimated.
@@ -69,12 +69,12 @@ struct Content<'a> {
     #[serde(serialize_with = "as_bytes")]
     cells: &'a [u8],
     #[serde(borrow)]
-    pieces: Vec<Piece<'a>>,
+    pieces: Vec<SamplePiece<'a>>,
 }
 
 /// What is known of [`TOGETHER`] samples.
 #[derive(Serialize, Deserialize)]
-struct Piece<'a> {
+struct SamplePiece<'a> {
     #[serde(serialize_with = "as_bytes")]
     neighbours: &'a [u8],
     /// Number of the supports of all homes.
@@ -153,7 +153,7 @@ pub(super) fn pack(around: &RestGeometry<'_>, to: impl Write) -> io::Result<()> 
         (neighbours, reaching, orders)
     };
     let packed: Vec<_> = pieces(samples.len()).map_init(no_places, pack).collect();
-    let pieces = packed.iter().map(|(neighbours, reaching, supports)| Piece {
+    let pieces = packed.iter().map(|(neighbours, reaching, supports)| SamplePiece {
         neighbours,
         reaching: *reaching,
         supports,
@@ -162,7 +162,7 @@ pub(super) fn pack(around: &RestGeometry<'_>, to: impl Write) -> io::Result<()> 
     let normals: Vec<_> = estimated.iter().map(|n| n.to_array().map(f32::to_le_bytes)).collect();
     let cells: Vec<_> =
         around.cells().parted().as_flattened().iter().map(|what| what.to_le_bytes()).collect();
-    let content = Content {
+    let content = RestFile {
         key: key(samples),
         normals: normals.as_flattened().as_flattened(),
         sheets: &pack_sheets(sheets, samples.len()),
@@ -220,7 +220,7 @@ fn pack_sheets(sheets: &Sheets, samples: usize) -> Vec<u8> {
 pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeometry<'a>> {
     let (version, content) = unseal(bytes, LETTERS).ok()?;
     (version == VERSION).then_some(())?;
-    let content: Content<'_> = postcard::from_bytes(content).ok()?;
+    let content: RestFile<'_> = postcard::from_bytes(content).ok()?;
     let n = samples.len();
     let is_of_these = content.key == key(samples) && content.pieces.len() == n.div_ceil(TOGETHER);
     is_of_these.then_some(())?;
@@ -245,10 +245,10 @@ fn fours(bytes: &[u8]) -> Option<&[[u8; 4]]> {
     rest.is_empty().then_some(chunks)
 }
 
-fn unpack_graph(samples: usize, pieces: &[Piece<'_>]) -> Option<NeighbourGraph> {
+fn unpack_graph(samples: usize, pieces: &[SamplePiece<'_>]) -> Option<NeighbourGraph> {
     let k = NEIGHBOURS.min(samples - 1);
     // Before anything is held by what it says.
-    let is_there = |(at, piece): (usize, &Piece<'_>)| {
+    let is_there = |(at, piece): (usize, &SamplePiece<'_>)| {
         piece.neighbours.len() > (samples.min((at + 1) * TOGETHER) - at * TOGETHER) * k
     };
     pieces.iter().enumerate().all(is_there).then_some(())?;
@@ -265,7 +265,7 @@ fn unpack_graph(samples: usize, pieces: &[Piece<'_>]) -> Option<NeighbourGraph> 
 }
 
 fn unpack_sheets(graph: NeighbourGraph, samples: usize, bytes: &[u8]) -> Option<Sheets> {
-    let mut numbers = Numbers(bytes);
+    let mut numbers = VarintNumbers(bytes);
     let own = unpack_lists(samples, &mut numbers)?;
     let strangers = (numbers.0 != BEHIND).then(|| unpack_lists(samples, &mut numbers));
     let strangers = match strangers {
@@ -276,7 +276,7 @@ fn unpack_sheets(graph: NeighbourGraph, samples: usize, bytes: &[u8]) -> Option<
 }
 
 /// Lists of samples in ascending order.
-fn unpack_lists(samples: usize, numbers: &mut Numbers<'_>) -> Option<Vec<Listed>> {
+fn unpack_lists(samples: usize, numbers: &mut VarintNumbers<'_>) -> Option<Vec<Listed>> {
     let (mut lists, mut last): (Vec<Listed>, _) = (Vec::new(), None);
     for _ in 0..numbers.next()? {
         let (step, length) = (numbers.next()?, numbers.next()?);
@@ -294,7 +294,7 @@ fn unpack_lists(samples: usize, numbers: &mut Numbers<'_>) -> Option<Vec<Listed>
 fn unpack_orders(
     sheets: &Sheets,
     samples: usize,
-    pieces: &[Piece<'_>],
+    pieces: &[SamplePiece<'_>],
 ) -> Option<(Vec<u32>, Vec<ReachingSupport>)> {
     // Each takes a byte at least.
     pieces.iter().all(|piece| piece.reaching as usize <= piece.supports.len()).then_some(())?;
@@ -309,7 +309,7 @@ fn unpack_orders(
     }
     let jobs = rooms.into_par_iter().zip(ends.par_chunks_mut(TOGETHER)).enumerate();
     jobs.try_for_each(|(at, ((first, room, bytes), ends))| {
-        let (mut numbers, mut written) = (Numbers(bytes), 0usize);
+        let (mut numbers, mut written) = (VarintNumbers(bytes), 0usize);
         for (home, end) in (at * TOGETHER..).zip(ends) {
             let count = usize::try_from(numbers.next()?).ok()?;
             let list = room.get_mut(written..written.checked_add(count)?)?;

@@ -17,7 +17,7 @@ use glam::Vec3;
 use pulp::Simd;
 
 use super::expansion::ROUNDING;
-use super::packets::{Neighbours, Place, triple};
+use super::packets::{NeighbourPacket, Neighbours, triple};
 use crate::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
 
 /// The largest ridge, relative to terms of the size of the neighbourhood ...
@@ -122,7 +122,7 @@ impl<S: Simd> LeastSquares<S> {
     }
 
     #[inline(always)]
-    fn include(&mut self, slope: &[DoubleLanes<S>; 9], place: &Place, moments: &mut Moments<S>) {
+    fn include(&mut self, slope: &[DoubleLanes<S>; 9], place: &NeighbourPacket, moments: &mut Moments<S>) {
         let simd = self.simd;
         let (d, moved) = (triple(simd, &place.way), triple(simd, &place.moved));
         let mut left = moved;

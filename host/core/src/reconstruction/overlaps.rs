@@ -46,13 +46,13 @@ impl Balls {
 ///
 /// Memory: 8 bytes for each sample that may reach a home, and 8 for each sample; as long as it is found, 32
 /// for each sample besides, and 24 for each that is a neighbour of another which is none of its own.
-pub struct Lists {
+pub struct HomeLists {
     pub starts: Vec<u32>,
     pub ends: Vec<u32>,
     pub reaching: Vec<ReachingSupport>,
 }
 
-impl Lists {
+impl HomeLists {
     /// The lists of samples with supports of these radii.
     pub fn find(positions: &[Vec3], radius: &[f32], sheets: &Sheets) -> Self {
         let n = positions.len();
@@ -110,7 +110,7 @@ impl OneWay {
         let last: Vec<(f32, u32)> = (0..n).into_par_iter().map(last).collect();
         let job = |job: usize| {
             let samples = job * TOGETHER..n.min((job + 1) * TOGETHER);
-            Arch::new().dispatch(Asking { balls, sheets, last: &last, samples })
+            Arch::new().dispatch(NeighbourQuery { balls, sheets, last: &last, samples })
         };
         // The home, and the one whose neighbour it is: these ascending.
         let pairs: Vec<(u32, u32)> = (0..n.div_ceil(TOGETHER)).into_par_iter().flat_map_iter(job).collect();
@@ -125,7 +125,7 @@ impl OneWay {
 
 /// The supports of a sample's neighbours, number by number.
 #[derive(Default)]
-struct Around {
+struct NeighbourSupports {
     centers: [[f32; SHEET_NEIGHBOURS]; 3],
     radius: [f32; SHEET_NEIGHBOURS],
     /// The squares of their distances.
@@ -136,7 +136,7 @@ struct Around {
     overlap: [f32; SHEET_NEIGHBOURS],
 }
 
-impl Around {
+impl NeighbourSupports {
     /// Looks at the neighbours of a sample. What lies behind them is of no meaning.
     #[inline(always)]
     fn look<S: Simd>(&mut self, simd: S, balls: &Balls, sample: usize, near: &[u32]) {
@@ -165,7 +165,7 @@ impl Around {
 }
 
 /// Asks whether some samples, which follow each other, are neighbours of their neighbours.
-struct Asking<'a> {
+struct NeighbourQuery<'a> {
     balls: &'a Balls,
     sheets: &'a Sheets,
     /// The squared distance of each sample's last neighbour, and that; less than nothing where others may be
@@ -174,14 +174,14 @@ struct Asking<'a> {
     samples: std::ops::Range<usize>,
 }
 
-impl WithSimd for Asking<'_> {
+impl WithSimd for NeighbourQuery<'_> {
     /// The neighbours which know nothing of the samples whose supports meet theirs, and these, ascending.
     type Output = Vec<(u32, u32)>;
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         let Self { balls, sheets, last, samples } = self;
-        let (mut around, mut found) = (Around::default(), Vec::new());
+        let (mut around, mut found) = (NeighbourSupports::default(), Vec::new());
         for sample in samples {
             let near = sheets.of_sample(sample);
             around.look(simd, balls, sample, near);
@@ -228,7 +228,7 @@ impl WithSimd for Listing<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { balls, sheets, one_way, starts, first, part, ends } = self;
-        let (mut around, mut list) = (Around::default(), Vec::new());
+        let (mut around, mut list) = (NeighbourSupports::default(), Vec::new());
         for (home, end) in (first..).zip(ends) {
             let near = sheets.of_sample(home);
             around.look(simd, balls, home, near);
@@ -276,7 +276,7 @@ mod tests {
         let sheets = Sheets::find(&samples);
         let positions = &samples.positions;
         let radius: Vec<f32> = (0..samples.len()).map(|i| sheets.around(positions, i, 6).1).collect();
-        let (balls, lists) = (Balls::new(positions, &radius), Lists::find(positions, &radius, &sheets));
+        let (balls, lists) = (Balls::new(positions, &radius), HomeLists::find(positions, &radius, &sheets));
         let knows = |i: usize, j: usize| sheets.of_sample(i).contains(&(j as u32));
         let mut one_way = 0;
         for home in 0..samples.len() {
@@ -304,7 +304,7 @@ mod tests {
 
             #[inline(always)]
             fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
-                let (mut around, mut all) = (Around::default(), Vec::new());
+                let (mut around, mut all) = (NeighbourSupports::default(), Vec::new());
                 for i in 0..self.2 {
                     let near = self.1.of_sample(i);
                     around.look(simd, self.0, i, near);

@@ -24,14 +24,14 @@ pub struct Neighbours {
     pub scale: [f64; MOST_LANES],
     /// Places of the longest list.
     pub longest: usize,
-    pub places: [Place; MOST_NEIGHBOURS],
+    pub places: [NeighbourPacket; MOST_NEIGHBOURS],
     /// The neighbours' positions at rest and deformed, of which the ways are made.
     positions: [[[f32; MOST_LANES]; 6]; MOST_NEIGHBOURS],
 }
 
 /// The neighbours of several samples that come at one place in their lists.
 #[derive(Clone, Copy)]
-pub struct Place {
+pub struct NeighbourPacket {
     /// 1, or 0 where a list is over.
     pub is_there: [f64; MOST_LANES],
     pub way: [[f64; MOST_LANES]; 3],
@@ -39,7 +39,7 @@ pub struct Place {
     pub moved: [[f64; MOST_LANES]; 3],
 }
 
-impl Place {
+impl NeighbourPacket {
     const NOBODY: Self =
         Self { is_there: [0.0; MOST_LANES], way: [[0.0; MOST_LANES]; 3], moved: [[0.0; MOST_LANES]; 3] };
 }
@@ -50,7 +50,7 @@ impl Default for Neighbours {
             is_still: [true; MOST_LANES],
             scale: [1.0; MOST_LANES],
             longest: 0,
-            places: [Place::NOBODY; MOST_NEIGHBOURS],
+            places: [NeighbourPacket::NOBODY; MOST_NEIGHBOURS],
             positions: [[[0.0; MOST_LANES]; 6]; MOST_NEIGHBOURS],
         }
     }

@@ -30,7 +30,7 @@ const BLOCK: usize = 1 << 20;
 
 /// What stands behind the bytes of a part.
 #[derive(Serialize, Deserialize)]
-pub(super) struct Record {
+pub(super) struct PartRecord {
     /// Hash of all that determines the bytes of the whole.
     pub(super) key: String,
     /// Which pieces of the model these are.
@@ -65,7 +65,7 @@ pub(super) struct Sent {
     pub(super) tags: Vec<String>,
 }
 
-impl Record {
+impl PartRecord {
     /// Bytes in the part's own file.
     pub(super) fn own(&self) -> u64 {
         match (&self.sent, self.place) {
@@ -77,7 +77,7 @@ impl Record {
 }
 
 /// What a part is of, and what is known of it beside its bytes.
-pub(super) struct Content {
+pub(super) struct PartContent {
     pub(super) key: String,
     pub(super) pieces: Range<u64>,
     pub(super) hashed: HashedPart,
@@ -85,7 +85,7 @@ pub(super) struct Content {
 }
 
 /// Where the bytes of a part go.
-pub(super) enum Bytes<'a> {
+pub(super) enum PartTarget<'a> {
     /// To its own file.
     Own,
     /// To a place in a file that parts share.
@@ -100,7 +100,7 @@ pub(super) enum Bytes<'a> {
 /// to the shared file.
 pub(super) struct PartFile<'a> {
     // Dropped first, while nobody else can begin the part.
-    to: Bytes<'a>,
+    to: PartTarget<'a>,
     own: OutputFile,
     /// Where it begins in the file that is read.
     place: u64,
@@ -111,23 +111,23 @@ pub(super) struct PartFile<'a> {
 
 impl<'a> PartFile<'a> {
     /// Begins a part, whose bytes go elsewhere.
-    pub(super) fn new(own: OutputFile, to: Bytes<'a>) -> Self {
+    pub(super) fn new(own: OutputFile, to: PartTarget<'a>) -> Self {
         let (hash, summary) = (Xxh3Default::new(), Summary::default());
         Self { to, own, place: 0, bytes: 0, hash, summary }
     }
 
     /// Says in the part's own file, which is called `path`, that it is done.
-    pub(super) fn commit(mut self, content: Content, path: &Path) -> Result<()> {
+    pub(super) fn commit(mut self, content: PartContent, path: &Path) -> Result<()> {
         let (bytes, checksum, summary) = (self.bytes, self.hash.digest128(), self.summary.encode());
         // First, so that no record speaks of bytes that are not on the disk, or in the store.
         let (place, sent, kept) = match self.to {
-            Bytes::Own => (None, None, None),
-            Bytes::Shared(mut file) => {
+            PartTarget::Own => (None, None, None),
+            PartTarget::Shared(mut file) => {
                 file.sync(false)?;
                 (Some(self.place), None, None)
             }
-            Bytes::Tiles(files) => (None, None, Some(files)),
-            Bytes::Object(range, id) => {
+            PartTarget::Tiles(files) => (None, None, Some(files)),
+            PartTarget::Object(range, id) => {
                 let SentRange { before, tags, behind } = range.finish()?;
                 let mut hash = Xxh3Default::new();
                 for edge in [&before, &behind] {
@@ -140,8 +140,8 @@ impl<'a> PartFile<'a> {
             }
         };
         let tiles = kept.as_ref().map(SharedFiles::written).unwrap_or_default();
-        let Content { key, pieces, hashed, folded } = content;
-        let record = Record { key, pieces, place, sent, bytes, checksum, tiles, summary, hashed, folded };
+        let PartContent { key, pieces, hashed, folded } = content;
+        let record = PartRecord { key, pieces, place, sent, bytes, checksum, tiles, summary, hashed, folded };
         let sealed = seal(LETTERS, VERSION, &record).map_err(|e| Error::unwritable(path.display(), e))?;
         let length = (sealed.len() as u64).to_le_bytes();
         let written = self.own.write_all(&sealed).and_then(|()| self.own.write_all(&length));
@@ -158,28 +158,28 @@ impl Output for PartFile<'_> {
     fn begin_at(&mut self, at: u64) -> io::Result<()> {
         self.place = at;
         match &mut self.to {
-            Bytes::Shared(file) => file.begin_at(at),
-            Bytes::Object(range, _) => {
+            PartTarget::Shared(file) => file.begin_at(at),
+            PartTarget::Object(range, _) => {
                 range.begin_at(at);
                 Ok(())
             }
-            Bytes::Own | Bytes::Tiles(_) => Ok(()),
+            PartTarget::Own | PartTarget::Tiles(_) => Ok(()),
         }
     }
 
     fn begin_file(&mut self, number: usize) -> io::Result<()> {
         match &mut self.to {
-            Bytes::Tiles(files) => files.begin_file(number),
+            PartTarget::Tiles(files) => files.begin_file(number),
             _ => Err(io::Error::other("the part is of a model in one file")),
         }
     }
 
     fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
         match &mut self.to {
-            Bytes::Own => self.own.write_all(bytes)?,
-            Bytes::Shared(file) => file.write_piece(bytes, source_bytes, summary)?,
-            Bytes::Object(range, _) => range.write(bytes).map_err(io::Error::other)?,
-            Bytes::Tiles(files) => return files.write_piece(bytes, source_bytes, summary),
+            PartTarget::Own => self.own.write_all(bytes)?,
+            PartTarget::Shared(file) => file.write_piece(bytes, source_bytes, summary)?,
+            PartTarget::Object(range, _) => range.write(bytes).map_err(io::Error::other)?,
+            PartTarget::Tiles(files) => return files.write_piece(bytes, source_bytes, summary),
         }
         self.hash.update(bytes);
         self.bytes += bytes.len() as u64;
@@ -189,14 +189,14 @@ impl Output for PartFile<'_> {
 
     fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
         match &mut self.to {
-            Bytes::Tiles(files) => files.patch(at, bytes),
+            PartTarget::Tiles(files) => files.patch(at, bytes),
             _ => Err(io::Error::new(io::ErrorKind::Unsupported, "nothing is replaced in a part")),
         }
     }
 
     fn finish(&mut self) -> io::Result<()> {
         match &mut self.to {
-            Bytes::Tiles(files) => files.finish(),
+            PartTarget::Tiles(files) => files.finish(),
             _ => Ok(()),
         }
     }
@@ -213,7 +213,7 @@ pub(super) fn damaged(path: &Path, what: &str) -> Error {
 }
 
 /// A part's file, at its beginning, and its record.
-pub(super) fn open(path: &Path) -> Result<(File, Record)> {
+pub(super) fn open(path: &Path) -> Result<(File, PartRecord)> {
     let failed = |e: io::Error| Error::io("read", path, &e);
     let damaged = |what: &str| damaged(path, what);
     let mut file = input::open(path)?;
@@ -232,7 +232,8 @@ pub(super) fn open(path: &Path) -> Result<(File, Record)> {
     if version != VERSION {
         return Err(damaged(UNKNOWN_VERSION));
     }
-    let record: Record = postcard::from_bytes(content).map_err(|_| damaged("its record makes no sense"))?;
+    let record: PartRecord =
+        postcard::from_bytes(content).map_err(|_| damaged("its record makes no sense"))?;
     if record.own() != start || record.pieces.start > record.pieces.end {
         return Err(damaged("its record makes no sense"));
     }

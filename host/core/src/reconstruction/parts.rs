@@ -27,26 +27,26 @@ use simod_model::{
     Rewriting, Summary, VertexChunk, input,
 };
 
-use super::part_file::{Bytes, Content, PartFile, Record, copy, damaged, open, refused};
+use super::part_file::{PartContent, PartFile, PartRecord, PartTarget, copy, damaged, open, refused};
 use super::reach::check_reach;
 use super::stream::{check_targets, checked_targets, field, key};
-use super::transfer::{Hashing, Surveys, Transfer, locked};
+use super::transfer::{HashedModel, Surveys, Transfer, locked};
 use super::{Folding, Reconstructed, Reconstruction, RestGeometry, Version};
-use crate::fingerprint::{Blocks, HashedPart};
+use crate::fingerprint::{BlockHash, HashedPart};
 use crate::sampled_model::SampledModel;
 
 /// What parts share.
 #[derive(Debug, Clone, Copy)]
-pub enum Shared<'a> {
+pub enum SharedTarget<'a> {
     /// A file, or a folder for tiles.
     File(&'a Path),
     /// The output, which is an object, by an upload of this id.
     Object(&'a Path, &'a str),
 }
 
-impl Shared<'_> {
+impl SharedTarget<'_> {
     /// Whether it has what a record of a model speaks of.
-    fn has(&self, record: &Record, model: &dyn Model) -> bool {
+    fn has(&self, record: &PartRecord, model: &dyn Model) -> bool {
         match (self, &record.sent, record.place) {
             (Self::Object(_, id), Some(sent), _) => sent.id == *id,
             (Self::File(path), None, Some(place)) => reaches(path, place + record.bytes),
@@ -83,7 +83,7 @@ pub struct Part<'a> {
     /// The part's own file, which appears whole or not at all, and tells that it is done.
     pub own: &'a Path,
     /// What all parts share.
-    pub shared: Shared<'a>,
+    pub shared: SharedTarget<'a>,
 }
 
 /// Writes a part. Of `how`, `resume`, `part_bytes` and `binding` are not looked at. Nothing is done if the
@@ -106,7 +106,8 @@ pub fn write_part(
 ) -> Result<bool> {
     let Part { pieces, own, shared } = part;
     let key = key(sampled, model, how, deformed)?;
-    let is_same = |there: &Record| there.key == key && there.pieces == *pieces && shared.has(there, model);
+    let is_same =
+        |there: &PartRecord| there.key == key && there.pieces == *pieces && shared.has(there, model);
     if open(own).is_ok_and(|(_, there)| is_same(&there)) {
         return Ok(false);
     }
@@ -128,7 +129,7 @@ pub fn write_part(
     let transfer = Transfer {
         fields: &fields,
         frame: &sampled.frame,
-        hash: Mutex::new(Hashing::Part(HashedPart::new(0))),
+        hash: Mutex::new(HashedModel::Part(HashedPart::new(0))),
         binding: Mutex::default(),
         homes: Mutex::default(),
         surveys: Surveys::new([None]),
@@ -138,30 +139,34 @@ pub fn write_part(
     let only = PieceRange { first: pieces.start, end: Some(pieces.end) };
     let rewriting = Rewriting { normals: how.normals, only: Some(only), ..Rewriting::default() };
     model.rewrite(&mut [&mut part], rewriting, &transfer, progress)?;
-    let Hashing::Part(hashed) =
-        std::mem::replace(&mut *locked(&transfer.hash), Hashing::Part(Default::default()))
+    let HashedModel::Part(hashed) =
+        std::mem::replace(&mut *locked(&transfer.hash), HashedModel::Part(Default::default()))
     else {
         return Err(Error::internal("a part was hashed as a whole"));
     };
     let Folding { samples, first, .. } = Folding::of_samples(&fields[0], sampled);
     let folded = (samples, first.map(|p| p.to_array()));
-    part.commit(Content { key, pieces: pieces.clone(), hashed, folded }, own)?;
+    part.commit(PartContent { key, pieces: pieces.clone(), hashed, folded }, own)?;
     Ok(true)
 }
 
 /// Where the bytes of a part go: to what all parts write, where the model's bytes keep their places, and
 /// otherwise to the part's own file.
-fn place_of_bytes<'a>(model: &'a dyn Model, shared: &Shared<'a>, normals: Normals) -> Result<Bytes<'a>> {
+fn place_of_bytes<'a>(
+    model: &'a dyn Model,
+    shared: &SharedTarget<'a>,
+    normals: Normals,
+) -> Result<PartTarget<'a>> {
     let in_place = model.division(normals).is_some_and(|division| division.in_place);
     Ok(match shared {
-        Shared::File(folder) if !model.tiles().is_empty() => {
-            Bytes::Tiles(SharedFiles::new(folder, model.tiles()))
+        SharedTarget::File(folder) if !model.tiles().is_empty() => {
+            PartTarget::Tiles(SharedFiles::new(folder, model.tiles()))
         }
-        _ if !in_place => Bytes::Own,
-        Shared::File(path) => Bytes::Shared(SharedFile::open(path)?),
-        Shared::Object(path, id) => {
+        _ if !in_place => PartTarget::Own,
+        SharedTarget::File(path) => PartTarget::Shared(SharedFile::open(path)?),
+        SharedTarget::Object(path, id) => {
             let range = ObjectRange::open(path, id, part_bytes(model.written_bytes()))?;
-            Bytes::Object(range, (*id).to_owned())
+            PartTarget::Object(range, (*id).to_owned())
         }
     })
 }
@@ -179,7 +184,7 @@ fn part_of(all: u64, pieces: &Range<u64>, model: &dyn Model, normals: Normals) -
 }
 
 /// The first tile of a part that is not in the folder that parts share.
-fn lost_tile(record: &Record, model: &dyn Model, shared: &Path) -> Option<PathBuf> {
+fn lost_tile(record: &PartRecord, model: &dyn Model, shared: &Path) -> Option<PathBuf> {
     let own = model.tiles().iter().skip(record.pieces.start as usize);
     let paths = own.map(|tile| shared.join(&tile.name));
     paths.zip(&record.tiles).find(|(path, written)| !written.fits(path)).map(|(path, _)| path)
@@ -199,7 +204,7 @@ pub fn join_parts(
     model: &dyn Model,
     version: &Version<'_>,
     how: &Reconstruction<'_>,
-    (parts, shared): (&[impl AsRef<Path>], Shared<'_>),
+    (parts, shared): (&[impl AsRef<Path>], SharedTarget<'_>),
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
     let Some(Division { pieces, vertices, in_place }) = model.division(how.normals) else {
@@ -208,7 +213,7 @@ pub fn join_parts(
     };
     let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
     let is_still = version.deformed.iter().map(bits).eq(sampled.samples.positions.iter().map(bits));
-    let joining = Joining {
+    let joining = PartJoin {
         sampled,
         model,
         paths: parts.iter().map(AsRef::as_ref).collect(),
@@ -222,17 +227,18 @@ pub fn join_parts(
     };
     let targets = || checked_targets(model, std::slice::from_ref(version), how);
     let folding = match shared {
-        Shared::File(folder) if !model.tiles().is_empty() => {
+        SharedTarget::File(folder) if !model.tiles().is_empty() => {
             targets()?;
             joining.tiles(folder)?
         }
-        Shared::File(shared) if in_place => {
+        SharedTarget::File(shared) if in_place => {
             targets()?;
             joining.in_place(shared)?
         }
         _ => {
             check_targets(model, std::slice::from_ref(version), how)?;
-            let sent = if let (Shared::Object(_, id), true) = (shared, in_place) { Some(id) } else { None };
+            let sent =
+                if let (SharedTarget::Object(_, id), true) = (shared, in_place) { Some(id) } else { None };
             joining.one_after_the_other(sent)?
         }
     };
@@ -252,12 +258,12 @@ fn done(sampled: &SampledModel, model: &dyn Model, folding: Option<Folding>) -> 
 
 /// The whole that parts are put together to, where they are not in their places in a file.
 struct Joined {
-    to: Whole,
+    to: JoinedTarget,
     /// The upload by which parts have sent what of them they could, if they have.
     sent: Option<String>,
 }
 
-enum Whole {
+enum JoinedTarget {
     File(OutputFile),
     Object(Box<ObjectOutput>),
 }
@@ -265,26 +271,28 @@ enum Whole {
 impl Joined {
     fn create(output: &Path, sent: Option<&str>, bytes: u64) -> Result<Self> {
         let to = match sent {
-            Some(id) => Whole::Object(Box::new(ObjectOutput::go_on(output, id, bytes)?)),
-            None if is_object(output) => Whole::Object(Box::new(ObjectOutput::begin(output, bytes)?)),
-            None => Whole::File(OutputFile::create(output, bytes)?),
+            Some(id) => JoinedTarget::Object(Box::new(ObjectOutput::go_on(output, id, bytes)?)),
+            None if is_object(output) => JoinedTarget::Object(Box::new(ObjectOutput::begin(output, bytes)?)),
+            None => JoinedTarget::File(OutputFile::create(output, bytes)?),
         };
         Ok(Self { to, sent: sent.map(str::to_owned) })
     }
 
     /// Appends the bytes of a part, which has them or has sent them.
-    fn take(&mut self, path: &Path, part: File, record: &Record, progress: &dyn Progress) -> Result<()> {
+    fn take(&mut self, path: &Path, part: File, record: &PartRecord, progress: &dyn Progress) -> Result<()> {
         match (&mut self.to, &record.sent) {
             (to, None) if record.place.is_none() && self.sent.is_none() => {
                 let bytes = (record.bytes, record.checksum);
                 match to {
-                    Whole::File(file) => copy(part, bytes, path, &mut |some| written(file, some), progress),
-                    Whole::Object(object) => {
+                    JoinedTarget::File(file) => {
+                        copy(part, bytes, path, &mut |some| written(file, some), progress)
+                    }
+                    JoinedTarget::Object(object) => {
                         copy(part, bytes, path, &mut |some| object.write(some), progress)
                     }
                 }
             }
-            (Whole::Object(object), Some(sent))
+            (JoinedTarget::Object(object), Some(sent))
                 if self.sent.as_ref() == Some(&sent.id) && record.place == Some(object.position()) =>
             {
                 // At most as long as two parts of the object.
@@ -305,8 +313,8 @@ impl Joined {
 
     fn commit(self) -> Result<()> {
         match self.to {
-            Whole::File(file) => file.commit(),
-            Whole::Object(mut object) => {
+            JoinedTarget::File(file) => file.commit(),
+            JoinedTarget::Object(mut object) => {
                 object.complete()?;
                 object.commit().map(|_| ())
             }
@@ -317,22 +325,22 @@ impl Joined {
 impl Output for Joined {
     fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
         match &mut self.to {
-            Whole::File(file) => file.replaceable().write_piece(bytes, source_bytes, summary),
-            Whole::Object(object) => object.write_piece(bytes, source_bytes, summary),
+            JoinedTarget::File(file) => file.replaceable().write_piece(bytes, source_bytes, summary),
+            JoinedTarget::Object(object) => object.write_piece(bytes, source_bytes, summary),
         }
     }
 
     fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
         match &mut self.to {
-            Whole::File(file) => file.replaceable().patch(at, bytes),
-            Whole::Object(object) => object.patch(at, bytes),
+            JoinedTarget::File(file) => file.replaceable().patch(at, bytes),
+            JoinedTarget::Object(object) => object.patch(at, bytes),
         }
     }
 
     fn finish(&mut self) -> io::Result<()> {
         match &mut self.to {
-            Whole::File(file) => file.replaceable().finish(),
-            Whole::Object(object) => object.finish(),
+            JoinedTarget::File(file) => file.replaceable().finish(),
+            JoinedTarget::Object(object) => object.finish(),
         }
     }
 }
@@ -343,7 +351,7 @@ fn written(file: &mut OutputFile, bytes: &[u8]) -> Result<()> {
 }
 
 /// Parts that are put together, and what they have to be.
-struct Joining<'a> {
+struct PartJoin<'a> {
     sampled: &'a SampledModel,
     model: &'a dyn Model,
     /// Their files, in their order.
@@ -360,14 +368,14 @@ struct Joining<'a> {
 }
 
 /// What parts say of themselves.
-struct Found {
+struct PartSums {
     summary: Summary,
     folding: Option<Folding>,
     /// Where the last one ends in the file that they share.
     end: u64,
 }
 
-impl Joining<'_> {
+impl PartJoin<'_> {
     /// Puts the folder of all tiles in its place.
     fn tiles(&self, shared: &Path) -> Result<Option<Folding>> {
         let (model, output) = (self.model, self.output);
@@ -422,7 +430,7 @@ impl Joining<'_> {
         if !reaches(shared, end) {
             return Err(refused(shared, "is cut off: remove all parts"));
         }
-        self.rewrite(self.behind(), &mut Rest { to: &mut file, before: &found.summary })?;
+        self.rewrite(self.behind(), &mut Ending { to: &mut file, before: &found.summary })?;
         file.sync(true)?;
         self.progress.check()?;
         file.become_output(self.output)?;
@@ -432,12 +440,12 @@ impl Joining<'_> {
     /// Writes the parts behind each other; where they were `sent` by an upload, only what it does not have.
     fn one_after_the_other(&self, sent: Option<&str>) -> Result<Option<Folding>> {
         let bytes = self.model.written_bytes();
-        let join = || -> Result<Found> {
+        let join = || -> Result<PartSums> {
             let mut whole = Joined::create(self.output, sent, bytes)?;
             self.progress.begin("putting the parts together", bytes);
             self.rewrite(self.before(), &mut whole)?;
             let found = self.check(|path, part, record| whole.take(path, part, record, self.progress))?;
-            self.rewrite(self.behind(), &mut Rest { to: &mut whole, before: &found.summary })?;
+            self.rewrite(self.behind(), &mut Ending { to: &mut whole, before: &found.summary })?;
             self.progress.check()?;
             whole.commit()?;
             Ok(found)
@@ -469,9 +477,9 @@ impl Joining<'_> {
     }
 
     /// Takes the parts in their order, and what they say together.
-    fn check(&self, mut take: impl FnMut(&Path, File, &Record) -> Result<()>) -> Result<Found> {
-        let (mut hash, mut next) = (Blocks::default(), self.first);
-        let mut found = Found { summary: Summary::default(), folding: None, end: 0 };
+    fn check(&self, mut take: impl FnMut(&Path, File, &PartRecord) -> Result<()>) -> Result<PartSums> {
+        let (mut hash, mut next) = (BlockHash::default(), self.first);
+        let mut found = PartSums { summary: Summary::default(), folding: None, end: 0 };
         for path in &self.paths {
             let (part, record) = open(path)?;
             let refused = |what: &str| refused(path, what);
@@ -519,7 +527,7 @@ impl Joining<'_> {
             let (at, bytes) = (record.place.unwrap_or_default(), (record.bytes, record.checksum));
             let nowhere = &mut |_: &[u8]| Ok(());
             let read = match &object {
-                Some(object) => copy(Reading { object, at }, bytes, output, nowhere, self.progress),
+                Some(object) => copy(ObjectReader { object, at }, bytes, output, nowhere, self.progress),
                 None => {
                     let mut file = input::open(output).map_err(|_| gone())?;
                     file.seek(SeekFrom::Start(at)).map_err(|e| Error::io("read", output, &e))?;
@@ -548,12 +556,12 @@ fn has_holes(path: &Path) -> bool {
 }
 
 /// An object from some place on.
-struct Reading<'a> {
+struct ObjectReader<'a> {
     object: &'a Arc<dyn Object>,
     at: u64,
 }
 
-impl Read for Reading<'_> {
+impl Read for ObjectReader<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let count = self.object.bytes().saturating_sub(self.at).min(buffer.len() as u64) as usize;
         self.object.read_at(&mut buffer[..count], self.at).map_err(io::Error::other)?;
@@ -563,12 +571,12 @@ impl Read for Reading<'_> {
 }
 
 /// What comes behind the parts, which have told so much of themselves.
-struct Rest<'a> {
+struct Ending<'a> {
     to: &'a mut dyn Output,
     before: &'a Summary,
 }
 
-impl Output for Rest<'_> {
+impl Output for Ending<'_> {
     fn begin_at(&mut self, at: u64) -> io::Result<()> {
         self.to.begin_at(at)
     }

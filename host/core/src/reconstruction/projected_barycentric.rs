@@ -62,13 +62,13 @@ fn over_triangle(field: &DeformationField, around: &Neighbourhood, p: Vec3) -> O
 }
 
 /// The average plane H.
-struct Plane {
+struct AveragePlane {
     center: Vec3,
     normal: Vec3,
 }
 
 /// H by a partition of unity: the neighbours' positions and normals, weighted by the kernel.
-fn average_plane(around: &Neighbourhood, positions: &[Vec3], normals: &[Vec3]) -> Option<Plane> {
+fn average_plane(around: &Neighbourhood, positions: &[Vec3], normals: &[Vec3]) -> Option<AveragePlane> {
     let (mut center, mut normal, mut sum) = (Vec3::ZERO, Vec3::ZERO, 0.0);
     // About the nearest sample, for precision.
     let origin = positions[around.weighted()[0].0 as usize];
@@ -77,7 +77,7 @@ fn average_plane(around: &Neighbourhood, positions: &[Vec3], normals: &[Vec3]) -
         normal += w * normals[i as usize];
         sum += w;
     }
-    Some(Plane { center: origin + center / sum, normal: normal.try_normalize()? })
+    Some(AveragePlane { center: origin + center / sum, normal: normal.try_normalize()? })
 }
 
 /// Angular voting: the nearest sample, the next one outside its cone, and the next one outside both cones,

@@ -4,7 +4,7 @@
 use glam::{Mat3, Vec3};
 
 use super::blend::AROUND;
-use super::bound::{BEYOND, EDGES, Edges, Extent, MARGIN};
+use super::bound::{BEYOND, DisplacementBox, EDGES, EdgeStretches, MARGIN};
 use super::field::DeformationField;
 use super::hull::way_from_hull;
 use super::transport::Transport;
@@ -51,7 +51,7 @@ impl DeformationField<'_> {
             return false;
         }
         let (mut extent, mut largest) =
-            (Extent::about(self.expansions[home].displacement()), self.bound.step(home));
+            (DisplacementBox::about(self.expansions[home].displacement()), self.bound.step(home));
         self.around.sheets.of_sample(home).chunks(EDGES).any(|ring| {
             for j in ring.iter().map(|j| *j as usize) {
                 // Without a branch: nobody foretells it.
@@ -67,7 +67,7 @@ impl DeformationField<'_> {
     /// The nearest place within the range of the samples around, for a vertex whose displacement leaves it;
     /// `gradient` is that of the deformation there.
     pub(super) fn drawn_back(&self, p: Vec3, u: Vec3, gradient: impl FnOnce() -> Mat3) -> Option<Transport> {
-        let range = Range::around(self, p);
+        let range = NearbyRange::around(self, p);
         let slack = BEYOND * range.edges.step + MARGIN;
         // What continues it takes longer to find.
         if range.extent.widened(slack).holds(u) {
@@ -75,7 +75,8 @@ impl DeformationField<'_> {
         }
         let (steepness, way) = (range.steepness(), way_from_hull(&range.from[..range.count]));
         // Little relief does not add to it.
-        let Extent { low, high } = range.extent.widened(slack.max(steepness * way.length() + 0.5 * slack));
+        let DisplacementBox { low, high } =
+            range.extent.widened(slack.max(steepness * way.length() + 0.5 * slack));
         let held = u.clamp(low, high);
         if held == u {
             return None;
@@ -91,25 +92,25 @@ impl DeformationField<'_> {
 }
 
 /// The samples nearest to a vertex, and where they go.
-struct Range {
+struct NearbyRange {
     count: usize,
     /// From the vertex to each sample, the nearest first.
     from: [Vec3; AROUND],
     displacement: [Vec3; AROUND],
-    extent: Extent,
+    extent: DisplacementBox,
     /// The edges of all samples in the range.
-    edges: Edges,
+    edges: EdgeStretches,
 }
 
-impl Range {
+impl NearbyRange {
     fn around(field: &DeformationField<'_>, p: Vec3) -> Self {
         let mut found = [0; AROUND];
         let mut range = Self {
             count: 0,
             from: [Vec3::ZERO; AROUND],
             displacement: [Vec3::ZERO; AROUND],
-            extent: Extent::NOTHING,
-            edges: Edges::NONE,
+            extent: DisplacementBox::NOTHING,
+            edges: EdgeStretches::NONE,
         };
         for j in field.around.samples.nearest_ones(p, &mut found) {
             let e = &field.expansions[j as usize];

@@ -20,14 +20,14 @@ pub struct RestGeometry<'a> {
     pub(super) samples: &'a SampleSet,
     pub(super) sheets: Arc<Sheets>,
     pub(super) supports: Arc<Supports>,
-    found: Arc<Found>,
+    found: Arc<FoundGeometry>,
     pub(super) workspaces: Workspaces,
     /// The number of vertices whose home each sample was.
     vertices: Vec<AtomicU64>,
 }
 
 /// What is found of samples at rest, and held with them.
-struct Found {
+struct FoundGeometry {
     sheets: Arc<Sheets>,
     supports: Arc<Supports>,
     /// What homes are found by: made when a place is first looked up, as fitting does not need it.
@@ -81,13 +81,14 @@ impl<'a> RestGeometry<'a> {
     /// What was found out before.
     pub(super) fn known(samples: &'a SampleSet, sheets: Sheets, supports: Supports) -> Self {
         let (sheets, supports) = (Arc::new(sheets), Arc::new(supports));
-        let found = Found { sheets, supports, cells: OnceLock::new(), is_kept: AtomicBool::new(false) };
+        let found =
+            FoundGeometry { sheets, supports, cells: OnceLock::new(), is_kept: AtomicBool::new(false) };
         let found = Arc::new(found);
         samples.set_rest(found.clone());
         Self::of_found(samples, found)
     }
 
-    fn of_found(samples: &'a SampleSet, found: Arc<Found>) -> Self {
+    fn of_found(samples: &'a SampleSet, found: Arc<FoundGeometry>) -> Self {
         let vertices = (0..samples.len()).map(|_| AtomicU64::new(0)).collect();
         let (sheets, supports) = (found.sheets.clone(), found.supports.clone());
         Self { samples, sheets, supports, found, workspaces: Workspaces::default(), vertices }

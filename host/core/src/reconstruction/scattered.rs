@@ -9,7 +9,7 @@ const TOGETHER: usize = 32;
 
 /// What a vertex gets: displacement, sum of weights, the gradient's columns, and those of the gradient by
 /// which numbers turn. The last number of each four has no meaning.
-pub struct One {
+pub struct ScatteredVertex {
     pub displacement: Four,
     pub sum: f32,
     pub gradient: [Four; 3],
@@ -22,7 +22,7 @@ pub const VALUES: usize = 13;
 /// Numbers of that gradient.
 pub const TURNING_VALUES: usize = 9;
 
-impl One {
+impl ScatteredVertex {
     /// The displacement, the sum of weights, and the gradient column by column.
     #[inline(always)]
     pub fn values(&self) -> [f32; VALUES] {
@@ -47,9 +47,10 @@ pub fn one<const GRADIENT: bool, const TURNING: bool>(
     list: &[ReachingSupport],
     expansions: &[Expansion],
     told: &[Expansion],
-) -> One {
+) -> ScatteredVertex {
     let nothing = [Four::ZERO; 3];
-    let mut blended = One { displacement: Four::ZERO, sum: 0.0, gradient: nothing, turning: nothing };
+    let mut blended =
+        ScatteredVertex { displacement: Four::ZERO, sum: 0.0, gradient: nothing, turning: nothing };
     let mut sum_slope = [0.0; 3];
     let furthest = length_squared(from(p, home.center)).sqrt();
     let reaching = &list[..list.iter().take_while(|support| support.from <= furthest).count()];
@@ -131,7 +132,7 @@ fn add<const GRADIENT: bool>(
     s: f32,
     p: [f32; 3],
     home: &Expansion,
-    blended: &mut One,
+    blended: &mut ScatteredVertex,
     sum_slope: &mut [f32; 3],
 ) {
     let d = from(p, e.center);

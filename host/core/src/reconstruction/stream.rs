@@ -12,7 +12,7 @@ use simod_model::input::Identity;
 use simod_model::memory::Reusing;
 use simod_model::object::{self, is_object};
 use simod_model::output::check_space;
-use simod_model::resumable_output::{FinishedOutput, OpenedOutput, Place, ResumableOutput};
+use simod_model::resumable_output::{FinishedOutput, OpenedOutput, OutputPaths, ResumableOutput};
 use simod_model::target::{canonical_target, folder_of};
 use simod_model::{
     Error, MAX_VERSIONS, Model, Normals, Output, Progress, Result, Rewriting, is_named_otherwise,
@@ -22,7 +22,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
-use super::transfer::{Hashing, Surveys, Transfer, locked};
+use super::transfer::{HashedModel, Surveys, Transfer, locked};
 use super::{DeformationField, ExpectedError, Method, RestGeometry, kept_geometry};
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
@@ -205,7 +205,7 @@ pub(super) fn checked_targets<'a>(
     // Three numbers take at least six bytes.
     let left_out = if how.normals == Normals::Drop && info.has_normals { 6 * info.vertices } else { 0 };
     let of_model = |output| {
-        let there = Place::for_model(model, output).bytes_there(how.resume);
+        let there = OutputPaths::for_model(model, output).bytes_there(how.resume);
         model.written_bytes().saturating_sub(left_out).saturating_sub(there)
     };
     let mut targets = BTreeMap::new();
@@ -215,7 +215,7 @@ pub(super) fn checked_targets<'a>(
     });
     for (output, needed) in outputs {
         let is_model = versions.iter().any(|v| v.output == output);
-        let place = Place::for_model(model, output);
+        let place = OutputPaths::for_model(model, output);
         check_no_source(model, if is_model { place.files() } else { vec![output.to_owned()] })?;
         if is_model && is_named_otherwise(model, output) {
             return Err(Error::argument(
@@ -288,7 +288,7 @@ impl<'a> ReconstructionCall<'a> {
         for (number, version) in versions.iter().enumerate() {
             let key = key(self.sampled, self.model, self.how, version.deformed)?;
             let part_bytes = self.part_bytes();
-            let place = Place::for_model(self.model, version.output);
+            let place = OutputPaths::for_model(self.model, version.output);
             match ResumableOutput::open(&place, key, self.how.resume, part_bytes, self.progress)? {
                 OpenedOutput::Unfinished(mut file) => {
                     if self.how.is_scratch {
@@ -349,7 +349,7 @@ impl<'a> ReconstructionCall<'a> {
         let transfer = Transfer {
             fields: &fields,
             frame: &self.sampled.frame,
-            hash: Mutex::new(Hashing::All(VertexHash::like(&self.sampled.source.fingerprint))),
+            hash: Mutex::new(HashedModel::All(VertexHash::like(&self.sampled.source.fingerprint))),
             binding: Mutex::new(binding.zip(self.how.binding)),
             homes: Mutex::default(),
             surveys: Surveys::new(surveys),
@@ -359,7 +359,7 @@ impl<'a> ReconstructionCall<'a> {
         let how =
             Rewriting { normals: self.how.normals, files_done: done.0, pieces_done: done.1, only: None };
         self.model.rewrite(&mut outputs, how, &transfer, self.progress)?;
-        if let Hashing::All(hash) = &*locked(&transfer.hash)
+        if let HashedModel::All(hash) = &*locked(&transfer.hash)
             && hash.fingerprint() != self.sampled.source.fingerprint
         {
             return Err(self.sampled.source_changed(self.model.path()));
@@ -439,7 +439,7 @@ impl<'a> ReconstructionCall<'a> {
         self.pass.into_iter().for_each(|begun| begun.file.keep());
         self.finished.into_iter().for_each(FinishedOutput::keep);
         if !matches!(error.kind(), Cancelled | Io)
-            || !versions.iter().any(|v| Place::for_model(self.model, v.output).is_left())
+            || !versions.iter().any(|v| OutputPaths::for_model(self.model, v.output).is_left())
         {
             return error;
         }

@@ -20,7 +20,7 @@ pub(super) struct Transfer<'a> {
     pub(super) fields: &'a [DeformationField<'a>],
     pub(super) frame: &'a Frame,
     /// The hash of the bytes of all vertices, or of a part.
-    pub(super) hash: Mutex<Hashing>,
+    pub(super) hash: Mutex<HashedModel>,
     /// What homes are read from, if they were kept, and its file.
     pub(super) binding: Mutex<Option<(Binding, &'a Path)>>,
     /// The homes that were read of chunks in flight, by their first vertices: 4 bytes for each vertex.
@@ -30,20 +30,20 @@ pub(super) struct Transfer<'a> {
 }
 
 /// What is hashed of the model that is read.
-pub(super) enum Hashing {
+pub(super) enum HashedModel {
     All(VertexHash),
     Part(HashedPart),
 }
 
 impl Edit for Transfer<'_> {
     fn begin_behind(&self, vertex_bytes: u64) {
-        *locked(&self.hash) = Hashing::Part(HashedPart::new(vertex_bytes));
+        *locked(&self.hash) = HashedModel::Part(HashedPart::new(vertex_bytes));
     }
 
     fn begin(&self, chunk: &RawChunk<'_>) -> Result<()> {
         match &mut *locked(&self.hash) {
-            Hashing::All(hash) => hash.update(chunk.bytes),
-            Hashing::Part(hash) => hash.update(chunk.bytes),
+            HashedModel::All(hash) => hash.update(chunk.bytes),
+            HashedModel::Part(hash) => hash.update(chunk.bytes),
         }
         let mut binding = locked(&self.binding);
         let Some((known, path)) = binding.as_mut() else { return Ok(()) };

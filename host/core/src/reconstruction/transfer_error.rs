@@ -6,7 +6,7 @@ use simod_model::histogram::Histogram;
 use simod_model::{Error, Model, Progress, Result, for_positions, in_step, range_in_step};
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::expectation::Tally;
+use super::expectation::ErrorSums;
 use super::{DeformationField, ExpectedError, Moved, carry};
 use crate::sampled_model::SampledModel;
 
@@ -63,14 +63,14 @@ pub fn measure(
 }
 
 /// Maps points in place.
-type Exact<'a> = &'a dyn Fn(&mut [DVec3]) -> Result<()>;
+type PointMap<'a> = &'a dyn Fn(&mut [DVec3]) -> Result<()>;
 
 /// Reads all of both models, and compares them, or only the blocks that are chosen.
 fn compare_all(
     models: [&dyn Model; 2],
     is_chosen: Option<&dyn Fn(u64) -> bool>,
     compared: &mut Compared,
-    exact: Exact<'_>,
+    exact: PointMap<'_>,
     progress: &dyn Progress,
 ) -> Result<()> {
     progress.begin("measuring", models[0].info().vertex_bytes);
@@ -100,7 +100,7 @@ fn compare_some(
     models: [&dyn Model; 2],
     chosen: &[u64],
     compared: &mut Compared,
-    exact: Exact<'_>,
+    exact: PointMap<'_>,
     progress: &dyn Progress,
 ) -> Result<()> {
     let info = models[0].info();
@@ -198,7 +198,7 @@ impl Compared {
 
 /// Vertices that are further off than allowed: their places (local coordinates) and by how much (local
 /// units).
-pub type Places = Vec<(Vec3, f32)>;
+pub type Excesses = Vec<(Vec3, f32)>;
 
 /// Most vertices of which [`measure_some`] tells.
 pub const MOST_TOLD: usize = 1 << 16;
@@ -220,14 +220,14 @@ pub fn measure_some(
     (most, beyond): (u64, f64),
     exact: &dyn Fn(&mut [DVec3]) -> Result<()>,
     progress: &dyn Progress,
-) -> Result<(TransferError, Places)> {
+) -> Result<(TransferError, Excesses)> {
     let info = model.info();
     let mut told = Vec::new();
     progress.begin("measuring some vertices", info.vertex_bytes);
     let share = most as f64 / info.vertices.max(1) as f64;
     let is_chosen = |i: u64| share >= 1.0 || xxh3_64(&i.to_le_bytes()) as f64 / (u64::MAX as f64) < share;
     let scale = 1.0 / of.bounds.diagonal().max(f64::MIN_POSITIVE);
-    let mut errors = Tally::default();
+    let mut errors = ErrorSums::default();
     let mut count = 0;
     for_positions(model, |chunk| {
         progress.check()?;

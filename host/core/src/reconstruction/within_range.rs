@@ -19,16 +19,16 @@ impl DeformationField<'_> {
     /// Nothing is wrong with the others, but that takes a closer look.
     pub(super) fn find_within_range(&self, grouped: &mut Grouped) {
         grouped.is_within_range.resize(grouped.sum.len(), 0.0);
-        Arch::new().dispatch(Kernel { field: self, grouped });
+        Arch::new().dispatch(RangeKernel { field: self, grouped });
     }
 }
 
-struct Kernel<'a> {
+struct RangeKernel<'a> {
     field: &'a DeformationField<'a>,
     grouped: &'a mut Grouped,
 }
 
-impl WithSimd for Kernel<'_> {
+impl WithSimd for RangeKernel<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -90,12 +90,12 @@ fn packet<S: Simd>(
     let reach = reach * reach;
 
     // The margin comes last: numbers stay in their order when they are rounded.
-    let (mut range, mut is_within) = (Extent::of(simd, e, field.bound.step(home)), zero);
+    let (mut range, mut is_within) = (PacketBox::of(simd, e, field.bound.step(home)), zero);
     for ring in field.around.sheets.of_sample(home).chunks(RING) {
         for j in ring {
             let j = *j as usize;
             let is_near = length_squared(from(simd, p, field.expansions[j].center)).less(reach);
-            range.include(is_near, Extent::of(simd, &field.expansions[j], field.bound.step(j)));
+            range.include(is_near, PacketBox::of(simd, &field.expansions[j], field.bound.step(j)));
         }
         let holds = range.holds(u);
         is_within = is_possible.and(holds).select(one, zero);
@@ -109,13 +109,13 @@ fn packet<S: Simd>(
 }
 
 /// Displacements between the least and the greatest, coordinate by coordinate, and the largest step.
-struct Extent<S: Simd> {
+struct PacketBox<S: Simd> {
     low: [Lanes<S>; 3],
     high: [Lanes<S>; 3],
     step: Lanes<S>,
 }
 
-impl<S: Simd> Extent<S> {
+impl<S: Simd> PacketBox<S> {
     /// The extent of one sample's displacement.
     #[inline(always)]
     fn of(simd: S, e: &Expansion, step: f32) -> Self {

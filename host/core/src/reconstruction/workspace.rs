@@ -21,17 +21,17 @@ pub struct Workspace {
     /// … and homes, likewise.
     pub homes: Vec<u32>,
     /// Those that follow each other in this order and have one home.
-    pub runs: Vec<Run>,
+    pub runs: Vec<HomeRun>,
     /// For each sample, the group of which it is the home, if that group is of this block.
     pub group_of: Vec<u32>,
     /// How far each group is filled.
-    pub filled: Vec<Filled>,
+    pub filled: Vec<GroupFill>,
     pub grouped: Grouped,
 }
 
 /// Vertices of one home that follow each other.
 #[derive(Debug, Clone, Copy)]
-pub struct Run {
+pub struct HomeRun {
     pub home: u32,
     /// Their first place in the order, and their number.
     pub first: u32,
@@ -43,7 +43,7 @@ pub struct Run {
 /// The place of vertices that do not move.
 pub const NOWHERE: u32 = u32::MAX;
 
-impl Run {
+impl HomeRun {
     /// Their places in the order.
     pub fn range(&self) -> Range<usize> {
         self.first as usize..(self.first + self.count) as usize
@@ -77,7 +77,7 @@ impl Workspaces {
 
 /// How far a group is filled: where its next vertex goes, and where the next one of those that are scattered.
 #[derive(Debug, Clone, Copy)]
-pub struct Filled {
+pub struct GroupFill {
     /// At first, the number of its vertices.
     pub next: usize,
     pub scattered: usize,

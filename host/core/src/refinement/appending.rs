@@ -53,7 +53,7 @@ struct NewLeaf {
 
 /// What becomes of the samples that are split.
 #[derive(Default)]
-struct Pieces {
+struct SplitSamples {
     parts: Vec<NewLeaf>,
     /// The parts of each split sample, cell by cell.
     split: BTreeMap<u32, Vec<Range<usize>>>,
@@ -97,8 +97,8 @@ fn renew(
     cells: &[Regrown],
     bound: f32,
     guides: Option<&Guides<'_>>,
-) -> (Vec<(u32, CutTree)>, Pieces) {
-    let (mut trees, mut pieces) = (Vec::with_capacity(cells.len()), Pieces::default());
+) -> (Vec<(u32, CutTree)>, SplitSamples) {
+    let (mut trees, mut pieces) = (Vec::with_capacity(cells.len()), SplitSamples::default());
     for cell in cells {
         let old = &kept.cells[cell.cell as usize].tree;
         let mut new = Renewed { old, tree: CutTree::default(), samples: old.samples.iter().copied() };
@@ -124,8 +124,13 @@ fn renew(
 
 impl Appended {
     /// The samples that go on standing for parts of what they stood for, for each part; they are split.
-    fn heirs(&mut self, kept: &KeptCells, pieces: &Pieces, guides: Option<&Guides<'_>>) -> Vec<Option<u32>> {
-        let Pieces { parts, split, .. } = pieces;
+    fn heirs(
+        &mut self,
+        kept: &KeptCells,
+        pieces: &SplitSamples,
+        guides: Option<&Guides<'_>>,
+    ) -> Vec<Option<u32>> {
+        let SplitSamples { parts, split, .. } = pieces;
         let mut of_sample = vec![0u32; self.split.len()];
         kept.cells.iter().flat_map(|c| &c.tree.samples).for_each(|s| of_sample[*s as usize] += 1);
         let mut sample_of: Vec<Option<u32>> = vec![None; parts.len()];
@@ -194,7 +199,7 @@ impl Appended {
     }
 }
 
-impl Pieces {
+impl SplitSamples {
     /// All parts of a sample in a cell are there.
     fn close(&mut self, open: Option<(u32, u32, usize)>) {
         if let Some((sample, _, first)) = open {
@@ -283,7 +288,7 @@ impl<S: Iterator<Item = u32>> Renewed<'_, S> {
     }
 
     /// The cut of a tree that has grown.
-    fn take(&mut self, grown: &Grown, cut: &[(usize, bool)], how: Taking<'_, '_>, pieces: &mut Pieces) {
+    fn take(&mut self, grown: &Grown, cut: &[(usize, bool)], how: Taking<'_, '_>, pieces: &mut SplitSamples) {
         let root = self.tree.children.len() as u32;
         // The sample that is split, the end of its subtree, and where its parts begin.
         let mut open: Option<(u32, u32, usize)> = None;

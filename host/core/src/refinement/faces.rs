@@ -11,7 +11,7 @@ use simod_model::scratch::Scratch;
 use simod_model::{FaceChunk, Model, Progress, Result, for_faces, for_faces_at};
 
 use super::appending::Appended;
-use super::gathering::Gathered;
+use super::gathering::GatheredCell;
 use super::regrowing::Regrown;
 use crate::sampling::kept_cells::{KeptCell, KeptCells};
 use crate::sampling::placement::Planes;
@@ -28,13 +28,13 @@ const POSITION_BYTES: u64 = size_of::<Vec3>() as u64;
 
 /// The leaf of each vertex that was read, and where it is if faces place the samples: in temporary files of 4
 /// and 12 bytes per vertex of the model, of which only as much is on the disk as is known.
-pub(super) struct Members {
+pub(super) struct ReadMembers {
     file: Scratch,
     /// Local coordinates.
     positions: Option<Scratch>,
 }
 
-impl Members {
+impl ReadMembers {
     /// A table without members yet, for a model of so many vertices; `with_positions` says whether these are
     /// wanted.
     pub fn new(vertices: u64, with_positions: bool, folder: &Path) -> Result<Self> {
@@ -47,7 +47,7 @@ impl Members {
     }
 
     /// Notes where a cell's vertices are, if that is wanted.
-    pub fn note_positions(&self, cell: &Gathered) -> Result<()> {
+    pub fn note_positions(&self, cell: &GatheredCell) -> Result<()> {
         let Some(file) = &self.positions else { return Ok(()) };
         let mut run: Vec<Vec3> = Vec::new();
         for (i, (id, vertex)) in cell.ids.iter().zip(&cell.vertices).enumerate() {
@@ -77,14 +77,14 @@ impl Members {
     }
 
     /// The samples of the vertices, once they are numbered.
-    pub fn finish(self, samples: usize, appended: &Appended) -> Result<SampleOf<'_>> {
+    pub fn finish(self, samples: usize, appended: &Appended) -> Result<NewSampleOf<'_>> {
         let positions = self.positions.map(Scratch::map).transpose()?;
-        Ok(SampleOf { map: self.file.map()?, positions, samples: samples as u32, appended })
+        Ok(NewSampleOf { map: self.file.map()?, positions, samples: samples as u32, appended })
     }
 }
 
 /// The new sample of each vertex that was read.
-pub(super) struct SampleOf<'a> {
+pub(super) struct NewSampleOf<'a> {
     map: Map,
     positions: Option<Map>,
     /// Number of samples that were there.
@@ -93,7 +93,7 @@ pub(super) struct SampleOf<'a> {
 }
 
 /// What the faces come to.
-pub(super) struct Reindexed {
+pub(super) struct RefinedFaces {
     pub triangles: Vec<[u32; 3]>,
     /// Where the new samples are, if faces place them.
     pub positions: Option<Vec<Vec3>>,
@@ -101,7 +101,7 @@ pub(super) struct Reindexed {
     pub bytes: u64,
 }
 
-impl SampleOf<'_> {
+impl NewSampleOf<'_> {
     /// The sample of a vertex, and whether it belonged to a cluster that is split; `None` if it was not read.
     fn get(&self, vertex: u32) -> Option<(u32, bool)> {
         let leaves: &[u32] = cast_slice(&self.map);
@@ -134,7 +134,7 @@ impl SampleOf<'_> {
         kept: &KeptCells,
         slack: Option<&[f32]>,
         progress: &dyn Progress,
-    ) -> Result<Reindexed> {
+    ) -> Result<RefinedFaces> {
         let stays = |t: &&[u32; 3]| !t.iter().any(|s| self.appended.split[*s as usize]);
         let mut found: Vec<[u32; 3]> = old.iter().filter(stays).copied().collect();
         let (mut bytes, mut limit) = (0, 2 * found.len().max(1 << 16));
@@ -175,6 +175,6 @@ impl SampleOf<'_> {
         let positions =
             planes.map(|planes| planes.place(|sample| slack.map_or(f32::INFINITY, |slack| slack[sample])));
         let positions = positions.map(|all| all.into_iter().map(|placed| placed.at).collect());
-        Ok(Reindexed { triangles: found, positions, bytes })
+        Ok(RefinedFaces { triangles: found, positions, bytes })
     }
 }

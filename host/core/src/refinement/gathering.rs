@@ -10,7 +10,7 @@ use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 use crate::sampling::Opaque;
 use crate::sampling::cluster::{Group, Vertex};
 use crate::sampling::finalization::{PART, unit};
-use crate::sampling::gather::{Cubes, Gather, GatherPiece, Groups, PieceGroups};
+use crate::sampling::gather::{Cubes, Gather, GatherPiece, GroupGather, PieceGroups};
 use crate::sampling::grid::{CellMap, cell_box, key_at};
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::ranges::joined;
@@ -19,7 +19,7 @@ use crate::sampling::ranges::joined;
 pub(super) const VERTICES_OF_A_PART: usize = PART / size_of::<Vertex>();
 
 /// All vertices of a cell.
-pub(crate) struct Gathered {
+pub(crate) struct GatheredCell {
     /// Its place among the kept cells.
     pub cell: u32,
     /// In the order of the stream, counted.
@@ -78,14 +78,14 @@ impl Gathering<'_> {
     /// that is not what it was: the model has changed.
     ///
     /// Memory: [`BYTES_PER_VERTEX`](Self::BYTES_PER_VERTEX) for each vertex of these cells, and a chunk.
-    pub fn read(&self, cells: &[u32], progress: &dyn Progress) -> Result<Option<(Vec<Gathered>, u64)>> {
+    pub fn read(&self, cells: &[u32], progress: &dyn Progress) -> Result<Option<(Vec<GatheredCell>, u64)>> {
         let kept = |cell: &u32| &self.kept.cells[*cell as usize];
         let mut groups = self.cubes.map(|cubes| GroupsAgain::new(cells.len(), cubes));
-        let mut found: Vec<Gathered> = cells
+        let mut found: Vec<GatheredCell> = cells
             .iter()
             .map(|cell| {
                 let n = usize::try_from(kept(cell).vertices).unwrap_or(0);
-                Gathered {
+                GatheredCell {
                     cell: *cell,
                     vertices: Vec::with_capacity(n),
                     ids: Vec::with_capacity(if self.with_ids { n } else { 0 }),
@@ -217,7 +217,7 @@ struct GroupsAgain {
     /// The groups of the piece that is gathered.
     piece: PieceGroups,
     number: u64,
-    all: Groups,
+    all: GroupGather,
     /// The group of each vertex of each cell.
     group_of: Vec<Vec<u32>>,
     /// The cell of each vertex of the piece, and its group there.
@@ -230,7 +230,7 @@ impl GroupsAgain {
             cubes,
             piece: PieceGroups::new(cubes.edge),
             number: 0,
-            all: Groups::new(cells, cubes.edge, u64::MAX),
+            all: GroupGather::new(cells, cubes.edge, u64::MAX),
             group_of: vec![Vec::new(); cells],
             in_piece: Vec::new(),
         }
@@ -261,7 +261,7 @@ impl GroupsAgain {
     }
 }
 
-impl Gathered {
+impl GatheredCell {
     /// In how many parts the cell's tree was built.
     pub fn parts(&self) -> usize {
         match &self.groups {

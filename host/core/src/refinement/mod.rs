@@ -27,7 +27,7 @@ use simod_model::size::human_size;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
 
 pub use record::Refinement;
-pub use selection::Selection;
+pub use selection::SpaceSelection;
 
 use crate::colors;
 use crate::reconstruction::{DeformationField, carry_positions};
@@ -37,13 +37,13 @@ use crate::sampling::grid::CellMap;
 use crate::sampling::kept_cells::{KeptCell, KeptCells};
 use crate::sampling::ranges::joined;
 use crate::sampling::{LEAST_MEMORY, Placement, total_memory};
-use crate::touching::{Guides, Noted};
+use crate::touching::{ContactVertices, Guides};
 use appending::{Appended, append};
-use faces::Members;
-use gathering::{Gathered, Gathering};
+use faces::ReadMembers;
+use gathering::{GatheredCell, Gathering};
 use needs::Needs;
-use regrowing::{Changed, Regrowing, Regrown};
-use selection::{Nearest, Selected};
+use regrowing::{ChangedModel, Regrowing, Regrown};
+use selection::{LeafEstimate, Selected};
 use sizing::Sizing;
 
 /// How fine P_S shall be where it is selected.
@@ -107,7 +107,7 @@ pub struct Refined {
     /// The error bound inside the selection, as a fraction of the diagonal.
     pub error: f64,
     /// What the deformation needs, if that was asked for.
-    pub need: Option<Need>,
+    pub need: Option<SamplesNeed>,
     /// Number of cells that were read.
     pub cells: u64,
     /// Bytes of the model's vertices that were read.
@@ -118,7 +118,7 @@ pub struct Refined {
 
 /// What a deformation needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Need {
+pub struct SamplesNeed {
     /// The largest transfer error that is expected around a selected sample, before; a fraction of the
     /// diagonal.
     pub expected: f64,
@@ -161,7 +161,7 @@ const FORESIGHT: f64 = 3.0;
 pub fn refine(
     sampled: &SampledModel,
     model: &dyn Model,
-    selection: Selection<'_>,
+    selection: SpaceSelection<'_>,
     how: &Refining,
     folder: &Path,
     progress: &dyn Progress,
@@ -180,7 +180,7 @@ pub fn refine(
     let guides = contacts.map(|contacts| Guides::new(&sampled.samples, contacts, &near));
     let guides = guides.as_ref();
     let call = RefinementCall { sampled, kept, model, sizing, leaves, guides, how, folder, progress };
-    let Done { bound, cells, members, noted, figures } = call.regrow_all()?;
+    let GrownTrees { bound, cells, members, noted, figures } = call.regrow_all()?;
     progress.begin("completing the samples", 0);
     let mut appended = append(kept, &sampled.samples.positions, &cells, bound, guides);
     drop(cells);
@@ -209,9 +209,9 @@ pub fn refine(
 /// sizes, if it needs nothing.
 fn sized<'a>(
     sampled: &'a SampledModel,
-    selection: Selection<'a>,
+    selection: SpaceSelection<'a>,
     finer: Finer,
-) -> Result<(Option<Sizing<'a>>, Option<Need>)> {
+) -> Result<(Option<Sizing<'a>>, Option<SamplesNeed>)> {
     match finer {
         Finer::Auto { error, samples } => {
             let (need, needs) = needs(sampled, selection, error, samples)?;
@@ -247,10 +247,10 @@ fn meets_nothing() -> Error {
 /// and a number of samples; no sizes, if it needs nothing.
 fn needs<'a>(
     sampled: &'a SampledModel,
-    selection: Selection<'_>,
+    selection: SpaceSelection<'_>,
     error: f64,
     samples: Option<u64>,
-) -> Result<(Need, Option<Needs<'a>>)> {
+) -> Result<(SamplesNeed, Option<Needs<'a>>)> {
     let selected = selection.samples(sampled);
     if !selected.contains(&true) {
         return Err(meets_nothing());
@@ -267,7 +267,7 @@ fn needs<'a>(
     let budget = samples.unwrap_or((Finer::SHARE * selected.len() as f64).ceil() as u64);
     let budget = usize::try_from(budget).unwrap_or(usize::MAX);
     let needs = Needs::new(sampled, &sampled.cluster_errors()?, &expected, (error * diagonal) as f32, budget);
-    let need = Need {
+    let need = SamplesNeed {
         expected: f64::from(expected.iter().copied().fold(0.0, f32::max)) / diagonal,
         allowed: needs.as_ref().map_or(error, |needs| f64::from(needs.allowed) / diagonal),
         samples: needs.as_ref().map_or(0, |needs| needs.needy as u64),
@@ -298,7 +298,7 @@ struct RefinementCall<'a, 'g> {
     model: &'a dyn Model,
     sizing: Sizing<'a>,
     /// What is known of each leaf of each cell.
-    leaves: Vec<Vec<Nearest>>,
+    leaves: Vec<Vec<LeafEstimate>>,
     /// Where the model touches itself.
     guides: Option<&'a Guides<'g>>,
     how: &'a Refining,
@@ -307,17 +307,17 @@ struct RefinementCall<'a, 'g> {
 }
 
 /// Trees as they grow, batch by batch.
-struct Growing {
+struct GrowingTrees {
     /// What is split has larger errors, local units; it rises where there is more than was asked for.
     bound: f32,
     regrown: Vec<Regrown>,
     /// Nodes that were built so far.
     built: u32,
-    members: Option<Members>,
-    noted: Option<Noted>,
+    members: Option<ReadMembers>,
+    noted: Option<ContactVertices>,
 }
 
-impl Growing {
+impl GrowingTrees {
     /// One more cell, whose leaves are counted on from those before.
     fn push(&mut self, mut cell: Regrown, leaves_from: u32) -> Result<()> {
         cell.count_from(self.built, leaves_from);
@@ -332,7 +332,7 @@ impl Growing {
 
 /// What shall come of it.
 #[derive(Clone, Copy)]
-struct Goal {
+struct RefinementGoal {
     /// Least bound that is looked at, local units.
     least: f32,
     /// How many samples more; by the bound alone, if none are given.
@@ -345,14 +345,14 @@ struct Goal {
 type Met = (u32, Vec<bool>);
 
 /// Trees that have grown.
-struct Done {
+struct GrownTrees {
     /// Which of their nodes are split: those of larger errors, local units.
     bound: f32,
     cells: Vec<Regrown>,
     /// The vertices of the cells, where faces are looked at.
-    members: Option<Members>,
+    members: Option<ReadMembers>,
     /// The vertices near contacts, where there are such.
-    noted: Option<Noted>,
+    noted: Option<ContactVertices>,
     /// How much was read.
     figures: Refined,
 }
@@ -362,14 +362,14 @@ impl RefinementCall<'_, '_> {
         self.how.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30)).max(LEAST_MEMORY)
     }
 
-    fn goal(&self) -> Goal {
+    fn goal(&self) -> RefinementGoal {
         let mut inside: Vec<f32> =
             self.leaves.iter().flatten().filter(|leaf| leaf.inside).map(|leaf| leaf.error).collect();
         let there = inside.len().max(1) as f64;
         let more = match self.how.finer {
             Finer::Error(e) => {
                 let least = (e * self.sampled.local_diagonal()) as f32;
-                return Goal { least, samples: None, at_most: false };
+                return RefinementGoal { least, samples: None, at_most: false };
             }
             Finer::Factor(f) => (f - 1.0) * there,
             Finer::Samples(n) => n as f64,
@@ -378,44 +378,44 @@ impl RefinementCall<'_, '_> {
                 let most =
                     samples.unwrap_or((Finer::SHARE * self.sampled.samples.len() as f64).ceil() as u64);
                 let most = most.min(self.most_samples());
-                return Goal { least, samples: usize::try_from(most).ok(), at_most: true };
+                return RefinementGoal { least, samples: usize::try_from(most).ok(), at_most: true };
             }
         };
         // Halving the size of clusters makes four of one, and their errors half as large or less.
         let middle = inside.len() / 2;
         let typical = *inside.select_nth_unstable_by(middle, f32::total_cmp).1;
         let least = f64::from(typical) / (FORESIGHT * (1.0 + more / there));
-        Goal { least: least as f32, samples: Some(more.round().min(1e12) as usize), at_most: false }
+        RefinementGoal { least: least as f32, samples: Some(more.round().min(1e12) as usize), at_most: false }
     }
 
     /// The leaves of each cell that may be split at a bound.
     fn wanted(&self, bound: f32) -> Vec<Met> {
-        let may = |leaf: &Nearest| leaf.error - leaf.slack > bound;
+        let may = |leaf: &LeafEstimate| leaf.error - leaf.slack > bound;
         let cells = self.leaves.iter().zip(0..).filter(|(leaves, _)| leaves.iter().any(may));
         cells.map(|(leaves, cell)| (cell, leaves.iter().map(may).collect())).collect()
     }
 
     /// Grows the trees of all cells that the selection meets.
-    fn regrow_all(&self) -> Result<Done> {
+    fn regrow_all(&self) -> Result<GrownTrees> {
         let goal = self.goal();
         if let Some(done) = self.regrow(goal)? {
             return Ok(done);
         }
         // What was foretold was too coarse.
-        match self.regrow(Goal { least: 0.0, ..goal })? {
+        match self.regrow(RefinementGoal { least: 0.0, ..goal })? {
             Some(done) => Ok(done),
             None => unreachable!("down to the vertices, no bound is too coarse"),
         }
     }
 
     /// The same down to the least bound; `None` if that is too coarse for the number of samples.
-    fn regrow(&self, goal: Goal) -> Result<Option<Done>> {
+    fn regrow(&self, goal: RefinementGoal) -> Result<Option<GrownTrees>> {
         let mut cells = self.wanted(goal.least);
         let members = self.members_of(&mut cells)?;
         let gathering = self.gathering();
         self.tell_scattered(&gathering, &cells);
-        let noted = self.guides.map(|_| Noted::new(self.folder)).transpose()?;
-        let mut growing = Growing { bound: goal.least, regrown: Vec::new(), built: 0, members, noted };
+        let noted = self.guides.map(|_| ContactVertices::new(self.folder)).transpose()?;
+        let mut growing = GrowingTrees { bound: goal.least, regrown: Vec::new(), built: 0, members, noted };
         let mut vertex_bytes = 0;
         for batch in self.batches(&cells)? {
             let (gathered, bytes) = self.read(&gathering, batch)?;
@@ -423,7 +423,7 @@ impl RefinementCall<'_, '_> {
             self.grow(&mut growing, gathered, batch)?;
             self.keep_within_limit(&mut growing, goal)?;
         }
-        let Growing { mut bound, regrown, members, noted, .. } = growing;
+        let GrowingTrees { mut bound, regrown, members, noted, .. } = growing;
         if let Some(target) = goal.samples {
             let threshold = self.threshold(&regrown, bound, target)?;
             if !goal.at_most && threshold < bound && bound == goal.least && goal.least > 0.0 {
@@ -432,17 +432,17 @@ impl RefinementCall<'_, '_> {
             bound = bound.max(threshold);
         }
         let figures = Refined { cells: cells.len() as u64, vertex_bytes, ..Refined::nothing() };
-        Ok(Some(Done { bound, cells: regrown, members, noted, figures }))
+        Ok(Some(GrownTrees { bound, cells: regrown, members, noted, figures }))
     }
 
     /// Where the vertices of cells are noted, if there are triangles, of which more cells are concerned then.
-    fn members_of(&self, cells: &mut Vec<Met>) -> Result<Option<Members>> {
+    fn members_of(&self, cells: &mut Vec<Met>) -> Result<Option<ReadMembers>> {
         if self.sampled.triangles.is_empty() || cells.is_empty() {
             return Ok(None);
         }
         self.add_neighbours(cells);
         let by_faces = self.sampled.sampling.placement == Placement::Faces;
-        Members::new(self.sampled.source.vertices, by_faces, self.folder).map(Some)
+        ReadMembers::new(self.sampled.source.vertices, by_faces, self.folder).map(Some)
     }
 
     fn gathering(&self) -> Gathering<'_> {
@@ -459,14 +459,14 @@ impl RefinementCall<'_, '_> {
     }
 
     /// The vertices of a batch of cells, and how many bytes they have in the model.
-    fn read(&self, gathering: &Gathering<'_>, batch: &[Met]) -> Result<(Vec<Gathered>, u64)> {
+    fn read(&self, gathering: &Gathering<'_>, batch: &[Met]) -> Result<(Vec<GatheredCell>, u64)> {
         let places: Vec<u32> = batch.iter().map(|(cell, _)| *cell).collect();
         self.progress.begin("reading the cells", gathering.bytes_of(&places));
         gathering.read(&places, self.progress)?.ok_or_else(|| self.changed())
     }
 
     /// Grows the trees of a batch of cells by their vertices.
-    fn grow(&self, growing: &mut Growing, mut gathered: Vec<Gathered>, batch: &[Met]) -> Result<()> {
+    fn grow(&self, growing: &mut GrowingTrees, mut gathered: Vec<GatheredCell>, batch: &[Met]) -> Result<()> {
         let Self { sampled, kept, progress, .. } = self;
         if let Some(members) = &growing.members {
             gathered.iter().try_for_each(|cell| members.note_positions(cell))?;
@@ -485,17 +485,22 @@ impl RefinementCall<'_, '_> {
         let found: Result<Vec<Regrown>> = gathered
             .into_par_iter()
             .zip(batch)
-            .map(|(gathered, (_, wanted)): (Gathered, _)| {
+            .map(|(gathered, (_, wanted)): (GatheredCell, _)| {
                 progress.check()?;
                 let cell = &kept.cells[gathered.cell as usize];
-                how.regrow(gathered, cell, wanted).map_err(|Changed| self.changed())
+                how.regrow(gathered, cell, wanted).map_err(|ChangedModel| self.changed())
             })
             .collect();
         found?.into_iter().try_for_each(|cell| growing.push(cell, how.leaves_from))
     }
 
     /// Tells each vertex of a cell near a contact which side it is of, and notes it.
-    fn guide(&self, guides: &Guides<'_>, cell: &mut Gathered, noted: Option<&mut Noted>) -> Result<()> {
+    fn guide(
+        &self,
+        guides: &Guides<'_>,
+        cell: &mut GatheredCell,
+        noted: Option<&mut ContactVertices>,
+    ) -> Result<()> {
         if guides.concern(&self.kept.cells[cell.cell as usize].tree.samples) {
             let vertices = cell.vertices.iter().map(|v| v.position);
             cell.guides = guides.find(&self.sampled.frame, vertices);
@@ -509,7 +514,7 @@ impl RefinementCall<'_, '_> {
     ///
     /// # Errors
     /// By the bound alone, there are more samples than memory holds.
-    fn keep_within_limit(&self, growing: &mut Growing, goal: Goal) -> Result<()> {
+    fn keep_within_limit(&self, growing: &mut GrowingTrees, goal: RefinementGoal) -> Result<()> {
         let Self { sampled, kept, .. } = self;
         let more = splits(&growing.regrown, kept).map(|(_, added)| u64::from(added)).sum::<u64>();
         let most = self.most_samples();
@@ -555,7 +560,12 @@ impl RefinementCall<'_, '_> {
 
     /// The triangles of all samples by the model's faces, which place the new ones where they do so; and how
     /// many bytes of faces were read.
-    fn reindex(&self, members: Members, appended: &mut Appended, bound: f32) -> Result<(Vec<[u32; 3]>, u64)> {
+    fn reindex(
+        &self,
+        members: ReadMembers,
+        appended: &mut Appended,
+        bound: f32,
+    ) -> Result<(Vec<[u32; 3]>, u64)> {
         let Self { sampled, kept, model, progress, .. } = *self;
         let sample_of = members.finish(sampled.samples.len(), appended)?;
         // A bound that was asked for is kept.
@@ -581,7 +591,7 @@ impl RefinementCall<'_, '_> {
         appended: Appended,
         triangles: Vec<[u32; 3]>,
         record: Refinement,
-        noted: Option<Noted>,
+        noted: Option<ContactVertices>,
     ) -> Result<SampledModel> {
         let mut kept = self.kept.clone();
         let Appended { positions, normals, origins, parted, trees, .. } = appended;

@@ -10,7 +10,7 @@ use std::collections::BinaryHeap;
 
 use glam::Vec3;
 
-use super::selection::{GRADING, Nearest};
+use super::selection::{GRADING, LeafEstimate};
 use crate::sampled_model::SampledModel;
 use crate::sampling::SampleSet;
 use crate::sampling::cluster::REACH_WEIGHT;
@@ -74,7 +74,7 @@ impl<'a> Needs<'a> {
 
     /// What it takes for an error to be met everywhere, and about how many new samples that is.
     fn allowing(samples: &'a SampleSet, errors: &[f32], expected: &[f32], allowed: f32) -> (Self, f64) {
-        let (mut wanted, mut open) = (vec![f32::INFINITY; errors.len()], Open::new());
+        let (mut wanted, mut open) = (vec![f32::INFINITY; errors.len()], OpenSamples::new());
         let needy = want(samples, (errors, expected), allowed, &mut wanted, &mut open);
         let least = wanted.iter().copied().fold(f32::INFINITY, f32::min);
         grade(samples, errors, &mut wanted, open);
@@ -98,14 +98,14 @@ impl<'a> Needs<'a> {
     }
 
     /// What is known of each leaf of each cell without the model.
-    pub fn leaves(&self, kept: &KeptCells) -> Vec<Vec<Nearest>> {
+    pub fn leaves(&self, kept: &KeptCells) -> Vec<Vec<LeafEstimate>> {
         let of_cell = |tree: &crate::sampling::kept_cells::CutTree| {
             let errors = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
             let leaf = |((_, error), sample): ((&u8, &f32), &u32)| {
                 let i = *sample as usize;
                 let reach = 2.0 * error / REACH_WEIGHT as f32;
                 let slack = self.around(i, self.samples.positions[i], reach);
-                Nearest { error: *error, slack, inside: self.wanted[i].is_finite() }
+                LeafEstimate { error: *error, slack, inside: self.wanted[i].is_finite() }
             };
             errors.zip(&tree.samples).map(leaf).collect()
         };
@@ -115,7 +115,7 @@ impl<'a> Needs<'a> {
 
 /// Samples whose wanted error was lowered, the lowest first: non-negative numbers are in the order of their
 /// bits.
-type Open = BinaryHeap<Reverse<(u32, u32)>>;
+type OpenSamples = BinaryHeap<Reverse<(u32, u32)>>;
 
 /// What the clusters around each sample that is off by more have to be split to; and how many such samples
 /// there are, around which that helps.
@@ -124,7 +124,7 @@ fn want(
     (errors, expected): (&[f32], &[f32]),
     allowed: f32,
     wanted: &mut [f32],
-    open: &mut Open,
+    open: &mut OpenSamples,
 ) -> usize {
     let graph = samples.neighbours();
     let mut needy = 0;
@@ -159,7 +159,7 @@ fn want(
 }
 
 /// Errors rise with the distance from the samples that are open by no more than so much.
-fn grade(samples: &SampleSet, errors: &[f32], wanted: &mut [f32], mut open: Open) {
+fn grade(samples: &SampleSet, errors: &[f32], wanted: &mut [f32], mut open: OpenSamples) {
     let graph = samples.neighbours();
     while let Some(Reverse((bits, i))) = open.pop() {
         let from = f32::from_bits(bits);

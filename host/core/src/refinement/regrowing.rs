@@ -6,18 +6,18 @@
 //! many refinements led there.
 
 use crate::sampling::cluster::{Element, Moments, Vertex};
-use crate::sampling::density::Rule;
+use crate::sampling::density::SplitRule;
 use crate::sampling::finalization::seed_of;
 use crate::sampling::kept_cells::{CutTree, KeptCell, KeptCells};
 use crate::sampling::random::mix;
-use crate::sampling::vs_tree::{VsTree, Workspace, children};
+use crate::sampling::vs_tree::{TreeWorkspace, VsTree, children};
 use crate::touching::Guides;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
 use glam::Vec3;
 
-use super::gathering::{Gathered, VERTICES_OF_A_PART};
+use super::gathering::{GatheredCell, VERTICES_OF_A_PART};
 use super::sizing::Sizing;
 use crate::lists::lists;
 
@@ -116,11 +116,11 @@ impl Regrown {
 
 /// The vertices are not those that the tree was built of.
 #[derive(Debug)]
-pub(super) struct Changed;
+pub(super) struct ChangedModel;
 
 /// How cells are regrown.
 pub(super) struct Regrowing<'a, 'g> {
-    pub rule: Rule,
+    pub rule: SplitRule,
     pub sizing: &'a Sizing<'a>,
     /// Bound inside the selection; local units.
     pub bound: f32,
@@ -186,10 +186,10 @@ impl Regrowing<'_, '_> {
     /// went on below a leaf before are built again where it is, or if the members are asked for.
     pub fn regrow(
         &self,
-        mut gathered: Gathered,
+        mut gathered: GatheredCell,
         kept: &KeptCell,
         wanted: &[bool],
-    ) -> Result<Regrown, Changed> {
+    ) -> Result<Regrown, ChangedModel> {
         let tree = &kept.tree;
         let seed = seed_of(&kept.key);
         let top = Top::from_tree(tree);
@@ -199,7 +199,7 @@ impl Regrowing<'_, '_> {
         let (starts, order) = lists(top.leaves.len(), leaf_of.iter().copied().zip(0u32..));
 
         let mut found = Regrown { cell: gathered.cell, grown: Vec::new(), members: Vec::new(), built: 0 };
-        let mut workspace = Workspace::<Vertex>::default();
+        let mut workspace = TreeWorkspace::<Vertex>::default();
         for (ordinal, leaf) in top.leaves.iter().enumerate() {
             let of_leaf = &order[starts[ordinal] as usize..starts[ordinal + 1] as usize];
             let refined = wanted[leaf.samples.clone()].contains(&true);
@@ -251,15 +251,15 @@ impl Regrowing<'_, '_> {
     /// The leaf of the first sampling that each vertex belongs to.
     fn follow(
         &self,
-        gathered: &mut Gathered,
+        gathered: &mut GatheredCell,
         tree: &CutTree,
         top: &Top,
         seed: u64,
-    ) -> Result<Vec<u32>, Changed> {
+    ) -> Result<Vec<u32>, ChangedModel> {
         let mut leaf_of_item = vec![0u32; gathered.items()];
         if top.nodes.len() > 1 {
-            let starts = top.parts(gathered.parts()).ok_or(Changed)?;
-            let along = Along { rule: self.rule, tree, top, seed };
+            let starts = top.parts(gathered.parts()).ok_or(ChangedModel)?;
+            let along = KeptBranch { rule: self.rule, tree, top, seed };
             match &mut gathered.groups {
                 Some((parts, _)) => {
                     let mut parts = parts.iter_mut().zip(starts);
@@ -284,8 +284,8 @@ impl Regrowing<'_, '_> {
         leaf: &TopLeaf,
         seed: u64,
         refined: bool,
-        workspace: &mut Workspace<Vertex>,
-    ) -> Result<(Grown, u32), Changed> {
+        workspace: &mut TreeWorkspace<Vertex>,
+    ) -> Result<(Grown, u32), ChangedModel> {
         // What is told of each node in turn: its half diagonal, slack, and which kept one it is.
         let mut told: Vec<(f32, f32, Option<u32>)> = Vec::new();
         let mut next = leaf.nodes.start;
@@ -316,7 +316,7 @@ impl Regrowing<'_, '_> {
         let root = (tree.errors[leaf.nodes.start], seed);
         let (built, _) = VsTree::build_where(vertices, workspace, self.rule, root, goes_on);
         if next != leaf.nodes.end {
-            return Err(Changed);
+            return Err(ChangedModel);
         }
         let mut nodes: Vec<GrownNode> = Vec::with_capacity(built.nodes.len());
         let mut above: Vec<(u32, f32)> = Vec::new();
@@ -326,7 +326,7 @@ impl Regrowing<'_, '_> {
             if let Some(k) = kept
                 && (built.children(i) != u32::from(tree.children[k]) || node.key != tree.errors[k])
             {
-                return Err(Changed);
+                return Err(ChangedModel);
             }
             // What is kept stays split, whatever the bound.
             let graded = match kept {
@@ -351,17 +351,22 @@ impl Regrowing<'_, '_> {
 }
 
 /// A cell's tree as it is kept.
-struct Along<'a> {
-    rule: Rule,
+struct KeptBranch<'a> {
+    rule: SplitRule,
     tree: &'a CutTree,
     top: &'a Top,
     seed: u64,
 }
 
-impl Along<'_> {
+impl KeptBranch<'_> {
     /// Builds the tree of a part of the cell's items again, of which the kept one begins at this node, and
     /// notes the leaf of each item.
-    fn build<E: Element>(&self, part: &mut [E], start: usize, leaf_of: &mut [u32]) -> Result<(), Changed> {
+    fn build<E: Element>(
+        &self,
+        part: &mut [E],
+        start: usize,
+        leaf_of: &mut [u32],
+    ) -> Result<(), ChangedModel> {
         let first = part.first().map_or(0, E::index) as usize;
         let kept = &self.top.nodes[start..self.top.nodes[start].end];
         let before = kept[0].leaf;
@@ -370,7 +375,7 @@ impl Along<'_> {
             slots.fill(before);
             return Ok(());
         }
-        let (mut workspace, mut at) = (Workspace::default(), 0);
+        let (mut workspace, mut at) = (TreeWorkspace::default(), 0);
         let goes_on = |_: &Moments, _: f32, _: u32| {
             at += 1;
             kept.get(at - 1).is_some_and(|node| node.children > 0)
@@ -382,7 +387,9 @@ impl Along<'_> {
             built.children(i) == u32::from(known.children)
                 && (known.children == 0 || built.nodes[i].key == self.tree.errors[known.kept])
         };
-        (built.nodes.len() == kept.len() && kept.iter().enumerate().all(same)).then_some(()).ok_or(Changed)
+        (built.nodes.len() == kept.len() && kept.iter().enumerate().all(same))
+            .then_some(())
+            .ok_or(ChangedModel)
     }
 }
 

@@ -20,7 +20,7 @@ pub(super) const GRADING: f64 = 1.0;
 
 /// A part of space, and the pose of the model in which it is meant.
 #[derive(Clone, Copy)]
-pub struct Selection<'a> {
+pub struct SpaceSelection<'a> {
     /// Signed distance of a point (model coordinates) to the part's surface, in the model's unit; negative
     /// inside.
     pub distance: &'a (dyn Fn(DVec3) -> f64 + Sync),
@@ -30,7 +30,7 @@ pub struct Selection<'a> {
     pub at_rest: bool,
 }
 
-impl<'a> Selection<'a> {
+impl<'a> SpaceSelection<'a> {
     /// The deformation to the pose in which the part is meant.
     fn pose(&self) -> Option<&'a DeformationField<'a>> {
         self.so_far.filter(|_| !self.at_rest)
@@ -45,12 +45,12 @@ impl<'a> Selection<'a> {
 
 /// The selection in the local coordinates of a model at rest.
 pub(super) struct Selected<'a> {
-    selection: Selection<'a>,
+    selection: SpaceSelection<'a>,
     frame: Frame,
 }
 
 impl<'a> Selected<'a> {
-    pub fn new(selection: Selection<'a>, frame: Frame) -> Self {
+    pub fn new(selection: SpaceSelection<'a>, frame: Frame) -> Self {
         Self { selection, frame }
     }
 
@@ -69,7 +69,7 @@ impl<'a> Selected<'a> {
         slack(self.distance(center) - f64::from(radius))
     }
 
-    pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
+    pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<LeafEstimate>> {
         let positions = &sampled.samples.positions;
         let of_sample: Vec<f64> = match self.selection.pose() {
             Some(field) => {
@@ -100,7 +100,7 @@ impl<'a> Selected<'a> {
                 let below = below || parted(*sample);
                 let reach = f64::from(error) / REACH_WEIGHT * if below { 2.0 } else { 1.0 };
                 let distance = (of_sample[*sample as usize] - reach).max(to_cell);
-                Nearest { error, slack: slack(distance), inside: distance <= 0.0 }
+                LeafEstimate { error, slack: slack(distance), inside: distance <= 0.0 }
             };
             leaves.zip(&tree.samples).map(nearest).collect()
         };
@@ -110,7 +110,7 @@ impl<'a> Selected<'a> {
 
 /// What is known of a leaf before the model is read.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Nearest {
+pub(super) struct LeafEstimate {
     /// Its error.
     pub error: f32,
     /// At most its slack.

@@ -1,7 +1,7 @@
 //! How large clusters may be, and where: small inside a selection, or as a deformation needs them.
 
 use super::needs::Needs;
-use super::selection::{Nearest, Selected};
+use super::selection::{LeafEstimate, Selected};
 use crate::sampled_model::SampledModel;
 use crate::sampling::kept_cells::KeptCells;
 use glam::Vec3;
@@ -25,7 +25,7 @@ impl Sizing<'_> {
 
     /// A bound for the slack of each leaf of each cell, from what is known of them without the model; and
     /// whether a leaf may reach to where the bound is the least.
-    pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
+    pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<LeafEstimate>> {
         match self {
             Self::Selected(selected) => selected.leaves(sampled, kept),
             Self::Needed(needs) => needs.leaves(kept),

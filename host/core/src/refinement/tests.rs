@@ -83,7 +83,7 @@ fn refined(
 ) -> Result<Refined> {
     let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
     let folder = model.path().parent().unwrap();
-    refine(sampled, model, Selection { distance, so_far: None, at_rest: true }, &how, folder, &Silent)
+    refine(sampled, model, SpaceSelection { distance, so_far: None, at_rest: true }, &how, folder, &Silent)
 }
 
 /// The sample of each vertex, by the kept trees; `None` where its position is not finite.
@@ -95,7 +95,7 @@ fn members(sampled: &SampledModel, model: &dyn Model) -> Vec<Option<u32>> {
     let (gathered, _) = gathering.read(&all, &Silent).unwrap().expect("the model is as it was");
     let nowhere = |_: DVec3| f64::INFINITY;
     let sizing = Sizing::Selected(Selected::new(
-        Selection { distance: &nowhere, so_far: None, at_rest: true },
+        SpaceSelection { distance: &nowhere, so_far: None, at_rest: true },
         sampled.frame,
     ));
     let old = sampled.samples.len() as u32;
@@ -490,7 +490,7 @@ fn memory_is_bounded_and_changes_nothing() {
     let place = ball([0.0, 1.0, 0.0], 0.7);
     let how = |limit, finer| Refining { finer, memory_limit: limit, shapes: Vec::new() };
     let run = |how: Refining| {
-        let selection = Selection { distance: &place, so_far: None, at_rest: true };
+        let selection = SpaceSelection { distance: &place, so_far: None, at_rest: true };
         refine(&first, model.as_ref(), selection, &how, body.folder.path(), &Silent)
     };
     let free = run(how(None, Finer::Error(2e-3))).unwrap();
@@ -518,7 +518,7 @@ fn shapes_of_the_deformed_model_select_what_is_there_then() {
         refine(
             &first,
             model.as_ref(),
-            Selection { distance, so_far, at_rest: false },
+            SpaceSelection { distance, so_far, at_rest: false },
             &how,
             body.folder.path(),
             &Silent,
@@ -668,7 +668,7 @@ fn auto(
     let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
     let folder = model.path().parent().unwrap();
     with_field(sampled, map, |field| {
-        let selection = Selection { distance, so_far: Some(field), at_rest: true };
+        let selection = SpaceSelection { distance, so_far: Some(field), at_rest: true };
         refine(sampled, model, selection, &how, folder, &Silent)
     })
 }

@@ -62,7 +62,7 @@ impl Element for Vertex {
     fn add_to(vertices: &[Self], moments: &mut Moments) {
         // In single precision about one of them, which is exact enough for so many, and much faster.
         for vertices in vertices.chunks(VERTICES_AT_ONCE) {
-            let mut sums = Sums::about(vertices[0].position);
+            let mut sums = VertexSums::about(vertices[0].position);
             let (mut min, mut max) = (Vec3A::from(moments.min), Vec3A::from(moments.max));
             for s in vertices {
                 let position = Vec3A::from(s.position);
@@ -81,7 +81,7 @@ const VERTICES_AT_ONCE: usize = 256;
 /// Sums over vertices, in single precision, with their positions relative to a point. Products of two
 /// different coordinates are in the order xy, yz, zx.
 #[derive(Debug, Clone, Copy)]
-struct Sums {
+struct VertexSums {
     center: Vec3A,
     position: Vec3A,
     outer: [Vec3A; 2],
@@ -91,7 +91,7 @@ struct Sums {
     quadric_b: Vec3A,
 }
 
-impl Sums {
+impl VertexSums {
     fn about(center: Vec3) -> Self {
         let (zero, center) = (Vec3A::ZERO, center.into());
         Self { center, position: zero, outer: [zero; 2], normal: zero, quadric: [zero; 2], quadric_b: zero }
@@ -185,8 +185,8 @@ impl Group {
     }
 
     #[inline(always)]
-    fn about_center(&self) -> Sums {
-        Sums {
+    fn about_center(&self) -> VertexSums {
+        VertexSums {
             center: self.center.into(),
             position: self.position.into(),
             outer: self.outer.map(Vec3A::from),
@@ -201,7 +201,7 @@ impl Group {
 #[derive(Debug, Clone, Copy)]
 pub struct GroupSums {
     count: u32,
-    sums: Sums,
+    sums: VertexSums,
 }
 
 impl GroupSums {
@@ -323,7 +323,7 @@ impl Moments {
     }
 
     /// Adds the sums over so many vertices; not the box.
-    fn add_sums(&mut self, sums: &Sums, count: f64) {
+    fn add_sums(&mut self, sums: &VertexSums, count: f64) {
         let (c, p) = (sums.center.as_dvec3(), sums.position.as_dvec3());
         let quadric = sums.quadric.map(|q| q.as_dvec3());
         self.count += count;

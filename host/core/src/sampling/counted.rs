@@ -22,7 +22,7 @@ const LONGEST: u64 = 8 << 30;
 
 /// What a file holds.
 #[derive(Serialize, Deserialize)]
-struct Counted {
+struct CountFile {
     /// The model's bytes and vertices.
     model: [u64; 2],
     resolution: u32,
@@ -39,7 +39,7 @@ struct Counted {
 /// Counts the vertices of a range to a file, unless it is there already.
 pub(super) fn count(
     model: &dyn Model,
-    of: &Counting,
+    of: &CountKey,
     (vertices, path): (Range<u64>, &Path),
     progress: &dyn Progress,
 ) -> Result<bool> {
@@ -59,7 +59,7 @@ pub(super) fn count(
 /// once, unless it is there already.
 pub(super) fn merge(
     model: &dyn Model,
-    of: &Counting,
+    of: &CountKey,
     files: &[impl AsRef<Path>],
     path: &Path,
 ) -> Result<bool> {
@@ -74,14 +74,14 @@ pub(super) fn merge(
 
 /// Writes what was counted of a range.
 fn write(
-    of: &Counting,
+    of: &CountKey,
     vertices: Range<u64>,
     counter: GridCounter,
     non_finite: &NonFinite,
     path: &Path,
 ) -> Result<()> {
     let (level, bounds, cells) = counter.into_cells();
-    let counted = Counted {
+    let counted = CountFile {
         model: of.model,
         resolution: of.resolution,
         min_opacity: of.min_opacity,
@@ -96,15 +96,15 @@ fn write(
 }
 
 /// What counts belong to.
-pub(super) struct Counting {
+pub(super) struct CountKey {
     /// The model's bytes and vertices.
     pub(super) model: [u64; 2],
     pub(super) resolution: u32,
     pub(super) min_opacity: Option<f64>,
 }
 
-impl Counting {
-    fn fits(&self, counted: &Counted) -> bool {
+impl CountKey {
+    fn fits(&self, counted: &CountFile) -> bool {
         let bits = |opacity: Option<f64>| opacity.map(f64::to_bits);
         (self.model, self.resolution) == (counted.model, counted.resolution)
             && bits(self.min_opacity) == bits(counted.min_opacity)
@@ -116,7 +116,7 @@ impl Counting {
 /// Memory: 48 bytes per occupied cell and the map's slack, and a file.
 pub(super) fn merged(
     model: &dyn Model,
-    of: &Counting,
+    of: &CountKey,
     files: &[impl AsRef<Path>],
 ) -> Result<(Grid, NonFinite)> {
     let (counter, non_finite) = added_up(model, of, files)?;
@@ -125,7 +125,7 @@ pub(super) fn merged(
 
 fn added_up(
     model: &dyn Model,
-    of: &Counting,
+    of: &CountKey,
     files: &[impl AsRef<Path>],
 ) -> Result<(GridCounter, NonFinite)> {
     let (mut counter, mut all, mut ranges) =
@@ -160,7 +160,7 @@ fn refused(path: &Path, what: &str) -> Error {
     Error::mismatch(format!("{} {what}", path.display()), "remove it, and count that range again")
 }
 
-fn read(path: &Path) -> Result<Counted> {
+fn read(path: &Path) -> Result<CountFile> {
     let bytes = input::read(path, LONGEST)?;
     let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
     let (version, content) = unseal(&bytes, LETTERS).map_err(damaged)?;

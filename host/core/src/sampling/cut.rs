@@ -467,7 +467,7 @@ mod tests {
     use crate::sampling::cluster::Vertex;
     use crate::sampling::grid::GridCounter;
     use crate::sampling::splitting::Splitting;
-    use crate::sampling::vs_tree::Workspace;
+    use crate::sampling::vs_tree::TreeWorkspace;
 
     /// A wavy sheet of 100 × 100 vertices, clustered as it streams, for a target.
     fn sampled(target: Option<usize>, bound: f32, resolution: u32) -> Cut {
@@ -504,7 +504,7 @@ mod tests {
         let mut stop = bound;
         for (cell, mut vertices) in cells.into_iter().enumerate() {
             (0..).zip(&mut vertices).for_each(|(i, s)| s.index = i);
-            let workspace = &mut Workspace::default();
+            let workspace = &mut TreeWorkspace::default();
             let (tree, moments) =
                 VsTree::build(&mut vertices, workspace, Splitting::VolumeSurface, stop, cell as u64);
             stop = forest.add(ClusteredCell { cell: cell as u32, tree, moments }).expect("room");

@@ -44,14 +44,14 @@ impl By {
 
 /// How clusters are split, and which of them first.
 #[derive(Debug, Clone, Copy)]
-pub struct Rule {
+pub struct SplitRule {
     pub splitting: Splitting,
     pub by: By,
     /// Vertices for each unit of area in the mean, local units.
     pub density: f64,
 }
 
-impl From<Splitting> for Rule {
+impl From<Splitting> for SplitRule {
     fn from(splitting: Splitting) -> Self {
         Self { splitting, by: By::Error, density: f64::INFINITY }
     }
@@ -66,7 +66,7 @@ const MOST: f64 = 1e4;
 /// Area of a square over the mean square distance to its middle.
 const AREA: f64 = 6.0;
 
-impl Rule {
+impl SplitRule {
     /// For a model of so many finite vertices in so many cells of this edge (local units).
     pub fn new(splitting: Splitting, by: By, vertices: u64, cells: u64, edge: f64) -> Self {
         let area = cells as f64 * edge * edge / CELLS;

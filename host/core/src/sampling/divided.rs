@@ -15,13 +15,13 @@ use xxhash_rust::xxh3::Xxh3Default;
 use super::clustered_file::{CellOfFile, ClusteredFile, mark_of, refused};
 use super::cut::{ClusteredCell, Forest};
 use super::face_runs::have_to_be_found;
-use super::finalization::{Clustered, Hashing, Job, changed};
+use super::finalization::{Clustered, HashedStream, StreamJob, changed};
 use super::gather::{Grouping, find_room};
 use super::numbers_file::{NumbersWriter, is_there};
 use super::shared_vertices::{self, SharedReader, SharedWriter};
 use super::shares::{Owner, Shares, ranges};
-use super::{Found, Prepared, Sampling, are_told, can_tell, counted, counting};
-use crate::fingerprint::Blocks;
+use super::{ClusteredStream, Sampling, SamplingPass, are_told, can_tell, counted, counting};
+use crate::fingerprint::BlockHash;
 use crate::sampled_model::SampledModel;
 
 /// The factor by which the samples of a part of the vertices, of which so many times the square root gets its
@@ -34,7 +34,7 @@ const LONGEST_COUNTS: u64 = 8 << 30;
 
 /// How pass 2 is divided.
 #[derive(Debug, Clone, Copy)]
-pub struct Division<'a> {
+pub struct UnitDivision<'a> {
     /// The counts of all vertices, in one file: see [`merge_counts`].
     pub counts: &'a Path,
     /// Number of ranges, and of groups of cells that ranges share: no fewer than [`ranges_of`].
@@ -102,7 +102,7 @@ pub fn merge_counts(
 
 /// A division of a model that was counted.
 pub(super) struct Divided<'a> {
-    pub(super) prepared: Prepared<'a>,
+    pub(super) prepared: SamplingPass<'a>,
     pub(super) shares: Shares,
     key: u128,
 }
@@ -111,7 +111,7 @@ impl<'a> Divided<'a> {
     pub(super) fn new(
         model: &'a dyn Model,
         sampling: &Sampling,
-        division: &Division<'_>,
+        division: &UnitDivision<'_>,
         folder: &'a Path,
         progress: &'a dyn Progress,
     ) -> Result<Self> {
@@ -120,7 +120,7 @@ impl<'a> Divided<'a> {
             return Err(Error::argument(what, "sample it at once"));
         }
         model.check_complete(progress)?;
-        let prepared = Prepared::new(model, sampling, Some(&[division.counts]), folder, progress)?;
+        let prepared = SamplingPass::new(model, sampling, Some(&[division.counts]), folder, progress)?;
         let ranges = ranges(model.info().vertices, division.units);
         let groups = ranges.len() as u32;
         let mut hash = Xxh3Default::new();
@@ -171,8 +171,8 @@ impl<'a> Divided<'a> {
             return Ok(true);
         };
         let hashed = match hash {
-            Hashing::Part(hash) => Some(hash.finish().ok_or_else(|| changed(self.prepared.model))?),
-            Hashing::All(_) | Hashing::Nothing => None,
+            HashedStream::Part(hash) => Some(hash.finish().ok_or_else(|| changed(self.prepared.model))?),
+            HashedStream::All(_) | HashedStream::Nothing => None,
         };
         let jumps = ranges.jumps();
         let mut ranges: Vec<_> = ranges.into_cells().collect();
@@ -232,7 +232,7 @@ pub(super) fn leaves_key(mark_of_trees: u128) -> u128 {
 pub fn shared(
     model: &dyn Model,
     sampling: &Sampling,
-    division: &Division<'_>,
+    division: &UnitDivision<'_>,
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<u64> {
@@ -253,7 +253,7 @@ pub fn shared(
 pub fn cluster(
     model: &dyn Model,
     sampling: &Sampling,
-    (division, range): (&Division<'_>, u64),
+    (division, range): (&UnitDivision<'_>, u64),
     (trees, vertices, leaves): (&Path, &Path, &Path),
     folder: &Path,
     progress: &dyn Progress,
@@ -265,7 +265,7 @@ pub fn cluster(
         return Ok(false);
     }
     let writer = Mutex::new(SharedWriter::create(vertices, key, divided.shares.groups())?);
-    let job = Job::Range(&divided.shares, range as u32, &writer);
+    let job = StreamJob::Range(&divided.shares, range as u32, &writer);
     let clustered = divided.prepared.stream(job, Some(FORESIGHT), grouping)?;
     model.check_complete(progress)?;
     let writer = writer.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -285,7 +285,7 @@ pub fn cluster(
 pub fn cluster_shared(
     model: &dyn Model,
     sampling: &Sampling,
-    (division, group): (&Division<'_>, u64),
+    (division, group): (&UnitDivision<'_>, u64),
     vertices: &[PathBuf],
     (trees, leaves): (&Path, &Path),
     folder: &Path,
@@ -301,7 +301,7 @@ pub fn cluster_shared(
     let clustered = match SharedReader::open(&files, group as u32)? {
         Some(reader) => {
             let reader = Mutex::new(reader);
-            let job = Job::Group(&divided.shares, group as u32, &reader);
+            let job = StreamJob::Group(&divided.shares, group as u32, &reader);
             divided.prepared.stream(job, Some(FORESIGHT), divided.prepared.sampling.grouping)?
         }
         None => None,
@@ -321,7 +321,7 @@ pub fn cluster_shared(
 pub fn sample_clustered(
     model: &dyn Model,
     sampling: &Sampling,
-    division: &Division<'_>,
+    division: &UnitDivision<'_>,
     (of_ranges, of_groups): (&[PathBuf], &[PathBuf]),
     folder: &Path,
     progress: &dyn Progress,
@@ -345,7 +345,7 @@ pub(super) type Useless = (&'static str, Grouping);
 /// What the ranges tell of the stream, put together in their order.
 #[derive(Default)]
 struct InOrder {
-    hash: Blocks,
+    hash: BlockHash,
     /// How often the stream came into another cell.
     jumps: u64,
     /// The cell that the last range ended in.
@@ -379,8 +379,11 @@ impl Divided<'_> {
     }
 
     /// What pass 2 has found, by the files of all parts, and the [marks](ClusteredFile::mark) of these.
-    pub(super) fn cut(&self, files: &[(Owner, &PathBuf)]) -> Result<Result<(Found, Vec<u128>), Useless>> {
-        let Prepared { grid, target, bound, for_groups, sampling, .. } = &self.prepared;
+    pub(super) fn cut(
+        &self,
+        files: &[(Owner, &PathBuf)],
+    ) -> Result<Result<(ClusteredStream, Vec<u128>), Useless>> {
+        let SamplingPass { grid, target, bound, for_groups, sampling, .. } = &self.prepared;
         let grouping = sampling.grouping;
         let mut forest = Forest::new(grid, *target, *bound, self.prepared.most(), None);
         let mut items = vec![0; grid.keys.len()];
@@ -423,6 +426,6 @@ impl Divided<'_> {
         };
         let (fingerprint, jumps) = (stream.hash.fingerprint(), stream.jumps);
         let (membership, picked) = (None, None);
-        Ok(Ok((Found { cut, fingerprint, jumps, ranges, membership, picked, grouping }, marks)))
+        Ok(Ok((ClusteredStream { cut, fingerprint, jumps, ranges, membership, picked, grouping }, marks)))
     }
 }

@@ -27,16 +27,19 @@ use xxhash_rust::xxh3::xxh3_128;
 
 use super::clustered_file::{mark_of, refused};
 use super::cut::Cut;
-use super::divided::{Divided, Division, leaves_key, reads_faces};
+use super::divided::{Divided, UnitDivision, leaves_key, reads_faces};
 use super::face_ranges::FaceRanges;
 use super::face_runs::{FaceRuns, RunsRead, have_to_be_found};
 use super::gather::Grouping;
 use super::membership::{self, SampleOf, Samples};
-use super::numbers_file::{Numbers, NumbersWriter, is_there};
+use super::numbers_file::{NumbersFile, NumbersWriter, is_there};
 use super::placement::{FACES_OF_A_SUM, LISTED, Placement, Planes};
 use super::shares::Owner;
 use super::triangles::{Reindexing, Triangles, Wanted};
-use super::{Found, Prepared, Read, Reindexed, Sampling, Target, are_apart, finds_triangles, keeps_faces};
+use super::{
+    ClusteredStream, FaceResult, Read, Sampling, SamplingPass, Target, are_apart, finds_triangles,
+    keeps_faces,
+};
 use crate::sampled_model::SampledModel;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 use crate::touching::{FoundTwins, Islands, TwinSearch, twins_may_be_there};
@@ -151,7 +154,7 @@ fn most_triangles(model: &dyn Model) -> u64 {
 pub fn cut(
     model: &dyn Model,
     sampling: &Sampling,
-    division: &Division<'_>,
+    division: &UnitDivision<'_>,
     (of_ranges, of_groups): (&[PathBuf], &[PathBuf]),
     target: &Path,
     folder: &Path,
@@ -176,7 +179,7 @@ pub fn cut(
     let level = |grouping| if let Grouping::Level(level) = grouping { Some(level) } else { None };
     match divided.cut(&divided.files(of_ranges, of_groups))? {
         Ok((found, trees)) => {
-            let Found { cut, fingerprint, jumps, ranges, grouping, .. } = found;
+            let ClusteredStream { cut, fingerprint, jumps, ranges, grouping, .. } = found;
             file = CutFile { cut, fingerprint, jumps, ranges, trees, level: level(grouping), ..file };
         }
         Err((why, grouping)) => {
@@ -203,7 +206,7 @@ pub fn cut(
 pub fn members(
     model: &dyn Model,
     sampling: &Sampling,
-    (division, range): (&Division<'_>, u64),
+    (division, range): (&UnitDivision<'_>, u64),
     files: &FaceFiles<'_>,
     target: &Path,
     folder: &Path,
@@ -245,13 +248,13 @@ mod member {
 impl Divided<'_> {
     /// Whether it is of use to know which vertices are at one place.
     fn looks_for_twins(&self) -> bool {
-        let Prepared { model, sampling, .. } = &self.prepared;
+        let SamplingPass { model, sampling, .. } = &self.prepared;
         !sampling.skip.sheets && twins_may_be_there(model.info().vertices, model.info().faces)
     }
 
     /// Visits the twins of a range of the vertices, as all vertices tell of them.
     fn find_twins(&self, range: Range<u64>, mut visit: impl FnMut(&[u32]) -> Result<()>) -> Result<()> {
-        let Prepared { model, progress, .. } = self.prepared;
+        let SamplingPass { model, progress, .. } = self.prepared;
         let first = TwinSearch::first_for(range.start);
         let (mut search, mut back, mut chunk) = (TwinSearch::new(first), Vec::new(), VertexChunk::default());
         let mut reader = model.vertices(first..range.end)?;
@@ -297,15 +300,15 @@ impl Divided<'_> {
         files: &FaceFiles<'_>,
         mut visit: impl FnMut(&[u32]) -> Result<()>,
     ) -> Result<()> {
-        let Self { prepared: Prepared { grid, .. }, shares, .. } = self;
+        let Self { prepared: SamplingPass { grid, .. }, shares, .. } = self;
         let Owner::Range(range) = owner else { return Ok(()) };
         let (of_ranges, of_groups) = cut.trees.split_at(shares.ranges().len());
-        let open = |path: &PathBuf, mark: &u128| Numbers::open(path, leaves_key(*mark));
+        let open = |path: &PathBuf, mark: &u128| NumbersFile::open(path, leaves_key(*mark));
         let missing = || Error::argument("not all leaves are there", "do the units first that write them");
         let (path, mark) = files.leaves.iter().zip(of_ranges).nth(range as usize).ok_or_else(missing)?;
         let own = open(path, mark)?;
         let groups = files.leaves_of_groups.iter().zip(of_groups);
-        let groups: Vec<Numbers> = groups.map(|(path, mark)| open(path, mark)).collect::<Result<_>>()?;
+        let groups: Vec<NumbersFile> = groups.map(|(path, mark)| open(path, mark)).collect::<Result<_>>()?;
         let mut of_groups: Vec<_> = groups.iter().map(|group| group.one_by_one(range as usize)).collect();
 
         let starts = membership::starts(grid);
@@ -391,7 +394,7 @@ mod list {
 pub fn faces(
     model: &dyn Model,
     sampling: &Sampling,
-    (division, part): (&Division<'_>, u64),
+    (division, part): (&UnitDivision<'_>, u64),
     files: &FaceFiles<'_>,
     target: &Path,
     folder: &Path,
@@ -441,7 +444,7 @@ impl<'a> FacePart<'a> {
 
     /// Streams the triangles, with the number of those before them, and the marks that come with them.
     fn each(&self, mut visit: impl FnMut(u64, &[[u32; 3]], &[FaceMark]) -> Result<()>) -> Result<()> {
-        let Prepared { model, progress, .. } = self.divided.prepared;
+        let SamplingPass { model, progress, .. } = self.divided.prepared;
         let (RunsRead { from, summed, to, .. }, are_triangles) = (&self.read, !have_to_be_found(model));
         let mut count = 0;
         let mut take = |chunk: &FaceChunk| {
@@ -485,7 +488,7 @@ impl<'a> FacePart<'a> {
     /// Writes down what they tell.
     fn read(&self, files: &FaceFiles<'_>, to: &mut NumbersWriter) -> Result<()> {
         let Self { divided: Divided { prepared, .. }, cut: CutFile { cut, .. }, .. } = *self;
-        let Prepared { model, sampling, folder, progress, .. } = prepared;
+        let SamplingPass { model, sampling, folder, progress, .. } = prepared;
         progress.begin("reindexing the faces", 2 * self.bytes);
         let span = self.span()?;
         let (first, count) = (span.start as u32, span.end - span.start);
@@ -631,7 +634,7 @@ impl Divided<'_> {
             if own.start >= own.end {
                 continue;
             }
-            let file = Numbers::open(path, cut.key_of("members", number))?;
+            let file = NumbersFile::open(path, cut.key_of("members", number))?;
             let places = own.start - range.start..own.end - range.start;
             file.some(list, places, |numbers| {
                 self.prepared.progress.check()?;
@@ -648,7 +651,7 @@ impl Divided<'_> {
     }
 }
 
-impl Prepared<'_> {
+impl SamplingPass<'_> {
     /// Where some vertices are, in local coordinates; nowhere those that have no sample. Calls `done` with
     /// how many more it has read.
     fn positions(&self, sample_of: &[u32], vertices: Range<u64>, done: &dyn Fn(u64)) -> Result<Map> {
@@ -687,7 +690,7 @@ impl Prepared<'_> {
 pub fn complete(
     model: &dyn Model,
     sampling: &Sampling,
-    division: &Division<'_>,
+    division: &UnitDivision<'_>,
     files: &FaceFiles<'_>,
     folder: &Path,
     progress: &dyn Progress,
@@ -703,8 +706,8 @@ pub fn complete(
     let info = model.info();
     progress.begin("completing the samples", 0);
     let Divided { prepared, .. } = &divided;
-    let Prepared { sampling, bound, .. } = prepared;
-    let mut reindexed = Reindexed::new(std::mem::take(&mut cut.cut));
+    let SamplingPass { sampling, bound, .. } = prepared;
+    let mut reindexed = FaceResult::new(std::mem::take(&mut cut.cut));
     let ranges = std::mem::take(&mut cut.ranges);
     let parting = prepared.parting(&ranges);
     let read = Read { sampling, bound: *bound, parting: &parting };
@@ -730,15 +733,22 @@ pub fn complete(
         divided.part_and_place(&read, islands, welded, cast_slice_mut(map), &mut reindexed)?;
     }
     let CutFile { fingerprint, jumps, .. } = cut;
-    let found =
-        Found { cut: Cut::default(), fingerprint, jumps, ranges, membership: None, picked: None, grouping };
+    let found = ClusteredStream {
+        cut: Cut::default(),
+        fingerprint,
+        jumps,
+        ranges,
+        membership: None,
+        picked: None,
+        grouping,
+    };
     divided.prepared.assemble(found, reindexed, sample_of.map(SampleOf::of_all))
 }
 
 impl Divided<'_> {
     /// Which vertices are at one place, as far as that is known.
     fn twins(&self, cut: &CutFile, files: &FaceFiles<'_>) -> Result<FoundTwins> {
-        let Prepared { model, folder, .. } = self.prepared;
+        let SamplingPass { model, folder, .. } = self.prepared;
         let vertices = model.info().vertices;
         if self.looks_for_twins() {
             FoundTwins::of_all(self.members_of(member::TWINS, cut, files, 0..vertices)?)
@@ -754,7 +764,7 @@ impl Divided<'_> {
         islands: Option<Islands>,
         welded: bool,
         sample_of: &mut [u32],
-        reindexed: &mut Reindexed,
+        reindexed: &mut FaceResult,
     ) -> Result<()> {
         let prepared = &self.prepared;
         let changed = match islands {
@@ -785,9 +795,9 @@ impl Divided<'_> {
         files: &FaceFiles<'_>,
         read: &Read<'_>,
         (sample_of, islands): (&[u32], Option<&mut Islands>),
-        reindexed: &mut Reindexed,
+        reindexed: &mut FaceResult,
     ) -> Result<()> {
-        let Prepared { sampling, progress, .. } = &self.prepared;
+        let SamplingPass { sampling, progress, .. } = &self.prepared;
         let (trees, samples) = (&reindexed.cut.trees, reindexed.cut.samples());
         let triangles = finds_triangles(sampling);
         let mut ranges = keeps_faces(sampling).then(|| FaceRanges::new(trees, samples));
@@ -796,7 +806,7 @@ impl Divided<'_> {
         let wanted = Wanted { triangles, ranges: ranges.as_mut(), islands, planes: planes.as_mut() };
         let mut reindexing = Reindexing::new(sample_of, samples, wanted);
         for (number, path) in (0..).zip(files.faces) {
-            let file = Numbers::open(path, cut.key_of("faces", number))?;
+            let file = NumbersFile::open(path, cut.key_of("faces", number))?;
             take(&file, &mut reindexing, [samples, sample_of.len()], trees.len(), *progress)?;
         }
         let triangles = reindexing.finish();
@@ -809,7 +819,7 @@ impl Divided<'_> {
 
 /// Takes what a range of the faces told. There are so many samples and vertices, and so many cells.
 fn take(
-    file: &Numbers,
+    file: &NumbersFile,
     all: &mut Reindexing<'_, '_>,
     [samples, vertices]: [usize; 2],
     cells: usize,
@@ -860,7 +870,7 @@ fn take(
 
 /// Visits the numbers of a list, so many at a time, as long as they make sense.
 fn records<const N: usize>(
-    file: &Numbers,
+    file: &NumbersFile,
     list: usize,
     progress: &dyn Progress,
     mut visit: impl FnMut(&[u32; N]) -> bool,

@@ -15,21 +15,21 @@ use super::ranges::Ranges;
 pub struct FaceRanges {
     /// For each sample its cell, or the first of those that share it.
     cell_of: Vec<u32>,
-    ranges: Kept,
+    ranges: KeptRanges,
     /// Where the block began that the stream is in, and the cells met in it.
     open: Option<u64>,
     met: Vec<u32>,
 }
 
 /// What becomes of ranges.
-enum Kept {
+enum KeptRanges {
     /// They are kept, as far as there is room.
     Joined(Ranges),
     /// They are listed for who [joins](FaceRanges::join) them; the last one of each cell may go on.
     Listed { last: Vec<Range<u64>>, list: Vec<(u32, Range<u64>)> },
 }
 
-impl Kept {
+impl KeptRanges {
     fn add(&mut self, cell: u32, range: Range<u64>) {
         match self {
             Self::Joined(ranges) => ranges.add(cell, range),
@@ -49,14 +49,14 @@ impl Kept {
 impl FaceRanges {
     /// Ranges without faces yet, of a part of the faces: to be [taken](Self::take_listed).
     pub fn listed(trees: &[CutTree], samples: usize) -> Self {
-        let ranges = Kept::Listed { last: vec![0..0; trees.len()], list: Vec::new() };
+        let ranges = KeptRanges::Listed { last: vec![0..0; trees.len()], list: Vec::new() };
         Self { ranges, ..Self::new(trees, samples) }
     }
 
     /// The ranges of cells, those of each one in the order of the file, that were listed and cannot go on any
     /// more; at the end all that are left.
     pub fn take_listed(&mut self, is_end: bool) -> Vec<(u32, Range<u64>)> {
-        let Kept::Listed { last, list } = &mut self.ranges else { return Vec::new() };
+        let KeptRanges::Listed { last, list } = &mut self.ranges else { return Vec::new() };
         let mut taken = std::mem::take(list);
         if is_end {
             let lasts = (0..).zip(last.iter_mut()).map(|(cell, last)| (cell, std::mem::take(last)));
@@ -77,7 +77,7 @@ impl FaceRanges {
         for (cell, tree) in trees.iter().enumerate().rev() {
             tree.samples.iter().for_each(|sample| cell_of[*sample as usize] = cell as u32);
         }
-        Self { cell_of, ranges: Kept::Joined(Ranges::new(trees.len())), open: None, met: Vec::new() }
+        Self { cell_of, ranges: KeptRanges::Joined(Ranges::new(trees.len())), open: None, met: Vec::new() }
     }
 
     /// The cell of a sample, or the first of those that share it.
@@ -116,7 +116,7 @@ impl FaceRanges {
 
     /// The ranges of each cell, ascending; `None` if there were no marks.
     pub fn into_cells(self, trees: &[CutTree]) -> Option<Vec<Vec<Range<u64>>>> {
-        let Kept::Joined(ranges) = self.ranges else { return None };
+        let KeptRanges::Joined(ranges) = self.ranges else { return None };
         self.open?;
         let mut cells: Vec<_> = ranges.into_cells().collect();
         // Cells that share a sample have what was noted for the first of them.

@@ -29,12 +29,12 @@ pub(super) struct FaceRuns {
     /// That of the model.
     key: u128,
     triangles: u64,
-    starts: Vec<Start>,
+    starts: Vec<RunStart>,
 }
 
 /// Where a run begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-struct Start {
+struct RunStart {
     /// The mark from which faces can be read: of several behind as many triangles, the first.
     mark: u64,
     /// So many triangles from there on come before the run.
@@ -116,7 +116,7 @@ impl FaceRuns {
     /// The runs of faces that are all triangles of one length.
     fn of_triangles(model: &dyn Model) -> Self {
         let triangles = model.info().faces;
-        let start = |face| model.face_at(face).map(|mark| Start { mark, skip: 0 });
+        let start = |face| model.face_at(face).map(|mark| RunStart { mark, skip: 0 });
         let starts = (0..triangles).step_by(FACES_OF_A_SUM as usize).filter_map(start).collect();
         Self { key: key_of(model), triangles, starts }
     }
@@ -153,7 +153,7 @@ impl FaceRuns {
             if next >= triangles {
                 return;
             }
-            self.starts.push(Start { mark, skip: next - before });
+            self.starts.push(RunStart { mark, skip: next - before });
         }
     }
 

@@ -17,7 +17,7 @@ use crate::fingerprint::{PartHasher, VertexHash};
 
 use super::cluster::{Element, Moments};
 use super::cut::{ClusteredCell, Forest, most_kept, running_bound};
-use super::density::Rule;
+use super::density::SplitRule;
 use super::grid::{CellKey, Grid};
 use super::membership::{Leaves, Membership, Noted};
 use super::opaque::Opaque;
@@ -26,7 +26,7 @@ use super::random::mix;
 use super::ranges::Ranges;
 use super::shared_vertices::{SharedReader, SharedWriter};
 use super::shares::{Owner, Shares};
-use super::vs_tree::{VsTree, Workspace};
+use super::vs_tree::{TreeWorkspace, VsTree};
 
 /// Bytes of items that wait for, or are in, clustering, beyond which the stream stands still. The last cell
 /// may be larger.
@@ -44,7 +44,7 @@ pub fn work_memory(largest: u64) -> u64 {
 }
 
 /// What pass 2 works on.
-pub struct Pass<'a> {
+pub struct ClusteringPass<'a> {
     /// The model.
     pub model: &'a dyn Model,
     /// Its grid, from pass 1.
@@ -52,7 +52,7 @@ pub struct Pass<'a> {
     /// Its local coordinates.
     pub frame: &'a Frame,
     /// How clusters are split.
-    pub rule: Rule,
+    pub rule: SplitRule,
     /// Number of samples that is aimed at, if any.
     pub target: Option<usize>,
     /// Error down to which cells are clustered, in local units.
@@ -63,7 +63,7 @@ pub struct Pass<'a> {
     /// but it can fail.
     pub foresight: Option<f64>,
     /// What of the model is streamed, and which cells are clustered.
-    pub job: Job<'a>,
+    pub job: StreamJob<'a>,
     /// Whether it shall be known which cluster each vertex belongs to.
     pub with_members: bool,
     /// What else shall be known of the vertices then.
@@ -80,7 +80,7 @@ pub struct Pass<'a> {
 
 /// What of the model is streamed, and which cells are clustered.
 #[derive(Clone, Copy)]
-pub enum Job<'a> {
+pub enum StreamJob<'a> {
     /// All.
     Whole,
     /// A range, and the cells that lie wholly within; vertices of the others are written down.
@@ -89,7 +89,7 @@ pub enum Job<'a> {
     Group(&'a Shares, u32, &'a Mutex<SharedReader>),
 }
 
-impl Job<'_> {
+impl StreamJob<'_> {
     /// Whether it is this one's to cluster a cell.
     #[inline]
     pub fn has(&self, cell: u32) -> bool {
@@ -102,7 +102,7 @@ impl Job<'_> {
 }
 
 /// What is hashed of the vertices that are streamed.
-pub enum Hashing {
+pub enum HashedStream {
     /// All of them.
     All(VertexHash),
     /// The bytes of a range of the vertices.
@@ -111,7 +111,7 @@ pub enum Hashing {
     Nothing,
 }
 
-impl Hashing {
+impl HashedStream {
     /// Takes the next bytes.
     pub fn update(&mut self, bytes: &[u8]) {
         match self {
@@ -127,7 +127,7 @@ pub struct Clustered {
     /// The trees of all cells.
     pub forest: Forest,
     /// The hash of the bytes of all vertices.
-    pub hash: Hashing,
+    pub hash: HashedStream,
     /// Where in the stream each cell's vertices are.
     pub ranges: Ranges,
     /// How many items each cell had.
@@ -140,7 +140,7 @@ pub struct Clustered {
     pub picked: Option<Picked>,
 }
 
-impl Pass<'_> {
+impl ClusteringPass<'_> {
     /// Clusters a complete cell; one that is larger than a part in parts, whose trees are joined, and kept to
     /// what a cut of the target number of samples can reach.
     pub(super) fn cluster<E: Element>(
@@ -149,7 +149,7 @@ impl Pass<'_> {
         items: CellItems<E>,
         stop: &AtomicU32,
         members: Option<&Leaves>,
-        workspace: &mut Workspace<E>,
+        workspace: &mut TreeWorkspace<E>,
     ) -> Result<ClusteredCell> {
         let seed = seed_of(&self.grid.keys[cell as usize]);
         let mut whole: Option<(VsTree, Moments)> = None;

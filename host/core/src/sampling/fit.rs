@@ -56,7 +56,7 @@ const NONE: u32 = u32::MAX;
 
 /// What is known of the vertices of P_L.
 #[derive(Clone, Copy)]
-pub struct Members<'a> {
+pub struct VertexMembers<'a> {
     /// Where they are, local coordinates.
     pub vertices: &'a [Vec3],
     /// The sample of each; `u32::MAX` if it has none.
@@ -77,12 +77,12 @@ pub fn fit(
     placed: &mut [Placed],
     first: &[Vec3],
     triangles: &[[u32; 3]],
-    members: Members<'_>,
+    members: VertexMembers<'_>,
     held: &[u32],
     progress: &dyn Progress,
 ) -> Result<()> {
     let samples: Vec<Vec3> = placed.iter().map(|placed| placed.at).collect();
-    let surface = Surface::new(&samples, triangles);
+    let surface = TriangleSurface::new(&samples, triangles);
     let moments = surface.moments(members, progress)?;
     let ways = surface.ways(&moments, held);
     placed.par_iter_mut().zip(first).zip(ways).for_each(|((placed, first), way)| {
@@ -99,7 +99,7 @@ fn by_place(p: &Vec3, q: &Vec3) -> Ordering {
 }
 
 /// The triangles of P_S.
-struct Surface<'a> {
+struct TriangleSurface<'a> {
     samples: &'a [Vec3],
     triangles: &'a [[u32; 3]],
     /// Their normals; zero where they have no area.
@@ -111,7 +111,7 @@ struct Surface<'a> {
     extent: f32,
 }
 
-impl<'a> Surface<'a> {
+impl<'a> TriangleSurface<'a> {
     fn new(samples: &'a [Vec3], triangles: &'a [[u32; 3]]) -> Self {
         let corners = triangles.iter().zip(0..).flat_map(|(of, number)| of.map(|sample| (sample, number)));
         let (starts, around) = lists(samples.len(), corners);
@@ -166,9 +166,9 @@ impl<'a> Surface<'a> {
     }
 
     /// The moments of all triangles.
-    fn moments(&self, members: Members<'_>, progress: &dyn Progress) -> Result<Vec<Moments>> {
+    fn moments(&self, members: VertexMembers<'_>, progress: &dyn Progress) -> Result<Vec<TriangleSums>> {
         let per = self.extent.recip();
-        let mut moments = vec![Moments::default(); self.triangles.len()];
+        let mut moments = vec![TriangleSums::default(); self.triangles.len()];
         let chosen = self.chosen(members);
         let (mut last, mut next) = (Vec::new(), Vec::new());
         progress.begin_parts("fitting the samples", members.vertices.len() as u64);
@@ -187,7 +187,7 @@ impl<'a> Surface<'a> {
 
     /// For each sample below what the hashes of those of its vertices are that are looked at: as if by
     /// chance, so that they are about as many as is enough.
-    fn chosen(&self, members: Members<'_>) -> Vec<u32> {
+    fn chosen(&self, members: VertexMembers<'_>) -> Vec<u32> {
         let mut chosen = vec![0u32; self.samples.len()];
         for some in members.sample_of.chunks(BLOCK) {
             for sample in some {
@@ -206,20 +206,27 @@ impl<'a> Surface<'a> {
     }
 
     /// Finds the nearest points of those of some vertices, with their samples, that are chosen.
-    fn find(&self, (vertices, sample_of): (&[Vec3], &[u32]), chosen: &[u32], found: &mut Vec<Nearest>) {
-        found.resize(vertices.len(), Nearest::NONE);
-        let fans = || [(); FANS].map(|()| Fan::default());
+    fn find(&self, (vertices, sample_of): (&[Vec3], &[u32]), chosen: &[u32], found: &mut Vec<NearestPoint>) {
+        found.resize(vertices.len(), NearestPoint::NONE);
+        let fans = || [(); FANS].map(|()| SampleFan::default());
         let members = vertices.par_chunks(PIECE).zip(sample_of.par_chunks(PIECE));
         found.par_chunks_mut(PIECE).zip(members).for_each_init(
             fans,
             |fans, (found, (vertices, sample_of))| {
-                Arch::new().dispatch(Finding { surface: self, vertices, sample_of, chosen, fans, found });
+                Arch::new().dispatch(NearestSearch {
+                    surface: self,
+                    vertices,
+                    sample_of,
+                    chosen,
+                    fans,
+                    found,
+                });
             },
         );
     }
 
     /// The ways of all samples after all steps.
-    fn ways(&self, moments: &[Moments], held: &[u32]) -> Vec<Vec3> {
+    fn ways(&self, moments: &[TriangleSums], held: &[u32]) -> Vec<Vec3> {
         let samples = 0..self.samples.len() as u32;
         let mut lumped: Vec<Mat3> =
             samples.into_par_iter().map(|sample| self.lumped(sample, moments)).collect();
@@ -249,7 +256,7 @@ impl<'a> Surface<'a> {
 
     /// What takes a sample's part of what is left to its step: the inverse of its block, lumped, with a
     /// ridge.
-    fn lumped(&self, sample: u32, moments: &[Moments]) -> Mat3 {
+    fn lumped(&self, sample: u32, moments: &[TriangleSums]) -> Mat3 {
         // Who is at the corner of a triangle of too many vertices stays, as all others would have their say.
         if self.around(sample).iter().any(|triangle| moments[*triangle as usize].is_full()) {
             return Mat3::ZERO;
@@ -289,7 +296,7 @@ const HEIGHT: f32 = (1 << 30) as f32;
 /// Sums over the vertices that are nearest to a triangle: whole numbers, so that they do not depend on the
 /// vertices' order.
 #[derive(Clone, Copy, Default)]
-struct Moments {
+struct TriangleSums {
     /// Σ b² for each corner, in 1 / [`WEIGHT`].
     squares: [u32; 3],
     /// Σ b b of the two corners that are not this one, in 1 / [`WEIGHT`].
@@ -298,7 +305,7 @@ struct Moments {
     heights: [i64; 3],
 }
 
-impl Moments {
+impl TriangleSums {
     /// Adds a vertex' coordinates, and its height in the samples' extent.
     fn add(&mut self, b: [f32; 3], height: f32) {
         for corner in 0..3 {
@@ -337,16 +344,16 @@ impl Moments {
 }
 
 /// Finds the nearest points of those of some vertices that are chosen.
-struct Finding<'a, 'b> {
-    surface: &'a Surface<'b>,
+struct NearestSearch<'a, 'b> {
+    surface: &'a TriangleSurface<'b>,
     vertices: &'a [Vec3],
     sample_of: &'a [u32],
     chosen: &'a [u32],
-    fans: &'a mut [Fan; FANS],
-    found: &'a mut [Nearest],
+    fans: &'a mut [SampleFan; FANS],
+    found: &'a mut [NearestPoint],
 }
 
-impl WithSimd for Finding<'_, '_> {
+impl WithSimd for NearestSearch<'_, '_> {
     type Output = ();
 
     // Inlined into a function for the processor's widest vectors, as all that it calls.
@@ -354,7 +361,7 @@ impl WithSimd for Finding<'_, '_> {
     fn with_simd<S: Simd>(self, _: S) {
         let Self { surface, vertices, sample_of, chosen, fans, found } = self;
         for ((vertex, sample), found) in vertices.iter().zip(sample_of).zip(found) {
-            *found = Nearest::NONE;
+            *found = NearestPoint::NONE;
             if chosen.get(*sample as usize).is_some_and(|below| hash(*vertex) < *below) {
                 let fan = &mut fans[*sample as usize % FANS];
                 fan.turn_to(surface, *sample);
@@ -373,8 +380,8 @@ fn hash(place: Vec3) -> u32 {
 }
 
 /// Adds what was found to the moments; heights `per` local unit.
-fn add(moments: &mut [Moments], found: &[Nearest], per: f32) {
-    for Nearest { triangle, weights, height } in found {
+fn add(moments: &mut [TriangleSums], found: &[NearestPoint], per: f32) {
+    for NearestPoint { triangle, weights, height } in found {
         if let Some(moments) = moments.get_mut(*triangle as usize) {
             moments.add(*weights, height * per);
         }
@@ -383,7 +390,7 @@ fn add(moments: &mut [Moments], found: &[Nearest], per: f32) {
 
 /// The point of the triangles around a sample that is nearest to a vertex.
 #[derive(Clone, Copy)]
-struct Nearest {
+struct NearestPoint {
     triangle: u32,
     /// Its barycentric coordinates.
     weights: [f32; 3],
@@ -391,19 +398,19 @@ struct Nearest {
     height: f32,
 }
 
-impl Nearest {
+impl NearestPoint {
     const NONE: Self = Self { triangle: NONE, weights: [0.0; 3], height: 0.0 };
 }
 
 /// The triangles around one sample.
-struct Fan {
+struct SampleFan {
     sample: u32,
     /// Where it is.
     apex: Vec3,
     blades: Vec<Blades>,
 }
 
-impl Default for Fan {
+impl Default for SampleFan {
     fn default() -> Self {
         Self { sample: NONE, apex: Vec3::ZERO, blades: Vec::new() }
     }
@@ -430,10 +437,10 @@ struct Blades {
     none: [f32; LANES],
 }
 
-impl Fan {
+impl SampleFan {
     /// Takes the triangles around a sample, if those at hand are not.
     #[inline(always)]
-    fn turn_to(&mut self, surface: &Surface<'_>, sample: u32) {
+    fn turn_to(&mut self, surface: &TriangleSurface<'_>, sample: u32) {
         if self.sample != sample {
             self.sample = sample;
             self.apex = surface.samples[sample as usize];
@@ -446,9 +453,9 @@ impl Fan {
 
     /// What of them is nearest to a point.
     #[inline(always)]
-    fn nearest(&self, p: Vec3) -> Nearest {
+    fn nearest(&self, p: Vec3) -> NearestPoint {
         let p = p - self.apex;
-        let (mut square, mut nearest) = (f32::INFINITY, Nearest::NONE);
+        let (mut square, mut nearest) = (f32::INFINITY, NearestPoint::NONE);
         for blades in &self.blades {
             let best = blades.nearest(p);
             if best.square < square {
@@ -456,7 +463,7 @@ impl Fan {
                 let lane = best.lane;
                 let mut weights = [1.0 - best.v - best.w, best.v, best.w];
                 weights.rotate_right(usize::from(blades.apexes[lane]));
-                nearest = Nearest {
+                nearest = NearestPoint {
                     triangle: blades.triangles[lane],
                     weights,
                     height: blades.along(&blades.normals, lane, p),
@@ -474,7 +481,7 @@ fn dot(a: &[[f32; LANES]; 3], b: &[[f32; LANES]; 3]) -> [f32; LANES] {
 
 impl Blades {
     #[inline(always)]
-    fn new(surface: &Surface<'_>, sample: u32, some: &[u32]) -> Self {
+    fn new(surface: &TriangleSurface<'_>, sample: u32, some: &[u32]) -> Self {
         let apex = surface.samples[sample as usize];
         let (mut triangles, mut apexes, mut none) = ([NONE; LANES], [0; LANES], [f32::INFINITY; LANES]);
         let [mut b, mut c, mut normals] = [[[0.0; LANES]; 3]; 3];
@@ -598,8 +605,8 @@ mod tests {
                 triangle
             };
             let triangles: Vec<[u32; 3]> = (0..last - 1).map(turned).collect();
-            let surface = Surface::new(&samples, &triangles);
-            let mut fan = Fan::default();
+            let surface = TriangleSurface::new(&samples, &triangles);
+            let mut fan = SampleFan::default();
             fan.turn_to(&surface, last);
             let found = fan.nearest(p);
 
@@ -656,7 +663,7 @@ mod tests {
         sample_of[vertices.iter().position(|p| *p == Vec3::new(0.0, wave(0.0, 0.0), 0.0)).unwrap()] = NONE;
         let mut placed: Vec<Placed> = first.iter().map(|at| Placed { at: *at, most }).collect();
         placed[60].most = 0.0;
-        let members = Members { vertices: &vertices, sample_of: &sample_of, at_one_place: 1 };
+        let members = VertexMembers { vertices: &vertices, sample_of: &sample_of, at_one_place: 1 };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| fit(&mut placed, &first, &triangles, members, &[61], &Silent)).unwrap();
         (placed, first)
@@ -705,7 +712,7 @@ mod tests {
     fn where_there_are_no_triangles_samples_stay() {
         let (first, _) = square(3, |_, _| 0.0);
         let mut placed: Vec<Placed> = first.iter().map(|at| Placed { at: *at, most: 1.0 }).collect();
-        let members = Members { vertices: &[Vec3::ONE], sample_of: &[4], at_one_place: 1 };
+        let members = VertexMembers { vertices: &[Vec3::ONE], sample_of: &[4], at_one_place: 1 };
         for triangles in [&[][..], &[[4, 5, 4], [4, 5, 5]]] {
             fit(&mut placed, &first, triangles, members, &[], &Silent).unwrap();
             assert!(placed.iter().zip(&first).all(|(placed, first)| placed.at == *first));

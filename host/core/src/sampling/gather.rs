@@ -81,16 +81,16 @@ pub trait GatherPiece: Send + Sync {
 }
 
 /// Vertices as they are.
-pub struct Vertices(OpenCells<Vertex>);
+pub struct VertexGather(OpenCells<Vertex>);
 
-impl Vertices {
+impl VertexGather {
     /// For so many cells, in `memory` bytes and otherwise in a file in `folder`.
     pub fn new(cells: usize, memory: u64, folder: &Path) -> Self {
         Self(OpenCells::new(cells, memory, folder))
     }
 }
 
-impl Gather for Vertices {
+impl Gather for VertexGather {
     type Item = Vertex;
     type Piece = PieceVertices;
 
@@ -142,18 +142,18 @@ impl GatherPiece for PieceVertices {
 
 /// Vertices summed up in little cubes. They stay in memory: sums that were parted by a file would be other
 /// sums.
-pub struct Groups {
+pub struct GroupGather {
     open: OpenCells<Group>,
     edge: f32,
-    tables: Vec<Option<Table>>,
+    tables: Vec<Option<CubeGroups>>,
     /// Tables of closed cells, to be filled again.
-    spare: Vec<Table>,
+    spare: Vec<CubeGroups>,
 }
 
 /// Where the groups of each cube of a cell are, by [`key`].
-type Table = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
+type CubeGroups = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
 
-impl Groups {
+impl GroupGather {
     /// For so many cells, with cubes of this edge, in `memory` bytes.
     pub fn new(cells: usize, edge: f32, memory: u64) -> Self {
         let mut tables = Vec::new();
@@ -164,7 +164,7 @@ impl Groups {
     }
 }
 
-impl Gather for Groups {
+impl Gather for GroupGather {
     type Item = Group;
     type Piece = PieceGroups;
 
@@ -209,7 +209,7 @@ impl Gather for Groups {
 /// Whether groups find room in `memory` bytes, if the cells have so many in the end: what there was room for
 /// by the way depends on who gathers which cells.
 pub fn find_room(records: &[CellRecord], groups: &[u32], memory: u64) -> bool {
-    groups_find_room(records, groups, Groups::new(0, 1.0, memory).open.blocks())
+    groups_find_room(records, groups, GroupGather::new(0, 1.0, memory).open.blocks())
 }
 
 /// Whether the groups of all cells that are open at a time have room in so many blocks. A cell counts with
@@ -527,8 +527,8 @@ mod tests {
     fn groups_add_up_to_the_vertices_of_their_cell() {
         let vertices = vertices();
         let edge = 1.0 / 32.0;
-        let whole = gathered(&mut Groups::new(3, edge, 1 << 30), &vertices, vertices.len());
-        let groups = gathered(&mut Groups::new(3, edge, 1 << 30), &vertices, 7000);
+        let whole = gathered(&mut GroupGather::new(3, edge, 1 << 30), &vertices, vertices.len());
+        let groups = gathered(&mut GroupGather::new(3, edge, 1 << 30), &vertices, 7000);
         for ((_, whole), (_, groups)) in whole.iter().zip(&groups) {
             let count = |groups: &[Group]| groups.iter().map(|g| g.vertices()).sum::<u32>();
             assert_eq!(count(whole), count(groups));
@@ -553,7 +553,7 @@ mod tests {
 
     #[test]
     fn groups_that_find_no_room_say_so() {
-        let mut groups = Groups::new(3, 1.0 / 512.0, 0);
+        let mut groups = GroupGather::new(3, 1.0 / 512.0, 0);
         let mut piece = groups.piece();
         vertices().into_iter().for_each(|(cell, p, n)| {
             piece.add(cell, p, n);

@@ -67,16 +67,16 @@ pub use sample_set::{NEIGHBOURS, SampleSet};
 pub use splitting::Splitting;
 
 use crate::colors::{Picked, Picking};
-use crate::sampled_model::{SampledModel, Source, SourceTile};
+use crate::sampled_model::{SampledModel, SourceRecord, SourceTile};
 use crate::sampling::ranges::joined;
 use crate::touching::{self, Contacts, Islands, Parted, Parting};
-use counted::{Counting, NonFinite, count_range};
+use counted::{CountKey, NonFinite, count_range};
 use deconvolution::Deconvolved;
-use density::Rule;
+use density::SplitRule;
 use face_ranges::FaceRanges;
-use finalization::{Clustered, Hashing, Job, Pass};
-use fit::Members;
-use gather::{Groups, Vertices, find_room};
+use finalization::{Clustered, ClusteringPass, HashedStream, StreamJob};
+use fit::VertexMembers;
+use gather::{GroupGather, VertexGather, find_room};
 use grid::{CellKey, CellRecord, Grid, GridCounter};
 use kept_cells::{KeptCell, KeptCells};
 use membership::{Membership, Noted, SampleOf};
@@ -182,20 +182,20 @@ fn sample_kept(
 ) -> Result<SampledModel> {
     glimpse::offer(model, progress);
     model.check_complete(progress)?;
-    let prepared = Prepared::new(model, sampling, counted, folder, progress)?;
+    let prepared = SamplingPass::new(model, sampling, counted, folder, progress)?;
     let found = prepared.clustered()?;
     prepared.complete(found)
 }
 
 /// What pass 2 and all that follows it go by.
-pub(crate) struct Prepared<'a> {
+pub(crate) struct SamplingPass<'a> {
     model: &'a dyn Model,
     /// What was asked for, as it comes to for the model.
     sampling: Sampling,
     grid: Grid,
     non_finite: NonFinite,
     frame: Frame,
-    rule: Rule,
+    rule: SplitRule,
     target: Option<usize>,
     bound: f32,
     /// Memory for the vertices of open cells, and for groups of them.
@@ -210,7 +210,7 @@ pub(crate) struct Prepared<'a> {
 }
 
 /// What pass 2 has found.
-pub(crate) struct Found {
+pub(crate) struct ClusteredStream {
     cut: cut::Cut,
     fingerprint: String,
     jumps: u64,
@@ -221,7 +221,7 @@ pub(crate) struct Found {
     grouping: Grouping,
 }
 
-impl<'a> Prepared<'a> {
+impl<'a> SamplingPass<'a> {
     fn new(
         model: &'a dyn Model,
         sampling: &Sampling,
@@ -268,7 +268,7 @@ impl<'a> Prepared<'a> {
             Splitting::Layered if info.faces > 0 => Splitting::VolumeSurface,
             splitting => splitting,
         };
-        let rule = Rule::new(splitting, sampling.by, finite, grid.keys.len() as u64, edge);
+        let rule = SplitRule::new(splitting, sampling.by, finite, grid.keys.len() as u64, edge);
         // A group is as large wherever it is: finer vertices would be lost in it.
         let grouping = match (sampling.grouping, sampling.by) {
             (Grouping::Automatic, By::Vertices) => Grouping::Never,
@@ -320,11 +320,16 @@ impl<'a> Prepared<'a> {
 
     /// Streams what is to be streamed and clusters what is to be clustered, in groups where there are to be
     /// some; `None` if these find no room.
-    fn stream(&self, job: Job<'_>, foresight: Option<f64>, grouping: Grouping) -> Result<Option<Clustered>> {
+    fn stream(
+        &self,
+        job: StreamJob<'_>,
+        foresight: Option<f64>,
+        grouping: Grouping,
+    ) -> Result<Option<Clustered>> {
         let Self { model, grid, frame, rule, target, bound, opaque, folder, progress, .. } = self;
         // Units that read faces find these by themselves.
-        let is_whole = matches!(job, Job::Whole);
-        let pass = Pass {
+        let is_whole = matches!(job, StreamJob::Whole);
+        let pass = ClusteringPass {
             model: *model,
             grid,
             frame,
@@ -347,10 +352,11 @@ impl<'a> Prepared<'a> {
         let cells = grid.keys.len();
         let Some(edge) = grouping.edge(grid.cell_size(), frame) else {
             let part =
-                |parts: usize| Vertices::new(cells.div_ceil(parts), self.memory / parts as u64, folder);
+                |parts: usize| VertexGather::new(cells.div_ceil(parts), self.memory / parts as u64, folder);
             return stream::cluster(&pass, part);
         };
-        let part = |parts: usize| Groups::new(cells.div_ceil(parts), edge, self.for_groups / parts as u64);
+        let part =
+            |parts: usize| GroupGather::new(cells.div_ceil(parts), edge, self.for_groups / parts as u64);
         let clustered = stream::cluster(&pass, part)?;
         let has_room =
             |found: &Clustered| !is_whole || find_room(&grid.records, &found.items, self.for_groups);
@@ -358,29 +364,29 @@ impl<'a> Prepared<'a> {
     }
 
     /// Pass 2 of the whole model.
-    fn clustered(&self) -> Result<Found> {
+    fn clustered(&self) -> Result<ClusteredStream> {
         self.clustered_with(self.sampling.grouping)
     }
 
     /// The same, where it is known whether groups find room.
-    fn clustered_with(&self, mut grouping: Grouping) -> Result<Found> {
+    fn clustered_with(&self, mut grouping: Grouping) -> Result<ClusteredStream> {
         for foresight in [Some(1.0), None] {
-            let clustered = match self.stream(Job::Whole, foresight, grouping)? {
+            let clustered = match self.stream(StreamJob::Whole, foresight, grouping)? {
                 Some(clustered) => clustered,
                 // Those that find no room in memory do so in a file.
                 None => {
                     grouping = Grouping::Never;
-                    let vertices = self.stream(Job::Whole, foresight, grouping)?;
+                    let vertices = self.stream(StreamJob::Whole, foresight, grouping)?;
                     vertices.ok_or_else(|| Error::internal("vertices find no room"))?
                 }
             };
             self.progress.begin("completing the samples", 0);
             let Clustered { forest, hash, ranges, membership, picked, .. } = clustered;
-            let Hashing::All(hash) = hash else {
+            let HashedStream::All(hash) = hash else {
                 return Err(Error::internal("a part of the vertices was hashed"));
             };
             if let Some(cut) = forest.cut(&self.grid) {
-                return Ok(Found {
+                return Ok(ClusteredStream {
                     cut,
                     fingerprint: hash.fingerprint(),
                     jumps: ranges.jumps(),
@@ -402,8 +408,8 @@ impl<'a> Prepared<'a> {
     }
 
     /// P_S, of what pass 2 has found.
-    fn complete(self, mut found: Found) -> Result<SampledModel> {
-        let mut reindexed = Reindexed::new(std::mem::take(&mut found.cut));
+    fn complete(self, mut found: ClusteredStream) -> Result<SampledModel> {
+        let mut reindexed = FaceResult::new(std::mem::take(&mut found.cut));
         let sample_of = match found.membership.take() {
             None => None,
             Some(members) => {
@@ -433,16 +439,16 @@ impl<'a> Prepared<'a> {
     /// P_S, once all is known of it.
     fn assemble(
         self,
-        found: Found,
-        reindexed: Reindexed,
+        found: ClusteredStream,
+        reindexed: FaceResult,
         sample_of: Option<SampleOf>,
     ) -> Result<SampledModel> {
-        let Found { fingerprint, jumps, ranges, picked, grouping, .. } = found;
+        let ClusteredStream { fingerprint, jumps, ranges, picked, grouping, .. } = found;
         let parting = self.parting(&ranges);
         let Self { model, sampling, grid, non_finite, picking, opaque, progress, .. } = &self;
         let (model, progress) = (*model, *progress);
         let info = model.info();
-        let Reindexed { mut cut, triangles, faces, parted, placed } = reindexed;
+        let FaceResult { mut cut, triangles, faces, parted, placed } = reindexed;
         let mut around = None;
         if let Some(placed) = placed {
             cut.positions = placed.into_iter().map(|placed| placed.at).collect();
@@ -452,7 +458,7 @@ impl<'a> Prepared<'a> {
         progress.check()?;
         let trees = cut.trees;
         let mut sampled = SampledModel::new(
-            Source {
+            SourceRecord {
                 path: model.path().to_owned(),
                 tiles: SourceTile::all(model),
                 columns: model.columns().map(str::to_owned),
@@ -514,11 +520,11 @@ pub fn count(
 }
 
 /// What counts of a model belong to.
-fn counting(model: &dyn Model, sampling: &Sampling) -> Result<Counting> {
+fn counting(model: &dyn Model, sampling: &Sampling) -> Result<CountKey> {
     let info = model.info();
     let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
     let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
-    Ok(Counting { model: [info.bytes, info.vertices], resolution, min_opacity })
+    Ok(CountKey { model: [info.bytes, info.vertices], resolution, min_opacity })
 }
 
 /// How the faces are read.
@@ -530,7 +536,7 @@ struct Read<'a> {
 }
 
 /// P_S once the faces are known.
-struct Reindexed {
+struct FaceResult {
     cut: cut::Cut,
     triangles: Triangles,
     /// Where the faces of each cell are.
@@ -541,7 +547,7 @@ struct Reindexed {
     placed: Option<Vec<Placed>>,
 }
 
-impl Reindexed {
+impl FaceResult {
     fn new(cut: cut::Cut) -> Self {
         Self { cut, triangles: Triangles::default(), faces: None, parted: None, placed: None }
     }
@@ -579,7 +585,7 @@ impl Reindexed {
         mut islands: Islands,
         sample_of: &mut [u32],
         welded: bool,
-    ) -> Result<Option<Changed>> {
+    ) -> Result<Option<ClusterChanges>> {
         let Read { sampling, parting, .. } = *read;
         let parts = parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
         if parts.is_empty() {
@@ -618,7 +624,7 @@ impl Reindexed {
             self.triangles =
                 triangles::reindex(parting.model, sample_of, self.cut.samples(), wanted, parting.progress)?;
         }
-        let changed = Changed::new(&parted, becomes, self.cut.samples());
+        let changed = ClusterChanges::new(&parted, becomes, self.cut.samples());
         self.parted = Some(parted);
         Ok(Some(changed))
     }
@@ -672,7 +678,7 @@ impl Reindexed {
         read: &Read<'_>,
         sample_of: &[u32],
         vertices: &[Vec3],
-        changed: &Changed,
+        changed: &ClusterChanges,
     ) -> Result<()> {
         let Read { parting, .. } = *read;
         let Some(placed) = self.placed.take() else { return Ok(()) };
@@ -709,7 +715,7 @@ impl Reindexed {
             // A closed surface has two faces for each place.
             let info = read.parting.model.info();
             let at_one_place = (2 * info.vertices / info.faces.max(1)).clamp(1, 6) as u32;
-            let members = Members { vertices, sample_of, at_one_place };
+            let members = VertexMembers { vertices, sample_of, at_one_place };
             // Where sheets meet, samples that come nearer to their own get into what is on the other side.
             let held = match &self.parted {
                 Some(parted) => touching::crowded(placed.iter().map(|placed| placed.at).collect(), parted)?,
@@ -755,12 +761,12 @@ fn are_apart(info: &ModelInfo, twins: u64) -> bool {
 const NEAR_FACES: u64 = 4 << 10;
 
 /// Which clusters are others than before some were parted.
-struct Changed {
+struct ClusterChanges {
     /// For each sample the one that it was, if its cluster is the same.
     former: Vec<Option<u32>>,
 }
 
-impl Changed {
+impl ClusterChanges {
     /// `becomes` says which sample each one was merged into, if the cut has become coarser.
     fn new(parted: &Parted, becomes: Option<Vec<u32>>, samples: usize) -> Self {
         let first = samples - parted.added.len();

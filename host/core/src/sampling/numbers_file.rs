@@ -32,7 +32,7 @@ const BYTES: usize = size_of::<u32>();
 
 /// Where a block is.
 #[derive(Clone, Copy, Serialize, Deserialize)]
-struct Block {
+struct NumberBlock {
     at: u64,
     numbers: u64,
     hash: u128,
@@ -40,11 +40,11 @@ struct Block {
 
 /// What stands at the end of a file.
 #[derive(Serialize, Deserialize)]
-struct Table {
+struct NumberTable {
     /// What the file is of.
     key: u128,
     /// The blocks of each list.
-    lists: Vec<Vec<Block>>,
+    lists: Vec<Vec<NumberBlock>>,
 }
 
 /// A file in the making, which appears whole or not at all.
@@ -56,7 +56,7 @@ pub struct NumbersWriter {
     at: u64,
     buffers: Vec<Vec<u8>>,
     most: usize,
-    table: Table,
+    table: NumberTable,
 }
 
 impl NumbersWriter {
@@ -71,7 +71,7 @@ impl NumbersWriter {
             at: 0,
             buffers: vec![Vec::new(); lists],
             most: (BUFFERS / lists.max(1)).clamp(BUFFER.start, BUFFER.end) / BYTES * BYTES,
-            table: Table { key, lists: vec![Vec::new(); lists] },
+            table: NumberTable { key, lists: vec![Vec::new(); lists] },
         })
     }
 
@@ -102,7 +102,7 @@ impl NumbersWriter {
         if !buffer.is_empty() {
             self.file.write_all(&buffer).map_err(|e| Error::io("write", &self.path, &e))?;
             let numbers = (buffer.len() / BYTES) as u64;
-            self.table.lists[list].push(Block { at: self.at, numbers, hash: xxh3_128(&buffer) });
+            self.table.lists[list].push(NumberBlock { at: self.at, numbers, hash: xxh3_128(&buffer) });
             self.at += buffer.len() as u64;
         }
         Ok(())
@@ -125,33 +125,33 @@ impl NumbersWriter {
 
 /// Whether there is a whole file of this key.
 pub fn is_there(path: &Path, key: u128) -> bool {
-    Numbers::open(path, key).is_ok()
+    NumbersFile::open(path, key).is_ok()
 }
 
 /// A file that was written. It is open only while a block is read, as there may be as many of them as units.
 ///
 /// Memory: 32 bytes for each block.
-pub struct Numbers {
+pub struct NumbersFile {
     path: PathBuf,
-    lists: Vec<Vec<Block>>,
+    lists: Vec<Vec<NumberBlock>>,
 }
 
-impl Numbers {
+impl NumbersFile {
     /// Opens a file of this key.
     ///
     /// # Errors
     /// It cannot be read, is damaged, or is of something else.
     pub fn open(path: &Path, key: u128) -> Result<Self> {
         let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
-        let (_, table, end) = read_end::<Table>(path, (LETTERS, VERSION), LONGEST, damaged)?;
+        let (_, table, end) = read_end::<NumberTable>(path, (LETTERS, VERSION), LONGEST, damaged)?;
         if table.key != key {
             return Err(refused(path, "is of another model, or for other samples"));
         }
-        let is_inside = |block: &Block| {
+        let is_inside = |block: &NumberBlock| {
             let bytes = block.numbers.checked_mul(BYTES as u64);
             bytes.and_then(|bytes| block.at.checked_add(bytes)).is_some_and(|behind| behind <= end)
         };
-        let is_small = |block: &Block| block.numbers <= (BUFFER.end / BYTES) as u64;
+        let is_small = |block: &NumberBlock| block.numbers <= (BUFFER.end / BYTES) as u64;
         if !table.lists.iter().flatten().all(|block| is_inside(block) && is_small(block)) {
             return Err(damaged("a block lies outside"));
         }
@@ -200,7 +200,7 @@ impl Numbers {
         OneByOne { of: self, list, next: 0, block: Vec::new(), at: 0 }
     }
 
-    fn read(&self, block: &Block, file: &mut Option<File>, to: &mut Vec<u32>) -> Result<()> {
+    fn read(&self, block: &NumberBlock, file: &mut Option<File>, to: &mut Vec<u32>) -> Result<()> {
         let file = match file {
             Some(file) => file,
             none => none.insert(input::open(&self.path)?),
@@ -223,7 +223,7 @@ impl Numbers {
 ///
 /// Memory: a block, twice.
 pub struct OneByOne<'a> {
-    of: &'a Numbers,
+    of: &'a NumbersFile,
     list: usize,
     next: usize,
     block: Vec<u32>,
@@ -270,8 +270,8 @@ mod tests {
             }
             prop_assert!(!path.exists());
             writer.commit().expect("room");
-            let file = Numbers::open(&path, 7).expect("a file");
-            prop_assert!(Numbers::open(&path, 8).is_err());
+            let file = NumbersFile::open(&path, 7).expect("a file");
+            prop_assert!(NumbersFile::open(&path, 8).is_err());
             for (list, expected) in expected.iter().enumerate() {
                 let mut found = Vec::new();
                 file.each(list, |some| { found.extend_from_slice(some); Ok(()) }).expect("readable");
@@ -298,7 +298,7 @@ mod tests {
         (0..2).for_each(|list| writer.push(list, &[1, 2, 3, u32::MAX]).expect("room"));
         writer.commit().expect("room");
         let read_all = || -> Result<()> {
-            let file = Numbers::open(&path, 1)?;
+            let file = NumbersFile::open(&path, 1)?;
             (0..2).try_for_each(|list| file.each(list, |_| Ok(())))
         };
         read_all().expect("as it was written");

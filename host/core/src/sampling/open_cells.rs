@@ -34,7 +34,7 @@ const HEADER: usize = 16;
 /// Memory: `limit` bytes of blocks, and 32 bytes per occupied cell of the grid.
 pub struct OpenCells<T> {
     cells: Vec<OpenCell>,
-    pool: Pool<T>,
+    pool: ItemPool<T>,
     spill: Spill,
 }
 
@@ -51,7 +51,7 @@ struct OpenCell {
 }
 
 /// Blocks of items, chained.
-struct Pool<T> {
+struct ItemPool<T> {
     slabs: Vec<Box<[[T; BLOCK]]>>,
     next: Vec<u32>,
     free: u32,
@@ -73,7 +73,7 @@ impl<T: Pod> OpenCells<T> {
         let blocks = limit / (BLOCK * size_of::<T>()) as u64;
         Self {
             cells: vec![cell; cells],
-            pool: Pool {
+            pool: ItemPool {
                 slabs: Vec::new(),
                 next: Vec::new(),
                 free: NONE,
@@ -188,7 +188,7 @@ impl<T: Pod> OpenCells<T> {
     }
 }
 
-impl<T: Pod> Pool<T> {
+impl<T: Pod> ItemPool<T> {
     fn is_full(&self) -> bool {
         self.free == NONE && self.next.len() + SLAB > self.limit
     }

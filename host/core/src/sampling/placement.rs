@@ -80,7 +80,7 @@ impl Placement {
 /// unless faces at the beginning of the file tell otherwise.
 fn normals_are_of_faces(model: &dyn Model) -> Result<bool> {
     let Ok(triangles) = first_pairs(model) else { return Ok(true) };
-    let corners = Corners::read(model, &triangles)?;
+    let corners = PairVertices::read(model, &triangles)?;
     let mut unlike = Unlike::default();
     for triangle in triangles {
         if let [Some(a), Some(b), Some(c)] = triangle.map(|vertex| corners.get(vertex)) {
@@ -105,9 +105,9 @@ fn first_pairs(model: &dyn Model) -> Result<Vec<[u32; 3]>> {
 /// Position and unit normal (zero where there is none) of some vertices, by their indices.
 ///
 /// Memory: 56 bytes for each of [`PAIRS`] · 6.
-struct Corners(Vec<(u32, (DVec3, DVec3))>);
+struct PairVertices(Vec<(u32, (DVec3, DVec3))>);
 
-impl Corners {
+impl PairVertices {
     /// The corners of some triangles, as far as the model has them. Of a model that can only be read from its
     /// beginning, those that are near each other.
     fn read(model: &dyn Model, triangles: &[[u32; 3]]) -> Result<Self> {
@@ -146,9 +146,9 @@ struct Unlike {
     /// Area of the triangles.
     area: f64,
     /// Of those with normals at their corners.
-    from_corners: Squares,
+    from_corners: AngleSquares,
     /// Of pairs.
-    from_next: Squares,
+    from_next: AngleSquares,
     /// Corners, normal and area of the last triangle.
     last: Option<([u32; 3], DVec3, f64)>,
 }
@@ -192,9 +192,9 @@ impl Unlike {
 
 /// Squares of angles, each with its area.
 #[derive(Default)]
-struct Squares(Vec<[f64; 2]>);
+struct AngleSquares(Vec<[f64; 2]>);
 
-impl Squares {
+impl AngleSquares {
     fn add(&mut self, square: f64, area: f64) {
         self.0.push([square, area]);
     }
@@ -238,7 +238,7 @@ pub struct Planes<'a> {
     first: u32,
     /// Those of so many samples each, one after the other: each is summed up by one thread at a time, in the
     /// file's order.
-    shards: Vec<Shard>,
+    shards: Vec<PlaneShard>,
     samples_of_a_shard: usize,
     /// What each of the jobs finds in the faces that are taken at once.
     crossing: Vec<Vec<CrossingFace>>,
@@ -247,11 +247,11 @@ pub struct Planes<'a> {
 }
 
 /// The planes around some samples that follow each other.
-struct Shard {
+struct PlaneShard {
     /// Of the faces at hand, and the places of those samples that have any.
     quadrics: Vec<Quadric>,
     met: Vec<u32>,
-    sums: Sums,
+    sums: PlaneSumming,
 }
 
 /// A face across the border of clusters.
@@ -264,7 +264,7 @@ struct CrossingFace {
 }
 
 /// What becomes of the sums of some faces.
-enum Sums {
+enum PlaneSumming {
     /// They are added up, in double precision.
     Added(Vec<[f64; 10]>),
     /// They are listed for who [adds](Planes::add_listed) them.
@@ -306,13 +306,15 @@ impl<'a> Planes<'a> {
     /// Planes of no face yet, around the samples from number `first` on.
     pub fn new(vertices: &'a [Vec3], samples: &'a [Vec3], first: u32) -> Self {
         let shards = rayon::current_num_threads();
-        Self::sharded(vertices, samples, first, shards, |samples| Sums::Added(vec![[0.0; 10]; samples]))
+        Self::sharded(vertices, samples, first, shards, |samples| {
+            PlaneSumming::Added(vec![[0.0; 10]; samples])
+        })
     }
 
     /// The same of a part of the faces, which begins at a multiple of [`FACES_OF_A_SUM`].
     pub fn listed(vertices: &'a [Vec3], samples: &'a [Vec3]) -> Self {
         // One shard, as they are listed in the order of the faces.
-        Self::sharded(vertices, samples, 0, 1, |_| Sums::Listed(Vec::new()))
+        Self::sharded(vertices, samples, 0, 1, |_| PlaneSumming::Listed(Vec::new()))
     }
 
     fn sharded(
@@ -320,10 +322,10 @@ impl<'a> Planes<'a> {
         samples: &'a [Vec3],
         first: u32,
         shards: usize,
-        sums: impl Fn(usize) -> Sums,
+        sums: impl Fn(usize) -> PlaneSumming,
     ) -> Self {
         let samples_of_a_shard = samples.len().div_ceil(shards).max(1);
-        let shard = |samples: &[Vec3]| Shard {
+        let shard = |samples: &[Vec3]| PlaneShard {
             quadrics: vec![Quadric::default(); samples.len()],
             met: Vec::new(),
             sums: sums(samples.len()),
@@ -339,7 +341,7 @@ impl<'a> Planes<'a> {
             if is_end {
                 shard.sum_up();
             }
-            if let Sums::Listed(list) = &mut shard.sums {
+            if let PlaneSumming::Listed(list) = &mut shard.sums {
                 taken.append(list);
             }
         }
@@ -354,7 +356,7 @@ impl<'a> Planes<'a> {
 
     fn add_one(&mut self, sample: usize, numbers: &[u32]) -> bool {
         let shard = self.shards.get_mut(sample / self.samples_of_a_shard);
-        let Some(Shard { sums: Sums::Added(sums), .. }) = shard else { return false };
+        let Some(PlaneShard { sums: PlaneSumming::Added(sums), .. }) = shard else { return false };
         let Some(sum) = sums.get_mut(sample % self.samples_of_a_shard) else { return false };
         sum.iter_mut().zip(numbers).for_each(|(sum, n)| *sum += f64::from(f32::from_bits(*n)));
         true
@@ -381,9 +383,9 @@ impl<'a> Planes<'a> {
         let Self { vertices, samples, first, ref mut shards, samples_of_a_shard, faces: before, .. } = *self;
         let crossing = &self.crossing[..jobs];
         let end = before + faces.len() as u64;
-        let add = |(at, (shard, samples)): (usize, (&mut Shard, &[Vec3]))| {
+        let add = |(at, (shard, samples)): (usize, (&mut PlaneShard, &[Vec3]))| {
             let first = first + (at * samples_of_a_shard) as u32;
-            let mut around = Around { vertices, samples, first, shard };
+            let mut around = ShardPlanes { vertices, samples, first, shard };
             let mut next = FACES_OF_A_SUM;
             for face in crossing.iter().flatten() {
                 while before + u64::from(face.number) >= next {
@@ -403,10 +405,10 @@ impl<'a> Planes<'a> {
     /// Where the samples are by the faces: as far from where they were as the corners in their clusters are
     /// (rms), and as `most` allows, at most.
     pub fn place(mut self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Placed> {
-        self.shards.par_iter_mut().for_each(Shard::sum_up);
+        self.shards.par_iter_mut().for_each(PlaneShard::sum_up);
         let sum = |i: usize| match &self.shards[i / self.samples_of_a_shard].sums {
-            Sums::Added(sums) => Some(&sums[i % self.samples_of_a_shard]),
-            Sums::Listed(_) => None,
+            PlaneSumming::Added(sums) => Some(&sums[i % self.samples_of_a_shard]),
+            PlaneSumming::Listed(_) => None,
         };
         let placed = |(i, sample): (usize, &Vec3)| {
             let moved = sum(i).map(|sum| (least(sum), radius(sum).min(f64::from(most(i)))));
@@ -424,15 +426,15 @@ impl<'a> Planes<'a> {
 }
 
 /// The planes of a shard, and what they are added by.
-struct Around<'a> {
+struct ShardPlanes<'a> {
     vertices: &'a [Vec3],
     /// The samples of the shard, and the number of the first of them.
     samples: &'a [Vec3],
     first: u32,
-    shard: &'a mut Shard,
+    shard: &'a mut PlaneShard,
 }
 
-impl Around<'_> {
+impl ShardPlanes<'_> {
     /// Adds the plane of a face to each sample of the shard that one of its corners belongs to.
     #[inline]
     fn take(&mut self, face: &CrossingFace) {
@@ -480,7 +482,7 @@ impl Around<'_> {
     }
 }
 
-impl Shard {
+impl PlaneShard {
     /// A sample has its first planes, of which nothing may be left, so that it is met once more: it is summed
     /// up once, as it has nothing then.
     #[cold]
@@ -495,11 +497,11 @@ impl Shard {
         for place in self.met.drain(..) {
             let numbers = std::mem::take(&mut self.quadrics[place as usize]).numbers();
             match &mut self.sums {
-                Sums::Added(sums) => {
+                PlaneSumming::Added(sums) => {
                     let sum = sums[place as usize].iter_mut().zip(numbers);
                     sum.for_each(|(sum, number)| *sum += f64::from(number));
                 }
-                Sums::Listed(list) => {
+                PlaneSumming::Listed(list) => {
                     list.push(place);
                     list.extend(numbers.map(f32::to_bits));
                 }

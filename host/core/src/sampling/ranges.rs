@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use crate::varint::{self, Numbers};
+use crate::varint::{self, VarintNumbers};
 
 /// Most bytes of all cells together, but for the least of each: 4 MiB.
 const MOST: usize = 4 << 20;
@@ -18,7 +18,7 @@ const OF_A_CELL: Range<usize> = 16..1 << 18;
 ///
 /// Memory: 64 bytes per cell and twice [`MOST`].
 pub struct Ranges {
-    cells: Vec<Packed>,
+    cells: Vec<PackedRanges>,
     /// Bytes of a cell at most.
     most: usize,
     /// The cell that the stream came into last.
@@ -30,14 +30,14 @@ pub struct Ranges {
 /// The ranges of a cell. All but the last are packed: each as its distance from the end of the one before,
 /// and its length.
 #[derive(Clone, Default)]
-struct Packed {
+struct PackedRanges {
     bytes: Vec<u8>,
     /// The end of the last one that is packed.
     end: u64,
     last: Range<u64>,
 }
 
-impl Packed {
+impl PackedRanges {
     /// A range behind the others.
     fn add(&mut self, range: Range<u64>) {
         if self.last.end == range.start && !self.last.is_empty() {
@@ -54,7 +54,7 @@ impl Packed {
 
     /// All of them, ascending and not empty.
     fn all(&self) -> Vec<Range<u64>> {
-        let (mut ranges, mut end, mut numbers) = (Vec::new(), 0, Numbers(&self.bytes));
+        let (mut ranges, mut end, mut numbers) = (Vec::new(), 0, VarintNumbers(&self.bytes));
         while let (Some(gap), Some(length)) = (numbers.next(), numbers.next()) {
             ranges.push(end + gap..end + gap + length);
             end += gap + length;
@@ -78,7 +78,7 @@ impl Ranges {
     /// No range, of so many cells.
     pub fn new(cells: usize) -> Self {
         let most = (MOST / cells.max(1)).clamp(OF_A_CELL.start, OF_A_CELL.end);
-        Self { cells: vec![Packed::default(); cells], most, last: None, jumps: 0 }
+        Self { cells: vec![PackedRanges::default(); cells], most, last: None, jumps: 0 }
     }
 
     /// From the first of these vertices on, up to before the end, the stream is in a cell, whose ranges are

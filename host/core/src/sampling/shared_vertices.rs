@@ -19,7 +19,7 @@ use xxhash_rust::xxh3::xxh3_128;
 
 use super::shares::PIECE;
 use crate::sealed::{read_end, seal};
-use crate::varint::{self, Numbers};
+use crate::varint::{self, VarintNumbers};
 
 /// What the end of a file begins with.
 const LETTERS: &[u8; 8] = b"simodshv";
@@ -131,7 +131,7 @@ impl SharedPiece {
     /// Becomes what a record says; `None` if that makes no sense.
     fn read(&mut self, record: &[u8]) -> Option<()> {
         self.clear();
-        let mut numbers = Numbers(record);
+        let mut numbers = VarintNumbers(record);
         let (piece, count, with_normals) = (numbers.next()?, numbers.next()?, numbers.next()?);
         let mut end = piece.checked_mul(PIECE)?;
         let last = end.checked_add(PIECE)?;
@@ -166,7 +166,7 @@ impl SharedPiece {
 
 /// Where a block is.
 #[derive(Serialize, Deserialize)]
-struct Block {
+struct RecordBlock {
     at: u64,
     bytes: u64,
     records: u64,
@@ -175,13 +175,13 @@ struct Block {
 
 /// What stands at the end of a file.
 #[derive(Serialize, Deserialize)]
-struct Table {
+struct SharedVertexTable {
     /// What the file is of.
     key: u128,
     /// Whether all vertices are there: none are needed where groups found no room.
     is_whole: bool,
     /// The blocks of each group.
-    groups: Vec<Vec<Block>>,
+    groups: Vec<Vec<RecordBlock>>,
 }
 
 /// The file of a range in the making, which appears whole or not at all.
@@ -193,7 +193,7 @@ pub struct SharedWriter {
     at: u64,
     buffers: Vec<(Vec<u8>, u64)>,
     most: usize,
-    table: Table,
+    table: SharedVertexTable,
 }
 
 impl SharedWriter {
@@ -211,7 +211,7 @@ impl SharedWriter {
             at: 0,
             most: (BUFFERS / buffers.len().max(1)).clamp(BUFFER.start, BUFFER.end),
             buffers,
-            table: Table { key, is_whole: true, groups: blocks },
+            table: SharedVertexTable { key, is_whole: true, groups: blocks },
         })
     }
 
@@ -234,8 +234,12 @@ impl SharedWriter {
 
     fn flush(&mut self, group: usize) -> Result<()> {
         let (buffer, records) = &mut self.buffers[group];
-        let block =
-            Block { at: self.at, bytes: buffer.len() as u64, records: *records, hash: xxh3_128(buffer) };
+        let block = RecordBlock {
+            at: self.at,
+            bytes: buffer.len() as u64,
+            records: *records,
+            hash: xxh3_128(buffer),
+        };
         self.file.write_all(buffer).map_err(|e| Error::io("write", &self.path, &e))?;
         self.at += block.bytes;
         self.table.groups[group].push(block);
@@ -270,7 +274,7 @@ pub fn is_there(path: &Path, key: u128) -> bool {
     read_table(path).is_ok_and(|(_, table)| table.key == key)
 }
 
-fn read_table(path: &Path) -> Result<(File, Table)> {
+fn read_table(path: &Path) -> Result<(File, SharedVertexTable)> {
     let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
     let (file, table, _) = read_end(path, (LETTERS, VERSION), LONGEST, damaged)?;
     Ok((file, table))
@@ -288,7 +292,7 @@ fn refused(path: &Path, what: &str) -> Error {
 /// Memory: 48 bytes for each block of the group, and a block.
 pub struct SharedReader {
     /// In the order of the ranges; of each file those blocks that are still to be read, the last one first.
-    files: Vec<(PathBuf, Vec<Block>)>,
+    files: Vec<(PathBuf, Vec<RecordBlock>)>,
     open: Option<File>,
     at: usize,
     block: Vec<u8>,

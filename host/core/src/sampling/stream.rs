@@ -17,12 +17,12 @@ use simod_model::bounds::Bounds;
 use simod_model::progress::{Emerging, Visitor};
 use simod_model::{Error, Result, VertexChunk, VertexReader};
 
-use crate::colors::{Lists, Pick, Picked};
+use crate::colors::{ColorLists, Pick, Picked};
 use crate::fingerprint::{PartHasher, VertexHash};
 
 use super::cluster::Element;
 use super::cut::{ClusteredCell, Forest};
-use super::finalization::{Clustered, Hashing, Job, MAX_QUEUED, Pass, changed, unit};
+use super::finalization::{Clustered, ClusteringPass, HashedStream, MAX_QUEUED, StreamJob, changed, unit};
 use super::gather::{Gather, GatherPiece};
 use super::grid::{CellRecord, cell_box};
 use super::membership::{Leaves, Membership};
@@ -31,7 +31,7 @@ use super::ranges::Ranges;
 use super::shared_vertices::{SharedPiece, Visit};
 use super::shares::{Owner, PIECE};
 use super::tasks::{Schedule, Stopped, Task, Tasks};
-use super::vs_tree::Workspace;
+use super::vs_tree::TreeWorkspace;
 
 /// Pieces that are read and not yet merged, beside one for each thread: so that a thread whose piece has to
 /// wait need not.
@@ -51,9 +51,12 @@ const MOST_SHARDS: usize = 8;
 /// # Errors
 /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be
 /// written; the user cancelled.
-pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: impl Fn(usize) -> G) -> Result<Option<Clustered>> {
+pub fn cluster<G: Gather>(
+    pass: &ClusteringPass<'_>,
+    gather: impl Fn(usize) -> G,
+) -> Result<Option<Clustered>> {
     // Parts of a model hand on what they find, which cannot be done twice.
-    let is_whole = matches!(pass.job, Job::Whole);
+    let is_whole = matches!(pass.job, StreamJob::Whole);
     let shards = if is_whole { (rayon::current_num_threads() / 2).clamp(1, MOST_SHARDS) } else { 1 };
     let clustered = cluster_in_shards(pass, (0..shards).map(|_| gather(shards)).collect())?;
     if clustered.is_some() || shards == 1 {
@@ -63,16 +66,16 @@ pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: impl Fn(usize) -> G) -> Resul
     cluster_in_shards(pass, vec![gather(1)])
 }
 
-fn cluster_in_shards<G: Gather>(pass: &Pass<'_>, gather: Vec<G>) -> Result<Option<Clustered>> {
+fn cluster_in_shards<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>) -> Result<Option<Clustered>> {
     let cells = pass.grid.keys.len();
     let hash = match pass.job {
-        Job::Whole => Hashing::All(VertexHash::default()),
-        Job::Range(..) => {
+        StreamJob::Whole => HashedStream::All(VertexHash::default()),
+        StreamJob::Range(..) => {
             let Range { start, end } = vertices_of(pass);
             let [begin, first] = pass.model.bytes_before(start);
-            Hashing::Part(PartHasher::new(first..pass.model.bytes_before(end)[1], first - begin))
+            HashedStream::Part(PartHasher::new(first..pass.model.bytes_before(end)[1], first - begin))
         }
-        Job::Group(..) => Hashing::Nothing,
+        StreamJob::Group(..) => HashedStream::Nothing,
     };
     pass.progress.begin("clustering", bytes_of(pass));
     let members = || members(pass);
@@ -91,14 +94,14 @@ fn cluster_in_shards<G: Gather>(pass: &Pass<'_>, gather: Vec<G>) -> Result<Optio
 
 /// A table for the members of all clusters. Vertices of cells that others cluster are in it with the first
 /// leaf of their cell.
-fn members(pass: &Pass<'_>) -> Result<Membership> {
+fn members(pass: &ClusteringPass<'_>) -> Result<Membership> {
     let range = vertices_of(pass);
     let coming = match &pass.job {
-        Job::Whole | Job::Range(..) => range.end - range.start,
-        Job::Group(shares, number, _) => shares.vertices_of_group(pass.grid, *number),
+        StreamJob::Whole | StreamJob::Range(..) => range.end - range.start,
+        StreamJob::Group(shares, number, _) => shares.vertices_of_group(pass.grid, *number),
     };
     let members = Membership::new(pass.grid, pass.model.info(), coming, pass.noted, pass.folder)?;
-    if let Job::Range(..) = pass.job {
+    if let StreamJob::Range(..) = pass.job {
         let leaves = members.leaves();
         let mut others = (0..pass.grid.keys.len() as u32).filter(|cell| !pass.job.has(*cell));
         others.try_for_each(|cell| leaves.record(cell, 0, &mut [0]))?;
@@ -107,40 +110,40 @@ fn members(pass: &Pass<'_>) -> Result<Membership> {
 }
 
 /// The vertices that are streamed.
-fn vertices_of(pass: &Pass<'_>) -> Range<u64> {
+fn vertices_of(pass: &ClusteringPass<'_>) -> Range<u64> {
     match &pass.job {
-        Job::Range(shares, number, _) => shares.ranges()[*number as usize].clone(),
-        Job::Whole | Job::Group(..) => 0..pass.model.info().vertices,
+        StreamJob::Range(shares, number, _) => shares.ranges()[*number as usize].clone(),
+        StreamJob::Whole | StreamJob::Group(..) => 0..pass.model.info().vertices,
     }
 }
 
 /// Bytes that are streamed, about.
-fn bytes_of(pass: &Pass<'_>) -> u64 {
+fn bytes_of(pass: &ClusteringPass<'_>) -> u64 {
     let info = pass.model.info();
     let Range { start, end } = vertices_of(pass);
     match &pass.job {
-        Job::Whole => info.vertex_bytes,
-        Job::Range(..) => {
+        StreamJob::Whole => info.vertex_bytes,
+        StreamJob::Range(..) => {
             (info.vertex_bytes as f64 * ((end - start) as f64 / info.vertices.max(1) as f64)) as u64
         }
-        Job::Group(_, _, reader) => lock(reader).bytes(),
+        StreamJob::Group(_, _, reader) => lock(reader).bytes(),
     }
 }
 
 /// Whether there was room.
-fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> Result<bool> {
+fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clustered) -> Result<bool> {
     let Clustered { forest, hash, ranges, items, ends, membership, picked } = found;
     let vertices = vertices_of(pass);
     let threads = rayon::current_num_threads();
-    let in_order = !pass.model.info().reads_exactly() && !matches!(pass.job, Job::Group(..));
+    let in_order = !pass.model.info().reads_exactly() && !matches!(pass.job, StreamJob::Group(..));
     let reader = in_order.then(|| positions_of(pass, vertices.clone())).transpose()?;
     let own = |(cell, record): (u32, &CellRecord)| if pass.job.has(cell) { record.count } else { 0 };
     let left = deal((0..).zip(&pass.grid.records).map(own), gather.len());
     let pieces = match pass.job {
-        Job::Group(_, _, reader) => lock(reader).records(),
-        Job::Whole | Job::Range(..) => (vertices.end - vertices.start).div_ceil(PIECE),
+        StreamJob::Group(_, _, reader) => lock(reader).records(),
+        StreamJob::Whole | StreamJob::Range(..) => (vertices.end - vertices.start).div_ceil(PIECE),
     };
-    let shard = |(gather, left): (G, Vec<u64>)| Shard {
+    let shard = |(gather, left): (G, Vec<u64>)| CellShard {
         gather,
         items: vec![0; left.len()],
         left,
@@ -153,7 +156,7 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> 
         leaves: membership.as_ref().map(Membership::leaves),
         stop: AtomicU32::new(pass.bound.to_bits()),
         vertices,
-        reading: Mutex::new(Reading { next: 0, reader }),
+        reading: Mutex::new(StreamReading { next: 0, reader }),
         schedule: Schedule::new(Tasks::new(pieces, threads as u64 + WAITING, shards.len(), MAX_QUEUED)),
         shards,
         finishing: Mutex::new(Finishing {
@@ -178,7 +181,7 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: Vec<G>, found: &mut Clustered) -> 
         Some(Stopped::Failed(error)) => return Err(error),
         None => {}
     }
-    let shards: Vec<Shard<G>> =
+    let shards: Vec<CellShard<G>> =
         shards.into_iter().map(|shard| shard.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
     if shards.iter().flat_map(|shard| &shard.left).any(|n| *n > 0) {
         return Err(changed(pass.model));
@@ -198,26 +201,26 @@ fn deal<T>(of_cells: impl Iterator<Item = T>, shards: usize) -> Vec<Vec<T>> {
 
 /// A call of [`stream`].
 struct Stream<'a, G: Gather> {
-    pass: &'a Pass<'a>,
+    pass: &'a ClusteringPass<'a>,
     leaves: Option<Arc<Leaves>>,
     /// Error down to which cells are clustered by now, as bits.
     stop: AtomicU32,
     /// The vertices that are streamed.
     vertices: Range<u64>,
-    reading: Mutex<Reading<'a>>,
+    reading: Mutex<StreamReading<'a>>,
     /// A cell is of the shard of its number modulo theirs.
-    shards: Vec<Mutex<Shard<G>>>,
+    shards: Vec<Mutex<CellShard<G>>>,
     finishing: Mutex<Finishing<'a>>,
     /// What all trees are taken into, and whether none is yet.
     forest: Mutex<(&'a mut Forest, bool)>,
-    workspaces: Mutex<Vec<Workspace<G::Item>>>,
-    schedule: Schedule<Piece<G::Piece>, Complete<G>>,
+    workspaces: Mutex<Vec<TreeWorkspace<G::Item>>>,
+    schedule: Schedule<StreamPiece<G::Piece>, Complete<G>>,
 }
 
 /// A complete cell, and what was gathered of it.
 type Complete<G> = (u32, CellItems<<G as Gather>::Item>);
 
-struct Reading<'a> {
+struct StreamReading<'a> {
     /// Number of the piece that is read next.
     next: u64,
     /// Where vertices are read best in their order, and all by one reader.
@@ -226,7 +229,7 @@ struct Reading<'a> {
 
 /// A part of the open cells, into which pieces are merged in the order of the stream. A cell is counted by
 /// its number divided by that of shards.
-struct Shard<G> {
+struct CellShard<G> {
     gather: G,
     /// Vertices of each cell that are still to come.
     left: Vec<u64>,
@@ -240,7 +243,7 @@ struct Shard<G> {
 
 /// What is found by the way of pieces in the order of the stream.
 struct Finishing<'a> {
-    hash: &'a mut Hashing,
+    hash: &'a mut HashedStream,
     ranges: &'a mut Ranges,
     /// The cells of the first vertex and of the last one.
     ends: &'a mut Option<[u32; 2]>,
@@ -249,7 +252,7 @@ struct Finishing<'a> {
 }
 
 /// Consecutive vertices of the model.
-struct Piece<P: GatherPiece> {
+struct StreamPiece<P: GatherPiece> {
     /// As they were read.
     chunks: Vec<VertexChunk>,
     gatherer: P,
@@ -261,7 +264,7 @@ struct Piece<P: GatherPiece> {
     positions: Vec<Vec3>,
     /// The vertices whose colours are kept.
     picks: Vec<Pick>,
-    lists: Lists,
+    lists: ColorLists,
     /// Which of what was gathered is of the cells of each shard, if there are several.
     of_shards: Vec<Vec<u32>>,
     /// The place of each item in its cell, if it shall be known, once it is merged.
@@ -299,11 +302,11 @@ impl<'a, G: Gather> Stream<'a, G> {
     }
 
     /// Reads a piece and gathers it.
-    fn gather(&self, spare: Option<Piece<G::Piece>>) -> Result<()> {
+    fn gather(&self, spare: Option<StreamPiece<G::Piece>>) -> Result<()> {
         self.pass.progress.check()?;
         let mut piece = spare.unwrap_or_else(|| self.piece());
         piece.clear();
-        let number = if let Job::Group(_, _, reader) = self.pass.job {
+        let number = if let StreamJob::Group(_, _, reader) = self.pass.job {
             let number = {
                 let mut reading = lock(&self.reading);
                 piece.bytes = lock(reader).read(&mut piece.shared)?;
@@ -322,8 +325,8 @@ impl<'a, G: Gather> Stream<'a, G> {
         Ok(())
     }
 
-    fn piece(&self) -> Piece<G::Piece> {
-        Piece {
+    fn piece(&self) -> StreamPiece<G::Piece> {
+        StreamPiece {
             chunks: Vec::new(),
             gatherer: lock(&self.shards[0]).gather.piece(),
             gathered: Vec::new(),
@@ -332,7 +335,7 @@ impl<'a, G: Gather> Stream<'a, G> {
             items: Vec::new(),
             positions: Vec::new(),
             picks: Vec::new(),
-            lists: Lists::default(),
+            lists: ColorLists::default(),
             visits: Vec::new(),
             shared: SharedPiece::default(),
             records: Vec::new(),
@@ -359,10 +362,11 @@ impl<'a, G: Gather> Stream<'a, G> {
     }
 
     /// Puts each vertex of a piece, which ends before a vertex, into its cell.
-    fn put_in_cells(&self, piece: &mut Piece<G::Piece>, end: u64) -> Result<()> {
-        let Pass { model, grid, frame, noted, job, .. } = *self.pass;
+    fn put_in_cells(&self, piece: &mut StreamPiece<G::Piece>, end: u64) -> Result<()> {
+        let ClusteringPass { model, grid, frame, noted, job, .. } = *self.pass;
         let with_items = self.leaves.is_some();
-        let Piece { chunks, gatherer, items, positions, picks, lists, visits, shared, records, .. } = piece;
+        let StreamPiece { chunks, gatherer, items, positions, picks, lists, visits, shared, records, .. } =
+            piece;
         let mut current: Option<(Bounds, u32, bool)> = None;
         for chunk in chunks {
             if let Some(opaque) = self.pass.opaque {
@@ -425,7 +429,7 @@ impl<'a, G: Gather> Stream<'a, G> {
                 chunk.positions = Vec::new();
             }
         }
-        if let Job::Range(shares, ..) = job {
+        if let StreamJob::Range(shares, ..) = job {
             let mut ends =
                 visits.iter().filter(|(cell, _)| !job.has(*cell)).map(|(_, vertices)| vertices.end);
             shared.visits.iter_mut().zip(&mut ends).for_each(|(visit, end)| visit.vertices.end = end);
@@ -440,9 +444,9 @@ impl<'a, G: Gather> Stream<'a, G> {
     }
 
     /// The same of what ranges have written down.
-    fn put_shared_in_cells(&self, piece: &mut Piece<G::Piece>) -> Result<()> {
+    fn put_shared_in_cells(&self, piece: &mut StreamPiece<G::Piece>) -> Result<()> {
         let with_items = self.leaves.is_some();
-        let Piece { gatherer, items, visits, shared, .. } = piece;
+        let StreamPiece { gatherer, items, visits, shared, .. } = piece;
         let SharedPiece { visits: from, positions, normals } = shared;
         let (mut vertices, mut last) = (positions.iter().zip(normals.iter()), None);
         for Visit { cell, vertices: range, finite } in from {
@@ -466,7 +470,7 @@ impl<'a, G: Gather> Stream<'a, G> {
 
     /// Merges what the piece that comes next in the stream has for the cells of a shard into these, until too
     /// many of them wait to be clustered.
-    fn merge(&self, shard: usize, piece: Arc<Piece<G::Piece>>) -> Result<()> {
+    fn merge(&self, shard: usize, piece: Arc<StreamPiece<G::Piece>>) -> Result<()> {
         let mut merging = lock(&self.shards[shard]);
         let has_all = match piece.of_shards.get(shard) {
             Some(own) => self.merge_items(&mut merging, &piece, own.iter().map(|item| *item as usize))?,
@@ -485,8 +489,8 @@ impl<'a, G: Gather> Stream<'a, G> {
     /// Whether all of the items were merged.
     fn merge_items(
         &self,
-        shard: &mut Shard<G>,
-        piece: &Piece<G::Piece>,
+        shard: &mut CellShard<G>,
+        piece: &StreamPiece<G::Piece>,
         own: impl ExactSizeIterator<Item = usize>,
     ) -> Result<bool> {
         if !self.hand_over(shard) {
@@ -517,7 +521,7 @@ impl<'a, G: Gather> Stream<'a, G> {
     }
 
     /// Lets the complete cell of a shard be clustered, if it has one; `false` if there is no room for it yet.
-    fn hand_over(&self, shard: &mut Shard<G>) -> bool {
+    fn hand_over(&self, shard: &mut CellShard<G>) -> bool {
         let Some(cell) = shard.complete else { return true };
         let of_shard = cell / self.shards.len() as u32;
         if !self.schedule.tasks().reserve(shard.gather.bytes(of_shard)) {
@@ -531,7 +535,7 @@ impl<'a, G: Gather> Stream<'a, G> {
     }
 
     /// Finishes the piece that comes next in the stream, which all shards have merged.
-    fn finish(&self, piece: Arc<Piece<G::Piece>>) -> Result<()> {
+    fn finish(&self, piece: Arc<StreamPiece<G::Piece>>) -> Result<()> {
         let mut finishing = lock(&self.finishing);
         let Finishing { hash, ranges, ends, membership, picked } = &mut *finishing;
         for (cell, vertices) in &piece.visits {
@@ -544,7 +548,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         if let Some(picked) = picked {
             picked.add(&piece.picks)?;
         }
-        if let Job::Range(_, _, writer) = self.pass.job {
+        if let StreamJob::Range(_, _, writer) = self.pass.job {
             lock(writer).append(&piece.records)?;
         }
         for chunk in &piece.chunks {
@@ -558,9 +562,9 @@ impl<'a, G: Gather> Stream<'a, G> {
     }
 
     /// Notes which item each vertex of a piece is part of.
-    fn note_members(&self, members: &mut Membership, piece: &Piece<G::Piece>) -> Result<()> {
+    fn note_members(&self, members: &mut Membership, piece: &StreamPiece<G::Piece>) -> Result<()> {
         piece.chunks.iter().try_for_each(|chunk| members.look_for_twins(&chunk.positions))?;
-        if let (Job::Group(shares, ..), Some((_, first))) = (self.pass.job, piece.visits.first()) {
+        if let (StreamJob::Group(shares, ..), Some((_, first))) = (self.pass.job, piece.visits.first()) {
             members.begin_list(shares.range_of(first.start));
         }
         let mut positions = piece.positions.iter();
@@ -591,7 +595,7 @@ impl<'a, G: Gather> Stream<'a, G> {
     fn collect(&self, cell: ClusteredCell) -> Result<()> {
         let mut forest = lock(&self.forest);
         let (forest, first) = &mut *forest;
-        let Pass { grid, frame, progress, .. } = *self.pass;
+        let ClusteringPass { grid, frame, progress, .. } = *self.pass;
         let threshold = f32::from_bits(self.stop.load(Ordering::Relaxed));
         let visit = |visit: Visitor<'_>| {
             cell.tree.cut(threshold, |node| visit(node.position, node.normal));
@@ -603,7 +607,7 @@ impl<'a, G: Gather> Stream<'a, G> {
     }
 }
 
-impl<P: GatherPiece> Piece<P> {
+impl<P: GatherPiece> StreamPiece<P> {
     /// Ends what is gathered, and tells what of it is of the cells of each shard.
     fn deal(&mut self, shards: usize, with_places: bool) {
         let Self { gatherer, gathered, of_shards, places, .. } = self;
@@ -633,7 +637,7 @@ impl<P: GatherPiece> Piece<P> {
     }
 }
 
-fn positions_of<'a>(pass: &Pass<'a>, range: Range<u64>) -> Result<Box<dyn VertexReader + 'a>> {
+fn positions_of<'a>(pass: &ClusteringPass<'a>, range: Range<u64>) -> Result<Box<dyn VertexReader + 'a>> {
     let mut reader = pass.model.vertices(range)?;
     match (pass.picking, pass.opaque) {
         (_, Some(_)) => {}
@@ -648,7 +652,7 @@ fn read_all(
     reader: &mut dyn VertexReader,
     range: Range<u64>,
     chunks: &mut Vec<VertexChunk>,
-    pass: &Pass<'_>,
+    pass: &ClusteringPass<'_>,
 ) -> Result<()> {
     let (mut used, mut at) = (0, range.start);
     while at < range.end {

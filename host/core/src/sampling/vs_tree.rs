@@ -16,7 +16,7 @@ use glam::{DMat3, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use super::cluster::{Element, Moments};
-use super::density::{By, Rule};
+use super::density::{By, SplitRule};
 use super::layers::Layers;
 use super::random::mix;
 use super::splitting::Splitting;
@@ -80,8 +80,8 @@ impl VsTree {
     /// Memory: `workspace` grows to the number of elements; the recursion is at most `MAX_DEPTH` deep.
     pub fn build<E: Element>(
         elements: &mut [E],
-        workspace: &mut Workspace<E>,
-        rule: impl Into<Rule>,
+        workspace: &mut TreeWorkspace<E>,
+        rule: impl Into<SplitRule>,
         stop: f32,
         seed: u64,
     ) -> (Self, Moments) {
@@ -94,12 +94,12 @@ impl VsTree {
     /// error above the tree, and its seed.
     pub fn build_where<E: Element>(
         elements: &mut [E],
-        workspace: &mut Workspace<E>,
-        rule: impl Into<Rule>,
+        workspace: &mut TreeWorkspace<E>,
+        rule: impl Into<SplitRule>,
         root: (f32, u64),
         goes_on: impl FnMut(&Moments, f32, u32) -> bool,
     ) -> (Self, Moments) {
-        let Workspace { spare, codes, leaves, nodes } = workspace;
+        let TreeWorkspace { spare, codes, leaves, nodes } = workspace;
         let moments = Moments::of(elements);
         spare.clear();
         spare.extend_from_slice(elements);
@@ -108,9 +108,10 @@ impl VsTree {
         nodes.clear();
         codes.resize(elements.len(), 0);
         let first_index = elements.first().map_or(0, E::index);
-        let mut builder = Builder { rule: rule.into(), goes_on, nodes, built: 0, codes, leaves, first_index };
+        let mut builder =
+            TreeBuilder { rule: rule.into(), goes_on, nodes, built: 0, codes, leaves, first_index };
         let (above, seed) = root;
-        let root = Place { above, stage: Stage::Volume, depth: 0, seed };
+        let root = TreePosition { above, stage: SplitStage::Volume, depth: 0, seed };
         builder.node(elements, spare, moments, root);
         let built = builder.built;
         // A copy is just as long as it has to be.
@@ -235,7 +236,7 @@ pub fn children(node: usize, end: impl Fn(usize) -> u32) -> u32 {
 }
 
 /// Memory that is used again from cell to cell.
-pub struct Workspace<E> {
+pub struct TreeWorkspace<E> {
     spare: Vec<E>,
     codes: Vec<u8>,
     nodes: Vec<Node>,
@@ -243,7 +244,7 @@ pub struct Workspace<E> {
     pub leaves: Vec<u32>,
 }
 
-impl<E> Default for Workspace<E> {
+impl<E> Default for TreeWorkspace<E> {
     fn default() -> Self {
         Self { spare: Vec::new(), codes: Vec::new(), nodes: Vec::new(), leaves: Vec::new() }
     }
@@ -251,7 +252,7 @@ impl<E> Default for Workspace<E> {
 
 /// How a cluster is split.
 #[derive(Debug, Clone, Copy)]
-enum Stage {
+enum SplitStage {
     /// In space, along the coordinate axes.
     Volume,
     /// In the plane of these two unit vectors.
@@ -260,24 +261,24 @@ enum Stage {
 
 /// Where in the tree a cluster is.
 #[derive(Debug, Clone, Copy)]
-struct Place {
+struct TreePosition {
     /// The key of the cluster above.
     above: f32,
-    stage: Stage,
+    stage: SplitStage,
     depth: u32,
     /// Different for each place.
     seed: u64,
 }
 
-impl Place {
+impl TreePosition {
     /// The place of a part of a cluster with this key here.
-    fn below(self, key: f32, stage: Stage, part: usize) -> Self {
+    fn below(self, key: f32, stage: SplitStage, part: usize) -> Self {
         Self { above: key, stage, depth: self.depth + 1, seed: mix(self.seed, part as u64 + 1) }
     }
 }
 
-struct Builder<'a, F> {
-    rule: Rule,
+struct TreeBuilder<'a, F> {
+    rule: SplitRule,
     goes_on: F,
     nodes: &'a mut Vec<Node>,
     built: u32,
@@ -287,10 +288,10 @@ struct Builder<'a, F> {
     first_index: u32,
 }
 
-impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
+impl<F: FnMut(&Moments, f32, u32) -> bool> TreeBuilder<'_, F> {
     /// Adds the cluster of some elements, and those below. `spare` is as long as they are, and of any
     /// content.
-    fn node<E: Element>(&mut self, elements: &mut [E], spare: &mut [E], m: Moments, place: Place) {
+    fn node<E: Element>(&mut self, elements: &mut [E], spare: &mut [E], m: Moments, place: TreePosition) {
         let dither = 1.0 + DITHER * (place.seed >> 40) as f64 / (1u64 << 24) as f64;
         let covariance = m.covariance();
         let (position, normal, error) = m.representative_by(&covariance);
@@ -333,22 +334,22 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
         spare: &mut [E],
         (m, covariance): (&Moments, &DMat3),
         key: f32,
-        place: Place,
+        place: TreePosition,
     ) -> bool {
         let stage = match place.stage {
-            Stage::Surface(_) if m.mean_normal() != DVec3::ZERO => place.stage,
-            _ if self.rule.splitting == Splitting::Octree => Stage::Volume,
+            SplitStage::Surface(_) if m.mean_normal() != DVec3::ZERO => place.stage,
+            _ if self.rule.splitting == Splitting::Octree => SplitStage::Volume,
             _ => match examine(elements, m, *covariance) {
-                Shape::Sheet(tangents) => Stage::Surface(tangents),
-                Shape::TwoSheets(axis) => {
+                ClusterShape::Sheet(tangents) => SplitStage::Surface(tangents),
+                ClusterShape::TwoSheets(axis) => {
                     let side = |e: &E| usize::from(e.normal().dot(axis) < 0.0);
-                    let below = |part| place.below(key, Stage::Volume, part);
+                    let below = |part| place.below(key, SplitStage::Volume, part);
                     return self.part(elements, spare, side, below);
                 }
-                Shape::Folded => Stage::Volume,
+                ClusterShape::Folded => SplitStage::Volume,
             },
         };
-        if let Stage::Surface(tangents) = stage {
+        if let SplitStage::Surface(tangents) = stage {
             let below = |part| place.below(key, stage, part);
             // Few vertices beside many: at the mean of all these would be parted, and the few never from
             // them.
@@ -361,7 +362,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
             }
             // All on one line along the normal, or too close to tell apart in the plane.
         }
-        self.part(elements, spare, octant(m), |part| place.below(key, Stage::Volume, part))
+        self.part(elements, spare, octant(m), |part| place.below(key, SplitStage::Volume, part))
     }
 
     /// Parts the elements by `code` < 8, and goes on with each part; `false` if they all have the same code.
@@ -370,7 +371,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
         elements: &mut [E],
         spare: &mut [E],
         code: impl Fn(&E) -> usize,
-        below: impl Fn(usize) -> Place,
+        below: impl Fn(usize) -> TreePosition,
     ) -> bool {
         let mut counts = [0usize; 8];
         let codes = &mut self.codes[..elements.len()];
@@ -406,7 +407,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
 }
 
 /// How the vertices of a cluster lie.
-enum Shape {
+enum ClusterShape {
     /// They project on the plane of these vectors without folding.
     Sheet([Vec3; 2]),
     /// They are two sheets across this direction, with opposite normals.
@@ -416,32 +417,32 @@ enum Shape {
 }
 
 /// The transition predicate of the VS-Tree: normals within a cone, or without normals a strict flatness test.
-fn examine<E: Element>(vertices: &[E], m: &Moments, covariance: DMat3) -> Shape {
+fn examine<E: Element>(vertices: &[E], m: &Moments, covariance: DMat3) -> ClusterShape {
     let normal = m.mean_normal();
     if !m.has_normals() {
         let (values, vectors) = symmetric_eigen(covariance);
         return if values.x <= FLATNESS * FLATNESS * values.y {
-            Shape::Sheet([vectors.z_axis.as_vec3(), vectors.y_axis.as_vec3()])
+            ClusterShape::Sheet([vectors.z_axis.as_vec3(), vectors.y_axis.as_vec3()])
         } else {
-            Shape::Folded
+            ClusterShape::Folded
         };
     }
     // A few vertices without a normal do not hide the sheets that the others show.
     let known = || vertices.iter().map(E::normal).filter(|n| *n != Vec3::ZERO);
     let n = normal.as_vec3();
     if normal != DVec3::ZERO && known().all(|s| s.dot(n) > FOLD_COSINE) {
-        return Shape::Sheet(principal_tangents(covariance, normal));
+        return ClusterShape::Sheet(principal_tangents(covariance, normal));
     }
     let axis = symmetric_eigen(m.normal_scatter()).1.z_axis.as_vec3();
     let mut sides = [false; 2];
     for s in known() {
         let cosine = s.dot(axis);
         if cosine.abs() <= FOLD_COSINE {
-            return Shape::Folded;
+            return ClusterShape::Folded;
         }
         sides[usize::from(cosine < 0.0)] = true;
     }
-    if sides == [true, true] { Shape::TwoSheets(axis) } else { Shape::Folded }
+    if sides == [true, true] { ClusterShape::TwoSheets(axis) } else { ClusterShape::Folded }
 }
 
 /// Unit vectors across `normal`, along the longest and the shortest extent of the cluster there.
@@ -500,7 +501,7 @@ mod tests {
     fn full(vertices: &[Vertex]) -> VsTree {
         let mut elements = vertices.to_vec();
         (0..).zip(&mut elements).for_each(|(i, e)| e.index = i);
-        let mut workspace = Workspace::default();
+        let mut workspace = TreeWorkspace::default();
         let (tree, _) = VsTree::build(&mut elements, &mut workspace, Splitting::VolumeSurface, 0.0, 7);
         // Every element is in the leaf that it is told to be in.
         assert_eq!(tree.leaves(), tree.built() as usize);

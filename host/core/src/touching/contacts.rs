@@ -15,7 +15,7 @@ use simod_model::{Error, Result, input};
 
 use crate::hashed::Hashed;
 
-use super::places::Places;
+use super::places::PlaceSamples;
 
 const MAGIC: &[u8; 8] = b"SIMODSHT";
 const VERSION: u32 = 1;
@@ -28,13 +28,13 @@ pub(super) const MOST: usize = 32;
 /// Memory: at most 140 bytes for each sample near which sheets meet, and those of its places.
 #[derive(Debug, Default)]
 pub struct Contacts {
-    pub(super) lists: Lists,
-    pub(super) places: Arc<Places>,
+    pub(super) lists: ContactLists,
+    pub(super) places: Arc<PlaceSamples>,
 }
 
 /// The neighbours of samples near which sheets meet, one list after the other.
 #[derive(Debug, Default, Serialize, Deserialize)]
-pub(super) struct Lists {
+pub(super) struct ContactLists {
     /// Samples near which sheets meet, ascending.
     pub samples: Vec<u32>,
     starts: Vec<u32>,
@@ -137,13 +137,14 @@ impl Contacts {
         }
         let mut head = vec![0; bytes as usize];
         reader.read_exact(&mut head).map_err(cut_off)?;
-        let (of, lists, count): (String, Lists, u64) =
+        let (of, lists, count): (String, ContactLists, u64) =
             postcard::from_bytes(&head).map_err(|e| refused(&e.to_string()))?;
         // Before anything is held by what it says.
         if length - bytes.min(length) != 20 + count.saturating_mul(12).saturating_add(16) {
             return Err(refused("it is cut off"));
         }
-        let places = Places::read(&mut reader, count, samples, &std::env::temp_dir()).map_err(cut_off)??;
+        let places =
+            PlaceSamples::read(&mut reader, count, samples, &std::env::temp_dir()).map_err(cut_off)??;
         let expected = reader.hash.digest128();
         let mut checksum = [0; 16];
         reader.read_exact(&mut checksum).map_err(cut_off)?;
@@ -160,7 +161,7 @@ impl Contacts {
     }
 }
 
-impl Lists {
+impl ContactLists {
     pub fn new(lists: BTreeMap<u32, Vec<u32>>, parted: Vec<[u32; 2]>) -> Self {
         let mut all = Self { starts: vec![0], parted, ..Self::default() };
         for (sample, same) in lists {

@@ -15,9 +15,9 @@ use simod_model::mapped::looked_at;
 use simod_model::scratch::Scratch;
 
 use super::ADVICE;
-use super::contacts::{self, Contacts, Lists};
+use super::contacts::{self, ContactLists, Contacts};
 use super::parting::{Parted, Parting};
-use super::places::Places;
+use super::places::PlaceSamples;
 use super::sorter::Sorter;
 use crate::reconstruction::{
     CROWDED_NEIGHBOURS, RestGeometry, SHEET_NEIGHBOURS, TANGENT_RING, homes, sheet_distance,
@@ -56,7 +56,7 @@ impl Contacts {
         let parted_from: Vec<[u32; 2]> =
             (first as u32..).zip(&parted.added).map(|(i, (of, ..))| [i, *of]).collect();
         let (lists, others) = same_sheet(samples, parted);
-        let contacts = Self { lists: Lists::new(lists, parted_from), ..Self::default() };
+        let contacts = Self { lists: ContactLists::new(lists, parted_from), ..Self::default() };
         let places = contacts.exceptions(sampled, &others, sample_of, trees, parting)?;
         sampled.samples.set_contacts(Some(Self { places: Arc::new(places), ..contacts }));
         Ok(())
@@ -71,10 +71,10 @@ impl Contacts {
         sample_of: &[u32],
         trees: &[CutTree],
         parting: &Parting<'_>,
-    ) -> Result<Places> {
+    ) -> Result<PlaceSamples> {
         let Self { lists, .. } = self;
         if lists.samples.is_empty() {
-            return Ok(Places::default());
+            return Ok(PlaceSamples::default());
         }
         let of_cell: BTreeMap<u32, u32> = lists.parted.iter().map(|[sample, of]| (*sample, *of)).collect();
         // A byte per sample, for the time: whether its cell is read, and whether its own vertices are.
@@ -95,12 +95,12 @@ impl Contacts {
             }
             let p = sampled.frame.to_local(p);
             if planes.doubt(own, others[planes.place[own as usize] as usize], p) {
-                places.push(Places::entry(p, own))
+                places.push(PlaceSamples::entry(p, own))
             } else {
                 Ok(())
             }
         })?;
-        Places::build(places, sampled.samples.len(), parting.folder)
+        PlaceSamples::build(places, sampled.samples.len(), parting.folder)
     }
 
     /// The same of a model that was refined: `samples`, of which those behind the ones that are known each
@@ -125,12 +125,17 @@ impl Contacts {
         let found: Vec<_> = (0..samples.len() as u32).into_par_iter().filter_map(list).collect();
         let (mut lists, left_out): (BTreeMap<_, _>, Vec<_>) = found.into_iter().unzip();
         make_mutual(samples, left_out.concat(), &mut lists);
-        Self { lists: Lists::new(lists, parted), places: self.places.clone() }
+        Self { lists: ContactLists::new(lists, parted), places: self.places.clone() }
     }
 
     /// The same with the places of those of these vertices whose homes would be on another sheet than they
     /// were on.
-    pub(crate) fn with_places(self, sampled: &SampledModel, vertices: Noted, folder: &Path) -> Result<Self> {
+    pub(crate) fn with_places(
+        self,
+        sampled: &SampledModel,
+        vertices: ContactVertices,
+        folder: &Path,
+    ) -> Result<Self> {
         if vertices.bytes == 0 {
             return Ok(self);
         }
@@ -144,13 +149,13 @@ impl Contacts {
             for ((p, own), home) in positions.iter().zip(own).zip(&found) {
                 let place = near.place(*own).unwrap_or_default();
                 if !around.share_sheet(place as usize, *home) {
-                    all.push(Places::entry(*p, *own))?;
+                    all.push(PlaceSamples::entry(*p, *own))?;
                 }
             }
             Ok(())
         })?;
         self.places.all().iter().try_for_each(|place| all.push(*place))?;
-        let places = Arc::new(Places::build(all, sampled.samples.len(), folder)?);
+        let places = Arc::new(PlaceSamples::build(all, sampled.samples.len(), folder)?);
         Ok(Self { places, ..self })
     }
 
@@ -173,7 +178,7 @@ pub(crate) struct Near {
 const RINGS: [usize; 3] = [NEIGHBOURS, CROWDED_NEIGHBOURS, NEIGHBOURS];
 
 impl Near {
-    fn new(samples: &SampleSet, lists: &Lists) -> Self {
+    fn new(samples: &SampleSet, lists: &ContactLists) -> Self {
         let mut numbers: BTreeSet<u32> = lists.samples.iter().copied().collect();
         let mut border = lists.samples.clone();
         for count in RINGS {
@@ -195,7 +200,7 @@ impl Near {
             .zip(&near.numbers)
             .filter_map(|(place, i)| Some((place, lists.get(*i as usize)?)))
             .map(|(place, same)| (place, same.iter().filter_map(|i| near.place(*i)).collect()));
-        let lists = Lists::new(lists.collect(), Vec::new());
+        let lists = ContactLists::new(lists.collect(), Vec::new());
         near.samples.set_contacts(Some(Contacts { lists, ..Contacts::default() }));
         near
     }
@@ -208,12 +213,12 @@ impl Near {
 
 /// Vertices near which sheets meet, and a sample on the sheet of each: in a temporary file of 16 bytes per
 /// vertex.
-pub(crate) struct Noted {
+pub(crate) struct ContactVertices {
     file: Scratch,
     bytes: u64,
 }
 
-impl Noted {
+impl ContactVertices {
     /// A table without vertices yet. The file goes to `folder`.
     pub fn new(folder: &Path) -> Result<Self> {
         Ok(Self { file: Scratch::new(folder, ADVICE)?, bytes: 0 })
@@ -356,7 +361,7 @@ impl<'a> Tangents<'a> {
     /// The tangent planes of the samples near which sheets meet.
     ///
     /// Memory: 16 bytes for each of them, and 4 per sample.
-    fn new(samples: &'a SampleSet, lists: &Lists) -> Self {
+    fn new(samples: &'a SampleSet, lists: &ContactLists) -> Self {
         let of_samples = samples.normals();
         let normal = |i: &u32| {
             let ring = lists.get(*i as usize).unwrap_or_default().iter().take(TANGENT_RING);

@@ -3,7 +3,7 @@
 //!
 //! A cluster whose vertices are in a few islands is nothing special: clusters are cut out of the surface by
 //! planes. It is one of two sheets if its islands are not joined by those around it either: see
-//! [`Graph::parts`].
+//! [`ClusterGraph::parts`].
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
@@ -15,7 +15,7 @@ use simod_model::scratch::Scratch;
 use simod_model::{Error, Result, memory};
 
 use super::ADVICE;
-use super::twins::Found as FoundTwins;
+use super::twins::FoundTwins;
 use crate::lists::lists;
 use crate::sampling::placement::FACES_OF_A_JOB;
 
@@ -171,7 +171,7 @@ impl Islands {
 
     /// Two islands of different clusters are joined.
     #[inline]
-    fn link(&mut self, (cluster, link): Link) {
+    fn link(&mut self, (cluster, link): VertexLink) {
         let latest = &mut self.latest[cluster as usize];
         if !latest.contains(&link) {
             let [a, b, c, _] = *latest;
@@ -278,7 +278,7 @@ impl Islands {
     ///
     /// # Errors
     /// The temporary file could not be written, or read.
-    pub fn graph(&mut self, sample_of: &[u32]) -> Result<Graph> {
+    pub fn graph(&mut self, sample_of: &[u32]) -> Result<ClusterGraph> {
         let mut links = std::mem::take(&mut self.links);
         self.once_each(&mut links);
         let mut spilled = self.spilled.take();
@@ -296,18 +296,18 @@ impl Islands {
         if links.len() > most {
             (links, self.tangled) = (Vec::new(), true);
         }
-        let graph = Graph::new(&links, self.latest.len(), |first| sample_of[first as usize]);
+        let graph = ClusterGraph::new(&links, self.latest.len(), |first| sample_of[first as usize]);
         self.links = links;
         Ok(graph)
     }
 }
 
 /// Two vertices of different clusters that are joined, that of the lower cluster first; and this cluster.
-type Link = (u32, [u32; 2]);
+type VertexLink = (u32, [u32; 2]);
 
 /// The link between two vertices, each of a cluster.
 #[inline]
-fn link((u, a): (u32, u32), (v, b): (u32, u32)) -> Link {
+fn link((u, a): (u32, u32), (v, b): (u32, u32)) -> VertexLink {
     if a < b { (a, [u, v]) } else { (b, [v, u]) }
 }
 
@@ -316,7 +316,7 @@ struct FacesJob {
     /// The faces with corners in several clusters, and these.
     crossing: Vec<([u32; 3], [u32; 3])>,
     /// Links, mostly each once.
-    links: Vec<Link>,
+    links: Vec<VertexLink>,
     /// Some of these, at places that their vertices tell.
     remembered: [[u32; 2]; REMEMBERED],
 }
@@ -450,7 +450,7 @@ impl<'a> DisjointSets<'a> {
 ///
 /// Memory: 9 bytes per sample, and 8 more and 16 for each of at most 32 links per sample while it is made,
 /// mostly 6.
-pub struct Graph {
+pub struct ClusterGraph {
     /// The first vertex of one island of each cluster; [`NONE`] where no island is joined with others.
     firsts: Vec<u32>,
     /// The cluster and the first vertex of each further island, ascending.
@@ -472,7 +472,7 @@ pub struct Mixed {
     pub parts: Vec<Vec<u32>>,
 }
 
-impl Graph {
+impl ClusterGraph {
     /// The graph of links between islands, which are known by their first vertices.
     fn new(links: &[[u32; 2]], clusters: usize, cluster_of: impl Fn(u32) -> u32) -> Self {
         let mut graph = Self {
@@ -661,14 +661,14 @@ mod tests {
     }
 
     /// Islands of faces over vertices whose clusters are given.
-    fn graph(sample_of: &[u32], samples: usize, faces: &[[u32; 3]]) -> Graph {
+    fn graph(sample_of: &[u32], samples: usize, faces: &[[u32; 3]]) -> ClusterGraph {
         let mut islands = Islands::new(no_twins(sample_of.len()), sample_of, samples, &std::env::temp_dir());
         islands.take(faces, |face| Some(face.map(|v| sample_of[v as usize])));
         assert!(!islands.tangled);
         islands.graph(sample_of).expect("a file")
     }
 
-    fn first(graph: &Graph, island: u32) -> u32 {
+    fn first(graph: &ClusterGraph, island: u32) -> u32 {
         let further = (island as usize).checked_sub(graph.firsts.len());
         further.map_or_else(|| graph.firsts[island as usize], |place| graph.further[place][1])
     }
@@ -727,7 +727,7 @@ mod tests {
             islands.take(&[*face], |face| Some(face.map(|v| sample_of[v as usize])));
         }
         let one_by_one = islands.graph(&sample_of).expect("a file");
-        let joined = |graph: &Graph| -> Vec<Vec<[u32; 2]>> {
+        let joined = |graph: &ClusterGraph| -> Vec<Vec<[u32; 2]>> {
             let islands = (0..graph.len()).map(|island| {
                 let of = |other: &u32| [graph.cluster(*other), first(graph, *other)];
                 let mut joined: Vec<[u32; 2]> = graph.joined(island).iter().map(of).collect();

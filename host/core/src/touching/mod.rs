@@ -20,12 +20,10 @@ mod sorter;
 mod twins;
 
 pub use contacts::Contacts;
-pub(crate) use finding::{Guides, Noted, crowded};
+pub(crate) use finding::{ContactVertices, Guides, crowded};
 pub(crate) use islands::Islands;
 pub(crate) use parting::{Parted, Parting};
-pub(crate) use twins::{
-    Found as FoundTwins, Search as TwinSearch, Twins, may_be_there as twins_may_be_there,
-};
+pub(crate) use twins::{FoundTwins, TwinSearch, Twins, may_be_there as twins_may_be_there};
 
 /// What the user can do where a temporary file has no room.
 const ADVICE: &str = "do without them, by --skip sheets";

@@ -12,7 +12,7 @@ use simod_model::frame::Frame;
 use simod_model::mapped::looked_at;
 use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
-use super::islands::{Graph, Islands, Mixed};
+use super::islands::{ClusterGraph, Islands, Mixed};
 use super::pairs::Pairs;
 use super::sorter::{Sorter, entry, hash_of};
 use crate::sampling::cluster::{Moments, Vertex};
@@ -72,14 +72,14 @@ fn by_place(a: Vec3, b: Vec3) -> Ordering {
 }
 
 /// What is known of the clusters of several sheets: each with its parts, the largest first.
-pub struct Parts {
-    graph: Graph,
+pub struct ClusterParts {
+    graph: ClusterGraph,
     mixed: Vec<(u32, Vec<ClusterSheet>)>,
 }
 
 /// What the clusters come to.
 pub struct Parted {
-    graph: Graph,
+    graph: ClusterGraph,
     /// The sample that each island belongs to.
     sample: Vec<u32>,
     /// A cluster of each sample, and the sample of each cluster, if these are not the same.
@@ -144,7 +144,7 @@ impl Parting<'_> {
         sample_of: &[u32],
         trees: &[CutTree],
         welded: bool,
-    ) -> Result<Parts> {
+    ) -> Result<ClusterParts> {
         let mut graph = islands.graph(sample_of)?;
         let mut mixed = None;
         if !welded {
@@ -156,7 +156,7 @@ impl Parting<'_> {
                 several = found.iter().map(|mixed| mixed.cluster).collect();
             }
             if several.is_empty() {
-                return Ok(Parts { graph, mixed: Vec::new() });
+                return Ok(ClusterParts { graph, mixed: Vec::new() });
             }
             let ranges = self.ranges_with(trees, |sample| several.binary_search(&sample).is_ok());
             if self.weld(ranges, islands, sample_of)? {
@@ -184,7 +184,7 @@ impl Parting<'_> {
         for (_, parts) in &mut found {
             parts.sort_by(ClusterSheet::by_size);
         }
-        Ok(Parts { graph, mixed: found })
+        Ok(ClusterParts { graph, mixed: found })
     }
 
     /// Where the cells are that hold vertices of chosen samples.
@@ -235,7 +235,7 @@ fn places(mixed: &[Mixed]) -> HashMap<u32, (usize, usize)> {
     place_of
 }
 
-impl Parts {
+impl ClusterParts {
     /// Whether there is no cluster of several sheets.
     pub fn is_empty(&self) -> bool {
         self.mixed.is_empty()
@@ -287,9 +287,9 @@ impl Parts {
     /// where these are.
     pub fn part(self, samples: &[Vec3], becomes: Option<&[u32]>, most: usize) -> Parted {
         let of = |cluster: u32| becomes.map_or(cluster, |becomes| becomes[cluster as usize]);
-        let mut given = Given::new(&self, samples, of, most);
+        let mut given = GivenSamples::new(&self, samples, of, most);
         given.join_open(&self, samples, of);
-        let Given { sample, moved, added, .. } = given;
+        let GivenSamples { sample, moved, added, .. } = given;
         let mut seeds: Vec<u32> = self.mixed_islands().map(|island| sample[island as usize]).collect();
         seeds.sort_unstable();
         seeds.dedup();
@@ -354,7 +354,7 @@ impl Parts {
 const OPEN: u32 = u32::MAX;
 
 /// The samples that parts of clusters are given.
-struct Given {
+struct GivenSamples {
     /// That of each island.
     sample: Vec<u32>,
     /// As of [`Parted`].
@@ -364,9 +364,9 @@ struct Given {
     open: Vec<(usize, usize)>,
 }
 
-impl Given {
+impl GivenSamples {
     /// The largest part of each cluster keeps its sample, and as many others as may get new ones.
-    fn new(parts: &Parts, samples: &[Vec3], of: impl Fn(u32) -> u32, most: usize) -> Self {
+    fn new(parts: &ClusterParts, samples: &[Vec3], of: impl Fn(u32) -> u32, most: usize) -> Self {
         let first = samples.len() as u32;
         let (gets, ..) = parts.decide(most);
         let graph = &parts.graph;
@@ -397,7 +397,7 @@ impl Given {
 
     /// What has no sample of its own joins the nearest one that faces join it with, and what has none of
     /// these either stays with its cluster.
-    fn join_open(&mut self, parts: &Parts, samples: &[Vec3], of: impl Fn(u32) -> u32) {
+    fn join_open(&mut self, parts: &ClusterParts, samples: &[Vec3], of: impl Fn(u32) -> u32) {
         let moved_to: HashMap<u32, Vec3> = self.moved.iter().map(|(sample, p, _)| (*sample, *p)).collect();
         while !self.open.is_empty() {
             let before = self.open.len();

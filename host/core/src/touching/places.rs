@@ -10,7 +10,7 @@ use simod_model::mapped::Map;
 use simod_model::scratch::Scratch;
 
 use super::ADVICE;
-use super::sorter::{Entry, Sorter, entry, hash_of};
+use super::sorter::{HashedNumber, Sorter, entry, hash_of};
 
 /// Places for each sample that are held in memory; more of them are in a temporary file, which is mapped.
 const HELD_PER_SAMPLE: u64 = 8;
@@ -18,18 +18,18 @@ const HELD_PER_SAMPLE: u64 = 8;
 /// Places that are copied at a time.
 const COPIED: usize = 1 << 14;
 
-const BYTES: u64 = size_of::<Entry>() as u64;
+const BYTES: u64 = size_of::<HashedNumber>() as u64;
 
 /// The sample of each of some places.
 ///
 /// Memory: at most 96 bytes per sample; beyond it, a mapped file of 12 bytes per place.
 #[derive(Debug)]
-pub enum Places {
-    Held(Vec<Entry>),
+pub enum PlaceSamples {
+    Held(Vec<HashedNumber>),
     Mapped(Map),
 }
 
-impl Default for Places {
+impl Default for PlaceSamples {
     fn default() -> Self {
         Self::Held(Vec::new())
     }
@@ -37,7 +37,7 @@ impl Default for Places {
 
 /// Takes places in their order.
 struct Filling<'a> {
-    held: Vec<Entry>,
+    held: Vec<HashedNumber>,
     most: u64,
     folder: &'a Path,
     file: Option<Scratch>,
@@ -45,7 +45,7 @@ struct Filling<'a> {
 }
 
 impl Filling<'_> {
-    fn push(&mut self, place: Entry) -> Result<()> {
+    fn push(&mut self, place: HashedNumber) -> Result<()> {
         self.held.push(place);
         if self.file.is_none() && self.held.len() as u64 > self.most {
             self.file = Some(Scratch::new(self.folder, ADVICE)?);
@@ -62,11 +62,11 @@ impl Filling<'_> {
         Ok(())
     }
 
-    fn finish(mut self) -> Result<Places> {
+    fn finish(mut self) -> Result<PlaceSamples> {
         self.flush()?;
         Ok(match self.file {
-            Some(file) => Places::Mapped(file.map()?),
-            None => Places::Held(self.held),
+            Some(file) => PlaceSamples::Mapped(file.map()?),
+            None => PlaceSamples::Held(self.held),
         })
     }
 }
@@ -75,7 +75,7 @@ fn filling(samples: usize, folder: &Path) -> Filling<'_> {
     Filling { held: Vec::new(), most: HELD_PER_SAMPLE * samples as u64, folder, file: None, written: 0 }
 }
 
-impl Places {
+impl PlaceSamples {
     /// The table of places that were put into a sorter, each once.
     pub fn build(places: Sorter<'_>, samples: usize, folder: &Path) -> Result<Self> {
         let mut filling = filling(samples, folder);
@@ -91,7 +91,7 @@ impl Places {
     }
 
     /// All of them, ordered.
-    pub fn all(&self) -> &[Entry] {
+    pub fn all(&self) -> &[HashedNumber] {
         match self {
             Self::Held(places) => places,
             Self::Mapped(map) => cast_slice(map),
@@ -99,7 +99,7 @@ impl Places {
     }
 
     /// An entry for a local position.
-    pub fn entry(p: Vec3, sample: u32) -> Entry {
+    pub fn entry(p: Vec3, sample: u32) -> HashedNumber {
         entry(hash_of(p.as_dvec3()), sample)
     }
 
@@ -158,15 +158,15 @@ mod tests {
         for (count, samples) in [(100, 50), (30_000, 50)] {
             let mut sorter = Sorter::new(&folder);
             for i in (0..count).rev() {
-                sorter.push(Places::entry(place(i), i % 50)).expect("room");
+                sorter.push(PlaceSamples::entry(place(i), i % 50)).expect("room");
             }
             // One that two sheets share.
-            sorter.push(Places::entry(place(7), 40)).expect("room");
-            let places = Places::build(sorter, samples, &folder).expect("room");
-            assert_eq!(matches!(places, Places::Mapped(_)), count > 400);
+            sorter.push(PlaceSamples::entry(place(7), 40)).expect("room");
+            let places = PlaceSamples::build(sorter, samples, &folder).expect("room");
+            assert_eq!(matches!(places, PlaceSamples::Mapped(_)), count > 400);
             let mut bytes = Vec::new();
             places.write(&mut bytes).expect("memory");
-            let again = Places::read(&bytes[..], u64::from(count), samples, &folder);
+            let again = PlaceSamples::read(&bytes[..], u64::from(count), samples, &folder);
             let again = again.expect("whole").expect("room").expect("good");
             for places in [&places, &again] {
                 assert_eq!(places.all().len(), count as usize);
@@ -175,18 +175,18 @@ mod tests {
             }
             let lies = [&bytes[12..], &bytes[..]].concat();
             assert!(
-                Places::read(&lies[..], u64::from(count), samples, &folder)
+                PlaceSamples::read(&lies[..], u64::from(count), samples, &folder)
                     .expect("whole")
                     .expect("room")
                     .is_none()
             );
             assert!(
-                Places::read(&bytes[..], u64::from(count), 49, &folder)
+                PlaceSamples::read(&bytes[..], u64::from(count), 49, &folder)
                     .expect("whole")
                     .expect("room")
                     .is_none()
             );
-            let cut_off = Places::read(&bytes[..bytes.len() - 1], u64::from(count), samples, &folder);
+            let cut_off = PlaceSamples::read(&bytes[..bytes.len() - 1], u64::from(count), samples, &folder);
             assert!(cut_off.is_err());
         }
     }

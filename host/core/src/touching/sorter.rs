@@ -16,7 +16,7 @@ use xxhash_rust::xxh3::xxh3_64;
 use super::ADVICE;
 
 /// A hash, its upper half first, and a number: ordered by the one and then the other.
-pub type Entry = [u32; 3];
+pub type HashedNumber = [u32; 3];
 
 /// Entries of a run.
 const RUN: usize = 1 << 20;
@@ -31,7 +31,7 @@ pub fn hash_of(p: DVec3) -> u64 {
 }
 
 /// An entry of a hash and a number.
-pub fn entry(hash: u64, number: u32) -> Entry {
+pub fn entry(hash: u64, number: u32) -> HashedNumber {
     [(hash >> 32) as u32, hash as u32, number]
 }
 
@@ -40,15 +40,15 @@ pub fn entry(hash: u64, number: u32) -> Entry {
 /// Memory: 12 MiB, and 48 KiB for each run of a million entries; the rest in a file of 12 bytes per entry.
 pub struct Sorter<'a> {
     folder: &'a Path,
-    held: Vec<Entry>,
+    held: Vec<HashedNumber>,
     file: Option<Scratch>,
     /// Number of entries in the file: whole runs.
     written: u64,
 }
 
 /// A run that is being merged.
-struct Run {
-    buffer: Vec<Entry>,
+struct MergedRun {
+    buffer: Vec<HashedNumber>,
     at: usize,
     next: u64,
     end: u64,
@@ -64,14 +64,14 @@ impl<'a> Sorter<'a> {
     ///
     /// # Errors
     /// The temporary file cannot be written.
-    pub fn push(&mut self, entry: Entry) -> Result<()> {
+    pub fn push(&mut self, entry: HashedNumber) -> Result<()> {
         if self.held.len() == RUN {
             self.held.par_sort_unstable();
             if self.file.is_none() {
                 self.file = Some(Scratch::new(self.folder, ADVICE)?);
             }
             if let Some(file) = &self.file {
-                file.write_at(cast_slice(&self.held), self.written * size_of::<Entry>() as u64)?;
+                file.write_at(cast_slice(&self.held), self.written * size_of::<HashedNumber>() as u64)?;
             }
             self.written += RUN as u64;
             self.held.clear();
@@ -84,13 +84,14 @@ impl<'a> Sorter<'a> {
     ///
     /// # Errors
     /// The temporary file cannot be read, or `visit` failed.
-    pub fn finish(mut self, mut visit: impl FnMut(Entry) -> Result<()>) -> Result<()> {
+    pub fn finish(mut self, mut visit: impl FnMut(HashedNumber) -> Result<()>) -> Result<()> {
         self.held.par_sort_unstable();
         let Some(file) = self.file else { return self.held.into_iter().try_for_each(visit) };
         let starts = (0..self.written).step_by(RUN);
-        let mut runs: Vec<Run> =
-            starts.map(|next| Run { buffer: Vec::new(), at: 0, next, end: next + RUN as u64 }).collect();
-        runs.push(Run { buffer: self.held, at: 0, next: 0, end: 0 });
+        let mut runs: Vec<MergedRun> = starts
+            .map(|next| MergedRun { buffer: Vec::new(), at: 0, next, end: next + RUN as u64 })
+            .collect();
+        runs.push(MergedRun { buffer: self.held, at: 0, next: 0, end: 0 });
         let mut heap = BinaryHeap::new();
         for (i, run) in runs.iter_mut().enumerate() {
             heap.extend(run.pop(&file)?.map(|entry| Reverse((entry, i))));
@@ -107,15 +108,15 @@ impl<'a> Sorter<'a> {
     }
 }
 
-impl Run {
-    fn pop(&mut self, file: &Scratch) -> Result<Option<Entry>> {
+impl MergedRun {
+    fn pop(&mut self, file: &Scratch) -> Result<Option<HashedNumber>> {
         if self.at == self.buffer.len() {
             if self.next == self.end {
                 return Ok(None);
             }
             let count = READ.min((self.end - self.next) as usize);
             self.buffer.resize(count, [0; 3]);
-            file.read_at(cast_slice_mut(&mut self.buffer), self.next * size_of::<Entry>() as u64)?;
+            file.read_at(cast_slice_mut(&mut self.buffer), self.next * size_of::<HashedNumber>() as u64)?;
             (self.at, self.next) = (0, self.next + count as u64);
         }
         self.at += 1;
@@ -131,7 +132,7 @@ mod tests {
     fn entries_come_back_sorted_from_memory_and_from_the_file() {
         for count in [0, 1, 1000, RUN, RUN + 1, 2 * RUN + 17] {
             let numbers = || (0..count as u64).map(|i| i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 20);
-            let mut expected: Vec<Entry> = numbers().map(|n| entry(n, n as u32 & 7)).collect();
+            let mut expected: Vec<HashedNumber> = numbers().map(|n| entry(n, n as u32 & 7)).collect();
             let folder = std::env::temp_dir();
             let mut sorter = Sorter::new(&folder).filled(&expected);
             expected.sort_unstable();
@@ -147,7 +148,7 @@ mod tests {
     }
 
     impl Sorter<'_> {
-        fn filled(mut self, entries: &[Entry]) -> Self {
+        fn filled(mut self, entries: &[HashedNumber]) -> Self {
             entries.iter().for_each(|entry| self.push(*entry).expect("room"));
             self
         }

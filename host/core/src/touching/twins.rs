@@ -11,7 +11,7 @@ use simod_model::mapped::MapMut;
 use simod_model::scratch::Scratch;
 
 use super::ADVICE;
-use super::sorter::{Entry, entry, hash_of};
+use super::sorter::{HashedNumber, entry, hash_of};
 
 /// Positions that are remembered: a few rows or patches of a scan.
 const REMEMBERED: usize = 1 << 18;
@@ -38,30 +38,30 @@ pub struct Twins {
     buffer: Vec<u32>,
     written: u64,
     /// None where positions are not looked at.
-    search: Option<Search>,
+    search: Option<TwinSearch>,
     found: u64,
 }
 
 /// A search for twins, some vertices at a time.
 ///
 /// Memory: 3.1 MiB.
-pub struct Search {
+pub struct TwinSearch {
     /// The hash of a position and a vertex there, at a place that the hash tells; and the same of the latest
     /// ones.
-    remembered: Vec<Entry>,
-    latest: Vec<Entry>,
+    remembered: Vec<HashedNumber>,
+    latest: Vec<HashedNumber>,
     next: u64,
 }
 
 /// What was found.
-pub struct Found {
+pub struct FoundTwins {
     /// For each vertex, how far before it one at the same position is; 0 where none is known.
     pub back: MapMut,
     /// How many vertices have one.
     pub count: u64,
 }
 
-impl Found {
+impl FoundTwins {
     /// What is in a file of the numbers of all vertices.
     ///
     /// # Errors
@@ -106,7 +106,7 @@ impl Twins {
             file: Scratch::new(folder, ADVICE)?,
             buffer: Vec::with_capacity(BUFFER + BLOCK),
             written: 0,
-            search: may_be_there(vertices, faces).then(|| Search::new(0)),
+            search: may_be_there(vertices, faces).then(|| TwinSearch::new(0)),
             found: 0,
         })
     }
@@ -139,13 +139,13 @@ impl Twins {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn finish(mut self) -> Result<Found> {
+    pub fn finish(mut self) -> Result<FoundTwins> {
         self.flush()?;
-        Ok(Found { back: self.file.map_mut()?, count: self.found })
+        Ok(FoundTwins { back: self.file.map_mut()?, count: self.found })
     }
 }
 
-impl Search {
+impl TwinSearch {
     /// The vertex from which on one has to look at vertices to find what a search of all of them finds of
     /// this one and those behind it.
     pub fn first_for(vertex: u64) -> u64 {
@@ -177,7 +177,7 @@ impl Search {
             let vertex = self.next as u32;
             self.next += 1;
             let new = entry(hash, vertex);
-            let is_twin = |known: Entry| known[..2] == new[..2] && known[2] < vertex;
+            let is_twin = |known: HashedNumber| known[..2] == new[..2] && known[2] < vertex;
             let mut back = 0;
             if p.is_finite() {
                 let latest = std::mem::replace(&mut self.latest[hash as usize % LATEST], new);
@@ -198,7 +198,7 @@ impl Search {
 }
 
 /// So many entries of no vertex.
-fn none(entries: usize) -> Vec<Entry> {
+fn none(entries: usize) -> Vec<HashedNumber> {
     vec![[0, 0, u32::MAX]; entries]
 }
 
@@ -251,8 +251,8 @@ mod tests {
         let (back, count) = found(&all);
         assert!(count > RUN / 2);
         for start in [0, 1, RUN - 6144, RUN, RUN + 12_288, 2 * RUN + 50_000] {
-            let first = Search::first_for(start);
-            let (mut search, mut own) = (Search::new(first), Vec::new());
+            let first = TwinSearch::first_for(start);
+            let (mut search, mut own) = (TwinSearch::new(first), Vec::new());
             all[first as usize..].chunks(999).for_each(|some| search.take(some, &mut own));
             assert!(own[(start - first) as usize..] == back[start as usize..], "{start}");
         }

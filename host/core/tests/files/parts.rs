@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
 use simod_core::reconstruction::{
-    Method, Normals, Part, Reconstruction, Shared, Version, join_parts, reconstruct, write_part,
+    Method, Normals, Part, Reconstruction, SharedTarget, Version, join_parts, reconstruct, write_part,
 };
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, count, sample, sample_counted};
@@ -80,7 +80,7 @@ impl Work {
         let Division { pieces, vertices, .. } = self.model.division(how.normals).unwrap();
         let at = |part: u64| vertices.start + part * (pieces - vertices.start) / count;
         let (own, shared) = (&*self.parts(count)[part as usize], &*self.path("shared"));
-        let part = Part { pieces: at(part)..at(part + 1), own, shared: Shared::File(shared) };
+        let part = Part { pieces: at(part)..at(part + 1), own, shared: SharedTarget::File(shared) };
         write_part(&self.sampled, &*self.model, &self.deformed, how, &part, progress)
     }
 
@@ -88,7 +88,7 @@ impl Work {
         let output = self.path("joined");
         let version = Version { deformed: &self.deformed, output: &output, diagnostics: None };
         let shared = self.path("shared");
-        let files = (parts, Shared::File(&shared));
+        let files = (parts, SharedTarget::File(&shared));
         let done = join_parts(&self.sampled, &*self.model, &version, how, files, &Silent)?;
         assert_eq!(done.vertices, self.model.info().vertices);
         assert_eq!(done.folding.len(), 1);

@@ -7,7 +7,7 @@ use std::sync::Mutex;
 
 use proptest::prelude::*;
 use simod_core::reconstruction::{Reconstruction, Version, bind, reconstruct};
-use simod_core::refinement::{Finer, Refining, Selection, refine};
+use simod_core::refinement::{Finer, Refining, SpaceSelection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_generate::{Encoding, ModelOptions, write_file};
@@ -69,7 +69,7 @@ impl Good {
             sampled.hold_cells(cells);
             let how = Refining { finer: Finer::Factor(2.0), memory_limit: None, shapes: Vec::new() };
             let everywhere = |_| -1.0;
-            let selection = Selection { distance: &everywhere, so_far: None, at_rest: true };
+            let selection = SpaceSelection { distance: &everywhere, so_far: None, at_rest: true };
             let _ = refine(&sampled, &*model, selection, &how, self.folder.path(), &Silent);
         }
     }

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use glam::DVec3;
-use simod_core::attributes::Attributes;
+use simod_core::attributes::SampleAttributes;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_model::Type;
@@ -99,7 +99,13 @@ impl Painted {
         bytes
     }
 
-    fn sampled(&self, path: &Path, coding: Coding, list: bool, samples: u64) -> (SampledModel, Attributes) {
+    fn sampled(
+        &self,
+        path: &Path,
+        coding: Coding,
+        list: bool,
+        samples: u64,
+    ) -> (SampledModel, SampleAttributes) {
         write_file(path, &self.bytes(coding, list)).unwrap();
         let model = simod_model::open(path).unwrap();
         let how = Sampling { target: Target::Samples(samples), ..Sampling::default() };
@@ -127,7 +133,7 @@ fn means(sampled: &SampledModel, positions: &[DVec3], value: impl Fn(usize) -> f
 fn values_are_means_over_the_nearest_vertices_in_any_file() {
     let folder = tempfile::tempdir().unwrap();
     let painted = Painted::sheet();
-    let mut known: Option<Attributes> = None;
+    let mut known: Option<SampleAttributes> = None;
     for coding in [Coding::Little, Coding::Big, Coding::Ascii] {
         for list in [false, true] {
             let (sampled, attributes) = painted.sampled(&folder.path().join("m.ply"), coding, list, 150);

@@ -1,7 +1,7 @@
 //! What samples are spread by, where a small part of a model has many of its vertices.
 
 use glam::{DVec3, Vec3};
-use simod_core::refinement::{Finer, Refining, Selection, refine};
+use simod_core::refinement::{Finer, Refining, SpaceSelection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{By, Grouping, Sampling, Splitting, Target};
 use simod_generate::Shape;
@@ -129,7 +129,7 @@ fn the_rule_is_kept() {
         let sampled = sample_file(&saved.model(), by(rule, 2000));
         let model = simod_model::open(&saved.model()).unwrap();
         let everywhere = |_: DVec3| -1.0;
-        let selection = Selection { distance: &everywhere, so_far: None, at_rest: true };
+        let selection = SpaceSelection { distance: &everywhere, so_far: None, at_rest: true };
         let how = Refining { finer: Finer::Factor(3.0), memory_limit: None, shapes: Vec::new() };
         let folder = saved.folder();
         let refined =

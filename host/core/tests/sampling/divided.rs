@@ -7,7 +7,7 @@ use std::sync::{Mutex, Once};
 
 use glam::DVec3;
 use simod_core::sampling::divided::{
-    Division, cluster, cluster_shared, exchanged_at_most, merge_counts, ranges_of, reads_faces,
+    UnitDivision, cluster, cluster_shared, exchanged_at_most, merge_counts, ranges_of, reads_faces,
     sample_clustered, shared, undivided,
 };
 use simod_core::sampling::divided_faces::{self, FaceFiles, face_ranges_of, faces_exchanged_at_most};
@@ -122,7 +122,7 @@ impl Work {
     /// The cut, of which others find the samples of vertices and what the faces tell.
     fn cut_for_faces(&self) -> Result<bool> {
         let counts = self.path("counts");
-        let division = Division { counts: &counts, units: self.units };
+        let division = UnitDivision { counts: &counts, units: self.units };
         let (ranges, groups) = (self.files("range"), self.files("group"));
         let files = (&ranges[..], &groups[..]);
         let (target, folder) = (self.path("cut"), self.folder.path());
@@ -131,7 +131,7 @@ impl Work {
 
     fn members(&self, unit: u64) -> Result<bool> {
         let counts = self.path("counts");
-        let division = (&Division { counts: &counts, units: self.units }, unit);
+        let division = (&UnitDivision { counts: &counts, units: self.units }, unit);
         let (files, target) = (self.of_faces(), self.path(&format!("members-{unit}")));
         let (model, folder) = (&*self.model, self.folder.path());
         divided_faces::members(model, &self.sampling, division, &files.files(), &target, folder, &Silent)
@@ -139,7 +139,7 @@ impl Work {
 
     fn faces(&self, unit: u64) -> Result<bool> {
         let counts = self.path("counts");
-        let division = (&Division { counts: &counts, units: self.units }, unit);
+        let division = (&UnitDivision { counts: &counts, units: self.units }, unit);
         let (files, target) = (self.of_faces(), self.path(&format!("faces-{unit}")));
         let (model, folder) = (&*self.model, self.folder.path());
         divided_faces::faces(model, &self.sampling, division, &files.files(), &target, folder, &Silent)
@@ -147,7 +147,7 @@ impl Work {
 
     fn range(&self, unit: u64) -> Result<bool> {
         let counts = self.path("counts");
-        let division = Division { counts: &counts, units: self.units };
+        let division = UnitDivision { counts: &counts, units: self.units };
         let [trees, vertices, leaves] =
             ["range", "shared", "leaves"].map(|name| self.path(&format!("{name}-{unit}")));
         let (model, folder) = (&*self.model, self.folder.path());
@@ -160,7 +160,7 @@ impl Work {
 
     fn group_watched(&self, unit: u64, progress: &dyn Progress) -> Result<bool> {
         let counts = self.path("counts");
-        let division = Division { counts: &counts, units: self.units };
+        let division = UnitDivision { counts: &counts, units: self.units };
         let [trees, leaves] = ["group", "leaves-of-group"].map(|name| self.path(&format!("{name}-{unit}")));
         let (model, folder) = (&*self.model, self.folder.path());
         let files = (&*trees, &*leaves);
@@ -177,7 +177,7 @@ impl Work {
 
     fn cut(&self, progress: &dyn Progress) -> Result<()> {
         let counts = self.path("counts");
-        let division = Division { counts: &counts, units: self.units };
+        let division = UnitDivision { counts: &counts, units: self.units };
         let (ranges, groups) = (self.files("range"), self.files("group"));
         let (model, folder) = (&*self.model, self.folder.path());
         let files = (&ranges[..], &groups[..]);
@@ -230,7 +230,7 @@ impl Work {
 
     fn shared(&self) -> u64 {
         let counts = self.path("counts");
-        let division = Division { counts: &counts, units: self.units };
+        let division = UnitDivision { counts: &counts, units: self.units };
         shared(&*self.model, &self.sampling, &division, self.folder.path(), &Silent).unwrap()
     }
 

@@ -1,7 +1,7 @@
 //! Where in their clusters samples are placed.
 
 use glam::{DVec3, Vec3};
-use simod_core::refinement::{Finer, Refining, Selection, refine};
+use simod_core::refinement::{Finer, Refining, SpaceSelection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Grouping, Placement, Sampling, Skip, Target};
 use simod_generate::Shape;
@@ -150,7 +150,7 @@ fn groups_parts_and_refinements_place_alike() {
         let model = simod_model::open(&path).unwrap();
         let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
         let everywhere = |_: DVec3| -1.0;
-        let selection = Selection { distance: &everywhere, so_far: None, at_rest: true };
+        let selection = SpaceSelection { distance: &everywhere, so_far: None, at_rest: true };
         let refined = refine(&sampled, model.as_ref(), selection, &how, folder.path(), &Silent).unwrap();
         let refined = refined.sampled.unwrap();
         // Who was there stays.

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use glam::{DQuat, DVec3, Vec3};
 use simod_core::reconstruction::{DeformationField, Method, Moved, RestGeometry, carry};
-use simod_core::refinement::{Finer, Refining, Selection, refine};
+use simod_core::refinement::{Finer, Refining, SpaceSelection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target};
 use simod_model::output::write_file;
@@ -241,7 +241,7 @@ fn joining(sampled: &SampledModel, of: &dyn Fn(DVec3) -> f64) -> usize {
 fn refined(sampled: &SampledModel, path: &Path, place: DVec3, radius: f64, finer: Finer) -> SampledModel {
     let model = simod_model::open(path).unwrap();
     let distance = |p: DVec3| p.distance(place) - radius;
-    let selection = Selection { distance: &distance, so_far: None, at_rest: true };
+    let selection = SpaceSelection { distance: &distance, so_far: None, at_rest: true };
     let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
     let folder = path.parent().unwrap();
     refine(sampled, model.as_ref(), selection, &how, folder, &Silent).unwrap().sampled.unwrap()

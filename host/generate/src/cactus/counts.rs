@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use super::form::Form;
+use super::form::CactusForm;
 
 /// Height and radius of the rings between which the stem has evenly many; holes are between the third and
 /// fourth, and between the fifth and sixth.
@@ -34,7 +34,7 @@ pub(super) struct Counts {
 
 impl Counts {
     /// How long the parts are that are divided, in the order of [`rows`](Self::rows).
-    pub fn lengths(form: &Form) -> Vec<f64> {
+    pub fn lengths(form: &CactusForm) -> Vec<f64> {
         let of_stem = STEM.windows(2).map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]));
         // Arms have more columns for their width than the stem: so rows are wider apart.
         let of_arms = form.tubes[1..]

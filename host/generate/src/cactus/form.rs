@@ -32,12 +32,12 @@ struct Base {
     relief: f64,
 }
 
-pub(super) struct Form {
+pub(super) struct CactusForm {
     /// The stem, and the arms on its right (+x) and left.
     pub tubes: [Tube; 3],
 }
 
-impl Form {
+impl CactusForm {
     pub fn new() -> Self {
         let stem = vec![Leg::Line { from: DVec2::new(0.0, -0.3), direction: DVec2::Y, length: 2.08 }];
         let arm = |side: f64, height: f64, reach: f64, radius: f64, top: f64| {

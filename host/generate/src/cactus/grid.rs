@@ -9,16 +9,16 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use glam::{DVec2, DVec3};
 
-use super::super::{Rows, SurfaceVertex};
+use super::super::{BodyRows, SurfaceVertex};
 use super::counts::{Counts, HOLES, Hole, ROOT, STEM};
-use super::form::Form;
+use super::form::CactusForm;
 
 /// Radius of the ring at the edge of an arm's cap, and how far it is beyond the tube's end: parts of the
 /// tube's radius.
 const CAP: [f64; 2] = [0.9, 0.44];
 
 /// Rows that belong together.
-struct Section {
+struct GridSection {
     part: CactusPart,
     rows: u64,
     /// Index of the first vertex.
@@ -39,15 +39,15 @@ enum CactusPart {
 
 /// The cactus with some number of vertices.
 pub(super) struct Cactus {
-    form: Form,
+    form: CactusForm,
     counts: Counts,
-    sections: Vec<Section>,
+    sections: Vec<GridSection>,
 }
 
 impl Cactus {
     /// With at most so many vertices, and hardly less.
     pub fn new(vertices: u64) -> Self {
-        let form = Form::new();
+        let form = CactusForm::new();
         let counts = Counts::of_vertices(&Counts::lengths(&form), vertices);
         let mut cactus = Self { form, counts, sections: Vec::new() };
         let arms = [0, 1].into_iter().flat_map(|arm| [CactusPart::Arm(arm), CactusPart::Tip(arm)]);
@@ -58,14 +58,14 @@ impl Cactus {
                 CactusPart::Arm(arm) => counts.arms[arm].iter().sum::<u64>() + 1,
                 CactusPart::Foot | CactusPart::Top | CactusPart::Tip(_) => cactus.cap(part).height,
             };
-            cactus.sections.push(Section { part, rows, first });
+            cactus.sections.push(GridSection { part, rows, first });
             first += (0..rows).map(|row| cactus.row_of(part, row)).sum::<u64>();
         }
         cactus
     }
 
     /// A row's section, and its number there.
-    fn find(&self, row: usize) -> (&Section, u64) {
+    fn find(&self, row: usize) -> (&GridSection, u64) {
         let mut row = row as u64;
         let last = self.sections.len() - 1;
         for section in &self.sections[..last] {
@@ -186,7 +186,7 @@ impl Cactus {
     }
 
     /// The index of a vertex of a cap, its border included.
-    fn on_cap(&self, section: &Section, column: u64, row: u64) -> u64 {
+    fn on_cap(&self, section: &GridSection, column: u64, row: u64) -> u64 {
         let cap = self.cap(section.part);
         let Some(j) = cap.border(column, row) else {
             return section.first + (row - 1) * (cap.width - 1) + column - 1;
@@ -275,7 +275,7 @@ impl Cap {
     }
 }
 
-impl Rows for Cactus {
+impl BodyRows for Cactus {
     fn rows(&self) -> usize {
         self.sections.iter().map(|section| section.rows as usize).sum()
     }

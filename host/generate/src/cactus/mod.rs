@@ -9,8 +9,8 @@ mod form;
 mod grid;
 mod tube;
 
-use super::Rows;
+use super::BodyRows;
 
-pub(super) fn cactus(vertices: u64) -> Box<dyn Rows> {
+pub(super) fn cactus(vertices: u64) -> Box<dyn BodyRows> {
     Box::new(grid::Cactus::new(vertices))
 }

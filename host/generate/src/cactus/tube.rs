@@ -27,7 +27,7 @@ pub(super) struct Tube {
 
 /// A point, as seen from the nearest one of the curve.
 #[derive(Clone, Copy)]
-pub(super) struct Seen {
+pub(super) struct TubePoint {
     /// Length of the curve up to there.
     pub way: f64,
     /// From there to the point.
@@ -87,24 +87,24 @@ impl Tube {
         self.legs[self.legs.len() - 1].point(rest)
     }
 
-    pub fn see(&self, p: DVec3) -> Seen {
+    pub fn see(&self, p: DVec3) -> TubePoint {
         let mut before = 0.0;
         let seen = self.legs.iter().map(|leg| {
             let way = leg.nearest(p.truncate());
             let [at, tangent] = leg.point(way);
-            let seen = Seen { way: before + way, offset: p - at.extend(0.0), tangent };
+            let seen = TubePoint { way: before + way, offset: p - at.extend(0.0), tangent };
             before += leg.length();
             seen
         });
-        let nearer = |a: Seen, b: Seen| {
+        let nearer = |a: TubePoint, b: TubePoint| {
             if b.offset.length_squared() < a.offset.length_squared() { b } else { a }
         };
-        let nowhere = Seen { way: 0.0, offset: DVec3::INFINITY, tangent: DVec2::Y };
+        let nowhere = TubePoint { way: 0.0, offset: DVec3::INFINITY, tangent: DVec2::Y };
         seen.fold(nowhere, nearer)
     }
 }
 
-impl Seen {
+impl TubePoint {
     pub fn distance(&self) -> f64 {
         self.offset.length()
     }

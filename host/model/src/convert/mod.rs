@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::DVec3;
 
 use crate::follow::{Follow, Following};
-use crate::form::{self, Content, Conversion, Faces, Form};
+use crate::form::{self, Conversion, ConversionInput, FaceCounts, Form};
 use crate::formats::extension;
 use crate::las::LasModel;
 use crate::las::form::LasForm;
@@ -30,7 +30,7 @@ use crate::las::same_records::SameRecords;
 use crate::object::is_object;
 use crate::object_output::ObjectOutput;
 use crate::output::OutputFile;
-use crate::polygons::{Counted, Joining, MOST_CORNERS, Polygons};
+use crate::polygons::{MOST_CORNERS, PolygonCounts, PolygonJoin, Polygons};
 use crate::source::Source;
 use crate::target::scratch_folder;
 use crate::{
@@ -52,7 +52,7 @@ pub struct Converted {
     /// One of [`WRITTEN`].
     extension: &'static str,
     how: Conversion,
-    faces: Faces,
+    faces: FaceCounts,
     folder: std::path::PathBuf,
     /// The records of points stay what they are, as from LAS to LAZ.
     keeps_records: bool,
@@ -193,17 +193,17 @@ impl Converted {
     }
 
     fn form(&self, drops_normals: bool, losses: &mut Vec<String>) -> Result<Box<dyn Form + '_>> {
-        use records::Kind::{Pcd, Ply};
-        use text::Kind::{Named, Obj, Off, Plain};
-        let content = Content {
+        use records::RecordFormat::{Pcd, Ply};
+        use text::TextFormat::{Named, Obj, Off, Plain};
+        let content = ConversionInput {
             model: &*self.model,
             has_normals: self.model.info().has_normals && !drops_normals,
             faces: self.faces,
             how: self.how,
             folder: self.folder.clone(),
         };
-        let records = |kind, losses: &mut _| records::Records::new(kind, &content, losses);
-        let lines = |kind, losses: &mut _| text::Lines::new(kind, &content, losses);
+        let records = |kind, losses: &mut _| records::RecordForm::new(kind, &content, losses);
+        let lines = |kind, losses: &mut _| text::TextForm::new(kind, &content, losses);
         let plain = |with_normals, with_colors| Plain { with_normals, with_colors };
         if let Some(las) = as_las(&*self.model).filter(|_| self.keeps_records) {
             return Ok(Box::new(SameRecords::new(las, self.extension == "laz")?));
@@ -213,7 +213,7 @@ impl Converted {
             "las" | "laz" => Box::new(LasForm::new(self.extension == "laz", &content, losses)?),
             "obj" => Box::new(lines(Obj, losses)?),
             "off" => Box::new(lines(Off, losses)?),
-            "stl" => Box::new(stl::Stl::new(&content, losses)?),
+            "stl" => Box::new(stl::StlForm::new(&content, losses)?),
             "csv" => Box::new(lines(Named(b','), losses)?),
             "tsv" => Box::new(lines(Named(b'\t'), losses)?),
             "txt" => Box::new(lines(Named(b' '), losses)?),
@@ -230,9 +230,9 @@ fn as_las(model: &dyn Model) -> Option<&LasModel> {
 }
 
 /// Counts the faces, which takes a reading of them.
-fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<(Faces, Counted)> {
-    let (mut faces, info) = (Faces::default(), model.info());
-    let (mut joining, mut polygons) = (Joining::new(info.vertices, true), Polygons::default());
+fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<(FaceCounts, PolygonCounts)> {
+    let (mut faces, info) = (FaceCounts::default(), model.info());
+    let (mut joining, mut polygons) = (PolygonJoin::new(info.vertices, true), Polygons::default());
     if info.faces == 0 {
         return Ok((faces, joining.counted));
     }
@@ -258,8 +258,8 @@ fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<(Faces, Cou
 
 /// What a format that holds polygons, or triangles alone, loses of the faces of a file that says it has so
 /// many.
-fn losses_of_faces(holds_polygons: bool, told: u64, counted: &Counted) -> Vec<String> {
-    let Counted { triangles, without_vertex, faces, long, .. } = *counted;
+fn losses_of_faces(holds_polygons: bool, told: u64, counted: &PolygonCounts) -> Vec<String> {
+    let PolygonCounts { triangles, without_vertex, faces, long, .. } = *counted;
     let mut losses = Vec::new();
     // Each triangle of a strip is one face.
     let is_of_strips = faces > told;

@@ -3,13 +3,13 @@
 
 use std::collections::HashSet;
 
-use crate::form::{Content, Faces, Form, Rows, attribute_loss, counted, put_numbers};
+use crate::form::{ConversionInput, FaceCounts, Form, WrittenRows, attribute_loss, counted, put_numbers};
 use crate::polygons::Polygons;
 use crate::{Attribute, Colors, Result, Scalar, Summary, Type};
 
 /// Which of the two.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum RecordFormat {
     Ply,
     Pcd,
 }
@@ -22,10 +22,10 @@ const PCD: [&str; 6] = ["x", "y", "z", "normal_x", "normal_y", "normal_z"];
 const PACKED: [&str; 2] = ["rgb", "rgba"];
 
 /// A file of records.
-pub(super) struct Records {
-    kind: Kind,
+pub(super) struct RecordForm {
+    kind: RecordFormat,
     vertices: u64,
-    faces: Faces,
+    faces: FaceCounts,
     scalar: Scalar,
     has_normals: bool,
     /// Name and type of each attribute that is written, and its place among the model's.
@@ -36,12 +36,16 @@ pub(super) struct Records {
     stride: usize,
 }
 
-impl Records {
-    pub(super) fn new(kind: Kind, content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
+impl RecordForm {
+    pub(super) fn new(
+        kind: RecordFormat,
+        content: &ConversionInput<'_>,
+        losses: &mut Vec<String>,
+    ) -> Result<Self> {
         let info = content.info();
-        let own = if kind == Kind::Ply { PLY } else { PCD };
-        let faces = if kind == Kind::Ply { content.faces } else { Faces::default() };
-        if kind == Kind::Pcd && content.faces.triangles > 0 {
+        let own = if kind == RecordFormat::Ply { PLY } else { PCD };
+        let faces = if kind == RecordFormat::Ply { content.faces } else { FaceCounts::default() };
+        if kind == RecordFormat::Pcd && content.faces.triangles > 0 {
             losses.push(counted(content.faces.polygons, "face"));
         }
         if faces.triangles > 0 {
@@ -53,7 +57,7 @@ impl Records {
             c.places.map(|place| info.attributes[place].name.as_str()) == ["red", "green", "blue"]
         };
         let is_alpha = |a: &Attribute| a.name == "alpha";
-        let packs = kind == Kind::Pcd && !info.attributes.iter().any(is_alpha);
+        let packs = kind == RecordFormat::Pcd && !info.attributes.iter().any(is_alpha);
         let colors =
             Colors::from_info(info).filter(|colors| packs && colors.kind == Type::U8 && names(colors));
         let packed = colors.map(|Colors { places: [r, g, b], .. }| [b, g, r]);
@@ -63,7 +67,7 @@ impl Records {
             }
             let name: String =
                 attribute.name.chars().map(|c| if c.is_whitespace() { '_' } else { c }).collect();
-            let is_packed = kind == Kind::Pcd && PACKED.contains(&name.as_str());
+            let is_packed = kind == RecordFormat::Pcd && PACKED.contains(&name.as_str());
             // A name that words are made of in the header alone.
             if !name.is_ascii() || is_packed || !taken.insert(name.clone()) {
                 losses.push(attribute_loss(&attribute.name, attribute.kind));
@@ -76,7 +80,7 @@ impl Records {
         }
         let mut comments = Vec::new();
         if let Some(crs) = &info.crs {
-            if kind == Kind::Ply {
+            if kind == RecordFormat::Ply {
                 comments.push(format!("crs {crs}"));
             } else {
                 losses.push(format!("the coordinate reference system {crs}"));
@@ -94,7 +98,7 @@ impl Records {
     /// Name and type of all numbers of a record.
     fn fields(&self) -> impl Iterator<Item = (&str, Type)> {
         let position = if self.scalar == Scalar::F64 { Type::F64 } else { Type::F32 };
-        let names = if self.kind == Kind::Ply { PLY } else { PCD };
+        let names = if self.kind == RecordFormat::Ply { PLY } else { PCD };
         let components = names.into_iter().zip([position; 3].into_iter().chain([Type::F32; 3]));
         let components = components.take(if self.has_normals { 6 } else { 3 });
         let packed = self.packed.map(|_| ("rgb", Type::F32));
@@ -148,7 +152,7 @@ impl Records {
     }
 }
 
-impl Form for Records {
+impl Form for RecordForm {
     fn attributes(&self) -> usize {
         let places = self.attributes.iter().map(|(.., place)| *place);
         places.chain(self.packed.into_iter().flatten()).max().map_or(0, |last| last + 1)
@@ -156,13 +160,13 @@ impl Form for Records {
 
     fn head(&self) -> Result<Vec<u8>> {
         Ok(match self.kind {
-            Kind::Ply => self.ply_header(),
-            Kind::Pcd => self.pcd_header(),
+            RecordFormat::Ply => self.ply_header(),
+            RecordFormat::Pcd => self.pcd_header(),
         }
         .into_bytes())
     }
 
-    fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, _summary: &mut Summary) -> Result<()> {
+    fn vertices(&self, rows: &WrittenRows<'_>, to: &mut Vec<u8>, _summary: &mut Summary) -> Result<()> {
         to.resize(rows.positions.len() * self.stride, 0);
         let mut at = 0;
         for (i, (record, p)) in to.chunks_exact_mut(self.stride).zip(rows.positions).enumerate() {

@@ -5,7 +5,7 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 
 use glam::Vec3;
 
-use crate::form::{Content, Form, Rows, attribute_loss};
+use crate::form::{ConversionInput, Form, WrittenRows, attribute_loss};
 use crate::mapped::{Map, looked_at};
 use crate::polygons::Polygons;
 use crate::scratch::Scratch;
@@ -14,14 +14,14 @@ use crate::{Error, Result, Scalar, Summary};
 /// Bytes of a facet.
 const FACET: usize = 50;
 
-pub(super) struct Stl {
+pub(super) struct StlForm {
     triangles: u64,
     vertices: Mutex<Option<Scratch>>,
     map: OnceLock<Map>,
 }
 
-impl Stl {
-    pub(super) fn new(content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
+impl StlForm {
+    pub(super) fn new(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Result<Self> {
         let info = content.info();
         if content.faces.triangles == 0 {
             return Err(Error::argument(
@@ -71,7 +71,7 @@ fn position(all: &[u8], vertex: u32) -> Vec3 {
     Vec3::from([*x, *y, *z].map(f32::from_le_bytes))
 }
 
-impl Form for Stl {
+impl Form for StlForm {
     fn attributes(&self) -> usize {
         0
     }
@@ -83,7 +83,7 @@ impl Form for Stl {
         Ok(head)
     }
 
-    fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, _summary: &mut Summary) -> Result<()> {
+    fn vertices(&self, rows: &WrittenRows<'_>, to: &mut Vec<u8>, _summary: &mut Summary) -> Result<()> {
         to.clear();
         let single: Vec<Vec3> = rows.positions.iter().map(|p| p.as_vec3()).collect();
         if let Some(i) = (0..single.len()).find(|i| rows.positions[*i].is_finite() && !single[*i].is_finite())

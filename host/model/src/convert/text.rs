@@ -5,13 +5,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
 
-use crate::form::{Content, Faces, Form, Rows, attribute_loss, counted};
+use crate::form::{ConversionInput, FaceCounts, Form, WrittenRows, attribute_loss, counted};
 use crate::polygons::Polygons;
 use crate::{Attribute, ColorScale, Colors, Error, Result, Scalar, Summary, Type};
 
 /// How positions become text: so that they come back.
 #[derive(Debug, Clone, Copy)]
-enum Digits {
+enum PositionDigits {
     /// As few digits as tell the number from all others of single precision, or of double.
     Single,
     Double,
@@ -19,8 +19,8 @@ enum Digits {
     Decimals(usize),
 }
 
-impl Digits {
-    fn for_content(content: &Content<'_>) -> Self {
+impl PositionDigits {
+    fn for_content(content: &ConversionInput<'_>) -> Self {
         let info = content.info();
         match (&info.integers, info.position_type) {
             (Some(integers), _) => {
@@ -77,7 +77,7 @@ fn whole_or_not(kind: Type, number: f64, to: &mut Vec<u8>) {
 
 /// What of a text is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum TextFormat {
     Obj,
     Off,
     /// Names first, and this between columns.
@@ -91,77 +91,82 @@ pub(super) enum Kind {
 }
 
 /// A file of lines.
-pub(super) struct Lines {
-    kind: Kind,
-    digits: Digits,
+pub(super) struct TextForm {
+    kind: TextFormat,
+    digits: PositionDigits,
     vertices: u64,
-    faces: Faces,
+    faces: FaceCounts,
     has_normals: bool,
     attributes: Vec<(String, Type, usize)>,
     /// The colours of OBJ, OFF, and `.xyzrgb`.
-    colors: Option<Painted>,
+    colors: Option<ColorStyle>,
     /// Nothing counts the vertices, so that they may be left out, and shall be.
     leaves_out: bool,
     left_out: AtomicU64,
 }
 
 /// Colours behind positions: fractions of full light, but in OFF bytes, with the alpha behind them.
-struct Painted {
+struct ColorStyle {
     colors: Colors,
     scale: ColorScale,
     /// Where that is among the attributes, if the model has one of the same type.
     alpha: Option<usize>,
 }
 
-impl Painted {
-    fn for_content(kind: Kind, content: &Content<'_>) -> Result<Option<Self>> {
+impl ColorStyle {
+    fn for_content(kind: TextFormat, content: &ConversionInput<'_>) -> Result<Option<Self>> {
         let info = content.info();
-        let is_painted = matches!(kind, Kind::Obj | Kind::Off | Kind::Plain { with_colors: true, .. });
+        let is_painted =
+            matches!(kind, TextFormat::Obj | TextFormat::Off | TextFormat::Plain { with_colors: true, .. });
         let Some(colors) = Colors::from_info(info).filter(|_| is_painted) else {
             return Ok(None);
         };
         let scale = ColorScale::of_model(content.model, &colors)?;
         let is_alpha = |a: &Attribute| a.name == "alpha" && a.kind == colors.kind;
-        let alpha = info.attributes.iter().position(is_alpha).filter(|_| kind == Kind::Off);
+        let alpha = info.attributes.iter().position(is_alpha).filter(|_| kind == TextFormat::Off);
         Ok(Some(Self { colors, scale, alpha }))
     }
 
-    fn write(&self, kind: Kind, numbers: &[Vec<f64>], i: usize, to: &mut Vec<u8>) {
+    fn write(&self, kind: TextFormat, numbers: &[Vec<f64>], i: usize, to: &mut Vec<u8>) {
         for place in self.colors.places {
             to.push(b' ');
             let number = numbers[place][i];
             // Writing to memory does not fail.
             let _ = match (kind, self.colors.kind) {
-                (Kind::Off, _) => write!(to, "{}", self.scale.byte(number)),
+                (TextFormat::Off, _) => write!(to, "{}", self.scale.byte(number)),
                 (_, Type::F64) => number_to(to, number / self.scale.full(), false),
                 // As many digits as give bytes, words, and singles back.
                 _ => number_to(to, number / self.scale.full(), true),
             };
         }
-        if kind == Kind::Off {
+        if kind == TextFormat::Off {
             let alpha = self.alpha.map_or(u8::MAX, |place| self.scale.byte(numbers[place][i]));
             let _ = write!(to, " {alpha}");
         }
     }
 }
 
-impl Lines {
-    pub(super) fn new(kind: Kind, content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
+impl TextForm {
+    pub(super) fn new(
+        kind: TextFormat,
+        content: &ConversionInput<'_>,
+        losses: &mut Vec<String>,
+    ) -> Result<Self> {
         let info = content.info();
-        let holds_faces = matches!(kind, Kind::Obj | Kind::Off);
+        let holds_faces = matches!(kind, TextFormat::Obj | TextFormat::Off);
         if !holds_faces && content.faces.triangles > 0 {
             losses.push(counted(content.faces.polygons, "face"));
         }
-        let holds_normals = !matches!(kind, Kind::Plain { with_normals: false, .. });
+        let holds_normals = !matches!(kind, TextFormat::Plain { with_normals: false, .. });
         if content.has_normals && !holds_normals {
             losses.push("the normals".to_owned());
         }
         if let Some(crs) = &info.crs {
             losses.push(format!("the coordinate reference system {crs}"));
         }
-        let colors = Painted::for_content(kind, content)?;
-        if let Some(Painted { colors, .. }) =
-            colors.as_ref().filter(|c| kind == Kind::Off && c.colors.kind != Type::U8)
+        let colors = ColorStyle::for_content(kind, content)?;
+        if let Some(ColorStyle { colors, .. }) =
+            colors.as_ref().filter(|c| kind == TextFormat::Off && c.colors.kind != Type::U8)
         {
             losses.push(format!("digits of the colours ({}), which become bytes", colors.kind.name()));
         }
@@ -174,8 +179,8 @@ impl Lines {
                 continue;
             }
             let is_written = match kind {
-                Kind::Obj | Kind::Off | Kind::Plain { .. } => false,
-                Kind::Named(separator) => {
+                TextFormat::Obj | TextFormat::Off | TextFormat::Plain { .. } => false,
+                TextFormat::Named(separator) => {
                     let needs_care =
                         |c: char| c == separator as char || "\"'#,;\t\n\r".contains(c) || c == ' ';
                     !attribute.name.contains(needs_care)
@@ -191,23 +196,23 @@ impl Lines {
         }
         Ok(Self {
             kind,
-            digits: Digits::for_content(content),
+            digits: PositionDigits::for_content(content),
             vertices: info.vertices,
-            faces: if holds_faces { content.faces } else { Faces::default() },
+            faces: if holds_faces { content.faces } else { FaceCounts::default() },
             has_normals: content.has_normals && holds_normals,
             attributes,
             colors,
             leaves_out: content.how.lossy
                 && !(holds_faces && content.faces.triangles > 0)
-                && kind != Kind::Off,
+                && kind != TextFormat::Off,
             left_out: AtomicU64::new(0),
         })
     }
 
     /// An error about a vertex without a position.
-    fn without_position(&self, rows: &Rows<'_>, i: usize) -> Error {
+    fn without_position(&self, rows: &WrittenRows<'_>, i: usize) -> Error {
         let why = "which is no number in text";
-        if self.has_faces() || self.kind == Kind::Off {
+        if self.has_faces() || self.kind == TextFormat::Off {
             rows.unfit(i, why)
         } else {
             rows.without_position(i, why)
@@ -215,7 +220,7 @@ impl Lines {
     }
 }
 
-impl Form for Lines {
+impl Form for TextForm {
     fn attributes(&self) -> usize {
         let colors = self.colors.iter().flat_map(|c| c.colors.places.into_iter().chain(c.alpha));
         self.attributes.iter().map(|(.., place)| *place).chain(colors).max().map_or(0, |last| last + 1)
@@ -223,23 +228,23 @@ impl Form for Lines {
 
     fn head(&self) -> Result<Vec<u8>> {
         Ok(match self.kind {
-            Kind::Off => {
+            TextFormat::Off => {
                 let color = if self.colors.is_some() { "C" } else { "" };
                 let normal = if self.has_normals { "N" } else { "" };
                 format!("{color}{normal}OFF\n{} {} 0\n", self.vertices, self.faces.polygons).into_bytes()
             }
-            Kind::Named(separator) => {
+            TextFormat::Named(separator) => {
                 let mut names = vec!["x", "y", "z"];
                 names.extend(["nx", "ny", "nz"].iter().filter(|_| self.has_normals));
                 names.extend(self.attributes.iter().map(|(name, ..)| name.as_str()));
                 (names.join(&(separator as char).to_string()) + "\n").into_bytes()
             }
-            Kind::Obj | Kind::Plain { .. } => Vec::new(),
+            TextFormat::Obj | TextFormat::Plain { .. } => Vec::new(),
         })
     }
 
-    fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, _summary: &mut Summary) -> Result<()> {
-        let separator = if let Kind::Named(separator) = self.kind { separator } else { b' ' };
+    fn vertices(&self, rows: &WrittenRows<'_>, to: &mut Vec<u8>, _summary: &mut Summary) -> Result<()> {
+        let separator = if let TextFormat::Named(separator) = self.kind { separator } else { b' ' };
         to.clear();
         for (i, p) in rows.positions.iter().enumerate() {
             if !p.is_finite() {
@@ -249,21 +254,21 @@ impl Form for Lines {
                 self.left_out.fetch_add(1, Ordering::Relaxed);
                 continue;
             }
-            if self.kind == Kind::Obj {
+            if self.kind == TextFormat::Obj {
                 to.extend_from_slice(b"v ");
             }
             self.digits.position(*p, separator, to);
-            if let Some(colors) = self.colors.as_ref().filter(|_| self.kind == Kind::Obj) {
+            if let Some(colors) = self.colors.as_ref().filter(|_| self.kind == TextFormat::Obj) {
                 colors.write(self.kind, rows.attributes, i, to);
             }
             if let Some(n) = rows.normals.get(i).filter(|_| self.has_normals) {
-                to.extend_from_slice(if self.kind == Kind::Obj { b"\nvn" } else { b"" });
+                to.extend_from_slice(if self.kind == TextFormat::Obj { b"\nvn" } else { b"" });
                 for component in n.to_array() {
                     to.push(separator);
                     whole_or_not(Type::F32, f64::from(component), to);
                 }
             }
-            if let Some(colors) = self.colors.as_ref().filter(|_| self.kind != Kind::Obj) {
+            if let Some(colors) = self.colors.as_ref().filter(|_| self.kind != TextFormat::Obj) {
                 colors.write(self.kind, rows.attributes, i, to);
             }
             for (_, kind, place) in &self.attributes {
@@ -291,11 +296,12 @@ impl Form for Lines {
         to.clear();
         for corners in faces.iter() {
             // Writing to memory does not fail.
-            let _ = if self.kind == Kind::Off { write!(to, "{}", corners.len()) } else { write!(to, "f") };
+            let _ =
+                if self.kind == TextFormat::Off { write!(to, "{}", corners.len()) } else { write!(to, "f") };
             for corner in corners {
                 let one_more = u64::from(*corner) + 1;
                 let _ = match (self.kind, self.has_normals) {
-                    (Kind::Off, _) => write!(to, " {corner}"),
+                    (TextFormat::Off, _) => write!(to, " {corner}"),
                     (_, true) => write!(to, " {one_more}//{one_more}"),
                     (_, false) => write!(to, " {one_more}"),
                 };

@@ -8,9 +8,9 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use glam::Mat3;
 
 use crate::follow::Following;
-use crate::form::{Form, Rows};
-use crate::pipeline::{Piece, Pieces, Rewritable, Version};
-use crate::polygons::{Joining, Polygons};
+use crate::form::{Form, WrittenRows};
+use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable};
+use crate::polygons::{PolygonJoin, Polygons};
 use crate::progress::Emerging;
 use crate::source::Source;
 use crate::{
@@ -31,12 +31,12 @@ pub(super) struct ConversionCall<'a> {
     progress: &'a dyn Progress,
     /// Whether vertices are read by one reader.
     in_order: bool,
-    turns: Mutex<Turns>,
+    turns: Mutex<VertexTurns>,
     turned: Condvar,
 }
 
 /// How far the vertices have come in their order.
-struct Turns {
+struct VertexTurns {
     /// The first vertex that the edit was not told of.
     next: u64,
     /// Number of vertices that the form has.
@@ -59,14 +59,14 @@ impl<'a> ConversionCall<'a> {
         progress: &'a dyn Progress,
     ) -> Self {
         let in_order = !model.info().reads_exactly();
-        let turns = Mutex::new(Turns { next: 0, done: 0, failed: BEHIND_ALL });
+        let turns = Mutex::new(VertexTurns { next: 0, done: 0, failed: BEHIND_ALL });
         let turned = Condvar::new();
         Self { model, source, form, how, edit, progress, in_order, turns, turned }
     }
 
     /// The edit, which is told of pieces in turn.
-    pub(super) fn edit(&self) -> InTurn<'_, 'a> {
-        InTurn(self)
+    pub(super) fn edit(&self) -> EditInTurn<'_, 'a> {
+        EditInTurn(self)
     }
 
     /// The progress, which advances by what is read.
@@ -74,18 +74,18 @@ impl<'a> ConversionCall<'a> {
         Quietly(self.progress)
     }
 
-    fn turns(&self) -> MutexGuard<'_, Turns> {
+    fn turns(&self) -> MutexGuard<'_, VertexTurns> {
         self.turns.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn change(&self, change: impl FnOnce(&mut Turns)) {
+    fn change(&self, change: impl FnOnce(&mut VertexTurns)) {
         change(&mut self.turns());
         self.turned.notify_all();
     }
 
     /// Waits, for the piece that begins with a vertex, until something is so; an error if it never will be,
     /// as a piece before it has failed, whose error is the one that is told.
-    fn wait(&self, piece: u64, until: impl Fn(&Turns) -> bool) -> Result<()> {
+    fn wait(&self, piece: u64, until: impl Fn(&VertexTurns) -> bool) -> Result<()> {
         let mut turns = self.turns();
         while !until(&turns) {
             if turns.failed < piece {
@@ -99,19 +99,19 @@ impl<'a> ConversionCall<'a> {
     /// Does something for the piece that begins with a vertex; whoever waits for what follows from it learns
     /// if it fails.
     fn guarded<T>(&self, piece: u64, work: impl FnOnce() -> Result<T>) -> Result<T> {
-        struct Guard<'w, 'a> {
+        struct TurnGuard<'w, 'a> {
             of: &'w ConversionCall<'a>,
             piece: u64,
             is_done: bool,
         }
-        impl Drop for Guard<'_, '_> {
+        impl Drop for TurnGuard<'_, '_> {
             fn drop(&mut self) {
                 if !self.is_done {
                     self.of.change(|turns| turns.failed = turns.failed.min(self.piece));
                 }
             }
         }
-        let mut guard = Guard { of: self, piece, is_done: false };
+        let mut guard = TurnGuard { of: self, piece, is_done: false };
         let done = work();
         guard.is_done = done.is_ok();
         done
@@ -166,15 +166,15 @@ impl Rewritable for ConversionCall<'_> {
     fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
         let vertices = self.model.info().vertices;
         let reader = self.in_order.then(|| self.model.vertices(0..vertices)).transpose()?;
-        Ok(Box::new(Reading {
+        Ok(Box::new(ConversionPieces {
             work: self,
-            next: Next::Head,
+            next: NextPiece::Head,
             number: 0,
             vertex: 0,
             reader,
             triangles: None,
             chunk: FaceChunk::default(),
-            joining: Joining::new(vertices, self.form.holds_polygons()),
+            joining: PolygonJoin::new(vertices, self.form.holds_polygons()),
             faces: Polygons::default(),
         }))
     }
@@ -187,9 +187,9 @@ impl Rewritable for ConversionCall<'_> {
         self.guarded(chunk.first, || self.read_piece(chunk))
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, version: PieceVersion<'_>) -> Result<()> {
         self.guarded(chunk.first, || {
-            let Version { edited, normals, bytes, summary, .. } = version;
+            let PieceVersion { edited, normals, bytes, summary, .. } = version;
             let attributes = self.attributes(chunk, edited)?;
             // What has no position stays without.
             let mut positions = Vec::new();
@@ -197,7 +197,7 @@ impl Rewritable for ConversionCall<'_> {
                 let kept = |(old, new): (&_, &_)| if glam::DVec3::is_finite(*old) { *new } else { *old };
                 positions.extend(chunk.positions.iter().zip(&edited.positions).map(kept));
             }
-            let rows = Rows {
+            let rows = WrittenRows {
                 first: chunk.first,
                 positions: if positions.is_empty() { &edited.positions } else { &positions },
                 normals: if normals == Normals::Transform { &edited.normals } else { &chunk.normals },
@@ -232,7 +232,7 @@ impl Rewritable for ConversionCall<'_> {
 }
 
 /// What comes next.
-enum Next {
+enum NextPiece {
     Head,
     Vertices,
     Faces,
@@ -241,9 +241,9 @@ enum Next {
 }
 
 /// The pieces of a conversion.
-struct Reading<'a> {
+struct ConversionPieces<'a> {
     work: &'a ConversionCall<'a>,
-    next: Next,
+    next: NextPiece,
     /// Number of the next piece.
     number: u64,
     /// The first vertex that was not read.
@@ -251,11 +251,11 @@ struct Reading<'a> {
     reader: Option<Box<dyn VertexReader + 'a>>,
     triangles: Option<Box<dyn FaceReader + 'a>>,
     chunk: FaceChunk,
-    joining: Joining,
+    joining: PolygonJoin,
     faces: Polygons,
 }
 
-impl Pieces for Reading<'_> {
+impl Pieces for ConversionPieces<'_> {
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
         let piece = self.work.guarded(self.vertex, || self.read_next(chunk));
         self.number += 1;
@@ -263,35 +263,35 @@ impl Pieces for Reading<'_> {
     }
 }
 
-impl Reading<'_> {
+impl ConversionPieces<'_> {
     fn read_next(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
         let work = self.work;
         loop {
             match self.next {
-                Next::Head => {
+                NextPiece::Head => {
                     chunk.raw = work.form.head()?;
-                    self.next = Next::Vertices;
+                    self.next = NextPiece::Vertices;
                     return Ok(Piece::Bytes);
                 }
-                Next::Vertices => {
+                NextPiece::Vertices => {
                     if let Some(vertices) = self.read_vertices(chunk)? {
                         return Ok(Piece::Vertices(vertices));
                     }
                     self.reader = None;
-                    self.next = if work.form.has_faces() { Next::Faces } else { Next::Tail };
+                    self.next = if work.form.has_faces() { NextPiece::Faces } else { NextPiece::Tail };
                 }
-                Next::Faces => {
+                NextPiece::Faces => {
                     if self.read_faces(chunk)? {
                         return Ok(Piece::Bytes);
                     }
-                    self.next = Next::Tail;
+                    self.next = NextPiece::Tail;
                 }
-                Next::Tail => {
-                    self.next = Next::End;
+                NextPiece::Tail => {
+                    self.next = NextPiece::End;
                     chunk.raw.clear();
                     return Ok(Piece::Made);
                 }
-                Next::End => {
+                NextPiece::End => {
                     work.source.check_unchanged()?;
                     return Ok(Piece::End);
                 }
@@ -359,9 +359,9 @@ impl Reading<'_> {
 }
 
 /// Tells the edit of pieces in their order, and lets it edit them in any.
-pub(super) struct InTurn<'w, 'a>(&'w ConversionCall<'a>);
+pub(super) struct EditInTurn<'w, 'a>(&'w ConversionCall<'a>);
 
-impl Edit for InTurn<'_, '_> {
+impl Edit for EditInTurn<'_, '_> {
     fn begin(&self, chunk: &RawChunk<'_>) -> Result<()> {
         if self.0.in_order || !chunk.is_edited { self.0.edit.begin(chunk) } else { Ok(()) }
     }

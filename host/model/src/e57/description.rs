@@ -6,9 +6,9 @@ use std::str::FromStr;
 use glam::DVec3;
 use roxmltree::{Document, Node, ParsingOptions};
 
-use super::fields::{Field, Kind};
+use super::fields::{E57Field, NumberEncoding};
 use super::pages::DAMAGED;
-use super::pose::Pose;
+use super::pose::ScanPose;
 use crate::Result;
 use crate::source::Source;
 
@@ -24,9 +24,9 @@ pub(super) struct Described {
     /// The place of its points in the file.
     pub place: u64,
     /// Each has a stream of its own, in this order.
-    pub fields: Vec<Field>,
-    pub pose: Pose,
-    pub slots: Vec<Slot>,
+    pub fields: Vec<E57Field>,
+    pub pose: ScanPose,
+    pub slots: Vec<LimitSlot>,
     /// For each field, where in the text its least and its largest number are, as far as it says them.
     pub limits: Vec<[Option<Range<usize>>; 2]>,
     /// What else is told of the scan, by the names of elements.
@@ -35,7 +35,7 @@ pub(super) struct Described {
 
 /// All scans, in the order of the text.
 #[derive(Debug)]
-pub(super) struct Description {
+pub(super) struct E57Description {
     pub scans: Vec<Described>,
     pub images: usize,
     /// The name of the coordinate reference system, as far as the file has one.
@@ -53,26 +53,26 @@ pub(super) struct Corner {
 
 /// A place in the text that has such a number.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Slot {
+pub(super) struct LimitSlot {
     pub corner: Corner,
     /// It is a limit of the type of the field, which may be wider; else of the box of the points.
     pub is_limit: bool,
     /// The number as it is.
     pub value: f64,
     /// How the number is written.
-    pub kind: Kind,
+    pub kind: NumberEncoding,
     /// The bytes to be replaced, and what has to stand around the new number.
     pub text: Range<usize>,
     pub around: (String, String),
 }
 
-impl Description {
+impl E57Description {
     pub fn read(source: &Source, xml: &str) -> Result<Self> {
         let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
         let document = Document::parse_with_options(xml, options).map_err(|e| {
             source.malformed(format!("the XML that describes the scans cannot be read: {e}"), DAMAGED)
         })?;
-        let reading = Reading { source, xml, document: &document };
+        let reading = DescriptionReading { source, xml, document: &document };
         let root = document.root_element();
         if root.tag_name().name() != "e57Root" {
             let what = format!("its XML is of a <{}>, not of an <e57Root>", root.tag_name().name());
@@ -130,13 +130,13 @@ fn crs_name(text: &str) -> Option<String> {
     (!name.is_empty()).then_some(name)
 }
 
-struct Reading<'a, 'i> {
+struct DescriptionReading<'a, 'i> {
     source: &'a Source,
     xml: &'i str,
     document: &'a Document<'i>,
 }
 
-impl<'a, 'i> Reading<'a, 'i> {
+impl<'a, 'i> DescriptionReading<'a, 'i> {
     fn wrong(&self, node: Node<'_, '_>, what: impl std::fmt::Display) -> crate::Error {
         let line = self.document.text_pos_at(node.range().start).row;
         self.source.malformed(format!("line {line} of its XML: {what}"), DAMAGED)
@@ -186,9 +186,9 @@ impl<'a, 'i> Reading<'a, 'i> {
     fn fields(
         &self,
         prototype: Node<'a, 'i>,
-        slots: &mut Vec<Slot>,
+        slots: &mut Vec<LimitSlot>,
         limits: &mut Vec<[Option<Range<usize>>; 2]>,
-    ) -> Result<Vec<Field>> {
+    ) -> Result<Vec<E57Field>> {
         let mut fields = Vec::new();
         let all = prototype.descendants().skip(1).filter(Node::is_element);
         for node in all.filter(|node| node.attribute("type") != Some("Structure")) {
@@ -200,11 +200,13 @@ impl<'a, 'i> Reading<'a, 'i> {
             let axis = |names: [&str; 3]| names.iter().position(|known| *known == name);
             let place = axis(CARTESIAN).map(|axis| (false, axis));
             let place = place.or(axis(SPHERICAL).map(|axis| (true, axis)));
-            if let (Some((is_spherical, axis)), Kind::Single | Kind::Double) = (place, kind) {
+            if let (Some((is_spherical, axis)), NumberEncoding::Single | NumberEncoding::Double) =
+                (place, kind)
+            {
                 for (limit, is_max) in [("minimum", false), ("maximum", true)] {
                     let Some(value) = self.attribute::<f64>(node, limit)? else { continue };
                     let Some(attribute) = node.attribute_node(limit) else { continue };
-                    slots.push(Slot {
+                    slots.push(LimitSlot {
                         corner: Corner { is_spherical, axis, is_max },
                         is_limit: true,
                         value,
@@ -216,17 +218,17 @@ impl<'a, 'i> Reading<'a, 'i> {
             }
             let place = |limit| node.attribute_node(limit).map(|attribute| attribute.range_value());
             limits.push([place("minimum"), place("maximum")]);
-            fields.push(Field { name, kind });
+            fields.push(E57Field { name, kind });
         }
         Ok(fields)
     }
 
-    fn kind(&self, node: Node<'a, 'i>) -> Result<Kind> {
+    fn kind(&self, node: Node<'a, 'i>) -> Result<NumberEncoding> {
         let kind = node.attribute("type").unwrap_or_default();
         match kind {
             "Float" => match node.attribute("precision") {
-                None | Some("double") => Ok(Kind::Double),
-                Some("single") => Ok(Kind::Single),
+                None | Some("double") => Ok(NumberEncoding::Double),
+                Some("single") => Ok(NumberEncoding::Single),
                 Some(other) => Err(self.wrong(node, format!("a Float of precision {other:?}"))),
             },
             "Integer" | "ScaledInteger" => {
@@ -242,9 +244,9 @@ impl<'a, 'i> Reading<'a, 'i> {
                 if !f64::is_finite(scale) || scale == 0.0 || !f64::is_finite(offset) {
                     return Err(self.wrong(node, format!("{name} has the scale {scale} and offset {offset}")));
                 }
-                Ok(Kind::Integer { min, max, scale, offset })
+                Ok(NumberEncoding::Integer { min, max, scale, offset })
             }
-            "String" => Ok(Kind::Other),
+            "String" => Ok(NumberEncoding::Other),
             other => {
                 let what = format!("a point has {}, which is of the type {other:?}", node.tag_name().name());
                 Err(self.wrong(node, what))
@@ -253,8 +255,8 @@ impl<'a, 'i> Reading<'a, 'i> {
     }
 
     /// Where a scan stands: where it says nothing, in the frame that all share.
-    fn pose(&self, node: Node<'a, 'i>, scan: &str) -> Result<Pose> {
-        let Some(pose) = child(node, "pose") else { return Ok(Pose::default()) };
+    fn pose(&self, node: Node<'a, 'i>, scan: &str) -> Result<ScanPose> {
+        let Some(pose) = child(node, "pose") else { return Ok(ScanPose::default()) };
         let numbers = |of: &str, names: [&str; 4], otherwise: [f64; 4]| {
             let mut numbers = otherwise;
             if let Some(node) = child(pose, of) {
@@ -266,7 +268,7 @@ impl<'a, 'i> Reading<'a, 'i> {
         };
         let rotation = numbers("rotation", ["w", "x", "y", "z"], [1.0, 0.0, 0.0, 0.0])?;
         let [x, y, z, _] = numbers("translation", ["x", "y", "z", ""], [0.0; 4])?;
-        let found = Pose::new(rotation, DVec3::new(x, y, z));
+        let found = ScanPose::new(rotation, DVec3::new(x, y, z));
         found.ok_or_else(|| {
             let what = format!(
                 "the pose of {scan} is none: its rotation is {rotation:?} (w, x, y, z), its translation {:?}",
@@ -294,12 +296,12 @@ impl<'a, 'i> Reading<'a, 'i> {
             self.wrong(node, format!("{:?} in {} is no number", text, node.tag_name().name()))
         })?;
         match self.kind(node) {
-            Ok(Kind::Integer { scale, offset, .. }) => Ok(number * scale + offset),
+            Ok(NumberEncoding::Integer { scale, offset, .. }) => Ok(number * scale + offset),
             _ => Ok(number),
         }
     }
 
-    fn slot(&self, node: Node<'a, 'i>, corner: Corner) -> Result<Slot> {
+    fn slot(&self, node: Node<'a, 'i>, corner: Corner) -> Result<LimitSlot> {
         let value = self.number(node)?;
         let kind = self.kind(node)?;
         let mut around = Default::default();
@@ -317,7 +319,7 @@ impl<'a, 'i> Reading<'a, 'i> {
                 all.start + end..all.end
             }
         };
-        Ok(Slot { corner, is_limit: false, value, kind, text, around })
+        Ok(LimitSlot { corner, is_limit: false, value, kind, text, around })
     }
 }
 

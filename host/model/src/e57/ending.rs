@@ -8,12 +8,12 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::ops::Range;
 
-use super::description::Slot;
-use super::fields::Kind;
+use super::description::LimitSlot;
+use super::fields::NumberEncoding;
 use super::file::E57Model;
 use super::header::at;
 use super::pages::{PAGE, PAYLOAD, append_pages, checksum_after, pages_of, physical};
-use super::scan::{Reach, Scan, corner_of};
+use super::scan::{Scan, ScanReach, corner_of};
 use crate::{Result, Summary};
 
 /// Bytes that replace others of a page: where, the old and the new ones.
@@ -116,7 +116,7 @@ impl E57Model {
         for (number, scan) in (0..).zip(&self.scans) {
             let boxes = |kind: u32| all.boxes.get(&(2 * number + kind)).copied().unwrap_or_default();
             let both = [boxes(0), boxes(1)];
-            let (before, after): (Reach, Reach) = (both.map(|b| b[0]), both.map(|b| b[1]));
+            let (before, after): (ScanReach, ScanReach) = (both.map(|b| b[0]), both.map(|b| b[1]));
             for slot in &scan.described.slots {
                 let around = |new: String| format!("{}{new}{}", slot.around.0, slot.around.1);
                 let new = new_number(scan, slot, &before, &after).map(around);
@@ -144,7 +144,7 @@ impl E57Model {
 }
 
 /// The number that takes the place of one in the text, if the points that it is about reach elsewhere now.
-fn new_number(scan: &Scan, slot: &Slot, before: &Reach, after: &Reach) -> Option<String> {
+fn new_number(scan: &Scan, slot: &LimitSlot, before: &ScanReach, after: &ScanReach) -> Option<String> {
     let corner = slot.corner;
     let (was, is) = (corner_of(before, corner), corner_of(after, corner));
     let grows = if corner.is_max { is > was } else { is < was };
@@ -153,11 +153,11 @@ fn new_number(scan: &Scan, slot: &Slot, before: &Reach, after: &Reach) -> Option
         return None;
     }
     // From one azimuth up to a smaller one, by way of a half turn: all around is right in any case.
-    let other = |other: &&Slot| {
+    let other = |other: &&LimitSlot| {
         !other.is_limit && other.corner == super::description::Corner { is_max: !corner.is_max, ..corner }
     };
     let wraps =
-        |other: &Slot| if corner.is_max { slot.value < other.value } else { slot.value > other.value };
+        |other: &LimitSlot| if corner.is_max { slot.value < other.value } else { slot.value > other.value };
     let is_around = corner.is_spherical
         && corner.axis == 1
         && !slot.is_limit
@@ -171,20 +171,20 @@ fn new_number(scan: &Scan, slot: &Slot, before: &Reach, after: &Reach) -> Option
 }
 
 /// A number as text: where the type cannot have it, the next one further out.
-fn written(kind: Kind, number: f64, is_max: bool) -> String {
+fn written(kind: NumberEncoding, number: f64, is_max: bool) -> String {
     match kind {
-        Kind::Integer { scale, offset, .. } => {
+        NumberEncoding::Integer { scale, offset, .. } => {
             let steps = (number - offset) / scale;
             let up = is_max == (scale > 0.0);
             format!("{}", (if up { steps.ceil() } else { steps.floor() }) as i64)
         }
-        Kind::Single => {
+        NumberEncoding::Single => {
             let single = number as f32;
             let is_inside = if is_max { f64::from(single) < number } else { f64::from(single) > number };
             let outer = if is_max { single.next_up() } else { single.next_down() };
             format!("{:?}", if is_inside { outer } else { single })
         }
-        Kind::Double | Kind::Other => format!("{number:?}"),
+        NumberEncoding::Double | NumberEncoding::Other => format!("{number:?}"),
     }
 }
 
@@ -209,15 +209,15 @@ mod tests {
             (1.25e-7, 10, "1.250000e-7"),
             (7.0, 1, "7.0"),
         ] {
-            let new = padded(written(Kind::Double, number, true), length);
+            let new = padded(written(NumberEncoding::Double, number, true), length);
             assert_eq!(new.parse::<f64>(), Ok(number));
             assert!(new.len() >= length.min(text.len()) && (new == text || text.contains('e')), "{new}");
         }
-        let single = written(Kind::Single, 0.1, true).parse::<f32>().unwrap();
+        let single = written(NumberEncoding::Single, 0.1, true).parse::<f32>().unwrap();
         assert!(f64::from(single) >= 0.1);
-        let single = written(Kind::Single, 0.3, false).parse::<f32>().unwrap();
+        let single = written(NumberEncoding::Single, 0.3, false).parse::<f32>().unwrap();
         assert!(f64::from(single) <= 0.3);
-        let kind = Kind::Integer { min: 0, max: 9, scale: 0.5, offset: 1.0 };
+        let kind = NumberEncoding::Integer { min: 0, max: 9, scale: 0.5, offset: 1.0 };
         assert_eq!([true, false].map(|is_max| written(kind, 2.7, is_max)), ["4", "3"]);
     }
 }

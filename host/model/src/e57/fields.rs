@@ -4,7 +4,7 @@ use crate::Type;
 
 /// How the numbers of a field are stored.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Kind {
+pub(super) enum NumberEncoding {
     /// 32 bits.
     Single,
     /// 64 bits.
@@ -15,7 +15,7 @@ pub(super) enum Kind {
     Other,
 }
 
-impl Kind {
+impl NumberEncoding {
     /// The number that bits stand for.
     #[inline]
     pub fn value(&self, bits: u64) -> f64 {
@@ -34,9 +34,11 @@ impl Kind {
     #[inline]
     pub fn nearest(&self, value: f64) -> Option<u64> {
         match *self {
-            Kind::Single => Some(value as f32).filter(|v| v.is_finite()).map(|v| v.to_bits().into()),
-            Kind::Double => Some(value).filter(|v| v.is_finite()).map(f64::to_bits),
-            Kind::Integer { min, max, scale, offset } => {
+            NumberEncoding::Single => {
+                Some(value as f32).filter(|v| v.is_finite()).map(|v| v.to_bits().into())
+            }
+            NumberEncoding::Double => Some(value).filter(|v| v.is_finite()).map(f64::to_bits),
+            NumberEncoding::Integer { min, max, scale, offset } => {
                 let number = ((value - offset) / scale).round();
                 // Both ends as doubles are exact or beyond what a number can be rounded to.
                 if !(number >= min as f64 && number <= max as f64) {
@@ -45,46 +47,46 @@ impl Kind {
                 let number = (number as i64).clamp(min, max);
                 Some(number.wrapping_sub(min).cast_unsigned())
             }
-            Kind::Other => None,
+            NumberEncoding::Other => None,
         }
     }
 
     /// The least and the largest number that can be stored.
     pub fn range(&self) -> (f64, f64) {
         match *self {
-            Kind::Single => (f32::MIN.into(), f32::MAX.into()),
-            Kind::Integer { min, max, scale, offset } => {
+            NumberEncoding::Single => (f32::MIN.into(), f32::MAX.into()),
+            NumberEncoding::Integer { min, max, scale, offset } => {
                 let ends = [min, max].map(|n| n as f64 * scale + offset);
                 (ends[0].min(ends[1]), ends[0].max(ends[1]))
             }
-            Kind::Double | Kind::Other => (f64::MIN, f64::MAX),
+            NumberEncoding::Double | NumberEncoding::Other => (f64::MIN, f64::MAX),
         }
     }
 }
 
 /// A field of the points of a scan, which has a stream of bits of its own.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Field {
+pub(super) struct E57Field {
     /// The name of its element, with a prefix if it is an extension's: `cartesianX`, `nor:normalX`.
     pub name: String,
-    pub kind: Kind,
+    pub kind: NumberEncoding,
 }
 
-impl Field {
+impl E57Field {
     /// Bits of a number.
     pub fn bits(&self) -> u32 {
         match self.kind {
-            Kind::Single => 32,
-            Kind::Double => 64,
-            Kind::Integer { min, max, .. } => {
+            NumberEncoding::Single => 32,
+            NumberEncoding::Double => 64,
+            NumberEncoding::Integer { min, max, .. } => {
                 u64::BITS - max.wrapping_sub(min).cast_unsigned().leading_zeros()
             }
-            Kind::Other => 0,
+            NumberEncoding::Other => 0,
         }
     }
 
     pub fn is_number(&self) -> bool {
-        self.kind != Kind::Other
+        self.kind != NumberEncoding::Other
     }
 
     /// The number that bits stand for.
@@ -101,7 +103,7 @@ impl Field {
     /// From one number to the next; zero of floats.
     pub fn step(&self) -> f64 {
         match self.kind {
-            Kind::Integer { min, max, scale, .. } if max > min => scale.abs(),
+            NumberEncoding::Integer { min, max, scale, .. } if max > min => scale.abs(),
             _ => 0.0,
         }
     }
@@ -109,14 +111,14 @@ impl Field {
     /// Whether some of its numbers are integers that doubles do not tell apart.
     pub fn is_beyond_doubles(&self) -> bool {
         const MOST: i64 = 1 << 53;
-        matches!(self.kind, Kind::Integer { min, max, .. } if max > min && (min < -MOST || max > MOST))
+        matches!(self.kind, NumberEncoding::Integer { min, max, .. } if max > min && (min < -MOST || max > MOST))
     }
 
     /// What holds all numbers of the field.
     pub fn number_type(&self) -> Type {
         match self.kind {
-            Kind::Single => Type::F32,
-            Kind::Integer { min, max, scale: 1.0, offset: 0.0 } => {
+            NumberEncoding::Single => Type::F32,
+            NumberEncoding::Integer { min, max, scale: 1.0, offset: 0.0 } => {
                 let fits = |least: i64, most: i64| min >= least && max <= most;
                 let types = [
                     (Type::U8, 0, i64::from(u8::MAX)),
@@ -136,7 +138,7 @@ impl Field {
 
 /// Numbers of one field, packed: each has as many bits as the field, the lowest ones first.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Packed {
+pub(super) struct PackedNumbers {
     /// Bytes of the field's stream, and some more at the end, so that reading needs no care.
     bytes: Vec<u8>,
     /// The byte of the stream that the first of them is.
@@ -149,7 +151,7 @@ pub(super) struct Packed {
 /// Bytes behind the last of a stream.
 const SPARE: usize = 16;
 
-impl Packed {
+impl PackedNumbers {
     /// Begins numbers from `first` on of a field of so many bits, whose bytes will be [put](Self::bytes_mut)
     /// there.
     pub fn begin(&mut self, width: u32, first: u64, count: u64) {
@@ -235,8 +237,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn integer(min: i64, max: i64, scale: f64, offset: f64) -> Field {
-        Field { name: "x".into(), kind: Kind::Integer { min, max, scale, offset } }
+    fn integer(min: i64, max: i64, scale: f64, offset: f64) -> E57Field {
+        E57Field { name: "x".into(), kind: NumberEncoding::Integer { min, max, scale, offset } }
     }
 
     #[test]
@@ -266,7 +268,7 @@ mod tests {
         let negative = integer(-10, 20, -0.5, 0.0);
         assert_eq!(negative.range(), (-10.0, 5.0));
         assert_eq!(negative.kind.nearest(5.0).map(|bits| negative.value(bits)), Some(5.0));
-        let single = Field { name: "x".into(), kind: Kind::Single };
+        let single = E57Field { name: "x".into(), kind: NumberEncoding::Single };
         assert_eq!(single.kind.nearest(1e39), None);
     }
 
@@ -288,7 +290,7 @@ mod tests {
             first in 0..1u64 << 40,
             numbers in prop::collection::vec(any::<u64>(), 1..50),
         ) {
-            let mut packed = Packed::default();
+            let mut packed = PackedNumbers::default();
             packed.begin(width, first, numbers.len() as u64);
             packed.bytes_mut().fill(0xa5);
             let before = packed.clone();

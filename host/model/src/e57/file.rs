@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use super::description::Description;
-use super::fields::Kind;
-use super::header::{Header, LENGTH};
-use super::packets::{Packets, Walk};
-use super::pages::{DAMAGED, Window, physical};
+use super::description::E57Description;
+use super::fields::NumberEncoding;
+use super::header::{E57Header, LENGTH};
+use super::packets::{PacketWalk, Packets};
+use super::pages::{DAMAGED, PageWindow, physical};
 use super::scan::{NUMBER, Scan, TooWide};
 use crate::follow::Following;
 use crate::source::Source;
@@ -20,7 +20,7 @@ const MOST_OF_NOTHING: u64 = 1 << 12;
 #[derive(Debug)]
 pub struct E57Model {
     pub(super) source: Source,
-    pub(super) header: Header,
+    pub(super) header: E57Header,
     /// The text of its XML: at most 64 MiB.
     pub(super) xml: String,
     /// In the order of their points in the file, which is that of the vertices.
@@ -40,17 +40,17 @@ impl E57Model {
     /// # Errors
     /// The file cannot be read, is not what E57 files are, or has a wrong checksum in what is read of it.
     pub fn new(source: Source) -> Result<Self> {
-        let header = Header::read(&source)?;
+        let header = E57Header::read(&source)?;
         let xml = read_xml(&source, &header)?;
-        let Description { scans: described, images, crs } = Description::read(&source, &xml)?;
+        let E57Description { scans: described, images, crs } = E57Description::read(&source, &xml)?;
         let mut found = Vec::new();
         let number = described.len();
-        let mut window = Window::new(&source, 1);
+        let mut window = PageWindow::new(&source, 1);
         for one in described {
             let packets = if one.count == 0 {
                 Packets::none()
             } else {
-                let walk = Walk { source: &source, window: &mut window, name: &one.name };
+                let walk = PacketWalk { source: &source, window: &mut window, name: &one.name };
                 Packets::find(walk, (one.place, one.count), &one.fields, number)?
             };
             found.push((one, packets));
@@ -109,8 +109,12 @@ impl E57Model {
         self.scans.partition_point(|scan| scan.vertices().end <= vertex)
     }
 
-    pub(super) fn walk<'a, 'w>(&'a self, scan: &'a Scan, window: &'a mut Window<'w>) -> Walk<'a, 'w> {
-        Walk { source: &self.source, window, name: &scan.described.name }
+    pub(super) fn walk<'a, 'w>(
+        &'a self,
+        scan: &'a Scan,
+        window: &'a mut PageWindow<'w>,
+    ) -> PacketWalk<'a, 'w> {
+        PacketWalk { source: &self.source, window, name: &scan.described.name }
     }
 
     /// See [`Model::make_room`](crate::Model::make_room).
@@ -193,8 +197,8 @@ impl E57Model {
     }
 }
 
-fn read_xml(source: &Source, header: &Header) -> Result<String> {
-    let mut window = Window::new(source, 1);
+fn read_xml(source: &Source, header: &E57Header) -> Result<String> {
+    let mut window = PageWindow::new(source, 1);
     let bytes = window.get(header.xml.clone())?.to_vec();
     String::from_utf8(bytes).map_err(|e| {
         let at = physical(header.xml.start + e.utf8_error().valid_up_to() as u64);
@@ -214,7 +218,7 @@ fn describe(scan: &Scan) -> String {
     };
     let mut text = format!("{}: {} points, {stands}", described.name, described.count);
     for field in scan.row.iter().map(|field| &described.fields[*field]) {
-        if let Kind::Integer { scale, offset, .. } = field.kind
+        if let NumberEncoding::Integer { scale, offset, .. } = field.kind
             && !field.name.ends_with("State")
         {
             let bits = field.bits();
@@ -227,7 +231,7 @@ fn describe(scan: &Scan) -> String {
 /// What is known of a model, and which field of each scan each attribute is.
 fn info(
     source: &Source,
-    header: &Header,
+    header: &E57Header,
     scans: &[Scan],
     (vertices, crs): (u64, Option<String>),
 ) -> (ModelInfo, Vec<Vec<(usize, usize)>>) {
@@ -235,7 +239,8 @@ fn info(
     let has_normals = vertices > 0 && with_points().all(|scan| scan.has_normals);
     let is_single = |scan: &Scan| {
         let fields = scan.row.iter().take(3).map(|field| &scan.described.fields[*field]);
-        fields.into_iter().all(|field| field.kind == Kind::Single) && scan.described.pose.is_identity()
+        fields.into_iter().all(|field| field.kind == NumberEncoding::Single)
+            && scan.described.pose.is_identity()
     };
     let mut attributes: Vec<Attribute> = Vec::new();
     let mut known = BTreeMap::new();

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::pages::{CUT_OFF, DAMAGED, PAGE, Window, logical};
+use super::pages::{CUT_OFF, DAMAGED, PAGE, PageWindow, logical};
 use crate::Result;
 use crate::source::Source;
 
@@ -24,20 +24,20 @@ const MOST_XML: u64 = 64 << 20;
 
 /// What the header says.
 #[derive(Debug)]
-pub(super) struct Header {
+pub(super) struct E57Header {
     /// Version of the format.
     pub version: [u32; 2],
     /// The logical bytes of the XML.
     pub xml: Range<u64>,
 }
 
-impl Header {
+impl E57Header {
     pub fn read(source: &Source) -> Result<Self> {
         if source.len() < PAGE {
             let what = format!("{} bytes are less than the first page of E57", source.len());
             return Err(source.malformed(what, CUT_OFF));
         }
-        let mut window = Window::new(source, 1);
+        let mut window = PageWindow::new(source, 1);
         let bytes = window.get(0..LENGTH)?;
         let number = |at: u64| u64::from_le_bytes(bytes_at(bytes, at as usize));
         let version = [8, 12].map(|at| u32::from_le_bytes(bytes_at(bytes, at)));

@@ -35,7 +35,7 @@ use std::path::Path;
 
 use file::E57Model;
 use glam::DVec3;
-use reader::Reader;
+use reader::E57Reader;
 
 use crate::follow::{Follow, Following};
 use crate::source::Source;
@@ -76,7 +76,7 @@ impl Model for E57Model {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        Ok(Box::new(Reader::new(self, range)))
+        Ok(Box::new(E57Reader::new(self, range)))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {

@@ -3,9 +3,9 @@
 
 use std::ops::Range;
 
-use super::fields::{Field, Packed};
+use super::fields::{E57Field, PackedNumbers};
 use super::header::bytes_at;
-use super::pages::{DAMAGED, Window, logical};
+use super::pages::{DAMAGED, PageWindow, logical};
 use crate::Result;
 use crate::source::Source;
 
@@ -22,7 +22,7 @@ const LEAST_ROWS: usize = 4;
 
 /// A place before a packet, and what of each stream comes before it.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Place {
+pub(super) struct PacketStart {
     /// The logical byte at which the packet begins.
     pub at: u64,
     /// Bytes of each stream.
@@ -55,9 +55,9 @@ pub(super) struct PacketStream {
 }
 
 /// What a walk through packets needs to know.
-pub(super) struct Walk<'a, 'w> {
+pub(super) struct PacketWalk<'a, 'w> {
     pub source: &'a Source,
-    pub window: &'a mut Window<'w>,
+    pub window: &'a mut PageWindow<'w>,
     /// The scan's name.
     pub name: &'a str,
 }
@@ -70,17 +70,17 @@ impl Packets {
 
     /// Goes over the packets' heads once; `scans` share the room for tables.
     pub fn find(
-        mut walk: Walk<'_, '_>,
+        mut walk: PacketWalk<'_, '_>,
         (place, count): (u64, u64),
-        fields: &[Field],
+        fields: &[E57Field],
         scans: usize,
     ) -> Result<Self> {
         let (section, first) = walk.section(place)?;
         let row = fields.len() + 1;
         let most_rows = (ROOM / scans.max(1) / row).max(LEAST_ROWS);
         let mut this = Self { section, end: 0, streams: fields.len(), table: Vec::new(), stride: 1 };
-        let needed: Vec<u64> = fields.iter().map(|f| Packed::range(f.bits(), 0, count).end).collect();
-        let mut now = Place { at: first, before: vec![0; fields.len()] };
+        let needed: Vec<u64> = fields.iter().map(|f| PackedNumbers::range(f.bits(), 0, count).end).collect();
+        let mut now = PacketStart { at: first, before: vec![0; fields.len()] };
         let mut packet = 0;
         while now.before.iter().zip(&needed).any(|(there, needed)| there < needed) {
             if packet % this.stride == 0 {
@@ -123,7 +123,7 @@ impl Packets {
 
     /// The last place that is kept of which `is_before` holds, as it does of all before it; or else the first
     /// one.
-    pub fn last_place(&self, is_before: impl Fn(u64, &[u64]) -> bool) -> Option<Place> {
+    pub fn last_place(&self, is_before: impl Fn(u64, &[u64]) -> bool) -> Option<PacketStart> {
         let row = self.streams + 1;
         let place = |number: usize| {
             let (at, before) = self.table.get(number * row..(number + 1) * row)?.split_first()?;
@@ -135,12 +135,12 @@ impl Packets {
             let is_before = place(middle).is_some_and(|(at, before)| is_before(at, before));
             (low, high) = if is_before { (middle, high) } else { (low, middle) };
         }
-        place(low).map(|(at, before)| Place { at, before: before.to_vec() })
+        place(low).map(|(at, before)| PacketStart { at, before: before.to_vec() })
     }
 }
 
 /// An error where streams of numbers are too far apart.
-fn check_apart(walk: &Walk<'_, '_>, fields: &[Field], now: &Place, count: u64) -> Result<()> {
+fn check_apart(walk: &PacketWalk<'_, '_>, fields: &[E57Field], now: &PacketStart, count: u64) -> Result<()> {
     let numbers = fields.iter().zip(&now.before).filter(|(field, _)| field.bits() > 0);
     let numbers = numbers.map(|(field, bytes)| (bytes * 8 / u64::from(field.bits())).min(count));
     let (least, most) = numbers.fold((u64::MAX, 0), |(least, most), n| (least.min(n), most.max(n)));
@@ -157,7 +157,7 @@ fn check_apart(walk: &Walk<'_, '_>, fields: &[Field], now: &Place, count: u64) -
     Ok(())
 }
 
-impl<'a> Walk<'a, '_> {
+impl<'a> PacketWalk<'a, '_> {
     /// What is wrong at a logical byte.
     fn wrong(&self) -> impl Fn(u64, std::fmt::Arguments<'_>) -> crate::Error + use<'a> {
         let (source, name) = (self.source, self.name);
@@ -202,7 +202,12 @@ impl<'a> Walk<'a, '_> {
 
     /// Goes over the packet at a place, and on to the next one; `false` if there is none before `end`. Tells
     /// `each` what of streams it has.
-    pub fn next(&mut self, place: &mut Place, end: u64, mut each: impl FnMut(PacketStream)) -> Result<bool> {
+    pub fn next(
+        &mut self,
+        place: &mut PacketStart,
+        end: u64,
+        mut each: impl FnMut(PacketStream),
+    ) -> Result<bool> {
         let (at, wrong) = (place.at, self.wrong());
         if at.saturating_add(4) > end {
             return Ok(false);

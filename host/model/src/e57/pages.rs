@@ -65,7 +65,7 @@ pub(super) fn checksum_after<'a>(
 /// Some pages of a file, read and checked: reading on is cheap, and so is going back a little.
 ///
 /// Memory: as many pages as it was made for, or as are asked for at once, twice.
-pub(super) struct Window<'a> {
+pub(super) struct PageWindow<'a> {
     source: &'a Source,
     /// Pages that are read at a time.
     ahead: u64,
@@ -76,7 +76,7 @@ pub(super) struct Window<'a> {
     read: Vec<u8>,
 }
 
-impl<'a> Window<'a> {
+impl<'a> PageWindow<'a> {
     pub fn new(source: &'a Source, ahead: u64) -> Self {
         Self { source, ahead, first: 0, bytes: Vec::new(), read: Vec::new() }
     }

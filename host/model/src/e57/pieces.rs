@@ -10,11 +10,11 @@ use std::collections::VecDeque;
 use std::ops::Range;
 
 use super::file::E57Model;
-use super::pages::{PAGE, PAYLOAD, Window, pages_of};
+use super::pages::{PAGE, PAYLOAD, PageWindow, pages_of};
 use super::reader::decoded;
 use super::scan::Scan;
 use super::streams::Streams;
-use crate::model::Beside;
+use crate::model::StraddlingVertices;
 use crate::pipeline::{Piece, Pieces};
 use crate::{CHUNK_VERTICES, Result, VertexChunk};
 
@@ -32,7 +32,7 @@ const CHUNK_BYTES: u64 = 4 << 20;
 
 /// What of the file comes next.
 #[derive(Debug)]
-enum Section {
+enum E57Section {
     Copy(Range<u64>),
     /// Pages with the points of some scans.
     Points {
@@ -45,7 +45,7 @@ enum Section {
 
 /// What of a scan a piece has.
 #[derive(Debug, Default)]
-pub(super) struct Segment {
+pub(super) struct ScanSegment {
     pub scan: usize,
     /// The points that belong to the piece.
     pub own: Range<u64>,
@@ -54,12 +54,12 @@ pub(super) struct Segment {
     /// What all points have of which numbers are here.
     pub streams: Streams,
     /// Where the bytes of streams are in the pages.
-    pub runs: Vec<Run>,
+    pub runs: Vec<StreamRun>,
 }
 
 /// Bytes of a stream in the pages of a piece.
 #[derive(Debug)]
-pub(super) struct Run {
+pub(super) struct StreamRun {
     pub field: usize,
     pub of_stream: Range<u64>,
     pub at: usize,
@@ -67,12 +67,12 @@ pub(super) struct Run {
 
 /// What has to be known of a piece to patch it.
 #[derive(Debug, Default)]
-pub(super) struct Layout {
+pub(super) struct PieceLayout {
     pub first_page: u64,
-    pub segments: Vec<Segment>,
+    pub segments: Vec<ScanSegment>,
 }
 
-impl Segment {
+impl ScanSegment {
     /// All points of which numbers are here.
     pub fn points(&self) -> &Range<u64> {
         &self.streams.points
@@ -89,8 +89,8 @@ impl Segment {
 /// The pieces of an E57 file, in its order.
 pub(super) struct E57Pieces<'a> {
     model: &'a E57Model,
-    next: VecDeque<Section>,
-    window: Window<'a>,
+    next: VecDeque<E57Section>,
+    window: PageWindow<'a>,
     rows: Vec<u64>,
 }
 
@@ -110,13 +110,13 @@ impl<'a> E57Pieces<'a> {
             }
         }
         for (pages, scans) in regions {
-            next.push_back(Section::Copy(at..pages.start * PAGE));
+            next.push_back(E57Section::Copy(at..pages.start * PAGE));
             at = pages.end * PAGE;
-            next.push_back(Section::Points { pages, scans });
+            next.push_back(E57Section::Points { pages, scans });
         }
-        next.push_back(Section::Copy(at..ending.start));
-        next.push_back(Section::Ending(ending));
-        let window = Window::new(&model.source, MOST_PAGES + 2 * AROUND);
+        next.push_back(E57Section::Copy(at..ending.start));
+        next.push_back(E57Section::Ending(ending));
+        let window = PageWindow::new(&model.source, MOST_PAGES + 2 * AROUND);
         Self { model, next, window, rows: Vec::new() }
     }
 
@@ -162,7 +162,7 @@ impl<'a> E57Pieces<'a> {
     }
 
     /// What of a scan some pages have.
-    fn segment(&mut self, number: usize, pages: &Range<u64>) -> Result<Segment> {
+    fn segment(&mut self, number: usize, pages: &Range<u64>) -> Result<ScanSegment> {
         let scan = &self.model.scans[number];
         let bytes = pages.start * PAYLOAD..pages.end * PAYLOAD;
         let is_first = bytes.start <= scan.packets.section.start;
@@ -196,7 +196,7 @@ impl<'a> E57Pieces<'a> {
         }
         alone.sort_unstable();
         alone.dedup();
-        let mut segment = Segment { scan: number, own, alone, ..Segment::default() };
+        let mut segment = ScanSegment { scan: number, own, alone, ..ScanSegment::default() };
         let walk = self.model.walk(scan, &mut self.window);
         segment.streams.read(walk, scan, points, &patched)?;
         segment.runs = self.runs(scan, &patched, &bytes)?;
@@ -204,7 +204,7 @@ impl<'a> E57Pieces<'a> {
     }
 
     /// Where the bytes of those fields of a scan that are written anew are in some bytes of the file.
-    fn runs(&mut self, scan: &Scan, patched: &[usize], bytes: &Range<u64>) -> Result<Vec<Run>> {
+    fn runs(&mut self, scan: &Scan, patched: &[usize], bytes: &Range<u64>) -> Result<Vec<StreamRun>> {
         let mut runs = Vec::new();
         let Some(mut place) = scan.packets.last_place(|at, _| at <= bytes.start) else { return Ok(runs) };
         let mut walk = self.model.walk(scan, &mut self.window);
@@ -214,7 +214,7 @@ impl<'a> E57Pieces<'a> {
                 let here = part.at.max(bytes.start)..end.min(bytes.end);
                 if here.start < here.end && patched.contains(&part.stream) {
                     let of_stream = |at: u64| part.of_stream.start + (at - part.at);
-                    runs.push(Run {
+                    runs.push(StreamRun {
                         field: part.stream,
                         of_stream: of_stream(here.start)..of_stream(here.end),
                         at: (here.start - bytes.start) as usize,
@@ -235,7 +235,7 @@ impl<'a> E57Pieces<'a> {
         self.window.load(pages.start.saturating_sub(AROUND)..pages.start + MOST_PAGES + AROUND)?;
         let end = self.end_of_piece(pages, scans)?;
         let piece = pages.start..end;
-        let mut layout = chunk.take_of_format::<Layout>();
+        let mut layout = chunk.take_of_format::<PieceLayout>();
         layout.first_page = piece.start;
         layout.segments.clear();
         chunk.raw.clear();
@@ -284,20 +284,20 @@ impl Pieces for E57Pieces<'_> {
                 return Ok(Piece::End);
             };
             match part {
-                Section::Copy(range) if range.is_empty() => {}
-                Section::Copy(range) => {
+                E57Section::Copy(range) if range.is_empty() => {}
+                E57Section::Copy(range) => {
                     let wanted = (range.end - range.start).min(CHUNK_BYTES);
-                    self.next.push_front(Section::Copy(range.start + wanted..range.end));
+                    self.next.push_front(E57Section::Copy(range.start + wanted..range.end));
                     self.copy(range.start..range.start + wanted, chunk)?;
                     return Ok(Piece::Bytes);
                 }
-                Section::Points { pages, .. } if pages.is_empty() => {}
-                Section::Points { pages, scans } => {
+                E57Section::Points { pages, .. } if pages.is_empty() => {}
+                E57Section::Points { pages, scans } => {
                     let (end, piece) = self.read_points(&pages, &scans, chunk)?;
-                    self.next.push_front(Section::Points { pages: end..pages.end, scans });
+                    self.next.push_front(E57Section::Points { pages: end..pages.end, scans });
                     return Ok(piece);
                 }
-                Section::Ending(range) => {
+                E57Section::Ending(range) => {
                     self.copy(range, chunk)?;
                     return Ok(Piece::Made);
                 }
@@ -319,11 +319,11 @@ impl E57Model {
     /// Fills the positions and normals of a piece.
     pub(super) fn decode_piece(&self, chunk: &mut VertexChunk) {
         let Some(of_format) = chunk.of_format.pop() else { return };
-        let Some(layout) = of_format.downcast_ref::<Layout>() else { return };
+        let Some(layout) = of_format.downcast_ref::<PieceLayout>() else { return };
         let normals = self.info.has_normals;
         let VertexChunk { positions, normals: of_normals, raw, beside, follows, .. } = chunk;
         *follows = !self.following.is_empty();
-        let Beside { positions: positions_beside, normals: normals_beside, groups } = beside;
+        let StraddlingVertices { positions: positions_beside, normals: normals_beside, groups } = beside;
         positions.clear();
         of_normals.clear();
         positions_beside.clear();

@@ -4,19 +4,19 @@ use glam::{DMat3, DVec3, Mat3};
 
 /// A rotation, and then a translation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Pose {
+pub(super) struct ScanPose {
     /// Images of the axes.
     axes: [DVec3; 3],
     pub translation: DVec3,
 }
 
-impl Default for Pose {
+impl Default for ScanPose {
     fn default() -> Self {
         Self { axes: DVec3::AXES, translation: DVec3::ZERO }
     }
 }
 
-impl Pose {
+impl ScanPose {
     /// The pose of a quaternion `[w, x, y, z]`; `None` where it is no rotation.
     pub fn new(rotation: [f64; 4], translation: DVec3) -> Option<Self> {
         // Scaled, so that squares neither overflow nor vanish.
@@ -97,15 +97,15 @@ mod tests {
     #[test]
     fn a_quarter_turn_about_z() {
         let half = 0.5f64.sqrt();
-        let pose = Pose::new([half, 0.0, 0.0, half], DVec3::new(10.0, 0.0, 0.0)).unwrap();
+        let pose = ScanPose::new([half, 0.0, 0.0, half], DVec3::new(10.0, 0.0, 0.0)).unwrap();
         assert!((pose.position(DVec3::X) - DVec3::new(10.0, 1.0, 0.0)).length() < 1e-15);
         // What goes up goes up, to the bit.
         assert_eq!(pose.turned_back(DVec3::new(0.0, 0.0, 0.1)), DVec3::new(0.0, 0.0, 0.1));
         let (axis, angle) = pose.rotation().unwrap();
         assert!((axis - DVec3::Z).length() < 1e-12 && (angle - 90.0).abs() < 1e-12);
-        assert_eq!(Pose::new([0.0; 4], DVec3::ZERO), None);
-        assert_eq!(Pose::new([f64::NAN, 1.0, 0.0, 0.0], DVec3::ZERO), None);
-        assert!(Pose::new([2.0, 0.0, 0.0, 0.0], DVec3::ZERO).unwrap().is_identity());
+        assert_eq!(ScanPose::new([0.0; 4], DVec3::ZERO), None);
+        assert_eq!(ScanPose::new([f64::NAN, 1.0, 0.0, 0.0], DVec3::ZERO), None);
+        assert!(ScanPose::new([2.0, 0.0, 0.0, 0.0], DVec3::ZERO).unwrap().is_identity());
     }
 
     proptest! {
@@ -116,7 +116,7 @@ mod tests {
         ) {
             let p = DVec3::from(p);
             prop_assume!(rotation.iter().any(|c| c.abs() > 1e-3));
-            let pose = Pose::new(rotation, DVec3::ZERO).unwrap();
+            let pose = ScanPose::new(rotation, DVec3::ZERO).unwrap();
             prop_assert!((pose.turned_back(pose.turned(p)) - p).length() < 1e-12);
             prop_assert!((pose.turned(p).length() - p.length()).abs() < 1e-12);
             prop_assert!((cartesian(spherical(p)) - p).length() < 1e-12);

@@ -5,7 +5,7 @@ use std::ops::Range;
 use glam::{DVec3, Vec3};
 
 use super::file::E57Model;
-use super::pages::Window;
+use super::pages::PageWindow;
 use super::scan::{NUMBER, Scan};
 use super::streams::Streams;
 use crate::{CHUNK_VERTICES, Result, VertexChunk, VertexReader};
@@ -17,18 +17,18 @@ const AHEAD: u64 = 256;
 const CHUNK_BYTES: usize = 4 << 20;
 
 /// Reads the vertices of a range.
-pub(super) struct Reader<'a> {
+pub(super) struct E57Reader<'a> {
     model: &'a E57Model,
     /// The vertices that are still to be read.
     range: Range<u64>,
     /// Most vertices of a chunk.
     chunk: usize,
     skips_attributes: bool,
-    window: Window<'a>,
+    window: PageWindow<'a>,
     rows: Vec<u64>,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> E57Reader<'a> {
     pub fn new(model: &'a E57Model, range: Range<u64>) -> Self {
         let end = range.end.min(model.info.vertices);
         Self {
@@ -36,13 +36,13 @@ impl<'a> Reader<'a> {
             range: range.start.min(end)..end,
             chunk: CHUNK_VERTICES,
             skips_attributes: false,
-            window: Window::new(&model.source, AHEAD),
+            window: PageWindow::new(&model.source, AHEAD),
             rows: Vec::new(),
         }
     }
 }
 
-impl VertexReader for Reader<'_> {
+impl VertexReader for E57Reader<'_> {
     fn set_chunk(&mut self, vertices: usize) {
         self.chunk = vertices.clamp(1, CHUNK_VERTICES);
     }

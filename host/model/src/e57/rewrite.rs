@@ -4,9 +4,9 @@ use glam::Mat3;
 
 use super::file::E57Model;
 use super::pages::{PAYLOAD, append_pages};
-use super::pieces::{E57Pieces, Layout, Segment};
-use super::scan::{Beyond, Reach};
-use crate::pipeline::{Pieces, Rewritable, Version};
+use super::pieces::{E57Pieces, PieceLayout, ScanSegment};
+use super::scan::{CoordinateOverflow, ScanReach};
+use crate::pipeline::{PieceVersion, Pieces, Rewritable};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{Error, Normals, Result, Summary, VertexChunk};
@@ -24,8 +24,8 @@ impl Rewritable for E57Model {
         Ok(())
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
-        let Some(layout) = chunk.of_format.first().and_then(|of| of.downcast_ref::<Layout>()) else {
+    fn encode(&self, chunk: &mut VertexChunk, mut version: PieceVersion<'_>) -> Result<()> {
+        let Some(layout) = chunk.of_format.first().and_then(|of| of.downcast_ref::<PieceLayout>()) else {
             return Err(Error::internal("a piece of E57 has no layout"));
         };
         let mut copy;
@@ -46,7 +46,7 @@ impl Rewritable for E57Model {
         for segment in &layout.segments {
             moving.patch(segment, pages)?;
         }
-        let Version { bytes, summary, .. } = version;
+        let PieceVersion { bytes, summary, .. } = version;
         bytes.clear();
         let first = layout.first_page;
         append_pages(pages, bytes, |page, checksum| {
@@ -77,7 +77,7 @@ struct Moving<'a, 'v> {
     /// The positions of the piece's own vertices, and of those beside.
     from: [&'a [glam::DVec3]; 2],
     from_normals: [&'a [glam::Vec3]; 2],
-    version: &'a mut Version<'v>,
+    version: &'a mut PieceVersion<'v>,
     /// The first of the own vertices of the next segment in all lists, and the first of those beside.
     own: usize,
     beside: usize,
@@ -85,7 +85,7 @@ struct Moving<'a, 'v> {
 
 impl Moving<'_, '_> {
     /// Patches what the pages have of a segment.
-    fn patch(&mut self, segment: &Segment, pages: &mut [u8]) -> Result<()> {
+    fn patch(&mut self, segment: &ScanSegment, pages: &mut [u8]) -> Result<()> {
         let scan = &self.model.scans[segment.scan];
         let points = segment.points().clone();
         let width = scan.row.len();
@@ -102,7 +102,7 @@ impl Moving<'_, '_> {
 
         let (mut rows, mut changed) = (Vec::new(), Vec::new());
         segment.streams.rows(&scan.row, points.clone(), &mut rows);
-        let (mut before, mut after) = (Reach::default(), Reach::default());
+        let (mut before, mut after) = (ScanReach::default(), ScanReach::default());
         for ((point, row), vertex) in points.clone().zip(rows.chunks_exact_mut(width)).zip(&vertices) {
             let is_own = scan.wants_reach() && segment.own.contains(&point);
             let was = is_own.then(|| scan.reach(row));
@@ -140,7 +140,7 @@ impl Moving<'_, '_> {
     }
 
     /// Turns what follows of a vertex; whether any bits changed.
-    fn turn_vertex(&self, segment: &Segment, bits: &mut [u64], vertex: usize) -> bool {
+    fn turn_vertex(&self, segment: &ScanSegment, bits: &mut [u64], vertex: usize) -> bool {
         let edited = self.version.edited;
         let moves = of(self.from, vertex).is_some_and(|from| from.is_finite());
         let gradient = edited.gradients.get(vertex).filter(|gradient| moves && **gradient != Mat3::IDENTITY);
@@ -152,7 +152,7 @@ impl Moving<'_, '_> {
     }
 
     /// Moves the vertex of a row; whether any bits changed.
-    fn move_vertex(&self, segment: &Segment, point: u64, row: &mut [u64], vertex: usize) -> Result<bool> {
+    fn move_vertex(&self, segment: &ScanSegment, point: u64, row: &mut [u64], vertex: usize) -> Result<bool> {
         let scan = &self.model.scans[segment.scan];
         let edited = self.version.edited;
         let (from, to) = (of(self.from, vertex), edited.positions[vertex]);
@@ -167,8 +167,8 @@ impl Moving<'_, '_> {
         Ok(changed)
     }
 
-    fn beyond(&self, segment: &Segment, point: u64, beyond: Beyond) -> Error {
-        let Beyond { field, value } = beyond;
+    fn beyond(&self, segment: &ScanSegment, point: u64, beyond: CoordinateOverflow) -> Error {
+        let CoordinateOverflow { field, value } = beyond;
         let (source, scan) = (&self.model.source, &self.model.scans[segment.scan]);
         let vertex = scan.first + point;
         if !value.is_finite() {
@@ -189,7 +189,7 @@ impl Moving<'_, '_> {
 }
 
 /// Puts the rows of `fields` that changed into the pages of a piece.
-fn put(segment: &Segment, fields: &[usize], rows: &[u64], changed: &[usize], pages: &mut [u8]) {
+fn put(segment: &ScanSegment, fields: &[usize], rows: &[u64], changed: &[usize], pages: &mut [u8]) {
     if changed.is_empty() {
         return;
     }
@@ -210,7 +210,7 @@ fn put(segment: &Segment, fields: &[usize], rows: &[u64], changed: &[usize], pag
     }
 }
 
-fn include(all: &mut Reach, one: [Option<glam::DVec3>; 2]) {
+fn include(all: &mut ScanReach, one: [Option<glam::DVec3>; 2]) {
     let both = all.iter_mut().zip(one);
     both.for_each(|(bounds, place)| place.into_iter().for_each(|place| bounds.include(place)));
 }

@@ -8,7 +8,7 @@ use std::ops::Range;
 use glam::{DVec3, Mat3, Vec3};
 
 use super::description::{CARTESIAN, Corner, Described, SPHERICAL};
-use super::fields::{Field, Kind, range_over};
+use super::fields::{E57Field, NumberEncoding, range_over};
 use super::packets::Packets;
 use super::pose::{cartesian, spherical};
 use crate::bounds::Bounds;
@@ -32,8 +32,8 @@ pub(super) struct Scan {
     /// scan lacks one.
     pub turning: Vec<Option<usize>>,
     /// How they are stored, and how they are written, which is with other ranges where these were chosen.
-    kinds: Vec<Kind>,
-    written: Vec<Kind>,
+    kinds: Vec<NumberEncoding>,
+    written: Vec<NumberEncoding>,
     roles: Roles,
     /// The field by whose numbers points are told to be in a part of the file; none where no field takes any
     /// bits.
@@ -55,7 +55,7 @@ struct Roles {
 
 /// A coordinate that a field cannot hold: the field, and the number.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Beyond {
+pub(super) struct CoordinateOverflow {
     pub field: usize,
     pub value: f64,
 }
@@ -96,7 +96,7 @@ impl Coordinate {
 }
 
 /// How far points reach: in x, y and z, and in range, azimuth and elevation, in the scan's own frame.
-pub(super) type Reach = [Bounds; 2];
+pub(super) type ScanReach = [Bounds; 2];
 
 impl Scan {
     /// None if its points have no positions.
@@ -105,7 +105,7 @@ impl Scan {
         let mut row = Vec::new();
         let called = |name: &str| fields.iter().position(|field| field.is_number() && field.name == name);
         let extension = |name: &str| {
-            let is = |field: &Field| field.name.split_once(':').is_some_and(|(_, rest)| rest == name);
+            let is = |field: &E57Field| field.name.split_once(':').is_some_and(|(_, rest)| rest == name);
             fields.iter().position(|field| field.is_number() && is(field))
         };
         let roles = Roles {
@@ -123,7 +123,7 @@ impl Scan {
         let has_normals = roles.normal.is_some();
         let wants = [false, true]
             .map(|is_spherical| described.slots.iter().any(|slot| slot.corner.is_spherical == is_spherical));
-        let kinds: Vec<Kind> = row.iter().map(|field| fields[*field].kind).collect();
+        let kinds: Vec<NumberEncoding> = row.iter().map(|field| fields[*field].kind).collect();
         let written = kinds.clone();
         Some(Self {
             described,
@@ -169,7 +169,7 @@ impl Scan {
             .filter(move |field| self.described.fields[*field].is_number() && !others.contains(field))
     }
 
-    fn field(&self, of_row: usize) -> &Field {
+    fn field(&self, of_row: usize) -> &E57Field {
         &self.described.fields[self.row[of_row]]
     }
 
@@ -221,7 +221,7 @@ impl Scan {
     }
 
     #[inline]
-    fn local_of(&self, kinds: &[Kind], row: &[u64]) -> DVec3 {
+    fn local_of(&self, kinds: &[NumberEncoding], row: &[u64]) -> DVec3 {
         let values = |three: [usize; 3]| three.map(|i| kinds[i].value(row[i]));
         if let Some(three) = self.valid_cartesian(row) {
             return DVec3::from(values(three));
@@ -247,7 +247,7 @@ impl Scan {
 
     /// Turns a row into what is written of it: with its point at another place, if it moves from one position
     /// to another, both in the frame of all scans. Returns whether any bits changed.
-    pub fn move_point(&self, row: &mut [u64], moves: Option<[DVec3; 2]>) -> Result<bool, Beyond> {
+    pub fn move_point(&self, row: &mut [u64], moves: Option<[DVec3; 2]>) -> Result<bool, CoordinateOverflow> {
         let before = self.local(row);
         let (flat, polar) = (self.valid_cartesian(row), self.valid_spherical(row));
         let azimuth_before = polar.map_or(0.0, |[_, azimuth, _]| self.value(row, azimuth));
@@ -274,7 +274,7 @@ impl Scan {
             let axis = (0..3).find(|axis| !to[*axis].is_finite()).unwrap_or(0);
             let field =
                 self.roles.cartesian.or(self.roles.spherical).map_or(0, |three| self.row[three[axis]]);
-            return Err(Beyond { field, value: to[axis] });
+            return Err(CoordinateOverflow { field, value: to[axis] });
         }
         for (axis, of_row) in flat.into_iter().flatten().enumerate() {
             if moves_along(axis) {
@@ -304,15 +304,15 @@ impl Scan {
 
     /// Writes the same number in another range; one that says nothing, and is beyond, becomes the end of the
     /// range.
-    fn renumber(&self, row: &mut [u64], of_row: usize, is_valid: bool) -> Result<bool, Beyond> {
-        let (Kind::Integer { min: old, .. }, Kind::Integer { min, max, .. }) =
+    fn renumber(&self, row: &mut [u64], of_row: usize, is_valid: bool) -> Result<bool, CoordinateOverflow> {
+        let (NumberEncoding::Integer { min: old, .. }, NumberEncoding::Integer { min, max, .. }) =
             (self.kinds[of_row], self.written[of_row])
         else {
             return Ok(false);
         };
         let number = old.wrapping_add(row[of_row].cast_signed());
         if is_valid && !(min..=max).contains(&number) {
-            return Err(Beyond { field: self.row[of_row], value: self.value(row, of_row) });
+            return Err(CoordinateOverflow { field: self.row[of_row], value: self.value(row, of_row) });
         }
         let bits = number.clamp(min, max).wrapping_sub(min).cast_unsigned();
         let changed = row[of_row] != bits;
@@ -355,7 +355,7 @@ impl Scan {
             }
         }
         for ((of_row, (least, most)), ends) in fields.into_iter().zip(reach).zip(ends) {
-            let Kind::Integer { min, max, scale, offset } = self.kinds[of_row] else { continue };
+            let NumberEncoding::Integer { min, max, scale, offset } = self.kinds[of_row] else { continue };
             // All around there is room for any azimuth.
             let is_azimuth = self.roles.spherical.is_some_and(|[_, azimuth, _]| azimuth == of_row);
             let is_all_around = is_azimuth && ends.1 - ends.0 + 2.0 * scale.abs() > TAU;
@@ -368,7 +368,7 @@ impl Scan {
             let Some([min, max]) = range_over([min, max], bits, least_step, most_step) else {
                 return Err(TooWide { field: self.row[of_row], ends: [least, most] });
             };
-            self.written[of_row] = Kind::Integer { min, max, scale, offset };
+            self.written[of_row] = NumberEncoding::Integer { min, max, scale, offset };
         }
         Ok(())
     }
@@ -464,10 +464,10 @@ impl Scan {
 
     /// Puts the first of some numbers that the field can hold; whether its bits change.
     #[inline]
-    fn put(&self, row: &mut [u64], of_row: usize, numbers: &[f64]) -> Result<bool, Beyond> {
+    fn put(&self, row: &mut [u64], of_row: usize, numbers: &[f64]) -> Result<bool, CoordinateOverflow> {
         let kind = self.written[of_row];
         let bits = numbers.iter().find_map(|number| kind.nearest(*number));
-        let bits = bits.ok_or(Beyond { field: self.row[of_row], value: numbers[0] })?;
+        let bits = bits.ok_or(CoordinateOverflow { field: self.row[of_row], value: numbers[0] })?;
         let changed = row[of_row] != bits;
         row[of_row] = bits;
         Ok(changed)
@@ -486,7 +486,7 @@ impl Scan {
     }
 
     #[inline]
-    fn reach_of(&self, kinds: &[Kind], row: &[u64]) -> [Option<DVec3>; 2] {
+    fn reach_of(&self, kinds: &[NumberEncoding], row: &[u64]) -> [Option<DVec3>; 2] {
         let local = Some(self.local_of(kinds, row)).filter(|local| local.is_finite());
         let polar = local.filter(|_| self.wants[1]).map(|local| {
             let told = self.valid_spherical(row).map(|three| three.map(|i| kinds[i].value(row[i])));
@@ -510,7 +510,7 @@ impl Scan {
     pub fn other_ranges(&self) -> impl Iterator<Item = (usize, [i64; 2])> {
         let all = self.row.iter().zip(&self.kinds).zip(&self.written);
         all.filter(|((_, old), new)| old != new).filter_map(|((field, _), new)| match new {
-            Kind::Integer { min, max, .. } => Some((*field, [*min, *max])),
+            NumberEncoding::Integer { min, max, .. } => Some((*field, [*min, *max])),
             _ => None,
         })
     }
@@ -527,7 +527,7 @@ fn all<const N: usize>(fields: [Option<usize>; N], row: &mut Vec<usize>) -> Opti
 }
 
 /// The number of a reach that a place in the text is about.
-pub(super) fn corner_of(reach: &Reach, corner: Corner) -> f64 {
+pub(super) fn corner_of(reach: &ScanReach, corner: Corner) -> f64 {
     let bounds = &reach[usize::from(corner.is_spherical)];
     if corner.is_max { bounds.max[corner.axis] } else { bounds.min[corner.axis] }
 }

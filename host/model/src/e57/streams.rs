@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use super::fields::{Field, Packed};
-use super::packets::{Packets, Walk};
+use super::fields::{E57Field, PackedNumbers};
+use super::packets::{PacketWalk, Packets};
 use super::scan::Scan;
 use crate::Result;
 
@@ -15,14 +15,14 @@ pub(super) struct Streams {
     /// The points.
     pub points: Range<u64>,
     /// The fields, and their numbers; none of other fields.
-    pub packed: Vec<Option<Packed>>,
+    pub packed: Vec<Option<PackedNumbers>>,
 }
 
 impl Streams {
     /// Reads what the points have of some fields.
     pub fn read(
         &mut self,
-        mut walk: Walk<'_, '_>,
+        mut walk: PacketWalk<'_, '_>,
         scan: &Scan,
         points: Range<u64>,
         fields: &[usize],
@@ -68,8 +68,8 @@ impl Streams {
         Ok(())
     }
 
-    fn range(&self, field: &Field) -> Range<u64> {
-        Packed::range(field.bits(), self.points.start, self.points.end - self.points.start)
+    fn range(&self, field: &E57Field) -> Range<u64> {
+        PackedNumbers::range(field.bits(), self.points.start, self.points.end - self.points.start)
     }
 
     /// The bits of a field of a point, which counts from the first point here.
@@ -94,7 +94,7 @@ impl Streams {
 
 impl Packets {
     /// What each stream has before a logical byte of the file, from the last place that is before it on.
-    pub fn before(&self, walk: &mut Walk<'_, '_>, byte: u64) -> Result<Vec<u64>> {
+    pub fn before(&self, walk: &mut PacketWalk<'_, '_>, byte: u64) -> Result<Vec<u64>> {
         let Some(mut place) = self.last_place(|at, _| at <= byte) else { return Ok(Vec::new()) };
         let mut before = place.before.clone();
         while place.at < byte && place.at < self.end {

@@ -7,16 +7,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::Mat3;
 
 use super::names;
-use super::rules::{Follow, Kind, Opacity};
-use super::splat::Splat;
-use super::turn::Turn;
+use super::rules::{Follow, Opacity, TensorKind};
+use super::splat::SplatNumbers;
+use super::turn::VertexTurn;
 use crate::{Attribute, Error, Progress, Result};
 
 /// A group of numbers that turn together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Rule {
-    Declared(Kind),
-    Splat(Splat),
+enum FollowRule {
+    Declared(TensorKind),
+    Splat(SplatNumbers),
 }
 
 /// What of a model's numbers turns with the surface, once it is open.
@@ -24,19 +24,19 @@ enum Rule {
 pub struct Following {
     /// Which attributes they are, group by group.
     places: Vec<usize>,
-    groups: Vec<(Rule, Range<usize>)>,
+    groups: Vec<(FollowRule, Range<usize>)>,
     /// For people, and to tell one from another.
     descriptions: Vec<String>,
     opacity: Opacity,
     max_anisotropy: Option<f64>,
     /// Why it is not known what turns.
     misfit: Option<String>,
-    tally: Tally,
+    tally: SplatTally,
 }
 
 /// What became of the splats of all versions.
 #[derive(Debug, Default)]
-struct Tally {
+struct SplatTally {
     /// Those that keep their numbers, as some mean nothing.
     kept: AtomicU64,
     /// Those that were longer than [`NEEDLE`] times their second axis afterwards and not before.
@@ -74,7 +74,7 @@ impl Following {
             Self { opacity: follow.opacity, max_anisotropy: follow.max_anisotropy, ..Self::default() };
         for (name, kind) in &follow.declared {
             let places = names::declared(name, *kind, attributes)?;
-            following.add(Rule::Declared(*kind), places, format!("{name} as {}", kind.name()));
+            following.add(FollowRule::Declared(*kind), places, format!("{name} as {}", kind.name()));
         }
         if follow.splats
             && let Some((splat, places)) = names::splat(attributes)?
@@ -88,7 +88,7 @@ impl Following {
                     format!(", opacity conserved, at most {most} times as long as wide")
                 }
             };
-            following.add(Rule::Splat(splat), places, format!("{splat}{how}"));
+            following.add(FollowRule::Splat(splat), places, format!("{splat}{how}"));
         }
         let mut seen = following.places.clone();
         seen.sort_unstable();
@@ -98,7 +98,7 @@ impl Following {
         Ok(following)
     }
 
-    fn add(&mut self, rule: Rule, places: Vec<usize>, description: String) {
+    fn add(&mut self, rule: FollowRule, places: Vec<usize>, description: String) {
         let first = self.places.len();
         self.places.extend(places);
         self.groups.push((rule, first..self.places.len()));
@@ -112,7 +112,7 @@ impl Following {
 
     /// Whether the vertices are splats.
     pub fn has_splats(&self) -> bool {
-        self.groups.iter().any(|(rule, _)| matches!(rule, Rule::Splat(_)))
+        self.groups.iter().any(|(rule, _)| matches!(rule, FollowRule::Splat(_)))
     }
 
     /// What follows, for people: all that determines what becomes of it.
@@ -135,17 +135,17 @@ impl Following {
         if *gradient == Mat3::IDENTITY || !gradient.is_finite() {
             return;
         }
-        let turn = Turn::new(gradient.as_dmat3(), mirrored);
+        let turn = VertexTurn::new(gradient.as_dmat3(), mirrored);
         for (rule, range) in &self.groups {
             let numbers = &mut numbers[range.clone()];
             match rule {
-                Rule::Declared(kind) => turn.declared(*kind, numbers),
-                Rule::Splat(splat) => self.turn_splat(splat, &turn, numbers),
+                FollowRule::Declared(kind) => turn.declared(*kind, numbers),
+                FollowRule::Splat(splat) => self.turn_splat(splat, &turn, numbers),
             }
         }
     }
 
-    fn turn_splat(&self, splat: &Splat, turn: &Turn, numbers: &mut [f64]) {
+    fn turn_splat(&self, splat: &SplatNumbers, turn: &VertexTurn, numbers: &mut [f64]) {
         let Some(ratios) = splat.turn(turn, self.opacity, self.max_anisotropy, numbers) else {
             self.tally.kept.fetch_add(1, Ordering::Relaxed);
             return;
@@ -165,7 +165,7 @@ impl Following {
 
     /// The same, in words.
     fn notes(&self) -> Vec<String> {
-        let Tally { kept, needles, longest } = &self.tally;
+        let SplatTally { kept, needles, longest } = &self.tally;
         let [kept, needles, longest] = [kept, needles, longest].map(|n| n.swap(0, Ordering::Relaxed));
         let mut notes = Vec::new();
         if kept > 0 {

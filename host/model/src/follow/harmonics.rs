@@ -107,12 +107,12 @@ fn inverse(m: &Square, size: usize) -> Square {
 }
 
 /// What rotates the coefficients of bands 1 up to some degree.
-pub(super) struct Rotation {
+pub(super) struct BandRotation {
     /// For each coefficient before its part in all of the band.
     bands: [Square; 3],
 }
 
-impl Rotation {
+impl BandRotation {
     /// Of an orthogonal matrix, which may be a mirror.
     pub(super) fn new(q: &DMat3, degree: usize) -> Self {
         let back = q.transpose();
@@ -198,7 +198,7 @@ mod tests {
         for q in [rotation, mirror * rotation, DMat3::IDENTITY] {
             for (degree, count) in [(1, 3), (2, 8), (3, 15)] {
                 let mut turned = coefficients[..count].to_vec();
-                Rotation::new(&q, degree).apply(&mut turned);
+                BandRotation::new(&q, degree).apply(&mut turned);
                 for d in directions() {
                     let (found, expected) =
                         (value(&turned, d), value(&coefficients[..count], q.transpose() * d));

@@ -17,5 +17,5 @@ mod turn;
 
 pub use following::Following;
 pub use names::opacity;
-pub use rules::{Follow, Kind, Opacity};
+pub use rules::{Follow, Opacity, TensorKind};
 pub use turn::{anisotropy, normal, tangent};

@@ -1,7 +1,7 @@
 //! Which of the vertices' numbers turn, by their names.
 
-use super::rules::Kind;
-use super::splat::Splat;
+use super::rules::TensorKind;
+use super::splat::SplatNumbers;
 use crate::{Attribute, Type};
 
 /// Where an attribute of floating-point numbers is.
@@ -45,12 +45,12 @@ fn capitals(parts: &[&str]) -> Vec<String> {
 }
 
 /// The attributes that are meant by a declared name, in the order of its numbers.
-pub(super) fn declared(name: &str, kind: Kind, attributes: &[Attribute]) -> Result<Vec<usize>, String> {
+pub(super) fn declared(name: &str, kind: TensorKind, attributes: &[Attribute]) -> Result<Vec<usize>, String> {
     let parts: &[&str] = match kind {
-        Kind::Vector | Kind::Direction | Kind::Normal => &["x", "y", "z"],
-        Kind::QuaternionWxyz => &["w", "x", "y", "z"],
-        Kind::QuaternionXyzw => &["x", "y", "z", "w"],
-        Kind::Covariance => &["xx", "xy", "xz", "yy", "yz", "zz"],
+        TensorKind::Vector | TensorKind::Direction | TensorKind::Normal => &["x", "y", "z"],
+        TensorKind::QuaternionWxyz => &["w", "x", "y", "z"],
+        TensorKind::QuaternionXyzw => &["x", "y", "z", "w"],
+        TensorKind::Covariance => &["xx", "xy", "xz", "yy", "yz", "zz"],
     };
     for style in 0..STYLES {
         // LAS has NormalX where others have normal_x.
@@ -79,7 +79,7 @@ const MOST_COEFFICIENTS: usize = 15;
 ///
 /// # Errors
 /// Something else of splats is not there.
-pub(super) fn splat(attributes: &[Attribute]) -> Result<Option<(Splat, Vec<usize>)>, String> {
+pub(super) fn splat(attributes: &[Attribute]) -> Result<Option<(SplatNumbers, Vec<usize>)>, String> {
     let has = |name: &str| attributes.iter().any(|a| a.name == name);
     if !(has("rot_0") && has("scale_0")) {
         return Ok(None);
@@ -104,7 +104,7 @@ pub(super) fn splat(attributes: &[Attribute]) -> Result<Option<(Splat, Vec<usize
         places.push(needed(format!("f_rest_{i}"))?);
     }
     places.extend(place("opacity", attributes)?);
-    Ok(Some((Splat { scales, degree }, places)))
+    Ok(Some((SplatNumbers { scales, degree }, places)))
 }
 
 #[cfg(test)]
@@ -118,20 +118,20 @@ mod tests {
     #[test]
     fn declared_names_are_found_however_they_are_written() {
         let all = floats(&["qy", "qz", "qw", "qx", "t_x", "t_y", "t_z", "nx1", "ny1", "nz1", "rot_0"]);
-        assert_eq!(declared("q", Kind::QuaternionWxyz, &all).unwrap(), [2, 3, 0, 1]);
-        assert_eq!(declared("q", Kind::QuaternionXyzw, &all).unwrap(), [3, 0, 1, 2]);
-        assert_eq!(declared("t", Kind::Vector, &all).unwrap(), [4, 5, 6]);
-        assert_eq!(declared("n1", Kind::Normal, &all).unwrap(), [7, 8, 9]);
+        assert_eq!(declared("q", TensorKind::QuaternionWxyz, &all).unwrap(), [2, 3, 0, 1]);
+        assert_eq!(declared("q", TensorKind::QuaternionXyzw, &all).unwrap(), [3, 0, 1, 2]);
+        assert_eq!(declared("t", TensorKind::Vector, &all).unwrap(), [4, 5, 6]);
+        assert_eq!(declared("n1", TensorKind::Normal, &all).unwrap(), [7, 8, 9]);
         assert_eq!(
-            declared("Normal", Kind::Normal, &floats(&["NormalZ", "NormalX", "NormalY"])).unwrap(),
+            declared("Normal", TensorKind::Normal, &floats(&["NormalZ", "NormalX", "NormalY"])).unwrap(),
             [1, 2, 0]
         );
-        let missing = declared("t", Kind::Covariance, &all).unwrap_err();
+        let missing = declared("t", TensorKind::Covariance, &all).unwrap_err();
         assert!(missing.ends_with("t_xx, t_xy, t_xz, t_yy, t_yz, t_zz"), "{missing}");
         let mut whole = all;
         whole[5].kind = Type::I32;
-        assert!(declared("t", Kind::Vector, &whole).unwrap_err().starts_with("t_y is of type int"));
-        assert!(declared("", Kind::Vector, &whole).is_err());
+        assert!(declared("t", TensorKind::Vector, &whole).unwrap_err().starts_with("t_y is of type int"));
+        assert!(declared("", TensorKind::Vector, &whole).is_err());
     }
 
     #[test]
@@ -144,7 +144,7 @@ mod tests {
         let of = |names: &[String]| splat(&floats(&names.iter().map(String::as_str).collect::<Vec<_>>()));
         for (scales, rest, degree) in [(3, 0, 0), (2, 9, 1), (3, 24, 2), (3, 45, 3)] {
             let (splat, places) = of(&names(scales, rest)).unwrap().unwrap();
-            assert_eq!(splat, Splat { scales, degree });
+            assert_eq!(splat, SplatNumbers { scales, degree });
             assert_eq!(places[..5], [3, 2, 1, 0, 4]);
             assert_eq!(places.len(), 4 + scales + rest);
         }

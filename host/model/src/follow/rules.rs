@@ -10,7 +10,7 @@ use crate::Attribute;
 /// How declared numbers turn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Kind {
+pub enum TensorKind {
     /// Three numbers v become J·v, with J the gradient of the deformation.
     Vector,
     /// The same, but of the length that it had: a tangent.
@@ -25,7 +25,7 @@ pub enum Kind {
     Covariance,
 }
 
-impl Kind {
+impl TensorKind {
     /// All of them, by the names that users give.
     const NAMES: [(&str, Self); 6] = [
         ("vector", Self::Vector),
@@ -42,7 +42,7 @@ impl Kind {
     }
 }
 
-impl FromStr for Kind {
+impl FromStr for TensorKind {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -67,7 +67,7 @@ pub enum Opacity {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Follow {
     /// Numbers by what their names begin with, as `tangent` of `tangent_x`, `tangent_y` and `tangent_z`.
-    pub declared: BTreeMap<String, Kind>,
+    pub declared: BTreeMap<String, TensorKind>,
     /// Whether splats are recognised by their properties.
     pub splats: bool,
     /// What becomes of the opacity of splats.
@@ -110,7 +110,7 @@ impl Follow {
         Self { declared: BTreeMap::new(), splats: true, opacity: Opacity::Keep, max_anisotropy: None };
 
     /// The same with other numbers declared, which it may have none of itself.
-    pub fn or_declared(mut self, declared: &BTreeMap<String, Kind>) -> Self {
+    pub fn or_declared(mut self, declared: &BTreeMap<String, TensorKind>) -> Self {
         if self.declared.is_empty() && self.splats {
             self.declared.clone_from(declared);
         }

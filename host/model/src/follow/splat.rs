@@ -5,9 +5,9 @@ use std::fmt;
 
 use glam::{DMat3, DQuat};
 
-use super::harmonics::Rotation;
+use super::harmonics::BandRotation;
 use super::rules::Opacity;
-use super::turn::{Turn, lengths, on_side_of, orthogonal, sorted};
+use super::turn::{VertexTurn, lengths, on_side_of, orthogonal, sorted};
 
 /// Cosines between axes below this are those of right angles: what a gradient in floats cannot tell apart
 /// does not turn the axes of round splats.
@@ -19,14 +19,14 @@ const UNSTRETCHED: f64 = 1e-6;
 /// What numbers a splat has: the quaternion (real part first), logarithms of scales, coefficients of bands 1
 /// up to the degree, those of a channel after the other, and the opacity before the sigmoid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Splat {
+pub(super) struct SplatNumbers {
     /// Three, or two of a disc.
     pub(super) scales: usize,
     /// Of the harmonics, 0 to 3.
     pub(super) degree: usize,
 }
 
-impl fmt::Display for Splat {
+impl fmt::Display for SplatNumbers {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kind = if self.scales == 2 { "2D Gaussian splats" } else { "Gaussian splats" };
         write!(f, "{kind} with harmonics of degree {}", self.degree)
@@ -41,7 +41,7 @@ struct Ellipsoid {
     scales: [f64; 3],
 }
 
-impl Splat {
+impl SplatNumbers {
     /// Coefficients of a channel.
     pub(super) fn coefficients(self) -> usize {
         (self.degree + 1).pow(2) - 1
@@ -51,7 +51,7 @@ impl Splat {
     /// numbers mean nothing, or the deformation leaves nothing of it: it keeps them then.
     pub(super) fn turn(
         self,
-        turn: &Turn,
+        turn: &VertexTurn,
         opacity: Opacity,
         most: Option<f64>,
         numbers: &mut [f64],
@@ -82,7 +82,7 @@ impl Splat {
         }
 
         if self.degree > 0 && harmonics.iter().all(|c| c.is_finite()) {
-            let rotation = Rotation::new(&polar, self.degree);
+            let rotation = BandRotation::new(&polar, self.degree);
             harmonics.chunks_exact_mut(self.coefficients()).for_each(|channel| rotation.apply(channel));
         }
         if let (Opacity::Conserve, [before]) = (opacity, transparency) {
@@ -173,7 +173,7 @@ mod tests {
     use glam::{DVec3, EulerRot};
     use proptest::prelude::*;
 
-    const SOLID: Splat = Splat { scales: 3, degree: 0 };
+    const SOLID: SplatNumbers = SplatNumbers { scales: 3, degree: 0 };
 
     fn some_gradient() -> DMat3 {
         DMat3::from_cols_array(&[1.1, 0.2, -0.3, -0.1, 0.8, 0.4, 0.2, -0.5, 1.3])
@@ -187,9 +187,9 @@ mod tests {
         half * half.transpose()
     }
 
-    fn turned(splat: Splat, j: DMat3, numbers: &[f64]) -> Option<Vec<f64>> {
+    fn turned(splat: SplatNumbers, j: DMat3, numbers: &[f64]) -> Option<Vec<f64>> {
         let mut numbers = numbers.to_vec();
-        splat.turn(&Turn::new(j, false), Opacity::Keep, None, &mut numbers).map(|_| numbers)
+        splat.turn(&VertexTurn::new(j, false), Opacity::Keep, None, &mut numbers).map(|_| numbers)
     }
 
     fn rotation() -> impl Strategy<Value = DMat3> {
@@ -253,9 +253,9 @@ mod tests {
             j in prop::array::uniform9(prop::num::f64::ANY),
             most in prop::option::of(1.0f64..100.0),
         ) {
-            let splat = Splat { scales: 3, degree: 3 };
+            let splat = SplatNumbers { scales: 3, degree: 3 };
             let mut numbers = numbers;
-            let turn = Turn::new(DMat3::from_cols_array(&j), true);
+            let turn = VertexTurn::new(DMat3::from_cols_array(&j), true);
             splat.turn(&turn, Opacity::Conserve, most, &mut numbers);
         }
     }
@@ -273,7 +273,7 @@ mod tests {
         }
         assert!(turned(SOLID, DMat3::ZERO, &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]).is_none());
         // Harmonics that are not finite are kept, and the shape turns.
-        let splat = Splat { degree: 1, ..SOLID };
+        let splat = SplatNumbers { degree: 1, ..SOLID };
         let mut numbers = vec![1.0, 0.0, 0.0, 0.0, 0.0, -1.0, -2.0];
         numbers.extend([1.0, 2.0, 3.0, f64::NAN, 5.0, 6.0, 7.0, 8.0, 9.0]);
         let found = turned(splat, j, &numbers).unwrap();
@@ -282,7 +282,7 @@ mod tests {
 
     #[test]
     fn discs_lie_in_the_images_of_their_planes() {
-        let splat = Splat { scales: 2, ..SOLID };
+        let splat = SplatNumbers { scales: 2, ..SOLID };
         let numbers = [0.3, -0.4, 1.0, 0.2, -1.0, -2.5];
         for j in [some_gradient(), some_gradient() * DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0))] {
             let found = turned(splat, j, &numbers).unwrap();
@@ -295,14 +295,17 @@ mod tests {
     fn needles_are_shortened_and_matter_is_conserved() {
         let j = DMat3::from_diagonal(DVec3::new(50.0, 1.0, 1.0));
         let mut numbers = [1.0, 0.0, 0.0, 0.0, -2.0, -2.0, -9.0, 0.3];
-        let ratios = SOLID.turn(&Turn::new(j, false), Opacity::Conserve, Some(10.0), &mut numbers).unwrap();
+        let ratios =
+            SOLID.turn(&VertexTurn::new(j, false), Opacity::Conserve, Some(10.0), &mut numbers).unwrap();
         assert!((ratios[0] - 1.0).abs() < 1e-12 && (ratios[1] - 10.0).abs() < 1e-12);
         assert!((numbers[4] - (10f64.ln() - 2.0)).abs() < 1e-12 && numbers[5] == -2.0);
         let swallowed = |x: f64| -(1.0 - 1.0 / (1.0 + (-x).exp())).ln();
         assert!((swallowed(numbers[7]) - swallowed(0.3) / 10.0).abs() < 1e-12);
         // One that was a needle before stays one.
         let mut needle = [1.0, 0.0, 0.0, 0.0, 2.0, -2.0, -9.0];
-        SOLID.turn(&Turn::new(DMat3::IDENTITY * 2.0, false), Opacity::Keep, Some(10.0), &mut needle).unwrap();
+        SOLID
+            .turn(&VertexTurn::new(DMat3::IDENTITY * 2.0, false), Opacity::Keep, Some(10.0), &mut needle)
+            .unwrap();
         assert!((needle[4] - (2.0 + 2f64.ln())).abs() < 1e-12);
         assert!(conserved(800.0, 2.0) == 400.0 && conserved(f64::INFINITY, 2.0).is_infinite());
         assert!(conserved(f64::NAN, 2.0).is_nan() && conserved(-800.0, 2.0) == -800.0);

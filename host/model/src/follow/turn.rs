@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3, Vec4};
 
-use super::rules::Kind;
+use super::rules::TensorKind;
 
 /// Columns are orthogonal once the cosines between them are below this.
 const ORTHOGONAL: f64 = 1e-14;
@@ -37,7 +37,7 @@ pub fn tangent(gradient: &Mat3, t: Vec4, mirrored: bool) -> Vec4 {
 }
 
 /// A gradient, with what is known of it for all numbers of a vertex.
-pub(super) struct Turn {
+pub(super) struct VertexTurn {
     /// J.
     pub(super) gradient: DMat3,
     /// The orthogonal matrix next to J, which turns left into right where J does; none where J leaves no more
@@ -46,42 +46,42 @@ pub(super) struct Turn {
     mirrored: bool,
 }
 
-impl Turn {
+impl VertexTurn {
     pub(super) fn new(gradient: DMat3, mirrored: bool) -> Self {
         Self { gradient, polar: polar(&gradient), mirrored }
     }
 
     /// Turns declared numbers; what is not finite stays.
-    pub(super) fn declared(&self, kind: Kind, numbers: &mut [f64]) {
+    pub(super) fn declared(&self, kind: TensorKind, numbers: &mut [f64]) {
         if !numbers.iter().all(|x| x.is_finite()) {
             return;
         }
         match kind {
-            Kind::Vector => set(numbers, self.gradient * vector(numbers)),
-            Kind::Direction => {
+            TensorKind::Vector => set(numbers, self.gradient * vector(numbers)),
+            TensorKind::Direction => {
                 let v = vector(numbers);
                 let turned = (self.gradient * v).try_normalize();
                 set(numbers, turned.map_or(v, |turned| turned * v.length()));
             }
-            Kind::Normal => {
+            TensorKind::Normal => {
                 let n = vector(numbers);
                 let side = if self.mirrored { -n.length() } else { n.length() };
                 let turned = (cofactors(&self.gradient) * n).try_normalize();
                 set(numbers, turned.map_or(n, |turned| turned * side));
             }
-            Kind::QuaternionWxyz => {
+            TensorKind::QuaternionWxyz => {
                 let [w, x, y, z] = [0, 1, 2, 3].map(|i| numbers[i]);
                 if let Some(q) = self.quaternion(DQuat::from_xyzw(x, y, z, w)) {
                     numbers.copy_from_slice(&[q.w, q.x, q.y, q.z]);
                 }
             }
-            Kind::QuaternionXyzw => {
+            TensorKind::QuaternionXyzw => {
                 let [x, y, z, w] = [0, 1, 2, 3].map(|i| numbers[i]);
                 if let Some(q) = self.quaternion(DQuat::from_xyzw(x, y, z, w)) {
                     numbers.copy_from_slice(&q.to_array());
                 }
             }
-            Kind::Covariance => {
+            TensorKind::Covariance => {
                 let [xx, xy, xz, yy, yz, zz] = [0, 1, 2, 3, 4, 5].map(|i| numbers[i]);
                 let sigma = DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
                 let m = self.gradient * sigma * self.gradient.transpose();
@@ -278,18 +278,18 @@ mod tests {
     #[test]
     fn declared_numbers_turn_by_their_rules() {
         let j = some_gradient();
-        let turn = Turn::new(j, false);
+        let turn = VertexTurn::new(j, false);
         let turned = |kind, numbers: &[f64]| {
             let mut numbers = numbers.to_vec();
             turn.declared(kind, &mut numbers);
             numbers
         };
         let v = DVec3::new(0.3, -2.0, 0.7);
-        assert_eq!(turned(Kind::Vector, &v.to_array()), (j * v).to_array());
-        let direction = vector(&turned(Kind::Direction, &v.to_array()));
+        assert_eq!(turned(TensorKind::Vector, &v.to_array()), (j * v).to_array());
+        let direction = vector(&turned(TensorKind::Direction, &v.to_array()));
         assert!((direction - (j * v) * (v.length() / (j * v).length())).length() < 1e-14);
         // A normal stays across what was across it.
-        let normal = vector(&turned(Kind::Normal, &v.to_array()));
+        let normal = vector(&turned(TensorKind::Normal, &v.to_array()));
         let (s, t) = v.normalize_or(DVec3::X).any_orthonormal_pair();
         assert!(normal.dot(j * s).abs() < 1e-14 && normal.dot(j * t).abs() < 1e-14);
         assert!((normal.length() - v.length()).abs() < 1e-14);
@@ -304,11 +304,11 @@ mod tests {
             sum
         };
         let expected = of(&points.map(|p| j * p));
-        let found = turned(Kind::Covariance, &of(&points));
+        let found = turned(TensorKind::Covariance, &of(&points));
         assert!((0..6).all(|i| (found[i] - expected[i]).abs() < 1e-13));
         // What means nothing stays.
-        assert!(turned(Kind::Vector, &[1.0, f64::NAN, 2.0])[1].is_nan());
-        assert_eq!(turned(Kind::QuaternionWxyz, &[0.0; 4]), [0.0; 4]);
+        assert!(turned(TensorKind::Vector, &[1.0, f64::NAN, 2.0])[1].is_nan());
+        assert_eq!(turned(TensorKind::QuaternionWxyz, &[0.0; 4]), [0.0; 4]);
     }
 
     #[test]
@@ -316,10 +316,10 @@ mod tests {
         let small = DMat3::from_quat(DQuat::from_rotation_z(0.01));
         for q in [[1.0, 0.0, 0.0, 0.0], [-0.5, 1.5, 0.5, -0.1], [0.0, 0.0, -3.0, 0.0]] {
             let mut wxyz = q;
-            Turn::new(small, false).declared(Kind::QuaternionWxyz, &mut wxyz);
+            VertexTurn::new(small, false).declared(TensorKind::QuaternionWxyz, &mut wxyz);
             assert!((0..4).all(|i| (wxyz[i] - q[i]).abs() < 0.02), "{wxyz:?} is not near {q:?}");
             let mut xyzw = [q[1], q[2], q[3], q[0]];
-            Turn::new(small, false).declared(Kind::QuaternionXyzw, &mut xyzw);
+            VertexTurn::new(small, false).declared(TensorKind::QuaternionXyzw, &mut xyzw);
             assert_eq!(xyzw, [wxyz[1], wxyz[2], wxyz[3], wxyz[0]]);
             let length = |q: [f64; 4]| q.iter().map(|x| x * x).sum::<f64>().sqrt();
             assert!((length(wxyz) - length(q)).abs() < 1e-14);
@@ -327,7 +327,7 @@ mod tests {
         // The first two axes of a mirrored frame.
         let mirror = DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
         let q = DQuat::from_rotation_y(0.4);
-        let found = Turn::new(mirror, true).quaternion(q).unwrap();
+        let found = VertexTurn::new(mirror, true).quaternion(q).unwrap();
         for axis in [DVec3::X, DVec3::Y] {
             assert!((found * axis - mirror * (q * axis)).length() < 1e-14);
         }

@@ -51,11 +51,11 @@ struct Segment {
     /// Where it begins in the whole.
     at: u64,
     len: u64,
-    bytes: Bytes,
+    bytes: SegmentBytes,
 }
 
 #[derive(Debug)]
-enum Bytes {
+enum SegmentBytes {
     Memory(Vec<u8>),
     /// The opened file, from some place on.
     Opened(u64),
@@ -186,15 +186,15 @@ impl Container {
         for (index, buffer) in buffers.iter().enumerate() {
             starts.push(len);
             let bytes = match (&buffer.uri, &bin) {
-                (Some(uri), _) => Bytes::File(this.buffer(index, uri, cache)?),
-                (None, Some(bin)) if index == 0 => Bytes::Opened(bin.start),
+                (Some(uri), _) => SegmentBytes::File(this.buffer(index, uri, cache)?),
+                (None, Some(bin)) if index == 0 => SegmentBytes::Opened(bin.start),
                 (None, _) => {
                     let what = format!("buffer {index} has no data");
                     return Err(this.source.malformed(what, AS_GLB));
                 }
             };
             let there = match (&bytes, &bin) {
-                (Bytes::File(file), _) => file.len(),
+                (SegmentBytes::File(file), _) => file.len(),
                 (_, Some(bin)) => bin.end - bin.start,
                 _ => 0,
             };
@@ -213,7 +213,7 @@ impl Container {
         let behind = (after > 0 && after < there).then(|| Segment {
             at: 0,
             len: there - after,
-            bytes: Bytes::Opened(after),
+            bytes: SegmentBytes::Opened(after),
         });
         this.assembled(text, (parts, len), behind.into_iter().collect())
     }
@@ -257,14 +257,18 @@ impl Container {
             if part.at < end { parts.push(part) } else { behind.push(part) }
         }
         if parts.is_empty() && !bin.is_empty() {
-            parts.push(Segment { at: bin.start, len: bin.end - bin.start, bytes: Bytes::Opened(bin.start) });
+            parts.push(Segment {
+                at: bin.start,
+                len: bin.end - bin.start,
+                bytes: SegmentBytes::Opened(bin.start),
+            });
             let (at, len) = (end, self.len - end);
-            behind.extend((len > 0).then_some(Segment { at, len, bytes: Bytes::Opened(end) }));
+            behind.extend((len > 0).then_some(Segment { at, len, bytes: SegmentBytes::Opened(end) }));
         }
         parts.iter_mut().for_each(|part| part.at -= bin.start);
         let at = pad(&mut parts, bin.end - bin.start);
         let len = at + more.len();
-        parts.push(Segment { at, len: more.len(), bytes: Bytes::File(more) });
+        parts.push(Segment { at, len: more.len(), bytes: SegmentBytes::File(more) });
         self.assembled(text, (parts, len), behind)
     }
 
@@ -300,7 +304,7 @@ impl Container {
             part.at = at;
             at += part.len;
         }
-        self.parts = vec![Segment { at: 0, len: head.len() as u64, bytes: Bytes::Memory(head) }];
+        self.parts = vec![Segment { at: 0, len: head.len() as u64, bytes: SegmentBytes::Memory(head) }];
         self.parts.append(&mut parts);
         self.parts.append(&mut behind);
         Ok((self, text))
@@ -352,7 +356,7 @@ impl Container {
     /// The files beside the opened one that hold its buffers.
     pub(super) fn others(&self) -> impl Iterator<Item = &Path> {
         self.parts.iter().filter_map(|part| match &part.bytes {
-            Bytes::File(file) if file.path() != self.source.path() => Some(file.path()),
+            SegmentBytes::File(file) if file.path() != self.source.path() => Some(file.path()),
             _ => None,
         })
     }
@@ -372,9 +376,11 @@ impl Container {
             let some = (wanted - done).min((part.len - within) as usize);
             let to = &mut buffer[done..done + some];
             match &part.bytes {
-                Bytes::Memory(bytes) => to.copy_from_slice(&bytes[within as usize..within as usize + some]),
-                Bytes::Opened(start) => drop(self.source.read_at(to, start + within)?),
-                Bytes::File(file) => drop(file.read_at(to, within)?),
+                SegmentBytes::Memory(bytes) => {
+                    to.copy_from_slice(&bytes[within as usize..within as usize + some])
+                }
+                SegmentBytes::Opened(start) => drop(self.source.read_at(to, start + within)?),
+                SegmentBytes::File(file) => drop(file.read_at(to, within)?),
             }
             done += some;
         }
@@ -401,7 +407,7 @@ impl Container {
     pub(super) fn check_unchanged(&self) -> Result<()> {
         self.source.check_unchanged()?;
         self.parts.iter().try_for_each(|part| match &part.bytes {
-            Bytes::File(file) => file.check_unchanged(),
+            SegmentBytes::File(file) => file.check_unchanged(),
             _ => Ok(()),
         })
     }
@@ -411,7 +417,7 @@ impl Container {
 fn pad(parts: &mut Vec<Segment>, len: u64) -> u64 {
     let padding = len.next_multiple_of(4) - len;
     if padding > 0 {
-        parts.push(Segment { at: len, len: padding, bytes: Bytes::Memory(vec![0; padding as usize]) });
+        parts.push(Segment { at: len, len: padding, bytes: SegmentBytes::Memory(vec![0; padding as usize]) });
     }
     len + padding
 }

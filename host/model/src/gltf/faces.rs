@@ -3,11 +3,11 @@
 use std::ops::Range;
 
 use super::file::GltfModel;
-use super::layout::{Drawn, FACE, Mode};
+use super::layout::{DrawnPrimitive, FACE, PrimitiveMode};
 use crate::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, Result};
 
 /// Reads some of the triangles.
-pub(super) struct Faces<'a> {
+pub(super) struct GltfFaces<'a> {
     model: &'a GltfModel,
     /// The ranges that are still to come.
     ranges: std::vec::IntoIter<Range<u64>>,
@@ -18,7 +18,7 @@ pub(super) struct Faces<'a> {
     corners: Vec<u32>,
 }
 
-impl<'a> Faces<'a> {
+impl<'a> GltfFaces<'a> {
     /// All of them.
     pub(super) fn new(model: &'a GltfModel) -> Self {
         let (ranges, range) = (Vec::new().into_iter(), 0..model.layout.triangles);
@@ -47,23 +47,23 @@ impl<'a> Faces<'a> {
         self.range.start = of.first + end;
         let count = (end - start) as usize;
         let corners = match of.mode {
-            Mode::Triangles => 3 * start..3 * end,
-            Mode::Strip => start..end + 2,
+            PrimitiveMode::Triangles => 3 * start..3 * end,
+            PrimitiveMode::Strip => start..end + 2,
             // The first one has a place of its own.
-            Mode::Fan => start + 1..end + 2,
-            Mode::Other => return Ok(()),
+            PrimitiveMode::Fan => start + 1..end + 2,
+            PrimitiveMode::Other => return Ok(()),
         };
         self.corners.clear();
-        if of.mode == Mode::Fan {
+        if of.mode == PrimitiveMode::Fan {
             self.read(of, 0..1)?;
         }
         self.read(of, corners)?;
         let at = |i: usize| self.corners.get(i).copied().unwrap_or(u32::MAX);
         triangles.extend((0..count).map(|i| {
             let [a, b, c] = match of.mode {
-                Mode::Strip if (start as usize + i) % 2 == 1 => [i, i + 2, i + 1],
-                Mode::Strip => [i, i + 1, i + 2],
-                Mode::Fan => [i + 1, i + 2, 0],
+                PrimitiveMode::Strip if (start as usize + i) % 2 == 1 => [i, i + 2, i + 1],
+                PrimitiveMode::Strip => [i, i + 1, i + 2],
+                PrimitiveMode::Fan => [i + 1, i + 2, 0],
                 _ => [3 * i, 3 * i + 1, 3 * i + 2],
             };
             // Seen in a mirror, they go round the other way.
@@ -73,7 +73,7 @@ impl<'a> Faces<'a> {
     }
 
     /// Adds the vertices of some corners of a primitive.
-    fn read(&mut self, of: &Drawn, corners: Range<u64>) -> Result<()> {
+    fn read(&mut self, of: &DrawnPrimitive, corners: Range<u64>) -> Result<()> {
         let model = self.model;
         let set = &model.layout.sets[of.set];
         let vertex = |index: u64| {
@@ -100,7 +100,7 @@ impl<'a> Faces<'a> {
     }
 }
 
-impl FaceReader for Faces<'_> {
+impl FaceReader for GltfFaces<'_> {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
         chunk.clear();
         let FaceChunk { triangles, marks, bytes, .. } = chunk;

@@ -9,9 +9,9 @@ use serde_json::value::RawValue;
 
 use super::container::Container;
 use super::json::Document;
-use super::layout::{FACE, Layout};
-use super::limits::Limits;
-use super::places::{Place, Places, number_type};
+use super::layout::{FACE, GltfLayout};
+use super::limits::AccessorLimits;
+use super::places::{AccessorBytes, Accessors, number_type};
 use super::sparse::made_plain;
 use crate::cache::Making;
 use crate::source::Source;
@@ -28,8 +28,8 @@ pub(super) struct GltfModel {
     pub(super) is_gathered: bool,
     /// Sparse accessors have become plain.
     pub(super) had_sparse: bool,
-    pub(super) layout: Layout,
-    pub(super) limits: Limits,
+    pub(super) layout: GltfLayout,
+    pub(super) limits: AccessorLimits,
     pub(super) info: ModelInfo,
 }
 
@@ -37,11 +37,11 @@ pub(super) struct GltfModel {
 #[derive(Deserialize)]
 struct OnlyPrimitives {
     #[serde(default)]
-    primitives: Vec<Named>,
+    primitives: Vec<NamedAccessors>,
 }
 
 #[derive(Deserialize)]
-struct Named {
+struct NamedAccessors {
     #[serde(default)]
     attributes: BTreeMap<String, IgnoredAny>,
     targets: Option<IgnoredAny>,
@@ -93,12 +93,12 @@ impl GltfModel {
         let (container, json, had_sparse) = made_plain(container, json, making)?;
         let document: Document<'_> = container.parse(&json)?;
         check_version(&container, &document)?;
-        let layout = Places { container: &container, document: &document }.layout()?;
+        let layout = Accessors { container: &container, document: &document }.layout()?;
         if layout.sets.is_empty() && !document.meshes.is_empty() {
             let what = "none of its nodes shows a mesh with positions";
             return Err(container.source.malformed(what, "export the model with its scene"));
         }
-        let limits = Limits::from_accessor(&json, &document, &layout, &container)?;
+        let limits = AccessorLimits::from_accessor(&json, &document, &layout, &container)?;
         let info = info(&container, is_gathered, &document, &layout);
         Ok(Self { container, is_gathered, had_sparse, layout, limits, info })
     }
@@ -122,7 +122,7 @@ fn check_version(container: &Container, document: &Document<'_>) -> Result<()> {
     ))
 }
 
-fn info(container: &Container, is_gathered: bool, document: &Document<'_>, layout: &Layout) -> ModelInfo {
+fn info(container: &Container, is_gathered: bool, document: &Document<'_>, layout: &GltfLayout) -> ModelInfo {
     let is_placed = layout.sets.iter().any(|set| set.placement.is_some());
     let has_normals = !layout.sets.is_empty() && layout.sets.iter().all(|set| set.normals.is_some());
     let attributes = colours(layout);
@@ -153,7 +153,7 @@ fn info(container: &Container, is_gathered: bool, document: &Document<'_>, layou
 }
 
 /// The format for people.
-fn format(is_gathered: bool, document: &Document<'_>, layout: &Layout) -> String {
+fn format(is_gathered: bool, document: &Document<'_>, layout: &GltfLayout) -> String {
     let kind = if is_gathered { "with separate buffers" } else { "binary" };
     let meshes = layout.meshes;
     let mut format = format!(
@@ -169,8 +169,8 @@ fn format(is_gathered: bool, document: &Document<'_>, layout: &Layout) -> String
 }
 
 /// The vertices' colours, if all of them have some of the same type.
-fn colours(layout: &Layout) -> Vec<Attribute> {
-    let of = |colours: Option<(Place, u32)>| {
+fn colours(layout: &GltfLayout) -> Vec<Attribute> {
+    let of = |colours: Option<(AccessorBytes, u32)>| {
         let (place, component) = colours?;
         let kind = number_type(component)?;
         Some((kind, place.size / kind.size() as u64))

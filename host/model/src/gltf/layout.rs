@@ -10,8 +10,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use super::json::{Names, Node, Primitive};
-use super::nodes::Placement;
-use super::places::{PLAIN, Place, Places, UNCOMPRESSED};
+use super::nodes::MeshPose;
+use super::places::{AccessorBytes, Accessors, PLAIN, UNCOMPRESSED};
 use crate::Result;
 
 const APART: &str =
@@ -32,7 +32,7 @@ const INSTANCED: &str = "EXT_mesh_gpu_instancing";
 
 /// What an element of a row is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Kind {
+pub(super) enum VectorRole {
     Position,
     Normal,
     Tangent,
@@ -40,33 +40,33 @@ pub(super) enum Kind {
 
 /// Vertices whose positions one accessor has, or several that are the same.
 #[derive(Debug)]
-pub(super) struct Set {
-    pub(super) place: Place,
+pub(super) struct VertexSet {
+    pub(super) place: AccessorBytes,
     /// Number of the first vertex.
     pub(super) first: u64,
     /// Where the mesh is in the world, if not just there.
-    pub(super) placement: Option<Placement>,
+    pub(super) placement: Option<MeshPose>,
     /// The region where the positions are.
     pub(super) region: usize,
     /// Where the normals are that belong to them: the first ones, if several primitives have others.
-    pub(super) normals: Option<Place>,
+    pub(super) normals: Option<AccessorBytes>,
     /// Colours, and the component type of their numbers.
-    pub(super) colours: Option<(Place, u32)>,
+    pub(super) colours: Option<(AccessorBytes, u32)>,
 }
 
 /// Rows of equal length, one for each vertex.
 #[derive(Debug)]
-pub(super) struct Region {
+pub(super) struct VertexRows {
     pub(super) bytes: Range<u64>,
     pub(super) stride: u64,
     pub(super) rows: u64,
     /// What a row has, and where in it: no two of a kind.
-    pub(super) elements: Vec<(Kind, usize)>,
+    pub(super) elements: Vec<(VectorRole, usize)>,
     /// Whose they are: one set, or several if they share normals or tangents.
     pub(super) owners: Vec<usize>,
 }
 
-impl Region {
+impl VertexRows {
     /// The bytes of some rows; the rest of the last row is not in it.
     pub(super) fn window(&self, rows: Range<u64>) -> Range<u64> {
         let start = self.bytes.start + self.stride * rows.start;
@@ -76,7 +76,7 @@ impl Region {
     }
 
     /// Where in a row this is.
-    pub(super) fn offset(&self, kind: Kind) -> Option<usize> {
+    pub(super) fn offset(&self, kind: VectorRole) -> Option<usize> {
         self.elements.iter().find(|(of, _)| *of == kind).map(|(_, offset)| *offset)
     }
 
@@ -87,13 +87,13 @@ impl Region {
     }
 
     pub(super) fn has_positions(&self) -> bool {
-        self.offset(Kind::Position).is_some()
+        self.offset(VectorRole::Position).is_some()
     }
 }
 
 /// How the vertices of a primitive are joined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Mode {
+pub(super) enum PrimitiveMode {
     Triangles,
     Strip,
     Fan,
@@ -103,25 +103,25 @@ pub(super) enum Mode {
 
 /// What is drawn of a mesh at once.
 #[derive(Debug)]
-pub(super) struct Drawn {
+pub(super) struct DrawnPrimitive {
     /// Number of its first triangle.
     pub(super) first: u64,
     pub(super) triangles: u64,
-    pub(super) mode: Mode,
+    pub(super) mode: PrimitiveMode,
     /// Its vertices.
     pub(super) set: usize,
     /// Indices of corners, if they are not simply the vertices.
-    pub(super) indices: Option<Place>,
+    pub(super) indices: Option<AccessorBytes>,
     pub(super) is_mirrored: bool,
 }
 
 /// All of that.
 #[derive(Debug, Default)]
-pub(super) struct Layout {
+pub(super) struct GltfLayout {
     /// In the order of the file.
-    pub(super) sets: Vec<Set>,
-    pub(super) regions: Vec<Region>,
-    pub(super) drawn: Vec<Drawn>,
+    pub(super) sets: Vec<VertexSet>,
+    pub(super) regions: Vec<VertexRows>,
+    pub(super) drawn: Vec<DrawnPrimitive>,
     pub(super) vertices: u64,
     pub(super) triangles: u64,
     /// Accessors that are patched, and which part of the file each is.
@@ -136,32 +136,32 @@ pub(super) struct Layout {
 
 /// What is known of a layout while it is found.
 #[derive(Default)]
-struct Builder {
+struct LayoutBuilder {
     /// The accessors by where they are.
-    sets: BTreeMap<Place, Found>,
+    sets: BTreeMap<AccessorBytes, FoundPositions>,
     /// Normals and tangents, and where the positions are that they belong to.
-    streams: BTreeMap<(Place, Kind), BTreeSet<Place>>,
-    layout: Layout,
+    streams: BTreeMap<(AccessorBytes, VectorRole), BTreeSet<AccessorBytes>>,
+    layout: GltfLayout,
     /// Mode, positions, indices.
-    drawn: Vec<(Mode, Place, Option<Place>)>,
+    drawn: Vec<(PrimitiveMode, AccessorBytes, Option<AccessorBytes>)>,
     /// Accessors that are patched.
-    accessors: BTreeMap<usize, (Place, Kind)>,
+    accessors: BTreeMap<usize, (AccessorBytes, VectorRole)>,
     /// What keeps its bytes: an accessor, and what it is.
     kept: BTreeMap<usize, String>,
 }
 
 /// Positions that were found.
-struct Found {
-    placement: Option<Placement>,
+struct FoundPositions {
+    placement: Option<MeshPose>,
     /// The node that shows them.
     node: usize,
-    normals: Option<Place>,
-    colours: Option<(Place, u32)>,
+    normals: Option<AccessorBytes>,
+    colours: Option<(AccessorBytes, u32)>,
 }
 
-impl Places<'_> {
+impl Accessors<'_> {
     /// Finds out where everything is.
-    pub(super) fn layout(&self) -> Result<Layout> {
+    pub(super) fn layout(&self) -> Result<GltfLayout> {
         let document = self.document;
         // First, as what is compressed looks damaged otherwise.
         self.check_uncompressed()?;
@@ -169,8 +169,8 @@ impl Places<'_> {
             self.place(index)?;
         }
         let placements = self.placements()?;
-        let mut builder = Builder::default();
-        let mut shown: BTreeMap<usize, (usize, Option<Placement>)> = BTreeMap::new();
+        let mut builder = LayoutBuilder::default();
+        let mut shown: BTreeMap<usize, (usize, Option<MeshPose>)> = BTreeMap::new();
         for (index, (node, placement)) in document.nodes.iter().zip(placements).enumerate() {
             let Some(mesh) = node.mesh else { continue };
             self.check_node(index, node)?;
@@ -234,9 +234,9 @@ impl Places<'_> {
     /// Adds a primitive that a node shows.
     fn add(
         &self,
-        builder: &mut Builder,
+        builder: &mut LayoutBuilder,
         primitive: &Primitive,
-        (node, placement): (usize, Option<Placement>),
+        (node, placement): (usize, Option<MeshPose>),
         name: &dyn Fn() -> String,
     ) -> Result<()> {
         let Some(index) = primitive.attributes.get("POSITION") else { return Ok(()) };
@@ -255,9 +255,11 @@ impl Places<'_> {
         if positions.count == 0 {
             return Ok(());
         }
-        builder.accessors.insert(*index, (positions, Kind::Position));
+        builder.accessors.insert(*index, (positions, VectorRole::Position));
         let found = match builder.sets.entry(positions) {
-            Entry::Vacant(entry) => entry.insert(Found { placement, node, normals: None, colours: None }),
+            Entry::Vacant(entry) => {
+                entry.insert(FoundPositions { placement, node, normals: None, colours: None })
+            }
             Entry::Occupied(entry) => {
                 let found = entry.into_mut();
                 if found.placement != placement {
@@ -283,8 +285,8 @@ impl Places<'_> {
             }
             let kind = match attribute.as_str() {
                 "POSITION" => continue,
-                "NORMAL" => Kind::Normal,
-                "TANGENT" => Kind::Tangent,
+                "NORMAL" => VectorRole::Normal,
+                "TANGENT" => VectorRole::Tangent,
                 _ => {
                     let what = || format!("{attribute} of {}", name());
                     builder.kept.entry(*index).or_insert_with(what);
@@ -301,18 +303,18 @@ impl Places<'_> {
                 }
             };
             let place =
-                self.place_of(*index, attribute, if kind == Kind::Normal { "VEC3" } else { "VEC4" })?;
-            if kind == Kind::Normal {
+                self.place_of(*index, attribute, if kind == VectorRole::Normal { "VEC3" } else { "VEC4" })?;
+            if kind == VectorRole::Normal {
                 found.normals.get_or_insert(place);
             }
             builder.accessors.insert(*index, (place, kind));
             builder.streams.entry((place, kind)).or_default().insert(positions);
         }
         let mode = match primitive.mode {
-            None | Some(4) => Mode::Triangles,
-            Some(5) => Mode::Strip,
-            Some(6) => Mode::Fan,
-            Some(0..=3) => Mode::Other,
+            None | Some(4) => PrimitiveMode::Triangles,
+            Some(5) => PrimitiveMode::Strip,
+            Some(6) => PrimitiveMode::Fan,
+            Some(0..=3) => PrimitiveMode::Other,
             Some(mode) => return Err(self.malformed(format_args!("{} is of mode {mode}", name()))),
         };
         builder.drawn.push((mode, positions, indices));
@@ -320,7 +322,7 @@ impl Places<'_> {
     }
 
     /// Where the indices of a primitive are.
-    fn indices(&self, index: usize) -> Result<Place> {
+    fn indices(&self, index: usize) -> Result<AccessorBytes> {
         let accessor = self.accessor(index)?;
         let place = self.place(index)?;
         let is_index = accessor.shape == "SCALAR" && [5121, 5123, 5125].contains(&accessor.component_type);
@@ -339,7 +341,7 @@ impl Places<'_> {
     }
 
     /// Notes what has to keep its bytes beside what vertices have.
-    fn keep_others(&self, builder: &mut Builder) {
+    fn keep_others(&self, builder: &mut LayoutBuilder) {
         let document = self.document;
         for (index, skin) in document.skins.iter().enumerate() {
             if let Some(accessor) = skin.inverse_bind_matrices {
@@ -353,17 +355,17 @@ impl Places<'_> {
         }
     }
 
-    fn finish(&self, builder: Builder) -> Result<Layout> {
-        let Builder { sets, streams, mut layout, drawn, accessors, kept } = builder;
+    fn finish(&self, builder: LayoutBuilder) -> Result<GltfLayout> {
+        let LayoutBuilder { sets, streams, mut layout, drawn, accessors, kept } = builder;
         // Ordered by where they begin.
-        let numbers: BTreeMap<Place, usize> =
+        let numbers: BTreeMap<AccessorBytes, usize> =
             sets.keys().enumerate().map(|(number, place)| (*place, number)).collect();
-        let number = |place: &Place| numbers.get(place).copied().unwrap_or_default();
+        let number = |place: &AccessorBytes| numbers.get(place).copied().unwrap_or_default();
         for (place, found) in &sets {
-            let Found { placement, normals, colours, .. } = found;
+            let FoundPositions { placement, normals, colours, .. } = found;
             let first = layout.vertices;
             layout.vertices += place.count;
-            let set = Set {
+            let set = VertexSet {
                 place: *place,
                 first,
                 placement: *placement,
@@ -373,8 +375,8 @@ impl Places<'_> {
             };
             layout.sets.push(set);
         }
-        let mut all: Vec<Stream> =
-            sets.keys().map(|place| (*place, Kind::Position, vec![number(place)])).collect();
+        let mut all: Vec<ElementRun> =
+            sets.keys().map(|place| (*place, VectorRole::Position, vec![number(place)])).collect();
         all.extend(
             streams.iter().map(|((place, kind), of)| (*place, *kind, of.iter().map(number).collect())),
         );
@@ -389,26 +391,26 @@ impl Places<'_> {
         for (mode, positions, indices) in drawn {
             let corners = indices.map_or(positions.count, |indices| indices.count);
             let triangles = match mode {
-                Mode::Triangles => corners / 3,
-                Mode::Strip | Mode::Fan => corners.saturating_sub(2),
-                Mode::Other => 0,
+                PrimitiveMode::Triangles => corners / 3,
+                PrimitiveMode::Strip | PrimitiveMode::Fan => corners.saturating_sub(2),
+                PrimitiveMode::Other => 0,
             };
             let (first, set) = (layout.triangles, number(&positions));
             layout.triangles += triangles;
             let is_mirrored = layout.sets[set].placement.is_some_and(|placement| placement.is_mirrored());
-            layout.drawn.push(Drawn { first, triangles, mode, set, indices, is_mirrored });
+            layout.drawn.push(DrawnPrimitive { first, triangles, mode, set, indices, is_mirrored });
         }
-        let part = |(place, kind): &(Place, Kind)| {
+        let part = |(place, kind): &(AccessorBytes, VectorRole)| {
             let region = layout.regions.partition_point(|region| region.bytes.end <= place.start);
             let element = layout.regions.get(region)?.elements.iter().position(|(of, _)| of == kind)?;
-            Some(Region::part(region, element))
+            Some(VertexRows::part(region, element))
         };
         layout.accessors = accessors.iter().filter_map(|(index, of)| Some((*index, part(of)?))).collect();
         Ok(layout)
     }
 
     /// Gathers what lies between each other in regions; `all` is sorted.
-    fn regions(&self, all: &[Stream], layout: &mut Layout) -> Result<()> {
+    fn regions(&self, all: &[ElementRun], layout: &mut GltfLayout) -> Result<()> {
         let mut rest = all;
         while let Some(((first, _, _), _)) = rest.split_first() {
             let mut end = first.end();
@@ -420,18 +422,18 @@ impl Places<'_> {
             let (these, others) = rest.split_at(count);
             rest = others;
             let elements = self.row(these)?;
-            let Place { start, stride, count, .. } = *first;
+            let AccessorBytes { start, stride, count, .. } = *first;
             // Of positions, there is one owner.
             let owners = these[0].2.clone();
-            layout.regions.push(Region { bytes: start..end, stride, rows: count, elements, owners });
+            layout.regions.push(VertexRows { bytes: start..end, stride, rows: count, elements, owners });
         }
         Ok(())
     }
 
     /// What a row has of streams that lie between each other.
-    fn row(&self, these: &[Stream]) -> Result<Vec<(Kind, usize)>> {
+    fn row(&self, these: &[ElementRun]) -> Result<Vec<(VectorRole, usize)>> {
         let (first, _, owners) = &these[0];
-        let mut elements: Vec<(Kind, usize)> = Vec::new();
+        let mut elements: Vec<(VectorRole, usize)> = Vec::new();
         let mut end = 0;
         for (place, kind, of) in these {
             let offset = place.start - first.start;
@@ -441,9 +443,9 @@ impl Places<'_> {
             end = offset + place.size;
             if !(is_beside && is_alike && is_other && of == owners) {
                 let name = |kind| match kind {
-                    Kind::Position => "positions",
-                    Kind::Normal => "normals",
-                    Kind::Tangent => "tangents",
+                    VectorRole::Position => "positions",
+                    VectorRole::Normal => "normals",
+                    VectorRole::Tangent => "tangents",
                 };
                 let what = format!(
                     "the {} from byte {} on and the {} from byte {} on lie over or between each other, and are not of the same vertices",
@@ -460,7 +462,7 @@ impl Places<'_> {
     }
 
     /// An error where what changes has bytes in common with what does not.
-    fn check_kept(&self, kept: &BTreeMap<usize, String>, all: &[Stream]) -> Result<()> {
+    fn check_kept(&self, kept: &BTreeMap<usize, String>, all: &[ElementRun]) -> Result<()> {
         // Where each stream ends, or one before it.
         let mut ends = Vec::with_capacity(all.len());
         let mut furthest = 0;
@@ -468,7 +470,7 @@ impl Places<'_> {
             furthest = furthest.max(place.end());
             ends.push(furthest);
         }
-        let check = |other: &Place, name: &dyn Fn() -> String| -> Result<()> {
+        let check = |other: &AccessorBytes, name: &dyn Fn() -> String| -> Result<()> {
             let first = ends.partition_point(|end| *end <= other.start);
             let near = all[first..].iter().take_while(|(place, _, _)| place.start < other.end());
             match near.into_iter().find(|(place, _, _)| place.touches(other)) {
@@ -492,7 +494,7 @@ impl Places<'_> {
             if let Some(view) = image.buffer_view {
                 let bytes = self.view(view)?;
                 let size = bytes.end - bytes.start;
-                let place = Place { start: bytes.start, count: 1, stride: size, size };
+                let place = AccessorBytes { start: bytes.start, count: 1, stride: size, size };
                 check(&place, &|| format!("image {index}"))?;
             }
         }
@@ -501,4 +503,4 @@ impl Places<'_> {
 }
 
 /// A run of elements, what they are, and whose.
-type Stream = (Place, Kind, Vec<usize>);
+type ElementRun = (AccessorBytes, VectorRole, Vec<usize>);

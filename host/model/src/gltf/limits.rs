@@ -7,7 +7,7 @@ use serde_json::value::RawValue;
 
 use super::container::Container;
 use super::json::{Document, span};
-use super::layout::Layout;
+use super::layout::GltfLayout;
 use crate::Result;
 use crate::summary::{PartBox, Summary};
 use crate::text::DAMAGED;
@@ -29,19 +29,19 @@ pub(super) struct Limit {
 
 /// All of them, in the order of the JSON.
 #[derive(Debug, Default)]
-pub(super) struct Limits {
+pub(super) struct AccessorLimits {
     all: Vec<Limit>,
     /// Parts of which there are some, ascending.
     parts: Vec<u32>,
 }
 
-impl Limits {
+impl AccessorLimits {
     /// # Errors
     /// One that is there is not as many numbers as an element.
     pub(super) fn from_accessor(
         json: &[u8],
         document: &Document<'_>,
-        layout: &Layout,
+        layout: &GltfLayout,
         container: &Container,
     ) -> Result<Self> {
         let mut all = Vec::new();

@@ -30,9 +30,9 @@ mod sparse;
 use std::ops::Range;
 use std::path::Path;
 
-use faces::Faces;
+use faces::GltfFaces;
 use file::GltfModel;
-use reader::Reader;
+use reader::GltfReader;
 
 use crate::cache::Making;
 use crate::source::Source;
@@ -83,7 +83,7 @@ impl Model for GltfModel {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        Ok(Box::new(Reader::new(self, range)))
+        Ok(Box::new(GltfReader::new(self, range)))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
@@ -92,11 +92,11 @@ impl Model for GltfModel {
     }
 
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(Faces::new(self)))
+        Ok(Box::new(GltfFaces::new(self)))
     }
 
     fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(Faces::between(self, ranges)))
+        Ok(Box::new(GltfFaces::between(self, ranges)))
     }
 
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
@@ -113,7 +113,7 @@ impl Model for GltfModel {
         if how.normals == Normals::Drop && self.info.has_normals {
             return Err(self.container.source.keeps_normals("keep or transform them: --normals keep"));
         }
-        let rewriting = rewrite::Rewriting::new(self);
+        let rewriting = rewrite::GltfRewriting::new(self);
         rewriting.announce(progress);
         pipeline::rewrite(&rewriting, outputs, how, edit, progress)?;
         rewriting.tell(progress);

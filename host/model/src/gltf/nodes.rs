@@ -3,7 +3,7 @@
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 
 use super::json::Node;
-use super::places::Places;
+use super::places::Accessors;
 use crate::text::DAMAGED;
 use crate::{Error, Result};
 
@@ -12,13 +12,13 @@ const SINGULAR: f64 = 1e-9;
 
 /// From a mesh' coordinates to the world's, and back.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Placement {
+pub(super) struct MeshPose {
     matrix: DMat3,
     translation: DVec3,
     inverse: DMat3,
 }
 
-impl Placement {
+impl MeshPose {
     /// The placement by a matrix that can be inverted; `None` inside for one that changes nothing.
     fn from_matrix(world: DMat4) -> Result<Option<Self>, &'static str> {
         let [a, b, c, d] = [world.x_axis, world.y_axis, world.z_axis, world.w_axis];
@@ -100,17 +100,17 @@ fn own(node: &Node) -> DMat4 {
     DMat4::from_scale_rotation_translation(scale, rotation, translation)
 }
 
-impl Places<'_> {
+impl Accessors<'_> {
     /// Where each node is that shows a mesh without a skin: what is skinned is where its joints take it, and
     /// stays in its own coordinates.
-    pub(super) fn placements(&self) -> Result<Vec<Option<Placement>>> {
+    pub(super) fn placements(&self) -> Result<Vec<Option<MeshPose>>> {
         let nodes = &self.document.nodes;
         let worlds = self.worlds()?;
         let of_node = |(index, node): (usize, &Node)| {
             if node.mesh.is_none() || node.skin.is_some() {
                 return Ok(None);
             }
-            Placement::from_matrix(worlds[index]).map_err(|why| {
+            MeshPose::from_matrix(worlds[index]).map_err(|why| {
                 let what = format!("node {index}: {why}");
                 self.container.source.malformed(
                     what,
@@ -166,11 +166,11 @@ mod tests {
 
     #[test]
     fn what_changes_nothing_is_none() {
-        assert_eq!(Placement::from_matrix(DMat4::IDENTITY), Ok(None));
-        assert!(Placement::from_matrix(DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))).is_err());
-        assert!(Placement::from_matrix(DMat4::from_translation(DVec3::NAN)).is_err());
+        assert_eq!(MeshPose::from_matrix(DMat4::IDENTITY), Ok(None));
+        assert!(MeshPose::from_matrix(DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))).is_err());
+        assert!(MeshPose::from_matrix(DMat4::from_translation(DVec3::NAN)).is_err());
         // Small is not singular.
-        assert!(Placement::from_matrix(DMat4::from_scale(DVec3::splat(1e-30))).is_ok());
+        assert!(MeshPose::from_matrix(DMat4::from_scale(DVec3::splat(1e-30))).is_ok());
     }
 
     proptest! {
@@ -185,7 +185,7 @@ mod tests {
             prop_assume!(matrix.determinant().abs() > 0.1);
             let (p, by) = (Vec3::from(p), DVec3::from(by));
             let world = DMat4::from_translation(DVec3::from(shift)) * DMat4::from_mat3(matrix);
-            let placement = Placement::from_matrix(world).unwrap().unwrap();
+            let placement = MeshPose::from_matrix(world).unwrap().unwrap();
             let moved = placement.moved(p, by);
             let there = matrix * moved + DVec3::from(shift);
             prop_assert!((there - placement.position(p) - by).length() < 1e-8);

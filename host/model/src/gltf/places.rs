@@ -19,7 +19,7 @@ const LONGEST_STRIDE: u64 = 252;
 
 /// The bytes of an accessor: so many elements of equal size, at equal distances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Place {
+pub(super) struct AccessorBytes {
     /// Where in the file the first one begins.
     pub(super) start: u64,
     pub(super) count: u64,
@@ -29,7 +29,7 @@ pub(super) struct Place {
     pub(super) size: u64,
 }
 
-impl Place {
+impl AccessorBytes {
     /// Where the last element ends.
     pub(super) fn end(&self) -> u64 {
         if self.count == 0 { self.start } else { self.start + self.stride * (self.count - 1) + self.size }
@@ -83,12 +83,12 @@ pub(super) fn numbers(shape: &str) -> Option<u64> {
 }
 
 /// The accessors of a document.
-pub(super) struct Places<'a> {
+pub(super) struct Accessors<'a> {
     pub(super) container: &'a Container,
     pub(super) document: &'a Document<'a>,
 }
 
-impl Places<'_> {
+impl Accessors<'_> {
     pub(super) fn malformed(&self, what: impl std::fmt::Display) -> Error {
         self.container.source.malformed(what, DAMAGED)
     }
@@ -131,7 +131,7 @@ impl Places<'_> {
     }
 
     /// Where an accessor lies; `None` for one without bytes of its own.
-    pub(super) fn place(&self, index: usize) -> Result<Option<Place>> {
+    pub(super) fn place(&self, index: usize) -> Result<Option<AccessorBytes>> {
         let accessor = self.accessor(index)?;
         let size = number_type(accessor.component_type).zip(numbers(&accessor.shape));
         let Some((kind, numbers)) = size else {
@@ -173,11 +173,16 @@ impl Places<'_> {
         }
         // One element has no distance.
         let stride = if accessor.count > 1 { stride } else { size };
-        Ok(Some(Place { start: bytes.start + accessor.byte_offset, count: accessor.count, stride, size }))
+        Ok(Some(AccessorBytes {
+            start: bytes.start + accessor.byte_offset,
+            count: accessor.count,
+            stride,
+            size,
+        }))
     }
 
     /// Where an accessor lies whose numbers are to be changed: floats, and all of them there.
-    pub(super) fn place_of(&self, index: usize, what: &str, shape: &str) -> Result<Place> {
+    pub(super) fn place_of(&self, index: usize, what: &str, shape: &str) -> Result<AccessorBytes> {
         let accessor = self.accessor(index)?;
         let refused = |why: &str, hint: &str| {
             let what = format!("accessor {index} ({what}) {why}");

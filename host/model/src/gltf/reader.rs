@@ -6,8 +6,8 @@ use std::sync::OnceLock;
 use glam::{DVec3, Vec3, Vec4};
 
 use super::file::GltfModel;
-use super::layout::{Kind, Set};
-use super::places::Place;
+use super::layout::{VectorRole, VertexSet};
+use super::places::AccessorBytes;
 use crate::{CHUNK_VERTICES, Result, Type, VertexChunk, VertexReader};
 
 /// Most bytes that are read for a chunk at once, unless a vertex takes more.
@@ -32,9 +32,9 @@ pub(super) fn rows(stride: usize, bytes: usize, offset: usize, size: usize) -> i
 
 impl GltfModel {
     /// Adds the positions in rows of a set's region.
-    pub(super) fn add_positions(&self, set: &Set, raw: &[u8], to: &mut Vec<DVec3>) {
+    pub(super) fn add_positions(&self, set: &VertexSet, raw: &[u8], to: &mut Vec<DVec3>) {
         let region = &self.layout.regions[set.region];
-        let offset = region.offset(Kind::Position).unwrap_or_default();
+        let offset = region.offset(VectorRole::Position).unwrap_or_default();
         let local =
             rows(region.stride as usize, raw.len(), offset, 12).map(|at| Vec3::from_array(floats(raw, at)));
         match &set.placement {
@@ -46,7 +46,7 @@ impl GltfModel {
     /// Adds normals that are so far apart, the first of them at `offset`.
     pub(super) fn add_normals(
         &self,
-        set: &Set,
+        set: &VertexSet,
         raw: &[u8],
         (stride, offset): (u64, usize),
         to: &mut Vec<Vec3>,
@@ -61,7 +61,7 @@ impl GltfModel {
     /// Adds tangents, likewise.
     pub(super) fn add_tangents(
         &self,
-        set: &Set,
+        set: &VertexSet,
         raw: &[u8],
         (stride, offset): (u64, usize),
         to: &mut Vec<Vec4>,
@@ -74,7 +74,7 @@ impl GltfModel {
     }
 
     /// The set of a vertex, and its number.
-    pub(super) fn set_of(&self, vertex: u64) -> Option<&Set> {
+    pub(super) fn set_of(&self, vertex: u64) -> Option<&VertexSet> {
         let sets = &self.layout.sets;
         sets.get(sets.partition_point(|set| set.first + set.place.count <= vertex))
     }
@@ -96,9 +96,9 @@ impl GltfModel {
             else {
                 continue;
             };
-            let curve = Curve::of_type(kind);
+            let curve = SrgbCurve::of_type(kind);
             self.container.read(&mut raw, place.bytes(elements))?;
-            let Place { stride, size, .. } = place;
+            let AccessorBytes { stride, size, .. } = place;
             for at in rows(stride as usize, raw.len(), 0, size as usize) {
                 let numbers = raw[at..at + size as usize].chunks_exact(kind.size());
                 for (part, (to, bytes)) in to.iter_mut().zip(numbers).enumerate() {
@@ -114,14 +114,14 @@ impl GltfModel {
 /// From linear light, as glTF has it, to the curve of sRGB, as all other formats have it: numbers of the same
 /// type, whole where they were.
 #[derive(Clone, Copy)]
-enum Curve {
+enum SrgbCurve {
     /// By a table.
     Bytes(&'static [u8; 256]),
     Whole(f64),
     Fractions,
 }
 
-impl Curve {
+impl SrgbCurve {
     fn of_type(kind: Type) -> Self {
         static BYTES: OnceLock<[u8; 256]> = OnceLock::new();
         match kind {
@@ -158,7 +158,7 @@ fn number(kind: Type, bytes: &[u8]) -> f64 {
 }
 
 /// Reads consecutive vertices.
-pub(super) struct Reader<'a> {
+pub(super) struct GltfReader<'a> {
     model: &'a GltfModel,
     range: Range<u64>,
     /// Most vertices of a chunk.
@@ -167,14 +167,14 @@ pub(super) struct Reader<'a> {
     apart: Vec<u8>,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> GltfReader<'a> {
     pub(super) fn new(model: &'a GltfModel, range: Range<u64>) -> Self {
         let end = range.end.min(model.layout.vertices);
         Self { model, range: range.start.min(end)..end, chunk: CHUNK_VERTICES as u64, apart: Vec::new() }
     }
 }
 
-impl VertexReader for Reader<'_> {
+impl VertexReader for GltfReader<'_> {
     fn set_chunk(&mut self, vertices: usize) {
         self.chunk = vertices.clamp(1, CHUNK_VERTICES) as u64;
     }
@@ -198,7 +198,7 @@ impl VertexReader for Reader<'_> {
         model.add_positions(set, raw, positions);
         if let Some(place) = set.normals.filter(|_| model.info.has_normals) {
             let beside = region
-                .offset(Kind::Normal)
+                .offset(VectorRole::Normal)
                 .filter(|offset| region.bytes.start + *offset as u64 == place.start);
             if let Some(offset) = beside {
                 model.add_normals(set, raw, (region.stride, offset), normals);

@@ -7,10 +7,10 @@ use glam::{DVec3, Vec3, Vec4};
 
 use super::container::HEADER;
 use super::file::GltfModel;
-use super::layout::{Kind, Region, Set};
-use super::nodes::Placement;
+use super::layout::{VectorRole, VertexRows, VertexSet};
+use super::nodes::MeshPose;
 use super::reader::{CHUNK_BYTES, floats, rows};
-use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable};
 use crate::shared_normal::mean;
 use crate::source::Source;
 use crate::summary::{PartBox, Summary};
@@ -18,13 +18,13 @@ use crate::unfit::Unfit;
 use crate::{CHUNK_VERTICES, Edited, Error, Normals, Progress, Result, SMALL_CHUNK, VertexChunk};
 
 /// A model that is rewritten.
-pub(super) struct Rewriting<'a> {
+pub(super) struct GltfRewriting<'a> {
     pub(super) model: &'a GltfModel,
     /// Normals and tangents that keep their bytes as meshes share them that turn apart, of all versions.
     kept: AtomicU64,
 }
 
-impl<'a> Rewriting<'a> {
+impl<'a> GltfRewriting<'a> {
     pub(super) fn new(model: &'a GltfModel) -> Self {
         Self { model, kept: AtomicU64::new(0) }
     }
@@ -61,12 +61,12 @@ impl<'a> Rewriting<'a> {
     }
 
     /// The region and the first row of a chunk.
-    fn place(&self, chunk: &VertexChunk) -> (&'a Region, u64) {
+    fn place(&self, chunk: &VertexChunk) -> (&'a VertexRows, u64) {
         let [region, row] = chunk.spans.first().copied().unwrap_or_default();
         (&self.model.layout.regions[region as usize], u64::from(row))
     }
 
-    fn owners<'r>(&self, region: &'r Region) -> impl Iterator<Item = &'r Set>
+    fn owners<'r>(&self, region: &'r VertexRows) -> impl Iterator<Item = &'r VertexSet>
     where
         'a: 'r,
     {
@@ -75,7 +75,7 @@ impl<'a> Rewriting<'a> {
     }
 }
 
-impl Rewritable for Rewriting<'_> {
+impl Rewritable for GltfRewriting<'_> {
     fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>> {
         let with_normals = normals == Normals::Transform;
         Ok(Box::new(GltfPieces { model: self.model, with_normals, at: 0, region: 0, row: 0 }))
@@ -97,39 +97,39 @@ impl Rewritable for Rewriting<'_> {
                 self.model.container.read(&mut apart, of_positions.window(row..row + count))?;
                 self.model.add_positions(set, &apart, positions);
             }
-            if let Some(offset) = region.offset(Kind::Normal) {
+            if let Some(offset) = region.offset(VectorRole::Normal) {
                 self.model.add_normals(set, raw, (region.stride, offset), normals);
             }
-            if let Some(offset) = region.offset(Kind::Tangent) {
+            if let Some(offset) = region.offset(VectorRole::Tangent) {
                 self.model.add_tangents(set, raw, (region.stride, offset), tangents);
             }
         }
         Ok(())
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, mut version: PieceVersion<'_>) -> Result<()> {
         let (region, _) = self.place(chunk);
         version.begin_with(&mut chunk.raw);
-        let mut patch = Patch { region, bytes: version.bytes, chunk, edited: version.edited };
-        let placements: Vec<Option<Placement>> = self.owners(region).map(|set| set.placement).collect();
+        let mut patch = ChunkPatch { region, bytes: version.bytes, chunk, edited: version.edited };
+        let placements: Vec<Option<MeshPose>> = self.owners(region).map(|set| set.placement).collect();
         let index = chunk.spans.first().map_or(0, |[region, _]| *region as usize);
         for (element, (kind, offset)) in region.elements.iter().enumerate() {
             let is_turned = version.normals == Normals::Transform;
             let has_moved = match kind {
-                Kind::Position => patch
+                VectorRole::Position => patch
                     .positions(*offset, placements.first().and_then(Option::as_ref))
                     .map_err(|unfit| unfit.in_floats(&self.model.container.source, chunk.first))?,
                 _ if !is_turned => continue,
                 kind => {
                     let turned = match kind {
-                        Kind::Normal => patch.normals(*offset, &placements),
+                        VectorRole::Normal => patch.normals(*offset, &placements),
                         _ => patch.tangents(*offset, &placements),
                     };
                     self.kept.fetch_add(turned.kept, Ordering::Relaxed);
                     turned.has_moved
                 }
             };
-            let part = Region::part(index, element);
+            let part = VertexRows::part(index, element);
             if self.model.limits.has(part) {
                 version.summary.parts.push(PartBox { has_moved, ..patch.reach(part, *kind, *offset) });
             }
@@ -182,8 +182,8 @@ impl Rewritable for Rewriting<'_> {
 }
 
 /// The bytes of a chunk's new version, as they are made.
-struct Patch<'a> {
-    region: &'a Region,
+struct ChunkPatch<'a> {
+    region: &'a VertexRows,
     bytes: &'a mut [u8],
     chunk: &'a VertexChunk,
     edited: &'a Edited,
@@ -191,19 +191,19 @@ struct Patch<'a> {
 
 /// What became of normals or tangents.
 #[derive(Default)]
-struct Turned {
+struct TurnedVectors {
     has_moved: bool,
     /// How many are kept as those who share them disagree.
     kept: u64,
 }
 
-impl Patch<'_> {
+impl ChunkPatch<'_> {
     fn rows(&self, offset: usize, size: usize) -> impl Iterator<Item = usize> + use<> {
         rows(self.region.stride as usize, self.bytes.len(), offset, size)
     }
 
     /// Moves the positions of a set; whether any of them is elsewhere, or the first one that does not fit.
-    fn positions(&mut self, offset: usize, placement: Option<&Placement>) -> Result<bool, Unfit> {
+    fn positions(&mut self, offset: usize, placement: Option<&MeshPose>) -> Result<bool, Unfit> {
         let mut has_moved = false;
         let bits = |p: DVec3| p.to_array().map(f64::to_bits);
         let moved = self.chunk.positions.iter().zip(&self.edited.positions);
@@ -234,7 +234,7 @@ impl Patch<'_> {
     }
 
     /// The box of all that is here of a part, as it is now.
-    fn reach(&self, part: u32, kind: Kind, offset: usize) -> PartBox {
+    fn reach(&self, part: u32, kind: VectorRole, offset: usize) -> PartBox {
         let mut found = PartBox::empty(part);
         let mut include = |element: Vec4| {
             if element.is_finite() {
@@ -243,7 +243,7 @@ impl Patch<'_> {
             }
         };
         match kind {
-            Kind::Tangent => {
+            VectorRole::Tangent => {
                 self.rows(offset, 16).for_each(|at| include(Vec4::from_array(floats(self.bytes, at))));
             }
             _ => self
@@ -254,9 +254,9 @@ impl Patch<'_> {
     }
 
     /// Turns normals, at all places that share them.
-    fn normals(&mut self, offset: usize, placements: &[Option<Placement>]) -> Turned {
+    fn normals(&mut self, offset: usize, placements: &[Option<MeshPose>]) -> TurnedVectors {
         let (old, new) = (&self.chunk.normals, &self.edited.normals);
-        let (mut found, mut turned) = (Turned::default(), Vec::new());
+        let (mut found, mut turned) = (TurnedVectors::default(), Vec::new());
         let count = self.rows(offset, 12).count();
         for (row, at) in self.rows(offset, 12).enumerate() {
             let local = Vec3::from_array(floats(self.bytes, at));
@@ -280,9 +280,9 @@ impl Patch<'_> {
     }
 
     /// Turns tangents, likewise.
-    fn tangents(&mut self, offset: usize, placements: &[Option<Placement>]) -> Turned {
+    fn tangents(&mut self, offset: usize, placements: &[Option<MeshPose>]) -> TurnedVectors {
         let (old, new) = (&self.chunk.tangents, self.edited.tangents(self.chunk));
-        let (mut found, mut turned) = (Turned::default(), Vec::new());
+        let (mut found, mut turned) = (TurnedVectors::default(), Vec::new());
         let count = self.rows(offset, 16).count();
         for (row, at) in self.rows(offset, 16).enumerate() {
             let local = Vec4::from_array(floats(self.bytes, at));
@@ -348,7 +348,7 @@ impl Pieces for GltfPieces<'_> {
             container.read(&mut chunk.raw, 0..self.at)?;
             return Ok(Piece::Made);
         }
-        let is_patched = |region: &Region| self.with_normals || region.has_positions();
+        let is_patched = |region: &VertexRows| self.with_normals || region.has_positions();
         while layout.regions.get(self.region).is_some_and(|region| !is_patched(region)) {
             self.region += 1;
         }

@@ -8,8 +8,8 @@ use serde_json::value::RawValue;
 
 use super::container::Container;
 use super::json::{Document, Sparse, SparsePart, list, span};
-use super::places::{PLAIN, Places, number_type};
-use crate::cache::{Making, Need};
+use super::places::{Accessors, PLAIN, number_type};
+use crate::cache::{CachedContent, Making};
 use crate::scratch::Scratch;
 use crate::size::human_size;
 use crate::source::Source;
@@ -37,7 +37,7 @@ pub(super) fn made_plain(
     making: &Making<'_>,
 ) -> Result<(Container, Vec<u8>, bool)> {
     let document: Document<'_> = container.parse(&json)?;
-    let places = Places { container: &container, document: &document };
+    let places = Accessors { container: &container, document: &document };
     let sparse = places.sparse();
     if sparse.is_empty() {
         return Ok((container, json, false));
@@ -61,7 +61,7 @@ pub(super) fn made_plain(
         to.set_len(bytes)?;
         Ok(bytes)
     };
-    let need = Need { what: "its sparse accessors are written plainly", bytes, meanwhile: 0 };
+    let need = CachedContent { what: "its sparse accessors are written plainly", bytes, meanwhile: 0 };
     let plain = if container.is_made() {
         // What buffers elsewhere hold, a cache does not know.
         let scratch = making.cache.scratch()?;
@@ -112,7 +112,7 @@ fn with_views(
     Ok(super::container::replaced(json, changes))
 }
 
-impl Places<'_> {
+impl Accessors<'_> {
     /// The accessors that vertices and corners have, and that are sparse, in their order.
     fn sparse(&self) -> Vec<usize> {
         let mut all = Vec::new();

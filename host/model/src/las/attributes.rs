@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::header::{Header, RECORD_BYTES, bytes_at};
+use super::header::{LasHeader, RECORD_BYTES, bytes_at};
 use crate::{Attribute, Type};
 
 /// Bytes of the description of extra bytes.
@@ -10,15 +10,15 @@ const DESCRIPTION: usize = 192;
 
 /// Where a number stands in a record, and how.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Place {
+pub(super) struct NumberField {
     at: usize,
     how: How,
-    limits: Option<Limits>,
+    limits: Option<LimitFields>,
 }
 
 /// Where the descriptions of extra bytes say how far a number reaches as it is stored, if they do.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Limits {
+pub(super) struct LimitFields {
     pub least: Option<usize>,
     pub most: Option<usize>,
 }
@@ -35,7 +35,7 @@ enum How {
     I64,
     /// A number of extra bytes that is to be scaled.
     Scaled {
-        number: Whole,
+        number: ExtraBytesType,
         scale: f64,
         offset: f64,
     },
@@ -54,13 +54,13 @@ impl How {
 
 /// A type of extra bytes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Whole {
+enum ExtraBytesType {
     Of(Type),
     U64,
     I64,
 }
 
-impl Whole {
+impl ExtraBytesType {
     fn size(self) -> usize {
         match self {
             Self::Of(kind) => kind.size(),
@@ -119,19 +119,19 @@ impl Whole {
 
 /// The attributes of a file, and where they are.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Places {
+pub(super) struct AttributeFields {
     pub attributes: Vec<Attribute>,
-    places: Vec<Place>,
+    places: Vec<NumberField>,
     /// Extra bytes that are among them.
     extra_bytes: usize,
     /// Bytes of a record before extra ones.
     pub standard_bytes: usize,
 }
 
-impl Places {
+impl AttributeFields {
     /// The places of the attributes of a point format, and the extra bytes that a record of the file
     /// describes.
-    pub fn new(header: &Header, extra: &[u8]) -> Self {
+    pub fn new(header: &LasHeader, extra: &[u8]) -> Self {
         use Type::{F64, I8, I16, U8, U16};
         let mut this = Self::default();
         let mut number = |name: &str, kind: Type, at: usize| this.add(name, kind, at, How::Number(kind));
@@ -203,12 +203,12 @@ impl Places {
     fn add(&mut self, name: &str, kind: Type, at: usize, how: How) {
         if Attribute::is_name(name) && !self.attributes.iter().any(|known| known.name == name) {
             self.attributes.push(Attribute { name: name.to_owned(), kind });
-            self.places.push(Place { at, how, limits: None });
+            self.places.push(NumberField { at, how, limits: None });
         }
     }
 
     /// The extra bytes that are described, as far as the records have them.
-    fn add_extra(&mut self, header: &Header, descriptions: &[u8]) {
+    fn add_extra(&mut self, header: &LasHeader, descriptions: &[u8]) {
         let mut at = RECORD_BYTES[usize::from(header.format)];
         self.standard_bytes = at;
         for (number, one) in descriptions.chunks_exact(DESCRIPTION).enumerate() {
@@ -219,14 +219,14 @@ impl Places {
                 // Old ones: two or three of a type.
                 11..=30 => {
                     let several = usize::from((code - 1) / 10) + 1;
-                    several * Whole::of_code((code - 1) % 10 + 1).map_or(0, Whole::size)
+                    several * ExtraBytesType::of_code((code - 1) % 10 + 1).map_or(0, ExtraBytesType::size)
                 }
-                code => Whole::of_code(code).map_or(usize::MAX, Whole::size),
+                code => ExtraBytesType::of_code(code).map_or(usize::MAX, ExtraBytesType::size),
             };
             let Some(behind) = at.checked_add(bytes).filter(|behind| *behind <= header.record) else {
                 return;
             };
-            if let Some(whole) = Whole::of_code(code) {
+            if let Some(whole) = ExtraBytesType::of_code(code) {
                 let name = one[4..36].split(|byte| *byte == 0).next().unwrap_or_default();
                 let name = String::from_utf8_lossy(name);
                 let [scale, offset] = [112, 136].map(|at| f64::from_le_bytes(bytes_at(one, at)));
@@ -236,16 +236,16 @@ impl Places {
                     number if (scale, offset) != (1.0, 0.0) => {
                         (Type::F64, How::Scaled { number, scale, offset })
                     }
-                    Whole::Of(kind) => (kind, How::Number(kind)),
-                    Whole::U64 => (Type::F64, How::U64),
-                    Whole::I64 => (Type::F64, How::I64),
+                    ExtraBytesType::Of(kind) => (kind, How::Number(kind)),
+                    ExtraBytesType::U64 => (Type::F64, How::U64),
+                    ExtraBytesType::I64 => (Type::F64, How::I64),
                 };
                 let known = self.attributes.len();
                 self.add(name.trim(), kind, at, how);
                 if self.attributes.len() > known {
                     self.extra_bytes += bytes;
                     let told = |bit: u8, at| (options & bit != 0).then_some(number * DESCRIPTION + at);
-                    self.places[known].limits = Some(Limits { least: told(2, 64), most: told(4, 88) });
+                    self.places[known].limits = Some(LimitFields { least: told(2, 64), most: told(4, 88) });
                 }
             }
             at = behind;
@@ -280,7 +280,7 @@ impl Places {
 
     /// The same as it is stored.
     pub fn stored(&self, attribute: usize, record: &[u8]) -> f64 {
-        let Place { at, how, .. } = self.places[attribute];
+        let NumberField { at, how, .. } = self.places[attribute];
         match how {
             How::Scaled { number, .. } => whole(number, &record[at..]),
             _ => self.places[attribute].number(record),
@@ -289,9 +289,9 @@ impl Places {
 
     /// Puts a number into a record, unless it does not fit its type; whether the record is another one now.
     pub fn put(&self, attribute: usize, record: &mut [u8], value: f64) -> bool {
-        let Place { at, how, .. } = self.places[attribute];
+        let NumberField { at, how, .. } = self.places[attribute];
         let (kind, value) = match how {
-            How::Number(kind) => (Whole::Of(kind), value),
+            How::Number(kind) => (ExtraBytesType::Of(kind), value),
             How::Scaled { number, scale, offset } => (number, (value - offset) / scale),
             _ => return false,
         };
@@ -303,7 +303,7 @@ impl Places {
     }
 
     /// Where it is told how far an attribute reaches as it is stored, among the descriptions of extra bytes.
-    pub fn limits(&self, attribute: usize) -> Option<Limits> {
+    pub fn limits(&self, attribute: usize) -> Option<LimitFields> {
         let limits = self.places.get(attribute)?.limits?;
         (limits.least.is_some() || limits.most.is_some()).then_some(limits)
     }
@@ -312,21 +312,21 @@ impl Places {
     /// with 64 bits.
     pub fn limit(&self, attribute: usize, stored: f64) -> Vec<u8> {
         let wide = match self.places[attribute].how {
-            How::Scaled { number: Whole::Of(kind), .. } | How::Number(kind) => match kind {
-                Type::F32 | Type::F64 => Whole::Of(Type::F64),
-                Type::U8 | Type::U16 | Type::U32 => Whole::U64,
-                Type::I8 | Type::I16 | Type::I32 => Whole::I64,
+            How::Scaled { number: ExtraBytesType::Of(kind), .. } | How::Number(kind) => match kind {
+                Type::F32 | Type::F64 => ExtraBytesType::Of(Type::F64),
+                Type::U8 | Type::U16 | Type::U32 => ExtraBytesType::U64,
+                Type::I8 | Type::I16 | Type::I32 => ExtraBytesType::I64,
             },
             How::Scaled { number, .. } => number,
-            How::Bits { .. } | How::U64 => Whole::U64,
-            How::I64 => Whole::I64,
+            How::Bits { .. } | How::U64 => ExtraBytesType::U64,
+            How::I64 => ExtraBytesType::I64,
         };
         wide.bytes(stored).map_or(Vec::new(), |(bytes, _)| bytes.to_vec())
     }
 
     /// Names of the attributes that have whole numbers of 64 bits, of which doubles do not hold all digits.
     pub fn of_64_bits(&self) -> impl Iterator<Item = &str> {
-        let are_wide = self.places.iter().map(Place::is_wide);
+        let are_wide = self.places.iter().map(NumberField::is_wide);
         self.attributes.iter().zip(are_wide).filter(|(_, is_wide)| *is_wide).map(|(of, _)| of.name.as_str())
     }
 
@@ -346,10 +346,13 @@ impl Places {
     }
 }
 
-impl Place {
+impl NumberField {
     /// Whether it is a whole number of 64 bits, scaled or not.
     fn is_wide(&self) -> bool {
-        matches!(self.how, How::U64 | How::I64 | How::Scaled { number: Whole::U64 | Whole::I64, .. })
+        matches!(
+            self.how,
+            How::U64 | How::I64 | How::Scaled { number: ExtraBytesType::U64 | ExtraBytesType::I64, .. }
+        )
     }
 
     #[inline]
@@ -358,18 +361,18 @@ impl Place {
         match self.how {
             How::Bits { shift, mask } => f64::from((bytes[0] >> shift) & mask),
             How::Number(kind) => plain(kind, bytes),
-            How::U64 => whole(Whole::U64, bytes),
-            How::I64 => whole(Whole::I64, bytes),
+            How::U64 => whole(ExtraBytesType::U64, bytes),
+            How::I64 => whole(ExtraBytesType::I64, bytes),
             How::Scaled { number, scale, offset } => whole(number, bytes) * scale + offset,
         }
     }
 }
 
-fn whole(number: Whole, bytes: &[u8]) -> f64 {
+fn whole(number: ExtraBytesType, bytes: &[u8]) -> f64 {
     match number {
-        Whole::Of(kind) => plain(kind, bytes),
-        Whole::U64 => u64::from_le_bytes(bytes_at(bytes, 0)) as f64,
-        Whole::I64 => i64::from_le_bytes(bytes_at(bytes, 0)) as f64,
+        ExtraBytesType::Of(kind) => plain(kind, bytes),
+        ExtraBytesType::U64 => u64::from_le_bytes(bytes_at(bytes, 0)) as f64,
+        ExtraBytesType::I64 => i64::from_le_bytes(bytes_at(bytes, 0)) as f64,
     }
 }
 

@@ -6,9 +6,9 @@ use std::ops::Range;
 use laz::LazVlrBuilder;
 use laz::laszip::{ChunkTable, ChunkTableEntry};
 
-use super::header::{CUT_OFF, DAMAGED, Header};
-use super::laszip::{Kind, Laszip};
-use crate::model::Block;
+use super::header::{CUT_OFF, DAMAGED, LasHeader};
+use super::laszip::{BlockLengths, Laszip};
+use crate::model::CompressedBlock;
 use crate::source::Source;
 use crate::{CHUNK_VERTICES, Result};
 
@@ -25,7 +25,7 @@ const TOO_LARGE: &str = "write it in blocks of the usual size first, as `laszip`
 ///
 /// Memory: 16 bytes for each.
 #[derive(Debug)]
-pub(super) struct Blocks {
+pub(super) struct LasBlocks {
     /// The first vertex of each block, and where it begins; in the end, where the last one ends.
     starts: Vec<(u64, u64)>,
     /// Where the table is, if the file has one.
@@ -35,14 +35,14 @@ pub(super) struct Blocks {
     is_variable: bool,
 }
 
-impl Blocks {
+impl LasBlocks {
     /// Memory: besides, the table.
-    pub fn read(source: &Source, header: &Header, laszip: &Laszip) -> Result<Self> {
-        let is_variable = laszip.blocks == Kind::Variable;
+    pub fn read(source: &Source, header: &LasHeader, laszip: &Laszip) -> Result<Self> {
+        let is_variable = laszip.blocks == BlockLengths::Variable;
         // Where the points end at the latest.
         let end = header.evlrs.map_or(source.len(), |(start, _)| start);
         let mut this = Self { starts: Vec::new(), table: None, is_told_at_end: false, is_variable };
-        if laszip.blocks == Kind::One {
+        if laszip.blocks == BlockLengths::One {
             this.starts = vec![(0, header.points), (header.count, end.max(header.points))];
         } else if header.count == 0 && source.len() < header.points + PLACE {
             this.starts = vec![(0, header.points)];
@@ -57,7 +57,7 @@ impl Blocks {
     }
 
     /// Where the table is.
-    fn place(&mut self, source: &Source, header: &Header) -> Result<Option<u64>> {
+    fn place(&mut self, source: &Source, header: &LasHeader) -> Result<Option<u64>> {
         let place = |at: u64| -> Result<Option<u64>> {
             let mut bytes = [0; 8];
             if source.read_at(&mut bytes, at)? < bytes.len() {
@@ -85,7 +85,7 @@ impl Blocks {
         }
     }
 
-    fn read_table(&mut self, source: &Source, header: &Header, laszip: &Laszip, at: u64) -> Result<()> {
+    fn read_table(&mut self, source: &Source, header: &LasHeader, laszip: &Laszip, at: u64) -> Result<()> {
         let wrong = |what: String| {
             source.malformed(format!("the table of compressed blocks at byte {at}: {what}"), DAMAGED)
         };
@@ -97,7 +97,7 @@ impl Blocks {
         if count > room / header.record as u64 + 1 {
             return Err(wrong(format!("it has {count} blocks, but the points have {room} bytes")));
         }
-        let mut reader = Stream::new(source, at);
+        let mut reader = ByteStream::new(source, at);
         let table = ChunkTable::read(&mut reader, self.is_variable).map_err(|e| wrong(e.to_string()))?;
         let (mut vertex, mut byte) = (0u64, header.points + PLACE);
         self.starts.reserve(table.len() + 1);
@@ -105,7 +105,7 @@ impl Blocks {
             self.starts.push((vertex, byte));
             let left = header.count - vertex;
             let vertices = match laszip.blocks {
-                Kind::Fixed(size) => u64::from(size).min(left),
+                BlockLengths::Fixed(size) => u64::from(size).min(left),
                 // The library gives what is negative a sign.
                 _ => u64::from(entry.point_count as u32),
             };
@@ -139,8 +139,8 @@ impl Blocks {
     }
 
     /// Finds the blocks of a file without a table, one after the other.
-    fn find(&mut self, source: &Source, header: &Header, laszip: &Laszip, end: u64) -> Result<()> {
-        if laszip.blocks == Kind::Variable && !laszip.is_layered {
+    fn find(&mut self, source: &Source, header: &LasHeader, laszip: &Laszip, end: u64) -> Result<()> {
+        if laszip.blocks == BlockLengths::Variable && !laszip.is_layered {
             let what = "there is no table of compressed blocks, and nothing else tells where these end";
             return Err(source.malformed(what, CUT_OFF));
         }
@@ -148,10 +148,10 @@ impl Blocks {
         while vertex < header.count {
             self.starts.push((vertex, byte));
             let most = match laszip.blocks {
-                Kind::Fixed(size) => u64::from(size).min(header.count - vertex),
+                BlockLengths::Fixed(size) => u64::from(size).min(header.count - vertex),
                 _ => header.count - vertex,
             };
-            let measured = laszip.measure(Stream::new(source, byte), most);
+            let measured = laszip.measure(ByteStream::new(source, byte), most);
             let wrong = |what| {
                 let block = self.starts.len() - 1;
                 let what = format!(
@@ -170,7 +170,7 @@ impl Blocks {
     }
 
     /// An error where blocks are too large to be held, or too small to hold their points.
-    fn check(&self, source: &Source, header: &Header) -> Result<()> {
+    fn check(&self, source: &Source, header: &LasHeader) -> Result<()> {
         for (number, pair) in self.starts.windows(2).enumerate() {
             let [(first, start), (end, behind)] = pair else { continue };
             let (vertices, bytes) = (end - first, behind - start);
@@ -215,9 +215,9 @@ impl Blocks {
     }
 
     /// The vertices and bytes of a block.
-    pub fn block(&self, number: usize) -> Block {
+    pub fn block(&self, number: usize) -> CompressedBlock {
         let [(first, start), (end, behind)] = [self.starts[number], self.starts[number + 1]];
-        Block { vertices: end - first, bytes: behind - start }
+        CompressedBlock { vertices: end - first, bytes: behind - start }
     }
 
     /// Vertices of the largest group of blocks that are read at a time, about.
@@ -268,7 +268,7 @@ pub(super) fn table_of(entries: &[ChunkTableEntry], is_variable: bool) -> io::Re
 }
 
 /// The file from some byte on, as a stream.
-struct Stream<'a> {
+struct ByteStream<'a> {
     source: &'a Source,
     /// What was read of the file before byte `at`, from `used` on not handed out yet.
     buffer: Vec<u8>,
@@ -276,13 +276,13 @@ struct Stream<'a> {
     at: u64,
 }
 
-impl<'a> Stream<'a> {
+impl<'a> ByteStream<'a> {
     fn new(source: &'a Source, at: u64) -> Self {
         Self { source, buffer: Vec::new(), used: 0, at }
     }
 }
 
-impl Read for Stream<'_> {
+impl Read for ByteStream<'_> {
     fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
         const BUFFER: usize = 1 << 16;
         if self.used == self.buffer.len() {
@@ -299,7 +299,7 @@ impl Read for Stream<'_> {
     }
 }
 
-impl Seek for Stream<'_> {
+impl Seek for ByteStream<'_> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         let here = self.at - (self.buffer.len() - self.used) as u64;
         let to = match to {

@@ -3,13 +3,13 @@
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::attributes::Places;
-use super::blocks::Blocks;
-use super::header::{CUT_OFF, DAMAGED, Header};
+use super::attributes::AttributeFields;
+use super::blocks::LasBlocks;
+use super::header::{CUT_OFF, DAMAGED, LasHeader};
 use super::kept::KeptFields;
 use super::laszip::Laszip;
 use super::points;
-use super::vlrs::{Kind, Records};
+use super::vlrs::{KeptVlrs, VlrKind};
 use crate::follow::Following;
 use crate::source::Source;
 use crate::{Attribute, Colors, ModelInfo, Result, Scalar, ScaledIntegers, VertexChunk};
@@ -21,13 +21,13 @@ const MOST_DESCRIPTIONS: u64 = 192 << 16;
 #[derive(Debug)]
 pub struct LasModel {
     pub(super) source: Source,
-    pub(super) header: Header,
-    pub(super) records: Records,
-    pub(super) places: Places,
+    pub(super) header: LasHeader,
+    pub(super) records: KeptVlrs,
+    pub(super) places: AttributeFields,
     /// What of the attributes turns with the surface.
     pub(super) following: Following,
     /// Where the points are compressed.
-    pub(super) compressed: Option<(Laszip, Blocks)>,
+    pub(super) compressed: Option<(Laszip, LasBlocks)>,
     pub(super) info: ModelInfo,
     /// The number of steps by which the offset of what is written differs.
     pub(super) shift: [i64; 3],
@@ -42,10 +42,10 @@ impl LasModel {
     /// The file cannot be read, is not LAS of a known version, is cut off, or has blocks of compressed points
     /// that are too large to be held.
     pub(crate) fn new(source: Source) -> Result<Self> {
-        let header = Header::read(&source)?;
-        let records = Records::read(&source, &header)?;
-        let extra = records.content(&source, Kind::ExtraBytes, MOST_DESCRIPTIONS)?.unwrap_or_default();
-        let places = Places::new(&header, &extra);
+        let header = LasHeader::read(&source)?;
+        let records = KeptVlrs::read(&source, &header)?;
+        let extra = records.content(&source, VlrKind::ExtraBytes, MOST_DESCRIPTIONS)?.unwrap_or_default();
+        let places = AttributeFields::new(&header, &extra);
         let following = Following::recognised(&places.attributes);
         let compressed = compression(&source, &header, &records)?;
         let vertex_bytes = match &compressed {
@@ -110,11 +110,15 @@ impl LasModel {
 }
 
 /// How the points are compressed, and where.
-fn compression(source: &Source, header: &Header, records: &Records) -> Result<Option<(Laszip, Blocks)>> {
+fn compression(
+    source: &Source,
+    header: &LasHeader,
+    records: &KeptVlrs,
+) -> Result<Option<(Laszip, LasBlocks)>> {
     if !header.is_compressed {
         return Ok(None);
     }
-    let Some(vlr) = records.content(source, Kind::Laszip, u64::from(u16::MAX))? else {
+    let Some(vlr) = records.content(source, VlrKind::Laszip, u64::from(u16::MAX))? else {
         let what = "the points are compressed, but nothing says how (the VLR \"laszip encoded\" is missing)";
         return Err(source.malformed(what, DAMAGED));
     };
@@ -122,16 +126,16 @@ fn compression(source: &Source, header: &Header, records: &Records) -> Result<Op
         let hint = "write the model with another program first, as `pdal translate IN.laz OUT.las`";
         source.malformed(format!("the VLR \"laszip encoded\" cannot be used: {what}"), hint)
     })?;
-    let blocks = Blocks::read(source, header, &laszip)?;
+    let blocks = LasBlocks::read(source, header, &laszip)?;
     Ok(Some((laszip, blocks)))
 }
 
 /// Bytes of points that are not compressed, all of which are there.
-fn check_room(source: &Source, header: &Header) -> Result<u64> {
+fn check_room(source: &Source, header: &LasHeader) -> Result<u64> {
     let needed = header.count.checked_mul(header.record as u64);
     let left = source.len() - header.points;
     needed.filter(|needed| *needed <= left).ok_or_else(|| {
-        let Header { count, record, .. } = header;
+        let LasHeader { count, record, .. } = header;
         let what =
             format!("says {count} points of {record} bytes each, but only {left} bytes are left for them");
         source.malformed(what, CUT_OFF)

@@ -10,7 +10,7 @@ use super::blocks::table_of;
 use super::header::{RECORD_BYTES, at};
 use super::laszip::Laszip;
 use crate::bounds::Bounds;
-use crate::form::{Content, Form, Rows, attribute_loss, counted, put_numbers};
+use crate::form::{ConversionInput, Form, WrittenRows, attribute_loss, counted, put_numbers};
 use crate::{ColorScale, Colors, Error, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions};
 
 /// Points of a compressed block: as LASzip has it.
@@ -27,7 +27,7 @@ pub(super) const LASZIP: (&[u8], u16) = (b"laszip encoded", 22204);
 
 /// Where a number goes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Place {
+enum FieldTarget {
     /// A number of its own.
     Number(Type),
     /// So many bits of a byte.
@@ -38,12 +38,12 @@ enum Place {
 
 /// An attribute that is written.
 #[derive(Debug, Clone, PartialEq)]
-struct Field {
+struct WrittenAttribute {
     name: String,
     /// Its place among those of the model.
     from: usize,
     at: usize,
-    place: Place,
+    place: FieldTarget,
     /// Numbers are rounded, and end at those that there are.
     rounds: bool,
 }
@@ -54,7 +54,7 @@ pub(crate) struct LasForm {
     format: u8,
     vertices: u64,
     record: usize,
-    fields: Vec<Field>,
+    fields: Vec<WrittenAttribute>,
     /// Where the number of the return is among the fields.
     returns: Option<usize>,
     integers: ScaledIntegers,
@@ -68,8 +68,8 @@ pub(crate) struct LasForm {
 }
 
 /// Where a standard attribute goes in a record, in point formats below 6 and from there on.
-fn standard(name: &str, format: u8) -> Option<(usize, Place)> {
-    let (bits, number) = (|shift, bits| Place::Bits { shift, bits }, Place::Number);
+fn standard(name: &str, format: u8) -> Option<(usize, FieldTarget)> {
+    let (bits, number) = (|shift, bits| FieldTarget::Bits { shift, bits }, FieldTarget::Number);
     let is_old = format < 6;
     Some(match (name, is_old) {
         ("intensity", _) => (12, number(Type::U16)),
@@ -104,11 +104,11 @@ fn standard(name: &str, format: u8) -> Option<(usize, Place)> {
 }
 
 /// Least and largest number that a place holds.
-fn range(place: Place) -> (f64, f64) {
+fn range(place: FieldTarget) -> (f64, f64) {
     match place {
-        Place::Bits { bits, .. } => (0.0, f64::from((1u32 << bits) - 1)),
-        Place::Color(_) => (0.0, 65535.0),
-        Place::Number(kind) => match kind {
+        FieldTarget::Bits { bits, .. } => (0.0, f64::from((1u32 << bits) - 1)),
+        FieldTarget::Color(_) => (0.0, 65535.0),
+        FieldTarget::Number(kind) => match kind {
             Type::U8 => (0.0, 255.0),
             Type::I8 => (-128.0, 127.0),
             Type::U16 => (0.0, 65535.0),
@@ -122,21 +122,25 @@ fn range(place: Place) -> (f64, f64) {
 
 /// Whether all numbers of a type are told by what they become. Whether flags and the like are as small as
 /// they have to be is seen when they are written.
-fn fits(kind: Type, place: Place) -> bool {
+fn fits(kind: Type, place: FieldTarget) -> bool {
     match place {
-        Place::Number(Type::F64) => true,
-        Place::Bits { .. } => kind == Type::U8,
-        Place::Number(to) if kind.is_float() => to == kind,
-        Place::Number(to) => {
-            let ((least, most), (from, end)) = (range(place), range(Place::Number(kind)));
+        FieldTarget::Number(Type::F64) => true,
+        FieldTarget::Bits { .. } => kind == Type::U8,
+        FieldTarget::Number(to) if kind.is_float() => to == kind,
+        FieldTarget::Number(to) => {
+            let ((least, most), (from, end)) = (range(place), range(FieldTarget::Number(kind)));
             !to.is_float() && from >= least && end <= most
         }
-        Place::Color(_) => matches!(kind, Type::U8 | Type::U16),
+        FieldTarget::Color(_) => matches!(kind, Type::U8 | Type::U16),
     }
 }
 
 impl LasForm {
-    pub(crate) fn new(is_compressed: bool, content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
+    pub(crate) fn new(
+        is_compressed: bool,
+        content: &ConversionInput<'_>,
+        losses: &mut Vec<String>,
+    ) -> Result<Self> {
         let info = content.info();
         if content.faces.triangles > 0 {
             losses.push(counted(content.faces.polygons, "face"));
@@ -186,7 +190,7 @@ impl LasForm {
                     3 => 28,
                     _ => 30,
                 };
-                Some((at + 2 * which, Place::Color(scale)))
+                Some((at + 2 * which, FieldTarget::Color(scale)))
             });
             match of_color.or_else(|| standard(&name, format)) {
                 Some((at, place)) => {
@@ -201,12 +205,12 @@ impl LasForm {
                     if name == "return_number" {
                         this.returns = Some(this.fields.len());
                     }
-                    this.fields.push(Field { name, from, at, place, rounds });
+                    this.fields.push(WrittenAttribute { name, from, at, place, rounds });
                 }
                 None if this.add_extra(&name, kind) => {
-                    let (at, place) = (this.record, Place::Number(kind));
+                    let (at, place) = (this.record, FieldTarget::Number(kind));
                     this.record += kind.size();
-                    this.fields.push(Field { name, from, at, place, rounds: false });
+                    this.fields.push(WrittenAttribute { name, from, at, place, rounds: false });
                 }
                 None => losses.push(attribute_loss(&name, kind)),
             }
@@ -272,7 +276,7 @@ impl LasForm {
     }
 
     /// Fills the records of vertices.
-    fn records(&self, rows: &Rows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()> {
+    fn records(&self, rows: &WrittenRows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()> {
         to.clear();
         to.resize(rows.positions.len() * self.record, 0);
         let (mut least, mut most) = (IVec3::MAX, IVec3::MIN);
@@ -292,21 +296,21 @@ impl LasForm {
         for field in &self.fields {
             self.numbers(field, rows, &mut numbers)?;
             match field.place {
-                Place::Bits { shift, .. } => {
+                FieldTarget::Bits { shift, .. } => {
                     for (record, number) in to.chunks_exact_mut(self.record).zip(&numbers) {
                         record[field.at] |= (*number as u8) << shift;
                     }
                 }
-                Place::Number(kind) => put_numbers(kind, &numbers, to, field.at, self.record),
-                Place::Color(_) => put_numbers(Type::U16, &numbers, to, field.at, self.record),
+                FieldTarget::Number(kind) => put_numbers(kind, &numbers, to, field.at, self.record),
+                FieldTarget::Color(_) => put_numbers(Type::U16, &numbers, to, field.at, self.record),
             }
         }
         Ok(())
     }
 
     /// The numbers of a field as they are written.
-    fn numbers(&self, field: &Field, rows: &Rows<'_>, to: &mut Vec<f64>) -> Result<()> {
-        let scale = if let Place::Color(scale) = field.place { scale } else { 1.0 };
+    fn numbers(&self, field: &WrittenAttribute, rows: &WrittenRows<'_>, to: &mut Vec<f64>) -> Result<()> {
+        let scale = if let FieldTarget::Color(scale) = field.place { scale } else { 1.0 };
         let (least, most) = range(field.place);
         to.clear();
         for (i, number) in rows.attributes[field.from].iter().enumerate() {
@@ -333,7 +337,7 @@ impl LasForm {
     }
 
     /// Takes the records away of vertices that have no position; returns how many there were.
-    fn leave_out(&self, rows: &Rows<'_>, records: &mut Vec<u8>) -> usize {
+    fn leave_out(&self, rows: &WrittenRows<'_>, records: &mut Vec<u8>) -> usize {
         let mut kept = 0;
         for (i, _) in rows.positions.iter().enumerate().filter(|(_, p)| p.is_finite()) {
             records.copy_within(i * self.record..(i + 1) * self.record, kept * self.record);
@@ -343,7 +347,7 @@ impl LasForm {
         rows.positions.len() - kept
     }
 
-    fn unfit(&self, rows: &Rows<'_>, i: usize) -> Error {
+    fn unfit(&self, rows: &WrittenRows<'_>, i: usize) -> Error {
         if !rows.positions[i].is_finite() {
             return rows.without_position(i, "which LAS has no integers for");
         }
@@ -452,7 +456,7 @@ impl Form for LasForm {
         Ok(head)
     }
 
-    fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()> {
+    fn vertices(&self, rows: &WrittenRows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()> {
         self.records(rows, to, summary)?;
         let is_kept = |p: &DVec3| !self.leaves_out || p.is_finite();
         let mut tallies = [0; TALLIES];
@@ -536,7 +540,7 @@ impl Form for LasForm {
 }
 
 /// How positions become integers.
-fn integers(content: &Content<'_>, losses: &mut Vec<String>) -> Result<ScaledIntegers> {
+fn integers(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Result<ScaledIntegers> {
     let how = &content.how;
     let info = content.info();
     if let (Some(integers), None, None) = (info.integers, how.step, how.offset) {
@@ -577,7 +581,7 @@ fn integers(content: &Content<'_>, losses: &mut Vec<String>) -> Result<ScaledInt
 }
 
 /// What makes colours of 16 bits of those of a model.
-fn full_light(content: &Content<'_>, colors: &Colors) -> Result<f64> {
+fn full_light(content: &ConversionInput<'_>, colors: &Colors) -> Result<f64> {
     match colors.kind {
         Type::U8 => return Ok(257.0),
         Type::U16 => return Ok(1.0),

@@ -31,7 +31,7 @@ pub(super) const RECORD_BYTES: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38
 
 /// What the header says.
 #[derive(Debug, Clone)]
-pub(super) struct Header {
+pub(super) struct LasHeader {
     /// The second number of the version, 0 to 4.
     pub minor: u8,
     /// Its length, after which the VLRs begin.
@@ -53,7 +53,7 @@ pub(super) struct Header {
     pub evlrs: Option<(u64, u32)>,
 }
 
-impl Header {
+impl LasHeader {
     pub fn read(source: &Source) -> Result<Self> {
         let mut bytes = [0; 375];
         let read = source.read_at(&mut bytes, 0)?;

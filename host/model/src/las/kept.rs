@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::blocks::Blocks;
+use super::blocks::LasBlocks;
 use crate::output::available_space;
 use crate::scratch::Scratch;
 
@@ -53,7 +53,7 @@ impl Compressed<'_> {
 
 impl KeptFields {
     /// Nothing yet. `None` if the folder has no room to spare, which is no error.
-    pub fn new(folder: &Path, blocks: &Blocks, parts: Vec<Range<usize>>, record: usize) -> Option<Self> {
+    pub fn new(folder: &Path, blocks: &LasBlocks, parts: Vec<Range<usize>>, record: usize) -> Option<Self> {
         let of_vertex: usize = parts.iter().map(Range::len).sum();
         let needed = blocks.vertices().saturating_mul(of_vertex as u64).min(MOST);
         if available_space(folder)? / 2 < needed {

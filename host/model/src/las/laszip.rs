@@ -11,7 +11,7 @@ use laz::record::{
 };
 use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, LazVlr, LazVlrBuilder};
 
-use super::header::{Header, bytes_at};
+use super::header::{LasHeader, bytes_at};
 
 /// How the points of a file are compressed, as its VLR says.
 #[derive(Debug)]
@@ -24,12 +24,12 @@ pub(super) struct Laszip {
     /// How many lengths of such layers stand behind the first point of a block.
     layers: usize,
     /// How the points lie in blocks.
-    pub blocks: Kind,
+    pub blocks: BlockLengths,
 }
 
 /// What of compressed points is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum What {
+pub(super) enum LayerChoice {
     All,
     /// What takes no time without the rest: in layers, whatever is not asked for is passed over.
     Positions,
@@ -39,7 +39,7 @@ pub(super) enum What {
 
 /// How the points of a file lie in blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum BlockLengths {
     /// All in one.
     One,
     /// So many in each but the last.
@@ -50,7 +50,7 @@ pub(super) enum Kind {
 
 impl Laszip {
     /// Reads the content of the VLR; an error is what is wrong with it.
-    pub fn new(vlr: &[u8], header: &Header) -> Result<Self, String> {
+    pub fn new(vlr: &[u8], header: &LasHeader) -> Result<Self, String> {
         let parsed = LazVlr::from_buffer(vlr).map_err(|e| e.to_string())?;
         let [compressor, coder] = [0, 2].map(|at| u16::from_le_bytes(bytes_at(vlr, at)));
         let kinds = |items: &[LazItem]| items.iter().map(LazItem::item_type).collect::<Vec<_>>();
@@ -74,9 +74,9 @@ impl Laszip {
             return Err(format!("it has the unknown coder {coder}"));
         }
         let blocks = match parsed.chunk_size() {
-            _ if compressor == 1 => Kind::One,
-            u32::MAX => Kind::Variable,
-            size => Kind::Fixed(size),
+            _ if compressor == 1 => BlockLengths::One,
+            u32::MAX => BlockLengths::Variable,
+            size => BlockLengths::Fixed(size),
         };
         let layers = items.iter().map(|item| match item.item_type() {
             LazItemType::Point14 => 9,
@@ -103,7 +103,10 @@ impl Laszip {
         vlr.write_to(&mut bytes)?;
         let record = vlr.items_size() as usize;
         // What is only written has no need of its layers.
-        Ok((Self { items, record, is_layered: format >= 6, layers: 0, blocks: Kind::Fixed(block) }, bytes))
+        Ok((
+            Self { items, record, is_layered: format >= 6, layers: 0, blocks: BlockLengths::Fixed(block) },
+            bytes,
+        ))
     }
 
     fn decompressor<'a, R: Read + Seek + 'a>(
@@ -122,7 +125,7 @@ impl Laszip {
     }
 
     /// Fills `records` from the bytes of a block; an error is what is wrong with it.
-    pub fn decompress(&self, block: &[u8], records: &mut [u8], what: What) -> Result<(), String> {
+    pub fn decompress(&self, block: &[u8], records: &mut [u8], what: LayerChoice) -> Result<(), String> {
         if records.is_empty() {
             return Ok(());
         }
@@ -133,9 +136,9 @@ impl Laszip {
             let mut decompressor = self.decompressor(Cursor::new(block)).map_err(|e| e.to_string())?;
             let positions = DecompressionSelection::xy_returns_channel().decompress_z();
             match what {
-                What::All => {}
-                What::Positions => decompressor.set_selection(positions),
-                What::Colors => decompressor.set_selection(positions.decompress_rgb()),
+                LayerChoice::All => {}
+                LayerChoice::Positions => decompressor.set_selection(positions),
+                LayerChoice::Colors => decompressor.set_selection(positions.decompress_rgb()),
             }
             decompressor.decompress_many(records).map_err(|e| e.to_string())
         };

@@ -37,8 +37,8 @@ use std::sync::{Arc, PoisonError};
 pub(super) use file::LasModel;
 use glam::DVec3;
 use kept::KeptFields;
-use reader::Reader;
-use vlrs::Kind;
+use reader::LasReader;
+use vlrs::VlrKind;
 
 use crate::bounds::Bounds;
 use crate::follow::{Follow, Following};
@@ -81,7 +81,7 @@ impl Model for LasModel {
         let mut besides = Vec::new();
         let records = u64::from(self.header.vlrs) + self.header.evlrs.map_or(0, |(_, n)| u64::from(n));
         let known =
-            [Kind::Laszip, Kind::ExtraBytes].iter().filter(|kind| self.records.find(**kind).is_some());
+            [VlrKind::Laszip, VlrKind::ExtraBytes].iter().filter(|kind| self.records.find(**kind).is_some());
         let others = records - (known.count() + self.records.of_copc().count()) as u64;
         if others > 0 {
             let crs = self.info.crs.as_ref();
@@ -103,7 +103,7 @@ impl Model for LasModel {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        Ok(Box::new(Reader::new(self, range)))
+        Ok(Box::new(LasReader::new(self, range)))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {

@@ -4,49 +4,49 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::thread;
 
-use super::blocks::Blocks;
+use super::blocks::LasBlocks;
 use super::file::LasModel;
 use super::header::{CUT_OFF, DAMAGED};
 use super::kept::Compressed;
-use super::laszip::{Laszip, What};
+use super::laszip::{Laszip, LayerChoice};
 use super::points;
 use crate::memory;
-use crate::model::Block;
+use crate::model::CompressedBlock;
 use crate::{CHUNK_VERTICES, Result, VertexChunk, VertexReader};
 
 /// A chunk ends with the vertex that reaches this many bytes, however few vertices that are.
 const CHUNK_BYTES: usize = 4 << 20;
 
 /// Reads the vertices of a range.
-pub(super) struct Reader<'a> {
+pub(super) struct LasReader<'a> {
     model: &'a LasModel,
     /// The vertices that are still to be read.
     range: Range<u64>,
     /// Most vertices of a chunk.
     chunk: usize,
     /// What of compressed vertices is read.
-    what: What,
+    what: LayerChoice,
     /// Blocks that were read ahead, from the one with the next vertex on.
-    ahead: VecDeque<Group>,
+    ahead: VecDeque<BlockGroup>,
 }
 
 /// Blocks of compressed vertices that are read at a time.
 #[derive(Default)]
-pub(super) struct Group {
+pub(super) struct BlockGroup {
     /// Their first vertex.
     first: u64,
     /// Their bytes in the file, until a chunk takes them, and each block's share.
     raw: Vec<u8>,
-    blocks: Vec<Block>,
+    blocks: Vec<CompressedBlock>,
     /// What they hold.
     records: Vec<u8>,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> LasReader<'a> {
     pub fn new(model: &'a LasModel, range: Range<u64>) -> Self {
         let end = range.end.min(model.info.vertices);
         let range = range.start.min(end)..end;
-        Self { model, range, chunk: CHUNK_VERTICES, what: What::All, ahead: VecDeque::new() }
+        Self { model, range, chunk: CHUNK_VERTICES, what: LayerChoice::All, ahead: VecDeque::new() }
     }
 
     /// Vertices of a whole chunk of a file that is not compressed.
@@ -76,13 +76,13 @@ impl<'a> Reader<'a> {
         &mut self,
         chunk: &mut VertexChunk,
         laszip: &Laszip,
-        blocks: &Blocks,
+        blocks: &LasBlocks,
     ) -> Result<usize> {
         let record = self.model.header.record;
         chunk.first = self.range.start;
         chunk.raw.clear();
         chunk.records.clear();
-        let behind = |group: &Group| group.first + (group.records.len() / record) as u64;
+        let behind = |group: &BlockGroup| group.first + (group.records.len() / record) as u64;
         while self.ahead.front().is_some_and(|group| behind(group) <= self.range.start) {
             self.ahead.pop_front();
         }
@@ -104,7 +104,7 @@ impl<'a> Reader<'a> {
 
     /// Reads the next blocks: on as many threads as the pool has, unless this is one of them, beside which
     /// the others have their own to do.
-    fn read_ahead(&mut self, laszip: &Laszip, blocks: &Blocks) -> Result<()> {
+    fn read_ahead(&mut self, laszip: &Laszip, blocks: &LasBlocks) -> Result<()> {
         let threads = if rayon::current_thread_index().is_some() { 1 } else { rayon::current_num_threads() };
         let mut next = blocks.of_vertex(self.range.start);
         let mut groups = Vec::new();
@@ -115,7 +115,7 @@ impl<'a> Reader<'a> {
         }
         let (model, what) = (self.model, self.what);
         let read = |group: Range<usize>| {
-            let mut read = Group::default();
+            let mut read = BlockGroup::default();
             model.read_group(blocks, group.clone(), &mut read.raw, &mut read.blocks)?;
             read.first = blocks.start(group.start).0;
             let of = (group.start, &read.blocks[..]);
@@ -140,10 +140,10 @@ impl LasModel {
     /// Reads the bytes of some blocks.
     pub(super) fn read_group(
         &self,
-        blocks: &Blocks,
+        blocks: &LasBlocks,
         group: Range<usize>,
         raw: &mut Vec<u8>,
-        of: &mut Vec<Block>,
+        of: &mut Vec<CompressedBlock>,
     ) -> Result<()> {
         of.clear();
         of.extend(group.clone().map(|number| blocks.block(number)));
@@ -160,16 +160,16 @@ impl LasModel {
     pub(super) fn decompress(
         &self,
         laszip: &Laszip,
-        (first, of): (usize, &[Block]),
+        (first, of): (usize, &[CompressedBlock]),
         raw: &[u8],
         records: &mut Vec<u8>,
-        what: What,
+        what: LayerChoice,
     ) -> Result<()> {
         let record = self.header.record;
         let vertices: u64 = of.iter().map(|block| block.vertices).sum();
         records.clear();
         records.resize(vertices as usize * record, 0);
-        let kept = if what == What::All { None } else { self.kept() };
+        let kept = if what == LayerChoice::All { None } else { self.kept() };
         let (mut raw, mut records) = (raw, &mut records[..]);
         for (number, block) in (first..).zip(of) {
             let (bytes, others) = raw.split_at(block.bytes as usize);
@@ -199,20 +199,20 @@ impl LasModel {
     }
 }
 
-impl VertexReader for Reader<'_> {
+impl VertexReader for LasReader<'_> {
     fn set_chunk(&mut self, vertices: usize) {
         self.chunk = vertices.clamp(1, CHUNK_VERTICES);
     }
 
     fn skip_attributes(&mut self) {
-        self.what = What::Positions;
+        self.what = LayerChoice::Positions;
     }
 
     fn skip_all_but_colors(&mut self) {
         // Extra bytes are called so, too.
         let is_layered = self.model.compressed.as_ref().is_some_and(|(laszip, _)| laszip.is_layered);
         let any_name = self.model.parts().iter().any(|part| part.end > self.model.places.standard_bytes);
-        self.what = if is_layered && any_name { What::All } else { What::Colors };
+        self.what = if is_layered && any_name { LayerChoice::All } else { LayerChoice::Colors };
     }
 
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {

@@ -6,11 +6,11 @@ use std::ops::Range;
 use super::blocks::PLACE;
 use super::file::LasModel;
 use super::header::at;
-use super::laszip::What;
+use super::laszip::LayerChoice;
 use super::points;
-use super::reader::Reader;
+use super::reader::LasReader;
 use crate::bounds::Bounds;
-use crate::pipeline::{Piece, Pieces, Rewritable, Skipped, Version};
+use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable, Skipped};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{Division, Error, Normals, Result, ScaledIntegers, Summary, VertexChunk};
@@ -20,24 +20,24 @@ const CHUNK_BYTES: usize = 4 << 20;
 
 impl Rewritable for LasModel {
     fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
-        let mut next = VecDeque::from([Section::Header]);
-        next.extend(self.copied_before().into_iter().map(Section::Copy));
-        next.push_back(Section::Points);
-        let copy = |range: Range<u64>, next: &mut VecDeque<Section>| {
-            next.extend(self.without_copc(range).into_iter().map(Section::Copy));
+        let mut next = VecDeque::from([LasSection::Header]);
+        next.extend(self.copied_before().into_iter().map(LasSection::Copy));
+        next.push_back(LasSection::Points);
+        let copy = |range: Range<u64>, next: &mut VecDeque<LasSection>| {
+            next.extend(self.without_copc(range).into_iter().map(LasSection::Copy));
         };
         match &self.compressed {
             None => copy(self.header.points + self.info.vertex_bytes..self.source.len(), &mut next),
             Some((_, blocks)) => match &blocks.table {
                 Some(table) => {
                     copy(blocks.end()..table.start, &mut next);
-                    next.push_back(Section::Table(table.clone()));
+                    next.push_back(LasSection::Table(table.clone()));
                     copy(table.end..self.source.len(), &mut next);
                 }
                 None => copy(blocks.end()..self.source.len(), &mut next),
             },
         }
-        let plain = Reader::new(self, 0..self.info.vertices);
+        let plain = LasReader::new(self, 0..self.info.vertices);
         Ok(Box::new(LasPieces { model: self, next, plain, block: 0 }))
     }
 
@@ -46,13 +46,13 @@ impl Rewritable for LasModel {
         if let Some((laszip, blocks)) = &self.compressed {
             let first = blocks.of_vertex(chunk.first);
             let VertexChunk { raw, records, blocks, .. } = chunk;
-            self.decompress(laszip, (first, blocks), raw, records, What::All)?;
+            self.decompress(laszip, (first, blocks), raw, records, LayerChoice::All)?;
         }
         self.decode_positions(chunk);
         Ok(())
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, mut version: PieceVersion<'_>) -> Result<()> {
         let (first, edited) = (chunk.first, version.edited);
         let unfit = |unfit| self.unfit(first, unfit);
         let VertexChunk { positions, raw, records, blocks, .. } = chunk;
@@ -65,7 +65,7 @@ impl Rewritable for LasModel {
             self.turn((edited, 0..positions.len()), positions, version.bytes, version.summary);
             return Ok(());
         };
-        let Version { is_last, bytes: buffer, summary, .. } = version;
+        let PieceVersion { is_last, bytes: buffer, summary, .. } = version;
         let mut copy;
         let records = if is_last {
             records
@@ -139,7 +139,7 @@ impl Rewritable for LasModel {
         let copied = self.copied_before().into_iter().map(|range| copies(&range));
         let first = 1 + copied.sum::<u64>();
         let points = match &self.compressed {
-            None => self.info.vertices.div_ceil(Reader::plain_chunk(self.header.record)),
+            None => self.info.vertices.div_ceil(LasReader::plain_chunk(self.header.record)),
             Some((_, blocks)) => {
                 let mut starts = std::iter::successors(Some(0), |at| Some(blocks.group(*at).end));
                 starts.position(|at| at >= blocks.len()).unwrap_or(0) as u64
@@ -155,7 +155,7 @@ impl Rewritable for LasModel {
 }
 
 /// What of the file comes next.
-enum Section {
+enum LasSection {
     Header,
     Copy(Range<u64>),
     Points,
@@ -166,9 +166,9 @@ enum Section {
 /// The pieces of a LAS file, in its order.
 struct LasPieces<'a> {
     model: &'a LasModel,
-    next: VecDeque<Section>,
+    next: VecDeque<LasSection>,
     /// What reads points that are not compressed.
-    plain: Reader<'a>,
+    plain: LasReader<'a>,
     /// The first compressed block that was not read.
     block: usize,
 }
@@ -182,32 +182,32 @@ impl Pieces for LasPieces<'_> {
                 return Ok(Piece::End);
             };
             match part {
-                Section::Header => {
+                LasSection::Header => {
                     chunk.raw.clear();
                     model.source.append_at(&mut chunk.raw, 0, model.header.len as usize)?;
                     model.correct_header(&mut chunk.raw);
                     self.next.pop_front();
                     return Ok(Piece::Bytes);
                 }
-                Section::Copy(range) if !range.is_empty() => {
+                LasSection::Copy(range) if !range.is_empty() => {
                     chunk.raw.clear();
                     let wanted = (range.end - range.start).min(CHUNK_BYTES as u64) as usize;
                     range.start += model.source.append_at(&mut chunk.raw, range.start, wanted)? as u64;
                     return Ok(Piece::Bytes);
                 }
-                Section::Points => {
+                LasSection::Points => {
                     if let Some(vertices) = self.read_points(chunk)? {
                         return Ok(Piece::Vertices(vertices));
                     }
                 }
-                Section::Table(range) => {
+                LasSection::Table(range) => {
                     chunk.raw.clear();
                     let length = (range.end - range.start) as usize;
                     model.source.append_at(&mut chunk.raw, range.start, length)?;
                     self.next.pop_front();
                     return Ok(Piece::Made);
                 }
-                Section::Copy(_) => {}
+                LasSection::Copy(_) => {}
             }
             self.next.pop_front();
         }
@@ -218,27 +218,27 @@ impl Pieces for LasPieces<'_> {
         let mut skipped = Skipped { bytes: 0, vertex_bytes: 0 };
         while let (1.., Some(part)) = (pieces, self.next.front_mut()) {
             match part {
-                Section::Copy(range) => {
+                LasSection::Copy(range) => {
                     let passed = copies(range).min(pieces);
                     pieces -= passed;
                     range.start = range.end.min(range.start + passed * CHUNK_BYTES as u64);
                     skipped.bytes = range.start;
                 }
-                Section::Points => {
+                LasSection::Points => {
                     let passed;
                     (passed, skipped) = self.skip_points(pieces);
                     pieces -= passed;
                 }
-                Section::Header => {
+                LasSection::Header => {
                     pieces -= 1;
                     skipped.bytes = model.header.len;
                 }
-                Section::Table(range) => {
+                LasSection::Table(range) => {
                     pieces -= 1;
                     skipped.bytes = range.end;
                 }
             }
-            if pieces > 0 || matches!(self.next.front(), Some(Section::Header | Section::Table(_))) {
+            if pieces > 0 || matches!(self.next.front(), Some(LasSection::Header | LasSection::Table(_))) {
                 self.next.pop_front();
             }
         }
@@ -275,10 +275,10 @@ impl LasPieces<'_> {
     fn skip_points(&mut self, pieces: u64) -> (u64, Skipped) {
         let model = self.model;
         let Some((_, blocks)) = &model.compressed else {
-            let chunk = Reader::plain_chunk(model.header.record);
+            let chunk = LasReader::plain_chunk(model.header.record);
             let passed = model.info.vertices.div_ceil(chunk).min(pieces);
             let first = (passed * chunk).min(model.info.vertices);
-            self.plain = Reader::new(model, first..model.info.vertices);
+            self.plain = LasReader::new(model, first..model.info.vertices);
             let vertex_bytes = first * model.header.record as u64;
             return (passed, Skipped { bytes: model.header.points + vertex_bytes, vertex_bytes });
         };

@@ -9,8 +9,8 @@ use super::form::{BLOCK, LASZIP, TALLIES, bytes_of, compress, laszip_patches, ta
 use super::header::at;
 use super::laszip::Laszip;
 use super::points;
-use super::vlrs::Kind;
-use crate::form::{Form, Rows};
+use super::vlrs::VlrKind;
+use crate::form::{Form, WrittenRows};
 use crate::{Error, Result, ScaledIntegers, Summary};
 
 /// Most bytes before or behind the points, which are held.
@@ -59,7 +59,7 @@ impl<'a> SameRecords<'a> {
     /// What of a range of the file stays.
     fn kept(&self, range: &Range<u64>) -> Result<Vec<u8>> {
         let LasModel { source, records, .. } = self.source;
-        let mut dropped: Vec<_> = records.of_copc().chain(records.find(Kind::Laszip)).collect();
+        let mut dropped: Vec<_> = records.of_copc().chain(records.find(VlrKind::Laszip)).collect();
         dropped.sort_by_key(|record| record.all.start);
         let (mut bytes, mut start) = (Vec::new(), range.start);
         let within = |at: u64| at.clamp(range.start, range.end);
@@ -111,7 +111,7 @@ impl Form for SameRecords<'_> {
         Ok(head)
     }
 
-    fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()> {
+    fn vertices(&self, rows: &WrittenRows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()> {
         to.clear();
         to.extend_from_slice(self.source.records_of(rows.chunk));
         let grid = (self.source.written(), self.source.shift);

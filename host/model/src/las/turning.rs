@@ -6,7 +6,7 @@ use std::ops::Range;
 use glam::{DVec3, Mat3};
 
 use super::file::LasModel;
-use super::vlrs::Kind;
+use super::vlrs::VlrKind;
 use crate::bounds::Bounds;
 use crate::{Edited, Summary};
 
@@ -28,7 +28,7 @@ impl LasModel {
             return false;
         }
         let says_reach = attributes.iter().any(|place| self.places.limits(*place).is_some());
-        let (mut changed, mut reach) = (false, Reach::new(attributes.len()));
+        let (mut changed, mut reach) = (false, StoredReach::new(attributes.len()));
         let (mut old, mut new) = (Vec::new(), Vec::new());
         for (vertex, record) in vertices.zip(records.chunks_exact_mut(self.header.record)) {
             let gradient = edited.gradients.get(vertex);
@@ -57,7 +57,7 @@ impl LasModel {
 
     /// What descriptions of extra bytes say of their reach, as far as it changes.
     pub(super) fn limits(&self, all: &Summary) -> Vec<(u64, Vec<u8>)> {
-        let Some(descriptions) = self.records.find(Kind::ExtraBytes) else { return Vec::new() };
+        let Some(descriptions) = self.records.find(VlrKind::ExtraBytes) else { return Vec::new() };
         let content = self.moved(descriptions.content.start);
         let mut patches = Vec::new();
         for (number, place) in self.following.places().iter().enumerate() {
@@ -76,12 +76,12 @@ impl LasModel {
 }
 
 /// How far numbers reach as they are stored, before and after.
-struct Reach {
+struct StoredReach {
     /// The least and the largest of each.
     of: [Vec<[f64; 2]>; 2],
 }
 
-impl Reach {
+impl StoredReach {
     fn new(numbers: usize) -> Self {
         Self { of: [(); 2].map(|()| vec![[f64::INFINITY, f64::NEG_INFINITY]; numbers]) }
     }

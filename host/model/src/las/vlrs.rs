@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::header::{CUT_OFF, DAMAGED, Header, bytes_at};
+use super::header::{CUT_OFF, DAMAGED, LasHeader, bytes_at};
 use crate::Result;
 use crate::source::Source;
 
@@ -12,7 +12,7 @@ const MOST_OF_CRS: u64 = 1 << 20;
 
 /// What a record belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum VlrKind {
     /// How the points are compressed.
     Laszip,
     /// The octree of COPC, and what COPC says of it.
@@ -28,8 +28,8 @@ pub(super) enum Kind {
 
 /// A record that matters here.
 #[derive(Debug, Clone)]
-pub(super) struct Record {
-    pub kind: Kind,
+pub(super) struct KeptVlr {
+    pub kind: VlrKind,
     /// All of its bytes in the file, with its own header.
     pub all: Range<u64>,
     /// The bytes of its content.
@@ -40,12 +40,12 @@ pub(super) struct Record {
 
 /// The records of a file that matter here, in its order.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Records {
-    records: Vec<Record>,
+pub(super) struct KeptVlrs {
+    records: Vec<KeptVlr>,
 }
 
-impl Records {
-    pub fn read(source: &Source, header: &Header) -> Result<Self> {
+impl KeptVlrs {
+    pub fn read(source: &Source, header: &LasHeader) -> Result<Self> {
         let mut this = Self::default();
         let mut at = header.len;
         for number in 0..header.vlrs {
@@ -91,34 +91,34 @@ impl Records {
         };
         let user = bytes[2..18].split(|byte| *byte == 0).next().unwrap_or_default();
         let kind = match (user, u16::from_le_bytes(bytes_at(bytes, 18))) {
-            (b"laszip encoded", 22204) => Kind::Laszip,
-            (b"copc", _) => Kind::Copc,
-            (b"LASF_Spec", 4) => Kind::ExtraBytes,
-            (b"LASF_Projection", 2112) => Kind::Wkt,
-            (b"LASF_Projection", 34735) => Kind::GeoKeys,
-            (b"LASF_Projection", 34737) => Kind::GeoTexts,
+            (b"laszip encoded", 22204) => VlrKind::Laszip,
+            (b"copc", _) => VlrKind::Copc,
+            (b"LASF_Spec", 4) => VlrKind::ExtraBytes,
+            (b"LASF_Projection", 2112) => VlrKind::Wkt,
+            (b"LASF_Projection", 34735) => VlrKind::GeoKeys,
+            (b"LASF_Projection", 34737) => VlrKind::GeoTexts,
             _ => return Ok(Some(behind)),
         };
         // One of each, and those of COPC, all of which go: a file of many such records is no reason to hold
         // them.
-        if kind == Kind::Copc || self.find(kind).is_none() {
-            self.records.push(Record { kind, all: at..behind, content: content..behind, is_extended });
+        if kind == VlrKind::Copc || self.find(kind).is_none() {
+            self.records.push(KeptVlr { kind, all: at..behind, content: content..behind, is_extended });
         }
         Ok(Some(behind))
     }
 
-    pub fn find(&self, kind: Kind) -> Option<&Record> {
+    pub fn find(&self, kind: VlrKind) -> Option<&KeptVlr> {
         self.records.iter().find(|record| record.kind == kind)
     }
 
     /// What belongs to the octree of COPC.
-    pub fn of_copc(&self) -> impl Iterator<Item = &Record> {
-        self.records.iter().filter(|record| record.kind == Kind::Copc)
+    pub fn of_copc(&self) -> impl Iterator<Item = &KeptVlr> {
+        self.records.iter().filter(|record| record.kind == VlrKind::Copc)
     }
 
     /// The content of a record, but no more than so many bytes.
-    pub fn content(&self, source: &Source, kind: Kind, most: u64) -> Result<Option<Vec<u8>>> {
-        let Some(Record { content, .. }) = self.find(kind) else { return Ok(None) };
+    pub fn content(&self, source: &Source, kind: VlrKind, most: u64) -> Result<Option<Vec<u8>>> {
+        let Some(KeptVlr { content, .. }) = self.find(kind) else { return Ok(None) };
         let mut bytes = Vec::new();
         source.append_at(&mut bytes, content.start, (content.end - content.start).min(most) as usize)?;
         Ok(Some(bytes))
@@ -127,11 +127,11 @@ impl Records {
     /// The unit of lengths of the coordinate reference system, as far as the file says one: of the plane and
     /// of heights, if these differ.
     pub fn unit(&self, source: &Source) -> Result<Option<String>> {
-        if let Some(wkt) = self.content(source, Kind::Wkt, MOST_OF_CRS)? {
+        if let Some(wkt) = self.content(source, VlrKind::Wkt, MOST_OF_CRS)? {
             let units = units_of_wkt(&String::from_utf8_lossy(&wkt));
             return Ok((!units.is_empty()).then(|| units.join(", ")));
         }
-        let keys = self.content(source, Kind::GeoKeys, MOST_OF_CRS)?.unwrap_or_default();
+        let keys = self.content(source, VlrKind::GeoKeys, MOST_OF_CRS)?.unwrap_or_default();
         let keys =
             keys.chunks_exact(8).skip(1).map(|key| [0, 2, 6].map(|at| u16::from_le_bytes(bytes_at(key, at))));
         let mut units: Vec<String> = Vec::new();
@@ -152,14 +152,14 @@ impl Records {
 
     /// The name of the coordinate reference system, as far as the file has one.
     pub fn crs(&self, source: &Source) -> Result<Option<String>> {
-        if let Some(wkt) = self.content(source, Kind::Wkt, MOST_OF_CRS)? {
+        if let Some(wkt) = self.content(source, VlrKind::Wkt, MOST_OF_CRS)? {
             let wkt = String::from_utf8_lossy(&wkt);
             let name = wkt.split('"').nth(1).map(str::trim);
             if let Some(name) = name.filter(|name| !name.is_empty()) {
                 return Ok(Some(name.chars().filter(|c| !c.is_control()).take(200).collect()));
             }
         }
-        let keys = self.content(source, Kind::GeoKeys, MOST_OF_CRS)?.unwrap_or_default();
+        let keys = self.content(source, VlrKind::GeoKeys, MOST_OF_CRS)?.unwrap_or_default();
         // Four numbers first, then key, place, count and value for each key.
         let keys = keys.chunks_exact(8).skip(1);
         let keys: Vec<[u16; 4]> =
@@ -172,7 +172,7 @@ impl Records {
             return Ok(Some(format!("EPSG:{code}")));
         }
         // Then it may have a name: the projected system, all of it, or the geographic one.
-        let texts = self.content(source, Kind::GeoTexts, MOST_OF_CRS)?.unwrap_or_default();
+        let texts = self.content(source, VlrKind::GeoTexts, MOST_OF_CRS)?.unwrap_or_default();
         let named = |[.., count, at]: &[u16; 4]| {
             let text = texts.get(usize::from(*at)..)?;
             let text = String::from_utf8_lossy(&text[..text.len().min(usize::from(*count))]).into_owned();

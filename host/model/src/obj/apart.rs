@@ -12,9 +12,9 @@ use glam::{DVec3, Vec3};
 use super::grammar::Obj;
 use super::lines::{Statement, values};
 use crate::cache::Cache;
-use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable};
 use crate::source::Source;
-use crate::text::blocks::{BlockReader, Blocks, changed};
+use crate::text::blocks::{BlockReader, TextBlocks, changed};
 use crate::text::digits::{Digits, Survey};
 use crate::text::lines::{lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, splice_normal};
@@ -35,7 +35,7 @@ pub(super) struct Sharing {
 /// A model, with its normals if they stand apart.
 pub(super) struct ApartModel {
     pub(super) model: TextModel<Obj>,
-    pub(super) normals: Option<Blocks>,
+    pub(super) normals: Option<TextBlocks>,
     pub(super) digits: Digits,
     /// Where the normals are of corners, which share them.
     pub(super) sharing: Option<Sharing>,
@@ -58,7 +58,11 @@ impl ApartModel {
         Self { model, normals: None, digits: Digits::default(), sharing: None, of_corners }
     }
 
-    pub(super) fn new(mut model: TextModel<Obj>, normals: Blocks, sharing: Option<Sharing>) -> Result<Self> {
+    pub(super) fn new(
+        mut model: TextModel<Obj>,
+        normals: TextBlocks,
+        sharing: Option<Sharing>,
+    ) -> Result<Self> {
         const OF_A_BLOCK: u64 = 64;
         let (mut survey, mut raw) = (Survey::default(), Vec::new());
         for (_, bytes) in normals.spread(32) {
@@ -82,7 +86,7 @@ impl ApartModel {
         };
         let normals = BlockReader::new(&self.model.source, blocks, range);
         let (raw, spans, ahead, some) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Ok(Box::new(Reader { model: self, vertices, normals, raw, spans, ahead, some }))
+        Ok(Box::new(ObjReader { model: self, vertices, normals, raw, spans, ahead, some }))
     }
 
     /// Reads the normals in some bytes, which hold so many, and where they stand.
@@ -138,7 +142,7 @@ impl ApartModel {
 }
 
 /// Reads vertices, and beside them their normals.
-struct Reader<'a> {
+struct ObjReader<'a> {
     model: &'a ApartModel,
     vertices: Box<dyn VertexReader + 'a>,
     normals: BlockReader<'a>,
@@ -149,7 +153,7 @@ struct Reader<'a> {
     some: Vec<Vec3>,
 }
 
-impl VertexReader for Reader<'_> {
+impl VertexReader for ObjReader<'_> {
     fn set_chunk(&mut self, vertices: usize) {
         self.vertices.set_chunk(vertices);
         self.normals.set_chunk(vertices);
@@ -193,11 +197,11 @@ impl Rewritable for ApartModel {
         self.decode_normals(raw, first, count, normals, spans)
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, version: PieceVersion<'_>) -> Result<()> {
         if !chunk.of_normals {
             return self.model.encode(chunk, version);
         }
-        let Version { edited, bytes, .. } = version;
+        let PieceVersion { edited, bytes, .. } = version;
         let VertexChunk { positions, normals, raw, spans, .. } = chunk;
         let mut copied = 0;
         bytes.clear();

@@ -122,7 +122,7 @@ impl Grammar for Obj {
         if all.is_empty() {
             return Ok(Box::new(NoFaces));
         }
-        Ok(Box::new(LineFaces::new(&model.source, Corners::new(model), all, ranges)))
+        Ok(Box::new(LineFaces::new(&model.source, ObjCorners::new(model), all, ranges)))
     }
 
     fn without_normals(&self) -> &'static str {
@@ -131,19 +131,19 @@ impl Grammar for Obj {
 }
 
 /// The corners of faces.
-struct Corners<'a> {
+struct ObjCorners<'a> {
     model: &'a TextModel<Obj>,
     /// Vertices before the line that is read.
     vertices: u64,
 }
 
-impl<'a> Corners<'a> {
+impl<'a> ObjCorners<'a> {
     fn new(model: &'a TextModel<Obj>) -> Self {
         Self { model, vertices: 0 }
     }
 }
 
-impl FaceLines for Corners<'_> {
+impl FaceLines for ObjCorners<'_> {
     const CONTINUES: bool = true;
 
     fn seek(&mut self, offset: u64) -> Result<()> {

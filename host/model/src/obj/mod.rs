@@ -30,12 +30,12 @@ use apart::{ApartModel, Sharing};
 use grammar::Obj;
 pub(crate) use lines::is_obj;
 use lines::values;
-use scan::{NormalsAre, Scan};
+use scan::{NormalsAre, ObjScan};
 
 /// Opens a file, which is gone over once.
 pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
-    let Scan { vertices, normals, faces, face_lines, corners, is_relative, first_vertex, others } =
-        Scan::from_source(&source)?;
+    let ObjScan { vertices, normals, faces, face_lines, corners, is_relative, first_vertex, others } =
+        ObjScan::from_source(&source)?;
     let colours = colours(&first_vertex);
     let attributes = |name: &&str| Attribute { name: (*name).into(), kind: Type::F64 };
     let info = ModelInfo {

@@ -7,7 +7,7 @@ use std::ops::Range;
 use super::lines::{Statement, normals_are_of_vertices};
 use crate::Result;
 use crate::source::Source;
-use crate::text::blocks::{Blocks, Builder, GAP};
+use crate::text::blocks::{GAP, TextBlocks, TextBlocksBuilder};
 use crate::text::lines::Lines;
 use crate::text::next_word;
 
@@ -23,17 +23,17 @@ pub(super) enum NormalsAre {
     /// The vertices': each stands in a line before or behind its vertex, and no other vertex between.
     Beside,
     /// The vertices', in the same order, but elsewhere in the file.
-    Apart(Blocks),
+    Apart(TextBlocks),
     /// Normals are of corners, which share them.
-    Shared(Blocks),
+    Shared(TextBlocks),
     /// So many, in too many places.
     Scattered(u64),
 }
 
 /// What is found.
 #[derive(Debug)]
-pub(super) struct Scan {
-    pub(super) vertices: Blocks,
+pub(super) struct ObjScan {
+    pub(super) vertices: TextBlocks,
     pub(super) normals: NormalsAre,
     pub(super) faces: u64,
     /// Where the first face begins and the last one ends.
@@ -65,15 +65,15 @@ fn note(line: &[u8], others: &mut BTreeMap<Vec<u8>, u64>) {
 }
 
 /// Vertices that have their normals beside them, as long as all have.
-struct Beside {
-    builder: Option<Builder>,
+struct NormalPairs {
+    builder: Option<TextBlocksBuilder>,
     vertices: u64,
     normals: u64,
     /// Where the first line of a vertex begins whose second one is to come.
     start: u64,
 }
 
-impl Beside {
+impl NormalPairs {
     fn line(&mut self, statement: Statement, start: u64, end: u64) {
         match statement {
             Statement::Vertex => self.vertices += 1,
@@ -88,11 +88,12 @@ impl Beside {
     }
 }
 
-impl Scan {
+impl ObjScan {
     pub(super) fn from_source(source: &Source) -> Result<Self> {
         let mut lines = Lines::new(source, 0, u64::MAX, true);
-        let (mut vertices, mut normals) = (Builder::new(0, 1), Builder::new(0, 1));
-        let mut beside = Beside { builder: Some(Builder::new(0, 1)), vertices: 0, normals: 0, start: 0 };
+        let (mut vertices, mut normals) = (TextBlocksBuilder::new(0, 1), TextBlocksBuilder::new(0, 1));
+        let mut beside =
+            NormalPairs { builder: Some(TextBlocksBuilder::new(0, 1)), vertices: 0, normals: 0, start: 0 };
         let (mut faces, mut face_lines, mut slashes) = (0, 0..0, 0);
         let (mut is_relative, mut are_of_vertices, mut first_vertex) = (false, true, Vec::new());
         let mut others = BTreeMap::new();
@@ -135,7 +136,7 @@ impl Scan {
                 Statement::Other => note(line, &mut others),
             }
         }
-        let Beside { builder, vertices: count, normals: of_normals, .. } = beside;
+        let NormalPairs { builder, vertices: count, normals: of_normals, .. } = beside;
         let (mut vertices, normals) = (vertices.finish(), normals.finish());
         let normals = match builder {
             _ if of_normals == 0 => NormalsAre::None,

@@ -14,9 +14,9 @@ use glam::DVec3;
 use super::apart::{ApartModel, ApartPieces, Sharing};
 use super::grammar::Obj;
 use super::lines::{Statement, absolute, leading_integer, values};
-use crate::cache::Need;
+use crate::cache::CachedContent;
 use crate::form::counted;
-use crate::pipeline::{Pieces, Rewritable, Version};
+use crate::pipeline::{PieceVersion, Pieces, Rewritable};
 use crate::scratch::Scratch;
 use crate::shared_normal::mean;
 use crate::source::Source;
@@ -56,7 +56,7 @@ impl<'a> SharedNormals<'a> {
     pub(super) fn new(model: &'a ApartModel, sharing: &Sharing, progress: &dyn Progress) -> Result<Self> {
         let positions = POSITION as u64 * model.info().vertices;
         let of_pairs = (PAIR as u64).saturating_mul(sharing.corners);
-        let need = Need {
+        let need = CachedContent {
             what: "which corners share which normal is written",
             bytes: positions.saturating_add(of_pairs),
             meanwhile: of_pairs,
@@ -83,13 +83,13 @@ impl<'a> SharedNormals<'a> {
     }
 
     /// What reads pairs, each of 8 bytes, and positions, each of 24.
-    fn records(&self) -> (Records<'_, PAIR>, Records<'_, POSITION>) {
+    fn records(&self) -> (RecordFile<'_, PAIR>, RecordFile<'_, POSITION>) {
         let positions = POSITION as u64 * self.model.info().vertices;
-        (Records::new(&self.file, positions..self.file.len()), Records::new(&self.file, 0..positions))
+        (RecordFile::new(&self.file, positions..self.file.len()), RecordFile::new(&self.file, 0..positions))
     }
 
     /// Index of the first pair of a normal, or of a later one.
-    fn first_pair(&self, pairs: &mut Records<'_, PAIR>, normal: u64) -> Result<u64> {
+    fn first_pair(&self, pairs: &mut RecordFile<'_, PAIR>, normal: u64) -> Result<u64> {
         let (mut low, mut high) = (0, self.pairs);
         while low < high {
             let middle = low.midpoint(high);
@@ -101,7 +101,7 @@ impl<'a> SharedNormals<'a> {
     /// The same, where it is not before `next` and probably one of the first from there on.
     fn first_pair_from(
         &self,
-        pairs: &mut Records<'_, PAIR>,
+        pairs: &mut RecordFile<'_, PAIR>,
         (next, end): (u64, u64),
         normal: u64,
     ) -> Result<u64> {
@@ -129,14 +129,14 @@ fn position_of(bytes: [u8; POSITION]) -> DVec3 {
 }
 
 /// Records of `N` bytes in a part of a file, of which the last blocks that were asked for are held.
-struct Records<'a, const N: usize> {
+struct RecordFile<'a, const N: usize> {
     file: &'a Source,
     range: Range<u64>,
     /// Each the block of the number beside it, or none.
     blocks: Vec<(u64, Vec<u8>)>,
 }
 
-impl<'a, const N: usize> Records<'a, N> {
+impl<'a, const N: usize> RecordFile<'a, N> {
     /// Records of a block, and how many blocks are held: half a MiB.
     const OF_A_BLOCK: u64 = 256;
     const BLOCKS: u64 = 64;
@@ -207,11 +207,11 @@ impl Rewritable for SharedNormals<'_> {
         Ok(())
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, version: PieceVersion<'_>) -> Result<()> {
         if !chunk.of_normals {
             return Rewritable::encode(self.model, chunk, version);
         }
-        let Version { edited, bytes, .. } = version;
+        let PieceVersion { edited, bytes, .. } = version;
         let VertexChunk { normals, raw, spans, .. } = chunk;
         // Three words for each normal, and then its places.
         let (words, places) = spans.split_at(spans.len() / 4 * 3);
@@ -320,8 +320,10 @@ impl Runs {
         }
         self.buffer = Vec::new();
         let starts = [0].into_iter().chain(self.ends.iter().copied());
-        let mut runs: Vec<Run> =
-            starts.zip(&self.ends).map(|(next, end)| Run { next, end: *end, ahead: Vec::new() }).collect();
+        let mut runs: Vec<RestOfRun> = starts
+            .zip(&self.ends)
+            .map(|(next, end)| RestOfRun { next, end: *end, ahead: Vec::new() })
+            .collect();
         let mut heap = BinaryHeap::new();
         for (i, run) in runs.iter_mut().enumerate() {
             heap.extend(run.next(&self.scratch)?.map(|pair| Reverse((pair, i))));
@@ -347,14 +349,14 @@ impl Runs {
 }
 
 /// What is left of a run.
-struct Run {
+struct RestOfRun {
     next: u64,
     end: u64,
     /// The next ones, backwards.
     ahead: Vec<u64>,
 }
 
-impl Run {
+impl RestOfRun {
     fn next(&mut self, from: &Scratch) -> Result<Option<u64>> {
         if self.ahead.is_empty() && self.next < self.end {
             let count = (self.end - self.next).min(AHEAD as u64);

@@ -32,7 +32,7 @@ impl Data {
 
 /// A field of a point.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Field {
+pub(super) struct PcdField {
     pub(super) name: String,
     /// As the header has them, as `F` and 4.
     letter: String,
@@ -42,7 +42,7 @@ pub(super) struct Field {
     pub(super) kind: Option<Type>,
 }
 
-impl Field {
+impl PcdField {
     /// What PLY calls a coordinate of the position or the normal.
     pub(super) fn component(&self) -> Option<&'static str> {
         Some(match self.name.as_str() {
@@ -74,9 +74,9 @@ impl Field {
 
 /// A parsed header.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Header {
+pub(super) struct PcdHeader {
     pub(super) version: String,
-    pub(super) fields: Vec<Field>,
+    pub(super) fields: Vec<PcdField>,
     pub(super) points: u64,
     pub(super) data: Data,
     /// Where the points begin.
@@ -91,16 +91,16 @@ pub(crate) fn is_pcd(start: &[u8]) -> bool {
     start.starts_with(b"# .PCD") || start.starts_with(b"VERSION ") || start.starts_with(b"FIELDS ")
 }
 
-type Wrong = (String, &'static str);
+type PcdFault = (String, &'static str);
 
-impl Header {
+impl PcdHeader {
     pub(super) fn read(source: &Source) -> Result<Self> {
         let mut start = Vec::new();
         source.append_at(&mut start, 0, LONGEST)?;
         let mut parser = Parser::default();
         for (number, (at, end)) in lines(&start, false).enumerate() {
             let line = String::from_utf8_lossy(&start[at..end]).into_owned();
-            let wrong = |(what, hint): Wrong| {
+            let wrong = |(what, hint): PcdFault| {
                 source.malformed(format_args!("line {} of the header: {what}", number + 1), hint)
             };
             if let Some(data) = parser.line(&line).map_err(wrong)? {
@@ -136,7 +136,7 @@ struct Parser {
 
 impl Parser {
     /// Takes a line; what it says if it is the last one.
-    fn line(&mut self, line: &str) -> Result<Option<Data>, Wrong> {
+    fn line(&mut self, line: &str) -> Result<Option<Data>, PcdFault> {
         let line = line.split('#').next().unwrap_or_default();
         let mut words = line.split_ascii_whitespace();
         let Some(keyword) = words.next() else { return Ok(None) };
@@ -144,9 +144,11 @@ impl Parser {
         if words.len() > MOST_NUMBERS {
             return Err((format!("{} words", words.len()), DAMAGED));
         }
-        let numbers = || words.iter().map(|word| number(word)).collect::<Result<Vec<u64>, Wrong>>();
+        let numbers = || words.iter().map(|word| number(word)).collect::<Result<Vec<u64>, PcdFault>>();
         let sizes = || {
-            Ok::<_, Wrong>(numbers()?.into_iter().map(|n| usize::try_from(n).unwrap_or(usize::MAX)).collect())
+            Ok::<_, PcdFault>(
+                numbers()?.into_iter().map(|n| usize::try_from(n).unwrap_or(usize::MAX)).collect(),
+            )
         };
         let one = || {
             words
@@ -180,7 +182,7 @@ impl Parser {
         Ok(None)
     }
 
-    fn finish(self, data: Data, text: &[u8], data_line: usize) -> Result<Header, Wrong> {
+    fn finish(self, data: Data, text: &[u8], data_line: usize) -> Result<PcdHeader, PcdFault> {
         let fields = self.names.len();
         let counts = if self.counts.is_empty() { vec![1; fields] } else { self.counts };
         if [self.sizes.len(), self.letters.len(), counts.len()] != [fields; 3] {
@@ -220,10 +222,10 @@ impl Parser {
                         DAMAGED,
                     )
                 })?;
-                Ok(Field { name, letter, size, count, kind })
+                Ok(PcdField { name, letter, size, count, kind })
             })
-            .collect::<Result<Vec<Field>, Wrong>>()?;
-        Ok(Header {
+            .collect::<Result<Vec<PcdField>, PcdFault>>()?;
+        Ok(PcdHeader {
             version: self.version.unwrap_or_else(|| "0.7".into()),
             fields,
             points,
@@ -235,7 +237,7 @@ impl Parser {
     }
 }
 
-fn number(word: &str) -> Result<u64, Wrong> {
+fn number(word: &str) -> Result<u64, PcdFault> {
     word.parse().map_err(|_| (format!("{} is no count", quoted(word)), DAMAGED))
 }
 

@@ -9,32 +9,32 @@ mod header;
 mod unpack;
 
 use crate::cache::Making;
-use crate::ply::{Element, Encoding, Header as Records, PlyModel, Property, Shape};
+use crate::ply::{Encoding, PlyElement, PlyHeader, PlyModel, Property, PropertyShape};
 use crate::source::Source;
 use crate::{Model, Result, Type};
 pub(crate) use header::is_pcd;
-use header::{Data, Field, Header};
+use header::{Data, PcdField, PcdHeader};
 
 /// Whether a file of that extension begins as PCD, whatever its first comment says.
 pub(crate) fn is_head(source: &Source) -> bool {
-    Header::read(source).is_ok()
+    PcdHeader::read(source).is_ok()
 }
 
 /// Opens a file; a compressed one is unpacked into the cache.
 pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
-    let header = Header::read(&source)?;
+    let header = PcdHeader::read(&source)?;
     let name = header.data.name();
     let (compressed, is_text) = (header.data == Data::Compressed, header.data == Data::Ascii);
     let (source, header) = match header.data {
         Data::Compressed => {
             let source = unpack::unpack(&source, &header, making)?;
-            let header = Header::read(&source)?;
+            let header = PcdHeader::read(&source)?;
             (source, header)
         }
         _ => (source, header),
     };
     let records = header.records();
-    let other = header.fields.iter().filter(|f| !f.is_component()).map(Field::describe).collect();
+    let other = header.fields.iter().filter(|f| !f.is_component()).map(PcdField::describe).collect();
     let mut model = PlyModel::from_header(source, records, header::without_normals)?;
     if is_text {
         model.unpack_colors();
@@ -49,7 +49,7 @@ pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>
 
 /// What of a file is given nowhere else.
 fn besides(model: &PlyModel) -> Result<Vec<String>> {
-    let header = Header::read(model.source())?;
+    let header = PcdHeader::read(model.source())?;
     let mut besides = Vec::new();
     for field in header.fields.iter().filter(|f| f.kind.is_none() || f.count != 1) {
         besides.push(format!("the field {}", field.describe()));
@@ -67,14 +67,14 @@ fn besides(model: &PlyModel) -> Result<Vec<String>> {
     Ok(besides)
 }
 
-impl Header {
+impl PcdHeader {
     /// The points as an element of PLY.
-    fn records(&self) -> Records {
+    fn records(&self) -> PlyHeader {
         let binary = self.data != Data::Ascii;
         let mut properties = Vec::new();
         for field in &self.fields {
             let mut put = |name: &str, kind| {
-                properties.push(Property { name: name.into(), shape: Shape::Scalar(kind) });
+                properties.push(Property { name: name.into(), shape: PropertyShape::Scalar(kind) });
             };
             match (field.kind, field.count) {
                 // Colours are the bytes of one number.
@@ -94,7 +94,7 @@ impl Header {
             }
         }
         let encoding = if binary { Encoding::Little } else { Encoding::Ascii };
-        let vertices = Element { name: "vertex".into(), count: self.points, properties };
-        Records { encoding, elements: vec![vertices], len: self.len }
+        let vertices = PlyElement { name: "vertex".into(), count: self.points, properties };
+        PlyHeader { encoding, elements: vec![vertices], len: self.len }
     }
 }

@@ -3,8 +3,8 @@
 //! The block is compressed by LZF (Marc Lehmann's LibLZF): runs of up to 32 bytes, and copies of up to 264
 //! bytes that begin at most 8192 bytes before.
 
-use super::header::Header;
-use crate::cache::{Making, Need};
+use super::header::PcdHeader;
+use crate::cache::{CachedContent, Making};
 use crate::scratch::Scratch;
 use crate::source::Source;
 use crate::text::{CUT_OFF, DAMAGED};
@@ -19,7 +19,7 @@ const BLOCK: usize = 1 << 20;
 /// The same points as binary records, in the cache.
 ///
 /// Disk: the unpacked size, at most 4 GiB, and as much again until that is done. Memory: a few MiB.
-pub(super) fn unpack(source: &Source, header: &Header, making: &Making<'_>) -> Result<Source> {
+pub(super) fn unpack(source: &Source, header: &PcdHeader, making: &Making<'_>) -> Result<Source> {
     let mut sizes = [0; 8];
     if source.read_at(&mut sizes, header.len)? < sizes.len() {
         return Err(source.malformed("the file ends before the compressed points", CUT_OFF));
@@ -43,7 +43,7 @@ pub(super) fn unpack(source: &Source, header: &Header, making: &Making<'_>) -> R
     }
     let text = [&header.text[..header.data_line], b"DATA binary\n"].concat();
     let len = text.len() as u64 + unpacked;
-    let need = Need { what: "its compressed points are unpacked", bytes: len, meanwhile: unpacked };
+    let need = CachedContent { what: "its compressed points are unpacked", bytes: len, meanwhile: unpacked };
     making.cache.get(source, &need, making.progress, |points| {
         let fields = points.beside()?;
         let unpacker = Unpacker {
@@ -152,7 +152,13 @@ impl Unpacker<'_> {
 }
 
 /// Writes points, field by field, as records.
-fn transpose(fields: &Scratch, points: &Scratch, header: &Header, stride: usize, start: u64) -> Result<()> {
+fn transpose(
+    fields: &Scratch,
+    points: &Scratch,
+    header: &PcdHeader,
+    stride: usize,
+    start: u64,
+) -> Result<()> {
     let at_once = (BLOCK / stride.max(1)).max(1) as u64;
     let (mut records, mut column) = (Vec::new(), Vec::new());
     let mut first = 0;

@@ -4,7 +4,7 @@
 
 use glam::{DVec3, Mat3, Vec3};
 
-use super::layout::{Component, Layout, Slot};
+use super::layout::{Component, PlyLayout, PropertySlot};
 use super::patch::same_normal;
 use crate::follow::Following;
 use crate::text::{
@@ -19,7 +19,7 @@ use crate::{Edited, VertexChunk};
 ///
 /// The error is the length of a list that cannot be.
 pub(super) fn scan(
-    layout: &Layout,
+    layout: &PlyLayout,
     bytes: &[u8],
     base: usize,
     whole_file: bool,
@@ -30,9 +30,11 @@ pub(super) fn scan(
         let Some((start, end)) = next_word(bytes, at, whole_file) else { return Ok(None) };
         at = end;
         match *slot {
-            Slot::Other { .. } => {}
-            Slot::Component { index, .. } => spans[index] = [base + start, base + end].map(|v| v as u32),
-            Slot::List { .. } => {
+            PropertySlot::Other { .. } => {}
+            PropertySlot::Component { index, .. } => {
+                spans[index] = [base + start, base + end].map(|v| v as u32)
+            }
+            PropertySlot::List { .. } => {
                 let text = String::from_utf8_lossy(&bytes[start..end]);
                 let length: u64 = text.parse().map_err(|_| quoted(&text))?;
                 for _ in 0..length {
@@ -55,7 +57,7 @@ pub(super) struct NoCoordinate {
 }
 
 /// Fills the chunk's positions and normals from its bytes.
-pub(super) fn decode(layout: &Layout, chunk: &mut VertexChunk) -> Result<(), NoCoordinate> {
+pub(super) fn decode(layout: &PlyLayout, chunk: &mut VertexChunk) -> Result<(), NoCoordinate> {
     let VertexChunk { positions, normals, raw, spans, .. } = chunk;
     positions.clear();
     normals.clear();
@@ -80,7 +82,7 @@ pub(super) fn decode(layout: &Layout, chunk: &mut VertexChunk) -> Result<(), NoC
 /// Appends the chunk's bytes to `text`, with those numbers replaced that were edited or follow, and without
 /// normals if they are to be dropped.
 pub(super) fn splice(
-    layout: &Layout,
+    layout: &PlyLayout,
     following: &Following,
     chunk: &VertexChunk,
     edited: &Edited,

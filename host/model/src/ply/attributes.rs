@@ -3,7 +3,7 @@
 
 use super::binary::{bytes_at, integer};
 use super::header::{Encoding, quoted};
-use super::layout::{Layout, Slot};
+use super::layout::{PlyLayout, PropertySlot};
 use crate::Type;
 use crate::VertexChunk;
 use crate::text::{self, next_word};
@@ -17,7 +17,7 @@ pub(super) struct NotANumber {
 }
 
 /// Fills each list with the numbers of one attribute, those of the first ones.
-pub(super) fn decode(layout: &Layout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<(), NotANumber> {
+pub(super) fn decode(layout: &PlyLayout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<(), NotANumber> {
     to.iter_mut().for_each(Vec::clear);
     match (layout.stride, layout.encoding) {
         (Some(stride), encoding) => {
@@ -38,7 +38,7 @@ pub(super) fn decode(layout: &Layout, chunk: &VertexChunk, to: &mut [Vec<f64>]) 
 
 /// Fills each list with the numbers of the attribute at one of these places, if all records have a length.
 pub(super) fn decode_some(
-    layout: &Layout,
+    layout: &PlyLayout,
     chunk: &VertexChunk,
     places: &[usize],
     to: &mut [Vec<f64>],
@@ -66,7 +66,7 @@ fn number(kind: Type, big: bool, raw: &[u8]) -> f64 {
 }
 
 /// Decodes binary records with lists, which the reader has gone over before.
-fn decode_records(layout: &Layout, chunk: &VertexChunk, big: bool, to: &mut [Vec<f64>]) {
+fn decode_records(layout: &PlyLayout, chunk: &VertexChunk, big: bool, to: &mut [Vec<f64>]) {
     let (raw, mut at) = (&chunk.raw, 0);
     for _ in 0..chunk.len() {
         let mut wanted = to.iter_mut().zip(&layout.places).zip(&layout.attributes).peekable();
@@ -75,8 +75,8 @@ fn decode_records(layout: &Layout, chunk: &VertexChunk, big: bool, to: &mut [Vec
                 values.push(number(attribute.kind, big, &raw[at..]));
             }
             at += match *slot {
-                Slot::Other { size } | Slot::Component { size, .. } => size,
-                Slot::List { count, item } => {
+                PropertySlot::Other { size } | PropertySlot::Component { size, .. } => size,
+                PropertySlot::List { count, item } => {
                     let length = integer(count, big, &raw[at..]);
                     count.size() + usize::try_from(length).unwrap_or(0) * item.size()
                 }
@@ -86,7 +86,7 @@ fn decode_records(layout: &Layout, chunk: &VertexChunk, big: bool, to: &mut [Vec
 }
 
 /// Decodes text, which the reader has gone over before.
-fn decode_words(layout: &Layout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<(), NotANumber> {
+fn decode_words(layout: &PlyLayout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<(), NotANumber> {
     let (raw, mut at) = (chunk.raw.as_slice(), 0);
     // The last word of a chunk ends with it.
     let mut next = || {
@@ -98,7 +98,7 @@ fn decode_words(layout: &Layout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Re
         let mut wanted = to.iter_mut().zip(&layout.places).enumerate().peekable();
         for (i, slot) in layout.slots.iter().enumerate() {
             let word = next();
-            if let Slot::List { .. } = slot {
+            if let PropertySlot::List { .. } = slot {
                 for _ in 0..text::integer(word).unwrap_or(0) {
                     next();
                 }

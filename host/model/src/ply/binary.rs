@@ -5,7 +5,7 @@
 use glam::{DVec3, Mat3, Vec3};
 
 use super::header::Encoding;
-use super::layout::{Layout, Slot};
+use super::layout::{PlyLayout, PropertySlot};
 use super::patch::{Rest, same_normal};
 use crate::Type;
 use crate::follow::Following;
@@ -182,7 +182,7 @@ macro_rules! with_places {
 }
 
 /// Fills the chunk's positions and normals from its bytes.
-pub(super) fn decode(layout: &Layout, chunk: &mut VertexChunk) {
+pub(super) fn decode(layout: &PlyLayout, chunk: &mut VertexChunk) {
     let VertexChunk { positions, normals, raw, spans, .. } = chunk;
     let raw = raw.as_slice();
     positions.clear();
@@ -209,7 +209,12 @@ fn get<C: Codec>(codecs: [C; 3], raw: &[u8], at: [usize; 3]) -> [f64; 3] {
 }
 
 /// Writes those edited positions and normals into `raw`, the chunk's bytes, that differ from those at rest.
-pub(super) fn patch(layout: &Layout, rest: Rest<'_>, edited: &Edited, raw: &mut [u8]) -> Result<(), Unfit> {
+pub(super) fn patch(
+    layout: &PlyLayout,
+    rest: Rest<'_>,
+    edited: &Edited,
+    raw: &mut [u8],
+) -> Result<(), Unfit> {
     let spans = rest.spans;
     let components = layout.triple(0);
     with_codecs!(layout.encoding, components, codecs => {
@@ -279,7 +284,13 @@ fn patch_normals<C: Codec>(
 }
 
 /// Turns what follows in `raw`, the bytes of whole vertices, of which these had finite positions.
-pub(super) fn turn(layout: &Layout, following: &Following, rest: Rest<'_>, edited: &Edited, raw: &mut [u8]) {
+pub(super) fn turn(
+    layout: &PlyLayout,
+    following: &Following,
+    rest: Rest<'_>,
+    edited: &Edited,
+    raw: &mut [u8],
+) {
     if layout.encoding == Encoding::Big {
         turn_all::<true>(layout, following, rest, edited, raw);
     } else {
@@ -288,7 +299,7 @@ pub(super) fn turn(layout: &Layout, following: &Following, rest: Rest<'_>, edite
 }
 
 fn turn_all<const BIG: bool>(
-    layout: &Layout,
+    layout: &PlyLayout,
     following: &Following,
     rest: Rest<'_>,
     edited: &Edited,
@@ -317,7 +328,7 @@ fn turn_all<const BIG: bool>(
 }
 
 /// Takes the normals out of `raw`, the bytes of whole vertices.
-pub(super) fn cut_normals(layout: &Layout, spans: &[[u32; 2]], raw: &mut Vec<u8>) {
+pub(super) fn cut_normals(layout: &PlyLayout, spans: &[[u32; 2]], raw: &mut Vec<u8>) {
     let normals = || layout.file_order.iter().copied().filter(|c| (3..layout.following()).contains(c));
     match layout.stride {
         Some(stride) => {
@@ -353,7 +364,7 @@ fn cut(raw: &mut Vec<u8>, spans: impl Iterator<Item = [usize; 2]>) {
 ///
 /// The error is the length of a list that cannot be.
 pub(super) fn scan(
-    layout: &Layout,
+    layout: &PlyLayout,
     bytes: &[u8],
     base: usize,
     spans: &mut [[u32; 2]],
@@ -361,12 +372,12 @@ pub(super) fn scan(
     let mut at = 0usize;
     for slot in &layout.slots {
         match *slot {
-            Slot::Other { size } => at += size,
-            Slot::Component { index, size } => {
+            PropertySlot::Other { size } => at += size,
+            PropertySlot::Component { index, size } => {
                 spans[index] = [base + at, base + at + size].map(|v| v as u32);
                 at += size;
             }
-            Slot::List { count, item } => {
+            PropertySlot::List { count, item } => {
                 if bytes.len() < at.saturating_add(count.size()) {
                     return Ok(None);
                 }

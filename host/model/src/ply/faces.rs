@@ -10,9 +10,9 @@ use std::ops::Range;
 
 use super::binary;
 use super::file::PlyModel;
-use super::header::{DAMAGED, Element, Encoding, Header, Property, Shape, quoted};
-use super::reader::{CHUNK_BYTES, Reader};
-use super::walk::{CUT_OFF, Plan, Step};
+use super::header::{DAMAGED, Encoding, PlyElement, PlyHeader, Property, PropertyShape, quoted};
+use super::reader::{CHUNK_BYTES, PlyReader};
+use super::walk::{CUT_OFF, RecordPlan, WalkStep};
 use crate::Type;
 use crate::fan::Fan;
 use crate::source::Source;
@@ -23,20 +23,20 @@ use crate::{CHUNK_TRIANGLES, Error, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceR
 const BLOCK: usize = 1 << 18;
 
 /// Reads all faces of a model.
-pub(super) struct Faces<'a> {
+pub(super) struct PlyFaces<'a> {
     parts: Vec<FaceElement>,
     /// Index of the part that the cursor stands in.
     part: usize,
-    cursor: Cursor<'a>,
+    cursor: RecordCursor<'a>,
 }
 
 /// An element to go over.
 struct FaceElement {
-    plan: Plan,
+    plan: RecordPlan,
     /// Where it begins; `None` in a text file, where that is where the one before ends.
     start: Option<u64>,
     /// The list whose items are corners, of those elements that have triangles.
-    corners: Option<List>,
+    corners: Option<IndexList>,
     /// Whether the list is one of strips.
     strips: bool,
     /// For records that are read all at once.
@@ -44,17 +44,17 @@ struct FaceElement {
 }
 
 #[derive(Clone, Copy)]
-struct List {
+struct IndexList {
     /// Index of the property.
     property: usize,
     item: Type,
 }
 
 impl FaceElement {
-    fn new(element: &Element, encoding: Encoding, start: Option<u64>) -> Self {
+    fn new(element: &PlyElement, encoding: Encoding, start: Option<u64>) -> Self {
         let corners = corner_list(element);
         let strips = element.name == "tristrips";
-        let plan = Plan::new(element, encoding);
+        let plan = RecordPlan::new(element, encoding);
         let compact = corners.filter(|_| !strips).and_then(|list| Compact::new(&plan, list.item, encoding));
         Self { plan, start, corners, strips, compact }
     }
@@ -77,12 +77,14 @@ impl Compact {
     /// Most corners of a polygon that is read so.
     const CORNERS: usize = 16;
 
-    fn new(plan: &Plan, item: Type, encoding: Encoding) -> Option<Self> {
+    fn new(plan: &RecordPlan, item: Type, encoding: Encoding) -> Option<Self> {
         let (before, count, after) = match plan.steps[..] {
-            [Step::Count { kind, .. }] => (0, kind, 0),
-            [Step::Skip(before), Step::Count { kind, .. }] => (before, kind, 0),
-            [Step::Count { kind, .. }, Step::Skip(after)] => (0, kind, after),
-            [Step::Skip(before), Step::Count { kind, .. }, Step::Skip(after)] => (before, kind, after),
+            [WalkStep::Count { kind, .. }] => (0, kind, 0),
+            [WalkStep::Skip(before), WalkStep::Count { kind, .. }] => (before, kind, 0),
+            [WalkStep::Count { kind, .. }, WalkStep::Skip(after)] => (0, kind, after),
+            [WalkStep::Skip(before), WalkStep::Count { kind, .. }, WalkStep::Skip(after)] => {
+                (before, kind, after)
+            }
             _ => return None,
         };
         if encoding == Encoding::Ascii || item.size() != 4 {
@@ -145,24 +147,24 @@ impl Compact {
 }
 
 /// The list of corners in the records of an element, if it has triangles.
-fn corner_list(element: &Element) -> Option<List> {
+fn corner_list(element: &PlyElement) -> Option<IndexList> {
     if !matches!(element.name.as_str(), "face" | "tristrips") || element.count == 0 {
         return None;
     }
     element.properties.iter().enumerate().find_map(|(property, p)| match p.shape {
-        Shape::List { item, .. } if are_corners(p) => Some(List { property, item }),
+        PropertyShape::List { item, .. } if are_corners(p) => Some(IndexList { property, item }),
         _ => None,
     })
 }
 
 /// Whether a property lists the corners of faces.
 pub(super) fn are_corners(property: &Property) -> bool {
-    matches!(property.shape, Shape::List { item, .. } if !item.is_float())
+    matches!(property.shape, PropertyShape::List { item, .. } if !item.is_float())
         && matches!(property.name.as_str(), "vertex_indices" | "vertex_index")
 }
 
 /// Indices of the elements that have triangles.
-fn with_triangles(header: &Header) -> Vec<usize> {
+fn with_triangles(header: &PlyHeader) -> Vec<usize> {
     (0..header.elements.len()).filter(|&i| corner_list(&header.elements[i]).is_some()).collect()
 }
 
@@ -199,7 +201,7 @@ pub(super) fn are_marked(model: &PlyModel) -> bool {
     model.header.encoding != Encoding::Ascii && with_triangles(&model.header).len() == 1
 }
 
-impl<'a> Faces<'a> {
+impl<'a> PlyFaces<'a> {
     pub(super) fn new(model: &'a PlyModel) -> Result<Self> {
         Self::by(BLOCK, model)
     }
@@ -218,11 +220,11 @@ impl<'a> Faces<'a> {
                 (0, model.header.len)
             } else {
                 let all = model.info.vertices;
-                (model.vertex + 1, Reader::new(model, all..all)?.offset())
+                (model.vertex + 1, PlyReader::new(model, all..all)?.offset())
             };
             parts.extend((known..=last).map(|i| part(i, (i == known).then_some(start))));
         }
-        let mut cursor = Cursor::new(encoding, Window::new(&model.source, block_size));
+        let mut cursor = RecordCursor::new(encoding, BlockWindow::new(&model.source, block_size));
         if let Some(part) = parts.first() {
             cursor.enter(part);
         }
@@ -232,7 +234,7 @@ impl<'a> Faces<'a> {
     }
 }
 
-impl FaceReader for Faces<'_> {
+impl FaceReader for PlyFaces<'_> {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
         chunk.clear();
         let Some(part) = self.parts.get(self.part) else { return Ok(false) };
@@ -260,7 +262,7 @@ impl FaceReader for Faces<'_> {
 /// Reads the faces in some ranges of the file, each of whole records.
 pub(super) struct SomeFaces<'a> {
     part: FaceElement,
-    cursor: Cursor<'a>,
+    cursor: RecordCursor<'a>,
     ranges: std::vec::IntoIter<Range<u64>>,
     with_marks: bool,
 }
@@ -282,7 +284,7 @@ impl<'a> SomeFaces<'a> {
             )));
         };
         let part = FaceElement::new(&model.header.elements[element], encoding, None);
-        let mut cursor = Cursor::new(encoding, Window::new(&model.source, BLOCK));
+        let mut cursor = RecordCursor::new(encoding, BlockWindow::new(&model.source, BLOCK));
         cursor.window.limit = Some(0);
         Ok(Self { part, cursor, ranges: ranges.into_iter(), with_marks: false })
     }
@@ -318,9 +320,9 @@ impl FaceReader for SomeFaces<'_> {
 const NO_MARK: u64 = u64::MAX;
 
 /// A place in the records of a part.
-struct Cursor<'a> {
+struct RecordCursor<'a> {
     encoding: Encoding,
-    window: Window<'a>,
+    window: BlockWindow<'a>,
     record: u64,
     /// Index into the steps of the record.
     step: usize,
@@ -333,11 +335,11 @@ struct Cursor<'a> {
     next_mark: u64,
 }
 
-impl<'a> Cursor<'a> {
+impl<'a> RecordCursor<'a> {
     /// Most corners, or words to pass over, of one [`Self::advance`].
     const AT_ONCE: usize = 1 << 12;
 
-    fn new(encoding: Encoding, window: Window<'a>) -> Self {
+    fn new(encoding: Encoding, window: BlockWindow<'a>) -> Self {
         let (fan, next_mark) = (Fan::default(), NO_MARK);
         Self { encoding, window, record: 0, step: 0, skip: 0, left: 0, fan, next_mark }
     }
@@ -374,8 +376,8 @@ impl<'a> Cursor<'a> {
         }
         match plan.steps.get(self.step) {
             None => (self.record, self.step) = (self.record + 1, 0),
-            Some(&Step::Skip(units)) => (self.skip, self.step) = (units, self.step + 1),
-            Some(&Step::Count { property, kind, item }) => {
+            Some(&WalkStep::Skip(units)) => (self.skip, self.step) = (units, self.step + 1),
+            Some(&WalkStep::Count { property, kind, item }) => {
                 let length = self.integer(plan, kind)?;
                 let Ok(length) = u64::try_from(length) else {
                     return Err(self.wrong(plan, format_args!("a list of length {length}")));
@@ -392,7 +394,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Reads those records that lie in the window, as far as they are short.
-    fn read_compact(&mut self, plan: &Plan, compact: &Compact, chunk: &mut FaceChunk) {
+    fn read_compact(&mut self, plan: &RecordPlan, compact: &Compact, chunk: &mut FaceChunk) {
         loop {
             let end = plan.count.min(self.next_mark);
             let (bytes, left) = (self.window.rest(), end.saturating_sub(self.record));
@@ -439,7 +441,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Passes over what is of no interest.
-    fn pass(&mut self, plan: &Plan) -> Result<()> {
+    fn pass(&mut self, plan: &RecordPlan) -> Result<()> {
         if self.encoding != Encoding::Ascii {
             if !self.window.pass(self.skip) {
                 return Err(self.ends_early(plan));
@@ -456,7 +458,7 @@ impl<'a> Cursor<'a> {
 
     /// Reads the next number, in binary files of this type.
     #[inline]
-    fn integer(&mut self, plan: &Plan, kind: Type) -> Result<i64> {
+    fn integer(&mut self, plan: &RecordPlan, kind: Type) -> Result<i64> {
         if self.encoding == Encoding::Ascii {
             let span = self.word(plan)?;
             let word = &self.window.block[span];
@@ -474,7 +476,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Takes the next word of a text file: where in the window's block it lies.
-    fn word(&mut self, plan: &Plan) -> Result<Range<usize>> {
+    fn word(&mut self, plan: &RecordPlan) -> Result<Range<usize>> {
         loop {
             let window = &mut self.window;
             let whole_file = window.is_last();
@@ -495,17 +497,17 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    fn ends_early(&self, plan: &Plan) -> Error {
+    fn ends_early(&self, plan: &RecordPlan) -> Error {
         self.window.source.malformed(plan.ends_early(self.record), CUT_OFF)
     }
 
-    fn wrong(&self, plan: &Plan, what: impl std::fmt::Display) -> Error {
+    fn wrong(&self, plan: &RecordPlan, what: impl std::fmt::Display) -> Error {
         self.window.source.malformed(plan.wrong(self.record, what), DAMAGED)
     }
 }
 
 /// A block of the file that moves on.
-struct Window<'a> {
+struct BlockWindow<'a> {
     source: &'a Source,
     block: Vec<u8>,
     /// What of the block has been taken, and how much of it is filled.
@@ -517,7 +519,7 @@ struct Window<'a> {
     limit: Option<u64>,
 }
 
-impl<'a> Window<'a> {
+impl<'a> BlockWindow<'a> {
     fn new(source: &'a Source, block_size: usize) -> Self {
         Self { source, block: vec![0; block_size], at: 0, filled: 0, end: 0, limit: None }
     }
@@ -607,11 +609,11 @@ mod tests {
     const INTEGERS: [Type; 6] = [Type::I8, Type::U8, Type::I16, Type::U16, Type::I32, Type::U32];
 
     fn scalar(kind: Type, name: &str) -> Property {
-        Property { name: name.into(), shape: Shape::Scalar(kind) }
+        Property { name: name.into(), shape: PropertyShape::Scalar(kind) }
     }
 
     fn list(count: Type, item: Type, name: &str) -> Property {
-        Property { name: name.into(), shape: Shape::List { count, item } }
+        Property { name: name.into(), shape: PropertyShape::List { count, item } }
     }
 
     /// An element and its records, each of which has a list of numbers for each property (for a scalar, of
@@ -679,8 +681,8 @@ mod tests {
             for record in &table.records {
                 for (property, values) in table.properties.iter().zip(record) {
                     let kind = match property.shape {
-                        Shape::Scalar(kind) => kind,
-                        Shape::List { count, item } => {
+                        PropertyShape::Scalar(kind) => kind,
+                        PropertyShape::List { count, item } => {
                             put(&mut bytes, encoding, count, values.len() as i64);
                             item
                         }
@@ -703,7 +705,7 @@ mod tests {
     }
 
     fn read_by(block: usize, model: &PlyModel) -> Result<Vec<[u32; 3]>> {
-        let mut faces = Faces::by(block, model)?;
+        let mut faces = PlyFaces::by(block, model)?;
         let mut chunk = FaceChunk::default();
         let (mut all, mut bytes) = (Vec::new(), 0);
         while faces.read(&mut chunk)? {
@@ -844,7 +846,7 @@ mod tests {
                 let table = self::lists(name, list(Type::U8, Type::I32, "vertex_indices"), &lists);
                 let model = open(&file(encoding, &[vertices(2), table.clone()])).unwrap();
                 let mut chunk = FaceChunk::default();
-                let mut faces = Faces::new(&model).unwrap();
+                let mut faces = PlyFaces::new(&model).unwrap();
                 assert!(faces.read(&mut chunk).unwrap());
                 let (all, marks) = (chunk.triangles.clone(), chunk.marks.clone());
                 assert_eq!(marks.len() as u64, 100u64.div_ceil(FACES_OF_A_BLOCK) + 1);
@@ -874,7 +876,7 @@ mod tests {
     fn lists_of_two(table: &Table, encoding: Encoding) -> (PlyModel, Vec<FaceMark>) {
         let model = open(&file(encoding, &[vertices(2), table.clone(), polygons(&[&[1, 2, 3]])])).unwrap();
         let mut chunk = FaceChunk::default();
-        assert!(Faces::new(&model).unwrap().read(&mut chunk).unwrap());
+        assert!(PlyFaces::new(&model).unwrap().read(&mut chunk).unwrap());
         (model, chunk.marks)
     }
 

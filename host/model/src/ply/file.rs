@@ -1,7 +1,7 @@
 //! What is known of a PLY file once it is open.
 
-use super::header::Header;
-use super::layout::Layout;
+use super::header::PlyHeader;
+use super::layout::PlyLayout;
 use super::offsets::Offsets;
 use crate::follow::Following;
 use crate::source::Source;
@@ -11,10 +11,10 @@ use crate::{ModelInfo, Result};
 #[derive(Debug)]
 pub struct PlyModel {
     pub(super) source: Source,
-    pub(super) header: Header,
+    pub(super) header: PlyHeader,
     /// Index of the element that holds the vertices.
     pub(super) vertex: usize,
-    pub(super) layout: Layout,
+    pub(super) layout: PlyLayout,
     /// What of the layout's attributes turns with the surface.
     pub(super) following: Following,
     /// Where in the file the vertices begin.

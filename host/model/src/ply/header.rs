@@ -52,7 +52,7 @@ impl FromStr for Type {
 
 /// One number, or a count and that many numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Shape {
+pub(crate) enum PropertyShape {
     Scalar(Type),
     List { count: Type, item: Type },
 }
@@ -61,31 +61,33 @@ pub(crate) enum Shape {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Property {
     pub(crate) name: String,
-    pub(crate) shape: Shape,
+    pub(crate) shape: PropertyShape,
 }
 
 impl Property {
     /// For people, as "uchar red" or "list uchar int vertex_indices".
     pub(super) fn describe(&self) -> String {
         match self.shape {
-            Shape::Scalar(t) => format!("{} {}", t.name(), self.name),
-            Shape::List { count, item } => format!("list {} {} {}", count.name(), item.name(), self.name),
+            PropertyShape::Scalar(t) => format!("{} {}", t.name(), self.name),
+            PropertyShape::List { count, item } => {
+                format!("list {} {} {}", count.name(), item.name(), self.name)
+            }
         }
     }
 }
 
 /// A table of records, each with the same properties.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Element {
+pub(crate) struct PlyElement {
     pub(crate) name: String,
     pub(crate) count: u64,
     pub(crate) properties: Vec<Property>,
 }
 
-impl Element {
+impl PlyElement {
     /// Whether records differ in length.
     pub(super) fn has_lists(&self) -> bool {
-        self.properties.iter().any(|p| matches!(p.shape, Shape::List { .. }))
+        self.properties.iter().any(|p| matches!(p.shape, PropertyShape::List { .. }))
     }
 
     /// Bytes that a record takes at least in a binary file: with all its lists empty.
@@ -93,7 +95,7 @@ impl Element {
         self.properties
             .iter()
             .map(|p| match p.shape {
-                Shape::Scalar(t) | Shape::List { count: t, .. } => t.size() as u64,
+                PropertyShape::Scalar(t) | PropertyShape::List { count: t, .. } => t.size() as u64,
             })
             .sum()
     }
@@ -101,10 +103,10 @@ impl Element {
 
 /// A parsed header.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Header {
+pub(crate) struct PlyHeader {
     pub(crate) encoding: Encoding,
     /// In the file's order, which is that of the data.
-    pub(crate) elements: Vec<Element>,
+    pub(crate) elements: Vec<PlyElement>,
     /// Where the data begins.
     pub(crate) len: u64,
 }
@@ -114,7 +116,7 @@ pub(crate) fn is_ply(start: &[u8]) -> bool {
     start.strip_prefix(b"ply").is_some_and(|rest| rest.first().is_none_or(u8::is_ascii_whitespace))
 }
 
-impl Header {
+impl PlyHeader {
     /// Reads the header of `source`.
     pub(crate) fn read(source: &Source) -> Result<Self> {
         let mut bytes = Vec::new();
@@ -128,7 +130,7 @@ impl Header {
                     return Err(source.malformed("the file ends within its header", DAMAGED));
                 }
                 Ok(None) => bytes.clear(),
-                Err(Wrong { line, what, hint }) => {
+                Err(HeaderFault { line, what, hint }) => {
                     return Err(source.malformed(format_args!("line {line} of the header: {what}"), hint));
                 }
             }
@@ -138,7 +140,7 @@ impl Header {
     }
 
     /// The element that holds the vertices, and its place among the elements.
-    pub(super) fn vertex(&self, source: &Source) -> Result<(usize, &Element)> {
+    pub(super) fn vertex(&self, source: &Source) -> Result<(usize, &PlyElement)> {
         let mut found = self.elements.iter().enumerate().filter(|(_, e)| e.name == "vertex");
         let vertex = found.next().ok_or_else(|| {
             source
@@ -170,14 +172,14 @@ pub(super) fn without_normals(header: &[u8]) -> Vec<u8> {
 
 /// What is wrong on which line.
 #[derive(Debug)]
-struct Wrong {
+struct HeaderFault {
     line: usize,
     what: String,
     hint: &'static str,
 }
 
 /// Parses what `bytes` begins with; `None` if the header goes on after it.
-fn parse(bytes: &[u8], whole_file: bool) -> Result<Option<Header>, Wrong> {
+fn parse(bytes: &[u8], whole_file: bool) -> Result<Option<PlyHeader>, HeaderFault> {
     let separator = line_separator(bytes);
     let mut encoding = None;
     let mut elements = Vec::new();
@@ -192,10 +194,10 @@ fn parse(bytes: &[u8], whole_file: bool) -> Result<Option<Header>, Wrong> {
         };
         at = next;
         let text = String::from_utf8_lossy(line);
-        let wrong = |(what, hint)| Wrong { line: number, what, hint };
+        let wrong = |(what, hint)| HeaderFault { line: number, what, hint };
         match parse_line(&text, number, &mut encoding, &mut elements).map_err(wrong)? {
-            Line::More => {}
-            Line::End(encoding) => return Ok(Some(Header { encoding, elements, len: at as u64 })),
+            HeaderLine::More => {}
+            HeaderLine::End(encoding) => return Ok(Some(PlyHeader { encoding, elements, len: at as u64 })),
         }
     }
     Ok(None)
@@ -212,7 +214,7 @@ fn line_separator(bytes: &[u8]) -> u8 {
     }
 }
 
-enum Line {
+enum HeaderLine {
     More,
     End(Encoding),
 }
@@ -223,8 +225,8 @@ fn parse_line(
     text: &str,
     number: usize,
     encoding: &mut Option<Encoding>,
-    elements: &mut Vec<Element>,
-) -> Result<Line, LineError> {
+    elements: &mut Vec<PlyElement>,
+) -> Result<HeaderLine, LineError> {
     let damaged = |what: String| (what, DAMAGED);
     let words: Vec<&str> = text.split_ascii_whitespace().collect();
     match *words {
@@ -255,7 +257,7 @@ fn parse_line(
         }
         ["element", name, count] => {
             let count = count.parse().map_err(|_| damaged(bad_count(name, count)))?;
-            elements.push(Element { name: name.into(), count, properties: Vec::new() });
+            elements.push(PlyElement { name: name.into(), count, properties: Vec::new() });
         }
         ["property", "list", count, item, name] => {
             let (count, item): (Type, Type) =
@@ -263,24 +265,26 @@ fn parse_line(
             if count.is_float() {
                 return Err(damaged(format!("the list {} is counted in {}", quoted(name), count.name())));
             }
-            add_property(elements, name, Shape::List { count, item }).map_err(damaged)?;
+            add_property(elements, name, PropertyShape::List { count, item }).map_err(damaged)?;
         }
         ["property", kind, name] if kind != "list" => {
-            let shape = Shape::Scalar(kind.parse().map_err(damaged)?);
+            let shape = PropertyShape::Scalar(kind.parse().map_err(damaged)?);
             add_property(elements, name, shape).map_err(damaged)?;
         }
         ["end_header"] => {
-            return encoding.map(Line::End).ok_or_else(|| damaged("no format line before end_header".into()));
+            return encoding
+                .map(HeaderLine::End)
+                .ok_or_else(|| damaged("no format line before end_header".into()));
         }
         ["format" | "element" | "property" | "end_header", ..] => {
             return Err(damaged(format!("cannot understand {}", quoted(text))));
         }
         [keyword, ..] => return Err(damaged(format!("unknown keyword {}", quoted(keyword)))),
     }
-    Ok(Line::More)
+    Ok(HeaderLine::More)
 }
 
-fn add_property(elements: &mut [Element], name: &str, shape: Shape) -> Result<(), String> {
+fn add_property(elements: &mut [PlyElement], name: &str, shape: PropertyShape) -> Result<(), String> {
     let Some(element) = elements.last_mut() else {
         return Err(format!("property {} before any element", quoted(name)));
     };
@@ -304,7 +308,7 @@ fn bad_count(element: &str, count: &str) -> String {
 mod tests {
     use super::*;
 
-    fn ok(text: &str) -> Header {
+    fn ok(text: &str) -> PlyHeader {
         parse(text.as_bytes(), true).unwrap().unwrap()
     }
 

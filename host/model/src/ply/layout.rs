@@ -1,6 +1,6 @@
 //! Where a vertex record keeps its position and normal, and what else turns with the surface.
 
-use super::header::{DAMAGED, Element, Encoding, NORMAL, Shape, quoted};
+use super::header::{DAMAGED, Encoding, NORMAL, PlyElement, PropertyShape, quoted};
 use crate::source::Source;
 use crate::{Attribute, Result, Scalar, Type};
 
@@ -16,7 +16,7 @@ pub(super) struct Component {
 
 /// What to do with a property of a vertex record while going over it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Slot {
+pub(super) enum PropertySlot {
     /// Nothing: so many bytes of something else.
     Other { size: usize },
     /// It is the component of this index, of so many bytes.
@@ -27,7 +27,7 @@ pub(super) enum Slot {
 
 /// The layout of the vertex records.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Layout {
+pub(super) struct PlyLayout {
     pub(super) encoding: Encoding,
     /// x, y, z, and if the vertices have normals nx, ny, nz; and then what [follows](Self::follow).
     pub(super) components: Vec<Component>,
@@ -35,7 +35,7 @@ pub(super) struct Layout {
     /// Indices into `components`, in the file's order.
     pub(super) file_order: Vec<usize>,
     /// The properties in the file's order.
-    pub(super) slots: Vec<Slot>,
+    pub(super) slots: Vec<PropertySlot>,
     /// Bytes of a record, if that is the same for all of them: in binary files without lists.
     pub(super) stride: Option<usize>,
     /// The properties that are neither position nor normal, for people.
@@ -51,8 +51,8 @@ pub(super) struct Layout {
 
 const POSITION: [&str; 3] = ["x", "y", "z"];
 
-impl Layout {
-    pub(super) fn new(source: &Source, encoding: Encoding, vertex: &Element) -> Result<Self> {
+impl PlyLayout {
+    pub(super) fn new(source: &Source, encoding: Encoding, vertex: &PlyElement) -> Result<Self> {
         for name in POSITION.iter().chain(&NORMAL) {
             if vertex.properties.iter().filter(|p| p.name == *name).count() > 1 {
                 return Err(source.malformed(format!("the vertices have two properties {name}"), DAMAGED));
@@ -84,19 +84,19 @@ impl Layout {
         for property in &vertex.properties {
             let index = names.iter().position(|n| *n == property.name);
             slots.push(match (property.shape, index) {
-                (Shape::List { count, item }, _) => Slot::List { count, item },
-                (Shape::Scalar(t), None) => Slot::Other { size: t.size() },
-                (Shape::Scalar(t), Some(index)) => {
+                (PropertyShape::List { count, item }, _) => PropertySlot::List { count, item },
+                (PropertyShape::Scalar(t), None) => PropertySlot::Other { size: t.size() },
+                (PropertyShape::Scalar(t), Some(index)) => {
                     components[index].offset = stride.unwrap_or(0);
                     file_order.push(index);
-                    Slot::Component { index, size: t.size() }
+                    PropertySlot::Component { index, size: t.size() }
                 }
             });
             // Other formats have what nobody can ask for.
             if index.is_none() && !property.name.is_empty() {
                 other.push(property.describe());
                 let known = attributes.iter().any(|known| known.name == property.name);
-                if let Shape::Scalar(kind) = property.shape
+                if let PropertyShape::Scalar(kind) = property.shape
                     && !known
                     && Attribute::is_name(&property.name)
                 {
@@ -105,8 +105,8 @@ impl Layout {
                 }
             }
             stride = match property.shape {
-                Shape::Scalar(t) => stride.map(|bytes| bytes + t.size()),
-                Shape::List { .. } => None,
+                PropertyShape::Scalar(t) => stride.map(|bytes| bytes + t.size()),
+                PropertyShape::List { .. } => None,
             };
         }
         let packed = None;
@@ -155,20 +155,22 @@ impl Layout {
         let first = self.following();
         self.components.truncate(first);
         for slot in &mut self.slots {
-            if let Slot::Component { index, size } = *slot
+            if let PropertySlot::Component { index, size } = *slot
                 && index >= first
             {
-                *slot = Slot::Other { size };
+                *slot = PropertySlot::Other { size };
             }
         }
         for attribute in attributes {
             let (slot, offset) = self.places[*attribute];
-            let Some(scalar) = floating(Shape::Scalar(self.attributes[*attribute].kind)) else { continue };
-            self.slots[slot] = Slot::Component { index: self.components.len(), size: scalar.size() };
+            let Some(scalar) = floating(PropertyShape::Scalar(self.attributes[*attribute].kind)) else {
+                continue;
+            };
+            self.slots[slot] = PropertySlot::Component { index: self.components.len(), size: scalar.size() };
             self.components.push(Component { name: "", scalar, offset });
         }
-        let index = |slot: &Slot| match slot {
-            Slot::Component { index, .. } => Some(*index),
+        let index = |slot: &PropertySlot| match slot {
+            PropertySlot::Component { index, .. } => Some(*index),
             _ => None,
         };
         self.file_order = self.slots.iter().filter_map(index).collect();
@@ -186,10 +188,10 @@ impl Layout {
     }
 }
 
-fn floating(shape: Shape) -> Option<Scalar> {
+fn floating(shape: PropertyShape) -> Option<Scalar> {
     match shape {
-        Shape::Scalar(Type::F32) => Some(Scalar::F32),
-        Shape::Scalar(Type::F64) => Some(Scalar::F64),
+        PropertyShape::Scalar(Type::F32) => Some(Scalar::F32),
+        PropertyShape::Scalar(Type::F64) => Some(Scalar::F64),
         _ => None,
     }
 }

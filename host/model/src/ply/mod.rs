@@ -38,7 +38,7 @@ use std::ops::Range;
 use std::path::Path;
 
 pub use file::PlyModel;
-pub(super) use header::{Element, Encoding, Header, Property, Shape, is_ply};
+pub(super) use header::{Encoding, PlyElement, PlyHeader, Property, PropertyShape, is_ply};
 pub use writer::{Besides, write_points, write_vertices};
 
 use super::model::some_by_all;
@@ -51,11 +51,11 @@ use crate::form::counted;
 use crate::pipeline::Rewritable;
 use crate::progress::Silent;
 use crate::{Normals, Progress, Result};
-use faces::{Faces, SomeFaces};
+use faces::{PlyFaces, SomeFaces};
 use glam::DVec3;
-use layout::Layout;
+use layout::PlyLayout;
 use offsets::Offsets;
-use reader::Reader;
+use reader::PlyReader;
 
 impl PlyModel {
     /// The file.
@@ -71,7 +71,7 @@ impl PlyModel {
     /// # Errors
     /// The file cannot be read, is not PLY, is cut off, or has no vertices with positions.
     pub(crate) fn new(source: Source) -> Result<Self> {
-        let header = Header::read(&source)?;
+        let header = PlyHeader::read(&source)?;
         Self::from_header(source, header, header::without_normals)
     }
 
@@ -90,11 +90,11 @@ impl PlyModel {
 
     pub(super) fn from_header(
         source: Source,
-        header: Header,
+        header: PlyHeader,
         without_normals: fn(&[u8]) -> Vec<u8>,
     ) -> Result<Self> {
         let (vertex, element) = header.vertex(&source)?;
-        let mut layout = Layout::new(&source, header.encoding, element)?;
+        let mut layout = PlyLayout::new(&source, header.encoding, element)?;
         let following = Following::recognised(&layout.attributes);
         layout.follow(following.places());
         let faces = header.elements.iter().filter(|e| e.name == "face" || e.name == "tristrips");
@@ -158,7 +158,7 @@ impl PlyModel {
         if comments > 0 {
             besides.push(counted(comments as u64, "comment"));
         }
-        for (place, Element { name, count, properties }) in self.header.elements.iter().enumerate() {
+        for (place, PlyElement { name, count, properties }) in self.header.elements.iter().enumerate() {
             let name = header::quoted(name);
             let is_face = matches!(name.as_str(), "\"face\"" | "\"tristrips\"");
             if *count == 0 {
@@ -170,7 +170,7 @@ impl PlyModel {
             }
             let of_corners = |p: &Property| is_face && faces::are_corners(p);
             let is_known = |p: &Property| {
-                matches!(p.shape, Shape::Scalar(_)) && {
+                matches!(p.shape, PropertyShape::Scalar(_)) && {
                     POSITION.contains(&&*p.name)
                         || header::NORMAL.contains(&&*p.name) && self.layout.has_normals()
                         || self.info.attributes.iter().any(|a| a.name == p.name)
@@ -200,7 +200,7 @@ impl PlyModel {
         let count = FIRST.min(self.info.vertices);
         let mut chunk = VertexChunk::default();
         // What may be wrong with them is told when they are read.
-        match Reader::new(self, 0..count).and_then(|mut reader| reader.read(&mut chunk)) {
+        match PlyReader::new(self, 0..count).and_then(|mut reader| reader.read(&mut chunk)) {
             Ok(true) => {
                 let bytes = chunk.raw.len() as f64 / chunk.len() as f64 * self.info.vertices as f64;
                 rest.min(bytes as u64)
@@ -229,7 +229,7 @@ impl Model for PlyModel {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        Ok(Box::new(Reader::new(self, range)?))
+        Ok(Box::new(PlyReader::new(self, range)?))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
@@ -249,7 +249,7 @@ impl Model for PlyModel {
     }
 
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(Faces::new(self)?))
+        Ok(Box::new(PlyFaces::new(self)?))
     }
 
     fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
@@ -271,7 +271,7 @@ impl Model for PlyModel {
     fn check_complete(&self, progress: &dyn Progress) -> Result<()> {
         if self.header.encoding == Encoding::Ascii {
             progress.begin("checking the text", self.source.len());
-            let Header { encoding, elements, len, .. } = &self.header;
+            let PlyHeader { encoding, elements, len, .. } = &self.header;
             walk::walk(&self.source, *encoding, elements, *len, progress)?;
         }
         self.source.check_unchanged()
@@ -312,13 +312,13 @@ impl Model for PlyModel {
 const POSITION: [&str; 3] = ["x", "y", "z"];
 
 fn is_double_normal(property: &Property) -> bool {
-    property.name == "nx" && property.shape == Shape::Scalar(crate::Type::F64)
+    property.name == "nx" && property.shape == PropertyShape::Scalar(crate::Type::F64)
 }
 
 /// An error where a text file is too short to hold a word for each number that its header speaks of.
-fn check_room_for_words(source: &Source, header: &Header) -> Result<()> {
+fn check_room_for_words(source: &Source, header: &PlyHeader) -> Result<()> {
     let mut left = source.len() - header.len;
-    for Element { name, count, properties } in &header.elements {
+    for PlyElement { name, count, properties } in &header.elements {
         // A word takes a byte and another one to end it, if only the last one of the file may do without.
         let words = count.saturating_mul(properties.len() as u64);
         let bytes = words.saturating_mul(2);

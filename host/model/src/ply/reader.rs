@@ -18,7 +18,7 @@ const MAX_RECORD: usize = 16 << 20;
 const BLOCK: usize = 1 << 18;
 
 /// Reads the vertices of a range.
-pub(super) struct Reader<'a> {
+pub(super) struct PlyReader<'a> {
     model: &'a PlyModel,
     /// The vertices that are still to be read.
     range: Range<u64>,
@@ -31,7 +31,7 @@ pub(super) struct Reader<'a> {
     ahead: Vec<u8>,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> PlyReader<'a> {
     pub(super) fn new(model: &'a PlyModel, range: Range<u64>) -> Result<Self> {
         let end = range.end.min(model.info.vertices);
         let range = range.start.min(end)..end;
@@ -164,7 +164,7 @@ impl PlyModel {
     }
 }
 
-impl VertexReader for Reader<'_> {
+impl VertexReader for PlyReader<'_> {
     fn set_chunk(&mut self, vertices: usize) {
         self.chunk = vertices.clamp(1, CHUNK_VERTICES);
     }

@@ -3,10 +3,10 @@
 use super::file::PlyModel;
 use super::header::{DAMAGED, Encoding};
 use super::patch::Rest;
-use super::reader::{CHUNK_BYTES, Reader};
+use super::reader::{CHUNK_BYTES, PlyReader};
 use super::walk::{CUT_OFF, Walker};
 use super::{ascii, binary};
-use crate::pipeline::{Piece, Pieces, Rewritable, Skipped, Version};
+use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable, Skipped};
 use crate::source::Source;
 use crate::{Division, Error, Normals, Result, VertexChunk};
 
@@ -16,7 +16,7 @@ impl Rewritable for PlyModel {
             model: self,
             drop_normals: normals == Normals::Drop && self.layout.has_normals(),
             at: 0,
-            vertices: Reader::new(self, 0..self.info.vertices)?,
+            vertices: PlyReader::new(self, 0..self.info.vertices)?,
             walker: None,
         }))
     }
@@ -26,7 +26,7 @@ impl Rewritable for PlyModel {
         PlyModel::decode(self, chunk)
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, mut version: PieceVersion<'_>) -> Result<()> {
         let (first, edited) = (chunk.first, version.edited);
         let drop_normals = version.normals == Normals::Drop && self.layout.has_normals();
         if self.header.encoding == Encoding::Ascii {
@@ -50,7 +50,7 @@ impl Rewritable for PlyModel {
 
     fn division(&self, normals: Normals) -> Option<Division> {
         let before = self.pieces_before(normals);
-        let per_piece = Reader::fixed_chunk(self.layout.stride?);
+        let per_piece = PlyReader::fixed_chunk(self.layout.stride?);
         let vertices = before..before + self.info.vertices.div_ceil(per_piece);
         let behind = self.source.len().saturating_sub(self.vertices_end()?);
         let in_place = !(normals == Normals::Drop && self.layout.has_normals());
@@ -71,7 +71,7 @@ struct PlyPieces<'a> {
     drop_normals: bool,
     /// Where the next bytes without vertices are.
     at: u64,
-    vertices: Reader<'a>,
+    vertices: PlyReader<'a>,
     /// What looks whether all is there that the header speaks of after the vertices, once these are read.
     walker: Option<Walker>,
 }
@@ -127,9 +127,9 @@ impl Pieces for PlyPieces<'_> {
         }
         self.drop_normals = false;
         self.at = model.vertices_start;
-        let first = (pieces.min(vertices.end) - vertices.start) * Reader::fixed_chunk(stride);
+        let first = (pieces.min(vertices.end) - vertices.start) * PlyReader::fixed_chunk(stride);
         let first = first.min(model.info.vertices);
-        self.vertices = Reader::new(model, first..model.info.vertices)?;
+        self.vertices = PlyReader::new(model, first..model.info.vertices)?;
         if pieces >= vertices.end {
             self.at = self.vertices.offset() + (pieces - vertices.end) * CHUNK_BYTES as u64;
             self.at = self.at.min(model.source.len());

@@ -7,7 +7,7 @@
 use std::fmt::Display;
 
 use super::binary;
-use super::header::{DAMAGED, Element, Encoding, Property, Shape, quoted};
+use super::header::{DAMAGED, Encoding, PlyElement, Property, PropertyShape, quoted};
 use crate::Type;
 use crate::progress::Silent;
 use crate::source::Source;
@@ -23,7 +23,7 @@ const LONGEST_COUNT: usize = 32;
 const BLOCK: usize = 1 << 18;
 
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Step {
+pub(super) enum WalkStep {
     /// So many units (bytes or words) of no interest.
     Skip(u64),
     /// The length of the list that the property of this index is, whose items take so many units each.
@@ -32,33 +32,33 @@ pub(super) enum Step {
 
 /// The steps of one record, and how often they are gone through.
 #[derive(Debug)]
-pub(super) struct Plan {
+pub(super) struct RecordPlan {
     name: String,
     pub(super) count: u64,
-    pub(super) steps: Vec<Step>,
+    pub(super) steps: Vec<WalkStep>,
     /// Without lists all records are one skip: how many units a record is of.
     fixed: Option<u64>,
 }
 
-impl Plan {
-    pub(super) fn new(element: &Element, encoding: Encoding) -> Self {
+impl RecordPlan {
+    pub(super) fn new(element: &PlyElement, encoding: Encoding) -> Self {
         let size = |t: Type| if encoding == Encoding::Ascii { 1 } else { t.size() as u64 };
         let (name, count) = (element.name.clone(), element.count);
         if !element.has_lists() {
             let record = element.properties.iter().fold(0, |sum, p| match p.shape {
-                Shape::Scalar(t) | Shape::List { count: t, .. } => sum + size(t),
+                PropertyShape::Scalar(t) | PropertyShape::List { count: t, .. } => sum + size(t),
             });
             // More than any file holds, if it overflows.
             let all = record.saturating_mul(count);
-            return Self { name, count: 1, steps: vec![Step::Skip(all)], fixed: Some(record) };
+            return Self { name, count: 1, steps: vec![WalkStep::Skip(all)], fixed: Some(record) };
         }
         let mut steps = Vec::new();
         for (property, Property { shape, .. }) in element.properties.iter().enumerate() {
             match (*shape, steps.last_mut()) {
-                (Shape::Scalar(t), Some(Step::Skip(units))) => *units += size(t),
-                (Shape::Scalar(t), _) => steps.push(Step::Skip(size(t))),
-                (Shape::List { count, item }, _) => {
-                    steps.push(Step::Count { property, kind: count, item: size(item) });
+                (PropertyShape::Scalar(t), Some(WalkStep::Skip(units))) => *units += size(t),
+                (PropertyShape::Scalar(t), _) => steps.push(WalkStep::Skip(size(t))),
+                (PropertyShape::List { count, item }, _) => {
+                    steps.push(WalkStep::Count { property, kind: count, item: size(item) });
                 }
             }
         }
@@ -84,7 +84,7 @@ impl Plan {
 #[derive(Debug)]
 pub(super) struct Walker {
     encoding: Encoding,
-    plans: Vec<Plan>,
+    plans: Vec<RecordPlan>,
     /// Where it stands: index into `plans`, record, index into the steps of the record.
     plan: usize,
     record: u64,
@@ -98,8 +98,8 @@ pub(super) struct Walker {
 }
 
 impl Walker {
-    pub(super) fn new(elements: &[Element], encoding: Encoding) -> Self {
-        let plans = elements.iter().map(|e| Plan::new(e, encoding)).collect();
+    pub(super) fn new(elements: &[PlyElement], encoding: Encoding) -> Self {
+        let plans = elements.iter().map(|e| RecordPlan::new(e, encoding)).collect();
         let (partial, in_word) = (Vec::new(), false);
         let mut walker = Self { encoding, plans, plan: 0, record: 0, step: 0, skip: 0, partial, in_word };
         walker.settle();
@@ -155,8 +155,8 @@ impl Walker {
             }
             match plan.steps.get(self.step) {
                 None => (self.record, self.step) = (self.record + 1, 0),
-                Some(Step::Skip(units)) => (self.skip, self.step) = (*units, self.step + 1),
-                Some(Step::Count { .. }) => return,
+                Some(WalkStep::Skip(units)) => (self.skip, self.step) = (*units, self.step + 1),
+                Some(WalkStep::Count { .. }) => return,
             }
         }
     }
@@ -167,8 +167,8 @@ impl Walker {
             return None;
         }
         match self.plans.get(self.plan)?.steps.get(self.step)? {
-            Step::Count { kind, item, .. } => Some((*kind, *item)),
-            Step::Skip(_) => None,
+            WalkStep::Count { kind, item, .. } => Some((*kind, *item)),
+            WalkStep::Skip(_) => None,
         }
     }
 
@@ -259,7 +259,7 @@ impl Walker {
 pub(super) fn walk(
     source: &Source,
     encoding: Encoding,
-    elements: &[Element],
+    elements: &[PlyElement],
     start: u64,
     progress: &dyn Progress,
 ) -> Result<u64> {
@@ -271,7 +271,7 @@ fn walk_by(
     block_size: usize,
     source: &Source,
     encoding: Encoding,
-    elements: &[Element],
+    elements: &[PlyElement],
     start: u64,
     progress: &dyn Progress,
 ) -> Result<u64> {
@@ -307,7 +307,7 @@ fn walk_by(
 pub(super) fn extents(
     source: &Source,
     encoding: Encoding,
-    elements: &[Element],
+    elements: &[PlyElement],
     start: u64,
 ) -> Result<Vec<u64>> {
     let mut at = start;
@@ -346,8 +346,8 @@ pub(super) fn extents(
 fn uniform_lists(
     source: &Source,
     encoding: Encoding,
-    element: &Element,
-    after: &[Element],
+    element: &PlyElement,
+    after: &[PlyElement],
     start: u64,
 ) -> Option<u64> {
     /// Smaller elements are read in full.
@@ -357,10 +357,10 @@ fn uniform_lists(
     const PROBE_BLOCK: usize = 512;
 
     let left = source.len() - start;
-    if left < SMALL || element.count == 0 || after.iter().any(Element::has_lists) {
+    if left < SMALL || element.count == 0 || after.iter().any(PlyElement::has_lists) {
         return None;
     }
-    let one = Element { count: 1, ..element.clone() };
+    let one = PlyElement { count: 1, ..element.clone() };
     // What is wrong with a record is told by the walk over all of them.
     let record_size = |at| {
         walk_by(PROBE_BLOCK, source, encoding, std::slice::from_ref(&one), at, &Silent).map(|end| end - at)
@@ -388,10 +388,10 @@ mod tests {
     const ENCODINGS: [Encoding; 3] = [Encoding::Ascii, Encoding::Little, Encoding::Big];
 
     /// Two elements with and without lists, and the data of two and three records of them.
-    fn elements() -> Vec<Element> {
-        let scalar = |t| Property { name: "s".into(), shape: Shape::Scalar(t) };
-        let list = |count, item| Property { name: "l".into(), shape: Shape::List { count, item } };
-        let element = |name: &str, count, properties| Element { name: name.into(), count, properties };
+    fn elements() -> Vec<PlyElement> {
+        let scalar = |t| Property { name: "s".into(), shape: PropertyShape::Scalar(t) };
+        let list = |count, item| Property { name: "l".into(), shape: PropertyShape::List { count, item } };
+        let element = |name: &str, count, properties| PlyElement { name: name.into(), count, properties };
         vec![
             element("empty", 5, vec![]),
             element("none", 0, vec![list(Type::U8, Type::U8)]),

@@ -13,10 +13,10 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::{HARMONICS, Layout, Places, Reader, gradient, info, packing, turn};
+use super::{GroupOffsets, HARMONICS, SplatLayout, SplatReader, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
-use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
-use crate::ply::{Element, Encoding, Header, PlyModel, Shape};
+use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable};
+use crate::ply::{Encoding, PlyElement, PlyHeader, PlyModel, PropertyShape};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{
@@ -51,7 +51,7 @@ const HINT: &str = "export it again as a compressed PLY, or as an ordinary one";
 
 /// A compressed PLY file.
 #[derive(Debug)]
-struct Chunks {
+struct CompressedPly {
     source: Source,
     info: ModelInfo,
     following: Following,
@@ -68,23 +68,23 @@ struct Chunks {
 /// # Errors
 /// As of [`PlyModel`]; its chunks are not what packed splats have.
 pub(crate) fn open_ply(source: Source) -> Result<Box<dyn Model>> {
-    let header = Header::read(&source)?;
+    let header = PlyHeader::read(&source)?;
     let has = |name: &str| header.elements.iter().any(|e| e.name == name);
-    let is_packed = |e: &Element| e.name == "vertex" && e.properties.iter().any(|p| p.name == SPLAT[0]);
+    let is_packed = |e: &PlyElement| e.name == "vertex" && e.properties.iter().any(|p| p.name == SPLAT[0]);
     if has("chunk") && header.elements.iter().any(is_packed) {
-        return Ok(Box::new(Chunks::new(source, &header)?));
+        return Ok(Box::new(CompressedPly::new(source, &header)?));
     }
     Ok(Box::new(PlyModel::new(source)?))
 }
 
 /// Whether an element has just these properties, of one type.
-fn has_just<'a>(element: &Element, kind: Type, names: impl IntoIterator<Item = &'a str>) -> bool {
+fn has_just<'a>(element: &PlyElement, kind: Type, names: impl IntoIterator<Item = &'a str>) -> bool {
     let found = element.properties.iter().map(|p| (p.name.as_str(), p.shape));
-    found.eq(names.into_iter().map(|name| (name, Shape::Scalar(kind))))
+    found.eq(names.into_iter().map(|name| (name, PropertyShape::Scalar(kind))))
 }
 
-impl Chunks {
-    fn new(source: Source, header: &Header) -> Result<Self> {
+impl CompressedPly {
+    fn new(source: Source, header: &PlyHeader) -> Result<Self> {
         let wrong = |what: &str| Err(source.malformed(format_args!("packed splats, but {what}"), HINT));
         if header.encoding != Encoding::Little {
             return wrong("not in the format binary_little_endian");
@@ -157,7 +157,7 @@ impl Chunks {
             let most = (COPIED / self.bounds_bytes() * self.bounds_bytes()) as u64;
             at += self.source.append_at(&mut bytes, at, most.min(self.starts[1] - at) as usize)? as u64;
             for record in bytes.chunks_exact(self.bounds_bytes()) {
-                let extent = Bounds::from_record(record, 0).extent();
+                let extent = ChunkRange::from_record(record, 0).extent();
                 step = step.max(if extent.is_finite() { extent.abs() / STEPS } else { DVec3::ZERO });
             }
         }
@@ -185,13 +185,13 @@ impl Chunks {
         let [_, rotation, scale, colour] = words(packed);
         let colours = [24, 16, 8].map(|shift| packing::part(colour >> shift, 8));
         let colours = match self.groups {
-            3 => Bounds::from_record(bounds, 2).interpolate(colours),
+            3 => ChunkRange::from_record(bounds, 2).interpolate(colours),
             _ => DVec3::from_array(colours),
         };
         to.extend(colours.to_array().map(packing::coefficient));
         to.extend(packed[PACKED..].iter().map(|byte| packing::harmonic(*byte)));
         to.push(packing::opacity(colour as u8));
-        to.extend(Bounds::from_record(bounds, 1).interpolate(packing::three(scale)).to_array());
+        to.extend(ChunkRange::from_record(bounds, 1).interpolate(packing::three(scale)).to_array());
         to.extend(packing::quaternion(rotation));
     }
 }
@@ -207,9 +207,9 @@ fn words(packed: &[u8]) -> [u32; 4] {
 
 /// The least and the largest of three numbers in a chunk.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Bounds([DVec3; 2]);
+struct ChunkRange([DVec3; 2]);
 
-impl Bounds {
+impl ChunkRange {
     /// What holds nothing.
     const NONE: Self = Self([DVec3::INFINITY, DVec3::NEG_INFINITY]);
 
@@ -257,16 +257,16 @@ impl Bounds {
 }
 
 /// What the splats of a chunk of the file become.
-struct Turned {
+struct TurnedSplats {
     positions: Vec<DVec3>,
     /// Their numbers before and after, one splat after the other.
     old: Vec<f64>,
     new: Vec<f64>,
     /// New bounds of positions and of scales, where any of these changed.
-    bounds: [Option<Bounds>; 2],
+    bounds: [Option<ChunkRange>; 2],
 }
 
-impl Chunks {
+impl CompressedPly {
     /// Turns the splats of one chunk of the file, which are `splats` of a chunk that was read.
     fn turned(
         &self,
@@ -274,13 +274,13 @@ impl Chunks {
         edited: &Edited,
         splats: Range<usize>,
         bytes: &[(&[u8], &[u8])],
-    ) -> Turned {
-        let places = Places::new(self.harmonics);
+    ) -> TurnedSplats {
+        let places = GroupOffsets::new(self.harmonics);
         let mut turned =
-            Turned { positions: Vec::new(), old: Vec::new(), new: Vec::new(), bounds: [None; 2] };
+            TurnedSplats { positions: Vec::new(), old: Vec::new(), new: Vec::new(), bounds: [None; 2] };
         let (mut numbers, mut some) = (Vec::new(), Vec::new());
         let (mut has_moved, mut has_stretched) = (false, false);
-        let mut bounds = [Bounds::NONE; 2];
+        let mut bounds = [ChunkRange::NONE; 2];
         for i in splats {
             let (rest, now) = (chunk.positions[i], edited.positions[i]);
             let is_there = rest.is_finite();
@@ -311,8 +311,8 @@ impl Chunks {
     }
 
     /// Writes the part of a chunk of the file that a piece is of.
-    fn put(&self, turned: &Turned, bytes: &[(&[u8], &[u8])], part: ChunkElement, to: &mut Vec<u8>) {
-        let places = Places::new(self.harmonics);
+    fn put(&self, turned: &TurnedSplats, bytes: &[(&[u8], &[u8])], part: ChunkElement, to: &mut Vec<u8>) {
+        let places = GroupOffsets::new(self.harmonics);
         if part == ChunkElement::Bounds {
             let at = to.len();
             to.extend_from_slice(bytes[0].0);
@@ -361,7 +361,7 @@ enum ChunkElement {
     Harmonics,
 }
 
-impl Layout for Chunks {
+impl SplatLayout for CompressedPly {
     fn read(&self, chunk: &mut VertexChunk, splats: Range<u64>) -> Result<()> {
         let VertexChunk { raw, records, first, .. } = chunk;
         raw.clear();
@@ -391,7 +391,7 @@ impl Layout for Chunks {
     }
 }
 
-impl Model for Chunks {
+impl Model for CompressedPly {
     fn info(&self) -> &ModelInfo {
         &self.info
     }
@@ -412,7 +412,7 @@ impl Model for Chunks {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        Ok(Box::new(Reader::new(self, range)))
+        Ok(Box::new(SplatReader::new(self, range)))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
@@ -456,7 +456,7 @@ impl Model for Chunks {
     }
 }
 
-impl Rewritable for Chunks {
+impl Rewritable for CompressedPly {
     fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
         Ok(Box::new(ChunkPieces { model: self, at: 0, part: ChunkElement::Bounds, next: 0 }))
     }
@@ -465,14 +465,15 @@ impl Rewritable for Chunks {
         chunk.follows = !self.following.is_empty();
         let mut positions = std::mem::take(&mut chunk.positions);
         positions.clear();
-        let place =
-            |(bounds, packed)| Bounds::from_record(bounds, 0).interpolate(packing::three(words(packed)[0]));
+        let place = |(bounds, packed)| {
+            ChunkRange::from_record(bounds, 0).interpolate(packing::three(words(packed)[0]))
+        };
         positions.extend(self.splats(chunk).map(place));
         chunk.positions = positions;
         Ok(())
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, version: PieceVersion<'_>) -> Result<()> {
         let edited = version.edited;
         version.bytes.clear();
         let part =
@@ -501,7 +502,7 @@ impl Rewritable for Chunks {
 /// The header, the bounds, the splats and their harmonics, each of these made of all bytes of the splats; and
 /// what follows them.
 struct ChunkPieces<'a> {
-    model: &'a Chunks,
+    model: &'a CompressedPly,
     /// Where in the header, or behind the splats, it goes on.
     at: u64,
     part: ChunkElement,
@@ -511,7 +512,7 @@ struct ChunkPieces<'a> {
 
 impl Pieces for ChunkPieces<'_> {
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
-        let Chunks { source, info, starts, harmonics, .. } = self.model;
+        let CompressedPly { source, info, starts, harmonics, .. } = self.model;
         chunk.of_format.clear();
         if self.at < starts[0] {
             return self.copy(chunk, starts[0]);

@@ -35,7 +35,7 @@ fn attributes(harmonics: usize) -> Vec<Attribute> {
 
 /// Where among these numbers the groups begin.
 #[derive(Debug, Clone, Copy)]
-struct Places {
+struct GroupOffsets {
     opacity: usize,
     scale: usize,
     rotation: usize,
@@ -46,7 +46,7 @@ struct Places {
 /// The first coefficient of the harmonics beyond the first three.
 const HARMONICS: usize = 3;
 
-impl Places {
+impl GroupOffsets {
     fn new(harmonics: usize) -> Self {
         let opacity = HARMONICS + harmonics;
         Self { opacity, scale: opacity + 1, rotation: opacity + 4, all: opacity + 8 }
@@ -84,26 +84,26 @@ fn info(
 }
 
 /// A layout of which any splats can be read.
-trait Layout: Model + Rewritable {
+trait SplatLayout: Model + Rewritable {
     /// Fills a chunk with the bytes of some splats.
     fn read(&self, chunk: &mut VertexChunk, splats: Range<u64>) -> Result<()>;
 }
 
 /// Reads splats chunk by chunk.
-struct Reader<'a, L> {
+struct SplatReader<'a, L> {
     model: &'a L,
     range: Range<u64>,
     chunk: u64,
 }
 
-impl<'a, L: Layout> Reader<'a, L> {
+impl<'a, L: SplatLayout> SplatReader<'a, L> {
     fn new(model: &'a L, range: Range<u64>) -> Self {
         let end = range.end.min(model.info().vertices);
         Self { model, range: range.start.min(end)..end, chunk: CHUNK_VERTICES as u64 }
     }
 }
 
-impl<L: Layout> VertexReader for Reader<'_, L> {
+impl<L: SplatLayout> VertexReader for SplatReader<'_, L> {
     fn set_chunk(&mut self, vertices: usize) {
         self.chunk = vertices.clamp(1, CHUNK_VERTICES) as u64;
     }

@@ -6,9 +6,9 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
-use super::{Layout, Places, Reader, gradient, info, packing, turn};
+use super::{GroupOffsets, SplatLayout, SplatReader, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
-use crate::pipeline::{self, Piece, Pieces, Rewritable, Skipped, Version};
+use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable, Skipped};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{
@@ -32,7 +32,7 @@ const HALF: f64 = 128.0;
 
 /// A file of such records.
 #[derive(Debug)]
-struct Records {
+struct SplatRecords {
     source: Source,
     info: ModelInfo,
     following: Following,
@@ -49,7 +49,7 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
     let info =
         info("SPLAT, 32 bytes a splat".into(), &source, source.len() / RECORD as u64, RECORD as u64, 0);
     let following = Following::declared(&Follow::default(), &info.attributes, source.path())?;
-    Ok(Box::new(Records { source, info, following }))
+    Ok(Box::new(SplatRecords { source, info, following }))
 }
 
 fn float(record: &[u8], at: usize) -> f32 {
@@ -77,7 +77,7 @@ fn numbers(record: &[u8], to: &mut Vec<f64>) {
 
 /// Writes those that are others than before.
 fn put_numbers(record: &mut [u8], old: &[f64], new: &[f64]) {
-    let at = Places::new(0);
+    let at = GroupOffsets::new(0);
     let is_new = |i: usize| old[i].to_bits() != new[i].to_bits() && new[i].is_finite();
     if is_new(at.opacity) {
         record[COLOUR + 3] = packing::opacity_byte(new[at.opacity]);
@@ -96,7 +96,7 @@ fn put_numbers(record: &mut [u8], old: &[f64], new: &[f64]) {
     }
 }
 
-impl Layout for Records {
+impl SplatLayout for SplatRecords {
     fn read(&self, chunk: &mut VertexChunk, splats: Range<u64>) -> Result<()> {
         chunk.first = splats.start;
         chunk.raw.resize((splats.end - splats.start) as usize * RECORD, 0);
@@ -105,7 +105,7 @@ impl Layout for Records {
     }
 }
 
-impl Model for Records {
+impl Model for SplatRecords {
     fn info(&self) -> &ModelInfo {
         &self.info
     }
@@ -123,7 +123,7 @@ impl Model for Records {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        Ok(Box::new(Reader::new(self, range)))
+        Ok(Box::new(SplatReader::new(self, range)))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
@@ -166,7 +166,7 @@ impl Model for Records {
     }
 }
 
-impl Rewritable for Records {
+impl Rewritable for SplatRecords {
     fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
         Ok(Box::new(RecordPieces { model: self, next: 0 }))
     }
@@ -178,7 +178,7 @@ impl Rewritable for Records {
         Ok(())
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, mut version: PieceVersion<'_>) -> Result<()> {
         let edited = version.edited;
         let VertexChunk { positions, raw, first, .. } = chunk;
         let (mut old, mut new, mut some) = (Vec::new(), Vec::new(), Vec::new());
@@ -217,13 +217,13 @@ impl Rewritable for Records {
 }
 
 struct RecordPieces<'a> {
-    model: &'a Records,
+    model: &'a SplatRecords,
     next: u64,
 }
 
 impl Pieces for RecordPieces<'_> {
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
-        let Records { source, info, .. } = self.model;
+        let SplatRecords { source, info, .. } = self.model;
         let end = info.vertices.min(self.next + CHUNK_VERTICES as u64);
         let count = (end - self.next) as usize;
         if count == 0 {

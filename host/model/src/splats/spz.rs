@@ -15,10 +15,10 @@ use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use glam::DVec3;
 
-use super::{HARMONICS, Layout, Places, Reader, gradient, info, packing, turn};
-use crate::cache::{Making, Need};
+use super::{GroupOffsets, HARMONICS, SplatLayout, SplatReader, gradient, info, packing, turn};
+use crate::cache::{CachedContent, Making};
 use crate::follow::{Follow, Following};
-use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable};
 use crate::source::Source;
 use crate::{
     CHUNK_VERTICES, Edit, Edited, Error, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
@@ -104,7 +104,7 @@ pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>
     if bytes / MOST_PACKED > source.len() {
         return Err(damaged(&format!("says {count} splats, but has {} bytes in all", source.len())));
     }
-    let need = Need { what: "its splats are unpacked", bytes, meanwhile: 0 };
+    let need = CachedContent { what: "its splats are unpacked", bytes, meanwhile: 0 };
     let unpacked = making.cache.get(&source, &need, making.progress, |to| {
         let (mut reader, mut block, mut at) = (reader(), vec![0; BLOCK], 0);
         loop {
@@ -179,7 +179,7 @@ impl Spz {
 
     /// What becomes of an array of one splat.
     fn put(&self, array: Array, splat: &[u8], old: &[f64], new: &[f64], to: &mut Vec<u8>) {
-        let places = Places::new(self.sizes[Array::Harmonics as usize]);
+        let places = GroupOffsets::new(self.sizes[Array::Harmonics as usize]);
         let start = to.len();
         to.extend_from_slice(&splat[self.place(array)]);
         let bytes = &mut to[start..];
@@ -283,7 +283,7 @@ fn put_quaternion(q: [f64; 4], bytes: &mut [u8]) {
     bytes.copy_from_slice(&packed.to_le_bytes());
 }
 
-impl Layout for Spz {
+impl SplatLayout for Spz {
     fn read(&self, chunk: &mut VertexChunk, splats: Range<u64>) -> Result<()> {
         let (count, each) = ((splats.end - splats.start) as usize, self.each());
         chunk.first = splats.start;
@@ -324,7 +324,7 @@ impl Model for Spz {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        Ok(Box::new(Reader::new(self, range)))
+        Ok(Box::new(SplatReader::new(self, range)))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
@@ -373,8 +373,8 @@ impl Model for Spz {
             );
             return Err(Error::argument(what, "leave out --resume, or write a .ply file"));
         }
-        let mut packed: Vec<Packed<'_>> =
-            outputs.iter_mut().map(|output| Packed::new(&mut **output)).collect();
+        let mut packed: Vec<CompressedOutput<'_>> =
+            outputs.iter_mut().map(|output| CompressedOutput::new(&mut **output)).collect();
         let mut outputs: Vec<&mut dyn Output> =
             packed.iter_mut().map(|output| output as &mut dyn Output).collect();
         pipeline::rewrite(self, &mut outputs, how, edit, progress)?;
@@ -384,18 +384,18 @@ impl Model for Spz {
 }
 
 /// An output that gets what is written compressed.
-struct Packed<'a> {
+struct CompressedOutput<'a> {
     to: &'a mut dyn Output,
     encoder: GzEncoder<Vec<u8>>,
 }
 
-impl<'a> Packed<'a> {
+impl<'a> CompressedOutput<'a> {
     fn new(to: &'a mut dyn Output) -> Self {
         Self { to, encoder: GzEncoder::new(Vec::new(), Compression::default()) }
     }
 }
 
-impl Output for Packed<'_> {
+impl Output for CompressedOutput<'_> {
     fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
         self.encoder.write_all(bytes)?;
         let ready = std::mem::take(self.encoder.get_mut());
@@ -426,7 +426,7 @@ impl Rewritable for Spz {
         Ok(())
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, version: PieceVersion<'_>) -> Result<()> {
         let edited = version.edited;
         version.bytes.clear();
         let array =

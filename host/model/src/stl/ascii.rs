@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::facets::{FACET, Facets, normal};
 use crate::source::Source;
-use crate::text::blocks::{Blocks, Builder, GAP, too_far};
+use crate::text::blocks::{GAP, TextBlocks, TextBlocksBuilder, too_far};
 use crate::text::digits::Digits;
 use crate::text::lines::{Lines, lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
@@ -31,7 +31,7 @@ pub(super) fn open(source: Source) -> Result<Box<dyn Model>> {
     let face_bytes = FACET * facets;
     let of_file = info(&source, "STL, ascii".into());
     let info = ModelInfo { faces: facets, face_bytes, ..of_file };
-    Ok(Box::new(TextModel::new(source, Stl, blocks, info)?))
+    Ok(Box::new(TextModel::new(source, StlLines, blocks, info)?))
 }
 
 fn first_word(line: &[u8]) -> Option<&[u8]> {
@@ -40,7 +40,7 @@ fn first_word(line: &[u8]) -> Option<&[u8]> {
 
 /// What a line of STL is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Line {
+enum StlLine {
     Solid,
     EndSolid,
     Facet,
@@ -50,7 +50,7 @@ enum Line {
     Unknown,
 }
 
-impl Line {
+impl StlLine {
     fn parse(line: &[u8]) -> Self {
         let Some(word) = first_word(line) else { return Self::Other };
         let is = |name: &str| word.eq_ignore_ascii_case(name.as_bytes());
@@ -68,42 +68,42 @@ impl Line {
 }
 
 /// Where the vertices are, and how many facets there are. All of the file's structure is checked here.
-fn scan(source: &Source) -> Result<(Blocks, u64)> {
+fn scan(source: &Source) -> Result<(TextBlocks, u64)> {
     let mut lines = Lines::new(source, 0, u64::MAX, false);
-    let mut builder = Builder::new(0, Stl::UNIT);
+    let mut builder = TextBlocksBuilder::new(0, StlLines::UNIT);
     let (mut facets, mut in_solid, mut in_facet, mut at) = (0u64, false, false, 0);
     while let Some((start, line)) = lines.next()? {
-        let kind = Line::parse(line);
+        let kind = StlLine::parse(line);
         let end = start + line.len() as u64;
         let is_right = match kind {
-            Line::Vertex => {
+            StlLine::Vertex => {
                 if builder.vertices() > 0 && start - builder.end() > GAP {
                     return Err(too_far(source, start));
                 }
                 builder.vertex(start, end);
                 in_facet && builder.vertices() <= 3 * facets
             }
-            Line::Facet => {
+            StlLine::Facet => {
                 facets += 1;
                 check_normal(source, start, line)?;
                 in_solid && !std::mem::replace(&mut in_facet, true)
             }
-            Line::EndFacet => std::mem::take(&mut in_facet) && builder.vertices() == 3 * facets,
+            StlLine::EndFacet => std::mem::take(&mut in_facet) && builder.vertices() == 3 * facets,
             // Some programs leave out `endsolid` between two solids.
-            Line::Solid => {
+            StlLine::Solid => {
                 !in_facet && {
                     in_solid = true;
                     true
                 }
             }
-            Line::EndSolid => !in_facet && std::mem::take(&mut in_solid),
-            Line::Other => true,
-            Line::Unknown => false,
+            StlLine::EndSolid => !in_facet && std::mem::take(&mut in_solid),
+            StlLine::Other => true,
+            StlLine::Unknown => false,
         };
         if !is_right {
             let text = quoted(&String::from_utf8_lossy(line.trim_ascii_start()));
             let what = match kind {
-                Line::Unknown => format!("{text} is nothing of STL"),
+                StlLine::Unknown => format!("{text} is nothing of STL"),
                 _ => format!("{text} after {} facets and {} corners", facets, builder.vertices()),
             };
             return Err(wrong_line(source, start, what, DAMAGED));
@@ -131,9 +131,9 @@ fn check_normal(source: &Source, start: u64, line: &[u8]) -> Result<()> {
 
 /// The lines of STL.
 #[derive(Debug)]
-struct Stl;
+struct StlLines;
 
-impl Grammar for Stl {
+impl Grammar for StlLines {
     const EXTENSIONS: &[&str] = &["stl"];
     const UNIT: u64 = 3;
 
@@ -229,7 +229,8 @@ fn words_after(line: &[u8], others: usize, spans: &mut [[usize; 2]]) {
 /// Where the numbers of the last facet's normal stand in a part of a chunk, and what it is.
 fn facet_normal(raw: &[u8], part: Range<usize>) -> Option<([[usize; 2]; 3], DVec3)> {
     let bytes = &raw[part.clone()];
-    let (start, end) = lines(bytes, false).filter(|l| Line::parse(&bytes[l.0..l.1]) == Line::Facet).last()?;
+    let (start, end) =
+        lines(bytes, false).filter(|l| StlLine::parse(&bytes[l.0..l.1]) == StlLine::Facet).last()?;
     let mut words = [[0; 2]; 3];
     words_after(&bytes[start..end], 2, &mut words);
     let words = words.map(|word| word.map(|at| part.start + start + at));

@@ -7,7 +7,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 
 use super::facets::{FACET, Facets, START, normal};
-use crate::pipeline::{self, Piece, Pieces, Rewritable, Skipped, Version};
+use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable, Skipped};
 use crate::source::Source;
 use crate::text::CUT_OFF;
 use crate::unfit::Unfit;
@@ -118,14 +118,14 @@ fn corners(raw: &[u8]) -> impl Iterator<Item = DVec3> + '_ {
     raw.chunks_exact(FACET as usize).flat_map(|facet| [0, 1, 2].map(|i| vector(&facet[corner(i)])))
 }
 
-struct Reader<'a> {
+struct StlReader<'a> {
     model: &'a BinaryStl,
     range: Range<u64>,
     /// Most facets of a chunk.
     chunk: u64,
 }
 
-impl VertexReader for Reader<'_> {
+impl VertexReader for StlReader<'_> {
     fn set_chunk(&mut self, vertices: usize) {
         self.chunk = (vertices as u64 / 3).clamp(1, CHUNK_FACETS);
     }
@@ -160,7 +160,7 @@ impl Model for BinaryStl {
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         let end = range.end.min(self.info.vertices);
-        Ok(Box::new(Reader { model: self, range: range.start.min(end)..end, chunk: CHUNK_FACETS }))
+        Ok(Box::new(StlReader { model: self, range: range.start.min(end)..end, chunk: CHUNK_FACETS }))
     }
 
     fn attributes(&self, _chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
@@ -218,7 +218,7 @@ impl Rewritable for BinaryStl {
         Ok(())
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, mut version: PieceVersion<'_>) -> Result<()> {
         let edited = version.edited;
         let VertexChunk { positions, raw, first, .. } = chunk;
         let bytes = version.begin_with(raw);

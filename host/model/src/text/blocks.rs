@@ -24,12 +24,12 @@ const CHUNK_BYTES: u64 = 4 << 20;
 /// Memory: 16 bytes for each; these are at most 65 536, or one for each 16 384 vertices, or for each 128 KiB
 /// of the file on average.
 #[derive(Debug, Default)]
-pub(crate) struct Blocks {
+pub(crate) struct TextBlocks {
     /// The first vertex of each block and where it begins, ascending; at last, the end of the last one.
     entries: Vec<(u64, u64)>,
 }
 
-impl Blocks {
+impl TextBlocks {
     /// Number of vertices.
     pub(crate) fn vertices(&self) -> u64 {
         self.entries.last().map_or(0, |e| e.0)
@@ -67,7 +67,7 @@ impl Blocks {
 
 /// Notes vertices, in the file's order.
 #[derive(Debug)]
-pub(crate) struct Builder {
+pub(crate) struct TextBlocksBuilder {
     entries: Vec<(u64, u64)>,
     /// Vertices so far, and where the last one ends.
     vertices: u64,
@@ -80,7 +80,7 @@ pub(crate) struct Builder {
     is_separate: bool,
 }
 
-impl Builder {
+impl TextBlocksBuilder {
     const MAX: usize = 1 << 16;
     const SPACING: u64 = 1 << 10;
     const LARGEST: u64 = 1 << 14;
@@ -149,9 +149,9 @@ impl Builder {
         self.entries = kept;
     }
 
-    pub(crate) fn finish(mut self) -> Blocks {
+    pub(crate) fn finish(mut self) -> TextBlocks {
         self.close();
-        Blocks { entries: self.entries }
+        TextBlocks { entries: self.entries }
     }
 }
 
@@ -160,7 +160,7 @@ impl Builder {
 /// Memory: a block, where it is read in parts.
 pub(crate) struct BlockReader<'a> {
     source: &'a Source,
-    blocks: &'a Blocks,
+    blocks: &'a TextBlocks,
     /// The vertices that are still to be read.
     range: Range<u64>,
     /// Most vertices of a chunk.
@@ -173,7 +173,7 @@ pub(crate) struct BlockReader<'a> {
 }
 
 impl<'a> BlockReader<'a> {
-    pub(crate) fn new(source: &'a Source, blocks: &'a Blocks, range: Range<u64>) -> Self {
+    pub(crate) fn new(source: &'a Source, blocks: &'a TextBlocks, range: Range<u64>) -> Self {
         let end = range.end.min(blocks.vertices());
         let range = range.start.min(end)..end;
         let (ahead, chunk) = (Vec::new(), CHUNK_VERTICES);
@@ -275,7 +275,7 @@ pub(crate) enum BlockPiece {
 
 impl<'a> BlockPieces<'a> {
     /// All of a file, in chunks of at most so many vertices.
-    pub(crate) fn new(source: &'a Source, blocks: &'a Blocks, chunk: usize) -> Self {
+    pub(crate) fn new(source: &'a Source, blocks: &'a TextBlocks, chunk: usize) -> Self {
         let mut reader = BlockReader::new(source, blocks, 0..u64::MAX);
         reader.set_chunk(chunk);
         Self { reader, at: 0 }
@@ -359,7 +359,7 @@ mod tests {
                 text.push(b'\n');
             }
             let source = file(&text);
-            let mut builder = Builder::new(0, 1);
+            let mut builder = TextBlocksBuilder::new(0, 1);
             builder.spacing = 64;
             ends.iter().for_each(|(start, end)| builder.vertex(*start, *end));
             let blocks = builder.finish();
@@ -406,13 +406,13 @@ mod tests {
 
     #[test]
     fn blocks_stay_few_and_of_bounded_size() {
-        let mut builder = Builder::new(0, 1);
+        let mut builder = TextBlocksBuilder::new(0, 1);
         for i in 0..100_000_000u64 {
             builder.vertex(10 * i, 10 * i + 10);
         }
         let blocks = builder.finish();
         assert_eq!(blocks.vertices(), 100_000_000);
-        assert!(blocks.entries.len() <= Builder::MAX + 1, "{}", blocks.entries.len());
+        assert!(blocks.entries.len() <= TextBlocksBuilder::MAX + 1, "{}", blocks.entries.len());
         assert!(blocks.entries.windows(2).all(|e| e[1].0 - e[0].0 <= 4096 && e[1].1 == 10 * e[1].0));
     }
 }

@@ -7,13 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
-use super::blocks::{BlockPiece, BlockPieces, BlockReader, Blocks, changed};
+use super::blocks::{BlockPiece, BlockPieces, BlockReader, TextBlocks, changed};
 use super::digits::{Digits, Survey};
 use super::lines::{line_end, lines, wrong_line};
 use super::{DAMAGED, coordinate, has_many_digits, is_beyond_doubles, no_coordinate, parse, quoted, word};
 use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
-use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{
@@ -119,7 +119,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
 pub(crate) struct TextModel<G> {
     pub(crate) source: Source,
     pub(crate) grammar: G,
-    pub(crate) blocks: Blocks,
+    pub(crate) blocks: TextBlocks,
     /// What of the attributes turns with the surface.
     following: Following,
     /// The digits of each of a vertex' numbers.
@@ -152,7 +152,7 @@ pub(crate) fn info(source: &Source, format: String) -> ModelInfo {
 
 impl<G: Grammar> TextModel<G> {
     /// A file whose vertices lie in these blocks.
-    pub(crate) fn new(source: Source, grammar: G, blocks: Blocks, info: ModelInfo) -> Result<Self> {
+    pub(crate) fn new(source: Source, grammar: G, blocks: TextBlocks, info: ModelInfo) -> Result<Self> {
         let info = ModelInfo {
             vertices: blocks.vertices(),
             vertex_bytes: blocks.vertex_bytes(),
@@ -456,12 +456,12 @@ pub(crate) fn splice_normal(
 }
 
 /// Reads the vertices of a range.
-struct Reader<'a, G> {
+struct TextReader<'a, G> {
     model: &'a TextModel<G>,
     blocks: BlockReader<'a>,
 }
 
-impl<G: Grammar> VertexReader for Reader<'_, G> {
+impl<G: Grammar> VertexReader for TextReader<'_, G> {
     fn set_chunk(&mut self, vertices: usize) {
         self.blocks.set_chunk(vertices);
     }
@@ -498,7 +498,7 @@ impl<G: Grammar> Model for TextModel<G> {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        Ok(Box::new(Reader { model: self, blocks: BlockReader::new(&self.source, &self.blocks, range) }))
+        Ok(Box::new(TextReader { model: self, blocks: BlockReader::new(&self.source, &self.blocks, range) }))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
@@ -555,7 +555,7 @@ impl<G: Grammar> Rewritable for TextModel<G> {
         TextModel::decode(self, chunk, vertices)
     }
 
-    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
+    fn encode(&self, chunk: &mut VertexChunk, version: PieceVersion<'_>) -> Result<()> {
         version.bytes.clear();
         let unfit = |unfit: Unfit| unfit.error(&self.source, chunk.first);
         G::encode(self, chunk, version.edited, version.bytes).map_err(unfit)

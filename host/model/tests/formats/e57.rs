@@ -8,7 +8,7 @@ use std::sync::Mutex;
 use ::e57::{E57Reader, E57Writer, Record, RecordDataType, RecordName, RecordValue};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 use proptest::prelude::*;
-use simod_model::follow::{Follow, Kind};
+use simod_model::follow::{Follow, TensorKind};
 use simod_model::{Output, Rewriting, Summary, progress::Silent};
 
 use super::*;
@@ -735,7 +735,7 @@ fn declared_numbers_turn_in_their_scan() {
     let bytes = make(&[posed, other], At::End, |left| left / 3 + 1);
     let mut model = open(&bytes, ".e57").unwrap();
     let follow =
-        |name: &str| Follow { declared: [(name.to_owned(), Kind::Vector)].into(), ..Follow::default() };
+        |name: &str| Follow { declared: [(name.to_owned(), TensorKind::Vector)].into(), ..Follow::default() };
     let error = message(model.follow(&follow("w")));
     assert!(error.contains("w_x, w_y, w_z"), "{error}");
     model.follow(&follow("nor:v")).unwrap();

@@ -11,7 +11,7 @@ use glam::{DVec3, Mat3, Vec3};
 use laz::las::{Point1, Point3, Point6, Point7};
 use laz::{LasZipCompressor, LasZipDecompressor, LazItem, LazItemRecordBuilder, LazVlr, LazVlrBuilder};
 use proptest::prelude::*;
-use simod_model::follow::{Follow, Kind};
+use simod_model::follow::{Follow, TensorKind};
 use simod_model::progress::Silent;
 use simod_model::{
     CHUNK_VERTICES, Colors, Edited, Error, ErrorKind, FaceChunk, Model, Result, Rewriting, VertexChunk,
@@ -972,7 +972,7 @@ fn extra_bytes_turn_and_say_how_far_they_reach() {
         let mut model = open(file.path()).unwrap();
         assert!(model.following().is_none());
         let declared = |name: &str| {
-            let declared = [(name.to_owned(), Kind::Vector)].into();
+            let declared = [(name.to_owned(), TensorKind::Vector)].into();
             Follow { declared, ..Follow::default() }
         };
         let error = model.follow(&declared("w")).unwrap_err();

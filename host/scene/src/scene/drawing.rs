@@ -4,13 +4,13 @@ use std::ops::Range;
 
 use wgpu::CommandEncoder;
 
-use super::stage::{Filled, Shares, Stage};
-use super::{Drawn, Scene};
+use super::stage::{DetailShares, FilledSplats, SizedTargets};
+use super::{Scene, SurfaceShare};
 use crate::cloud::Cloud;
-use crate::frame::Frame;
+use crate::frame::FrameData;
 use crate::splats::CloudRange;
-use crate::targets::{Seen, Targets, texture};
-use crate::view::{Mode, Scale, Style, View};
+use crate::targets::{SurfaceTargets, Targets, texture};
+use crate::view::{PixelScale, SceneStyle, SurfaceMode, View};
 
 /// Discs of a part of the samples are so much wider than their number says, as they are not quite evenly
 /// spread.
@@ -31,8 +31,10 @@ const NEARLY_ALL: usize = 2;
 
 impl Scene {
     /// Whether triangles are shown, in a frame of so many splats.
-    fn shows_triangles(&self, style: &Style, splats: usize) -> bool {
-        style.mode == Mode::Triangles && self.placed == self.samples() && self.has_triangles_for(splats)
+    fn shows_triangles(&self, style: &SceneStyle, splats: usize) -> bool {
+        style.mode == SurfaceMode::Triangles
+            && self.placed == self.samples()
+            && self.has_triangles_for(splats)
     }
 
     /// Whether there are triangles, and no more than are drawn in the time of so many splats.
@@ -42,7 +44,7 @@ impl Scene {
     }
 
     /// Makes the textures anew where the picture's size changed.
-    pub(super) fn resize(&mut self, view: &View, scale: Scale) {
+    pub(super) fn resize(&mut self, view: &View, scale: PixelScale) {
         let device = &self.gpu.device;
         let fits = self.finished.as_ref().is_some_and(|(t, _)| [t.width(), t.height()] == view.size);
         if !fits {
@@ -51,22 +53,22 @@ impl Scene {
             let shown = texture.create_view(&Default::default());
             self.finished = Some((texture, shown));
         }
-        self.stages.retain(|s, _| *s == scale || *s == Scale::Half);
+        self.stages.retain(|s, _| *s == scale || *s == PixelScale::Half);
     }
 
     /// The textures of a scale.
-    fn stage(&mut self, view: &View, scale: Scale) {
+    fn stage(&mut self, view: &View, scale: PixelScale) {
         let device = &self.gpu.device;
         let stage = self.stages.entry(scale).or_insert_with(|| {
             let targets = Targets::new(device, view.size.map(|s| scale.drawn(s)), view.size);
-            Stage {
+            SizedTargets {
                 splats: self.splats.groups(device, &targets),
                 passes: self.passes.groups(device, &targets),
                 targets,
             }
         });
         if self.ghost.is_some() && stage.targets.ghost.is_none() {
-            stage.targets.ghost = Some(Seen::new(device, stage.targets.size));
+            stage.targets.ghost = Some(SurfaceTargets::new(device, stage.targets.size));
             stage.passes = self.passes.groups(device, &stage.targets);
         }
     }
@@ -76,8 +78,8 @@ impl Scene {
         &mut self,
         encoder: &mut CommandEncoder,
         view: &View,
-        style: &Style,
-        scale: Scale,
+        style: &SceneStyle,
+        scale: PixelScale,
         splats: usize,
     ) {
         self.stage(view, scale);
@@ -93,7 +95,7 @@ impl Scene {
             Some(surface) if triangles => {
                 self.mesh.draw(encoder, &stage.targets.depth, &stage.targets.seen, frame, surface);
                 let all = surface.triangles();
-                self.drawn = Drawn { drawn: all, of: all, complete: scale == style.scale };
+                self.drawn = SurfaceShare { drawn: all, of: all, complete: scale == style.scale };
             }
             Some(_) => {
                 let parts = self.parts(shares);
@@ -101,11 +103,11 @@ impl Scene {
                 self.splats.blend(encoder, &stage.targets, &stage.splats, &parts, true);
                 self.splats.resolve(encoder, &stage.splats, frame, &stage.targets.seen);
                 let complete = splats == of && scale == style.scale;
-                self.drawn = Drawn { drawn: splats, of, complete };
+                self.drawn = SurfaceShare { drawn: splats, of, complete };
             }
             None => {
                 stage.targets.seen.clear(encoder);
-                self.drawn = Drawn { drawn: 0, of: 0, complete: scale == style.scale };
+                self.drawn = SurfaceShare { drawn: 0, of: 0, complete: scale == style.scale };
             }
         }
         self.shown = scale;
@@ -114,7 +116,13 @@ impl Scene {
 
     /// Sums up at most so many more splats, pass by pass: first of a picture that shows some more of all than
     /// the last one, and once that is shown, of the next one.
-    pub(super) fn fill(&mut self, encoder: &mut CommandEncoder, view: &View, style: &Style, splats: usize) {
+    pub(super) fn fill(
+        &mut self,
+        encoder: &mut CommandEncoder,
+        view: &View,
+        style: &SceneStyle,
+        splats: usize,
+    ) {
         let scale = style.scale;
         let all = self.splats();
         if self.shows_triangles(style, usize::MAX) || all == 0 {
@@ -130,7 +138,7 @@ impl Scene {
             return;
         }
         let of = self.count(shares);
-        let Filled { depth, blend, .. } = self.filled;
+        let FilledSplats { depth, blend, .. } = self.filled;
         if depth == 0 {
             self.draw_ghost(encoder, stage);
         }
@@ -146,8 +154,8 @@ impl Scene {
         }
         if self.filled.blend == of {
             self.splats.resolve(encoder, &stage.splats, frame, &stage.targets.seen);
-            self.drawn = Drawn { drawn: of, of: all, complete: of == all };
-            self.filled = Filled::default();
+            self.drawn = SurfaceShare { drawn: of, of: all, complete: of == all };
+            self.filled = FilledSplats::default();
             self.shown = scale;
             self.light(encoder, style);
         } else if self.marks_changed {
@@ -156,19 +164,19 @@ impl Scene {
     }
 
     /// What the next picture at rest shows: more than the last one did.
-    pub(super) fn next_shares(&self) -> Shares {
-        let Drawn { drawn, of, .. } = self.drawn;
+    pub(super) fn next_shares(&self) -> DetailShares {
+        let SurfaceShare { drawn, of, .. } = self.drawn;
         let more = drawn.saturating_mul(FINER);
         let shares = self.shares(more);
         if more >= of / NEARLY_ALL || self.count(shares) <= drawn { self.shares(usize::MAX) } else { shares }
     }
 
     /// Number of splats.
-    fn count(&self, shares: Shares) -> usize {
+    fn count(&self, shares: DetailShares) -> usize {
         shares.surface + self.details.values().map(|c| c.halved(shares.halved)).sum::<usize>()
     }
 
-    fn draw_ghost(&self, encoder: &mut CommandEncoder, stage: &Stage) {
+    fn draw_ghost(&self, encoder: &mut CommandEncoder, stage: &SizedTargets) {
         if let (Some(ghost), Some(seen)) = (&self.ghost, &stage.targets.ghost) {
             let frame = &self.ghost_frame.group;
             let part = [CloudRange { frame, cloud: ghost, places: 0..ghost.part(GHOST_SPLATS) }];
@@ -179,8 +187,8 @@ impl Scene {
     }
 
     /// From the surface that is seen to the finished picture.
-    fn light(&mut self, encoder: &mut CommandEncoder, style: &Style) {
-        let Stage { targets, passes, .. } = &self.stages[&self.shown];
+    fn light(&mut self, encoder: &mut CommandEncoder, style: &SceneStyle) {
+        let SizedTargets { targets, passes, .. } = &self.stages[&self.shown];
         if style.occlusion {
             self.passes.occlusion(encoder, targets, passes, &self.frame.group);
         }
@@ -190,7 +198,7 @@ impl Scene {
 
     /// From the lit picture to the finished one.
     pub(super) fn finish(&mut self, encoder: &mut CommandEncoder) {
-        let Stage { targets, passes, .. } = &self.stages[&self.shown];
+        let SizedTargets { targets, passes, .. } = &self.stages[&self.shown];
         let Some((_, finished)) = &self.finished else { return };
         let frame = &self.frame.group;
         self.passes.finish(encoder, targets, passes, frame, finished);
@@ -199,10 +207,10 @@ impl Scene {
     }
 
     /// What of the surface and its details at most so many splats are, all of each evenly spread.
-    pub(super) fn shares(&self, splats: usize) -> Shares {
-        let Some(surface) = &self.surface else { return Shares::default() };
+    pub(super) fn shares(&self, splats: usize) -> DetailShares {
+        let Some(surface) = &self.surface else { return DetailShares::default() };
         if splats >= self.splats() {
-            return Shares { surface: surface.len(), halved: 0 };
+            return DetailShares { surface: surface.len(), halved: 0 };
         }
         // Half of them are the details', or as many as there are.
         let details: usize = self.details.values().map(Cloud::len).sum();
@@ -210,11 +218,11 @@ impl Scene {
         let fits = |times: &usize| {
             self.details.values().map(|c| c.halved(*times)).sum::<usize>() <= splats.saturating_sub(part)
         };
-        Shares { surface: part, halved: (0..MOST_HALVED).find(fits).unwrap_or(MOST_HALVED) }
+        DetailShares { surface: part, halved: (0..MOST_HALVED).find(fits).unwrap_or(MOST_HALVED) }
     }
 
     /// The surface's splats and the details' that these shares allow.
-    fn parts(&self, shares: Shares) -> Vec<CloudRange<'_>> {
+    fn parts(&self, shares: DetailShares) -> Vec<CloudRange<'_>> {
         let surface = self.surface.iter().map(|cloud| (&self.frame.group, cloud, shares.surface));
         let details = self.details.values().map(|c| (&self.detail_frame.group, c, c.halved(shares.halved)));
         let part = |(frame, cloud, splats)| CloudRange { frame, cloud, places: 0..splats };
@@ -222,7 +230,7 @@ impl Scene {
     }
 
     /// The splats of these shares side by side, and of these some places.
-    fn slice(&self, shares: Shares, places: Range<usize>) -> Vec<CloudRange<'_>> {
+    fn slice(&self, shares: DetailShares, places: Range<usize>) -> Vec<CloudRange<'_>> {
         let mut first = 0;
         let mut parts = self.parts(shares);
         for part in &mut parts {
@@ -235,10 +243,10 @@ impl Scene {
     }
 
     /// Tells the shaders of a frame of these shares.
-    fn set_frame(&self, view: &View, style: &Style, stage: &Stage, shares: Shares) {
+    fn set_frame(&self, view: &View, style: &SceneStyle, stage: &SizedTargets, shares: DetailShares) {
         let radius = self.surface.as_ref().or(self.ghost.as_ref()).map_or(1.0, |cloud| cloud.radius);
         let size = stage.targets.size;
-        let mut frame = Frame::new(view, style, size, view.size, radius, self.ghost.is_some());
+        let mut frame = FrameData::new(view, style, size, view.size, radius, self.ghost.is_some());
         frame.radius_scale = part_scale(shares.surface, self.samples());
         self.frame.write(&self.gpu, &frame);
         if !self.details.is_empty() {

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use super::stage::Shares;
-use super::{Drawn, Scene};
+use super::stage::DetailShares;
+use super::{Scene, SurfaceShare};
 use crate::budget::Budget;
 use crate::cloud::{BadSurface, Surface, same_length};
-use crate::view::{Mode, Style, View};
+use crate::view::{SceneStyle, SurfaceMode, View};
 
 impl Scene {
     /// The samples are somewhere else: none of them is up to date any more, and the next picture is another
@@ -16,13 +16,13 @@ impl Scene {
     }
 
     /// Whether the picture is that of this view, or is on its way to it.
-    pub fn is_of(&self, view: &View, style: &Style) -> bool {
+    pub fn is_of(&self, view: &View, style: &SceneStyle) -> bool {
         self.of == Some(self.drawable(view, style))
     }
 
     /// How many samples the next picture is of, at most: no others than these [first ones](Self::first) have
     /// to be up to date for it.
-    pub fn reach(&self, view: &View, style: &Style, budget: Option<&Budget>) -> usize {
+    pub fn reach(&self, view: &View, style: &SceneStyle, budget: Option<&Budget>) -> usize {
         let all = self.samples();
         let Some(budget) = budget else { return all };
         if !self.is_of(view, style) {
@@ -30,7 +30,7 @@ impl Scene {
             return if self.would_show_triangles(style, splats) { all } else { self.shares(splats).surface };
         }
         match (self.drawn, self.filled.shares) {
-            (Drawn { complete: true, .. }, _) => self.placed,
+            (SurfaceShare { complete: true, .. }, _) => self.placed,
             _ if self.would_show_triangles(style, usize::MAX) => all,
             (_, Some(shares)) => shares.surface,
             (_, None) => self.next_shares().surface,
@@ -38,8 +38,8 @@ impl Scene {
     }
 
     /// Whether triangles would be shown in a frame of so many splats, if all samples were up to date.
-    fn would_show_triangles(&self, style: &Style, splats: usize) -> bool {
-        style.mode == Mode::Triangles
+    fn would_show_triangles(&self, style: &SceneStyle, splats: usize) -> bool {
+        style.mode == SurfaceMode::Triangles
             && self.has_triangles_for(if splats < self.splats() { splats } else { usize::MAX })
     }
 
@@ -86,7 +86,7 @@ impl Scene {
     }
 
     /// Of these shares what is up to date.
-    pub(super) fn placed_of(&self, shares: Shares) -> Shares {
-        Shares { surface: shares.surface.min(self.placed), ..shares }
+    pub(super) fn placed_of(&self, shares: DetailShares) -> DetailShares {
+        DetailShares { surface: shares.surface.min(self.placed), ..shares }
     }
 }

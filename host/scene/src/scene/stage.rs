@@ -4,22 +4,22 @@
 use bytemuck::bytes_of;
 use wgpu::{BindGroup, BindGroupLayout, Buffer, BufferUsages};
 
-use crate::frame::Frame;
+use crate::frame::FrameData;
 use crate::gpu::Gpu;
 use crate::pipeline::bind;
 use crate::targets::Targets;
 use crate::{passes, splats};
 
 /// Textures of a size.
-pub(super) struct Stage {
+pub(super) struct SizedTargets {
     pub targets: Targets,
-    pub splats: splats::Groups,
-    pub passes: passes::Groups,
+    pub splats: splats::SplatBindGroups,
+    pub passes: passes::PassBindGroups,
 }
 
 /// What a frame shows of the surface and its details.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(super) struct Shares {
+pub(super) struct DetailShares {
     /// Splats of the surface.
     pub surface: usize,
     /// How often the details are halved.
@@ -28,14 +28,14 @@ pub(super) struct Shares {
 
 /// Splats of the next picture at rest that both passes have drawn.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Filled {
+pub(super) struct FilledSplats {
     /// What that picture shows; not chosen yet before its first splats.
-    pub shares: Option<Shares>,
+    pub shares: Option<DetailShares>,
     pub depth: usize,
     pub blend: usize,
 }
 
-/// A `Frame` in the device's memory.
+/// A `FrameData` in the device's memory.
 pub(super) struct Uniform {
     buffer: Buffer,
     pub group: BindGroup,
@@ -45,7 +45,7 @@ impl Uniform {
     pub fn new(gpu: &Gpu, layout: &BindGroupLayout) -> Self {
         let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("frame"),
-            size: size_of::<Frame>() as u64,
+            size: size_of::<FrameData>() as u64,
             usage: BufferUsages::UNIFORM | BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
@@ -53,7 +53,7 @@ impl Uniform {
         Self { buffer, group }
     }
 
-    pub fn write(&self, gpu: &Gpu, frame: &Frame) {
+    pub fn write(&self, gpu: &Gpu, frame: &FrameData) {
         gpu.queue.write_buffer(&self.buffer, 0, bytes_of(frame));
     }
 }

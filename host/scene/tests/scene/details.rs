@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use common::{Model, at, difference, draw, gpu, same, sphere, view};
 use glam::Vec3;
-use simod_scene::{Budget, Mode, Scene, Style, Surface};
+use simod_scene::{Budget, Scene, SceneStyle, Surface, SurfaceMode};
 
 /// A sphere, of which some samples are the surface's and the others are details, in two pieces.
 struct Split {
@@ -35,8 +35,8 @@ fn split() -> Split {
     Split { whole, surface, details }
 }
 
-fn style() -> Style {
-    Style { own_colors: true, ..Style::default() }
+fn style() -> SceneStyle {
+    SceneStyle { own_colors: true, ..SceneStyle::default() }
 }
 
 #[test]
@@ -100,8 +100,8 @@ fn fine_details_hide_what_is_behind() {
     let mut scene = Scene::new(gpu);
     scene.set_surface(&surface.surface()).unwrap();
     scene.set_detail(0, Some(&Surface { triangles: &[], ..fine.surface() })).unwrap();
-    for mode in [Mode::Splats, Mode::Triangles] {
-        scene.render(&view(), &Style { mode, ..style() }, None);
+    for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
+        scene.render(&view(), &SceneStyle { mode, ..style() }, None);
         let image = scene.read().unwrap();
         let [r, _, b] = at(&image, [170.0, 120.0]);
         assert!(b > r + 60, "{mode:?}: {r}, {b}");

@@ -8,7 +8,7 @@ use std::path::Path;
 use common::{difference, gpu, sphere, view};
 use glam::{Mat4, Vec3};
 use simod_picture::Image;
-use simod_scene::{Background, Dot, Line, Mode, Scale, Scene, Style, View};
+use simod_scene::{Background, Dot, Line, PixelScale, Scene, SceneStyle, SurfaceMode, View};
 
 /// Cards round differently: so much a channel, but for a share of the pixels, at edges.
 const TOLERANCE: i32 = 6;
@@ -50,12 +50,16 @@ fn goldens() {
     scene.set_surface(&model.surface()).unwrap();
     let turned = Mat4::from_rotation_x(0.3) * Mat4::from_rotation_y(-0.5);
     let view = View { view: view().view * turned, size: [160, 160], ..view() };
-    let shot = |scene: &mut Scene, name, style: &Style| {
+    let shot = |scene: &mut Scene, name, style: &SceneStyle| {
         scene.render(&view, style, None);
         check(name, &scene.read().unwrap());
     };
-    shot(&mut scene, "clay", &Style { scale: Scale::Double, ..Style::default() });
-    shot(&mut scene, "triangles", &Style { mode: Mode::Triangles, own_colors: true, ..Style::default() });
+    shot(&mut scene, "clay", &SceneStyle { scale: PixelScale::Double, ..SceneStyle::default() });
+    shot(
+        &mut scene,
+        "triangles",
+        &SceneStyle { mode: SurfaceMode::Triangles, own_colors: true, ..SceneStyle::default() },
+    );
 
     let ghost = sphere(Vec3::new(-0.25, 0.0, 0.2), 0.8, 120);
     scene.set_ghost(Some(&ghost.surface())).unwrap();
@@ -71,5 +75,9 @@ fn goldens() {
     let dot = |i| Dot { position: corner(i), color: [255, 160, 40, 255], size_px: 7.0, on_top: i < 4 };
     scene.set_lines(&edges.map(line).collect::<Vec<_>>());
     scene.set_dots(&(0..8).map(dot).collect::<Vec<_>>());
-    shot(&mut scene, "ghost-and-marks", &Style { background: Background::Dark, ..Style::default() });
+    shot(
+        &mut scene,
+        "ghost-and-marks",
+        &SceneStyle { background: Background::Dark, ..SceneStyle::default() },
+    );
 }

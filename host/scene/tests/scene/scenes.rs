@@ -11,8 +11,8 @@ use common::{
 use glam::{Vec3, Vec4};
 use simod_picture::Image;
 use simod_scene::{
-    Background, BadSurface, Budget, Dot, Gpu, Light, Line, Matcap, Mode, NoGpu, Scale, Scene, Style, Surface,
-    View,
+    Background, BadSurface, Budget, Dot, Gpu, Light, Line, Matcap, NoGpu, PixelScale, Scene, SceneStyle,
+    Surface, SurfaceMode, View,
 };
 
 fn scene_of(gpu: &Gpu, model: &Model) -> Scene {
@@ -21,7 +21,7 @@ fn scene_of(gpu: &Gpu, model: &Model) -> Scene {
     scene
 }
 
-fn shot(scene: &mut Scene, style: &Style) -> Image {
+fn shot(scene: &mut Scene, style: &SceneStyle) -> Image {
     scene.render(&view(), style, None);
     scene.read().unwrap()
 }
@@ -42,7 +42,7 @@ fn a_part_is_closed_and_the_rest_follows() {
     let Some(gpu) = gpu() else { return };
     let model =
         sphere(Vec3::ZERO, 1.0, 200).colored(RED).and(&sphere(Vec3::ZERO, 0.7, 30).colored([30, 50, 220]));
-    let style = Style { scale: Scale::Full, ..plain() };
+    let style = SceneStyle { scale: PixelScale::Full, ..plain() };
     let complete = shot(&mut scene_of(gpu, &model), &style);
 
     for most in [64_000, 32_000, 16_000] {
@@ -102,11 +102,13 @@ fn a_drag_moves_the_surface() {
     let to = sphere(Vec3::new(0.5, 0.1, 0.0), 0.4, 50).colored(RED);
     let mut scene = scene_of(gpu, &from);
     let before = shot(&mut scene, &plain());
-    for (step, mode) in [(0.3, Mode::Splats), (1.0, Mode::Triangles), (1.0, Mode::Splats)] {
+    for (step, mode) in
+        [(0.3, SurfaceMode::Splats), (1.0, SurfaceMode::Triangles), (1.0, SurfaceMode::Splats)]
+    {
         let positions: Vec<Vec3> =
             from.positions.iter().zip(&to.positions).map(|(a, b)| a.lerp(*b, step)).collect();
         scene.set_positions(&positions, &to.normals).unwrap();
-        shot(&mut scene, &Style { mode, ..plain() });
+        shot(&mut scene, &SceneStyle { mode, ..plain() });
     }
     let after = scene.read().unwrap();
     let place = project(&view(), Vec3::new(0.5, 0.1, 0.0));
@@ -126,7 +128,7 @@ fn a_part_of_the_surface_moves_alone() {
     let Some(gpu) = gpu() else { return };
     let from = sphere(Vec3::new(-0.3, 0.0, 0.0), 0.6, 200).colored(RED);
     let to = sphere(Vec3::new(0.3, 0.1, 0.0), 0.7, 200).colored([30, 50, 220]);
-    let style = Style { mode: Mode::Triangles, ..plain() };
+    let style = SceneStyle { mode: SurfaceMode::Triangles, ..plain() };
     let some = |scene: &mut Scene, reach: usize| {
         let first = scene.first(reach);
         assert!(first.len() == reach && first.is_sorted());
@@ -156,8 +158,8 @@ fn a_part_of_the_surface_moves_alone() {
     some(&mut moved, reach);
     whole.outdate();
     whole.place_all(&to.surface()).unwrap();
-    moved.render(&view(), &Style { mode: Mode::Splats, ..style }, Some(&mut budgets[0]));
-    whole.render(&view(), &Style { mode: Mode::Splats, ..style }, Some(&mut budgets[1]));
+    moved.render(&view(), &SceneStyle { mode: SurfaceMode::Splats, ..style }, Some(&mut budgets[0]));
+    whole.render(&view(), &SceneStyle { mode: SurfaceMode::Splats, ..style }, Some(&mut budgets[1]));
     assert!(moved.drawn() == whole.drawn() && !moved.drawn().complete);
     assert!(same(&moved.read().unwrap(), &whole.read().unwrap()));
 
@@ -175,7 +177,7 @@ fn a_part_of_the_surface_moves_alone() {
     }
     assert_eq!(asked, to.positions.len());
     assert!(same(&moved.read().unwrap(), &shot(&mut scene_of(gpu, &to), &style)));
-    let triangles = Style { mode: Mode::Triangles, ..style };
+    let triangles = SceneStyle { mode: SurfaceMode::Triangles, ..style };
     assert!(same(&shot(&mut moved, &triangles), &shot(&mut scene_of(gpu, &to), &triangles)));
 }
 
@@ -185,7 +187,7 @@ fn a_ghost_is_seen_beside_and_through_the_surface() {
     let surface = sphere(Vec3::new(0.4, 0.0, 0.0), 0.5, 60);
     let mut scene = scene_of(gpu, &surface);
     for background in [Background::Light, Background::Dark] {
-        let style = Style { background, ..Style::default() };
+        let style = SceneStyle { background, ..SceneStyle::default() };
         let [beside, front, far] =
             [[-0.5, 0.0, 0.0], [0.15, 0.0, 0.3], [0.0, 1.0, 0.0]].map(|p| project(&view(), Vec3::from(p)));
         let without = shot(&mut scene, &style);
@@ -198,7 +200,9 @@ fn a_ghost_is_seen_beside_and_through_the_surface() {
         }
         assert_eq!(at(&without, far), at(&with, far));
         // It is clear where it is asked to be.
-        assert!(difference(&shot(&mut scene, &Style { ghost_opacity: 0.0, ..style }), &without, 1).1 == 0.0);
+        assert!(
+            difference(&shot(&mut scene, &SceneStyle { ghost_opacity: 0.0, ..style }), &without, 1).1 == 0.0
+        );
         // Where nothing moved, it does not stain.
         scene.set_ghost(Some(&surface.surface())).unwrap();
         assert!(difference(&shot(&mut scene, &style), &without, 12).1 < 0.01);
@@ -265,14 +269,14 @@ fn an_empty_scene_is_its_background() {
     let Some(gpu) = gpu() else { return };
     let mut scene = Scene::new(gpu);
     assert!(scene.read().is_none());
-    let empty = shot(&mut scene, &Style::default());
+    let empty = shot(&mut scene, &SceneStyle::default());
     assert!(empty.pixels().iter().all(|p| p[0] > 200 && p[0] <= p[2]));
     assert!(scene.drawn().complete && scene.drawn().of == 0);
     scene.set_surface(&Surface::default()).unwrap();
-    for mode in [Mode::Splats, Mode::Triangles] {
-        assert!(same(&shot(&mut scene, &Style { mode, ..Style::default() }), &empty));
+    for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
+        assert!(same(&shot(&mut scene, &SceneStyle { mode, ..SceneStyle::default() }), &empty));
     }
-    let dark = shot(&mut scene, &Style { background: Background::Dark, ..Style::default() });
+    let dark = shot(&mut scene, &SceneStyle { background: Background::Dark, ..SceneStyle::default() });
     assert!(dark.pixels().iter().all(|p| p[0] < 90));
 }
 
@@ -280,9 +284,9 @@ fn an_empty_scene_is_its_background() {
 fn views_of_any_size() {
     let Some(gpu) = gpu() else { return };
     let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 0.8, 30).colored(RED));
-    for scale in [Scale::Half, Scale::Full, Scale::Double] {
+    for scale in [PixelScale::Half, PixelScale::Full, PixelScale::Double] {
         for size in [[0, 0], [0, 7], [1, 1], [3, 500], [333, 77], [0, 0]] {
-            scene.render(&View { size, ..view() }, &Style { scale, ..plain() }, None);
+            scene.render(&View { size, ..view() }, &SceneStyle { scale, ..plain() }, None);
             let image = scene.read().unwrap();
             assert_eq!([image.width(), image.height()], size.map(|s| s.max(1)));
             let middle = [image.width() as f32 / 2.0, image.height() as f32 / 2.0];
@@ -295,15 +299,15 @@ fn views_of_any_size() {
 fn the_same_picture_twice_has_the_same_bytes() {
     let Some(gpu) = gpu() else { return };
     let model = sphere(Vec3::new(-0.2, 0.1, 0.0), 0.8, 100).and(&sphere(Vec3::new(0.5, 0.3, 0.5), 0.3, 40));
-    let first = draw(gpu, &model, &Style::default());
-    assert!(same(&draw(gpu, &model, &Style::default()), &first));
+    let first = draw(gpu, &model, &SceneStyle::default());
+    assert!(same(&draw(gpu, &model, &SceneStyle::default()), &first));
     // Nor does it depend on what was drawn before.
     let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 1.0, 30));
-    shot(&mut scene, &Style { scale: Scale::Double, ..Style::default() });
+    shot(&mut scene, &SceneStyle { scale: PixelScale::Double, ..SceneStyle::default() });
     scene.set_surface(&model.surface()).unwrap();
-    assert!(same(&shot(&mut scene, &Style::default()), &first));
+    assert!(same(&shot(&mut scene, &SceneStyle::default()), &first));
     let turned = View { view: view().view * glam::Mat4::from_rotation_y(0.7), ..view() };
-    assert!(!same(&draw_from(gpu, &model, &Style::default(), &turned), &first));
+    assert!(!same(&draw_from(gpu, &model, &SceneStyle::default(), &turned), &first));
 }
 
 #[test]
@@ -353,7 +357,7 @@ fn samples_in_several_buffers() {
     assert!(same(&shot(&mut scene, &plain()), &whole));
 
     // Triangles cannot reach samples in other buffers, so splats stand in.
-    assert!(same(&shot(&mut scene, &Style { mode: Mode::Triangles, ..plain() }), &whole));
+    assert!(same(&shot(&mut scene, &SceneStyle { mode: SurfaceMode::Triangles, ..plain() }), &whole));
     scene.set_positions(&model.positions, &model.normals).unwrap();
     assert!(same(&shot(&mut scene, &plain()), &whole));
 }
@@ -369,7 +373,7 @@ fn without_a_budget_all_is_drawn() {
     let image = shot(&mut scene, &plain());
     assert!(scene.drawn().complete && same(&image, &draw(gpu, &model, &plain())));
     // A mesh that is larger than the budget is drawn as splats, and then as it is.
-    let mesh = Style { mode: Mode::Triangles, ..plain() };
+    let mesh = SceneStyle { mode: SurfaceMode::Triangles, ..plain() };
     scene.render(&view(), &mesh, Some(&mut budget_of(16_000)));
     assert!(scene.drawn().of == model.positions.len() && !scene.drawn().complete);
     shot(&mut scene, &mesh);
@@ -382,7 +386,7 @@ fn without_a_budget_all_is_drawn() {
 fn pictures_at_rest_get_better_steadily() {
     let Some(gpu) = gpu() else { return };
     let model = sphere(Vec3::ZERO, 1.0, 500).colored(RED);
-    let style = Style { scale: Scale::Full, ..plain() };
+    let style = SceneStyle { scale: PixelScale::Full, ..plain() };
     let complete = shot(&mut scene_of(gpu, &model), &style);
     let mut budget = budget_of(16_000);
     let mut scene = scene_of(gpu, &model);
@@ -433,15 +437,15 @@ fn stretched_discs_close_a_stretched_surface() {
 fn a_plane_cuts_the_surface_open() {
     let Some(gpu) = gpu() else { return };
     let model = sphere(Vec3::ZERO, 1.0, 100).colored([60, 120, 200]);
-    for mode in [Mode::Splats, Mode::Triangles] {
-        let style = Style { mode, ..plain() };
+    for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
+        let style = SceneStyle { mode, ..plain() };
         let mut scene = scene_of(gpu, &model);
         let whole = shot(&mut scene, &style);
-        let nothing = shot(&mut scene, &Style { clip: Some(Vec3::X.extend(-1.1)), ..style });
+        let nothing = shot(&mut scene, &SceneStyle { clip: Some(Vec3::X.extend(-1.1)), ..style });
         let right = project(&view(), Vec3::new(0.5, 0.0, 0.0));
         let left = project(&view(), Vec3::new(-0.5, 0.0, 0.0));
         // The right half is away, up to a border that is straight to a pixel.
-        let half = shot(&mut scene, &Style { clip: Some(Vec3::X.extend(0.0)), ..style });
+        let half = shot(&mut scene, &SceneStyle { clip: Some(Vec3::X.extend(0.0)), ..style });
         assert_eq!(at(&half, right), at(&nothing, right));
         assert_eq!(at(&half, left), at(&whole, left));
         let middle = project(&view(), Vec3::ZERO);
@@ -450,12 +454,12 @@ fn a_plane_cuts_the_surface_open() {
         assert!(apart(behind, at(&nothing, middle)) < 8, "{behind:?}");
         // The half that faces the eye is away: its inside is seen, with colours of its own and without.
         for own_colors in [true, false] {
-            let style = Style { own_colors, clip: Some(Vec3::Z.extend(0.0)), ..style };
+            let style = SceneStyle { own_colors, clip: Some(Vec3::Z.extend(0.0)), ..style };
             let open = shot(&mut scene, &style);
             assert!(is_red(&open, middle) && !is_red(&whole, middle), "{mode:?} {:?}", at(&open, middle));
         }
         // A plane beyond all of it cuts nothing.
-        let beyond = shot(&mut scene, &Style { clip: Some(Vec4::new(0.0, 0.6, 0.8, 1.2)), ..style });
+        let beyond = shot(&mut scene, &SceneStyle { clip: Some(Vec4::new(0.0, 0.6, 0.8, 1.2)), ..style });
         let (_, changed) = difference(&beyond, &whole, 2);
         assert!(changed < 0.02, "{mode:?}: {changed}");
     }
@@ -466,11 +470,11 @@ fn a_plane_cuts_the_surface_open() {
 fn balls_of_light_face_the_eye() {
     let Some(gpu) = gpu() else { return };
     let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 1.0, 100));
-    let lamps = shot(&mut scene, &Style { occlusion: false, ..Style::default() });
+    let lamps = shot(&mut scene, &SceneStyle { occlusion: false, ..SceneStyle::default() });
     let turned = View { view: view().view * glam::Mat4::from_rotation_y(1.1), ..view() };
     let mut seen: Vec<Image> = vec![lamps];
     for ball in [Matcap::Ceramic, Matcap::Metal, Matcap::Wax, Matcap::Stripes] {
-        let style = Style { light: Light::Matcap(ball), occlusion: false, ..Style::default() };
+        let style = SceneStyle { light: Light::Matcap(ball), occlusion: false, ..SceneStyle::default() };
         let picture = shot(&mut scene, &style);
         scene.render(&turned, &style, None);
         let (_, beyond) = difference(&picture, &scene.read().unwrap(), 10);
@@ -491,8 +495,8 @@ fn balls_of_light_face_the_eye() {
 fn a_picture_is_cut_out_of_its_background() {
     let Some(gpu) = gpu() else { return };
     let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 1.0, 100).colored(RED));
-    let style = Style { scale: Scale::Double, ..plain() };
-    let mut over = |background| shot(&mut scene, &Style { background, ..style });
+    let style = SceneStyle { scale: PixelScale::Double, ..plain() };
+    let mut over = |background| shot(&mut scene, &SceneStyle { background, ..style });
     let [black, white] = [Background::Black, Background::White].map(&mut over);
     let cut = simod_picture::CutOut::from_backgrounds(&black, &white).unwrap();
     let opacity = |x: usize, y: usize| cut.pixels()[y * 240 + x][3];

@@ -9,7 +9,7 @@ use common::{
 use glam::camera::rh::proj::directx::orthographic;
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use simod_picture::Image;
-use simod_scene::{Mode, Scale, Style, View};
+use simod_scene::{PixelScale, SceneStyle, SurfaceMode, View};
 
 /// Places of a picture, in the middle of each pixel, with their distances from the picture's middle.
 fn pixels(image: &Image) -> impl Iterator<Item = ([f32; 2], f32)> {
@@ -36,12 +36,12 @@ fn the_outline_is_the_projected_circle() {
     let red = sphere(Vec3::ZERO, 1.0, 120).colored(RED);
     // The tangent cone of a unit sphere from a distance of 4.
     let radius = 120.0 * (0.25f32.asin().tan() / 0.3);
-    for scale in [Scale::Full, Scale::Double] {
-        for mode in [Mode::Splats, Mode::Triangles] {
-            has_outline(&draw(gpu, &red, &Style { mode, scale, ..plain() }), radius, 2.0);
+    for scale in [PixelScale::Full, PixelScale::Double] {
+        for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
+            has_outline(&draw(gpu, &red, &SceneStyle { mode, scale, ..plain() }), radius, 2.0);
         }
     }
-    has_outline(&draw(gpu, &red, &Style { scale: Scale::Half, ..plain() }), radius, 4.0);
+    has_outline(&draw(gpu, &red, &SceneStyle { scale: PixelScale::Half, ..plain() }), radius, 4.0);
 }
 
 /// A hundred pixels to a unit everywhere.
@@ -53,8 +53,8 @@ fn parallel() -> View {
 fn the_outline_in_parallel_projection() {
     let Some(gpu) = gpu() else { return };
     let red = sphere(Vec3::ZERO, 1.0, 120).colored(RED);
-    for mode in [Mode::Splats, Mode::Triangles] {
-        has_outline(&draw_from(gpu, &red, &Style { mode, ..plain() }, &parallel()), 100.0, 1.5);
+    for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
+        has_outline(&draw_from(gpu, &red, &SceneStyle { mode, ..plain() }, &parallel()), 100.0, 1.5);
     }
 }
 
@@ -109,8 +109,8 @@ fn a_sphere_is_lit_as_the_formula_says() {
     let color = [150, 160, 170];
     let model = sphere(Vec3::ZERO, 1.0, 120).colored(color);
     let eye = Vec3::new(0.0, 0.0, 4.0);
-    for mode in [Mode::Splats, Mode::Triangles] {
-        let image = draw(gpu, &model, &Style { mode, ..plain() });
+    for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
+        let image = draw(gpu, &model, &SceneStyle { mode, ..plain() });
         let mut worst = 0;
         for ([x, y], distance) in pixels(&image) {
             if distance > 85.0 {
@@ -130,8 +130,8 @@ fn a_sphere_is_lit_as_the_formula_says() {
 fn splats_and_triangles_agree() {
     let Some(gpu) = gpu() else { return };
     let model = sphere(Vec3::new(-0.2, 0.0, 0.0), 0.8, 90).and(&sphere(Vec3::new(0.6, 0.3, 0.5), 0.4, 60));
-    let splats = draw(gpu, &model, &Style::default());
-    let triangles = draw(gpu, &model, &Style { mode: Mode::Triangles, ..Style::default() });
+    let splats = draw(gpu, &model, &SceneStyle::default());
+    let triangles = draw(gpu, &model, &SceneStyle { mode: SurfaceMode::Triangles, ..SceneStyle::default() });
     let (_, beyond) = difference(&splats, &triangles, 10);
     assert!(beyond < 0.02, "{beyond} of the pixels differ");
 }
@@ -143,8 +143,8 @@ fn what_is_in_front_hides_what_is_behind() {
     let behind = sphere(Vec3::new(0.0, 0.0, -0.6), 0.9, 90).colored([40, 60, 200]);
     // In either order of the samples.
     for model in [front.clone().and(&behind), behind.and(&front)] {
-        for mode in [Mode::Splats, Mode::Triangles] {
-            let image = draw(gpu, &model, &Style { mode, ..plain() });
+        for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
+            let image = draw(gpu, &model, &SceneStyle { mode, ..plain() });
             for ([x, y], distance) in pixels(&image) {
                 let [r, _, b] = at(&image, [x, y]);
                 if distance < 43.0 {
@@ -181,7 +181,7 @@ fn colours_come_out_as_they_were_given() {
     let white = Model { colors: None, ..plate(0.0, [0; 3]) };
     let expected = lit([255; 3], Vec3::Z, Vec3::Z);
     assert!(apart(at(&draw(gpu, &white, &plain()), [120.0; 2]), expected) <= 3);
-    let clay = Style { own_colors: false, ..plain() };
+    let clay = SceneStyle { own_colors: false, ..plain() };
     let [r, g, b] = at(&draw(gpu, &plate(0.0, [0, 0, 255]), &clay), [120.0; 2]);
     assert!(r > g && g > b, "{r} {g} {b}");
 }
@@ -209,8 +209,8 @@ fn samples_that_are_not_finite_are_left_out() {
     for (i, x) in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY].into_iter().cycle().enumerate().take(300) {
         bad.positions[i * 20][i % 3] = x;
     }
-    for mode in [Mode::Splats, Mode::Triangles] {
-        let style = Style { mode, ..plain() };
+    for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
+        let style = SceneStyle { mode, ..plain() };
         let image = draw(gpu, &bad, &style);
         for (place, distance) in pixels(&image) {
             assert!(distance < 90.0 || !is_red(&image, place), "{mode:?} at {place:?}");
@@ -232,9 +232,9 @@ fn one_side_or_both() {
     let kept: Vec<bool> = sheet.positions.iter().map(keep).collect();
     sheet.triangles.retain(|t| t.iter().all(|i| kept[*i as usize]));
     sheet.positions.iter_mut().filter(|p| !keep(p)).for_each(|p| *p = Vec3::NAN);
-    for mode in [Mode::Splats, Mode::Triangles] {
-        let both = draw(gpu, &sheet, &Style { mode, ..plain() });
-        let one = draw(gpu, &sheet, &Style { mode, two_sided: false, ..plain() });
+    for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
+        let both = draw(gpu, &sheet, &SceneStyle { mode, ..plain() });
+        let one = draw(gpu, &sheet, &SceneStyle { mode, two_sided: false, ..plain() });
         assert!(is_red(&both, [120.0; 2]), "{mode:?}");
         assert!(!is_red(&one, [120.0; 2]), "{mode:?}");
     }
@@ -244,7 +244,7 @@ fn one_side_or_both() {
 #[test]
 fn occlusion_darkens_crevices() {
     let Some(gpu) = gpu() else { return };
-    let style = |occlusion| Style { occlusion, ..Style::default() };
+    let style = |occlusion| SceneStyle { occlusion, ..SceneStyle::default() };
     let open = sphere(Vec3::ZERO, 1.0, 100);
     let (worst, _) = difference(&draw(gpu, &open, &style(true)), &draw(gpu, &open, &style(false)), 0);
     assert!(worst <= 8, "{worst}");

@@ -52,13 +52,13 @@ struct DescriptorRecord {
     citation: String,
     author: String,
     url: String,
-    params: Vec<ParamRecord>,
+    params: Vec<ParamDescRecord>,
     inputs: Vec<(String, u32)>,
 }
 
 /// A [`ParamDesc`]. Numbers are kept as their bits: JSON has neither infinities nor NaN.
 #[derive(Serialize, Deserialize)]
-struct ParamRecord {
+struct ParamDescRecord {
     id: String,
     name: String,
     hint: String,
@@ -83,7 +83,7 @@ impl DescriptorRecord {
             citation: d.citation.to_string(),
             author: d.author.to_string(),
             url: d.url.to_string(),
-            params: d.params.iter().map(ParamRecord::from).collect(),
+            params: d.params.iter().map(ParamDescRecord::from).collect(),
             inputs: d.inputs.iter().map(|i| (i.id.to_string(), i.at_least)).collect(),
         };
         Serialize::serialize(&record, serializer)
@@ -101,7 +101,7 @@ impl DescriptorRecord {
     }
 }
 
-impl From<&ParamDesc> for ParamRecord {
+impl From<&ParamDesc> for ParamDescRecord {
     fn from(d: &ParamDesc) -> Self {
         Self {
             id: d.id.to_string(),
@@ -120,8 +120,8 @@ impl From<&ParamDesc> for ParamRecord {
     }
 }
 
-impl From<ParamRecord> for ParamDesc {
-    fn from(r: ParamRecord) -> Self {
+impl From<ParamDescRecord> for ParamDesc {
+    fn from(r: ParamDescRecord) -> Self {
         let choice = |(id, label): (String, String)| ChoiceDesc { id: id.into(), label: label.into() };
         Self {
             id: r.id.into(),

@@ -8,7 +8,7 @@
 use super::{Capabilities, Code, Migration, OwnHandles};
 use glam::{DVec3, Vec3};
 use simod_core::sampling::KdTree;
-use simod_measure::{OnSurface, Surface};
+use simod_measure::{DistanceSurface, OnSurface};
 use simod_plugin_api::{
     DeformInput, Descriptor, Extension, HostCalls, LogLevel, Lookups, PluginError, PluginResult, Pose,
     PrepareInput, Scratch, Setting, State, SurfacePoint, Triangles,
@@ -23,7 +23,7 @@ struct Trees {
     rest: Option<Vec<[f32; 3]>>,
     /// One for each pose.
     samples: [OnceLock<Option<KdTree>>; 2],
-    surfaces: [OnceLock<Option<Surface>>; 2],
+    surfaces: [OnceLock<Option<DistanceSurface>>; 2],
 }
 
 /// The host for one call, with these samples.
@@ -73,11 +73,11 @@ impl Looking<'_> {
         self.trees.samples[which].get_or_init(tree).as_ref()
     }
 
-    fn surface(&self, pose: Pose) -> Option<&Surface> {
+    fn surface(&self, pose: Pose) -> Option<&DistanceSurface> {
         let (which, positions) = self.pose(pose)?;
         let surface = || {
             let positions: Vec<DVec3> = positions.iter().map(|p| Vec3::from_array(*p).as_dvec3()).collect();
-            Surface::new(&positions, &self.trees.triangles)
+            DistanceSurface::new(&positions, &self.trees.triangles)
         };
         self.trees.surfaces[which].get_or_init(surface).as_ref()
     }

@@ -216,11 +216,11 @@ impl Plugin {
     }
 
     /// Does the work that does not depend on the transforms.
-    pub(crate) fn prepare(&self, input: &PrepareInput<'_>, watch: &Watch<'_>) -> Result<State> {
+    pub(crate) fn prepare(&self, input: &PrepareInput<'_>, watch: &PluginWatch<'_>) -> Result<State> {
         watch.begin_preparation("preparing the deformation");
         let before = self.fingerprint(&input.samples);
         let state = self.code.prepare(input, watch);
-        self.check_unchanged(before.as_ref(), &input.samples, Checked::All)?;
+        self.check_unchanged(before.as_ref(), &input.samples, SampleChecks::All)?;
         watch.progress.check()?;
         state.map_err(|e| self.failed(&e))
     }
@@ -239,7 +239,7 @@ impl Plugin {
         input: &DeformInput<'_>,
         scratch: &mut Scratch,
         out: &mut [[f32; 3]],
-        watch: &Watch<'_>,
+        watch: &PluginWatch<'_>,
     ) -> Result<()> {
         watch.begin("deforming");
         let done = self.code.deform(state, input, scratch, out, watch);
@@ -263,7 +263,7 @@ impl Plugin {
         state: &State,
         input: &DeformInput<'_>,
         points: &mut [[f64; 3]],
-        watch: &Watch<'_>,
+        watch: &PluginWatch<'_>,
     ) -> Result<()> {
         if !self.capabilities.evaluate {
             return Err(self.samples_only());
@@ -288,7 +288,7 @@ impl Plugin {
     }
 
     /// The handles that the plugin places for this input; none where it has no such.
-    pub(crate) fn handles(&self, input: &PrepareInput<'_>, watch: &Watch<'_>) -> Result<OwnHandles> {
+    pub(crate) fn handles(&self, input: &PrepareInput<'_>, watch: &PluginWatch<'_>) -> Result<OwnHandles> {
         if !self.capabilities.handles {
             return Ok(OwnHandles::default());
         }
@@ -303,7 +303,7 @@ impl Plugin {
     }
 
     /// Whether the plugin would leave all samples where they are.
-    pub(crate) fn is_identity(&self, input: &DeformInput<'_>, watch: &Watch<'_>) -> Result<bool> {
+    pub(crate) fn is_identity(&self, input: &DeformInput<'_>, watch: &PluginWatch<'_>) -> Result<bool> {
         if !self.capabilities.is_identity {
             return Ok(false);
         }
@@ -332,7 +332,7 @@ impl Plugin {
         &self,
         before: Option<&Fingerprint>,
         samples: &Samples<'_>,
-        of: Checked,
+        of: SampleChecks,
     ) -> Result<()> {
         if before.is_none_or(|before| before.fits(samples, of)) {
             return Ok(());
@@ -377,7 +377,7 @@ pub(crate) struct Fingerprint([u64; Self::PARTS]);
 
 /// What of the samples is looked at.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Checked {
+pub(crate) enum SampleChecks {
     All,
     /// One of the parts of a fingerprint, which are counted round and round.
     Part(usize),
@@ -402,10 +402,10 @@ impl Fingerprint {
         hash.digest()
     }
 
-    fn fits(&self, samples: &Samples<'_>, of: Checked) -> bool {
+    fn fits(&self, samples: &Samples<'_>, of: SampleChecks) -> bool {
         match of {
-            Checked::All => *self == Self::new(samples),
-            Checked::Part(number) => {
+            SampleChecks::All => *self == Self::new(samples),
+            SampleChecks::Part(number) => {
                 let part = number % Self::PARTS;
                 self.0[part] == Self::part(samples, part)
             }
@@ -518,7 +518,7 @@ pub fn line(text: &str) -> String {
 }
 
 /// The host as one plugin sees it: passes progress and cancellation on, collects what it says.
-pub(crate) struct Watch<'a> {
+pub(crate) struct PluginWatch<'a> {
     progress: &'a dyn Progress,
     plugin: &'a str,
     /// What a fraction of 1 is, in bytes.
@@ -528,7 +528,7 @@ pub(crate) struct Watch<'a> {
     messages: Mutex<Vec<Message>>,
 }
 
-impl<'a> Watch<'a> {
+impl<'a> PluginWatch<'a> {
     /// Watches calls to one plugin on data of `size` bytes.
     pub(crate) fn new(progress: &'a dyn Progress, plugin: &'a str, size: u64) -> Self {
         Self { progress, plugin, size, told: AtomicU64::new(0), messages: Mutex::new(Vec::new()) }
@@ -550,7 +550,7 @@ impl<'a> Watch<'a> {
     }
 }
 
-impl HostCalls for Watch<'_> {
+impl HostCalls for PluginWatch<'_> {
     fn parallel_for(&self, count: usize, body: &(dyn Fn(usize) + Sync)) -> bool {
         let work = (0..count).into_par_iter().try_for_each(|i| {
             if self.progress.is_cancelled() {
@@ -598,9 +598,9 @@ mod tests {
         let before = Fingerprint::new(&Samples::new(&positions, &normals, &spacing));
         let told = |positions: &[[f32; 3]], normals: &[[f32; 3]], spacing: &[f32]| {
             let samples = Samples::new(positions, normals, spacing);
-            let tells = |part: &usize| !before.fits(&samples, Checked::Part(*part));
+            let tells = |part: &usize| !before.fits(&samples, SampleChecks::Part(*part));
             let parts = (0..Fingerprint::PARTS).filter(tells).count();
-            assert_eq!(before.fits(&samples, Checked::All), parts == 0);
+            assert_eq!(before.fits(&samples, SampleChecks::All), parts == 0);
             parts
         };
         assert_eq!(told(&positions, &normals, &spacing), 0);

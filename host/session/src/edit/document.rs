@@ -20,7 +20,7 @@ const LONGEST_HISTORY: usize = 1000;
 /// One change of a document. Steps are known by their place, 0 for the first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Command {
+pub enum EditCommand {
     /// A new step, before the one that is at this place now.
     Add {
         /// Its place.
@@ -162,7 +162,7 @@ pub enum Change {
 
 /// What a drag changes again and again.
 #[derive(Debug, Clone, PartialEq)]
-enum Target {
+enum DragTarget {
     Param(StepId, String),
     Region(StepId, usize),
     Handle(StepId, String),
@@ -183,7 +183,7 @@ pub struct Document {
     /// How many changes have been done, less those undone.
     depth: u64,
     /// What the last command changed, if the next one of the same is part of it.
-    dragged: Option<Target>,
+    dragged: Option<DragTarget>,
     /// Steps that were switched off for another one.
     silenced: Vec<StepId>,
 }
@@ -212,7 +212,7 @@ impl Document {
     /// # Errors
     /// There is no such step or region, or a value makes no sense; nothing has changed then. What only the
     /// plugin can judge, such as a parameter's range, is told when the step is done.
-    pub fn apply(&mut self, command: Command) -> Result<()> {
+    pub fn apply(&mut self, command: EditCommand) -> Result<()> {
         let (label, target) = (self.label(&command), self.target(&command));
         let steps = self.changed(command)?;
         let before = std::mem::replace(&mut self.steps, steps);
@@ -293,30 +293,30 @@ impl Document {
     }
 
     /// The steps after a command.
-    fn changed(&mut self, command: Command) -> Result<Arc<[Entry]>> {
+    fn changed(&mut self, command: EditCommand) -> Result<Arc<[Entry]>> {
         let mut steps = self.steps.to_vec();
         let count = steps.len();
         let check = |at: usize, end: usize| check_place(at, end, count);
         match command {
-            Command::Add { at, step } => {
+            EditCommand::Add { at, step } => {
                 check(at, count + 1)?;
                 step.check()?;
                 let entry = self.entry(*step);
                 steps.insert(at, entry);
                 groups::settle(&mut steps, at);
             }
-            Command::Remove { at } => {
+            EditCommand::Remove { at } => {
                 check(at, count)?;
                 steps.remove(at);
             }
-            Command::Move { from, to } => {
+            EditCommand::Move { from, to } => {
                 check(from, count)?;
                 check(to, count)?;
                 let entry = steps.remove(from);
                 steps.insert(to, entry);
                 groups::settle(&mut steps, to);
             }
-            Command::Insert { at, steps: new } => {
+            EditCommand::Insert { at, steps: new } => {
                 check(at, count + 1)?;
                 new.iter().try_for_each(Step::check)?;
                 let new: Vec<Entry> = new.into_iter().map(|step| self.entry(step)).collect();
@@ -324,11 +324,11 @@ impl Document {
                 steps.splice(at..at, new);
                 groups::settle_new(&mut steps, places);
             }
-            Command::Solo { at } => {
+            EditCommand::Solo { at } => {
                 check(at, count)?;
                 self.solo(&mut steps, at)?;
             }
-            Command::Change { at, change } => {
+            EditCommand::Change { at, change } => {
                 check(at, count)?;
                 edit(Arc::make_mut(&mut steps[at].step), change)?;
             }
@@ -364,7 +364,7 @@ impl Document {
     }
 
     /// What the user reads.
-    fn label(&self, command: &Command) -> String {
+    fn label(&self, command: &EditCommand) -> String {
         let called = |step: &Step| step.title.clone().unwrap_or_else(|| step.name().to_owned());
         let name = |at: &usize| self.steps.get(*at).map_or_else(|| "step".to_owned(), |e| called(&e.step));
         let group_name = |at: &usize| {
@@ -372,23 +372,23 @@ impl Document {
             group.unwrap_or_else(|| "a group".to_owned())
         };
         match command {
-            Command::Add { step, .. } => format!("add {}", called(step)),
-            Command::Remove { at } => format!("remove {}", name(at)),
-            Command::Move { from, .. } => format!("move {}", name(from)),
-            Command::Insert { steps, .. } => match steps.as_slice() {
+            EditCommand::Add { step, .. } => format!("add {}", called(step)),
+            EditCommand::Remove { at } => format!("remove {}", name(at)),
+            EditCommand::Move { from, .. } => format!("move {}", name(from)),
+            EditCommand::Insert { steps, .. } => match steps.as_slice() {
                 [step] => format!("paste {}", called(step)),
                 steps => format!("paste {} steps", steps.len()),
             },
-            Command::Solo { at } => format!("only {}", name(at)),
-            Command::Group { name: Some(name), .. } => format!("group as {name}"),
-            Command::Group { name: None, .. } => "ungroup".to_owned(),
-            Command::JoinGroup { from, at } => format!("move {} to {}", name(from), group_name(at)),
-            Command::EnableGroup { at, enabled } => {
+            EditCommand::Solo { at } => format!("only {}", name(at)),
+            EditCommand::Group { name: Some(name), .. } => format!("group as {name}"),
+            EditCommand::Group { name: None, .. } => "ungroup".to_owned(),
+            EditCommand::JoinGroup { from, at } => format!("move {} to {}", name(from), group_name(at)),
+            EditCommand::EnableGroup { at, enabled } => {
                 format!("switch {} {}", group_name(at), if *enabled { "on" } else { "off" })
             }
-            Command::MoveGroup { at, .. } => format!("move {}", group_name(at)),
-            Command::RemoveGroup { at } => format!("remove {}", group_name(at)),
-            Command::Change { at, change } => {
+            EditCommand::MoveGroup { at, .. } => format!("move {}", group_name(at)),
+            EditCommand::RemoveGroup { at } => format!("remove {}", group_name(at)),
+            EditCommand::Change { at, change } => {
                 let name = name(at);
                 match change {
                     Change::Enable(true) => format!("switch {name} on"),
@@ -414,18 +414,18 @@ impl Document {
         }
     }
 
-    fn target(&self, command: &Command) -> Option<Target> {
-        let Command::Change { at, change } = command else { return None };
+    fn target(&self, command: &EditCommand) -> Option<DragTarget> {
+        let EditCommand::Change { at, change } = command else { return None };
         let step = self.steps.get(*at)?.id;
         match change {
-            Change::SetParam { id, .. } => Some(Target::Param(step, id.clone())),
-            Change::MoveRegion { region, .. } => Some(Target::Region(step, *region)),
-            Change::MoveHandle { id, .. } => Some(Target::Handle(step, id.clone())),
+            Change::SetParam { id, .. } => Some(DragTarget::Param(step, id.clone())),
+            Change::MoveRegion { region, .. } => Some(DragTarget::Region(step, *region)),
+            Change::MoveHandle { id, .. } => Some(DragTarget::Handle(step, id.clone())),
             Change::MoveHandles(handles) => {
-                Some(Target::Handles(step, handles.iter().map(|handle| handle.id.clone()).collect()))
+                Some(DragTarget::Handles(step, handles.iter().map(|handle| handle.id.clone()).collect()))
             }
-            Change::SetAmount(_) => Some(Target::Amount(step)),
-            Change::SetStroke { stroke, .. } => Some(Target::Stroke(step, *stroke)),
+            Change::SetAmount(_) => Some(DragTarget::Amount(step)),
+            Change::SetStroke { stroke, .. } => Some(DragTarget::Stroke(step, *stroke)),
             _ => None,
         }
     }
@@ -441,11 +441,11 @@ fn check_place(at: usize, end: usize, count: usize) -> Result<()> {
 }
 
 /// Does one of the commands that are of groups; the others are done [before](Document::changed).
-fn change_groups(steps: &mut Vec<Entry>, command: Command) -> Result<()> {
+fn change_groups(steps: &mut Vec<Entry>, command: EditCommand) -> Result<()> {
     let count = steps.len();
     let check = |at: usize, end: usize| check_place(at, end, count);
     match command {
-        Command::Group { steps: places, name } => {
+        EditCommand::Group { steps: places, name } => {
             check(places.start, places.end)?;
             check(places.end - 1, count)?;
             if let Some(name) = &name {
@@ -454,7 +454,7 @@ fn change_groups(steps: &mut Vec<Entry>, command: Command) -> Result<()> {
             groups::set(&mut steps[places.clone()], name.as_ref());
             groups::part(steps, places);
         }
-        Command::JoinGroup { from, at } => {
+        EditCommand::JoinGroup { from, at } => {
             check(from, count)?;
             let to = group(steps, at)?;
             let name = steps[to.start].step.group.clone();
@@ -465,13 +465,13 @@ fn change_groups(steps: &mut Vec<Entry>, command: Command) -> Result<()> {
                 groups::set(&mut steps[to..=to], name.as_ref());
             }
         }
-        Command::EnableGroup { at, enabled } => {
+        EditCommand::EnableGroup { at, enabled } => {
             let group = group(steps, at)?;
             for entry in steps[group].iter_mut().filter(|entry| entry.step.enabled != enabled) {
                 Arc::make_mut(&mut entry.step).enabled = enabled;
             }
         }
-        Command::MoveGroup { at, to } => {
+        EditCommand::MoveGroup { at, to } => {
             let group = group(steps, at)?;
             let length = group.len();
             check(to, count + 1 - length)?;
@@ -480,7 +480,7 @@ fn change_groups(steps: &mut Vec<Entry>, command: Command) -> Result<()> {
             let to = groups::gap_at(steps, to);
             steps.splice(to..to, moved);
         }
-        Command::RemoveGroup { at } => drop(steps.drain(group(steps, at)?)),
+        EditCommand::RemoveGroup { at } => drop(steps.drain(group(steps, at)?)),
         _ => return Err(Error::internal("a command that is of no groups is done as if it was")),
     }
     Ok(())

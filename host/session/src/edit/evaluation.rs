@@ -2,12 +2,12 @@
 
 use super::around::Around;
 use super::entry::{Entry, StepId};
-use crate::deformer::{Message, OwnHandles, Watch};
+use crate::deformer::{Message, OwnHandles, PluginWatch};
 use crate::key::Key;
 use crate::plugins::PluginRegistry;
-use crate::refining::{Pose, Room};
+use crate::refining::{Room, ShapePose};
 use crate::sidecar;
-use crate::stack::{Done, Layer, LayerCache, Moment, PreparedStack, Rest, RestShape, located};
+use crate::stack::{Layer, LayerCache, LayerRest, LayerResult, Moment, PreparedStack, RestShape, located};
 use crate::step::{Action, Deformation, Refine, Step};
 use glam::{DVec3, Mat3, Vec3};
 use simod_core::reconstruction::{
@@ -162,7 +162,7 @@ pub struct Evaluation {
     /// Where the samples are before the first step, if not at rest.
     start: Option<Arc<[Vec3]>>,
     /// What the first step begins with, from the first time on.
-    beginning: Option<Arc<Rest>>,
+    beginning: Option<Arc<LayerRest>>,
     how: Refinements,
     known: HashMap<StepId, StepState>,
     at: Arc<AtomicUsize>,
@@ -192,7 +192,7 @@ enum StepState {
         key: u64,
         before: Arc<SampledModel>,
         after: Arc<SampledModel>,
-        rest: Arc<Rest>,
+        rest: Arc<LayerRest>,
         /// For drafts, from the first one on.
         around: Option<Arc<Around>>,
     },
@@ -202,7 +202,7 @@ enum StepState {
 #[derive(Clone)]
 struct Between {
     sampled: Arc<SampledModel>,
-    rest: Arc<Rest>,
+    rest: Arc<LayerRest>,
 }
 
 impl Evaluation {
@@ -300,7 +300,7 @@ impl Evaluation {
     ///
     /// # Errors
     /// The samples cannot be deformed at all.
-    fn beginning(&mut self) -> Result<Arc<Rest>> {
+    fn beginning(&mut self) -> Result<Arc<LayerRest>> {
         if let Some(rest) = &self.beginning {
             return Ok(rest.clone());
         }
@@ -324,14 +324,14 @@ impl Evaluation {
 
     /// Where a step has put the handles that its plugin placed, if that takes joints: an end that reaches for
     /// a place bends the bones above it, whose handles have not moved.
-    fn posed(&self, id: StepId, done: &Done, progress: &dyn Progress) -> Option<Arc<[DVec3]>> {
+    fn posed(&self, id: StepId, done: &LayerResult, progress: &dyn Progress) -> Option<Arc<[DVec3]>> {
         let handles = self.handles(id).filter(|handles| !handles.descs.is_empty())?;
         let Some(StepState::Deform { layer, .. }) = self.known.get(&id) else { return None };
         if !layer.plugin.consumes().joints || !done.can_evaluate() {
             return None;
         }
         let mut places: Vec<DVec3> = handles.descs.iter().map(|desc| DVec3::from(desc.position)).collect();
-        let watch = Watch::new(progress, done.id(), size_of_val(&*places) as u64);
+        let watch = PluginWatch::new(progress, done.id(), size_of_val(&*places) as u64);
         done.evaluate(&self.sampled.frame, &mut places, &watch).ok()?;
         Some(places.into())
     }
@@ -345,7 +345,7 @@ impl Evaluation {
         registry: &PluginRegistry,
         effort: Effort,
         progress: &dyn Progress,
-    ) -> Result<(Arc<Rest>, Arc<Done>)> {
+    ) -> Result<(Arc<LayerRest>, Arc<LayerResult>)> {
         let Some(deformation) = step.deformation() else { return Err(no_deformation()) };
         let (layer, mut kept) = self.layer(id, step, deformation, registry)?;
         let moment = Moment { effort, time: self.how.time };
@@ -444,7 +444,7 @@ impl Evaluation {
         let model = sampled.open_source(self.how.model.as_deref(), progress)?;
         with_field(sampled, positions, |field| {
             let room = Room { memory_limit: self.how.memory_limit, folder: &self.how.folder };
-            let refined = step.refine(sampled, model.as_ref(), Pose::Deformed(field), room, progress)?;
+            let refined = step.refine(sampled, model.as_ref(), ShapePose::Deformed(field), room, progress)?;
             if refined.need.is_some_and(|need| need.samples == 0) {
                 progress.note("the deformation needs no more samples");
             }

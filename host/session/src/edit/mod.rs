@@ -12,7 +12,7 @@ mod tests;
 
 pub(crate) use clipboard::seen_from;
 pub use clipboard::{copied, pasted};
-pub use document::{Change, Command, Document};
+pub use document::{Change, Document, EditCommand};
 pub use editor::{Editor, forget, kept_at, recover, saved_at};
 pub use entry::{Entry, StepId};
 pub(crate) use evaluation::messages;

@@ -6,12 +6,12 @@ use crate::deformer::Plugin;
 use crate::motion::Motion;
 use crate::plugins::PluginRegistry;
 use crate::session_file::SessionFile;
-use crate::shapes::{Shape, Shapes};
+use crate::shapes::{RegionShape, Shapes};
 use crate::step::{Action, HandleMove, Refine, Region, Role, Step, Stroke};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
-use simod_core::refinement::{Finer, Refining, Selection, appended_deformed, refine as refine_model};
+use simod_core::refinement::{Finer, Refining, SpaceSelection, appended_deformed, refine as refine_model};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_generate::{ModelOptions, write_file};
@@ -133,16 +133,16 @@ fn step(params: &str) -> Step {
     SessionFile::parse(&text, Path::new("s.toml")).unwrap().steps.remove(0)
 }
 
-fn change(at: usize, change: Change) -> Command {
-    Command::Change { at, change }
+fn change(at: usize, change: Change) -> EditCommand {
+    EditCommand::Change { at, change }
 }
 
-fn set(at: usize, id: &str, value: f64) -> Command {
+fn set(at: usize, id: &str, value: f64) -> EditCommand {
     change(at, Change::SetParam { id: id.to_owned(), value: Some(value.into()) })
 }
 
 fn handle() -> Region {
-    let shape = Shape::Sphere { center: DVec3::new(2.0, 2.0, 1.0), radius: 1.0 };
+    let shape = RegionShape::Sphere { center: DVec3::new(2.0, 2.0, 1.0), radius: 1.0 };
     let shapes = Shapes { shapes: vec![shape], falloff: 0.5 };
     Region { role: Role::Handle, shapes, motion: Motion::default() }
 }
@@ -157,7 +157,7 @@ fn steps() -> [Step; 3] {
 }
 
 fn refine(center: DVec3, radius: f64, finer: Finer) -> Step {
-    let shapes = Shapes { shapes: vec![Shape::Sphere { center, radius }], falloff: 0.0 };
+    let shapes = Shapes { shapes: vec![RegionShape::Sphere { center, radius }], falloff: 0.0 };
     let action = Action::Refine(Refine { shapes, finer });
     Step { place: "s.toml, line 9".to_owned(), ..Step::new(action) }
 }
@@ -214,7 +214,7 @@ fn an_edit_does_anew_what_depends_on_it_and_nothing_else() {
     assert_eq!(after(&document), [0, 0], "the last one is left out");
     document.undo().unwrap();
     assert_eq!(after(&document), [1, 1], "nothing is kept of what is left out");
-    document.apply(Command::Add { at: 1, step: Box::new(step("factor = 0")) }).unwrap();
+    document.apply(EditCommand::Add { at: 1, step: Box::new(step("factor = 0")) }).unwrap();
     assert_eq!(after(&document), [0, 0], "it does nothing");
     document.apply(change(3, Change::SetRegions(vec![handle()]))).unwrap();
     assert_eq!(after(&document), [1, 1]);
@@ -223,7 +223,7 @@ fn an_edit_does_anew_what_depends_on_it_and_nothing_else() {
         document.apply(change(3, Change::MoveRegion { region: 0, motion })).unwrap();
         assert_eq!(after(&document), if i == 0 { [0, 0] } else { [0, 1] }, "a drag prepares nothing");
     }
-    document.apply(Command::Move { from: 0, to: 2 }).unwrap();
+    document.apply(EditCommand::Move { from: 0, to: 2 }).unwrap();
     assert_eq!(after(&document), [3, 3], "all have other rest shapes");
 }
 
@@ -234,7 +234,9 @@ fn refinements_are_done_anew_where_what_comes_before_them_changed() {
     let mut document = Document::new(steps());
     let mut evaluation = evaluation();
     let coarse = update(&mut evaluation, &document, full).sampled;
-    document.apply(Command::Add { at: 1, step: Box::new(refine(around, 1.0, Finer::Error(0.0))) }).unwrap();
+    document
+        .apply(EditCommand::Add { at: 1, step: Box::new(refine(around, 1.0, Finer::Error(0.0))) })
+        .unwrap();
     let fine = update(&mut evaluation, &document, full);
     assert!(fine.failure().is_none(), "{:?}", fine.failure());
     let (before, after) = (coarse.samples.len(), fine.sampled.samples.len());
@@ -256,14 +258,15 @@ fn refinements_are_done_anew_where_what_comes_before_them_changed() {
     assert_eq!(*full.positions, *from_nothing(&document));
     // Off the model there is nothing to refine, which is an error of that step alone.
     let nowhere = refine(DVec3::splat(99.0), 1.0, Finer::Factor(2.0));
-    document.apply(Command::Add { at: 4, step: Box::new(nowhere) }).unwrap();
+    document.apply(EditCommand::Add { at: 4, step: Box::new(nowhere) }).unwrap();
     let evaluated = update(&mut evaluation, &document, api::Effort::FULL);
     let (id, error) = evaluated.failure().unwrap();
     assert_eq!((id, evaluated.positions.clone()), (document.steps()[4].id, full.positions));
     assert!(error.to_string().starts_with("s.toml, line 9: ") && !error.hint().is_empty(), "{error}");
     let off = Refine { finer: Finer::Factor(0.0), ..some_refine(&document, 4) };
     assert!(document.apply(change(4, Change::SetRefine(off))).is_err());
-    let shapes = Shapes { shapes: vec![Shape::Sphere { center: DVec3::ZERO, radius: 99.0 }], falloff: 0.0 };
+    let shapes =
+        Shapes { shapes: vec![RegionShape::Sphere { center: DVec3::ZERO, radius: 99.0 }], falloff: 0.0 };
     let on = Refine { shapes, ..some_refine(&document, 4) };
     document.apply(change(4, Change::SetRefine(on))).unwrap();
     assert!(update(&mut evaluation, &document, api::Effort::FULL).failure().is_none());
@@ -300,7 +303,7 @@ fn what_fails_leaves_what_comes_before_it() {
         "[[step]]\ndeform = \"from-elsewhere\"\nplugin = { version = \"2\", author = \"A\", url = \"B\" }";
     let missing = SessionFile::parse(elsewhere, Path::new("s.toml")).unwrap().steps.remove(0);
     let wrong = [
-        (Command::Add { at: 1, step: Box::new(missing) }, "there is no plugin `from-elsewhere`"),
+        (EditCommand::Add { at: 1, step: Box::new(missing) }, "there is no plugin `from-elsewhere`"),
         (set(1, "shift", 101.0), "`shift` is too far"),
         (change(1, Change::SetParam { id: "shift".into(), value: Some("far".into()) }), "not a number"),
         (change(1, Change::SetParam { id: "shaft".into(), value: None }), ""),
@@ -375,9 +378,9 @@ fn what_makes_no_sense_changes_nothing() {
         parent: parent.map(str::to_owned),
     };
     let wrong = [
-        Command::Remove { at: 3 },
-        Command::Add { at: 4, step: Box::new(step("")) },
-        Command::Move { from: 0, to: 3 },
+        EditCommand::Remove { at: 3 },
+        EditCommand::Add { at: 4, step: Box::new(step("")) },
+        EditCommand::Move { from: 0, to: 3 },
         set(3, "shift", 0.0),
         change(0, Change::MoveRegion { region: 0, motion: Motion::default() }),
         change(0, Change::MoveHandle { id: "tip".to_owned(), motion: nan }),
@@ -388,9 +391,9 @@ fn what_makes_no_sense_changes_nothing() {
         change(0, Change::SetAmount(1.5)),
         change(0, Change::SetAmount(f64::NAN)),
         change(0, Change::SetTitle(Some(String::new()))),
-        Command::Insert { at: 4, steps: vec![step("")] },
-        Command::Insert { at: 0, steps: vec![refine(DVec3::ZERO, -1.0, Finer::Error(1.0))] },
-        Command::Solo { at: 3 },
+        EditCommand::Insert { at: 4, steps: vec![step("")] },
+        EditCommand::Insert { at: 0, steps: vec![refine(DVec3::ZERO, -1.0, Finer::Error(1.0))] },
+        EditCommand::Solo { at: 3 },
         change(0, Change::SetJoints(vec![joint("a", Some("a"))])),
         change(0, Change::SetJoints(vec![joint("a", None), joint("a", None)])),
         change(0, Change::SetJoints(vec![joint("a b", None)])),
@@ -515,19 +518,19 @@ fn one_step_alone_and_the_others_again() {
     let on = |document: &Document| document.steps().iter().map(|e| e.step.enabled).collect::<Vec<_>>();
     document.apply(change(0, Change::Enable(false))).unwrap();
     assert!(!document.is_alone(2));
-    document.apply(Command::Solo { at: 2 }).unwrap();
+    document.apply(EditCommand::Solo { at: 2 }).unwrap();
     assert_eq!(on(&document), [false, true, true, false], "refinements move nothing");
     assert!(document.is_alone(2) && !document.is_alone(3));
-    document.apply(Command::Solo { at: 2 }).unwrap();
+    document.apply(EditCommand::Solo { at: 2 }).unwrap();
     assert_eq!(on(&document), [false, true, true, true], "as they were");
     document.undo().unwrap();
     assert!(document.is_alone(2), "it can be undone");
-    document.apply(Command::Solo { at: 3 }).unwrap();
+    document.apply(EditCommand::Solo { at: 3 }).unwrap();
     assert_eq!(on(&document), [false, true, false, true], "another one");
-    assert!(document.apply(Command::Solo { at: 1 }).is_err());
+    assert!(document.apply(EditCommand::Solo { at: 1 }).is_err());
     // Of one that was opened so, all others are meant.
     let mut opened = Document::new(document.steps().iter().map(|e| (*e.step).clone()));
-    opened.apply(Command::Solo { at: 3 }).unwrap();
+    opened.apply(EditCommand::Solo { at: 3 }).unwrap();
     assert_eq!(on(&opened), [true; 4]);
 }
 
@@ -549,7 +552,7 @@ fn groups_are_switched_moved_and_removed_as_one() {
         }
         text
     };
-    let named = |steps, name: &str| Command::Group { steps, name: Some(name.to_owned()) };
+    let named = |steps, name: &str| EditCommand::Group { steps, name: Some(name.to_owned()) };
     let mut done = |command, expected: &str| {
         document.apply(command).unwrap();
         assert_eq!(seen(&document), expected);
@@ -557,34 +560,34 @@ fn groups_are_switched_moved_and_removed_as_one() {
     done(named(1..3, "arms"), "0(12)345");
     done(named(4..6, "legs"), "0(12)3(45)");
     // What comes into a group is of it, what leaves it is not, and what stays beside it is.
-    done(Command::Move { from: 3, to: 2 }, "0(132)(45)");
-    done(Command::Move { from: 2, to: 0 }, "30(12)(45)");
-    done(Command::Move { from: 2, to: 3 }, "30(21)(45)");
-    done(Command::Add { at: 3, step: Box::new(one(6)) }, "30(261)(45)");
+    done(EditCommand::Move { from: 3, to: 2 }, "0(132)(45)");
+    done(EditCommand::Move { from: 2, to: 0 }, "30(12)(45)");
+    done(EditCommand::Move { from: 2, to: 3 }, "30(21)(45)");
+    done(EditCommand::Add { at: 3, step: Box::new(one(6)) }, "30(261)(45)");
     // A group has none within.
-    done(Command::MoveGroup { at: 3, to: 3 }, "30(45)(261)");
-    done(Command::MoveGroup { at: 2, to: 0 }, "(45)30(261)");
-    done(Command::MoveGroup { at: 5, to: 1 }, "(45)(261)30");
+    done(EditCommand::MoveGroup { at: 3, to: 3 }, "30(45)(261)");
+    done(EditCommand::MoveGroup { at: 2, to: 0 }, "(45)30(261)");
+    done(EditCommand::MoveGroup { at: 5, to: 1 }, "(45)(261)30");
     let twin = Step { group: Some("legs".to_owned()), ..one(7) };
-    done(Command::Insert { at: 7, steps: vec![twin.clone(), twin, one(8)] }, "(45)(261)30(77)8");
-    done(Command::Group { steps: 1..4, name: None }, "(4)526(1)30(77)8");
-    done(Command::JoinGroup { from: 0, at: 4 }, "526(14)30(77)8");
-    done(Command::JoinGroup { from: 9, at: 3 }, "526(148)30(77)");
-    done(Command::JoinGroup { from: 3, at: 4 }, "526(148)30(77)");
-    done(Command::Group { steps: 4..5, name: None }, "526(1)4(8)30(77)");
-    done(Command::RemoveGroup { at: 3 }, "5264(8)30(77)");
-    done(Command::Remove { at: 4 }, "526430(77)");
-    done(Command::Remove { at: 0 }, "26430(77)");
+    done(EditCommand::Insert { at: 7, steps: vec![twin.clone(), twin, one(8)] }, "(45)(261)30(77)8");
+    done(EditCommand::Group { steps: 1..4, name: None }, "(4)526(1)30(77)8");
+    done(EditCommand::JoinGroup { from: 0, at: 4 }, "526(14)30(77)8");
+    done(EditCommand::JoinGroup { from: 9, at: 3 }, "526(148)30(77)");
+    done(EditCommand::JoinGroup { from: 3, at: 4 }, "526(148)30(77)");
+    done(EditCommand::Group { steps: 4..5, name: None }, "526(1)4(8)30(77)");
+    done(EditCommand::RemoveGroup { at: 3 }, "5264(8)30(77)");
+    done(EditCommand::Remove { at: 4 }, "526430(77)");
+    done(EditCommand::Remove { at: 0 }, "26430(77)");
     assert_eq!(document.steps()[5].step.group.as_deref(), Some("legs 2"));
-    document.apply(Command::EnableGroup { at: 6, enabled: false }).unwrap();
+    document.apply(EditCommand::EnableGroup { at: 6, enabled: false }).unwrap();
     let off = |at: usize| !document.steps()[at].step.enabled;
     assert_eq!((0..7).map(off).filter(|off| *off).count(), 2);
     assert!(off(5) && off(6));
     for none in [
-        Command::EnableGroup { at: 1, enabled: true },
-        Command::MoveGroup { at: 1, to: 0 },
-        Command::MoveGroup { at: 5, to: 7 },
-        Command::RemoveGroup { at: 9 },
+        EditCommand::EnableGroup { at: 1, enabled: true },
+        EditCommand::MoveGroup { at: 1, to: 0 },
+        EditCommand::MoveGroup { at: 5, to: 7 },
+        EditCommand::RemoveGroup { at: 9 },
         named(7..9, "a"),
         named(3..3, "a"),
         named(0..1, " "),
@@ -600,7 +603,7 @@ fn steps_go_by_the_clipboard_to_another_edit() {
     let long = Arc::new(Stroke { points: points.clone(), ..(*stroke(0.5)).clone() });
     let picked = crate::PickedPoints::new(points, vec![DVec3::NEG_ONE]);
     let region =
-        Region { shapes: Shapes { shapes: vec![Shape::Selection(picked)], falloff: 1.0 }, ..handle() };
+        Region { shapes: Shapes { shapes: vec![RegionShape::Selection(picked)], falloff: 1.0 }, ..handle() };
     let mut document = Document::new([step("factor = 0.5"), refine(DVec3::ONE, 2.0, Finer::Samples(7))]);
     for what in [
         Change::AddStroke(long),
@@ -711,7 +714,7 @@ fn what_was_not_saved_can_be_recovered() {
     for i in 1..3 {
         let points = (0..3000).map(|x| DVec3::new(f64::from(x), 0.0, f64::from(i))).collect();
         let long = Arc::new(Stroke { points, ..(*stroke(0.5)).clone() });
-        let add = Command::Add { at: 0, step: Box::new(step("shift = 0.5")) };
+        let add = EditCommand::Add { at: 0, step: Box::new(step("shift = 0.5")) };
         editor.document_mut().apply(add).unwrap();
         editor.document_mut().apply(change(0, Change::AddStroke(long))).unwrap();
         editor.autosave().unwrap();
@@ -739,7 +742,7 @@ fn what_was_not_saved_can_be_recovered() {
     assert_eq!(files().iter().filter(|name| name.starts_with('.')).count(), 0, "{:?}", files());
     assert_eq!(saved_steps(&SessionFile::load(&path).unwrap()).len(), 2);
     // What somebody does not want is gone.
-    editor.document_mut().apply(Command::Remove { at: 0 }).unwrap();
+    editor.document_mut().apply(EditCommand::Remove { at: 0 }).unwrap();
     editor.autosave().unwrap();
     forget(&path).unwrap();
     assert!(recover(&path).unwrap().is_none());
@@ -754,7 +757,7 @@ fn comments_of_the_file_stay_where_an_edit_is_saved() {
     simod_model::output::write_file(&path, format!("# For the catalogue.\n{text}").as_bytes()).unwrap();
     let (mut editor, _) = open_session(SessionFile::load(&path).unwrap(), &path);
     let steps = editor.document().steps().len();
-    editor.document_mut().apply(Command::Add { at: steps, step: Box::new(step("")) }).unwrap();
+    editor.document_mut().apply(EditCommand::Add { at: steps, step: Box::new(step("")) }).unwrap();
     for path in [path.clone(), folder.path().join("other.toml")] {
         editor.save(&path).unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
@@ -783,7 +786,7 @@ fn sessions_whose_names_are_no_text_are_told_apart() {
     for (i, editor) in editors.iter_mut().enumerate() {
         let points = (0..3000).map(|x| DVec3::new(f64::from(x), 0.0, i as f64)).collect();
         let long = Arc::new(Stroke { points, ..(*stroke(0.5)).clone() });
-        let add = Command::Add { at: 0, step: Box::new(step(&format!("shift = 0.{}", i + 1))) };
+        let add = EditCommand::Add { at: 0, step: Box::new(step(&format!("shift = 0.{}", i + 1))) };
         editor.document_mut().apply(add).unwrap();
         editor.document_mut().apply(change(0, Change::AddStroke(long))).unwrap();
         editor.autosave().unwrap();
@@ -807,7 +810,7 @@ fn the_editor_writes_what_a_run_of_its_session_writes() {
     let [first, second, third] = steps();
     let around = refine(DVec3::new(2.0, 2.0, 0.0), 1.5, Finer::Factor(3.0));
     for (at, step) in [first, around, second, third].into_iter().enumerate() {
-        editor.document_mut().apply(Command::Add { at, step: Box::new(step) }).unwrap();
+        editor.document_mut().apply(EditCommand::Add { at, step: Box::new(step) }).unwrap();
     }
     // Something to undo, and drafts in between.
     editor.document_mut().apply(set(3, "shift", 1.0)).unwrap();
@@ -839,7 +842,7 @@ fn the_editor_writes_what_a_run_of_its_session_writes() {
     assert!(!never.exists());
 }
 
-fn command() -> impl Strategy<Value = Command> {
+fn command() -> impl Strategy<Value = EditCommand> {
     let at = 0..5_usize;
     let small = -2.0..2.0_f64;
     let motion = small.clone().prop_map(|y| Motion {
@@ -849,22 +852,22 @@ fn command() -> impl Strategy<Value = Command> {
     });
     prop_oneof![
         (at.clone(), small.clone())
-            .prop_map(|(at, x)| Command::Add { at, step: Box::new(step(&format!("factor = {x:?}"))) }),
-        at.clone().prop_map(|at| Command::Remove { at }),
-        (at.clone(), at.clone()).prop_map(|(from, to)| Command::Move { from, to }),
+            .prop_map(|(at, x)| EditCommand::Add { at, step: Box::new(step(&format!("factor = {x:?}"))) }),
+        at.clone().prop_map(|at| EditCommand::Remove { at }),
+        (at.clone(), at.clone()).prop_map(|(from, to)| EditCommand::Move { from, to }),
         (at.clone(), any::<bool>()).prop_map(|(at, on)| change(at, Change::Enable(on))),
         (at.clone(), -0.5..1.5_f64).prop_map(|(at, x)| change(at, Change::SetAmount(x))),
-        at.clone().prop_map(|at| Command::Solo { at }),
-        (at.clone(), at.clone(), any::<bool>()).prop_map(|(from, to, some)| Command::Group {
+        at.clone().prop_map(|at| EditCommand::Solo { at }),
+        (at.clone(), at.clone(), any::<bool>()).prop_map(|(from, to, some)| EditCommand::Group {
             steps: from..to,
             name: some.then(|| "both".to_owned())
         }),
-        (at.clone(), any::<bool>()).prop_map(|(at, enabled)| Command::EnableGroup { at, enabled }),
-        (at.clone(), at.clone()).prop_map(|(at, to)| Command::MoveGroup { at, to }),
-        at.clone().prop_map(|at| Command::RemoveGroup { at }),
+        (at.clone(), any::<bool>()).prop_map(|(at, enabled)| EditCommand::EnableGroup { at, enabled }),
+        (at.clone(), at.clone()).prop_map(|(at, to)| EditCommand::MoveGroup { at, to }),
+        at.clone().prop_map(|at| EditCommand::RemoveGroup { at }),
         (at.clone(), any::<bool>())
             .prop_map(|(at, some)| change(at, Change::SetTitle(some.then(|| "up".to_owned())))),
-        (at.clone(), small.clone()).prop_map(|(at, x)| Command::Insert {
+        (at.clone(), small.clone()).prop_map(|(at, x)| EditCommand::Insert {
             at,
             steps: vec![step(&format!("factor = {x:?}")), step("")]
         }),
@@ -934,7 +937,7 @@ fn drafts_below_a_refinement_are_near_the_result() {
     let sampling = Sampling { target: Target::Samples(6000), ..Sampling::default() };
     let before = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
     let distance = |p: DVec3| p.distance(DVec3::new(0.5, 1.0, 0.0)) - 0.3;
-    let selection = Selection { distance: &distance, so_far: None, at_rest: false };
+    let selection = SpaceSelection { distance: &distance, so_far: None, at_rest: false };
     let how = Refining { finer: Finer::Factor(1.5), memory_limit: None, shapes: Vec::new() };
     let refined = refine_model(&before, model.as_ref(), selection, &how, folder.path(), &Silent).unwrap();
     let after = refined.sampled.unwrap();

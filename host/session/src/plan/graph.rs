@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::Method;
-use simod_model::follow::{Follow, Kind, Opacity};
+use simod_model::follow::{Follow, Opacity, TensorKind};
 use simod_model::{ModelName, Normals, Result};
 
 use super::units::{Planned, Stage, Unit, check_units, read};
@@ -115,7 +115,7 @@ pub(super) struct Recorded {
     #[serde(default)]
     pub(super) time: SessionTime,
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub(super) follow: BTreeMap<String, Kind>,
+    pub(super) follow: BTreeMap<String, TensorKind>,
 }
 
 impl Planned for Plan {

@@ -28,7 +28,7 @@ use crate::stack::Stack;
 
 /// How a session is run by units: as [`Running`](crate::Running) says, as far as units can.
 #[derive(Debug, Clone)]
-pub struct Options<'a> {
+pub struct PlanOptions<'a> {
     /// How vertices are carried over.
     pub method: Method,
     /// What becomes of the model's normals.
@@ -63,7 +63,7 @@ pub fn make(
     path: &Path,
     registry: &PluginRegistry,
     output: &Path,
-    options: &Options<'_>,
+    options: &PlanOptions<'_>,
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<Plan> {
@@ -126,14 +126,14 @@ const MOST_CLUSTERING: u64 = 1000;
 
 /// How many units cluster ranges of the model, and how many groups of cells that these share; none if it is
 /// sampled by one.
-fn clustering(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> Result<u64> {
+fn clustering(model: &dyn Model, sampling: &Sampling, options: &PlanOptions<'_>) -> Result<u64> {
     let is_divided = is_read_anywhere(model, options.normals) && undivided(model, sampling)?.is_none();
     let count = if is_divided { ranges_of(model, options.units.min(MOST_CLUSTERING)) } else { 0 };
     Ok(if count > 1 { count } else { 0 })
 }
 
 /// What units write down for each other of cells that they share, and of what faces tell.
-fn exchange(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> Result<Exchange> {
+fn exchange(model: &dyn Model, sampling: &Sampling, options: &PlanOptions<'_>) -> Result<Exchange> {
     if clustering(model, sampling, options)? > 0 {
         let at_most_bytes =
             exchanged_at_most(model).saturating_add(faces_exchanged_at_most(model, sampling)?);
@@ -165,7 +165,7 @@ fn output_outside(folder: &Path, session: &SessionFile, output: &Path) -> Result
 }
 
 /// The options as units read them.
-fn recorded(options: &Options<'_>, follow: Follow, time: SessionTime) -> Result<Recorded> {
+fn recorded(options: &PlanOptions<'_>, follow: Follow, time: SessionTime) -> Result<Recorded> {
     Ok(Recorded {
         method: name_of(&METHODS, &options.method),
         normals: name_of(&NORMALS, &options.normals),
@@ -187,7 +187,7 @@ fn units(
     model: &dyn Model,
     sampling: &Sampling,
     undivided: bool,
-    options: &Options<'_>,
+    options: &PlanOptions<'_>,
 ) -> Result<Vec<Unit>> {
     let mut units: Vec<Unit> = Vec::new();
     let mut add = |stage, after: Vec<usize>, of: UnitExtent, writes: PathBuf| {
@@ -220,7 +220,7 @@ fn units(
 fn sampling_units(
     model: &dyn Model,
     sampling: &Sampling,
-    options: &Options<'_>,
+    options: &PlanOptions<'_>,
     add: &mut impl FnMut(Stage, Vec<usize>, UnitExtent, PathBuf) -> usize,
 ) -> Result<usize> {
     let mut before = Vec::new();

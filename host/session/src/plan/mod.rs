@@ -15,7 +15,7 @@ mod units;
 pub use emit::{Emit, emit};
 pub use folder::{absolute, check_target, put, text};
 pub use graph::{Exchange, Plan};
-pub use make::{Options, make};
+pub use make::{PlanOptions, make};
 pub use unit::{Done, do_unit};
 pub use units::{FINISHED, PLAN, Planned, check_before, check_units, hash_of, read, unit_of};
 pub use units::{Stage, Unit};

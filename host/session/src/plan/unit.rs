@@ -5,18 +5,18 @@ use std::sync::Arc;
 
 use glam::{Mat3, Vec3};
 use simod_core::reconstruction::{
-    Part, Reconstructed, Reconstruction, Shared, Version, abort_object, begin_object, choose_offset,
+    Part, Reconstructed, Reconstruction, SharedTarget, Version, abort_object, begin_object, choose_offset,
     join_parts, reconstruct, write_part,
 };
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::divided::{
-    Division, cluster, cluster_shared, merge_counts, sample_clustered, shared,
+    UnitDivision, cluster, cluster_shared, merge_counts, sample_clustered, shared,
 };
 use simod_core::sampling::divided_faces::{self, FaceFiles};
 use simod_core::sampling::{Sampling, count, face_runs, sample_counted};
 use simod_model::claim::Claim;
 use simod_model::object::{self, is_object};
-use simod_model::resumable_output::Place;
+use simod_model::resumable_output::OutputPaths;
 use simod_model::{
     Cache, Conversion, Converted, Error, ErrorKind, Model, Normals, Progress, Result, input,
     is_named_otherwise, output,
@@ -206,8 +206,8 @@ impl UnitRun<'_> {
     }
 
     /// How clustering is divided.
-    fn division<'b>(&self, counts: &'b Path) -> Division<'b> {
-        Division { counts, units: self.plan.files_of(self.folder, Stage::Cluster).len() as u64 }
+    fn division<'b>(&self, counts: &'b Path) -> UnitDivision<'b> {
+        UnitDivision { counts, units: self.plan.files_of(self.folder, Stage::Cluster).len() as u64 }
     }
 
     /// The files of what each range has of cells that it shares with others.
@@ -275,7 +275,7 @@ impl UnitRun<'_> {
     fn apply(&self) -> Result<Done> {
         let edit = self.edit()?;
         let pieces = self.unit.pieces.clone().unwrap_or_default();
-        let Edit { sampled, model, deformed, .. } = &edit;
+        let WritingInputs { sampled, model, deformed, .. } = &edit;
         let (own, file, upload) = (&*self.at_own(), self.output_in_the_making(), self.upload()?);
         let part = Part { pieces, own, shared: self.shared_by(&file, upload.as_deref()) };
         let did = write_part(sampled, &**model, deformed, &edit.how(), &part, self.progress)?;
@@ -284,7 +284,7 @@ impl UnitRun<'_> {
 
     fn finish(&self) -> Result<Done> {
         let edit = self.edit()?;
-        let Edit { sampled, model, deformed, .. } = &edit;
+        let WritingInputs { sampled, model, deformed, .. } = &edit;
         let parts = self.plan.files_of(self.folder, Stage::Apply);
         let version = Version { deformed, output: &self.plan.output, diagnostics: None };
         let (file, upload) = (self.output_in_the_making(), self.upload()?);
@@ -338,8 +338,8 @@ impl UnitRun<'_> {
     }
 
     /// What parts share: the output itself, if it is an object.
-    fn shared_by<'b>(&'b self, file: &'b Path, upload: Option<&'b str>) -> Shared<'b> {
-        upload.map_or(Shared::File(file), |id| Shared::Object(&self.plan.output, id))
+    fn shared_by<'b>(&'b self, file: &'b Path, upload: Option<&'b str>) -> SharedTarget<'b> {
+        upload.map_or(SharedTarget::File(file), |id| SharedTarget::Object(&self.plan.output, id))
     }
 
     fn write(&self) -> Result<Done> {
@@ -354,7 +354,7 @@ impl UnitRun<'_> {
             edit.model.follow(&self.plan.follow())?;
         }
         self.choose_offset(&mut edit)?;
-        let Edit { sampled, model, deformed, .. } = &edit;
+        let WritingInputs { sampled, model, deformed, .. } = &edit;
         let version = Version { deformed, output, diagnostics: None };
         let written = reconstruct(sampled, &**model, &[version], &edit.how(), self.progress)?;
         self.finished(&**model)?;
@@ -406,7 +406,7 @@ impl UnitRun<'_> {
     }
 
     /// What the units before have left for the writing of the model.
-    fn edit(&self) -> Result<Edit> {
+    fn edit(&self) -> Result<WritingInputs> {
         let of = if self.path(REFINED).is_dir() { REFINED } else { SAMPLED };
         let sampled = SampledModel::load(&self.path(of))?;
         let deformed = sampled.read_deformed(&self.path(DEFORMED))?;
@@ -414,14 +414,15 @@ impl UnitRun<'_> {
         model.follow(&self.plan.follow())?;
         let gradients = self.gradients(sampled.samples.len())?;
         let known = self.plan.recorded().map_err(Error::internal)?;
-        let mut edit = Edit { sampled, model, deformed, gradients, method: known.0, normals: known.1 };
+        let mut edit =
+            WritingInputs { sampled, model, deformed, gradients, method: known.0, normals: known.1 };
         if self.unit.stage != Stage::Write {
             self.choose_offset(&mut edit)?;
         }
         Ok(edit)
     }
 
-    fn choose_offset(&self, edit: &mut Edit) -> Result<()> {
+    fn choose_offset(&self, edit: &mut WritingInputs) -> Result<()> {
         if self.plan.options.choose_offset {
             let chosen = choose_offset(&edit.sampled, edit.model.as_mut(), [&edit.deformed[..]])?;
             chosen.into_iter().for_each(|changed| self.progress.note(&changed));
@@ -465,7 +466,7 @@ impl UnitRun<'_> {
         let bytes = if is_object(output) {
             object::open(output)?.bytes()
         } else {
-            let files = Place::for_model(model, output).files();
+            let files = OutputPaths::for_model(model, output).files();
             files.iter().map(|file| std::fs::metadata(file).map_or(0, |meta| meta.len())).sum()
         };
         let text = format!("output = {:?}\nbytes = {bytes}\n", self.plan.output.display().to_string());
@@ -491,7 +492,7 @@ impl OfFaces {
 }
 
 /// All that the writing of the model needs.
-struct Edit {
+struct WritingInputs {
     sampled: SampledModel,
     model: Box<dyn Model>,
     deformed: Vec<Vec3>,
@@ -500,7 +501,7 @@ struct Edit {
     normals: Normals,
 }
 
-impl Edit {
+impl WritingInputs {
     fn how(&self) -> Reconstruction<'_> {
         Reconstruction {
             method: self.method,

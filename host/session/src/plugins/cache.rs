@@ -19,14 +19,14 @@ const LONGEST: u64 = 64 << 20;
 
 /// What tells one state of a file from another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Stamp {
+pub(super) struct LibraryStamp {
     len: u64,
     /// Nanoseconds since 1970.
     modified: u64,
     inode: u64,
 }
 
-impl Stamp {
+impl LibraryStamp {
     /// The stamp of a file, where it can be read.
     pub fn from_path(path: &Path) -> Option<Self> {
         let meta = path.metadata().ok()?;
@@ -41,48 +41,48 @@ impl Stamp {
 }
 
 #[derive(Serialize, Deserialize)]
-struct Entry {
-    stamp: Stamp,
+struct LibraryEntry {
+    stamp: LibraryStamp,
     about: About,
 }
 
 #[derive(Serialize, Deserialize)]
-struct Content {
+struct CacheFile {
     form: u32,
     /// The versions of this program and of its interface.
     versions: [String; 2],
-    libraries: BTreeMap<PathBuf, Entry>,
+    libraries: BTreeMap<PathBuf, LibraryEntry>,
 }
 
 /// The cache; kept on the disk by [`save`](Self::save).
-pub(super) struct Cache {
+pub(super) struct LibraryCache {
     file: Option<PathBuf>,
-    content: Content,
+    content: CacheFile,
     changed: bool,
 }
 
-impl Cache {
+impl LibraryCache {
     /// Reads the cache from a file, or begins an empty one.
     pub fn load(file: Option<PathBuf>) -> Self {
         let versions = [env!("CARGO_PKG_VERSION"), super::load::interface()].map(str::to_owned);
-        let read = |file: &PathBuf| -> Option<Content> {
-            let content: Content = serde_json::from_slice(&input::read(file, LONGEST).ok()?).ok()?;
+        let read = |file: &PathBuf| -> Option<CacheFile> {
+            let content: CacheFile = serde_json::from_slice(&input::read(file, LONGEST).ok()?).ok()?;
             (content.form == FORM && content.versions == versions).then_some(content)
         };
         let content = file.as_ref().and_then(read);
-        let empty = || Content { form: FORM, versions: versions.clone(), libraries: BTreeMap::new() };
+        let empty = || CacheFile { form: FORM, versions: versions.clone(), libraries: BTreeMap::new() };
         Self { content: content.unwrap_or_else(empty), changed: false, file }
     }
 
     /// What a library said, if it is as it was then.
-    pub fn get(&self, path: &Path, stamp: Stamp) -> Option<About> {
+    pub fn get(&self, path: &Path, stamp: LibraryStamp) -> Option<About> {
         let entry = self.content.libraries.get(path)?;
         (entry.stamp == stamp).then(|| entry.about.clone())
     }
 
     /// Remembers what a library says.
-    pub fn put(&mut self, path: &Path, stamp: Stamp, about: About) {
-        self.content.libraries.insert(path.to_owned(), Entry { stamp, about });
+    pub fn put(&mut self, path: &Path, stamp: LibraryStamp, about: About) {
+        self.content.libraries.insert(path.to_owned(), LibraryEntry { stamp, about });
         self.changed = true;
     }
 
@@ -117,22 +117,22 @@ mod tests {
         let write = |text: &str| {
             #[expect(clippy::disallowed_methods, reason = "a test's own file")]
             std::fs::write(&library, text).unwrap();
-            Stamp::from_path(&library).unwrap()
+            LibraryStamp::from_path(&library).unwrap()
         };
         let old = write("one");
         let (descriptor, capabilities) = (Descriptor::new("x", "X", "1.0.0"), Capabilities::default());
         let about = About { descriptor, capabilities, migration: None };
-        let mut cache = Cache::load(Some(file.clone()));
+        let mut cache = LibraryCache::load(Some(file.clone()));
         assert_eq!(cache.get(&library, old), None);
         cache.put(&library, old, about.clone());
         cache.save();
-        let cache = Cache::load(Some(file.clone()));
+        let cache = LibraryCache::load(Some(file.clone()));
         assert_eq!(cache.get(&library, old), Some(about));
         let new = write("other");
         assert_eq!(cache.get(&library, new), None);
         // A broken one is as good as none.
         #[expect(clippy::disallowed_methods, reason = "a test's own file")]
         std::fs::write(&file, "{").unwrap();
-        assert_eq!(Cache::load(Some(file)).get(&library, old), None);
+        assert_eq!(LibraryCache::load(Some(file)).get(&library, old), None);
     }
 }

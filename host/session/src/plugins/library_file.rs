@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// How a plugin is to be called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum EntryPoint {
     /// It exports the root module of the interface's crate.
     Rust,
     /// It exports the table that `simod_plugin.h` describes.
@@ -20,8 +20,8 @@ pub(super) enum Kind {
 }
 
 /// What each kind of plugin exports: by the name that `export_plugin!` gives, and by that of the header.
-const SYMBOLS: [(&str, Kind); 2] =
-    [("_1as_0lib_1header_0root_bmodule_bloader", Kind::Rust), ("simod_plugin_entry", Kind::C)];
+const SYMBOLS: [(&str, EntryPoint); 2] =
+    [("_1as_0lib_1header_0root_bmodule_bloader", EntryPoint::Rust), ("simod_plugin_entry", EntryPoint::C)];
 
 /// The libraries of this system.
 const NATIVE: BinaryFormat = if cfg!(windows) {
@@ -33,7 +33,7 @@ const NATIVE: BinaryFormat = if cfg!(windows) {
 };
 
 /// The kind of plugin that a library is; an error if it is none, not all there, or for another system.
-pub(super) fn kind(path: &Path) -> Result<Kind> {
+pub(super) fn kind(path: &Path) -> Result<EntryPoint> {
     let file = input::open(path)?;
     // Keeps what is read: headers and symbols, not the code.
     let cache = ReadCache::new(file);
@@ -68,7 +68,10 @@ pub fn aborts_on_panic(path: &Path) -> Option<bool> {
 }
 
 /// The format of a library, and what kind of plugin it is, if any; nothing if something is missing.
-fn contents(data: &ReadCache<impl ReadCacheOps>, format: FileKind) -> Option<(BinaryFormat, Option<Kind>)> {
+fn contents(
+    data: &ReadCache<impl ReadCacheOps>,
+    format: FileKind,
+) -> Option<(BinaryFormat, Option<EntryPoint>)> {
     let all = data.len().ok()?;
     let ours = match format {
         // macOS has libraries for several processors in one file.
@@ -77,7 +80,7 @@ fn contents(data: &ReadCache<impl ReadCacheOps>, format: FileKind) -> Option<(Bi
         _ => Some((0, all)),
     };
     // Where there is none for this processor, the dynamic linker knows what to say.
-    let Some((start, length)) = ours else { return Some((BinaryFormat::MachO, Some(Kind::C))) };
+    let Some((start, length)) = ours else { return Some((BinaryFormat::MachO, Some(EntryPoint::C))) };
     if start.checked_add(length)? > all {
         return None;
     }
@@ -91,7 +94,7 @@ fn range_of_ours(arches: &[impl FatArch]) -> Option<(u64, u64)> {
 }
 
 /// As [`contents`], of a single library.
-fn contents_of_one<'a, R: ReadRef<'a>>(data: R) -> Option<(BinaryFormat, Option<Kind>)> {
+fn contents_of_one<'a, R: ReadRef<'a>>(data: R) -> Option<(BinaryFormat, Option<EntryPoint>)> {
     let (file, length) = (File::parse(data).ok()?, data.len().ok()?);
     let is_there = |(start, size): (u64, u64)| start.checked_add(size).is_some_and(|end| end <= length);
     if !file.segments().all(|segment| is_there(segment.file_range())) {
@@ -139,7 +142,7 @@ mod tests {
         words.iter().flat_map(|word| word.to_be_bytes()).chain(all).collect()
     }
 
-    fn look_at(bytes: &[u8]) -> Option<(BinaryFormat, Option<Kind>)> {
+    fn look_at(bytes: &[u8]) -> Option<(BinaryFormat, Option<EntryPoint>)> {
         contents(&ReadCache::new(Cursor::new(bytes)), FileKind::parse(bytes).unwrap())
     }
 
@@ -148,12 +151,12 @@ mod tests {
         let (ours, other) = if cfg!(target_arch = "aarch64") { (ARM, INTEL) } else { (INTEL, ARM) };
         let plugin = mach_o(ours, "_simod_plugin_entry");
         let stranger = mach_o(other, "_somebody");
-        assert_eq!(look_at(&plugin), Some((BinaryFormat::MachO, Some(Kind::C))));
+        assert_eq!(look_at(&plugin), Some((BinaryFormat::MachO, Some(EntryPoint::C))));
         let rust = mach_o(ours, "__1as_0lib_1header_0root_bmodule_bloader");
-        assert_eq!(look_at(&rust), Some((BinaryFormat::MachO, Some(Kind::Rust))));
+        assert_eq!(look_at(&rust), Some((BinaryFormat::MachO, Some(EntryPoint::Rust))));
         assert_eq!(look_at(&stranger), Some((BinaryFormat::MachO, None)));
         let both = fat(&[(other, stranger), (ours, plugin.clone())]);
-        assert_eq!(look_at(&both), Some((BinaryFormat::MachO, Some(Kind::C))));
+        assert_eq!(look_at(&both), Some((BinaryFormat::MachO, Some(EntryPoint::C))));
         for cut in [plugin.len() - 40, both.len() - 4] {
             assert_eq!(
                 look_at(if cut < plugin.len() { &plugin[..cut] } else { &both[..cut] }),

@@ -1,6 +1,6 @@
 //! Loading one library.
 
-use super::library_file::{self, Kind};
+use super::library_file::{self, EntryPoint};
 use crate::deformer::{
     About, CCode, Capabilities, Care, CarefulCode, Code, LookingCode, Migration, OwnHandles, Plugin,
     RustCode, cannot_load, load_whole,
@@ -31,13 +31,13 @@ pub(crate) fn load_code(path: &Path, shipped: bool) -> Result<Box<dyn Code>> {
     // Once it is loaded, its name does not matter; where it does, the file goes when the system cleans up.
     let file = copy.as_ref().map_or(path, |copy| copy.path());
     Ok(match kind {
-        Kind::Rust => {
+        EntryPoint::Rust => {
             // What comes next would take it as far as it is there. It stays loaded.
             std::mem::forget(load_whole(file, path)?);
             let module = root_module(file).map_err(|e| explain(path, &e.0, e.1.as_deref()))?;
             Box::new(CarefulCode::new(LookingCode(RustCode::new(module)), care))
         }
-        Kind::C => Box::new(CarefulCode::new(LookingCode(CCode::load(file, path)?), care)),
+        EntryPoint::C => Box::new(CarefulCode::new(LookingCode(CCode::load(file, path)?), care)),
     })
 }
 

@@ -12,7 +12,7 @@ use crate::params::nearest;
 use crate::step::Step;
 #[cfg(unix)]
 use crate::worker::{self, WorkerCode, WorkerOptions};
-use cache::{Cache, Stamp};
+use cache::{LibraryCache, LibraryStamp};
 pub use library_file::aborts_on_panic;
 use load::LazyCode;
 pub(crate) use load::load_code;
@@ -161,7 +161,7 @@ pub struct PluginRegistry {
     /// Libraries that are used whatever others there are.
     chosen: Vec<PathBuf>,
     /// All libraries that were looked at, as they were then, used or not.
-    seen: BTreeMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
+    seen: BTreeMap<PathBuf, (LibraryStamp, Option<Arc<Plugin>>)>,
 }
 
 /// The folders that [`PluginRegistry::discover`] looks in, most important first: those in
@@ -232,7 +232,7 @@ impl PluginRegistry {
 
     fn refresh_with(&mut self, options: &PluginOptions, progress: &dyn Progress) -> Result<()> {
         let before = std::mem::take(self).seen;
-        let mut cache = Cache::load(options.cache.clone());
+        let mut cache = LibraryCache::load(options.cache.clone());
         for file in &options.chosen {
             let path = file.canonicalize().unwrap_or_else(|_| file.clone());
             self.chosen.push(path);
@@ -261,8 +261,8 @@ impl PluginRegistry {
         file: PathBuf,
         shipped: bool,
         options: &PluginOptions,
-        before: &BTreeMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
-        cache: &mut Cache,
+        before: &BTreeMap<PathBuf, (LibraryStamp, Option<Arc<Plugin>>)>,
+        cache: &mut LibraryCache,
         progress: &dyn Progress,
     ) -> Result<()> {
         progress.check()?;
@@ -271,7 +271,7 @@ impl PluginRegistry {
         if self.seen.contains_key(&path) {
             return Ok(());
         }
-        let Some(stamp) = Stamp::from_path(&path) else {
+        let Some(stamp) = LibraryStamp::from_path(&path) else {
             let e = std::io::Error::from(std::io::ErrorKind::NotFound);
             self.rejected.push(Rejected { error: Error::io("read the plugin", &file, &e), path: file });
             return Ok(());

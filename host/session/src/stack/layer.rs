@@ -1,7 +1,7 @@
 //! One layer of a stack: a plugin with its parameters, regions, joints, handles and strokes.
 
-use super::rest::{Moment, Rest, RestShape, neighbour_lists, not_one_per_sample, rows};
-use crate::deformer::{Checked, Fingerprint, Message, OwnHandles, Plugin, Watch};
+use super::rest::{LayerRest, Moment, RestShape, neighbour_lists, not_one_per_sample, rows};
+use crate::deformer::{Fingerprint, Message, OwnHandles, Plugin, PluginWatch, SampleChecks};
 use crate::key::Key;
 use crate::migration::{in_its_words, migrated};
 use crate::motion::to_local;
@@ -12,7 +12,7 @@ use crate::shapes::Shapes;
 use crate::step::{Deformation, HandleMove, Joint, Notes, Role, Stroke};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
-use simod_core::attributes::Attributes;
+use simod_core::attributes::SampleAttributes;
 use simod_model::bounds::Bounds;
 use simod_model::frame::Frame;
 use simod_model::{Error, ErrorKind, Progress, Result, Type};
@@ -48,7 +48,7 @@ pub(crate) struct Layer {
 
 /// What became of a layer on its rest shape.
 #[derive(Debug)]
-pub(crate) struct Done {
+pub(crate) struct LayerResult {
     /// Deformed positions, local coordinates.
     pub positions: Arc<[Vec3]>,
     /// What the plugin had to say.
@@ -56,7 +56,7 @@ pub(crate) struct Done {
     plugin: Arc<Plugin>,
     /// Nothing where the plugin said that it would not move anything.
     preparation: Option<Arc<Preparation>>,
-    rest: Arc<Rest>,
+    rest: Arc<LayerRest>,
     motions: Motions,
     share: Share,
 }
@@ -89,9 +89,9 @@ impl Share {
 #[derive(Debug)]
 struct Preparation {
     state: api::State,
-    rest: Arc<Rest>,
+    rest: Arc<LayerRest>,
     /// Where the plugin asks for them.
-    attributes: Option<Arc<Attributes>>,
+    attributes: Option<Arc<SampleAttributes>>,
     /// Between deformations, which may go on where the last one stopped.
     scratch: Mutex<Option<api::Scratch>>,
     /// What the plugin finds and has to leave as it is; and how often it was called since all of that was
@@ -116,8 +116,8 @@ impl Preparation {
         let is_long = self.rest.positions.len() > FEW_SAMPLES;
         let of = match effort {
             _ if calls == 0 => return Ok(()),
-            api::Effort::DRAFT if is_long => Checked::Part(calls - 1),
-            _ => Checked::All,
+            api::Effort::DRAFT if is_long => SampleChecks::Part(calls - 1),
+            _ => SampleChecks::All,
         };
         plugin.check_unchanged(self.fingerprint.as_ref(), &self.rest.samples(), of)?;
         if effort != api::Effort::DRAFT {
@@ -134,7 +134,7 @@ pub(crate) struct LayerCache {
     others: Vec<(u64, Arc<OtherModel>)>,
     preparation: Option<(u64, Arc<Preparation>)>,
     strokes: Vec<(Arc<Stroke>, Arc<Params>, Arc<LocalStroke>)>,
-    done: Option<(u64, Arc<Done>)>,
+    done: Option<(u64, Arc<LayerResult>)>,
     /// While something is dragged, the result before that: the next one is written there, where nobody looks
     /// at it any more. Memory that is new takes the system as long as a quick deformation.
     spare: Option<Arc<[Vec3]>>,
@@ -284,17 +284,17 @@ impl Layer {
     /// Deforms a rest shape, as far as that has not been done before. Gives the next layer's rest shape, too.
     pub fn update(
         &self,
-        rest: &Arc<Rest>,
+        rest: &Arc<LayerRest>,
         shape: &RestShape<'_>,
         kept: &mut LayerCache,
         moment: Moment,
         progress: &dyn Progress,
-    ) -> Result<(Arc<Rest>, Arc<Done>)> {
+    ) -> Result<(Arc<LayerRest>, Arc<LayerResult>)> {
         let plugin = &self.plugin;
         if moment.effort != api::Effort::DRAFT {
             kept.spare = None;
         }
-        let watch = Watch::new(progress, plugin.id(), size_of_val(&*rest.positions) as u64);
+        let watch = PluginWatch::new(progress, plugin.id(), size_of_val(&*rest.positions) as u64);
         let motions = self.motions(rest, shape, kept, moment, &watch)?;
         let nothing = api::Samples::new(&[], &[], &[]);
         let is_identity = self.share.amount == 0.0
@@ -325,7 +325,7 @@ impl Layer {
             }
         };
         let positions = done.positions.clone();
-        Ok((Arc::new(Rest { positions, normals_fit: false, key, ..(**rest).clone() }), done))
+        Ok((Arc::new(LayerRest { positions, normals_fit: false, key, ..(**rest).clone() }), done))
     }
 
     /// Has the plugin deform what it has prepared.
@@ -336,8 +336,8 @@ impl Layer {
         shape: &RestShape<'_>,
         kept: &mut LayerCache,
         moment: Moment,
-        watch: Watch<'_>,
-    ) -> Result<Arc<Done>> {
+        watch: PluginWatch<'_>,
+    ) -> Result<Arc<LayerResult>> {
         let images = unwritten(kept.spare.take(), preparation.rest.positions.len());
         let deformed = self.deform(&preparation, &motions, images, &shape.frame, moment, &watch);
         if deformed.as_ref().is_err_and(|e| e.kind() != ErrorKind::Cancelled) {
@@ -353,15 +353,15 @@ impl Layer {
     fn done(
         &self,
         preparation: Option<Arc<Preparation>>,
-        rest: &Arc<Rest>,
+        rest: &Arc<LayerRest>,
         positions: Arc<[Vec3]>,
         messages: Vec<Message>,
         motions: Motions,
-    ) -> Arc<Done> {
+    ) -> Arc<LayerResult> {
         let (plugin, share, rest) = (self.plugin.clone(), self.share.clone(), rest.clone());
         let notes = self.notes.iter().map(|note| self.told(note));
         let messages = notes.chain(messages).collect();
-        Arc::new(Done { positions, messages, plugin, preparation, rest, motions, share })
+        Arc::new(LayerResult { positions, messages, plugin, preparation, rest, motions, share })
     }
 
     /// A note on the step, for users.
@@ -374,7 +374,7 @@ impl Layer {
     fn preparation(
         &self,
         key: u64,
-        rest: &Arc<Rest>,
+        rest: &Arc<LayerRest>,
         shape: &RestShape<'_>,
         kept: &mut LayerCache,
         progress: &dyn Progress,
@@ -423,7 +423,7 @@ impl Layer {
     }
 
     /// The rest shape with normals that fit, if the plugin needs them.
-    fn with_normals(&self, rest: &Arc<Rest>, shape: &RestShape<'_>) -> Result<Arc<Rest>> {
+    fn with_normals(&self, rest: &Arc<LayerRest>, shape: &RestShape<'_>) -> Result<Arc<LayerRest>> {
         if !self.plugin.consumes().normals {
             return Ok(rest.clone());
         }
@@ -436,7 +436,7 @@ impl Layer {
         if normals.len() != rest.positions.len() {
             return Err(not_one_per_sample("normal"));
         }
-        Ok(Arc::new(Rest { normals, normals_fit: true, ..(**rest).clone() }))
+        Ok(Arc::new(LayerRest { normals, normals_fit: true, ..(**rest).clone() }))
     }
 
     /// What a preparation depends on.
@@ -463,7 +463,7 @@ impl Layer {
     /// Calls with what plugins get where nothing moves yet.
     fn prepare_input<T>(
         &self,
-        rest: &Rest,
+        rest: &LayerRest,
         shape: &RestShape<'_>,
         (regions, others): (&[api::Region<'_>], &[api::OtherModel<'_>]),
         call: impl FnOnce(&api::PrepareInput<'_>) -> T,
@@ -507,11 +507,11 @@ impl Layer {
     /// All that moves; the plugin is asked where its handles are.
     fn motions(
         &self,
-        rest: &Rest,
+        rest: &LayerRest,
         shape: &RestShape<'_>,
         kept: &mut LayerCache,
         moment: Moment,
-        watch: &Watch<'_>,
+        watch: &PluginWatch<'_>,
     ) -> Result<Motions> {
         let (frame, bounds) = (&shape.frame, &shape.bounds);
         let key = self.key(rest.key).and(&self.params).end();
@@ -540,12 +540,12 @@ impl Layer {
 
     fn prepare(
         &self,
-        rest: &Arc<Rest>,
+        rest: &Arc<LayerRest>,
         shape: &RestShape<'_>,
         others: &[(&str, Arc<OtherModel>)],
         progress: &dyn Progress,
     ) -> Result<Preparation> {
-        let watch = Watch::new(progress, self.plugin.id(), size_of_val(&*rest.positions) as u64);
+        let watch = PluginWatch::new(progress, self.plugin.id(), size_of_val(&*rest.positions) as u64);
         let weigh = |shapes: &Shapes| -> Vec<f32> {
             rest.positions.par_iter().map(|p| shapes.weight(shape.frame.to_model(*p)) as f32).collect()
         };
@@ -574,7 +574,7 @@ impl Layer {
         mut images: Arc<[Vec3]>,
         frame: &Frame,
         moment: Moment,
-        watch: &Watch<'_>,
+        watch: &PluginWatch<'_>,
     ) -> Result<Arc<[Vec3]>> {
         let rest = &preparation.rest;
         let shared = || Error::internal("what was just made has another owner");
@@ -662,7 +662,7 @@ fn listed<'a>(ids: impl Iterator<Item = &'a str> + Clone) -> String {
 }
 
 /// Attributes of the samples, as plugins have them.
-fn attributes_of(all: Option<&Arc<Attributes>>) -> Vec<api::Attribute<'_>> {
+fn attributes_of(all: Option<&Arc<SampleAttributes>>) -> Vec<api::Attribute<'_>> {
     let kind = |kind| match kind {
         Type::I8 => api::AttributeKind::I8,
         Type::U8 => api::AttributeKind::U8,
@@ -719,7 +719,7 @@ impl Motions {
         &self,
         samples: api::Samples<'_>,
         bounds: api::Bounds,
-        attributes: Option<&Arc<Attributes>>,
+        attributes: Option<&Arc<SampleAttributes>>,
         call: impl FnOnce(&api::DeformInput<'_>) -> T,
     ) -> T {
         let values = self.params.views();
@@ -748,7 +748,7 @@ impl Motions {
     }
 }
 
-impl Done {
+impl LayerResult {
     /// Whether its map is known at any point of space.
     pub fn can_evaluate(&self) -> bool {
         self.preparation.is_none() || self.plugin.capabilities().evaluate
@@ -760,7 +760,7 @@ impl Done {
     }
 
     /// Replaces local points by their images.
-    pub fn evaluate(&self, frame: &Frame, points: &mut [DVec3], watch: &Watch<'_>) -> Result<()> {
+    pub fn evaluate(&self, frame: &Frame, points: &mut [DVec3], watch: &PluginWatch<'_>) -> Result<()> {
         let Some(preparation) = &self.preparation else { return Ok(()) };
         let rest: Vec<DVec3> = if self.share.is_whole() { Vec::new() } else { points.to_vec() };
         let buffer = bytemuck::cast_slice_mut(points);

@@ -6,14 +6,14 @@
 mod layer;
 mod rest;
 
-use crate::deformer::{Plugin, Watch};
+use crate::deformer::{Plugin, PluginWatch};
 use crate::params::Params;
 use crate::plugins::PluginRegistry;
 use crate::step::{Deformation, Step};
 use glam::DVec3;
-pub(crate) use layer::{Done, Layer, LayerCache};
+pub(crate) use layer::{Layer, LayerCache, LayerResult};
 use rayon::prelude::*;
-pub(crate) use rest::{Moment, Rest, RestShape, located};
+pub(crate) use rest::{LayerRest, Moment, RestShape, located};
 pub use rest::{neighbour_lists, rows};
 use simod_model::frame::Frame;
 use simod_model::progress::Silent;
@@ -32,7 +32,7 @@ pub struct Stack {
 /// A stack prepared on samples: the map of space itself, where the plugins know it.
 #[derive(Debug)]
 pub struct PreparedStack {
-    pub(crate) layers: Vec<Arc<Done>>,
+    pub(crate) layers: Vec<Arc<LayerResult>>,
     pub(crate) frame: Frame,
 }
 
@@ -108,7 +108,7 @@ impl PreparedStack {
             for layer in &self.layers {
                 progress.check()?;
                 // Blocks are too small for progress of their own: size 0 tells nothing.
-                let watch = Watch::new(progress, layer.id(), 0);
+                let watch = PluginWatch::new(progress, layer.id(), 0);
                 layer.evaluate(&self.frame, local, &watch)?;
             }
             for (point, image) in points.iter_mut().zip(local.iter()) {

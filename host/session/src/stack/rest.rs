@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, Vec3};
 use rayon::prelude::*;
-use simod_core::attributes::Attributes;
+use simod_core::attributes::SampleAttributes;
 use simod_core::sampling::NeighbourGraph;
 use simod_model::bounds::Bounds;
 use simod_model::frame::Frame;
@@ -35,7 +35,7 @@ pub(crate) struct RestShape<'a> {
     /// The samples' nearest neighbours.
     pub neighbours: Option<&'a NeighbourGraph>,
     /// Colours and other attributes of the samples, where they were asked for.
-    pub attributes: Option<&'a Arc<Attributes>>,
+    pub attributes: Option<&'a Arc<SampleAttributes>>,
     /// Where temporary files without a name are made, for other models that plugins take; the system's own
     /// place if it is empty.
     pub folder: &'a Path,
@@ -50,7 +50,7 @@ pub(crate) struct RestShape<'a> {
 
 /// A layer's rest shape, local coordinates.
 #[derive(Debug, Clone)]
-pub(crate) struct Rest {
+pub(crate) struct LayerRest {
     pub positions: Arc<[Vec3]>,
     pub normals: Arc<[Vec3]>,
     /// Whether the normals are those of the positions.
@@ -61,7 +61,7 @@ pub(crate) struct Rest {
     pub key: u64,
 }
 
-impl Rest {
+impl LayerRest {
     pub fn samples(&self) -> api::Samples<'_> {
         api::Samples::new(
             bytemuck::cast_slice(&self.positions),
@@ -79,15 +79,15 @@ pub(crate) fn not_one_per_sample(what: &str) -> Error {
 
 impl RestShape<'_> {
     /// What the first layer starts from; `key` stands for it.
-    pub(crate) fn rest(&self, key: u64) -> Result<Rest> {
+    pub(crate) fn rest(&self, key: u64) -> Result<LayerRest> {
         self.rest_at(self.positions.into(), key)
     }
 
     /// The same at other positions, as layers before have left them.
-    pub(crate) fn rest_at(&self, positions: Arc<[Vec3]>, key: u64) -> Result<Rest> {
+    pub(crate) fn rest_at(&self, positions: Arc<[Vec3]>, key: u64) -> Result<LayerRest> {
         self.check()?;
         let corner = |p| self.frame.to_local_exact(p).to_array();
-        Ok(Rest {
+        Ok(LayerRest {
             normals_fit: *positions == *self.positions,
             positions,
             normals: self.normals.into(),
@@ -98,9 +98,14 @@ impl RestShape<'_> {
     }
 
     /// The same once more at other positions, as `former` was made of.
-    pub(crate) fn rest_again(&self, former: &Rest, positions: Arc<[Vec3]>, key: u64) -> Result<Rest> {
+    pub(crate) fn rest_again(
+        &self,
+        former: &LayerRest,
+        positions: Arc<[Vec3]>,
+        key: u64,
+    ) -> Result<LayerRest> {
         self.check_finite(&positions)?;
-        Ok(Rest { normals_fit: *positions == *self.positions, positions, key, ..former.clone() })
+        Ok(LayerRest { normals_fit: *positions == *self.positions, positions, key, ..former.clone() })
     }
 
     fn check(&self) -> Result<()> {

@@ -15,15 +15,15 @@ const ALIGNMENT: u64 = 1 << 16;
 
 /// A range of the shared file, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Range {
+pub(super) struct ArenaRange {
     pub offset: u64,
     pub len: u64,
 }
 
 /// The file, and who may map it.
-pub(super) struct Shared(File);
+pub(super) struct SharedArena(File);
 
-impl Shared {
+impl SharedArena {
     /// A new one, empty, in memory where the system has such files, else in the folder for temporary ones.
     pub fn create() -> Result<Self> {
         #[cfg(target_os = "linux")]
@@ -44,7 +44,7 @@ impl Shared {
     }
 
     /// Maps a range to read.
-    pub fn map(&self, range: Range) -> Result<Mmap> {
+    pub fn map(&self, range: ArenaRange) -> Result<Mmap> {
         self.check(range)?;
         // SAFETY: the range is within the file, which is never truncated. The other process may write to it
         // at any time, as foreign code runs there: all that is read is plain numbers, of which any bits are
@@ -53,7 +53,7 @@ impl Shared {
     }
 
     /// Maps a range to write.
-    pub fn map_mut(&self, range: Range) -> Result<MmapMut> {
+    pub fn map_mut(&self, range: ArenaRange) -> Result<MmapMut> {
         self.check(range)?;
         // SAFETY: as above; of this process, one thread at a time maps a range to write: the one whose call
         // it belongs to.
@@ -61,7 +61,7 @@ impl Shared {
     }
 
     /// A range beyond the end of the file cannot be touched.
-    fn check(&self, range: Range) -> Result<()> {
+    fn check(&self, range: ArenaRange) -> Result<()> {
         let end = range.offset.checked_add(range.len);
         if end.is_some_and(|end| end <= self.0.metadata().map_or(0, |m| m.len())) {
             return Ok(());
@@ -71,7 +71,7 @@ impl Shared {
 }
 
 /// All pages at once: a fault for each would take longer than all the rest.
-fn options(range: Range) -> MmapOptions {
+fn options(range: ArenaRange) -> MmapOptions {
     let mut options = MmapOptions::new();
     options.offset(range.offset).len(range.len as usize).populate();
     options
@@ -80,51 +80,51 @@ fn options(range: Range) -> MmapOptions {
 /// Hands out ranges of a shared file. Bounded by what is in use at a time: the arrays of the states that are
 /// alive.
 pub(super) struct Arena {
-    shared: Shared,
+    shared: SharedArena,
     end: u64,
-    free: Vec<Range>,
+    free: Vec<ArenaRange>,
 }
 
 impl Arena {
     /// An arena with the control block at its beginning.
     pub fn create() -> Result<Self> {
-        let mut arena = Self { shared: Shared::create()?, end: 0, free: Vec::new() };
+        let mut arena = Self { shared: SharedArena::create()?, end: 0, free: Vec::new() };
         let control = arena.allocate(size_of::<Control>())?;
         debug_assert_eq!(control, CONTROL);
         Ok(arena)
     }
 
-    pub fn shared(&self) -> &Shared {
+    pub fn shared(&self) -> &SharedArena {
         &self.shared
     }
 
     /// A range for so many bytes, at least one.
-    pub fn allocate(&mut self, bytes: usize) -> Result<Range> {
+    pub fn allocate(&mut self, bytes: usize) -> Result<ArenaRange> {
         let len = (bytes.max(1) as u64).next_multiple_of(ALIGNMENT);
         let fits = self.free.iter().enumerate().filter(|(_, r)| r.len >= len);
         if let Some((i, _)) = fits.min_by_key(|(_, r)| r.len) {
             let range = self.free[i];
-            self.free[i] = Range { offset: range.offset + len, len: range.len - len };
+            self.free[i] = ArenaRange { offset: range.offset + len, len: range.len - len };
             if self.free[i].len == 0 {
                 self.free.swap_remove(i);
             }
-            return Ok(Range { len, ..range });
+            return Ok(ArenaRange { len, ..range });
         }
         fs4::FileExt::allocate(&self.shared.0, self.end + len)?;
-        let range = Range { offset: self.end, len };
+        let range = ArenaRange { offset: self.end, len };
         self.end += len;
         Ok(range)
     }
 
     /// Takes a range back.
-    pub fn release(&mut self, range: Range) {
+    pub fn release(&mut self, range: ArenaRange) {
         let mut range = range;
         // Joined with its neighbours.
         self.free.retain(|other| {
             let touches =
                 other.offset + other.len == range.offset || range.offset + range.len == other.offset;
             if touches {
-                range = Range { offset: other.offset.min(range.offset), len: range.len + other.len };
+                range = ArenaRange { offset: other.offset.min(range.offset), len: range.len + other.len };
             }
             !touches
         });
@@ -133,7 +133,7 @@ impl Arena {
 }
 
 /// Where the control block is.
-pub(super) const CONTROL: Range = Range { offset: 0, len: ALIGNMENT };
+pub(super) const CONTROL: ArenaRange = ArenaRange { offset: 0, len: ALIGNMENT };
 
 /// What both processes look at during a call.
 #[repr(C)]
@@ -170,7 +170,7 @@ impl Control {
 pub(super) struct ControlMap(MmapMut);
 
 impl ControlMap {
-    pub fn new(shared: &Shared) -> Result<Self> {
+    pub fn new(shared: &SharedArena) -> Result<Self> {
         shared.map_mut(CONTROL).map(Self)
     }
 }
@@ -200,22 +200,22 @@ mod tests {
         arena.release(c);
         arena.release(b);
         let all = arena.allocate(4 * ALIGNMENT as usize).unwrap();
-        assert_eq!(all, Range { offset: a.offset, len: 4 * ALIGNMENT });
+        assert_eq!(all, ArenaRange { offset: a.offset, len: 4 * ALIGNMENT });
         assert_eq!(arena.end, CONTROL.len + 4 * ALIGNMENT);
         arena.release(all);
-        assert_eq!(arena.allocate(1).unwrap(), Range { len: ALIGNMENT, ..all });
+        assert_eq!(arena.allocate(1).unwrap(), ArenaRange { len: ALIGNMENT, ..all });
     }
 
     #[test]
     fn what_one_writes_the_other_reads() {
         let mut arena = Arena::create().unwrap();
         let range = arena.allocate(12).unwrap();
-        let other = Shared::from_file(arena.shared().file().unwrap());
+        let other = SharedArena::from_file(arena.shared().file().unwrap());
         arena.shared().map_mut(range).unwrap()[..4].copy_from_slice(b"here");
         assert_eq!(&other.map(range).unwrap()[..4], b"here");
         let (mine, theirs) = (ControlMap::new(arena.shared()).unwrap(), ControlMap::new(&other).unwrap());
         theirs.beat(0.25);
         assert_eq!(mine.read(), (1, 0.25));
-        assert!(other.map(Range { offset: 1 << 40, len: 1 }).is_err());
+        assert!(other.map(ArenaRange { offset: 1 << 40, len: 1 }).is_err());
     }
 }

@@ -11,8 +11,8 @@ mod serve;
 
 use crate::child::{Ended, Tail, describe, ran_out_of_memory};
 use crate::deformer::{About, Capabilities, Code, Migration, OwnHandles};
-use arena::{Arena, ControlMap, Range};
-use protocol::{InputRecord, MotionRecord, Refusal, Reply, Request, SettingRecord, Slice};
+use arena::{Arena, ArenaRange, ControlMap};
+use protocol::{InputRecord, LibraryRefusal, MotionRecord, Reply, Request, SettingRecord, Slice};
 use simod_model::{Error, Progress, Result};
 use simod_plugin_api::{
     DeformInput, Descriptor, ErrorCode, HostCalls, LogLevel, PluginError, PluginResult, PrepareInput,
@@ -69,16 +69,16 @@ pub(crate) struct WorkerCode {
 
 /// A plugin's process.
 struct Worker {
-    link: Mutex<Link>,
+    link: Mutex<ProcessLink>,
     control: ControlMap,
     child: Mutex<Ended>,
     errors: Tail,
     /// What is to be dropped there before the next call, with the memory that it leaves.
-    drops: Mutex<Vec<(Request, Option<Range>)>>,
+    drops: Mutex<Vec<(Request, Option<ArenaRange>)>>,
 }
 
 /// The way to a process; whoever holds it has its attention.
-struct Link {
+struct ProcessLink {
     socket: UnixStream,
     replies: Receiver<Reply>,
     arena: Arena,
@@ -89,7 +89,7 @@ struct Link {
 struct WorkerState {
     worker: Arc<Worker>,
     id: u64,
-    input: Range,
+    input: ArenaRange,
 }
 
 /// A scratch in another process.
@@ -116,13 +116,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// Starts a process for a library, asks what it is, and ends it again.
 pub(crate) fn ask(library: &Path, options: &Arc<WorkerOptions>, progress: &dyn Progress) -> Result<About> {
-    Worker::start(library, options, &Asking(progress)).map(|(_, about)| about)
+    Worker::start(library, options, &StopRequest(progress)).map(|(_, about)| about)
 }
 
 /// The wish of the user to stop, and nothing else.
-struct Asking<'a>(&'a dyn Progress);
+struct StopRequest<'a>(&'a dyn Progress);
 
-impl HostCalls for Asking<'_> {
+impl HostCalls for StopRequest<'_> {
     fn progress(&self, _: f64) -> bool {
         !self.0.is_cancelled()
     }
@@ -157,7 +157,7 @@ impl WorkerCode {
     fn call(
         &self,
         worker: &Worker,
-        link: &mut Link,
+        link: &mut ProcessLink,
         call: &str,
         request: &Request,
         calls: &dyn HostCalls,
@@ -175,7 +175,7 @@ impl WorkerCode {
         input: &PrepareInput<'_>,
         calls: &dyn HostCalls,
         request: impl FnOnce(InputRecord) -> Request,
-    ) -> PluginResult<(Arc<Worker>, Range, Reply)> {
+    ) -> PluginResult<(Arc<Worker>, ArenaRange, Reply)> {
         let worker = self.worker(calls)?;
         let mut link = lock(&worker.link);
         let (mut record, arrays) = InputRecord::new(input);
@@ -332,10 +332,10 @@ impl WorkerCode {
     fn take_back(
         &self,
         worker: &Worker,
-        link: &mut Link,
+        link: &mut ProcessLink,
         call: &str,
         request: &Request,
-        range: Range,
+        range: ArenaRange,
         array: &mut [u8],
         calls: &dyn HostCalls,
     ) -> PluginResult<()> {
@@ -356,9 +356,9 @@ fn no_memory(e: std::io::Error) -> PluginError {
         .hint("free some memory, or run it in this process with `--isolate never`")
 }
 
-impl Link {
+impl ProcessLink {
     /// Copies arrays to a new range of the shared memory, one after the other.
-    fn put(&mut self, arrays: &[&[u8]]) -> PluginResult<Range> {
+    fn put(&mut self, arrays: &[&[u8]]) -> PluginResult<ArenaRange> {
         let bytes = arrays.iter().map(|a| a.len()).sum();
         let range = self.arena.allocate(bytes).map_err(no_memory)?;
         let mut map = self.arena.shared().map_mut(range).map_err(no_memory)?;
@@ -419,7 +419,7 @@ impl Worker {
         // Where it has ended already, that is told below.
         let _ = protocol::send(&mut socket, &Request::Load);
         let this = Self {
-            link: Mutex::new(Link { socket, replies, arena, is_dead: false }),
+            link: Mutex::new(ProcessLink { socket, replies, arena, is_dead: false }),
             control,
             child: Mutex::new(child),
             errors,
@@ -429,7 +429,7 @@ impl Worker {
         let loaded = this.wait(&lock(&this.link), calls, options.silence, Duration::ZERO);
         match loaded {
             Ok(Reply::Loaded(Ok(about))) => Ok((this, *about)),
-            Ok(Reply::Loaded(Err(Refusal { what, hint }))) => Err(Error::plugin(what, hint)),
+            Ok(Reply::Loaded(Err(LibraryRefusal { what, hint }))) => Err(Error::plugin(what, hint)),
             Ok(_) => Err(refused(std::io::Error::other("it says what it was not asked"))),
             Err(CallEnd::Deaf) => Err(Error::cancelled()),
             Err(end) => {
@@ -440,14 +440,14 @@ impl Worker {
         }
     }
 
-    fn drop_later(&self, request: Request, range: Option<Range>) {
+    fn drop_later(&self, request: Request, range: Option<ArenaRange>) {
         lock(&self.drops).push((request, range));
     }
 
     /// Sends a request, and waits for its answer.
     fn call(
         &self,
-        link: &mut Link,
+        link: &mut ProcessLink,
         request: &Request,
         calls: &dyn HostCalls,
         silence: Duration,
@@ -465,7 +465,7 @@ impl Worker {
     /// so much time to do so as `grace` says.
     fn wait(
         &self,
-        link: &Link,
+        link: &ProcessLink,
         calls: &dyn HostCalls,
         silence: Duration,
         grace: Duration,

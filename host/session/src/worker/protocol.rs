@@ -1,7 +1,7 @@
 //! What the program and a plugin's process say to each other: requests and replies over a socket, arrays in
 //! shared memory.
 
-use super::arena::Range;
+use super::arena::ArenaRange;
 use crate::deformer::{About, OwnHandles};
 use crate::params::is_text;
 use serde::de::DeserializeOwned;
@@ -53,17 +53,17 @@ pub(super) enum Request {
 /// one [`Loaded`](Self::Loaded) before all others.
 #[derive(Serialize, Deserialize)]
 pub(super) enum Reply {
-    Loaded(std::result::Result<Box<About>, Refusal>),
+    Loaded(std::result::Result<Box<About>, LibraryRefusal>),
     Log {
         level: u32,
         text: String,
     },
     /// A number for what was made.
-    Made(std::result::Result<u64, Failure>),
-    Done(std::result::Result<(), Failure>),
-    Handles(std::result::Result<HandlesRecord, Failure>),
-    Identity(std::result::Result<bool, Failure>),
-    Settings(std::result::Result<Vec<SettingRecord>, Failure>),
+    Made(std::result::Result<u64, PluginFailure>),
+    Done(std::result::Result<(), PluginFailure>),
+    Handles(std::result::Result<HandlesRecord, PluginFailure>),
+    Identity(std::result::Result<bool, PluginFailure>),
+    Settings(std::result::Result<Vec<SettingRecord>, PluginFailure>),
 }
 
 /// A [`Setting`].
@@ -90,27 +90,27 @@ impl From<SettingRecord> for Setting {
 
 /// Why a library is not used.
 #[derive(Serialize, Deserialize)]
-pub(super) struct Refusal {
+pub(super) struct LibraryRefusal {
     pub what: String,
     pub hint: String,
 }
 
 /// A [`PluginError`].
 #[derive(Serialize, Deserialize)]
-pub(super) struct Failure {
+pub(super) struct PluginFailure {
     code: u32,
     message: String,
     hint: String,
 }
 
-impl From<PluginError> for Failure {
+impl From<PluginError> for PluginFailure {
     fn from(e: PluginError) -> Self {
         Self { code: e.code.0, message: e.message.into(), hint: e.hint.into() }
     }
 }
 
-impl From<Failure> for PluginError {
-    fn from(f: Failure) -> Self {
+impl From<PluginFailure> for PluginError {
+    fn from(f: PluginFailure) -> Self {
         Self::new(ErrorCode(f.code), f.message).hint(f.hint)
     }
 }
@@ -161,7 +161,7 @@ impl From<HandleRecord> for HandleDesc {
 /// An array in shared memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Slice {
-    pub range: Range,
+    pub range: ArenaRange,
     /// Bytes that are used of the range.
     pub len: u64,
 }
@@ -169,7 +169,7 @@ pub(super) struct Slice {
 /// A [`PrepareInput`]: its arrays are one after the other in a range of the shared memory.
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct InputRecord {
-    pub range: Range,
+    pub range: ArenaRange,
     count: usize,
     normals: bool,
     spacing: bool,
@@ -264,7 +264,7 @@ impl InputRecord {
         let attribute = |a: &Attribute<'_>| (a.name().to_owned(), a.kind.0);
         let joint = |j: &Joint<'_>| (j.id().to_owned(), j.position, j.parent);
         let record = Self {
-            range: Range { offset: 0, len: 0 },
+            range: ArenaRange { offset: 0, len: 0 },
             count: samples.positions().len(),
             normals: !samples.normals().is_empty(),
             spacing: !samples.spacing().is_empty(),
@@ -521,7 +521,7 @@ mod tests {
     fn damaged_messages_do_no_harm() {
         let (descriptor, capabilities) = (Descriptor::new("x", "X", "1.0.0"), Capabilities::default());
         let about = About { descriptor, capabilities, migration: None };
-        let failure = || Failure { code: 1, message: "what".to_owned(), hint: "why".to_owned() };
+        let failure = || PluginFailure { code: 1, message: "what".to_owned(), hint: "why".to_owned() };
         let setting =
             SettingRecord { id: "a".to_owned(), kind: 1, numbers: vec![1.0; 9], text: String::new() };
         let descs = [0, 1, 2].map(|i| HandleDesc::new(&format!("{i},3"), [1.0, 2.0, 3.0])).to_vec();

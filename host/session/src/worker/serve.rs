@@ -1,8 +1,8 @@
 //! A plugin's process: it answers the program's requests until there is nobody to answer.
 
-use super::arena::{ControlMap, Shared};
+use super::arena::{ControlMap, SharedArena};
 use super::protocol::{
-    self, Failure, HandlesRecord, InputRecord, Refusal, Reply, Request, SettingRecord, Slice,
+    self, HandlesRecord, InputRecord, LibraryRefusal, PluginFailure, Reply, Request, SettingRecord, Slice,
 };
 use crate::child::{end_with, limit_memory};
 use crate::deformer::{Care, Code, Plugin};
@@ -38,7 +38,7 @@ pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
     };
     let socket = UnixStream::from(std::io::stdin().as_fd().try_clone_to_owned().map_err(refused)?);
     let shared =
-        Shared::from_file(File::from(std::io::stdout().as_fd().try_clone_to_owned().map_err(refused)?));
+        SharedArena::from_file(File::from(std::io::stdout().as_fd().try_clone_to_owned().map_err(refused)?));
     let control = ControlMap::new(&shared).map_err(refused)?;
     // What a plugin prints is not to end up in between.
     rustix::stdio::dup2_stdout(std::io::stderr()).map_err(|e| refused(e.into()))?;
@@ -94,7 +94,7 @@ fn load(library: &Path, calls: &Calls) -> Option<Box<dyn Code>> {
             Some(code)
         }
         Err(e) => {
-            let refusal = Refusal { what: e.to_string(), hint: e.hint().to_owned() };
+            let refusal = LibraryRefusal { what: e.to_string(), hint: e.hint().to_owned() };
             calls.send(&Reply::Loaded(Err(refusal)));
             None
         }
@@ -110,7 +110,7 @@ fn end() -> ! {
 /// What the plugin made, and what it works on.
 struct Workshop {
     code: Box<dyn Code>,
-    shared: Shared,
+    shared: SharedArena,
     calls: Calls,
     states: HashMap<u64, (State, InputRecord, Mmap)>,
     scratches: HashMap<u64, Scratch>,
@@ -122,8 +122,8 @@ fn broken(e: impl std::fmt::Display) -> PluginError {
     PluginError::internal(format!("the plugin's process cannot reach its input: {e}"))
 }
 
-fn wrap<T>(result: PluginResult<T>) -> std::result::Result<T, Failure> {
-    result.map_err(Failure::from)
+fn wrap<T>(result: PluginResult<T>) -> std::result::Result<T, PluginFailure> {
+    result.map_err(PluginFailure::from)
 }
 
 impl Workshop {

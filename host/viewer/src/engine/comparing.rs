@@ -1,7 +1,7 @@
 //! Another version of the edit, made to be compared with the one that is shown.
 
-use super::requests::{Carried, Comparing, Event};
-use crate::scene::{Scene, common};
+use super::requests::{CarriedSamples, ComparisonRequest, Event};
+use crate::scene::{ViewerScene, common};
 use glam::Vec3;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_core::refinement::appended_deformed;
@@ -12,7 +12,7 @@ use simod_session::PluginRegistry;
 use simod_session::edit::Evaluation;
 use std::sync::Arc;
 
-impl Comparing {
+impl ComparisonRequest {
     /// Does what is missing. `revision` counts up with every scene.
     pub(super) fn done(
         self,
@@ -33,14 +33,15 @@ impl Comparing {
                 {
                     return Err(error.clone());
                 }
-                let scene = Scene::new(evaluated, &evaluation, Effort::FULL, *revision, &Arc::default());
+                let scene =
+                    ViewerScene::new(evaluated, &evaluation, Effort::FULL, *revision, &Arc::default());
                 Arc::new(if self.measure { scene.measured() } else { scene })
             }
         };
         progress.check()?;
         let carried = self.onto.map(|sampled| {
             let positions = carry(&scene, &sampled);
-            Carried { sampled, positions }
+            CarriedSamples { sampled, positions }
         });
         Ok(Event::Compared { number: self.number, scene, carried })
     }
@@ -48,7 +49,7 @@ impl Comparing {
 
 /// Where a version has the samples of `onto`: those that both have are there already, the others go where the
 /// reconstruction carries them.
-fn carry(scene: &Scene, onto: &SampledModel) -> Arc<[Vec3]> {
+fn carry(scene: &ViewerScene, onto: &SampledModel) -> Arc<[Vec3]> {
     let (rest, both) = (&onto.samples.positions, common(&scene.sampled, onto));
     if *scene.positions == *scene.sampled.samples.positions {
         return rest.as_slice().into();

@@ -21,7 +21,7 @@ const LARGE: u64 = 1 << 20;
 
 /// Points of the surface; all lists have one entry for each. Local coordinates.
 #[derive(Debug, Clone, Default)]
-pub struct Points {
+pub struct SurfacePoints {
     /// Where they are.
     pub positions: Vec<Vec3>,
     /// Unit normals; zero where unknown.
@@ -38,15 +38,15 @@ pub struct Emerged {
     /// Goes up with each change.
     pub changes: u64,
     /// Samples of the cells that are complete.
-    samples: Points,
+    samples: SurfacePoints,
     /// Vertices where there are no samples yet, and their coordinates.
-    vertices: Points,
+    vertices: SurfacePoints,
     frame: Option<Frame>,
     /// One of so many samples is kept.
     every: usize,
 }
 
-impl Points {
+impl SurfacePoints {
     /// Places in local coordinates of a frame, in those of another one.
     fn go_over(&mut self, from: &Frame, to: &Frame) {
         self.positions.iter_mut().for_each(|p| *p = to.to_local(from.to_model(*p)));
@@ -94,18 +94,18 @@ impl Emerged {
         let local = positions.iter().map(|p| frame.to_local(*p)).collect();
         let set = SampleSet::new(local, normals).ok()?;
         let spacing = set.spacing().to_vec();
-        let vertices = Points { normals: set.normals().to_vec(), spacing, positions: set.positions };
+        let vertices = SurfacePoints { normals: set.normals().to_vec(), spacing, positions: set.positions };
         let bounds = [bounds.min, bounds.max].map(|corner| frame.to_local_exact(corner));
         Some(Self { bounds, changes: 1, vertices, frame: Some(frame), every: 1, ..Self::default() })
     }
 
     /// The samples that are there.
-    pub fn samples(&self) -> &Points {
+    pub fn samples(&self) -> &SurfacePoints {
         &self.samples
     }
 
     /// Vertices where there are no samples yet.
-    pub fn vertices(&self) -> &Points {
+    pub fn vertices(&self) -> &SurfacePoints {
         &self.vertices
     }
 
@@ -118,7 +118,7 @@ impl Emerged {
             if let Some(former) = self.frame.replace(**frame) {
                 self.vertices.go_over(&former, frame);
             }
-            (self.samples, self.every) = (Points::default(), 1);
+            (self.samples, self.every) = (SurfacePoints::default(), 1);
         }
         let samples = &mut self.samples;
         let (first, mut all) = (samples.positions.len(), 0);
@@ -130,7 +130,7 @@ impl Emerged {
             all += 1;
         });
         let new = &samples.positions[first..];
-        let Some(plane) = Plane::fit(new) else { return };
+        let Some(plane) = PlaneFit::fit(new) else { return };
         samples.spacing.resize(samples.positions.len(), plane.spacing);
         let low = new.iter().copied().fold(Vec3::INFINITY, Vec3::min) - plane.spacing;
         let high = new.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max) + plane.spacing;
@@ -148,14 +148,14 @@ impl Emerged {
 }
 
 /// How some points lie.
-struct Plane {
+struct PlaneFit {
     middle: Vec3,
     normal: Vec3,
     /// How far they are apart, if they are spread evenly over the plane.
     spacing: f32,
 }
 
-impl Plane {
+impl PlaneFit {
     /// By their principal components; nothing where there is no point.
     fn fit(points: &[Vec3]) -> Option<Self> {
         let n = points.len() as f64;
@@ -196,12 +196,12 @@ mod tests {
         let tilt = glam::Quat::from_rotation_x(0.7);
         let point = |i: u32| tilt * Vec3::new(spacing * (i % 40) as f32, spacing * (i / 40) as f32, 0.5);
         let points: Vec<Vec3> = (0..1600).map(point).collect();
-        let plane = Plane::fit(&points).unwrap();
+        let plane = PlaneFit::fit(&points).unwrap();
         assert!(plane.normal.dot(tilt * Vec3::Z).abs() > 0.9999);
         assert!((plane.spacing / spacing - 1.0).abs() < 0.01, "{}", plane.spacing);
-        let alone = Plane::fit(&points[..1]).unwrap();
+        let alone = PlaneFit::fit(&points[..1]).unwrap();
         assert!(alone.spacing == 0.0 && alone.middle == points[0]);
-        assert!(Plane::fit(&[]).is_none());
+        assert!(PlaneFit::fit(&[]).is_none());
     }
 
     #[test]

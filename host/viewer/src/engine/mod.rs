@@ -18,12 +18,12 @@ mod wasted;
 mod watch;
 
 use crate::tint::Tint;
-pub use emerged::{Emerged, Points};
+pub use emerged::{Emerged, SurfacePoints};
 
-pub use requests::{Carried, Comparing, Event, Extra, Job, Opening, Pose, Writing};
-use requests::{Request, Streaming};
-use shared::{Running, Shared, Wanted, is_idle};
-use simod_core::detail::Chosen;
+pub use requests::{CarriedSamples, ComparisonRequest, Event, Extra, Job, Opening, SamplePose, WriteRequest};
+use requests::{StepsRequest, Streaming};
+use shared::{RunningJobs, SharedState, WantedJobs, is_idle};
+use simod_core::detail::DetailRequest;
 use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
 use simod_session::PluginRegistry;
@@ -34,7 +34,7 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use thread::{Teller, Thread};
+use thread::{EngineThread, Teller};
 pub use watch::{Activity, Wake};
 
 /// How long work may go on when the window is closed.
@@ -42,7 +42,7 @@ const PARTING: Duration = Duration::from_secs(5);
 
 /// The window's end of it.
 pub struct Engine {
-    shared: Arc<Shared>,
+    shared: Arc<SharedState>,
     events: Receiver<Event>,
     requests: u64,
     threads: Vec<JoinHandle<()>>,
@@ -52,10 +52,10 @@ impl Engine {
     /// Starts the threads.
     pub fn new(plugins: Arc<PluginRegistry>, wake: Wake) -> Self {
         let (sender, events) = channel();
-        let shared = Arc::new(Shared::default());
+        let shared = Arc::new(SharedState::default());
         let tell = Teller::new(shared.clone(), sender, wake);
-        let preview = preview::Thread { shared: shared.clone(), tell: tell.clone() };
-        let engine = Thread::new(shared.clone(), tell, plugins);
+        let preview = preview::PreviewThread { shared: shared.clone(), tell: tell.clone() };
+        let engine = EngineThread::new(shared.clone(), tell, plugins);
         let spawn = |name: &str, run: Box<dyn FnOnce() + Send>| {
             std::thread::Builder::new().name(name.into()).spawn(run).ok()
         };
@@ -66,7 +66,7 @@ impl Engine {
         Self { shared, events, requests: 0, threads: threads.into_iter().flatten().collect() }
     }
 
-    fn want(&self, change: impl FnOnce(&mut Wanted, &mut Running)) {
+    fn want(&self, change: impl FnOnce(&mut WantedJobs, &mut RunningJobs)) {
         let mut inner = self.shared.lock();
         let (wanted, running) = &mut *inner;
         change(wanted, running);
@@ -87,7 +87,13 @@ impl Engine {
 
     /// Has vertices streamed, instead of those that are being streamed; gives the request's number, which
     /// comes back with them. `model` is where it is, if it was moved.
-    pub fn preview(&mut self, pose: Pose, chosen: Chosen, tint: Tint, model: Option<PathBuf>) -> u64 {
+    pub fn preview(
+        &mut self,
+        pose: SamplePose,
+        chosen: DetailRequest,
+        tint: Tint,
+        model: Option<PathBuf>,
+    ) -> u64 {
         self.requests += 1;
         let number = self.requests;
         self.want(|wanted, running| {
@@ -112,7 +118,7 @@ impl Engine {
     }
 
     /// Has another version made, instead of a former one, or none any more.
-    pub fn compare(&mut self, comparing: Option<Comparing>) {
+    pub fn compare(&mut self, comparing: Option<ComparisonRequest>) {
         self.want(|wanted, running| {
             wanted.compare = comparing;
             running.supersede(Job::Compare);
@@ -120,7 +126,7 @@ impl Engine {
     }
 
     /// Has steps done, instead of those that wait for it; if wanted, with the [error to be
-    /// expected](crate::Scene::expected_error). Gives the request's number, which comes back with the result.
+    /// expected](crate::ViewerScene::expected_error). Gives the request's number, which comes back with the result.
     pub fn evaluate(&mut self, steps: Arc<[Entry]>, effort: Effort, extra: Extra) -> u64 {
         self.requests += 1;
         let number = self.requests;
@@ -131,13 +137,13 @@ impl Engine {
                     watch.supersede();
                 }
             }
-            wanted.evaluate = Some(Request { number, steps, effort, extra });
+            wanted.evaluate = Some(StepsRequest { number, steps, effort, extra });
         });
         number
     }
 
     /// Writes the model that these steps deform; one at a time, the latest request waits.
-    pub fn write(&mut self, steps: Arc<[Entry]>, writing: Writing) {
+    pub fn write(&mut self, steps: Arc<[Entry]>, writing: WriteRequest) {
         self.want(|wanted, _| wanted.write = Some((steps, writing)));
     }
 
@@ -186,7 +192,7 @@ impl Engine {
     /// The next thing that happened, if any; never waits.
     pub fn poll(&mut self) -> Option<Event> {
         let event = self.events.try_recv().ok()?;
-        let Running { events, opened, .. } = &mut self.shared.lock().1;
+        let RunningJobs { events, opened, .. } = &mut self.shared.lock().1;
         *events -= 1;
         *opened -= usize::from(event.ends_opening());
         Some(event)

@@ -1,12 +1,12 @@
 //! A thread that streams vertices of the model to be seen, so that the edit goes on meanwhile.
 
-use super::requests::{Event, Job, Pose, Streaming};
-use super::shared::Shared;
+use super::requests::{Event, Job, SamplePose, Streaming};
+use super::shared::SharedState;
 use super::thread::{Teller, guarded};
-use super::watch::Watch;
+use super::watch::JobWatch;
 use crate::tint::Tint;
 use simod_core::colors;
-use simod_core::detail::{self, Shown};
+use simod_core::detail::{self, DetailAttributes};
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_model::{Progress, Result};
 use std::cell::OnceCell;
@@ -14,31 +14,31 @@ use std::sync::{Arc, PoisonError};
 use std::time::Instant;
 
 /// What to do next.
-enum Task {
-    Stream(Streaming, Arc<Watch>),
+enum PreviewTask {
+    Stream(Streaming, Arc<JobWatch>),
     /// What is known of the samples is not needed any more.
     Forget,
 }
 
 /// The thread.
-pub(super) struct Thread {
-    pub shared: Arc<Shared>,
+pub(super) struct PreviewThread {
+    pub shared: Arc<SharedState>,
     pub tell: Teller,
 }
 
-impl Thread {
+impl PreviewThread {
     pub fn run(self) {
         let mut next = self.next();
         while let Some(task) = next {
             next = match task {
-                Task::Stream(streaming, watch) => self.stream_all(streaming, watch),
-                Task::Forget => self.next(),
+                PreviewTask::Stream(streaming, watch) => self.stream_all(streaming, watch),
+                PreviewTask::Forget => self.next(),
             };
         }
     }
 
     /// Waits for something to do; nothing once the window is closed.
-    fn next(&self) -> Option<Task> {
+    fn next(&self) -> Option<PreviewTask> {
         let mut inner = self.shared.lock();
         loop {
             let (wanted, running) = &mut *inner;
@@ -46,12 +46,12 @@ impl Thread {
                 return None;
             }
             if std::mem::take(&mut wanted.forget) {
-                return Some(Task::Forget);
+                return Some(PreviewTask::Forget);
             }
             if let Some(streaming) = wanted.preview.take() {
-                let watch = Arc::new(Watch::new(self.tell.wake()));
+                let watch = Arc::new(JobWatch::new(self.tell.wake()));
                 running.begin(Job::Preview, &watch);
-                return Some(Task::Stream(streaming, watch));
+                return Some(PreviewTask::Stream(streaming, watch));
             }
             inner = self.shared.changed.wait(inner).unwrap_or_else(PoisonError::into_inner);
         }
@@ -59,7 +59,7 @@ impl Thread {
 
     /// Streams for all poses of the same samples: what is known of them at rest is found once. Gives what is
     /// next.
-    fn stream_all(&self, mut streaming: Streaming, mut watch: Arc<Watch>) -> Option<Task> {
+    fn stream_all(&self, mut streaming: Streaming, mut watch: Arc<JobWatch>) -> Option<PreviewTask> {
         let sampled = streaming.pose.sampled.clone();
         let (around, colors) = (OnceCell::new(), OnceCell::new());
         loop {
@@ -70,7 +70,9 @@ impl Thread {
             let event = done.unwrap_or_else(|error| Event::Failed { job: Job::Preview, error });
             self.tell.end(Job::Preview, &watch, Some(event));
             (streaming, watch) = match self.next()? {
-                Task::Stream(next, watch) if Arc::ptr_eq(&next.pose.sampled, &sampled) => (next, watch),
+                PreviewTask::Stream(next, watch) if Arc::ptr_eq(&next.pose.sampled, &sampled) => {
+                    (next, watch)
+                }
                 other => return Some(other),
             };
         }
@@ -80,20 +82,22 @@ impl Thread {
         &self,
         streaming: Streaming,
         around: impl FnOnce() -> &'a RestGeometry<'a>,
-        colors: &OnceCell<Shown>,
+        colors: &OnceCell<DetailAttributes>,
         progress: &dyn Progress,
     ) -> Result<Event> {
-        let Streaming { number, pose: Pose { sampled, positions }, chosen, tint, model } = streaming;
+        let Streaming { number, pose: SamplePose { sampled, positions }, chosen, tint, model } = streaming;
         let start = Instant::now();
         let model = sampled.open_source(model.as_deref(), progress)?;
         let chosen = chosen.showing(match tint {
-            Tint::Samples => Shown::Nothing,
-            Tint::Attribute(place) => Shown::Attribute(place),
+            Tint::Samples => DetailAttributes::Nothing,
+            Tint::Attribute(place) => DetailAttributes::Attribute(place),
             Tint::Own => match colors.get() {
                 Some(known) => *known,
                 None => {
-                    let found = colors::Bytes::for_model(model.as_ref())?.map(|bytes| bytes.meaning());
-                    let shown = found.map_or(Shown::Nothing, |(colors, scale)| Shown::Colors(colors, scale));
+                    let found = colors::ColorBytes::for_model(model.as_ref())?.map(|bytes| bytes.meaning());
+                    let shown = found.map_or(DetailAttributes::Nothing, |(colors, scale)| {
+                        DetailAttributes::Colors(colors, scale)
+                    });
                     *colors.get_or_init(|| shown)
                 }
             },

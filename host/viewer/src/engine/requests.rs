@@ -1,17 +1,17 @@
 //! What the engine is asked for, and what it tells.
 
-use crate::scene::Scene;
+use crate::scene::ViewerScene;
 use crate::tint::Tint;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use simod_core::detail::{Batch, Chosen, Streamed};
+use simod_core::detail::{DetailBatch, DetailRequest, Streamed};
 use simod_core::reconstruction::{Method, Normals, Reconstructed};
 use simod_core::sampled_model::SampledModel;
 use simod_model::Error;
 use simod_model::follow::Follow;
 use simod_plugin_api::Effort;
 use simod_session::edit::{Editor, Entry};
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -42,7 +42,7 @@ pub struct Opening {
     /// A model, the folder of a sampled one, or a session.
     pub path: PathBuf,
     /// How finely a model is sampled.
-    pub sampling: Sampling,
+    pub sampling: SamplingTable,
     /// Takes what was kept of it against a crash, if there is something.
     pub recover: bool,
     /// Where the model is, if it was moved.
@@ -51,7 +51,7 @@ pub struct Opening {
 
 /// How the deformed model is written.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Writing {
+pub struct WriteRequest {
     /// The file.
     pub output: PathBuf,
     /// The model, if it was moved since it was sampled.
@@ -65,7 +65,7 @@ pub struct Writing {
 }
 
 /// Steps to be done.
-pub(super) struct Request {
+pub(super) struct StepsRequest {
     pub number: u64,
     pub steps: Arc<[Entry]>,
     pub effort: Effort,
@@ -88,8 +88,8 @@ pub enum Extra {
 /// Vertices to be streamed.
 pub(super) struct Streaming {
     pub number: u64,
-    pub pose: Pose,
-    pub chosen: Chosen,
+    pub pose: SamplePose,
+    pub chosen: DetailRequest,
     /// What the vertices are coloured by.
     pub tint: Tint,
     /// The model, if it was moved since it was sampled.
@@ -98,14 +98,14 @@ pub(super) struct Streaming {
 
 /// Samples somewhere: what vertices are carried over by.
 #[derive(Clone)]
-pub struct Pose {
+pub struct SamplePose {
     /// The samples at rest.
     pub sampled: Arc<SampledModel>,
     /// Where they are.
     pub positions: Arc<[Vec3]>,
 }
 
-impl Pose {
+impl SamplePose {
     /// Whether it is the very same; others may be equal nevertheless.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.sampled, &other.sampled) && Arc::ptr_eq(&self.positions, &other.positions)
@@ -114,13 +114,13 @@ impl Pose {
 
 /// What is wanted of another version.
 #[derive(Clone)]
-pub struct Comparing {
+pub struct ComparisonRequest {
     /// Which version it is; comes back with the result.
     pub number: u64,
     /// Its steps.
     pub steps: Arc<[Entry]>,
     /// Its samples, if they are known already.
-    pub scene: Option<Arc<Scene>>,
+    pub scene: Option<Arc<ViewerScene>>,
     /// Whether a step that cannot be done makes it worthless.
     pub whole: bool,
     /// Whether the error to be expected is wanted, too.
@@ -131,7 +131,7 @@ pub struct Comparing {
 
 /// Where a version has other samples than its own.
 #[derive(Clone)]
-pub struct Carried {
+pub struct CarriedSamples {
     /// The model with these samples.
     pub sampled: Arc<SampledModel>,
     /// Where they are, one for each: local positions.
@@ -141,22 +141,22 @@ pub struct Carried {
 /// What became of a request.
 pub enum Event {
     /// A model is there, with its samples at rest.
-    Opened(Box<(Editor, Scene)>),
+    Opened(Box<(Editor, ViewerScene)>),
     /// Steps were done.
     Evaluated {
         /// Which request it was.
         request: u64,
         /// Where the samples are.
-        scene: Box<Scene>,
+        scene: Box<ViewerScene>,
     },
     /// Another version is there.
     Compared {
         /// Which, as it was asked for.
         number: u64,
         /// Its samples.
-        scene: Arc<Scene>,
+        scene: Arc<ViewerScene>,
         /// Where it has the others that were asked for.
-        carried: Option<Carried>,
+        carried: Option<CarriedSamples>,
     },
     /// The deformed model was written.
     Written {
@@ -172,7 +172,7 @@ pub enum Event {
         /// Which request for them it was.
         request: u64,
         /// The vertices.
-        batch: Box<Batch>,
+        batch: Box<DetailBatch>,
     },
     /// All vertices are that were asked for.
     Streamed {

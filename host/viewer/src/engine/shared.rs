@@ -1,7 +1,7 @@
 //! What the window and the engine's threads share: what is wanted, and what is running.
 
-use super::requests::{Comparing, Job, Opening, Request, Streaming, Writing};
-use super::watch::Watch;
+use super::requests::{ComparisonRequest, Job, Opening, StepsRequest, Streaming, WriteRequest};
+use super::watch::JobWatch;
 use simod_plugin_api::Effort;
 use simod_session::PluginRegistry;
 use simod_session::edit::Entry;
@@ -10,19 +10,19 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 /// What the threads shall do next.
 #[derive(Default)]
-pub(super) struct Wanted {
+pub(super) struct WantedJobs {
     pub open: Option<Opening>,
-    pub evaluate: Option<Request>,
-    pub write: Option<(Arc<[Entry]>, Writing)>,
+    pub evaluate: Option<StepsRequest>,
+    pub write: Option<(Arc<[Entry]>, WriteRequest)>,
     pub preview: Option<Streaming>,
-    pub compare: Option<Comparing>,
+    pub compare: Option<ComparisonRequest>,
     /// Nothing is to be seen in full any more.
     pub forget: bool,
     pub plugins: Option<Arc<PluginRegistry>>,
     pub end: bool,
 }
 
-impl Wanted {
+impl WantedJobs {
     /// Whether a job waits to be begun.
     pub fn has(&self, job: Job) -> bool {
         match job {
@@ -48,9 +48,9 @@ impl Wanted {
 
 /// What is running.
 #[derive(Default)]
-pub(super) struct Running {
+pub(super) struct RunningJobs {
     /// The progress of each job that runs, by its number.
-    watches: [Option<Arc<Watch>>; Job::ALL.len()],
+    watches: [Option<Arc<JobWatch>>; Job::ALL.len()],
     /// The steps that are being done, or were last, and how well.
     pub evaluated: Option<(Arc<[Entry]>, Effort)>,
     /// The place of the step that is being done.
@@ -60,14 +60,14 @@ pub(super) struct Running {
     pub opened: usize,
 }
 
-impl Running {
+impl RunningJobs {
     /// The progress of a job, if it runs.
-    pub fn watch(&self, job: Job) -> Option<&Arc<Watch>> {
+    pub fn watch(&self, job: Job) -> Option<&Arc<JobWatch>> {
         self.watches[job as usize].as_ref()
     }
 
     /// A job runs from now on.
-    pub fn begin(&mut self, job: Job, watch: &Arc<Watch>) {
+    pub fn begin(&mut self, job: Job, watch: &Arc<JobWatch>) {
         self.watches[job as usize] = Some(watch.clone());
     }
 
@@ -84,18 +84,18 @@ impl Running {
 
 /// Both, and who waits for a change of them.
 #[derive(Default)]
-pub(super) struct Shared {
-    inner: Mutex<(Wanted, Running)>,
+pub(super) struct SharedState {
+    inner: Mutex<(WantedJobs, RunningJobs)>,
     pub changed: Condvar,
 }
 
-impl Shared {
-    pub fn lock(&self) -> MutexGuard<'_, (Wanted, Running)> {
+impl SharedState {
+    pub fn lock(&self) -> MutexGuard<'_, (WantedJobs, RunningJobs)> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// Whether nothing is running, nothing waits, and all events were taken.
-pub(super) fn is_idle(wanted: &Wanted, running: &Running) -> bool {
+pub(super) fn is_idle(wanted: &WantedJobs, running: &RunningJobs) -> bool {
     Job::ALL.iter().all(|job| !wanted.has(*job) && running.watch(*job).is_none()) && running.events == 0
 }

@@ -1,16 +1,16 @@
 //! The engine's other end: a thread that opens, does steps, and has models written, one after the other.
 
-use super::requests::{Comparing, Event, Extra, Job, Opening, Request, Writing};
-use super::shared::{Running, Shared};
-use super::watch::{Wake, Watch};
-use crate::scene::Scene;
+use super::requests::{ComparisonRequest, Event, Extra, Job, Opening, StepsRequest, WriteRequest};
+use super::shared::{RunningJobs, SharedState};
+use super::watch::{JobWatch, Wake};
+use crate::scene::ViewerScene;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::sampled_model::SampledModel;
 use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::Effort;
 use simod_session::edit::{Editor, Entry, Evaluated, Evaluation, recover};
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_session::{PluginRegistry, SessionFile};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::AtomicBool;
@@ -20,8 +20,8 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 /// What the thread works with.
-pub(super) struct Thread {
-    shared: Arc<Shared>,
+pub(super) struct EngineThread {
+    shared: Arc<SharedState>,
     tell: Teller,
     plugins: Arc<PluginRegistry>,
     evaluation: Option<Evaluation>,
@@ -34,21 +34,21 @@ pub(super) struct Thread {
 /// The way to the window.
 #[derive(Clone)]
 pub(super) struct Teller {
-    shared: Arc<Shared>,
+    shared: Arc<SharedState>,
     events: Sender<Event>,
     wake: Wake,
 }
 
 /// What to do next.
-enum Task {
+enum EngineTask {
     Open(Opening),
-    Evaluate(Request),
-    Write(Arc<[Entry]>, Writing),
-    Compare(Comparing),
+    Evaluate(StepsRequest),
+    Write(Arc<[Entry]>, WriteRequest),
+    Compare(ComparisonRequest),
 }
 
 impl Teller {
-    pub fn new(shared: Arc<Shared>, events: Sender<Event>, wake: Wake) -> Self {
+    pub fn new(shared: Arc<SharedState>, events: Sender<Event>, wake: Wake) -> Self {
         Self { shared, events, wake }
     }
 
@@ -67,7 +67,7 @@ impl Teller {
     }
 
     /// Sends what became of a job, which is over.
-    pub fn end(&self, job: Job, watch: &Watch, event: Option<Event>) {
+    pub fn end(&self, job: Job, watch: &JobWatch, event: Option<Event>) {
         let notes = watch.take_notes().into_iter().map(Event::Note);
         let mut inner = self.shared.lock();
         let running = &mut inner.1;
@@ -98,19 +98,19 @@ pub(super) fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
     })
 }
 
-impl Thread {
-    pub fn new(shared: Arc<Shared>, tell: Teller, plugins: Arc<PluginRegistry>) -> Self {
+impl EngineThread {
+    pub fn new(shared: Arc<SharedState>, tell: Teller, plugins: Arc<PluginRegistry>) -> Self {
         Self { shared, tell, plugins, evaluation: None, revision: 0, asked: Arc::default(), writer: None }
     }
 
     pub fn run(mut self) {
         while let Some((task, watch)) = self.next() {
             match task {
-                Task::Open(opening) => {
+                EngineTask::Open(opening) => {
                     let opened = guarded(|| self.open(&opening, &watch));
                     self.tell.end(Job::Open, &watch, Some(event(Job::Open, opened)));
                 }
-                Task::Evaluate(Request { number, steps, effort, extra }) => {
+                EngineTask::Evaluate(StepsRequest { number, steps, effort, extra }) => {
                     let scene = guarded(|| {
                         let scene = self.scene(&steps, effort, &*watch)?;
                         with_extra(scene, &extra, &*watch)
@@ -119,7 +119,7 @@ impl Thread {
                         scene.map(|scene| Event::Evaluated { request: number, scene: Box::new(scene) });
                     self.tell.end(Job::Evaluate, &watch, Some(event(Job::Evaluate, scene)));
                 }
-                Task::Write(steps, writing) => {
+                EngineTask::Write(steps, writing) => {
                     match guarded(|| self.evaluated(&steps, Effort::FULL, &*watch)) {
                         Ok(evaluated) => self.write(evaluated, writing, watch),
                         Err(error) => {
@@ -127,7 +127,7 @@ impl Thread {
                         }
                     }
                 }
-                Task::Compare(comparing) => {
+                EngineTask::Compare(comparing) => {
                     let compared = guarded(|| self.compared(comparing, &*watch));
                     self.tell.end(Job::Compare, &watch, Some(event(Job::Compare, compared)));
                 }
@@ -139,7 +139,7 @@ impl Thread {
     }
 
     /// Waits for something to do, which is then running; nothing once the window is closed.
-    fn next(&mut self) -> Option<(Task, Arc<Watch>)> {
+    fn next(&mut self) -> Option<(EngineTask, Arc<JobWatch>)> {
         let mut inner = self.shared.lock();
         loop {
             let (wanted, running) = &mut *inner;
@@ -149,37 +149,37 @@ impl Thread {
             if let Some(plugins) = wanted.plugins.take() {
                 self.plugins = plugins;
             }
-            let watch = Arc::new(Watch::new(self.tell.wake.clone()));
+            let watch = Arc::new(JobWatch::new(self.tell.wake.clone()));
             if let Some(opening) = wanted.open.take() {
                 running.begin(Job::Open, &watch);
-                return Some((Task::Open(opening), watch));
+                return Some((EngineTask::Open(opening), watch));
             }
             if let Some(request) = wanted.evaluate.take() {
                 running.begin(Job::Evaluate, &watch);
                 running.evaluated = Some((request.steps.clone(), request.effort));
-                return Some((Task::Evaluate(request), watch));
+                return Some((EngineTask::Evaluate(request), watch));
             }
             if let Some(comparing) = wanted.compare.take() {
                 running.begin(Job::Compare, &watch);
-                return Some((Task::Compare(comparing), watch));
+                return Some((EngineTask::Compare(comparing), watch));
             }
             if running.watch(Job::Write).is_none()
                 && let Some((steps, writing)) = wanted.write.take()
             {
                 running.begin(Job::Write, &watch);
-                return Some((Task::Write(steps, writing), watch));
+                return Some((EngineTask::Write(steps, writing), watch));
             }
             inner = self.shared.changed.wait(inner).unwrap_or_else(PoisonError::into_inner);
         }
     }
 
     /// Opens something; what was open before stays until that is done.
-    fn open(&mut self, opening: &Opening, progress: &Watch) -> Result<Event> {
+    fn open(&mut self, opening: &Opening, progress: &JobWatch) -> Result<Event> {
         let (editor, mut evaluation) = opened(opening, &self.plugins, progress)?;
         let rest = evaluation.update(&[], &self.plugins, Effort::FULL, progress)?;
         self.revision += 1;
-        let scene = Scene::new(rest, &evaluation, Effort::FULL, self.revision, &self.asked);
-        let Running { step, .. } = &mut self.shared.lock().1;
+        let scene = ViewerScene::new(rest, &evaluation, Effort::FULL, self.revision, &self.asked);
+        let RunningJobs { step, .. } = &mut self.shared.lock().1;
         step.clone_from(evaluation.place());
         self.evaluation = Some(evaluation);
         Ok(Event::Opened(Box::new((editor, scene))))
@@ -191,27 +191,27 @@ impl Thread {
         Ok(evaluated.with_notices(steps, &self.plugins))
     }
 
-    fn compared(&mut self, comparing: Comparing, progress: &dyn Progress) -> Result<Event> {
+    fn compared(&mut self, comparing: ComparisonRequest, progress: &dyn Progress) -> Result<Event> {
         let evaluation = self.evaluation.as_ref().ok_or_else(nothing_open)?;
         comparing.done(evaluation, &self.plugins, &mut self.revision, progress)
     }
 
-    fn scene(&mut self, steps: &[Entry], effort: Effort, progress: &dyn Progress) -> Result<Scene> {
+    fn scene(&mut self, steps: &[Entry], effort: Effort, progress: &dyn Progress) -> Result<ViewerScene> {
         let evaluated = self.evaluated(steps, effort, progress)?;
         self.revision += 1;
         let evaluation = self.evaluation.as_ref();
         let evaluation = evaluation.ok_or_else(Error::cancelled)?;
-        Ok(Scene::new(evaluated, evaluation, effort, self.revision, &self.asked))
+        Ok(ViewerScene::new(evaluated, evaluation, effort, self.revision, &self.asked))
     }
 
     /// Writes on a thread of its own, so that the edit goes on.
-    fn write(&mut self, evaluated: Evaluated, writing: Writing, watch: Arc<Watch>) {
+    fn write(&mut self, evaluated: Evaluated, writing: WriteRequest, watch: Arc<JobWatch>) {
         if let Some(former) = self.writer.take() {
             let _ = former.join();
         }
         let tell = self.tell.clone();
         let work = move || {
-            let Writing { output, model, follow, method, normals } = writing;
+            let WriteRequest { output, model, follow, method, normals } = writing;
             let how = Reconstruction { method, normals, ..Reconstruction::default() };
             let start = Instant::now();
             let report = guarded(|| evaluated.write(model.as_deref(), &follow, &output, &how, &*watch));
@@ -227,7 +227,7 @@ impl Thread {
 }
 
 /// A scene with what else was wanted. Where attributes cannot be read, there is the scene nevertheless.
-fn with_extra(scene: Scene, extra: &Extra, progress: &dyn Progress) -> Result<Scene> {
+fn with_extra(scene: ViewerScene, extra: &Extra, progress: &dyn Progress) -> Result<ViewerScene> {
     match extra {
         Extra::Nothing => Ok(scene),
         Extra::ExpectedError => Ok(scene.measured()),
@@ -303,7 +303,7 @@ fn session_of(sampled: &SampledModel) -> SessionFile {
     let has_opacity = simod_model::follow::opacity(&sampled.source.attributes).is_some();
     let min_opacity = has_opacity.then(|| sampled.sampling.min_opacity.unwrap_or(0.0));
     let sampling =
-        Sampling { samples, error, grid: sampled.sampling.grid, place, by, sheets: None, min_opacity };
+        SamplingTable { samples, error, grid: sampled.sampling.grid, place, by, sheets: None, min_opacity };
     // Tiles are those that were sampled.
     let model = sampled.source.tiles.is_empty().then(|| sampled.source.path.clone());
     SessionFile { model, columns: sampled.source.columns.clone(), sampling, ..SessionFile::default() }

@@ -52,7 +52,7 @@ fn is_prepared_alike(a: &Step, b: &Step) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use simod_session::edit::{Change, Command, Document};
+    use simod_session::edit::{Change, Document, EditCommand};
     use simod_session::{Motion, SessionFile};
     use std::path::Path;
 
@@ -70,7 +70,7 @@ mod tests {
         assert!(!wasted(&document, full, full, 1, false), "nothing changed");
         let motion = Motion { degrees: 10.0, ..Motion::default() };
         let moved = Change::MoveRegion { region: 0, motion };
-        document.apply(Command::Change { at: 1, change: moved }).unwrap();
+        document.apply(EditCommand::Change { at: 1, change: moved }).unwrap();
         for effort in [draft, full] {
             assert!(!wasted(&document, full, effort, 1, true), "the preparation is the same");
             assert!(wasted(&document, full, effort, 1, false), "the result is not");
@@ -79,11 +79,11 @@ mod tests {
         }
         assert!(!wasted(&document, draft, draft, 2, false), "a drag shows where it was");
         let change = Change::SetParam { id: "kernel".into(), value: Some("gaussian".into()) };
-        document.apply(Command::Change { at: 1, change }).unwrap();
+        document.apply(EditCommand::Change { at: 1, change }).unwrap();
         assert!(wasted(&document, full, full, 1, true), "another preparation");
         document.undo();
         document.undo();
-        document.apply(Command::Remove { at: 2 }).unwrap();
+        document.apply(EditCommand::Remove { at: 2 }).unwrap();
         assert!(!wasted(&document, full, full, 1, true));
         assert!(wasted(&document, full, full, 2, true), "the step is gone");
     }

@@ -35,7 +35,7 @@ pub(super) enum StageKind {
     Other,
 }
 
-struct Stage {
+struct WatchedStage {
     kind: StageKind,
     name: &'static str,
     total: u64,
@@ -45,10 +45,10 @@ struct Stage {
 }
 
 /// The progress of one job.
-pub(super) struct Watch {
+pub(super) struct JobWatch {
     wake: Wake,
     begun: Instant,
-    stage: Mutex<Stage>,
+    stage: Mutex<WatchedStage>,
     done: AtomicU64,
     cancelled: AtomicBool,
     /// For something newer, which nobody needs to be told.
@@ -63,13 +63,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Watch {
+impl JobWatch {
     pub fn new(wake: Wake) -> Self {
         let now = Instant::now();
         Self {
             wake,
             begun: now,
-            stage: Mutex::new(Stage {
+            stage: Mutex::new(WatchedStage {
                 kind: StageKind::Other,
                 name: "starting",
                 total: 0,
@@ -114,7 +114,7 @@ impl Watch {
     }
 
     fn start(&self, kind: StageKind, name: &'static str, total: u64, of_bytes: bool) {
-        *lock(&self.stage) = Stage { kind, name, total, of_bytes, since: Instant::now() };
+        *lock(&self.stage) = WatchedStage { kind, name, total, of_bytes, since: Instant::now() };
         self.done.store(0, Relaxed);
         self.told.store(0, Relaxed);
         (self.wake)();
@@ -131,7 +131,7 @@ impl Watch {
     }
 }
 
-impl Progress for Watch {
+impl Progress for JobWatch {
     fn begin(&self, stage: &'static str, total: u64) {
         self.start(StageKind::Other, stage, total, true);
     }

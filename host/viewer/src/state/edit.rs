@@ -3,9 +3,9 @@
 use super::State;
 use super::open::{OpenSession, nothing_open};
 use crate::command::Command;
-use crate::engine::{Extra, Writing};
+use crate::engine::{Extra, WriteRequest};
 use crate::overlay::Overlay;
-use crate::scene::Scene;
+use crate::scene::ViewerScene;
 use crate::selection::Selection;
 use simod_core::reconstruction::Reconstruction;
 use simod_model::target::folder_of;
@@ -25,7 +25,7 @@ impl State {
     }
 
     /// What was opened takes the place of what was there, which is kept against a crash if it was not saved.
-    pub(super) fn opened(&mut self, editor: Editor, scene: Scene) {
+    pub(super) fn opened(&mut self, editor: Editor, scene: ViewerScene) {
         if let Err(error) = self.autosave() {
             self.tell(super::Notice::Note(format!("the former edit was not kept: {error}")));
         }
@@ -61,7 +61,7 @@ impl State {
         self.requested = self.engine.evaluate(steps, effort, extra);
     }
 
-    pub(super) fn edit(&mut self, command: edit::Command, dragging: bool) -> Result<()> {
+    pub(super) fn edit(&mut self, command: edit::EditCommand, dragging: bool) -> Result<()> {
         let former = self.open()?.steps().clone();
         let document = self.document_mut()?;
         if !dragging {
@@ -79,7 +79,7 @@ impl State {
     }
 
     pub(super) fn change(&mut self, at: usize, change: Change) -> Result<()> {
-        self.edit(edit::Command::Change { at, change }, false)
+        self.edit(edit::EditCommand::Change { at, change }, false)
     }
 
     pub(super) fn rest(&mut self) -> Result<()> {
@@ -164,7 +164,7 @@ impl State {
         }
         let behind = self.chosen().map_or(self.open()?.steps().len(), |chosen| chosen + 1);
         let (at, count) = (at.unwrap_or(behind), steps.len());
-        self.edit(edit::Command::Insert { at, steps }, false)?;
+        self.edit(edit::EditCommand::Insert { at, steps }, false)?;
         self.choose(Some(at + count - 1))
     }
 
@@ -178,7 +178,7 @@ impl State {
     }
 
     pub(super) fn add(&mut self, at: usize, action: Action) -> Result<()> {
-        self.edit(edit::Command::Add { at, step: Box::new(Step::new(action)) }, false)
+        self.edit(edit::EditCommand::Add { at, step: Box::new(Step::new(action)) }, false)
     }
 
     pub(super) fn save(&mut self, path: Option<PathBuf>) -> Result<()> {
@@ -198,14 +198,14 @@ impl State {
         let how = Reconstruction::default();
         let model = open.editor.model().map(Path::to_owned);
         let follow = open.editor.follow();
-        let writing = Writing { output, model, follow, method: how.method, normals: how.normals };
+        let writing = WriteRequest { output, model, follow, method: how.method, normals: how.normals };
         self.engine.write(open.steps().clone(), writing);
         Ok(())
     }
 
     /// A command whose effect depends on where samples were just then, as one that does the same anywhere.
     pub(super) fn resolved(&self, command: Command) -> Command {
-        let same = |change: Option<edit::Command>, command| change.map_or(command, Command::Edit);
+        let same = |change: Option<edit::EditCommand>, command| change.map_or(command, Command::Edit);
         let steps = self.open.as_ref().map(|open| open.steps().clone()).unwrap_or_default();
         match command {
             Command::Select { goes_on, .. } => self.resolved_selection(goes_on),
@@ -213,11 +213,11 @@ impl State {
             Command::MakeRegion { step: at, .. } | Command::MakeHandle { step: at, .. } => {
                 let regions = steps.get(at).and_then(|e| Some(e.step.deformation()?.regions.clone()));
                 let change = regions.map(Change::SetRegions);
-                same(change.map(|change| edit::Command::Change { at, change }), command)
+                same(change.map(|change| edit::EditCommand::Change { at, change }), command)
             }
             Command::RefineSelection { .. } => {
                 let last = steps.last().map(|e| Box::new((*e.step).clone()));
-                same(last.map(|step| edit::Command::Add { at: steps.len() - 1, step }), command)
+                same(last.map(|step| edit::EditCommand::Add { at: steps.len() - 1, step }), command)
             }
             other => other,
         }

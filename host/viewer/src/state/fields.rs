@@ -1,22 +1,22 @@
 //! The numbers that are shown on the surface, of both versions on one scale.
 
-use super::known::{Key, VersionNumbers};
-use super::{State, Version};
-use crate::overlay::{self, Field, Overlay};
-use crate::scene::Scene;
+use super::known::{FieldKey, VersionNumbers};
+use super::{ComparedVersion, State};
+use crate::overlay::{self, Overlay, ScalarField};
+use crate::scene::ViewerScene;
 use std::sync::Arc;
 
 impl State {
     /// The numbers that are shown on the surface; nothing where only the surface is.
-    pub fn field(&mut self) -> Option<&Field> {
-        self.field_of(Version::Now)
+    pub fn field(&mut self) -> Option<&ScalarField> {
+        self.field_of(ComparedVersion::Now)
     }
 
     /// The same of a version. While one is pinned, the scale is that of both; what depends on the selection,
     /// or on the step that is chosen, is of the other one alone.
-    pub fn field_of(&mut self, version: Version) -> Option<&Field> {
-        self.know(Version::Now);
-        self.know(Version::Pinned);
+    pub fn field_of(&mut self, version: ComparedVersion) -> Option<&ScalarField> {
+        self.know(ComparedVersion::Now);
+        self.know(ComparedVersion::Pinned);
         let ranges = self.fields.iter().flatten().map(|known| known.range);
         if let Some(range) = ranges.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]) {
             self.fields.iter_mut().flatten().for_each(|known| known.field.range = range);
@@ -26,7 +26,7 @@ impl State {
 
     /// The colours of a version's samples, if they are not all the same: those of the numbers that are shown,
     /// or the model's own.
-    pub fn sample_colors(&mut self, version: Version) -> Option<Vec<[u8; 3]>> {
+    pub fn sample_colors(&mut self, version: ComparedVersion) -> Option<Vec<[u8; 3]>> {
         let scene = self.scene_of(version)?.clone();
         if let Some(field) = self.field_of(version) {
             return Some((0..scene.len()).map(|i| field.color(i)).collect());
@@ -36,12 +36,12 @@ impl State {
     }
 
     /// Finds the numbers of a version, unless they are known.
-    fn know(&mut self, version: Version) {
+    fn know(&mut self, version: ComparedVersion) {
         let known = self.fields[version as usize].take();
         self.fields[version as usize] = self.found(version, known);
     }
 
-    fn found(&self, version: Version, known: Option<VersionNumbers>) -> Option<VersionNumbers> {
+    fn found(&self, version: ComparedVersion, known: Option<VersionNumbers>) -> Option<VersionNumbers> {
         let scene = self.scene_of(version)?;
         let steps = self.document()?.steps();
         let (overlay, chosen) = (self.overlay, self.chosen());
@@ -50,8 +50,8 @@ impl State {
             _ => None,
         };
         let carried = match version {
-            Version::Now => self.pinned.as_ref().and_then(|pinned| pinned.carried(&scene.sampled)),
-            Version::Pinned => None,
+            ComparedVersion::Now => self.pinned.as_ref().and_then(|pinned| pinned.carried(&scene.sampled)),
+            ComparedVersion::Pinned => None,
         };
         let compared = other.map(|other| (other.revision, carried.is_some()));
         let is_same = |VersionNumbers { key, .. }: &VersionNumbers| {
@@ -67,7 +67,9 @@ impl State {
         }
         let field = match (overlay, other) {
             (Overlay::None, _) => return None,
-            (Overlay::Selection | Overlay::Region(_), _) if version == Version::Pinned => return None,
+            (Overlay::Selection | Overlay::Region(_), _) if version == ComparedVersion::Pinned => {
+                return None;
+            }
             (Overlay::Selection, _) => overlay::selection(&self.selection),
             (Overlay::Region(region), _) => {
                 overlay::region(scene, self.before(chosen?).ok()?, self.shapes(chosen?, region).ok()?)
@@ -81,16 +83,16 @@ impl State {
         };
         let (revision, steps) = (scene.revision, steps.clone());
         let key =
-            Key { overlay, revision, other: compared, selection: self.selection.clone(), steps, chosen };
+            FieldKey { overlay, revision, other: compared, selection: self.selection.clone(), steps, chosen };
         let range = field.range;
         Some(VersionNumbers { key, field, range })
     }
 
     /// The scene of the other version.
-    fn other(&self, version: Version) -> Option<&Arc<Scene>> {
+    fn other(&self, version: ComparedVersion) -> Option<&Arc<ViewerScene>> {
         self.scene_of(match version {
-            Version::Now => Version::Pinned,
-            Version::Pinned => Version::Now,
+            ComparedVersion::Now => ComparedVersion::Pinned,
+            ComparedVersion::Pinned => ComparedVersion::Now,
         })
     }
 }

@@ -1,7 +1,7 @@
 //! What is shown in full, and on its way.
 
 use crate::detail::Detail;
-use crate::engine::Pose;
+use crate::engine::SamplePose;
 use crate::tint::Tint;
 use simod_core::detail::Streamed;
 
@@ -9,7 +9,7 @@ use simod_core::detail::Streamed;
 #[derive(Default)]
 pub(super) struct Preview {
     pub detail: Option<Detail>,
-    pub streaming: Option<Asked>,
+    pub streaming: Option<StreamedDetail>,
     /// The user stopped it.
     pub stopped: bool,
     /// The last that was streamed to its end, and how long it took.
@@ -17,10 +17,10 @@ pub(super) struct Preview {
 }
 
 /// What is being streamed.
-pub(super) struct Asked {
+pub(super) struct StreamedDetail {
     pub request: u64,
     /// By what samples, one of how many vertices, and with what.
-    pub pose: Pose,
+    pub pose: SamplePose,
     pub stride: u64,
     pub tint: Tint,
 }

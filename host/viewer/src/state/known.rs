@@ -1,20 +1,20 @@
 //! The numbers that are shown on the surface, as they were found last.
 
-use crate::overlay::{Field, Overlay};
+use crate::overlay::{Overlay, ScalarField};
 use crate::selection::Selection;
 use simod_session::edit::Entry;
 use std::sync::Arc;
 
 /// The numbers of a version, as they were found last.
 pub(super) struct VersionNumbers {
-    pub key: Key,
-    pub field: Field,
+    pub key: FieldKey,
+    pub field: ScalarField,
     /// Of these numbers alone.
     pub range: [f32; 2],
 }
 
 /// What a field depends on.
-pub(super) struct Key {
+pub(super) struct FieldKey {
     pub overlay: Overlay,
     pub revision: u64,
     /// The other version's revision, and whether it is known at all samples; where they are compared.

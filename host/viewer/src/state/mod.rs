@@ -18,7 +18,7 @@ mod version;
 mod view;
 
 use crate::appended::{former, owners};
-use crate::body::Body;
+use crate::body::InscribedBalls;
 use crate::camera::Camera;
 use crate::clip::Clip;
 use crate::command::Command;
@@ -26,7 +26,7 @@ use crate::engine::{Activity, Emerged, Engine, Event, Job, Opening, Wake};
 use crate::overlay::Overlay;
 use crate::pick::DepthBuffer;
 use crate::record::Recorder;
-use crate::scene::Scene;
+use crate::scene::ViewerScene;
 use crate::selection::{Adjacency, Selection};
 use full::Preview;
 use glam::DVec3;
@@ -43,8 +43,8 @@ pub use slowest::Slowest;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
+pub use version::ComparedVersion;
 use version::Pinned;
-pub use version::Version;
 
 /// Notices that are kept until the window takes them.
 const MOST_NOTICES: usize = 100;
@@ -90,7 +90,7 @@ pub struct State {
     depth: Option<(u64, DepthBuffer)>,
     preview: Preview,
     /// Of the samples at rest, once a step with joints was chosen.
-    body: Option<Body>,
+    body: Option<InscribedBalls>,
     /// The numbers of both versions.
     fields: [Option<VersionNumbers>; 2],
     /// The version to compare with.
@@ -293,7 +293,7 @@ impl State {
         }
     }
 
-    fn show_scene(&mut self, scene: Arc<Scene>) {
+    fn show_scene(&mut self, scene: Arc<ViewerScene>) {
         let Some(open) = &mut self.open else { return };
         let before = std::mem::replace(&mut open.scene, scene).sampled.clone();
         let after = &open.scene.sampled;
@@ -379,7 +379,7 @@ impl State {
     }
 
     /// What is there to be drawn, if something is open.
-    pub fn scene(&self) -> Option<&Arc<Scene>> {
+    pub fn scene(&self) -> Option<&Arc<ViewerScene>> {
         self.open.as_ref().map(|open| &open.scene)
     }
 

@@ -1,6 +1,6 @@
 //! What is open, and what is told where nothing is.
 
-use crate::scene::Scene;
+use crate::scene::ViewerScene;
 use crate::selection::Adjacency;
 use simod_model::Error;
 use simod_session::edit::{Editor, Entry};
@@ -9,13 +9,13 @@ use std::sync::Arc;
 /// What is open.
 pub(super) struct OpenSession {
     pub editor: Editor,
-    pub scene: Arc<Scene>,
+    pub scene: Arc<ViewerScene>,
     /// Who is next to whom, of the scene's samples.
     pub adjacency: Arc<Adjacency>,
 }
 
 impl OpenSession {
-    pub fn new(editor: Editor, scene: Scene) -> Self {
+    pub fn new(editor: Editor, scene: ViewerScene) -> Self {
         let adjacency = Arc::new(Adjacency::of_model(&scene.sampled));
         Self { editor, scene: Arc::new(scene), adjacency }
     }

@@ -2,10 +2,10 @@
 
 use super::State;
 use super::open::{OpenSession, nothing_open};
-use super::version::{Pinned, Steps, Version};
-use crate::engine::{Carried, Comparing};
+use super::version::{ComparedVersion, Pinned, Steps};
+use crate::engine::{CarriedSamples, ComparisonRequest};
 use crate::overlay::Overlay;
-use crate::scene::{Scene, common};
+use crate::scene::{ViewerScene, common};
 use simod_core::fingerprint::are_same;
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Error, Result};
@@ -19,10 +19,10 @@ const SWAP: &str = "go on with the pinned version";
 
 impl State {
     /// What is there to be drawn of a version, if it is there.
-    pub fn scene_of(&self, version: Version) -> Option<&Arc<Scene>> {
+    pub fn scene_of(&self, version: ComparedVersion) -> Option<&Arc<ViewerScene>> {
         match version {
-            Version::Now => self.scene(),
-            Version::Pinned => self.pinned.as_ref()?.scene(),
+            ComparedVersion::Now => self.scene(),
+            ComparedVersion::Pinned => self.pinned.as_ref()?.scene(),
         }
     }
 
@@ -128,7 +128,7 @@ impl State {
         let measured = scene.as_ref().is_some_and(|scene| scene.expected_error.is_some());
         let measure = self.overlay == Overlay::TransferError && !measured;
         let now = &open.scene.sampled;
-        let has_others = |scene: &Arc<Scene>| common(&scene.sampled, now) < open.scene.len();
+        let has_others = |scene: &Arc<ViewerScene>| common(&scene.sampled, now) < open.scene.len();
         let carries = self.overlay == Overlay::Difference && pinned.carried(now).is_none();
         let onto = (carries && scene.as_ref().is_some_and(has_others)).then(|| now.clone());
         if scene.is_some() && !measure && onto.is_none() {
@@ -144,7 +144,7 @@ impl State {
         pinned.asked = Some((measure, onto.clone()));
         let Pinned { number, whole, .. } = *pinned;
         let steps = pinned.version.steps.clone();
-        self.engine.compare(Some(Comparing { number, steps, scene, whole, measure, onto }));
+        self.engine.compare(Some(ComparisonRequest { number, steps, scene, whole, measure, onto }));
     }
 
     /// What was asked for was given up.
@@ -156,7 +156,7 @@ impl State {
     }
 
     /// What the engine has found of a version.
-    pub(super) fn compared(&mut self, number: u64, scene: Arc<Scene>, carried: Option<Carried>) {
+    pub(super) fn compared(&mut self, number: u64, scene: Arc<ViewerScene>, carried: Option<CarriedSamples>) {
         if let Some(pinned) = self.pinned.as_mut().filter(|pinned| pinned.number == number) {
             pinned.version.scene = Some(scene);
             pinned.carried = carried.or(pinned.carried.take());

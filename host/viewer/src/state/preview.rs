@@ -2,12 +2,12 @@
 //! samples.
 
 use super::State;
-use super::full::{Asked, Preview};
+use super::full::{Preview, StreamedDetail};
 use super::open::nothing_open;
 use crate::detail::{Detail, Previewed};
-use crate::engine::{Job, Pose};
+use crate::engine::{Job, SamplePose};
 use rayon::prelude::*;
-use simod_core::detail::{Batch, Chosen, ENOUGH, Streamed};
+use simod_core::detail::{DetailBatch, DetailRequest, ENOUGH, Streamed};
 use simod_model::Result;
 
 /// Samples around those that are seen, whose vertices may be.
@@ -47,8 +47,8 @@ impl State {
                 (0..seen.len()).into_par_iter().map(near).collect()
             }
         };
-        let chosen = Chosen::select(&scene.sampled, &marks, ENOUGH)?;
-        let pose = Pose { sampled: scene.sampled.clone(), positions: scene.positions.clone() };
+        let chosen = DetailRequest::select(&scene.sampled, &marks, ENOUGH)?;
+        let pose = SamplePose { sampled: scene.sampled.clone(), positions: scene.positions.clone() };
         let tint = self.tint();
         let preview = &mut self.preview;
         match &mut preview.detail {
@@ -80,7 +80,7 @@ impl State {
     /// rests.
     pub(super) fn follow_samples(&mut self) {
         let Some(scene) = self.open.as_ref().map(|open| open.scene.clone()) else { return };
-        let pose = Pose { sampled: scene.sampled.clone(), positions: scene.positions.clone() };
+        let pose = SamplePose { sampled: scene.sampled.clone(), positions: scene.positions.clone() };
         if let Some(detail) = &mut self.preview.detail {
             detail.follow(pose);
             self.stream_missing();
@@ -98,15 +98,16 @@ impl State {
             }
             return;
         }
-        let pose = Pose { sampled: open.scene.sampled.clone(), positions: open.scene.positions.clone() };
+        let pose =
+            SamplePose { sampled: open.scene.sampled.clone(), positions: open.scene.positions.clone() };
         let (stride, tint) = (missing.stride, detail.tint());
         let model = open.editor.model().map(std::path::Path::to_owned);
         let request = self.engine.preview(pose.clone(), missing, tint, model);
-        self.preview.streaming = Some(Asked { request, pose, stride, tint });
+        self.preview.streaming = Some(StreamedDetail { request, pose, stride, tint });
     }
 
     /// Some vertices have come.
-    pub(super) fn take_detail(&mut self, request: u64, batch: Batch) {
+    pub(super) fn take_detail(&mut self, request: u64, batch: DetailBatch) {
         let Preview { detail, streaming, .. } = &mut self.preview;
         if let (Some(detail), Some(streaming)) = (detail, streaming)
             && streaming.request == request

@@ -4,7 +4,7 @@ use super::State;
 use super::edit::missing;
 use super::open::OpenSession;
 use crate::appended::{as_found, owner_of};
-use crate::body::{Ball, Body, largest_balls};
+use crate::body::{Ball, InscribedBalls, largest_balls};
 use crate::motion::{PlacedHandle, placed_handles};
 use crate::pick::Hit;
 use crate::selection::Selection;
@@ -15,7 +15,7 @@ use simod_model::{Error, Result};
 use simod_plugin_api::HandleDesc;
 use simod_session::edit::{Change, StepId};
 use simod_session::step::{Action, HandleMove, Joint, Refine, Region, Role};
-use simod_session::{Motion, OwnHandles, PickedPoints, Shape, Shapes};
+use simod_session::{Motion, OwnHandles, PickedPoints, RegionShape, Shapes};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -91,7 +91,7 @@ impl State {
         let mut regions = self.deformation(at)?.regions.clone();
         let middle = handle.inside().iter().sum::<DVec3>() / handle.inside().len() as f64;
         for (role, picked) in [(Role::Handle, handle), (Role::Fixed, fixed)] {
-            let shapes = Shapes { shapes: vec![Shape::Selection(picked)], falloff: 0.0 };
+            let shapes = Shapes { shapes: vec![RegionShape::Selection(picked)], falloff: 0.0 };
             let motion = Motion { pivot: (role == Role::Handle).then_some(middle), ..Motion::default() };
             regions.push(Region { role, shapes, motion });
         }
@@ -141,7 +141,7 @@ impl State {
         let picked = self.picked(self.before(at)?, &self.selection)?;
         let mut regions = self.deformation(at)?.regions.clone();
         let middle = picked.inside().iter().sum::<DVec3>() / picked.inside().len() as f64;
-        let shapes = Shapes { shapes: vec![Shape::Selection(picked)], falloff };
+        let shapes = Shapes { shapes: vec![RegionShape::Selection(picked)], falloff };
         let pivot = (role == Role::Handle).then_some(middle);
         let mut region = Region { role, shapes, motion: Motion { pivot, ..Motion::default() } };
         match replaces {
@@ -160,7 +160,7 @@ impl State {
     pub(super) fn refine_selection(&mut self, finer: Finer) -> Result<()> {
         let open = self.open()?;
         let picked = self.picked(&open.scene.positions, &self.selection)?;
-        let shapes = Shapes { shapes: vec![Shape::Selection(picked)], falloff: 0.0 };
+        let shapes = Shapes { shapes: vec![RegionShape::Selection(picked)], falloff: 0.0 };
         let refine = Refine { shapes, finer };
         refine.check()?;
         self.add(self.open()?.steps().len(), Action::Refine(refine))
@@ -208,7 +208,7 @@ impl State {
             .and_then(|deformation| self.plugins().get(&deformation.deform).ok())
             .is_some_and(|plugin| plugin.consumes().joints);
         if takes_joints && self.body.as_ref().is_none_or(|body| !body.is_of(&scene.sampled)) {
-            self.body = Some(Body::find(&scene.sampled));
+            self.body = Some(InscribedBalls::find(&scene.sampled));
         }
     }
 

@@ -5,7 +5,7 @@ use crate::clip::cuts;
 use crate::command::Area;
 use crate::overlay;
 use crate::pick::{DepthBuffer, Hit, in_lasso, near_path, within};
-use crate::scene::Scene;
+use crate::scene::ViewerScene;
 use crate::selection::{Combine, Selection};
 use glam::{DVec2, DVec3};
 use simod_model::Result;
@@ -30,7 +30,7 @@ impl State {
     }
 
     /// The depth buffer of what is shown.
-    pub(super) fn depth(&mut self, scene: &Arc<Scene>) -> &DepthBuffer {
+    pub(super) fn depth(&mut self, scene: &Arc<ViewerScene>) -> &DepthBuffer {
         let (camera, size, clip) = (self.camera, self.size, self.local_clip());
         let known = self.depth.take().filter(|(r, d)| *r == scene.revision && d.is_of(&camera, size, clip));
         let made = known.unwrap_or_else(|| (scene.revision, DepthBuffer::new(scene, &camera, size, clip)));

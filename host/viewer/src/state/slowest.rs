@@ -41,14 +41,14 @@ impl fmt::Display for Slowest {
 
 /// The beginning of a command: it may have a million numbers.
 fn beginning(command: &Command) -> String {
-    struct Beginning(String);
-    impl Write for Beginning {
+    struct StageStart(String);
+    impl Write for StageStart {
         fn write_str(&mut self, text: &str) -> fmt::Result {
             self.0.extend(text.chars().take(LONGEST - self.0.chars().count()));
             if self.0.chars().count() < LONGEST { Ok(()) } else { Err(fmt::Error) }
         }
     }
-    let mut text = Beginning(String::new());
+    let mut text = StageStart(String::new());
     // It ends with an error once there is enough.
     let _ = write!(text, "{command:?}");
     text.0

@@ -1,7 +1,7 @@
 //! The two versions that are compared, and what is known of the pinned one.
 
-use crate::engine::Carried;
-use crate::scene::Scene;
+use crate::engine::CarriedSamples;
+use crate::scene::ViewerScene;
 use glam::Vec3;
 use simod_core::sampled_model::SampledModel;
 use simod_session::edit::Entry;
@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 /// One of the two versions that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Version {
+pub enum ComparedVersion {
     /// The one that is worked on.
     Now,
     /// The one that is pinned.
@@ -24,7 +24,7 @@ pub(super) struct Pinned {
     /// Whether it is of no use with a step that cannot be done.
     pub whole: bool,
     /// Where it has the samples of the other version, which was refined otherwise.
-    pub carried: Option<Carried>,
+    pub carried: Option<CarriedSamples>,
     /// What the engine was asked for last: the error to be expected, and where it has these samples.
     pub asked: Option<(bool, Option<Arc<SampledModel>>)>,
 }
@@ -33,11 +33,11 @@ pub(super) struct Pinned {
 pub(super) struct Steps {
     pub name: String,
     pub steps: Arc<[Entry]>,
-    pub scene: Option<Arc<Scene>>,
+    pub scene: Option<Arc<ViewerScene>>,
 }
 
 impl Pinned {
-    pub fn scene(&self) -> Option<&Arc<Scene>> {
+    pub fn scene(&self) -> Option<&Arc<ViewerScene>> {
         self.version.scene.as_ref()
     }
 

@@ -21,7 +21,7 @@ use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::engine::Job;
 use simod_viewer::selection::Combine;
 use simod_viewer::state::Slowest;
-use simod_viewer::{Clip, Command, Overlay, Previewed, State, Version};
+use simod_viewer::{Clip, Command, ComparedVersion, Overlay, Previewed, State};
 use std::collections::BTreeSet;
 
 fn area() -> impl Strategy<Value = Area> {
@@ -57,7 +57,7 @@ fn camera() -> impl Strategy<Value = CameraMove> {
 }
 
 /// Changes of steps; some make no sense.
-fn change() -> impl Strategy<Value = edit::Command> {
+fn change() -> impl Strategy<Value = edit::EditCommand> {
     let (at, small) = (0..4_usize, || -0.5..0.5_f64);
     let motion = (small(), small()).prop_map(|(y, turn)| Motion {
         translate: DVec3::Y * y,
@@ -81,17 +81,17 @@ fn change() -> impl Strategy<Value = edit::Command> {
         motion.prop_map(|motion| Change::MoveHandle { id: "0,0,0".into(), motion }),
     ];
     prop_oneof![
-        6 => (at.clone(), one).prop_map(|(at, change)| edit::Command::Change { at, change }),
-        2 => at.clone().prop_map(|at| edit::Command::Remove { at }),
-        2 => at.clone().prop_map(|at| edit::Command::Solo { at }),
-        1 => (at.clone(), at.clone()).prop_map(|(from, to)| edit::Command::Group {
+        6 => (at.clone(), one).prop_map(|(at, change)| edit::EditCommand::Change { at, change }),
+        2 => at.clone().prop_map(|at| edit::EditCommand::Remove { at }),
+        2 => at.clone().prop_map(|at| edit::EditCommand::Solo { at }),
+        1 => (at.clone(), at.clone()).prop_map(|(from, to)| edit::EditCommand::Group {
             steps: from..to + 1,
             name: (from < 2).then(|| "group".to_owned()),
         }),
-        1 => (at.clone(), any::<bool>()).prop_map(|(at, enabled)| edit::Command::EnableGroup { at, enabled }),
-        1 => (at.clone(), at.clone()).prop_map(|(at, to)| edit::Command::MoveGroup { at, to }),
-        1 => at.clone().prop_map(|at| edit::Command::RemoveGroup { at }),
-        1 => (at.clone(), at).prop_map(|(from, to)| edit::Command::Move { from, to }),
+        1 => (at.clone(), any::<bool>()).prop_map(|(at, enabled)| edit::EditCommand::EnableGroup { at, enabled }),
+        1 => (at.clone(), at.clone()).prop_map(|(at, to)| edit::EditCommand::MoveGroup { at, to }),
+        1 => at.clone().prop_map(|at| edit::EditCommand::RemoveGroup { at }),
+        1 => (at.clone(), at).prop_map(|(from, to)| edit::EditCommand::Move { from, to }),
     ]
 }
 
@@ -209,7 +209,7 @@ fn check(state: &mut State) {
         assert_eq!(detail.figures().vertices, alive);
         assert!(held <= 2 * VERTICES, "{held} vertices");
     }
-    for version in [Version::Now, Version::Pinned] {
+    for version in [ComparedVersion::Now, ComparedVersion::Pinned] {
         let samples = state.scene_of(version).map(|scene| scene.len());
         if let Some(field) = state.field_of(version) {
             assert_eq!(Some(field.values.len()), samples);
@@ -244,7 +244,7 @@ fn soak(commands: usize) -> (Vec<u64>, Slowest) {
         }
         // More than a person adds, and each refinement makes more samples.
         if state.document().unwrap().steps().len() > 6 {
-            state.apply(Command::Edit(edit::Command::Remove { at: 0 })).unwrap();
+            state.apply(Command::Edit(edit::EditCommand::Remove { at: 0 })).unwrap();
         }
         if i % 50 == 0 {
             state.settle(LONG).unwrap();
@@ -253,7 +253,7 @@ fn soak(commands: usize) -> (Vec<u64>, Slowest) {
         }
         if i % SPELL == SPELL - 1 {
             while !state.document().unwrap().steps().is_empty() {
-                state.apply(Command::Edit(edit::Command::Remove { at: 0 })).unwrap();
+                state.apply(Command::Edit(edit::EditCommand::Remove { at: 0 })).unwrap();
             }
             state.settle(LONG).unwrap();
             held.extend(anonymous());

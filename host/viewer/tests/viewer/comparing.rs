@@ -11,13 +11,13 @@ use simod_viewer::command::Area;
 use simod_viewer::engine::Job;
 use simod_viewer::record::{Recorder, parse};
 use simod_viewer::state::Notice;
-use simod_viewer::{Command, Overlay, State, Version, replay};
+use simod_viewer::{Command, ComparedVersion, Overlay, State, replay};
 use std::path::Path;
 use std::sync::Arc;
 
 fn set(at: usize, id: &str, value: impl Into<toml::Value>) -> Command {
     let change = Change::SetParam { id: id.into(), value: Some(value.into()) };
-    Command::Edit(edit::Command::Change { at, change })
+    Command::Edit(edit::EditCommand::Change { at, change })
 }
 
 /// A cylinder, sheared by 0.2.
@@ -31,15 +31,15 @@ fn sheared(folder: &Path) -> State {
 }
 
 fn refined(factor: f64) -> Command {
-    let everywhere = simod_session::Shape::Sphere { center: glam::DVec3::ZERO, radius: 1e6 };
+    let everywhere = simod_session::RegionShape::Sphere { center: glam::DVec3::ZERO, radius: 1e6 };
     let shapes = Shapes { shapes: vec![everywhere], falloff: 0.0 };
     let action = Action::Refine(Refine { shapes, finer: Finer::Factor(factor) });
     let step = Box::new(Step::new(action));
-    Command::Edit(edit::Command::Add { at: 0, step })
+    Command::Edit(edit::EditCommand::Add { at: 0, step })
 }
 
 /// The largest part by which a difference of shears is not what it has to be.
-fn off(state: &mut State, version: Version, slope: f64) -> f64 {
+fn off(state: &mut State, version: ComparedVersion, slope: f64) -> f64 {
     let scene = state.scene_of(version).unwrap().clone();
     let middle = 0.5 * (scene.sampled.bounds.min.y + scene.sampled.bounds.max.y);
     let height = |i: usize| scene.frame().to_model(scene.sampled.samples.positions[i]).y - middle;
@@ -62,14 +62,14 @@ fn the_difference_of_two_shears_is_known() {
     let mut state = sheared(folder.path());
     done(&mut state, Command::Pin);
     assert_eq!(state.pinned(), Some("after \u{201c}change slope of warp\u{201d}"));
-    let pinned = state.scene_of(Version::Pinned).unwrap().clone();
+    let pinned = state.scene_of(ComparedVersion::Pinned).unwrap().clone();
     assert!(Arc::ptr_eq(&pinned, state.scene().unwrap()), "nothing is copied");
     done(&mut state, Command::Show(Overlay::Difference));
     assert!(state.field().unwrap().values.iter().all(|x| *x == 0.0));
 
     done(&mut state, set(0, "slope", 0.5));
-    assert!(Arc::ptr_eq(&pinned, state.scene_of(Version::Pinned).unwrap()));
-    for version in [Version::Now, Version::Pinned] {
+    assert!(Arc::ptr_eq(&pinned, state.scene_of(ComparedVersion::Pinned).unwrap()));
+    for version in [ComparedVersion::Now, ComparedVersion::Pinned] {
         assert!(off(&mut state, version, 0.3) < 1e-5, "{version:?}");
     }
     let range = state.field().unwrap().range;
@@ -78,12 +78,12 @@ fn the_difference_of_two_shears_is_known() {
     // Both versions have one scale.
     done(&mut state, Command::Show(Overlay::Displacement));
     let of = |state: &mut State, version| state.field_of(version).unwrap().clone();
-    let [now, then] = [Version::Now, Version::Pinned].map(|version| of(&mut state, version));
+    let [now, then] = [ComparedVersion::Now, ComparedVersion::Pinned].map(|version| of(&mut state, version));
     assert_eq!(now.range, then.range);
     let most = |values: &[f32]| values.iter().copied().fold(0.0, f32::max);
     assert!((most(&now.values) / most(&then.values) - 2.5).abs() < 1e-3);
     done(&mut state, set(0, "slope", 0.1));
-    let range = of(&mut state, Version::Now).range;
+    let range = of(&mut state, ComparedVersion::Now).range;
     assert!((range[1] - 0.2).abs() < 1e-3, "{range:?}: the pinned one moves farther");
 
     done(&mut state, Command::Show(Overlay::Difference));
@@ -99,20 +99,24 @@ fn samples_that_one_version_has_are_compared_with_its_reconstruction() {
     done(&mut state, Command::Show(Overlay::Difference));
     done(&mut state, set(0, "slope", 0.5));
     done(&mut state, refined(3.0));
-    let [now, pinned] = [Version::Now, Version::Pinned].map(|v| state.scene_of(v).unwrap().len());
+    let [now, pinned] =
+        [ComparedVersion::Now, ComparedVersion::Pinned].map(|v| state.scene_of(v).unwrap().len());
     assert!(now > pinned + 500);
-    assert!(off(&mut state, Version::Now, 0.3) < 1e-4, "a shear is carried over exactly");
-    assert!(off(&mut state, Version::Pinned, 0.3) < 1e-5);
+    assert!(off(&mut state, ComparedVersion::Now, 0.3) < 1e-4, "a shear is carried over exactly");
+    assert!(off(&mut state, ComparedVersion::Pinned, 0.3) < 1e-5);
 
     // The other way round, what only the pinned one has is shown as its neighbours are.
     done(&mut state, Command::SwapPinned);
-    assert_eq!([now, pinned], [Version::Pinned, Version::Now].map(|v| state.scene_of(v).unwrap().len()));
-    assert!(off(&mut state, Version::Now, 0.3) < 1e-5);
-    assert!(off(&mut state, Version::Pinned, 0.3) < 0.05);
+    assert_eq!(
+        [now, pinned],
+        [ComparedVersion::Pinned, ComparedVersion::Now].map(|v| state.scene_of(v).unwrap().len())
+    );
+    assert!(off(&mut state, ComparedVersion::Now, 0.3) < 1e-5);
+    assert!(off(&mut state, ComparedVersion::Pinned, 0.3) < 0.05);
 
     // Both are refined, each in its own way.
     done(&mut state, refined(1.5));
-    assert!(off(&mut state, Version::Now, 0.3) < 1e-4);
+    assert!(off(&mut state, ComparedVersion::Now, 0.3) < 1e-4);
 }
 
 #[test]
@@ -127,7 +131,7 @@ fn a_refinement_alone_makes_no_difference() {
         Command::Select { area: Area::All, combine: Default::default(), visible: false, goes_on: false },
     );
     done(&mut state, Command::RefineSelection { finer: Finer::Factor(2.0) });
-    assert!(state.scene().unwrap().len() > state.scene_of(Version::Pinned).unwrap().len());
+    assert!(state.scene().unwrap().len() > state.scene_of(ComparedVersion::Pinned).unwrap().len());
     let most = state.field().unwrap().values.iter().copied().fold(0.0, f32::max);
     assert!(most < 1e-6, "{most}");
 }
@@ -140,11 +144,12 @@ fn versions_are_swapped_and_swapped_back() {
     done(&mut state, Command::Pin);
     done(&mut state, set(0, "slope", 0.5));
     let positions = |state: &State, version| state.scene_of(version).unwrap().positions.clone();
-    let [now, pinned] = [Version::Now, Version::Pinned].map(|version| positions(&state, version));
+    let [now, pinned] =
+        [ComparedVersion::Now, ComparedVersion::Pinned].map(|version| positions(&state, version));
     assert!(now != pinned);
     let check = |state: &State, swapped: bool| {
         let expected = if swapped { [&pinned, &now] } else { [&now, &pinned] };
-        let found = [Version::Now, Version::Pinned].map(|version| positions(state, version));
+        let found = [ComparedVersion::Now, ComparedVersion::Pinned].map(|version| positions(state, version));
         assert!(found.each_ref() == expected && state.is_settled());
         let slope = state.document().unwrap().steps()[0].step.deformation().unwrap().params["slope"].clone();
         assert_eq!(slope, toml::Value::Float(if swapped { 0.2 } else { 0.5 }));
@@ -165,7 +170,10 @@ fn versions_are_swapped_and_swapped_back() {
     check(&state, true);
     done(&mut state, Command::Undo);
     done(&mut state, Command::Undo);
-    assert!(positions(&state, Version::Pinned) == now || positions(&state, Version::Pinned) == pinned);
+    assert!(
+        positions(&state, ComparedVersion::Pinned) == now
+            || positions(&state, ComparedVersion::Pinned) == pinned
+    );
 }
 
 #[test]
@@ -178,18 +186,18 @@ fn another_session_is_compared_with() {
     done(&mut state, Command::Show(Overlay::Difference));
     done(&mut state, Command::PinSession { path: session.clone() });
     assert_eq!(state.pinned(), Some("other.toml"));
-    assert!(off(&mut state, Version::Now, 0.3) < 1e-5);
+    assert!(off(&mut state, ComparedVersion::Now, 0.3) < 1e-5);
     done(&mut state, Command::SwapPinned);
     assert!(state.chosen().is_some());
     done(&mut state, set(0, "slope", 0.6));
-    assert!(off(&mut state, Version::Now, 0.1) < 1e-5);
+    assert!(off(&mut state, ComparedVersion::Now, 0.1) < 1e-5);
 
     // Other models, and steps that cannot be done.
-    let pinned = state.scene_of(Version::Pinned).unwrap().clone();
+    let pinned = state.scene_of(ComparedVersion::Pinned).unwrap().clone();
     let refuses = |state: &mut State, path: &Path, what: &str| {
         let error = state.apply(Command::PinSession { path: path.to_owned() }).unwrap_err();
         assert!(error.to_string().contains(what) && !error.hint().is_empty(), "{error}");
-        assert!(Arc::ptr_eq(&pinned, state.scene_of(Version::Pinned).unwrap()));
+        assert!(Arc::ptr_eq(&pinned, state.scene_of(ComparedVersion::Pinned).unwrap()));
     };
     refuses(&mut state, &folder.path().join("nowhere.toml"), "nowhere.toml");
     let foreign = folder.path().join("foreign.toml");
@@ -214,7 +222,8 @@ fn the_pinned_version_gets_what_the_overlay_needs() {
     let most = |state: &mut State, version| {
         state.field_of(version).unwrap().values.iter().copied().fold(0.0, f32::max)
     };
-    let [now, then] = [Version::Now, Version::Pinned].map(|version| most(&mut state, version));
+    let [now, then] =
+        [ComparedVersion::Now, ComparedVersion::Pinned].map(|version| most(&mut state, version));
     assert!(then > 2.0 * now && now > 0.0, "{then} for 90 degrees, {now} for 20");
 }
 
@@ -248,7 +257,7 @@ fn a_recording_compares_the_same() {
         let commands = parse(std::str::from_utf8(&tape.0.lock().unwrap()).unwrap()).unwrap();
         let mut replayed = replay(&commands, &plugins()).unwrap();
         assert_eq!(replayed.pinned(), state.pinned());
-        for version in [Version::Now, Version::Pinned] {
+        for version in [ComparedVersion::Now, ComparedVersion::Pinned] {
             let of = |state: &State| state.scene_of(version).unwrap().positions.clone();
             assert!(of(&replayed) == of(&state));
             assert_eq!(replayed.field_of(version), state.field_of(version));

@@ -36,9 +36,9 @@ fn select(area: Area) -> Command {
     Command::Select { area, combine: Combine::Replace, visible: false, goes_on: false }
 }
 
-fn moved(y: f64) -> edit::Command {
+fn moved(y: f64) -> edit::EditCommand {
     let motion = Motion { translate: DVec3::new(0.1, y, 0.0), degrees: 20.0 * y, ..Motion::default() };
-    edit::Command::Change { at: 0, change: Change::MoveRegion { region: 1, motion } }
+    edit::EditCommand::Change { at: 0, change: Change::MoveRegion { region: 1, motion } }
 }
 
 /// The commands of an edit; `after` is called after each of them.
@@ -125,14 +125,16 @@ fn a_drag_is_shown_as_drafts_and_undone_as_one() {
     done(&mut state, open(&model(folder.path(), Shape::Cylinder, 5000), 500));
     done(&mut state, Command::AddStep { plugin: "rbf".into(), at: None });
     let half = |sign: f64| {
-        let shape =
-            simod_session::Shape::HalfSpace { point: DVec3::Y * (1.0 + 0.5 * sign), normal: DVec3::Y * sign };
+        let shape = simod_session::RegionShape::HalfSpace {
+            point: DVec3::Y * (1.0 + 0.5 * sign),
+            normal: DVec3::Y * sign,
+        };
         simod_session::Shapes { shapes: vec![shape], falloff: 0.0 }
     };
     let region =
         |role, sign| simod_session::step::Region { role, shapes: half(sign), motion: Motion::default() };
     let regions = vec![region(Role::Fixed, -1.0), region(Role::Handle, 1.0)];
-    let set = edit::Command::Change { at: 0, change: Change::SetRegions(regions) };
+    let set = edit::EditCommand::Change { at: 0, change: Change::SetRegions(regions) };
     done(&mut state, Command::Edit(set));
     assert!(state.handle_pivot(0, 1).unwrap().y > 1.5);
     let highest = |state: &State| state.scene().unwrap().bounds()[1].y;
@@ -164,7 +166,7 @@ fn handles_of_a_lattice_are_where_it_is_dragged_to() {
     let (desc, placed) = handles.last().unwrap();
     let to = glam::DAffine3 { translation: placed.position() + DVec3::X, ..placed.matrix() };
     let change = Change::MoveHandle { id: desc.id.to_string(), motion: placed.motion_to(to).unwrap() };
-    done(&mut state, Command::Drag(edit::Command::Change { at: 0, change }));
+    done(&mut state, Command::Drag(edit::EditCommand::Change { at: 0, change }));
     done(&mut state, Command::Rest);
     let moved = state.handles(0).pop().unwrap().1;
     assert!(moved.position().abs_diff_eq(placed.position() + DVec3::X, 1e-9));
@@ -201,7 +203,7 @@ fn a_drag_below_a_refinement_rests_where_a_run_is() {
     let path = model(folder.path(), Shape::Amphora, 20_000);
     let angle = |degrees: f64| {
         let change = Change::SetParam { id: "angle".into(), value: Some(degrees.into()) };
-        edit::Command::Change { at: 0, change }
+        edit::EditCommand::Change { at: 0, change }
     };
     let mut state = state(plugins());
     done(&mut state, open(&path, 1000));
@@ -219,7 +221,7 @@ fn a_drag_below_a_refinement_rests_where_a_run_is() {
     let mut again = self::state(plugins());
     done(&mut again, open(&path, 1000));
     for (at, entry) in state.document().unwrap().steps().iter().enumerate() {
-        done(&mut again, Command::Edit(edit::Command::Add { at, step: Box::new((*entry.step).clone()) }));
+        done(&mut again, Command::Edit(edit::EditCommand::Add { at, step: Box::new((*entry.step).clone()) }));
     }
     assert_eq!(state.scene().unwrap().positions, again.scene().unwrap().positions);
 }
@@ -231,7 +233,7 @@ fn normals_turn_as_the_surface_does() {
     done(&mut state, open(&model(folder.path(), Shape::Bar, 40_000), 4000));
     done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
     let change = Change::SetParam { id: "angle".into(), value: Some(120.0.into()) };
-    done(&mut state, Command::Edit(edit::Command::Change { at: 0, change }));
+    done(&mut state, Command::Edit(edit::EditCommand::Change { at: 0, change }));
     let scene = state.scene().unwrap();
     // As those that are fitted with care, but for some at the bar's edges.
     let fitted = simod_core::reconstruction::deformed_normals(&scene.sampled.samples, &scene.positions);
@@ -252,7 +254,7 @@ fn a_part_of_a_draft_lies_as_all_of_it_does() {
     let path = model(folder.path(), Shape::Amphora, 40_000);
     let angle = |degrees: f64| {
         let change = Change::SetParam { id: "angle".into(), value: Some(degrees.into()) };
-        edit::Command::Change { at: 0, change }
+        edit::EditCommand::Change { at: 0, change }
     };
     let mut state = state(plugins());
     done(&mut state, open(&path, 4000));
@@ -298,7 +300,7 @@ fn a_step_goes_by_a_text_to_another_edit() {
         Change::SetTitle(Some("Halfway".to_owned())),
     ];
     for change in edits {
-        done(&mut first, Command::Edit(edit::Command::Change { at: 0, change }));
+        done(&mut first, Command::Edit(edit::EditCommand::Change { at: 0, change }));
     }
     let text = first.copied(0).unwrap();
     assert!(first.copied(1).is_err());

@@ -85,7 +85,7 @@ fn steps_of_plugins_that_are_missing_stay() {
     done(&mut state, Command::Save { path: None });
     assert!(std::fs::read_to_string(&session).unwrap().contains("from-elsewhere"));
     // Switched off, it is out of the way.
-    done(&mut state, Command::Edit(edit::Command::Change { at: 1, change: Change::Enable(false) }));
+    done(&mut state, Command::Edit(edit::EditCommand::Change { at: 1, change: Change::Enable(false) }));
     done(&mut state, Command::Write { output: output.clone() });
     assert!(output.exists());
 }
@@ -137,7 +137,7 @@ fn what_runs_in_the_background_can_be_cancelled() {
     done(&mut state, open(&path, 2000));
     done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
     let angle = Change::SetParam { id: "angle".into(), value: Some(90.into()) };
-    done(&mut state, Command::Edit(edit::Command::Change { at: 0, change: angle }));
+    done(&mut state, Command::Edit(edit::EditCommand::Change { at: 0, change: angle }));
     let output = folder.path().join("edited.ply");
     state.apply(Command::Write { output: output.clone() }).unwrap();
     state.apply(Command::Cancel { job: Job::Write }).unwrap();
@@ -159,7 +159,7 @@ fn a_plugin_that_writes_to_its_input_is_found_while_something_is_dragged() {
     done(&mut state, open(&model(folder.path(), Shape::Amphora, 5000), 500));
     done(&mut state, Command::AddStep { plugin: "misbehaving".into(), at: None });
     let how = Change::SetParam { id: "how".into(), value: Some("writes-to-input".into()) };
-    done(&mut state, Command::Drag(edit::Command::Change { at: 0, change: how }));
+    done(&mut state, Command::Drag(edit::EditCommand::Change { at: 0, change: how }));
     let scene = state.scene().unwrap();
     assert!(scene.is_draft());
     let [(_, Status::Failed(error))] = &scene.statuses[..] else { panic!("{:?}", scene.statuses) };
@@ -209,7 +209,7 @@ fn a_plugin_that_hangs_is_stopped_and_the_edit_goes_on() {
     state.apply(Command::AddStep { plugin: "misbehaving".into(), at: None }).unwrap();
     state.settle(LONG).unwrap();
     let hang = Change::SetParam { id: "how".into(), value: Some("endless-loop".into()) };
-    state.apply(Command::Edit(edit::Command::Change { at: 1, change: hang })).unwrap();
+    state.apply(Command::Edit(edit::EditCommand::Change { at: 1, change: hang })).unwrap();
     let start = Instant::now();
     let deforming = |state: &State| {
         state.activity(Job::Evaluate).is_some_and(|activity| activity.stage == "deforming")

@@ -7,7 +7,7 @@ use common::{copy, load};
 use simod_generate::{ModelOptions, Shape, write_file};
 use simod_model::progress::Silent;
 use simod_session::PluginRegistry;
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_viewer::{Command, State};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -44,7 +44,7 @@ pub fn model(folder: &Path, shape: Shape, vertices: u64) -> PathBuf {
 
 /// The command that opens a model.
 pub fn open(path: &Path, samples: u64) -> Command {
-    let sampling = Sampling { samples: Some(samples), ..Sampling::default() };
+    let sampling = SamplingTable { samples: Some(samples), ..SamplingTable::default() };
     Command::Open { path: path.to_owned(), sampling, recover: false }
 }
 

@@ -76,7 +76,7 @@ fn what_is_measured_goes_along_with_the_surface() {
     done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
     for (id, value) in [("operation", toml::Value::from("bend")), ("angle", 120.0.into())] {
         let change = Change::SetParam { id: id.into(), value: Some(value) };
-        done(&mut state, Command::Edit(edit::Command::Change { at: 0, change }));
+        done(&mut state, Command::Edit(edit::EditCommand::Change { at: 0, change }));
     }
     let measured = state.measured();
     let after = distance(&measured[0], &measured[2]);

@@ -2,7 +2,7 @@
 
 use super::{LONG, done, model, open, pixel, plugins, state};
 use glam::{DVec3, Vec3};
-use simod_core::detail::Batch;
+use simod_core::detail::DetailBatch;
 use simod_core::sampling::grid::{CellMap, key_at};
 use simod_generate::Shape;
 use simod_model::{ErrorKind, for_vertices};
@@ -32,19 +32,22 @@ fn amphora(folder: &Path) -> State {
     done(&mut state, Command::Camera(CameraMove::Look(Standard::Front)));
     done(&mut state, Command::AddStep { plugin: "rbf".into(), at: None });
     let half = |height: f64, side: f64| simod_session::Shapes {
-        shapes: vec![simod_session::Shape::HalfSpace { point: DVec3::Y * height, normal: DVec3::Y * side }],
+        shapes: vec![simod_session::RegionShape::HalfSpace {
+            point: DVec3::Y * height,
+            normal: DVec3::Y * side,
+        }],
         falloff: 0.0,
     };
     let region = |role, height, side| Region { role, shapes: half(height, side), motion: Motion::default() };
     let regions = vec![region(Role::Fixed, 0.6, -1.0), region(Role::Handle, 1.5, 1.0)];
-    done(&mut state, Command::Edit(edit::Command::Change { at: 0, change: Change::SetRegions(regions) }));
+    done(&mut state, Command::Edit(edit::EditCommand::Change { at: 0, change: Change::SetRegions(regions) }));
     done(&mut state, Command::Edit(bent(15.0)));
     state
 }
 
-fn bent(degrees: f64) -> edit::Command {
+fn bent(degrees: f64) -> edit::EditCommand {
     let motion = Motion { translate: DVec3::new(0.1, 0.1, 0.0), degrees, ..Motion::default() };
-    edit::Command::Change { at: 0, change: Change::MoveRegion { region: 1, motion } }
+    edit::EditCommand::Change { at: 0, change: Change::MoveRegion { region: 1, motion } }
 }
 
 fn read(path: &Path) -> Vec<DVec3> {
@@ -61,7 +64,7 @@ fn read(path: &Path) -> Vec<DVec3> {
 fn shown(state: &State) -> BTreeMap<u32, Vec<Vec3>> {
     let mut found = BTreeMap::new();
     for piece in state.detail().unwrap().pieces().values() {
-        let Batch { positions, cells, .. } = &*piece.batch;
+        let DetailBatch { positions, cells, .. } = &*piece.batch;
         for ((cell, range), _) in cells.iter().zip(&piece.shown).filter(|(_, shown)| **shown) {
             let positions = positions[range.start as usize..range.end as usize].to_vec();
             assert!(found.insert(*cell, positions).is_none(), "cell {cell} is shown twice");

@@ -367,7 +367,7 @@ fn what_a_refinement_appends_belongs_to_what_is_around_it() {
     done(&mut state, mask(0));
     done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
     let change = Change::SetParam { id: "angle".into(), value: Some(50.0.into()) };
-    done(&mut state, Command::Edit(edit::Command::Change { at: 0, change }));
+    done(&mut state, Command::Edit(edit::EditCommand::Change { at: 0, change }));
     done(&mut state, mask(1));
     let (former, spacing) = {
         let samples = &state.scene().unwrap().sampled.samples;

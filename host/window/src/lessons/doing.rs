@@ -1,6 +1,6 @@
 //! What parts of lessons look for, and do.
 
-use crate::tools::{Target, Tool};
+use crate::tools::{MovedPart, Tool};
 use crate::window::Window;
 use glam::DVec3;
 use simod_session::Motion;
@@ -109,7 +109,7 @@ pub fn move_region(window: &mut Window, plugin: &str) {
         pivot: window.state().handle_pivot(at, region),
         ..Motion::default()
     };
-    window.tools.target = Some(Target::Region(region));
+    window.tools.target = Some(MovedPart::Region(region));
     change(window, plugin, Change::MoveRegion { region, motion });
 }
 
@@ -161,7 +161,7 @@ pub fn take_joint(window: &mut Window, plugin: &str, place: usize) {
     choose(window, plugin);
     let Some((.., deformation)) = step(window, plugin) else { return };
     if let Some(joint) = deformation.joints.get(place) {
-        window.tools.target = Some(Target::Handle(joint.id.clone()));
+        window.tools.target = Some(MovedPart::Handle(joint.id.clone()));
         window.tools.take(Tool::Rotate);
     }
 }

@@ -8,10 +8,10 @@ mod texts;
 
 use crate::example;
 use crate::tools::Tool;
-use crate::window::{Running, Window};
+use crate::window::{RunningLesson, Window};
 pub use lesson::{Exercise, Lesson};
 use simod_model::Result;
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_viewer::{Command, Overlay, state};
 use std::path::PathBuf;
 pub use texts::ALL;
@@ -21,17 +21,17 @@ const VERTICES: u64 = 60_000;
 const SAMPLES: u64 = 20_000;
 
 /// The lesson that is being done.
-pub fn lesson_of(running: &Running) -> &'static Lesson {
+pub fn lesson_of(running: &RunningLesson) -> &'static Lesson {
     &ALL[running.lesson]
 }
 
 /// What is to be done now; nothing once all is.
-pub fn part_of(running: &Running) -> Option<&'static Exercise> {
+pub fn part_of(running: &RunningLesson) -> Option<&'static Exercise> {
     lesson_of(running).parts.get(running.part)
 }
 
 /// Whether the lesson's model is open.
-pub fn is_open(running: &Running, window: &Window) -> bool {
+pub fn is_open(running: &RunningLesson, window: &Window) -> bool {
     let is_it = window.opened() == Some(&*running.model);
     is_it && window.state().scene().is_some() && !window.state().is_opening()
 }
@@ -44,7 +44,7 @@ pub fn begin(window: &mut Window, lesson: usize) {
             window.apply(Command::Show(Overlay::None));
             (window.looks.side_by_side, window.looks.pinned_in_place) = (false, false);
             window.tools.take(Tool::Orbit);
-            window.lesson = Some(Running { lesson, part: 0, model, began: None });
+            window.lesson = Some(RunningLesson { lesson, part: 0, model, began: None });
         }
         Err(error) => window.toasts.error(&error),
     }
@@ -55,7 +55,10 @@ fn open(window: &mut Window, lesson: usize) -> Result<PathBuf> {
     let model = example::model(file, *shape, VERTICES)?;
     // What was left of the lesson before is not what it begins with.
     state::forget(&model)?;
-    window.ask_to_open_sampled(model.clone(), Sampling { samples: Some(SAMPLES), ..Sampling::default() });
+    window.ask_to_open_sampled(
+        model.clone(),
+        SamplingTable { samples: Some(SAMPLES), ..SamplingTable::default() },
+    );
     Ok(model)
 }
 

@@ -10,7 +10,7 @@ use simod_generate::Shape;
 use simod_session::edit::Change;
 use simod_session::step::Role;
 use simod_viewer::command::CameraMove;
-use simod_viewer::{Command, Overlay, Version};
+use simod_viewer::{Command, ComparedVersion, Overlay};
 
 const WARP: &str = "warp";
 const LAPLACIAN: &str = "laplacian";
@@ -226,7 +226,7 @@ pub const ALL: &[Lesson] = &[
                 text: "Where do they differ? Choose Difference from the Pinned Version in the menu Overlay.",
                 done: |w, _| {
                     w.state().overlay() == Overlay::Difference
-                        && w.state().scene_of(Version::Pinned).is_some()
+                        && w.state().scene_of(ComparedVersion::Pinned).is_some()
                 },
                 run: |w| {
                     w.apply(Command::Show(Overlay::Difference));

@@ -4,12 +4,12 @@ use super::count;
 use crate::theme;
 use crate::window::{Asks, Window};
 use eframe::egui::{RichText, Sense, Ui, vec2};
-use simod_scene::Drawn;
-use simod_viewer::detail::Figures;
+use simod_scene::SurfaceShare;
+use simod_viewer::detail::DetailCounts;
 use simod_viewer::{Command, Previewed};
 
 /// What there is, in words.
-fn words(of: Previewed, Figures { vertices, stride, stale, .. }: Figures) -> String {
+fn words(of: Previewed, DetailCounts { vertices, stride, stale, .. }: DetailCounts) -> String {
     let of = if of == Previewed::Selection { "the selection" } else { "what was seen" };
     let share = match stride {
         1 => format!("all of {of}"),
@@ -53,7 +53,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
 }
 
 /// How far the picture is, where it does not show all yet.
-pub fn drawing(Drawn { drawn, of, complete }: Drawn) -> Option<String> {
+pub fn drawing(SurfaceShare { drawn, of, complete }: SurfaceShare) -> Option<String> {
     let part = 100.0 * drawn as f64 / of.max(1) as f64;
     (!complete && drawn < of).then(|| format!("{:.0} % drawn", part.clamp(1.0, 99.0)))
 }
@@ -64,16 +64,19 @@ mod tests {
 
     #[test]
     fn figures_are_told_in_words() {
-        let figures = Figures { vertices: 2140332, stride: 1, wanted: 2140332, stale: 0.0 };
+        let figures = DetailCounts { vertices: 2140332, stride: 1, wanted: 2140332, stale: 0.0 };
         let told = |figures| words(Previewed::Seen, figures).replace('\u{2009}', " ");
         assert_eq!(told(figures), "2 140 332 vertices, all of what was seen");
-        assert_eq!(told(Figures { stride: 7, ..figures }), "2 140 332 vertices, 1 of 7 of what was seen");
-        assert_eq!(told(Figures { stale: 0.31, ..figures }), "2 140 332 vertices, 31 % out of date");
-        let part = Drawn { drawn: 500, of: 2000, complete: false };
-        assert_eq!(drawing(part).as_deref(), Some("25 % drawn"));
-        assert_eq!(drawing(Drawn { complete: true, drawn: 2000, ..part }), None);
         assert_eq!(
-            words(Previewed::Selection, Figures { vertices: 3, ..figures }),
+            told(DetailCounts { stride: 7, ..figures }),
+            "2 140 332 vertices, 1 of 7 of what was seen"
+        );
+        assert_eq!(told(DetailCounts { stale: 0.31, ..figures }), "2 140 332 vertices, 31 % out of date");
+        let part = SurfaceShare { drawn: 500, of: 2000, complete: false };
+        assert_eq!(drawing(part).as_deref(), Some("25 % drawn"));
+        assert_eq!(drawing(SurfaceShare { complete: true, drawn: 2000, ..part }), None);
+        assert_eq!(
+            words(Previewed::Selection, DetailCounts { vertices: 3, ..figures }),
             "3 vertices, all of the selection"
         );
     }

@@ -8,7 +8,7 @@ use eframe::egui::{
     self, Align, Button, Layout, Response, RichText, Sense, Stroke, StrokeKind, Ui, UiBuilder, Vec2,
     collapsing_header::paint_default_icon,
 };
-use simod_session::edit::{Command as Edit, Entry, group_at};
+use simod_session::edit::{EditCommand, Entry, group_at};
 use simod_viewer::Command;
 use std::ops::Range;
 
@@ -23,7 +23,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, group: Range<usize>, 
             fold(ui, asks, &name, folded);
             let any = entries[group.clone()].iter().any(|entry| entry.step.enabled);
             if let Some(enabled) = switch(ui, &name, any, "Do these steps, or leave them out") {
-                asks.apply(Command::Edit(Edit::EnableGroup { at: group.start, enabled }));
+                asks.apply(Command::Edit(EditCommand::EnableGroup { at: group.start, enabled }));
             }
             let renamed =
                 window.renaming.as_ref().filter(|renaming| renaming.of_group && renaming.id == first.id);
@@ -69,7 +69,7 @@ fn rename(ui: &mut Ui, asks: &mut Asks, group: Range<usize>, name: &str, mut ren
     if wanted == Some(true) && !to.is_empty() {
         asks.then(move |window| {
             let folded = window.folded.contains(&name);
-            if window.apply(Command::Edit(Edit::Group { steps: group, name: Some(to.clone()) })) {
+            if window.apply(Command::Edit(EditCommand::Group { steps: group, name: Some(to.clone()) })) {
                 window.fold(&to, folded);
             }
         });
@@ -88,7 +88,7 @@ fn more(ui: &mut Ui, asks: &mut Asks, group: &Range<usize>, entries: &[Entry], n
             if ui.add_enabled(to.is_some(), Button::new(name)).clicked()
                 && let Some(to) = to
             {
-                asks.apply(Command::Edit(Edit::MoveGroup { at, to }));
+                asks.apply(Command::Edit(EditCommand::MoveGroup { at, to }));
                 ui.close();
             }
         }
@@ -104,8 +104,8 @@ fn more(ui: &mut Ui, asks: &mut Asks, group: &Range<usize>, entries: &[Entry], n
         }
         ui.separator();
         let ends = [
-            ("Ungroup", Edit::Group { steps: group.clone(), name: None }),
-            ("Remove All", Edit::RemoveGroup { at }),
+            ("Ungroup", EditCommand::Group { steps: group.clone(), name: None }),
+            ("Remove All", EditCommand::RemoveGroup { at }),
         ];
         for (name, command) in ends {
             if ui.button(name).clicked() {
@@ -154,7 +154,7 @@ fn reorder(
         (Some(gap), dragged) => dragged.put(window, asks, gap),
         (None, dragged) => {
             if let Some(from) = dragged.place(window).filter(|from| !group.contains(from)) {
-                asks.apply(Command::Edit(Edit::JoinGroup { from, at: group.start }));
+                asks.apply(Command::Edit(EditCommand::JoinGroup { from, at: group.start }));
             }
         }
     }

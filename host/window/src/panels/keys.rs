@@ -1,7 +1,7 @@
 //! What keys and the mouse do: a sheet, in groups.
 
 use super::frames::modal;
-use crate::actions::{ALL, Action, Menu};
+use crate::actions::{ALL, Menu, NamedAction};
 use crate::window::{Asks, Window};
 use eframe::egui::{self, Grid, Id, Key, Modal, Modifiers, RichText, ScrollArea, Ui};
 
@@ -60,8 +60,9 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
                 ui.columns(2, |columns| {
                     for (ui, groups) in columns.iter_mut().zip(COLUMNS) {
                         for (name, menu) in groups {
-                            let is_of_it = |action: &&Action| action.menu == *menu && !action.keys.is_empty();
-                            let row = |action: &Action| (action.all_keys_text(ctx), action.name);
+                            let is_of_it =
+                                |action: &&NamedAction| action.menu == *menu && !action.keys.is_empty();
+                            let row = |action: &NamedAction| (action.all_keys_text(ctx), action.name);
                             group(ui, name, &ALL.iter().filter(is_of_it).map(row).collect::<Vec<_>>());
                         }
                     }

@@ -9,7 +9,7 @@ use eframe::egui::{
 };
 use simod_session::step::Role;
 use simod_viewer::Overlay;
-use simod_viewer::overlay::{Field, class_color, class_name, scale_color};
+use simod_viewer::overlay::{ScalarField, class_color, class_name, scale_color};
 
 /// Of the scale.
 const SIZE: [f32; 2] = [320.0, 12.0];
@@ -89,7 +89,7 @@ fn dot(ui: &mut Ui, color: [u8; 3], name: &str) {
 }
 
 /// Which classes there are, ascending.
-fn classes_of(field: &Field) -> Vec<u8> {
+fn classes_of(field: &ScalarField) -> Vec<u8> {
     let mut there = [false; 256];
     field.values.iter().for_each(|class| there[usize::from(class.round() as u8)] = true);
     (0..=u8::MAX).filter(|class| there[usize::from(*class)]).collect()

@@ -4,7 +4,7 @@ use super::card;
 use super::clip;
 use crate::lessons::{self, ALL};
 use crate::theme;
-use crate::window::{Asks, Running, Window};
+use crate::window::{Asks, RunningLesson, Window};
 use eframe::egui::{Align2, Area, Button, Color32, Id, Order, Rect, RichText, Sense, Ui, vec2};
 
 const MARGIN: f32 = 12.0;
@@ -12,7 +12,7 @@ const WIDTH: f32 = 300.0;
 /// How much of the picture's height it takes at most.
 pub const HEIGHT: f32 = 170.0;
 
-enum Answer {
+enum LessonAnswer {
     DoIt,
     Begin(usize),
     End,
@@ -32,14 +32,14 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
         });
     });
     match answer {
-        Some(Answer::DoIt) => asks.then(lessons::do_it),
-        Some(Answer::Begin(lesson)) => asks.then(move |window| lessons::begin(window, lesson)),
-        Some(Answer::End) => asks.then(|window| window.lesson = None),
+        Some(LessonAnswer::DoIt) => asks.then(lessons::do_it),
+        Some(LessonAnswer::Begin(lesson)) => asks.then(move |window| lessons::begin(window, lesson)),
+        Some(LessonAnswer::End) => asks.then(|window| window.lesson = None),
         None => {}
     }
 }
 
-fn content(ui: &mut Ui, window: &Window, running: &Running) -> Option<Answer> {
+fn content(ui: &mut Ui, window: &Window, running: &RunningLesson) -> Option<LessonAnswer> {
     let lesson = lessons::lesson_of(running);
     ui.horizontal(|ui| {
         ui.label(RichText::new(lesson.title).strong());
@@ -58,8 +58,8 @@ fn content(ui: &mut Ui, window: &Window, running: &Running) -> Option<Answer> {
         ui.label(RichText::new("Its model is not open.").weak());
         return ui
             .horizontal(|ui| {
-                let again = ui.button("Open It").clicked().then_some(Answer::Begin(running.lesson));
-                again.or(ui.button("End Lesson").clicked().then_some(Answer::End))
+                let again = ui.button("Open It").clicked().then_some(LessonAnswer::Begin(running.lesson));
+                again.or(ui.button("End Lesson").clicked().then_some(LessonAnswer::End))
             })
             .inner;
     }
@@ -72,8 +72,8 @@ fn content(ui: &mut Ui, window: &Window, running: &Running) -> Option<Answer> {
                 let text = RichText::new("Next Lesson").color(Color32::WHITE);
                 let goes_on = next < ALL.len() && ui.add(Button::new(text).fill(theme::ACCENT)).clicked();
                 goes_on
-                    .then_some(Answer::Begin(next))
-                    .or(ui.button("End Lesson").clicked().then_some(Answer::End))
+                    .then_some(LessonAnswer::Begin(next))
+                    .or(ui.button("End Lesson").clicked().then_some(LessonAnswer::End))
             })
             .inner;
     };
@@ -84,7 +84,7 @@ fn content(ui: &mut Ui, window: &Window, running: &Running) -> Option<Answer> {
         let end = ui.button("End Lesson").clicked();
         let count = format!("{} of {}", running.part + 1, lesson.parts.len());
         ui.label(RichText::new(count).weak().small());
-        does.then_some(Answer::DoIt).or(end.then_some(Answer::End))
+        does.then_some(LessonAnswer::DoIt).or(end.then_some(LessonAnswer::End))
     })
     .inner
 }

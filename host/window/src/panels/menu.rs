@@ -1,10 +1,10 @@
 //! The menus.
 
-use crate::actions::{ALL, Action, Menu};
+use crate::actions::{ALL, Menu, NamedAction};
 use crate::lessons::{ALL as ALL_LESSONS, begin};
 use crate::settings::Settings;
 use crate::steps;
-use crate::window::{Asks, Palette, Window};
+use crate::window::{Asks, CommandPalette, Window};
 use crate::wording::purpose;
 use eframe::egui::{self, Button, Frame, Margin, MenuBar, Panel, RichText, Ui};
 use simod_session::Plugin;
@@ -36,7 +36,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 let text = RichText::new("Search commands   Ctrl+P").weak();
                 if ui.add(Button::new(text).min_size(egui::vec2(190.0, 0.0))).clicked() {
-                    asks.then(|window| window.palette = Some(Palette::default()));
+                    asks.then(|window| window.palette = Some(CommandPalette::default()));
                 }
             });
         });
@@ -82,7 +82,7 @@ fn entries(ui: &mut Ui, window: &Window, asks: &mut Asks, menu: Menu) {
 }
 
 /// One action, with its keys.
-fn entry(ui: &mut Ui, window: &Window, asks: &mut Asks, action: &Action) {
+fn entry(ui: &mut Ui, window: &Window, asks: &mut Asks, action: &NamedAction) {
     let is_on = action.is_on.is_some_and(|is_on| is_on(window));
     let button = Button::selectable(is_on, action.name).shortcut_text(action.keys_text(ui.ctx()));
     if ui.add_enabled((action.can)(window), button).clicked() {

@@ -11,13 +11,13 @@ use std::sync::Arc;
 const MOST: usize = 60;
 
 /// Something that is found.
-enum Entry {
-    Action(&'static crate::actions::Action),
+enum PaletteEntry {
+    Action(&'static crate::actions::NamedAction),
     Add(Arc<Plugin>),
     Open(PathBuf),
 }
 
-impl Entry {
+impl PaletteEntry {
     fn name(&self) -> String {
         match self {
             Self::Action(action) => action.name.to_owned(),
@@ -57,14 +57,14 @@ fn fit(name: &str, typed: &str) -> Option<usize> {
     Some(cost)
 }
 
-fn found(window: &Window, typed: &str) -> Vec<Entry> {
-    let mut entries: Vec<Entry> = Vec::new();
-    entries.extend(ALL.iter().filter(|action| (action.can)(window)).map(Entry::Action));
+fn found(window: &Window, typed: &str) -> Vec<PaletteEntry> {
+    let mut entries: Vec<PaletteEntry> = Vec::new();
+    entries.extend(ALL.iter().filter(|action| (action.can)(window)).map(PaletteEntry::Action));
     if window.state().scene().is_some() {
-        entries.extend(window.state().plugins().plugins().iter().cloned().map(Entry::Add));
+        entries.extend(window.state().plugins().plugins().iter().cloned().map(PaletteEntry::Add));
     }
-    entries.extend(window.settings.recent.iter().cloned().map(Entry::Open));
-    let mut found: Vec<(usize, Entry)> =
+    entries.extend(window.settings.recent.iter().cloned().map(PaletteEntry::Open));
+    let mut found: Vec<(usize, PaletteEntry)> =
         entries.into_iter().filter_map(|entry| Some((fit(&entry.sought(), typed)?, entry))).collect();
     found.sort_by_key(|(cost, _)| *cost);
     found.into_iter().map(|(_, entry)| entry).take(MOST).collect()
@@ -96,9 +96,9 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
         ScrollArea::vertical().max_height(360.0).show(ui, |ui| {
             for (i, entry) in entries.into_iter().enumerate() {
                 let keys = match &entry {
-                    Entry::Action(action) => action.keys_text(ui.ctx()),
-                    Entry::Add(plugin) => plugin.id().to_owned(),
-                    Entry::Open(_) => String::new(),
+                    PaletteEntry::Action(action) => action.keys_text(ui.ctx()),
+                    PaletteEntry::Add(plugin) => plugin.id().to_owned(),
+                    PaletteEntry::Open(_) => String::new(),
                 };
                 let button = Button::selectable(i == palette.at, entry.name())
                     .right_text(RichText::new(keys).weak().small())

@@ -3,7 +3,7 @@
 use super::parts;
 use crate::dialogs::Purpose;
 use crate::widgets::parameter;
-use crate::widgets::values::{Asked, number_of};
+use crate::widgets::values::{ListRequest, number_of};
 use crate::window::{Asks, Window};
 use eframe::egui::{CollapsingHeader, RichText, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};
@@ -73,15 +73,15 @@ fn amount(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
         Change::SetAmount(amount.clamp(0.0, 1.0))
     };
     match parameter::show(ui, &desc, value.as_ref(), &scene.sampled.bounds) {
-        Some(Asked::Set(value)) => asks.change(step, to(value), false),
-        Some(Asked::Drag(value)) => asks.change(step, to(Some(value)), true),
-        Some(Asked::Rest(last)) => {
+        Some(ListRequest::Set(value)) => asks.change(step, to(value), false),
+        Some(ListRequest::Drag(value)) => asks.change(step, to(Some(value)), true),
+        Some(ListRequest::Rest(last)) => {
             if last.is_some() {
                 asks.change(step, to(last), true);
             }
             asks.apply(Command::Rest);
         }
-        Some(Asked::File) | None => {}
+        Some(ListRequest::File) | None => {}
     }
 }
 
@@ -97,19 +97,19 @@ fn one(
     let id = desc.id.to_string();
     match parameter::show(ui, desc, value, &scene.sampled.bounds) {
         None => {}
-        Some(Asked::Set(value)) => {
+        Some(ListRequest::Set(value)) => {
             asks.change(step, Change::SetParam { id, value }, false);
         }
-        Some(Asked::Drag(value)) => {
+        Some(ListRequest::Drag(value)) => {
             asks.change(step, Change::SetParam { id, value: Some(value) }, true);
         }
-        Some(Asked::Rest(last)) => {
+        Some(ListRequest::Rest(last)) => {
             if last.is_some() {
                 asks.change(step, Change::SetParam { id, value: last }, true);
             }
             asks.apply(Command::Rest);
         }
-        Some(Asked::File) => {
+        Some(ListRequest::File) => {
             let extensions = match desc.kind {
                 // A sampled model by the file that describes it.
                 ParamKind::MODEL => simod_model::extensions().chain(["toml"]).map(str::to_owned).collect(),

@@ -1,7 +1,7 @@
 //! How large a picture of the model is, and where it goes.
 
 use super::frames::modal;
-use super::render::{self, Answer};
+use super::render::{self, RenderAnswer};
 use crate::dialogs::Purpose;
 use crate::rendering::{begin_picture, shown_size};
 use crate::window::{Asks, Window};
@@ -28,17 +28,17 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
         render::buttons(ui, "Save", &picture.file, &mut done);
     });
     if modal.should_close() && window.prompt.is_none() {
-        done = done.or(Some(Answer::Cancel));
+        done = done.or(Some(RenderAnswer::Cancel));
     }
     match done {
-        Some(Answer::Do) => asks.then(move |window| {
+        Some(RenderAnswer::Do) => asks.then(move |window| {
             window.picture = None;
             let path = Path::new(picture.file.trim());
             let path = if path.extension().is_some() { path.to_owned() } else { path.with_extension("png") };
             begin_picture(window, &path, picture.format);
         }),
-        Some(Answer::Cancel) => asks.then(|window| window.picture = None),
-        Some(Answer::Browse) => asks.then(move |window| {
+        Some(RenderAnswer::Cancel) => asks.then(|window| window.picture = None),
+        Some(RenderAnswer::Browse) => asks.then(move |window| {
             window.picture = Some(picture);
             window.ask(Purpose::Picture);
         }),

@@ -1,10 +1,10 @@
 //! The pinned version: what it is, and what can be done with it.
 
 use super::card;
-use crate::actions::{ALL, Action, Menu};
+use crate::actions::{ALL, Menu, NamedAction};
 use crate::window::{Asks, Window};
 use eframe::egui::{Align2, Area, Button, Id, Label, Order, Rect, RichText, Ui, vec2};
-use simod_viewer::Version;
+use simod_viewer::ComparedVersion;
 
 const MARGIN: f32 = 12.0;
 /// Longest name, in characters.
@@ -28,7 +28,7 @@ fn shown(ui: &Ui, rect: Rect, window: &Window, asks: &mut Asks, name: &str) -> b
 }
 
 fn content(ui: &mut Ui, window: &Window, asks: &mut Asks, name: &str) -> bool {
-    if window.state().scene_of(Version::Pinned).is_none() {
+    if window.state().scene_of(ComparedVersion::Pinned).is_none() {
         ui.spinner();
     }
     // Side by side, it is written over its picture.
@@ -50,7 +50,7 @@ fn content(ui: &mut Ui, window: &Window, asks: &mut Asks, name: &str) -> bool {
 
 /// A button for an action of the menu.
 fn button(ui: &mut Ui, window: &Window, asks: &mut Asks, name: &str, text: &str) {
-    let is_it = |action: &&Action| action.menu == Menu::Compare && action.name == name;
+    let is_it = |action: &&NamedAction| action.menu == Menu::Compare && action.name == name;
     let Some(action) = ALL.iter().find(is_it) else { return };
     let is_on = action.is_on.is_some_and(|is_on| is_on(window));
     let hint = format!("{name} ({})", action.keys_text(ui.ctx()));

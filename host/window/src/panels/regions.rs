@@ -3,7 +3,7 @@
 use super::{count, parts};
 use crate::regions as make;
 use crate::theme;
-use crate::tools::{Target, Tool};
+use crate::tools::{MovedPart, Tool};
 use crate::window::{Asks, Window};
 use eframe::egui::{
     self, Align, Button, CornerRadius, DragValue, Frame, Key, Layout, Margin, RichText, Sense, Slider,
@@ -11,7 +11,7 @@ use eframe::egui::{
 };
 use simod_session::edit::Change;
 use simod_session::step::{Deformation, Region, Role};
-use simod_session::{Motion, Shape};
+use simod_session::{Motion, RegionShape};
 use simod_viewer::command::Area;
 use simod_viewer::skeleton::{is_pin, mirrored};
 use simod_viewer::{Command, Overlay};
@@ -51,7 +51,7 @@ fn row(
     i: usize,
     region: &Region,
 ) {
-    let is_target = window.tools.target == Some(Target::Region(i));
+    let is_target = window.tools.target == Some(MovedPart::Region(i));
     let (fill, stroke) = if is_target {
         let color = ui.visuals().selection.bg_fill;
         (color.gamma_multiply(0.28), Stroke::new(1.0, color))
@@ -86,7 +86,7 @@ fn row(
 fn choose(window: &Window, asks: &mut Asks, i: usize, role: Role) {
     if role == Role::Handle {
         asks.then(move |window| {
-            window.tools.target = Some(Target::Region(i));
+            window.tools.target = Some(MovedPart::Region(i));
             if !window.tools.tool.is_gizmo() {
                 window.tools.take(Tool::Move);
             }
@@ -99,11 +99,11 @@ fn choose(window: &Window, asks: &mut Asks, i: usize, role: Role) {
 
 /// What it is made of.
 fn what(region: &Region) -> String {
-    let name = |shape: &Shape| match shape {
-        Shape::HalfSpace { .. } => "half-space".to_owned(),
-        Shape::Sphere { .. } => "sphere".to_owned(),
-        Shape::Box { .. } => "box".to_owned(),
-        Shape::Selection(picked) => format!("{} samples", count(picked.inside().len() as u64)),
+    let name = |shape: &RegionShape| match shape {
+        RegionShape::HalfSpace { .. } => "half-space".to_owned(),
+        RegionShape::Sphere { .. } => "sphere".to_owned(),
+        RegionShape::Box { .. } => "box".to_owned(),
+        RegionShape::Selection(picked) => format!("{} samples", count(picked.inside().len() as u64)),
     };
     region.shapes.shapes.iter().map(name).collect::<Vec<_>>().join(", ")
 }
@@ -226,12 +226,12 @@ fn selection(ui: &mut Ui, window: &Window, asks: &mut Asks) {
 fn handle(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation) {
     let Some(target) = window.tools.target.clone() else { return };
     let (name, motion) = match &target {
-        Target::Region(i) => match deformation.regions.get(*i) {
+        MovedPart::Region(i) => match deformation.regions.get(*i) {
             Some(region) => (format!("Handle {}", i + 1), region.motion),
             None => return,
         },
-        Target::Handle(id) if is_pin(id) => return,
-        Target::Handle(id) => {
+        MovedPart::Handle(id) if is_pin(id) => return,
+        MovedPart::Handle(id) => {
             let moved = deformation.handles.iter().find(|handle| handle.id == *id);
             (format!("Handle {id}"), moved.map_or(Motion::default(), |moved| moved.motion))
         }
@@ -268,8 +268,8 @@ fn handle(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
     for (response, name) in rows.iter().zip(["Move x", "Move y", "Move z", "Turn", "Scale"]) {
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label(name));
         let change = || match target.clone() {
-            Target::Region(region) => Change::MoveRegion { region, motion: to },
-            Target::Handle(id) => Change::MoveHandle { id, motion: to },
+            MovedPart::Region(region) => Change::MoveRegion { region, motion: to },
+            MovedPart::Handle(id) => Change::MoveHandle { id, motion: to },
         };
         if response.changed() {
             asks.change(step, change(), response.dragged() || response.drag_stopped());
@@ -293,12 +293,12 @@ fn joints(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
             if name(ui, window, asks, step, &joint.id) {
                 return;
             }
-            let chosen = window.tools.target == Some(Target::Handle(joint.id.clone()));
+            let chosen = window.tools.target == Some(MovedPart::Handle(joint.id.clone()));
             let label = ui.selectable_label(chosen, &joint.id).on_hover_text("A double click renames it");
             if label.double_clicked() {
                 begin_naming(asks, &joint.id);
             } else if label.clicked() {
-                let target = Some(Target::Handle(joint.id.clone()));
+                let target = Some(MovedPart::Handle(joint.id.clone()));
                 asks.then(move |window| window.tools.target = target);
             }
             if let Some(parent) = &joint.parent {
@@ -382,9 +382,9 @@ fn name(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, id: &str) ->
 
 /// Renames a joint; it stays in the hand.
 fn rename(window: &mut Window, step: usize, from: String, to: &str) {
-    let was_target = window.tools.target == Some(Target::Handle(from.clone()));
+    let was_target = window.tools.target == Some(MovedPart::Handle(from.clone()));
     let renames = to != from;
     if renames && window.change(step, Change::RenameJoint { from, to: to.to_owned() }, false) && was_target {
-        window.tools.target = Some(Target::Handle(to.to_owned()));
+        window.tools.target = Some(MovedPart::Handle(to.to_owned()));
     }
 }

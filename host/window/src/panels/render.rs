@@ -1,7 +1,7 @@
 //! What pictures that are saved have in common: how large they are, whether their background is seen through,
 //! and where they go.
 
-use crate::screenshot::{Format, LARGEST};
+use crate::screenshot::{LARGEST, ScreenshotFormat};
 use crate::theme;
 use eframe::egui::{self, Button, Color32, DragValue, RichText, TextEdit, Ui};
 
@@ -10,7 +10,7 @@ const SIZES: [(&str, [u32; 2]); 3] =
     [("Full HD", [1920, 1080]), ("4K", [3840, 2160]), ("Square", [2048, 2048])];
 
 /// Fields for width, height and background.
-pub fn fields(ui: &mut Ui, format: &mut Format, shown: [u32; 2]) {
+pub fn fields(ui: &mut Ui, format: &mut ScreenshotFormat, shown: [u32; 2]) {
     ui.horizontal(|ui| {
         ui.label("Size");
         for (side, name) in format.size.iter_mut().zip(["Width", "Height"]) {
@@ -34,7 +34,7 @@ pub fn fields(ui: &mut Ui, format: &mut Format, shown: [u32; 2]) {
 }
 
 /// What was answered.
-pub enum Answer {
+pub enum RenderAnswer {
     /// The picture shall be made.
     Do,
     /// The picture's file shall be chosen.
@@ -44,11 +44,16 @@ pub enum Answer {
 }
 
 /// A field for where it goes, with a button to choose that.
-pub fn place(ui: &mut Ui, [label, hint, name]: [&str; 3], path: &mut String, answer: &mut Option<Answer>) {
+pub fn place(
+    ui: &mut Ui,
+    [label, hint, name]: [&str; 3],
+    path: &mut String,
+    answer: &mut Option<RenderAnswer>,
+) {
     ui.horizontal(|ui| {
         ui.label(label);
         if ui.button("Browse\u{2026}").clicked() {
-            *answer = Some(Answer::Browse);
+            *answer = Some(RenderAnswer::Browse);
         }
         let field = ui.add(TextEdit::singleline(path).desired_width(f32::INFINITY).hint_text(hint));
         field.ctx.accesskit_node_builder(field.id, |node| node.set_label(name));
@@ -56,16 +61,16 @@ pub fn place(ui: &mut Ui, [label, hint, name]: [&str; 3], path: &mut String, ans
 }
 
 /// The buttons below, of which the first one `does` it, where it is known to where.
-pub fn buttons(ui: &mut Ui, does: &str, path: &str, answer: &mut Option<Answer>) {
+pub fn buttons(ui: &mut Ui, does: &str, path: &str, answer: &mut Option<RenderAnswer>) {
     ui.add_space(10.0);
     ui.horizontal(|ui| {
         let button = Button::new(RichText::new(does).color(Color32::WHITE)).fill(theme::ACCENT);
         let is_named = !path.trim().is_empty();
         if ui.add_enabled(is_named, button.min_size(egui::vec2(80.0, 0.0))).clicked() {
-            *answer = Some(Answer::Do);
+            *answer = Some(RenderAnswer::Do);
         }
         if ui.button("Cancel").clicked() {
-            *answer = Some(Answer::Cancel);
+            *answer = Some(RenderAnswer::Cancel);
         }
     });
 }

@@ -2,12 +2,12 @@
 
 use super::frames::modal;
 use crate::numbers::{bytes, count};
-use crate::window::{Asks, Report, Window};
+use crate::window::{Asks, Window, WriteReport};
 use eframe::egui::{self, Grid, Id, Modal, RichText};
 
 /// Shows it until it is closed.
 pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
-    let Some(Report { output, report, seconds }) = &window.report else { return };
+    let Some(WriteReport { output, report, seconds }) = &window.report else { return };
     let mut done = false;
     let modal = Modal::new(Id::unique("report")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(420.0);

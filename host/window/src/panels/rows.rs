@@ -37,8 +37,8 @@ impl Dragged {
         // Its place once it has left the one where it is.
         let to = if gap > from { gap - length } else { gap };
         asks.apply(Command::Edit(match self {
-            Self::Step(_) => edit::Command::Move { from, to },
-            Self::Group(_) => edit::Command::MoveGroup { at: from, to },
+            Self::Step(_) => edit::EditCommand::Move { from, to },
+            Self::Group(_) => edit::EditCommand::MoveGroup { at: from, to },
         }));
     }
 }

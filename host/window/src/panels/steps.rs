@@ -182,7 +182,7 @@ fn more(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry,
             if ui.add_enabled(to.is_some(), Button::new(name)).clicked()
                 && let Some(to) = to
             {
-                asks.apply(Command::Edit(edit::Command::Move { from: at, to }));
+                asks.apply(Command::Edit(edit::EditCommand::Move { from: at, to }));
                 ui.close();
             }
         }
@@ -214,7 +214,7 @@ fn more(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry,
         }
         ui.separator();
         if ui.button("Remove").clicked() {
-            asks.apply(Command::Edit(edit::Command::Remove { at }));
+            asks.apply(Command::Edit(edit::EditCommand::Remove { at }));
             ui.close();
         }
     });

@@ -2,7 +2,7 @@
 
 use super::{count, parts};
 use crate::widgets::parameter;
-use crate::widgets::values::Asked;
+use crate::widgets::values::ListRequest;
 use crate::window::{Asks, Window};
 use eframe::egui::{self, Button, DragValue, RichText, ScrollArea, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};
@@ -69,7 +69,7 @@ fn row(
             ui.set_max_width(104.0);
             parameter::choice(ui, desc, &name, value)
         });
-        if let Some(Asked::Set(Some(value))) = asked.inner {
+        if let Some(ListRequest::Set(Some(value))) = asked.inner {
             let mut params = stroke.params.clone();
             params.insert(id.to_owned(), value);
             to(Stroke { params, ..(**stroke).clone() });

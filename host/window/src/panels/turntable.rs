@@ -1,7 +1,7 @@
 //! How many frames a turntable has, and where they go.
 
 use super::frames::modal;
-use super::render::{self, Answer};
+use super::render::{self, RenderAnswer};
 use crate::dialogs::Purpose;
 use crate::rendering::{begin, shown_size};
 use crate::turntable::RATE;
@@ -40,15 +40,15 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
         render::buttons(ui, "Render", &turntable.folder, &mut done);
     });
     if modal.should_close() && window.prompt.is_none() {
-        done = done.or(Some(Answer::Cancel));
+        done = done.or(Some(RenderAnswer::Cancel));
     }
     match done {
-        Some(Answer::Do) => asks.then(move |window| {
+        Some(RenderAnswer::Do) => asks.then(move |window| {
             window.turntable = None;
             begin(window, Path::new(turntable.folder.trim()), turntable.frames, turntable.format);
         }),
-        Some(Answer::Cancel) => asks.then(|window| window.turntable = None),
-        Some(Answer::Browse) => asks.then(move |window| {
+        Some(RenderAnswer::Cancel) => asks.then(|window| window.turntable = None),
+        Some(RenderAnswer::Browse) => asks.then(move |window| {
             window.turntable = Some(turntable);
             window.ask(Purpose::Turntable);
         }),

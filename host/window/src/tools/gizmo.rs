@@ -1,8 +1,8 @@
 //! Arrows and rings that move a handle: a region's, or one that the plugin placed.
 
-use super::place::{MovedKind, Place, Several};
-use super::{Target, Tool};
-use crate::viewport::Canvas;
+use super::place::{GizmoTarget, MovedKind, Several};
+use super::{MovedPart, Tool};
+use crate::viewport::ModelArea;
 use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Pos2, Rgba, epaint};
 use glam::{DAffine3, DMat4, DQuat, DVec3};
@@ -22,12 +22,12 @@ const SNAP_DEGREES: f32 = 15.0;
 const SNAP_DISTANCE: f32 = 0.05;
 
 /// The place of what is in the hand, if anything is.
-pub fn place(window: &mut Window) -> Option<Place> {
+pub fn place(window: &mut Window) -> Option<GizmoTarget> {
     let (step, id, deformation, _) = window.chosen()?;
     let target = window.tools.target.clone()?;
     let all = simod_plugin_api::Gizmo(!0);
     match &target {
-        Target::Region(region) => {
+        MovedPart::Region(region) => {
             let motion = deformation.regions.get(*region)?.motion;
             let known = window.tools.pivot.filter(|(of, i, _)| (*of, *i) == (id, *region));
             let pivot = match (motion.pivot, known) {
@@ -37,15 +37,15 @@ pub fn place(window: &mut Window) -> Option<Place> {
             };
             window.tools.pivot = Some((id, *region, pivot));
             let matrix = handle_matrix(&motion, pivot);
-            Some(Place { step, id, target, matrix, kind: MovedKind::Region { pivot }, can: all })
+            Some(GizmoTarget { step, id, target, matrix, kind: MovedKind::Region { pivot }, can: all })
         }
         // Nobody moves a pin.
-        Target::Handle(handle) if is_pin(handle) => None,
-        Target::Handle(handle) => {
+        MovedPart::Handle(handle) if is_pin(handle) => None,
+        MovedPart::Handle(handle) => {
             let (desc, placed) =
                 window.state().handles(step).into_iter().find(|(desc, _)| desc.id == handle.as_str())?;
             let (matrix, can) = (placed.matrix(), desc.gizmo);
-            Some(Place { step, id, target, matrix, kind: MovedKind::Handle(placed), can })
+            Some(GizmoTarget { step, id, target, matrix, kind: MovedKind::Handle(placed), can })
         }
     }
 }
@@ -58,7 +58,7 @@ pub fn held(window: &Window, step: usize, id: StepId) -> Option<GrabbedHandles> 
 }
 
 /// Other handles that move along, as they are now, if any do.
-fn several(place: &Place, window: &Window) -> Option<Several> {
+fn several(place: &GizmoTarget, window: &Window) -> Option<Several> {
     let tools = &window.tools;
     let alone = tools.reach == 0.0 && tools.handles(place.id).len() < 2;
     if alone || !matches!(place.kind, MovedKind::Handle(_)) {
@@ -80,7 +80,7 @@ fn rows(m: DMat4) -> [[f64; 4]; 4] {
     m.transpose().to_cols_array_2d()
 }
 
-pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     let Some(place) = place(window) else { return false };
     let Some(scene) = window.state().scene().cloned() else { return false };
     let (frame, camera) = (scene.frame(), *window.state().camera());
@@ -149,10 +149,10 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
 pub fn reset(window: &mut Window) {
     let Some(place) = place(window) else { return };
     let change = match (&place.kind, place.target) {
-        (MovedKind::Region { pivot }, Target::Region(region)) => {
+        (MovedKind::Region { pivot }, MovedPart::Region(region)) => {
             Change::MoveRegion { region, motion: Motion { pivot: Some(*pivot), ..Motion::default() } }
         }
-        (_, Target::Handle(_)) => {
+        (_, MovedPart::Handle(_)) => {
             let still = |id| HandleMove { id, motion: Motion::default() };
             Change::MoveHandles(window.tools.handles(place.id).into_iter().map(still).collect())
         }

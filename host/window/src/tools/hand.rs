@@ -1,6 +1,6 @@
 //! What is in the hand: the tool, what it moves, and what is going on with it.
 
-use super::place::{Several, Target};
+use super::place::{MovedPart, Several};
 use super::transforming::Transforming;
 use eframe::egui::Modifiers;
 use glam::DVec3;
@@ -85,9 +85,9 @@ pub struct Tools {
     /// What is in the hand.
     pub tool: Tool,
     /// What the gizmo moves.
-    pub target: Option<Target>,
+    pub target: Option<MovedPart>,
     /// Other handles of a step that are chosen besides a target; of no use once another one is.
-    pub others: Option<(StepId, Target, BTreeSet<String>)>,
+    pub others: Option<(StepId, MovedPart, BTreeSet<String>)>,
     /// Within which part of the model's diagonal handles go along with those that are moved; none at 0.
     pub reach: f64,
     /// Whether a box chooses handles instead of samples.
@@ -197,13 +197,13 @@ impl Tools {
 
     /// Whether options of the tool are shown over the picture.
     pub fn has_options(&self) -> bool {
-        let moves = self.tool.is_gizmo() && matches!(self.target, Some(Target::Handle(_)));
+        let moves = self.tool.is_gizmo() && matches!(self.target, Some(MovedPart::Handle(_)));
         self.tool.selects() || matches!(self.tool, Tool::Stroke | Tool::Measure | Tool::Joint) || moves
     }
 
     /// The handles of the chosen step that its plugin placed and that are in the hand.
     pub fn handles(&self, step: StepId) -> BTreeSet<String> {
-        let Some(Target::Handle(id)) = &self.target else { return BTreeSet::new() };
+        let Some(MovedPart::Handle(id)) = &self.target else { return BTreeSet::new() };
         let known = self
             .others
             .as_ref()
@@ -215,8 +215,8 @@ impl Tools {
     /// Takes handles into the hand, the gizmo at the `first` of them.
     pub fn take_handles(&mut self, step: StepId, first: Option<String>, mut all: BTreeSet<String>) {
         let first = first.or_else(|| all.first().cloned());
-        self.target = first.map(Target::Handle);
-        if let Some(Target::Handle(id)) = &self.target {
+        self.target = first.map(MovedPart::Handle);
+        if let Some(MovedPart::Handle(id)) = &self.target {
             all.remove(id);
         }
         self.others = self.target.clone().map(|target| (step, target, all));

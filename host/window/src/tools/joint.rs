@@ -1,7 +1,7 @@
 //! Joints and pins, placed by clicks, and chains of joints by drags.
 
-use super::Target;
-use crate::viewport::{Canvas, handles};
+use super::MovedPart;
+use crate::viewport::{ModelArea, handles};
 use crate::window::Window;
 use eframe::egui::{Color32, CursorIcon, Pos2, Shape, Stroke};
 use glam::{DVec2, DVec3};
@@ -13,7 +13,7 @@ use simod_viewer::skeleton::{chained, free_id, is_pin, with_body_held};
 /// From so many points of the screen on, a press that moves is a drag.
 const LEAST: f32 = 14.0;
 
-pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     let Some((step, _, deformation, plugin)) = window.chosen() else { return false };
     if !plugin.is_some_and(|plugin| plugin.consumes().joints) {
         return false;
@@ -62,12 +62,12 @@ fn put(window: &mut Window, step: usize, joints: Vec<Joint>) {
     let joints =
         if window.tools.holds_body { with_body_held(joints, &window.state().body(step)) } else { joints };
     if window.change(step, Change::SetJoints(joints), false) {
-        window.tools.target = last.map(Target::Handle);
+        window.tools.target = last.map(MovedPart::Handle);
     }
 }
 
 /// Bones lie in the middle of what they carry; with Shift, on the surface.
-fn place(canvas: &Canvas<'_>, window: &mut Window, step: usize, pixel: DVec2) -> Option<DVec3> {
+fn place(canvas: &ModelArea<'_>, window: &mut Window, step: usize, pixel: DVec2) -> Option<DVec3> {
     if canvas.modifiers().shift {
         let hit = window.state_mut().pick(pixel);
         hit.and_then(|hit| window.state().in_step(step, &hit))
@@ -79,7 +79,7 @@ fn place(canvas: &Canvas<'_>, window: &mut Window, step: usize, pixel: DVec2) ->
 /// What a new joint hangs on: the one in the hand, or the last one.
 fn parent(window: &Window, deformation: &Deformation) -> Option<String> {
     match &window.tools.target {
-        Some(Target::Handle(id)) if deformation.joints.iter().any(|joint| joint.id == *id) => {
+        Some(MovedPart::Handle(id)) if deformation.joints.iter().any(|joint| joint.id == *id) => {
             Some(id.clone())
         }
         _ => {
@@ -95,7 +95,7 @@ fn pixels(from: DVec2, to: DVec2, count: usize) -> impl Iterator<Item = DVec2> {
 }
 
 fn chain(
-    canvas: &Canvas<'_>,
+    canvas: &ModelArea<'_>,
     window: &mut Window,
     step: usize,
     deformation: &Deformation,
@@ -117,7 +117,7 @@ fn chain(
 }
 
 /// The chain that would be placed.
-fn draw(canvas: &Canvas<'_>, from: DVec2, to: DVec2, count: usize) {
+fn draw(canvas: &ModelArea<'_>, from: DVec2, to: DVec2, count: usize) {
     let points: Vec<Pos2> = pixels(from, to, count).map(|pixel| canvas.in_points(pixel)).collect();
     let painter = canvas.painter();
     painter.add(Shape::line(points.clone(), Stroke::new(2.0, Color32::WHITE)));

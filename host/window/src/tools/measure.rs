@@ -1,7 +1,7 @@
 //! Lengths and angles, between points on the surface that are clicked and dragged; they go along with it.
 
 use super::hand::Measuring;
-use crate::viewport::Canvas;
+use crate::viewport::ModelArea;
 use crate::window::Window;
 use eframe::egui::{Align2, Color32, CursorIcon, FontId, Key, Pos2, Shape, Stroke, pos2, vec2};
 use glam::DVec3;
@@ -56,12 +56,12 @@ pub fn clear(window: &mut Window) {
 }
 
 /// Where the points are seen.
-fn seen(canvas: &Canvas<'_>, window: &Window, local: DVec3) -> Option<Pos2> {
+fn seen(canvas: &ModelArea<'_>, window: &Window, local: DVec3) -> Option<Pos2> {
     let (camera, size) = (window.state().camera(), window.state().size());
     camera.project(local, size).map(|(pixel, _)| canvas.in_points(pixel))
 }
 
-pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     let ctx = canvas.ctx();
     if !ctx.egui_wants_keyboard_input() && !window.is_asking() {
         if ctx.input(|i| i.key_pressed(Key::Escape)) {
@@ -122,7 +122,7 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
 }
 
 /// Draws what is measured, whatever the tool.
-pub fn draw(canvas: &Canvas<'_>, window: &Window) {
+pub fn draw(canvas: &ModelArea<'_>, window: &Window) {
     let Some(frame) = window.state().scene().map(|scene| scene.frame()) else { return };
     let measured = window.state().measured();
     let place = |p: DVec3| seen(canvas, window, frame.to_local_exact(p));
@@ -176,7 +176,7 @@ fn arc(corner: &[MeasuredPoint]) -> Vec<DVec3> {
     (0..=ARC_LINES).map(at).collect()
 }
 
-fn label(canvas: &Canvas<'_>, at: Pos2, text: &str) {
+fn label(canvas: &ModelArea<'_>, at: Pos2, text: &str) {
     let galley = canvas.painter().layout_no_wrap(text.to_owned(), FontId::proportional(12.5), Color32::WHITE);
     let at = pos2(at.x, at.y - 14.0);
     let rect = Align2::CENTER_CENTER.anchor_size(at, galley.size() + vec2(12.0, 5.0));

@@ -10,11 +10,11 @@ mod stroke;
 pub mod transform;
 mod transforming;
 
-use crate::viewport::Canvas;
+use crate::viewport::ModelArea;
 use crate::window::Window;
 use eframe::egui::{CursorIcon, Key};
 pub use hand::{Tool, Tools};
-pub use place::Target;
+pub use place::MovedPart;
 
 /// Whether the chosen step has any use for a tool.
 pub fn is_of_use(tool: Tool, window: &Window) -> bool {
@@ -27,7 +27,7 @@ pub fn is_of_use(tool: Tool, window: &Window) -> bool {
 }
 
 /// The tool in the hand does its work and draws itself. Whether the pointer is its own, and not the camera's.
-pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     let ctx = canvas.ctx();
     if canvas.is_hovered() && !ctx.egui_wants_keyboard_input() {
         let size = |key| i32::from(ctx.input(|i| i.key_pressed(key)));

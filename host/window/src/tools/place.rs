@@ -7,7 +7,7 @@ use simod_viewer::motion::{PlacedHandle, motion_of};
 
 /// What the gizmo moves, of the chosen step.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Target {
+pub enum MovedPart {
     /// A handle region, by its place among the regions.
     Region(usize),
     /// A handle that the plugin placed, by its id.
@@ -16,11 +16,11 @@ pub enum Target {
 
 /// What the gizmo moves, and where it is.
 #[derive(Clone)]
-pub struct Place {
+pub struct GizmoTarget {
     /// Of which step.
     pub step: usize,
     pub id: StepId,
-    pub target: Target,
+    pub target: MovedPart,
     /// Where it is: model coordinates.
     pub matrix: DAffine3,
     pub kind: MovedKind,
@@ -53,14 +53,14 @@ impl Several {
     }
 }
 
-impl Place {
+impl GizmoTarget {
     /// What it takes for its gizmo to be there.
     pub fn change_to(&self, matrix: DAffine3) -> Option<Change> {
         Some(match (&self.kind, &self.target) {
-            (MovedKind::Region { pivot }, Target::Region(region)) => {
+            (MovedKind::Region { pivot }, MovedPart::Region(region)) => {
                 Change::MoveRegion { region: *region, motion: motion_of(matrix, *pivot)? }
             }
-            (MovedKind::Handle(placed), Target::Handle(id)) => {
+            (MovedKind::Handle(placed), MovedPart::Handle(id)) => {
                 Change::MoveHandle { id: id.clone(), motion: placed.motion_to(matrix)? }
             }
             _ => return None,

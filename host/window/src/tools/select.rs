@@ -2,7 +2,7 @@
 
 use super::Tool;
 use crate::theme;
-use crate::viewport::{Canvas, handles};
+use crate::viewport::{ModelArea, handles};
 use crate::window::Window;
 use eframe::egui::{Color32, Pos2, Rect, Shape, Stroke, StrokeKind};
 use simod_viewer::Command;
@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 /// Points of a lasso are so far apart at least, in pixels.
 const SPACING: f64 = 3.0;
 
-pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     let tool = window.tools.tool;
     let combine = window.tools.combine_with(canvas.modifiers());
     let drawing = !window.tools.path.is_empty();
@@ -49,7 +49,7 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
 }
 
 /// The pointer went on.
-fn follow(canvas: &Canvas<'_>, window: &mut Window, combine: Combine) {
+fn follow(canvas: &ModelArea<'_>, window: &mut Window, combine: Combine) {
     let path = &mut window.tools.path;
     let from = path.len() - 1;
     for at in canvas.trail().into_iter().map(|p| [p.x, p.y]) {
@@ -69,14 +69,14 @@ fn follow(canvas: &Canvas<'_>, window: &mut Window, combine: Combine) {
     }
 }
 
-fn paint(canvas: &Canvas<'_>, window: &mut Window, path: Vec<[f64; 2]>, combine: Combine, goes_on: bool) {
+fn paint(canvas: &ModelArea<'_>, window: &mut Window, path: Vec<[f64; 2]>, combine: Combine, goes_on: bool) {
     let radius = canvas.pixels(window.tools.radius);
     let visible = window.tools.visible;
     window.apply(Command::Select { area: Area::Brush { path, radius }, combine, visible, goes_on });
 }
 
 /// The handles in the box are chosen, and can be moved.
-fn choose(canvas: &Canvas<'_>, window: &mut Window, combine: Combine) {
+fn choose(canvas: &ModelArea<'_>, window: &mut Window, combine: Combine) {
     let path = std::mem::take(&mut window.tools.path);
     let Some((_, step, ..)) = window.chosen() else { return };
     let before = window.tools.handles(step);
@@ -108,7 +108,7 @@ fn finish(window: &mut Window, combine: Combine) {
     window.apply(Command::Select { area, combine, visible, goes_on: false });
 }
 
-fn draw(canvas: &Canvas<'_>, window: &Window) {
+fn draw(canvas: &ModelArea<'_>, window: &Window) {
     let painter = canvas.painter();
     let stroke = Stroke::new(1.5, theme::color(theme::SELECTED));
     let points: Vec<Pos2> = window.tools.path.iter().map(|p| canvas.in_points((*p).into())).collect();

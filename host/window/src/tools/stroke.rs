@@ -1,6 +1,6 @@
 //! Brush strokes on the surface, for plugins that take them.
 
-use crate::viewport::Canvas;
+use crate::viewport::ModelArea;
 use crate::window::Window;
 use eframe::egui::{Color32, Event, Key, Pos2, Shape, Stroke};
 use glam::DVec2;
@@ -11,7 +11,7 @@ const SPACING: f64 = 0.15;
 /// Corners of the circle that shows the brush.
 const CORNERS: usize = 48;
 
-pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     let Some((step, _, _, plugin)) = window.chosen() else { return false };
     if !plugin.is_some_and(|plugin| plugin.consumes().strokes) {
         return false;
@@ -51,7 +51,7 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
 }
 
 /// The brush is on a pixel.
-fn paint(canvas: &Canvas<'_>, window: &mut Window, step: usize, pixel: DVec2) {
+fn paint(canvas: &ModelArea<'_>, window: &mut Window, step: usize, pixel: DVec2) {
     let Some(hit) = window.state_mut().pick(pixel) else { return };
     let Some(at) = window.state().in_step(step, &hit) else { return };
     let (camera, size) = (window.state().camera(), window.state().size());
@@ -80,7 +80,7 @@ fn paint(canvas: &Canvas<'_>, window: &mut Window, step: usize, pixel: DVec2) {
 }
 
 /// The brush, lying on the surface.
-fn draw(canvas: &Canvas<'_>, window: &Window, hit: &Hit) {
+fn draw(canvas: &ModelArea<'_>, window: &Window, hit: &Hit) {
     let (camera, size) = (window.state().camera(), window.state().size());
     let (x, y) = hit.normal.any_orthonormal_pair();
     let radius = window.tools.stroke_radius;

@@ -2,16 +2,16 @@
 //! ends it, Escape or the right button takes it back.
 
 use super::gizmo;
-use super::transforming::{Next, Transformed, Transforming};
-use super::{Target, Tool};
-use crate::viewport::Canvas;
+use super::transforming::{TransformOutcome, Transformed, Transforming};
+use super::{MovedPart, Tool};
+use crate::viewport::ModelArea;
 use crate::window::Window;
 use eframe::egui::CursorIcon;
 use simod_viewer::Command;
-use simod_viewer::transform::{Seen, Transform, TransformKind};
+use simod_viewer::transform::{ScreenView, Transform, TransformKind};
 
 /// Begins, if there is anything in the hand and the pointer is over the picture.
-pub fn begin(canvas: &Canvas<'_>, window: &mut Window, tool: Tool) {
+pub fn begin(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
     let kind = match tool {
         Tool::Rotate => TransformKind::Turn,
         Tool::Scale => TransformKind::Scale,
@@ -20,8 +20,8 @@ pub fn begin(canvas: &Canvas<'_>, window: &mut Window, tool: Tool) {
     let Some((step, id, ..)) = window.chosen() else { return };
     let (Some(place), Some(pointer)) = (gizmo::place(window), canvas.pointer()) else { return };
     let of = match &place.target {
-        Target::Region(_) => Transformed::Region(Box::new(place.clone()), place.matrix),
-        Target::Handle(_) => match gizmo::held(window, step, id) {
+        MovedPart::Region(_) => Transformed::Region(Box::new(place.clone()), place.matrix),
+        MovedPart::Handle(_) => match gizmo::held(window, step, id) {
             Some(held) => Transformed::Handles(held),
             None => return,
         },
@@ -38,18 +38,18 @@ pub fn begin(canvas: &Canvas<'_>, window: &mut Window, tool: Tool) {
 }
 
 /// Goes on with it. The pointer is its own as long as it lasts.
-pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     let Some(mut going) = window.tools.transforming.take() else { return false };
     if window.chosen().is_none_or(|(_, id, ..)| id != going.step) {
         return false;
     }
     let (camera, size) = (*window.state().camera(), window.state().size());
-    let seen = Seen { camera: &camera, size };
+    let seen = ScreenView { camera: &camera, size };
     for pixel in canvas.trail().into_iter().chain(canvas.pointer()) {
         going.transform.follow(pixel, seen);
     }
     let next = going.next(canvas.ctx());
-    if matches!(next, Next::Back) {
+    if matches!(next, TransformOutcome::Back) {
         if going.last.is_some() {
             window.apply(Command::Undo);
         }
@@ -65,7 +65,7 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     }
     canvas.ctx().set_cursor_icon(CursorIcon::Move);
     going.draw(canvas, seen);
-    if matches!(next, Next::Done) {
+    if matches!(next, TransformOutcome::Done) {
         if going.last.is_some() {
             window.apply(Command::Rest);
         }

@@ -1,14 +1,14 @@
 //! A motion by keys that is going on: what it moves, what keys say, and how it is drawn.
 
-use super::place::Place;
+use super::place::GizmoTarget;
 use crate::numbers::number;
-use crate::viewport::Canvas;
+use crate::viewport::ModelArea;
 use eframe::egui::{self, Align2, Color32, Event, FontId, Key, PointerButton, Stroke};
 use glam::{DAffine3, DVec3};
 use simod_session::Motion;
 use simod_session::edit::{Change, StepId};
 use simod_viewer::held::GrabbedHandles;
-use simod_viewer::transform::{Seen, Transform, TransformKind};
+use simod_viewer::transform::{ScreenView, Transform, TransformKind};
 
 /// Of the axes, as the gizmo has them.
 const COLORS: [Color32; 3] =
@@ -35,7 +35,7 @@ pub enum Transformed {
     /// Handles that the plugin placed.
     Handles(GrabbedHandles),
     /// A handle region, from its gizmo's place.
-    Region(Box<Place>, DAffine3),
+    Region(Box<GizmoTarget>, DAffine3),
 }
 
 impl Transformed {
@@ -49,7 +49,7 @@ impl Transformed {
 }
 
 /// What comes of it.
-pub enum Next {
+pub enum TransformOutcome {
     GoesOn,
     Done,
     Back,
@@ -57,15 +57,15 @@ pub enum Next {
 
 impl Transforming {
     /// What keys and buttons say.
-    pub fn next(&mut self, ctx: &egui::Context) -> Next {
+    pub fn next(&mut self, ctx: &egui::Context) -> TransformOutcome {
         let events = ctx.input_mut(|i| std::mem::take(&mut i.events));
-        let mut next = Next::GoesOn;
+        let mut next = TransformOutcome::GoesOn;
         for event in events {
             match event {
-                Event::Key { key: Key::Enter, pressed: true, .. } => next = Next::Done,
+                Event::Key { key: Key::Enter, pressed: true, .. } => next = TransformOutcome::Done,
                 Event::Key { key: Key::Escape, pressed: true, .. }
                 | Event::PointerButton { button: PointerButton::Secondary, pressed: false, .. } => {
-                    next = Next::Back;
+                    next = TransformOutcome::Back;
                 }
                 Event::PointerButton { button: PointerButton::Primary, pressed: true, .. } => {
                     self.pressed = true
@@ -73,7 +73,7 @@ impl Transforming {
                 Event::PointerButton { button: PointerButton::Primary, pressed: false, .. }
                     if self.pressed =>
                 {
-                    next = Next::Done;
+                    next = TransformOutcome::Done;
                 }
                 Event::Key { key: Key::Backspace, pressed: true, .. } => self.transform.erase(),
                 Event::Key { key, pressed: true, repeat: false, .. } => {
@@ -88,7 +88,7 @@ impl Transforming {
     }
 
     /// The axis, and what is done, in numbers.
-    pub fn draw(&self, canvas: &Canvas<'_>, seen: Seen<'_>) {
+    pub fn draw(&self, canvas: &ModelArea<'_>, seen: ScreenView<'_>) {
         let painter = canvas.painter();
         if let Some(axis) = self.transform.axis() {
             let end = |far: f64| {

@@ -4,7 +4,7 @@ use eframe::egui::{self, Event, Painter, PointerButton, Pos2, Rect, Response};
 use glam::DVec2;
 
 /// The part of the window that shows the model.
-pub struct Canvas<'a> {
+pub struct ModelArea<'a> {
     /// What egui knows of the pointer over it.
     pub response: &'a Response,
     /// What draws over the picture.
@@ -17,7 +17,7 @@ pub struct Canvas<'a> {
     pub blocked: bool,
 }
 
-impl Canvas<'_> {
+impl ModelArea<'_> {
     /// egui's.
     pub fn ctx(&self) -> &egui::Context {
         &self.response.ctx

@@ -7,8 +7,8 @@ use crate::window::Window;
 use simod_session::Shapes;
 use simod_session::edit::StepId;
 use simod_session::step::Role;
-use simod_viewer::overlay::{self, Field, Scale};
-use simod_viewer::{Overlay, Scene, Selection, Tint, Version};
+use simod_viewer::overlay::{self, OverlayScale, ScalarField};
+use simod_viewer::{ComparedVersion, Overlay, Selection, Tint, ViewerScene};
 use std::sync::Arc;
 
 /// How much of a selected sample's colour is that of the selection.
@@ -17,7 +17,7 @@ const REGION: f32 = 0.62;
 
 /// What the colours depend on.
 #[derive(PartialEq, Default)]
-struct Key {
+struct ColorsKey {
     samples: usize,
     overlay: Overlay,
     tint: Tint,
@@ -43,23 +43,28 @@ struct Regions {
 
 /// The colours, as they were asked for last.
 #[derive(Default)]
-pub struct Colors {
-    key: Key,
-    weights: Vec<(Role, Field)>,
+pub struct SampleColors {
+    key: ColorsKey,
+    weights: Vec<(Role, ScalarField)>,
     /// What is done to the colours, and the outcome.
     mixing: Option<Vec<Mixing>>,
-    scale: Option<Scale>,
+    scale: Option<OverlayScale>,
     colors: Option<Vec<[u8; 3]>>,
     tinted: Option<Vec<[u8; 3]>>,
 }
 
-impl Colors {
+impl SampleColors {
     /// Finds the samples' colours. Whether they have changed. The selection and regions are of
     /// the version that is worked on.
-    pub fn update(&mut self, window: &mut Window, version: Version, scene: &Arc<Scene>) -> bool {
+    pub fn update(
+        &mut self,
+        window: &mut Window,
+        version: ComparedVersion,
+        scene: &Arc<ViewerScene>,
+    ) -> bool {
         let key = match version {
-            Version::Now => key(window, scene),
-            Version::Pinned => plain(window, scene),
+            ComparedVersion::Now => key(window, scene),
+            ComparedVersion::Pinned => plain(window, scene),
         };
         let changed = key != self.key;
         if changed {
@@ -67,7 +72,7 @@ impl Colors {
                 self.weights = weights(window, scene, &key);
             }
             self.mixing = self.mixed(scene, &key);
-            self.scale = window.state_mut().field_of(version).map(Field::scale);
+            self.scale = window.state_mut().field_of(version).map(ScalarField::scale);
             self.colors = self.made(window, version, scene);
             self.tinted = key.detail.then(|| sample_colors(scene.len(), self.colors.as_deref()));
             self.key = key;
@@ -87,7 +92,12 @@ impl Colors {
     }
 
     /// The colours of samples, if they are not all the same.
-    fn made(&self, window: &mut Window, version: Version, scene: &Scene) -> Option<Vec<[u8; 3]>> {
+    fn made(
+        &self,
+        window: &mut Window,
+        version: ComparedVersion,
+        scene: &ViewerScene,
+    ) -> Option<Vec<[u8; 3]>> {
         let mut colors = match window.state_mut().sample_colors(version) {
             Some(colors) => colors,
             None if self.mixing.is_none() => return None,
@@ -100,7 +110,7 @@ impl Colors {
     }
 
     /// What regions and the selection do to the colours, if anything.
-    fn mixed(&self, scene: &Scene, key: &Key) -> Option<Vec<Mixing>> {
+    fn mixed(&self, scene: &ViewerScene, key: &ColorsKey) -> Option<Vec<Mixing>> {
         if self.weights.is_empty() && key.selection.is_empty() {
             return None;
         }
@@ -122,27 +132,27 @@ impl Colors {
 }
 
 /// Of a version with nothing but the overlay.
-fn plain(window: &mut Window, scene: &Scene) -> Key {
+fn plain(window: &mut Window, scene: &ViewerScene) -> ColorsKey {
     let overlay = window.state().overlay();
     let revision = |version| window.state().scene_of(version).map(|scene| scene.revision);
-    let revisions = [Version::Now, Version::Pinned].map(revision);
+    let revisions = [ComparedVersion::Now, ComparedVersion::Pinned].map(revision);
     let range = window.state_mut().field().map(|field| field.range);
     let revisions = (overlay != Overlay::None).then_some(revisions);
     let (tint, own) = (window.state().tint(), window.state().has_own_colors());
-    Key { samples: scene.len(), overlay, tint, own, revisions, range, ..Key::default() }
+    ColorsKey { samples: scene.len(), overlay, tint, own, revisions, range, ..ColorsKey::default() }
 }
 
-fn key(window: &mut Window, scene: &Arc<Scene>) -> Key {
+fn key(window: &mut Window, scene: &Arc<ViewerScene>) -> ColorsKey {
     let regions = window.chosen().filter(|_| window.looks.regions).map(|(at, id, deformation, _)| {
         let shapes = deformation.regions.into_iter().map(|r| (r.role, r.shapes)).collect();
         let before = scene.before.get(at).map_or(0, |before| before.as_ptr() as usize);
         Regions { step: id, shapes, before }
     });
     let (selection, detail) = (window.state().selection().clone(), window.state().detail().is_some());
-    Key { selection, regions, detail, ..plain(window, scene) }
+    ColorsKey { selection, regions, detail, ..plain(window, scene) }
 }
 
-fn weights(window: &Window, scene: &Scene, key: &Key) -> Vec<(Role, Field)> {
+fn weights(window: &Window, scene: &ViewerScene, key: &ColorsKey) -> Vec<(Role, ScalarField)> {
     let (Some(regions), Some(at)) = (&key.regions, window.state().chosen()) else {
         return Vec::new();
     };

@@ -4,10 +4,10 @@ use super::seen::disc_radii;
 use super::vertex_colors::VertexColors;
 use crate::theme;
 use glam::Vec3;
-use simod_core::detail::Batch;
+use simod_core::detail::DetailBatch;
 use simod_scene::{BadSurface, Dot, Scene, Surface};
 use simod_viewer::Detail;
-use simod_viewer::detail::Piece;
+use simod_viewer::detail::DetailPiece;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -16,9 +16,9 @@ const HIDDEN: f32 = -1.0;
 
 /// Which pieces the card has, and what it shows of each.
 #[derive(Default)]
-pub struct Pieces(BTreeMap<u64, u64>);
+pub struct DetailPieces(BTreeMap<u64, u64>);
 
-impl Pieces {
+impl DetailPieces {
     /// Brings the card up to date.
     ///
     /// # Errors
@@ -53,13 +53,13 @@ impl Pieces {
 }
 
 /// A piece as it is drawn.
-pub struct Splats {
-    batch: Arc<Batch>,
+pub struct PieceSplats {
+    batch: Arc<DetailBatch>,
     radii: Vec<f32>,
     colors: Vec<[u8; 3]>,
 }
 
-impl Splats {
+impl PieceSplats {
     /// As the renderer takes it.
     pub fn surface(&self) -> Surface<'_> {
         Surface {
@@ -74,11 +74,11 @@ impl Splats {
 }
 
 /// A piece as it looks in these colours.
-pub fn splats(piece: &Piece, colors: VertexColors<'_>) -> Splats {
-    Splats { batch: piece.batch.clone(), radii: radii(piece), colors: colors.colors(piece) }
+pub fn splats(piece: &DetailPiece, colors: VertexColors<'_>) -> PieceSplats {
+    PieceSplats { batch: piece.batch.clone(), radii: radii(piece), colors: colors.colors(piece) }
 }
 
-fn radii(piece: &Piece) -> Vec<f32> {
+fn radii(piece: &DetailPiece) -> Vec<f32> {
     let batch = &piece.batch;
     let long = |[long, _]: &[Vec3; 2]| if *long == Vec3::ZERO { HIDDEN } else { long.length() };
     let mut radii = match &batch.axes[..] {

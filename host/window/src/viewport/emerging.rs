@@ -1,6 +1,6 @@
 //! The samples of a model that is being opened, as they come.
 
-use super::Canvas;
+use super::ModelArea;
 use super::seen::{disc_radii, view};
 use super::texture::Texture;
 use crate::settings::Theme;
@@ -8,8 +8,8 @@ use crate::window::Window;
 use eframe::egui::Shape;
 use eframe::egui_wgpu::RenderState;
 use glam::DVec3;
-use simod_scene::{BadSurface, Budget, Gpu, Scene, Style, Surface, View};
-use simod_viewer::engine::{Emerged, Points};
+use simod_scene::{BadSurface, Budget, Gpu, Scene, SceneStyle, Surface, View};
+use simod_viewer::engine::{Emerged, SurfacePoints};
 use std::time::{Duration, Instant};
 
 /// How often those that came meanwhile are shown, at most ...
@@ -21,7 +21,7 @@ const SHARE: u32 = 2;
 const VERTICES: u64 = 0;
 
 /// What is drawn of them.
-pub struct Emerging {
+pub struct EmergingPoints {
     scene: Scene,
     budget: Budget,
     texture: Texture,
@@ -34,7 +34,7 @@ pub struct Emerging {
     bounds: [DVec3; 2],
 }
 
-impl Emerging {
+impl EmergingPoints {
     /// None yet.
     pub fn new(render: &RenderState, gpu: &Gpu) -> Self {
         Self {
@@ -50,7 +50,7 @@ impl Emerging {
     }
 
     /// A picture of the samples that there are so far.
-    pub fn picture(&mut self, canvas: &Canvas<'_>, window: &Window) -> Result<Shape, BadSurface> {
+    pub fn picture(&mut self, canvas: &ModelArea<'_>, window: &Window) -> Result<Shape, BadSurface> {
         let state = window.state();
         // Once all are there they stay, until the model is shown.
         let pause = PAUSE.max(SHARE * self.took);
@@ -61,11 +61,11 @@ impl Emerging {
         let (size, mut camera) = (state.size(), *state.camera());
         camera.frame(self.bounds, size);
         let view = view(&camera, size, self.bounds);
-        let style = Style {
+        let style = SceneStyle {
             background: window.settings.theme.background(),
             light: window.settings.light.light(),
             occlusion: window.settings.occlusion,
-            ..Style::default()
+            ..SceneStyle::default()
         };
         if self.seen != Some(view) {
             let started = Instant::now();
@@ -91,7 +91,7 @@ impl Emerging {
     }
 }
 
-fn surface<'a>(Points { positions, normals, .. }: &'a Points, radii: &'a [f32]) -> Surface<'a> {
+fn surface<'a>(SurfacePoints { positions, normals, .. }: &'a SurfacePoints, radii: &'a [f32]) -> Surface<'a> {
     Surface { positions, normals, radii, ..Surface::default() }
 }
 

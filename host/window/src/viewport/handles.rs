@@ -1,10 +1,10 @@
 //! Handles as dots: those that the chosen step's plugin placed, and the middles of its handle regions; and
 //! the knobs of the planes between which it works along an axis.
 
-use super::Canvas;
+use super::ModelArea;
 use crate::axis::{Axis, PLANES};
 use crate::theme;
-use crate::tools::{Target, Tool};
+use crate::tools::{MovedPart, Tool};
 use crate::window::Window;
 use eframe::egui::{Color32, CursorIcon, Pos2, Rect, Shape, Stroke, pos2, vec2};
 use glam::DVec3;
@@ -22,22 +22,22 @@ const REACH: f32 = 11.0;
 const DOT: Color32 = Color32::from_rgb(90, 160, 235);
 
 /// A dot.
-struct Dot {
-    target: Target,
+struct HandleDot {
+    target: MovedPart,
     at: Pos2,
     depth: f64,
     /// Of the bone to it, where it hangs on another one: from where to where.
     bone: Option<[Pos2; 2]>,
 }
 
-impl Dot {
+impl HandleDot {
     /// Whether it is of a pin, which nobody moves.
     fn is_pin(&self) -> bool {
-        matches!(&self.target, Target::Handle(id) if is_pin(id))
+        matches!(&self.target, MovedPart::Handle(id) if is_pin(id))
     }
 }
 
-fn dots(canvas: &Canvas<'_>, window: &Window) -> Vec<Dot> {
+fn dots(canvas: &ModelArea<'_>, window: &Window) -> Vec<HandleDot> {
     let state = window.state();
     let (Some((step, _, deformation, _)), Some(scene)) = (window.chosen(), state.scene()) else {
         return Vec::new();
@@ -53,7 +53,7 @@ fn dots(canvas: &Canvas<'_>, window: &Window) -> Vec<Dot> {
         // Without a pivot of its own it would take all samples to find the middle.
         let Some(pivot) = region.motion.pivot else { continue };
         if let Some((at, depth)) = project(handle_matrix(&region.motion, pivot).translation) {
-            dots.push(Dot { target: Target::Region(i), at, depth, bone: None });
+            dots.push(HandleDot { target: MovedPart::Region(i), at, depth, bone: None });
         }
     }
     let placed = state.handles(step);
@@ -70,8 +70,8 @@ fn dots(canvas: &Canvas<'_>, window: &Window) -> Vec<Dot> {
         let shown = if is_end { project(place.position()) } else { place_of(i) };
         let Some((at, depth)) = shown else { continue };
         let bone = place_of(desc.parent as usize).and_then(|from| Some([from.0, place_of(i)?.0]));
-        let target = Target::Handle(desc.id.to_string());
-        dots.push(Dot { target, at, depth, bone });
+        let target = MovedPart::Handle(desc.id.to_string());
+        dots.push(HandleDot { target, at, depth, bone });
     }
     // Those in front are drawn last.
     dots.sort_by(|a, b| b.depth.total_cmp(&a.depth));
@@ -83,14 +83,14 @@ fn is_shown(window: &Window) -> bool {
     !tool.selects() && tool != Tool::Stroke || window.tools.picks_handles()
 }
 
-fn nearest<'a>(canvas: &Canvas<'_>, dots: &'a [Dot]) -> Option<&'a Dot> {
+fn nearest<'a>(canvas: &ModelArea<'_>, dots: &'a [HandleDot]) -> Option<&'a HandleDot> {
     let pointer = canvas.pointer_pos().filter(|_| canvas.is_hovered())?;
     let near = dots.iter().filter(|dot| !dot.is_pin() && dot.at.distance(pointer) < REACH);
     near.min_by(|a, b| a.at.distance(pointer).total_cmp(&b.at.distance(pointer)))
 }
 
 /// Draws them.
-pub fn draw(canvas: &Canvas<'_>, window: &Window) {
+pub fn draw(canvas: &ModelArea<'_>, window: &Window) {
     if !is_shown(window) {
         return;
     }
@@ -113,7 +113,7 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
             pin(canvas, dot.at, window.tools.target.as_ref() == Some(&dot.target));
             continue;
         }
-        let is_held = matches!(&dot.target, Target::Handle(id) if in_hand.contains(id));
+        let is_held = matches!(&dot.target, MovedPart::Handle(id) if in_hand.contains(id));
         let chosen = is_held || window.tools.target.as_ref() == Some(&dot.target);
         let hovered = hovered.as_ref() == Some(&dot.target);
         // What is farther is fainter.
@@ -126,8 +126,8 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
         };
         let outline = Stroke::new(1.2, Color32::from_black_alpha(if chosen || hovered { 220 } else { 140 }));
         match dot.target {
-            Target::Handle(_) => painter.circle(dot.at, radius, color, outline),
-            Target::Region(_) => {
+            MovedPart::Handle(_) => painter.circle(dot.at, radius, color, outline),
+            MovedPart::Region(_) => {
                 let r = radius + 1.5;
                 let corners = [(0.0, -r), (r, 0.0), (0.0, r), (-r, 0.0)];
                 let corners = corners.map(|(x, y)| pos2(dot.at.x + x, dot.at.y + y)).to_vec();
@@ -137,15 +137,15 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
             }
         };
     }
-    if let Some(Target::Handle(name)) = &hovered {
+    if let Some(MovedPart::Handle(name)) = &hovered {
         canvas.response.clone().on_hover_text_at_pointer(name);
     }
 }
 
 /// Handles whose ids are three whole numbers, as `3,3,3`, are the points of a grid: lines between neighbours.
-fn grid(canvas: &Canvas<'_>, dots: &[Dot]) {
-    let place = |dot: &Dot| {
-        let Target::Handle(id) = &dot.target else { return None };
+fn grid(canvas: &ModelArea<'_>, dots: &[HandleDot]) {
+    let place = |dot: &HandleDot| {
+        let MovedPart::Handle(id) = &dot.target else { return None };
         let numbers: Vec<i32> = id.split(',').map(str::parse).collect::<Result<_, _>>().ok()?;
         <[i32; 3]>::try_from(numbers).ok()
     };
@@ -166,14 +166,14 @@ fn grid(canvas: &Canvas<'_>, dots: &[Dot]) {
 
 /// The faces between handles that the plugin knows, with their edges: a cage. How far a depth is between that
 /// of the nearest dot, 0, and of the farthest one, 1, `far` says.
-fn surface(canvas: &Canvas<'_>, window: &Window, dots: &[Dot], far: impl Fn(f64) -> f32) {
+fn surface(canvas: &ModelArea<'_>, window: &Window, dots: &[HandleDot], far: impl Fn(f64) -> f32) {
     let own = window.chosen().and_then(|(step, ..)| window.state().own_handles(step));
     let Some(own) = own.filter(|own| !own.faces.is_empty()) else { return };
-    let seen: HashMap<&str, &Dot> = dots
+    let seen: HashMap<&str, &HandleDot> = dots
         .iter()
         .filter_map(|dot| match &dot.target {
-            Target::Handle(id) => Some((id.as_str(), dot)),
-            Target::Region(_) => None,
+            MovedPart::Handle(id) => Some((id.as_str(), dot)),
+            MovedPart::Region(_) => None,
         })
         .collect();
     let dot = |corner: &u32| seen.get(own.descs.get(*corner as usize)?.id.as_str()).copied();
@@ -181,7 +181,7 @@ fn surface(canvas: &Canvas<'_>, window: &Window, dots: &[Dot], far: impl Fn(f64)
     let mut edges = BTreeSet::new();
     for face in &own.faces {
         // With a corner behind the eye it is not drawn.
-        let corners: Option<Vec<&Dot>> = face.iter().map(dot).collect();
+        let corners: Option<Vec<&HandleDot>> = face.iter().map(dot).collect();
         let Some(corners) = corners else { continue };
         // A fan, as the picture of a face that is bent need not be convex.
         for pair in corners[1..].windows(2) {
@@ -199,7 +199,7 @@ fn surface(canvas: &Canvas<'_>, window: &Window, dots: &[Dot], far: impl Fn(f64)
 }
 
 /// A pin: its point is where it holds.
-fn pin(canvas: &Canvas<'_>, at: Pos2, chosen: bool) {
+fn pin(canvas: &ModelArea<'_>, at: Pos2, chosen: bool) {
     let color = if chosen { theme::SELECTED } else { theme::role_color(Role::Fixed) };
     let (head, color) = (at + vec2(0.0, -13.0), theme::color(color));
     let outline = Stroke::new(1.2, Color32::from_black_alpha(200));
@@ -209,7 +209,7 @@ fn pin(canvas: &Canvas<'_>, at: Pos2, chosen: bool) {
 }
 
 /// Thick at the parent, thin at the child, as bones are drawn.
-fn bone(canvas: &Canvas<'_>, from: Pos2, to: Pos2) {
+fn bone(canvas: &ModelArea<'_>, from: Pos2, to: Pos2) {
     let way = to - from;
     let side = way.normalized().rot90() * (0.08 * way.length()).clamp(2.0, 7.0);
     let thick = from + 0.16 * way;
@@ -223,19 +223,19 @@ fn bone(canvas: &Canvas<'_>, from: Pos2, to: Pos2) {
 }
 
 /// The joint of the chosen step that is seen at a pixel.
-pub fn joint_at(canvas: &Canvas<'_>, window: &Window, pixel: glam::DVec2) -> Option<String> {
+pub fn joint_at(canvas: &ModelArea<'_>, window: &Window, pixel: glam::DVec2) -> Option<String> {
     let (_, _, deformation, _) = window.chosen()?;
     let at = canvas.in_points(pixel);
     let is_joint = |id: &String| deformation.joints.iter().any(|joint| joint.id == *id);
     dots(canvas, window).into_iter().find_map(|dot| match dot.target {
-        Target::Handle(id) if dot.at.distance(at) < REACH && is_joint(&id) && !is_pin(&id) => Some(id),
+        MovedPart::Handle(id) if dot.at.distance(at) < REACH && is_joint(&id) && !is_pin(&id) => Some(id),
         _ => None,
     })
 }
 
 /// Takes the handle under the pointer, or the handle region that the surface there belongs to. Whether there
 /// is one.
-pub fn take(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+pub fn take(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     let dots = dots(canvas, window);
     let target = match nearest(canvas, &dots) {
         Some(dot) => Some(dot.target.clone()),
@@ -252,8 +252,8 @@ pub fn take(canvas: &Canvas<'_>, window: &mut Window) -> bool {
 }
 
 /// Takes it instead of what is in the hand; with Shift besides, or no more if it is in the hand.
-fn take_also(canvas: &Canvas<'_>, window: &mut Window, target: Option<Target>) {
-    let (Some(Target::Handle(id)), Some((_, step, ..))) = (&target, window.chosen()) else {
+fn take_also(canvas: &ModelArea<'_>, window: &mut Window, target: Option<MovedPart>) {
+    let (Some(MovedPart::Handle(id)), Some((_, step, ..))) = (&target, window.chosen()) else {
         window.tools.target = target;
         return;
     };
@@ -263,22 +263,22 @@ fn take_also(canvas: &Canvas<'_>, window: &mut Window, target: Option<Target>) {
 }
 
 /// The handles that the chosen step's plugin placed and that are seen in a part of the picture.
-pub fn within(canvas: &Canvas<'_>, window: &Window, rect: Rect) -> BTreeSet<String> {
-    let id = |dot: Dot| match dot.target {
-        Target::Handle(id) if rect.contains(dot.at) && !is_pin(&id) => Some(id),
+pub fn within(canvas: &ModelArea<'_>, window: &Window, rect: Rect) -> BTreeSet<String> {
+    let id = |dot: HandleDot| match dot.target {
+        MovedPart::Handle(id) if rect.contains(dot.at) && !is_pin(&id) => Some(id),
         _ => None,
     };
     dots(canvas, window).into_iter().filter_map(id).collect()
 }
 
-fn region_under(canvas: &Canvas<'_>, window: &mut Window) -> Option<Target> {
+fn region_under(canvas: &ModelArea<'_>, window: &mut Window) -> Option<MovedPart> {
     let (step, _, deformation, _) = window.chosen()?;
     let has_handle = deformation.regions.iter().any(|r| r.role == Role::Handle);
     let hit = window.state_mut().pick(canvas.pointer().filter(|_| has_handle)?)?;
     let at = window.state().in_step(step, &hit)?;
     let holds =
         |region: &simod_session::step::Region| region.role == Role::Handle && region.shapes.weight(at) > 0.5;
-    deformation.regions.iter().position(holds).map(Target::Region)
+    deformation.regions.iter().position(holds).map(MovedPart::Region)
 }
 
 /// Half a side of a plane, as a part of the model's diagonal.
@@ -287,7 +287,7 @@ const SIDE: f64 = 0.22;
 const SEGMENTS: usize = 16;
 
 /// Draws the axis along which the chosen step works, with its planes.
-pub fn draw_axis(canvas: &Canvas<'_>, window: &Window) {
+pub fn draw_axis(canvas: &ModelArea<'_>, window: &Window) {
     let Some(axis) = Axis::find(window).filter(|_| is_shown(window)) else { return };
     let (camera, size) = (window.state().camera(), window.state().size());
     let project = |p: DVec3| camera.project(p, size).map(|(pixel, _)| canvas.in_points(pixel));
@@ -333,7 +333,7 @@ pub fn draw_axis(canvas: &Canvas<'_>, window: &Window) {
 }
 
 /// The knobs of the planes follow the hand. Whether the pointer is theirs.
-pub fn drag_planes(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+pub fn drag_planes(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     let Some(axis) = Axis::find(window).filter(|_| is_shown(window)) else {
         window.tools.plane = None;
         return false;

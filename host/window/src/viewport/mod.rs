@@ -15,11 +15,11 @@ pub mod vertex_colors;
 
 use crate::window::Window;
 use crate::{panels, tools};
-pub use canvas::Canvas;
+pub use canvas::ModelArea;
 use eframe::egui::{self, CentralPanel, Sense, Ui};
 pub use picture::Viewport;
-use simod_viewer::{Command, Version};
-use versions::Places;
+use simod_viewer::{Command, ComparedVersion};
+use versions::VersionRects;
 
 /// Shows it in what the panels left.
 pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
@@ -27,7 +27,7 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         let rect = ui.available_rect_before_wrap();
         let response = ui.allocate_rect(rect, Sense::click_and_drag());
         response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, "Model"));
-        let places = Places::divide(rect, window);
+        let places = VersionRects::divide(rect, window);
         let main = places.main().unwrap_or(rect);
         let pixels_per_point = ui.pixels_per_point();
         let size = main.size() * pixels_per_point;
@@ -43,7 +43,13 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         let over_corner = corner::contains(main, ui.ctx());
         let canvas = |rect, blocked| {
             let painter = painter.clone();
-            Canvas { response: &response, painter, rect, pixels_per_point, blocked: blocked || over_corner }
+            ModelArea {
+                response: &response,
+                painter,
+                rect,
+                pixels_per_point,
+                blocked: blocked || over_corner,
+            }
         };
         if let Some(emerging) = viewport.emerging(&canvas(main, false), window) {
             navigate::update(&canvas(main, false), window, window.tools.tool);
@@ -57,7 +63,7 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
             return;
         }
         // The pinned version is looked at only.
-        let looks = places.under(ui) == Some(Version::Pinned) && !window.tools.is_dragging();
+        let looks = places.under(ui) == Some(ComparedVersion::Pinned) && !window.tools.is_dragging();
         let mut taken = false;
         if places.now.is_some() {
             let canvas = canvas(main, looks);

@@ -1,6 +1,6 @@
 //! The camera, moved by pointer, wheel, trackpad and keys.
 
-use super::Canvas;
+use super::ModelArea;
 use crate::tools::Tool;
 use crate::window::Window;
 use eframe::egui::{Event, Key, MouseWheelUnit, PointerButton};
@@ -22,7 +22,7 @@ const BUTTONS: [(PointerButton, Button); 3] = [
 ];
 
 /// With this tool in the hand.
-pub fn update(canvas: &Canvas<'_>, window: &mut Window, tool: Tool) {
+pub fn update(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
     drag(canvas, window, tool);
     if canvas.is_hovered() {
         wheel(canvas, window);
@@ -31,7 +31,7 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window, tool: Tool) {
     keys(canvas, window);
 }
 
-fn drag(canvas: &Canvas<'_>, window: &mut Window, tool: Tool) {
+fn drag(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
     let held = canvas.modifiers();
     let modifiers = Modifiers { shift: held.shift, control: held.command, alt: held.alt };
     let moves = |w: &Window, button| {
@@ -70,7 +70,7 @@ fn free(tool: Tool, button: Button, modifiers: Modifiers) -> Option<Drag> {
     }
 }
 
-fn wheel(canvas: &Canvas<'_>, window: &mut Window) {
+fn wheel(canvas: &ModelArea<'_>, window: &mut Window) {
     let wheel = canvas.ctx().input(|i| {
         let of = |event: &Event| match event {
             Event::MouseWheel { unit, delta, modifiers, .. } => Some((*unit, *delta, *modifiers)),
@@ -100,7 +100,7 @@ fn wheel(canvas: &Canvas<'_>, window: &mut Window) {
     }
 }
 
-fn pinch(canvas: &Canvas<'_>, window: &mut Window) {
+fn pinch(canvas: &ModelArea<'_>, window: &mut Window) {
     let factor = canvas.ctx().input(|i| {
         let zoom = |event: &Event| if let Event::Zoom(factor) = event { *factor } else { 1.0 };
         i.events.iter().map(zoom).product::<f32>()
@@ -113,7 +113,7 @@ fn pinch(canvas: &Canvas<'_>, window: &mut Window) {
     }
 }
 
-fn keys(canvas: &Canvas<'_>, window: &mut Window) {
+fn keys(canvas: &ModelArea<'_>, window: &mut Window) {
     let ctx = canvas.ctx();
     if ctx.memory(|memory| memory.focused().is_some()) {
         return;

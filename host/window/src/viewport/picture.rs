@@ -1,9 +1,9 @@
 //! The picture itself: what the graphics card has of the scene, brought up to date where it changed.
 
-use super::Canvas;
-use super::colors::Colors;
-use super::detail::{Pieces, radii_of, sample_dots, sample_radii};
-use super::emerging::Emerging;
+use super::ModelArea;
+use super::colors::SampleColors;
+use super::detail::{DetailPieces, radii_of, sample_dots, sample_radii};
+use super::emerging::EmergingPoints;
 use super::seen::{disc_radii, seen_clip, view};
 use super::texture::Texture;
 use crate::settings::Theme;
@@ -11,9 +11,9 @@ use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
 use glam::{Mat4, Vec3};
-use simod_scene::{Budget, Gpu, Scene, Style, Surface};
+use simod_scene::{Budget, Gpu, Scene, SceneStyle, Surface};
 use simod_viewer::shading::Rings;
-use simod_viewer::{Detail, Version};
+use simod_viewer::{ComparedVersion, Detail};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -32,21 +32,21 @@ pub struct Viewport(Option<Pictures>);
 
 struct Pictures {
     render: RenderState,
-    now: Drawing,
+    now: PictureDrawing,
     /// While there is a pinned version, once it was shown.
-    pinned: Option<Drawing>,
+    pinned: Option<PictureDrawing>,
     /// Of a model that is being opened.
-    emerging: Option<Emerging>,
+    emerging: Option<EmergingPoints>,
 }
 
-struct Drawing {
-    version: Version,
+struct PictureDrawing {
+    version: ComparedVersion,
     scene: Scene,
     /// With how many pictures share a frame.
     budget: (u32, Budget),
     texture: Texture,
-    colors: Colors,
-    shown: Option<Arc<simod_viewer::Scene>>,
+    colors: SampleColors,
+    shown: Option<Arc<simod_viewer::ViewerScene>>,
     /// So many of its samples, of those that are drawn first, the card has.
     placed: usize,
     /// When the picture became another one.
@@ -55,7 +55,7 @@ struct Drawing {
     extents: Vec<f32>,
     /// What is kept of the samples that drafts draw.
     rings: Option<Rings>,
-    pieces: Pieces,
+    pieces: DetailPieces,
     /// What of the detail is shown.
     detail: Option<u64>,
     ghost: bool,
@@ -70,7 +70,7 @@ impl Viewport {
     pub fn new(render: Option<&RenderState>) -> Self {
         Self(render.map(|render| Pictures {
             render: render.clone(),
-            now: Drawing::new(Version::Now, render),
+            now: PictureDrawing::new(ComparedVersion::Now, render),
             pinned: None,
             emerging: None,
         }))
@@ -88,17 +88,23 @@ impl Viewport {
 
     /// What to draw of a model that is being opened; nothing where none is, or none of its samples is there
     /// yet.
-    pub fn emerging(&mut self, canvas: &Canvas<'_>, window: &Window) -> Option<Shape> {
+    pub fn emerging(&mut self, canvas: &ModelArea<'_>, window: &Window) -> Option<Shape> {
         self.0.as_mut()?.emerging(canvas, window)
     }
 
     /// What to draw where a version is. `share` is how many pictures share a frame.
-    pub fn picture(&mut self, rect: Rect, version: Version, share: u32, window: &mut Window) -> Shape {
+    pub fn picture(
+        &mut self,
+        rect: Rect,
+        version: ComparedVersion,
+        share: u32,
+        window: &mut Window,
+    ) -> Shape {
         match &mut self.0 {
             Some(Pictures { render, now, pinned, .. }) => match version {
-                Version::Now => now.picture(rect, share, window),
-                Version::Pinned => {
-                    let drawing = pinned.get_or_insert_with(|| Drawing::new(version, render));
+                ComparedVersion::Now => now.picture(rect, share, window),
+                ComparedVersion::Pinned => {
+                    let drawing = pinned.get_or_insert_with(|| PictureDrawing::new(version, render));
                     drawing.picture(rect, share, window)
                 }
             },
@@ -141,21 +147,21 @@ fn gpu_of(render: &RenderState) -> Gpu {
 }
 
 impl Pictures {
-    fn emerging(&mut self, canvas: &Canvas<'_>, window: &Window) -> Option<Shape> {
+    fn emerging(&mut self, canvas: &ModelArea<'_>, window: &Window) -> Option<Shape> {
         if !window.state().is_opening() {
             self.emerging = None;
             return None;
         }
         if self.emerging.is_none() {
             window.state().emerged(|_| ())?;
-            self.emerging = Some(Emerging::new(&self.render, &gpu_of(&self.render)));
+            self.emerging = Some(EmergingPoints::new(&self.render, &gpu_of(&self.render)));
         }
         self.emerging.as_mut()?.picture(canvas, window).ok()
     }
 }
 
-impl Drawing {
-    fn new(version: Version, render: &RenderState) -> Self {
+impl PictureDrawing {
+    fn new(version: ComparedVersion, render: &RenderState) -> Self {
         let gpu = gpu_of(render);
         let goal = GOALS[usize::from(gpu.is_software())];
         Self {
@@ -163,13 +169,13 @@ impl Drawing {
             scene: Scene::new(&gpu),
             budget: (1, Budget::new(goal)),
             texture: Texture::new(render),
-            colors: Colors::default(),
+            colors: SampleColors::default(),
             shown: None,
             placed: 0,
             changed: Instant::now(),
             extents: Vec::new(),
             rings: None,
-            pieces: Pieces::default(),
+            pieces: DetailPieces::default(),
             detail: None,
             ghost: false,
             dots: false,
@@ -192,14 +198,14 @@ impl Drawing {
         let camera = window.state().camera();
         let bounds = self.bounds(&scene);
         let view = view(camera, size, bounds);
-        let style = Style {
+        let style = SceneStyle {
             mode: window.mode(),
             own_colors: self.colors_are_own(),
             background: window.settings.theme.background(),
             light: window.settings.light.light(),
             occlusion: window.settings.occlusion,
             clip: seen_clip(window.state()),
-            ..Style::default()
+            ..SceneStyle::default()
         };
         let started = Instant::now();
         let before = self.scene.drawn();
@@ -228,7 +234,7 @@ impl Drawing {
         let budget = (!whole).then_some(&mut self.budget.1);
         let picture = self.scene.render(&view, &style, budget).clone();
         let drawn = self.scene.drawn();
-        if self.version == Version::Now {
+        if self.version == ComparedVersion::Now {
             window.drawn = drawn;
         }
         // Without a budget the card goes on drawing meanwhile.
@@ -243,7 +249,7 @@ impl Drawing {
     }
 
     /// Of all that is shown.
-    fn bounds(&self, scene: &simod_viewer::Scene) -> [glam::DVec3; 2] {
+    fn bounds(&self, scene: &simod_viewer::ViewerScene) -> [glam::DVec3; 2] {
         let [min, max] = scene.bounds();
         let rest = &scene.sampled.bounds;
         let frame = scene.frame();
@@ -261,7 +267,7 @@ impl Drawing {
     /// Brings what the card has up to date.
     fn upload(
         &mut self,
-        scene: &Arc<simod_viewer::Scene>,
+        scene: &Arc<simod_viewer::ViewerScene>,
         window: &mut Window,
     ) -> Result<(), simod_scene::BadSurface> {
         let known = self.shown.as_ref();
@@ -270,7 +276,7 @@ impl Drawing {
         let sampled = &scene.sampled;
         let samples = &sampled.samples;
         let recolored = self.colors.update(window, self.version, scene);
-        let detail = window.state().detail().filter(|_| self.version == Version::Now);
+        let detail = window.state().detail().filter(|_| self.version == ComparedVersion::Now);
         let revision = detail.map(Detail::revision);
         let covers_others = revision != std::mem::replace(&mut self.detail, revision);
         if !same_samples {
@@ -296,7 +302,7 @@ impl Drawing {
             self.scene.set_colors(&radii, colors)?;
         }
         self.pieces.update(&mut self.scene, detail, self.colors.of_vertices(), recolored)?;
-        let dots = window.looks.samples && self.version == Version::Now;
+        let dots = window.looks.samples && self.version == ComparedVersion::Now;
         if std::mem::replace(&mut self.dots, dots) != dots || dots && (!same || covers_others) {
             self.scene.set_dots(&sample_dots(&scene.positions, detail.filter(|_| dots)));
         }
@@ -321,14 +327,14 @@ impl Drawing {
     /// comes before they are drawn.
     fn place(
         &mut self,
-        scene: &simod_viewer::Scene,
+        scene: &simod_viewer::ViewerScene,
         reach: usize,
         window: &Window,
     ) -> Result<(), simod_scene::BadSurface> {
         if self.placed >= reach {
             return Ok(());
         }
-        let detail = window.state().detail().filter(|_| self.version == Version::Now);
+        let detail = window.state().detail().filter(|_| self.version == ComparedVersion::Now);
         let colors = self.colors.of_samples();
         if !scene.is_draft() {
             let radii = sample_radii(&self.extents, scene.axes(), detail);

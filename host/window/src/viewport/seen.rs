@@ -2,7 +2,7 @@
 //! plane that cuts.
 
 use glam::{DVec3, Vec4};
-use simod_scene::{Mode, View};
+use simod_scene::{SurfaceMode, View};
 use simod_viewer::State;
 use simod_viewer::camera::Camera;
 
@@ -25,8 +25,8 @@ pub fn disc_radii(spacing: &[f32]) -> Vec<f32> {
 
 /// How samples are drawn unless the user says otherwise: as triangles where there are any, as these keep
 /// together however they are stretched.
-pub fn mode_of(shown: &simod_viewer::Scene) -> Mode {
-    if shown.sampled.triangles.is_empty() { Mode::Splats } else { Mode::Triangles }
+pub fn mode_of(shown: &simod_viewer::ViewerScene) -> SurfaceMode {
+    if shown.sampled.triangles.is_empty() { SurfaceMode::Splats } else { SurfaceMode::Triangles }
 }
 
 /// The plane that cuts the model open, as the renderer takes it.

@@ -3,7 +3,7 @@
 use super::Viewport;
 use crate::window::Window;
 use eframe::egui::{Align2, Color32, FontId, Key, Modifiers, Pos2, Rect, Shape, Stroke, Ui, pos2, vec2};
-use simod_viewer::Version;
+use simod_viewer::ComparedVersion;
 
 /// Between two pictures, in points.
 const GAP: f32 = 2.0;
@@ -13,19 +13,19 @@ const HOLD: Key = Key::X;
 
 /// Where each version is shown.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Places {
+pub struct VersionRects {
     /// The one that is worked on.
     pub now: Option<Rect>,
     /// The one that is pinned.
     pub pinned: Option<Rect>,
 }
 
-impl Places {
+impl VersionRects {
     /// In the part of the window that shows the model.
     pub fn divide(rect: Rect, window: &Window) -> Self {
         let state = window.state();
         // While another model is opened, that one is shown.
-        if state.is_opening() || state.scene_of(Version::Pinned).is_none() {
+        if state.is_opening() || state.scene_of(ComparedVersion::Pinned).is_none() {
             return Self { now: Some(rect), pinned: None };
         }
         if (window.looks.pinned_in_place || is_held(window)) && !window.tools.is_dragging() {
@@ -51,22 +51,22 @@ impl Places {
     }
 
     /// The picture that the pointer is at: where it was pressed, if it is held.
-    pub fn under(&self, ui: &Ui) -> Option<Version> {
+    pub fn under(&self, ui: &Ui) -> Option<ComparedVersion> {
         let at: Pos2 = ui.input(|i| {
             let pressed = i.pointer.press_origin().filter(|_| i.pointer.any_down());
             pressed.or(i.pointer.latest_pos())
         })?;
         let holds = |place: Option<Rect>| place.is_some_and(|rect| rect.contains(at));
         match (holds(self.now), holds(self.pinned)) {
-            (true, _) => Some(Version::Now),
-            (_, true) => Some(Version::Pinned),
+            (true, _) => Some(ComparedVersion::Now),
+            (_, true) => Some(ComparedVersion::Pinned),
             _ => None,
         }
     }
 
     /// What is shown of each.
     pub fn pictures(&self, viewport: &mut Viewport, window: &mut Window) -> Vec<Shape> {
-        let both = [(Version::Pinned, self.pinned), (Version::Now, self.now)];
+        let both = [(ComparedVersion::Pinned, self.pinned), (ComparedVersion::Now, self.now)];
         let shown: Vec<_> = both.into_iter().filter_map(|(version, rect)| Some((version, rect?))).collect();
         let share = shown.len() as u32;
         let draw = |(version, rect)| viewport.picture(rect, version, share, window);
@@ -83,19 +83,19 @@ fn is_held(window: &Window) -> bool {
 }
 
 /// The line between two pictures, and what each of them is.
-pub fn captions(ui: &Ui, rect: Rect, places: &Places, window: &Window) {
+pub fn captions(ui: &Ui, rect: Rect, places: &VersionRects, window: &Window) {
     let Some(name) = window.state().pinned() else { return };
     let pinned = format!("Pinned: {name}");
     let top = rect.top() + if window.tools.has_options() { 58.0 } else { MARGIN };
     match *places {
-        Places { now: Some(now), pinned: Some(then) } => {
+        VersionRects { now: Some(now), pinned: Some(then) } => {
             let middle = 0.5 * (then.right() + now.left());
             let line = Stroke::new(now.left() - then.right(), Color32::from_gray(12));
             ui.painter().vline(middle, rect.y_range(), line);
             caption(ui, pos2(then.right() - MARGIN, top), Align2::RIGHT_TOP, &pinned, false);
             caption(ui, pos2(now.left() + MARGIN, top), Align2::LEFT_TOP, "Now", false);
         }
-        Places { now: None, .. } => {
+        VersionRects { now: None, .. } => {
             caption(ui, pos2(rect.center().x, top), Align2::CENTER_TOP, &pinned, true);
         }
         _ => {}

@@ -3,8 +3,8 @@
 use crate::theme;
 use simod_core::detail::Values;
 use simod_viewer::Tint;
-use simod_viewer::detail::Piece;
-use simod_viewer::overlay::Scale;
+use simod_viewer::detail::DetailPiece;
+use simod_viewer::overlay::OverlayScale;
 
 /// What is done to a colour: it is mixed with others.
 #[derive(Debug, Clone, Copy)]
@@ -40,17 +40,17 @@ pub struct VertexColors<'a> {
     pub mixing: Option<&'a [Mixing]>,
     /// What is shown of the vertices themselves, and what numbers look like.
     pub tint: Tint,
-    pub scale: Option<Scale>,
+    pub scale: Option<OverlayScale>,
 }
 
 impl<'a> VertexColors<'a> {
     /// Where samples have these, and nothing is done to them.
-    pub fn new(samples: Option<&'a [[u8; 3]]>, tint: Tint, scale: Option<Scale>) -> Self {
+    pub fn new(samples: Option<&'a [[u8; 3]]>, tint: Tint, scale: Option<OverlayScale>) -> Self {
         Self { samples, mixing: None, tint, scale }
     }
 
     /// Of all vertices of a piece: their own, as far as they came with it, or those of their samples.
-    pub fn colors(&self, piece: &Piece) -> Vec<[u8; 3]> {
+    pub fn colors(&self, piece: &DetailPiece) -> Vec<[u8; 3]> {
         let batch = &piece.batch;
         let mixed = |(i, color): (usize, [u8; 3])| {
             let mixing = self.mixing.and_then(|all| all.get(batch.homes[i] as usize));

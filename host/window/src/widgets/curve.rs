@@ -1,6 +1,6 @@
 //! A curve through points that are dragged.
 
-use super::values::{Asked, list};
+use super::values::{ListRequest, list};
 use eframe::egui::{Color32, Id, Pos2, Rect, Role, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, vec2};
 use simod_plugin_api::Curve;
 use toml::Value;
@@ -15,7 +15,7 @@ fn value(points: &[[f64; 2]]) -> Value {
 }
 
 /// The curve: points are dragged, added by a double click, and removed by one with the right button.
-pub fn show(ui: &mut Ui, name: &str, mut points: Vec<[f64; 2]>) -> Option<Asked> {
+pub fn show(ui: &mut Ui, name: &str, mut points: Vec<[f64; 2]>) -> Option<ListRequest> {
     let size = vec2(ui.available_width(), HEIGHT);
     let (outer, response) = ui.allocate_exact_size(size, Sense::click_and_drag());
     response.widget_info(|| WidgetInfo::labeled(Role::Canvas, true, name));
@@ -47,18 +47,18 @@ pub fn show(ui: &mut Ui, name: &str, mut points: Vec<[f64; 2]>) -> Option<Asked>
         let high = points.get(i + 1).map_or(1.0, |right| right[0] - APART);
         points[i] = [x.clamp(low, high.max(low)), y];
         let value = value(&points);
-        asked = Some(if stopped { Asked::Rest(Some(value)) } else { Asked::Drag(value) });
+        asked = Some(if stopped { ListRequest::Rest(Some(value)) } else { ListRequest::Drag(value) });
     } else if let (true, None, Some(pointer)) = (response.double_clicked(), nearest, pointer) {
         let new = point(pointer);
         let place = points.partition_point(|p| p[0] < new[0]);
         let free = points.iter().all(|p| (p[0] - new[0]).abs() > APART);
         if free {
             points.insert(place, new);
-            asked = Some(Asked::Set(Some(value(&points))));
+            asked = Some(ListRequest::Set(Some(value(&points))));
         }
     } else if let (true, Some(i)) = (response.secondary_clicked() && points.len() > 2, nearest) {
         points.remove(i);
-        asked = Some(Asked::Set(Some(value(&points))));
+        asked = Some(ListRequest::Set(Some(value(&points))));
     }
     draw(ui, outer, rect, &points, nearest, at);
     response.on_hover_text("Drag points. Double click adds one, the right button removes one.");

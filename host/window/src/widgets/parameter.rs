@@ -1,6 +1,6 @@
 //! A control for a parameter, whatever it holds.
 
-use super::values::{Asked, as_number, list, numbers, points, vector_of};
+use super::values::{ListRequest, as_number, list, numbers, points, vector_of};
 use super::{curve, icons};
 use eframe::egui::{
     self, Button, ComboBox, DragValue, Response, RichText, Role, Slider, Ui, WidgetInfo, color_picker,
@@ -10,7 +10,7 @@ use simod_plugin_api::{ParamDesc, ParamKind, Unit};
 use toml::Value;
 
 /// A row with the parameter's name and a control. `value` is what the user gave, if anything.
-pub fn show(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<Asked> {
+pub fn show(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<ListRequest> {
     let mut asked = None;
     let wide = desc.kind == ParamKind::CURVE;
     ui.push_id(desc.id.as_str(), |ui| {
@@ -31,7 +31,7 @@ pub fn show(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bound
                 );
             }
             if value.is_some() && reset(ui, desc).clicked() {
-                asked = Some(Asked::Set(None));
+                asked = Some(ListRequest::Set(None));
             }
         });
         if wide {
@@ -74,14 +74,14 @@ fn named(response: Response, desc: &ParamDesc) -> Response {
     if desc.hint.is_empty() { response } else { response.on_hover_text(desc.hint.as_str()) }
 }
 
-fn control(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<Asked> {
+fn control(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<ListRequest> {
     match desc.kind {
         ParamKind::FLOAT | ParamKind::INT => number(ui, desc, value, bounds),
         ParamKind::BOOL => {
             let default = desc.default_numbers.first().is_some_and(|x| *x != 0.0);
             let mut on = value.and_then(Value::as_bool).unwrap_or(default);
             let changed = named(ui.checkbox(&mut on, ""), desc).changed();
-            changed.then(|| Asked::Set(Some(on.into())))
+            changed.then(|| ListRequest::Set(Some(on.into())))
         }
         ParamKind::CHOICE => choice(ui, desc, &desc.name, value),
         ParamKind::DIRECTION | ParamKind::POINT => vector(ui, desc, value, bounds),
@@ -95,13 +95,13 @@ fn control(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds
 }
 
 /// A drag becomes one change, whatever it is that is dragged.
-fn asked(response: &Response, value: impl FnOnce() -> Value) -> Option<Asked> {
+fn asked(response: &Response, value: impl FnOnce() -> Value) -> Option<ListRequest> {
     if response.drag_stopped() {
-        return Some(Asked::Rest(response.changed().then(value)));
+        return Some(ListRequest::Rest(response.changed().then(value)));
     }
     match response.changed() {
-        true if response.dragged() => Some(Asked::Drag(value())),
-        true => Some(Asked::Set(Some(value()))),
+        true if response.dragged() => Some(ListRequest::Drag(value())),
+        true => Some(ListRequest::Set(Some(value()))),
         false => None,
     }
 }
@@ -114,7 +114,7 @@ fn suffix(unit: Unit) -> &'static str {
     }
 }
 
-fn number(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<Asked> {
+fn number(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<ListRequest> {
     let whole = desc.kind == ParamKind::INT;
     let default = desc.default_numbers.first().copied().unwrap_or(0.0);
     let mut x = value.and_then(as_number).unwrap_or(default);
@@ -154,7 +154,7 @@ fn number(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds)
 }
 
 /// One of a list, under a name for those who do not see it.
-pub fn choice(ui: &mut Ui, desc: &ParamDesc, name: &str, value: Option<&Value>) -> Option<Asked> {
+pub fn choice(ui: &mut Ui, desc: &ParamDesc, name: &str, value: Option<&Value>) -> Option<ListRequest> {
     let chosen = value.and_then(Value::as_str).unwrap_or(&desc.default_text);
     let label = |id: &str| desc.choices.iter().find(|c| c.id == id).map_or("", |c| c.label.as_str());
     let mut asked = None;
@@ -162,7 +162,7 @@ pub fn choice(ui: &mut Ui, desc: &ParamDesc, name: &str, value: Option<&Value>) 
     let combo = combo.selected_text(label(chosen)).show_ui(ui, |ui| {
         for choice in &desc.choices {
             if ui.selectable_label(choice.id == chosen, choice.label.as_str()).clicked() {
-                asked = Some(Asked::Set(Some(choice.id.to_string().into())));
+                asked = Some(ListRequest::Set(Some(choice.id.to_string().into())));
             }
         }
     });
@@ -179,14 +179,14 @@ fn short(x: f64) -> String {
     if text == "-0.000" { "0.000".to_owned() } else { text }
 }
 
-fn vector(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<Asked> {
+fn vector(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<ListRequest> {
     let is_point = desc.kind == ParamKind::POINT;
     let size = bounds.max - bounds.min;
     let mut v = vector_of(desc, value, bounds);
     let speed = if is_point { 0.002 * size.length() } else { 0.01 };
     let width = (ui.available_width() - 12.0) / 3.0;
     ui.spacing_mut().item_spacing.x = 3.0;
-    let mut all: Option<Asked> = None;
+    let mut all: Option<ListRequest> = None;
     for (i, axis) in ["x", "y", "z"].into_iter().enumerate() {
         let drag = DragValue::new(&mut v[i]).speed(speed).custom_formatter(|x, _| short(x));
         let response = ui.add_sized([width, ui.spacing().interact_size.y], drag);
@@ -198,7 +198,7 @@ fn vector(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds)
     all
 }
 
-fn color(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>) -> Option<Asked> {
+fn color(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>) -> Option<ListRequest> {
     let opaque = |[r, g, b]: [f64; 3]| [r, g, b, 1.0];
     let given = value.and_then(|value| numbers::<4>(value).or_else(|| numbers::<3>(value).map(opaque)));
     let [r, g, b, a]: [f32; 4] = std::array::from_fn(|i| {
@@ -213,20 +213,20 @@ fn color(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>) -> Option<Asked> 
     if response.changed() {
         ui.data_mut(|data| data.insert_temp(id, true));
         let [r, g, b, a] = rgba.to_rgba_unmultiplied().map(|x| f64::from(x).clamp(0.0, 1.0));
-        return Some(Asked::Drag(list(&[r, g, b, a])));
+        return Some(ListRequest::Drag(list(&[r, g, b, a])));
     }
     let is_over = ui.data(|data| data.get_temp::<bool>(id).is_some()) && !ui.input(|i| i.pointer.any_down());
     is_over.then(|| {
         ui.data_mut(|data| data.remove::<bool>(id));
-        Asked::Rest(None)
+        ListRequest::Rest(None)
     })
 }
 
-fn file(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>) -> Option<Asked> {
+fn file(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>) -> Option<ListRequest> {
     let path = value.and_then(Value::as_str).unwrap_or_default();
     let name = std::path::Path::new(path).file_name().map(|n| n.to_string_lossy().into_owned());
     let text = name.unwrap_or_else(|| "Choose a file\u{2026}".to_owned());
     let response = ui.add(Button::new(text).truncate());
     let response = if path.is_empty() { response } else { response.on_hover_text(path) };
-    named(response, desc).clicked().then_some(Asked::File)
+    named(response, desc).clicked().then_some(ListRequest::File)
 }

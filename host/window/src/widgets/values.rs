@@ -6,7 +6,7 @@ use toml::Value;
 
 /// What the user asks for.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Asked {
+pub enum ListRequest {
     /// Another value; nothing for the default.
     Set(Option<Value>),
     /// Another value, while it is dragged.

@@ -2,7 +2,7 @@
 
 use simod_core::reconstruction::Reconstructed;
 use simod_session::edit::StepId;
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_viewer::Camera;
 use std::path::PathBuf;
 use std::time::SystemTime;
@@ -30,7 +30,7 @@ pub struct KeptEdit {
     /// Of what.
     pub path: PathBuf,
     /// How it is sampled.
-    pub sampling: Sampling,
+    pub sampling: SamplingTable,
     /// When it was kept, and how many steps it has.
     pub made: SystemTime,
     pub steps: usize,
@@ -42,7 +42,7 @@ pub enum Leaving {
     /// The window is closed.
     Close,
     /// Something else is opened.
-    Open(PathBuf, Sampling),
+    Open(PathBuf, SamplingTable),
 }
 
 /// A step, or a group, whose name is being typed.
@@ -60,7 +60,7 @@ pub struct Renaming {
 
 /// The search for commands by name.
 #[derive(Clone, Default)]
-pub struct Palette {
+pub struct CommandPalette {
     /// What was typed.
     pub text: String,
     /// Which of those that are found is chosen.
@@ -68,7 +68,7 @@ pub struct Palette {
 }
 
 /// What became of the model that was written.
-pub struct Report {
+pub struct WriteReport {
     /// The file.
     pub output: PathBuf,
     /// What was found while it was written.
@@ -78,7 +78,7 @@ pub struct Report {
 }
 
 /// The lesson that is being done.
-pub struct Running {
+pub struct RunningLesson {
     /// Its place among [all](crate::lessons::ALL).
     pub lesson: usize,
     /// The part that is to be done; as many as there are parts once all are.

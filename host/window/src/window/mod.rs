@@ -6,28 +6,28 @@ mod looks;
 mod prompt;
 mod toasts;
 
-use crate::dialogs::{self, Answer, Chooser, Dialog, Purpose};
+use crate::dialogs::{self, Chooser, Dialog, DialogAnswer, Purpose};
 use crate::settings::{self, Settings};
 use crate::tools::Tools;
 use crate::turntable::{AskedPicture, AskedTurntable, Film, Turning};
 use crate::viewport::seen::mode_of;
 use crate::{example, in_turn, plugins, theme};
-pub use asked::{KeptEdit, Leaving, Palette, Question, Renaming, Report, Running};
+pub use asked::{CommandPalette, KeptEdit, Leaving, Question, Renaming, RunningLesson, WriteReport};
 pub use asks::{Ask, Asks};
 use eframe::egui;
 pub use looks::Looks;
 pub use prompt::{Prompt, common};
 use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind};
-use simod_scene::{Drawn, Mode};
+use simod_scene::{SurfaceMode, SurfaceShare};
 use simod_session::edit::{self, Change, Entry, StepId};
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_session::step::Deformation;
 use simod_session::{Plugin, PluginRegistry, SessionFile};
 use simod_viewer::engine::Job;
 use simod_viewer::record::Recorder;
 use simod_viewer::state::{self, Notice};
-use simod_viewer::{Command, State, Version};
+use simod_viewer::{Command, ComparedVersion, State};
 use std::collections::{BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -71,13 +71,13 @@ pub struct Window {
     /// One that was stopped, until the frame that it was at is drawn.
     pub stopping: Option<Turning>,
     /// The lesson that is being done.
-    pub lesson: Option<Running>,
+    pub lesson: Option<RunningLesson>,
     /// Messages that go away.
     pub toasts: Toasts,
     /// Commands by name, while they are looked for.
-    pub palette: Option<Palette>,
+    pub palette: Option<CommandPalette>,
     /// What became of the model that was written last, while it is read.
-    pub report: Option<Report>,
+    pub report: Option<WriteReport>,
     /// The list of keys, while it is read.
     pub shows_keys: bool,
     /// A step, or a group of them, whose name is being typed.
@@ -105,7 +105,7 @@ pub struct Window {
     /// How long the last picture took, for the status line.
     pub frame_time: Duration,
     /// How much of what there is the picture shows.
-    pub drawn: Drawn,
+    pub drawn: SurfaceShare,
 }
 
 impl Window {
@@ -152,7 +152,7 @@ impl Window {
             recorded: VecDeque::new(),
             kept: Instant::now(),
             frame_time: Duration::ZERO,
-            drawn: Drawn::default(),
+            drawn: SurfaceShare::default(),
         }
     }
 
@@ -194,11 +194,11 @@ impl Window {
     }
 
     /// How samples are drawn: as the user said, or as is best for what is open.
-    pub fn mode(&self) -> Mode {
+    pub fn mode(&self) -> SurfaceMode {
         match (self.looks.triangles, self.state.scene()) {
-            (Some(true), _) => Mode::Triangles,
+            (Some(true), _) => SurfaceMode::Triangles,
             (None, Some(scene)) => mode_of(scene),
-            _ => Mode::Splats,
+            _ => SurfaceMode::Splats,
         }
     }
 
@@ -218,7 +218,7 @@ impl Window {
 
     /// Changes a step, or drags something of it.
     pub fn change(&mut self, at: usize, change: Change, dragging: bool) -> bool {
-        let change = edit::Command::Change { at, change };
+        let change = edit::EditCommand::Change { at, change };
         self.apply(if dragging { Command::Drag(change) } else { Command::Edit(change) })
     }
 
@@ -254,7 +254,7 @@ impl Window {
                 Notice::Failed(job, error) => self.failed(job, &error),
                 Notice::Written(output, report, seconds) => {
                     self.toasts.leave(Cause::Job(Job::Write));
-                    self.report = Some(Report { output, report: *report, seconds });
+                    self.report = Some(WriteReport { output, report: *report, seconds });
                 }
             }
         }
@@ -372,7 +372,8 @@ impl Window {
     }
 
     fn go_on_replaying(&mut self) {
-        let pins = |state: &State| state.pinned().is_some() && state.scene_of(Version::Pinned).is_none();
+        let pins =
+            |state: &State| state.pinned().is_some() && state.scene_of(ComparedVersion::Pinned).is_none();
         while self.state.is_settled()
             && !pins(&self.state)
             && let Some(command) = self.recorded.pop_front()
@@ -397,7 +398,7 @@ impl Window {
     }
 
     /// Opens something, sampled so if it is a model, after questions that have to be asked before.
-    pub fn ask_to_open_sampled(&mut self, path: PathBuf, sampling: Sampling) {
+    pub fn ask_to_open_sampled(&mut self, path: PathBuf, sampling: SamplingTable) {
         self.after = None;
         if self.is_unsaved() {
             self.question = Some(Question::Unsaved(Leaving::Open(path, sampling)));
@@ -407,7 +408,7 @@ impl Window {
     }
 
     /// Opens something; what was kept of it against a crash is offered.
-    pub fn open(&mut self, path: PathBuf, sampling: Sampling, recover: bool) {
+    pub fn open(&mut self, path: PathBuf, sampling: SamplingTable, recover: bool) {
         let made = state::kept_at(&path).filter(|_| !recover);
         match made.map(|made| (made, state::recoverable(&path))) {
             Some((made, Ok(Some(kept)))) => {
@@ -432,7 +433,7 @@ impl Window {
     }
 
     /// Opens it, whatever was kept.
-    pub fn open_now(&mut self, path: PathBuf, sampling: Sampling, recover: bool) {
+    pub fn open_now(&mut self, path: PathBuf, sampling: SamplingTable, recover: bool) {
         if !path.exists() {
             let what = format!("there is no file {}", path.display());
             self.toasts.error(&Error::system(what, "check the path, or choose another file"));
@@ -443,7 +444,8 @@ impl Window {
         // A session says itself how its model is sampled.
         let is_session = settings::is_sampled(&path);
         let samples = sampling.samples.or((!is_session).then_some(self.settings.samples));
-        let sampling = if is_session { Sampling::default() } else { Sampling { samples, ..sampling } };
+        let sampling =
+            if is_session { SamplingTable::default() } else { SamplingTable { samples, ..sampling } };
         self.begin_opening(Command::Open { path: path.clone(), sampling, recover }, path, recover);
     }
 
@@ -564,9 +566,9 @@ impl Window {
         };
         let Some(dialog) = self.dialog.take() else { return };
         match answer {
-            Answer::Chosen(path) => self.answered(dialog.purpose, path),
-            Answer::Closed => self.not_answered(),
-            Answer::Absent(why) => {
+            DialogAnswer::Chosen(path) => self.answered(dialog.purpose, path),
+            DialogAnswer::Closed => self.not_answered(),
+            DialogAnswer::Absent(why) => {
                 self.prompt = Some(Prompt::new(dialog.purpose, dialog.at.as_deref(), &why));
             }
         }

@@ -5,7 +5,7 @@ use egui_kittest::Node;
 use egui_kittest::kittest::{NodeT, Queryable};
 use simod_session::step::Role;
 use simod_viewer::command::Area;
-use simod_window::dialogs::Answer;
+use simod_window::dialogs::DialogAnswer;
 use std::collections::BTreeSet;
 
 /// What takes the edit away, or all the time that there is; these have tests of their own.
@@ -66,7 +66,7 @@ fn every_button_once() {
         harness.set_size(egui::vec2(1440.0, 1700.0));
         // Where the system has no dialogs, paths are asked for in the window, and nobody answers.
         harness.state_mut().window_mut().chooser =
-            Arc::new(|_, _, _| Answer::Absent("there are none".to_owned()));
+            Arc::new(|_, _, _| DialogAnswer::Absent("there are none".to_owned()));
         edit(&mut harness, &path);
         done(&mut harness, Command::Choose { step: Some(chosen) });
         while let Some(name) = labels(&harness).into_iter().find(|name| !clicked.contains(name)) {

@@ -7,7 +7,7 @@ use simod_model::Error;
 use simod_model::progress::Progress;
 use simod_session::edit::Change;
 use simod_viewer::command::{Area, CameraMove};
-use simod_viewer::{Overlay, Version};
+use simod_viewer::{ComparedVersion, Overlay};
 use simod_window::Tool;
 use simod_window::screenshot::Shot;
 use simod_window::turntable;
@@ -169,7 +169,7 @@ fn a_turntable_is_whole_or_not_there() {
     let path = folder.path().join("model.ply");
     let options = ModelOptions { shape: Shape::Cylinder, vertices: 20_000, ..ModelOptions::default() };
     write_file(&options, &path, &Silent).unwrap();
-    let sampling = Sampling { samples: Some(4000), ..Sampling::default() };
+    let sampling = SamplingTable { samples: Some(4000), ..SamplingTable::default() };
     let commands = [Command::Open { path, sampling, recover: false }];
     let mut state = simod_viewer::replay(&commands, &plugins()).unwrap();
     let (plain, turn) = (folder.path().join("plain.png"), folder.path().join("turn"));
@@ -252,5 +252,5 @@ fn a_turntable_is_rendered_from_the_menu_and_stopped() {
         assert_eq!(names(&turn).len(), 2);
         assert_eq!(names(folder.path()), ["model.ply", "turn"]);
     }
-    assert!(harness.state().window().state().scene_of(Version::Pinned).is_none());
+    assert!(harness.state().window().state().scene_of(ComparedVersion::Pinned).is_none());
 }

@@ -125,7 +125,7 @@ fn splats_are_ellipses_in_their_colours() {
     let path = folder.path().join("wall.ply");
     wall_of_splats(&path);
     let mut harness = super::picture::drawn_window();
-    let sampling = Sampling { samples: Some(400), ..Sampling::default() };
+    let sampling = SamplingTable { samples: Some(400), ..SamplingTable::default() };
     done(&mut harness, Command::Open { path, sampling, recover: false });
     // The samples have the splats' colours already.
     let samples = picture(&mut harness, "splats-samples.png");

@@ -62,7 +62,7 @@ fn an_edit_by_names_gives_the_bytes_of_the_command_line() {
         let motion = Motion { translate, pivot, ..Motion::default() };
         let change = Change::MoveRegion { region: 1, motion };
         // A draft is shown of it, until it rests.
-        let change = edit::Command::Change { at: 0, change };
+        let change = edit::EditCommand::Change { at: 0, change };
         assert!(harness.state_mut().window_mut().apply(Command::Drag(change)));
         harness.run_steps(2);
     }
@@ -271,7 +271,8 @@ fn what_a_plugin_says_to_do_is_a_button() {
     open(&mut harness, &model(folder.path()));
     done(&mut harness, Command::AddStep { plugin: "rbf".to_owned(), at: None });
     // A handle that turns beside what stays, by far too few centres.
-    let sphere = |y: f64, radius: f64| simod_session::Shape::Sphere { center: glam::DVec3::Y * y, radius };
+    let sphere =
+        |y: f64, radius: f64| simod_session::RegionShape::Sphere { center: glam::DVec3::Y * y, radius };
     let region = |role, shape, motion| Region {
         role,
         shapes: simod_session::Shapes { shapes: vec![shape], falloff: 0.0 },
@@ -292,7 +293,7 @@ fn what_a_plugin_says_to_do_is_a_button() {
         Change::SetParam { id: "max-centers".into(), value: Some(8.into()) },
         Change::SetParam { id: "tolerance".into(), value: Some(1e-6.into()) },
     ] {
-        done(&mut harness, Command::Edit(simod_session::edit::Command::Change { at: 0, change }));
+        done(&mut harness, Command::Edit(simod_session::edit::EditCommand::Change { at: 0, change }));
     }
     harness.run_steps(3);
     let told = harness.query_by_label_contains("motion is met to").is_some();
@@ -353,7 +354,7 @@ fn a_limb_turns_without_the_body() {
     // Turned, the hand goes, and the stem stays.
     let motion = simod_session::Motion { axis: glam::DVec3::Z, degrees: 90.0, ..Default::default() };
     let turn = Change::MoveHandle { id: "joint-1".to_owned(), motion };
-    done(&mut harness, Command::Edit(edit::Command::Change { at: 0, change: turn }));
+    done(&mut harness, Command::Edit(edit::EditCommand::Change { at: 0, change: turn }));
     let scene = harness.state().window().state().scene().unwrap().clone();
     let moved = |p: &glam::Vec3, q: &glam::Vec3| p.distance(*q);
     let ways = || scene.sampled.samples.positions.iter().zip(scene.positions.iter());
@@ -430,7 +431,7 @@ fn bones_that_an_end_bends_are_where_the_body_is() {
     // What the end reaches for is where the end is, as long as nobody has moved it, however the bones turn.
     let turn = simod_session::Motion { axis: glam::DVec3::Z, degrees: 40.0, ..Default::default() };
     let turned = Change::MoveHandle { id: joints[1].id.clone(), motion: turn };
-    done(&mut harness, Command::Edit(edit::Command::Change { at: 0, change: turned }));
+    done(&mut harness, Command::Edit(edit::EditCommand::Change { at: 0, change: turned }));
     let place = |harness: &Harness<'_, App>, id: &str| {
         let handles = harness.state().window().state().handles(0);
         handles.into_iter().find(|(desc, _)| desc.id == id).unwrap().1.position()
@@ -440,14 +441,14 @@ fn bones_that_an_end_bends_are_where_the_body_is() {
     assert!(place(&harness, &reach).distance(place(&harness, &end.id)) < 1e-9 * size);
     let motion = simod_session::Motion { translate: glam::DVec3::X * (0.1 * size), ..Default::default() };
     let wanted = Change::MoveHandle { id: reach.clone(), motion };
-    done(&mut harness, Command::Edit(edit::Command::Change { at: 0, change: wanted }));
+    done(&mut harness, Command::Edit(edit::EditCommand::Change { at: 0, change: wanted }));
     assert!(place(&harness, &reach).distance(end.at + motion.translate) < 1e-9 * size);
     done(&mut harness, Command::Undo);
     done(&mut harness, Command::Undo);
     let motion =
         simod_session::Motion { translate: glam::DVec3::new(0.45, -0.2, 0.0) * size, ..Default::default() };
     let reach = Change::MoveHandle { id: end.id.clone(), motion };
-    done(&mut harness, Command::Edit(edit::Command::Change { at: 0, change: reach }));
+    done(&mut harness, Command::Edit(edit::EditCommand::Change { at: 0, change: reach }));
     let frame = harness.state().window().state().scene().unwrap().frame();
     let posed = posed(&harness).expect("an end reaches");
     let rest: Vec<glam::DVec3> = joints.iter().map(|joint| frame.to_local_exact(joint.at)).collect();

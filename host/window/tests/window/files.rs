@@ -4,7 +4,7 @@ use super::*;
 use egui_kittest::kittest::Queryable;
 use simod_session::edit::{self, Change};
 use simod_viewer::state::kept_at;
-use simod_window::dialogs::{Answer, Purpose, Turn};
+use simod_window::dialogs::{DialogAnswer, DialogTurn, Purpose};
 
 /// Goes on until something is so.
 fn wait(harness: &mut Harness<'_, App>, what: &str, is_so: impl Fn(&Window) -> bool) {
@@ -24,7 +24,7 @@ fn click(harness: &mut Harness<'_, App>, label: &str) {
 
 fn chooser(
     harness: &mut Harness<'_, App>,
-    answer: impl Fn(&Purpose, &Turn) -> Answer + Send + Sync + 'static,
+    answer: impl Fn(&Purpose, &DialogTurn) -> DialogAnswer + Send + Sync + 'static,
 ) {
     harness.state_mut().window_mut().chooser = Arc::new(move |purpose, _, turn| answer(purpose, turn));
 }
@@ -37,13 +37,13 @@ fn a_path_is_typed_where_the_system_has_no_dialogs() {
     let mut harness = window();
     open(&mut harness, &model(folder.path()));
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
-    let slow = |_: &Purpose, _: &Turn| {
+    let slow = |_: &Purpose, _: &DialogTurn| {
         std::thread::sleep(Duration::from_millis(700));
-        Answer::Absent("nobody is at the door".to_owned())
+        DialogAnswer::Absent("nobody is at the door".to_owned())
     };
-    let never = |_: &Purpose, _: &Turn| {
+    let never = |_: &Purpose, _: &DialogTurn| {
         std::thread::sleep(LONG);
-        Answer::Closed
+        DialogAnswer::Closed
     };
     chooser(&mut harness, slow);
     harness.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::S);
@@ -98,7 +98,7 @@ fn a_dialog_that_is_closed_asks_nothing_more() {
     open(&mut harness, &model(folder.path()));
     chooser(&mut harness, |_, turn| {
         assert!(turn.take());
-        Answer::Closed
+        DialogAnswer::Closed
     });
     harness.state_mut().window_mut().ask(Purpose::Open);
     std::thread::sleep(Duration::from_millis(100));
@@ -152,7 +152,7 @@ fn only_what_is_neither_saved_nor_discarded_is_offered_again() {
     assert_eq!(hidden(), 0);
     // As it was saved, there is nothing to keep, though something was done and undone.
     let change = Change::SetParam { id: "angle".to_owned(), value: Some(10.0.into()) };
-    done(&mut harness, Command::Edit(edit::Command::Change { at: 0, change }));
+    done(&mut harness, Command::Edit(edit::EditCommand::Change { at: 0, change }));
     harness.state_mut().window_mut().keep();
     assert_eq!(hidden(), 1);
     done(&mut harness, Command::Undo);
@@ -191,7 +191,7 @@ fn a_model_that_was_moved_is_located() {
     let there = moved.clone();
     chooser(&mut harness, move |purpose, _| {
         assert!(matches!(purpose, Purpose::Locate { .. }));
-        Answer::Chosen(there.clone())
+        DialogAnswer::Chosen(there.clone())
     });
     harness.get_by_label("Locate\u{2026}").click();
     wait(&mut harness, "the model", |window| window.state().scene().is_some());

@@ -71,7 +71,7 @@ fn a_lesson_goes_on_by_what_the_user_does() {
     // Another model: the lesson waits for its own.
     let folder = tempfile::tempdir().unwrap();
     let path = model(folder.path());
-    harness.state_mut().window_mut().open_now(path, Sampling::default(), false);
+    harness.state_mut().window_mut().open_now(path, SamplingTable::default(), false);
     settle(&mut harness);
     assert!(harness.query_by_label("Its model is not open.").is_some());
     harness.get_by_label("Open It").click();

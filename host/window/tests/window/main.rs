@@ -20,7 +20,7 @@ use egui_kittest::Harness;
 use simod_generate::{ModelOptions, Shape, write_file};
 use simod_model::progress::Silent;
 use simod_session::plugins::PluginFolder;
-use simod_session::session_file::Sampling;
+use simod_session::session_file::SamplingTable;
 use simod_session::{PluginOptions, PluginRegistry};
 use simod_tests::library;
 use simod_viewer::Command;
@@ -93,7 +93,7 @@ fn done(harness: &mut Harness<'_, App>, command: Command) {
 
 /// A bar with a session's worth of samples, opened.
 fn open(harness: &mut Harness<'_, App>, path: &Path) {
-    let sampling = Sampling { samples: Some(1500), ..Sampling::default() };
+    let sampling = SamplingTable { samples: Some(1500), ..SamplingTable::default() };
     done(harness, Command::Open { path: path.to_owned(), sampling, recover: false });
     assert!(harness.state().window().state().scene().is_some());
 }

@@ -4,7 +4,7 @@ use super::picture::{can_draw, drawn_window};
 use super::*;
 use egui_kittest::kittest::Queryable;
 use simod_picture::Image;
-use simod_scene::Mode;
+use simod_scene::SurfaceMode;
 use simod_session::edit::Change;
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::{Overlay, Previewed};
@@ -146,7 +146,7 @@ fn what_is_chosen_stays_sensible() {
     done(&mut harness, Command::Redo);
     assert_eq!(chosen(&harness), Some(2), "what came back");
     done(&mut harness, Command::Choose { step: Some(0) });
-    done(&mut harness, Command::Edit(simod_session::edit::Command::Remove { at: 0 }));
+    done(&mut harness, Command::Edit(simod_session::edit::EditCommand::Remove { at: 0 }));
     assert_eq!(chosen(&harness), Some(0), "the one behind, where there is none before");
 }
 
@@ -222,11 +222,11 @@ fn what_is_stretched_does_not_fall_apart() {
         let at = harness.state().window().state().size().map(|s| 0.5 * s);
         done(&mut harness, Command::Camera(CameraMove::Zoom { factor: 1.6, at }));
     }
-    assert_eq!(harness.state().window().mode(), Mode::Triangles, "as the model has triangles");
+    assert_eq!(harness.state().window().mode(), SurfaceMode::Triangles, "as the model has triangles");
     let triangles = picture(&mut harness, "stretched-triangles.png");
     harness.key_press(egui::Key::T);
     settle(&mut harness);
-    assert_eq!(harness.state().window().mode(), Mode::Splats);
+    assert_eq!(harness.state().window().mode(), SurfaceMode::Splats);
     let discs = picture(&mut harness, "stretched-discs.png");
     let middle = [470..500, 300..520];
     for (image, name) in [(&triangles, "triangles"), (&discs, "discs")] {
@@ -278,15 +278,15 @@ fn a_result_takes_the_place_of_its_draft_at_once() {
     let options = ModelOptions { shape: Shape::Bar, vertices: 200_000, ..ModelOptions::default() };
     write_file(&options, &path, &Silent).unwrap();
     let mut harness = drawn_window();
-    let sampling = Sampling { samples: Some(150_000), ..Sampling::default() };
+    let sampling = SamplingTable { samples: Some(150_000), ..SamplingTable::default() };
     done(&mut harness, Command::Open { path, sampling, recover: false });
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
     harness.key_press(egui::Key::T);
     settle(&mut harness);
-    assert_eq!(harness.state().window().mode(), Mode::Splats);
+    assert_eq!(harness.state().window().mode(), SurfaceMode::Splats);
     let drag = |angle: f64| {
         let change = Change::SetParam { id: "angle".to_owned(), value: Some(angle.into()) };
-        Command::Drag(simod_session::edit::Command::Change { at: 0, change })
+        Command::Drag(simod_session::edit::EditCommand::Change { at: 0, change })
     };
     for angle in [20.0, 40.0] {
         done(&mut harness, drag(angle));

@@ -7,7 +7,7 @@ use glam::DVec3;
 use simod_core::refinement::Finer;
 use simod_session::edit::{self, Change};
 use simod_session::step::{Action, Deformation, Refine, Step, Stroke};
-use simod_session::{Shape as Place, Shapes};
+use simod_session::{RegionShape, Shapes};
 use simod_viewer::State;
 
 fn state<'a>(harness: &'a Harness<'_, App>) -> &'a State {
@@ -19,7 +19,7 @@ fn add(harness: &mut Harness<'_, App>, plugin: &str) {
 }
 
 fn change(harness: &mut Harness<'_, App>, at: usize, change: Change) {
-    done(harness, Command::Edit(edit::Command::Change { at, change }));
+    done(harness, Command::Edit(edit::EditCommand::Change { at, change }));
 }
 
 fn step(harness: &Harness<'_, App>, at: usize) -> Step {
@@ -194,10 +194,10 @@ fn a_refinement_is_told_otherwise() {
     let folder = tempfile::tempdir().unwrap();
     let mut harness = window();
     open(&mut harness, &model(folder.path()));
-    let shapes = vec![Place::Sphere { center: DVec3::Y, radius: 0.4 }];
+    let shapes = vec![RegionShape::Sphere { center: DVec3::Y, radius: 0.4 }];
     let refine = Refine { shapes: Shapes { shapes, falloff: 0.0 }, finer: Finer::Factor(1.5) };
     let step = Box::new(Step::new(Action::Refine(refine)));
-    done(&mut harness, Command::Edit(edit::Command::Add { at: 0, step }));
+    done(&mut harness, Command::Edit(edit::EditCommand::Add { at: 0, step }));
     done(&mut harness, Command::Choose { step: Some(0) });
     let samples = |harness: &Harness<'_, App>| state(harness).scene().unwrap().len();
     let finer = |harness: &Harness<'_, App>| match &harness.state().window().steps()[0].step.action {

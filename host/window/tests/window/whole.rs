@@ -9,7 +9,7 @@ use egui_kittest::kittest::Queryable;
 use simod_picture::Image;
 use simod_session::SessionFile;
 use simod_session::step::Role;
-use simod_window::dialogs::Answer;
+use simod_window::dialogs::DialogAnswer;
 
 /// Cards round differently: so much a channel, but for a share of the pixels, at edges.
 const TOLERANCE: u8 = 8;
@@ -105,7 +105,7 @@ fn an_edit_by_mouse_and_keys() {
     let mut harness = drawn_window_of([1000.0, 700.0]);
     // Where the system has no dialogs, paths are typed.
     harness.state_mut().window_mut().chooser =
-        Arc::new(|_, _, _| Answer::Absent("there are none".to_owned()));
+        Arc::new(|_, _, _| DialogAnswer::Absent("there are none".to_owned()));
     press(&mut harness, egui::Modifiers::COMMAND, egui::Key::O);
     path_is_typed(&mut harness, &path);
     press(&mut harness, egui::Modifiers::NONE, egui::Key::Num1);

@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use glam::camera::rh::{proj::directx::perspective, view::look_at_mat4};
 use glam::{Vec3, Vec4};
 use simod_picture::Image;
-use simod_scene::{Gpu, Scene, Style, Surface, View};
+use simod_scene::{Gpu, Scene, SceneStyle, Surface, View};
 
 /// The device, or none where there is no adapter; then the test says that it is skipped. Where `CI` is set,
 /// it fails.
@@ -107,11 +107,11 @@ pub fn project(view: &View, point: Vec3) -> [f32; 2] {
     [(0.5 + 0.5 * clip.x / clip.w) * w, (0.5 - 0.5 * clip.y / clip.w) * h]
 }
 
-pub fn draw(gpu: &Gpu, model: &Model, style: &Style) -> Image {
+pub fn draw(gpu: &Gpu, model: &Model, style: &SceneStyle) -> Image {
     draw_from(gpu, model, style, &view())
 }
 
-pub fn draw_from(gpu: &Gpu, model: &Model, style: &Style, view: &View) -> Image {
+pub fn draw_from(gpu: &Gpu, model: &Model, style: &SceneStyle, view: &View) -> Image {
     let mut scene = Scene::new(gpu);
     scene.set_surface(&model.surface()).expect("a surface");
     scene.render(view, style, None);
@@ -152,8 +152,8 @@ pub fn is_red(image: &Image, [x, y]: [f32; 2]) -> bool {
 }
 
 /// The style of most tests: what is drawn shows its own colours, and nothing depends on the surroundings.
-pub fn plain() -> Style {
-    Style { own_colors: true, occlusion: false, ..Style::default() }
+pub fn plain() -> SceneStyle {
+    SceneStyle { own_colors: true, occlusion: false, ..SceneStyle::default() }
 }
 
 /// What `shade.wgsl` makes of a colour (sRGB), by the formula of `simod_picture`: key light from the

@@ -90,9 +90,9 @@ fn part<T>(id: &'static CStr, data: &T) -> SimodPart {
 }
 
 /// Attributes of the samples, whose names have an end.
-struct Named(Vec<CString>, Vec<SimodAttribute>);
+struct NamedAttributes(Vec<CString>, Vec<SimodAttribute>);
 
-impl Named {
+impl NamedAttributes {
     fn gather(attributes: Option<&Attributes<'_>>) -> PluginResult<Option<Self>> {
         let Some(all) = attributes.map(Attributes::all) else { return Ok(None) };
         let names: Vec<CString> = all.iter().map(|a| c_text(a.name())).collect::<PluginResult<_>>()?;
@@ -155,8 +155,8 @@ pub(super) fn with_prepare_input<T>(
     parts.extend(frame.as_ref().map(|f| part(c"simod.model-frame/1", f)));
     let rest = input.rest_positions().map(|p| SimodRestPositions { positions: start(p) });
     parts.extend(rest.as_ref().map(|r| part(c"simod.rest-positions/1", r)));
-    let attributes = Named::gather(input.part())?;
-    let attributes = attributes.as_ref().map(Named::input);
+    let attributes = NamedAttributes::gather(input.part())?;
+    let attributes = attributes.as_ref().map(NamedAttributes::input);
     parts.extend(attributes.as_ref().map(|a| part(c"simod.attributes/1", a)));
     parts.extend((joints.count > 0).then(|| part(c"simod.joints/1", &joints)));
     let others = input.part().map_or(&[][..], OtherModels::all);
@@ -210,8 +210,8 @@ pub(super) fn with_deform_input<T>(
     parts.extend(effort.as_ref().map(|e| part(c"simod.effort/1", e)));
     let time = input.part::<Time>().map(|t| SimodTime { frame: t.frame, seconds: t.seconds });
     parts.extend(time.as_ref().map(|t| part(c"simod.time/1", t)));
-    let attributes = Named::gather(input.part())?;
-    let attributes = attributes.as_ref().map(Named::input);
+    let attributes = NamedAttributes::gather(input.part())?;
+    let attributes = attributes.as_ref().map(NamedAttributes::input);
     parts.extend(attributes.as_ref().map(|a| part(c"simod.attributes/1", a)));
     let input = SimodDeformInput {
         samples: samples(&input.samples),

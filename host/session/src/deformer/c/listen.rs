@@ -80,15 +80,15 @@ unsafe extern "C" fn error(
 }
 
 /// A plugin's function with what it wants to be called with.
-struct Body {
+struct PluginCall {
     call: unsafe extern "C" fn(*mut c_void, usize),
     context: *mut c_void,
 }
 
 // SAFETY: the header says that several threads call a body at once.
-unsafe impl Sync for Body {}
+unsafe impl Sync for PluginCall {}
 
-impl Body {
+impl PluginCall {
     fn call(&self, i: usize) {
         // SAFETY: the plugin gave the function with this context, for the length of `parallel_for`.
         unsafe { (self.call)(self.context, i) }
@@ -102,7 +102,7 @@ unsafe extern "C" fn parallel_for(
     context: *mut c_void,
 ) -> bool {
     let Some(call) = body else { return false };
-    let body = Body { call, context };
+    let body = PluginCall { call, context };
     guarded(host, false, |ear| ear.calls.parallel_for(count, &|i| body.call(i)))
 }
 
