@@ -62,7 +62,7 @@ impl HomeLists {
         let (mut starts, mut most) = (Vec::with_capacity(n), 0);
         for home in 0..n {
             starts.push(most as u32);
-            most += 1 + sheets.of_sample(home).len() + one_way.of(home).len();
+            most += 1 + sheets.of_sample(home).len() + one_way.owners_of(home).len();
         }
         let (mut ends, mut reaching) = (vec![0; n], memory::zeros::<ReachingSupport>(most));
         let (mut parts, mut rest, mut first) =
@@ -118,7 +118,7 @@ impl OneWay {
         Self { starts, samples }
     }
 
-    fn of(&self, home: usize) -> &[u32] {
+    fn owners_of(&self, home: usize) -> &[u32] {
         &self.samples[self.starts[home] as usize..self.starts[home + 1] as usize]
     }
 }
@@ -241,7 +241,7 @@ impl WithSimd for Listing<'_> {
                 count += usize::from(around.overlap[at] != 0.0);
             }
             list.truncate(count);
-            let others = one_way.of(home).iter().map(|sample| *sample as usize);
+            let others = one_way.owners_of(home).iter().map(|sample| *sample as usize);
             let others = [home].into_iter().chain(others).filter(|j| balls.overlap(home, *j));
             list.extend(others.map(|j| balls.reaching(home, j).to_ordered()));
             counting_sort::sort(&mut list);

@@ -90,12 +90,12 @@ fn packet<S: Simd>(
     let reach = reach * reach;
 
     // The margin comes last: numbers stay in their order when they are rounded.
-    let (mut range, mut is_within) = (PacketBox::of(simd, e, field.bound.step(home)), zero);
+    let (mut range, mut is_within) = (PacketBox::around(simd, e, field.bound.step(home)), zero);
     for ring in field.around.sheets.of_sample(home).chunks(RING) {
         for j in ring {
             let j = *j as usize;
             let is_near = length_squared(from(simd, p, field.expansions[j].center)).less(reach);
-            range.include(is_near, PacketBox::of(simd, &field.expansions[j], field.bound.step(j)));
+            range.include(is_near, PacketBox::around(simd, &field.expansions[j], field.bound.step(j)));
         }
         let holds = range.holds(u);
         is_within = is_possible.and(holds).select(one, zero);
@@ -118,7 +118,7 @@ struct PacketBox<S: Simd> {
 impl<S: Simd> PacketBox<S> {
     /// The extent of one sample's displacement.
     #[inline(always)]
-    fn of(simd: S, e: &Expansion, step: f32) -> Self {
+    fn around(simd: S, e: &Expansion, step: f32) -> Self {
         let splat = |x: f32| Lanes::splat(simd, x);
         let u = [splat(e.term(0, 0)), splat(e.term(0, 1)), splat(e.term(0, 2))];
         Self { low: u, high: u, step: splat(step) }

@@ -233,7 +233,7 @@ impl Regrowing<'_, '_> {
             for (i, (v, leaf)) in of_leaf.iter().zip(&workspace.leaves).enumerate() {
                 let sheet = if sheets.is_empty() { 0 } else { sheet_of[i] };
                 if let Some(on_sheet) = on_sheet.get_mut(sheet as usize) {
-                    let vertex = Moments::of(&[gathered.vertices[*v as usize]]);
+                    let vertex = Moments::from_elements(&[gathered.vertices[*v as usize]]);
                     on_sheet.entry(*leaf).or_default().add(&vertex);
                 }
                 if let Some(id) = gathered.ids.get(*v as usize) {

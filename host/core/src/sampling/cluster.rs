@@ -316,7 +316,7 @@ impl Default for Moments {
 
 impl Moments {
     /// The moments of a set of vertices.
-    pub fn of<E: Element>(elements: &[E]) -> Self {
+    pub fn from_elements<E: Element>(elements: &[E]) -> Self {
         let mut m = Self::default();
         E::add_to(elements, &mut m);
         m
@@ -509,7 +509,7 @@ mod tests {
 
     #[test]
     fn a_flat_cluster_has_the_error_of_its_reach_alone() {
-        let m = Moments::of(&vertices(|u, v| (Vec3::new(u, 3.0, v), Vec3::Y)));
+        let m = Moments::from_elements(&vertices(|u, v| (Vec3::new(u, 3.0, v), Vec3::Y)));
         let (position, normal, error) = m.representative();
         assert!(position.distance(Vec3::Y * 3.0) < 1e-6 && normal == Vec3::Y);
         assert!((f64::from(error) - REACH_WEIGHT * 0.5f64.sqrt()).abs() < 1e-6);
@@ -518,7 +518,7 @@ mod tests {
     #[test]
     fn error_grows_with_the_square_of_the_size() {
         let bowl = |h: f32| {
-            let m = Moments::of(&vertices(|u, v| {
+            let m = Moments::from_elements(&vertices(|u, v| {
                 let (x, z) = (u * h, v * h);
                 (Vec3::new(x, 0.5 * (x * x + z * z), z), Vec3::new(-x, 1.0, -z).normalize_or(Vec3::Y))
             }));
@@ -543,7 +543,7 @@ mod tests {
                 group
             })
             .collect();
-        let (of_vertices, of_groups) = (Moments::of(&all), Moments::of(&groups));
+        let (of_vertices, of_groups) = (Moments::from_elements(&all), Moments::from_elements(&groups));
         let ((p, n, _), (q, m, _)) = (of_vertices.representative(), of_groups.representative());
         assert!(p.distance(q) < 1e-5 && n.distance(m) < 1e-5, "{p} {q}");
         assert!((of_vertices.covariance().matrix - of_groups.covariance().matrix).x_axis.length() < 1e-6);
@@ -565,7 +565,7 @@ mod tests {
                 })
             })
             .collect();
-        let m = Moments::of(&corner);
+        let m = Moments::from_elements(&corner);
         let (r, _, _) = m.representative();
         // All the way from the mean but for what the ridge holds back, which is about its own strength.
         let way = m.mean().distance(DVec3::ONE);
@@ -575,9 +575,9 @@ mod tests {
     #[test]
     fn merged_moments_are_those_of_the_union() {
         let all = vertices(|u, v| (Vec3::new(u, u * v, v), Vec3::new(v, 1.0, u).normalize_or(Vec3::Y)));
-        let mut sum = Moments::of(&all[..100]);
-        sum.add(&Moments::of(&all[100..]));
-        let whole = Moments::of(&all);
+        let mut sum = Moments::from_elements(&all[..100]);
+        sum.add(&Moments::from_elements(&all[100..]));
+        let whole = Moments::from_elements(&all);
         assert!((sum.representative().2 - whole.representative().2).abs() < 1e-6);
         assert!(sum.mean().distance(whole.mean()) < 1e-6);
     }

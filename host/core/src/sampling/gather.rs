@@ -546,7 +546,7 @@ mod tests {
                 .iter()
                 .map(|(_, position, normal)| Vertex { position: *position, normal: *normal, index: 0 })
                 .collect();
-            let (a, b) = (Moments::of(&all), Moments::of(groups));
+            let (a, b) = (Moments::from_elements(&all), Moments::from_elements(groups));
             assert!(a.mean().distance(b.mean()) < 1e-6 && (a.spread() - b.spread()).abs() < 1e-6);
         }
     }

@@ -54,7 +54,7 @@ pub struct Layers {
 
 impl Layers {
     /// The layers of a cluster with these moments; `None` where it is one, as it mostly is.
-    pub fn of<E: Element>(elements: &[E], m: &Moments, covariance: &Covariance, seed: u64) -> Option<Self> {
+    pub fn find<E: Element>(elements: &[E], m: &Moments, covariance: &Covariance, seed: u64) -> Option<Self> {
         if elements.len() < LEAST {
             return None;
         }
@@ -203,8 +203,8 @@ mod tests {
     }
 
     fn layers(vertices: &[Vertex]) -> Option<Layers> {
-        let m = Moments::of(vertices);
-        Layers::of(vertices, &m, &m.covariance(), 3)
+        let m = Moments::from_elements(vertices);
+        Layers::find(vertices, &m, &m.covariance(), 3)
     }
 
     proptest! {

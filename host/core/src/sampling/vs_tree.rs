@@ -100,7 +100,7 @@ impl VsTree {
         goes_on: impl FnMut(&Moments, f32, u32) -> bool,
     ) -> (Self, Moments) {
         let TreeWorkspace { spare, codes, leaves, nodes } = workspace;
-        let moments = Moments::of(elements);
+        let moments = Moments::from_elements(elements);
         spare.clear();
         spare.extend_from_slice(elements);
         leaves.clear();
@@ -296,7 +296,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> TreeBuilder<'_, F> {
         let covariance = m.covariance();
         let (position, normal, error) = m.representative_by(&covariance);
         let layers = (self.rule.splitting == Splitting::Layered)
-            .then(|| Layers::of(elements, &m, &covariance, place.seed))
+            .then(|| Layers::find(elements, &m, &covariance, place.seed))
             .flatten();
         let mut error = self.rule.key(&m, position, error);
         if layers.is_some() {
@@ -397,7 +397,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> TreeBuilder<'_, F> {
         for c in 0..8 {
             let range = starts[c]..starts[c + 1];
             if !range.is_empty() {
-                let moments = Moments::of(&spare[range.clone()]);
+                let moments = Moments::from_elements(&spare[range.clone()]);
                 let (part, rest) = (&mut spare[range.clone()], &mut elements[range]);
                 self.node(part, rest, moments, below(c));
             }
@@ -551,7 +551,7 @@ mod tests {
             let tree = full(&vertices);
             let (low, high) = (t.min(u), t.max(u));
             prop_assert!(clusters(&tree, low).len() >= clusters(&tree, high).len());
-            let m = Moments::of(&vertices);
+            let m = Moments::from_elements(&vertices);
             let (min, max) = (m.min, m.max);
             for node in &tree.nodes {
                 prop_assert!(node.position.cmpge(min).all() && node.position.cmple(max).all());
@@ -582,8 +582,8 @@ mod tests {
                 .collect()
         };
         let (a, b) = (set(0.0), set(20.0));
-        let mut both = Moments::of(&a);
-        both.add(&Moments::of(&b));
+        let mut both = Moments::from_elements(&a);
+        both.add(&Moments::from_elements(&b));
         let joined = VsTree::join(full(&a), full(&b), &both);
         for threshold in [0.0, 0.1, 0.5, 1.0] {
             let mut apart = clusters(&full(&a), threshold);

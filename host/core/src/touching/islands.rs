@@ -159,7 +159,7 @@ impl Islands {
         };
         let (mut jobs, count) = (std::mem::take(&mut self.jobs), faces.len().div_ceil(FACES_OF_A_JOB));
         jobs.resize_with(count.max(jobs.len()), FacesJob::default);
-        let sets = DisjointSets::of(&mut self.back);
+        let sets = DisjointSets::new(&mut self.back);
         let used = &mut jobs[..count];
         let unite = |(job, faces): (&mut FacesJob, &[[u32; 3]])| job.unite(sets, faces, clusters_of);
         used.par_iter_mut().zip(faces.par_chunks(FACES_OF_A_JOB)).for_each(unite);
@@ -190,7 +190,7 @@ impl Islands {
         if self.tangled || a >= known || b >= known {
             return;
         }
-        let sets = DisjointSets::of(&mut self.back);
+        let sets = DisjointSets::new(&mut self.back);
         let (u, v) = (sets.first(u), sets.first(v));
         if a == b {
             sets.unite(u, v);
@@ -202,7 +202,7 @@ impl Islands {
     /// The first vertex of a vertex' island.
     #[inline]
     pub fn first(&mut self, vertex: u32) -> u32 {
-        DisjointSets::of(&mut self.back).first(vertex)
+        DisjointSets::new(&mut self.back).first(vertex)
     }
 
     /// The same, on any thread.
@@ -243,7 +243,7 @@ impl Islands {
 
     /// Two vertices are of one island of a cluster, as is known of other faces.
     pub fn unite_both(&mut self, u: u32, v: u32) {
-        let sets = DisjointSets::of(&mut self.back);
+        let sets = DisjointSets::new(&mut self.back);
         sets.unite(sets.first(u), sets.first(v));
     }
 
@@ -377,7 +377,7 @@ struct DisjointSets<'a> {
 }
 
 impl<'a> DisjointSets<'a> {
-    fn of(back: &'a mut MapMut) -> Self {
+    fn new(back: &'a mut MapMut) -> Self {
         Self { back: memory::atomics(cast_slice_mut(&mut back[..])) }
     }
 

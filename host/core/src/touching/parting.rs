@@ -177,7 +177,7 @@ impl Parting<'_> {
             let island = graph.number(cluster, islands.first(vertex));
             if let Some((i, j)) = island.and_then(|island| place_of.get(&island)) {
                 let vertex = Vertex { position: self.frame.to_local(p), normal, index: 0 };
-                found[*i].1[*j].moments.add(&Moments::of(&[vertex]));
+                found[*i].1[*j].moments.add(&Moments::from_elements(&[vertex]));
             }
             Ok(())
         })?;

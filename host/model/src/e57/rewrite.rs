@@ -142,7 +142,7 @@ impl Moving<'_, '_> {
     /// Turns what follows of a vertex; whether any bits changed.
     fn turn_vertex(&self, segment: &ScanSegment, bits: &mut [u64], vertex: usize) -> bool {
         let edited = self.version.edited;
-        let moves = of(self.from, vertex).is_some_and(|from| from.is_finite());
+        let moves = entry_of(self.from, vertex).is_some_and(|from| from.is_finite());
         let gradient = edited.gradients.get(vertex).filter(|gradient| moves && **gradient != Mat3::IDENTITY);
         let following = &self.model.following;
         gradient.is_some_and(|gradient| {
@@ -155,13 +155,13 @@ impl Moving<'_, '_> {
     fn move_vertex(&self, segment: &ScanSegment, point: u64, row: &mut [u64], vertex: usize) -> Result<bool> {
         let scan = &self.model.scans[segment.scan];
         let edited = self.version.edited;
-        let (from, to) = (of(self.from, vertex), edited.positions[vertex]);
+        let (from, to) = (entry_of(self.from, vertex), edited.positions[vertex]);
         let mut changed = false;
         let moves = from.filter(|from| from.is_finite() && *from != to).map(|from| [from, to]);
         if moves.is_some() || scan.has_other_ranges() {
             changed = scan.move_point(row, moves).map_err(|e| self.beyond(segment, point, e))?;
         }
-        if let (Some(from), Some(to)) = (of(self.from_normals, vertex), edited.normals.get(vertex)) {
+        if let (Some(from), Some(to)) = (entry_of(self.from_normals, vertex), edited.normals.get(vertex)) {
             changed |= scan.turn_normal(row, from, *to);
         }
         Ok(changed)
@@ -216,7 +216,7 @@ fn include(all: &mut ScanReach, one: [Option<glam::DVec3>; 2]) {
 }
 
 /// An entry of two lists, one behind the other.
-fn of<T: Copy>(lists: [&[T]; 2], index: usize) -> Option<T> {
+fn entry_of<T: Copy>(lists: [&[T]; 2], index: usize) -> Option<T> {
     let [first, second] = lists;
     first.get(index).or_else(|| second.get(index - first.len())).copied()
 }
