@@ -220,7 +220,7 @@ struct Work<'b> {
     panic: Mutex<Option<Box<dyn Any + Send>>>,
 }
 
-/// The same across the boundary.
+/// The parallel work as it goes across the boundary.
 #[repr(C)]
 #[derive(StableAbi)]
 struct Job {

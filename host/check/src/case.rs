@@ -138,7 +138,7 @@ impl Case {
         self
     }
 
-    /// The same at another time of a sequence.
+    /// The same case at another time of a sequence.
     pub fn at_time(mut self, time: Time) -> Self {
         self.time = Some(time);
         self
@@ -174,7 +174,7 @@ impl Case {
         Ok(case)
     }
 
-    /// The same without any sample.
+    /// The same case without any sample.
     pub fn without_samples(mut self) -> Self {
         self.positions.clear();
         self.normals.clear();

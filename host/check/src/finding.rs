@@ -44,7 +44,7 @@ impl Finding {
         Self { verdict: Verdict::Fail, found: found.into(), hint: hint.into() }
     }
 
-    /// As it should be.
+    /// A finding that all is as it should be.
     pub fn pass(found: impl Into<String>) -> Self {
         Self { verdict: Verdict::Pass, found: found.into(), hint: String::new() }
     }

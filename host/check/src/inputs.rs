@@ -89,13 +89,13 @@ pub(crate) fn regions_contradictory(subject: &Subject) -> Checked<Finding> {
     survives(subject, &case)
 }
 
-/// No host gives that, and no plugin has to expect it.
+/// A case without any sample. No host gives that, and no plugin has to expect it.
 pub(crate) fn no_samples(subject: &Subject) -> Checked<Finding> {
     let case = Case::new(&subject.plugin, vec![Vec3::ZERO, Vec3::ONE], Vec::new())?.without_samples();
     tolerates(subject, &case)
 }
 
-/// The same.
+/// A case with a position that is not a number. No host gives that, either.
 pub(crate) fn not_a_number(subject: &Subject) -> Checked<Finding> {
     let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     case.positions[ORDINARY / 3] = [f32::NAN, f32::INFINITY, 0.0];

@@ -200,7 +200,7 @@ impl HeldMesh {
     }
 }
 
-/// Of all vertices.
+/// The positions of all vertices, in the model's coordinates.
 fn positions(model: &dyn Model) -> Result<Vec<DVec3>> {
     let mut positions = Vec::new();
     for_positions(model, |chunk| {

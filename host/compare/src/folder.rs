@@ -51,7 +51,7 @@ impl ComparisonFolder {
         Ok(this)
     }
 
-    /// The same once more, when all is done.
+    /// The check of the folder once more, when all is done.
     pub fn check_again(&self) -> Result<()> {
         let folder = &self.0;
         if folder.symlink_metadata().is_err() {

@@ -114,7 +114,7 @@ struct TimedSamples {
 }
 
 impl TimedSamples {
-    /// What it took so far.
+    /// The times that it took so far.
     fn seconds(&self) -> RunSeconds {
         let Self { moved, deform, processor } = self;
         RunSeconds {

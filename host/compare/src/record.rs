@@ -226,7 +226,7 @@ pub struct RunSeconds {
 pub(crate) type TimeOf = fn(&RunSeconds) -> Option<f64>;
 
 impl Seconds {
-    /// Of runs.
+    /// Medians of the times of runs.
     pub(crate) fn from_runs(sample: Option<f64>, runs: Vec<RunSeconds>) -> Self {
         let median = |of: TimeOf| median(runs.iter().filter_map(of).collect());
         Self {

@@ -41,7 +41,7 @@ impl SampleAttributes {
         Self(all)
     }
 
-    /// All of them.
+    /// All attributes, in the order of the model's file.
     pub fn all(&self) -> &[OfSamples] {
         &self.0
     }

@@ -12,7 +12,7 @@ pub const MOST_LANES: usize = 8;
 pub struct DoubleLanes<S: Simd>(pub S, pub S::f64s);
 
 impl<S: Simd> DoubleLanes<S> {
-    /// The same number for all.
+    /// The same number in all lanes.
     #[inline(always)]
     pub fn splat(simd: S, x: f64) -> Self {
         Self(simd, simd.splat_f64s(x))

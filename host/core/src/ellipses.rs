@@ -7,7 +7,7 @@ use simod_model::Attribute;
 
 use crate::sampling::LEAST_OPACITY;
 
-/// So many standard deviations are drawn.
+/// Standard deviations of a splat that are drawn.
 const EXTENT: f64 = 2.0;
 
 /// The shorter axis is at least so long, as a part of the longer one: thinner ones would vanish.

@@ -28,7 +28,7 @@ pub enum OutputKind {
 }
 
 impl OutputKind {
-    /// What it is called.
+    /// The kind's name in messages.
     fn name(self) -> &'static str {
         match self {
             Self::Model => "model",

@@ -138,7 +138,7 @@ pub struct SourceTile {
 }
 
 impl SourceTile {
-    /// Those of a model, if it is made of tiles.
+    /// The tiles of a model; none, if it is one file.
     pub(crate) fn all(model: &dyn Model) -> Vec<Self> {
         let tile = |tile: &Tile| Self { path: tile.path.clone(), bytes: tile.bytes, vertices: tile.vertices };
         model.tiles().iter().map(tile).collect()
@@ -177,7 +177,7 @@ impl SourceRecord {
         }
     }
 
-    /// The same with paths as seen from a folder.
+    /// The source with paths as seen from a folder.
     fn relative_to(&self, folder: &Path) -> Self {
         let tiles = self.tiles.iter().map(|tile| {
             // A link has a name of its own.
@@ -786,7 +786,7 @@ impl SampledModel {
         self.kept.as_ref()
     }
 
-    /// The same, and nothing else of it.
+    /// The kept cells, and nothing else of the sampled model.
     pub(crate) fn into_cells(self) -> Option<KeptCells> {
         self.kept
     }

@@ -178,7 +178,7 @@ enum NodeContent<'a> {
     Date(&'a Datetime),
 }
 
-/// What it is to serde.
+/// A value in the form that serde takes.
 enum Plain<'a> {
     Text(&'a str),
     Date(String),

@@ -17,7 +17,7 @@ pub(crate) fn sides(triangles: impl Iterator<Item = [u32; 3]>) -> impl Iterator<
     triangles.flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]])
 }
 
-/// The same side, whichever way it goes.
+/// The vertices of a side, the lower one first, whichever way it goes.
 pub(crate) fn either_way([a, b]: [u32; 2]) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }

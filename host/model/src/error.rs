@@ -123,14 +123,14 @@ impl Error {
         Self::mismatch(format!("{} changed while it was read", path.display()), hint)
     }
 
-    /// The same, and what it came of.
+    /// The same error with the one that it came of.
     #[cold]
     pub fn because(mut self, source: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
         self.0.source = Some(source.into().into());
         self
     }
 
-    /// The same failure, in other words.
+    /// The same error with another text of what failed.
     #[cold]
     pub fn saying(mut self, what: impl Into<String>) -> Self {
         self.0.what = what.into();

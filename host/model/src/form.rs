@@ -21,7 +21,7 @@ pub struct Conversion {
     pub drops_normals: bool,
 }
 
-/// What there is to be written.
+/// A model that is converted, and how.
 pub(crate) struct ConversionInput<'a> {
     pub(crate) model: &'a dyn Model,
     /// Whether vertices have normals that are kept.

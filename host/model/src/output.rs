@@ -65,7 +65,7 @@ impl OutputFile {
         flushed.and_then(|_| claim.put_in_place()).map_err(|e| claim.failed(&e))
     }
 
-    /// What it will be called.
+    /// The path of the file once it is whole.
     pub(crate) fn path(&self) -> &Path {
         &self.claim.places().path
     }

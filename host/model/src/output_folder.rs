@@ -62,7 +62,7 @@ impl OutputFolder {
         self.claim.new_folder()
     }
 
-    /// What it will be called.
+    /// The path of the folder once it is whole.
     pub fn target(&self) -> &Path {
         &self.target
     }

@@ -441,7 +441,7 @@ pub(crate) fn forget(path: &Path) {
     }
 }
 
-/// What is known to be on the disk.
+/// The journal: what is known to be on the disk.
 #[derive(Debug, Clone, PartialEq)]
 struct Journal {
     /// Hash of all that determines the bytes.

@@ -40,7 +40,7 @@ impl Ground {
         points.iter().for_each(|point| self.add_place(point.position));
     }
 
-    /// The same of triangles, all over them.
+    /// Adds triangles, all over their areas.
     pub fn add_triangles(&mut self, triangles: &[[SurfacePoint; 3]]) {
         let apart = self.cell;
         triangles.iter().for_each(|triangle| spread_over(triangle, apart, |p| self.add_place(p)));

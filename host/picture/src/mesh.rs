@@ -37,7 +37,7 @@ struct VertexRecord {
     used: u8,
 }
 
-/// All of them.
+/// The records of all vertices, in memory or in a mapped file.
 enum VertexRecords {
     Held(Vec<VertexRecord>),
     Mapped(MapMut),

@@ -6,7 +6,7 @@ use simod_model::bounds::Bounds;
 
 use super::{Camera, Renderer, Style};
 
-/// From where, and how large.
+/// The view of a picture: from where, and how large it is.
 #[derive(Debug, Clone, Copy)]
 pub struct View {
     /// What fills the picture.

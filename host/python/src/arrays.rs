@@ -13,7 +13,7 @@ pub fn of_points(py: Python<'_>, points: Vec<DVec3>) -> PyResult<Bound<'_, PyArr
     PyArray1::from_vec(py, numbers).reshape([count, 3])
 }
 
-/// The same of directions of single precision.
+/// An array of directions of single precision.
 pub fn of_directions<'py>(py: Python<'py>, directions: &[Vec3]) -> PyResult<Bound<'py, PyArray2<f64>>> {
     of_points(py, directions.iter().map(|d| d.as_dvec3()).collect())
 }

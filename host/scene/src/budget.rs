@@ -22,7 +22,7 @@ pub struct Budget {
 impl Budget {
     /// Fewest splats of a frame, however long they take.
     const LEAST: usize = 16_000;
-    /// So many at first.
+    /// Samples that are drawn at first.
     const FIRST: usize = 128_000;
     const MOST: usize = 1 << 30;
     /// A part of a picture at rest may take so many times longer: nobody's hand waits for it, and each has

@@ -2,7 +2,7 @@
 
 use glam::{Mat4, Vec4};
 
-/// From where.
+/// The view of a scene: from where.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct View {
     /// From local coordinates to the eye's: right, up, backward. A motion, without scaling.

@@ -101,7 +101,7 @@ impl Motion {
     }
 }
 
-/// The same map in local coordinates.
+/// A map of model coordinates as one of local coordinates.
 pub fn to_local(map: DAffine3, frame: &Frame) -> DAffine3 {
     let translation = (map.translation - about(map.matrix3, frame.origin)) / frame.scale;
     DAffine3 { translation, ..map }

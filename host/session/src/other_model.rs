@@ -101,7 +101,7 @@ impl OtherModel {
         Self::from_samples(kind, SampleSet::new(local, Vec::new())?, &theirs, ids, triangles, frame)
     }
 
-    /// Of samples in local coordinates of their own.
+    /// The model by its samples, in local coordinates of their own.
     fn from_samples(
         (kind, vertices): (api::PointsKind, u64),
         samples: SampleSet,

@@ -79,7 +79,7 @@ pub struct SessionTime {
 }
 
 impl SessionTime {
-    /// As plugins get it.
+    /// The time as plugins get it.
     pub fn time(&self) -> Time {
         let frame = self.frame.unwrap_or(0);
         let seconds = self.seconds.unwrap_or_else(|| frame as f64 / self.rate.unwrap_or(24.0));

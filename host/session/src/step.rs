@@ -168,7 +168,7 @@ impl ParamPlaces {
         Self(Arc::new(places.into_iter().collect()))
     }
 
-    /// The same where parameters have other names.
+    /// The places of parameters with those of further names: pairs of the former name and the one now.
     pub(crate) fn renamed(&self, aliases: &[(String, String)]) -> Self {
         let mut places = (*self.0).clone();
         for (former, now) in aliases {
@@ -244,7 +244,7 @@ impl Deformation {
 }
 
 impl Deformation {
-    /// As of [`Step::check`].
+    /// Checks the deformation of a step: see [`Step::check`].
     fn check(&self) -> Result<(), Defect> {
         check_amount(self.amount)?;
         self.regions.iter().try_for_each(Region::check)?;
@@ -447,7 +447,7 @@ pub enum RegionPart {
 }
 
 impl From<Defect> for Error {
-    /// As of a command that was given.
+    /// The defect as an error of a command that was given.
     fn from(defect: Defect) -> Self {
         Self::new(ErrorKind::Argument, defect.what, defect.hint)
     }

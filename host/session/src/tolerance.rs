@@ -62,7 +62,7 @@ pub enum Tolerance {
 }
 
 impl Tolerance {
-    /// As a fraction of this diagonal.
+    /// The tolerance as a fraction of this diagonal.
     pub fn fraction(self, diagonal: f64) -> f64 {
         match self {
             Self::Fraction(f) => f,

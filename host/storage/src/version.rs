@@ -39,7 +39,7 @@ impl ObjectVersion {
         self.bytes
     }
 
-    /// What it is called.
+    /// The object's name.
     pub fn name(&self) -> &str {
         &self.place.name
     }

@@ -140,7 +140,7 @@ pub struct Adjacency {
 }
 
 impl Adjacency {
-    /// Of a model's samples.
+    /// The adjacency of a model's samples.
     pub fn of_model(sampled: &SampledModel) -> Self {
         let count = sampled.samples.len();
         let sides = |[a, b, c]: &[u32; 3]| [[*a, *b], [*b, *c], [*c, *a]];

@@ -25,7 +25,7 @@ const RINGS_TOGETHER: usize = 64;
 /// The axes of an ellipse: half of each, the longer one first, at right angles to each other.
 pub type EllipseAxes = [Vec3; 2];
 
-/// Of all samples, or of those of a list.
+/// The normals and stretches of all samples, or of those of a list.
 #[derive(Debug, Clone, Default)]
 pub struct Shading {
     /// Unit normals.
@@ -51,7 +51,7 @@ impl Shading {
         })
     }
 
-    /// That of some of the samples, in their order.
+    /// The shading of some of the samples, in their order.
     pub fn taken(&self, some: &[u32]) -> Self {
         let normals = some.iter().map(|i| self.normals[*i as usize]).collect();
         let axes = some.iter().filter_map(|i| self.axes.get(*i as usize).copied()).collect();
@@ -70,7 +70,7 @@ pub struct Rings {
 }
 
 impl Rings {
-    /// Of some of the samples.
+    /// The rings of some of the samples.
     fn new(sampled: Arc<SampledModel>, some: Arc<[u32]>) -> Self {
         sampled.samples.prepare();
         let surface = RestSurface::new(&sampled);
@@ -80,7 +80,7 @@ impl Rings {
         Self { rings: rings.collect(), sampled, some }
     }
 
-    /// Those of these samples, which are kept.
+    /// The rings of these samples, kept from the last call where it was about the same ones.
     pub fn keep<'a>(kept: &'a mut Option<Self>, sampled: &Arc<SampledModel>, some: &Arc<[u32]>) -> &'a Self {
         kept.take_if(|rings| !rings.are_of(sampled, some));
         kept.get_or_insert_with(|| Self::new(sampled.clone(), some.clone()))
@@ -206,7 +206,7 @@ struct LaneRing {
 }
 
 impl LaneRing {
-    /// Of so many samples, by their lanes.
+    /// The ring of the samples that `of` names, lane by lane.
     fn new(surface: &RestSurface<'_>, of: impl Fn(usize) -> usize) -> Self {
         let zero = [0.0; LANES];
         let mut this = Self {

@@ -89,7 +89,7 @@ impl Pattern {
 }
 
 impl Tree {
-    /// Of nodes that are `at` these places.
+    /// The order of elimination of nodes that are `at` these places.
     pub fn new(pattern: &Pattern, at: &[DVec3], host: &Host<'_>) -> PluginResult<Self> {
         let mut nodes: Vec<u32> = (0..at.len() as u32).collect();
         let mut sets = dissect(&mut nodes, pattern, at, host)?;

@@ -202,7 +202,7 @@ struct CentredPoint {
 }
 
 impl Octahedron {
-    /// That of about so many vertices.
+    /// The octahedron of about so many vertices.
     fn with_about(vertices: usize) -> Self {
         // 4 n² + 2 of them.
         Self::new(((vertices.saturating_sub(2) as f64 / 4.0).sqrt().round() as i32).max(1))

@@ -30,7 +30,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// Of vertices that were moved by so much.
+    /// The pose of a cage whose vertices were moved by these displacements.
     pub fn new(cage: &Cage, panels: &[Panel], displacements: &[DVec3]) -> Self {
         let moved: Vec<DVec3> = cage.vertices.iter().zip(displacements).map(|(p, d)| *p + *d).collect();
         let mean = moved.iter().sum::<DVec3>() / moved.len() as f64;

@@ -231,7 +231,7 @@ mod tests {
             .unwrap()
     }
 
-    /// Of a bar along x.
+    /// A cage about a bar along x.
     fn box_of_bar(detail: usize) -> Cage {
         let (min, max) = ([-1.0, -0.2, -0.2], [1.0, 0.2, 0.2]);
         made::divided_box(&Bounds { min, max }, &[min.map(|x| x as f32), max.map(|x| x as f32)], 0.05, detail)

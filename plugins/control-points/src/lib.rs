@@ -139,7 +139,7 @@ impl IsIdentity for ControlPoints {
     }
 }
 
-/// Those of a file, in local coordinates.
+/// The landmarks of a file, in local coordinates.
 fn landmarks(path: &Path, frame: &ModelFrame) -> PluginResult<Vec<Landmark>> {
     let local = |p: DVec3| DVec3::from(frame.to_local(p.into()));
     let mut landmarks = landmarks::read(path).map_err(|(line, what)| {

@@ -286,7 +286,7 @@ fn relaxed(time: f64) -> f64 {
 }
 
 impl Push {
-    /// Of all images of a dab that a sample feels.
+    /// The sum of all images of a dab that a sample feels.
     fn sum(images: &[Pushed]) -> Self {
         let sample = images[0].sample;
         if let [only] = images {

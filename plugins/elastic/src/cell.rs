@@ -10,7 +10,7 @@ use std::ops::{Add, Mul, Sub};
 #[derive(Debug, Clone, Copy)]
 pub struct Eight(pub [f64; 8]);
 
-/// Of the corners, along each axis.
+/// Forces on a cell's corners, along each axis.
 pub type Forces = [Eight; 3];
 /// A matrix at each point, column by column.
 pub type Matrices = [[Eight; 3]; 3];

@@ -76,7 +76,7 @@ impl Touch {
         self.corners(lattice).for_each(|(c, w)| forces[c as usize] += force * w * self.normal);
     }
 
-    /// What it ties each corner by.
+    /// Adds the stiffness by which the contact ties each corner.
     pub fn tie(&self, lattice: &Lattice, ties: &mut [f64]) {
         self.corners(lattice).for_each(|(c, w)| ties[c as usize] += self.stiffness * w.abs());
     }

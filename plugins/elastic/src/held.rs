@@ -108,7 +108,7 @@ fn middle(target: u32, draws: &[(u32, u32, f64)], points: &[DVec3]) -> Option<(D
 pub struct Goals(pub Vec<DAffine3>);
 
 impl Goals {
-    /// Of a place at rest.
+    /// The image of a place at rest under a target's map.
     pub fn image(&self, target: u32, at: DVec3) -> DVec3 {
         self.0[target as usize].transform_point3(at)
     }

@@ -62,7 +62,7 @@ pub fn shape_change(f: &Matrices, by: &Matrices, stiffer: f64) -> Matrices {
     })
 }
 
-/// Of volume, for a modulus of 1.
+/// The energy of a change of volume for a modulus of 1, and the stress.
 #[inline(always)]
 pub fn volume(f: &DMat3) -> (f64, DMat3) {
     let cofactors = cofactors(f);
@@ -70,7 +70,7 @@ pub fn volume(f: &DMat3) -> (f64, DMat3) {
     (0.5 * over * over, over * cofactors)
 }
 
-/// Of volume: how the stress changes.
+/// The change of that stress with the deformation gradient.
 #[inline(always)]
 pub fn volume_change(f: &DMat3, by: &DMat3) -> DMat3 {
     let cofactors = cofactors(f);

@@ -12,7 +12,7 @@ use simod_plugin_api::{Host, PluginResult};
 
 /// Steps on the coarse likeness, at most.
 const COARSE_STEPS: usize = 24;
-/// And for a draft, which is to be seen soon.
+/// Steps for a draft, at most, as it is to be seen soon.
 const DRAFT_STEPS: usize = 12;
 /// How much coarser the tolerance of these is: what is left is for the others to find.
 const COARSE_TOLERANCE: f64 = 10.0;

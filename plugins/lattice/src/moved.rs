@@ -245,7 +245,7 @@ fn bernstein<S: Simd>(simd: S, u: S::f32s, fade: S::f32s, values: &mut [S::f32s]
     }
 }
 
-/// The same of four.
+/// Bernstein's recurrence of the four functions of a cubic lattice, in registers.
 #[inline(always)]
 fn cubic<S: Simd>(simd: S, u: S::f32s, fade: S::f32s) -> [S::f32s; CUBIC] {
     let rest_of_u = simd.sub_f32s(simd.splat_f32s(1.0), u);

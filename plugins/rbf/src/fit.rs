@@ -21,7 +21,7 @@ use std::collections::HashSet;
 const FIRST_CENTERS: usize = 32;
 /// Constraints in the least squares, for each centre that there may be; all others are checked.
 const ROWS_PER_CENTER: usize = 4;
-/// The same where there may be few centres.
+/// Constraints in the least squares at least, however few centres there may be.
 const FEWEST_ROWS: usize = 512;
 /// Ridge on all unknowns, relative to kernels of about 1: holds what coplanar or coincident constraints leave
 /// open.

@@ -13,7 +13,7 @@ use simod_plugin_api::{Host, PluginResult};
 
 /// Steps until what is left is found anew, for the sake of rounding.
 const STEPS: usize = 24;
-/// And how often this is done, at most.
+/// Times that what is left is found anew, at most.
 const CYCLES: usize = 3;
 /// A cycle that leaves more than this part has come to where rounding ends it.
 const WORTH: f64 = 0.3;

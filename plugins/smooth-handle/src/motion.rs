@@ -52,7 +52,7 @@ struct Twist {
 }
 
 impl Motion {
-    /// Of a handle about whose centre it stretches.
+    /// The motion of a handle, which stretches about the handle's centre.
     pub fn new(whole: &Affine, center: DVec3) -> Self {
         let parts = if *whole == Affine::IDENTITY { Some(Parts::None) } else { Self::split(whole, center) };
         Self { whole: *whole, parts: parts.unwrap_or(Parts::Straight) }
@@ -127,7 +127,7 @@ pub fn blend<'a>(p: DVec3, parts: impl Iterator<Item = (&'a Motion, f64)>) -> DV
 }
 
 impl Stretch {
-    /// That part of it.
+    /// The part `t` of the stretch, as a matrix.
     fn matrix(&self, t: f64) -> DMat3 {
         let stretches = (t * self.logarithms).map(f64::exp);
         self.axes * DMat3::from_diagonal(stretches) * self.axes.transpose()

@@ -58,7 +58,7 @@ impl Filter {
         self.0.len() - 1
     }
 
-    /// What it leaves of a wave.
+    /// The part of a wave that the filter leaves.
     #[cfg(test)]
     pub fn response(&self, k: f64) -> f64 {
         let angle = (1.0 - k).acos();

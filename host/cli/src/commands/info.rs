@@ -126,7 +126,7 @@ fn tell_bounds(bounds: &Bounds, report: &mut Report) {
     report.figure("diagonal", bounds.diagonal());
 }
 
-/// As PLY has it.
+/// The name that PLY has for a type of numbers.
 fn scalar_name(scalar: Scalar) -> &'static str {
     match scalar {
         Scalar::F32 => "float",

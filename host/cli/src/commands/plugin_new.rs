@@ -68,7 +68,7 @@ const PROJECT: [(&str, &str); 10] = [
 /// The interface's manifest without a workspace.
 const INTERFACE_MANIFEST: &str = include_str!("plugin_new/interface.toml");
 
-/// The same of its derives.
+/// The manifest of the interface's derives, without a workspace.
 const DERIVE_MANIFEST: &str = include_str!("plugin_new/derive.toml");
 
 /// The interface's sources.

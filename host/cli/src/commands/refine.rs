@@ -77,7 +77,7 @@ pub struct Refine {
     overwrite: Overwrite,
 }
 
-/// So many numbers with commas between them.
+/// `N` numbers with commas between them.
 fn numbers<const N: usize>(text: &str) -> std::result::Result<[f64; N], String> {
     let all: std::result::Result<Vec<f64>, _> = text.split(',').map(|x| x.trim().parse::<f64>()).collect();
     all.ok()

@@ -161,7 +161,7 @@ impl Render {
         }
     }
 
-    /// The same of a model.
+    /// Draws a model.
     fn draw_model(&self, take: &mut dyn FnMut(&Image) -> Result<()>, report: &mut Report) -> Result<()> {
         let (cache, progress) = (Arc::default(), report.progress());
         let model = simod_model::open_with(&self.path, None, &cache, progress)?;

@@ -30,7 +30,7 @@ const HEARD: usize = 3;
 /// No other sample that so many links to the nearest neighbours lead to is an anchor.
 const APART: usize = 2;
 
-/// As many of the nearest neighbours.
+/// Nearest neighbours of a sample that are looked at.
 const NEAREST: usize = 16;
 
 /// Terms of a fourth-order expansion without its constant: three, six, ten and fifteen.

@@ -33,7 +33,7 @@ const VERSION: u32 = 7;
 /// Most bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;
 
-/// What is known of the samples.
+/// The head of a binding: what is known of the samples.
 #[derive(Deserialize)]
 struct BindingHead {
     /// Hash of all that it depends on.

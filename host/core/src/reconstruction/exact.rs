@@ -236,7 +236,7 @@ struct ExactImage {
 }
 
 impl ExactImage {
-    /// The same in local units of this length.
+    /// The displacement and gradient in local units of this length.
     fn transport(&self, scale: f64) -> Transport {
         Transport { displacement: (self.way / scale).as_vec3(), gradient: self.gradient.as_mat3() }
     }

@@ -127,7 +127,7 @@ impl ErrorSums {
         }
     }
 
-    /// What they come to.
+    /// The error that the estimates come to; fractions of the diagonal.
     pub fn sum(&self, of_vertices: bool) -> ExpectedError {
         ExpectedError {
             rms: (self.squares / self.count.max(1) as f64).sqrt(),

@@ -16,7 +16,7 @@ pub const PACKET: usize = 16;
 pub struct Lanes<S: Simd>(pub S, pub S::f32s);
 
 impl<S: Simd> Lanes<S> {
-    /// The same number for all.
+    /// The same number in all lanes.
     #[inline(always)]
     pub fn splat(simd: S, x: f32) -> Self {
         Self(simd, simd.splat_f32s(x))
@@ -121,7 +121,7 @@ impl<S: Simd> Mask<S> {
         Lanes(self.0, self.0.select_f32s(self.1, then.1, or.1))
     }
 
-    /// The same of whole numbers.
+    /// Whole numbers, lane by lane from the one or the other.
     #[inline(always)]
     pub fn select_whole(self, then: S::u32s, or: S::u32s) -> S::u32s {
         self.0.select_u32s(self.1, then, or)

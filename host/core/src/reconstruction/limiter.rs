@@ -35,7 +35,7 @@ impl PrevailingSlope {
         (self.slope * d).clamp_length_max(self.most)
     }
 
-    /// The same, and its gradient.
+    /// The limited displacement at `d`, and its gradient.
     #[inline(always)]
     fn evaluate_with_gradient(&self, d: Vec3) -> (Vec3, Mat3) {
         let (u, held) = (self.slope * d, self.evaluate(d));

@@ -466,7 +466,7 @@ impl PartJoin<'_> {
         PieceRange { first: 0, end: Some(self.first) }
     }
 
-    /// Those behind.
+    /// The pieces behind the parts.
     fn behind(&self) -> PieceRange {
         PieceRange { first: self.end, end: None }
     }

@@ -54,7 +54,7 @@ impl HomeRun {
         self.place as usize..(self.place + self.count) as usize
     }
 
-    /// The same if they are there.
+    /// The places of the run's vertices, if these are put side by side.
     pub fn grouped(&self) -> Option<Range<usize>> {
         (self.place != NOWHERE).then(|| self.places())
     }

@@ -144,7 +144,7 @@ impl Group {
         self.center
     }
 
-    /// What it has come to, to take in vertices.
+    /// The sums so far, in the form that takes in vertices.
     #[inline(always)]
     pub fn sums(&self) -> GroupSums {
         GroupSums { count: self.count, sums: self.about_center() }

@@ -27,12 +27,12 @@ impl By {
     /// All there are.
     pub const ALL: [Self; 3] = [Self::Error, Self::Area, Self::Vertices];
 
-    /// As it always was.
+    /// Whether it is the default, which files do not mention.
     pub(crate) fn is_error(&self) -> bool {
         *self == Self::Error
     }
 
-    /// As it is called in files.
+    /// Its name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Error => "error",

@@ -158,7 +158,7 @@ impl NumbersFile {
         Ok(Self { path: path.to_owned(), lists: table.lists })
     }
 
-    /// What it is called.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -443,7 +443,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         Ok(())
     }
 
-    /// The same of what ranges have written down.
+    /// Puts the vertices that ranges have written down for shared cells into these.
     fn put_shared_in_cells(&self, piece: &mut StreamPiece<G::Piece>) -> Result<()> {
         let with_items = self.leaves.is_some();
         let StreamPiece { gatherer, items, visits, shared, .. } = piece;

@@ -168,7 +168,7 @@ pub struct Schedule<P, C> {
 }
 
 impl<P, C> Schedule<P, C> {
-    /// That of these tasks.
+    /// The schedule of these tasks.
     pub fn new(tasks: Tasks<P, C>) -> Self {
         Self { tasks: Mutex::new(tasks), moved: Condvar::new() }
     }

@@ -302,7 +302,7 @@ impl<'a> Guides<'a> {
         }
     }
 
-    /// As of the contacts.
+    /// Samples that no cell's tree has, and the one of its cluster that each was parted from.
     pub fn parted(&self) -> &[[u32; 2]] {
         self.contacts.parted()
     }

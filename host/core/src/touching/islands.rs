@@ -205,7 +205,7 @@ impl Islands {
         DisjointSets::new(&mut self.back).first(vertex)
     }
 
-    /// The same, on any thread.
+    /// The first vertex of a vertex' island, on any thread; no path is shortened.
     pub fn first_of(&self, mut vertex: u32) -> u32 {
         let back: &[u32] = cast_slice(&self.back);
         while back[vertex as usize] != 0 {

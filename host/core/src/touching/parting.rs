@@ -27,7 +27,7 @@ const LEAST_PART: f64 = 0.125;
 /// all of the model.
 const MOST_OF_ALL: usize = 32;
 
-/// So many may go to them in any case.
+/// Samples that may go to such parts in any case.
 const FEW: usize = 128;
 
 /// What parts are looked for in.

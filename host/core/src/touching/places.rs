@@ -90,7 +90,7 @@ impl PlaceSamples {
         filling.finish()
     }
 
-    /// All of them, ordered.
+    /// All entries, in ascending order.
     pub fn all(&self) -> &[HashedNumber] {
         match self {
             Self::Held(places) => places,

@@ -162,7 +162,7 @@ impl TwinSearch {
         positions.chunks(BLOCK).for_each(|block| _ = self.look_at(block, back));
     }
 
-    /// The same of a few; how many were found.
+    /// Looks for the twins of a block of vertices; gives how many were found.
     fn look_at(&mut self, block: &[DVec3], to: &mut Vec<u32>) -> u64 {
         let mut hashes = [0; BLOCK];
         hashes.iter_mut().zip(block).for_each(|(hash, p)| *hash = hash_of(*p));
@@ -197,7 +197,7 @@ impl TwinSearch {
     }
 }
 
-/// So many entries of no vertex.
+/// A table of so many entries, all of no vertex.
 fn none(entries: usize) -> Vec<HashedNumber> {
     vec![[0, 0, u32::MAX]; entries]
 }

@@ -151,7 +151,7 @@ impl Cactus {
         stem_ring(y + (to_y - y) * part, radius + (to_radius - radius) * part, angle)
     }
 
-    /// The same for an arm.
+    /// The point of a row and column near an arm.
     fn near_arm(&self, arm: usize, row: u64, column: u64) -> DVec3 {
         let [root, along, _] = self.counts.arms[arm];
         let tube = &self.form.tubes[1 + arm];

@@ -7,7 +7,7 @@ use crate::form::{ConversionInput, FaceCounts, Form, WrittenRows, attribute_loss
 use crate::polygons::Polygons;
 use crate::{Attribute, Colors, Result, Scalar, Summary, Type};
 
-/// Which of the two.
+/// The format that the records are written in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum RecordFormat {
     Ply,

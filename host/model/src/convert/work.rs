@@ -46,7 +46,7 @@ struct VertexTurns {
     failed: u64,
 }
 
-/// What has come once all vertices have.
+/// The count of vertices that have come once all have.
 const BEHIND_ALL: u64 = u64::MAX;
 
 impl<'a> ConversionCall<'a> {

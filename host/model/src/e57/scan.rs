@@ -232,7 +232,7 @@ impl Scan {
         }
     }
 
-    /// The same in the frame of all scans.
+    /// The position of a row's point in the frame of all scans.
     #[inline]
     pub fn position(&self, row: &[u64]) -> DVec3 {
         self.described.pose.position(self.local(row))
@@ -479,7 +479,7 @@ impl Scan {
         self.reach_of(&self.kinds, row)
     }
 
-    /// The same of a row that is written.
+    /// How far the point of a row that is written reaches.
     #[inline]
     pub fn new_reach(&self, row: &[u64]) -> [Option<DVec3>; 2] {
         self.reach_of(&self.written, row)

@@ -163,7 +163,7 @@ impl Following {
         self.notes().iter().for_each(|note| progress.note(&format!("{}: {note}", file.display())));
     }
 
-    /// The same, in words.
+    /// Notes on what became of the splats, which are counted anew after it.
     fn notes(&self) -> Vec<String> {
         let SplatTally { kept, needles, longest } = &self.tally;
         let [kept, needles, longest] = [kept, needles, longest].map(|n| n.swap(0, Ordering::Relaxed));

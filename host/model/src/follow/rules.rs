@@ -26,7 +26,7 @@ pub enum TensorKind {
 }
 
 impl TensorKind {
-    /// All of them, by the names that users give.
+    /// All kinds, by the names that users give.
     const NAMES: [(&str, Self); 6] = [
         ("vector", Self::Vector),
         ("direction", Self::Direction),

@@ -20,7 +20,7 @@ pub(super) enum Data {
 }
 
 impl Data {
-    /// As the header has it.
+    /// Its name in the header.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Ascii => "ascii",

@@ -238,7 +238,7 @@ impl ChunkRange {
         self.0 = [self.0[0].min(p), self.0[1].max(p)];
     }
 
-    /// As a file has them.
+    /// The range as a file has it, in single precision.
     fn rounded(&self) -> Self {
         Self(self.0.map(|side| side.as_vec3().as_dvec3()))
     }

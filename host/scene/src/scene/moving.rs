@@ -85,7 +85,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Of these shares what is up to date.
+    /// The part of these shares that is up to date.
     pub(super) fn placed_of(&self, shares: DetailShares) -> DetailShares {
         DetailShares { surface: shares.surface.min(self.placed), ..shares }
     }

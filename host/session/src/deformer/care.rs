@@ -141,7 +141,7 @@ fn foreign() -> PluginError {
 }
 
 impl<C: Code> CarefulCode<C> {
-    /// The same code.
+    /// Code that is called with this care.
     pub fn new(code: C, care: Care) -> Self {
         Self { code, care }
     }

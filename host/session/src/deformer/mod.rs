@@ -135,7 +135,7 @@ impl Plugin {
         })
     }
 
-    /// The same, if it came with the program.
+    /// The plugin with the mark whether it came with the program.
     pub(crate) fn shipped(self, shipped: bool) -> Self {
         Self { shipped, ..self }
     }
@@ -276,7 +276,7 @@ impl Plugin {
         self.all_usable(points.len(), points.iter().filter(|p| bad(p)).count(), first)
     }
 
-    /// That it has no map of space.
+    /// The error that it has no map of space.
     pub(crate) fn samples_only(&self) -> Error {
         Error::plugin(
             format!(

@@ -19,7 +19,7 @@ impl Modes {
     /// Of MXCSR, the bits that tell what has happened; the others say what to do.
     const TOLD: u32 = 0x3f;
 
-    /// Those of this thread.
+    /// The modes of this thread's registers.
     pub fn current() -> Self {
         let (mut vectors, mut stack) = (0_u32, 0_u16);
         // SAFETY: both write one number to the place that they are given, and change nothing else.
@@ -43,7 +43,7 @@ impl Modes {
 
 #[cfg(target_arch = "aarch64")]
 impl Modes {
-    /// Those of this thread.
+    /// The modes of this thread's registers.
     pub fn current() -> Self {
         let control: u64;
         // SAFETY: a register is read, and nothing is changed.

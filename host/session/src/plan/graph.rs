@@ -35,7 +35,7 @@ pub(super) const DEFORMED: &str = "deformed.ply";
 /// The output in the making, where it is known beforehand where each part goes.
 pub(super) const SHARED: &str = "output.bin";
 
-/// The same of tiles: their folder.
+/// The folder of the tiles in the making, likewise.
 pub(super) const SHARED_TILES: &str = "output.tiles";
 
 /// The id of the upload that all send their parts by, where the output is an object and it is known

@@ -95,7 +95,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// What it is called.
+    /// The stage's name in files and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Count => "count",

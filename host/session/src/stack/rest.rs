@@ -147,7 +147,7 @@ pub(crate) fn located(place: &str, e: Error) -> Error {
     e.saying(what)
 }
 
-/// As plugins take it.
+/// A map in the layout of the plugin interface: rows of the matrix, with the translation.
 pub fn rows(map: DAffine3) -> api::Affine {
     let (m, t) = (map.matrix3, map.translation);
     let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];

@@ -363,7 +363,7 @@ fn bounds([min, max]: [[f64; 3]; 2]) -> simod_plugin_api::Bounds {
 struct Arrays<'a>(&'a [u8]);
 
 impl<'a> Arrays<'a> {
-    /// The same, wherever it begins.
+    /// A copy of `count` values, which may begin at any byte.
     fn take_copy<T: bytemuck::Pod>(&mut self, count: usize) -> Option<Vec<T>> {
         let bytes: &[u8] = self.take(count.checked_mul(size_of::<T>())?)?;
         Some(bytemuck::pod_collect_to_vec(bytes))

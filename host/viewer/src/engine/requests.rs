@@ -32,7 +32,7 @@ pub enum Job {
 }
 
 impl Job {
-    /// All of them, in the order of their numbers.
+    /// All jobs, in the order of their numbers.
     pub const ALL: [Self; 5] = [Self::Open, Self::Evaluate, Self::Write, Self::Preview, Self::Compare];
 }
 

@@ -82,7 +82,7 @@ impl RunningJobs {
     }
 }
 
-/// Both, and who waits for a change of them.
+/// What the threads share: jobs that are wanted and that run, and who waits for a change of them.
 #[derive(Default)]
 pub(super) struct SharedState {
     inner: Mutex<(WantedJobs, RunningJobs)>,
