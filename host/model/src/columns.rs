@@ -213,6 +213,34 @@ pub(crate) fn is_columns(source: &Source, extension: &str) -> bool {
     EXTENSIONS.contains(&extension) && head(source, extension, None).is_ok()
 }
 
+impl Columns {
+    /// Makes attributes of the columns without a role that are numbers on the first line of a point, and notes
+    /// the others that have a name, where `is_told` says that there is such a column.
+    fn find_attributes(
+        &mut self,
+        names: &[String],
+        numbers: &[bool],
+        is_told: impl Fn(usize) -> bool,
+    ) -> Vec<Attribute> {
+        let mut attributes: Vec<Attribute> = Vec::new();
+        for (column, name) in names.iter().enumerate() {
+            let is_number = numbers.get(column).copied().unwrap_or(false);
+            let is_free = self.roles.get(column).copied().flatten().is_none();
+            let is_known = attributes.iter().any(|known| known.name == *name);
+            if !is_free || name == "_" {
+                continue;
+            }
+            if is_number && !is_known && Attribute::is_name(name) {
+                attributes.push(Attribute { name: name.clone(), kind: Type::F64 });
+                self.attributes.push(column);
+            } else if !name.is_empty() && is_told(column) {
+                self.unread.push(name.clone());
+            }
+        }
+        attributes
+    }
+}
+
 /// What the lines before the first point tell.
 struct ColumnsHead {
     columns: Columns,
@@ -339,23 +367,9 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Column
         for column in names.len()..words.len() {
             names.push(format!("column {}", column + 1));
         }
-        let mut attributes: Vec<Attribute> = Vec::new();
-        for (column, name) in names.iter().enumerate() {
-            let is_number = numbers.get(column).copied().unwrap_or(false);
-            let is_free = columns.roles.get(column).copied().flatten().is_none();
-            let is_known = attributes.iter().any(|known| known.name == *name);
-            if !is_free || name == "_" {
-                continue;
-            }
-            if is_number && !is_known && Attribute::is_name(name) {
-                attributes.push(Attribute { name: name.clone(), kind: Type::F64 });
-                columns.attributes.push(column);
-            } else if !name.is_empty()
-                && (column < named || words.get(column).is_some_and(|word| !word.is_empty()))
-            {
-                columns.unread.push(name.clone());
-            }
-        }
+        let has_word = |column: usize| words.get(column).is_some_and(|word| !word.is_empty());
+        let is_told = |column: usize| column < named || has_word(column);
+        let attributes = columns.find_attributes(&names, &numbers, is_told);
         return Ok(ColumnsHead { columns, names, attributes, begin, start: at });
     }
 }

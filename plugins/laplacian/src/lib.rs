@@ -224,29 +224,8 @@ impl Deformer for Laplacian {
             out.copy_from_slice(rest);
             return Ok(());
         }
-        let displacements = if motion.is_common() {
-            Vec::new()
-        } else {
-            let is_draft = input.effort() == Effort::DRAFT;
-            match &state.method {
-                Method::Arap(hierarchy) => {
-                    let Parameters { mode, iterations, tolerance, decrease, .. } = input.params().read()?;
-                    let steps = usize::try_from(iterations)
-                        .map_err(|_| PluginError::parameter("iterations", "is negative"))?;
-                    let until = match mode {
-                        Mode::Arap => Until {
-                            steps: MOST_STEPS,
-                            tolerance: AT_REST * input.bounds.diagonal(),
-                            decrease,
-                        },
-                        _ => Until { steps, tolerance: tolerance * input.bounds.diagonal(), decrease: 0.0 },
-                    };
-                    hierarchy.deform(&motion, until, is_draft, host)?
-                }
-                Method::Bilaplacian(smoothest) => smoothest.displacements(&motion, host)?,
-                Method::Rotated(rotated) => rotated.displacements(&motion, is_draft, host)?,
-            }
-        };
+        let displacements =
+            if motion.is_common() { Vec::new() } else { displacements(&state.method, &motion, input, host)? };
         let handles: Vec<DAffine3> = transforms.iter().map(affine).collect();
         // Displacements of linear methods are added after the common motion.
         let turn = if matches!(state.method, Method::Bilaplacian(_)) {
@@ -280,6 +259,33 @@ impl Deformer for Laplacian {
             }
         })
     }
+}
+
+/// The displacements of the nodes, local units, besides the common motion.
+fn displacements(
+    method: &Method,
+    motion: &Motion,
+    input: &DeformInput<'_>,
+    host: &Host<'_>,
+) -> PluginResult<Vec<DVec3>> {
+    let is_draft = input.effort() == Effort::DRAFT;
+    match method {
+        Method::Arap(hierarchy) => hierarchy.deform(motion, until(input)?, is_draft, host),
+        Method::Bilaplacian(smoothest) => smoothest.displacements(motion, host),
+        Method::Rotated(rotated) => rotated.displacements(motion, is_draft, host),
+    }
+}
+
+/// When the iteration of as-rigid-as-possible deformations ends.
+fn until(input: &DeformInput<'_>) -> PluginResult<Until> {
+    let Parameters { mode, iterations, tolerance, decrease, .. } = input.params().read()?;
+    let steps =
+        usize::try_from(iterations).map_err(|_| PluginError::parameter("iterations", "is negative"))?;
+    let diagonal = input.bounds.diagonal();
+    Ok(match mode {
+        Mode::Arap => Until { steps: MOST_STEPS, tolerance: AT_REST * diagonal, decrease },
+        _ => Until { steps, tolerance: tolerance * diagonal, decrease: 0.0 },
+    })
 }
 
 impl Migrate for Laplacian {

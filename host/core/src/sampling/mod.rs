@@ -221,6 +221,36 @@ pub(crate) struct ClusteredStream {
     grouping: Grouping,
 }
 
+/// # Errors
+/// The extent of the model is no finite number.
+fn check_extent(model: &dyn Model, grid: &Grid) -> Result<()> {
+    if grid.bounds.diagonal().is_finite() {
+        return Ok(());
+    }
+    Err(Error::degenerate(
+        format!("{} is too large for its own numbers", model.path().display()),
+        "scale it down: its extent has to be below 1e308",
+    ))
+}
+
+/// The grouping that is done, never [`Grouping::Automatic`], and the bytes that groups may take, where cells
+/// have so much `memory`.
+fn resolve_grouping(sampling: &Sampling, grid: &Grid, frame: &Frame, memory: u64) -> (Grouping, u64) {
+    // A group is as large wherever it is: finer vertices would be lost in it.
+    let grouping = match (sampling.grouping, sampling.by) {
+        (Grouping::Automatic, By::Vertices) => Grouping::Never,
+        (grouping, _) => grouping,
+    };
+    let for_groups = match (sampling.memory_limit, sampling.grouping) {
+        (Some(_), _) => memory,
+        // Not by the machine's memory, so that the samples do not depend on it …
+        (None, Grouping::Automatic) => GROUPS_AT_EASE,
+        // … and none other than asked for.
+        (None, _) => u64::MAX,
+    };
+    (grouping.resolve(grid, frame, sampling.target, for_groups), for_groups)
+}
+
 impl<'a> SamplingPass<'a> {
     fn new(
         model: &'a dyn Model,
@@ -248,12 +278,7 @@ impl<'a> SamplingPass<'a> {
             }
         };
         check_counted(model, &non_finite)?;
-        if !grid.bounds.diagonal().is_finite() {
-            return Err(Error::degenerate(
-                format!("{} is too large for its own numbers", model.path().display()),
-                "scale it down: its extent has to be below 1e308",
-            ));
-        }
+        check_extent(model, &grid)?;
         let frame = Frame::from_bounds(&grid.bounds);
 
         let (target, bound) = match sampling.target {
@@ -269,19 +294,7 @@ impl<'a> SamplingPass<'a> {
             splitting => splitting,
         };
         let rule = SplitRule::new(splitting, sampling.by, finite, grid.keys.len() as u64, edge);
-        // A group is as large wherever it is: finer vertices would be lost in it.
-        let grouping = match (sampling.grouping, sampling.by) {
-            (Grouping::Automatic, By::Vertices) => Grouping::Never,
-            (grouping, _) => grouping,
-        };
-        let for_groups = match (sampling.memory_limit, sampling.grouping) {
-            (Some(_), _) => memory,
-            // Not by the machine's memory, so that the samples do not depend on it …
-            (None, Grouping::Automatic) => GROUPS_AT_EASE,
-            // … and none other than asked for.
-            (None, _) => u64::MAX,
-        };
-        let grouping = grouping.resolve(&grid, &frame, sampling.target, for_groups);
+        let (grouping, for_groups) = resolve_grouping(sampling, &grid, &frame, memory);
         let reads_faces = can_tell(info);
         let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
         let known = if let Target::Samples(n) = sampling.target { Some(n) } else { None };

@@ -62,6 +62,25 @@ pub struct Converted {
     left_out: AtomicU64,
 }
 
+/// The extension of a target, if it is one of [`WRITTEN`].
+fn written_extension(model: &dyn Model, target: &Path) -> Result<&'static str> {
+    let named = extension(target);
+    WRITTEN.into_iter().find(|written| *written == named).ok_or_else(|| {
+        Error::argument(
+            format!(
+                "{} is named as if of another format than the model, {}, and of one that cannot be written anew",
+                target.display(),
+                model.info().format
+            ),
+            format!(
+                "give it the extension .{}; what else can be written: {}",
+                model.extensions().first().unwrap_or(&"ply"),
+                WRITTEN.join(", ")
+            ),
+        )
+    })
+}
+
 impl Converted {
     /// The model as what the extension of `target` says. Its faces are read once, to be counted.
     ///
@@ -74,21 +93,7 @@ impl Converted {
         how: Conversion,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let named = extension(target);
-        let Some(extension) = WRITTEN.into_iter().find(|written| *written == named) else {
-            return Err(Error::argument(
-                format!(
-                    "{} is named as if of another format than the model, {}, and of one that cannot be written anew",
-                    target.display(),
-                    model.info().format
-                ),
-                format!(
-                    "give it the extension .{}; what else can be written: {}",
-                    model.extensions().first().unwrap_or(&"ply"),
-                    WRITTEN.join(", ")
-                ),
-            ));
-        };
+        let extension = written_extension(&*model, target)?;
         if !model.tiles().is_empty() {
             return Err(Error::argument(
                 format!("{} is a model of several tiles, which are not joined", model.path().display()),
@@ -133,17 +138,19 @@ impl Converted {
             converted.info.position_type = Scalar::F32;
         }
         if !losses.is_empty() && !how.lossy {
-            let own = converted.own_extension();
-            let all = format!("in its own format, .{own}, a deformed model keeps all of it");
-            let without = "give --lossy to write it without";
-            let hint = if own == extension { without.to_owned() } else { format!("{without}; {all}") };
-            return Err(Error::argument(
-                format!("{} would lose: {}", target.display(), losses.join("; ")),
-                hint,
-            ));
+            return Err(converted.would_lose(target, &losses));
         }
         converted.losses = losses;
         Ok(converted)
+    }
+
+    /// The error that a conversion loses something, where it was not said that it may.
+    fn would_lose(&self, target: &Path, losses: &[String]) -> Error {
+        let own = self.own_extension();
+        let all = format!("in its own format, .{own}, a deformed model keeps all of it");
+        let without = "give --lossy to write it without";
+        let hint = if own == self.extension { without.to_owned() } else { format!("{without}; {all}") };
+        Error::argument(format!("{} would lose: {}", target.display(), losses.join("; ")), hint)
     }
 
     /// The extension that the model has in its own format: that of its name, if it is one.
