@@ -102,12 +102,13 @@ fn assert_bulges(work: &Workplace) {
     work.simod("reconstruct model.simod --deformed deformed.ply -o edited.ply");
 
     let (before, after) = (work.ply("model.ply"), work.ply("edited.ply"));
-    let radius = RADIUS * before.diagonal();
+    let diagonal = before.diagonal();
+    let radius = RADIUS * diagonal;
     let mut moved = 0;
     for (p, q) in before.positions().into_iter().zip(after.positions()) {
         let t = (p.distance(CENTER) / radius).min(1.0);
         let exact = p + STRENGTH * (1.0 - t * t).powi(2) * (p - CENTER);
-        assert!(q.distance(exact) < 2e-3 * before.diagonal(), "{p} goes to {q}, not to {exact}");
+        assert!(q.distance(exact) < 2e-3 * diagonal, "{p} goes to {q}, not to {exact}");
         // Beyond the rim, what lies among samples that moved may move a little with them.
         assert!(p == q || t < 1.0 || p.distance(CENTER) < 1.5 * radius, "{p}, far away, goes to {q}");
         moved += usize::from(p.distance(q) > 0.01 * radius);
