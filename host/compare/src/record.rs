@@ -1,6 +1,7 @@
 //! All that a comparison found: `compare.json`. Lengths are fractions of the diagonal of the model's bounding
-//! box, angles in degrees, times in seconds. Two runs of the same file on one machine differ in `seconds` and
-//! `peak_memory_bytes` alone, but for what programs of the user's make.
+//! box, and by the same names under `lengths` in the model's unit; angles are in degrees, times in seconds.
+//! Two runs of the same file on one machine differ in `seconds` and `peak_memory_bytes` alone, but for what
+//! programs of the user's make.
 
 use crate::file::{CompareFile, ComparedMethod, MethodWork};
 use crate::folder::FORMAT;
@@ -281,7 +282,23 @@ impl Comparison {
     /// As `compare.json` has it.
     pub fn to_json(&self) -> String {
         // Maps have text for keys, and numbers that are not finite become null.
-        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+        let mut record = serde_json::to_value(self).unwrap_or_default();
+        let each = |list: &mut Value, add: &dyn Fn(&mut Value)| {
+            list.as_array_mut().into_iter().flatten().for_each(add)
+        };
+        let with_lengths = |figures: &mut Value| add_lengths(figures, self.model.diagonal);
+        with_lengths(&mut record);
+        each(&mut record["methods"], &|method| {
+            let figures = method["figures"].as_object_mut().into_iter().flatten();
+            figures
+                .filter(|(name, _)| OF_VERTICES.contains(&name.as_str()))
+                .for_each(|(_, all)| with_lengths(all));
+        });
+        each(&mut record["pairs"], &|pair| {
+            with_lengths(&mut pair["vertices"]);
+            each(&mut pair["surfaces"], &with_lengths);
+        });
+        format!("{record:#}\n")
     }
 
     /// Methods that were done.
@@ -293,6 +310,20 @@ impl Comparison {
     pub fn failed(&self) -> impl Iterator<Item = (&MethodRecord, &MethodFailure)> {
         self.methods.iter().filter_map(|m| Some((m, m.error.as_ref()?)))
     }
+}
+
+/// Figures of a method that are distances.
+const OF_VERTICES: [&str; 4] = ["transfer_error", "expected_error", "displacement", "to_first"];
+
+/// Distances among them.
+const LENGTHS: [&str; 6] = ["rms", "p99", "p999", "max", "worst", "color_scale"];
+
+/// Adds those of some figures that are fractions of the diagonal in the model's unit; to nothing, nothing.
+fn add_lengths(figures: &mut Value, diagonal: f64) {
+    let Some(figures) = figures.as_object_mut() else { return };
+    let length = |name: &&str| Some(((*name).to_owned(), json!(figures.get(*name)?.as_f64()? * diagonal)));
+    let lengths: Map<String, Value> = LENGTHS.iter().filter_map(length).collect();
+    figures.insert("lengths".to_owned(), Value::Object(lengths));
 }
 
 /// What the processor is called, as Linux tells it.

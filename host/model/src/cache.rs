@@ -6,6 +6,7 @@
 //! ends with the size and the hash of the model that it was made of, and with a hash of its own: it is of use
 //! as long as both are right, and filled anew otherwise.
 
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -71,8 +72,9 @@ struct CacheStamp {
 pub(crate) struct CachedContent {
     /// What goes there of the model, as "its points are unpacked".
     pub what: &'static str,
-    /// Bytes at most.
-    pub bytes: u64,
+    /// How many bytes that are, at least and at most: what was made of the same model by something else is
+    /// of no use.
+    pub bytes: RangeInclusive<u64>,
     /// Bytes besides, until it is made.
     pub meanwhile: u64,
 }
@@ -81,6 +83,13 @@ pub(crate) struct CachedContent {
 pub(crate) struct Making<'a> {
     pub cache: &'a Arc<Cache>,
     pub progress: &'a dyn Progress,
+}
+
+impl Need {
+    /// Bytes on the disk at most.
+    fn room(&self) -> u64 {
+        self.bytes.end().saturating_add(self.meanwhile)
+    }
 }
 
 impl Default for Cache {
@@ -140,7 +149,7 @@ impl Cache {
     /// many bytes that are. It is read in the name of the model.
     ///
     /// # Errors
-    /// The model cannot be read, the disk has no room, or `fill` failed.
+    /// The model cannot be read, the disk has no room, `fill` failed, or wrote more or less than is needed.
     pub(crate) fn get(
         &self,
         source: &Source,
@@ -150,11 +159,16 @@ impl Cache {
     ) -> Result<Source> {
         let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
         let stamp = source.stamp();
-        if let Some(known) = made.as_ref().filter(|known| stamp.is_some() && known.stamp == stamp) {
+        if let Some(known) = made.as_ref()
+            && stamp.is_some()
+            && known.stamp == stamp
+            && need.bytes.contains(&known.of.bytes)
+        {
             return Ok(known.file.clone());
         }
         let source_hash = hash(source, progress)?;
         let is_same = |of: &CacheStamp| (of.source_bytes, of.source_hash) == (source.len(), source_hash);
+        let is_same = |of: &CacheStamp| is_same(of) && need.bytes.contains(&of.bytes);
         let before = made.take().filter(|known| is_same(&known.of)).map(|known| (known.of, known.file));
         let (of, file) = match before.or_else(|| self.kept(source, is_same, progress)) {
             Some(found) => found,
@@ -202,12 +216,12 @@ impl Cache {
             (_, Some((output, _))) => output.path().to_owned(),
             (_, None) => format!("a temporary file in {}", folder.display()).into(),
         };
-        check_space(&place, &folder, need.bytes.saturating_add(need.meanwhile))?;
+        check_space(&place, &folder, need.room())?;
         let meanwhile = match need.meanwhile {
             0 => String::new(),
             bytes => format!(", and {} besides until it is done", human_size(bytes)),
         };
-        let (path, takes) = (source.path().display(), human_size(need.bytes));
+        let (path, takes) = (source.path().display(), human_size(*need.bytes.end()));
         progress.note(&format!(
             "{path}: {} into {}, which takes {takes}{meanwhile}",
             need.what,
@@ -219,6 +233,12 @@ impl Cache {
             None => Scratch::new(&folder, ADVICE)?,
         };
         let bytes = fill(&scratch)?;
+        if !need.bytes.contains(&bytes) {
+            return Err(Error::internal(format!(
+                "{path}: {} in {bytes} bytes, not {:?}",
+                need.what, need.bytes
+            )));
+        }
         source.check_unchanged()?;
         let file = Source::of_scratch(scratch, source.path(), bytes);
         let mut of = CacheStamp { source_bytes: source.len(), source_hash, bytes, hash: 0 };
@@ -239,7 +259,7 @@ impl Cache {
             CacheLocation::Claimed(path, _) => Ok(Some((OutputFile::create(path, 0)?, None))),
             CacheLocation::Shared(path) => {
                 let Ok(claim) = Claim::folder(folder_of(path)) else { return Ok(None) };
-                let Ok(file) = OutputFile::create(path, need.bytes.saturating_add(need.meanwhile)) else {
+                let Ok(file) = OutputFile::create(path, need.room()) else {
                     return Ok(None);
                 };
                 Ok(Some((file, Some(claim))))
@@ -285,4 +305,37 @@ fn hash(source: &Source, progress: &dyn Progress) -> Result<u128> {
         at += read as u64;
     }
     Ok(hash.digest128())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+    use crate::progress::Silent;
+
+    #[test]
+    fn what_is_of_another_size_is_of_no_use() {
+        let folder = tempfile::tempdir().unwrap();
+        let model = folder.path().join("model");
+        std::fs::File::create(&model).unwrap().write_all(b"some model").unwrap();
+        let source = Source::open(&model, None).unwrap();
+        // Written by one, and looked for by others.
+        let made = |bytes: RangeInclusive<u64>, writes: u64| {
+            let cache = Cache::in_folder(&folder.path().join("cache.bin"));
+            let need = Need { what: "it is written", bytes, meanwhile: 0 };
+            let mut is_filled = false;
+            let file = cache.get(&source, &need, &Silent, |to| {
+                is_filled = true;
+                to.set_len(writes)?;
+                Ok(writes)
+            });
+            file.map(|file| (file.len(), is_filled))
+        };
+        assert_eq!(made(5..=5, 5).unwrap(), (5, true));
+        assert_eq!(made(5..=5, 5).unwrap(), (5, false));
+        assert_eq!(made(3..=9, 9).unwrap(), (5, false));
+        assert_eq!(made(7..=7, 7).unwrap(), (7, true));
+        assert!(made(8..=9, 10).is_err());
+    }
 }

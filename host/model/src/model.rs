@@ -692,6 +692,15 @@ pub trait Model: Send + Sync {
         Ok(Vec::new())
     }
 
+    /// Attributes with whole numbers that doubles do not tell apart, each in a few words, as of
+    /// [`besides`](Self::besides), where it takes a look at all vertices to find them.
+    ///
+    /// # Errors
+    /// The file cannot be read; the user cancelled.
+    fn beyond_doubles(&self, _progress: &dyn Progress) -> Result<Vec<String>> {
+        Ok(Vec::new())
+    }
+
     /// The model as whatever it is, for conversions that keep more than is given here.
     fn as_any(&self) -> Option<&dyn Any> {
         None

@@ -462,6 +462,11 @@ impl Model for TiledModel {
         Ok(distinct(all?.into_iter().flatten()))
     }
 
+    fn beyond_doubles(&self, progress: &dyn Progress) -> Result<Vec<String>> {
+        let all: Result<Vec<_>> = self.tiles.iter().map(|part| part.model.beyond_doubles(progress)).collect();
+        Ok(distinct(all?.into_iter().flatten()))
+    }
+
     fn written_bytes(&self) -> u64 {
         self.tiles.iter().map(|part| part.model.written_bytes()).sum()
     }

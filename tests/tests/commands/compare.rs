@@ -97,6 +97,18 @@ fn two_methods_beside_each_other() {
     // The exact map is known for one of them.
     assert!(record.pointer("/methods/0/figures/transfer_error").is_some_and(Value::is_null));
     assert!(number(&record, "/methods/1/figures/transfer_error/rms") < 1e-2);
+    // Distances are told in the model's unit as well.
+    for (figures, name) in [
+        ("", "color_scale"),
+        ("/methods/0/figures/displacement", "max"),
+        ("/methods/1/figures/transfer_error", "p999"),
+        ("/pairs/0/vertices", "p99"),
+        ("/pairs/0/surfaces/1", "rms"),
+    ] {
+        let length = number(&record, &format!("{figures}/lengths/{name}"));
+        assert_eq!(length, number(&record, &format!("{figures}/{name}")) * diagonal, "{figures}/{name}");
+    }
+    assert!(record.pointer("/methods/0/figures/on_samples/edges/lengths").is_none());
     // Vertices can slide along the surface: its distance is the smaller one.
     let [same, near] =
         ["vertices/rms", "surfaces/0/rms"].map(|of| number(&record, &format!("/pairs/0/{of}")));

@@ -331,6 +331,8 @@ fn auto_refines_where_the_deformation_needs_it() {
     assert_eq!(number(&refinement["lengths"]["error"]), number(&refinement["error"]) * diagonal);
     let expected = number(&report["expected_transfer_error"]) * number(&report["diagonal"]);
     assert_eq!(number(&report["expected_transfer_error_length"]), expected);
+    assert_eq!(number(&report["lengths"]["expected_transfer_error"]), expected);
+    assert_eq!(report["lengths"]["error"], report["error_length"]);
     let outcome = work.simod("info model.simod");
     assert!(outcome.stdout.contains("wherever it was needed"), "{}", outcome.stdout);
 

@@ -252,6 +252,35 @@ fn a_large_shuffled_model_needs_no_more_than_its_limit() {
     assert_eq!(work.names(), ["model.ply", "model.simod"]);
 }
 
+/// Resident memory too, with the pages of temporary files, which are 20 bytes for each of 12 million corners.
+#[test]
+#[cfg(target_os = "linux")]
+fn what_is_mapped_for_faces_does_not_stay_resident() {
+    if !OPTIMISED {
+        return skip("millions of vertices take minutes in a build without optimisation");
+    }
+    let peak = |vertices: u32| {
+        let work = Workplace::new();
+        work.simod(&format!("generate -o model.ply --vertices {vertices} --no-normals --no-colors"));
+        work.simod("convert model.ply model.stl --lossy");
+        let mut command = work.command("sample model.stl -o model.simod --samples 20000");
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("a process");
+        let status = format!("/proc/{}/status", child.id());
+        let mut peak = 0;
+        while child.try_wait().expect("a process").is_none() {
+            let text = std::fs::read_to_string(&status).unwrap_or_default();
+            let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+            let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse().ok());
+            peak = kilobytes.unwrap_or(peak);
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        assert!(child.wait().expect("a process").success());
+        peak >> 10
+    };
+    let (half, two) = (peak(500_000), peak(2_000_000));
+    assert!(half > 0 && two < half + 100, "{half} MB, {two} MB");
+}
+
 /// The disk fills up while samples wait in a file, while the maps for the triangles are written, and while
 /// the result is; what was there before stays.
 #[cfg(unix)]

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{ArgGroup, Args};
 use glam::{DVec3, Vec3};
-use serde_json::json;
+use serde_json::{Value, json};
 use simod_core::guard::OutputKind;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deformed_normals};
 use simod_core::refinement::{Finer, Refined, SamplesNeed, appended_deformed};
@@ -207,13 +207,15 @@ fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &R
     report.figure("added", done.added);
     report.figure("error", done.error);
     report.figure("error_length", done.error * diagonal);
+    let mut lengths = json!({"error": done.error * diagonal});
     report.figure("diagonal", diagonal);
     report.figure("cells_read", done.cells);
     report.figure("bytes_read", json!({"vertices": done.vertex_bytes, "faces": done.face_bytes}));
     report.figure("model_bytes", info.bytes);
     if let Some(need) = &done.need {
-        tell_need(report, need, diagonal);
+        tell_need(report, need, &mut lengths, diagonal);
     }
+    report.figure("lengths", lengths);
     if done.sampled.is_some() {
         report.line(format!(
             "{} samples more, {} in all, in {}; the error there is {}",
@@ -235,10 +237,12 @@ fn tell(report: &mut Report, sampled: &SampledModel, model: &dyn Model, done: &R
 }
 
 /// Tells how far vertices are expected to be off.
-fn tell_need(report: &mut Report, need: &SamplesNeed, diagonal: f64) {
+fn tell_need(report: &mut Report, need: &SamplesNeed, lengths: &mut Value, diagonal: f64) {
     for (name, fraction) in [("expected", need.expected), ("allowed", need.allowed)] {
-        report.figure(&format!("{name}_transfer_error"), fraction);
-        report.figure(&format!("{name}_transfer_error_length"), fraction * diagonal);
+        let name = format!("{name}_transfer_error");
+        report.figure(&name, fraction);
+        report.figure(&format!("{name}_length"), fraction * diagonal);
+        lengths[name] = json!(fraction * diagonal);
     }
     report.figure("needy_samples", need.samples);
     let expected = length(need.expected, diagonal);

@@ -118,7 +118,11 @@ impl Converted {
             bytes: 0,
             left_out: AtomicU64::new(0),
         };
-        let mut losses = if keeps_records { Vec::new() } else { converted.model.besides()? };
+        let mut losses = Vec::new();
+        if !keeps_records {
+            losses.extend(converted.model.besides()?);
+            losses.extend(converted.model.beyond_doubles(progress)?);
+        }
         if counted.without_vertex > 0 {
             losses
                 .push(form::counted(counted.without_vertex, "triangle") + " with a corner that is no vertex");

@@ -61,7 +61,11 @@ pub(super) fn made_plain(
         to.set_len(bytes)?;
         Ok(bytes)
     };
-    let need = CachedContent { what: "its sparse accessors are written plainly", bytes, meanwhile: 0 };
+    let need = CachedContent {
+        what: "its sparse accessors are written plainly",
+        bytes: bytes..=bytes,
+        meanwhile: 0,
+    };
     let plain = if container.is_made() {
         // What buffers elsewhere hold, a cache does not know.
         let scratch = making.cache.scratch()?;
@@ -70,10 +74,6 @@ pub(super) fn made_plain(
     } else {
         making.cache.get(&container.source, &need, making.progress, fill)?
     };
-    if plain.len() != bytes {
-        let what = format!("the cache holds {} bytes of its sparse accessors, not {bytes}", plain.len());
-        return Err(container.source.malformed(what, "remove the cache, which is made anew"));
-    }
     let before = container.bin.end - container.bin.start;
     let text = with_views(&container, &json, &starts, (before.next_multiple_of(4), &plain))?;
     let (container, json) = container.with_more(text, plain)?;

@@ -58,7 +58,7 @@ impl<'a> SharedNormals<'a> {
         let of_pairs = (PAIR as u64).saturating_mul(sharing.corners);
         let need = CachedContent {
             what: "which corners share which normal is written",
-            bytes: positions.saturating_add(of_pairs),
+            bytes: positions..=positions.saturating_add(of_pairs),
             meanwhile: of_pairs,
         };
         let source = &model.model.source;

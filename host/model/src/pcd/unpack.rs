@@ -43,7 +43,8 @@ pub(super) fn unpack(source: &Source, header: &PcdHeader, making: &Making<'_>) -
     }
     let text = [&header.text[..header.data_line], b"DATA binary\n"].concat();
     let len = text.len() as u64 + unpacked;
-    let need = CachedContent { what: "its compressed points are unpacked", bytes: len, meanwhile: unpacked };
+    let need =
+        CachedContent { what: "its compressed points are unpacked", bytes: len..=len, meanwhile: unpacked };
     making.cache.get(source, &need, making.progress, |points| {
         let fields = points.beside()?;
         let unpacker = Unpacker {

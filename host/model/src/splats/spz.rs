@@ -104,7 +104,7 @@ pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>
     if bytes / MOST_PACKED > source.len() {
         return Err(damaged(&format!("says {count} splats, but has {} bytes in all", source.len())));
     }
-    let need = CachedContent { what: "its splats are unpacked", bytes, meanwhile: 0 };
+    let need = CachedContent { what: "its splats are unpacked", bytes: bytes..=bytes, meanwhile: 0 };
     let unpacked = making.cache.get(&source, &need, making.progress, |to| {
         let (mut reader, mut block, mut at) = (reader(), vec![0; BLOCK], 0);
         loop {

@@ -319,39 +319,6 @@ impl<G: Grammar> TextModel<G> {
         Ok(())
     }
 
-    /// What attributes lose that have whole numbers which doubles do not hold. All vertices are looked at.
-    ///
-    /// Memory: a block for each thread.
-    fn beyond_doubles(&self) -> Result<Vec<String>> {
-        let are_beyond: Vec<AtomicBool> =
-            self.info.attributes.iter().map(|_| AtomicBool::new(false)).collect();
-        let are_all = || are_beyond.iter().all(|is_beyond| is_beyond.load(Relaxed));
-        self.blocks.spread(usize::MAX).par_bridge().try_for_each_init(Vec::new, |raw, (_, bytes)| {
-            if are_all() {
-                return Ok(());
-            }
-            raw.clear();
-            self.source.append_at(raw, bytes.start, (bytes.end - bytes.start) as usize)?;
-            if !has_many_digits(raw) {
-                return Ok(());
-            }
-            let of_vertices = lines(raw, G::CONTINUES).map(|(start, end)| &raw[start..end]);
-            for line in of_vertices.filter(|line| has_many_digits(line) && self.grammar.is_vertex(line)) {
-                for (attribute, is_beyond) in are_beyond.iter().enumerate() {
-                    if self.grammar.attribute(line, attribute).is_some_and(is_beyond_doubles) {
-                        is_beyond.store(true, Relaxed);
-                    }
-                }
-            }
-            Ok(())
-        })?;
-        let are_beyond = are_beyond.into_iter().map(AtomicBool::into_inner);
-        let beyond = self.info.attributes.iter().zip(are_beyond).filter(|(_, is_beyond)| *is_beyond);
-        Ok(beyond
-            .map(|(of, _)| format!("digits of {}, which has whole numbers beyond 2^53", quoted(&of.name)))
-            .collect())
-    }
-
     /// Appends a chunk's bytes to `text`, with those numbers replaced that were edited, or turn.
     pub(crate) fn splice(
         &self,
@@ -492,9 +459,44 @@ impl<G: Grammar> Model for TextModel<G> {
     }
 
     fn besides(&self) -> Result<Vec<String>> {
-        let mut besides = self.grammar.besides();
-        besides.extend(self.beyond_doubles()?);
-        Ok(besides)
+        Ok(self.grammar.besides())
+    }
+
+    /// Memory: a block for each thread.
+    fn beyond_doubles(&self, progress: &dyn Progress) -> Result<Vec<String>> {
+        if self.info.attributes.is_empty() {
+            return Ok(Vec::new());
+        }
+        let are_beyond: Vec<AtomicBool> =
+            self.info.attributes.iter().map(|_| AtomicBool::new(false)).collect();
+        progress.begin("looking for numbers beyond 2^53", self.info.vertex_bytes);
+        let are_all = || are_beyond.iter().all(|is_beyond| is_beyond.load(Relaxed));
+        self.blocks.spread(usize::MAX).par_bridge().try_for_each_init(Vec::new, |raw, (_, bytes)| {
+            if are_all() {
+                return Ok(());
+            }
+            progress.check()?;
+            raw.clear();
+            self.source.append_at(raw, bytes.start, (bytes.end - bytes.start) as usize)?;
+            progress.advance(bytes.end - bytes.start);
+            if !has_many_digits(raw) {
+                return Ok(());
+            }
+            let of_vertices = lines(raw, G::CONTINUES).map(|(start, end)| &raw[start..end]);
+            for line in of_vertices.filter(|line| has_many_digits(line) && self.grammar.is_vertex(line)) {
+                for (attribute, is_beyond) in are_beyond.iter().enumerate() {
+                    if self.grammar.attribute(line, attribute).is_some_and(is_beyond_doubles) {
+                        is_beyond.store(true, Relaxed);
+                    }
+                }
+            }
+            Ok(())
+        })?;
+        let are_beyond = are_beyond.into_iter().map(AtomicBool::into_inner);
+        let beyond = self.info.attributes.iter().zip(are_beyond).filter(|(_, is_beyond)| *is_beyond);
+        Ok(beyond
+            .map(|(of, _)| format!("digits of {}, which has whole numbers beyond 2^53", quoted(&of.name)))
+            .collect())
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
