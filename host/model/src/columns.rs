@@ -214,8 +214,8 @@ pub(crate) fn is_columns(source: &Source, extension: &str) -> bool {
 }
 
 impl Columns {
-    /// Makes attributes of the columns without a role that are numbers on the first line of a point, and notes
-    /// the others that have a name, where `is_told` says that there is such a column.
+    /// Makes attributes of the columns without a role that are numbers on the first line of a point, and
+    /// notes the others that have a name, where `is_told` says that there is such a column.
     fn find_attributes(
         &mut self,
         names: &[String],

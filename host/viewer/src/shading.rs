@@ -142,8 +142,8 @@ impl<'a> RestSurface<'a> {
     /// A sample's normal, turned as the triangles between it and its nearest neighbours are:
     /// `Σ (r₁ × r₂ · n) d₁ × d₂` over pairs of neighbours, where `r` are the ways to them at rest and `d`
     /// those now. With tangents `s × t = n` that is `(Σ (r·s) d) × (Σ (r·t) d)`. And the ellipse of the
-    /// linear map that carries these ways over best. A [`LaneRing`] does the same of many at a time, unless their
-    /// neighbours lie on a line.
+    /// linear map that carries these ways over best. A [`LaneRing`] does the same of many at a time,
+    /// unless their neighbours lie on a line.
     fn turned(&self, now: &[Vec3], i: usize) -> (Vec3, EllipseAxes) {
         let (rest, n) = (self.positions, self.normals[i]);
         let (s, t) = n.any_orthonormal_pair();
@@ -191,8 +191,8 @@ struct Lying {
     least: Lanes,
 }
 
-/// What the rest shape says of some samples, side by side. What [`RestSurface::turned`] sums up is linear in the
-/// ways to the neighbours now; so what stands before these is known beforehand.
+/// What the rest shape says of some samples, side by side. What [`RestSurface::turned`] sums up is linear
+/// in the ways to the neighbours now; so what stands before these is known beforehand.
 struct LaneRing {
     /// The samples, and their neighbours; the sample itself where there are fewer.
     near: [[u32; 1 + RING]; LANES],

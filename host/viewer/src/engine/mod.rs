@@ -126,7 +126,8 @@ impl Engine {
     }
 
     /// Has steps done, instead of those that wait for it; if wanted, with the [error to be
-    /// expected](crate::ViewerScene::expected_error). Gives the request's number, which comes back with the result.
+    /// expected](crate::ViewerScene::expected_error). Gives the request's number, which comes back
+    /// with the result.
     pub fn evaluate(&mut self, steps: Arc<[Entry]>, effort: Effort, extra: Extra) -> u64 {
         self.requests += 1;
         let number = self.requests;
