@@ -85,7 +85,7 @@ pub(crate) struct Making<'a> {
     pub progress: &'a dyn Progress,
 }
 
-impl Need {
+impl CachedContent {
     /// Bytes on the disk at most.
     fn room(&self) -> u64 {
         self.bytes.end().saturating_add(self.meanwhile)
@@ -323,7 +323,7 @@ mod tests {
         // Written by one, and looked for by others.
         let made = |bytes: RangeInclusive<u64>, writes: u64| {
             let cache = Cache::in_folder(&folder.path().join("cache.bin"));
-            let need = Need { what: "it is written", bytes, meanwhile: 0 };
+            let need = CachedContent { what: "it is written", bytes, meanwhile: 0 };
             let mut is_filled = false;
             let file = cache.get(&source, &need, &Silent, |to| {
                 is_filled = true;
