@@ -39,9 +39,9 @@ pub fn return_large_blocks() {
     set_allocator(LARGE, LITTLE_FREE);
 }
 
-/// As long as there is one, large blocks are used again where they would [go back](return_large_blocks) to the
-/// system: for work that takes and frees many of them, as pages that the system gives out anew cost more than
-/// what is done in them. What is free in the end goes back to it.
+/// As long as there is one, large blocks are used again where they would [go back](return_large_blocks) to
+/// the system: for work that takes and frees many of them, as pages that the system gives out anew cost more
+/// than what is done in them. What is free in the end goes back to it.
 pub struct Reusing(());
 
 impl Reusing {
@@ -83,7 +83,8 @@ fn give_back() {
 fn set_allocator(block: i32, free: i32) {
     for (what, bytes) in [(libc::M_MMAP_THRESHOLD, block), (libc::M_TRIM_THRESHOLD, free)] {
         #[expect(unsafe_code, reason = "a setting of the allocator")]
-        // SAFETY: it takes two numbers, keeps them for later calls of the allocator, and locks what it changes.
+        // SAFETY: it takes two numbers, keeps them for later calls of the allocator, and locks what it
+        // changes.
         let _ = unsafe { libc::mallopt(what, bytes) };
     }
 }

@@ -1,5 +1,5 @@
-//! How samples stand over their neighbours, for [`deconvolution`](super::deconvolution): of as many at once as
-//! the processor's vector registers take, each by the same operations in the same order on any processor.
+//! How samples stand over their neighbours, for [`deconvolution`](super::deconvolution): of as many at once
+//! as the processor's vector registers take, each by the same operations in the same order on any processor.
 
 #![expect(
     clippy::needless_range_loop,
@@ -213,8 +213,8 @@ fn along<S: Simd>(d: Triple<S>) -> DoubleLanes<S> {
     d[1] * d[1] + d[2] * d[2]
 }
 
-/// Which of the samples that are `asked` for lie on two sheets, one above the other, with their neighbours, to
-/// which these are the ways along the axes of their scatter. Heights are at first along x, and then across
+/// Which of the samples that are `asked` for lie on two sheets, one above the other, with their neighbours,
+/// to which these are the ways along the axes of their scatter. Heights are at first along x, and then across
 /// what is found to be both sheets: with all in one, their plane leans from one sheet to the other.
 #[inline(always)]
 fn are_two_sheets<S: Simd>(

@@ -296,7 +296,16 @@ impl Islands {
         if links.len() > most {
             (links, self.tangled) = (Vec::new(), true);
         }
-        let graph = ClusterGraph::new(&links, self.latest.len(), |first| sample_of[first as usize]);
+        // Links are in the order of the first vertices of their first ends.
+        let (share, mut left) = (size_of_val(sample_of) / links.len().max(1), 2 * FEW);
+        let graph = ClusterGraph::new(&links, self.latest.len(), |first| {
+            left -= 1;
+            if left == 0 {
+                left = 2 * FEW;
+                looked_at(share * FEW);
+            }
+            sample_of[first as usize]
+        });
         self.links = links;
         Ok(graph)
     }
@@ -474,7 +483,7 @@ pub struct Mixed {
 
 impl ClusterGraph {
     /// The graph of links between islands, which are known by their first vertices.
-    fn new(links: &[[u32; 2]], clusters: usize, cluster_of: impl Fn(u32) -> u32) -> Self {
+    fn new(links: &[[u32; 2]], clusters: usize, mut cluster_of: impl FnMut(u32) -> u32) -> Self {
         let mut graph = Self {
             firsts: vec![NONE; clusters],
             further: Vec::new(),
@@ -486,7 +495,7 @@ impl ClusterGraph {
         let mut later: Vec<(u32, usize)> = Vec::new();
         let mut pairs: Vec<[u32; 2]> = Vec::with_capacity(links.len());
         for (at, link) in links.iter().enumerate() {
-            let mut pair = link.map(&cluster_of);
+            let mut pair = link.map(&mut cluster_of);
             for (end, (first, cluster)) in link.iter().zip(&mut pair).enumerate() {
                 let known = &mut graph.firsts[*cluster as usize];
                 if *known == NONE {
