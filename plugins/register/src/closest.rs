@@ -120,13 +120,15 @@ impl<'a> Closest<'a> {
         progress: &dyn Fn(f64) -> PluginResult<()>,
     ) -> PluginResult<()> {
         let degrees = 1 + (DEGREES * stiffer.log10()).ceil() as usize;
+        // Taken once, as the system hands out memory of that size page by page.
+        let mut room = graph.room();
         for degree in 0..degrees {
             let stiffness = stiffness * stiffer.powf(1.0 - degree as f64 / (degrees - 1).max(1) as f64);
             for step in 0..STEPS {
                 progress((degree * STEPS + step) as f64 / (degrees * STEPS) as f64)?;
                 let terms = self.terms(graph, host)?;
                 let before = graph.clone();
-                graph.settle(&terms, stiffness, 2)?;
+                graph.settle(&terms, stiffness, 2, &mut room)?;
                 if graph.apart(&before) < STILL {
                     break;
                 }

@@ -3,8 +3,10 @@
 //! *As-rigid-as-possible surface modeling*, SGP 2007): the energy of its edges is what bending costs.
 
 use crate::points::{farthest, nearest_turn};
-use faer::linalg::solvers::{Llt, Solve};
-use faer::{Mat, Side};
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::{LltRegularization, cholesky_in_place, cholesky_in_place_scratch};
+use faer::linalg::cholesky::llt::solve::solve_in_place;
+use faer::{Mat, MatRef, Par, Spec};
 use glam::{DMat3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult};
 use std::collections::BTreeSet;
@@ -123,20 +125,30 @@ impl Graph {
         (self.edges.iter().map(part).sum::<f64>() / self.edges.len().max(1) as f64).sqrt()
     }
 
-    /// Puts the nodes where terms and edges want them, then turns them, and that `times` times.
+    /// Room for the matrix of the equations, which [`settle`](Self::settle) fills each time: 72 bytes for each
+    /// two nodes.
+    pub fn room(&self) -> Mat<f64> {
+        Mat::zeros(3 * self.nodes.len(), 3 * self.nodes.len())
+    }
+
+    /// Puts the nodes where terms and edges want them, then turns them, and that `times` times. The matrix of
+    /// the equations takes the room.
     ///
     /// # Errors
     /// The equations have no solution.
-    pub fn settle(&mut self, terms: &[Term], stiffness: f64, times: usize) -> PluginResult<()> {
-        faer::set_global_parallelism(faer::Par::Seq);
+    pub fn settle(
+        &mut self,
+        terms: &[Term],
+        stiffness: f64,
+        times: usize,
+        room: &mut Mat<f64>,
+    ) -> PluginResult<()> {
         // Turns change the right side alone.
-        let factor = Llt::new(self.normal(terms, stiffness).as_ref(), Side::Lower).map_err(|_| {
-            PluginError::internal("the equations of the nodes are not positive")
-                .hint("take a larger `stiffness`")
-        })?;
+        self.normal(terms, stiffness, room);
+        let factor = factorised(room)?;
         for _ in 0..times {
             let mut places = self.wanted(terms, stiffness);
-            factor.solve_in_place(places.as_mut());
+            solve_in_place(factor, places.as_mut(), Par::Seq, MemStack::new(&mut []));
             for (i, node) in self.nodes.iter_mut().enumerate() {
                 node.now = DVec3::new(places[(3 * i, 0)], places[(3 * i + 1, 0)], places[(3 * i + 2, 0)]);
             }
@@ -151,8 +163,8 @@ impl Graph {
     }
 
     /// The lower half of the equations' matrix.
-    fn normal(&self, terms: &[Term], stiffness: f64) -> Mat<f64> {
-        let mut normal = Mat::<f64>::zeros(3 * self.nodes.len(), 3 * self.nodes.len());
+    fn normal(&self, terms: &[Term], stiffness: f64, normal: &mut Mat<f64>) {
+        normal.fill(0.0);
         let mut add = |a: usize, b: usize, block: DMat3| {
             for (i, j) in (0..9).map(|k| (k % 3, k / 3)) {
                 normal[(3 * a + i, 3 * b + j)] += block.col(j)[i];
@@ -172,7 +184,6 @@ impl Graph {
             add(*a.max(b), *a.min(b), -2.0 * each * DMat3::IDENTITY);
         }
         (0..self.nodes.len()).for_each(|i| add(i, i, hold * DMat3::IDENTITY));
-        normal
     }
 
     /// Their right side, as the nodes are turned.
@@ -210,6 +221,23 @@ impl Graph {
             }
         }
     }
+}
+
+/// The factor of a matrix, of whose lower half it takes the place.
+fn factorised(matrix: &mut Mat<f64>) -> PluginResult<MatRef<'_, f64>> {
+    let mut memory =
+        MemBuffer::new(cholesky_in_place_scratch::<f64>(matrix.nrows(), Par::Seq, Spec::default()));
+    let done = cholesky_in_place(
+        matrix.as_mut(),
+        LltRegularization::default(),
+        Par::Seq,
+        MemStack::new(&mut memory),
+        Spec::default(),
+    );
+    done.map_err(|_| {
+        PluginError::internal("the equations of the nodes are not positive").hint("take a larger `stiffness`")
+    })?;
+    Ok(matrix.as_ref())
 }
 
 /// Nodes that carry the same points are neighbours, each two once.
