@@ -48,13 +48,13 @@ impl HostCalls for Listener {
     }
 }
 
-/// What a plugin politely says instead of an answer.
-pub(crate) struct PoliteError(pub String);
+/// What a plugin says that refuses to answer.
+pub(crate) struct PluginRefusal(pub String);
 
-/// An answer, or a polite error.
-pub(crate) type Answer<T> = Result<T, PoliteError>;
+/// An answer, or why there is none.
+pub(crate) type Answer<T> = Result<T, PluginRefusal>;
 
-impl PoliteError {
+impl PluginRefusal {
     /// The finding where something ordinary is refused: the rule cannot be checked.
     pub fn of_ordinary(self) -> Finding {
         Finding::skip(format!("it refuses the ordinary model: {}", self.0))
@@ -70,7 +70,7 @@ pub(crate) fn answer<T>(call: &str, result: PluginResult<T>) -> Checked<Answer<T
             format!("{call} says that it was cancelled, and nobody asked it to stop"),
             "return `cancelled` where the host's `progress` says so, and nowhere else",
         )),
-        Err(error) => Ok(Err(PoliteError(match line(&error.message) {
+        Err(error) => Ok(Err(PluginRefusal(match line(&error.message) {
             text if text.is_empty() => "an error without a message".to_owned(),
             text => text,
         }))),

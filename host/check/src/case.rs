@@ -1,6 +1,6 @@
 //! What a plugin is given: samples, regions, motions and parameters, made the same way each time.
 
-use crate::answer::{Listener, PoliteError, answer};
+use crate::answer::{Listener, PluginRefusal, answer};
 use crate::finding::{Checked, Finding};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use simod_core::sampling::SampleSet;
@@ -125,7 +125,7 @@ impl Case {
         }
         let call =
             |input: &PrepareInput<'_>| plugin.code().handles(&input.without_regions(), &Listener::patient());
-        let handles = answer("handles", self.prepare_input(call))?.map_err(PoliteError::of_ordinary)?;
+        let handles = answer("handles", self.prepare_input(call))?.map_err(PluginRefusal::of_ordinary)?;
         check_handles(&handles).map_err(|what| Finding::fail(what, "see `HandleDesc`"))?;
         Ok(handles)
     }

@@ -1,6 +1,6 @@
 //! Rules on time and talk.
 
-use crate::answer::{Listener, PoliteError, answer, panicked};
+use crate::answer::{Listener, PluginRefusal, answer, panicked};
 use crate::case::Case;
 use crate::finding::{Checked, Finding};
 use crate::inputs::{LARGE, ORDINARY};
@@ -44,7 +44,7 @@ pub(crate) fn cancel(subject: &Subject) -> Checked<Finding> {
     take("prepare", started.elapsed())?;
     let state = match stopped("prepare", state)? {
         Some(state) => state,
-        None => subject.prepare(&case)?.map_err(PoliteError::of_ordinary)?,
+        None => subject.prepare(&case)?.map_err(PluginRefusal::of_ordinary)?,
     };
     let (mut scratch, mut out) = (subject.scratch()?, unwritten(&case));
     let started = Instant::now();
@@ -107,7 +107,7 @@ pub(crate) fn log(subject: &Subject) -> Checked<Finding> {
 pub(crate) fn latency(subject: &Subject) -> Checked<Finding> {
     const TIMES: usize = 5;
     let case = Case::bumpy_sphere(&subject.plugin, LARGE)?;
-    let state = subject.prepare(&case)?.map_err(PoliteError::of_ordinary)?;
+    let state = subject.prepare(&case)?.map_err(PluginRefusal::of_ordinary)?;
     let (mut scratch, mut out, host) = (subject.scratch()?, unwritten(&case), Listener::patient());
     let mut shortest = Duration::MAX;
     for _ in 0..TIMES {
@@ -115,7 +115,7 @@ pub(crate) fn latency(subject: &Subject) -> Checked<Finding> {
         let done = case
             .deform_input(|input| subject.plugin.code().deform(&state, input, &mut scratch, &mut out, &host));
         shortest = shortest.min(started.elapsed());
-        answer("deform", done)?.map_err(PoliteError::of_ordinary)?;
+        answer("deform", done)?.map_err(PluginRefusal::of_ordinary)?;
     }
     let text = format!("deform takes {:.1} ms for 200 000 samples", shortest.as_secs_f64() * 1e3);
     Ok(if shortest > INTERACTIVE {

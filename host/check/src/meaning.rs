@@ -1,6 +1,6 @@
 //! Rules on what a deformation means: nothing for nothing, the same for the same.
 
-use crate::answer::{PoliteError, answer};
+use crate::answer::{PluginRefusal, answer};
 use crate::case::{Case, Other, motion};
 use crate::finding::{Checked, Finding};
 use crate::inputs::{FEW, ORDINARY};
@@ -39,7 +39,7 @@ pub(crate) fn ordinary(subject: &Subject) -> Checked<Finding> {
             Some(_) => Finding::pass("it is deformed"),
             None => Finding::pass("nothing moves"),
         }),
-        Err(PoliteError(what)) => {
+        Err(PluginRefusal(what)) => {
             let hint = "choose defaults that deform any model, and use what the description asks for alone";
             Err(Finding::fail(format!("it refuses a sphere with bumps: {what}"), hint))
         }
@@ -73,7 +73,7 @@ fn says_that_it_moves(subject: &Subject, case: &Case) -> Checked<bool> {
         return Ok(false);
     }
     let told = answer("is_identity", case.deform_input(|input| plugin.code().is_identity(input)))?;
-    told.map(|is_identity| !is_identity).map_err(PoliteError::of_ordinary)
+    told.map(|is_identity| !is_identity).map_err(PluginRefusal::of_ordinary)
 }
 
 pub(crate) fn rigid(subject: &Subject) -> Checked<Finding> {
@@ -139,7 +139,8 @@ pub(crate) fn repeatable(subject: &Subject) -> Checked<Finding> {
         let mut scratch = subject.scratch()?;
         // The second time with a scratch that was used before.
         for _ in 0..2 {
-            let positions = subject.deform(&case, &state, &mut scratch)?.map_err(PoliteError::of_ordinary)?;
+            let positions =
+                subject.deform(&case, &state, &mut scratch)?.map_err(PluginRefusal::of_ordinary)?;
             if let Some(what) = difference(&first, &positions) {
                 return Err(differs("deformed again with the same state, by several threads", &what));
             }
@@ -167,10 +168,10 @@ pub(crate) fn input_unchanged(subject: &Subject) -> Checked<Finding> {
     };
     let state = subject.prepare(&case)?;
     unchanged("prepare")?;
-    let state = state.map_err(PoliteError::of_ordinary)?;
+    let state = state.map_err(PluginRefusal::of_ordinary)?;
     let deformed = subject.deform(&case, &state, &mut subject.scratch()?);
     unchanged("deform")?;
-    deformed?.map_err(PoliteError::of_ordinary)?;
+    deformed?.map_err(PluginRefusal::of_ordinary)?;
     let points = case.positions.iter().map(|p| p.map(f64::from)).collect();
     let evaluated = subject.evaluate(&case, &state, points);
     unchanged("evaluate")?;
@@ -240,7 +241,7 @@ pub(crate) fn is_identity(subject: &Subject) -> Checked<Finding> {
     }
     let ask = |case: &Case| {
         let told = answer("is_identity", case.deform_input(|input| plugin.code().is_identity(input)))?;
-        told.map_err(PoliteError::of_ordinary)
+        told.map_err(PluginRefusal::of_ordinary)
     };
     let moved = Case::bumpy_sphere(plugin, ORDINARY)?;
     let rest = moved.clone().at_rest();

@@ -1,6 +1,6 @@
 //! Rules on parameters: any value in range is answered, and the preparation depends on what it says it does.
 
-use crate::answer::PoliteError;
+use crate::answer::PluginRefusal;
 use crate::case::Case;
 use crate::finding::{Checked, Finding, Verdict};
 use crate::inputs::{FEW, all_calls};
@@ -62,7 +62,7 @@ pub(crate) fn invalidation(subject: &Subject) -> Checked<Finding> {
         return Ok(Finding::skip("no parameter is said not to matter to the preparation"));
     }
     let case = Case::bumpy_sphere(plugin, FEW)?;
-    let old = subject.prepare(&case)?.map_err(PoliteError::of_ordinary)?;
+    let old = subject.prepare(&case)?.map_err(PluginRefusal::of_ordinary)?;
     let mut random = Random::new(subject.seed);
     let mut compared = 0;
     for d in &free {

@@ -1,6 +1,6 @@
 //! The plugin under check, and calls to it whose failures are findings.
 
-use crate::answer::{Answer, Listener, PoliteError, answer};
+use crate::answer::{Answer, Listener, PluginRefusal, answer};
 use crate::case::Case;
 use crate::finding::{Checked, Finding};
 use simod_plugin_api::{Scratch, State};
@@ -30,7 +30,7 @@ impl Subject {
     /// Working memory.
     pub fn scratch(&self) -> Checked<Scratch> {
         answer("new_scratch", self.plugin.code().new_scratch())?
-            .map_err(|PoliteError(what)| Finding::fail(format!("it has no working memory: {what}"), ""))
+            .map_err(|PluginRefusal(what)| Finding::fail(format!("it has no working memory: {what}"), ""))
     }
 
     /// Deforms with a state: positions that are all written and finite.
@@ -63,7 +63,7 @@ impl Subject {
     /// As [`run`](Self::run), of a case that there is no reason to refuse: nothing more can be said where it
     /// is.
     pub fn run_ordinary(&self, case: &Case) -> Checked<(State, Vec<[f32; 3]>)> {
-        self.run(case)?.map_err(PoliteError::of_ordinary)
+        self.run(case)?.map_err(PluginRefusal::of_ordinary)
     }
 
     /// The images of points, finite; nothing where the plugin knows the samples' alone.

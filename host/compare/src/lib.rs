@@ -44,7 +44,7 @@ pub use file::{
 pub use planned::{ComparisonPlan, ComparisonPlanOptions, make};
 pub use record::{
     Comparison, DeformationRecord, Figures, MachineRecord, MethodFailure, MethodRecord, ModelRecord,
-    OnSamples, Pair, ResultFile, RunSeconds, Seconds,
+    OnSamples, Pair, ResultFile, RunSeconds, Seconds, add_lengths,
 };
 pub use unit::{Done, do_unit};
 

@@ -91,7 +91,8 @@ pub struct ModelRecord {
     pub vertices: u64,
     /// Hash of the bytes of all vertices.
     pub fingerprint: String,
-    /// Of the bounding box, in the model's unit: the unit of all lengths here.
+    /// Of the bounding box, in the model's unit: what all figures here are fractions of that are lengths, but for
+    /// those under `lengths`.
     pub diagonal: f64,
 }
 
@@ -283,21 +284,17 @@ impl Comparison {
     pub fn to_json(&self) -> String {
         // Maps have text for keys, and numbers that are not finite become null.
         let mut record = serde_json::to_value(self).unwrap_or_default();
-        let each = |list: &mut Value, add: &dyn Fn(&mut Value)| {
-            list.as_array_mut().into_iter().flatten().for_each(add)
-        };
-        let with_lengths = |figures: &mut Value| add_lengths(figures, self.model.diagonal);
+        let with_lengths = |figures: &mut Value| add_lengths(figures, &LENGTHS, self.model.diagonal);
         with_lengths(&mut record);
-        each(&mut record["methods"], &|method| {
-            let figures = method["figures"].as_object_mut().into_iter().flatten();
-            figures
-                .filter(|(name, _)| OF_VERTICES.contains(&name.as_str()))
-                .for_each(|(_, all)| with_lengths(all));
-        });
-        each(&mut record["pairs"], &|pair| {
-            with_lengths(&mut pair["vertices"]);
-            each(&mut pair["surfaces"], &with_lengths);
-        });
+        for figures in elements(record.get_mut("methods")).filter_map(|method| method.get_mut("figures")) {
+            for name in OF_VERTICES {
+                figures.get_mut(name).into_iter().for_each(with_lengths);
+            }
+        }
+        for pair in elements(record.get_mut("pairs")) {
+            pair.get_mut("vertices").into_iter().for_each(with_lengths);
+            elements(pair.get_mut("surfaces")).for_each(with_lengths);
+        }
         format!("{record:#}\n")
     }
 
@@ -318,11 +315,17 @@ const OF_VERTICES: [&str; 4] = ["transfer_error", "expected_error", "displacemen
 /// Distances among them.
 const LENGTHS: [&str; 6] = ["rms", "p99", "p999", "max", "worst", "color_scale"];
 
-/// Adds those of some figures that are fractions of the diagonal in the model's unit; to nothing, nothing.
-fn add_lengths(figures: &mut Value, diagonal: f64) {
+/// The elements of a list, if it is one.
+fn elements(list: Option<&mut Value>) -> impl Iterator<Item = &mut Value> {
+    list.and_then(Value::as_array_mut).into_iter().flatten()
+}
+
+/// Adds those of some figures that are fractions of the diagonal in the model's unit, by the same names under
+/// `lengths`. What is no object stays.
+pub fn add_lengths(figures: &mut Value, names: &[&str], diagonal: f64) {
     let Some(figures) = figures.as_object_mut() else { return };
     let length = |name: &&str| Some(((*name).to_owned(), json!(figures.get(*name)?.as_f64()? * diagonal)));
-    let lengths: Map<String, Value> = LENGTHS.iter().filter_map(length).collect();
+    let lengths: Map<String, Value> = names.iter().filter_map(length).collect();
     figures.insert("lengths".to_owned(), Value::Object(lengths));
 }
 

@@ -167,8 +167,9 @@ impl Cache {
             return Ok(known.file.clone());
         }
         let source_hash = hash(source, progress)?;
-        let is_same = |of: &CacheStamp| (of.source_bytes, of.source_hash) == (source.len(), source_hash);
-        let is_same = |of: &CacheStamp| is_same(of) && need.bytes.contains(&of.bytes);
+        let is_same = |of: &CacheStamp| {
+            (of.source_bytes, of.source_hash) == (source.len(), source_hash) && need.bytes.contains(&of.bytes)
+        };
         let before = made.take().filter(|known| is_same(&known.of)).map(|known| (known.of, known.file));
         let (of, file) = match before.or_else(|| self.kept(source, is_same, progress)) {
             Some(found) => found,

@@ -42,6 +42,8 @@ pub fn return_large_blocks() {
 /// As long as there is one, large blocks are used again where they would [go back](return_large_blocks) to
 /// the system: for work that takes and frees many of them, as pages that the system gives out anew cost more
 /// than what is done in them. What is free in the end goes back to it.
+///
+/// Memory: blocks that are free meanwhile stay with the thread that took them, 64 MiB of each at most.
 pub struct Reusing(());
 
 impl Reusing {
@@ -83,8 +85,9 @@ fn give_back() {
 fn set_allocator(block: i32, free: i32) {
     for (what, bytes) in [(libc::M_MMAP_THRESHOLD, block), (libc::M_TRIM_THRESHOLD, free)] {
         #[expect(unsafe_code, reason = "a setting of the allocator")]
-        // SAFETY: it takes two numbers, keeps them for later calls of the allocator, and locks what it
-        // changes.
+        // SAFETY: it takes two numbers and keeps them for later calls of the allocator. Other threads may be in
+        // one: the numbers are words, and whoever reads a former one goes by that, as where glibc itself changes
+        // them, which it does until somebody sets them.
         let _ = unsafe { libc::mallopt(what, bytes) };
     }
 }

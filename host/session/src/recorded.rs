@@ -121,7 +121,7 @@ fn part_of(kind: &str, around: Deformation) -> Result<toml::Value, String> {
     only_element(table.remove(kind)).ok_or_else(|| format!("it is no {kind}"))
 }
 
-/// The only part of a kind, read from a recording's table.
+/// A part of a kind, read from a recording's table as the only one of a step.
 fn only_part<T>(kind: &str, part: toml::Value, only: impl Fn(Deformation) -> Option<T>) -> Result<T, String> {
     let mut table = table_with(kind, vec![part].into());
     table.insert("deform".to_owned(), ANY.into());

@@ -177,7 +177,7 @@ impl Studio<'_> {
         self.drawn(turn, self.shot.style.background)
     }
 
-    /// The same as the content of a PNG file, in the shot's [format](Format).
+    /// The same as the content of a PNG file, in the shot's [format](ScreenshotFormat).
     ///
     /// # Errors
     /// The device was lost.

@@ -263,7 +263,7 @@ fn what_is_mapped_for_faces_does_not_stay_resident() {
         let work = Workplace::new();
         work.simod(&format!("generate -o model.ply --vertices {vertices} --no-normals --no-colors"));
         work.simod("convert model.ply model.stl --lossy");
-        let mut command = work.command("sample model.stl -o model.simod --samples 20000");
+        let mut command = work.command("sample model.stl -o model.simod --samples 20000 --threads 4");
         let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("a process");
         let status = format!("/proc/{}/status", child.id());
         let mut peak = 0;

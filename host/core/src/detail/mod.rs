@@ -78,7 +78,7 @@ impl DetailAttributes {
     }
 }
 
-/// What was [asked for](Shown) of each vertex.
+/// What was [asked for](DetailAttributes) of each vertex.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum Values {
     /// Nothing.

@@ -188,6 +188,7 @@ impl DeformationField<'_> {
             (squares / near.len().max(1) as f32).sqrt()
         };
         let disagreement: Vec<f32> = (0..samples).into_par_iter().map(disagreement).collect();
+        drop(scales);
         let largest = largest.into_iter().map(|bits| f32::from_bits(bits.into_inner()));
         let told = |(disagreement, largest)| Expectation { disagreement, largest, left_out: 0.0 };
         disagreement.into_iter().zip(largest).map(told).collect()
@@ -236,16 +237,16 @@ impl DeformationField<'_> {
     /// How far the expansions about two samples are apart halfway between them, and more where these are so
     /// far from each other that this tells little; but for what rounding explains, which turns gradients,
     /// too.
-    fn halfway(&self, i: usize, j: usize, scale: impl Fn(usize) -> Scale) -> f32 {
+    fn halfway(&self, i: usize, j: usize, scale_of: impl Fn(usize) -> Scale) -> f32 {
         let (one, other) = (&self.expansions[i], &self.expansions[j]);
-        let (scale, of_other) = (scale(i), scale(j));
+        let (own, of_other) = (scale_of(i), scale_of(j));
         let halfway = 0.5 * (Vec3::from_array(one.center) + Vec3::from_array(other.center));
         let apart = says(one, halfway).distance(says(other, halfway));
-        let rounding = TELLING as f32 * hypot([scale.rounding, of_other.rounding]);
+        let rounding = TELLING as f32 * hypot([own.rounding, of_other.rounding]);
         // How far their gradients differ, as a part of their mean size: at most 2.
-        let size = (scale.gradient + of_other.gradient).max(f32::MIN_POSITIVE);
-        let turning = 2.0 * norm(one.slope() - other.slope()) / size;
-        hypot([apart, OF_TURNING * turning * (apart - rounding).max(0.0)])
+        let size = (own.gradient + of_other.gradient).max(f32::MIN_POSITIVE);
+        let turned = 2.0 * norm(one.slope() - other.slope()) / size;
+        hypot([apart, OF_TURNING * turned * (apart - rounding).max(0.0)])
     }
 
     /// What differences from a sample's expansion are measured by.

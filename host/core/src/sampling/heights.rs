@@ -28,16 +28,16 @@ const LEAST_SURROUNDED: f64 = 0.5;
 /// surface.
 const MOST_THICKNESS: f64 = 0.3;
 
-/// Least thickness, likewise, for which it is looked whether the neighbours are of two sheets, which part
-/// more than this of the variance of their heights: their means stay where they are.
+/// Least thickness, likewise, for which it is looked whether the neighbours are of two sheets, and the part of
+/// the variance of heights that parting these explains then: their means stay where they are.
 const LEAST_THICKNESS: f64 = 1.0 / 64.0;
 const TWO_SHEETS: f64 = 0.95;
 
-/// Where it is less than this part at first, they need not be parted again: of heights that are spread evenly
-/// it is 3/4.
+/// Part of the variance below which neighbours need not be parted again: of heights that are spread evenly,
+/// parting explains 3/4.
 const AS_OF_ONE: f64 = 0.75;
 
-/// How often they are parted, each time across what they were parted into.
+/// Partings of neighbours at most, each across what the former one has found.
 const PARTINGS: usize = 5;
 
 /// Samples that are looked at by one job.
@@ -53,7 +53,7 @@ pub(super) struct Height {
     pub height: f64,
     /// The variance of that height, for one of 1 of each sample; nothing where there is none.
     pub variance: f64,
-    /// They are of two sheets, one above the other.
+    /// Whether sample and neighbours are of two sheets, one above the other.
     pub is_of_two: bool,
 }
 

@@ -137,7 +137,7 @@ pub(crate) fn total_memory() -> u64 {
 
 /// Samples a model. Temporary files without a name are made in `folder`: of at most 40 bytes per vertex if
 /// the memory limit is reached, and of 8 bytes per vertex for the triangles, of 20 where faces place the
-/// samples.
+/// samples; of 20 more where faces share no vertices.
 ///
 /// # Errors
 /// The model cannot be read, changes meanwhile, or has no vertex with a finite position; the target is zero

@@ -296,7 +296,8 @@ impl Islands {
         if links.len() > most {
             (links, self.tangled) = (Vec::new(), true);
         }
-        // Links are in the order of the first vertices of their first ends.
+        // Links ascend by their first ends, so that samples are looked up in about the vertices' order; two
+        // look-ups a link.
         let (share, mut left) = (size_of_val(sample_of) / links.len().max(1), 2 * FEW);
         let graph = ClusterGraph::new(&links, self.latest.len(), |first| {
             left -= 1;

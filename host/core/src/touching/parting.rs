@@ -10,6 +10,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 use simod_model::mapped::looked_at;
+use simod_model::output::check_space;
 use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
 use super::islands::{ClusterGraph, Islands, Mixed};
@@ -29,6 +30,9 @@ const MOST_OF_ALL: usize = 32;
 
 /// Samples that may go to such parts in any case.
 const FEW: usize = 128;
+
+/// Bytes of temporary files for each vertex while what is at the same position is joined.
+const BYTES_OF_A_PLACE: u64 = 20;
 
 /// What parts are looked for in.
 pub struct Parting<'a> {
@@ -105,7 +109,12 @@ impl Parting<'_> {
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
     pub fn weld_all(&self, islands: &mut Islands, sample_of: &[u32]) -> Result<()> {
-        let all = std::iter::once(0..self.model.info().vertices).collect();
+        let vertices = self.model.info().vertices;
+        check_space(self.folder, self.folder, BYTES_OF_A_PLACE.saturating_mul(vertices)).map_err(|e| {
+            let hint = format!("{}; or {}", e.hint(), super::ADVICE);
+            e.hinting(hint)
+        })?;
+        let all = std::iter::once(0..vertices).collect();
         self.weld(all, islands, sample_of).map(|_| ())
     }
 
@@ -128,7 +137,8 @@ impl Parting<'_> {
         let with_cluster = |vertex: u32| (vertex, sample_of[vertex as usize]);
         pairs.each(|some| {
             some.iter().for_each(|pair| islands.join(with_cluster(pair[0]), with_cluster(pair[1])));
-            looked_at(size_of_val(some));
+            // The sample and the island of both.
+            looked_at(2 * size_of_val(some));
         })?;
         Ok(joins)
     }

@@ -38,7 +38,7 @@ pub(super) fn patch(
         let was = numbers(bytes);
         let mut is = was;
         include(&mut before, was);
-        // Mostly, those around such a vertex do not move either.
+        // A branch that is foretold well: those around a vertex at rest mostly rest, too.
         if old == new && shift == [0; 3] {
             include(&mut after, was);
             continue;

@@ -34,6 +34,10 @@ impl Model for ApartModel {
         Ok(besides)
     }
 
+    fn beyond_doubles(&self, progress: &dyn Progress) -> Result<Vec<String>> {
+        self.model.beyond_doubles(progress)
+    }
+
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         self.reader(range)
     }

@@ -472,13 +472,13 @@ impl<G: Grammar> Model for TextModel<G> {
         progress.begin("looking for numbers beyond 2^53", self.info.vertex_bytes);
         let are_all = || are_beyond.iter().all(|is_beyond| is_beyond.load(Relaxed));
         self.blocks.spread(usize::MAX).par_bridge().try_for_each_init(Vec::new, |raw, (_, bytes)| {
+            progress.check()?;
+            progress.advance(bytes.end - bytes.start);
             if are_all() {
                 return Ok(());
             }
-            progress.check()?;
             raw.clear();
             self.source.append_at(raw, bytes.start, (bytes.end - bytes.start) as usize)?;
-            progress.advance(bytes.end - bytes.start);
             if !has_many_digits(raw) {
                 return Ok(());
             }
