@@ -91,8 +91,8 @@ pub struct ModelRecord {
     pub vertices: u64,
     /// Hash of the bytes of all vertices.
     pub fingerprint: String,
-    /// Of the bounding box, in the model's unit: what all figures here are fractions of that are lengths, but for
-    /// those under `lengths`.
+    /// Of the bounding box, in the model's unit: what all figures here are fractions of that are lengths, but
+    /// for those under `lengths`.
     pub diagonal: f64,
 }
 

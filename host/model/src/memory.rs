@@ -85,9 +85,9 @@ fn give_back() {
 fn set_allocator(block: i32, free: i32) {
     for (what, bytes) in [(libc::M_MMAP_THRESHOLD, block), (libc::M_TRIM_THRESHOLD, free)] {
         #[expect(unsafe_code, reason = "a setting of the allocator")]
-        // SAFETY: it takes two numbers and keeps them for later calls of the allocator. Other threads may be in
-        // one: the numbers are words, and whoever reads a former one goes by that, as where glibc itself changes
-        // them, which it does until somebody sets them.
+        // SAFETY: it takes two numbers and keeps them for later calls of the allocator. Other threads may be
+        // in one: the numbers are words, and whoever reads a former one goes by that, as where glibc itself
+        // changes them, which it does until somebody sets them.
         let _ = unsafe { libc::mallopt(what, bytes) };
     }
 }

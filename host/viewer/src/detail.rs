@@ -29,8 +29,8 @@ pub enum Previewed {
 /// Vertices in pieces, as they came.
 ///
 /// Memory: 32 bytes for each vertex, 56 for each splat. There are at most twice as many as were
-/// [chosen](DetailRequest), as a piece is made anew when others have taken the place of more than half of it; and
-/// for what was chosen before, until that is replaced.
+/// [chosen](DetailRequest), as a piece is made anew when others have taken the place of more than half of it;
+/// and for what was chosen before, until that is replaced.
 pub struct Detail {
     of: Previewed,
     chosen: DetailRequest,

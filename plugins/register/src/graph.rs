@@ -125,8 +125,8 @@ impl Graph {
         (self.edges.iter().map(part).sum::<f64>() / self.edges.len().max(1) as f64).sqrt()
     }
 
-    /// Room for the matrix of the equations, which [`settle`](Self::settle) fills each time: 72 bytes for each
-    /// two nodes.
+    /// Room for the matrix of the equations, which [`settle`](Self::settle) fills each time: 72 bytes for
+    /// each pair of nodes.
     pub fn room(&self) -> Mat<f64> {
         Mat::zeros(3 * self.nodes.len(), 3 * self.nodes.len())
     }

@@ -28,8 +28,8 @@ const LEAST_SURROUNDED: f64 = 0.5;
 /// surface.
 const MOST_THICKNESS: f64 = 0.3;
 
-/// Least thickness, likewise, for which it is looked whether the neighbours are of two sheets, and the part of
-/// the variance of heights that parting these explains then: their means stay where they are.
+/// Least thickness, likewise, for which it is looked whether the neighbours are of two sheets, and the part
+/// of the variance of heights that parting these explains then: their means stay where they are.
 const LEAST_THICKNESS: f64 = 1.0 / 64.0;
 const TWO_SHEETS: f64 = 0.95;
 
