@@ -7,7 +7,7 @@
 //! ```no_run
 //! use glam::Vec3;
 //! use glam::camera::rh::{proj::directx::perspective, view::look_at_mat4};
-//! use simod_scene::{Gpu, Scene, Style, Surface, View};
+//! use simod_scene::{Gpu, Scene, SceneStyle, Surface, View};
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let gpu = Gpu::headless()?;
 //! let mut scene = Scene::new(&gpu);
@@ -17,7 +17,7 @@
 //!     projection: perspective(0.5, 1.5, 0.1, 10.0),
 //!     size: [600, 400],
 //! };
-//! scene.render(&view, &Style::default(), None);
+//! scene.render(&view, &SceneStyle::default(), None);
 //! let picture = scene.read();
 //! # Ok(())
 //! # }
