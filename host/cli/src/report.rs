@@ -181,7 +181,12 @@ pub fn errors([rms, p999, worst]: [f64; 3], diagonal: f64) -> String {
 /// For `--json`: figures that are fractions of the diagonal, and by the same names under `lengths` in the
 /// model's unit. What is no object stays.
 pub fn with_lengths(mut figures: Value, names: &[&str], diagonal: f64) -> Value {
-    simod_compare::add_lengths(&mut figures, names, diagonal);
+    if let Some(figures) = figures.as_object_mut() {
+        let length =
+            |name: &&str| Some(((*name).to_owned(), json!(figures.get(*name)?.as_f64()? * diagonal)));
+        let lengths: Map<String, Value> = names.iter().filter_map(length).collect();
+        figures.insert("lengths".to_owned(), Value::Object(lengths));
+    }
     figures
 }
 

@@ -1,5 +1,6 @@
 //! The figures of methods: each beside the model at rest, and each two of them.
 
+use crate::lengths::WithLengths;
 use crate::method::Deformed;
 use crate::record::{OnSamples, Pair};
 use glam::{DVec3, Vec3};
@@ -216,13 +217,13 @@ fn in_diagonals(sampled: &SampledModel, positions: &[Vec3]) -> Vec<DVec3> {
     positions.iter().map(|p| p.as_dvec3() * scale).collect()
 }
 
-/// Each two methods.
+/// Each two methods, of a model whose bounding box has the `diagonal`.
 ///
 /// Memory: the tree of one method's triangles, and 24 bytes for each sample of two.
 pub(crate) fn pairs(
     names: &[String],
     deformed: &[&Deformed],
-    beside: &ComparedModels,
+    (beside, diagonal): (&ComparedModels, f64),
     progress: &dyn Progress,
 ) -> Result<Vec<Pair>> {
     let count = deformed.len();
@@ -246,8 +247,10 @@ pub(crate) fn pairs(
     let pair = |((a, b), vertices): &((usize, usize), Difference)| Pair {
         first: names[*a].clone(),
         second: names[*b].clone(),
-        vertices: *vertices,
-        surfaces: ways[a * count + b].zip(ways[b * count + a]).map(|(there, back)| [there, back]),
+        vertices: WithLengths::new(*vertices, diagonal),
+        surfaces: ways[a * count + b]
+            .zip(ways[b * count + a])
+            .map(|(there, back)| [there, back].map(|way| WithLengths::new(way, diagonal))),
     };
     Ok(beside.differences.iter().map(pair).collect())
 }

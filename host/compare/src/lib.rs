@@ -30,6 +30,7 @@ mod figures;
 mod file;
 mod folder;
 mod html;
+mod lengths;
 mod method;
 mod page;
 mod pictures;
@@ -41,10 +42,11 @@ mod unit;
 pub use file::{
     CameraPlace, CompareFile, ComparedMethod, CropPlace, MAX_METHODS, MethodWork, ProgramFile, ProgramMethod,
 };
+pub use lengths::{Fractions, Lengths, WithLengths};
 pub use planned::{ComparisonPlan, ComparisonPlanOptions, make};
 pub use record::{
     Comparison, DeformationRecord, Figures, MachineRecord, MethodFailure, MethodRecord, ModelRecord,
-    OnSamples, Pair, ResultFile, RunSeconds, Seconds, add_lengths,
+    OnSamples, Pair, ResultFile, RunSeconds, Seconds,
 };
 pub use unit::{Done, do_unit};
 
@@ -228,11 +230,11 @@ fn beside_each_other(
     let mut on_model = on_model.into_iter();
     for (k, ((i, _), on_samples)) in done.iter().zip(on_samples).enumerate() {
         let found = (beside.displacements[k], beside.to_first(k));
-        comparison.methods[*i].set_shape(found, on_samples, on_model.next());
+        comparison.methods[*i].set_shape(found, diagonal, on_samples, on_model.next());
     }
     let names: Vec<String> = done.iter().map(|(i, _)| file.methods[*i].name.clone()).collect();
-    comparison.pairs = figures::pairs(&names, &deformed, &beside, progress)?;
-    comparison.color_scale = figures::color_scale(&comparison.pairs, &names[0]);
+    comparison.pairs = figures::pairs(&names, &deformed, (&beside, diagonal), progress)?;
+    comparison.set_color_scale(figures::color_scale(&comparison.pairs, &names[0]));
     let files: Vec<(usize, String)> = done.iter().map(|(i, d)| (*i, d.name.clone())).collect();
     let shown = (&models[..], chosen.as_ref());
     let drawn = easel.draw(shown, &beside.bounds, &files, &mut comparison, progress)?;

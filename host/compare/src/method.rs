@@ -3,6 +3,7 @@
 use crate::clock::Clock;
 use crate::external::{self, Files, Ran, write_given};
 use crate::file::{CompareFile, ComparedMethod, MethodWork, ProgramMethod};
+use crate::lengths::WithLengths;
 use crate::record::{DeformationRecord, Figures, MethodRecord, ResultFile, RunSeconds, Seconds, words};
 use glam::Vec3;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
@@ -629,13 +630,14 @@ fn finished(
 ) -> Deformed {
     let Once { sampled, positions, output, .. } = once;
     let is_model = positions.is_none();
+    let diagonal = sampled.bounds.diagonal();
     record.figures = Some(Figures {
         samples: if is_model { 0 } else { sampled.samples.len() },
         triangles: if is_model { 0 } else { sampled.triangles.len() },
         seconds: Seconds::from_runs((!is_model).then_some(sample), runs),
         peak_memory_bytes,
-        transfer_error: once.transfer_error,
-        expected_error: once.expected_error,
+        transfer_error: once.transfer_error.map(|error| WithLengths::new(error, diagonal)),
+        expected_error: once.expected_error.map(|error| WithLengths::new(error, diagonal)),
         displacement: None,
         to_first: None,
         on_samples: None,

@@ -5,6 +5,7 @@
 
 use crate::file::{CompareFile, ComparedMethod, MethodWork};
 use crate::folder::FORMAT;
+use crate::lengths::{Lengths, WithLengths};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use simod_core::reconstruction::transfer_error::TransferError;
@@ -33,6 +34,8 @@ pub struct Comparison {
     pub pairs: Vec<Pair>,
     /// The distance at the end of the colour scale of the pictures.
     pub color_scale: f64,
+    /// That, in the model's unit.
+    pub lengths: Lengths,
     /// The text of `compare.toml`.
     pub compare_file: String,
     /// All files of the folder.
@@ -65,10 +68,10 @@ pub struct Pair {
     /// The name of the other one.
     pub second: String,
     /// The same vertices of both.
-    pub vertices: Difference,
+    pub vertices: WithLengths<Difference>,
     /// From the samples of the first to the triangles between those of the second, and back; nothing where
     /// there are no triangles. The Hausdorff distance is the larger of the two `max`.
-    pub surfaces: Option<[Distances; 2]>,
+    pub surfaces: Option<[WithLengths<Distances>; 2]>,
 }
 
 /// What a comparison was done on.
@@ -153,16 +156,16 @@ pub struct Figures {
     pub peak_memory_bytes: Option<u64>,
     /// Vertices beside their exact images, all of them or some of very many; nothing where a plugin does not
     /// know these.
-    pub transfer_error: Option<TransferError>,
+    pub transfer_error: Option<WithLengths<TransferError>>,
     /// How far vertices are expected to be off by the transfer, where samples were deformed and the transfer
     /// knows.
-    pub expected_error: Option<ExpectedError>,
+    pub expected_error: Option<WithLengths<ExpectedError>>,
     /// The vertices beside those at rest.
     #[serde(skip_deserializing)]
-    pub displacement: Option<Difference>,
+    pub displacement: Option<WithLengths<Difference>>,
     /// The vertices beside those of the first method that was done; nothing of that itself.
     #[serde(skip_deserializing)]
-    pub to_first: Option<Difference>,
+    pub to_first: Option<WithLengths<Difference>>,
     /// The deformed samples beside those at rest; nothing where there are no triangles.
     #[serde(skip_deserializing)]
     pub on_samples: Option<OnSamples>,
@@ -275,6 +278,7 @@ impl Comparison {
             methods,
             pairs: Vec::new(),
             color_scale: 0.0,
+            lengths: Lengths::default(),
             compare_file: file.text.clone(),
             files: Vec::new(),
         }
@@ -283,19 +287,14 @@ impl Comparison {
     /// As `compare.json` has it.
     pub fn to_json(&self) -> String {
         // Maps have text for keys, and numbers that are not finite become null.
-        let mut record = serde_json::to_value(self).unwrap_or_default();
-        let with_lengths = |figures: &mut Value| add_lengths(figures, &LENGTHS, self.model.diagonal);
-        with_lengths(&mut record);
-        for figures in elements(record.get_mut("methods")).filter_map(|method| method.get_mut("figures")) {
-            for name in OF_VERTICES {
-                figures.get_mut(name).into_iter().for_each(with_lengths);
-            }
-        }
-        for pair in elements(record.get_mut("pairs")) {
-            pair.get_mut("vertices").into_iter().for_each(with_lengths);
-            elements(pair.get_mut("surfaces")).for_each(with_lengths);
-        }
-        format!("{record:#}\n")
+        let text = serde_json::to_string_pretty(self).unwrap_or_default();
+        format!("{text}\n")
+    }
+
+    /// Sets the end of the colour scale, as a fraction of the diagonal.
+    pub(crate) fn set_color_scale(&mut self, end: f64) {
+        self.color_scale = end;
+        self.lengths = Lengths { color_scale: Some(end), ..Lengths::default() }.scaled(self.model.diagonal);
     }
 
     /// Methods that were done.
@@ -307,26 +306,6 @@ impl Comparison {
     pub fn failed(&self) -> impl Iterator<Item = (&MethodRecord, &MethodFailure)> {
         self.methods.iter().filter_map(|m| Some((m, m.error.as_ref()?)))
     }
-}
-
-/// Figures of a method that are distances.
-const OF_VERTICES: [&str; 4] = ["transfer_error", "expected_error", "displacement", "to_first"];
-
-/// Distances among them.
-const LENGTHS: [&str; 6] = ["rms", "p99", "p999", "max", "worst", "color_scale"];
-
-/// The elements of a list, if it is one.
-fn elements(list: Option<&mut Value>) -> impl Iterator<Item = &mut Value> {
-    list.and_then(Value::as_array_mut).into_iter().flatten()
-}
-
-/// Adds those of some figures that are fractions of the diagonal in the model's unit, by the same names under
-/// `lengths`. What is no object stays.
-pub fn add_lengths(figures: &mut Value, names: &[&str], diagonal: f64) {
-    let Some(figures) = figures.as_object_mut() else { return };
-    let length = |name: &&str| Some(((*name).to_owned(), json!(figures.get(*name)?.as_f64()? * diagonal)));
-    let lengths: Map<String, Value> = names.iter().filter_map(length).collect();
-    figures.insert("lengths".to_owned(), Value::Object(lengths));
 }
 
 /// What the processor is called, as Linux tells it.
@@ -388,16 +367,18 @@ impl MethodRecord {
         self.error = Some(MethodFailure { what: e.to_string(), hint: e.hint().to_owned() });
     }
 
-    /// What is known only when all methods are done.
+    /// What is known only when all methods are done, of a model whose bounding box has the `diagonal`.
     pub(crate) fn set_shape(
         &mut self,
         (displacement, to_first): (Difference, Option<Difference>),
+        diagonal: f64,
         on_samples: Option<OnSamples>,
         on_model: Option<OnSamples>,
     ) {
         if let Some(figures) = &mut self.figures {
-            figures.displacement = Some(displacement);
-            (figures.to_first, figures.on_samples, figures.on_model) = (to_first, on_samples, on_model);
+            figures.displacement = Some(WithLengths::new(displacement, diagonal));
+            figures.to_first = to_first.map(|difference| WithLengths::new(difference, diagonal));
+            (figures.on_samples, figures.on_model) = (on_samples, on_model);
         }
     }
 }

@@ -62,8 +62,7 @@ pub fn make(window: &mut Window, role: Role) {
 pub fn make_handle(window: &mut Window) {
     let Some((step, _, deformation, _)) = window.chosen() else { return };
     let Some(scene) = window.state().scene() else { return };
-    let bounds = &scene.sampled.bounds;
-    let band = window.tools.band * (bounds.max - bounds.min).length();
+    let band = window.tools.band * scene.sampled.bounds.diagonal();
     if window.apply(Command::MakeHandle { step, band }) {
         take_into_hand(window, deformation.regions.len());
     }

@@ -109,6 +109,11 @@ fn two_methods_beside_each_other() {
         assert_eq!(length, number(&record, &format!("{figures}/{name}")) * diagonal, "{figures}/{name}");
     }
     assert!(record.pointer("/methods/0/figures/on_samples/edges/lengths").is_none());
+    // What is what comes first, as people read it.
+    let text = String::from_utf8(work.read("out/compare.json")).expect("UTF-8");
+    let places =
+        ["format", "model", "methods", "pairs", "files"].map(|key| text.find(&format!("\n  \"{key}\":")));
+    assert!(places.is_sorted() && places.iter().all(Option::is_some), "{places:?}");
     // Vertices can slide along the surface: its distance is the smaller one.
     let [same, near] =
         ["vertices/rms", "surfaces/0/rms"].map(|of| number(&record, &format!("/pairs/0/{of}")));

@@ -1,6 +1,6 @@
 //! What the colours mean.
 
-use super::{detail, number};
+use super::{detail, diagonal, number};
 use crate::theme;
 use crate::window::{Asks, Window};
 use eframe::egui::{
@@ -16,19 +16,44 @@ const SIZE: [f32; 2] = [320.0, 12.0];
 /// Height of the numbers below it.
 const NUMBERS: f32 = 16.0;
 
-/// What it is called, and its unit.
-fn title(window: &Window) -> Option<(String, &'static str)> {
-    Some(match window.state().overlay() {
+/// What the numbers of an overlay are.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum ScaleUnit {
+    /// Numbers without a unit.
+    None,
+    /// Ratios.
+    Times,
+    /// Lengths in the model's unit.
+    Length,
+}
+
+/// What the overlay that is shown is called, and its unit.
+fn title(window: &Window) -> Option<(String, ScaleUnit)> {
+    let state = window.state();
+    let (title, unit) = match state.overlay() {
         Overlay::None => return None,
-        Overlay::Selection => ("Selection".to_owned(), ""),
-        Overlay::Region(i) => (format!("Weight of region {}", i + 1), ""),
-        Overlay::Displacement => ("Displacement".to_owned(), "model units"),
-        Overlay::Stretch => ("Stretch".to_owned(), "times"),
-        Overlay::Density => ("Sample distance".to_owned(), "model units"),
-        Overlay::Difference => ("Difference".to_owned(), "model units"),
-        Overlay::Attribute(place) => (window.state().attributes().get(place)?.name.clone(), ""),
-        Overlay::TransferError => ("Expected transfer error".to_owned(), "model units"),
-    })
+        Overlay::Selection => ("Selection", ScaleUnit::None),
+        Overlay::Region(i) => return Some((format!("Weight of region {}", i + 1), ScaleUnit::None)),
+        Overlay::Displacement => ("Displacement", ScaleUnit::Length),
+        Overlay::Stretch => ("Stretch", ScaleUnit::Times),
+        Overlay::Density => ("Sample distance", ScaleUnit::Length),
+        Overlay::Difference => ("Difference", ScaleUnit::Length),
+        Overlay::Attribute(place) => (state.attributes().get(place)?.name.as_str(), ScaleUnit::None),
+        Overlay::TransferError => ("Expected transfer error", ScaleUnit::Length),
+    };
+    Some((title.to_owned(), unit))
+}
+
+/// The unit in words; of lengths also how large the end of the scale is beside the model.
+fn unit_in_words(unit: ScaleUnit, end: f32, diagonal: Option<f64>) -> String {
+    match (unit, diagonal) {
+        (ScaleUnit::None, _) => String::new(),
+        (ScaleUnit::Times, _) => "times".to_owned(),
+        (ScaleUnit::Length, Some(diagonal)) if diagonal > 0.0 => {
+            format!("model units, up to {:.1e} of the diagonal", f64::from(end) / diagonal)
+        }
+        (ScaleUnit::Length, _) => "model units".to_owned(),
+    }
 }
 
 /// Below the picture, so that nothing of the model is covered: the scale of an overlay, or the colours of
@@ -42,7 +67,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, legend: Option<Legend
     Panel::bottom("legend").frame(frame).resizable(false).show(ui, |ui| {
         if let Some(legend) = legend {
             ui.horizontal_wrapped(|ui| match legend {
-                Legend::Scale(title, unit, range) => scale(ui, &title, unit, range),
+                Legend::Scale(title, unit, range) => scale(ui, &title, &unit, range),
                 Legend::Classes(title, classes) => class_dots(ui, &title, &classes),
                 Legend::Roles(roles) => roles.iter().for_each(|(color, name)| dot(ui, *color, name)),
             });
@@ -60,8 +85,8 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, legend: Option<Legend
 
 /// What the colours of a picture mean.
 pub enum Legend {
-    /// Numbers: what they are of, their unit, and the ends of the scale.
-    Scale(String, &'static str, [f32; 2]),
+    /// Numbers: what they are of, their unit in words, and the ends of the scale.
+    Scale(String, String, [f32; 2]),
     /// Classes of points.
     Classes(String, Vec<u8>),
     /// What samples are to the chosen step.
@@ -72,10 +97,11 @@ impl Legend {
     /// What the picture that is shown now has.
     pub fn find(window: &mut Window) -> Option<Self> {
         let Some((title, unit)) = title(window) else { return roles(window).map(Self::Roles) };
+        let diagonal = diagonal(window);
         let field = window.state_mut().field()?;
         Some(match field.are_classes {
             true => Self::Classes(title, classes_of(field)),
-            false => Self::Scale(title, unit, field.range),
+            false => Self::Scale(title, unit_in_words(unit, field.range[1], diagonal), field.range),
         })
     }
 }

@@ -35,3 +35,10 @@ pub mod welcome;
 
 pub use crate::numbers::{ago, bytes, count, duration, number};
 pub use frames::card;
+
+use crate::window::Window;
+
+/// The diagonal of the model's bounding box, in the model's unit; nothing without a model.
+fn diagonal(window: &Window) -> Option<f64> {
+    window.state().scene().map(|scene| scene.sampled.bounds.diagonal())
+}

@@ -1,6 +1,6 @@
 //! How fine the chosen refinement is.
 
-use super::parts;
+use super::{diagonal, number, parts};
 use crate::window::{Asks, Window};
 use eframe::egui::{Button, ComboBox, DragValue, Id, RichText, Ui};
 use simod_core::refinement::Finer;
@@ -40,13 +40,25 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     if let Some(finer) = finer.inner {
         asks.change(at, Change::SetRefine(Refine { finer, ..refine.clone() }), false);
     }
-    let text = match refine.finer {
-        Finer::Factor(_) => "Each sample of the part becomes about so many.",
-        Finer::Error(_) => "A fraction of the diagonal of the model's box; less is finer.",
-        Finer::Samples(_) => "They are put where the error is largest.",
-        Finer::Auto { .. } => "The error that may be left, as a fraction of the diagonal of the model's box.",
+    ui.label(RichText::new(explanation(refine.finer, diagonal(window))).weak().small());
+}
+
+/// What the number means; of an error also how large it is in the model's unit.
+fn explanation(finer: Finer, diagonal: Option<f64>) -> String {
+    let in_unit = |error: f64| {
+        diagonal.map_or(String::new(), |d| format!(" Here {} in the model's unit.", number(error * d)))
     };
-    ui.label(RichText::new(text).weak().small());
+    match finer {
+        Finer::Factor(_) => "Each sample of the part becomes about so many.".to_owned(),
+        Finer::Error(error) => {
+            format!("A fraction of the diagonal of the model's box; less is finer.{}", in_unit(error))
+        }
+        Finer::Samples(_) => "They are put where the error is largest.".to_owned(),
+        Finer::Auto { error, .. } => format!(
+            "The error that may be left, as a fraction of the diagonal of the model's box.{}",
+            in_unit(error)
+        ),
+    }
 }
 
 /// Which way it is told; gives another one, with what that begins with.

@@ -220,6 +220,15 @@ fn a_refinement_is_told_otherwise() {
     settle(&mut harness);
     assert!(matches!(finer(&harness), Finer::Samples(_)), "{:?}", finer(&harness));
     harness.get_by_label("Samples of the refinement");
+    harness.get_by_label("How the refinement is told").click();
+    harness.run_steps(2);
+    harness.get_by_label("Down to an error").click();
+    settle(&mut harness);
+    // A fraction by the control, a length beside it.
+    let Finer::Error(error) = finer(&harness) else { panic!("{:?}", finer(&harness)) };
+    let length = error * state(&harness).scene().unwrap().sampled.bounds.diagonal();
+    let told = format!("Here {length:.2e} in the model's unit.");
+    harness.get_by_label_contains(&told);
 }
 
 #[test]
