@@ -21,6 +21,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// What is added to the diagonal, relative to it, until rounding leaves the matrix positive definite.
 const RIDGES: [f64; 5] = [0.0, 1e-14, 1e-12, 1e-10, 1e-8];
 
+/// Up to so many unknowns, a pass takes less time on one thread than it takes to share it out.
+const ALONE: usize = 8192;
+
 /// One triangle of a symmetric matrix, by rows: columns up to the diagonal, ascending.
 #[derive(Debug)]
 pub struct Symmetric {
@@ -123,6 +126,7 @@ impl<T: Stored> Factor<T> {
     pub fn solve(&self, sides: &mut [DVec3], host: &Host<'_>) -> PluginResult<()> {
         let mut x: Vec<DVec3> = self.order.iter().map(|i| sides[*i as usize]).collect();
         let Some((top, subtrees)) = self.runs.split_last() else { return Ok(()) };
+        let is_shared = x.len() > ALONE;
         let (mut below, above) = x.split_at_mut(top.columns.start);
         let mut tasks = Vec::with_capacity(subtrees.len());
         for run in subtrees {
@@ -130,23 +134,33 @@ impl<T: Stored> Factor<T> {
             below = rest;
             tasks.push((run, own, vec![DVec3::ZERO; run.beyond.len()]));
         }
-        host.parallel_blocks(&mut tasks, 1, |_, tasks| {
-            tasks.iter_mut().for_each(|(run, own, beyond)| run.forward(own, beyond));
-        })?;
+        share(&mut tasks, is_shared, host, |(run, own, beyond)| run.forward(own, beyond))?;
         for (run, _, beyond) in &tasks {
             run.beyond.iter().zip(beyond).for_each(|(row, d)| above[*row as usize] += *d);
         }
         top.forward_together(above, host)?;
         top.backward_together(above, host)?;
-        host.parallel_blocks(&mut tasks, 1, |_, tasks| {
-            for (run, own, beyond) in tasks {
-                run.beyond.iter().zip(beyond.iter_mut()).for_each(|(row, d)| *d = above[*row as usize]);
-                run.backward(own, beyond);
-            }
+        share(&mut tasks, is_shared, host, |(run, own, beyond)| {
+            run.beyond.iter().zip(beyond.iter_mut()).for_each(|(row, d)| *d = above[*row as usize]);
+            run.backward(own, beyond);
         })?;
         self.order.iter().zip(x).for_each(|(i, x)| sides[*i as usize] = x);
         Ok(())
     }
+}
+
+/// Does tasks, shared out to threads or on this one alone.
+fn share<T: Send>(
+    tasks: &mut [T],
+    is_shared: bool,
+    host: &Host<'_>,
+    work: impl Fn(&mut T) + Sync,
+) -> PluginResult<()> {
+    if is_shared {
+        return host.parallel_blocks(tasks, 1, |_, tasks| tasks.iter_mut().for_each(&work));
+    }
+    tasks.iter_mut().for_each(work);
+    Ok(())
 }
 
 /// What it takes to factorise.

@@ -10,7 +10,7 @@ use crate::constraints::{Soft, Target};
 use crate::elements::Element;
 use crate::problem::{Constraint, Problem};
 use crate::rotation;
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{Affine3A, DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
 /// Groups are merged while there are more.
@@ -84,14 +84,14 @@ impl Prolongation {
     }
 
     /// The weighted means of the groups' affine maps, for the fine problem's nodes.
-    pub fn maps(&self, groups: &[DAffine3], host: &Host<'_>) -> PluginResult<Vec<DAffine3>> {
-        let mut means = vec![DAffine3::ZERO; self.groups.len()];
+    pub fn maps(&self, groups: &[Affine3A], host: &Host<'_>) -> PluginResult<Vec<Affine3A>> {
+        let mut means = vec![Affine3A::ZERO; self.groups.len()];
         host.parallel_blocks(&mut means, 4096, |first, means| {
             for (i, mean) in (first..).zip(means) {
                 for &(group, weight) in self.groups.row(i) {
                     let map = groups[group as usize];
-                    mean.matrix3 += map.matrix3 * f64::from(weight);
-                    mean.translation += map.translation * f64::from(weight);
+                    mean.matrix3 += map.matrix3 * weight;
+                    mean.translation += map.translation * weight;
                 }
             }
         })?;

@@ -552,14 +552,16 @@ impl<'a> PluginWatch<'a> {
 
 impl HostCalls for PluginWatch<'_> {
     fn parallel_for(&self, count: usize, body: &(dyn Fn(usize) + Sync)) -> bool {
-        let work = (0..count).into_par_iter().try_for_each(|i| {
+        let part = |i| {
             if self.progress.is_cancelled() {
                 return Err(());
             }
             let _kept = Care::Registers.enter();
             body(i);
             Ok(())
-        });
+        };
+        // A single part takes less time here than another thread takes to wake up.
+        let work = if count == 1 { part(0) } else { (0..count).into_par_iter().try_for_each(part) };
         work.is_ok()
     }
 
