@@ -13,7 +13,6 @@ use bytemuck::{cast_slice, cast_slice_mut};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::mapped::{Map, MapMut, looked_at};
-use simod_model::output::check_space;
 use simod_model::scratch::Scratch;
 use simod_model::{ModelInfo, Progress, Result};
 
@@ -91,10 +90,7 @@ impl Membership {
         let bytes = FILES * BYTES
             + if noted.positions { size_of::<Vec3>() as u64 } else { 0 }
             + if noted.twins { BYTES } else { 0 };
-        check_space(folder, folder, bytes.saturating_mul(coming)).map_err(|e| {
-            let hint = format!("{}; or {ADVICE}", e.hint());
-            e.hinting(hint)
-        })?;
+        Scratch::check_space(folder, bytes.saturating_mul(coming), ADVICE)?;
         let leaves = Leaves { file: Scratch::new(folder, ADVICE)?, starts: starts(grid) };
         // Sparse: only so much is written as there are items.
         leaves.file.set_len(vertices * BYTES)?;

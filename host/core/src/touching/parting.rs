@@ -10,7 +10,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 use simod_model::mapped::looked_at;
-use simod_model::output::check_space;
+use simod_model::scratch::Scratch;
 use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
 use super::islands::{ClusterGraph, Islands, Mixed};
@@ -110,10 +110,7 @@ impl Parting<'_> {
     /// The model cannot be read, or a temporary file written; the user cancelled.
     pub fn weld_all(&self, islands: &mut Islands, sample_of: &[u32]) -> Result<()> {
         let vertices = self.model.info().vertices;
-        check_space(self.folder, self.folder, BYTES_OF_A_PLACE.saturating_mul(vertices)).map_err(|e| {
-            let hint = format!("{}; or {}", e.hint(), super::ADVICE);
-            e.hinting(hint)
-        })?;
+        Scratch::check_space(self.folder, BYTES_OF_A_PLACE.saturating_mul(vertices), super::ADVICE)?;
         let all = std::iter::once(0..vertices).collect();
         self.weld(all, islands, sample_of).map(|_| ())
     }
