@@ -140,15 +140,10 @@ impl SampleSet {
         self.rest = OnceLock::new();
     }
 
-    /// What [`set_rest`](Self::set_rest) was given.
-    pub(crate) fn rest<T: Any + Send + Sync>(&self) -> Option<Arc<T>> {
-        self.rest.get().and_then(|rest| rest.clone().downcast().ok())
-    }
-
-    /// Holds what was found of the samples at rest, for all who need it as long as there are these samples:
-    /// the reconstruction's, whose type is not known here. Who found it at the same time found the same.
-    pub(crate) fn set_rest<T: Any + Send + Sync>(&self, rest: Arc<T>) {
-        let _ = self.rest.set(rest);
+    /// What is held of the samples at rest, for all who need it as long as there are these samples: the
+    /// reconstruction's, whose type is not known here.
+    pub(crate) fn rest<T: Any + Default + Send + Sync>(&self) -> Arc<T> {
+        self.rest.get_or_init(|| Arc::<T>::default()).clone().downcast().unwrap_or_default()
     }
 
     /// Number of samples.
