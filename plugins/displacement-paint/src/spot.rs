@@ -6,8 +6,9 @@
 //! fades where the surface turns away, and does not reach the next finger, without any step as it moves.
 
 use crate::canvas::Canvas;
-use crate::surface::{Surface, sheet_distance};
+use crate::surface::Surface;
 use glam::{DVec3, Vec3};
+use simod_geometry::sheet_distance;
 use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
 

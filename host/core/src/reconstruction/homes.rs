@@ -13,7 +13,8 @@ use pulp::{Arch, Simd, WithSimd};
 use super::RestGeometry;
 use super::home_cells::{Cells, Finger};
 use super::lanes::{Lanes, PACKET, triple_from};
-use super::sheets::{Sheets, sheet_distance};
+use super::sheets::Sheets;
+use crate::geometry::sheet_distance;
 use crate::sampling::SampleSet;
 
 /// The square of the part of a support within which its sample is taken for a home: it need not be the

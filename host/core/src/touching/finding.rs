@@ -19,8 +19,9 @@ use super::contacts::{self, ContactLists, Contacts};
 use super::parting::{Parted, Parting};
 use super::places::PlaceSamples;
 use super::sorter::Sorter;
+use crate::geometry::sheet_distance;
 use crate::reconstruction::{
-    CROWDED_NEIGHBOURS, RestGeometry, SHEET_NEIGHBOURS, TANGENT_RING, homes, sheet_distance,
+    CROWDED_NEIGHBOURS, RestGeometry, SHEET_NEIGHBOURS, TANGENT_RING, homes,
 };
 use crate::sampled_model::SampledModel;
 use crate::sampling::kept_cells::CutTree;
