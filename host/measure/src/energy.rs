@@ -33,11 +33,11 @@ pub struct Energies {
 /// How amounts are spread over a mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Histograms {
-    /// Of edges, the binary logarithm of the length over that at rest.
+    /// Edges, by the binary logarithm of their length over that at rest.
     pub edges: Bins,
-    /// Of triangles, that of the area.
+    /// Triangles, by that of their area.
     pub areas: Bins,
-    /// Of triangles, that of the symmetric Dirichlet energy over its least, which is 4.
+    /// Triangles, by that of their symmetric Dirichlet energy over its least, which is 4.
     pub distortion: Bins,
 }
 
@@ -78,8 +78,8 @@ impl Bins {
 }
 
 impl Energies {
-    /// Of triangles between positions at rest and deformed ones, and their edges. Triangles without an area
-    /// at rest, and edges without a length, do not count.
+    /// Energies of triangles between positions at rest and deformed ones, and their edges. Triangles without
+    /// an area at rest, and edges without a length, do not count.
     pub fn between(rest: &[DVec3], deformed: &[DVec3], (triangles, edges): (&[[u32; 3]], &Edges)) -> Self {
         let both = |t: &[u32; 3]| Some((*t, corners(rest, *t)?, corners(deformed, *t)?));
         let all: Vec<BothTriangles> = triangles

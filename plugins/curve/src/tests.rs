@@ -64,7 +64,7 @@ impl Setup {
         call(&PrepareInput::new(samples, BOUNDS, &[], &params).with_parts(&parts), &params)
     }
 
-    fn prepare(&self) -> PluginResult<Prepared> {
+    fn prepare(&self) -> PluginResult<PreparedWire> {
         self.with(|input, _| CurvePlugin::prepare(input, &Host::new(&())))
     }
 

@@ -3,7 +3,7 @@
 //! The nearest samples in space may be those of the other side of a thin wall, or of the next finger: they are
 //! told apart by the [sheet metric](simod_geometry::chord_length).
 
-use crate::grid::Grid;
+use crate::grid::HashGrid;
 use glam::Vec3;
 use simod_geometry::chord_length;
 use simod_plugin_api::{Graph, Host, PluginResult};
@@ -21,17 +21,17 @@ const BLOCK: usize = 4096;
 const CELL: f64 = 2.0;
 
 /// The samples' links on the surface, and where they are at rest.
-pub struct Surface {
+pub struct LinkedSurface {
     starts: Vec<u32>,
     links: Vec<u32>,
     /// Where all samples are at rest.
-    pub grid: Grid,
+    pub grid: HashGrid,
     /// Tells it from other surfaces of this process.
     pub id: u64,
 }
 
-impl Surface {
-    /// Of samples at rest.
+impl LinkedSurface {
+    /// The surface of samples at rest.
     pub fn new(
         positions: &[Vec3],
         normals: &[Vec3],
@@ -54,7 +54,7 @@ impl Surface {
         lengths.sort_unstable_by(f32::total_cmp);
         let spacing = lengths.get(lengths.len() / 2).map_or(0.0, |&l| f64::from(l));
         // Where all samples are in one place, any width will do.
-        let grid = Grid::new(positions, if spacing > 0.0 { CELL * spacing } else { 1.0 });
+        let grid = HashGrid::new(positions, if spacing > 0.0 { CELL * spacing } else { 1.0 });
         let id = SURFACES.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         Ok(Self { starts, links, grid, id })
     }

@@ -5,7 +5,7 @@
 //! 2007).
 
 use crate::coarse::Prolongation;
-use crate::constraints::Motion;
+use crate::constraints::OwnMotions;
 use crate::problem::Problem;
 use glam::{DAffine3, DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
@@ -23,7 +23,7 @@ pub fn carry(
     coarse: &Problem,
     prolongation: &Prolongation,
     (displacements, turns): (&[DVec3], &[DMat3]),
-    motion: &Motion,
+    motion: &OwnMotions,
     host: &Host<'_>,
 ) -> PluginResult<Vec<DVec3>> {
     // From places to displacements.

@@ -98,7 +98,8 @@ fn key(sampled: &SampledModel) -> String {
     let source = &sampled.source;
     let frame = [sampled.frame.origin.x, sampled.frame.origin.y, sampled.frame.origin.z, sampled.frame.scale];
     let texts = [env!("CARGO_PKG_VERSION"), &source.fingerprint].map(str::as_bytes);
-    let numbers = [&source.bytes.to_le_bytes()[..], &frame.map(f64::to_le_bytes).as_flattened()];
+    let (bytes, frame) = (source.bytes.to_le_bytes(), frame.map(f64::to_le_bytes));
+    let numbers = [&bytes[..], frame.as_flattened()];
     let samples = &sampled.samples;
     let points = [&samples.positions, samples.known_normals()].map(bytemuck::cast_slice::<Vec3, u8>);
     let hashes = [texts, numbers, points].into_iter().flatten().map(xxh3_128);
@@ -188,7 +189,7 @@ impl Binding {
 
     /// The homes of the next vertices, which are a chunk.
     pub(super) fn next(&mut self, vertices: usize) -> Result<Vec<u32>> {
-        let io = |_| damaged("it is cut off");
+        let io = |e| damaged("it is cut off").because(e);
         let mut start = [0; 16];
         self.file.read_exact(&mut start).map_err(io)?;
         let word = |at: usize| u32::from_le_bytes([start[at], start[at + 1], start[at + 2], start[at + 3]]);

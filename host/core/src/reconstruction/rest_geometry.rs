@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use glam::Vec3;
 
 use super::blend::{Grouped, Supports};
-use super::home_cells::Cells;
+use super::home_cells::HomeOctree;
 use super::sheets::Sheets;
 use super::workspace::Workspaces;
 use crate::sampling::SampleSet;
@@ -39,7 +39,7 @@ struct FoundGeometry {
     sheets: Arc<Sheets>,
     supports: Arc<Supports>,
     /// What homes are found by: made when a place is first looked up, as fitting does not need it.
-    cells: OnceLock<Cells>,
+    cells: OnceLock<HomeOctree>,
     /// Whether it is on the disk, beside the samples.
     is_kept: AtomicBool,
 }
@@ -117,19 +117,19 @@ impl<'a> RestGeometry<'a> {
         self.found.is_kept.store(true, Ordering::Relaxed);
     }
 
-    pub(super) fn cells(&self) -> &Cells {
+    pub(super) fn cells(&self) -> &HomeOctree {
         match self.found.cells.get() {
             Some(cells) => cells,
             // Jobs of the thread pool make them: no other one may wait for that.
             None => {
-                let cells = Cells::build(self.samples, &self.supports.radius);
+                let cells = HomeOctree::build(self.samples, &self.supports.radius);
                 self.found.cells.get_or_init(|| cells)
             }
         }
     }
 
     /// Sets what homes are found by, which was found out before.
-    pub(super) fn set_cells(&self, cells: Cells) {
+    pub(super) fn set_cells(&self, cells: HomeOctree) {
         let _ = self.found.cells.set(cells);
     }
 

@@ -83,7 +83,7 @@ impl Membership {
     /// A table without members yet, of a model of which so many vertices come. The files go to `folder`.
     ///
     /// # Errors
-    /// They cannot be made, or the disk has no room for them.
+    /// The files cannot be made, or the disk has no room for them.
     pub fn new(grid: &Grid, info: &ModelInfo, coming: u64, noted: Noted, folder: &Path) -> Result<Self> {
         let vertices = info.vertices;
         // Better known before a large model is clustered.
@@ -188,7 +188,7 @@ impl Membership {
             let first = chunk * BUFFER as u64;
             let mut chunk = vec![0; BUFFER.min((self.written - first) as usize)];
             self.items.read_at(cast_slice_mut(&mut chunk), first * BYTES)?;
-            let mut samples = Samples::new(starts);
+            let mut samples = LeafSamples::new(starts);
             for item in &mut chunk {
                 *item = leaves.get(*item as usize).map_or(NONE, |leaf| samples.sample_of(*leaf));
             }
@@ -214,7 +214,7 @@ pub fn starts(grid: &Grid) -> Vec<u32> {
 }
 
 /// Finds samples by leaves.
-pub struct Samples<'a> {
+pub struct LeafSamples<'a> {
     /// From which leaf on leaves belong to which sample, ascending.
     starts: &'a [(u32, u32)],
     /// The leaves from the first to before the second are of the third.
@@ -224,7 +224,7 @@ pub struct Samples<'a> {
     last: usize,
 }
 
-impl<'a> Samples<'a> {
+impl<'a> LeafSamples<'a> {
     /// By these starts.
     pub fn new(starts: &'a [(u32, u32)]) -> Self {
         Self { starts, from: 0, to: 0, sample: NONE, last: 0 }

@@ -36,7 +36,7 @@ pub struct SampleSet {
     all_known: bool,
     /// All normals, where some had to be estimated.
     estimated: OnceLock<Vec<Vec3>>,
-    surroundings: OnceLock<Neighbourhoods>,
+    neighbourhoods: OnceLock<Neighbourhoods>,
     contacts: Option<Contacts>,
     tree: OnceLock<KdTree>,
     rest: OnceLock<Arc<dyn Any + Send + Sync>>,
@@ -73,7 +73,7 @@ impl SampleSet {
             known,
             all_known,
             estimated: OnceLock::new(),
-            surroundings: OnceLock::new(),
+            neighbourhoods: OnceLock::new(),
             contacts: None,
             tree: OnceLock::new(),
             rest: OnceLock::new(),
@@ -86,7 +86,7 @@ impl SampleSet {
         if self.all_known {
             return &self.known;
         }
-        self.estimated.get_or_init(|| match self.surroundings.get() {
+        self.estimated.get_or_init(|| match self.neighbourhoods.get() {
             Some(around) => normals::completed(&self.positions, &self.known, &around.neighbours),
             None => {
                 self.prepare_tree();
@@ -161,13 +161,13 @@ impl SampleSet {
     /// To be called before these are asked for by jobs of a thread pool: finding them takes jobs of the pool,
     /// and a thread that waits for these could take one that waits for it.
     pub fn prepare(&self) {
-        let _ = (self.surroundings(), self.normals());
+        let _ = (self.neighbourhoods(), self.normals());
     }
 
     /// The k-nearest-neighbour graph.
     #[inline]
     pub fn neighbours(&self) -> &NeighbourGraph {
-        &self.surroundings().neighbours
+        &self.neighbourhoods().neighbours
     }
 
     /// Sets the graph, which was found out before; `false` if it cannot be that of these samples.
@@ -175,21 +175,21 @@ impl SampleSet {
         if graph.k() != NEIGHBOURS.min(self.len() - 1) || !graph.is_valid(self.len()) {
             return false;
         }
-        self.surroundings.get_or_init(|| Neighbourhoods::new(&self.positions, graph));
+        self.neighbourhoods.get_or_init(|| Neighbourhoods::new(&self.positions, graph));
         true
     }
 
     /// Mean distance to the nearest neighbours, for each sample; 0 for a single one.
     #[inline]
     pub fn spacing(&self) -> &[f32] {
-        &self.surroundings().spacing
+        &self.neighbourhoods().spacing
     }
 
     /// How far the surface around each sample goes that it stands for in pictures: its spacing, but for
     /// samples that lie apart from all others, as strays of a scan, no more than their nearest neighbour
     /// tells.
     pub fn extents(&self) -> Vec<f32> {
-        let Neighbourhoods { neighbours, spacing } = self.surroundings();
+        let Neighbourhoods { neighbours, spacing } = self.neighbourhoods();
         let ring = SPACING_NEIGHBOURS.min(neighbours.k());
         // To how many others each is a neighbour.
         let mut known = vec![0u8; spacing.len()];
@@ -275,8 +275,8 @@ impl SampleSet {
     }
 
     #[inline]
-    fn surroundings(&self) -> &Neighbourhoods {
-        self.surroundings.get_or_init(|| {
+    fn neighbourhoods(&self) -> &Neighbourhoods {
+        self.neighbourhoods.get_or_init(|| {
             self.prepare_tree();
             Neighbourhoods::new(&self.positions, NeighbourGraph::of_points(self.tree(), NEIGHBOURS))
         })
@@ -304,7 +304,7 @@ impl SampleSet {
             known: chosen.iter().map(|i| normals[*i as usize]).collect(),
             all_known: true,
             estimated: OnceLock::new(),
-            surroundings: OnceLock::new(),
+            neighbourhoods: OnceLock::new(),
             contacts: None,
             tree: OnceLock::new(),
             rest: OnceLock::new(),

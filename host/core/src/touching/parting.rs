@@ -206,7 +206,7 @@ impl Parting<'_> {
     /// Reads the vertices of some ranges: index, position in the model's coordinates, and unit normal.
     ///
     /// # Errors
-    /// They cannot be read, or `visit` failed; the user cancelled.
+    /// The vertices cannot be read, or `visit` failed; the user cancelled.
     pub fn vertices(
         &self,
         ranges: Vec<Range<u64>>,
@@ -231,7 +231,7 @@ impl Parting<'_> {
     }
 }
 
-/// Of which cluster each island of several sheets is, and of which of its parts.
+/// The cluster of which each island of several sheets is, and of which of its parts.
 fn places(mixed: &[Mixed]) -> HashMap<u32, (usize, usize)> {
     let mut place_of = HashMap::new();
     for (i, Mixed { parts, .. }) in mixed.iter().enumerate() {
@@ -362,7 +362,7 @@ const OPEN: u32 = u32::MAX;
 
 /// The samples that parts of clusters are given.
 struct GivenSamples {
-    /// That of each island.
+    /// The sample of each island.
     sample: Vec<u32>,
     /// As of [`Parted`].
     moved: Vec<(u32, Vec3, Vec3)>,

@@ -33,5 +33,5 @@ pub mod tools;
 mod turntable;
 pub mod welcome;
 
-pub use crate::numbers::{ago, bytes, count, duration, number};
+pub use crate::numbers::{ago, count, duration, number};
 pub use frames::card;
