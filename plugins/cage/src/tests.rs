@@ -80,7 +80,7 @@ impl Setup {
         let input =
             DeformInput::new(Samples::new(&self.samples, &[], &[]), BOUNDS, &[], &[]).with_parts(&parts);
         let mut out = vec![[f32::NAN; 3]; self.samples.len()];
-        CagePlugin::deform(state, &input, &mut Sums::default(), &mut out, &Host::new(&())).unwrap();
+        CagePlugin::deform(state, &input, &mut CageSums::default(), &mut out, &Host::new(&())).unwrap();
         out
     }
 
