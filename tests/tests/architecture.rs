@@ -1,7 +1,7 @@
-//! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `geometry <- core, measure`; `model <-
-//! core, generate, measure`; `core <- picture`; `plugin-api, core, measure <- session <- check, compare, viewer,
-//! cli`; `measure, picture <- compare`; `check, compare <- cli`; `picture <- scene, viewer`; `viewer, scene
-//! <- window`; `core, plugin-api, session, compare <- python`.
+//! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `geometry <- core,
+//! measure`; `model <- core, generate, measure`; `core <- picture`; `plugin-api, core, measure <- session <-
+//! check, compare, viewer, cli`; `measure, picture <- compare`; `check, compare <- cli`; `picture <- scene,
+//! viewer`; `viewer, scene <- window`; `core, plugin-api, session, compare <- python`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

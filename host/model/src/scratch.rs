@@ -32,8 +32,8 @@ impl Scratch {
         Self::from_file(file, folder, advice)
     }
 
-    /// An error where the disk of `folder` has no room for so many bytes of temporary files: better known before
-    /// much is done than in the midst of it. Its hint ends with `advice`.
+    /// An error where the disk of `folder` has no room for so many bytes of temporary files: better known
+    /// before much is done than in the midst of it. Its hint ends with `advice`.
     ///
     /// # Errors
     /// The disk has no room.

@@ -132,7 +132,8 @@ impl Scene {
         Ok(())
     }
 
-    /// Changes the half axes of the surface's ellipses (see [`SceneSurface::axes`]), whose radii go with them.
+    /// Changes the half axes of the surface's ellipses (see [`SceneSurface::axes`]), whose radii go with
+    /// them.
     ///
     /// # Errors
     /// There are some, but not as many as samples.

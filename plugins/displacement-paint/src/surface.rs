@@ -1,7 +1,7 @@
 //! What is known of the surface before anything is painted: which samples are beside each other on it.
 //!
-//! The nearest samples in space may be those of the other side of a thin wall, or of the next finger: they are
-//! told apart by the [sheet metric](simod_geometry::chord_length).
+//! The nearest samples in space may be those of the other side of a thin wall, or of the next finger: they
+//! are told apart by the [sheet metric](simod_geometry::chord_length).
 
 use crate::grid::HashGrid;
 use glam::Vec3;

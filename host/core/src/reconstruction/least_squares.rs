@@ -36,7 +36,8 @@ pub const TERMS: usize = 9;
 /// The factors of its second-order terms.
 const FACTORS: [[usize; 2]; 6] = [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]];
 
-/// A fit that leaves over more than this part of the displacement's variation makes its sample a troubled one …
+/// A fit that leaves over more than this part of the displacement's variation makes its sample a troubled one
+/// …
 const TROUBLED: f64 = 0.1;
 
 /// … and one that leaves over more than this is not to be believed.
