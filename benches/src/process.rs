@@ -56,7 +56,7 @@ impl Ran {
     /// What it printed, as JSON.
     ///
     /// # Errors
-    /// It is none.
+    /// The output is no JSON.
     pub fn json(&self) -> Result<Value> {
         Ok(serde_json::from_slice(&self.stdout)?)
     }
@@ -84,7 +84,7 @@ pub fn simod(path: Option<&Path>) -> Result<PathBuf> {
 /// Processor time is that of all children of this process meanwhile: run one at a time.
 ///
 /// # Errors
-/// It cannot be started, or fails.
+/// The process cannot be started, or fails.
 pub fn run(command: &mut Command, poll: Option<Duration>) -> Result<Ran> {
     let (start, cpu) = (Instant::now(), children_cpu());
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
@@ -101,7 +101,7 @@ pub fn run(command: &mut Command, poll: Option<Duration>) -> Result<Ran> {
 /// Runs a command of `simod`, and returns what it reports of itself.
 ///
 /// # Errors
-/// It fails, or reports nothing.
+/// The command fails, or reports nothing.
 pub fn report(command: &mut Command) -> Result<Value> {
     run(command.arg("--json"), None)?.json()
 }

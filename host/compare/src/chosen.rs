@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 use simod_model::mapped::Map;
 use simod_model::scratch::Scratch;
 use simod_model::{Result, Vertices};
-use simod_picture::SurfacePoint;
+use simod_picture::SurfaceDisc;
 use std::path::Path;
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -107,11 +107,11 @@ impl ChosenVertices {
     }
 
     /// One of them in a version, in the model's coordinates, with its colour; it has no size yet.
-    pub fn point(&self, i: usize, version: usize) -> SurfacePoint {
+    pub fn point(&self, i: usize, version: usize) -> SurfaceDisc {
         let words = &self.words()[i * self.width()..][..self.width()];
         let number = |at: usize| f32::from_bits(words[version * NUMBERS + at]);
         let [r, g, b, _] = words[self.width() - 1].to_le_bytes();
-        SurfacePoint {
+        SurfaceDisc {
             position: self.origin + Vec3::new(number(0), number(1), number(2)).as_dvec3(),
             normal: Vec3::new(number(3), number(4), number(5)),
             color: [r, g, b],

@@ -33,7 +33,7 @@ impl ComparedModels {
 pub(crate) struct ComparedModels {
     /// Each method's vertices beside those at rest.
     pub displacements: Vec<Difference>,
-    /// Of all models.
+    /// Boxes of all models.
     pub bounds: Vec<Bounds>,
     /// Each two methods, counted from 0.
     differences: Vec<((usize, usize), Difference)>,
@@ -90,7 +90,7 @@ struct AtRest<'a> {
     triangles: &'a [[u32; 3]],
     edges: Edges,
     details: Details<'a>,
-    /// Of a closed one.
+    /// The volume of a closed mesh.
     volume: Option<f64>,
     open: Option<OpenMesh>,
 }
@@ -139,7 +139,7 @@ impl<'a> AtRest<'a> {
 
 /// The model's own mesh, where it is small enough to be held.
 pub(crate) struct HeldMesh {
-    /// Of each vertex the first one at its place: soups have theirs several times.
+    /// The first vertex at the place of each: soups have theirs several times.
     first: Vec<u32>,
     rest: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use simod_core::reconstruction::Method as Reconstruction;
 use simod_core::tables::{self, Spanned};
 use simod_model::{Error, Result};
-use simod_picture::picture::Up;
+use simod_picture::picture::UpAxis;
 use simod_session::session_file::{SamplingTable, read_text};
 use simod_session::session_text::{RegionTable, SessionText};
 use simod_session::step::Region;
@@ -58,14 +58,14 @@ pub struct CameraPlace {
     /// Looking down, in degrees.
     pub pitch: f64,
     /// The model's axis that points up.
-    pub up: Up,
+    pub up: UpAxis,
     /// Width and height of a picture in pixels.
     pub size: [u32; 2],
 }
 
 impl Default for CameraPlace {
     fn default() -> Self {
-        Self { yaw: 25.0, pitch: 12.0, up: Up::Y, size: [640, 640] }
+        Self { yaw: 25.0, pitch: 12.0, up: UpAxis::Y, size: [640, 640] }
     }
 }
 
@@ -233,7 +233,7 @@ impl CompareFile {
     /// Reads a file; its paths are relative to its folder.
     ///
     /// # Errors
-    /// It cannot be read, or says something that makes no sense; which line it is.
+    /// The file cannot be read, or says something that makes no sense; which line it is.
     pub fn load(path: &Path) -> Result<Self> {
         Self::parse(&read_text(path, "comparison", "give a file such as compare.toml")?, path)
     }

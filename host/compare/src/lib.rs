@@ -48,7 +48,7 @@ pub use record::{
     Comparison, DeformationRecord, Figures, MachineRecord, MethodFailure, MethodRecord, ModelRecord,
     OnSamples, Pair, ResultFile, RunSeconds, Seconds,
 };
-pub use unit::{Done, do_unit};
+pub use unit::{ComparisonUnitDone, do_unit};
 
 use chosen::Choosing;
 use figures::HeldMesh;

@@ -67,11 +67,11 @@ pub(crate) struct Deformed {
     /// What its files begin with.
     pub name: String,
     pub sampled: Arc<SampledModel>,
-    /// Of the samples, local; nothing where the method deforms none.
+    /// Positions of the samples, local; nothing where the method deforms none.
     pub positions: Option<Vec<Vec3>>,
     /// The deformed model.
     pub output: PathBuf,
-    /// It was made here, and not by the user before.
+    /// The output was made here, and not by the user before.
     pub is_ours: bool,
 }
 
@@ -138,12 +138,12 @@ struct Once {
     /// What plugins had to say.
     messages: Vec<Message>,
     seconds: RunSeconds,
-    /// Of a program of the user's.
+    /// Peak memory of a program of the user's.
     peak_memory_bytes: Option<u64>,
     transfer_error: Option<TransferError>,
     expected_error: Option<ExpectedError>,
     folded_samples: Option<u64>,
-    /// Of the output, where it came about while that was written.
+    /// Hash of the output, where it came about while that was written.
     hash: Option<u128>,
 }
 
@@ -163,7 +163,7 @@ struct PreparedMethod<'a> {
     method: &'a ComparedMethod,
     /// What its files begin with.
     name: String,
-    /// Those of plugins.
+    /// The steps of plugins.
     steps: Vec<Step>,
     rest: Arc<SampledModel>,
 }

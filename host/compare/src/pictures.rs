@@ -10,7 +10,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, Vertices};
-use simod_picture::picture::{ColorOf, Crop, Drawn, PaintBy, View, of_painted, of_some};
+use simod_picture::picture::{ColorOf, Crop, Drawn, PaintBy, PictureView, of_painted, of_some};
 use simod_picture::{Coloring, Image, Paint, scale_color as color};
 use simod_session::step::{Region, Role};
 use std::path::Path;
@@ -72,14 +72,21 @@ impl<'a> Easel<'a> {
         })
     }
 
-    fn view(&self, bounds: &[Bounds], crop: Crop) -> View {
+    fn view(&self, bounds: &[Bounds], crop: Crop) -> PictureView {
         let mut all = Bounds::default();
         for bounds in bounds.iter().filter(|bounds| !bounds.is_empty()) {
             all.include(bounds.min);
             all.include(bounds.max);
         }
         let camera = self.file.camera;
-        View { bounds: all, yaw: camera.yaw, pitch: camera.pitch, size: camera.size, up: camera.up, crop }
+        PictureView {
+            bounds: all,
+            yaw: camera.yaw,
+            pitch: camera.pitch,
+            size: camera.size,
+            up: camera.up,
+            crop,
+        }
     }
 
     /// Draws `models`, of which the first is at rest; `files` has what the others' files begin with, and
@@ -98,7 +105,7 @@ impl<'a> Easel<'a> {
         let crops = self.file.crops.iter().map(|crop| (format!("_{}", crop.file), crop_of(crop)));
         let (ends, crops): (Vec<String>, Vec<Crop>) =
             [(String::new(), Crop::default())].into_iter().chain(crops).unzip();
-        let views: Vec<View> = crops.into_iter().map(|crop| self.view(bounds, crop)).collect();
+        let views: Vec<PictureView> = crops.into_iter().map(|crop| self.view(bounds, crop)).collect();
         let scale = end * comparison.model.diagonal;
         let brush = PictureBrush { easel: self, models, chosen, bounds, views: &views, scale, progress };
         let names = std::iter::once(REST).chain(files.iter().map(|(_, file)| file.as_str()));
@@ -138,7 +145,7 @@ struct PictureBrush<'a> {
     chosen: Option<&'a ChosenVertices>,
     bounds: &'a [Bounds],
     /// The first shows all.
-    views: &'a [View],
+    views: &'a [PictureView],
     /// The distance at which the scale ends.
     scale: f64,
     progress: &'a dyn Progress,
@@ -182,7 +189,7 @@ impl PictureBrush<'_> {
     fn of_all(
         &self,
         versions: [usize; 2],
-        views: &[View],
+        views: &[PictureView],
         (attributes, by): (usize, &PaintBy<'_>),
     ) -> Result<Vec<Image>> {
         let (models, drawn) = (versions.map(|i| self.models[i]), Drawn::Faces(self.easel.folder));

@@ -23,7 +23,8 @@ use std::path::{Path, PathBuf};
 /// What is written on the first line of `plan.toml`.
 const FORMAT: &str = "simod-comparison-plan/1";
 
-/// Of a method in its folder: what is known of it once it is done. It comes with the folder, whole.
+/// The record of a method in its folder: what is known of it once it is done. The record comes with the
+/// folder, whole.
 pub(crate) const METHOD_RECORD: &str = "record.json";
 
 /// A folder of the units of a comparison: the content of `plan.toml`.

@@ -30,8 +30,8 @@ const LONGEST: u64 = 64 << 20;
 
 /// What a unit did.
 #[derive(Default)]
-pub struct Done {
-    /// It was done before, and nothing had to be.
+pub struct ComparisonUnitDone {
+    /// The unit was done before, and nothing had to be.
     pub was_done: bool,
     /// The method that it was of.
     pub method: Option<MethodRecord>,
@@ -61,7 +61,7 @@ pub fn do_unit(
     (folder, number): (&Path, usize),
     plugins: &PluginRegistry,
     progress: &dyn Progress,
-) -> Result<Done> {
+) -> Result<ComparisonUnitDone> {
     let unit = unit_of(plan.units(), (folder, number))?;
     let is_finished = folder.join(FINISHED).is_file();
     if is_finished && unit.stage == Stage::Page {
@@ -69,11 +69,11 @@ pub fn do_unit(
         tidy(plan, folder);
     }
     if is_finished || folder.join(&unit.writes).is_file() {
-        return Ok(Done { was_done: true, ..Done::default() });
+        return Ok(ComparisonUnitDone { was_done: true, ..ComparisonUnitDone::default() });
     }
     check_before(plan.units(), unit, folder)?;
     let file = plan.comparison()?;
-    let work = UnitRun { plan, unit, folder, file: &file, plugins, progress };
+    let work = ComparisonUnitRun { plan, unit, folder, file: &file, plugins, progress };
     match unit.stage {
         Stage::Sample => work.sample(),
         Stage::Method => work.method(),
@@ -82,7 +82,7 @@ pub fn do_unit(
     }
 }
 
-struct UnitRun<'a> {
+struct ComparisonUnitRun<'a> {
     plan: &'a ComparisonPlan,
     unit: &'a Unit,
     folder: &'a Path,
@@ -91,8 +91,8 @@ struct UnitRun<'a> {
     progress: &'a dyn Progress,
 }
 
-impl UnitRun<'_> {
-    fn sample(&self) -> Result<Done> {
+impl ComparisonUnitRun<'_> {
+    fn sample(&self) -> Result<ComparisonUnitDone> {
         let of = samplings(self.file)[self.unit.part()];
         let begun = SampledModel::begin(&self.folder.join(sampled_folder(self.unit.part())))?;
         let cache = SampledModel::cache_in(&begun);
@@ -101,10 +101,10 @@ impl UnitRun<'_> {
         sampled.save_in(begun)?;
         // In the end, as it tells that the samples are there.
         write_json(&self.folder.join(&self.unit.writes), &SamplingNote { seconds })?;
-        Ok(Done::default())
+        Ok(ComparisonUnitDone::default())
     }
 
-    fn method(&self) -> Result<Done> {
+    fn method(&self) -> Result<ComparisonUnitDone> {
         let number = self.unit.part();
         let (method, name) = (&self.file.methods[number], &folder::names(&self.file.methods)[number]);
         let new = OutputFolder::create(&self.folder.join(method_folder(number)))?;
@@ -121,10 +121,10 @@ impl UnitRun<'_> {
         write_json(&new.path().join(METHOD_RECORD), &record).map_err(|e| new.named(e))?;
         self.progress.check()?;
         new.commit()?;
-        Ok(Done { method: Some(record), ..Done::default() })
+        Ok(ComparisonUnitDone { method: Some(record), ..ComparisonUnitDone::default() })
     }
 
-    fn page(&self) -> Result<Done> {
+    fn page(&self) -> Result<ComparisonUnitDone> {
         let how = self.plan.how();
         let output = self.plan.output();
         let (named, target) = checked(self.file, how, output)?;
@@ -140,7 +140,7 @@ impl UnitRun<'_> {
         let text = format!("output = {:?}\n", output.display().to_string());
         write_file(&self.folder.join(FINISHED), text.as_bytes())?;
         tidy(self.plan, self.folder);
-        Ok(Done { comparison: Some(comparison), ..Done::default() })
+        Ok(ComparisonUnitDone { comparison: Some(comparison), ..ComparisonUnitDone::default() })
     }
 
     /// What the units of methods have left. Deformed models are taken over to a folder, if there is one; what

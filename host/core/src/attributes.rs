@@ -12,7 +12,7 @@
 use serde::{Deserialize, Serialize};
 use simod_model::{Attribute, Error, Result};
 
-use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
+use crate::sealed::{seal, unsealed};
 
 /// Most attributes that samples have: the first ones of the file.
 pub const MOST: usize = 32;
@@ -59,14 +59,9 @@ impl SampleAttributes {
     /// Reads the content of a file, of so many samples.
     ///
     /// # Errors
-    /// It is damaged, of a version that is not known, or of other samples.
+    /// The file is damaged, of a version that is not known, or of other samples.
     pub(crate) fn decode(bytes: &[u8], of: [&str; 2], samples: usize) -> Result<Self> {
-        let (version, content) = unseal(bytes, MAGIC).map_err(damaged)?;
-        if version != VERSION {
-            return Err(damaged(UNKNOWN_VERSION));
-        }
-        let (known, all): ([String; 2], Self) =
-            postcard::from_bytes(content).map_err(|e| damaged(&e.to_string()))?;
+        let (known, all): ([String; 2], Self) = unsealed(bytes, (MAGIC, VERSION), damaged)?;
         if known != of {
             return Err(damaged("it belongs to other samples"));
         }

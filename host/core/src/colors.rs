@@ -138,7 +138,7 @@ impl Picked {
     /// Nothing yet; the file goes to `folder`.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The file cannot be made.
     pub fn new(folder: &Path) -> Result<Self> {
         let file = Scratch::new(folder, "do without the samples' colours, by --skip colors")?;
         Ok(Self { file, buffer: Vec::new(), written: 0 })

@@ -38,7 +38,7 @@ pub struct DeformedFile<'a> {
 /// Opens a file of samples, which are few enough to be held.
 ///
 /// # Errors
-/// It is no model, or has too many vertices.
+/// The file is no model, or has too many vertices.
 pub fn open(path: &Path) -> Result<Box<dyn Model>> {
     let model = simod_model::open(path)?;
     let vertices = model.info().vertices;

@@ -110,8 +110,8 @@ impl Guard {
     /// An error if the command may not write this file.
     ///
     /// # Errors
-    /// It cannot be written; it is an input of the command, another of its outputs, or a file of a sampled
-    /// model; or it is there, of another kind, and may not be replaced.
+    /// The file cannot be written; it is an input of the command, another of its outputs, or a file of a
+    /// sampled model; or it is there, of another kind, and may not be replaced.
     pub fn writes(&mut self, path: &Path, kind: OutputKind) -> Result<()> {
         let target = canonical_target(path)?;
         if kind == OutputKind::Model && is_object(&target) {
@@ -173,7 +173,7 @@ impl Guard {
     /// An error if a folder may not be replaced, as an input of the command lies in it.
     ///
     /// # Errors
-    /// That.
+    /// An input of the command lies in the folder.
     pub fn replaces_folder(&self, folder: &Path) -> Result<()> {
         let (Ok(place), Some(identity)) = (folder.canonicalize(), Identity::from_path(folder)) else {
             return Ok(());

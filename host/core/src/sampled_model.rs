@@ -739,7 +739,7 @@ impl SampledModel {
     /// is read beside the samples.
     ///
     /// # Errors
-    /// As both.
+    /// As of [`load`](Self::load) and [`read_deformed`](Self::read_deformed).
     pub fn load_with_deformed(folder: &Path, paths: &[&Path]) -> Result<(Self, Vec<Vec<Vec3>>)> {
         let first = || paths.first().map(|path| DeformedFile::read(path));
         let (sampled, first) = rayon::join(|| Self::load(folder), first);
@@ -794,7 +794,7 @@ impl SampledModel {
     /// The same, checked against the model: what was read from a file may lie.
     ///
     /// # Errors
-    /// They are not in memory, or of another model.
+    /// The cells are not in memory, or of another model.
     pub(crate) fn checked_cells(&self) -> Result<&KeptCells> {
         let Some(kept) = self.held_cells() else {
             return Err(Error::argument(
@@ -849,7 +849,7 @@ impl SampledModel {
     /// Opens the model that was sampled, or `elsewhere` if it was moved.
     ///
     /// # Errors
-    /// It cannot be opened, or is not the model that was sampled, as far as its size tells; the
+    /// The model cannot be opened, or is not the one that was sampled, as far as its size tells; the
     /// reconstruction compares its bytes too; what has to be made of it has no room.
     pub fn open_source(&self, elsewhere: Option<&Path>, progress: &dyn Progress) -> Result<Box<dyn Model>> {
         let path = elsewhere.unwrap_or(&self.source.path);

@@ -51,6 +51,23 @@ pub fn unseal<'a>(bytes: &'a [u8], letters: &[u8; 8]) -> Result<(u32, &'a [u8]),
     Ok((u32::from_le_bytes(*version), content))
 }
 
+/// The content of a file that begins with these letters and is of this version. `damaged` makes the error of
+/// what is wrong with it.
+///
+/// # Errors
+/// The file is damaged, or of another version.
+pub fn unsealed<T: DeserializeOwned>(
+    bytes: &[u8],
+    (letters, version): (&[u8; 8], u32),
+    damaged: impl Fn(&str) -> Error,
+) -> ModelResult<T> {
+    let (known, content) = unseal(bytes, letters).map_err(&damaged)?;
+    if known != version {
+        return Err(damaged(UNKNOWN_VERSION));
+    }
+    postcard::from_bytes(content).map_err(|e| damaged("its content makes no sense").because(e))
+}
+
 /// What is wrong with a file of another version.
 pub const UNKNOWN_VERSION: &str = "it is of a version that is not known";
 
@@ -83,10 +100,5 @@ pub fn read_end<T: DeserializeOwned>(
     let mut table = vec![0; bytes as usize];
     file.seek(SeekFrom::Start(begins)).map_err(failed)?;
     file.read_exact(&mut table).map_err(failed)?;
-    let (known, content) = unseal(&table, letters).map_err(&damaged)?;
-    if known != version {
-        return Err(damaged(UNKNOWN_VERSION));
-    }
-    let content = postcard::from_bytes(content).map_err(|_| damaged("its table makes no sense"))?;
-    Ok((file, content, begins))
+    Ok((file, unsealed(&table, (letters, version), damaged)?, begins))
 }

@@ -63,7 +63,7 @@ impl serde::de::Error for TableError {
 /// What a text of TOML says.
 ///
 /// # Errors
-/// It is no TOML, or another table: what is wrong, and where.
+/// The text is no TOML, or another table: what is wrong, and where.
 pub fn read<T: DeserializeOwned>(text: &str) -> Result<T, TableError> {
     let table =
         DeTable::parse(text).map_err(|e| TableError { message: e.message().to_owned(), span: e.span() })?;
@@ -183,9 +183,9 @@ enum Plain<'a> {
     Text(&'a str),
     Date(String),
     Integer(i64),
-    /// Of integers, what is left of those with a sign.
+    /// An integer beyond those with a sign.
     Unsigned(u64),
-    /// Of integers, those that none here holds.
+    /// An integer that no type here holds.
     Other(String),
     Float(f64),
     Bool(bool),

@@ -26,7 +26,7 @@ use simod_model::{Error, Result};
 use layout::{SurfacePatch, lay_out};
 use rows::BodyRows;
 
-pub use ply::{Encoding, GeneratedInfo, ModelOptions, expected_bytes, write_file, write_ply};
+pub use ply::{GeneratedInfo, ModelOptions, PlyEncoding, expected_bytes, write_file, write_ply};
 pub use rows::SurfaceVertex;
 
 /// Fewest vertices of a generated model; with fewer, the shapes fall apart.
@@ -143,7 +143,7 @@ impl Surface {
     /// All of it at once, for what is small enough.
     ///
     /// # Errors
-    /// It has more vertices than 32 bits can count.
+    /// The model has more vertices than 32 bits can count.
     pub fn mesh(&self) -> Result<(Vec<SurfaceVertex>, Vec<[u32; 3]>)> {
         if u32::try_from(self.vertices).is_err() {
             let what = format!("{} vertices are too many for a mesh in memory", self.vertices);

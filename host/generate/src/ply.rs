@@ -11,7 +11,7 @@ use super::{RowPiece, Shape, Surface, SurfaceVertex};
 
 /// How a PLY file stores its numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Encoding {
+pub enum PlyEncoding {
     /// Text.
     Ascii,
     /// Binary, least significant byte first.
@@ -28,7 +28,7 @@ pub struct ModelOptions {
     /// Number of vertices.
     pub vertices: u64,
     /// How numbers are stored.
-    pub encoding: Encoding,
+    pub encoding: PlyEncoding,
     /// Type of the positions.
     pub scalar: Scalar,
     /// Whether to write normals (always as floats).
@@ -47,7 +47,7 @@ impl Default for ModelOptions {
         Self {
             shape: Shape::Amphora,
             vertices: 1_000_000,
-            encoding: Encoding::BinaryLittleEndian,
+            encoding: PlyEncoding::BinaryLittleEndian,
             scalar: Scalar::F32,
             normals: true,
             colors: true,
@@ -144,9 +144,9 @@ impl<'a> PlyFormat<'a> {
         }
 
         let encoding = match options.encoding {
-            Encoding::Ascii => "ascii",
-            Encoding::BinaryLittleEndian => "binary_little_endian",
-            Encoding::BinaryBigEndian => "binary_big_endian",
+            PlyEncoding::Ascii => "ascii",
+            PlyEncoding::BinaryLittleEndian => "binary_little_endian",
+            PlyEncoding::BinaryBigEndian => "binary_big_endian",
         };
         let scalar = match options.scalar {
             Scalar::F32 => "float",
@@ -175,7 +175,7 @@ impl<'a> PlyFormat<'a> {
     }
 
     fn bytes(&self) -> Option<u64> {
-        if self.options.encoding == Encoding::Ascii {
+        if self.options.encoding == PlyEncoding::Ascii {
             return None;
         }
         Some(self.header.len() as u64 + self.vertices * self.vertex_bytes() + self.faces * 13)
@@ -194,9 +194,9 @@ impl<'a> PlyFormat<'a> {
         let mut bytes = Vec::with_capacity(vertices.len() * self.vertex_bytes() as usize);
         for vertex in &vertices {
             match self.options.encoding {
-                Encoding::Ascii => self.vertex(vertex, &mut NumberText(&mut bytes)),
-                Encoding::BinaryLittleEndian => self.vertex(vertex, &mut LittleEndian(&mut bytes)),
-                Encoding::BinaryBigEndian => self.vertex(vertex, &mut BigEndian(&mut bytes)),
+                PlyEncoding::Ascii => self.vertex(vertex, &mut NumberText(&mut bytes)),
+                PlyEncoding::BinaryLittleEndian => self.vertex(vertex, &mut LittleEndian(&mut bytes)),
+                PlyEncoding::BinaryBigEndian => self.vertex(vertex, &mut BigEndian(&mut bytes)),
             }
         }
         bytes
@@ -228,9 +228,9 @@ impl<'a> PlyFormat<'a> {
         let mut bytes = Vec::with_capacity(triangles.len() * 13);
         for triangle in triangles {
             match self.options.encoding {
-                Encoding::Ascii => face(triangle, &mut NumberText(&mut bytes)),
-                Encoding::BinaryLittleEndian => face(triangle, &mut LittleEndian(&mut bytes)),
-                Encoding::BinaryBigEndian => face(triangle, &mut BigEndian(&mut bytes)),
+                PlyEncoding::Ascii => face(triangle, &mut NumberText(&mut bytes)),
+                PlyEncoding::BinaryLittleEndian => face(triangle, &mut LittleEndian(&mut bytes)),
+                PlyEncoding::BinaryBigEndian => face(triangle, &mut BigEndian(&mut bytes)),
             }
         }
         bytes

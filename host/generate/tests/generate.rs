@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use std::io::{Seek, Write};
 
 use glam::DVec3;
-use simod_generate::{Encoding, ModelOptions, Shape, Surface, expected_bytes, write_ply};
+use simod_generate::{ModelOptions, PlyEncoding, Shape, Surface, expected_bytes, write_ply};
 use simod_model::progress::Silent;
 use simod_model::{ErrorKind, Model, Progress, Scalar, for_faces};
 
@@ -178,7 +178,7 @@ fn samples_are_spread_evenly() {
 
 #[test]
 fn bytes_do_not_depend_on_the_threads() {
-    for encoding in [Encoding::Ascii, Encoding::BinaryLittleEndian, Encoding::BinaryBigEndian] {
+    for encoding in [PlyEncoding::Ascii, PlyEncoding::BinaryLittleEndian, PlyEncoding::BinaryBigEndian] {
         let options = ModelOptions { vertices: 70_000, encoding, ..ModelOptions::default() };
         let one_after_another = |threads| {
             rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| bytes(&options))
@@ -200,7 +200,7 @@ fn files_hold_what_the_surface_gives() {
     let options = ModelOptions {
         shape: Shape::BumpySphere,
         vertices: 1000,
-        encoding: Encoding::Ascii,
+        encoding: PlyEncoding::Ascii,
         scalar: Scalar::F64,
         offset,
         ..ModelOptions::default()
@@ -227,8 +227,8 @@ fn files_hold_what_the_surface_gives() {
         let bytes = bytes(&ModelOptions { encoding, ..bare.clone() });
         bytes[bytes.len() - vertices * 24..].to_vec()
     };
-    let little = body(Encoding::BinaryLittleEndian, 1000);
-    let big = body(Encoding::BinaryBigEndian, 1000);
+    let little = body(PlyEncoding::BinaryLittleEndian, 1000);
+    let big = body(PlyEncoding::BinaryBigEndian, 1000);
     for ((little, big), vertex) in little
         .chunks_exact(8)
         .zip(big.chunks_exact(8))
@@ -254,7 +254,7 @@ fn read_faces(model: &dyn Model) -> Vec<[u32; 3]> {
 fn faces_are_read_as_they_are_generated_in_every_encoding() {
     let (_, expected) = Surface::new(Shape::Amphora, 50_000).unwrap().mesh().unwrap();
     let mut file = tempfile::NamedTempFile::new().unwrap();
-    for encoding in [Encoding::Ascii, Encoding::BinaryBigEndian, Encoding::BinaryLittleEndian] {
+    for encoding in [PlyEncoding::Ascii, PlyEncoding::BinaryBigEndian, PlyEncoding::BinaryLittleEndian] {
         let options = ModelOptions { vertices: 50_000, encoding, ..ModelOptions::default() };
         file.as_file().set_len(0).unwrap();
         file.rewind().unwrap();
@@ -264,7 +264,7 @@ fn faces_are_read_as_they_are_generated_in_every_encoding() {
         // In text, the end of the vertices is known by now.
         assert_eq!(read_faces(&*model), expected);
         let estimate = model.info().face_bytes as f64 / (13 * expected.len()) as f64;
-        let is_text = encoding == Encoding::Ascii;
+        let is_text = encoding == PlyEncoding::Ascii;
         assert!(estimate == 1.0 || is_text && (1.0..2.0).contains(&estimate), "{estimate}");
     }
 }

@@ -21,10 +21,10 @@ pub struct Details<'a> {
     /// Where each vertex' neighbours begin, and all of them.
     first: Vec<u32>,
     neighbours: Vec<u32>,
-    /// Of the steps that smooth once, and of twice as many.
+    /// Walks of the steps that smooth once, and of twice as many.
     walks: [SmoothingSteps; 2],
     smooth: Vec<DVec3>,
-    /// Of the smooth surface.
+    /// Normals of the smooth surface.
     normals: Vec<DVec3>,
     details: Vec<DVec3>,
 }

@@ -10,6 +10,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
+use simod_geometry::{horn_matrix, nearest_rotation};
 
 use super::triangle::{Edges, corners, cross};
 
@@ -32,11 +33,11 @@ pub struct Energies {
 /// How amounts are spread over a mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Histograms {
-    /// Of edges, the binary logarithm of the length over that at rest.
+    /// Edges, by the binary logarithm of their length over that at rest.
     pub edges: Bins,
-    /// Of triangles, that of the area.
+    /// Triangles, by that of their area.
     pub areas: Bins,
-    /// Of triangles, that of the symmetric Dirichlet energy over its least, which is 4.
+    /// Triangles, by that of their symmetric Dirichlet energy over its least, which is 4.
     pub distortion: Bins,
 }
 
@@ -77,8 +78,8 @@ impl Bins {
 }
 
 impl Energies {
-    /// Of triangles between positions at rest and deformed ones, and their edges. Triangles without an area
-    /// at rest, and edges without a length, do not count.
+    /// Energies of triangles between positions at rest and deformed ones, and their edges. Triangles without
+    /// an area at rest, and edges without a length, do not count.
     pub fn between(rest: &[DVec3], deformed: &[DVec3], (triangles, edges): (&[[u32; 3]], &Edges)) -> Self {
         let both = |t: &[u32; 3]| Some((*t, corners(rest, *t)?, corners(deformed, *t)?));
         let all: Vec<BothTriangles> = triangles
@@ -169,24 +170,11 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
 /// orientation using unit quaternions*, J. Opt. Soc. Am. A 1987). The identity where the matrix tells
 /// nothing.
 fn rotation(m: &DMat3) -> DMat3 {
-    let matrix = horn(m);
-    let [w, x, y, z] = quickly(m, &matrix).unwrap_or_else(|| greatest_eigenvector(matrix));
-    let quaternion = glam::DQuat::from_xyzw(x, y, z, w);
-    if quaternion.length_squared() > 0.5 && quaternion.is_finite() {
-        DMat3::from_quat(quaternion)
-    } else {
-        DMat3::IDENTITY
-    }
-}
-
-/// Horn's matrix.
-fn horn(m: &DMat3) -> [[f64; 4]; 4] {
-    // Of a map from columns to rows: s[i][j] goes from the axis j to i.
-    let s = |to: usize, from: usize| m.col(from)[to];
-    let (xx, yy, zz) = (s(0, 0), s(1, 1), s(2, 2));
-    let [x, y, z] = [s(2, 1) - s(1, 2), s(0, 2) - s(2, 0), s(1, 0) - s(0, 1)];
-    let [xy, yz, zx] = [s(0, 1) + s(1, 0), s(1, 2) + s(2, 1), s(2, 0) + s(0, 2)];
-    [[xx + yy + zz, x, y, z], [x, xx - yy - zz, xy, zx], [y, xy, yy - xx - zz, yz], [z, zx, yz, zz - xx - yy]]
+    let rotation = match quickly(m, &horn_matrix(*m)) {
+        Some([w, x, y, z]) => DMat3::from_quat(glam::DQuat::from_xyzw(x, y, z, w)),
+        None => nearest_rotation(*m).0,
+    };
+    if rotation.is_finite() { rotation } else { DMat3::IDENTITY }
 }
 
 /// The eigenvector of the greatest eigenvalue of a matrix whose characteristic polynomial follows from `m`
@@ -239,43 +227,6 @@ fn determinant(m: &[[f64; 4]; 4]) -> f64 {
     cofactors(m, 0).iter().zip(m[0]).map(|(minor, x)| minor * x).sum()
 }
 
-/// Of a symmetric matrix, by Jacobi's rotations: a unit vector.
-fn greatest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
-    const SWEEPS: usize = 24;
-    let mut vectors: [[f64; 4]; 4] =
-        std::array::from_fn(|i| std::array::from_fn(|k| f64::from(u8::from(i == k))));
-    let size: f64 = a.iter().flatten().map(|x| x * x).sum();
-    for _ in 0..SWEEPS {
-        let off: f64 =
-            (0..4).flat_map(|i| (i + 1..4).map(move |k| (i, k))).map(|(i, k)| a[i][k] * a[i][k]).sum();
-        if off <= 1e-32 * size {
-            break;
-        }
-        for (p, q) in (0..4).flat_map(|p| (p + 1..4).map(move |q| (p, q))) {
-            if a[p][q] == 0.0 {
-                continue;
-            }
-            let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-            let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-            let c = 1.0 / (t * t + 1.0).sqrt();
-            let s = t * c;
-            for row in &mut a {
-                let (x, y) = (row[p], row[q]);
-                (row[p], row[q]) = (c * x - s * y, s * x + c * y);
-            }
-            let (x, y) = (a[p], a[q]);
-            a[p] = std::array::from_fn(|k| c * x[k] - s * y[k]);
-            a[q] = std::array::from_fn(|k| s * x[k] + c * y[k]);
-            for row in &mut vectors {
-                let (x, y) = (row[p], row[q]);
-                (row[p], row[q]) = (c * x - s * y, s * x + c * y);
-            }
-        }
-    }
-    let greatest = (0..4).max_by(|i, k| a[*i][*i].total_cmp(&a[*k][*k])).unwrap_or(0);
-    vectors.map(|row| row[greatest])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -315,19 +266,19 @@ mod tests {
                 2 => DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0)),
                 _ => DMat3::from_cols(columns[0], columns[1], columns[2]),
             } * scale;
-            let matrix = horn(&m);
-            let Some(quick) = quickly(&m, &matrix) else { continue };
-            let along: f64 = quick.iter().zip(greatest_eigenvector(matrix)).map(|(a, b)| a * b).sum();
+            let Some(quick) = quickly(&m, &horn_matrix(m)) else { continue };
+            let [w, x, y, z] = quick;
+            let along = DQuat::from_xyzw(x, y, z, w).dot(DQuat::from_mat3(&nearest_rotation(m).0));
             assert!((along.abs() - 1.0).abs() < 1e-12, "{m}: {quick:?}");
             found += 1;
         }
         assert!(found > 1000, "{found}");
         // Where directions tell nothing, nothing is made up.
         let nothing = DMat3::ZERO;
-        assert_eq!(quickly(&nothing, &horn(&nothing)), None);
+        assert_eq!(quickly(&nothing, &horn_matrix(nothing)), None);
         let mirror = DMat3::from_diagonal(DVec3::splat(-1.0));
-        assert_eq!(quickly(&mirror, &horn(&mirror)), None);
-        assert_eq!(quickly(&DMat3::NAN, &horn(&DMat3::NAN)), None);
+        assert_eq!(quickly(&mirror, &horn_matrix(mirror)), None);
+        assert_eq!(quickly(&DMat3::NAN, &horn_matrix(DMat3::NAN)), None);
     }
 
     #[test]

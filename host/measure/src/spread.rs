@@ -14,7 +14,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of amounts that are not negative.
+    /// The spread of amounts that are not negative.
     pub fn from_amounts(mut amounts: Vec<f64>) -> Self {
         let Some(last) = amounts.len().checked_sub(1) else { return Self::default() };
         let squares: f64 = amounts.iter().map(|x| x * x).sum();

@@ -53,7 +53,7 @@ enum Child {
 }
 
 impl TriangleTree {
-    /// Of some triangles, and the order in which it has them.
+    /// The tree of some triangles, and the order in which it has them.
     pub fn from_facets(facets: &[TreeTriangle]) -> (Self, Vec<u32>) {
         let middle =
             |f: &TreeTriangle| 0.5 * (f.0[0].min(f.0[1]).min(f.0[2]) + f.0[0].max(f.0[1]).max(f.0[2]));
@@ -151,7 +151,7 @@ impl UnitCube {
         (p - self.middle) * self.scale
     }
 
-    /// Of any point one that is no farther from any of the triangles.
+    /// For any point one that is no farther from any of the triangles.
     fn point(&self, p: DVec3) -> Vec3 {
         self.exactly(p).clamp(-Self::FARTHEST, Self::FARTHEST).as_vec3()
     }

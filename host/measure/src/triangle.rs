@@ -46,8 +46,8 @@ pub(crate) fn sorted(pairs: impl Iterator<Item = [u32; 2]>) -> Vec<u64> {
 pub struct Edges(Vec<[u32; 2]>);
 
 impl Edges {
-    /// Of triangles between positions; those with a corner that there is not, or at no finite place, have
-    /// none.
+    /// Edges of triangles between positions; those with a corner that there is not, or at no finite place,
+    /// have none.
     pub fn from_triangles(rest: &[DVec3], triangles: &[[u32; 3]]) -> Self {
         let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
         let mut keys = sorted(sides(valid.copied()).map(either_way));

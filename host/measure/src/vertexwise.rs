@@ -36,7 +36,7 @@ pub struct Angles {
 /// Versions of a model beside each other.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VersionsBeside {
-    /// Of the finite positions of each version.
+    /// Boxes of the finite positions of each version.
     pub bounds: Vec<Bounds>,
     /// Each pair of versions: (0, 1), (0, 2), …, (1, 2), …
     pub differences: Vec<((usize, usize), Difference)>,
@@ -118,10 +118,10 @@ impl LaneSums {
 struct PairSums {
     histogram: Histogram,
     vertices: u64,
-    /// Of the distances' squares.
+    /// Sums of the distances' squares.
     squares: LaneSums,
     normals: u64,
-    /// Of the angles' squares, but the greatest of the angles.
+    /// Sums of the angles' squares, but the greatest of the angles.
     angles: LaneSums,
 }
 

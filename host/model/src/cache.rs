@@ -18,7 +18,7 @@ use crate::output_folder::OutputFolder;
 use crate::positioned::Positioned;
 use crate::scratch::Scratch;
 use crate::size::human_size;
-use crate::source::{Source, Stamp};
+use crate::source::{SourceFile, Stamp};
 use crate::target::folder_of;
 use crate::{Error, Progress, Result, input};
 
@@ -56,7 +56,7 @@ enum CacheLocation {
 struct Cached {
     stamp: Option<Stamp>,
     of: CacheStamp,
-    file: Source,
+    file: SourceFile,
 }
 
 /// What was made of what.
@@ -152,11 +152,11 @@ impl Cache {
     /// The model cannot be read, the disk has no room, `fill` failed, or wrote more or less than is needed.
     pub(crate) fn get(
         &self,
-        source: &Source,
+        source: &SourceFile,
         need: &CachedContent,
         progress: &dyn Progress,
         fill: impl FnOnce(&Scratch) -> Result<u64>,
-    ) -> Result<Source> {
+    ) -> Result<SourceFile> {
         let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
         let stamp = source.stamp();
         if let Some(known) = made.as_ref()
@@ -182,10 +182,10 @@ impl Cache {
     /// What was kept, if it is whole and of this model.
     fn kept(
         &self,
-        source: &Source,
+        source: &SourceFile,
         is_same: impl Fn(&CacheStamp) -> bool,
         progress: &dyn Progress,
-    ) -> Option<(CacheStamp, Source)> {
+    ) -> Option<(CacheStamp, SourceFile)> {
         let (CacheLocation::Claimed(path, _) | CacheLocation::Shared(path)) = &self.place else {
             return None;
         };
@@ -198,18 +198,18 @@ impl Cache {
         if of.bytes != len - ENDING as u64 {
             return None;
         }
-        let file = Source::of_part(file, source.path(), of.bytes);
+        let file = SourceFile::of_part(file, source.path(), of.bytes);
         (hash(&file, progress).ok()? == of.hash).then_some((of, file))
     }
 
     fn fill(
         &self,
-        source: &Source,
+        source: &SourceFile,
         source_hash: u128,
         need: &CachedContent,
         progress: &dyn Progress,
         fill: impl FnOnce(&Scratch) -> Result<u64>,
-    ) -> Result<(CacheStamp, Source)> {
+    ) -> Result<(CacheStamp, SourceFile)> {
         let output = self.output(need)?;
         let folder = output.as_ref().map_or_else(|| self.folder(), |(o, _)| folder_of(o.path()).to_owned());
         let place = match (&self.place, &output) {
@@ -241,7 +241,7 @@ impl Cache {
             )));
         }
         source.check_unchanged()?;
-        let file = Source::of_scratch(scratch, source.path(), bytes);
+        let file = SourceFile::of_scratch(scratch, source.path(), bytes);
         let mut of = CacheStamp { source_bytes: source.len(), source_hash, bytes, hash: 0 };
         // Nobody else will look whether a nameless one is whole.
         let Some((output, _claim)) = output else { return Ok((of, file)) };
@@ -249,7 +249,7 @@ impl Cache {
         let part = Positioned::new(output.part()?);
         part.write_all_at(&of.encode(), bytes).map_err(|e| Error::io("write", &place, &e))?;
         output.commit()?;
-        Ok((of, Source::of_part(part, source.path(), bytes)))
+        Ok((of, SourceFile::of_part(part, source.path(), bytes)))
     }
 
     /// The file to be kept, with the right to write it; none if it is to have no name.
@@ -296,7 +296,7 @@ impl CacheStamp {
 }
 
 /// The hash of all bytes.
-fn hash(source: &Source, progress: &dyn Progress) -> Result<u128> {
+fn hash(source: &SourceFile, progress: &dyn Progress) -> Result<u128> {
     let (mut hash, mut block, mut at) = (Xxh3Default::new(), Vec::new(), 0);
     while at < source.len() {
         progress.check()?;
@@ -320,7 +320,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let model = folder.path().join("model");
         std::fs::File::create(&model).unwrap().write_all(b"some model").unwrap();
-        let source = Source::open(&model, None).unwrap();
+        let source = SourceFile::open(&model, None).unwrap();
         // Written by one, and looked for by others.
         let made = |bytes: RangeInclusive<u64>, writes: u64| {
             let cache = Cache::in_folder(&folder.path().join("cache.bin"));

@@ -257,14 +257,16 @@ fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
                     Ok(is) if is.is_dir() => return Err(in_the_way()),
                     Ok(is) if !is.is_file() => {
                         // A link, a pipe or a device is nobody's part.
-                        remove(part).map_err(|_| in_the_way())?;
+                        remove(part).map_err(|e| in_the_way().because(e))?;
                         continue;
                     }
                     Ok(_) => {}
                 }
                 match open_again(part) {
                     Ok(file) => (file, false),
-                    Err(e) if e.kind() == io::ErrorKind::PermissionDenied => return Err(in_the_way()),
+                    Err(e) if e.kind() == io::ErrorKind::PermissionDenied => {
+                        return Err(in_the_way().because(e));
+                    }
                     Err(_) => continue,
                 }
             }
@@ -284,7 +286,7 @@ fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
         if is_new || is_ours_alone(&file).map_err(failed)? {
             return Ok(file);
         }
-        fs::remove_file(part).map_err(|_| in_the_way())?;
+        fs::remove_file(part).map_err(|e| in_the_way().because(e))?;
     }
     Err(Error::argument(
         format!("{} is being written by another process", path.display()),

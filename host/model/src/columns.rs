@@ -6,7 +6,7 @@
 //! are numbers in the first point's line. A PTS file says first how many points follow, and so does each
 //! further scan in it.
 
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::blocks::{TextBlocks, TextBlocksBuilder};
 use crate::text::lines::{Lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
@@ -209,7 +209,7 @@ impl Grammar for Columns {
 }
 
 /// Whether a file's first lines are such a text.
-pub(crate) fn is_columns(source: &Source, extension: &str) -> bool {
+pub(crate) fn is_columns(source: &SourceFile, extension: &str) -> bool {
     EXTENSIONS.contains(&extension) && head(source, extension, None).is_ok()
 }
 
@@ -253,7 +253,7 @@ struct ColumnsHead {
 }
 
 /// Opens a file, which is gone over once; `wanted` says what its columns are, as "x,y,z".
-pub(crate) fn open(source: Source, extension: &str, wanted: Option<&str>) -> Result<Box<dyn Model>> {
+pub(crate) fn open(source: SourceFile, extension: &str, wanted: Option<&str>) -> Result<Box<dyn Model>> {
     let ColumnsHead { mut columns, names, attributes, begin, start } = head(&source, extension, wanted)?;
     let blocks = scan(&source, &columns, begin, start)?;
     columns.wanted = wanted.map(str::to_owned);
@@ -273,7 +273,7 @@ pub(crate) fn open(source: Source, extension: &str, wanted: Option<&str>) -> Res
 }
 
 /// Where the points are. Lines with a single word say how many, if any do.
-fn scan(source: &Source, columns: &Columns, begin: u64, start: u64) -> Result<TextBlocks> {
+fn scan(source: &SourceFile, columns: &Columns, begin: u64, start: u64) -> Result<TextBlocks> {
     let mut lines = Lines::new(source, begin, u64::MAX, false);
     let mut builder = TextBlocksBuilder::new(start, 1);
     let mut said = 0u64;
@@ -301,7 +301,7 @@ fn scan(source: &Source, columns: &Columns, begin: u64, start: u64) -> Result<Te
     Ok(builder.finish())
 }
 
-fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<ColumnsHead> {
+fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<ColumnsHead> {
     // A mark of UTF-8 is no part of the first number.
     let mut mark = [0; 3];
     let begin = if source.read_at(&mut mark, 0)? == 3 && mark == *b"\xef\xbb\xbf" { 3 } else { 0 };

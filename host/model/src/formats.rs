@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::cache::Making;
 use crate::pool::Pool;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Error, Model, Result, columns, e57, gltf, las, obj, off, pcd, ply, splats, stl};
 
 /// Extensions of all formats, by which names say what a file is.
@@ -25,7 +25,7 @@ const EXTENSIONS: [&str; 12] = [
 ];
 
 /// Whether a file that begins so is of a format, and what opens it.
-type Opener = (fn(&[u8]) -> bool, fn(Source, &Making<'_>) -> Result<Box<dyn Model>>);
+type Opener = (fn(&[u8]) -> bool, fn(SourceFile, &Making<'_>) -> Result<Box<dyn Model>>);
 
 /// The formats that a file's first bytes tell.
 const BY_BEGINNING: [Opener; 7] = [
@@ -56,7 +56,7 @@ pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
 /// # Errors
 /// The file cannot be read.
 pub fn is_model(path: &Path) -> Result<bool> {
-    let source = Source::open(path, None)?;
+    let source = SourceFile::open(path, None)?;
     let start = beginning(&source)?;
     Ok(BY_BEGINNING.iter().any(|(is, _)| is(&start))
         || stl::is_stl(&source)?
@@ -69,7 +69,7 @@ pub fn is_model(path: &Path) -> Result<bool> {
 }
 
 /// The bytes by which formats are recognised that can be by such.
-fn beginning(source: &Source) -> Result<Vec<u8>> {
+fn beginning(source: &SourceFile) -> Result<Vec<u8>> {
     let mut start = Vec::new();
     source.append_at(&mut start, 0, 64)?;
     Ok(start)
@@ -92,7 +92,7 @@ pub(crate) fn open_file(
     columns: Option<&str>,
     making: &Making<'_>,
 ) -> Result<Box<dyn Model>> {
-    let source = Source::open(path, pool)?;
+    let source = SourceFile::open(path, pool)?;
     let start = beginning(&source)?;
     let found = BY_BEGINNING.iter().find(|(is, _)| is(&start));
     let extension = extension(path);
@@ -117,7 +117,7 @@ pub(crate) fn open_file(
     }
 }
 
-fn unknown(source: &Source, start: &[u8]) -> Error {
+fn unknown(source: &SourceFile, start: &[u8]) -> Error {
     let start = &start[..start.len().min(16)];
     let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
     let hint = "PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ and text in columns can be read: export the model as one of them";

@@ -54,8 +54,9 @@ pub fn read(path: &Path, most: u64) -> Result<Vec<u8>> {
 /// # Errors
 /// As of [`read`], or it is no UTF-8.
 pub fn read_text(path: &Path, most: u64) -> Result<String> {
-    String::from_utf8(read(path, most)?)
-        .map_err(|_| Error::format(format!("{} is no text in UTF-8", path.display()), "give another file"))
+    String::from_utf8(read(path, most)?).map_err(|e| {
+        Error::format(format!("{} is no text in UTF-8", path.display()), "give another file").because(e)
+    })
 }
 
 fn too_long(path: &Path, most: u64) -> Error {

@@ -206,10 +206,29 @@ pub fn anonymous() -> Option<u64> {
 
 #[cfg(target_os = "linux")]
 fn anonymous_by(file: &str) -> Option<u64> {
-    let status = std::fs::read_to_string(file).ok()?;
-    let line = status.lines().find_map(|l| l.strip_prefix("RssAnon:"))?;
+    told_by(file, "RssAnon:")
+}
+
+/// Bytes that a file of the system tells in a line of this name.
+#[cfg(target_os = "linux")]
+fn told_by(file: &str, name: &str) -> Option<u64> {
+    let text = std::fs::read_to_string(file).ok()?;
+    let line = text.lines().find_map(|l| l.strip_prefix(name))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes * 1024)
+}
+
+/// Memory of the machine in bytes; 4 GiB where it does not tell.
+pub fn of_machine() -> u64 {
+    #[cfg(target_os = "linux")]
+    let total = told_by("/proc/meminfo", "MemTotal:");
+    #[cfg(not(target_os = "linux"))]
+    let total = {
+        let mut system = sysinfo::System::new();
+        system.refresh_memory();
+        Some(system.total_memory()).filter(|bytes| *bytes > 0)
+    };
+    total.unwrap_or(4 << 30)
 }
 
 /// Resident memory in bytes, now, of which these systems do not tell what is of files; `None` where one does

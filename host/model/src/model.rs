@@ -334,10 +334,10 @@ pub struct Rewriting {
     /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them
     /// already.
     pub pieces_done: u64,
-    /// Of a model that is made of [tiles](Model::tiles): so many of them are read, but neither edited nor
+    /// So many files of a model that is made of [tiles](Model::tiles) are read, but neither edited nor
     /// written; pieces are those of the one after them.
     pub files_done: u64,
-    /// These pieces alone are read, edited and written: a part of a file that can be
+    /// The pieces that alone are read, edited and written: a part of a file that can be
     /// [divided](Model::division).
     pub only: Option<PieceRange>,
 }
@@ -728,7 +728,7 @@ pub trait Model: Send + Sync {
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
 
-    /// Of the bytes that a reading of all vertices gives, how many come before what is read at once with a
+    /// How many of the bytes that a reading of all vertices gives come before what is read at once with a
     /// vertex, and how many before what begins with it or, of blocks, with the next one; at the end, all of
     /// them.
     fn bytes_before(&self, vertex: u64) -> [u64; 2] {

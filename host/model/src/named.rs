@@ -138,7 +138,7 @@ pub fn open_version(of: &dyn Model, path: &Path, columns: Option<&str>) -> Resul
 /// wildcard (`*`, `?`, `[`), or is the name of something that is there, or of an object.
 ///
 /// # Errors
-/// It is no pattern, or matches no file; a folder cannot be read.
+/// The pattern is none, or matches no file; a folder cannot be read.
 pub fn matching(path: &Path) -> Result<Option<Vec<PathBuf>>> {
     let is_pattern = |text: &&str| text.contains(['*', '?', '[']) && !may_be_there(path);
     let Some(pattern) = path.to_str().filter(is_pattern) else { return Ok(None) };

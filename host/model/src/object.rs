@@ -177,7 +177,7 @@ pub struct BegunUpload {
 /// Begins to write an object: see [`Store::begin`].
 ///
 /// # Errors
-/// As there, or this program was built without any store.
+/// As of [`Store::begin`], or this program was built without any store.
 pub fn begin(path: &Path) -> Result<BegunUpload> {
     let (store, url) = store("write", path)?;
     let upload = store.begin(&url)?;
@@ -209,7 +209,7 @@ impl BegunUpload {
     /// Puts the object in its place: see [`Upload::complete`].
     ///
     /// # Errors
-    /// As there.
+    /// As of [`Upload::complete`].
     pub fn complete(&mut self, tags: Vec<String>, bytes: u64) -> Result<()> {
         self.upload.complete(tags, bytes)?;
         self.forget();
@@ -259,7 +259,7 @@ pub fn check_output(path: &Path) -> Result<()> {
 /// An error where an object is named and only a file will do; `action` completes "cannot …".
 ///
 /// # Errors
-/// That.
+/// The path names an object.
 pub fn check_file(action: &str, path: &Path) -> Result<()> {
     if !is_object(path) {
         return Ok(());

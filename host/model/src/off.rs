@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use crate::columns::Columns;
 use crate::model::NoFaces;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::blocks::TextBlocksBuilder;
 use crate::text::faces::{FaceLines, LineFaces};
 use crate::text::lines::{Lines, wrong_line};
@@ -64,7 +64,7 @@ pub(crate) fn is_off(start: &[u8]) -> bool {
 }
 
 /// Whether a file of that extension, which need not say so, begins as OFF.
-pub(crate) fn is_head(source: &Source) -> bool {
+pub(crate) fn is_head(source: &SourceFile) -> bool {
     OffHead::read(source).is_ok()
 }
 
@@ -81,7 +81,7 @@ struct OffHead {
 }
 
 impl OffHead {
-    fn read(source: &Source) -> Result<Self> {
+    fn read(source: &SourceFile) -> Result<Self> {
         let mut lines = Lines::new(source, 0, u64::MAX, false);
         let (mut letters, mut counts) = (None, Vec::new());
         while let Some((at, line)) = lines.next()? {
@@ -136,7 +136,7 @@ impl OffHead {
 }
 
 /// Opens a file, which is gone over once.
-pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
+pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     let head = OffHead::read(&source)?;
     let mut lines = Lines::new(&source, head.start, u64::MAX, false);
     let mut builder = TextBlocksBuilder::new(head.start, 1);

@@ -16,7 +16,7 @@ use glam::Mat3;
 use super::{
     Division, Edit, Edited, MAX_VERSIONS, Normals, Output, RawChunk, Rewriting, Summary, VertexChunk,
 };
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Error, Progress, Result};
 
 /// Pieces that are between reading and writing, beside one for each thread: so that a thread whose piece has
@@ -51,7 +51,7 @@ pub(crate) trait Rewritable: Sync {
     }
 
     /// The file.
-    fn source(&self) -> &Source;
+    fn source(&self) -> &SourceFile;
 }
 
 /// A version of a chunk on its way into bytes.

@@ -76,7 +76,7 @@ impl Pooled {
     /// The open file.
     ///
     /// # Errors
-    /// It cannot be opened again, or is another one now.
+    /// The file cannot be opened again, or is another one now.
     pub fn file(&self) -> Result<Arc<Positioned>> {
         if let Some(open) = self.pool.take(&self.path) {
             return Ok(open);

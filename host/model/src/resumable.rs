@@ -376,7 +376,7 @@ struct JournalState {
     parts: Vec<JournalEntry>,
     /// What may be replaced in them.
     patches: Vec<JournalPatch>,
-    /// They are the whole file.
+    /// The parts are the whole file.
     is_complete: bool,
     /// The whole file, good, stands in its place.
     in_target: bool,

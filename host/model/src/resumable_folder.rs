@@ -32,7 +32,7 @@ pub struct ResumableFolder {
     finished: usize,
     /// Their bytes that an earlier call wrote.
     taken_over: Vec<u64>,
-    /// It stands in its place.
+    /// The folder stands in its place.
     is_in_place: bool,
 }
 
@@ -328,7 +328,7 @@ fn in_place(
 /// else.
 ///
 /// # Errors
-/// It is a file, or holds something that would be lost.
+/// The path is a file, or the folder holds something that would be lost.
 pub fn check_target(folder: &Path, names: &[PathBuf]) -> Result<()> {
     let refused = |what: String| {
         let hint = "tiles go to a folder of their own: give the name of a new one, or of one with former tiles alone";

@@ -14,11 +14,11 @@ use crate::{Error, Model, Output, Progress, Result};
 
 /// The output of a model, in the making.
 pub enum ResumableOutput {
-    /// Of a model in one file.
+    /// The output of a model in one file.
     File(Box<ResumableFile>),
-    /// Of one that is made of several.
+    /// The output of a model that is made of several files.
     Folder(Box<ResumableFolder>),
-    /// Of a model in one file, in a store.
+    /// The output of a model in one file, in a store.
     Object(Box<ObjectOutput>),
 }
 
@@ -49,7 +49,7 @@ impl OutputPaths {
     /// The one name that all paths to it share.
     ///
     /// # Errors
-    /// It cannot be written, or holds what would be lost.
+    /// The output cannot be written, or holds what would be lost.
     pub fn checked(&self) -> Result<PathBuf> {
         if self.names.is_empty() {
             return canonical_target(&self.path);
@@ -85,7 +85,7 @@ impl ResumableOutput {
     /// Begins an output whose bytes `key` determines: see [`ResumableFile::open`].
     ///
     /// # Errors
-    /// As there; an object cannot be gone on with.
+    /// As of [`ResumableFile::open`]; an object cannot be gone on with.
     pub fn open(
         place: &OutputPaths,
         key: String,
@@ -137,7 +137,7 @@ impl ResumableOutput {
     /// Goes on after one of these: see [`ResumableFile::go_on_after`].
     ///
     /// # Errors
-    /// As there.
+    /// As of [`ResumableFile::go_on_after`].
     pub fn go_on_after(&mut self, done: (u64, u64)) -> Result<u64> {
         match self {
             Self::File(file) => file.go_on_after(done.1),
@@ -158,7 +158,7 @@ impl ResumableOutput {
     /// Says that nothing more comes: see [`ResumableFile::complete`].
     ///
     /// # Errors
-    /// As there.
+    /// As of [`ResumableFile::complete`].
     pub fn complete(&mut self, one_of_several: bool) -> Result<()> {
         match self {
             Self::File(file) => file.complete(one_of_several),

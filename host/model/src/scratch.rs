@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use memmap2::{Mmap, MmapMut};
 
 use crate::mapped::{Map, MapMut, Mapped};
+use crate::output::check_space;
 use crate::positioned::Positioned;
 use crate::{Error, Result};
 
@@ -29,6 +30,15 @@ impl Scratch {
     pub fn new(folder: &Path, advice: &'static str) -> Result<Self> {
         let file = tempfile::tempfile_in(folder).map_err(|e| refused("write", folder, advice, &e))?;
         Self::from_file(file, folder, advice)
+    }
+
+    /// An error where the disk of `folder` has no room for so many bytes of temporary files: better known
+    /// before much is done than in the midst of it. Its hint ends with `advice`.
+    ///
+    /// # Errors
+    /// The disk has no room.
+    pub fn check_space(folder: &Path, bytes: u64, advice: &str) -> Result<()> {
+        check_space(folder, folder, bytes).map_err(|e| advised(e, advice))
     }
 
     /// An open file in `folder`, which may have a name: it must not be [mapped](Self::map) then.
@@ -103,7 +113,10 @@ impl Scratch {
 fn refused(action: &str, folder: &Path, advice: &str, e: &std::io::Error) -> Error {
     // Where it is, also where it was called `.`.
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-    let what = Error::io(&format!("{action} a temporary file in"), &folder, e);
-    let hint = format!("{}; or {advice}", what.hint());
-    what.hinting(hint)
+    advised(Error::io(&format!("{action} a temporary file in"), &folder, e), advice)
+}
+
+fn advised(error: Error, advice: &str) -> Error {
+    let hint = format!("{}; or {advice}", error.hint());
+    error.hinting(hint)
 }

@@ -132,7 +132,7 @@ impl Drop for SharedFiles<'_> {
 /// files of these names.
 ///
 /// # Errors
-/// It holds something else; another process writes the output, or the operating system refuses; the user
+/// The output holds something else; another process writes it, or the operating system refuses; the user
 /// cancelled. The output is then what it was.
 pub fn become_output(folder: &Path, names: &[PathBuf], output: &Path, progress: &dyn Progress) -> Result<()> {
     check_target(folder, names)?;

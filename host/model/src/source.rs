@@ -16,7 +16,7 @@ use crate::{Error, Result, input};
 
 /// An open file of known length that several threads read at once, each where it likes.
 #[derive(Debug, Clone)]
-pub(crate) struct Source {
+pub(crate) struct SourceFile {
     file: Handle,
     path: PathBuf,
     len: u64,
@@ -42,7 +42,7 @@ pub(crate) enum Stamp {
     Object(u64, String),
 }
 
-impl Source {
+impl SourceFile {
     /// Opens a regular file, or an object, that is not empty; a file of a pool is closed when others are
     /// read.
     pub(crate) fn open(path: &Path, pool: Option<&Arc<Pool>>) -> Result<Self> {

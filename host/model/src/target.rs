@@ -13,7 +13,7 @@ const MAX_LINKS: usize = 40;
 /// The file that `path` means in the end: one that need not exist, but can be created or replaced.
 ///
 /// # Errors
-/// It is a folder or a device, or an object, or links lead nowhere.
+/// The path is a folder or a device, or an object, or links lead nowhere.
 pub(crate) fn regular_target(path: &Path) -> Result<PathBuf> {
     check_file("write", path)?;
     // Asked of the path: what it leads to may have no name, as a pipe behind `/dev/stdout`.
@@ -44,7 +44,7 @@ pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
 /// The file by the one name that all paths to it share, where its folder exists. An object has one name.
 ///
 /// # Errors
-/// It is a folder or a device, links lead nowhere, or the folder is missing.
+/// The path is a folder or a device, links lead nowhere, or the folder is missing.
 pub fn canonical_target(path: &Path) -> Result<PathBuf> {
     if is_object(path) {
         return Ok(path.to_owned());

@@ -11,7 +11,7 @@ use std::time::Instant;
 use glam::DVec3;
 use simod_generate::{Shape, Surface};
 use simod_model::Result;
-use simod_picture::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
+use simod_picture::{Image, PictureCamera, Renderer, Spacing, Style, SurfaceDisc};
 
 fn main() -> std::result::Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
@@ -72,18 +72,18 @@ impl<'a> Model<'a> {
     fn picture(&self, view: [DVec3; 2], yaw: f64, pitch: f64, style: Style) -> Result<Image> {
         const WIDTH: u32 = 900;
         const HEIGHT: u32 = 1100;
-        let camera = Camera::frame(view, yaw, pitch, f64::from(WIDTH) / f64::from(HEIGHT));
+        let camera = PictureCamera::frame(view, yaw, pitch, f64::from(WIDTH) / f64::from(HEIGHT));
         let mut renderer = Renderer::new(WIDTH, HEIGHT, camera, style);
         self.visit(|points| renderer.depth(points))?;
         self.visit(|points| renderer.blend(points))?;
         Ok(renderer.finish())
     }
 
-    fn visit(&self, mut draw: impl FnMut(&[SurfacePoint])) -> Result<()> {
+    fn visit(&self, mut draw: impl FnMut(&[SurfaceDisc])) -> Result<()> {
         let mut points = Vec::new();
         self.surface.visit_vertices(|block| {
             points.clear();
-            points.extend(block.iter().map(|vertex| SurfacePoint {
+            points.extend(block.iter().map(|vertex| SurfaceDisc {
                 position: vertex.position,
                 normal: vertex.normal,
                 color: vertex.color,

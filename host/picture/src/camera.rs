@@ -7,7 +7,7 @@ const HALF_FIELD: f64 = 14.0 * std::f64::consts::PI / 180.0;
 
 /// A perspective camera that looks at a box, with +y up in the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Camera {
+pub struct PictureCamera {
     position: DVec3,
     right: DVec3,
     up: DVec3,
@@ -19,7 +19,7 @@ pub struct Camera {
     tangents: [f64; 2],
 }
 
-impl Camera {
+impl PictureCamera {
     /// Looks at the middle of a box (its lowest and highest corners) so that it fills a picture of the given
     /// aspect (width by height), from a direction: `yaw` turns to the right about +y from +z, `pitch` looks
     /// down, in radians.
@@ -135,7 +135,7 @@ pub(super) struct Lens {
     pub center: [f32; 2],
     /// Pixels per unit at distance 1.
     pub scale: [f32; 2],
-    /// Of the scale: rays are asked for more often than anything else.
+    /// One over the scale: rays are asked for more often than anything else.
     inverse: [f32; 2],
     /// Nearer points are not drawn.
     pub near: f32,
@@ -172,7 +172,7 @@ mod tests {
         let (low, high) = (DVec3::new(-3.0, 10.0, 0.0), DVec3::new(5.0, 11.0, 2.0));
         for i in 0..40 {
             let t = f64::from(i);
-            let camera = Camera::frame([low, high], t * 0.7, (t * 0.3).sin(), 0.5 + t * 0.05);
+            let camera = PictureCamera::frame([low, high], t * 0.7, (t * 0.3).sin(), 0.5 + t * 0.05);
             for corner in [low, high, DVec3::new(low.x, high.y, low.z), DVec3::new(high.x, low.y, low.z)] {
                 let [x, y] = camera.project(corner, 200, 100).unwrap();
                 assert!((0.0..200.0).contains(&x) && (0.0..100.0).contains(&y), "{x} {y}");
@@ -182,12 +182,12 @@ mod tests {
 
     #[test]
     fn a_crop_has_its_point_in_the_middle_and_everything_larger() {
-        let camera = Camera::frame([DVec3::splat(-1.0), DVec3::new(1.0, 3.0, 2.0)], 0.7, 0.3, 1.5);
+        let camera = PictureCamera::frame([DVec3::splat(-1.0), DVec3::new(1.0, 3.0, 2.0)], 0.7, 0.3, 1.5);
         let point = DVec3::new(0.5, 2.5, -0.75);
         let crop = camera.crop(Some(point), 0.25);
         let [x, y] = crop.project(point, 300, 200).unwrap();
         assert!((x - 150.0).abs() < 1e-2 && (y - 100.0).abs() < 1e-2, "{x} {y}");
-        let wide = |camera: &Camera| {
+        let wide = |camera: &PictureCamera| {
             let [a, b] = [-0.1, 0.1].map(|d| camera.project(point + d * camera.right, 300, 200).unwrap()[0]);
             b - a
         };
@@ -198,7 +198,7 @@ mod tests {
     #[test]
     fn degenerate_boxes_give_a_camera() {
         for bounds in [[DVec3::ZERO; 2], [DVec3::NAN; 2], [DVec3::INFINITY, DVec3::NEG_INFINITY]] {
-            assert!(Camera::frame(bounds, 0.0, 0.0, f64::NAN).position().is_finite());
+            assert!(PictureCamera::frame(bounds, 0.0, 0.0, f64::NAN).position().is_finite());
         }
     }
 }

@@ -7,8 +7,8 @@
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::SurfacePoint;
-use super::camera::{Camera, Lens};
+use super::SurfaceDisc;
+use super::camera::{Lens, PictureCamera};
 use super::splat::{BAND, BATCH, Bands, Pixel, SplatBuffer};
 
 /// Steepest slope of a surface, in depths for each width of a sample, over which samples are still of one.
@@ -39,7 +39,12 @@ struct PictureTriangle {
 
 impl PictureTriangle {
     /// None for what is out of the picture of the given size, or has a corner that is not before the camera.
-    fn new(camera: &Camera, lens: &Lens, size: [usize; 2], triangle: &[SurfacePoint; 3]) -> Option<Self> {
+    fn new(
+        camera: &PictureCamera,
+        lens: &Lens,
+        size: [usize; 2],
+        triangle: &[SurfaceDisc; 3],
+    ) -> Option<Self> {
         let places = triangle.map(|corner| camera.to_view(corner.position));
         if !places.iter().all(|p| p.is_finite() && p.z > lens.near) {
             return None;
@@ -167,12 +172,22 @@ pub(super) struct TriangleRaster {
 
 impl TriangleRaster {
     /// First pass: the depth of the nearest surface.
-    pub fn depth(&mut self, canvas: &mut SplatBuffer, camera: &Camera, triangles: &[[SurfacePoint; 3]]) {
+    pub fn depth(
+        &mut self,
+        canvas: &mut SplatBuffer,
+        camera: &PictureCamera,
+        triangles: &[[SurfaceDisc; 3]],
+    ) {
         self.draw(canvas, camera, triangles, |pixel, _, _, depth, _| pixel.come_near(depth));
     }
 
     /// Second pass: what lies on the nearest surface.
-    pub fn blend(&mut self, canvas: &mut SplatBuffer, camera: &Camera, triangles: &[[SurfacePoint; 3]]) {
+    pub fn blend(
+        &mut self,
+        canvas: &mut SplatBuffer,
+        camera: &PictureCamera,
+        triangles: &[[SurfaceDisc; 3]],
+    ) {
         self.draw(canvas, camera, triangles, |pixel, facet, ray, depth, parts| {
             if pixel.is_near(depth, facet.slack * depth) {
                 let normal = towards(mixed(parts, &facet.normals).normalize_or_zero(), ray);
@@ -184,8 +199,8 @@ impl TriangleRaster {
     fn draw(
         &mut self,
         canvas: &mut SplatBuffer,
-        camera: &Camera,
-        triangles: &[[SurfacePoint; 3]],
+        camera: &PictureCamera,
+        triangles: &[[SurfaceDisc; 3]],
         hit: impl Fn(&mut Pixel, &PictureTriangle, Vec3, f32, [f32; 3]) + Sync,
     ) {
         let lens = canvas.lens(camera);
@@ -210,7 +225,7 @@ impl TriangleRaster {
 
 /// Points of a triangle, no two neighbours farther apart than a length but for very large ones: `visit` gets
 /// all of these, or the first corner of one that is smaller than that.
-pub(super) fn spread_over(triangle: &[SurfacePoint; 3], apart: f64, mut visit: impl FnMut(DVec3)) {
+pub(super) fn spread_over(triangle: &[SurfaceDisc; 3], apart: f64, mut visit: impl FnMut(DVec3)) {
     const MOST: f64 = 256.0;
     let [a, b, c] = triangle.map(|corner| corner.position);
     let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a)).sqrt();

@@ -33,7 +33,7 @@ impl FrameFolder {
     /// Writes the next frame.
     ///
     /// # Errors
-    /// It cannot be written, or there are too many.
+    /// The frame cannot be written, or there are too many.
     pub fn push(&mut self, image: &Image) -> Result<()> {
         self.push_png(&image.to_png()?)
     }
@@ -41,7 +41,7 @@ impl FrameFolder {
     /// Writes the next frame, which is the content of a PNG file already.
     ///
     /// # Errors
-    /// It cannot be written, or there are too many.
+    /// The frame cannot be written, or there are too many.
     pub fn push_png(&mut self, png: &[u8]) -> Result<()> {
         if self.count == Self::MOST {
             let what = format!("there are more than {} frames", Self::MOST);

@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 
-use super::SurfacePoint;
-use super::camera::Camera;
+use super::SurfaceDisc;
+use super::camera::PictureCamera;
 use super::facet::spread_over;
 use super::style::KEY_LIGHT;
 
@@ -23,7 +23,7 @@ pub(super) struct Ground {
 }
 
 impl Ground {
-    pub fn new(height: f64, camera: &Camera) -> Self {
+    pub fn new(height: f64, camera: &PictureCamera) -> Self {
         let side = 8.0 * camera.radius();
         Self {
             height,
@@ -36,12 +36,12 @@ impl Ground {
         }
     }
 
-    pub fn add(&mut self, points: &[SurfacePoint]) {
+    pub fn add(&mut self, points: &[SurfaceDisc]) {
         points.iter().for_each(|point| self.add_place(point.position));
     }
 
     /// Adds triangles, all over their areas.
-    pub fn add_triangles(&mut self, triangles: &[[SurfacePoint; 3]]) {
+    pub fn add_triangles(&mut self, triangles: &[[SurfaceDisc; 3]]) {
         let apart = self.cell;
         triangles.iter().for_each(|triangle| spread_over(triangle, apart, |p| self.add_place(p)));
     }

@@ -70,7 +70,7 @@ impl Image {
     /// The picture as the content of a PNG file.
     ///
     /// # Errors
-    /// It is too large for the format.
+    /// The picture is too large for the format.
     pub fn to_png(&self) -> Result<Vec<u8>> {
         encode(self.width, self.height, png::ColorType::Rgb, self.pixels.as_flattened())
     }

@@ -38,13 +38,13 @@ mod splat;
 mod style;
 mod view;
 
-pub use camera::Camera;
+pub use camera::PictureCamera;
 pub use cut_out::CutOut;
 pub use frames::FrameFolder;
 pub use image::Image;
 pub use paint::{Coloring, Paint};
 pub use palette::{class_color, class_name, scale_color};
-pub use point::SurfacePoint;
+pub use point::SurfaceDisc;
 pub use spacing::Spacing;
 pub use style::Style;
 
@@ -58,7 +58,7 @@ use splat::{Pixel, SplatBuffer};
 pub struct Renderer {
     width: u32,
     height: u32,
-    camera: Camera,
+    camera: PictureCamera,
     style: Style,
     canvas: SplatBuffer,
     facets: TriangleRaster,
@@ -70,7 +70,7 @@ const SUPERSAMPLING: u32 = 2;
 
 impl Renderer {
     /// An empty picture. A width or height of 0 is taken as 1.
-    pub fn new(width: u32, height: u32, camera: Camera, style: Style) -> Self {
+    pub fn new(width: u32, height: u32, camera: PictureCamera, style: Style) -> Self {
         let (width, height) = (width.max(1), height.max(1));
         Self {
             width,
@@ -84,13 +84,13 @@ impl Renderer {
     }
 
     /// First pass: finds the nearest surface.
-    pub fn depth(&mut self, points: &[SurfacePoint]) {
+    pub fn depth(&mut self, points: &[SurfaceDisc]) {
         self.depth_of(points, &[]);
     }
 
     /// The same of ellipses: each point has two half axes at right angles to each other and to its normal,
     /// the longer one as long as its radius. Where there are no axes, points are discs.
-    pub fn depth_of(&mut self, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
+    pub fn depth_of(&mut self, points: &[SurfaceDisc], axes: &[[Vec3; 2]]) {
         let Self { canvas, camera, ground, .. } = self;
         let shadow = || ground.iter_mut().for_each(|ground| ground.add(points));
         rayon::join(|| canvas.depth(camera, points, axes), shadow);
@@ -98,25 +98,25 @@ impl Renderer {
 
     /// Second pass: blends normals and colours of the points on the nearest surface. What was not in the
     /// first pass does not show.
-    pub fn blend(&mut self, points: &[SurfacePoint]) {
+    pub fn blend(&mut self, points: &[SurfaceDisc]) {
         self.blend_of(points, &[]);
     }
 
     /// The same of ellipses, as in [`depth_of`](Self::depth_of).
-    pub fn blend_of(&mut self, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
+    pub fn blend_of(&mut self, points: &[SurfaceDisc], axes: &[[Vec3; 2]]) {
         self.canvas.blend(&self.camera, points, axes);
     }
 
     /// [`blend`](Self::blend) for two pictures at once, in the points' colours and in others, of which there
     /// are as many: [`finish_both`](Self::finish_both) gives both.
-    pub fn blend_both(&mut self, points: &[SurfacePoint], others: &[[u8; 3]]) {
+    pub fn blend_both(&mut self, points: &[SurfaceDisc], others: &[[u8; 3]]) {
         self.canvas.blend_both(&self.camera, points, others);
     }
 
     /// The first pass of triangles, whose corners' normals and colours are mixed; what is said of a radius
     /// does not count. Each corner without a normal has that of its triangle. A triangle is seen from either
     /// side; one with a corner that is not finite, or not before the camera, is left out.
-    pub fn depth_of_triangles(&mut self, triangles: &[[SurfacePoint; 3]]) {
+    pub fn depth_of_triangles(&mut self, triangles: &[[SurfaceDisc; 3]]) {
         self.facets.depth(&mut self.canvas, &self.camera, triangles);
         if let Some(ground) = &mut self.ground {
             ground.add_triangles(triangles);
@@ -124,7 +124,7 @@ impl Renderer {
     }
 
     /// The second pass of triangles.
-    pub fn blend_triangles(&mut self, triangles: &[[SurfacePoint; 3]]) {
+    pub fn blend_triangles(&mut self, triangles: &[[SurfaceDisc; 3]]) {
         self.facets.blend(&mut self.canvas, &self.camera, triangles);
     }
 

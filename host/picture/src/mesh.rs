@@ -12,8 +12,8 @@ use simod_model::scratch::Scratch;
 use simod_model::{Model, Progress, Result, SMALL_CHUNK, Vertices, for_faces, in_step};
 
 use super::paint::Painted;
-use super::view::Up;
-use super::{Renderer, Spacing, SurfacePoint};
+use super::view::UpAxis;
+use super::{Renderer, Spacing, SurfaceDisc};
 
 /// Bytes of vertices that are held in memory; more than that are in a file.
 const HELD: u64 = 64 << 20;
@@ -21,7 +21,7 @@ const HELD: u64 = 64 << 20;
 /// What to do where the disk has no room.
 const ADVICE: &str = "draw the vertices alone, with --points";
 
-/// Of two directions that are farther apart than this cosine, one is beyond a crease.
+/// The cosine of an angle beyond which two directions are on both sides of a crease.
 const CREASE: f32 = 0.7;
 
 /// What is kept of a vertex.
@@ -164,7 +164,7 @@ impl<'a> DrawnMesh<'a> {
     }
 
     /// Draws all into a picture.
-    pub fn draw(&self, renderer: &mut Renderer, up: Up, progress: &dyn Progress) -> Result<()> {
+    pub fn draw(&self, renderer: &mut Renderer, up: UpAxis, progress: &dyn Progress) -> Result<()> {
         self.pass(up, progress, |triangles, points| {
             renderer.depth_of_triangles(triangles);
             renderer.depth(points);
@@ -177,9 +177,9 @@ impl<'a> DrawnMesh<'a> {
 
     fn pass(
         &self,
-        up: Up,
+        up: UpAxis,
         progress: &dyn Progress,
-        mut draw: impl FnMut(&[[SurfacePoint; 3]], &[SurfacePoint]),
+        mut draw: impl FnMut(&[[SurfaceDisc; 3]], &[SurfaceDisc]),
     ) -> Result<()> {
         let (records, mut drawn) = (self.records.all(), Vec::new());
         progress.begin("drawing", self.model.info().face_bytes);
@@ -194,10 +194,10 @@ impl<'a> DrawnMesh<'a> {
         for some in records.chunks(SMALL_CHUNK).take_while(|_| self.with_points) {
             progress.check()?;
             let alone = some.iter().filter(|record| record.used == 0);
-            let points: Vec<SurfacePoint> = alone
+            let points: Vec<SurfaceDisc> = alone
                 .map(|record| {
                     let radius = self.spacing.radius_at(self.place(record));
-                    SurfacePoint { radius, ..self.point(record, up) }
+                    SurfaceDisc { radius, ..self.point(record, up) }
                 })
                 .collect();
             if !points.is_empty() {
@@ -211,8 +211,8 @@ impl<'a> DrawnMesh<'a> {
         self.origin + Vec3::from(record.position).as_dvec3()
     }
 
-    fn point(&self, record: &VertexRecord, up: Up) -> SurfacePoint {
-        SurfacePoint {
+    fn point(&self, record: &VertexRecord, up: UpAxis) -> SurfaceDisc {
+        SurfaceDisc {
             position: up.turned(self.place(record)),
             normal: up.turned(Vec3::from(record.normal).as_dvec3()).as_vec3(),
             color: record.color,
@@ -220,7 +220,7 @@ impl<'a> DrawnMesh<'a> {
         }
     }
 
-    fn triangle(&self, records: &[VertexRecord], triangle: [u32; 3], up: Up) -> [SurfacePoint; 3] {
+    fn triangle(&self, records: &[VertexRecord], triangle: [u32; 3], up: UpAxis) -> [SurfaceDisc; 3] {
         // Where there is no vertex, there is no finite position.
         let nowhere = VertexRecord { position: [f32::NAN; 3], ..VertexRecord::zeroed() };
         let mut corners = triangle.map(|i| self.point(records.get(i as usize).unwrap_or(&nowhere), up));
@@ -232,7 +232,7 @@ impl<'a> DrawnMesh<'a> {
 }
 
 /// A corner at which the surface is creased has the normal of its triangle.
-fn at_creases(corners: &mut [SurfacePoint; 3]) {
+fn at_creases(corners: &mut [SurfaceDisc; 3]) {
     let [a, b, c] = corners.map(|corner| corner.position);
     let Some(face) = (b - a).cross(c - a).as_vec3().try_normalize() else { return };
     for corner in corners {

@@ -30,13 +30,13 @@ pub enum Paint {
     Clay,
     /// Their own colours, whose numbers mean this.
     Own(Colors, ColorScale),
-    /// Of classes, the least and the largest that there are.
+    /// Classes, from the least to the largest that there are.
     Classes {
         /// The attribute's place.
         place: usize,
         /// What it is called.
         name: String,
-        /// Whose colours the legend shows.
+        /// The numbers whose colours the legend shows.
         range: [f64; 2],
     },
     /// A scale from one number to another.

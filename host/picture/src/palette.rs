@@ -5,7 +5,7 @@
 const SCALE: [[u8; 3]; 6] =
     [[216, 216, 212], [248, 222, 140], [245, 160, 60], [222, 80, 50], [160, 25, 80], [60, 10, 85]];
 
-/// Of the classes of the LAS specification (ASPRS, LAS 1.4 R15, table 17), from 0 on.
+/// Colours of the classes of the LAS specification (ASPRS, LAS 1.4 R15, table 17), from 0 on.
 const CLASSES: [([u8; 3], &str); 19] = [
     ([170, 170, 170], "never classified"),
     ([190, 190, 190], "unclassified"),

@@ -11,10 +11,10 @@ use simod_model::{CHUNK_TRIANGLES, CHUNK_VERTICES, Model, Progress, Result, Vert
 
 pub use super::paint::PaintBy;
 use super::paint::Painted;
-pub use super::view::{Crop, Up, View};
+pub use super::view::{Crop, PictureView, UpAxis};
 
 use super::mesh::{DrawnMesh, are_many};
-use super::{Camera, Image, Paint, Spacing, SurfacePoint};
+use super::{Image, Paint, PictureCamera, Spacing, SurfaceDisc};
 
 /// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
 const SAMPLE_RADIUS: f64 = 1.35;
@@ -57,7 +57,7 @@ pub enum Drawn<'a> {
 pub fn of_model(
     model: &dyn Model,
     bounds: &Bounds,
-    view: &View,
+    view: &PictureView,
     (paint, drawn): (&Paint, Drawn<'_>),
     progress: &dyn Progress,
 ) -> Result<Image> {
@@ -75,7 +75,7 @@ pub fn of_model(
 pub fn turn_of_model(
     model: &dyn Model,
     bounds: &Bounds,
-    view: &View,
+    view: &PictureView,
     (paint, drawn): (&Paint, Drawn<'_>),
     frames: (u32, &mut Frames<'_>),
     progress: &dyn Progress,
@@ -96,7 +96,7 @@ pub fn turn_of_model(
 pub fn of_painted(
     models: &[&dyn Model],
     bounds: &Bounds,
-    views: &[View],
+    views: &[PictureView],
     (attributes, paint, drawn): (usize, &PaintBy<'_>, Drawn<'_>),
     progress: &dyn Progress,
 ) -> Result<Vec<Image>> {
@@ -135,7 +135,7 @@ impl<'a> ShownModel<'a> {
         }
     }
 
-    fn draw(&self, view: &View, camera: Camera, progress: &dyn Progress) -> Result<Image> {
+    fn draw(&self, view: &PictureView, camera: PictureCamera, progress: &dyn Progress) -> Result<Image> {
         match self {
             Self::Mesh(mesh, own_colors) => {
                 let mut renderer = view.renderer(camera, *own_colors);
@@ -154,22 +154,22 @@ fn spacing(model: &dyn Model, bounds: &Bounds, progress: &dyn Progress) -> Resul
 }
 
 /// Draws points, and the half axes of those that are ellipses.
-type PointDrawing<'a> = dyn FnMut(&[SurfacePoint], &[[Vec3; 2]]) + 'a;
+type PointDrawing<'a> = dyn FnMut(&[SurfaceDisc], &[[Vec3; 2]]) + 'a;
 
 fn draw(
     models: &[&dyn Model],
     spacing: &Spacing,
-    view: &View,
-    camera: Camera,
+    view: &PictureView,
+    camera: PictureCamera,
     paint: Painted<'_>,
     progress: &dyn Progress,
 ) -> Result<Image> {
     let ellipses = Ellipses::from_attributes(&models[0].info().attributes);
-    let points_of = |parts: &[Vertices<'_>]| -> (Vec<SurfacePoint>, Vec<[Vec3; 2]>) {
+    let points_of = |parts: &[Vertices<'_>]| -> (Vec<SurfaceDisc>, Vec<[Vec3; 2]>) {
         let Vertices { positions, normals, .. } = parts[0];
         let (mut points, mut axes) = (Vec::with_capacity(positions.len()), Vec::new());
         for (i, p) in positions.iter().enumerate() {
-            let mut point = SurfacePoint {
+            let mut point = SurfaceDisc {
                 position: view.up.turned(*p),
                 normal: view.up.turned(normals.get(i).map_or(DVec3::ZERO, |n| n.as_dvec3())).as_vec3(),
                 color: paint.map_or([0; 3], |(_, paint)| paint(parts, i)),
@@ -216,10 +216,10 @@ pub type ColorOf<'a> = dyn Fn(usize) -> [u8; 3] + Sync + 'a;
 /// # Errors
 /// The user cancelled.
 pub fn of_some(
-    (count, point): (usize, &(dyn Fn(usize) -> SurfacePoint + Sync)),
+    (count, point): (usize, &(dyn Fn(usize) -> SurfaceDisc + Sync)),
     (color, other): (&ColorOf<'_>, Option<&ColorOf<'_>>),
     bounds: &Bounds,
-    view: &View,
+    view: &PictureView,
     progress: &dyn Progress,
 ) -> Result<(Image, Option<Image>)> {
     progress.begin("drawing", 0);
@@ -231,7 +231,7 @@ pub fn of_some(
     let chunks = || (0..count).step_by(CHUNK_VERTICES).map(|i| i..count.min(i + CHUNK_VERTICES));
     let drawn = |i: usize, color: [u8; 3]| {
         let point = point(i);
-        SurfacePoint {
+        SurfaceDisc {
             position: view.up.turned(point.position),
             normal: view.up.turned(point.normal.as_dvec3()).as_vec3(),
             radius: radii[i],
@@ -270,14 +270,14 @@ pub fn of_samples(
     sampled: &SampledModel,
     positions: &[Vec3],
     normals: &[Vec3],
-    view: &View,
+    view: &PictureView,
     colors: Option<&[[u8; 3]]>,
 ) -> Image {
     DrawnSamples::new(sampled, (positions, normals), view, colors, true).draw(view, view.camera())
 }
 
 /// As [`of_samples`] of those at rest, each as a disc, whether there are triangles or not.
-pub fn of_discs(sampled: &SampledModel, view: &View, colors: Option<&[[u8; 3]]>) -> Image {
+pub fn of_discs(sampled: &SampledModel, view: &PictureView, colors: Option<&[[u8; 3]]>) -> Image {
     let samples = &sampled.samples;
     let shape = (&samples.positions[..], samples.normals());
     DrawnSamples::new(sampled, shape, view, colors, false).draw(view, view.camera())
@@ -290,7 +290,7 @@ pub fn of_discs(sampled: &SampledModel, view: &View, colors: Option<&[[u8; 3]]>)
 /// `frame` refuses a picture; the user cancelled.
 pub fn turn_of_samples(
     sampled: &SampledModel,
-    view: &View,
+    view: &PictureView,
     (colors, triangles): (Option<&[[u8; 3]]>, bool),
     (frames, frame): (u32, &mut Frames<'_>),
     progress: &dyn Progress,
@@ -306,10 +306,10 @@ pub fn turn_of_samples(
 
 /// Samples as they are drawn.
 struct DrawnSamples<'a> {
-    points: Vec<SurfacePoint>,
+    points: Vec<SurfaceDisc>,
     triangles: &'a [[u32; 3]],
-    /// Those that no triangle has.
-    alone: Vec<SurfacePoint>,
+    /// Samples that no triangle has.
+    alone: Vec<SurfaceDisc>,
     own_colors: bool,
 }
 
@@ -317,18 +317,18 @@ impl<'a> DrawnSamples<'a> {
     fn new(
         sampled: &'a SampledModel,
         (positions, normals): (&[Vec3], &[Vec3]),
-        view: &View,
+        view: &PictureView,
         colors: Option<&[[u8; 3]]>,
         triangles: bool,
     ) -> Self {
-        let disc = |(i, ((p, n), spacing)): (usize, ((&Vec3, &Vec3), &f32))| SurfacePoint {
+        let disc = |(i, ((p, n), spacing)): (usize, ((&Vec3, &Vec3), &f32))| SurfaceDisc {
             position: view.up.turned(sampled.frame.to_model(*p)),
             normal: view.up.turned(n.as_dvec3()).as_vec3(),
             color: colors.map_or([0; 3], |colors| colors[i]),
             radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
         };
         let extents = sampled.samples.extents();
-        let points: Vec<SurfacePoint> =
+        let points: Vec<SurfaceDisc> =
             positions.iter().zip(normals).zip(&extents).enumerate().map(disc).collect();
         let triangles = if triangles { &sampled.triangles[..] } else { &[] };
         let mut used = vec![false; points.len()];
@@ -338,14 +338,14 @@ impl<'a> DrawnSamples<'a> {
             }
         }
         let alone = points.iter().zip(&used).filter(|(_, used)| !**used).map(|(point, _)| *point);
-        let mut alone: Vec<SurfacePoint> = alone.collect();
+        let mut alone: Vec<SurfaceDisc> = alone.collect();
         if !are_many(alone.len(), points.len()) {
             alone.clear();
         }
         Self { points, triangles, alone, own_colors: colors.is_some() }
     }
 
-    fn draw(&self, view: &View, camera: Camera) -> Image {
+    fn draw(&self, view: &PictureView, camera: PictureCamera) -> Image {
         let mut renderer = view.renderer(camera, self.own_colors);
         let corners = |triangle: &[u32; 3]| {
             let [a, b, c] = triangle.map(|i| self.points.get(i as usize).copied());

@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 
 /// A point of a surface, drawn as a disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SurfacePoint {
+pub struct SurfaceDisc {
     /// Position; points that are not finite are skipped.
     pub position: DVec3,
     /// Normal of any length and sign; zero (or not finite) where it is not known: then the picture's depth

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::camera::{Camera, Lens};
+use super::camera::{Lens, PictureCamera};
 use super::ground::Ground;
 use super::splat::{Pixel, SplatBuffer};
 use super::style::{KEY_LIGHT, Style};
@@ -23,7 +23,7 @@ const OCCLUSION_REACH: f32 = 0.13;
 /// Lights all samples, in each of some colours of theirs; linear colours, row by row.
 pub(super) fn shade<const N: usize>(
     canvas: &SplatBuffer,
-    camera: &Camera,
+    camera: &PictureCamera,
     style: &Style,
     ground: Option<&Ground>,
     colors: [fn(&Pixel) -> Vec3; N],
@@ -55,7 +55,7 @@ struct SeenSurface {
 }
 
 impl SeenSurface {
-    fn new(canvas: &SplatBuffer, camera: &Camera) -> Self {
+    fn new(canvas: &SplatBuffer, camera: &PictureCamera) -> Self {
         let mut surface = Self {
             width: canvas.width,
             height: canvas.height,
@@ -211,7 +211,7 @@ fn lit(albedo: Vec3, normal: Vec3, eye: Vec3, occlusion: f32) -> Vec3 {
 /// Light paper, a little darker to the corners, with the ground's shadow.
 fn background(
     canvas: &SplatBuffer,
-    camera: &Camera,
+    camera: &PictureCamera,
     lens: &Lens,
     ground: Option<&Ground>,
     x: usize,
@@ -235,13 +235,13 @@ fn linear(srgb: Vec3) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::SurfacePoint;
+    use crate::SurfaceDisc;
 
     #[test]
     fn normals_of_a_sphere_given_and_derived() {
         const POINTS: u32 = 40_000;
         let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
-        let points = |known: bool| -> Vec<SurfacePoint> {
+        let points = |known: bool| -> Vec<SurfaceDisc> {
             (0..POINTS)
                 .map(|i| {
                     let y = 1.0 - (2.0 * f64::from(i) + 1.0) / f64::from(POINTS);
@@ -249,11 +249,11 @@ mod tests {
                     let r = (1.0 - y * y).sqrt();
                     let position = DVec3::new(r * cos, y, r * sin);
                     let normal = if known { position.as_vec3() } else { Vec3::ZERO };
-                    SurfacePoint { position, normal, color: [128; 3], radius: 0.024 }
+                    SurfaceDisc { position, normal, color: [128; 3], radius: 0.024 }
                 })
                 .collect()
         };
-        let camera = Camera::frame([DVec3::splat(-1.0), DVec3::splat(1.0)], 0.7, 0.4, 1.0);
+        let camera = PictureCamera::frame([DVec3::splat(-1.0), DVec3::splat(1.0)], 0.7, 0.4, 1.0);
         for (known, worst_allowed, mean_allowed) in [(true, 0.03, 0.01), (false, 0.5, 0.06)] {
             let points = points(known);
             let mut canvas = SplatBuffer::new(400, 400);

@@ -3,8 +3,8 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::SurfacePoint;
-use super::camera::{Camera, Lens};
+use super::SurfaceDisc;
+use super::camera::{Lens, PictureCamera};
 
 /// Rows of a band: what one thread draws at a time.
 pub(super) const BAND: usize = 64;
@@ -40,7 +40,7 @@ pub(super) struct Pixel {
     depth: f32,
     normal: Vec3,
     color: Vec3,
-    /// Of the other colour, where there are two pictures of the same.
+    /// The other colour, where there are two pictures of the same.
     other: Vec3,
     weight: f32,
 }
@@ -130,9 +130,9 @@ enum SplatDetail {
 impl ViewSplat {
     /// None for what is out of the picture of the given size, or no disc at all.
     fn new(
-        (camera, lens): (&Camera, &Lens),
+        (camera, lens): (&PictureCamera, &Lens),
         (size, drawn): ([usize; 2], SplatDetail),
-        point: &SurfacePoint,
+        point: &SurfaceDisc,
         axes: Option<&[Vec3; 2]>,
     ) -> Option<Self> {
         let center = camera.to_view(point.position);
@@ -235,12 +235,12 @@ impl SplatBuffer {
         Self { width, height, pixels, batch: Vec::new(), bands: Bands::default() }
     }
 
-    pub fn lens(&self, camera: &Camera) -> Lens {
+    pub fn lens(&self, camera: &PictureCamera) -> Lens {
         camera.lens(self.width as u32, self.height as u32)
     }
 
     /// First pass: the depth of the nearest surface.
-    pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
+    pub fn depth(&mut self, camera: &PictureCamera, points: &[SurfaceDisc], axes: &[[Vec3; 2]]) {
         let may_show = |pixel: &Pixel, splat: &ViewSplat| splat.least_depth() < pixel.nearest;
         self.draw(
             (camera, SplatDetail::Hiding),
@@ -255,7 +255,7 @@ impl SplatBuffer {
     }
 
     /// Second pass: what lies on the nearest surface.
-    pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
+    pub fn blend(&mut self, camera: &PictureCamera, points: &[SurfaceDisc], axes: &[[Vec3; 2]]) {
         let may_show = |pixel: &Pixel, splat: &ViewSplat| pixel.is_near(splat.least_depth(), splat.radius);
         self.draw(
             (camera, SplatDetail::All),
@@ -271,7 +271,7 @@ impl SplatBuffer {
     }
 
     /// The same for two pictures at once, in the points' colours and in others, of which there are as many.
-    pub fn blend_both(&mut self, camera: &Camera, points: &[SurfacePoint], others: &[[u8; 3]]) {
+    pub fn blend_both(&mut self, camera: &PictureCamera, points: &[SurfaceDisc], others: &[[u8; 3]]) {
         let may_show = |pixel: &Pixel, splat: &ViewSplat| pixel.is_near(splat.least_depth(), splat.radius);
         self.draw(
             (camera, SplatDetail::All),
@@ -288,8 +288,8 @@ impl SplatBuffer {
 
     fn draw(
         &mut self,
-        (camera, drawn): (&Camera, SplatDetail),
-        (points, axes, others): (&[SurfacePoint], &[[Vec3; 2]], &[[u8; 3]]),
+        (camera, drawn): (&PictureCamera, SplatDetail),
+        (points, axes, others): (&[SurfaceDisc], &[[Vec3; 2]], &[[u8; 3]]),
         may_show: impl Fn(&Pixel, &ViewSplat) -> bool + Sync,
         hit: impl Fn(&mut Pixel, &ViewSplat, f32, f32) + Sync,
     ) {
@@ -399,8 +399,8 @@ mod tests {
     fn the_nearest_surface_is_that_of_whole_discs_in_any_order() {
         let number = |i: u32, k: f64| (f64::from(i) * k).sin();
         for (yaw, size) in [(0.3, 0.02), (2.0, 0.3), (4.0, 3.0)] {
-            let camera = Camera::frame([DVec3::splat(-1.0), DVec3::splat(1.0)], yaw, 0.4, 1.5);
-            let point = |i: u32| SurfacePoint {
+            let camera = PictureCamera::frame([DVec3::splat(-1.0), DVec3::splat(1.0)], yaw, 0.4, 1.5);
+            let point = |i: u32| SurfaceDisc {
                 position: DVec3::new(number(i, 1.7), number(i, 2.9), number(i, 5.3)),
                 // Some have none.
                 normal: Vec3::new(number(i, 3.1) as f32, number(i, 7.7) as f32, number(i, 0.9) as f32)
@@ -408,7 +408,7 @@ mod tests {
                 color: [0; 3],
                 radius: (size * (1.1 + number(i, 11.0))) as f32,
             };
-            let points: Vec<SurfacePoint> = (0..4000).map(point).collect();
+            let points: Vec<SurfaceDisc> = (0..4000).map(point).collect();
             let [mut canvas, mut whole] = [SplatBuffer::new(180, 120), SplatBuffer::new(180, 120)];
             canvas.depth(&camera, &points, &[]);
             whole.draw(

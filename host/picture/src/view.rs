@@ -4,11 +4,11 @@ use glam::{DVec3, swizzles::Vec3Swizzles};
 use serde::Deserialize;
 use simod_model::bounds::Bounds;
 
-use super::{Camera, Renderer, Style};
+use super::{PictureCamera, Renderer, Style};
 
 /// The view of a picture: from where, and how large it is.
 #[derive(Debug, Clone, Copy)]
-pub struct View {
+pub struct PictureView {
     /// What fills the picture.
     pub bounds: Bounds,
     /// Turned to the right about +y from +z, in degrees.
@@ -18,7 +18,7 @@ pub struct View {
     /// Picture size in pixels.
     pub size: [u32; 2],
     /// Which of the model's axes points up.
-    pub up: Up,
+    pub up: UpAxis,
     /// What of it is shown.
     pub crop: Crop,
 }
@@ -42,7 +42,7 @@ impl Default for Crop {
 /// The model's axis that points up in the picture.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Up {
+pub enum UpAxis {
     /// The first.
     X,
     /// The second.
@@ -52,7 +52,7 @@ pub enum Up {
     Z,
 }
 
-impl Up {
+impl UpAxis {
     /// Turns the model's axes, in their order, so that the one that is up becomes y.
     pub(super) fn turned(self, p: DVec3) -> DVec3 {
         match self {
@@ -63,33 +63,34 @@ impl Up {
     }
 }
 
-impl View {
-    pub(super) fn camera(&self) -> Camera {
+impl PictureView {
+    pub(super) fn camera(&self) -> PictureCamera {
         self.cropped(self.whole())
     }
 
-    fn cropped(&self, camera: Camera) -> Camera {
+    fn cropped(&self, camera: PictureCamera) -> PictureCamera {
         camera.crop(self.crop.around.map(|p| self.up.turned(p)), self.crop.part)
     }
 
     /// The camera that shows everything.
-    fn whole(&self) -> Camera {
+    fn whole(&self) -> PictureCamera {
         let [w, h] = self.size;
         let bounds = [self.up.turned(self.bounds.min), self.up.turned(self.bounds.max)];
         let aspect = f64::from(w) / f64::from(h.max(1));
-        Camera::frame(bounds, self.yaw.to_radians(), self.pitch.to_radians(), aspect)
+        PictureCamera::frame(bounds, self.yaw.to_radians(), self.pitch.to_radians(), aspect)
     }
 
     /// The cameras of a full turn, evenly spaced. All are as far away as the farthest of those that just show
     /// everything: nothing is cut, and the model does not seem to grow and shrink.
-    pub(super) fn turn(&self, frames: u32) -> Vec<Camera> {
+    pub(super) fn turn(&self, frames: u32) -> Vec<PictureCamera> {
         let yaw = |k| self.yaw + 360.0 * f64::from(k) / f64::from(frames);
-        let cameras: Vec<Camera> = (0..frames).map(|k| Self { yaw: yaw(k), ..*self }.whole()).collect();
-        let farthest = cameras.iter().map(Camera::distance).fold(0.0, f64::max);
+        let cameras: Vec<PictureCamera> =
+            (0..frames).map(|k| Self { yaw: yaw(k), ..*self }.whole()).collect();
+        let farthest = cameras.iter().map(PictureCamera::distance).fold(0.0, f64::max);
         cameras.into_iter().map(|camera| self.cropped(camera.at_least(farthest))).collect()
     }
 
-    pub(super) fn renderer(&self, camera: Camera, own_colors: bool) -> Renderer {
+    pub(super) fn renderer(&self, camera: PictureCamera, own_colors: bool) -> Renderer {
         let [w, h] = self.size;
         let ground = Some(self.up.turned(self.bounds.min).y);
         Renderer::new(w, h, camera, Style { own_colors, ground })

@@ -8,7 +8,7 @@ use simod_compare::{CompareFile, Comparing, ComparisonPlan, MethodRecord};
 use simod_core::guard::Guard;
 use simod_model::ModelName;
 use simod_model::follow::Follow;
-use simod_session::plan::{Done, Plan, PlanOptions, Unit, do_unit, make};
+use simod_session::plan::{Plan, PlanOptions, Unit, UnitDone, do_unit, make};
 use simod_session::session_file::inputs;
 use simod_session::{PluginRegistry, SessionFile};
 
@@ -116,7 +116,7 @@ pub fn unit(py: Python<'_>, folder: PathBuf, number: usize) -> PyResult<bool> {
     if ComparisonPlan::is_at(&folder) {
         return comparison_unit(py, (&folder, number), &plugins);
     }
-    let (Done { was_done, messages, .. }, mut notes) = work(py, None, |watch| {
+    let (UnitDone { was_done, messages, .. }, mut notes) = work(py, None, |watch| {
         let plan = Plan::load(&folder)?;
         let mut guard = Guard::new(plan.force());
         guard.reads(plan.session());

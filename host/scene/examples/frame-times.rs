@@ -16,7 +16,8 @@ use simod_core::sampling::{Sampling, Target, sample};
 use simod_generate::{ModelOptions, Shape};
 use simod_model::progress::Silent;
 use simod_scene::{
-    Background, Budget, Dot, Gpu, Light, Line, PixelScale, Scene, SceneStyle, Surface, SurfaceMode, View,
+    Background, Budget, Dot, Gpu, Light, Line, PixelScale, Scene, SceneStyle, SceneSurface, SceneView,
+    SurfaceMode,
 };
 
 const SIZE: [u32; 2] = [1600, 1000];
@@ -63,12 +64,12 @@ fn measure(gpu: &Gpu, sampled: &SampledModel) -> Result<(), Box<dyn Error>> {
     let set = &sampled.samples;
     let radii: Vec<f32> = set.spacing().iter().map(|s| RADIUS * s).collect();
     let mut scene = Scene::new(gpu);
-    let surface = Surface {
+    let surface = SceneSurface {
         positions: &set.positions,
         normals: set.normals(),
         radii: &radii,
         triangles: &sampled.triangles,
-        ..Surface::default()
+        ..SceneSurface::default()
     };
     timed(set.len(), "upload of the surface", || {
         scene.set_surface(&surface).map(|()| gpu.wait()).map(|()| set.len())
@@ -114,13 +115,13 @@ fn timed<E>(samples: usize, what: &str, mut frame: impl FnMut() -> Result<usize,
 }
 
 /// A view of all positions, from a little above, turned about the vertical axis.
-fn around(positions: &[Vec3], turn: f32) -> View {
+fn around(positions: &[Vec3], turn: f32) -> SceneView {
     let (low, high) =
         positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
     let (middle, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
     let distance = 3.6 * radius;
     let way = Vec3::new(turn.sin(), 0.35, turn.cos()).normalize_or_zero();
-    View {
+    SceneView {
         view: look_at_mat4(middle + distance * way, middle, Vec3::Y),
         projection: perspective(0.52, SIZE[0] as f32 / SIZE[1] as f32, 0.1 * distance, 2.0 * distance),
         size: SIZE,
@@ -131,17 +132,17 @@ fn pictures(gpu: &Gpu, sampled: &SampledModel, folder: &Path) -> Result<(), Box<
     std::fs::create_dir_all(folder)?;
     let set = &sampled.samples;
     let radii: Vec<f32> = set.spacing().iter().map(|s| RADIUS * s).collect();
-    let rest = Surface {
+    let rest = SceneSurface {
         positions: &set.positions,
         normals: set.normals(),
         radii: &radii,
         triangles: &sampled.triangles,
-        ..Surface::default()
+        ..SceneSurface::default()
     };
     let mut scene = Scene::new(gpu);
     scene.set_surface(&rest)?;
     let shot =
-        |scene: &mut Scene, name: &str, style: &SceneStyle, budget: Option<&mut Budget>, view: &View| {
+        |scene: &mut Scene, name: &str, style: &SceneStyle, budget: Option<&mut Budget>, view: &SceneView| {
             let started = Instant::now();
             scene.render(view, style, budget);
             gpu.wait();
@@ -152,7 +153,7 @@ fn pictures(gpu: &Gpu, sampled: &SampledModel, folder: &Path) -> Result<(), Box<
             Ok::<(), Box<dyn Error>>(())
         };
     let view = around(&set.positions, 0.6);
-    let near = View { view: view.view, projection: perspective(0.12, 1.6, 0.5, 10.0), size: SIZE };
+    let near = SceneView { view: view.view, projection: perspective(0.12, 1.6, 0.5, 10.0), size: SIZE };
     let style = SceneStyle::default();
     shot(&mut scene, "splats", &style, None, &view)?;
     shot(&mut scene, "one-sided", &SceneStyle { two_sided: false, ..style }, None, &view)?;

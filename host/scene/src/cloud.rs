@@ -15,7 +15,7 @@ use crate::pipeline::bind;
 /// A sampled surface, in local coordinates. All lists are as long as `positions`, but `triangles`, and `axes`
 /// where it is empty.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Surface<'a> {
+pub struct SceneSurface<'a> {
     /// Positions; samples that are not finite are not drawn.
     pub positions: &'a [Vec3],
     /// Normals of any length; zero (or not finite) where they are not known.
@@ -109,7 +109,7 @@ const HIDDEN: u32 = 0x8000_8000;
 const UNKNOWN: u32 = 0x8000_0000;
 
 impl Cloud {
-    pub fn new(gpu: &Gpu, layout: &BindGroupLayout, surface: &Surface<'_>) -> Result<Self, BadSurface> {
+    pub fn new(gpu: &Gpu, layout: &BindGroupLayout, surface: &SceneSurface<'_>) -> Result<Self, BadSurface> {
         surface.check()?;
         let order = Order::new(surface.positions);
         let samples = order.samples.len();
@@ -163,7 +163,7 @@ impl Cloud {
     }
 
     /// Uploads all of the first samples; the surface's lists have one entry for each of them.
-    pub fn write_first(&self, queue: &Queue, first: &First, of: &Surface<'_>) {
+    pub fn write_first(&self, queue: &Queue, first: &First, of: &SceneSurface<'_>) {
         let packed = |k: usize| {
             let color = of.colors.map(|colors| colors[k]);
             let shape = of.axes.get(k).map_or(ROUND, shape);
@@ -286,7 +286,7 @@ impl DrawnTriangles {
     }
 }
 
-impl Surface<'_> {
+impl SceneSurface<'_> {
     pub(crate) fn check(&self) -> Result<(), BadSurface> {
         let samples = self.positions.len();
         same_length("normals", self.normals.len(), samples)?;

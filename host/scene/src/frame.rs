@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{Mat4, Vec3, Vec4};
 
-use crate::view::{Background, Light, Matcap, SceneStyle, View};
+use crate::view::{Background, Light, Matcap, SceneStyle, SceneView};
 
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
@@ -44,7 +44,7 @@ const REACH: f32 = 0.13;
 impl FrameData {
     /// A frame drawn in so many pixels of a surface of a radius, with a ghost or not.
     pub fn new(
-        view: &View,
+        view: &SceneView,
         style: &SceneStyle,
         size: [u32; 2],
         finished: [u32; 2],

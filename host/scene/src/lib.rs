@@ -47,11 +47,11 @@ mod triangles;
 mod view;
 
 pub use budget::Budget;
-pub use cloud::{BadSurface, Surface};
+pub use cloud::{BadSurface, SceneSurface};
 pub use gpu::{Gpu, NoGpu};
 pub use marks::{Dot, Line};
 pub use scene::{Scene, SurfaceShare};
-pub use view::{Background, Light, Matcap, PixelScale, SceneStyle, SurfaceMode, View};
+pub use view::{Background, Light, Matcap, PixelScale, SceneStyle, SceneView, SurfaceMode};
 
 /// The format of the texture that [`Scene::render`] gives: 8 bits a channel, which hold sRGB values as they
 /// are (as in a PNG file; what egui takes as a texture of the user).

@@ -12,14 +12,14 @@ use simod_picture::Image;
 use wgpu::{BindGroupLayout, Texture, TextureView};
 
 use crate::budget::Budget;
-use crate::cloud::{BadSurface, Cloud, First, Surface, same_length};
+use crate::cloud::{BadSurface, Cloud, First, SceneSurface, same_length};
 use crate::gpu::Gpu;
 use crate::marks::{Dot, Line, Marks};
 use crate::passes::Passes;
 use crate::pipeline::{ShaderInput, layout};
 use crate::splats::SplatPasses;
 use crate::triangles::TriangleMesh;
-use crate::view::{PixelScale, SceneStyle, View};
+use crate::view::{PixelScale, SceneStyle, SceneView};
 use stage::{FilledSplats, SizedTargets, Uniform};
 
 /// In so many frames for each pass, at most, all splats are drawn at rest.
@@ -49,7 +49,7 @@ pub struct Scene {
     stages: BTreeMap<PixelScale, SizedTargets>,
     finished: Option<(Texture, TextureView)>,
     /// What the picture is of, while surfaces are as they were.
-    of: Option<(View, SceneStyle)>,
+    of: Option<(SceneView, SceneStyle)>,
     /// Which stage the picture comes from.
     shown: PixelScale,
     drawn: SurfaceShare,
@@ -111,7 +111,7 @@ impl Scene {
     ///
     /// # Errors
     /// Its lists do not fit together.
-    pub fn set_surface(&mut self, surface: &Surface<'_>) -> Result<(), BadSurface> {
+    pub fn set_surface(&mut self, surface: &SceneSurface<'_>) -> Result<(), BadSurface> {
         self.surface = Some(Cloud::new(&self.gpu, &self.samples, surface)?);
         (self.placed, self.first, self.of) = (self.samples(), None, None);
         Ok(())
@@ -132,7 +132,8 @@ impl Scene {
         Ok(())
     }
 
-    /// Changes the half axes of the surface's ellipses (see [`Surface::axes`]), whose radii go with them.
+    /// Changes the half axes of the surface's ellipses (see [`SceneSurface::axes`]), whose radii go with
+    /// them.
     ///
     /// # Errors
     /// There are some, but not as many as samples.
@@ -146,7 +147,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Changes the surface's colours (see [`Surface::colors`]) and radii.
+    /// Changes the surface's colours (see [`SceneSurface::colors`]) and radii.
     ///
     /// # Errors
     /// There are not as many as samples.
@@ -167,10 +168,10 @@ impl Scene {
     ///
     /// # Errors
     /// Its lists do not fit together.
-    pub fn set_detail(&mut self, number: u64, detail: Option<&Surface<'_>>) -> Result<(), BadSurface> {
+    pub fn set_detail(&mut self, number: u64, detail: Option<&SceneSurface<'_>>) -> Result<(), BadSurface> {
         match detail {
             Some(detail) => {
-                let bare = Surface { triangles: &[], ..*detail };
+                let bare = SceneSurface { triangles: &[], ..*detail };
                 self.details.insert(number, Cloud::new(&self.gpu, &self.samples, &bare)?);
             }
             None => drop(self.details.remove(&number)),
@@ -203,8 +204,8 @@ impl Scene {
     ///
     /// # Errors
     /// Its lists do not fit together.
-    pub fn set_ghost(&mut self, ghost: Option<&Surface<'_>>) -> Result<(), BadSurface> {
-        let bare = ghost.map(|ghost| Surface { triangles: &[], ..*ghost });
+    pub fn set_ghost(&mut self, ghost: Option<&SceneSurface<'_>>) -> Result<(), BadSurface> {
+        let bare = ghost.map(|ghost| SceneSurface { triangles: &[], ..*ghost });
         self.ghost = bare.map(|ghost| Cloud::new(&self.gpu, &self.samples, &ghost)).transpose()?;
         self.of = None;
         Ok(())
@@ -243,7 +244,12 @@ impl Scene {
     /// Without a budget all is drawn at once, and the device may go on drawing when this returns. With one, a
     /// changed scene is drawn as well as its time allows; then calls draw more, and every few of them show a
     /// picture of some more splats, until [`SurfaceShare::complete`].
-    pub fn render(&mut self, view: &View, style: &SceneStyle, budget: Option<&mut Budget>) -> &TextureView {
+    pub fn render(
+        &mut self,
+        view: &SceneView,
+        style: &SceneStyle,
+        budget: Option<&mut Budget>,
+    ) -> &TextureView {
         let (view, style) = self.drawable(view, style);
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         let started = Instant::now();
@@ -279,9 +285,9 @@ impl Scene {
     }
 
     /// What the device can draw of this.
-    fn drawable(&self, view: &View, style: &SceneStyle) -> (View, SceneStyle) {
+    fn drawable(&self, view: &SceneView, style: &SceneStyle) -> (SceneView, SceneStyle) {
         let most = self.gpu.device.limits().max_texture_dimension_2d;
-        let view = View { size: view.size.map(|s| s.clamp(1, most)), ..*view };
+        let view = SceneView { size: view.size.map(|s| s.clamp(1, most)), ..*view };
         let is_large = style.scale == PixelScale::Double && view.size.iter().any(|s| 2 * s > most);
         (view, SceneStyle { scale: if is_large { PixelScale::Full } else { style.scale }, ..*style })
     }

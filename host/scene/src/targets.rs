@@ -20,7 +20,7 @@ pub(crate) struct Targets {
     pub finished_size: [u32; 2],
     /// For the test of depths.
     pub depth: TextureView,
-    /// Of the splats: depth of the nearest, sums of colours, sums of normals and depths.
+    /// What splats leave: depth of the nearest, sums of colours, sums of normals and depths.
     pub nearest: TextureView,
     pub colors: TextureView,
     pub surfaces: TextureView,

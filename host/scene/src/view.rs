@@ -4,7 +4,7 @@ use glam::{Mat4, Vec4};
 
 /// The view of a scene: from where.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct View {
+pub struct SceneView {
     /// From local coordinates to the eye's: right, up, backward. A motion, without scaling.
     pub view: Mat4,
     /// From there to clip coordinates: depth from 0 (near) to 1; perspective or parallel, for instance

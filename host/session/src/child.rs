@@ -17,11 +17,11 @@ const KEPT: usize = 64 << 10;
 
 /// How a process ended.
 pub enum End {
-    /// It ended by itself, with exit code 0.
+    /// The process ended by itself, with exit code 0.
     Well,
-    /// It went on for too long, and was ended.
+    /// The process went on for too long, and was ended.
     TooLong,
-    /// It asked for more memory than it may have.
+    /// The process asked for more memory than it may have.
     OutOfMemory,
     /// Otherwise: by a signal, or an exit code.
     Badly(String),

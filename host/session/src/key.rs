@@ -21,7 +21,7 @@ impl Key {
         Self(Xxh3Default::new()).and(&former)
     }
 
-    /// Also of this.
+    /// The key of this as well.
     pub fn and(mut self, what: &(impl Keyed + ?Sized)) -> Self {
         what.add_to(&mut self);
         self

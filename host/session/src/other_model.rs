@@ -42,8 +42,8 @@ impl OtherModel {
     /// Temporary files without a name are made in `folder`.
     ///
     /// # Errors
-    /// It cannot be read or sampled, has a point that is not finite in the other's coordinates, or more
-    /// samples than are taken as they are; the user cancelled.
+    /// The model cannot be read or sampled, has a point that is not finite in the other's coordinates, or
+    /// more samples than are taken as they are; the user cancelled.
     pub fn read(
         path: &Path,
         points: u64,
@@ -80,7 +80,7 @@ impl OtherModel {
         Self::from_samples(kind, sampled.samples, &sampled.frame, Vec::new(), sampled.triangles, frame)
     }
 
-    /// Of the samples in a file. Their normals there may be those of before something moved them.
+    /// The model of the samples in a file. Their normals there may be those of before something moved them.
     fn of_samples(model: &dyn Model, positions: &[DVec3], ids: Vec<u64>, frame: &Frame) -> Result<Self> {
         let theirs = Frame::from_bounds(&Bounds::from_points(positions.iter().copied()));
         let local = positions.iter().map(|p| theirs.to_local(*p)).collect();
@@ -160,7 +160,7 @@ fn too_many(count: u64) -> Error {
 /// each.
 ///
 /// # Errors
-/// It cannot be read, or a sample has no finite position; the user cancelled.
+/// The file cannot be read, or a sample has no finite position; the user cancelled.
 fn samples_with_ids(model: &dyn Model, progress: &dyn Progress) -> Result<Option<(Vec<DVec3>, Vec<u64>)>> {
     let info = model.info();
     let place = ID_NAMES.iter().find_map(|name| info.attributes.iter().position(|a| a.name == *name));

@@ -271,9 +271,9 @@ impl Run {
     /// The same in other ways.
     ///
     /// # Errors
-    /// As above; a step deforms samples alone, and all vertices are to be evaluated, or measured, which is
-    /// noticed before anything is read; the tolerance cannot be met, which is known before anything is
-    /// written.
+    /// As of [`execute`](Self::execute); a step deforms samples alone, and all vertices are to be evaluated,
+    /// or measured, which is noticed before anything is read; the tolerance cannot be met, which is known
+    /// before anything is written.
     pub fn execute_with(
         session: &SessionFile,
         plugins: &PluginRegistry,

@@ -218,7 +218,7 @@ mod tests {
         }
     }
 
-    /// It comes back the same, in the form of a session.
+    /// A command comes back the same, in the form of a session.
     fn assert_comes_back<T: Serialize + for<'de> Deserialize<'de> + PartialEq + Debug>(what: &T, has: &str) {
         let text = serde_json::to_string(what).unwrap();
         assert!(text.contains(has), "{text}");

@@ -116,7 +116,7 @@ impl SessionFile {
     /// `path` is the session's. A session may be a stranger's, who has no say about other folders.
     ///
     /// # Errors
-    /// It does not say so, or names another place.
+    /// The session does not say so, or names another place.
     pub fn output_beside(&self, path: &Path) -> Result<&Path> {
         let Some(output) = self.output.as_deref() else {
             return Err(Error::argument(

@@ -322,7 +322,7 @@ impl SessionText<'_> {
     /// A region, checked.
     ///
     /// # Errors
-    /// It has no shapes, or a shape, its falloff or its motion makes no sense: with the line.
+    /// The region has no shapes, or a shape, its falloff or its motion makes no sense: with the line.
     pub fn region(&self, table: Spanned<RegionTable>) -> Result<Region> {
         let (whole, RegionTable { role, shapes, falloff, r#move }) = (table.span(), table.into_inner());
         let spanned = |part: &Option<Range<usize>>| part.clone().unwrap_or_else(|| whole.clone());

@@ -92,7 +92,7 @@ impl Shapes {
     /// What is wrong with them, or nothing.
     ///
     /// # Errors
-    /// That.
+    /// A shape is no part of space, or the falloff is no distance: which.
     pub fn check(&self) -> Result<(), &'static str> {
         if let Some(what) = self.shapes.iter().find_map(RegionShape::defect) {
             return Err(what);

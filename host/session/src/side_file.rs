@@ -55,7 +55,7 @@ pub struct Reference {
 /// stays.
 ///
 /// # Errors
-/// It cannot be written.
+/// The file cannot be written.
 pub fn write(session: &Path, kind: SideFileKind, content: &impl Serialize) -> Result<Reference> {
     let (magic, extension, what) = kind.names();
     let bytes = postcard::to_extend(content, magic.to_vec())
@@ -123,8 +123,8 @@ impl Reference {
             return Err(refused("is not what the session was saved with"));
         }
         let damaged = || refused(&format!("is no file of a {what}"));
-        let content =
-            postcard::from_bytes(bytes.strip_prefix(magic).ok_or_else(damaged)?).map_err(|_| damaged())?;
+        let content = bytes.strip_prefix(magic).ok_or_else(damaged)?;
+        let content = postcard::from_bytes(content).map_err(|e| damaged().because(e))?;
         make(content).map_err(|what| refused(&format!("is wrong: {what}")))
     }
 }

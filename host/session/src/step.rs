@@ -307,7 +307,7 @@ impl Step {
 /// Checks a step's `title`, or the name of its `group`.
 ///
 /// # Errors
-/// It is empty, too long, or has characters that nobody sees.
+/// The name is empty, too long, or has characters that nobody sees.
 pub(crate) fn check_name(key: &str, name: &str) -> Result<(), Defect> {
     let what = if name.trim().is_empty() {
         "is empty"
@@ -336,7 +336,7 @@ pub(crate) fn check_amount(amount: f64) -> Result<(), Defect> {
 /// Checks an id of a joint or a handle; `is_known` says that another one has it.
 ///
 /// # Errors
-/// It is no word, or is there twice.
+/// The id is no word, or is there twice.
 pub(crate) fn check_id(id: &str, is_known: bool) -> Result<(), Defect> {
     if id.is_empty() || id.contains(char::is_whitespace) {
         return Err(Defect::new("an `id` is empty or has white space", "give it one word"));
@@ -416,7 +416,7 @@ pub(crate) fn check_handles(handles: &[HandleMove]) -> Result<(), (usize, Defect
 /// Checks a motion.
 ///
 /// # Errors
-/// It is no similarity of space.
+/// The motion is no similarity of space.
 pub(crate) fn check_motion(motion: &Motion) -> Result<(), Defect> {
     match motion.defect() {
         Some(what) => Err(Defect { part: RegionPart::Move, ..Defect::new(what, "correct the move") }),
@@ -509,9 +509,9 @@ fn full() -> f64 {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// They stay.
+    /// Samples stay.
     Fixed,
-    /// They follow the region's motion.
+    /// Samples follow the region's motion.
     Handle,
     /// The step acts here alone.
     Mask,
@@ -534,8 +534,8 @@ impl Region {
     /// Whether it makes sense.
     ///
     /// # Errors
-    /// It has no shape or one that is no part of space, fades out by no distance, or moves without being a
-    /// handle or by no similarity.
+    /// The region has no shape or one that is no part of space, fades out by no distance, or moves without
+    /// being a handle or by no similarity.
     pub fn check(&self) -> Result<(), Defect> {
         if self.shapes.shapes.is_empty() {
             return Err(Defect::new("the region has no shape", "give one, such as a sphere"));

@@ -105,7 +105,7 @@ pub struct Certificate {
 /// Whether a file can tell so small errors at all.
 ///
 /// # Errors
-/// It cannot; the error says why.
+/// The file's numbers are too coarse; the error says which it can tell.
 pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64) -> Result<()> {
     let diagonal = sampled.bounds.diagonal().max(f64::MIN_POSITIVE);
     let refused = |why: String, least: f64| {

@@ -24,7 +24,7 @@ pub(crate) struct BlockCache {
     arrived: Condvar,
 }
 
-/// Those that are there or on their way, the last one that was used first.
+/// Blocks that are there or on their way, the last one that was used first.
 struct HeldBlocks {
     blocks: VecDeque<CachedBlock>,
     most: usize,
@@ -68,7 +68,7 @@ impl BlockCache {
     /// A block, once it is there.
     ///
     /// # Errors
-    /// It cannot be brought, or the object has another version by now.
+    /// The block cannot be brought, or the object has another version by now.
     pub fn get(&'static self, of: &Arc<ObjectVersion>, number: u64) -> Result<Bytes> {
         let mut held = self.locked();
         if held.is_new(of, number) {

@@ -42,15 +42,15 @@ impl fmt::Debug for ObjectLocation {
 }
 
 impl ObjectLocation {
-    /// Of an object that is read.
+    /// The place of an object that is read.
     ///
     /// # Errors
-    /// It is no URL of an object, or settings in the environment make no sense.
+    /// The text is no URL of an object, or settings in the environment make no sense.
     pub fn to_read(url: &str) -> Result<Self> {
         Self::from_url(url, READING)
     }
 
-    /// Of an object that is written.
+    /// The place of an object that is written.
     ///
     /// # Errors
     /// As of [`to_read`](Self::to_read).

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use simod_model::{Error, Result};
 use tokio::runtime::{Builder, Runtime};
 
-/// They wait most of the time.
+/// Threads, which wait most of the time.
 const THREADS: usize = 2;
 
 /// The one runtime of the process.

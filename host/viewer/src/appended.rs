@@ -15,7 +15,7 @@ const RING: usize = 12;
 /// So many of those that were there before tell how the surface around one of them moved.
 const TELLING: usize = 32;
 
-/// Of each sample of a sampling, the one of a former sampling of the same model that stood just there.
+/// The sample of a former sampling of the same model that stood just where each of a sampling does.
 pub fn former(before: &SampledModel, after: &SampledModel) -> Vec<Option<u32>> {
     let same = common(before, after);
     let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
@@ -26,10 +26,10 @@ pub fn former(before: &SampledModel, after: &SampledModel) -> Vec<Option<u32>> {
     after.samples.positions.iter().enumerate().map(of).collect()
 }
 
-/// Of each sample, the nearest one that is known, by ways over the surface from sample to sample; itself
-/// where it is known. `near` has the samples next to one; those that look the other way, as behind a thin
-/// wall, are not. Parts of the surface on which none is known belong to what is nearest in space. At least
-/// one has to be known.
+/// The known sample that is nearest to each, by ways over the surface from sample to sample; itself where it
+/// is known. `near` has the samples next to one; those that look the other way, as behind a thin wall, are
+/// not. Parts of the surface on which none is known belong to what is nearest in space. At least one has to
+/// be known.
 pub fn owners<'a>(
     samples: &SampleSet,
     is_known: impl Fn(usize) -> bool,
@@ -75,7 +75,7 @@ pub fn owners<'a>(
 pub struct StepSamples<'a> {
     /// Local coordinates.
     pub positions: Cow<'a, [Vec3]>,
-    /// Of each sample, which of those that the step knows it belongs to; nothing where it knows all.
+    /// The one that each sample belongs to, of those that the step knows; nothing where it knows all.
     pub owners: Option<Vec<u32>>,
 }
 

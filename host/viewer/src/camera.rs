@@ -82,7 +82,7 @@ impl Default for Camera {
 pub struct Ray {
     /// Where it begins.
     pub origin: DVec3,
-    /// Of length 1.
+    /// Where the ray goes, of length 1.
     pub direction: DVec3,
 }
 

@@ -8,7 +8,7 @@ use simod_model::frame::Frame;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Clip {
-    /// Of any length but 0.
+    /// The plane's normal, of any length but 0.
     pub normal: DVec3,
     /// A point of the plane.
     pub through: DVec3,

@@ -129,7 +129,7 @@ pub enum Command {
     BeginStroke {
         /// The step.
         step: usize,
-        /// Of the brush, in the model's unit.
+        /// Radius of the brush, in the model's unit.
         radius: f64,
         /// 1 is full strength, negative ones do the opposite.
         strength: f64,
@@ -250,7 +250,7 @@ pub enum Area {
         /// Which of its regions.
         region: usize,
     },
-    /// These: lengths of runs of samples that are not selected and selected in turn.
+    /// Lengths of runs of samples that are not selected and selected in turn.
     Runs(Vec<u32>),
 }
 

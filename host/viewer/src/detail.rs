@@ -39,7 +39,7 @@ pub struct Detail {
     held: Vec<Option<HeldCell>>,
     pieces: BTreeMap<u64, DetailPiece>,
     made: u64,
-    /// Of the samples as they are now.
+    /// The samples as they are now.
     pose: SamplePose,
     covered: Arc<[bool]>,
     revision: u64,
@@ -79,7 +79,7 @@ pub struct DetailCounts {
     pub stride: u64,
     /// ... and so many are wanted.
     pub wanted: u64,
-    /// Those of stale cells that are not shown, as a share of those that are wanted.
+    /// Vertices of stale cells that are not shown, as a share of those that are wanted.
     pub stale: f64,
 }
 

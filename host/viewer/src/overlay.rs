@@ -47,7 +47,7 @@ pub struct ScalarField {
     pub values: Vec<f32>,
     /// From the scale's first colour to its last.
     pub range: [f32; 2],
-    /// They are classes of points, each of a colour of its own.
+    /// The numbers are classes of points, each of a colour of its own.
     pub are_classes: bool,
 }
 

@@ -125,8 +125,8 @@ impl PixelMap {
 }
 
 impl DepthBuffer {
-    /// Of the samples as a picture of so many pixels shows them, but those beyond a plane (unit normal and
-    /// distance, local coordinates).
+    /// Depths of the samples as a picture of so many pixels shows them, but those beyond a plane (unit normal
+    /// and distance, local coordinates).
     pub fn new(scene: &ViewerScene, camera: &Camera, size: [f64; 2], clip: Option<(DVec3, f64)>) -> Self {
         let shrink = (LONGEST / size[0].max(size[1]).max(1.0)).min(1.0);
         let pixels = |length: f64| ((length * shrink).ceil() as usize).max(1);

@@ -41,8 +41,9 @@ pub struct ViewerScene {
 }
 
 impl ViewerScene {
-    /// Of samples that the steps have moved. Of a draft, how the surface lies is found where somebody asks:
-    /// most of its samples may not be drawn; unless it was `asked` for all of the draft before.
+    /// The scene of samples that the steps have moved. Of a draft, how the surface lies is found where
+    /// somebody asks: most of its samples may not be drawn; unless it was `asked` for all of the draft
+    /// before.
     pub(crate) fn new(
         evaluated: Evaluated,
         evaluation: &Evaluation,

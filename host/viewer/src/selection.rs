@@ -120,7 +120,7 @@ impl Selection {
         runs
     }
 
-    /// Of runs, for so many samples; what is missing is not selected.
+    /// The selection by runs, for so many samples; what is missing is not selected.
     pub fn from_runs(runs: &[u32], samples: usize) -> Self {
         let mut marks = Vec::with_capacity(samples);
         for (i, run) in runs.iter().enumerate() {

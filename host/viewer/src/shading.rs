@@ -36,7 +36,7 @@ pub struct Shading {
 }
 
 impl Shading {
-    /// Of all samples, which have moved to these positions.
+    /// The shading of all samples, which have moved to these positions.
     pub fn new(sampled: &SampledModel, positions: &[Vec3]) -> Self {
         let samples = &sampled.samples;
         samples.prepare();
@@ -177,18 +177,18 @@ impl<'a> RestSurface<'a> {
 /// be.
 const FLATTEST: f32 = 1e-3;
 
-type Lanes = [f32; LANES];
-type Lanes3 = [Lanes; 3];
+type ShadingLanes = [f32; LANES];
+type Lanes3 = [ShadingLanes; 3];
 
 /// How the surface lies at some samples, side by side.
 struct Lying {
-    /// Of length 1, and the square of how long it was before.
+    /// The unit normal, and the square of how long it was before.
     normal: Lanes3,
-    square: Lanes,
+    square: ShadingLanes,
     /// The direction of the longer axis, and the lengths of both.
     along: Lanes3,
-    most: Lanes,
-    least: Lanes,
+    most: ShadingLanes,
+    least: ShadingLanes,
 }
 
 /// What the rest shape says of some samples, side by side. What [`RestSurface::turned`] sums up is linear
@@ -201,7 +201,7 @@ struct LaneRing {
     /// ... and what of the tangents the ways at rest do not tell: what moves as one has no share in this,
     /// however the surface is curved.
     left: [Lanes3; 2],
-    /// Whose neighbours lie on a line, a bit for each.
+    /// Samples whose neighbours lie on a line, a bit for each.
     odd: u16,
 }
 
@@ -338,7 +338,7 @@ impl LaneRing {
 /// The longer axis' direction, and the lengths of both: as [`ellipse`] has it, of radii in the plane of the
 /// normal.
 #[inline(always)]
-fn axes_of([u, v]: &[Lanes3; 2]) -> (Lanes3, [Lanes; 2]) {
+fn axes_of([u, v]: &[Lanes3; 2]) -> (Lanes3, [ShadingLanes; 2]) {
     let (mut along, mut lengths) = ([[0.0; LANES]; 3], [[0.0; LANES]; 2]);
     for i in 0..LANES {
         let dot = |a: &Lanes3, b: &Lanes3| a[0][i] * b[0][i] + a[1][i] * b[1][i] + a[2][i] * b[2][i];

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 /// Edit a model of any size in a window
 #[derive(Parser)]
 #[command(name = "simod-viewer", version, max_term_width = 100)]
-pub struct Arguments {
+pub struct WindowArguments {
     /// A model, the folder of a sampled one, or a session (session.toml)
     pub path: Option<PathBuf>,
     /// About how many samples to take of a model

@@ -20,16 +20,16 @@ pub struct Axis {
     /// Which step.
     pub step: usize,
     center: DVec3,
-    /// Of length 1.
+    /// Where the axis points, of length 1.
     pub direction: DVec3,
-    /// Of the planes, along the axis.
+    /// Places of the planes, along the axis.
     pub places: [f64; 2],
     /// The model's diagonal.
     pub diagonal: f64,
 }
 
 impl Axis {
-    /// That of the chosen step, if it works along one.
+    /// The axis of the chosen step, if it works along one.
     pub fn find(window: &Window) -> Option<Self> {
         let (step, _, deformation, plugin) = window.chosen()?;
         let (plugin, scene) = (plugin?, window.state().scene()?);

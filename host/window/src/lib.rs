@@ -39,7 +39,7 @@ mod wording;
 
 pub use app::App;
 
-pub use settings::Settings;
+pub use settings::WindowSettings;
 pub use start::main;
 pub use tools::Tool;
 pub use tools::measure::summary as measure_summary;

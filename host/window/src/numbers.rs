@@ -2,18 +2,6 @@
 
 use std::time::SystemTime;
 
-/// Bytes as people read them.
-pub fn bytes(bytes: f64) -> String {
-    const UNITS: [&str; 4] = ["kB", "MB", "GB", "TB"];
-    let mut value = bytes / 1e3;
-    let mut unit = 0;
-    while value >= 1000.0 && unit + 1 < UNITS.len() {
-        value /= 1e3;
-        unit += 1;
-    }
-    if value < 10.0 { format!("{value:.1} {}", UNITS[unit]) } else { format!("{value:.0} {}", UNITS[unit]) }
-}
-
 /// How long ago something was, as people say it.
 pub fn ago(time: SystemTime) -> String {
     let seconds = time.elapsed().unwrap_or_default().as_secs();
@@ -75,9 +63,6 @@ mod tests {
     fn numbers_are_read_easily() {
         assert_eq!(count(1234567), "1\u{2009}234\u{2009}567");
         assert_eq!(count(12), "12");
-        assert_eq!(bytes(1.5e6), "1.5 MB");
-        assert_eq!(bytes(512e9), "512 GB");
-        assert_eq!(bytes(0.0), "0.0 kB");
         let all = [0.0f64, 1.234, 0.01234, 1234.5, 1.2e-6, -3.456e9, 999.7].map(number);
         let expected = ["0", "1.23", "0.0123", "1\u{2009}235", "1.20e-6", "\u{2212}3.46e9", "1\u{2009}000"];
         assert_eq!(all, expected);

@@ -6,7 +6,7 @@ use crate::viewport::vertex_colors::VertexColors;
 use glam::{DVec3, Vec3};
 use simod_model::{Error, Result};
 use simod_picture::{CutOut, Image};
-use simod_scene::{Background, Dot, Gpu, NoGpu, PixelScale, Scene, SceneStyle, Surface};
+use simod_scene::{Background, Dot, Gpu, NoGpu, PixelScale, Scene, SceneStyle, SceneSurface};
 use simod_viewer::camera::Camera;
 use simod_viewer::{ComparedVersion, State};
 use std::path::Path;
@@ -70,7 +70,7 @@ pub struct Studio<'a> {
 }
 
 impl Shot {
-    /// Of what the state shows.
+    /// The shot of what the state shows.
     ///
     /// # Errors
     /// Nothing is open.
@@ -138,7 +138,7 @@ impl Shot {
         let (shown, samples) = (&self.shown, &self.shown.sampled.samples);
         let radii = disc_radii(&samples.extents());
         let mut scene = Scene::new(&gpu);
-        let surface = Surface {
+        let surface = SceneSurface {
             positions: &shown.positions,
             normals: shown.normals(),
             radii: &self.radii,
@@ -146,11 +146,11 @@ impl Shot {
             colors: self.colors.as_deref(),
             triangles: &shown.sampled.triangles,
         };
-        let rest = Surface {
+        let rest = SceneSurface {
             positions: &samples.positions,
             normals: samples.normals(),
             radii: &radii,
-            ..Surface::default()
+            ..SceneSurface::default()
         };
         let bad = |e: simod_scene::BadSurface| Error::internal(e.to_string()).because(e);
         scene.set_surface(&surface).map_err(bad)?;

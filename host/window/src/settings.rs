@@ -48,7 +48,7 @@ impl Lighting {
 /// What the user likes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", default)]
-pub struct Settings {
+pub struct WindowSettings {
     /// How light the window is.
     pub theme: Theme,
     /// The name of the way to move the camera; see [`Navigation::ALL`].
@@ -66,7 +66,7 @@ pub struct Settings {
     file: Option<PathBuf>,
 }
 
-impl Default for Settings {
+impl Default for WindowSettings {
     fn default() -> Self {
         Self {
             theme: Theme::default(),
@@ -80,7 +80,7 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl WindowSettings {
     /// The user's. Whatever cannot be read is as it is at first.
     pub fn load() -> Self {
         let folders = directories::ProjectDirs::from("", "", "simod");
@@ -138,7 +138,7 @@ mod tests {
 
     #[test]
     fn the_latest_comes_first_and_once() {
-        let mut settings = Settings::default();
+        let mut settings = WindowSettings::default();
         for name in ["a", "b", "a"] {
             settings.remember(Path::new(name));
         }
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn what_is_missing_in_the_file_is_as_at_first() {
-        let some: Settings = toml::from_str("theme = \"light\"").unwrap();
-        assert_eq!(some, Settings { theme: Theme::Light, ..Settings::default() });
+        let some: WindowSettings = toml::from_str("theme = \"light\"").unwrap();
+        assert_eq!(some, WindowSettings { theme: Theme::Light, ..WindowSettings::default() });
     }
 }

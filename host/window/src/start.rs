@@ -2,10 +2,10 @@
 //! for.
 
 use crate::app::App;
-use crate::arguments::Arguments;
+use crate::arguments::WindowArguments;
 use crate::plugins::{SERVE, discover, serve};
 use crate::screenshot::{ScreenshotFormat, Shot};
-use crate::settings::{Settings, is_sampled, sampling};
+use crate::settings::{WindowSettings, is_sampled, sampling};
 use crate::window::Window;
 use crate::{screenshot, turntable};
 use clap::Parser;
@@ -28,7 +28,7 @@ pub fn main() -> ExitCode {
     let ended = if plain.next().is_some_and(|first| first == SERVE) {
         serve(plain.collect())
     } else {
-        execute(Arguments::parse())
+        execute(WindowArguments::parse())
     };
     match ended {
         Ok(()) => ExitCode::SUCCESS,
@@ -39,7 +39,7 @@ pub fn main() -> ExitCode {
     }
 }
 
-fn execute(arguments: Arguments) -> Result<()> {
+fn execute(arguments: WindowArguments) -> Result<()> {
     let plugins = Arc::new(discover());
     let recorded = match &arguments.replay {
         Some(file) => {
@@ -53,7 +53,7 @@ fn execute(arguments: Arguments) -> Result<()> {
     }
     let open = arguments.path.map(|path| {
         let sampling =
-            sampling(arguments.samples.or((!is_sampled(&path)).then_some(Settings::default().samples)));
+            sampling(arguments.samples.or((!is_sampled(&path)).then_some(WindowSettings::default().samples)));
         Command::Open { path, sampling, recover: false }
     });
     let commands: Vec<Command> = open.into_iter().chain(recorded).collect();
@@ -80,7 +80,11 @@ fn execute(arguments: Arguments) -> Result<()> {
 ///
 /// # Errors
 /// There is nothing to draw with, no screen, or a file cannot be read.
-fn open_window(arguments: Arguments, recorded: Vec<Command>, plugins: Arc<PluginRegistry>) -> Result<()> {
+fn open_window(
+    arguments: WindowArguments,
+    recorded: Vec<Command>,
+    plugins: Arc<PluginRegistry>,
+) -> Result<()> {
     let recorder = match &arguments.record {
         Some(file) => {
             let made = std::fs::File::create(file).map_err(|e| Error::io("write", file, &e))?;
@@ -96,7 +100,7 @@ fn open_window(arguments: Arguments, recorded: Vec<Command>, plugins: Arc<Plugin
         .with_drag_and_drop(true);
     let options = NativeOptions { viewport, renderer: Renderer::Wgpu, centered: true, ..Default::default() };
     let create: eframe::AppCreator<'_> = Box::new(move |cc| {
-        let mut window = Window::new(&cc.egui_ctx, plugins, Settings::load());
+        let mut window = Window::new(&cc.egui_ctx, plugins, WindowSettings::load());
         window.record(recorder);
         if let Some(path) = arguments.path {
             window.open(path, sampling(arguments.samples), false);

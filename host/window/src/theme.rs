@@ -29,7 +29,7 @@ pub fn mixed(a: [u8; 3], b: [u8; 3], t: f32) -> [u8; 3] {
     std::array::from_fn(|i| (f32::from(a[i]) * (1.0 - t) + f32::from(b[i]) * t).round() as u8)
 }
 
-/// Of a region's samples and its name.
+/// The colour of a region's samples and its name.
 pub fn role_color(role: Role) -> [u8; 3] {
     match role {
         Role::Fixed => [92, 130, 196],
@@ -52,7 +52,7 @@ pub fn color([r, g, b]: [u8; 3]) -> Color32 {
     Color32::from_rgb(r, g, b)
 }
 
-/// Of what is chosen, and the one button that goes on.
+/// The colour of what is chosen, and the one button that goes on.
 pub const ACCENT: Color32 = Color32::from_rgb(62, 124, 214);
 
 /// Colours of a theme: the darkest first in the dark one, and turned round in the light one.

@@ -30,7 +30,7 @@ pub struct Pattern {
 
 /// The order, and what is eliminated at once.
 #[derive(Debug, Default)]
-pub struct Tree {
+pub struct EliminationTree {
     /// Nodes as they are eliminated.
     pub order: Vec<u32>,
     /// What is eliminated at once, children before parents.
@@ -88,7 +88,7 @@ impl Pattern {
     }
 }
 
-impl Tree {
+impl EliminationTree {
     /// The order of elimination of nodes that are `at` these places.
     pub fn new(pattern: &Pattern, at: &[DVec3], host: &Host<'_>) -> PluginResult<Self> {
         let mut nodes: Vec<u32> = (0..at.len() as u32).collect();

@@ -7,11 +7,11 @@
 //! factorised and solved side by side, always the same ones, so that results do not depend on the number of
 //! threads; and one can stop at each front.
 
-use crate::dissection::{Pattern, Supernode, Tree};
+use crate::dissection::{EliminationTree, Pattern, Supernode};
 use crate::front::{Front, Update, places};
 use crate::kernels::Stored;
 use crate::refusal::Refusal;
-use crate::solve::Run;
+use crate::solve::FrontRun;
 use crate::structure::Structure;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
@@ -94,7 +94,7 @@ pub struct Factor<T> {
     /// The unknowns as they are eliminated: those of the subtrees, then the others.
     order: Vec<u32>,
     /// Each subtree; in the end what parts them.
-    runs: Vec<Run<T>>,
+    runs: Vec<FrontRun<T>>,
 }
 
 impl<T: Stored> Factor<T> {
@@ -104,7 +104,7 @@ impl<T: Stored> Factor<T> {
     /// # Errors
     /// The matrix is not positive definite, or the factor is too large; or the host has stopped it.
     pub fn new(matrix: Symmetric, at: &[DVec3], told: Range<f64>, host: &Host<'_>) -> Result<Self, Refusal> {
-        let tree = Tree::new(&Pattern::new(&matrix.starts, &matrix.columns), at, host)?;
+        let tree = EliminationTree::new(&Pattern::new(&matrix.starts, &matrix.columns), at, host)?;
         let matrix = matrix.in_order(&tree.order);
         let structure = Structure::new(&tree, |i| matrix.columns(i), size_of::<T>(), host)?;
         for ridge in RIDGES {
@@ -168,25 +168,25 @@ struct Elimination<'a> {
     /// In the tree's order.
     matrix: &'a Symmetric,
     ridge: f64,
-    tree: &'a Tree,
+    tree: &'a EliminationTree,
     structure: &'a Structure,
     told: &'a Range<f64>,
     host: &'a Host<'a>,
 }
 
 /// A run of parts, and what becomes of them.
-struct Task<T> {
+struct SubtreeTask<T> {
     parts: Range<usize>,
-    run: Run<T>,
+    run: FrontRun<T>,
     /// Of its last part.
     update: Option<Update>,
     result: Result<(), Refusal>,
 }
 
 impl Elimination<'_> {
-    fn run<T: Stored>(&self) -> Result<Vec<Run<T>>, Refusal> {
-        let Tree { parts, subtrees, .. } = self.tree;
-        let mut tasks: Vec<Task<T>> = subtrees.iter().map(|parts| self.task(parts.clone())).collect();
+    fn run<T: Stored>(&self) -> Result<Vec<FrontRun<T>>, Refusal> {
+        let EliminationTree { parts, subtrees, .. } = self.tree;
+        let mut tasks: Vec<SubtreeTask<T>> = subtrees.iter().map(|parts| self.task(parts.clone())).collect();
         let done = AtomicUsize::new(0);
         self.host.parallel_blocks(&mut tasks, 1, |_, tasks| {
             for task in tasks {
@@ -218,15 +218,15 @@ impl Elimination<'_> {
         Ok(runs)
     }
 
-    fn task<T: Stored>(&self, parts: Range<usize>) -> Task<T> {
+    fn task<T: Stored>(&self, parts: Range<usize>) -> SubtreeTask<T> {
         let own = &self.tree.parts[parts.clone()];
         let order = self.tree.order.len();
         let columns =
             own.first().map_or(order, |p| p.columns.start)..own.last().map_or(order, |p| p.columns.end);
-        Task { parts, run: Run::new(columns), update: None, result: Ok(()) }
+        SubtreeTask { parts, run: FrontRun::new(columns), update: None, result: Ok(()) }
     }
 
-    fn subtree<T: Stored>(&self, task: &mut Task<T>, done: &AtomicUsize) -> Result<(), Refusal> {
+    fn subtree<T: Stored>(&self, task: &mut SubtreeTask<T>, done: &AtomicUsize) -> Result<(), Refusal> {
         let parts = &self.tree.parts[task.parts.clone()];
         let mut updates: Vec<Option<Update>> = parts.iter().map(|_| None).collect();
         let rows = &self.structure.rows[task.parts.clone()];
@@ -250,7 +250,7 @@ impl Elimination<'_> {
         &self,
         (part, rows): (&Supernode, &[u32]),
         children: Vec<Update>,
-        run: &mut Run<T>,
+        run: &mut FrontRun<T>,
         together: bool,
     ) -> Result<Update, Refusal> {
         let (start, end) = (part.columns.start, part.columns.end);

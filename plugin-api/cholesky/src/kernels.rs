@@ -6,7 +6,7 @@ use glam::DVec3;
 use std::ops::Range;
 
 /// Numbers side by side: as many as the largest vectors of today's processors have.
-pub type Lanes<T = f64> = [T; WIDTH];
+pub type KernelLanes<T = f64> = [T; WIDTH];
 
 /// How many they are.
 pub const WIDTH: usize = 8;
@@ -31,12 +31,12 @@ impl Stored for f32 {
 }
 
 /// Three right-hand sides, one by one; after the last number, zeros.
-pub type Sides = [Vec<Lanes>; 3];
+pub type Sides = [Vec<KernelLanes>; 3];
 
 /// Numbers as lanes.
-pub fn lanes<T: Stored>(numbers: &[f64]) -> impl Iterator<Item = Lanes<T>> {
+pub fn lanes<T: Stored>(numbers: &[f64]) -> impl Iterator<Item = KernelLanes<T>> {
     numbers.chunks(WIDTH).map(|numbers| {
-        let mut lanes = Lanes::default();
+        let mut lanes = KernelLanes::default();
         lanes.iter_mut().zip(numbers).for_each(|(lane, number)| *lane = T::nearest(*number));
         lanes
     })
@@ -47,7 +47,7 @@ pub fn lanes<T: Stored>(numbers: &[f64]) -> impl Iterator<Item = Lanes<T>> {
 pub fn clear(sides: &mut Sides, lanes: usize) {
     for side in sides {
         side.clear();
-        side.resize(lanes, Lanes::default());
+        side.resize(lanes, KernelLanes::default());
     }
 }
 
@@ -75,12 +75,12 @@ fn set(sides: &mut Sides, row: usize, value: DVec3) {
 
 /// A front's lower triangle.
 #[derive(Clone, Copy)]
-pub struct Triangle<'a, T> {
+pub struct FrontTriangle<'a, T> {
     /// Its columns, from the diagonal on.
     pub values: &'a [T],
 }
 
-impl<T: Stored> Triangle<'_, T> {
+impl<T: Stored> FrontTriangle<'_, T> {
     /// `L x = b`
     #[inline(always)]
     pub fn solve(self, x: &mut Sides, columns: usize) {
@@ -120,7 +120,7 @@ impl<T: Stored> Triangle<'_, T> {
 #[derive(Debug, Clone)]
 pub struct Below<'a, T> {
     /// Column by column.
-    values: &'a [Lanes<T>],
+    values: &'a [KernelLanes<T>],
     /// From one column to the next.
     stride: usize,
     /// Which of a column's lanes.
@@ -130,7 +130,7 @@ pub struct Below<'a, T> {
 
 impl<'a, T: Stored> Below<'a, T> {
     /// All rows.
-    pub fn new(values: &'a [Lanes<T>], stride: usize, columns: usize) -> Self {
+    pub fn new(values: &'a [KernelLanes<T>], stride: usize, columns: usize) -> Self {
         Self { values, stride, lanes: 0..stride, columns }
     }
 
@@ -148,7 +148,7 @@ impl<'a, T: Stored> Below<'a, T> {
     }
 
     #[inline(always)]
-    fn column(&self, j: usize) -> &'a [Lanes<T>] {
+    fn column(&self, j: usize) -> &'a [KernelLanes<T>] {
         &self.values[j * self.stride..][self.lanes.clone()]
     }
 
@@ -188,7 +188,8 @@ impl<'a, T: Stored> Below<'a, T> {
         let [x, y, z] = known.each_ref().map(|side| &side[..height]);
         for j in 0..self.columns {
             let column = &self.column(j)[..height];
-            let (mut a, mut b, mut c) = (Lanes::default(), Lanes::default(), Lanes::default());
+            let (mut a, mut b, mut c) =
+                (KernelLanes::default(), KernelLanes::default(), KernelLanes::default());
             for i in 0..height {
                 add_product(&mut a, &column[i], &x[i]);
                 add_product(&mut b, &column[i], &y[i]);
@@ -201,14 +202,14 @@ impl<'a, T: Stored> Below<'a, T> {
 }
 
 #[inline(always)]
-fn add_multiple<T: Stored>(sum: &mut Lanes, a: &Lanes<T>, by: f64) {
+fn add_multiple<T: Stored>(sum: &mut KernelLanes, a: &KernelLanes<T>, by: f64) {
     for n in 0..WIDTH {
         sum[n] += a[n].into() * by;
     }
 }
 
 #[inline(always)]
-fn add_product<T: Stored>(sum: &mut Lanes, a: &Lanes<T>, b: &Lanes) {
+fn add_product<T: Stored>(sum: &mut KernelLanes, a: &KernelLanes<T>, b: &KernelLanes) {
     for n in 0..WIDTH {
         sum[n] += a[n].into() * b[n];
     }
@@ -218,7 +219,7 @@ fn add_product<T: Stored>(sum: &mut Lanes, a: &Lanes<T>, b: &Lanes) {
 #[inline(always)]
 fn dot<T: Stored>(a: &[T], b: &[f64]) -> f64 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<WIDTH>(), b.as_chunks::<WIDTH>());
-    let mut sums = Lanes::default();
+    let mut sums = KernelLanes::default();
     for (a, b) in a.iter().zip(b) {
         add_product(&mut sums, a, b);
     }
@@ -226,7 +227,7 @@ fn dot<T: Stored>(a: &[T], b: &[f64]) -> f64 {
 }
 
 #[inline(always)]
-fn total(lanes: &Lanes) -> f64 {
+fn total(lanes: &KernelLanes) -> f64 {
     let [a, b, c, d, e, f, g, h] = *lanes;
     ((a + b) + (c + d)) + ((e + f) + (g + h))
 }

@@ -1,7 +1,7 @@
 //! Solutions by a factor: forward from the leaves of the tree to its root, and back.
 
 use crate::front::{Front, Update};
-use crate::kernels::{Below, Lanes, Sides, Stored, Triangle, WIDTH, clear, gather, lanes, row_of};
+use crate::kernels::{Below, FrontTriangle, KernelLanes, Sides, Stored, WIDTH, clear, gather, lanes, row_of};
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use simod_plugin_api::{Host, PluginResult};
@@ -12,23 +12,23 @@ const TOGETHER: usize = 64;
 
 /// Fronts one after another, as far as solutions need them, in entries of a type.
 #[derive(Debug)]
-pub struct Run<T> {
+pub struct FrontRun<T> {
     /// The unknowns that they eliminate.
     pub columns: Range<usize>,
     /// Other unknowns that these have to do with, relative to those of the last run, whose they are.
     pub beyond: Vec<u32>,
-    fronts: Vec<Shape>,
+    fronts: Vec<FrontShape>,
     /// The fronts' rows below their columns: unknowns relative to the run's; beyond, places in `beyond`.
     rows: Vec<u32>,
     /// The fronts' triangles: columns from the diagonal on.
     triangles: Vec<T>,
     /// What is below them, column by column.
-    below: Vec<Lanes<T>>,
+    below: Vec<KernelLanes<T>>,
 }
 
 /// Which unknowns a front has.
 #[derive(Debug, Clone, Copy)]
-struct Shape {
+struct FrontShape {
     /// The first that it eliminates, relative to the run's.
     start: usize,
     columns: usize,
@@ -45,11 +45,11 @@ struct FrontEntries<'a, T> {
     columns: Range<usize>,
     inside: &'a [u32],
     beyond: &'a [u32],
-    triangle: Triangle<'a, T>,
+    triangle: FrontTriangle<'a, T>,
     below: Below<'a, T>,
 }
 
-impl<T: Stored> Run<T> {
+impl<T: Stored> FrontRun<T> {
     /// Without fronts yet.
     pub fn new(columns: Range<usize>) -> Self {
         let (fronts, rows, triangles, below) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -61,7 +61,7 @@ impl<T: Stored> Run<T> {
         let (panel, update) = front.into_parts();
         let (count, height) = (columns.len(), columns.len() + update.rows.len());
         let inside = update.rows.partition_point(|r| (*r as usize) < self.columns.end);
-        self.fronts.push(Shape {
+        self.fronts.push(FrontShape {
             start: columns.start - self.columns.start,
             columns: count,
             inside,
@@ -94,14 +94,16 @@ impl<T: Stored> Run<T> {
 
     fn parts(&self) -> impl DoubleEndedIterator<Item = FrontEntries<'_, T>> {
         self.fronts.iter().map(|shape| {
-            let &Shape { start, columns, inside, beyond, at: [row, triangle, below] } = shape;
+            let &FrontShape { start, columns, inside, beyond, at: [row, triangle, below] } = shape;
             let (inside, beyond) = self.rows[row..][..inside + beyond].split_at(inside);
             let height = (inside.len() + beyond.len()).div_ceil(WIDTH);
             FrontEntries {
                 columns: start..start + columns,
                 inside,
                 beyond,
-                triangle: Triangle { values: &self.triangles[triangle..][..columns * (columns + 1) / 2] },
+                triangle: FrontTriangle {
+                    values: &self.triangles[triangle..][..columns * (columns + 1) / 2],
+                },
                 below: Below::new(&self.below[below..][..columns * height], height, columns),
             }
         })
@@ -169,13 +171,13 @@ impl<T: Stored> Run<T> {
 
 /// What is compiled for several kinds of processors.
 struct Forward<'a, T> {
-    run: &'a Run<T>,
+    run: &'a FrontRun<T>,
     own: &'a mut [DVec3],
     beyond: &'a mut [DVec3],
 }
 
 struct Backward<'a, T> {
-    run: &'a Run<T>,
+    run: &'a FrontRun<T>,
     own: &'a mut [DVec3],
     beyond: &'a [DVec3],
 }

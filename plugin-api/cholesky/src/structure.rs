@@ -5,7 +5,7 @@
 //! small. Where samples in one place are joined without any order, they are not, and what cannot be held is
 //! refused here.
 
-use crate::dissection::{Supernode, Tree};
+use crate::dissection::{EliminationTree, Supernode};
 use crate::refusal::Refusal;
 use simod_plugin_api::Host;
 use std::ops::Range;
@@ -33,7 +33,7 @@ impl Structure {
     /// Of a tree, and the columns from the diagonal on that each row of the matrix in its order has. `size`
     /// is that of an entry that is kept, in bytes.
     pub fn new<'a>(
-        tree: &Tree,
+        tree: &EliminationTree,
         columns: impl Fn(usize) -> &'a [u32] + Sync,
         size: usize,
         host: &Host<'_>,

@@ -1,12 +1,14 @@
 //! simod-geometry: small dense geometry that plugins and the host share: symmetric eigenproblems, rotations,
-//! definite systems, the kernel.
+//! definite systems, the kernel, the sheet metric.
 
 mod jacobi;
 mod rotation;
+mod sheet;
 
 use glam::{DMat3, DVec3};
 pub use jacobi::jacobi_eigen;
-pub use rotation::nearest_rotation;
+pub use rotation::{horn_matrix, nearest_rotation};
+pub use sheet::{STACKED, STEEPEST, chord_length, sheet_distance};
 
 /// Eigenvalues, ascending, and the unit eigenvectors (as columns) of a symmetric matrix. The lower triangle
 /// is not read.

@@ -10,14 +10,7 @@ use glam::{DMat3, DQuat, DVec3};
 ///
 /// With M = Σ w target sourceᵀ of points about their weighted means, R takes the sources to the targets best.
 pub fn nearest_rotation(matrix: DMat3) -> (DMat3, DVec3) {
-    let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = matrix.to_cols_array_2d();
-    let symmetric = [
-        [xx + yy + zz, yz - zy, zx - xz, xy - yx],
-        [yz - zy, xx - yy - zz, xy + yx, zx + xz],
-        [zx - xz, xy + yx, yy - xx - zz, yz + zy],
-        [xy - yx, zx + xz, yz + zy, zz - xx - yy],
-    ];
-    let (values, vectors) = jacobi_eigen(symmetric);
+    let (values, vectors) = jacobi_eigen(horn_matrix(matrix));
     let mut order = [0, 1, 2, 3];
     order.sort_by(|i, j| values[*j].total_cmp(&values[*i]));
     let [greatest, others @ ..] = order;
@@ -25,6 +18,18 @@ pub fn nearest_rotation(matrix: DMat3) -> (DMat3, DVec3) {
     // The eigenvalues are s₁ + s₂ + s₃ and, with two of the signs turned, the others.
     let singular = others.map(|other| 0.5 * (values[greatest] + values[other]));
     (DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()), DVec3::from_array(singular))
+}
+
+/// Horn's symmetric matrix, of which the eigenvector of the greatest eigenvalue is the nearest rotation as a
+/// quaternion w, x, y, z.
+pub fn horn_matrix(matrix: DMat3) -> [[f64; 4]; 4] {
+    let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = matrix.to_cols_array_2d();
+    [
+        [xx + yy + zz, yz - zy, zx - xz, xy - yx],
+        [yz - zy, xx - yy - zz, xy + yx, zx + xz],
+        [zx - xz, xy + yx, yy - xx - zz, yz + zy],
+        [xy - yx, zx + xz, yz + zy, zz - xx - yy],
+    ]
 }
 
 #[cfg(test)]

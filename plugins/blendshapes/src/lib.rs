@@ -27,7 +27,7 @@ const FAR: f64 = 1e3;
 struct Blendshapes;
 
 /// How far each target moves each sample: 12 bytes for each sample and target.
-struct Prepared {
+struct TargetDisplacements {
     count: usize,
     targets: Vec<(usize, Vec<[f32; 3]>)>,
 }
@@ -41,7 +41,7 @@ fn amount(number: usize) -> String {
 }
 
 impl Deformer for Blendshapes {
-    type State = Prepared;
+    type State = TargetDisplacements;
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
@@ -65,7 +65,7 @@ impl Deformer for Blendshapes {
         descriptor.consumes(Consumes { rest_positions: true, ..Consumes::default() })
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<TargetDisplacements> {
         let samples = input.samples.positions();
         let rest = input.rest_positions().filter(|rest| rest.len() == samples.len()).unwrap_or(samples);
         let mut targets = Vec::new();
@@ -77,11 +77,11 @@ impl Deformer for Blendshapes {
                     .push((number, displacements(&id, model, rest, STILL * input.bounds.diagonal(), host)?));
             }
         }
-        Ok(Prepared { count: samples.len(), targets })
+        Ok(TargetDisplacements { count: samples.len(), targets })
     }
 
     fn deform(
-        state: &Prepared,
+        state: &TargetDisplacements,
         input: &DeformInput<'_>,
         _: &mut (),
         out: &mut [[f32; 3]],

@@ -15,7 +15,7 @@ mod somigliana;
 mod sums;
 
 use glam::DVec3;
-use mean_value::View;
+use mean_value::SeenCage;
 use mesh::Cage;
 use simod_plugin_api::{
     Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, HandleFaces, Handles,
@@ -23,7 +23,7 @@ use simod_plugin_api::{
 };
 use somigliana::{CageBody, Coordinates};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use sums::Sums;
+use sums::CageSums;
 
 /// Samples whose coordinates lie together: those for one vertex follow each other, so that a vertex which
 /// does not move is not read.
@@ -87,15 +87,15 @@ enum CageCoordinates {
 }
 
 /// A cage with the coordinates of all samples.
-struct Prepared {
+struct PreparedCage {
     cage: Cage,
-    table: Table,
+    table: SampleCoordinates,
     /// Tells it from other states of this process.
     id: u64,
 }
 
 /// Coordinates of all samples.
-enum Table {
+enum SampleCoordinates {
     /// Tile by tile, vertex by vertex, sample by sample; the last tile is as long as the others.
     MeanValue(Vec<f32>),
     /// As [`CageBody::tabulate`] has them.
@@ -154,7 +154,7 @@ fn tabulate(cage: &Cage, samples: &[[f32; 3]], host: &Host<'_>) -> PluginResult<
         let first = first / vertices;
         // Whether to go on is looked after by whoever hands out the blocks.
         let _ = host.progress(first as f64 / total);
-        let (mut view, mut weights) = (View::default(), vec![0.0; vertices]);
+        let (mut view, mut weights) = (SeenCage::default(), vec![0.0; vertices]);
         for (i, p) in samples[first..].iter().take(TILE).enumerate() {
             let is_outside = cage.coordinates(DVec3::from(p.map(f64::from)), &mut view, &mut weights);
             outside.fetch_add(usize::from(is_outside), Ordering::Relaxed);
@@ -165,8 +165,8 @@ fn tabulate(cage: &Cage, samples: &[[f32; 3]], host: &Host<'_>) -> PluginResult<
 }
 
 impl Deformer for CagePlugin {
-    type State = Prepared;
-    type Scratch = Sums;
+    type State = PreparedCage;
+    type Scratch = CageSums;
 
     fn descriptor() -> Descriptor {
         Descriptor::new("cage", "Cage", env!("CARGO_PKG_VERSION"))
@@ -184,7 +184,7 @@ impl Deformer for CagePlugin {
             .consumes(Consumes { frame: true, ..Consumes::default() })
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<PreparedCage> {
         let cage = cage(input)?;
         let Followed { coordinates, poisson } = input.params().read()?;
         let (samples, vertices) = (input.samples.positions(), cage.vertices.len());
@@ -192,13 +192,13 @@ impl Deformer for CagePlugin {
             CageCoordinates::MeanValue => {
                 check_size(samples.len(), vertices, vertices)?;
                 let (table, outside) = tabulate(&cage, samples, host)?;
-                (Table::MeanValue(table), outside)
+                (SampleCoordinates::MeanValue(table), outside)
             }
             CageCoordinates::Somigliana => {
                 let body = CageBody::new(&cage, poisson);
                 check_size(samples.len(), vertices, somigliana::NUMBERS * vertices)?;
                 let (table, outside) = body.tabulate(&cage, samples, host)?;
-                (Table::Somigliana(body, table), outside)
+                (SampleCoordinates::Somigliana(body, table), outside)
             }
         };
         match outside {
@@ -212,13 +212,13 @@ impl Deformer for CagePlugin {
             )),
         }
         static STATES: AtomicU64 = AtomicU64::new(1);
-        Ok(Prepared { cage, table, id: STATES.fetch_add(1, Ordering::Relaxed) })
+        Ok(PreparedCage { cage, table, id: STATES.fetch_add(1, Ordering::Relaxed) })
     }
 
     fn deform(
-        state: &Prepared,
+        state: &PreparedCage,
         input: &DeformInput<'_>,
-        sums: &mut Sums,
+        sums: &mut CageSums,
         out: &mut [[f32; 3]],
         host: &Host<'_>,
     ) -> PluginResult<()> {
@@ -231,8 +231,8 @@ impl Deformer for CagePlugin {
                 .ok_or_else(|| PluginError::internal("the samples are not those of the preparation"))
         };
         let table = match &state.table {
-            Table::MeanValue(table) => table,
-            Table::Somigliana(body, table) => {
+            SampleCoordinates::MeanValue(table) => table,
+            SampleCoordinates::Somigliana(body, table) => {
                 let numbers = somigliana::NUMBERS * vertices;
                 expect(table.len(), somigliana::TILE, numbers)?;
                 if displacements.iter().all(|d| *d == DVec3::ZERO) {
@@ -260,7 +260,7 @@ impl Deformer for CagePlugin {
 
 impl Evaluate for CagePlugin {
     fn evaluate(
-        state: &Prepared,
+        state: &PreparedCage,
         input: &DeformInput<'_>,
         points: &mut [[f64; 3]],
         host: &Host<'_>,
@@ -270,11 +270,11 @@ impl Evaluate for CagePlugin {
             return Ok(());
         }
         let cage = &state.cage;
-        let (mut view, mut weights) = (View::default(), vec![0.0; cage.vertices.len()]);
+        let (mut view, mut weights) = (SeenCage::default(), vec![0.0; cage.vertices.len()]);
         let mut found = Coordinates::default();
         let posed = match &state.table {
-            Table::MeanValue(_) => None,
-            Table::Somigliana(body, _) => Some((body, body.pose(cage, &displacements))),
+            SampleCoordinates::MeanValue(_) => None,
+            SampleCoordinates::Somigliana(body, _) => Some((body, body.pose(cage, &displacements))),
         };
         for points in points.chunks_mut(BLOCK) {
             host.progress(0.0)?;

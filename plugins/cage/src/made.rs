@@ -270,7 +270,7 @@ impl Octahedron {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mean_value::View;
+    use crate::mean_value::SeenCage;
     use proptest::prelude::*;
 
     fn bounds(samples: &[[f32; 3]]) -> Bounds {
@@ -283,7 +283,7 @@ mod tests {
     /// Inside, by a margin to all triangles' planes that lie in front of it.
     fn holds(cage: &Cage, samples: &[[f32; 3]]) -> bool {
         let mut weights = vec![0.0; cage.vertices.len()];
-        let mut view = View::default();
+        let mut view = SeenCage::default();
         samples.iter().all(|p| !cage.coordinates(DVec3::from(p.map(f64::from)), &mut view, &mut weights))
     }
 
@@ -319,7 +319,7 @@ mod tests {
         let samples = vase(20_000);
         let volume = |detail| {
             let cage = hull(&bounds(&samples), &samples, 0.01, detail).unwrap();
-            let of = |t: &crate::mesh::Triangle| {
+            let of = |t: &crate::mesh::CageTriangle| {
                 let [a, b, c] = t.corners.map(|v| cage.vertices[v] - cage.centre);
                 a.cross(b).dot(c) / 6.0
             };

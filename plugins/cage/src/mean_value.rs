@@ -28,21 +28,21 @@ const GIVEN_BACK: f64 = 1e-11;
 
 /// What is known of the vertices and edges as seen from a point; memory to keep from point to point.
 #[derive(Debug, Default)]
-pub struct View {
+pub struct SeenCage {
     /// Unit vectors to the vertices.
     directions: Vec<DVec3>,
-    /// One by their distances.
+    /// One over the distances of the vertices.
     near: Vec<f64>,
-    /// Of each edge the cross product of the directions of both ends.
+    /// The cross product, for each edge, of the directions of both ends.
     normals: Vec<DVec3>,
-    /// Of each edge its angle by the angle's sine; endless where it is a half turn.
+    /// The angle of each edge by the angle's sine; endless where it is a half turn.
     ratios: Vec<f64>,
 }
 
 impl Cage {
     /// Writes the coordinates of a point, one for each vertex: they sum to 1, and `Σ λ_i p_i` is the point,
     /// inside and outside. Says whether the point lies outside.
-    pub fn coordinates(&self, x: DVec3, view: &mut View, out: &mut [f64]) -> bool {
+    pub fn coordinates(&self, x: DVec3, view: &mut SeenCage, out: &mut [f64]) -> bool {
         let from_centre = x - self.centre;
         let shorter = FAR * self.radius / from_centre.length();
         let x = if shorter < 1.0 { self.centre + shorter * from_centre } else { x };
@@ -102,7 +102,7 @@ impl Cage {
 
     /// The barycentric coordinates of a point on a triangle: each vertex' is the area of the triangle of the
     /// point and the edge opposite to it.
-    fn on_face(corners: [usize; 3], view: &View, normals: [DVec3; 3], out: &mut [f64]) {
+    fn on_face(corners: [usize; 3], view: &SeenCage, normals: [DVec3; 3], out: &mut [f64]) {
         out.fill(0.0);
         // By the product of the three distances.
         let areas: [f64; 3] = std::array::from_fn(|i| normals[i].length() * view.near[corners[i]]);
@@ -119,7 +119,7 @@ fn is_over(normals: [DVec3; 3], ratios: [f64; 3]) -> bool {
     PI - half < half - widest
 }
 
-impl View {
+impl SeenCage {
     /// Sees the edges between the directions. Here goes the time: an arctangent an edge would take three
     /// times as long as [`RATIO`].
     fn see_edges(&mut self, edges: &[[usize; 2]]) {
@@ -222,7 +222,7 @@ mod tests {
 
     fn coordinates_at(cage: &Cage, x: DVec3) -> (Vec<f64>, bool) {
         let mut out = vec![f64::NAN; cage.vertices.len()];
-        let outside = cage.coordinates(x, &mut View::default(), &mut out);
+        let outside = cage.coordinates(x, &mut SeenCage::default(), &mut out);
         (out, outside)
     }
 
@@ -322,7 +322,7 @@ mod tests {
             (1..3000).map(|i| f64::from(i) * 1e-3).chain([1e-9, 1e-300]).map(|a| a.min(PI - 2.0 * ON_EDGE));
         for angle in angles.chain([PI - 1e-4, PI - 1e-6]) {
             let directions = vec![DVec3::X, DVec3::new(angle.cos(), angle.sin(), 0.0)];
-            let mut view = View { directions, ..View::default() };
+            let mut view = SeenCage { directions, ..SeenCage::default() };
             view.see_edges(&[[0, 1]]);
             let exact = angle / angle.sin();
             assert!(

@@ -10,7 +10,7 @@ const FLAT: f64 = 1e-9;
 
 /// A triangle of a cage.
 #[derive(Debug, Clone, Copy)]
-pub struct Triangle {
+pub struct CageTriangle {
     /// Counter-clockwise as seen from outside.
     pub corners: [usize; 3],
     /// The edge opposite to each corner, and whether it runs there as it does by itself (1), or the other way
@@ -22,16 +22,16 @@ pub struct Triangle {
 #[derive(Debug, Clone)]
 pub struct Cage {
     pub vertices: Vec<DVec3>,
-    pub triangles: Vec<Triangle>,
+    pub triangles: Vec<CageTriangle>,
     /// The polygons that the triangles are parts of, as they are to be seen.
     pub faces: Vec<Vec<u32>>,
     /// The vertices at both ends.
     pub edges: Vec<[usize; 2]>,
-    /// Of the vertices' box.
+    /// The middle of the vertices' box.
     pub centre: DVec3,
-    /// Of a sphere about the centre that holds the box.
+    /// Radius of a sphere about the centre that holds the box.
     pub radius: f64,
-    /// Of the vertices.
+    /// The mean of the vertices.
     pub mean: DVec3,
     /// The inverse of the sum of `(p - mean)(p - mean)ᵀ` over the vertices.
     pub scatter_inverse: DMat3,
@@ -46,8 +46,8 @@ impl Cage {
     /// The surface of these triangles, which may all look inwards as well.
     ///
     /// # Errors
-    /// It is not closed, not consistently oriented, or flat; vertices are not finite, or in no triangle.
-    /// Vertices are numbered from 1 there, as in OBJ files.
+    /// The surface is not closed, not consistently oriented, or flat; vertices are not finite, or in no
+    /// triangle. Vertices are numbered from 1 there, as in OBJ files.
     pub fn new(vertices: Vec<DVec3>, mut corners: Vec<[usize; 3]>) -> PluginResult<Self> {
         if let Some(v) = vertices.iter().position(|p| !p.is_finite()) {
             return Err(refused(format!("has a vertex that is not finite, number {}", v + 1)));
@@ -112,7 +112,7 @@ impl Cage {
                 uses[usize::from(a > b)] += 1;
                 edges[i] = (*edge, if a < b { 1.0 } else { -1.0 });
             }
-            self.triangles.push(Triangle { corners: *corners, edges });
+            self.triangles.push(CageTriangle { corners: *corners, edges });
         }
         for ends @ [a, b] in &self.edges {
             let (along, against) = known.get(ends).map_or((0, 0), |(_, [along, against])| (*along, *against));

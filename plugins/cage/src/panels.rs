@@ -21,14 +21,14 @@ pub struct Panel {
     pub corners: [usize; 3],
     /// Outward.
     pub normal: DVec3,
-    /// Of the corners' hat functions: by length.
+    /// Gradients of the corners' hat functions: by length.
     pub gradients: [DVec3; 3],
     /// Between the edges, in radians.
     pub corner_angles: [f64; 3],
     edges: [usize; 3],
     /// Two axes in the plane, and the normal.
     axes: DMat3,
-    /// Of each edge outward and along it, in the plane.
+    /// The direction out of each edge, in the plane.
     across: [DVec2; 3],
     along: [DVec2; 3],
     /// One by the height of each corner over its edge.
@@ -37,7 +37,7 @@ pub struct Panel {
 
 /// Integrals along an edge of powers of the distance to a point, and of the place `s` along it.
 #[derive(Debug, Clone, Copy, Default)]
-struct Along {
+struct EdgeIntegrals {
     /// `∫ 1/r`
     log: f64,
     /// `∫ s/r`
@@ -50,7 +50,7 @@ struct Along {
     second_cubed: f64,
 }
 
-impl Along {
+impl EdgeIntegrals {
     /// Between two ends as seen from the point; `least` is the least square of a distance.
     fn new([a, b]: [DVec3; 2], [ra, rb]: [f64; 2], least: f64) -> Self {
         let length = a.distance(b);
@@ -81,7 +81,7 @@ impl Along {
 pub struct Sight {
     vectors: Vec<DVec3>,
     distances: Vec<f64>,
-    edges: Vec<Along>,
+    edges: Vec<EdgeIntegrals>,
 }
 
 impl Sight {
@@ -94,7 +94,7 @@ impl Sight {
         self.distances.extend(self.vectors.iter().map(|r| r.length().max(nearest)));
         self.edges.clear();
         let along = |[a, b]: &[usize; 2]| {
-            Along::new(
+            EdgeIntegrals::new(
                 [self.vectors[*a], self.vectors[*b]],
                 [self.distances[*a], self.distances[*b]],
                 nearest * nearest,

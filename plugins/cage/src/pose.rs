@@ -15,13 +15,13 @@ const SETTLED: f64 = 1e-7;
 
 /// The vertices of a moved cage, with maps of its faces.
 #[derive(Debug)]
-pub struct Pose {
+pub struct MovedCage {
     /// From their mean.
     pub vertices: Vec<DVec3>,
     pub mean: DVec3,
     /// The stretch that all of the cage has in common, of volume 1 or -1.
     pub common: DMat3,
-    /// Of each vertex the map that follows the common stretch: the mean of those of its faces.
+    /// The map of each vertex that follows the common stretch: the mean of those of its faces.
     pub maps: Vec<DMat3>,
     /// And the mean of the logarithms of their scales.
     pub scales: Vec<f64>,
@@ -29,7 +29,7 @@ pub struct Pose {
     whole: DMat3,
 }
 
-impl Pose {
+impl MovedCage {
     /// The pose of a cage whose vertices were moved by these displacements.
     pub fn new(cage: &Cage, panels: &[Panel], displacements: &[DVec3]) -> Self {
         let moved: Vec<DVec3> = cage.vertices.iter().zip(displacements).map(|(p, d)| *p + *d).collect();

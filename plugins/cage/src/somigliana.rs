@@ -14,7 +14,7 @@
 
 use crate::mesh::Cage;
 use crate::panels::{Panel, Sight};
-use crate::pose::Pose;
+use crate::pose::MovedCage;
 use glam::{DMat3, DVec3};
 use pulp::{Arch, Simd, WithSimd};
 use simod_plugin_api::{Host, PluginResult};
@@ -46,7 +46,7 @@ pub struct Coordinates {
     sight: Sight,
     vertices: Vec<DMat3>,
     shares: Vec<f64>,
-    /// Of the faces.
+    /// Angles of the faces.
     angles: Vec<f64>,
 }
 
@@ -60,8 +60,8 @@ impl CageBody {
     }
 
     /// How the cage was moved.
-    pub fn pose(&self, cage: &Cage, displacements: &[DVec3]) -> Pose {
-        Pose::new(cage, &self.panels, displacements)
+    pub fn pose(&self, cage: &Cage, displacements: &[DVec3]) -> MovedCage {
+        MovedCage::new(cage, &self.panels, displacements)
     }
 
     /// Finds the coordinates of a point. Says whether it lies outside.
@@ -141,7 +141,7 @@ impl CageBody {
 
 impl Coordinates {
     /// Where a point goes that has these coordinates.
-    pub fn apply(&self, cage: &Cage, pose: &Pose, x: DVec3) -> DVec3 {
+    pub fn apply(&self, cage: &Cage, pose: &MovedCage, x: DVec3) -> DVec3 {
         let sum =
             self.shares.iter().zip(&pose.maps).fold(DMat3::ZERO, |sum, (share, map)| sum + *map * *share);
         let scale = self.shares.iter().zip(&pose.scales).map(|(share, scale)| share * scale).sum();
@@ -155,19 +155,19 @@ impl Coordinates {
 }
 
 /// Where the samples of a tile go; those behind the last one are left out.
-pub fn deform(cage: &Cage, pose: &Pose, table: &[f32], samples: &[[f32; 3]], out: &mut [[f32; 3]]) {
-    Arch::new().dispatch(Tile { cage, pose, table, samples, out });
+pub fn deform(cage: &Cage, pose: &MovedCage, table: &[f32], samples: &[[f32; 3]], out: &mut [[f32; 3]]) {
+    Arch::new().dispatch(TileDeformation { cage, pose, table, samples, out });
 }
 
-struct Tile<'a> {
+struct TileDeformation<'a> {
     cage: &'a Cage,
-    pose: &'a Pose,
+    pose: &'a MovedCage,
     table: &'a [f32],
     samples: &'a [[f32; 3]],
     out: &'a mut [[f32; 3]],
 }
 
-impl WithSimd for Tile<'_> {
+impl WithSimd for TileDeformation<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -220,7 +220,7 @@ impl WithSimd for Tile<'_> {
 mod tests {
     use super::*;
     use crate::made;
-    use crate::mean_value::View;
+    use crate::mean_value::SeenCage;
     use proptest::prelude::*;
     use simod_plugin_api::Bounds;
     use std::path::Path;
@@ -258,8 +258,8 @@ mod tests {
         if p.x.abs() < 0.2 && p.y > 0.0 && p.z.abs() < 0.1 { p + 0.3 * DVec3::Y } else { p }
     }
 
-    /// Of a map of the bar: the changes of volume, in the mean and as a root mean square, and how far it is
-    /// from a similarity in the mean, by the squares of its stretches: 0 where angles are kept.
+    /// How a map distorts the bar: the changes of volume, in the mean and as a root mean square, and how far
+    /// it is from a similarity in the mean, by the squares of its stretches: 0 where angles are kept.
     fn distortion(mut map: impl FnMut(DVec3) -> DVec3) -> [f64; 3] {
         const POINTS: usize = 300;
         const STEP: f64 = 1e-4;
@@ -281,7 +281,7 @@ mod tests {
 
     fn both(cage: &Cage, poisson: f64, map: impl Fn(DVec3) -> DVec3) -> [[f64; 3]; 2] {
         let (displacements, body) = (displacements(cage, map), CageBody::new(cage, poisson));
-        let (mut view, mut weights) = (View::default(), vec![0.0; cage.vertices.len()]);
+        let (mut view, mut weights) = (SeenCage::default(), vec![0.0; cage.vertices.len()]);
         let mean_value = distortion(|x| {
             cage.coordinates(x, &mut view, &mut weights);
             displacements.iter().zip(&weights).fold(x, |q, (d, w)| q + *w * *d)

@@ -10,7 +10,7 @@ use pulp::{Arch, Simd, WithSimd};
 use simod_plugin_api::{Host, PluginResult};
 
 /// Sums of so many samples that lie together, axis by axis.
-type Tile = [[f64; TILE]; 3];
+type TileSums = [[f64; TILE]; 3];
 
 /// Terms are multiples of this, in local coordinates, whose unit is about the model's size.
 const QUANTUM: f64 = 1.0 / (1_u64 << 34) as f64;
@@ -21,15 +21,15 @@ const ROUNDER: f64 = 1.5 * (1_u64 << 52) as f64 * QUANTUM;
 
 /// Sums for the displacements that were given last.
 #[derive(Default)]
-pub struct Sums {
+pub struct CageSums {
     state: u64,
     displacements: Vec<DVec3>,
-    tiles: Vec<Tile>,
+    tiles: Vec<TileSums>,
 }
 
-impl Sums {
+impl CageSums {
     /// Tile by tile.
-    pub fn all(&self) -> &[Tile] {
+    pub fn all(&self) -> &[TileSums] {
         &self.tiles
     }
 
@@ -77,7 +77,7 @@ impl Sums {
 struct Add<'a> {
     table: &'a [f32],
     terms: &'a [(usize, DVec3)],
-    sums: &'a mut Tile,
+    sums: &'a mut TileSums,
 }
 
 impl WithSimd for Add<'_> {
@@ -109,7 +109,7 @@ mod tests {
         let wave = |i: usize| (i as f64 * 0.7).sin();
         let table: Vec<f32> = (0..3 * TILE * VERTICES).map(|i| wave(i * i % 7919) as f32).collect();
         let host = Host::new(&());
-        let mut kept = Sums::default();
+        let mut kept = CageSums::default();
         let mut displacements = vec![DVec3::ZERO; VERTICES];
         for frame in 0..60 {
             // One vertex after the other; some come to rest again, one goes far away, and all jump at last.
@@ -122,7 +122,7 @@ mod tests {
                 displacements.iter_mut().for_each(|d| *d += DVec3::X);
             }
             kept.update(1, &table, &displacements, &host).unwrap();
-            let mut fresh = Sums::default();
+            let mut fresh = CageSums::default();
             fresh.update(1, &table, &displacements, &host).unwrap();
             assert!(kept.all() == fresh.all(), "frame {frame}");
             for i in [0, TILE + 5] {

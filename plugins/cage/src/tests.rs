@@ -66,7 +66,7 @@ impl Setup {
         call(&PrepareInput::new(samples, BOUNDS, &[], &params).with_parts(&[Part::new(&frame)]))
     }
 
-    fn prepare(&self) -> Prepared {
+    fn prepare(&self) -> PreparedCage {
         self.with(|input| CagePlugin::prepare(input, &Host::new(&()))).unwrap()
     }
 
@@ -74,17 +74,17 @@ impl Setup {
         self.with(|input| CagePlugin::handles(input, &Host::new(&()))).unwrap().iter().map(motion).collect()
     }
 
-    fn deform(&self, state: &Prepared, motions: &[Affine]) -> Vec<[f32; 3]> {
+    fn deform(&self, state: &PreparedCage, motions: &[Affine]) -> Vec<[f32; 3]> {
         let motions = HandleMotions::new(motions);
         let parts = [Part::new(&motions)];
         let input =
             DeformInput::new(Samples::new(&self.samples, &[], &[]), BOUNDS, &[], &[]).with_parts(&parts);
         let mut out = vec![[f32::NAN; 3]; self.samples.len()];
-        CagePlugin::deform(state, &input, &mut Sums::default(), &mut out, &Host::new(&())).unwrap();
+        CagePlugin::deform(state, &input, &mut CageSums::default(), &mut out, &Host::new(&())).unwrap();
         out
     }
 
-    fn evaluate(&self, state: &Prepared, motions: &[Affine]) -> Vec<[f64; 3]> {
+    fn evaluate(&self, state: &PreparedCage, motions: &[Affine]) -> Vec<[f64; 3]> {
         let motions = HandleMotions::new(motions);
         let parts = [Part::new(&motions)];
         let input = DeformInput::new(Samples::new(&[], &[], &[]), BOUNDS, &[], &[]).with_parts(&parts);

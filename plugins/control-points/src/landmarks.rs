@@ -21,18 +21,18 @@ pub struct Landmark {
     pub target: DVec3,
     /// How much it counts; one of 0 is a check, and does not take part.
     pub weight: f64,
-    /// Of the file, from 1 on.
+    /// The line of the file, from 1 on.
     pub line: usize,
 }
 
 /// What is wrong, and in which line, where it is in one.
-pub type Wrong = (Option<usize>, String);
+pub type BadLandmarks = (Option<usize>, String);
 
 /// The landmarks of a file, in its coordinates.
 ///
 /// # Errors
-/// It cannot be read, or a line is not what it should be.
-pub fn read(path: &Path) -> Result<Vec<Landmark>, Wrong> {
+/// The file cannot be read, or a line is not what it should be.
+pub fn read(path: &Path) -> Result<Vec<Landmark>, BadLandmarks> {
     let unreadable = |e: std::io::Error| (None, format!("cannot be read: {e}"));
     if std::fs::metadata(path).map_err(unreadable)?.len() > MOST_BYTES {
         return Err((None, "is too large".to_owned()));
@@ -45,7 +45,7 @@ pub fn read(path: &Path) -> Result<Vec<Landmark>, Wrong> {
 /// A line for each: a name, three numbers of the source, three of the target, and maybe a weight, separated
 /// by commas, semicolons or tabs. A first line whose fields are no numbers is a heading; empty lines, and
 /// those that begin with `#`, are passed over.
-fn parse(text: &str) -> Result<Vec<Landmark>, Wrong> {
+fn parse(text: &str) -> Result<Vec<Landmark>, BadLandmarks> {
     let mut landmarks: Vec<Landmark> = Vec::new();
     let mut lines: HashMap<String, usize> = HashMap::new();
     let mut is_first = true;

@@ -10,8 +10,8 @@ mod report;
 
 use glam::{DAffine3, DVec3};
 use landmarks::Landmark;
-use map::{Extent, Map, MapKind, Open};
-use report::Report;
+use map::{MapKind, Open, PointExtent, SpaceMap};
+use report::LandmarkReport;
 use simod_plugin_api::{
     Bounds, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, IsIdentity, LogLevel,
     ModelFrame, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
@@ -32,7 +32,7 @@ struct ControlPoints;
 
 /// Which map, and what is told of it.
 #[derive(ParamSet)]
-struct Settings {
+struct ControlPointSettings {
     /// Splines and local weights meet each landmark; the others as well as they can
     #[param(default = MapKind::ThinPlate, invalidates_preparation)]
     method: MapKind,
@@ -40,12 +40,12 @@ struct Settings {
     #[param(default = 0.0, unit = "diagonal", hard = 0.0..=1e3, soft = 0.0..=0.1, invalidates_preparation)]
     smoothing: f64,
     /// How well landmarks are met: in one line, a line for each of them, or as objects of JSON
-    #[param(default = Told::Summary, invalidates_preparation)]
-    report: Told,
+    #[param(default = ReportForm::Summary, invalidates_preparation)]
+    report: ReportForm,
 }
 
 #[derive(Choice, Debug, Clone, Copy)]
-enum Told {
+enum ReportForm {
     Summary,
     #[choice(label = "Each landmark")]
     Landmarks,
@@ -54,7 +54,7 @@ enum Told {
 }
 
 impl Deformer for ControlPoints {
-    type State = Map;
+    type State = SpaceMap;
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
@@ -69,15 +69,15 @@ impl Deformer for ControlPoints {
                 ParamDesc::file("landmarks", "Landmarks", &["csv", "txt"])
                     .hint("Lines of a name, x, y, z, where these belong, and maybe a weight, in the model's coordinates"),
             )
-            .param_set::<Settings>()
+            .param_set::<ControlPointSettings>()
             .consumes(Consumes { frame: true, ..Consumes::default() })
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Map> {
-        let Settings { method, smoothing, report } = input.params().read()?;
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<SpaceMap> {
+        let ControlPointSettings { method, smoothing, report } = input.params().read()?;
         let Some(path) = input.params().file("landmarks")? else {
             host.warn("there is no file of landmarks: nothing moves");
-            return Ok(Map::Affine(DAffine3::IDENTITY));
+            return Ok(SpaceMap::Affine(DAffine3::IDENTITY));
         };
         let frame = input.frame().ok_or_else(|| {
             PluginError::input("this version of SIMOD does not tell where the file's coordinates are")
@@ -86,7 +86,7 @@ impl Deformer for ControlPoints {
         let landmarks = landmarks(path, frame)?;
         are_near((path, &landmarks), &input.bounds, host)?;
         let smoothing = smoothing * input.bounds.diagonal();
-        let map = Map::fit(method, &landmarks, smoothing).map_err(|Open { why, instead }| {
+        let map = SpaceMap::fit(method, &landmarks, smoothing).map_err(|Open { why, instead }| {
             let or = instead.map_or(String::new(), |kind| {
                 format!(", or take `method = \"{}\"`, which they determine", kind.id())
             });
@@ -94,13 +94,13 @@ impl Deformer for ControlPoints {
         })?;
         warn(&map, method, &landmarks, host);
         host.progress(0.5)?;
-        let told = Report::new(&map, method, &landmarks, smoothing, frame.scale);
+        let told = LandmarkReport::new(&map, method, &landmarks, smoothing, frame.scale);
         tell(&told, report, host);
         Ok(map)
     }
 
     fn deform(
-        map: &Map,
+        map: &SpaceMap,
         input: &DeformInput<'_>,
         _: &mut (),
         out: &mut [[f32; 3]],
@@ -120,7 +120,7 @@ impl Deformer for ControlPoints {
 
 impl Evaluate for ControlPoints {
     fn evaluate(
-        map: &Map,
+        map: &SpaceMap,
         _: &DeformInput<'_>,
         points: &mut [[f64; 3]],
         host: &Host<'_>,
@@ -174,9 +174,9 @@ fn are_near((path, landmarks): (&Path, &[Landmark]), bounds: &Bounds, host: &Hos
 }
 
 /// Tells what the user may not want.
-fn warn(map: &Map, method: MapKind, landmarks: &[Landmark], host: &Host<'_>) {
+fn warn(map: &SpaceMap, method: MapKind, landmarks: &[Landmark], host: &Host<'_>) {
     let used: Vec<DVec3> = landmarks.iter().filter(|l| l.weight > 0.0).map(|l| l.source).collect();
-    let extent = Extent::measure(&used);
+    let extent = PointExtent::measure(&used);
     if matches!(method, MapKind::Affine | MapKind::ThinPlate) && extent.is_uncertain() {
         host.warn(&format!(
             "the landmarks lie nearly in a plane ({:.1e} of their extent across it): what happens across it is \
@@ -189,11 +189,11 @@ fn warn(map: &Map, method: MapKind, landmarks: &[Landmark], host: &Host<'_>) {
     }
 }
 
-fn tell(told: &Report, how: Told, host: &Host<'_>) {
+fn tell(told: &LandmarkReport, how: ReportForm, host: &Host<'_>) {
     let lines = match how {
-        Told::Summary => vec![told.summary()],
-        Told::Landmarks => std::iter::once(told.summary()).chain(told.lines()).collect(),
-        Told::Json => told.json(),
+        ReportForm::Summary => vec![told.summary()],
+        ReportForm::Landmarks => std::iter::once(told.summary()).chain(told.lines()).collect(),
+        ReportForm::Json => told.json(),
     };
     lines.iter().for_each(|line| host.log(LogLevel::INFO, line));
     let outliers = told.outliers();

@@ -46,7 +46,7 @@ impl MapKind {
         }
     }
 
-    /// Those that fewer landmarks determine, the most flexible first.
+    /// Kinds that fewer landmarks determine, the most flexible first.
     fn simpler(self) -> &'static [Self] {
         match self {
             Self::ThinPlate | Self::LocalWeights => &[Self::Affine, Self::Similarity, Self::Translation],
@@ -73,12 +73,12 @@ pub struct Why {
 
 /// In how many directions points extend, and the least of these extents as a part of the largest.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Extent {
+pub struct PointExtent {
     pub directions: usize,
     pub least: f64,
 }
 
-impl Extent {
+impl PointExtent {
     pub fn measure(points: &[DVec3]) -> Self {
         let count = points.len().max(1) as f64;
         let mean = points.iter().sum::<DVec3>() / count;
@@ -114,7 +114,7 @@ impl Extent {
 
 /// A map of space.
 #[derive(Debug, Clone)]
-pub enum Map {
+pub enum SpaceMap {
     Affine(DAffine3),
     /// An affine map, and at each centre a weight of the distance from it.
     Spline(DAffine3, Vec<(DVec3, DVec3)>),
@@ -122,7 +122,7 @@ pub enum Map {
     Local(DAffine3, Vec<(DVec3, DVec3, f64)>),
 }
 
-impl Map {
+impl SpaceMap {
     /// Where a point goes.
     pub fn apply(&self, p: DVec3) -> DVec3 {
         match self {
@@ -149,7 +149,7 @@ impl Map {
     /// spline may miss them, in their own unit of length.
     ///
     /// # Errors
-    /// They do not determine it.
+    /// The landmarks do not determine a map.
     pub fn fit(kind: MapKind, landmarks: &[Landmark], smoothing: f64) -> Result<Self, Open> {
         let determined = |simpler: &&MapKind| Self::of_kind(**simpler, landmarks, smoothing).is_ok();
         Self::of_kind(kind, landmarks, smoothing)
@@ -158,7 +158,7 @@ impl Map {
 
     fn of_kind(kind: MapKind, landmarks: &[Landmark], smoothing: f64) -> Result<Self, Why> {
         let used: Vec<&Landmark> = landmarks.iter().filter(|l| l.weight > 0.0).collect();
-        let extent = Extent::measure(&used.iter().map(|l| l.source).collect::<Vec<_>>());
+        let extent = PointExtent::measure(&used.iter().map(|l| l.source).collect::<Vec<_>>());
         let needed = match kind {
             MapKind::ThinPlate | MapKind::Affine => 3,
             MapKind::Similarity => 2,
@@ -175,7 +175,7 @@ impl Map {
             MapKind::Translation => Ok(Self::Affine(translation(&used))),
             MapKind::Similarity => similarity(&used).map(Self::Affine),
             MapKind::Affine => Ok(Self::Affine(affine(&used))),
-            MapKind::ThinPlate => Spline::new(&used, smoothing).map(|spline| spline.map(&used)),
+            MapKind::ThinPlate => ThinPlateSpline::new(&used, smoothing).map(|spline| spline.map(&used)),
             MapKind::LocalWeights => {
                 distinct(&used)?;
                 let map = match extent.directions {
@@ -193,7 +193,7 @@ impl Map {
     /// determine one.
     pub fn left_out(kind: MapKind, landmarks: &[Landmark], smoothing: f64) -> Vec<Option<DVec3>> {
         if kind == MapKind::ThinPlate {
-            return Spline::left_out(landmarks, smoothing);
+            return ThinPlateSpline::left_out(landmarks, smoothing);
         }
         let without = |i: usize| {
             let mut others = landmarks.to_vec();
@@ -212,7 +212,7 @@ impl Map {
 }
 
 /// What is open for landmarks that extend in too few directions.
-fn open(extent: Extent, count: usize) -> Why {
+fn open(extent: PointExtent, count: usize) -> Why {
     let what = match extent.directions {
         2 => "what happens across it cannot be determined",
         1 => "turns about it, and what happens across it, cannot be determined",
@@ -296,14 +296,14 @@ fn affine(used: &[&Landmark]) -> DAffine3 {
 }
 
 /// The equations of a thin-plate spline: distances, the smoothing, and the four side conditions.
-struct Spline {
+struct ThinPlateSpline {
     factor: PartialPivLu<f64>,
     /// Middle and size of the sources, for the sake of rounding.
     middle: DVec3,
     size: f64,
 }
 
-impl Spline {
+impl ThinPlateSpline {
     fn new(used: &[&Landmark], smoothing: f64) -> Result<Self, Why> {
         if smoothing == 0.0 {
             distinct(used)?;
@@ -332,13 +332,13 @@ impl Spline {
         right
     }
 
-    fn map(&self, used: &[&Landmark]) -> Map {
+    fn map(&self, used: &[&Landmark]) -> SpaceMap {
         let found = self.solve(used);
         let row = |i: usize| DVec3::from_array(std::array::from_fn(|k| found[(i, k)]));
         let n = used.len();
         let linear = DMat3::from_cols(row(n + 1), row(n + 2), row(n + 3)) * self.size.recip();
         let own = DAffine3::from_mat3_translation(DMat3::IDENTITY + linear, row(n) - linear * self.middle);
-        Map::Spline(own, (0..n).map(|i| (used[i].source, row(i) / self.size)).collect())
+        SpaceMap::Spline(own, (0..n).map(|i| (used[i].source, row(i) / self.size)).collect())
     }
 
     /// S. Rippa, *An algorithm for selecting a good value for the parameter c in radial basis function

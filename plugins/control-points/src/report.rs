@@ -1,7 +1,7 @@
 //! How well a map meets its landmarks.
 
 use crate::landmarks::Landmark;
-use crate::map::{Map, MapKind};
+use crate::map::{MapKind, SpaceMap};
 use glam::DVec3;
 use serde_json::{Value, json};
 
@@ -31,16 +31,16 @@ pub struct Row {
 
 /// All of them.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Report {
+pub struct LandmarkReport {
     pub rows: Vec<Row>,
     kind: MapKind,
 }
 
-impl Report {
-    /// Of a map for landmarks in local coordinates, of which a unit is `scale` of the model's.
-    pub fn new(map: &Map, kind: MapKind, landmarks: &[Landmark], smoothing: f64, scale: f64) -> Self {
+impl LandmarkReport {
+    /// The report of a map for landmarks in local coordinates, of which a unit is `scale` of the model's.
+    pub fn new(map: &SpaceMap, kind: MapKind, landmarks: &[Landmark], smoothing: f64, scale: f64) -> Self {
         let left_out = if landmarks.len() <= MOST_LEFT_OUT {
-            Map::left_out(kind, landmarks, smoothing)
+            SpaceMap::left_out(kind, landmarks, smoothing)
         } else {
             vec![None; landmarks.len()]
         };
@@ -124,8 +124,8 @@ impl Report {
     }
 }
 
-/// Those that stand out, one after the other: each is left out before the next is looked for, as a map that
-/// is wrong in one place is so beside it, too.
+/// Landmarks that stand out, one after the other: each is left out before the next is looked for, as a map
+/// that is wrong in one place is so beside it, too.
 fn outliers(
     kind: MapKind,
     landmarks: &[Landmark],
@@ -149,7 +149,7 @@ fn outliers(
         found.push(*i);
         kept[*i].weight = 0.0;
         if found.len() < most {
-            left_out = Map::left_out(kind, &kept, smoothing);
+            left_out = SpaceMap::left_out(kind, &kept, smoothing);
         }
     }
     found

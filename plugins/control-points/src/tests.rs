@@ -53,12 +53,12 @@ fn each_map_finds_maps_of_its_kind() {
     for (simplest, truth) in [(0, aside), (1, helmert()), (2, shear)] {
         let landmarks = moved(&places(12, 3), |p| truth.transform_point3(p));
         for kind in &all[simplest..] {
-            let map = Map::fit(*kind, &landmarks, 0.0).unwrap();
+            let map = SpaceMap::fit(*kind, &landmarks, 0.0).unwrap();
             for p in places(40, 3).into_iter().map(|p| 2.0 * p + DVec3::Y) {
                 let off = map.apply(p).distance(truth.transform_point3(p));
                 assert!(off < 1e-9, "{kind:?}: {off:e}");
             }
-            let report = Report::new(&map, *kind, &landmarks, 0.0, 10.0);
+            let report = LandmarkReport::new(&map, *kind, &landmarks, 0.0, 10.0);
             assert!(
                 report.rms() < 1e-8 && report.left_out_rms().unwrap() < 1e-8 && report.outliers().is_empty()
             );
@@ -67,7 +67,7 @@ fn each_map_finds_maps_of_its_kind() {
     // A plane is enough for a similarity, and for local weights.
     let landmarks = moved(&places(8, 2), |p| helmert().transform_point3(p));
     for kind in [MapKind::Similarity, MapKind::LocalWeights] {
-        let map = Map::fit(kind, &landmarks, 0.0).unwrap();
+        let map = SpaceMap::fit(kind, &landmarks, 0.0).unwrap();
         assert!(map.apply(DVec3::ONE).distance(helmert().transform_point3(DVec3::ONE)) < 1e-9);
     }
 }
@@ -76,11 +76,11 @@ fn each_map_finds_maps_of_its_kind() {
 fn splines_and_local_weights_meet_landmarks_and_smoothing_misses_them() {
     let landmarks = moved(&places(30, 3), bend);
     let worst =
-        |map: &Map| landmarks.iter().map(|l| map.apply(l.source).distance(l.target)).fold(0.0, f64::max);
-    assert!(worst(&Map::fit(MapKind::ThinPlate, &landmarks, 0.0).unwrap()) < 1e-12);
-    assert!(worst(&Map::fit(MapKind::LocalWeights, &landmarks, 0.0).unwrap()) < 1e-12);
-    let affine = worst(&Map::fit(MapKind::Affine, &landmarks, 0.0).unwrap());
-    let [some, much] = [0.1, 1e6].map(|s| worst(&Map::fit(MapKind::ThinPlate, &landmarks, s).unwrap()));
+        |map: &SpaceMap| landmarks.iter().map(|l| map.apply(l.source).distance(l.target)).fold(0.0, f64::max);
+    assert!(worst(&SpaceMap::fit(MapKind::ThinPlate, &landmarks, 0.0).unwrap()) < 1e-12);
+    assert!(worst(&SpaceMap::fit(MapKind::LocalWeights, &landmarks, 0.0).unwrap()) < 1e-12);
+    let affine = worst(&SpaceMap::fit(MapKind::Affine, &landmarks, 0.0).unwrap());
+    let [some, much] = [0.1, 1e6].map(|s| worst(&SpaceMap::fit(MapKind::ThinPlate, &landmarks, s).unwrap()));
     assert!(
         1e-3 < some && some < affine && (much - affine).abs() < 1e-3 * affine,
         "{some}, {much}, {affine}"
@@ -88,8 +88,8 @@ fn splines_and_local_weights_meet_landmarks_and_smoothing_misses_them() {
     // One that does not count is no landmark, but is told of.
     let mut checked = landmarks.clone();
     checked[4].weight = 0.0;
-    let map = Map::fit(MapKind::ThinPlate, &checked, 0.0).unwrap();
-    let report = Report::new(&map, MapKind::ThinPlate, &checked, 0.0, 1.0);
+    let map = SpaceMap::fit(MapKind::ThinPlate, &checked, 0.0).unwrap();
+    let report = LandmarkReport::new(&map, MapKind::ThinPlate, &checked, 0.0, 1.0);
     assert!(report.rows[4].is_check && report.rows[4].residual > 1e-4 && report.rms() < 1e-12);
 }
 
@@ -98,7 +98,7 @@ fn splines_and_local_weights_meet_landmarks_and_smoothing_misses_them() {
 #[test]
 fn the_spline_is_scipy_s() {
     let landmarks = moved(&places(20, 3), bend);
-    let map = Map::fit(MapKind::ThinPlate, &landmarks, 0.0).unwrap();
+    let map = SpaceMap::fit(MapKind::ThinPlate, &landmarks, 0.0).unwrap();
     let expected = DVec3::new(0.3385551995986, -0.1714479271681, 0.5912229100208);
     assert!(
         map.apply(DVec3::new(0.3, -0.2, 0.6)).distance(expected) < 1e-9,
@@ -112,11 +112,12 @@ fn a_landmark_is_left_out_as_if_it_were_not_there() {
     let landmarks = moved(&places(15, 3), bend);
     for kind in [MapKind::ThinPlate, MapKind::LocalWeights, MapKind::Affine, MapKind::Similarity] {
         for smoothing in [0.0, 0.2] {
-            let left_out = Map::left_out(kind, &landmarks, smoothing);
+            let left_out = SpaceMap::left_out(kind, &landmarks, smoothing);
             for (i, left) in left_out.iter().enumerate() {
                 let mut others = landmarks.clone();
                 let one = others.remove(i);
-                let expected = one.target - Map::fit(kind, &others, smoothing).unwrap().apply(one.source);
+                let expected =
+                    one.target - SpaceMap::fit(kind, &others, smoothing).unwrap().apply(one.source);
                 assert!(left.unwrap().distance(expected) < 1e-9, "{kind:?}, {i}");
             }
         }
@@ -124,13 +125,13 @@ fn a_landmark_is_left_out_as_if_it_were_not_there() {
     // Four are needed all.
     let four = moved(&places(4, 3), bend);
     for kind in [MapKind::ThinPlate, MapKind::Affine] {
-        assert!(Map::left_out(kind, &four, 0.0).iter().all(Option::is_none));
+        assert!(SpaceMap::left_out(kind, &four, 0.0).iter().all(Option::is_none));
     }
 }
 
 #[test]
 fn what_cannot_be_determined_is_said_and_the_next_simpler_map_offered() {
-    let fit = |kind, landmarks: &[Landmark]| Map::fit(kind, landmarks, 0.0).unwrap_err();
+    let fit = |kind, landmarks: &[Landmark]| SpaceMap::fit(kind, landmarks, 0.0).unwrap_err();
     for (directions, what, instead) in [
         (2, "one plane", MapKind::Similarity),
         (1, "one line", MapKind::Translation),
@@ -143,8 +144,8 @@ fn what_cannot_be_determined_is_said_and_the_next_simpler_map_offered() {
             assert!(told.contains(what) && offered == Some(instead), "{told}, {offered:?}");
         }
         // What is offered can be had.
-        Map::fit(instead, &landmarks, 0.0).unwrap();
-        assert_eq!(Map::fit(MapKind::Similarity, &landmarks, 0.0).is_ok(), directions > 1);
+        SpaceMap::fit(instead, &landmarks, 0.0).unwrap();
+        assert_eq!(SpaceMap::fit(MapKind::Similarity, &landmarks, 0.0).is_ok(), directions > 1);
     }
     // Those that coincide are named, also where rounding has them apart, and what is offered can be had.
     for (directions, instead) in [(3, MapKind::Affine), (2, MapKind::Similarity), (1, MapKind::Translation)] {
@@ -157,7 +158,7 @@ fn what_cannot_be_determined_is_said_and_the_next_simpler_map_offered() {
                 let coincide = told.why.what.contains("`2` and `7` coincide");
                 assert!(coincide || (kind == MapKind::ThinPlate && directions < 3), "{told:?}");
                 assert_eq!(told.instead, Some(instead), "{told:?}");
-                Map::fit(instead, &landmarks, 0.0).unwrap();
+                SpaceMap::fit(instead, &landmarks, 0.0).unwrap();
             }
         }
     }
@@ -174,8 +175,8 @@ fn a_wrong_landmark_stands_out() {
     });
     landmarks[6].target.y += 0.3;
     for kind in [MapKind::Similarity, MapKind::Affine] {
-        let map = Map::fit(kind, &landmarks, 0.0).unwrap();
-        let report = Report::new(&map, kind, &landmarks, 0.0, 1.0);
+        let map = SpaceMap::fit(kind, &landmarks, 0.0).unwrap();
+        let report = LandmarkReport::new(&map, kind, &landmarks, 0.0, 1.0);
         assert_eq!(report.outliers(), ["6"], "{kind:?}");
         assert!(report.lines()[6].contains("an outlier"));
         let row: serde_json::Value = serde_json::from_str(&report.json()[7]).unwrap();
@@ -197,7 +198,7 @@ impl HostCalls for Log {
 }
 
 #[expect(clippy::disallowed_methods, reason = "the file is the test's own")]
-fn prepare(text: &str, method: &str, report: &str) -> (PluginResult<Map>, String) {
+fn prepare(text: &str, method: &str, report: &str) -> (PluginResult<SpaceMap>, String) {
     let file = std::env::temp_dir().join(format!(
         "simod-landmarks-{}-{:?}.csv",
         std::process::id(),
@@ -273,14 +274,14 @@ proptest! {
             .enumerate()
             .map(|(i, (s, t, w))| Landmark { weight: f64::from(*w), ..landmark(&i.to_string(), dense(*s), dense(*t)) })
             .collect();
-        match Map::fit(kind, &landmarks, smoothing) {
+        match SpaceMap::fit(kind, &landmarks, smoothing) {
             Ok(map) => {
                 prop_assert!(map.apply(DVec3::new(0.1, 0.2, 0.3)).is_finite());
-                let report = Report::new(&map, kind, &landmarks, smoothing, 1.0);
+                let report = LandmarkReport::new(&map, kind, &landmarks, smoothing, 1.0);
                 prop_assert!(report.rms().is_finite() && report.left_out_rms().is_none_or(f64::is_finite));
             }
             Err(Open { instead: Some(instead), .. }) => {
-                prop_assert!(instead != kind && Map::fit(instead, &landmarks, smoothing).is_ok());
+                prop_assert!(instead != kind && SpaceMap::fit(instead, &landmarks, smoothing).is_ok());
             }
             // A translation is always determined by landmarks that count.
             Err(_) => prop_assert!(landmarks.iter().all(|l| l.weight == 0.0)),

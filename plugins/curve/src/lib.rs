@@ -9,8 +9,8 @@ mod points;
 mod spline;
 
 use glam::DVec3;
-use motion::{Looks, Motion};
-use nearest::{Foot, Nearest};
+use motion::{WireEffects, WireMotion};
+use nearest::{Foot, NearestOnCurve};
 use simod_plugin_api::{
     Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host,
     IsIdentity, ParamDesc, ParamSet, Params, PluginError, PluginResult, PrepareInput,
@@ -30,7 +30,7 @@ struct CurvePlugin;
 
 /// Where the wire is, and what goes along.
 #[derive(ParamSet)]
-struct Settings {
+struct CurveSettings {
     /// How many points a wire has that is made: through the middle of the model, along its longest side
     #[param(default = 5, hard = 2..=100, soft = 3..=15, invalidates_preparation)]
     points: i64,
@@ -60,8 +60,8 @@ enum Ends {
 }
 
 /// The wire, and where samples are on it.
-struct Prepared {
-    rest: Nearest,
+struct PreparedWire {
+    rest: NearestOnCurve,
     /// Where the points are before handles are moved: other places where there is a file that says so.
     placed: Vec<DVec3>,
     knots: Vec<f64>,
@@ -83,7 +83,7 @@ fn wire(input: &PrepareInput<'_>) -> PluginResult<[Vec<DVec3>; 2]> {
     let rest = match read("wire")? {
         Some(points) => points,
         None => {
-            let Settings { points, .. } = params.read()?;
+            let CurveSettings { points, .. } = params.read()?;
             let points =
                 usize::try_from(points).map_err(|_| PluginError::parameter("points", "is negative"))?;
             points::along_the_middle(&input.bounds, input.samples.positions(), points)
@@ -106,7 +106,7 @@ fn wire(input: &PrepareInput<'_>) -> PluginResult<[Vec<DVec3>; 2]> {
 }
 
 /// The motion that parameters and handles make of the wire.
-fn motion<'a>(state: &'a Prepared, input: &DeformInput<'_>) -> PluginResult<Motion<'a>> {
+fn motion<'a>(state: &'a PreparedWire, input: &DeformInput<'_>) -> PluginResult<WireMotion<'a>> {
     let motions = input.handle_motions();
     if !motions.is_empty() && motions.len() != state.placed.len() {
         let message = format!("{} motions of {} points", motions.len(), state.placed.len());
@@ -117,17 +117,17 @@ fn motion<'a>(state: &'a Prepared, input: &DeformInput<'_>) -> PluginResult<Moti
     let moved = points.iter_mut().zip(motions).filter(|(_, motion)| **motion != Affine::IDENTITY);
     moved.for_each(|(p, motion)| *p = motion.apply((*p).into()).into());
     let looks = looks(input.params(), input.bounds.diagonal())?;
-    Ok(Motion::new(&state.rest, Spline::new(state.knots.clone(), points), looks))
+    Ok(WireMotion::new(&state.rest, Spline::new(state.knots.clone(), points), looks))
 }
 
-fn looks(params: Params<'_>, diagonal: f64) -> PluginResult<Looks> {
-    let Settings { reach, whole, twist, keep_volume, .. } = params.read()?;
+fn looks(params: Params<'_>, diagonal: f64) -> PluginResult<WireEffects> {
+    let CurveSettings { reach, whole, twist, keep_volume, .. } = params.read()?;
     let reach = reach * diagonal;
-    Ok(Looks { reach, whole: whole * reach, twist: twist.to_radians(), keeps_volume: keep_volume })
+    Ok(WireEffects { reach, whole: whole * reach, twist: twist.to_radians(), keeps_volume: keep_volume })
 }
 
 impl Deformer for CurvePlugin {
-    type State = Prepared;
+    type State = PreparedWire;
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
@@ -142,15 +142,15 @@ impl Deformer for CurvePlugin {
                 ParamDesc::file("moved", "Moved wire", &["csv", "txt", "xyz", "obj"])
                     .hint("Where these points go, as many in the same order; handles move them on from there"),
             )
-            .param_set::<Settings>()
+            .param_set::<CurveSettings>()
             .consumes(Consumes { frame: true, ..Consumes::default() })
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<PreparedWire> {
         let [rest, placed] = wire(input)?;
-        let Settings { ends, .. } = input.params().read()?;
+        let CurveSettings { ends, .. } = input.params().read()?;
         let knots = spline::knots(&rest);
-        let rest = Nearest::new(Spline::new(knots.clone(), rest), ends == Ends::Follow);
+        let rest = NearestOnCurve::new(Spline::new(knots.clone(), rest), ends == Ends::Follow);
         let diagonal = input.bounds.diagonal();
         if let Some(across) = comes_back(&rest, diagonal) {
             host.warn(&format!(
@@ -158,7 +158,7 @@ impl Deformer for CurvePlugin {
                  may be torn if they go different ways; several wires, a step for each, do not have that"
             ));
         } else if let Some(across) =
-            comes_back(&Nearest::new(Spline::new(knots.clone(), placed.clone()), false), diagonal)
+            comes_back(&NearestOnCurve::new(Spline::new(knots.clone(), placed.clone()), false), diagonal)
         {
             host.warn(&format!(
                 "the moved wire comes back to within {across:.1} % of the model's diagonal of itself: what goes along with \
@@ -175,11 +175,11 @@ impl Deformer for CurvePlugin {
                 *foot = rest.find(DVec3::from(p.map(f64::from)));
             }
         })?;
-        Ok(Prepared { rest, placed, knots, feet })
+        Ok(PreparedWire { rest, placed, knots, feet })
     }
 
     fn deform(
-        state: &Prepared,
+        state: &PreparedWire,
         input: &DeformInput<'_>,
         _: &mut (),
         out: &mut [[f32; 3]],
@@ -201,7 +201,7 @@ impl Deformer for CurvePlugin {
 
 impl Evaluate for CurvePlugin {
     fn evaluate(
-        state: &Prepared,
+        state: &PreparedWire,
         input: &DeformInput<'_>,
         points: &mut [[f64; 3]],
         host: &Host<'_>,
@@ -230,7 +230,7 @@ impl Handles for CurvePlugin {
 
 impl IsIdentity for CurvePlugin {
     fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
-        let Settings { twist, .. } = input.params().read()?;
+        let CurveSettings { twist, .. } = input.params().read()?;
         let is_still = input.handle_motions().iter().all(|motion| *motion == Affine::IDENTITY);
         Ok(is_still && twist == 0.0 && input.params().file("moved")?.is_none())
     }
@@ -238,7 +238,7 @@ impl IsIdentity for CurvePlugin {
 
 /// How far a wire is from itself, in percent of the diagonal, where two parts of it reach the same places:
 /// there space is torn if they go different ways, or comes to be in one place.
-fn comes_back(rest: &Nearest, diagonal: f64) -> Option<f64> {
+fn comes_back(rest: &NearestOnCurve, diagonal: f64) -> Option<f64> {
     let stride = rest.nodes().len().div_ceil(MOST_COMPARED);
     let nodes: Vec<DVec3> = rest.nodes().iter().copied().step_by(stride).collect();
     let mut lengths = vec![0.0];

@@ -8,8 +8,8 @@
 //! can be bent to a knot; what these turn about the curve between parts that are as they were is taken back
 //! where it bends.
 
-use crate::nearest::{Foot, Nearest, PIECES};
-use crate::spline::{Jet, Spline};
+use crate::nearest::{Foot, NearestOnCurve, PIECES};
+use crate::spline::{Spline, WirePoint};
 use glam::{DMat3, DQuat, DVec3};
 use std::f64::consts::TAU;
 
@@ -18,7 +18,7 @@ const LEAST_TURN: f64 = 1e-12;
 
 /// How much of a wire's motion is made, and what else it does.
 #[derive(Debug, Clone, Copy)]
-pub struct Looks {
+pub struct WireEffects {
     /// Up to which distance from the curve all goes along as a whole.
     pub whole: f64,
     /// From which distance on nothing moves.
@@ -30,35 +30,35 @@ pub struct Looks {
 }
 
 /// A number along the curve by its values and slopes at the nodes.
-struct Along {
+struct WireNumber {
     values: Vec<f64>,
     slopes: Vec<f64>,
 }
 
 /// A wire that has been moved.
-pub struct Motion<'a> {
-    rest: &'a Nearest,
+pub struct WireMotion<'a> {
+    rest: &'a NearestOnCurve,
     moved: Spline,
     /// Both curves at the nodes.
-    nodes: Vec<[Jet; 2]>,
+    nodes: Vec<[WirePoint; 2]>,
     /// Directions across the two curves, at the nodes, that do not turn about them.
     across: [Vec<DVec3>; 2],
     /// By how much the moved curve has been bent so far, in radians.
-    bent: Along,
+    bent: WireNumber,
     /// Lengths along the curve at rest, of its whole.
-    length: Along,
+    length: WireNumber,
     /// The turn about the curve that is taken back in all.
     taken_back: f64,
     /// Turns at the nodes as vectors, which go on where a turn is more than half of one.
     turns: Vec<DVec3>,
-    looks: Looks,
+    looks: WireEffects,
 }
 
-impl<'a> Motion<'a> {
+impl<'a> WireMotion<'a> {
     /// The motion that takes the points of a wire at rest to others, as many.
-    pub fn new(rest: &'a Nearest, moved: Spline, looks: Looks) -> Self {
+    pub fn new(rest: &'a NearestOnCurve, moved: Spline, looks: WireEffects) -> Self {
         let nodes = rest.pieces() + 1;
-        let none = || Along { values: vec![0.0; nodes], slopes: vec![0.0; nodes] };
+        let none = || WireNumber { values: vec![0.0; nodes], slopes: vec![0.0; nodes] };
         let across = [Vec::with_capacity(nodes), Vec::with_capacity(nodes)];
         let (bent, length) = (none(), none());
         let mut motion = Self {
@@ -117,7 +117,7 @@ impl<'a> Motion<'a> {
     /// How much of the motion is made at a distance from the curve: Singh and Fiume's density function,
     /// behind what goes along as a whole.
     fn part(&self, distance: f64) -> f64 {
-        let Looks { whole, reach, .. } = self.looks;
+        let WireEffects { whole, reach, .. } = self.looks;
         if distance <= whole {
             return 1.0;
         }
@@ -133,7 +133,7 @@ impl<'a> Motion<'a> {
         Foot { piece: piece as u32, t: self.rest.parameters()[node], distance: 0.0 }
     }
 
-    fn jets(&self, foot: &Foot) -> [Jet; 2] {
+    fn jets(&self, foot: &Foot) -> [WirePoint; 2] {
         [self.rest.jet(foot), self.moved.evaluate(foot.piece as usize / PIECES, foot.t)]
     }
 
@@ -154,7 +154,7 @@ impl<'a> Motion<'a> {
 
     /// The turn from the curve at rest to the moved one by the frames that were carried along, at a place
     /// where the curves are `to`.
-    fn carried(&self, foot: &Foot, to: &[Jet; 2]) -> DQuat {
+    fn carried(&self, foot: &Foot, to: &[WirePoint; 2]) -> DQuat {
         let piece = foot.piece as usize;
         let from = &self.nodes[piece];
         let frame = |i: usize| {
@@ -166,7 +166,7 @@ impl<'a> Motion<'a> {
     }
 
     /// The turn at a place of the curve, where both curves are `jets`.
-    fn turn(&self, foot: &Foot, jets: &[Jet; 2]) -> DQuat {
+    fn turn(&self, foot: &Foot, jets: &[WirePoint; 2]) -> DQuat {
         let about = self.looks.twist * self.part_along(&self.length, foot)
             - self.taken_back * self.part_along(&self.bent, foot);
         let turn = self.carried(foot, jets);
@@ -191,7 +191,7 @@ impl<'a> Motion<'a> {
     }
 
     /// The sums of what pieces have.
-    fn along(&self, pieces: Vec<f64>) -> Along {
+    fn along(&self, pieces: Vec<f64>) -> WireNumber {
         let parameters = self.rest.parameters();
         let rate = |piece: usize| pieces[piece] / (parameters[piece + 1] - parameters[piece]);
         let last = pieces.len() - 1;
@@ -205,11 +205,11 @@ impl<'a> Motion<'a> {
         for piece in &pieces {
             values.push(values[values.len() - 1] + piece);
         }
-        Along { values, slopes }
+        WireNumber { values, slopes }
     }
 
     /// The part of the whole that a sum has come to.
-    fn part_along(&self, sum: &Along, foot: &Foot) -> f64 {
+    fn part_along(&self, sum: &WireNumber, foot: &Foot) -> f64 {
         let piece = foot.piece as usize;
         let whole = sum.values[sum.values.len() - 1];
         let [start, end] = self.rest.curve().range();
@@ -230,12 +230,12 @@ impl<'a> Motion<'a> {
 }
 
 /// The unit tangent; `otherwise` where the curve stands still.
-fn direction(jet: &Jet, otherwise: DVec3) -> DVec3 {
+fn direction(jet: &WirePoint, otherwise: DVec3) -> DVec3 {
     jet.first.try_normalize().unwrap_or(otherwise)
 }
 
 /// A direction across a curve carried along it, to a place near by: double reflection.
-fn carried(from: &Jet, across: DVec3, to: &Jet) -> DVec3 {
+fn carried(from: &WirePoint, across: DVec3, to: &WirePoint) -> DVec3 {
     let tangent = direction(from, DVec3::X);
     let goal = direction(to, tangent);
     let reflected = |v: DVec3, plane: DVec3| {

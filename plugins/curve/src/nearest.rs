@@ -1,7 +1,7 @@
 //! The point of a curve that is nearest to a place: by the nodes of a polyline along it, whose pieces are in
 //! a tree of boxes, and by Newton's method from there.
 
-use crate::spline::{Jet, Spline};
+use crate::spline::{Spline, WirePoint};
 use glam::DVec3;
 
 /// Pieces of the polyline to a span of the curve.
@@ -22,7 +22,7 @@ pub struct Foot {
 
 /// A curve whose nearest points are found.
 #[derive(Debug)]
-pub struct Nearest {
+pub struct NearestOnCurve {
     curve: Spline,
     nodes: Vec<DVec3>,
     parameters: Vec<f64>,
@@ -32,7 +32,7 @@ pub struct Nearest {
     goes_on: bool,
 }
 
-impl Nearest {
+impl NearestOnCurve {
     pub fn new(curve: Spline, goes_on: bool) -> Self {
         let spans = curve.spans();
         let parameter = |node: usize| match node {
@@ -68,7 +68,7 @@ impl Nearest {
     }
 
     /// The curve at a place of it.
-    pub fn jet(&self, foot: &Foot) -> Jet {
+    pub fn jet(&self, foot: &Foot) -> WirePoint {
         self.curve.evaluate(foot.piece as usize / PIECES, foot.t)
     }
 
@@ -96,7 +96,7 @@ impl Nearest {
         if self.goes_on {
             for (end, piece) in [(0, 0), (1, self.pieces() - 1)] {
                 let t_end = self.curve.range()[end];
-                let Jet { position, first, .. } = self.curve.evaluate(piece / PIECES, t_end);
+                let WirePoint { position, first, .. } = self.curve.evaluate(piece / PIECES, t_end);
                 let t = t_end + (p - position).dot(first) / first.length_squared();
                 let is_beyond = if end == 0 { t < t_end } else { t > t_end };
                 let distance = (p - position - (t - t_end) * first).length();
@@ -138,7 +138,7 @@ impl Nearest {
             let piece = self.piece(piece, t);
             (self.curve.evaluate(piece / PIECES, t), piece)
         };
-        let slope = |jet: &Jet| (jet.position - p).dot(jet.first);
+        let slope = |jet: &WirePoint| (jet.position - p).dot(jet.first);
         let [mut low, mut high] =
             [self.parameters[piece.saturating_sub(1)], self.parameters[(piece + 2).min(self.pieces())]];
         let foot = |t: f64| {

@@ -14,7 +14,7 @@ const MOST_BYTES: u64 = 4 << 20;
 /// where there is one.
 ///
 /// # Errors
-/// It cannot be read, a line is not what it should be, or there are fewer than two points or more than
+/// The file cannot be read, a line is not what it should be, or there are fewer than two points or more than
 /// [`MOST`].
 pub fn read(path: &Path) -> PluginResult<Vec<DVec3>> {
     let error = |what: String| {
@@ -39,9 +39,9 @@ pub fn read(path: &Path) -> PluginResult<Vec<DVec3>> {
 }
 
 /// What is wrong, and in which line.
-type Wrong = (usize, String);
+type BadPoints = (usize, String);
 
-fn of_lines(text: &str) -> Result<Vec<DVec3>, Wrong> {
+fn of_lines(text: &str) -> Result<Vec<DVec3>, BadPoints> {
     let mut points = Vec::new();
     let mut is_first = true;
     for (line, text) in (1..).zip(text.lines()) {
@@ -60,7 +60,7 @@ fn of_lines(text: &str) -> Result<Vec<DVec3>, Wrong> {
     Ok(points)
 }
 
-fn of_obj(text: &str) -> Result<Vec<DVec3>, Wrong> {
+fn of_obj(text: &str) -> Result<Vec<DVec3>, BadPoints> {
     let (mut vertices, mut order) = (Vec::new(), None);
     for (line, text) in (1..).zip(text.lines()) {
         let mut fields = text.split_whitespace();
@@ -71,7 +71,7 @@ fn of_obj(text: &str) -> Result<Vec<DVec3>, Wrong> {
                 vertices.push(point(&fields).map_err(|what| (line, what))?);
             }
             Some("l") if order.is_none() => {
-                let index = |field: &str| -> Result<usize, Wrong> {
+                let index = |field: &str| -> Result<usize, BadPoints> {
                     let number = field.split('/').next().unwrap_or_default().parse::<i64>();
                     let wrong = || (line, format!("names `{field}`, which is no vertex before it"));
                     let index = match number.map_err(|_| wrong())? {
@@ -80,7 +80,7 @@ fn of_obj(text: &str) -> Result<Vec<DVec3>, Wrong> {
                     };
                     usize::try_from(index).ok().filter(|i| *i < vertices.len()).ok_or_else(wrong)
                 };
-                order = Some(fields.map(index).collect::<Result<Vec<usize>, Wrong>>()?);
+                order = Some(fields.map(index).collect::<Result<Vec<usize>, BadPoints>>()?);
             }
             _ => {}
         }

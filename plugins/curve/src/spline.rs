@@ -15,7 +15,7 @@ pub struct Spline {
 
 /// Where the curve is at some parameter, and how it goes on.
 #[derive(Debug, Clone, Copy)]
-pub struct Jet {
+pub struct WirePoint {
     pub position: DVec3,
     pub first: DVec3,
     pub second: DVec3,
@@ -65,9 +65,9 @@ impl Spline {
     }
 
     /// Where the curve is; `span` is the one that `t` is in, the first or last one for what is beyond.
-    pub fn evaluate(&self, span: usize, t: f64) -> Jet {
+    pub fn evaluate(&self, span: usize, t: f64) -> WirePoint {
         let [start, end] = self.range();
-        let straight = |i: usize| Jet {
+        let straight = |i: usize| WirePoint {
             position: self.points[i] + (t - self.knots[i]) * self.slopes[i],
             first: self.slopes[i],
             second: DVec3::ZERO,
@@ -84,7 +84,7 @@ impl Spline {
         let u = (t - self.knots[span]) / h;
         // Hermite's form, as powers of u.
         let (a, b, c) = (2.0 * (p - q) + h * (m + n), 3.0 * (q - p) - h * (2.0 * m + n), h * m);
-        Jet {
+        WirePoint {
             position: ((a * u + b) * u + c) * u + p,
             first: ((3.0 * a * u + 2.0 * b) * u + c) / h,
             second: (6.0 * a * u + 2.0 * b) / (h * h),

@@ -64,7 +64,7 @@ impl Setup {
         call(&PrepareInput::new(samples, BOUNDS, &[], &params).with_parts(&parts), &params)
     }
 
-    fn prepare(&self) -> PluginResult<Prepared> {
+    fn prepare(&self) -> PluginResult<PreparedWire> {
         self.with(|input, _| CurvePlugin::prepare(input, &Host::new(&())))
     }
 
@@ -280,7 +280,7 @@ fn a_wire_that_comes_back_to_itself_is_told() {
         (0..33).map(|i| DQuat::from_rotation_z(turns * 2.0 * PI * f64::from(i) / 32.0) * DVec3::X).collect()
     };
     let told = |points: Vec<DVec3>| {
-        comes_back(&Nearest::new(Spline::new(spline::knots(&points), points), true), 2.0).is_some()
+        comes_back(&NearestOnCurve::new(Spline::new(spline::knots(&points), points), true), 2.0).is_some()
     };
     assert!(!told(circle(0.9)) && told(circle(1.0)) && told(circle(1.5)));
 }
@@ -324,7 +324,7 @@ proptest! {
         let (points, p): (Vec<DVec3>, DVec3) = (points.into_iter().map(DVec3::from).collect(), p.into());
         prop_assume!(points.windows(2).all(|pair| pair[0].distance(pair[1]) > 0.05));
         let curve = Spline::new(spline::knots(&points), points);
-        let nearest = Nearest::new(curve.clone(), false);
+        let nearest = NearestOnCurve::new(curve.clone(), false);
         let foot = nearest.find(p);
         prop_assert!((nearest.jet(&foot).position.distance(p) - foot.distance).abs() < 1e-12);
         let places = (0..curve.spans()).flat_map(|span| (0..=200).map(move |u| (span, f64::from(u) / 200.0)));

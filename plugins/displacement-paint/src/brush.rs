@@ -33,7 +33,7 @@ const PINCH: f64 = 0.5;
 const MOST_PINCH: f64 = 0.9;
 
 /// A brush as it was set for a stroke.
-pub struct Tool<'a> {
+pub struct SetBrush<'a> {
     /// What it does.
     pub brush: Brush,
     /// Local coordinates.
@@ -51,7 +51,7 @@ pub struct Tool<'a> {
     falloff: Curve<'a>,
 }
 
-impl<'a> Tool<'a> {
+impl<'a> SetBrush<'a> {
     /// The tool of a stroke.
     pub fn from_stroke(stroke: &Stroke<'a>) -> PluginResult<Self> {
         let params: Params<'a> = stroke.params();

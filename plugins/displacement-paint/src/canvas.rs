@@ -5,8 +5,8 @@
 //! the same to the last bit as if all strokes had been painted anew: nothing but the order of strokes decides
 //! it.
 
-use crate::grid::Grid;
-use crate::surface::Surface;
+use crate::grid::HashGrid;
+use crate::surface::LinkedSurface;
 use glam::{DVec3, Vec3};
 use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
@@ -27,7 +27,7 @@ struct Before {
 
 /// A stroke that was painted.
 #[derive(Debug)]
-struct Painted {
+struct PaintedStroke {
     key: u64,
     /// What it changed, as it was; nothing where that was forgotten, as it was too much.
     before: Option<Vec<Before>>,
@@ -43,8 +43,8 @@ pub struct Canvas {
     /// The surface's normals there.
     pub normals: Vec<Vec3>,
     /// Finds samples where they are.
-    pub grid: Grid,
-    painted: VecDeque<Painted>,
+    pub grid: HashGrid,
+    painted: VecDeque<PaintedStroke>,
     /// What the stroke under way has changed so far.
     before: Vec<Before>,
     is_remembered: Vec<bool>,
@@ -55,7 +55,7 @@ pub struct Canvas {
 
 impl Canvas {
     /// Nothing painted yet.
-    pub fn new(surface: &Surface, positions: &[Vec3], normals: &[Vec3]) -> Self {
+    pub fn new(surface: &LinkedSurface, positions: &[Vec3], normals: &[Vec3]) -> Self {
         Self {
             surface: surface.id,
             positions: positions.to_vec(),
@@ -70,7 +70,7 @@ impl Canvas {
     }
 
     /// Whether it is of this surface.
-    pub fn is_of(&self, surface: &Surface) -> bool {
+    pub fn is_of(&self, surface: &LinkedSurface) -> bool {
         self.surface == surface.id
     }
 
@@ -93,7 +93,7 @@ impl Canvas {
     pub fn finish(&mut self, key: u64) {
         let before = std::mem::take(&mut self.before);
         before.iter().for_each(|b| self.is_remembered[b.sample as usize] = false);
-        self.painted.push_back(Painted { key, before: Some(before) });
+        self.painted.push_back(PaintedStroke { key, before: Some(before) });
         let sizes = self.painted.iter().filter_map(|p| p.before.as_ref()).map(Vec::len);
         let mut total: usize = sizes.sum();
         // The last one is always remembered: it changes while it is drawn.
@@ -127,8 +127,8 @@ impl Canvas {
     /// Derives the normals of samples that moved, and of those beside them, anew.
     pub fn refresh_normals(
         &mut self,
-        surface: &Surface,
-        rest: &Rest<'_>,
+        surface: &LinkedSurface,
+        rest: &UnpaintedSamples<'_>,
         moved: &[u32],
         host: &Host<'_>,
     ) -> PluginResult<()> {
@@ -161,17 +161,17 @@ impl Canvas {
 
 /// The samples before anything was painted.
 #[derive(Debug, Clone, Copy)]
-pub struct Rest<'a> {
+pub struct UnpaintedSamples<'a> {
     /// Local coordinates.
     pub positions: &'a [Vec3],
-    /// Of unit length.
+    /// Unit normals.
     pub normals: &'a [Vec3],
 }
 
 /// The normal that a sample's rest normal becomes: what is perpendicular to the images of its tangent plane
 /// under the affine map that fits the displacements around it best. Exactly the rest normal where nothing
 /// around it moved.
-fn turned_normal(surface: &Surface, rest: &Rest<'_>, positions: &[Vec3], i: usize) -> Vec3 {
+fn turned_normal(surface: &LinkedSurface, rest: &UnpaintedSamples<'_>, positions: &[Vec3], i: usize) -> Vec3 {
     let normal = rest.normals[i];
     let n = normal.as_dvec3();
     let Some(n) = n.try_normalize() else { return normal };

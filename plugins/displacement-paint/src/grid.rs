@@ -12,7 +12,7 @@ const RINGS: i64 = 6;
 ///
 /// Memory: 16 bytes a sample at most.
 #[derive(Debug, Clone)]
-pub struct Grid {
+pub struct HashGrid {
     cell: f64,
     /// The first sample of each cell; as many as a power of two, and cells may share one.
     heads: Vec<u32>,
@@ -21,7 +21,7 @@ pub struct Grid {
     before: Vec<u32>,
 }
 
-impl Grid {
+impl HashGrid {
     /// All samples, in cells of the given width.
     pub fn new(positions: &[Vec3], cell: f64) -> Self {
         let count = positions.len();
@@ -144,7 +144,7 @@ mod tests {
             radius in 0.0_f64..4.0,
         ) {
             let mut positions: Vec<Vec3> = points.into_iter().map(Vec3::from).collect();
-            let mut grid = Grid::new(&positions, cell);
+            let mut grid = HashGrid::new(&positions, cell);
             for (i, to) in moves {
                 let i = i.index(positions.len());
                 grid.relocate(i, positions[i], to.into());

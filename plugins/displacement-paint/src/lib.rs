@@ -15,36 +15,36 @@ mod path;
 mod spot;
 mod surface;
 
-use brush::Tool;
-use canvas::{Canvas, Rest};
+use brush::SetBrush;
+use canvas::{Canvas, UnpaintedSamples};
 use glam::Vec3;
-use paint::{Painter, Workspace};
+use paint::{Painter, StrokeWorkspace};
 use simod_plugin_api::{
     Consumes, DeformInput, Deformer, Descriptor, Host, IsIdentity, PluginError, PluginResult, PrepareInput,
     Samples,
 };
-use surface::Surface;
+use surface::LinkedSurface;
 
 /// The plugin.
 struct DisplacementPaint;
 
 /// What strokes are painted on.
-struct Prepared {
-    surface: Surface,
+struct PreparedSheets {
+    surface: LinkedSurface,
     /// What each sample stands for, relative to the others; nothing where that is not known.
     areas: Vec<f32>,
 }
 
 /// What was painted last, and working memory.
 #[derive(Default)]
-struct Easel {
+struct PaintScratch {
     canvas: Option<Canvas>,
-    work: Workspace,
+    work: StrokeWorkspace,
 }
 
 impl Deformer for DisplacementPaint {
-    type State = Prepared;
-    type Scratch = Easel;
+    type State = PreparedSheets;
+    type Scratch = PaintScratch;
 
     fn descriptor() -> Descriptor {
         let descriptor =
@@ -52,23 +52,23 @@ impl Deformer for DisplacementPaint {
                 .summary("Brush strokes that inflate, draw, grab, smooth, flatten, pinch or crease")
                 .citation("after the displacement painting of Boubekeur, Sorkine and Schlick, SIMOD, 2007")
                 .consumes(Consumes { strokes: true, graph: true, normals: true, ..Consumes::default() });
-        Tool::params().into_iter().fold(descriptor, Descriptor::param)
+        SetBrush::params().into_iter().fold(descriptor, Descriptor::param)
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
-        let Rest { positions, normals } = rest(&input.samples);
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<PreparedSheets> {
+        let UnpaintedSamples { positions, normals } = rest(&input.samples);
         let graph = input.graph().filter(|g| g.len() == positions.len());
         let (Some(graph), true) = (graph, normals.len() == positions.len()) else {
             return Err(PluginError::internal("the host gave no neighbours or normals of the samples"));
         };
-        let surface = Surface::new(positions, normals, graph, host)?;
-        Ok(Prepared { surface, areas: areas(input.samples.spacing()) })
+        let surface = LinkedSurface::new(positions, normals, graph, host)?;
+        Ok(PreparedSheets { surface, areas: areas(input.samples.spacing()) })
     }
 
     fn deform(
-        state: &Prepared,
+        state: &PreparedSheets,
         input: &DeformInput<'_>,
-        easel: &mut Easel,
+        easel: &mut PaintScratch,
         out: &mut [[f32; 3]],
         host: &Host<'_>,
     ) -> PluginResult<()> {
@@ -94,7 +94,7 @@ impl Deformer for DisplacementPaint {
             canvas.finish(stroke.key);
         }
         out.copy_from_slice(bytemuck::cast_slice(&canvas.positions));
-        *easel = Easel { canvas: Some(canvas), work };
+        *easel = PaintScratch { canvas: Some(canvas), work };
         Ok(())
     }
 }
@@ -105,8 +105,8 @@ impl IsIdentity for DisplacementPaint {
     }
 }
 
-fn rest<'a>(samples: &Samples<'a>) -> Rest<'a> {
-    Rest {
+fn rest<'a>(samples: &Samples<'a>) -> UnpaintedSamples<'a> {
+    UnpaintedSamples {
         positions: bytemuck::cast_slice::<_, Vec3>(samples.positions()),
         normals: bytemuck::cast_slice::<_, Vec3>(samples.normals()),
     }

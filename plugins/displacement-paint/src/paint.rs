@@ -9,11 +9,11 @@
 //! Normals are derived anew after every step that moved something: strokes over strokes bulge in the
 //! direction of the surface as it is.
 
-use crate::brush::{Brush, Tool, Under};
-use crate::canvas::{Canvas, Rest};
+use crate::brush::{Brush, SetBrush, Under};
+use crate::canvas::{Canvas, UnpaintedSamples};
 use crate::path::{self, IMAGES};
-use crate::spot::{Felt, Finder, Reach, Shape, Spot, Sweep};
-use crate::surface::Surface;
+use crate::spot::{BrushShape, DabSweep, Felt, Finder, Spot, SurfaceWays};
+use crate::surface::LinkedSurface;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult, Stroke};
 
@@ -31,8 +31,8 @@ const BLOCK: usize = 512;
 
 /// Working memory, kept from stroke to stroke.
 #[derive(Default)]
-pub struct Workspace {
-    reach: Reach,
+pub struct StrokeWorkspace {
+    reach: SurfaceWays,
     felt: Vec<Felt>,
     /// What a dab and its mirror images do.
     pushed: Vec<Pushed>,
@@ -67,9 +67,9 @@ type Images<T> = [Option<T>; IMAGES];
 /// Paints on a canvas.
 pub struct Painter<'a> {
     /// The samples' links.
-    pub surface: &'a Surface,
+    pub surface: &'a LinkedSurface,
     /// The samples before anything was painted.
-    pub rest: Rest<'a>,
+    pub rest: UnpaintedSamples<'a>,
     /// What each sample stands for, relative to the others; or nothing.
     pub areas: &'a [f32],
 }
@@ -79,11 +79,11 @@ impl Painter<'_> {
     pub fn stroke(
         &self,
         canvas: &mut Canvas,
-        work: &mut Workspace,
+        work: &mut StrokeWorkspace,
         stroke: &Stroke<'_>,
         host: &Host<'_>,
     ) -> PluginResult<()> {
-        let tool = Tool::from_stroke(stroke)?;
+        let tool = SetBrush::from_stroke(stroke)?;
         if tool.radius.is_nan() || tool.radius <= 0.0 {
             return Ok(());
         }
@@ -113,12 +113,12 @@ impl Painter<'_> {
                 let sweep = |image: usize| {
                     let other = |spots: Option<&'_ Images<Spot>>| spots.and_then(|s| s[image]);
                     let spot = spots[k][image]?;
-                    Some((spot, Sweep::between(other(before).as_ref(), &spot, other(after).as_ref())))
+                    Some((spot, DabSweep::between(other(before).as_ref(), &spot, other(after).as_ref())))
                 };
                 self.gather(canvas, work, &tool, grab, &std::array::from_fn(sweep), host)?;
             } else {
                 let round = self.spots(canvas, work, &tool, dab);
-                let round = round.map(|s| s.map(|s| (s, Sweep::round(&s))));
+                let round = round.map(|s| s.map(|s| (s, DabSweep::round(&s))));
                 self.gather(canvas, work, &tool, grab, &round, host)?;
             }
             let share = exposure * dab.share;
@@ -144,7 +144,13 @@ impl Painter<'_> {
     }
 
     /// Where a dab and its mirror images are on the surface.
-    fn spots(&self, canvas: &Canvas, work: &mut Workspace, tool: &Tool<'_>, dab: &path::Dab) -> Images<Spot> {
+    fn spots(
+        &self,
+        canvas: &Canvas,
+        work: &mut StrokeWorkspace,
+        tool: &SetBrush<'_>,
+        dab: &path::Dab,
+    ) -> Images<Spot> {
         let mut spots = [None; IMAGES];
         for image in tool.symmetry.images() {
             let p = tool.symmetry.point(dab.at, image);
@@ -158,15 +164,15 @@ impl Painter<'_> {
     fn gather(
         &self,
         canvas: &Canvas,
-        work: &mut Workspace,
-        tool: &Tool<'_>,
+        work: &mut StrokeWorkspace,
+        tool: &SetBrush<'_>,
         grab: DVec3,
-        dabs: &Images<(Spot, Sweep)>,
+        dabs: &Images<(Spot, DabSweep)>,
         host: &Host<'_>,
     ) -> PluginResult<()> {
         let falloff = |t: f64| tool.falloff(t);
         let both_sides = tool.brush == Brush::Grab;
-        let shape = Shape { radius: tool.radius, falloff: &falloff, both_sides };
+        let shape = BrushShape { radius: tool.radius, falloff: &falloff, both_sides };
         work.pushed.clear();
         for (image, dab) in dabs.iter().enumerate() {
             let Some((spot, sweep)) = dab else { continue };
@@ -196,7 +202,7 @@ impl Painter<'_> {
     fn shift(
         &self,
         canvas: &mut Canvas,
-        work: &mut Workspace,
+        work: &mut StrokeWorkspace,
         amount: impl Fn(f64) -> f64,
         host: &Host<'_>,
     ) -> PluginResult<()> {
@@ -215,8 +221,8 @@ impl Painter<'_> {
     fn smooth(
         &self,
         canvas: &mut Canvas,
-        work: &mut Workspace,
-        tool: &Tool<'_>,
+        work: &mut StrokeWorkspace,
+        tool: &SetBrush<'_>,
         share: f64,
         host: &Host<'_>,
     ) -> PluginResult<()> {
@@ -256,7 +262,7 @@ impl Painter<'_> {
         (n * (sum.dot(n) / count), square / count)
     }
 
-    fn refresh(&self, canvas: &mut Canvas, work: &mut Workspace, host: &Host<'_>) -> PluginResult<()> {
+    fn refresh(&self, canvas: &mut Canvas, work: &mut StrokeWorkspace, host: &Host<'_>) -> PluginResult<()> {
         work.moved.extend(work.pushes.iter().map(|push| push.sample));
         canvas.refresh_normals(self.surface, &self.rest, &work.moved, host)?;
         work.moved.clear();
@@ -265,7 +271,7 @@ impl Painter<'_> {
 }
 
 /// Adds what a dab makes samples feel more than any before it.
-fn cover(work: &mut Workspace) {
+fn cover(work: &mut StrokeWorkspace) {
     for push in &work.pushes {
         let i = push.sample as usize;
         let more = push.weight - work.covered[i];

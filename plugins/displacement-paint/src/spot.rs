@@ -6,8 +6,9 @@
 //! fades where the surface turns away, and does not reach the next finger, without any step as it moves.
 
 use crate::canvas::Canvas;
-use crate::surface::{Surface, sheet_distance};
+use crate::surface::LinkedSurface;
 use glam::{DVec3, Vec3};
+use simod_geometry::sheet_distance;
 use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
 
@@ -36,7 +37,7 @@ const WHOLE: f64 = (1_u64 << 36) as f64;
 
 /// Ways along the surface from one sample, and memory for finding them.
 #[derive(Default)]
-pub struct Reach {
+pub struct SurfaceWays {
     length: Vec<f32>,
     found: Vec<(u32, f64)>,
     /// Samples whose neighbours may be nearer by way of them.
@@ -44,13 +45,19 @@ pub struct Reach {
     is_open: Vec<bool>,
 }
 
-impl Reach {
+impl SurfaceWays {
     /// The samples that are no farther than `limit` from `seed` along the surface, and how far they are.
     ///
     /// Labels are corrected first in, first out, until none improves (E. F. Moore, The shortest path through
     /// a maze, 1959): where all links are about as long, hardly any does twice, and a queue costs less than a
     /// heap.
-    fn from(&mut self, seed: usize, limit: f64, surface: &Surface, positions: &[Vec3]) -> &[(u32, f64)] {
+    fn from(
+        &mut self,
+        seed: usize,
+        limit: f64,
+        surface: &LinkedSurface,
+        positions: &[Vec3],
+    ) -> &[(u32, f64)] {
         self.reset(positions.len());
         let limit = limit as f32;
         self.length[seed] = 0.0;
@@ -86,7 +93,7 @@ impl Reach {
         seed: usize,
         center: DVec3,
         radius: f64,
-        surface: &Surface,
+        surface: &LinkedSurface,
         positions: &[Vec3],
     ) -> &[(u32, f64)] {
         self.reset(positions.len());
@@ -120,7 +127,7 @@ impl Reach {
 #[derive(Debug, Clone, Copy)]
 pub struct Spot {
     /// Its middle, and what is there.
-    pub node: Node,
+    pub node: WayPoint,
     /// A point of the mean plane under the brush.
     pub origin: DVec3,
     seed: usize,
@@ -128,7 +135,7 @@ pub struct Spot {
 
 /// A point of the brush's way.
 #[derive(Debug, Clone, Copy)]
-pub struct Node {
+pub struct WayPoint {
     /// On the surface.
     pub at: DVec3,
     /// The mean normal under the brush.
@@ -137,7 +144,7 @@ pub struct Node {
     pub pressure: f64,
 }
 
-impl Node {
+impl WayPoint {
     fn mix(nodes: [&Self; 3], by: [f64; 3]) -> Self {
         let mix = |of: &dyn Fn(&Self) -> DVec3| (0..3).fold(DVec3::ZERO, |sum, k| sum + by[k] * of(nodes[k]));
         Self {
@@ -151,36 +158,36 @@ impl Node {
 /// The way of the brush that a dab stands for: a part of the quadratic B-spline of the dabs, from half way
 /// since the one before to half way to the next. A path of straight pieces would show at each of its corners.
 #[derive(Debug, Clone, Copy)]
-pub struct Sweep {
-    start: Node,
-    middle: Node,
-    end: Node,
+pub struct DabSweep {
+    start: WayPoint,
+    middle: WayPoint,
+    end: WayPoint,
     seed: usize,
 }
 
-impl Sweep {
+impl DabSweep {
     /// No way at all: a round dab.
     pub fn round(spot: &Spot) -> Self {
         Self::between(None, spot, None)
     }
 
-    /// Of a dab between those before and after it, if there are any.
+    /// The sweep of a dab between those before and after it, if there are any.
     pub fn between(before: Option<&Spot>, spot: &Spot, after: Option<&Spot>) -> Self {
         let middle = spot.node;
         let half_way = |other: Option<&Spot>| match other {
-            Some(other) => Node::mix([&middle, &other.node, &middle], [0.5, 0.5, 0.0]),
+            Some(other) => WayPoint::mix([&middle, &other.node, &middle], [0.5, 0.5, 0.0]),
             None => middle,
         };
         Self { start: half_way(before), middle, end: half_way(after), seed: spot.seed }
     }
 
-    fn node(&self, t: f64) -> Node {
+    fn node(&self, t: f64) -> WayPoint {
         let s = 1.0 - t;
-        Node::mix([&self.start, &self.middle, &self.end], [s * s, 2.0 * s * t, t * t])
+        WayPoint::mix([&self.start, &self.middle, &self.end], [s * s, 2.0 * s * t, t * t])
     }
 
     /// Where it is nearest to a point.
-    fn nearest(&self, p: DVec3) -> Node {
+    fn nearest(&self, p: DVec3) -> WayPoint {
         const STEPS: u32 = 4;
         const NEWTON: u32 = 3;
         let (a, b, c) = (self.start.at, self.middle.at, self.end.at);
@@ -225,7 +232,7 @@ pub struct Felt {
 }
 
 /// A brush's shape.
-pub struct Shape<'a> {
+pub struct BrushShape<'a> {
     /// Local coordinates.
     pub radius: f64,
     /// How much is felt at a distance of 0 to 1 radii.
@@ -266,7 +273,7 @@ impl Mean {
 /// Finds what is under dabs.
 pub struct Finder<'a> {
     /// The links.
-    pub surface: &'a Surface,
+    pub surface: &'a LinkedSurface,
     /// What each sample stands for, relative to the others.
     pub areas: &'a [f32],
 }
@@ -276,7 +283,7 @@ impl Finder<'_> {
     pub fn spot(
         &self,
         canvas: &Canvas,
-        reach: &mut Reach,
+        reach: &mut SurfaceWays,
         p: DVec3,
         pressure: f64,
         radius: f64,
@@ -305,7 +312,7 @@ impl Finder<'_> {
         let nearest = (canvas.positions[seed].as_dvec3() - p) / radius;
         let at = p + normal * radius * narrow.place().unwrap_or(nearest).dot(normal);
         let origin = p + radius * wide.place().unwrap_or(nearest);
-        Some(Spot { node: Node { at, normal, pressure }, origin, seed })
+        Some(Spot { node: WayPoint { at, normal, pressure }, origin, seed })
     }
 
     /// The nearest sample; where several are about as near, as at thin walls, the one near whose tangent
@@ -329,9 +336,9 @@ impl Finder<'_> {
     pub fn felt(
         &self,
         canvas: &Canvas,
-        reach: &mut Reach,
-        sweep: &Sweep,
-        shape: &Shape<'_>,
+        reach: &mut SurfaceWays,
+        sweep: &DabSweep,
+        shape: &BrushShape<'_>,
         felt: &mut Vec<Felt>,
         host: &Host<'_>,
     ) -> PluginResult<()> {

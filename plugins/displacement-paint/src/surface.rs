@@ -1,11 +1,11 @@
 //! What is known of the surface before anything is painted: which samples are beside each other on it.
 //!
-//! The nearest samples in space may be those of the other side of a thin wall, or of the next finger. Two
-//! samples of one sheet have normals that do not oppose, and lie near each other's tangent planes: the chord
-//! of an arc is perpendicular to the mean of both ends' normals, whatever the curvature.
+//! The nearest samples in space may be those of the other side of a thin wall, or of the next finger: they
+//! are told apart by the [sheet metric](simod_geometry::chord_length).
 
-use crate::grid::Grid;
+use crate::grid::HashGrid;
 use glam::Vec3;
+use simod_geometry::chord_length;
 use simod_plugin_api::{Graph, Host, PluginResult};
 
 /// Links of each sample, before they are made to go both ways.
@@ -14,12 +14,6 @@ const LINKS: usize = 10;
 /// Most of them where several are equally far: left and right of a mirror, all or none are linked.
 const MOST_LINKS: usize = 16;
 
-/// How much more a distance across the surface counts than one along it.
-const STACKED: f32 = 10.0;
-
-/// The sine against the surface beyond which a chord is no link.
-const ACROSS: f32 = 0.5;
-
 /// Samples whose links are found at once on one thread.
 const BLOCK: usize = 4096;
 
@@ -27,17 +21,17 @@ const BLOCK: usize = 4096;
 const CELL: f64 = 2.0;
 
 /// The samples' links on the surface, and where they are at rest.
-pub struct Surface {
+pub struct LinkedSurface {
     starts: Vec<u32>,
     links: Vec<u32>,
     /// Where all samples are at rest.
-    pub grid: Grid,
+    pub grid: HashGrid,
     /// Tells it from other surfaces of this process.
     pub id: u64,
 }
 
-impl Surface {
-    /// Of samples at rest.
+impl LinkedSurface {
+    /// The surface of samples at rest.
     pub fn new(
         positions: &[Vec3],
         normals: &[Vec3],
@@ -60,7 +54,7 @@ impl Surface {
         lengths.sort_unstable_by(f32::total_cmp);
         let spacing = lengths.get(lengths.len() / 2).map_or(0.0, |&l| f64::from(l));
         // Where all samples are in one place, any width will do.
-        let grid = Grid::new(positions, if spacing > 0.0 { CELL * spacing } else { 1.0 });
+        let grid = HashGrid::new(positions, if spacing > 0.0 { CELL * spacing } else { 1.0 });
         let id = SURFACES.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         Ok(Self { starts, links, grid, id })
     }
@@ -77,27 +71,14 @@ impl Surface {
     }
 }
 
-/// The square of how far a point at `d` from a sample is, where the surface between them has the normal `n`.
-pub fn sheet_distance(d: Vec3, n: Vec3) -> f32 {
-    let across = STACKED * d.dot(n);
-    d.length_squared() + across * across
-}
-
 /// The nearest of sample `i`'s neighbours that lie on its sheet; `u32::MAX` in unused places.
 fn nearest_on_sheet(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize) -> [u32; MOST_LINKS] {
     let mut best = [(f32::INFINITY, u32::MAX); MOST_LINKS];
     for &j in near {
-        let (p, q) = (positions[i], positions[j as usize]);
-        let (m, n) = (normals[i], normals[j as usize]);
-        let (d, between) = (q - p, 0.5 * (m + n));
-        // More than 120° apart, as on both sides of a thin plate, but not as the walls of a groove.
-        let faces_away = 2.0 * m.dot(n) + 1.0 <= 0.0;
-        let across = d.dot(between);
-        if faces_away || across * across > ACROSS * ACROSS * d.length_squared() {
-            continue;
-        }
-        let entry = (sheet_distance(d, between), j);
-        if entry.0 < best[MOST_LINKS - 1].0 {
+        let d = positions[j as usize] - positions[i];
+        let Some(length) = chord_length(d, normals[i], normals[j as usize]) else { continue };
+        let entry = (length, j);
+        if length < best[MOST_LINKS - 1].0 {
             best[MOST_LINKS - 1] = entry;
             best.sort_by(|a, b| a.0.total_cmp(&b.0));
         }

@@ -77,7 +77,7 @@ impl Model {
         Samples::new(&self.positions, &self.normals, &self.spacing)
     }
 
-    fn prepare(&self) -> Prepared {
+    fn prepare(&self) -> PreparedSheets {
         let graph = Graph::new(&self.starts, &self.neighbours);
         let parts = [Part::new(&graph)];
         let input = PrepareInput::new(self.samples(), BOUNDS, &[], &[]).with_parts(&parts);
@@ -86,8 +86,8 @@ impl Model {
 
     fn paint_on(
         &self,
-        state: &Prepared,
-        easel: &mut Easel,
+        state: &PreparedSheets,
+        easel: &mut PaintScratch,
         strokes: &[Painting],
     ) -> PluginResult<Vec<[f32; 3]>> {
         let params: Vec<_> = strokes.iter().map(Painting::params).collect();
@@ -104,7 +104,7 @@ impl Model {
     }
 
     fn paint(&self, strokes: &[Painting]) -> Vec<[f32; 3]> {
-        self.paint_on(&self.prepare(), &mut Easel::default(), strokes).unwrap()
+        self.paint_on(&self.prepare(), &mut PaintScratch::default(), strokes).unwrap()
     }
 
     /// Rest and painted positions.
@@ -230,7 +230,7 @@ fn no_strength_and_no_strokes_move_nothing() {
     let path = arc([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], 5);
     for brush in BRUSHES {
         let none = Painting { strength: 0.0, ..Painting::new(brush, &path) };
-        let out = model.paint_on(&state, &mut Easel::default(), &[none]).unwrap();
+        let out = model.paint_on(&state, &mut PaintScratch::default(), &[none]).unwrap();
         assert_eq!(out, model.positions, "{brush}");
     }
     assert_eq!(model.paint(&[]), model.positions);
@@ -294,14 +294,14 @@ proptest! {
             let accumulate = [f64::from(u8::from(accumulate))];
             Painting { accumulate, ..Painting::new(BRUSHES[brush], &path) }
         };
-        let mut easel = Easel::default();
+        let mut easel = PaintScratch::default();
         let mut strokes: Vec<Painting> = Vec::new();
         for layer in &layers {
             // Some are kept, some taken back, some new.
             strokes.truncate(layer.len());
             strokes.extend(layer.iter().map(stroke));
             let kept = model.paint_on(&state, &mut easel, &strokes).unwrap();
-            let anew = model.paint_on(&state, &mut Easel::default(), &strokes).unwrap();
+            let anew = model.paint_on(&state, &mut PaintScratch::default(), &strokes).unwrap();
             let bits = |out: &[[f32; 3]]| -> Vec<u32> { out.iter().flatten().map(|x| x.to_bits()).collect() };
             prop_assert_eq!(bits(&kept), bits(&anew));
         }
@@ -551,7 +551,7 @@ fn stops_when_asked_and_leaves_nothing_half_done() {
     let path = arc([1.0, -0.5, 0.0], [1.0, 0.5, 0.2], 40);
     let strokes =
         [Painting::new("draw", &path), Painting { accumulate: [1.0], ..Painting::new("inflate", &path) }];
-    let mut easel = Easel::default();
+    let mut easel = PaintScratch::default();
     let first = model.paint_on(&state, &mut easel, &strokes[..1]).unwrap();
     let params = strokes[1].params();
     let stroke = [Stroke::new(7, 0.3, 1.0, &strokes[1].points, &[], &params)];

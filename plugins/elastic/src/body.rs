@@ -6,10 +6,10 @@
 //! Bindeman, *Assumed strain stabilization of the eight node hexahedral element*, CMAME 105, 1993, choose
 //! this by the same bend).
 
-use crate::cell::{Deformed, Eight, Forces, Matrices, Slopes};
+use crate::cell::{CellGradients, Eight, Forces, Matrices, Slopes};
 use crate::contact::Touch;
 use crate::held::{Goals, Spring};
-use crate::lattice::{CORNERS, CellPoint, Lattice, slopes};
+use crate::lattice::{CORNERS, CellPoint, HexMesh, slopes};
 use crate::material;
 use crate::multilevel::{Inverse, Multilevel};
 use glam::{DAffine3, DMat3, DVec3};
@@ -27,7 +27,7 @@ const TOGETHER: usize = 1024;
 #[derive(Debug)]
 pub struct Body {
     /// Its cells.
-    pub lattice: Lattice,
+    pub lattice: HexMesh,
     springs: Vec<Spring>,
     /// What the springs tie each corner by.
     ties: Vec<f64>,
@@ -42,7 +42,7 @@ pub struct Body {
 }
 
 /// How all cells are deformed.
-pub type Gradients = Vec<Deformed>;
+pub type BodyGradients = Vec<CellGradients>;
 
 /// What acts on the body.
 #[derive(Debug)]
@@ -57,7 +57,7 @@ pub struct Load<'a> {
 
 impl Body {
     /// A lattice with what holds it, of a material of this Poisson's ratio.
-    pub fn new(lattice: Lattice, springs: Vec<Spring>, poisson: f64) -> Self {
+    pub fn new(lattice: HexMesh, springs: Vec<Spring>, poisson: f64) -> Self {
         // By how much nearer: see the head of this file.
         let near = ((1.0 + poisson) / (1.5 * (1.0 + poisson * poisson))).sqrt();
         let off = |n: usize| 0.5 + (n as f64 - 0.5) * near / 3.0_f64.sqrt();
@@ -94,8 +94,8 @@ impl Body {
     }
 
     /// How all is deformed.
-    pub fn gradients(&self, x: &[DVec3], host: &Host<'_>) -> PluginResult<Gradients> {
-        let mut all = vec![Deformed::NONE; self.lattice.cells.len()];
+    pub fn gradients(&self, x: &[DVec3], host: &Host<'_>) -> PluginResult<BodyGradients> {
+        let mut all = vec![CellGradients::NONE; self.lattice.cells.len()];
         host.parallel_blocks(&mut all, CELLS, |first, all| {
             Arch::new().dispatch(Deforms {
                 slopes: &self.slopes,
@@ -131,13 +131,13 @@ impl Body {
     pub fn energy(
         &self,
         x: &[DVec3],
-        gradients: &Gradients,
+        gradients: &BodyGradients,
         load: &Load<'_>,
         host: &Host<'_>,
     ) -> PluginResult<(f64, Vec<DVec3>)> {
         let mut cells = vec![([Eight::ZERO; 3], 0.0); gradients.len()];
         host.parallel_blocks(&mut cells, CELLS, |first, cells| {
-            Arch::new().dispatch(Energies { body: self, gradients, first, out: cells });
+            Arch::new().dispatch(CellForces { body: self, gradients, first, out: cells });
         })?;
         let mut forces = vec![DVec3::ZERO; x.len()];
         self.gather(&mut forces, |cell| &cells[cell].0, host)?;
@@ -171,7 +171,7 @@ impl Body {
     /// modulus than it is.
     pub fn change(
         &self,
-        gradients: &Gradients,
+        gradients: &BodyGradients,
         (touches, stiffer): (&[Touch], f64),
         by: &[DVec3],
         host: &Host<'_>,
@@ -264,7 +264,7 @@ struct Deforms<'a> {
     slopes: &'a Slopes,
     cells: &'a [[u32; 8]],
     x: &'a [DVec3],
-    out: &'a mut [Deformed],
+    out: &'a mut [CellGradients],
 }
 
 impl WithSimd for Deforms<'_> {
@@ -279,14 +279,14 @@ impl WithSimd for Deforms<'_> {
 }
 
 /// The forces and energies of cells.
-struct Energies<'a> {
+struct CellForces<'a> {
     body: &'a Body,
-    gradients: &'a Gradients,
+    gradients: &'a BodyGradients,
     first: usize,
     out: &'a mut [(Forces, f64)],
 }
 
-impl WithSimd for Energies<'_> {
+impl WithSimd for CellForces<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -306,7 +306,7 @@ impl WithSimd for Energies<'_> {
 /// out.
 struct Changes<'a> {
     body: &'a Body,
-    of: Option<(&'a Gradients, f64)>,
+    of: Option<(&'a BodyGradients, f64)>,
     by: &'a [DVec3],
     first: usize,
     out: &'a mut [Forces],
@@ -336,8 +336,8 @@ impl WithSimd for Changes<'_> {
 
 /// Stresses by how much their points stand for, and that of the middle.
 #[inline(always)]
-fn weighted(points: Matrices, amounts: [f64; 8], middle: DMat3) -> Deformed {
-    Deformed { points: points.map(|column| column.map(|entry| entry * Eight(amounts))), middle }
+fn weighted(points: Matrices, amounts: [f64; 8], middle: DMat3) -> CellGradients {
+    CellGradients { points: points.map(|column| column.map(|entry| entry * Eight(amounts))), middle }
 }
 
 /// How much each point of a cell stands for, so that what is linear is summed up over the filled part as it

@@ -18,7 +18,7 @@ pub type Matrices = [[Eight; 3]; 3];
 /// How a cell's weights slope at its points and in its middle.
 #[derive(Debug)]
 pub struct Slopes {
-    /// Of each corner along each axis, point by point.
+    /// The slope of each corner's weight along each axis, point by point.
     points: [[Eight; 3]; 8],
     /// At each point along each axis, corner by corner; the middle is the last.
     corners: [[Eight; 3]; 9],
@@ -26,7 +26,7 @@ pub struct Slopes {
 
 /// How a cell is deformed, or what stresses are in it.
 #[derive(Debug, Clone)]
-pub struct Deformed {
+pub struct CellGradients {
     pub points: Matrices,
     pub middle: DMat3,
 }
@@ -77,12 +77,12 @@ pub fn cross(a: [Eight; 3], b: [Eight; 3]) -> [Eight; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-impl Deformed {
+impl CellGradients {
     pub const NONE: Self = Self { points: [[Eight::ZERO; 3]; 3], middle: DMat3::ZERO };
 }
 
 impl Slopes {
-    /// Of the slopes of the corners' weights at the points, and in the middle.
+    /// A table of the slopes of the corners' weights at the points, and in the middle.
     pub fn new(points: &[[DVec3; 8]; 8], middle: &[DVec3; 8]) -> Self {
         let at = |point: usize, corner: usize, axis: usize| points.get(point).unwrap_or(middle)[corner][axis];
         Self {
@@ -93,8 +93,8 @@ impl Slopes {
 
     /// How the cell is deformed whose corners are here.
     #[inline(always)]
-    pub fn deform(&self, corners: &[DVec3; 8]) -> Deformed {
-        let mut all = Deformed::NONE;
+    pub fn deform(&self, corners: &[DVec3; 8]) -> CellGradients {
+        let mut all = CellGradients::NONE;
         for (corner, x) in corners.iter().enumerate() {
             for axis in 0..3 {
                 let slopes = self.points[corner][axis];
@@ -109,7 +109,7 @@ impl Slopes {
 
     /// Adds what stresses, by how much their points stand for, are as forces at the corners.
     #[inline(always)]
-    pub fn add(&self, stresses: &Deformed, forces: &mut Forces) {
+    pub fn add(&self, stresses: &CellGradients, forces: &mut Forces) {
         let mut sums = *forces;
         for (point, slopes) in self.corners.iter().enumerate() {
             for (axis, slopes) in slopes.iter().enumerate() {

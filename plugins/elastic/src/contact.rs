@@ -2,7 +2,7 @@
 //! them.
 
 use crate::body::Body;
-use crate::lattice::{CellPoint, Lattice, weights};
+use crate::lattice::{CellPoint, HexMesh, weights};
 use crate::material;
 use crate::occupancy::Occupancy;
 use glam::{DVec3, I64Vec3};
@@ -28,14 +28,14 @@ const TOGETHER: usize = 256;
 
 /// Points of the surface that may touch others.
 #[derive(Debug)]
-pub struct Surface {
-    points: Vec<Point>,
+pub struct ContactSurface {
+    points: Vec<ContactPoint>,
     /// The size of a cell of the finest lattice.
     size: f64,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Point {
+struct ContactPoint {
     sample: u32,
     rest: DVec3,
     normal: DVec3,
@@ -53,7 +53,7 @@ pub struct Touch {
 }
 
 impl Touch {
-    fn corners<'a>(&'a self, lattice: &'a Lattice) -> impl Iterator<Item = (u32, f64)> + 'a {
+    fn corners<'a>(&'a self, lattice: &'a HexMesh) -> impl Iterator<Item = (u32, f64)> + 'a {
         [1.0, -1.0].into_iter().zip(self.places).flat_map(move |(sign, place)| {
             let corners = lattice.cells[place.cell as usize];
             weights(place.at).into_iter().zip(corners).map(move |(w, c)| (c, sign * w))
@@ -61,28 +61,28 @@ impl Touch {
     }
 
     /// How far the first is in front of the second, by where corners are or how they move.
-    pub fn along(&self, lattice: &Lattice, x: &[DVec3]) -> f64 {
+    pub fn along(&self, lattice: &HexMesh, x: &[DVec3]) -> f64 {
         let sum: DVec3 = self.corners(lattice).map(|(c, w)| w * x[c as usize]).sum();
         sum.dot(self.normal)
     }
 
     /// By how much they are nearer than the gap.
-    pub fn depth(&self, lattice: &Lattice, x: &[DVec3]) -> f64 {
+    pub fn depth(&self, lattice: &HexMesh, x: &[DVec3]) -> f64 {
         self.gap - self.along(lattice, x)
     }
 
     /// Adds a force along the normal to the corners.
-    pub fn spread(&self, lattice: &Lattice, force: f64, forces: &mut [DVec3]) {
+    pub fn spread(&self, lattice: &HexMesh, force: f64, forces: &mut [DVec3]) {
         self.corners(lattice).for_each(|(c, w)| forces[c as usize] += force * w * self.normal);
     }
 
     /// Adds the stiffness by which the contact ties each corner.
-    pub fn tie(&self, lattice: &Lattice, ties: &mut [f64]) {
+    pub fn tie(&self, lattice: &HexMesh, ties: &mut [f64]) {
         self.corners(lattice).for_each(|(c, w)| ties[c as usize] += self.stiffness * w.abs());
     }
 }
 
-impl Surface {
+impl ContactSurface {
     /// Samples of a body with an inside, one of several that lie together; normals are turned outward. `size`
     /// is that of a cell.
     pub fn new(body: &Occupancy, samples: impl Iterator<Item = (u32, DVec3, DVec3)>, size: f64) -> Self {
@@ -98,7 +98,7 @@ impl Surface {
             let (out, back) = (within(1.0), within(-1.0));
             if normal != DVec3::ZERO && out != back {
                 let normal = if out < back { normal } else { -normal };
-                points.push(Point { sample, rest, normal });
+                points.push(ContactPoint { sample, rest, normal });
             }
         }
         Self { points, size }
@@ -128,7 +128,7 @@ impl Surface {
         })?;
         let reach = REACH * self.size;
         let places = |(_, at, out): (CellPoint, DVec3, DVec3)| ((at / reach).floor().as_i64vec3(), out);
-        let cells = Cells::new(now.iter().map(|n| n.map(places)));
+        let cells = ContactCells::new(now.iter().map(|n| n.map(places)));
         let (near, gap) = (NEAR * self.size, GAP * self.size);
         let beside = BESIDE * self.size;
         let stiffness = STIFFNESS * self.size * APART * APART;
@@ -173,16 +173,16 @@ impl Surface {
 }
 
 /// Points by the cells of space that they are in, in a table of as many places.
-struct Cells {
+struct ContactCells {
     starts: Vec<u32>,
     points: Vec<u32>,
     keys: Vec<I64Vec3>,
     normals: Vec<DVec3>,
-    /// Of each place the mean direction of its normals, and the widest angle with it.
+    /// For each place the mean direction of its normals, and the widest angle with it.
     cones: Vec<(DVec3, f64)>,
 }
 
-impl Cells {
+impl ContactCells {
     /// By their cells and normals.
     fn new(cells: impl Iterator<Item = Option<(I64Vec3, DVec3)>>) -> Self {
         let known: Vec<(u32, (I64Vec3, DVec3))> =

@@ -1,6 +1,6 @@
 //! What regions ask of the samples, and the springs by which they hold the lattice.
 
-use crate::lattice::{CellPoint, Lattice, weights};
+use crate::lattice::{CellPoint, HexMesh, weights};
 use glam::{DAffine3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult, PrepareInput, Role};
 use std::collections::BTreeMap;
@@ -14,7 +14,7 @@ const STIFFEST: f64 = 200.0;
 
 /// What each sample is asked to do.
 #[derive(Debug)]
-pub struct Held {
+pub struct SampleGoals {
     /// What holds a sample exactly: 0 is what is fixed, then the handles.
     pub hard: Vec<Option<u32>>,
     /// What draws at samples: which, what draws, and how strongly beside the material.
@@ -36,7 +36,7 @@ pub struct Spring {
     pub form: [[f64; 8]; 8],
 }
 
-impl Held {
+impl SampleGoals {
     /// Gathers the regions. Of several that hold a sample exactly, the first one does.
     pub fn gather(input: &PrepareInput<'_>, points: &[DVec3]) -> PluginResult<Self> {
         let regions = input.regions();
@@ -76,7 +76,7 @@ impl Held {
     }
 
     /// The springs of a lattice, by where in it each sample lies.
-    pub fn springs(&self, lattice: &Lattice, places: &[Option<CellPoint>]) -> Vec<Spring> {
+    pub fn springs(&self, lattice: &HexMesh, places: &[Option<CellPoint>]) -> Vec<Spring> {
         let mut counts = vec![0_u32; lattice.cells.len()];
         places.iter().flatten().for_each(|p| counts[p.cell as usize] += 1);
         let mut forms: BTreeMap<(u32, u32), [[f64; 8]; 8]> = BTreeMap::new();

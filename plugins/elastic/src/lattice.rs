@@ -12,7 +12,7 @@ pub const CORNERS: [[usize; 3]; 8] =
 
 /// Cells with some of the body in them.
 #[derive(Debug)]
-pub struct Lattice {
+pub struct HexMesh {
     origin: DVec3,
     /// The cells' edges.
     pub size: DVec3,
@@ -60,7 +60,7 @@ pub fn slopes(at: DVec3) -> [DVec3; 8] {
     })
 }
 
-impl Lattice {
+impl HexMesh {
     /// Cells of `parts` fine cells along each edge.
     pub fn new(body: &Occupancy, parts: usize) -> Self {
         let counts = body.counts.map(|n| n.div_ceil(parts));

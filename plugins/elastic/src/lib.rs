@@ -28,17 +28,17 @@ mod path;
 mod solve;
 
 use body::Body;
-use contact::Surface;
+use contact::ContactSurface;
 use glam::{DAffine3, DMat3, DVec3};
-use held::{Goals, Held};
-use lattice::{CellPoint, Lattice};
+use held::{Goals, SampleGoals};
+use lattice::{CellPoint, HexMesh};
 use occupancy::{Enclosure, Occupancy, PARTS};
 use path::Path;
 use simod_plugin_api::{
     Affine, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, ParamSet, PluginError, PluginResult,
     PrepareInput,
 };
-use solve::{Task, Until};
+use solve::{LoadCase, RestCriteria};
 
 /// Samples that are written at once on one thread.
 const BLOCK: usize = 4096;
@@ -67,7 +67,7 @@ const SAGGING: f64 = 4.0;
 struct Elastic;
 
 #[derive(ParamSet)]
-struct Parameters {
+struct ElasticSettings {
     /// How much it keeps its volume: 0 for cork, 0.3 for wood, 0.45 for flesh, 0.49 for rubber
     #[param(default = 0.45, hard = 0.0..=0.495, soft = 0.0..=0.49, invalidates_preparation)]
     poisson: f64,
@@ -91,12 +91,12 @@ struct Parameters {
 
 /// To coordinates in which the longest side of the samples' box is 1.
 #[derive(Debug, Clone, Copy)]
-struct Unit {
+struct UnitBox {
     origin: DVec3,
     scale: f64,
 }
 
-impl Unit {
+impl UnitBox {
     fn new(positions: &[[f32; 3]]) -> Self {
         let start = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         let all = positions.iter().map(|p| DVec3::from(p.map(f64::from)));
@@ -117,7 +117,7 @@ impl Unit {
 }
 
 /// A lattice that is held, and where the samples are in it.
-struct Level {
+struct HeldLevel {
     body: Body,
     places: Vec<Option<CellPoint>>,
     /// Where its corners are in the next coarser one.
@@ -131,19 +131,19 @@ struct Loose {
 }
 
 /// What does not depend on where handles are.
-struct Prepared {
-    unit: Unit,
-    held: Held,
+struct PreparedBody {
+    unit: UnitBox,
+    held: SampleGoals,
     /// From fine to coarse; none where nothing is held.
-    levels: Vec<Level>,
-    surface: Option<Surface>,
+    levels: Vec<HeldLevel>,
+    surface: Option<ContactSurface>,
     /// How much each corner of the coarsest lattice goes along with each handle.
     shares: Vec<Vec<f64>>,
     loose: Loose,
 }
 
 impl Deformer for Elastic {
-    type State = Prepared;
+    type State = PreparedBody;
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
@@ -153,7 +153,7 @@ impl Deformer for Elastic {
                 "M. Macklin, M. Müller, A Constraint-Based Formulation of Stable Neo-Hookean Materials, MIG 2021; B. Smith, \
                  F. de Goes, T. Kim, Stable Neo-Hookean Flesh Simulation, ACM TOG 37, 2018",
             )
-            .param_set::<Parameters>()
+            .param_set::<ElasticSettings>()
             .consumes(Consumes {
                 fixed_regions: true,
                 handle_regions: true,
@@ -165,22 +165,29 @@ impl Deformer for Elastic {
             })
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<PreparedBody> {
         let positions = input.samples.positions();
         if let Some(i) = positions.iter().position(|p| p.iter().any(|x| !x.is_finite())) {
             return Err(PluginError::input(format!("sample {i} is at no finite place")));
         }
-        let Parameters { poisson, resolution, .. } = input.params().read()?;
+        let ElasticSettings { poisson, resolution, .. } = input.params().read()?;
         let resolution = usize::try_from(resolution)
             .ok()
             .filter(|n| (1..=64).contains(n))
             .ok_or_else(|| PluginError::parameter("resolution", "is out of range"))?;
-        let unit = Unit::new(positions);
+        let unit = UnitBox::new(positions);
         let points: Vec<DVec3> = positions.iter().map(|p| unit.to(p)).collect();
-        let held = Held::gather(input, &points)?;
+        let held = SampleGoals::gather(input, &points)?;
         if held.drawn().next().is_none() {
             let loose = Loose { parts: vec![None; points.len()], leaders: Vec::new() };
-            return Ok(Prepared { unit, held, levels: Vec::new(), surface: None, shares: Vec::new(), loose });
+            return Ok(PreparedBody {
+                unit,
+                held,
+                levels: Vec::new(),
+                surface: None,
+                shares: Vec::new(),
+                loose,
+            });
         }
         let mut space = Occupancy::new(&points, input, resolution, host)?;
         host.progress(0.4)?;
@@ -193,9 +200,9 @@ impl Deformer for Elastic {
             };
             let tied = (0..points.len() as u32).filter(|i| loose.parts[*i as usize].is_none());
             let size = (space.step * PARTS as f64).element_product().cbrt();
-            Surface::new(&space, tied.map(of), size)
+            ContactSurface::new(&space, tied.map(of), size)
         });
-        let mut levels: Vec<Level> = Vec::new();
+        let mut levels: Vec<HeldLevel> = Vec::new();
         let mut parts = PARTS;
         loop {
             host.progress(0.5)?;
@@ -216,11 +223,11 @@ impl Deformer for Elastic {
             Some(coarsest) => solve::shares(&coarsest.body, &foreseen, host)?,
             None => Vec::new(),
         };
-        Ok(Prepared { unit, held, levels, surface, shares, loose })
+        Ok(PreparedBody { unit, held, levels, surface, shares, loose })
     }
 
     fn deform(
-        state: &Prepared,
+        state: &PreparedBody,
         input: &DeformInput<'_>,
         _: &mut (),
         out: &mut [[f32; 3]],
@@ -231,7 +238,7 @@ impl Deformer for Elastic {
         if [rest.len(), out.len()] != [state.held.hard.len(); 2] || transforms.len() != state.held.handles {
             return Err(PluginError::internal("the samples or handles are not those of the preparation"));
         }
-        let Parameters { weight, down, contact, tolerance, .. } = input.params().read()?;
+        let ElasticSettings { weight, down, contact, tolerance, .. } = input.params().read()?;
         let is_still = transforms.iter().all(|t| *t == Affine::IDENTITY) && weight == 0.0;
         let Some(finest) = state.levels.first() else {
             if weight != 0.0 {
@@ -250,7 +257,7 @@ impl Deformer for Elastic {
             down.ok_or_else(|| PluginError::parameter("down", "is no direction").hint("give another one"))?;
         let diagonal = input.bounds.diagonal() / state.unit.scale;
         let diagonal = if diagonal > 0.0 { diagonal } else { 1.0 };
-        let motion = Motion {
+        let motion = AskedMotion {
             paths: paths(state, transforms),
             weight: down * (weight * finest.body.young() / diagonal),
             contact: contact && input.effort() != Effort::DRAFT,
@@ -288,25 +295,31 @@ impl Deformer for Elastic {
 }
 
 /// What the samples are asked for.
-struct Motion {
+struct AskedMotion {
     paths: Vec<Path>,
     weight: DVec3,
     contact: bool,
     still: f64,
 }
 
-impl Motion {
+impl AskedMotion {
     fn goals(&self, part: f64) -> Goals {
         Goals(std::iter::once(DAffine3::IDENTITY).chain(self.paths.iter().map(|p| p.pose(part))).collect())
     }
 
-    fn task<'a>(&self, goals: &'a Goals, part: f64, state: &'a Prepared, level: &'a Level) -> Task<'a> {
+    fn task<'a>(
+        &self,
+        goals: &'a Goals,
+        part: f64,
+        state: &'a PreparedBody,
+        level: &'a HeldLevel,
+    ) -> LoadCase<'a> {
         let contact = state.surface.as_ref().filter(|_| self.contact);
-        Task { goals, weight: self.weight * part, contact: contact.map(|s| (s, &level.places[..])) }
+        LoadCase { goals, weight: self.weight * part, contact: contact.map(|s| (s, &level.places[..])) }
     }
 
     /// How many steps the handles' ways are parted into.
-    fn steps(&self, state: &Prepared, is_draft: bool) -> f64 {
+    fn steps(&self, state: &PreparedBody, is_draft: bool) -> f64 {
         let contact = state.surface.as_ref().filter(|_| self.contact);
         let of = |(path, middle): (&Path, &Option<(DVec3, f64)>)| {
             let length = path.length(middle.map_or(0.0, |(_, reach)| reach));
@@ -319,7 +332,7 @@ impl Motion {
     }
 
     /// Where corners of the coarsest lattice come to on the handles' ways.
-    fn way(&self, state: &Prepared, is_draft: bool, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
+    fn way(&self, state: &PreparedBody, is_draft: bool, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
         let level = &state.levels[state.levels.len() - 1];
         let rest = &level.body.lattice.rest;
         let mut x = rest.clone();
@@ -335,9 +348,12 @@ impl Motion {
                 }
             }
             let until = if is_draft {
-                Until::quickly()
+                RestCriteria::quickly()
             } else {
-                Until::roughly(10.0 * self.still, WAY_WORTH * solve::worth(&level.body) / steps as usize)
+                RestCriteria::roughly(
+                    10.0 * self.still,
+                    WAY_WORTH * solve::worth(&level.body) / steps as usize,
+                )
             };
             solve::settle(&level.body, &mut x, &self.task(&goals, part, state, level), until, host)?;
             before = goals;
@@ -346,7 +362,7 @@ impl Motion {
     }
 
     /// Where corners of the finest lattice are at rest.
-    fn rest(&self, state: &Prepared, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
+    fn rest(&self, state: &PreparedBody, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
         let mut x = self.way(state, false, host)?;
         let goals = self.goals(1.0);
         let mut is_at_rest = true;
@@ -358,7 +374,7 @@ impl Motion {
                 let all = level.body.lattice.rest.iter().zip(&level.corners);
                 x = all.map(|(rest, place)| *rest + lattice.interpolate(*place, &shift)).collect();
             }
-            let until = Until::wholly(self.still, solve::worth(&level.body));
+            let until = RestCriteria::wholly(self.still, solve::worth(&level.body));
             is_at_rest =
                 solve::settle(&level.body, &mut x, &self.task(&goals, 1.0, state, level), until, host)?;
         }
@@ -374,7 +390,7 @@ fn affine(map: &Affine) -> DAffine3 {
     DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
 }
 
-fn paths(state: &Prepared, transforms: &[Affine]) -> Vec<Path> {
+fn paths(state: &PreparedBody, transforms: &[Affine]) -> Vec<Path> {
     let fixed = state.held.middles[0].map(|(middle, _)| middle);
     let middles = state.held.middles[1..].iter().map(|m| m.map_or(DVec3::ZERO, |(middle, _)| middle));
     transforms
@@ -403,10 +419,10 @@ fn level(
     parts: usize,
     points: &[DVec3],
     loose: &Loose,
-    held: &Held,
+    held: &SampleGoals,
     poisson: f64,
-) -> PluginResult<Level> {
-    let lattice = Lattice::new(space, parts);
+) -> PluginResult<HeldLevel> {
+    let lattice = HexMesh::new(space, parts);
     if lattice.cells.len() > MOST_CELLS {
         let what = format!("is too fine: {} cells of the lattice", lattice.cells.len());
         return Err(PluginError::parameter("resolution", &what)
@@ -417,11 +433,11 @@ fn level(
     };
     let places: Vec<Option<CellPoint>> = points.iter().zip(&loose.parts).map(place).collect();
     let springs = held.springs(&lattice, &places);
-    Ok(Level { body: Body::new(lattice, springs, poisson), places, corners: Vec::new() })
+    Ok(HeldLevel { body: Body::new(lattice, springs, poisson), places, corners: Vec::new() })
 }
 
 /// Where the corners of a lattice are in one of twice the size; `parts` is the finer one's.
-fn corners(fine: &Lattice, coarse: &Lattice, parts: usize) -> Vec<CellPoint> {
+fn corners(fine: &HexMesh, coarse: &HexMesh, parts: usize) -> Vec<CellPoint> {
     let of = |(i, rest): (usize, &DVec3)| {
         // Over any of the cells about it there is one.
         let [_, corner] = fine.uses(i)[0];
@@ -433,8 +449,13 @@ fn corners(fine: &Lattice, coarse: &Lattice, parts: usize) -> Vec<CellPoint> {
 }
 
 /// Finds parts that hang on nothing that is held, takes them out of the body, and what leads them.
-fn loose(space: &mut Occupancy, points: &[DVec3], held: &Held, host: &Host<'_>) -> PluginResult<Loose> {
-    let lattice = Lattice::new(space, PARTS);
+fn loose(
+    space: &mut Occupancy,
+    points: &[DVec3],
+    held: &SampleGoals,
+    host: &Host<'_>,
+) -> PluginResult<Loose> {
+    let lattice = HexMesh::new(space, PARTS);
     let (part_of, count) = lattice.parts();
     let of = |p: &DVec3| part_of[lattice.over(space.cell(*p)) as usize] as usize;
     let mut is_tied = vec![false; count];
@@ -471,7 +492,7 @@ fn loose(space: &mut Occupancy, points: &[DVec3], held: &Held, host: &Host<'_>) 
 }
 
 /// How the leaders of loose parts move.
-fn leads(state: &Prepared, level: &Level, x: &[DVec3]) -> Vec<DAffine3> {
+fn leads(state: &PreparedBody, level: &HeldLevel, x: &[DVec3]) -> Vec<DAffine3> {
     let lead = |leader: &u32| {
         let Some(place) = level.places[*leader as usize] else { return DAffine3::IDENTITY };
         let lattice = &level.body.lattice;

@@ -35,7 +35,7 @@ fn cofactors_at([a, b, c]: &Matrices) -> Matrices {
     [cross(*b, *c), cross(*c, *a), cross(*a, *b)]
 }
 
-/// Of shape, at eight points: the energies and the stresses.
+/// What shape takes, at eight points: the energies and the stresses.
 #[inline(always)]
 pub fn shape(f: &Matrices) -> (Eight, Matrices) {
     let cofactors = cofactors_at(f);
@@ -47,7 +47,7 @@ pub fn shape(f: &Matrices) -> (Eight, Matrices) {
     (energy, from_fn(|c| from_fn(|r| f[c][r] + by * cofactors[c][r])))
 }
 
-/// Of shape, at eight points: how the stresses change, if the material is stiffer by a part of its shear
+/// How the stresses of shape change, at eight points, if the material is stiffer by a part of its shear
 /// modulus.
 #[inline(always)]
 pub fn shape_change(f: &Matrices, by: &Matrices, stiffer: f64) -> Matrices {

@@ -3,7 +3,7 @@
 //!
 //! J. Bramble, J. Pasciak, J. Xu, *Parallel multilevel preconditioners*, Mathematics of Computation 55, 1990.
 
-use crate::lattice::Lattice;
+use crate::lattice::HexMesh;
 use glam::DVec3;
 use std::collections::HashMap;
 
@@ -12,7 +12,7 @@ const FEWEST: usize = 12;
 
 /// The corners of a lattice of twice the size, by those of the one below.
 #[derive(Debug)]
-struct Level {
+struct CoarserCorners {
     /// From each corner below to those above that it lies between.
     above: Vec<(u32, f64)>,
     /// Where each corner's entries begin.
@@ -25,7 +25,7 @@ struct Level {
 #[derive(Debug)]
 pub struct Multilevel {
     finest: Vec<f64>,
-    levels: Vec<Level>,
+    levels: Vec<CoarserCorners>,
 }
 
 /// The inverse stiffnesses of one state of the body.
@@ -34,7 +34,7 @@ pub struct Inverse(Vec<Vec<f64>>);
 
 impl Multilevel {
     /// `masses` is how much of the body is about each corner; `modulus` what resists waves of all kinds.
-    pub fn new(lattice: &Lattice, masses: &[f64], modulus: f64) -> Self {
+    pub fn new(lattice: &HexMesh, masses: &[f64], modulus: f64) -> Self {
         let scale = |size: DVec3| modulus * (8.0 / 9.0) * size.map(|h| h.powi(-2)).element_sum();
         let stiff = |masses: &[f64], size| masses.iter().map(|m| m * scale(size)).collect::<Vec<f64>>();
         let mut this = Self { finest: stiff(masses, lattice.size), levels: Vec::new() };
@@ -63,7 +63,7 @@ impl Multilevel {
             if coarse.len() * 10 > places.len() * 9 {
                 break;
             }
-            let mut level = Level { above, starts, material: Vec::new() };
+            let mut level = CoarserCorners { above, starts, material: Vec::new() };
             masses = level.up(&masses, coarse.len());
             level.material = stiff(&masses, size);
             this.levels.push(level);
@@ -106,7 +106,7 @@ impl Multilevel {
     }
 }
 
-impl Level {
+impl CoarserCorners {
     fn weights(&self, corner: usize) -> &[(u32, f64)] {
         &self.above[self.starts[corner] as usize..self.starts[corner + 1] as usize]
     }

@@ -13,7 +13,7 @@ pub const PARTS: usize = 4;
 /// What a fine cell of the surface, and one inside, count; none outside.
 const SURFACE: u8 = 1;
 const INSIDE: u8 = 2;
-/// Of a surface that is open, what sees it in so many of the six directions along the axes is inside.
+/// What sees an open surface in so many of the six directions along the axes is inside.
 const SEEN: u32 = 5;
 /// A surface encloses something if there are more fine cells inside than this part of those on it.
 const ENCLOSING: f64 = 0.02;
@@ -48,7 +48,8 @@ pub struct Occupancy {
 }
 
 impl Occupancy {
-    /// Of points in a box of which the longest side is 1; `resolution` cells of the lattice are along that.
+    /// The cells that points take up in a box of which the longest side is 1; `resolution` cells of the
+    /// lattice are along that.
     pub fn new(
         points: &[DVec3],
         input: &PrepareInput<'_>,

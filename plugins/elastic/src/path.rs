@@ -22,7 +22,8 @@ pub struct Path {
 }
 
 impl Path {
-    /// Of what is about a middle. A half turn goes the way on which that keeps farther `away` from something.
+    /// The path of what is about a middle. A half turn goes the way on which that keeps farther `away` from
+    /// something.
     pub fn new(whole: DAffine3, middle: DVec3, away: Option<DVec3>) -> Self {
         let shift = whole.transform_point3(middle) - middle;
         let mut this = Self { whole, parts: None, middle, pivot: middle, along: shift };

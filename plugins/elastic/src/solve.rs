@@ -4,7 +4,7 @@
 //! Laplacian.
 
 use crate::body::{Body, Load};
-use crate::contact::{Surface, Touch};
+use crate::contact::{ContactSurface, Touch};
 use crate::held::Goals;
 use crate::lattice::CellPoint;
 use glam::DVec3;
@@ -28,18 +28,18 @@ const SLIDING: f64 = 1e-4;
 const HALVINGS: usize = 14;
 
 /// What a body is to be brought to rest under.
-pub struct Task<'a> {
+pub struct LoadCase<'a> {
     /// Where the regions are.
     pub goals: &'a Goals,
     /// The force on a unit of the body.
     pub weight: DVec3,
     /// Contact with itself, where samples lie.
-    pub contact: Option<(&'a Surface, &'a [Option<CellPoint>])>,
+    pub contact: Option<(&'a ContactSurface, &'a [Option<CellPoint>])>,
 }
 
 /// When it is at rest.
 #[derive(Debug, Clone, Copy)]
-pub struct Until {
+pub struct RestCriteria {
     /// No corner would go farther in a whole step.
     pub still: f64,
     /// Steps at most.
@@ -57,7 +57,7 @@ pub fn worth(body: &Body) -> usize {
     (WORK / body.lattice.cells.len().max(1)).clamp(FEWEST_PRODUCTS, MOST_PRODUCTS)
 }
 
-impl Until {
+impl RestCriteria {
     /// For a place on the way.
     pub fn roughly(still: f64, products: usize) -> Self {
         Self { still, steps: 3, left: 0.1, gradients: 60, products }
@@ -78,8 +78,8 @@ impl Until {
 pub fn settle(
     body: &Body,
     x: &mut Vec<DVec3>,
-    task: &Task<'_>,
-    until: Until,
+    task: &LoadCase<'_>,
+    until: RestCriteria,
     host: &Host<'_>,
 ) -> PluginResult<bool> {
     let mut gradients = body.gradients(x, host)?;

@@ -5,9 +5,9 @@
 //! equations that never changes (the global step). Neither can raise the energy. All is reckoned in
 //! displacements.
 
-use crate::cells::{Cells, covariances};
+use crate::cells::{NodeNeighbourhoods, covariances};
 use crate::coarse::Prolongation;
-use crate::constraints::{Motion, Soft};
+use crate::constraints::{OwnMotions, Soft};
 use crate::descent::Past;
 use crate::problem::Problem;
 use glam::{DMat3, DVec3};
@@ -26,7 +26,7 @@ const LEAST_PART: f64 = 0.05;
 
 /// When a descent ends: whatever comes first.
 #[derive(Debug, Clone, Copy)]
-pub struct Until {
+pub struct DescentEnd {
     /// So many steps are done.
     pub steps: usize,
     /// No node moves farther, local coordinates.
@@ -37,21 +37,21 @@ pub struct Until {
 
 /// The surface, or a coarse likeness of it, with its factorised Laplacian.
 #[derive(Debug)]
-pub struct Level {
+pub struct SurfaceLevel {
     /// Its nodes.
     pub problem: Problem,
     /// The draws at free nodes.
     pub springs: Vec<Soft>,
-    /// Of the Laplacian with the springs. Steps by it need not be exact: what they aim at is.
+    /// The factorised Laplacian with the springs. Steps by it need not be exact: what they aim at is.
     pub factor: Factor<f32>,
 }
 
 /// What turns: the surroundings of a problem's nodes.
 #[derive(Debug, Clone, Copy)]
-pub struct Turning<'a> {
+pub struct TurningNodes<'a> {
     /// How wide they are.
-    pub cells: &'a Cells,
-    /// Whose nodes they are around.
+    pub cells: &'a NodeNeighbourhoods,
+    /// The problem whose nodes they are around.
     pub problem: &'a Problem,
     /// How these nodes' rotations become those of a finer problem, if they are not its own.
     pub groups: Option<&'a Prolongation>,
@@ -59,7 +59,7 @@ pub struct Turning<'a> {
 
 /// Where a level's nodes are, and how they are turned.
 #[derive(Debug, Clone)]
-pub struct Pose {
+pub struct LevelPose {
     /// From rest, before the motion that all share.
     pub displacements: Vec<DVec3>,
     /// Rotations of what turns.
@@ -68,7 +68,7 @@ pub struct Pose {
     pub blends: Vec<DMat3>,
 }
 
-impl Level {
+impl SurfaceLevel {
     /// Factorises. `stiffness` is that of a draw, per area.
     pub fn new(problem: Problem, stiffness: f64, told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
         let springs = problem.springs(stiffness);
@@ -80,19 +80,19 @@ impl Level {
     pub fn pose(
         &self,
         turns: Vec<DMat3>,
-        turning: Turning<'_>,
-        motion: &Motion,
+        turning: TurningNodes<'_>,
+        motion: &OwnMotions,
         host: &Host<'_>,
-    ) -> PluginResult<Pose> {
+    ) -> PluginResult<LevelPose> {
         let displacements = self.problem.held_displacements(|target, at| motion.displacement(target, at));
         let blends = turning.blend(&turns, host)?;
-        let mut pose = Pose { displacements, turns, blends };
+        let mut pose = LevelPose { displacements, turns, blends };
         self.place(&mut pose, motion, host)?;
         Ok(pose)
     }
 
     /// The global step: places the free nodes by the rotations.
-    fn place(&self, pose: &mut Pose, motion: &Motion, host: &Host<'_>) -> PluginResult<()> {
+    fn place(&self, pose: &mut LevelPose, motion: &OwnMotions, host: &Host<'_>) -> PluginResult<()> {
         let problem = &self.problem;
         let mut sums = vec![DVec3::ZERO; problem.free];
         host.parallel_blocks(&mut sums, TOGETHER, |first, sums| {
@@ -115,7 +115,7 @@ impl Level {
     }
 
     /// The local step: fits the rotations to where the nodes are.
-    fn turn(&self, pose: &mut Pose, turning: Turning<'_>, host: &Host<'_>) -> PluginResult<()> {
+    fn turn(&self, pose: &mut LevelPose, turning: TurningNodes<'_>, host: &Host<'_>) -> PluginResult<()> {
         let covariances = covariances(&self.problem, &pose.displacements, host)?;
         turning.fit(covariances, &mut pose.turns, host)?;
         pose.blends = turning.blend(&pose.turns, host)?;
@@ -124,9 +124,14 @@ impl Level {
 
     /// The energy, but for a constant, and its derivative by the free nodes' displacements. As the rotations
     /// are those that fit best, they count as constant.
-    fn assess(&self, pose: &Pose, motion: &Motion, host: &Host<'_>) -> PluginResult<(f64, Vec<DVec3>)> {
+    fn assess(
+        &self,
+        pose: &LevelPose,
+        motion: &OwnMotions,
+        host: &Host<'_>,
+    ) -> PluginResult<(f64, Vec<DVec3>)> {
         let problem = &self.problem;
-        let Pose { displacements, blends, .. } = pose;
+        let LevelPose { displacements, blends, .. } = pose;
         let at = |i: usize| problem.rest[i] + displacements[i];
         let mut parts = vec![(0.0, DVec3::ZERO); problem.rows];
         host.parallel_blocks(&mut parts, TOGETHER, |first, parts| {
@@ -166,10 +171,10 @@ impl Level {
     /// Simulation of Hyperelastic Materials*, TOG 2017).
     pub fn relax(
         &self,
-        pose: &mut Pose,
-        turning: Turning<'_>,
-        motion: &Motion,
-        until: Until,
+        pose: &mut LevelPose,
+        turning: TurningNodes<'_>,
+        motion: &OwnMotions,
+        until: DescentEnd,
         host: &Host<'_>,
     ) -> PluginResult<Vec<f64>> {
         if until.steps == 0 || self.problem.free == 0 {
@@ -226,7 +231,7 @@ fn is_settled(energies: &[f64], part: f64) -> bool {
     last > LOOKED_AT && energies[last - LOOKED_AT] - energies[last] <= part * (energies[0] - energies[last])
 }
 
-impl Turning<'_> {
+impl TurningNodes<'_> {
     /// Fits rotations to the covariances of a level's nodes.
     fn fit(&self, covariances: Vec<DMat3>, turns: &mut [DMat3], host: &Host<'_>) -> PluginResult<()> {
         let own = match self.groups {
@@ -249,40 +254,40 @@ impl Turning<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::constraints::Target;
-    use crate::elements::Element;
+    use crate::constraints::SampleTarget;
+    use crate::elements::SurfaceTriangle;
     use crate::intrinsic;
     use crate::problem::Constraint;
     use crate::tests::scene::{tube, turn};
     use simod_plugin_api::Affine;
 
-    fn level(is_of_spokes: bool) -> Level {
+    fn level(is_of_spokes: bool) -> SurfaceLevel {
         let scene = tube(14, 24, 0.15);
         let rest: Vec<DVec3> = scene.points.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
         let kind = |p: &DVec3| match p.z {
-            z if z < 0.2 => Constraint::Held(Target::Fixed),
-            z if z > 0.8 => Constraint::Held(Target::Handle(0)),
+            z if z < 0.2 => Constraint::Held(SampleTarget::Fixed),
+            z if z > 0.8 => Constraint::Held(SampleTarget::Handle(0)),
             _ => Constraint::Free,
         };
         let kinds: Vec<Constraint> = rest.iter().map(kind).collect();
-        let elements: Vec<Element> = intrinsic::plain(&rest, &scene.triangles);
+        let elements: Vec<SurfaceTriangle> = intrinsic::plain(&rest, &scene.triangles);
         let node = kinds.iter().position(|k| *k == Constraint::Free).unwrap() as u32;
-        let soft = [Soft { node, target: Target::Handle(0), strength: 0.1 }];
+        let soft = [Soft { node, target: SampleTarget::Handle(0), strength: 0.1 }];
         let host = Host::new(&());
         let mut problem = Problem::new(&rest, &elements, &kinds, &soft, &host).unwrap();
         if is_of_spokes {
             problem.operators = problem.operators.of_spokes(&problem.rest);
         }
-        Level::new(problem, 400.0, 0.0..1.0, &host).unwrap()
+        SurfaceLevel::new(problem, 400.0, 0.0..1.0, &host).unwrap()
     }
 
-    fn motion() -> Motion {
+    fn motion() -> OwnMotions {
         let bend: Affine = turn(DVec3::X, 100.0, DVec3::new(0.0, 0.0, 0.6), DVec3::new(0.1, -0.3, 0.0));
-        Motion::rigid(&[bend], true)
+        OwnMotions::rigid(&[bend], true)
     }
 
     /// From rest, with rotations that know nothing.
-    fn start(level: &Level, turning: Turning<'_>, motion: &Motion) -> Pose {
+    fn start(level: &SurfaceLevel, turning: TurningNodes<'_>, motion: &OwnMotions) -> LevelPose {
         let held = level.problem.held.iter().map(|t| motion.turn(*t));
         let turns = std::iter::repeat_n(DMat3::IDENTITY, level.problem.free).chain(held);
         level.pose(turns.take(level.problem.rows).collect(), turning, motion, &Host::new(&())).unwrap()
@@ -293,8 +298,8 @@ mod tests {
         let (motion, host) = (motion(), Host::new(&()));
         for (width, is_of_spokes) in [(0.0, false), (0.1, false), (0.0, true)] {
             let level = level(is_of_spokes);
-            let cells = Cells::new(&level.problem, width, &host).unwrap();
-            let turning = Turning { cells: &cells, problem: &level.problem, groups: None };
+            let cells = NodeNeighbourhoods::new(&level.problem, width, &host).unwrap();
+            let turning = TurningNodes { cells: &cells, problem: &level.problem, groups: None };
             let mut pose = start(&level, turning, &motion);
             let mut last = level.assess(&pose, &motion, &host).unwrap().0;
             for step in 0..60 {
@@ -313,7 +318,13 @@ mod tests {
             // The faster descent comes at least as far in half of the steps, and never up.
             let mut pose = start(&level, turning, &motion);
             let energies = level
-                .relax(&mut pose, turning, &motion, Until { steps: 30, tolerance: 0.0, decrease: 0.0 }, &host)
+                .relax(
+                    &mut pose,
+                    turning,
+                    &motion,
+                    DescentEnd { steps: 30, tolerance: 0.0, decrease: 0.0 },
+                    &host,
+                )
                 .unwrap();
             assert!(energies.is_sorted_by(|a, b| a >= b), "{energies:?}");
             assert!(*energies.last().unwrap() <= last + 1e-6, "{energies:?}, {last}");
@@ -325,8 +336,8 @@ mod tests {
         let (motion, host) = (motion(), Host::new(&()));
         for (width, is_of_spokes) in [(0.0, false), (0.1, false), (0.0, true)] {
             let level = level(is_of_spokes);
-            let cells = Cells::new(&level.problem, width, &host).unwrap();
-            let turning = Turning { cells: &cells, problem: &level.problem, groups: None };
+            let cells = NodeNeighbourhoods::new(&level.problem, width, &host).unwrap();
+            let turning = TurningNodes { cells: &cells, problem: &level.problem, groups: None };
             let mut pose = start(&level, turning, &motion);
             level.turn(&mut pose, turning, &host).unwrap();
             let (_, gradient) = level.assess(&pose, &motion, &host).unwrap();

@@ -20,20 +20,20 @@ const TOGETHER: usize = 1024;
 
 /// The surroundings of a problem's nodes.
 #[derive(Debug)]
-pub struct Cells {
+pub struct NodeNeighbourhoods {
     wide: Option<Wide>,
 }
 
 #[derive(Debug)]
 struct Wide {
-    /// Of `M + l² L` among the free nodes.
+    /// The factorised `M + l² L` among the free nodes.
     factor: Factor<f64>,
     /// `l²`
     spread: f64,
 }
 
-impl Cells {
-    /// Of each node's elements alone.
+impl NodeNeighbourhoods {
+    /// The neighbourhoods of each node's elements alone.
     pub fn narrow() -> Self {
         Self { wide: None }
     }

@@ -6,8 +6,8 @@
 //! Mandel, M. Brezina, *Algebraic Multigrid by Smoothed Aggregation*, 1996, and again around groups, until
 //! there are few enough.
 
-use crate::constraints::{Soft, Target};
-use crate::elements::Element;
+use crate::constraints::{SampleTarget, Soft};
+use crate::elements::SurfaceTriangle;
 use crate::problem::{Constraint, Problem};
 use crate::rotation;
 use glam::{Affine3A, DMat3, DVec3};
@@ -120,14 +120,14 @@ impl Prolongation {
 }
 
 /// Nodes and what holds them together.
-struct Graph {
+struct NodeGraph {
     starts: Vec<usize>,
     edges: Vec<(u32, f64)>,
     /// What each node is asked to do; nodes of one group are asked to do the same.
-    targets: Vec<Option<Target>>,
+    targets: Vec<Option<SampleTarget>>,
 }
 
-impl Graph {
+impl NodeGraph {
     fn from_problem(problem: &Problem) -> Self {
         let mut this = Self { starts: vec![0], edges: Vec::new(), targets: Vec::new() };
         for i in 0..problem.len() {
@@ -200,7 +200,7 @@ impl Graph {
 
 /// A coarse likeness; nothing where the problem is small as it is.
 pub fn coarsen(fine: &Problem, host: &Host<'_>) -> PluginResult<Option<(Problem, Prolongation)>> {
-    let mut graph = Graph::from_problem(fine);
+    let mut graph = NodeGraph::from_problem(fine);
     let mut group: Vec<u32> = (0..fine.len() as u32).collect();
     let mut groups = fine.len();
     while groups > MOST {
@@ -232,12 +232,12 @@ pub fn coarsen(fine: &Problem, host: &Host<'_>) -> PluginResult<Option<(Problem,
     let mut elements = Vec::new();
     for a in 0..groups {
         for &(b, weight) in graph.around(a).iter().filter(|(b, w)| (a as u32) < *b && *w > 0.0) {
-            elements.extend(Element::link(a as u32, b, scale * weight));
+            elements.extend(SurfaceTriangle::link(a as u32, b, scale * weight));
         }
     }
     // Areas alone.
     for (a, area) in areas.into_iter().enumerate() {
-        elements.push(Element { corners: [a as u32; 3], weights: [0.0; 3], areas: [area, 0.0, 0.0] });
+        elements.push(SurfaceTriangle { corners: [a as u32; 3], weights: [0.0; 3], areas: [area, 0.0, 0.0] });
     }
     let kinds: Vec<Constraint> =
         graph.targets.iter().map(|t| t.map_or(Constraint::Free, Constraint::Held)).collect();

@@ -12,7 +12,7 @@ const NONE: f32 = 1e-4;
 
 /// What a sample is asked to do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Target {
+pub enum SampleTarget {
     /// To stay.
     Fixed,
     /// To follow the handle of this number.
@@ -25,16 +25,16 @@ pub struct Soft {
     /// The sample.
     pub node: u32,
     /// Where it is drawn to.
-    pub target: Target,
+    pub target: SampleTarget,
     /// How strongly, from 0 (not at all) to infinity (where a weight would be 1).
     pub strength: f64,
 }
 
 /// The regions, sample by sample.
 #[derive(Debug)]
-pub struct Constraints {
+pub struct SampleConstraints {
     /// The samples that do exactly what a region does.
-    pub hard: Vec<Option<Target>>,
+    pub hard: Vec<Option<SampleTarget>>,
     /// The draws at others, by sample; where regions overlap, at one sample several.
     pub soft: Vec<Soft>,
     /// How many handles there are.
@@ -43,7 +43,7 @@ pub struct Constraints {
     pub has_fixed: bool,
 }
 
-impl Constraints {
+impl SampleConstraints {
     /// Gathers the regions. Of several that hold a sample exactly, the first one does.
     pub fn gather(input: &PrepareInput<'_>) -> PluginResult<Self> {
         let count = input.samples.positions().len();
@@ -60,7 +60,11 @@ impl Constraints {
                 return Err(PluginError::input(format!("region {} ({what}) holds no sample", i + 1))
                     .hint("enlarge or move its shapes, or take more samples"));
             }
-            targets.push(if is_handle { Target::Handle(this.handles as u32) } else { Target::Fixed });
+            targets.push(if is_handle {
+                SampleTarget::Handle(this.handles as u32)
+            } else {
+                SampleTarget::Fixed
+            });
             this.handles += usize::from(is_handle);
             this.has_fixed |= !is_handle;
         }
@@ -85,7 +89,7 @@ impl Constraints {
 
 /// What the handles do, beside a motion that all share.
 #[derive(Debug)]
-pub struct Motion {
+pub struct OwnMotions {
     /// What all share, to be applied last; nothing where samples are fixed.
     pub common: DAffine3,
     /// For each handle where it moves a point to, minus the point, before the common motion. Of linear
@@ -93,7 +97,7 @@ pub struct Motion {
     displacements: Vec<DAffine3>,
 }
 
-impl Motion {
+impl OwnMotions {
     /// For methods that know rotations: the common motion is rigid.
     pub fn rigid(transforms: &[Affine], has_fixed: bool) -> Self {
         let maps: Vec<DAffine3> = transforms.iter().map(affine).collect();
@@ -140,10 +144,10 @@ impl Motion {
     }
 
     /// The displacement of a point that follows a target.
-    pub fn displacement(&self, target: Target, at: DVec3) -> DVec3 {
+    pub fn displacement(&self, target: SampleTarget, at: DVec3) -> DVec3 {
         match target {
-            Target::Fixed => DVec3::ZERO,
-            Target::Handle(h) => self.displacements[h as usize].transform_point3(at),
+            SampleTarget::Fixed => DVec3::ZERO,
+            SampleTarget::Handle(h) => self.displacements[h as usize].transform_point3(at),
         }
     }
 
@@ -153,10 +157,10 @@ impl Motion {
     }
 
     /// How a target turns, before the common motion; for methods that know rotations.
-    pub fn turn(&self, target: Target) -> DMat3 {
+    pub fn turn(&self, target: SampleTarget) -> DMat3 {
         match target {
-            Target::Fixed => DMat3::IDENTITY,
-            Target::Handle(h) => {
+            SampleTarget::Fixed => DMat3::IDENTITY,
+            SampleTarget::Handle(h) => {
                 rotation::nearest(DMat3::IDENTITY + self.displacements[h as usize].matrix3, DMat3::IDENTITY)
             }
         }

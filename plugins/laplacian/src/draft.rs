@@ -5,7 +5,7 @@
 //! 2007). All is in single precision, as what is shown is, since the time goes to memory.
 
 use crate::coarse::Prolongation;
-use crate::constraints::Motion;
+use crate::constraints::OwnMotions;
 use crate::problem::Problem;
 use glam::{Affine3A, DMat3, DVec3, Mat3A, Vec3A};
 use simod_plugin_api::{Host, PluginResult};
@@ -22,7 +22,7 @@ pub fn carry(
     coarse: &Problem,
     prolongation: &Prolongation,
     (displacements, turns): (&[DVec3], &[DMat3]),
-    motion: &Motion,
+    motion: &OwnMotions,
     host: &Host<'_>,
 ) -> PluginResult<Vec<DVec3>> {
     // From places to displacements.

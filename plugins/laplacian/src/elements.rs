@@ -10,7 +10,7 @@ use glam::DVec3;
 /// A triangle of samples. Triangle, weights and areas may be of an intrinsic triangulation, whose edges are
 /// no straight lines in space; corners may then be the same sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Element {
+pub struct SurfaceTriangle {
     /// Samples.
     pub corners: [u32; 3],
     /// Half the cotangent of the angle at each corner: the weight of the edge opposite to it.
@@ -19,8 +19,8 @@ pub struct Element {
     pub areas: [f64; 3],
 }
 
-impl Element {
-    /// Of the lengths of the edges opposite to the corners.
+impl SurfaceTriangle {
+    /// The triangle of the lengths of the edges opposite to the corners.
     pub fn new(corners: [u32; 3], lengths: [f64; 3]) -> Self {
         Self { corners, weights: half_cotangents(lengths), areas: voronoi_areas(lengths) }
     }
@@ -86,12 +86,12 @@ mod tests {
 
     #[test]
     fn a_right_triangle() {
-        let e = Element::new([0, 1, 2], [2.0_f64.sqrt(), 1.0, 1.0]);
+        let e = SurfaceTriangle::new([0, 1, 2], [2.0_f64.sqrt(), 1.0, 1.0]);
         for (found, expected) in e.weights.into_iter().chain(e.areas).zip([0.0, 0.5, 0.5, 0.25, 0.125, 0.125])
         {
             assert!((found - expected).abs() < 1e-12, "{e:?}");
         }
-        let e = Element::new([0, 1, 2], [3.0; 3]);
+        let e = SurfaceTriangle::new([0, 1, 2], [3.0; 3]);
         assert!(e.weights.iter().all(|w| (w - 0.5 / 3.0_f64.sqrt()).abs() < 1e-12), "{e:?}");
     }
 

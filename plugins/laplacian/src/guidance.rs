@@ -1,9 +1,9 @@
 //! From the handles' motions to a pose: coarse to fine.
 
-use crate::arap::{Level, Turning, Until};
-use crate::cells::Cells;
+use crate::arap::{DescentEnd, SurfaceLevel, TurningNodes};
+use crate::cells::NodeNeighbourhoods;
 use crate::coarse::{Prolongation, coarsen};
-use crate::constraints::Motion;
+use crate::constraints::OwnMotions;
 use crate::draft;
 use crate::harmonic::Influence;
 use crate::problem::Problem;
@@ -20,13 +20,13 @@ const COARSE_TOLERANCE: f64 = 10.0;
 /// The surface, and a coarse likeness of it if it is large.
 #[derive(Debug)]
 pub struct Hierarchy {
-    fine: Level,
-    coarse: Option<(Level, Prolongation)>,
+    fine: SurfaceLevel,
+    coarse: Option<(SurfaceLevel, Prolongation)>,
     /// The surroundings of the coarsest level's nodes.
-    cells: Cells,
+    cells: NodeNeighbourhoods,
     /// Whether they are what turns on the fine level too, as they are wider than its own.
     is_wide: bool,
-    /// Of the handles on the coarsest level.
+    /// The influence of the handles on the coarsest level.
     influence: Influence,
 }
 
@@ -42,13 +42,13 @@ impl Hierarchy {
     ) -> PluginResult<Self> {
         let coarse = match coarsen(&problem, host)? {
             Some((coarse, prolongation)) => {
-                Some((Level::new(coarse, stiffness, 0.3..0.4, host)?, prolongation))
+                Some((SurfaceLevel::new(coarse, stiffness, 0.3..0.4, host)?, prolongation))
             }
             None => None,
         };
-        let fine = Level::new(problem, stiffness, 0.4..1.0, host)?;
+        let fine = SurfaceLevel::new(problem, stiffness, 0.4..1.0, host)?;
         let coarsest = coarse.as_ref().map_or(&fine, |(level, _)| level);
-        let cells = Cells::new(&coarsest.problem, width, host)?;
+        let cells = NodeNeighbourhoods::new(&coarsest.problem, width, host)?;
         let influence = Influence::new(coarsest, handles, host)?;
         Ok(Self { cells, is_wide: width > 0.0, influence, fine, coarse })
     }
@@ -56,36 +56,36 @@ impl Hierarchy {
     /// The displacements of all nodes. A draft's are the coarse likeness', carried over.
     pub fn deform(
         &self,
-        motion: &Motion,
-        until: Until,
+        motion: &OwnMotions,
+        until: DescentEnd,
         is_draft: bool,
         host: &Host<'_>,
     ) -> PluginResult<Vec<DVec3>> {
         let (fine, cells) = (&self.fine, &self.cells);
         let Some((coarse, prolongation)) = &self.coarse else {
-            let turning = Turning { cells, problem: &fine.problem, groups: None };
+            let turning = TurningNodes { cells, problem: &fine.problem, groups: None };
             let mut pose = fine.pose(self.influence.turns(&fine.problem, motion), turning, motion, host)?;
             // These are as cheap as coarse ones, and all that there are.
             let steps = COARSE_STEPS + if is_draft { 0 } else { until.steps };
-            fine.relax(&mut pose, turning, motion, Until { steps, ..until }, host)?;
+            fine.relax(&mut pose, turning, motion, DescentEnd { steps, ..until }, host)?;
             return Ok(pose.displacements);
         };
-        let turning = Turning { cells, problem: &coarse.problem, groups: None };
+        let turning = TurningNodes { cells, problem: &coarse.problem, groups: None };
         let mut pose = coarse.pose(self.influence.turns(&coarse.problem, motion), turning, motion, host)?;
         let steps = if is_draft { DRAFT_STEPS } else { COARSE_STEPS };
-        let coarsely = Until { steps, tolerance: COARSE_TOLERANCE * until.tolerance, decrease: 0.0 };
+        let coarsely = DescentEnd { steps, tolerance: COARSE_TOLERANCE * until.tolerance, decrease: 0.0 };
         coarse.relax(&mut pose, turning, motion, coarsely, host)?;
         if is_draft {
             let carried = (pose.displacements.as_slice(), pose.blends.as_slice());
             let (coarse, fine) = (&coarse.problem, &fine.problem);
             return draft::carry(fine, coarse, prolongation, carried, motion, host);
         }
-        let own = Cells::narrow();
+        let own = NodeNeighbourhoods::narrow();
         let (turning, turns) = if self.is_wide {
-            (Turning { groups: Some(prolongation), ..turning }, pose.turns)
+            (TurningNodes { groups: Some(prolongation), ..turning }, pose.turns)
         } else {
             let turns = prolongation.turns(&pose.turns, host)?;
-            (Turning { cells: &own, problem: &fine.problem, groups: None }, turns)
+            (TurningNodes { cells: &own, problem: &fine.problem, groups: None }, turns)
         };
         let mut pose = fine.pose(turns, turning, motion, host)?;
         fine.relax(&mut pose, turning, motion, until, host)?;

@@ -4,8 +4,8 @@
 //! 2005: how much each handle has to say at a node is a harmonic function, 1 on the handle and 0 on other
 //! regions. The rotations are blended by their axes times angles.
 
-use crate::arap::Level;
-use crate::constraints::{Motion, Target};
+use crate::arap::SurfaceLevel;
+use crate::constraints::{OwnMotions, SampleTarget};
 use crate::problem::Problem;
 use glam::{DMat3, DQuat, DVec3};
 use simod_plugin_api::{Host, PluginResult};
@@ -20,17 +20,17 @@ pub struct Influence {
 
 impl Influence {
     /// At the free nodes of a level.
-    pub fn new(level: &Level, handles: usize, host: &Host<'_>) -> PluginResult<Self> {
+    pub fn new(level: &SurfaceLevel, handles: usize, host: &Host<'_>) -> PluginResult<Self> {
         let problem = &level.problem;
         let mut values = vec![0.0; problem.free * handles];
         for first in (0..handles).step_by(3) {
             host.progress(0.0)?;
             // Three at once.
-            let share = |target: Target| match target {
-                Target::Handle(h) if (first..first + 3).contains(&(h as usize)) => {
+            let share = |target: SampleTarget| match target {
+                SampleTarget::Handle(h) if (first..first + 3).contains(&(h as usize)) => {
                     DVec3::AXES[h as usize - first]
                 }
-                Target::Handle(_) | Target::Fixed => DVec3::ZERO,
+                SampleTarget::Handle(_) | SampleTarget::Fixed => DVec3::ZERO,
             };
             let side = |i: usize| -> DVec3 {
                 let row = problem.operators.laplacian(i);
@@ -50,9 +50,9 @@ impl Influence {
 
     /// Rotations of the problem's nodes whose surroundings are whole: of held ones as told, of free ones in
     /// between.
-    pub fn turns(&self, problem: &Problem, motion: &Motion) -> Vec<DMat3> {
+    pub fn turns(&self, problem: &Problem, motion: &OwnMotions) -> Vec<DMat3> {
         let axes: Vec<DVec3> =
-            (0..self.handles).map(|h| scaled_axis(motion.turn(Target::Handle(h as u32)))).collect();
+            (0..self.handles).map(|h| scaled_axis(motion.turn(SampleTarget::Handle(h as u32)))).collect();
         let between = self.values.chunks_exact(self.handles.max(1)).map(|influence| {
             let axis: DVec3 = influence.iter().zip(&axes).map(|(w, a)| *w * *a).sum();
             DMat3::from_quat(DQuat::from_scaled_axis(axis))

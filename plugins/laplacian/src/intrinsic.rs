@@ -7,7 +7,7 @@
 //! surface until none has a negative weight. The surface stays what it was: only its triangulation is better.
 //! Half of the Laplacian is the input's own.
 
-use crate::elements::{Element, half_cotangents};
+use crate::elements::{SurfaceTriangle, half_cotangents};
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
@@ -22,14 +22,18 @@ const MOST_FLIPS: usize = 20;
 const TOGETHER: usize = 1 << 14;
 
 /// The triangles as they are. Those with a corner twice are left out.
-pub fn plain(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Element> {
+pub fn plain(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<SurfaceTriangle> {
     let (triangles, lengths) = mollified(positions, triangles);
-    triangles.into_iter().zip(lengths).map(|(t, l)| Element::new(t, l)).collect()
+    triangles.into_iter().zip(lengths).map(|(t, l)| SurfaceTriangle::new(t, l)).collect()
 }
 
 /// The intrinsic Delaunay triangulation of what the triangles make up, each of its triangles twice and by
 /// half.
-pub fn delaunay(positions: &[DVec3], triangles: &[[u32; 3]], host: &Host<'_>) -> PluginResult<Vec<Element>> {
+pub fn delaunay(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    host: &Host<'_>,
+) -> PluginResult<Vec<SurfaceTriangle>> {
     let (triangles, lengths) = mollified(positions, triangles);
     let mut cover = Cover::tufted(positions, &triangles, &lengths);
     cover.flip_to_delaunay(host)?;
@@ -196,13 +200,13 @@ impl Cover {
         (kx - lx).hypot(ky + ly)
     }
 
-    fn elements(&self) -> impl Iterator<Item = Element> {
+    fn elements(&self) -> impl Iterator<Item = SurfaceTriangle> {
         self.tail
             .as_chunks::<3>()
             .0
             .iter()
             .zip(self.length.as_chunks::<3>().0)
-            .map(|(&corners, &[ab, bc, ca])| Element::new(corners, [bc, ca, ab]))
+            .map(|(&corners, &[ab, bc, ca])| SurfaceTriangle::new(corners, [bc, ca, ab]))
     }
 }
 
@@ -212,7 +216,7 @@ mod tests {
     use proptest::prelude::*;
 
     /// The Laplacian as a dense matrix.
-    fn laplacian(samples: usize, elements: &[Element]) -> Vec<Vec<f64>> {
+    fn laplacian(samples: usize, elements: &[SurfaceTriangle]) -> Vec<Vec<f64>> {
         let mut l = vec![vec![0.0; samples]; samples];
         for e in elements {
             for k in 0..3 {
@@ -260,7 +264,7 @@ mod tests {
             let n = points.len() as u32;
             let triangles: Vec<[u32; 3]> = triangles.into_iter().map(|t| t.map(|i| i % n)).collect();
             let elements = delaunay(&points, &triangles, &Host::new(&())).unwrap();
-            let area = |e: &[Element]| e.iter().flat_map(|e| e.areas).sum::<f64>();
+            let area = |e: &[SurfaceTriangle]| e.iter().flat_map(|e| e.areas).sum::<f64>();
             let (before, after) = (area(&plain(&points, &triangles)), area(&elements));
             prop_assert!((before - after).abs() <= 1e-6 * (1.0 + before), "{before} {after}");
             let l = laplacian(points.len(), &elements);

@@ -36,8 +36,8 @@ mod rotation;
 mod stars;
 mod surface;
 
-use arap::Until;
-use constraints::{Constraints, Motion, Target, affine};
+use arap::DescentEnd;
+use constraints::{OwnMotions, SampleConstraints, SampleTarget, affine};
 use followers::Followers;
 use glam::{DAffine3, DMat3, DVec3};
 use guidance::Hierarchy;
@@ -49,13 +49,14 @@ use simod_plugin_api::{
     PluginError, PluginResult, PrepareInput, Settings,
 };
 use std::collections::BTreeMap;
-use surface::Weights;
+use surface::TriangleWeights;
 
 /// How far a draw of weight 1/2 lets the surface bend before it gives in, in units of the diagonal.
 const SOFT_LENGTH: f64 = 0.3;
 /// Steps until the energy settles, at most.
 const MOST_STEPS: usize = 2000;
-/// They end, too, when no sample moves farther, in units of the diagonal: what is left is of rounding.
+/// Descents end, too, when no sample moves farther than this, in units of the diagonal: what is left is of
+/// rounding.
 const AT_REST: f64 = 1e-8;
 /// Samples that are written at once on one thread.
 const DEFORM_BLOCK: usize = 8192;
@@ -64,7 +65,7 @@ const DEFORM_BLOCK: usize = 8192;
 struct Laplacian;
 
 #[derive(ParamSet)]
-struct Parameters {
+struct LaplacianSettings {
     /// Rigid keeps shapes and turns details; smoothest is linear and does neither
     #[param(default = Mode::SmoothArap, invalidates_preparation)]
     mode: Mode,
@@ -85,8 +86,8 @@ struct Parameters {
     #[param(default = 1e-4, unit = "diagonal", hard = 0.0..=1.0, soft = 1e-6..=1e-2, group = "Accuracy")]
     tolerance: f64,
     /// Robust takes any triangles; cotangents as they are compare with other programs
-    #[param(default = Weights::Robust, group = "Accuracy", invalidates_preparation)]
-    weights: Weights,
+    #[param(default = TriangleWeights::Robust, group = "Accuracy", invalidates_preparation)]
+    weights: TriangleWeights,
 }
 
 #[derive(Choice, Clone, Copy)]
@@ -110,16 +111,16 @@ enum Surroundings {
 }
 
 /// What does not depend on the handles' motions.
-struct Prepared {
+struct PreparedSurface {
     /// What becomes of each sample.
     places: Vec<ImageOf>,
-    method: Method,
+    method: LaplacianMethod,
     has_fixed: bool,
     handles: usize,
     followers: Followers,
 }
 
-enum Method {
+enum LaplacianMethod {
     Arap(Box<Hierarchy>),
     Bilaplacian(Box<Smoothest>),
     Rotated(Box<Rotated>),
@@ -131,13 +132,13 @@ enum ImageOf {
     /// A free node.
     Node(u32),
     /// What a region does.
-    Held(Target),
+    Held(SampleTarget),
     /// What a loose part does.
     Part(u32),
 }
 
 impl Deformer for Laplacian {
-    type State = Prepared;
+    type State = PreparedSurface;
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
@@ -147,7 +148,7 @@ impl Deformer for Laplacian {
                 "O. Sorkine, M. Alexa, As-Rigid-As-Possible Surface Modeling, SGP 2007; I. Chao, U. Pinkall, P. \
                  Sanan, P. Schröder, A Simple Geometric Model for Elastic Deformations, SIGGRAPH 2010",
             )
-            .param_set::<Parameters>()
+            .param_set::<LaplacianSettings>()
             .consumes(Consumes {
                 fixed_regions: true,
                 handle_regions: true,
@@ -159,10 +160,10 @@ impl Deformer for Laplacian {
             })
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<PreparedSurface> {
         host.progress(0.0)?;
-        let Parameters { mode, bending, surroundings, weights, .. } = input.params().read()?;
-        let constraints = Constraints::gather(input)?;
+        let LaplacianSettings { mode, bending, surroundings, weights, .. } = input.params().read()?;
+        let constraints = SampleConstraints::gather(input)?;
         let positions: Vec<DVec3> =
             input.samples.positions().iter().map(|p| DVec3::from(p.map(f64::from))).collect();
         let elements = surface::elements(input, &positions, weights, host)?;
@@ -188,24 +189,32 @@ impl Deformer for Laplacian {
                     problem.operators = problem.operators.of_spokes(&problem.rest);
                 }
                 let width = if is_smooth { bending * diagonal } else { 0.0 };
-                Method::Arap(Box::new(Hierarchy::new(problem, stiffness.harmonic, width, handles, host)?))
+                LaplacianMethod::Arap(Box::new(Hierarchy::new(
+                    problem,
+                    stiffness.harmonic,
+                    width,
+                    handles,
+                    host,
+                )?))
             }
             Mode::BiLaplacian => {
                 let equations = BiLaplacian::new(problem, stiffness.biharmonic, 0.3..0.9, host)?;
-                Method::Bilaplacian(Box::new(Smoothest::new(
+                LaplacianMethod::Bilaplacian(Box::new(Smoothest::new(
                     equations,
                     frames(&constraints, &positions),
                     host,
                 )?))
             }
-            Mode::Laplacian => Method::Rotated(Box::new(Rotated::new(problem, stiffness, handles, host)?)),
+            Mode::Laplacian => {
+                LaplacianMethod::Rotated(Box::new(Rotated::new(problem, stiffness, handles, host)?))
+            }
         };
         let has_fixed = constraints.has_fixed;
-        Ok(Prepared { places, method, has_fixed, handles, followers })
+        Ok(PreparedSurface { places, method, has_fixed, handles, followers })
     }
 
     fn deform(
-        state: &Prepared,
+        state: &PreparedSurface,
         input: &DeformInput<'_>,
         _: &mut (),
         out: &mut [[f32; 3]],
@@ -217,8 +226,10 @@ impl Deformer for Laplacian {
             return Err(PluginError::internal("the samples or handles are not those of the preparation"));
         }
         let motion = match &state.method {
-            Method::Bilaplacian(_) => Motion::affine(transforms, state.has_fixed),
-            Method::Arap(_) | Method::Rotated(_) => Motion::rigid(transforms, state.has_fixed),
+            LaplacianMethod::Bilaplacian(_) => OwnMotions::affine(transforms, state.has_fixed),
+            LaplacianMethod::Arap(_) | LaplacianMethod::Rotated(_) => {
+                OwnMotions::rigid(transforms, state.has_fixed)
+            }
         };
         if motion.common == DAffine3::IDENTITY && motion.is_common() {
             out.copy_from_slice(rest);
@@ -228,7 +239,7 @@ impl Deformer for Laplacian {
             if motion.is_common() { Vec::new() } else { displacements(&state.method, &motion, input, host)? };
         let handles: Vec<DAffine3> = transforms.iter().map(affine).collect();
         // Displacements of linear methods are added after the common motion.
-        let turn = if matches!(state.method, Method::Bilaplacian(_)) {
+        let turn = if matches!(state.method, LaplacianMethod::Bilaplacian(_)) {
             DMat3::IDENTITY
         } else {
             motion.common.matrix3
@@ -239,8 +250,8 @@ impl Deformer for Laplacian {
                 let displacement = displacements.get(node as usize).copied().unwrap_or(DVec3::ZERO);
                 motion.common.transform_point3(at(i)) + turn * displacement
             }
-            ImageOf::Held(Target::Handle(h)) => handles[h as usize].transform_point3(at(i)),
-            ImageOf::Held(Target::Fixed) | ImageOf::Part(_) => at(i),
+            ImageOf::Held(SampleTarget::Handle(h)) => handles[h as usize].transform_point3(at(i)),
+            ImageOf::Held(SampleTarget::Fixed) | ImageOf::Part(_) => at(i),
         };
         let parts = if motion.is_common() {
             Vec::new()
@@ -263,28 +274,28 @@ impl Deformer for Laplacian {
 
 /// The displacements of the nodes, local units, besides the common motion.
 fn displacements(
-    method: &Method,
-    motion: &Motion,
+    method: &LaplacianMethod,
+    motion: &OwnMotions,
     input: &DeformInput<'_>,
     host: &Host<'_>,
 ) -> PluginResult<Vec<DVec3>> {
     let is_draft = input.effort() == Effort::DRAFT;
     match method {
-        Method::Arap(hierarchy) => hierarchy.deform(motion, until(input)?, is_draft, host),
-        Method::Bilaplacian(smoothest) => smoothest.displacements(motion, host),
-        Method::Rotated(rotated) => rotated.displacements(motion, is_draft, host),
+        LaplacianMethod::Arap(hierarchy) => hierarchy.deform(motion, until(input)?, is_draft, host),
+        LaplacianMethod::Bilaplacian(smoothest) => smoothest.displacements(motion, host),
+        LaplacianMethod::Rotated(rotated) => rotated.displacements(motion, is_draft, host),
     }
 }
 
 /// When the iteration of as-rigid-as-possible deformations ends.
-fn until(input: &DeformInput<'_>) -> PluginResult<Until> {
-    let Parameters { mode, iterations, tolerance, decrease, .. } = input.params().read()?;
+fn until(input: &DeformInput<'_>) -> PluginResult<DescentEnd> {
+    let LaplacianSettings { mode, iterations, tolerance, decrease, .. } = input.params().read()?;
     let steps =
         usize::try_from(iterations).map_err(|_| PluginError::parameter("iterations", "is negative"))?;
     let diagonal = input.bounds.diagonal();
     Ok(match mode {
-        Mode::Arap => Until { steps: MOST_STEPS, tolerance: AT_REST * diagonal, decrease },
-        _ => Until { steps, tolerance: tolerance * diagonal, decrease: 0.0 },
+        Mode::Arap => DescentEnd { steps: MOST_STEPS, tolerance: AT_REST * diagonal, decrease },
+        _ => DescentEnd { steps, tolerance: tolerance * diagonal, decrease: 0.0 },
     })
 }
 
@@ -312,13 +323,13 @@ impl Migrate for Laplacian {
 }
 
 /// What becomes of each sample: what is held, and what is connected to anything that is held or drawn.
-fn kinds(constraints: &Constraints, components: &[u32]) -> Vec<Constraint> {
+fn kinds(constraints: &SampleConstraints, components: &[u32]) -> Vec<Constraint> {
     let mut is_tied = vec![false; components.len()];
     let held = constraints.hard.iter().enumerate().filter(|(_, t)| t.is_some()).map(|(i, _)| i);
     for i in held.chain(constraints.soft.iter().map(|s| s.node as usize)) {
         is_tied[components[i] as usize] = true;
     }
-    let kind = |(target, component): (&Option<Target>, &u32)| match target {
+    let kind = |(target, component): (&Option<SampleTarget>, &u32)| match target {
         Some(target) => Constraint::Held(*target),
         None if is_tied[*component as usize] => Constraint::Free,
         None => Constraint::Loose,
@@ -342,7 +353,7 @@ fn places(kinds: &[Constraint], parts: &BTreeMap<u32, Vec<u32>>, problem: &Probl
         .iter()
         .map(|kind| match kind {
             Constraint::Held(target) => ImageOf::Held(*target),
-            Constraint::Free | Constraint::Loose => ImageOf::Held(Target::Fixed),
+            Constraint::Free | Constraint::Loose => ImageOf::Held(SampleTarget::Fixed),
         })
         .collect();
     for (node, sample) in problem.samples[..problem.free].iter().enumerate() {
@@ -355,9 +366,9 @@ fn places(kinds: &[Constraint], parts: &BTreeMap<u32, Vec<u32>>, problem: &Probl
 }
 
 /// Middle and size of each handle.
-fn frames(constraints: &Constraints, positions: &[DVec3]) -> Vec<(DVec3, f64)> {
+fn frames(constraints: &SampleConstraints, positions: &[DVec3]) -> Vec<(DVec3, f64)> {
     let members = |handle: u32| {
-        let own = Target::Handle(handle);
+        let own = SampleTarget::Handle(handle);
         let hard = constraints.hard.iter().enumerate().filter(move |(_, t)| **t == Some(own)).map(|(i, _)| i);
         let soft = constraints.soft.iter().filter(move |s| s.target == own).map(|s| s.node as usize);
         hard.chain(soft).map(|i| positions[i])

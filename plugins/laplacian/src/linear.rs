@@ -4,7 +4,7 @@
 //! integral of `|Δd|²` for what the regions do. Handles move affinely, so that all displacements are
 //! combinations of four solutions per handle, found beforehand.
 
-use crate::constraints::{Motion, Soft, Target};
+use crate::constraints::{OwnMotions, SampleTarget, Soft};
 use crate::problem::{Problem, out_of_memory};
 use glam::DVec3;
 use simod_cholesky::Factor;
@@ -36,12 +36,12 @@ pub struct BiLaplacian {
 pub struct Smoothest {
     /// The equations.
     pub equations: BiLaplacian,
-    table: Option<Table>,
+    table: Option<HandleDisplacements>,
 }
 
 /// The displacements of the free nodes for each function of each handle.
 #[derive(Debug)]
-struct Table {
+struct HandleDisplacements {
     /// Middle and size of each handle.
     frames: Vec<(DVec3, f64)>,
     /// Node by node.
@@ -64,7 +64,7 @@ impl BiLaplacian {
     pub fn respond(
         &self,
         laplacian: impl Fn(usize) -> DVec3 + Sync,
-        target: impl Fn(Target, DVec3) -> DVec3,
+        target: impl Fn(SampleTarget, DVec3) -> DVec3,
         host: &Host<'_>,
     ) -> PluginResult<Vec<DVec3>> {
         let Problem { free, rows, rest, operators, .. } = &self.problem;
@@ -98,12 +98,12 @@ impl Smoothest {
     /// Solves for what the handles do. `frames` are their middles and sizes.
     pub fn new(equations: BiLaplacian, frames: Vec<(DVec3, f64)>, host: &Host<'_>) -> PluginResult<Self> {
         let is_worth = frames.len() <= MOST_TABULATED;
-        let table = if is_worth { Some(Table::new(&equations, frames, host)?) } else { None };
+        let table = if is_worth { Some(HandleDisplacements::new(&equations, frames, host)?) } else { None };
         Ok(Self { equations, table })
     }
 
     /// The displacements of all nodes that the regions' ask for.
-    pub fn displacements(&self, motion: &Motion, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
+    pub fn displacements(&self, motion: &OwnMotions, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
         let problem = &self.equations.problem;
         let target = |target, at| motion.displacement(target, at);
         let Some(table) = &self.table else {
@@ -128,13 +128,13 @@ impl Smoothest {
     }
 }
 
-impl Table {
+impl HandleDisplacements {
     fn new(equations: &BiLaplacian, frames: Vec<(DVec3, f64)>, host: &Host<'_>) -> PluginResult<Self> {
         let functions = PER_HANDLE * frames.len();
         let mut values = vec![0.0; equations.problem.free * functions];
         for (h, &(middle, size)) in frames.iter().enumerate() {
             host.progress(0.9 + 0.1 * h as f64 / frames.len() as f64)?;
-            let is_own = |target: Target| target == Target::Handle(h as u32);
+            let is_own = |target: SampleTarget| target == SampleTarget::Handle(h as u32);
             let one = |target, _| if is_own(target) { DVec3::X } else { DVec3::ZERO };
             let relative =
                 |target, at: DVec3| if is_own(target) { (at - middle) / size } else { DVec3::ZERO };

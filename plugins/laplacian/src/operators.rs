@@ -5,7 +5,7 @@
 //! Deformations*, SIGGRAPH 2010): the sum over elements of their energies under the rotation of each corner,
 //! a third each, is never negative, whatever the signs of the cotangents.
 
-use crate::elements::Element;
+use crate::elements::SurfaceTriangle;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
 
@@ -34,17 +34,17 @@ pub struct Operators {
 pub struct MatrixEntry {
     /// The other sample.
     pub column: usize,
-    /// Of the Laplacian.
+    /// The entry of the Laplacian.
     pub stiffness: f64,
-    /// Of the rotated Laplacian.
+    /// The entry of the rotated Laplacian.
     pub out: DVec3,
-    /// Of its transpose.
+    /// The entry of its transpose.
     pub into: DVec3,
 }
 
 impl Operators {
     /// Sums up elements whose corners are below the number of positions.
-    pub fn new(rest: &[DVec3], elements: &[Element], host: &Host<'_>) -> PluginResult<Self> {
+    pub fn new(rest: &[DVec3], elements: &[SurfaceTriangle], host: &Host<'_>) -> PluginResult<Self> {
         let at = |i: u32| rest[i as usize];
         let corners = SampleElements::new(rest.len(), elements);
         let mut rows: Vec<Vec<MatrixEntry>> = vec![Vec::new(); rest.len()];
@@ -145,7 +145,7 @@ fn entry(row: &mut Vec<MatrixEntry>, column: usize) -> &mut MatrixEntry {
     &mut row[k]
 }
 
-fn areas(samples: usize, elements: &[Element]) -> Vec<f64> {
+fn areas(samples: usize, elements: &[SurfaceTriangle]) -> Vec<f64> {
     let mut areas = vec![0.0; samples];
     for e in elements {
         for (corner, area) in e.corners.iter().zip(e.areas) {
@@ -166,7 +166,7 @@ struct SampleElements {
 }
 
 impl SampleElements {
-    fn new(samples: usize, elements: &[Element]) -> Self {
+    fn new(samples: usize, elements: &[SurfaceTriangle]) -> Self {
         let corners = || elements.iter().flat_map(|e| e.corners).map(|c| c as usize);
         let mut starts = vec![0; samples + 1];
         corners().for_each(|c| starts[c + 1] += 1);

@@ -1,7 +1,7 @@
 //! Which samples are to be found, and which ones next to them hold them.
 
-use crate::constraints::{Soft, Target};
-use crate::elements::Element;
+use crate::constraints::{SampleTarget, Soft};
+use crate::elements::SurfaceTriangle;
 use crate::operators::Operators;
 use glam::DVec3;
 use simod_cholesky::{Factor, Refusal, Stored, Symmetric};
@@ -14,10 +14,10 @@ const TOGETHER: usize = 2048;
 /// What becomes of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Constraint {
-    /// It is to be found.
+    /// The node is to be found.
     Free,
-    /// It does what a region does.
-    Held(Target),
+    /// The node does what a region does.
+    Held(SampleTarget),
     /// Nothing that is held is connected to it.
     Loose,
 }
@@ -36,7 +36,7 @@ pub struct Problem {
     /// How many nodes are free or next to free ones: the rows of the operators that are complete.
     pub rows: usize,
     /// What the held nodes do, from `free` on.
-    pub held: Vec<Target>,
+    pub held: Vec<SampleTarget>,
     /// The draws at free nodes.
     pub soft: Vec<Soft>,
     /// Laplacian and areas.
@@ -48,7 +48,7 @@ impl Problem {
     /// out.
     pub fn new(
         rest: &[DVec3],
-        elements: &[Element],
+        elements: &[SurfaceTriangle],
         kinds: &[Constraint],
         soft: &[Soft],
         host: &Host<'_>,
@@ -72,18 +72,18 @@ impl Problem {
         samples.iter().enumerate().for_each(|(k, i)| node[*i as usize] = k as u32);
         let (free, rows) = (of(0).count(), of(0).count() + of(1).count());
 
-        let is_near = |e: &&Element| e.corners.iter().any(|c| ring[*c as usize] <= 1);
-        let elements: Vec<Element> = elements
+        let is_near = |e: &&SurfaceTriangle| e.corners.iter().any(|c| ring[*c as usize] <= 1);
+        let elements: Vec<SurfaceTriangle> = elements
             .iter()
             .filter(is_near)
-            .map(|e| Element { corners: e.corners.map(|c| node[c as usize]), ..*e })
+            .map(|e| SurfaceTriangle { corners: e.corners.map(|c| node[c as usize]), ..*e })
             .collect();
         let at: Vec<DVec3> = samples.iter().map(|i| rest[*i as usize]).collect();
         let operators = Operators::new(&at, &elements, host)?;
         let held = samples[free..].iter().map(|i| match kinds[*i as usize] {
             Constraint::Held(target) => target,
             // Nothing loose shares an element with what is free.
-            Constraint::Free | Constraint::Loose => Target::Fixed,
+            Constraint::Free | Constraint::Loose => SampleTarget::Fixed,
         });
         let soft = soft.iter().filter(|s| kinds[s.node as usize] == Constraint::Free);
         Ok(Self {
@@ -103,12 +103,12 @@ impl Problem {
     }
 
     /// What a node is asked to do, if it is held.
-    pub fn target(&self, node: usize) -> Option<Target> {
+    pub fn target(&self, node: usize) -> Option<SampleTarget> {
         node.checked_sub(self.free).map(|k| self.held[k])
     }
 
     /// Displacements of all nodes: of the held ones as told, of the free ones nothing yet.
-    pub fn held_displacements(&self, displacement: impl Fn(Target, DVec3) -> DVec3) -> Vec<DVec3> {
+    pub fn held_displacements(&self, displacement: impl Fn(SampleTarget, DVec3) -> DVec3) -> Vec<DVec3> {
         let held = self.held.iter().zip(&self.rest[self.free..]).map(|(t, p)| displacement(*t, *p));
         std::iter::repeat_n(DVec3::ZERO, self.free).chain(held).collect()
     }

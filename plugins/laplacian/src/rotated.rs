@@ -5,10 +5,10 @@
 //! the handles' own turns, harmonically blended (`harmonic`), are in the first solution, from which then come
 //! those of the final one. They vary slowly, and are found on a coarse likeness of the surface (`coarse`).
 
-use crate::arap::Level;
+use crate::arap::SurfaceLevel;
 use crate::cells::covariances;
 use crate::coarse::{Prolongation, coarsen};
-use crate::constraints::Motion;
+use crate::constraints::OwnMotions;
 use crate::draft;
 use crate::harmonic::Influence;
 use crate::linear::BiLaplacian;
@@ -47,7 +47,7 @@ impl Rotated {
         host: &Host<'_>,
     ) -> PluginResult<Self> {
         let guided = |problem, told, host: &Host<'_>| {
-            let level = Level::new(problem, stiffness.harmonic, told, host)?;
+            let level = SurfaceLevel::new(problem, stiffness.harmonic, told, host)?;
             let influence = Influence::new(&level, handles, host)?;
             Ok((level.problem, influence))
         };
@@ -66,7 +66,7 @@ impl Rotated {
     /// The displacements. Those of a draft are the coarse likeness', carried over.
     pub fn displacements(
         &self,
-        motion: &Motion,
+        motion: &OwnMotions,
         is_draft: bool,
         host: &Host<'_>,
     ) -> PluginResult<Vec<DVec3>> {
@@ -90,7 +90,7 @@ impl Rotated {
 fn solve(
     level: &BiLaplacian,
     mut turns: Vec<DMat3>,
-    motion: &Motion,
+    motion: &OwnMotions,
     host: &Host<'_>,
 ) -> PluginResult<Vec<DVec3>> {
     let Problem { rows, free, held, operators, .. } = &level.problem;

@@ -5,7 +5,7 @@
 //! Solution of Absolute Orientation Using Unit Quaternions*, 1987, where that does not settle.
 
 use glam::{DMat3, DQuat, DVec3};
-use simod_geometry::jacobi_eigen;
+use simod_geometry::nearest_rotation;
 
 /// Steps of Newton's method; two or three are usual.
 const STEPS: usize = 12;
@@ -22,7 +22,7 @@ pub fn nearest(s: DMat3, start: DMat3) -> DMat3 {
         return start;
     }
     let s = s * size.recip() + start * HOLD;
-    newton(s, start).unwrap_or_else(|| horn(s))
+    newton(s, start).unwrap_or_else(|| nearest_rotation(s).0)
 }
 
 fn newton(s: DMat3, start: DMat3) -> Option<DMat3> {
@@ -61,23 +61,6 @@ fn is_positive(m: &DMat3) -> bool {
     m.x_axis.x > 0.0 && minor > 0.0 && m.determinant() > 1e-30
 }
 
-/// The eigenvector of the largest eigenvalue of Horn's matrix.
-fn horn(s: DMat3) -> DMat3 {
-    // tr(Rᵀ S) = Σ R_rc S_rc.
-    let at = |r: usize, c: usize| s.col(c)[r];
-    let [xx, yy, zz] = [at(0, 0), at(1, 1), at(2, 2)];
-    let n = [
-        [xx + yy + zz, at(2, 1) - at(1, 2), at(0, 2) - at(2, 0), at(1, 0) - at(0, 1)],
-        [at(2, 1) - at(1, 2), xx - yy - zz, at(0, 1) + at(1, 0), at(0, 2) + at(2, 0)],
-        [at(0, 2) - at(2, 0), at(0, 1) + at(1, 0), yy - xx - zz, at(1, 2) + at(2, 1)],
-        [at(1, 0) - at(0, 1), at(0, 2) + at(2, 0), at(1, 2) + at(2, 1), zz - xx - yy],
-    ];
-    let (values, vectors) = jacobi_eigen(n);
-    let largest = (0..4).max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0);
-    let [w, x, y, z] = vectors[largest];
-    DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -105,7 +88,7 @@ mod tests {
             let r = nearest(s, DMat3::from_quat(start));
             prop_assert!((r.determinant() - 1.0).abs() < 1e-12);
             prop_assert!((r * r.transpose() - DMat3::IDENTITY).to_cols_array().iter().all(|x| x.abs() < 1e-12));
-            prop_assert!(overlap(r, s) >= overlap(horn(s), s) - 1e-7);
+            prop_assert!(overlap(r, s) >= overlap(nearest_rotation(s).0, s) - 1e-7);
             prop_assert!(overlap(r, s) >= overlap(DMat3::from_quat(other), s) - 1e-7);
         }
 

@@ -40,7 +40,7 @@ pub fn star(
         return Vec::new();
     }
     let [x, y] = plane(&near, reach);
-    let mut cell = Cell::square(REACH * reach);
+    let mut cell = VoronoiCell::square(REACH * reach);
     for (j, v) in near {
         let q = DVec2::new(v.dot(x), v.dot(y));
         if q.length() > COINCIDENT * reach {
@@ -66,12 +66,12 @@ fn plane(near: &[(u32, DVec3)], reach: f64) -> [DVec3; 2] {
 
 /// The points of the plane nearer to the origin than to the neighbours so far: a convex polygon,
 /// counter-clockwise.
-struct Cell {
+struct VoronoiCell {
     /// Where each side begins, and the neighbour beyond it; none beyond the border.
     sides: Vec<(DVec2, Option<u32>)>,
 }
 
-impl Cell {
+impl VoronoiCell {
     fn square(reach: f64) -> Self {
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         Self { sides: corners.map(|c| (reach * DVec2::from(c), None)).to_vec() }

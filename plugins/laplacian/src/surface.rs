@@ -1,7 +1,7 @@
 //! The elements of the samples: of their triangles where there are any, of their neighbours elsewhere; and
 //! what is connected by them.
 
-use crate::elements::Element;
+use crate::elements::SurfaceTriangle;
 use crate::{intrinsic, stars};
 use glam::DVec3;
 use simod_plugin_api::{Choice, Host, PluginResult, PrepareInput};
@@ -15,7 +15,7 @@ const LINK: f64 = 0.577;
 
 /// How the triangles are weighted.
 #[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Weights {
+pub enum TriangleWeights {
     /// Cotangents of the intrinsic Delaunay triangulation.
     #[choice(label = "Robust (intrinsic Delaunay)")]
     Robust,
@@ -28,9 +28,9 @@ pub enum Weights {
 pub fn elements(
     input: &PrepareInput<'_>,
     positions: &[DVec3],
-    weights: Weights,
+    weights: TriangleWeights,
     host: &Host<'_>,
-) -> PluginResult<Vec<Element>> {
+) -> PluginResult<Vec<SurfaceTriangle>> {
     let count = positions.len() as u32;
     let triangles: Vec<[u32; 3]> = input.triangles().map_or(Vec::new(), |t| {
         let is_right =
@@ -40,8 +40,8 @@ pub fn elements(
     let mut is_in_one = vec![false; positions.len()];
     triangles.iter().flatten().for_each(|c| is_in_one[*c as usize] = true);
     let mut elements = match weights {
-        Weights::Robust => intrinsic::delaunay(positions, &triangles, host)?,
-        Weights::Cotangent => intrinsic::plain(positions, &triangles),
+        TriangleWeights::Robust => intrinsic::delaunay(positions, &triangles, host)?,
+        TriangleWeights::Cotangent => intrinsic::plain(positions, &triangles),
     };
     let alone: Vec<u32> = (0..count).filter(|i| !is_in_one[*i as usize]).collect();
     elements.extend(of_neighbours(input, positions, &alone, host)?);
@@ -54,7 +54,7 @@ fn of_neighbours(
     positions: &[DVec3],
     alone: &[u32],
     host: &Host<'_>,
-) -> PluginResult<Vec<Element>> {
+) -> PluginResult<Vec<SurfaceTriangle>> {
     let Some(graph) = input.graph().filter(|g| g.len() == positions.len()) else { return Ok(Vec::new()) };
     // They may be stale after other deformations; neighbours' are so alike.
     let normals = input.samples.normals();
@@ -71,7 +71,7 @@ fn of_neighbours(
     let mut elements = Vec::new();
     for (_, &i) in stars.iter().zip(alone).filter(|(star, _)| star.is_empty()) {
         let near = graph.of(i as usize).iter().filter(|j| **j != i).take(LINKS);
-        elements.extend(near.flat_map(|&j| Element::link(i, j, LINK)));
+        elements.extend(near.flat_map(|&j| SurfaceTriangle::link(i, j, LINK)));
     }
     // Each triangle of a regular neighbourhood is in the stars of all its corners.
     let triangles = intrinsic::plain(positions, &stars.concat());
@@ -80,7 +80,7 @@ fn of_neighbours(
 }
 
 /// For each sample the lowest one that elements connect it to.
-pub fn components(count: usize, elements: &[Element]) -> Vec<u32> {
+pub fn components(count: usize, elements: &[SurfaceTriangle]) -> Vec<u32> {
     fn root(parent: &mut [u32], mut i: u32) -> u32 {
         while parent[i as usize] != i {
             parent[i as usize] = parent[parent[i as usize] as usize];

@@ -34,7 +34,7 @@ pub struct Basis {
 
 /// The functions that may be other than zero at some parameter: those from `first` on.
 #[derive(Debug, Clone, Copy)]
-pub struct Weights<'v> {
+pub struct BasisWeights<'v> {
     pub first: usize,
     pub values: &'v [f64],
 }
@@ -132,7 +132,7 @@ impl Basis {
 
     /// The functions' values, which are written into `values`, at least [`width`](Self::width) numbers.
     #[inline(always)]
-    pub fn values_at<'v>(&self, u: f64, values: &'v mut [f64]) -> Weights<'v> {
+    pub fn values_at<'v>(&self, u: f64, values: &'v mut [f64]) -> BasisWeights<'v> {
         let place = self.place(u);
         let (degree, t) = (self.degree, place.inside * self.spans() as f64);
         let first = (t as usize).min(self.spans() - 1);
@@ -146,7 +146,7 @@ impl Basis {
         } else {
             recurrence(degree, t, knots, inverses, values, &place);
         }
-        Weights { first, values }
+        BasisWeights { first, values }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The lattice's box: where it stands in space.
 
-use crate::Settings;
+use crate::LatticeSettings;
 use glam::{DQuat, DVec3};
 use simod_plugin_api::{Bounds, PluginError, PluginResult};
 
@@ -21,7 +21,7 @@ pub struct LatticeFrame {
 
 impl LatticeFrame {
     /// The box of these settings, for a model with this box (at rest) and these samples.
-    pub fn new(settings: &Settings, bounds: &Bounds, samples: &[[f32; 3]]) -> PluginResult<Self> {
+    pub fn new(settings: &LatticeSettings, bounds: &Bounds, samples: &[[f32; 3]]) -> PluginResult<Self> {
         let (axis, angle) = (DVec3::from(settings.axis), settings.angle.to_radians());
         // Scaled first, so that neither tiny nor huge vectors are lost in their squares.
         let turn = match (axis / axis.abs().max_element()).try_normalize() {

@@ -13,7 +13,7 @@ mod moved;
 use basis::{Basis, Beyond, MOST};
 use frame::LatticeFrame;
 use glam::DVec3;
-use moved::Moved;
+use moved::MovedPoints;
 use simod_plugin_api::{
     Affine, Choice, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity,
     ParamSet, PluginError, PluginResult, PrepareInput,
@@ -27,7 +27,7 @@ struct LatticePlugin;
 
 /// The lattice's resolution, its functions, its box, and what is outside of it.
 #[derive(ParamSet)]
-struct Settings {
+struct LatticeSettings {
     /// Control points along this axis of the box
     #[param(default = 4, hard = 2..=MOST as i64, soft = 2..=10, group = "Lattice", invalidates_preparation)]
     resolution_x: i64,
@@ -38,8 +38,8 @@ struct Settings {
     #[param(default = 4, hard = 2..=MOST as i64, soft = 2..=10, group = "Lattice", invalidates_preparation)]
     resolution_z: i64,
     /// How far control points reach: some cells of the lattice, or all of it
-    #[param(default = Functions::BSpline, group = "Lattice", invalidates_preparation)]
-    basis: Functions,
+    #[param(default = BasisKind::BSpline, group = "Lattice", invalidates_preparation)]
+    basis: BasisKind,
     /// Of the box
     #[param(point, name = "Centre", default = [0.5; 3], unit = "model-length", group = "Box")]
     #[param(invalidates_preparation)]
@@ -73,7 +73,7 @@ struct Settings {
 }
 
 #[derive(Choice, Clone, Copy)]
-enum Functions {
+enum BasisKind {
     #[choice(label = "Cubic B-splines (local)")]
     BSpline,
     #[choice(label = "Bernstein (global)")]
@@ -89,22 +89,22 @@ enum Outside {
 }
 
 /// A lattice at rest.
-struct Lattice {
+struct ControlLattice {
     frame: LatticeFrame,
     bases: [Basis; 3],
 }
 
-impl Lattice {
+impl ControlLattice {
     fn new(input: &PrepareInput<'_>) -> PluginResult<Self> {
-        let settings: Settings = input.params().read()?;
+        let settings: LatticeSettings = input.params().read()?;
         let beyond = match settings.outside {
             Outside::Smooth => Beyond::Smooth { reach: settings.reach },
             Outside::Clamped => Beyond::Clamped,
         };
         let along = |id: &str, count: i64| match usize::try_from(count) {
             Ok(count) if (2..=MOST).contains(&count) => Ok(match settings.basis {
-                Functions::BSpline => Basis::b_spline(count, beyond),
-                Functions::Bernstein => Basis::bernstein(count, beyond),
+                BasisKind::BSpline => Basis::b_spline(count, beyond),
+                BasisKind::Bernstein => Basis::bernstein(count, beyond),
             }),
             _ => Err(PluginError::parameter(id, &format!("is not from 2 to {MOST}"))),
         };
@@ -139,7 +139,7 @@ impl Lattice {
 }
 
 impl Deformer for LatticePlugin {
-    type State = Lattice;
+    type State = ControlLattice;
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
@@ -149,21 +149,21 @@ impl Deformer for LatticePlugin {
                 "T. W. Sederberg, S. R. Parry, Free-form deformation of solid geometric models, SIGGRAPH 1986; \
                  J. Griessmair, W. Purgathofer, Deformation of solids with trivariate B-splines, Eurographics 1989",
             )
-            .param_set::<Settings>()
+            .param_set::<LatticeSettings>()
     }
 
-    fn prepare(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Lattice> {
-        Lattice::new(input)
+    fn prepare(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<ControlLattice> {
+        ControlLattice::new(input)
     }
 
     fn deform(
-        lattice: &Lattice,
+        lattice: &ControlLattice,
         input: &DeformInput<'_>,
         _: &mut (),
         out: &mut [[f32; 3]],
         host: &Host<'_>,
     ) -> PluginResult<()> {
-        let moved = Moved::new(lattice, input.handle_motions())?;
+        let moved = MovedPoints::new(lattice, input.handle_motions())?;
         let rest = input.samples.positions();
         if moved.is_empty() {
             out.copy_from_slice(rest);
@@ -177,12 +177,12 @@ impl Deformer for LatticePlugin {
 
 impl Evaluate for LatticePlugin {
     fn evaluate(
-        lattice: &Lattice,
+        lattice: &ControlLattice,
         input: &DeformInput<'_>,
         points: &mut [[f64; 3]],
         host: &Host<'_>,
     ) -> PluginResult<()> {
-        let moved = Moved::new(lattice, input.handle_motions())?;
+        let moved = MovedPoints::new(lattice, input.handle_motions())?;
         for points in points.chunks_mut(BLOCK) {
             host.progress(0.0)?;
             points.iter_mut().for_each(|p| *p = moved.apply(DVec3::from(*p)).into());
@@ -193,7 +193,7 @@ impl Evaluate for LatticePlugin {
 
 impl Handles for LatticePlugin {
     fn handles(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Vec<HandleDesc>> {
-        let lattice = Lattice::new(input)?;
+        let lattice = ControlLattice::new(input)?;
         let handle = |index @ [i, j, k]: [usize; 3]| {
             HandleDesc::new(&format!("{i},{j},{k}"), lattice.control_point(index).into())
         };

@@ -3,8 +3,8 @@
 //! In displacements, so that what no control point reaches stays exactly where it is. As the functions
 //! reproduce their parameters, this is the same as the sum over the moved control points.
 
-use crate::Lattice;
-use crate::basis::{Basis, MOST, Weights};
+use crate::ControlLattice;
+use crate::basis::{Basis, BasisWeights, MOST};
 use glam::{DVec3, DVec4};
 use pulp::{Simd, WithSimd};
 use simod_plugin_api::{Affine, PluginError, PluginResult};
@@ -17,10 +17,10 @@ const CUBIC: usize = 4;
 const WIDEST: usize = 16;
 
 /// Displacements of control points.
-pub struct Moved<'a> {
-    lattice: &'a Lattice,
-    /// Those along the third axis follow each other, then those along the second one. The fourth number is 0:
-    /// four fit the processor better.
+pub struct MovedPoints<'a> {
+    lattice: &'a ControlLattice,
+    /// Displacements along the third axis follow each other, then those along the second one. The fourth
+    /// number is 0: four fit the processor better.
     displacements: Vec<DVec4>,
     /// Along each axis, the control points from the first to the last moved one; empty if none was moved.
     spans: [Range<usize>; 3],
@@ -28,9 +28,9 @@ pub struct Moved<'a> {
     lines: Vec<bool>,
 }
 
-impl<'a> Moved<'a> {
+impl<'a> MovedPoints<'a> {
     /// The lattice with its control points moved, each by its own map.
-    pub fn new(lattice: &'a Lattice, motions: &[Affine]) -> PluginResult<Self> {
+    pub fn new(lattice: &'a ControlLattice, motions: &[Affine]) -> PluginResult<Self> {
         let [_, ny, nz] = lattice.counts();
         if motions.len() != lattice.len() {
             let message = format!("{} motions of {} control points", motions.len(), lattice.len());
@@ -112,7 +112,7 @@ impl<'a> Moved<'a> {
     pub fn apply_all(&self, rest: &[[f32; 3]], out: &mut [[f32; 3]]) {
         if self.lattice.bases.iter().all(Basis::is_global) {
             // All samples go through the same control points: as many of them at once as the processor takes.
-            pulp::Arch::new().dispatch(Packets { moved: self, rest, out });
+            pulp::Arch::new().dispatch(SamplePackets { moved: self, rest, out });
             return;
         }
         for (o, p) in out.iter_mut().zip(rest) {
@@ -124,7 +124,7 @@ impl<'a> Moved<'a> {
 /// The control points that count: which basis functions reach, and which were moved; and the functions'
 /// values.
 #[inline(always)]
-fn both<'v>(weights: &Weights<'v>, moved: &Range<usize>) -> (Range<usize>, &'v [f64]) {
+fn both<'v>(weights: &BasisWeights<'v>, moved: &Range<usize>) -> (Range<usize>, &'v [f64]) {
     let from = weights.first.max(moved.start);
     let to = (weights.first + weights.values.len()).min(moved.end);
     if from < to {
@@ -135,13 +135,13 @@ fn both<'v>(weights: &Weights<'v>, moved: &Range<usize>) -> (Range<usize>, &'v [
 }
 
 /// The same in vectors, one number of each for a sample; for basis functions that all reach everywhere.
-struct Packets<'a> {
-    moved: &'a Moved<'a>,
+struct SamplePackets<'a> {
+    moved: &'a MovedPoints<'a>,
     rest: &'a [[f32; 3]],
     out: &'a mut [[f32; 3]],
 }
 
-impl WithSimd for Packets<'_> {
+impl WithSimd for SamplePackets<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -191,7 +191,7 @@ fn add<S: Simd>(simd: S, a: &mut [S::f32s; 3], b: [S::f32s; 3], w: S::f32s) {
 
 /// Along each axis, the basis functions at some samples, as many as the lanes or less.
 #[inline(always)]
-fn weights<S: Simd>(simd: S, lattice: &Lattice, rest: &[[f32; 3]], all: &mut [[S::f32s; MOST]; 3]) {
+fn weights<S: Simd>(simd: S, lattice: &ControlLattice, rest: &[[f32; 3]], all: &mut [[S::f32s; MOST]; 3]) {
     let mut points = [[0.0; WIDEST]; 3];
     for (lane, p) in rest.iter().enumerate() {
         (0..3).for_each(|axis| points[axis][lane] = f64::from(p[axis]));

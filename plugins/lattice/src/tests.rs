@@ -56,7 +56,7 @@ impl Setup {
         call(&PrepareInput::new(Samples::new(&self.samples, &[], &[]), BOUNDS, &[], &params))
     }
 
-    fn lattice(&self) -> Lattice {
+    fn lattice(&self) -> ControlLattice {
         self.with(|input| LatticePlugin::prepare(input, &Host::new(&()))).unwrap()
     }
 
@@ -270,7 +270,7 @@ fn flat_models_get_a_box_with_a_volume() {
         let lattice = setup.with(|input| {
             let mut input = *input;
             input.bounds = bounds;
-            Lattice::new(&input)
+            ControlLattice::new(&input)
         });
         let lattice = lattice.unwrap();
         let [a, b] = [[0, 0, 0], [3, 4, 2]].map(|i| lattice.control_point(i));
@@ -280,11 +280,12 @@ fn flat_models_get_a_box_with_a_volume() {
 
 #[test]
 fn senseless_parameters_are_refused() {
-    let refused = |setup: Setup| setup.with(|input| Lattice::new(input).map(drop)).unwrap_err().message;
+    let refused =
+        |setup: Setup| setup.with(|input| ControlLattice::new(input).map(drop)).unwrap_err().message;
     let setup = Setup::new("bernstein", "smooth");
     assert!(refused(Setup { axis: [0.0; 3], angle: 1.0, ..setup.clone() }).contains("`axis`"));
     assert!(refused(Setup { resolution: [4.0, 33.0, 4.0], ..setup.clone() }).contains("`resolution-y`"));
-    let accepted = |setup: Setup| setup.with(|input| Lattice::new(input).is_ok());
+    let accepted = |setup: Setup| setup.with(|input| ControlLattice::new(input).is_ok());
     assert!(accepted(Setup { axis: [0.0, 1e-300, 0.0], angle: 1.0, ..setup.clone() }));
     assert!(accepted(Setup { axis: [0.0; 3], ..setup }));
 }

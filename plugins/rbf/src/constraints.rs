@@ -42,7 +42,7 @@ pub struct HandleFrame {
 
 /// The samples in the regions, and what they shall do.
 #[derive(Debug)]
-pub struct Constraints {
+pub struct RegionSamples {
     /// Maps local coordinates to the unit box.
     pub frame: UnitBoxMap,
     /// Their positions, in the unit box; after them those of constraints that are no samples.
@@ -61,7 +61,7 @@ pub struct Constraints {
     pub spread: Vec<usize>,
 }
 
-impl Constraints {
+impl RegionSamples {
     /// Gathers the samples in the regions. One in several regions belongs to the one where its weight is
     /// largest, the first of them where that is a draw.
     pub fn gather(input: &PrepareInput<'_>, goal: &Goal, host: &Host<'_>) -> PluginResult<Self> {

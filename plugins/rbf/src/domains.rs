@@ -6,7 +6,7 @@
 //! left over at well-spread centres is interpolated by these.
 
 use crate::constraints::spread_order;
-use crate::kernel::{Functions, Kernel, Point};
+use crate::kernel::{BasisFunctions, Point, RadialKernel};
 use crate::side::SideConditions;
 use crate::sums::sums_at;
 use faer::linalg::solvers::{Llt, Solve};
@@ -28,7 +28,7 @@ const RIDGES: [f64; 4] = [1e-13, 1e-11, 1e-8, 1e-4];
 
 /// The approximate inverse.
 pub struct Domains<'a> {
-    functions: &'a Functions,
+    functions: &'a BasisFunctions,
     domains: Vec<Domain>,
     coarse: Domain,
     side: &'a SideConditions,
@@ -44,14 +44,14 @@ struct Domain {
 }
 
 impl Domain {
-    fn new(functions: &Functions, centers: Vec<usize>, own: usize) -> Option<Self> {
+    fn new(functions: &BasisFunctions, centers: Vec<usize>, own: usize) -> Option<Self> {
         let points: Vec<Point> = centers.iter().map(|&c| functions.centers[c]).collect();
         let kernel = functions.kernel;
         let side = SideConditions::new(kernel, &points);
-        let functions = Functions { kernel, support: functions.support, centers: points };
+        let functions = BasisFunctions { kernel, support: functions.support, centers: points };
         let mut matrix = Mat::zeros(centers.len(), centers.len());
         functions.fill(&functions.centers, kernel.affine(), matrix.as_mut());
-        if kernel == Kernel::Biharmonic {
+        if kernel == RadialKernel::Biharmonic {
             matrix *= faer::Scale(-1.0);
         }
         let mean = side.complete(&mut matrix);
@@ -66,17 +66,21 @@ impl Domain {
     }
 
     /// The weights that meet the values at its centres, but for an affine function.
-    fn solve(&self, mut values: Mat<f64>, kernel: Kernel) -> Mat<f64> {
+    fn solve(&self, mut values: Mat<f64>, kernel: RadialKernel) -> Mat<f64> {
         self.side.take_out(values.as_mut());
         self.factor.solve_in_place(values.as_mut());
         self.side.take_out(values.as_mut());
-        if kernel == Kernel::Biharmonic { values * faer::Scale(-1.0) } else { values }
+        if kernel == RadialKernel::Biharmonic { values * faer::Scale(-1.0) } else { values }
     }
 }
 
 impl<'a> Domains<'a> {
     /// Divides the centres, and factorises.
-    pub fn new(functions: &'a Functions, side: &'a SideConditions, host: &Host<'_>) -> PluginResult<Self> {
+    pub fn new(
+        functions: &'a BasisFunctions,
+        side: &'a SideConditions,
+        host: &Host<'_>,
+    ) -> PluginResult<Self> {
         // On one thread each: what depends on the number of cores would not be the same elsewhere.
         faer::set_global_parallelism(faer::Par::Seq);
         let all = functions.centers.len();

@@ -9,10 +9,10 @@
 //! which costs their square and not their cube (`interpolation`).
 
 use crate::TOGETHER;
-use crate::constraints::{Constraints, spread_order};
+use crate::constraints::{RegionSamples, spread_order};
 use crate::interpolation::interpolate;
-use crate::kernel::{BLOCK, Functions, Kernel, Point};
-use crate::least_squares::LeastSquares;
+use crate::kernel::{BLOCK, BasisFunctions, Point, RadialKernel};
+use crate::least_squares::RidgeRegression;
 use faer::Mat;
 use simod_plugin_api::{ErrorCode, Host, ParamSet, PluginError, PluginResult};
 use std::collections::HashSet;
@@ -47,8 +47,8 @@ pub const MOST_CENTERS: i64 = 50_000;
 #[derive(ParamSet, Debug, Clone, Copy)]
 pub struct Goal {
     /// How smooth the deformation is, and how far it reaches; of compact ones, no farther than the support
-    #[param(default = Kernel::Triharmonic, invalidates_preparation)]
-    pub kernel: Kernel,
+    #[param(default = RadialKernel::Triharmonic, invalidates_preparation)]
+    pub kernel: RadialKernel,
     /// How far a compact kernel reaches from the regions; what is farther from all of them stays where it is
     #[param(default = 0.25, unit = "diagonal", hard = 1e-3..=10.0, soft = 0.02..=1.0, invalidates_preparation)]
     pub support: f64,
@@ -63,9 +63,9 @@ pub struct Goal {
 
 /// A solution for all right-hand sides.
 #[derive(Debug)]
-pub struct Fit {
+pub struct SplineFit {
     /// Centres and kernel.
-    pub functions: Functions,
+    pub functions: BasisFunctions,
     /// functions x right-hand sides
     pub weights: Mat<f64>,
     /// Largest residual over all constraints and right-hand sides.
@@ -75,12 +75,12 @@ pub struct Fit {
 /// Fits all right-hand sides; falls short of the tolerance where the centres run out, which `residual` tells.
 /// `support` is that of compact kernels, in the unit box. Progress runs from 0 to `until`.
 pub fn fit(
-    constraints: &Constraints,
+    constraints: &RegionSamples,
     goal: &Goal,
     support: f64,
     host: &Host<'_>,
     until: f64,
-) -> PluginResult<Fit> {
+) -> PluginResult<SplineFit> {
     let most = usize::try_from(goal.max_centers).unwrap_or(0).clamp(1, constraints.points.len());
     let fitter = Fitter { constraints, goal, support, most: most.min(CHOSEN), host, until };
     let first = constraints.spread.iter().copied();
@@ -95,7 +95,7 @@ pub fn fit(
             fitter.take_failing(&mut rows, &residuals);
         }
         if is_met || centers.len() >= fitter.most || before == (rows.len(), centers.len()) {
-            let fit = Fit { functions, weights, residual: largest(&residuals) };
+            let fit = SplineFit { functions, weights, residual: largest(&residuals) };
             return if is_met { Ok(fit) } else { fitter.interpolate(fit, centers, residuals, most) };
         }
     }
@@ -107,7 +107,7 @@ fn largest(residuals: &[f64]) -> f64 {
 
 /// What to fit, and how well.
 struct Fitter<'a> {
-    constraints: &'a Constraints,
+    constraints: &'a RegionSamples,
     goal: &'a Goal,
     support: f64,
     /// Centres at most.
@@ -145,7 +145,7 @@ impl Fitter<'_> {
 
     /// Adds centres from among `rows` until these constraints are met, there are twice as many, or nothing is
     /// left to add.
-    fn greedy(&self, rows: &[usize], centers: &mut Vec<usize>) -> PluginResult<(Functions, Mat<f64>)> {
+    fn greedy(&self, rows: &[usize], centers: &mut Vec<usize>) -> PluginResult<(BasisFunctions, Mat<f64>)> {
         let points: Vec<Point> = rows.iter().map(|&i| self.constraints.points[i]).collect();
         let side = self.goal.kernel.affine();
         let mut right = Mat::zeros(side + rows.len(), self.constraints.functions());
@@ -154,10 +154,10 @@ impl Fitter<'_> {
                 right[(side + i, f)] = self.constraints.target(row, f);
             }
         }
-        let mut squares = LeastSquares::new(&right, side + self.most, RIDGE);
+        let mut squares = RidgeRegression::new(&right, side + self.most, RIDGE);
         let mut is_center = vec![false; self.constraints.points.len()];
         let mut functions =
-            Functions { kernel: self.goal.kernel, support: self.support, centers: Vec::new() };
+            BasisFunctions { kernel: self.goal.kernel, support: self.support, centers: Vec::new() };
         let (mut known, enough) = (0, (2 * centers.len()).min(self.most));
         loop {
             functions.centers = centers.iter().map(|&i| self.constraints.points[i]).collect();
@@ -183,11 +183,11 @@ impl Fitter<'_> {
     /// fit.
     fn interpolate(
         &self,
-        mut fit: Fit,
+        mut fit: SplineFit,
         mut centers: Vec<usize>,
         mut residuals: Vec<f64>,
         most: usize,
-    ) -> PluginResult<Fit> {
+    ) -> PluginResult<SplineFit> {
         // What the last round found, of its centres: the next one goes on from there.
         let mut found = Mat::zeros(0, self.constraints.functions());
         while fit.residual > self.goal.tolerance && centers.len() < most {
@@ -198,7 +198,8 @@ impl Fitter<'_> {
                 break;
             }
             let points = centers.iter().map(|&i| self.constraints.points[i]).collect();
-            let functions = Functions { kernel: self.goal.kernel, support: self.support, centers: points };
+            let functions =
+                BasisFunctions { kernel: self.goal.kernel, support: self.support, centers: points };
             let targets = Mat::from_fn(centers.len(), self.constraints.functions(), |i, f| {
                 self.constraints.target(centers[i], f)
             });
@@ -212,7 +213,7 @@ impl Fitter<'_> {
             let residual = largest(&residuals);
             // Between few centres it may be off by more than before; and in the end by rounding.
             if residual < fit.residual {
-                fit = Fit { functions, weights, residual };
+                fit = SplineFit { functions, weights, residual };
             }
         }
         Ok(fit)
@@ -294,7 +295,7 @@ impl Fitter<'_> {
     fn residuals(
         &self,
         of: Option<&[usize]>,
-        functions: &Functions,
+        functions: &BasisFunctions,
         weights: &Mat<f64>,
     ) -> PluginResult<Vec<f64>> {
         let constraints = self.constraints;

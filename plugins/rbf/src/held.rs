@@ -7,8 +7,8 @@
 //! that the map is continuous.
 
 use crate::TOGETHER;
-use crate::constraints::Constraints;
-use crate::fit::Fit;
+use crate::constraints::RegionSamples;
+use crate::fit::SplineFit;
 use crate::kernel::{BLOCK, Point};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use simod_plugin_api::{Host, PluginError, PluginResult};
@@ -18,7 +18,7 @@ use std::num::NonZero;
 const NEAREST: NonZero<usize> = NonZero::new(12).expect("more than none");
 
 /// The residuals of all samples in regions.
-pub struct Held {
+pub struct RegionResiduals {
     tree: ImmutableKdTree<f64, 3>,
     /// Sample by sample, those of all right-hand sides.
     residuals: Vec<f32>,
@@ -27,9 +27,14 @@ pub struct Held {
     reach: f64,
 }
 
-impl Held {
-    /// Of the samples in the regions; the tables' values there are the targets.
-    pub fn new(constraints: &Constraints, fit: &Fit, reach: f64, host: &Host<'_>) -> PluginResult<Self> {
+impl RegionResiduals {
+    /// The residuals of the samples in the regions; the tables' values there are the targets.
+    pub fn new(
+        constraints: &RegionSamples,
+        fit: &SplineFit,
+        reach: f64,
+        host: &Host<'_>,
+    ) -> PluginResult<Self> {
         let functions = constraints.functions();
         let points = &constraints.points[..constraints.samples.len()];
         let mut residuals = vec![0.0; points.len() * functions];

@@ -5,7 +5,7 @@
 //! steps, each of which sums all kernels at all centres once.
 
 use crate::domains::Domains;
-use crate::kernel::Functions;
+use crate::kernel::BasisFunctions;
 use crate::side::SideConditions;
 use crate::sums::sums_at;
 use faer::Mat;
@@ -22,7 +22,7 @@ const WORTH: f64 = 0.3;
 /// lets them: functions x sums, of `targets` centres x sums. They are found from those of `start`, centres x
 /// sums, that meet the side conditions; the nearer these come, the fewer steps it takes.
 pub fn interpolate(
-    functions: &Functions,
+    functions: &BasisFunctions,
     targets: &Mat<f64>,
     start: Mat<f64>,
     tolerance: f64,
@@ -54,7 +54,7 @@ pub fn interpolate(
 
 /// The equations, without the affine part.
 struct System<'a> {
-    functions: &'a Functions,
+    functions: &'a BasisFunctions,
     side: &'a SideConditions,
     domains: &'a Domains<'a>,
 }
@@ -159,15 +159,15 @@ impl Hessenberg {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kernel::{Kernel, Point};
+    use crate::kernel::{Point, RadialKernel};
 
     #[test]
     fn what_is_met_already_takes_no_step() {
         let point = |i: usize| [0.37, 0.61, 0.83].map(|by| (i as f64 * by).fract() - 0.5);
         let centers: Vec<Point> = (0..700).map(point).collect();
-        for kernel in [Kernel::Triharmonic, Kernel::Biharmonic, Kernel::CompactC2] {
+        for kernel in [RadialKernel::Triharmonic, RadialKernel::Biharmonic, RadialKernel::CompactC2] {
             let targets = Mat::from_fn(700, 2, |i, f| (5.0 * centers[i][f]).sin() + f as f64);
-            let functions = Functions { kernel, support: 0.3, centers: centers.clone() };
+            let functions = BasisFunctions { kernel, support: 0.3, centers: centers.clone() };
             let solve =
                 |start: Mat<f64>| interpolate(&functions, &targets, start, 1e-8, &Host::new(&())).unwrap();
             let first = solve(Mat::zeros(700, 2));

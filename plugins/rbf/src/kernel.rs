@@ -18,7 +18,7 @@ const SIDE_WEIGHT: f64 = 1e2;
 
 /// The radial function φ.
 #[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kernel {
+pub enum RadialKernel {
     /// `r³`: least third-order energy in space, C² at the centres.
     #[choice(label = "Triharmonic (smooth)")]
     Triharmonic,
@@ -33,7 +33,7 @@ pub enum Kernel {
     CompactC4,
 }
 
-impl Kernel {
+impl RadialKernel {
     /// Whether it is zero beyond the support.
     pub fn is_compact(self) -> bool {
         matches!(self, Self::CompactC2 | Self::CompactC4)
@@ -101,16 +101,16 @@ impl UnitBoxMap {
 /// The functions φ(|x - c_j|) for all centres, and 1, x, y, z where the kernel has an affine part. Everything
 /// in the unit box.
 #[derive(Debug, Clone)]
-pub struct Functions {
+pub struct BasisFunctions {
     /// The radial function.
-    pub kernel: Kernel,
+    pub kernel: RadialKernel,
     /// The radius of a compact one.
     pub support: f64,
     /// The centres c_j.
     pub centers: Vec<Point>,
 }
 
-impl Functions {
+impl BasisFunctions {
     /// How many functions there are.
     pub fn count(&self) -> usize {
         self.centers.len() + self.kernel.affine()
@@ -130,10 +130,14 @@ impl Functions {
             };
             let c = &self.centers[center];
             match self.kernel {
-                Kernel::Triharmonic => radial(points, c, values, |r2| r2 * r2.sqrt()),
-                Kernel::Biharmonic => radial(points, c, values, f64::sqrt),
-                Kernel::CompactC2 => radial(points, c, values, |r2| Kernel::compact_c2(r2, per_support)),
-                Kernel::CompactC4 => radial(points, c, values, |r2| Kernel::compact_c4(r2, per_support)),
+                RadialKernel::Triharmonic => radial(points, c, values, |r2| r2 * r2.sqrt()),
+                RadialKernel::Biharmonic => radial(points, c, values, f64::sqrt),
+                RadialKernel::CompactC2 => {
+                    radial(points, c, values, |r2| RadialKernel::compact_c2(r2, per_support))
+                }
+                RadialKernel::CompactC4 => {
+                    radial(points, c, values, |r2| RadialKernel::compact_c4(r2, per_support))
+                }
             }
         }
     }

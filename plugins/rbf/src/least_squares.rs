@@ -15,27 +15,27 @@ use simod_plugin_api::{Host, PluginResult};
 const PANEL: usize = 48;
 
 /// Minimises `|A x - b|² + |ridge x|²` for many right-hand sides `b`.
-pub struct LeastSquares {
+pub struct RidgeRegression {
     /// What holds the unknowns that the equations leave open.
     ridge: f64,
     /// Equations; below them there is a row of the ridge for each unknown.
     equations: usize,
-    panels: Vec<Panel>,
+    panels: Vec<ColumnPanel>,
     /// Right-hand sides, as far as factorised.
     right: Mat<f64>,
 }
 
 /// Some columns of the factorisation.
-struct Panel {
+struct ColumnPanel {
     /// The columns before it, which is also where its own rows begin.
     first: usize,
     /// The rows of R before.
     above: Mat<f64>,
-    /// Of all rows after.
+    /// The decomposition of all rows after.
     own: Qr<f64>,
 }
 
-impl Panel {
+impl ColumnPanel {
     /// Factorises columns that all panels before have reflected.
     fn new(first: usize, columns: &Mat<f64>) -> Self {
         let (above, own) = columns.split_at_row(first);
@@ -56,7 +56,7 @@ impl Panel {
     }
 }
 
-impl LeastSquares {
+impl RidgeRegression {
     /// Without unknowns yet, of which there will be at most `most`; `right` is equations x right-hand sides.
     pub fn new(right: &Mat<f64>, most: usize, ridge: f64) -> Self {
         let mut below = Mat::zeros(right.nrows() + most, right.ncols());
@@ -87,7 +87,7 @@ impl LeastSquares {
         })?;
         for i in 0..parts.len() {
             host.progress(0.0)?;
-            let panel = Panel::new(self.unknowns(), &parts[i]);
+            let panel = ColumnPanel::new(self.unknowns(), &parts[i]);
             host.parallel_blocks(&mut parts[i + 1..], 1, |_, part| panel.reflect(part[0].as_mut()))?;
             panel.reflect(self.right.as_mut());
             self.panels.push(panel);
@@ -117,7 +117,7 @@ mod tests {
     fn columns_by_and_by_are_as_good_as_all_at_once() {
         let entry = |i: usize, j: usize| ((i * 37 + j * 101) as f64).sin() + f64::from(u8::from(i == j));
         let (matrix, right) = (Mat::from_fn(300, 170, entry), Mat::from_fn(300, 3, |i, k| entry(i, 500 + k)));
-        let mut squares = LeastSquares::new(&right, 200, 0.0);
+        let mut squares = RidgeRegression::new(&right, 200, 0.0);
         for (from, to) in [(0, 4), (4, 60), (60, 61), (61, 170)] {
             squares.append(&matrix.subcols(from, to - from).to_owned(), &Host::new(&())).unwrap();
         }
@@ -130,7 +130,7 @@ mod tests {
     fn a_ridge_holds_what_is_open() {
         // The same column twice.
         let matrix = Mat::from_fn(20, 2, |i, _| i as f64);
-        let mut squares = LeastSquares::new(&Mat::from_fn(20, 1, |i, _| i as f64), 2, 1e-9);
+        let mut squares = RidgeRegression::new(&Mat::from_fn(20, 1, |i, _| i as f64), 2, 1e-9);
         squares.append(&matrix, &Host::new(&())).unwrap();
         let x = squares.solve();
         assert!((x[(0, 0)] + x[(1, 0)] - 1.0).abs() < 1e-6 && x.norm_max() < 10.0, "{x:?}");

@@ -21,15 +21,15 @@ mod side;
 mod sums;
 mod table;
 
-use constraints::{Constraints, HandleFrame, PER_HANDLE};
-use fit::{Fit, Goal, MOST_CENTERS};
-use held::Held;
+use constraints::{HandleFrame, PER_HANDLE, RegionSamples};
+use fit::{Goal, MOST_CENTERS, SplineFit};
+use held::RegionResiduals;
 use kernel::{BLOCK, Point, UnitBoxMap};
 use simod_plugin_api::{
     Affine, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, PluginError, PluginResult,
     PrepareInput,
 };
-use table::Table;
+use table::SolutionTable;
 
 /// How far from the regions residuals are felt, in units of the diagonal.
 const HELD_REACH: f64 = 0.05;
@@ -42,17 +42,17 @@ const TOGETHER: usize = 64;
 struct Rbf;
 
 /// The solutions for all handle motions.
-struct Prepared {
-    fit: Fit,
+struct PreparedFits {
+    fit: SplineFit,
     frame: UnitBoxMap,
     handles: Vec<HandleFrame>,
     has_fixed: bool,
-    held: Held,
-    table: Table,
+    held: RegionResiduals,
+    table: SolutionTable,
 }
 
 impl Deformer for Rbf {
-    type State = Prepared;
+    type State = PreparedFits;
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
@@ -70,22 +70,23 @@ impl Deformer for Rbf {
             })
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<PreparedFits> {
         let goal: Goal = input.params().read()?;
-        let constraints = Constraints::gather(input, &goal, host)?;
+        let constraints = RegionSamples::gather(input, &goal, host)?;
         let length = |part: f64| constraints.frame.to_unit_length(part * input.bounds.diagonal());
         let support = length(goal.support);
         let fit = fit::fit(&constraints, &goal, support, host, FIT_SHARE)?;
         warn(&constraints, &fit, &goal, host);
         let reach = if goal.kernel.is_compact() { HELD_REACH.min(goal.support) } else { HELD_REACH };
-        let held = Held::new(&constraints, &fit, length(reach), host)?;
-        let table = Table::new(&fit, &held, &constraints, input.samples.positions(), host, FIT_SHARE)?;
-        let Constraints { frame, handles, has_fixed, .. } = constraints;
-        Ok(Prepared { fit, frame, handles, has_fixed, held, table })
+        let held = RegionResiduals::new(&constraints, &fit, length(reach), host)?;
+        let table =
+            SolutionTable::new(&fit, &held, &constraints, input.samples.positions(), host, FIT_SHARE)?;
+        let RegionSamples { frame, handles, has_fixed, .. } = constraints;
+        Ok(PreparedFits { fit, frame, handles, has_fixed, held, table })
     }
 
     fn deform(
-        state: &Prepared,
+        state: &PreparedFits,
         input: &DeformInput<'_>,
         _: &mut (),
         out: &mut [[f32; 3]],
@@ -102,7 +103,7 @@ impl Deformer for Rbf {
 
 impl Evaluate for Rbf {
     fn evaluate(
-        state: &Prepared,
+        state: &PreparedFits,
         input: &DeformInput<'_>,
         points: &mut [[f64; 3]],
         host: &Host<'_>,
@@ -128,15 +129,15 @@ impl Evaluate for Rbf {
 }
 
 /// What the handles do, in terms of the right-hand sides.
-struct Motion {
+struct HandleCombination {
     /// Applied everywhere: what the handles have in common, or nothing where there are fixed samples.
     common: Affine,
     /// How much of each solution comes on top, local coordinates.
     coefficients: Vec<Point>,
 }
 
-impl Prepared {
-    fn motion(&self, transforms: &[Affine]) -> PluginResult<Motion> {
+impl PreparedFits {
+    fn motion(&self, transforms: &[Affine]) -> PluginResult<HandleCombination> {
         if transforms.len() != self.handles.len() {
             let message = format!("{} transforms for {} handles", transforms.len(), self.handles.len());
             return Err(PluginError::internal(message));
@@ -154,7 +155,7 @@ impl Prepared {
                 coefficients.push(std::array::from_fn(column));
             }
         }
-        Ok(Motion { common, coefficients })
+        Ok(HandleCombination { common, coefficients })
     }
 }
 
@@ -188,7 +189,7 @@ fn tolerance_above(left: f64) -> f64 {
 }
 
 /// Tells what the user may not want.
-fn warn(constraints: &Constraints, fit: &Fit, goal: &Goal, host: &Host<'_>) {
+fn warn(constraints: &RegionSamples, fit: &SplineFit, goal: &Goal, host: &Host<'_>) {
     let centers = fit.functions.centers.len();
     if fit.residual > goal.tolerance {
         let more = goal.max_centers.saturating_mul(4).min(MOST_CENTERS);

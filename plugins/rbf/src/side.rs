@@ -1,7 +1,7 @@
 //! The side conditions of kernels with an affine part: sums `Σ w_j q(c_j)` over all affine functions `q`
 //! are 0.
 
-use crate::kernel::{Kernel, Point};
+use crate::kernel::{Point, RadialKernel};
 use faer::{Mat, MatMut, MatRef};
 
 /// Affine functions that are this much less than others, at the centres, count as others: centres on a plane.
@@ -18,7 +18,7 @@ pub struct SideConditions {
 
 impl SideConditions {
     /// By Gram and Schmidt, each twice, for the sake of rounding.
-    pub fn new(kernel: Kernel, centers: &[Point]) -> Self {
+    pub fn new(kernel: RadialKernel, centers: &[Point]) -> Self {
         let affine = kernel.affine();
         let (mut basis, mut made_of): (Vec<Vec<f64>>, Vec<Vec<f64>>) = (Vec::new(), Vec::new());
         for function in 0..affine {
@@ -83,7 +83,7 @@ mod tests {
     #[test]
     fn centres_of_a_plane_have_three() {
         let centers: Vec<Point> = (0..40).map(|i| [f64::from(i).sin(), f64::from(i).cos(), 0.25]).collect();
-        let side = SideConditions::new(Kernel::Triharmonic, &centers);
+        let side = SideConditions::new(RadialKernel::Triharmonic, &centers);
         assert_eq!(side.basis.ncols(), 3);
         let columns = Mat::from_fn(40, 1, |i, _| 2.0 - centers[i][0] + 3.0 * centers[i][1]);
         let found = side.nearest(columns.as_ref());
@@ -94,6 +94,6 @@ mod tests {
         let mut left = columns.clone();
         side.take_out(left.as_mut());
         assert!(left.norm_max() < 1e-12);
-        assert_eq!(SideConditions::new(Kernel::CompactC2, &centers).basis.ncols(), 0);
+        assert_eq!(SideConditions::new(RadialKernel::CompactC2, &centers).basis.ncols(), 0);
     }
 }

@@ -1,14 +1,14 @@
 //! Sums of radial kernels at many points: where most of the time goes, once there are many centres.
 
 use crate::TOGETHER;
-use crate::kernel::{BLOCK, Functions, Kernel, Point};
+use crate::kernel::{BLOCK, BasisFunctions, Point, RadialKernel};
 use faer::{Mat, MatRef};
 use pulp::{Arch, Simd, WithSimd};
 use simod_plugin_api::{Host, PluginResult};
 
 /// The sums without an affine part: points x sums, of weights centres x sums.
 pub fn sums_at(
-    functions: &Functions,
+    functions: &BasisFunctions,
     points: &[Point],
     weights: MatRef<'_, f64>,
     host: &Host<'_>,
@@ -30,27 +30,27 @@ pub fn sums_at(
 }
 
 /// The sums at up to [`BLOCK`] points, sum by sum.
-pub fn block(functions: &Functions, points: &[Point], weights: MatRef<'_, f64>) -> Vec<[f64; BLOCK]> {
+pub fn block(functions: &BasisFunctions, points: &[Point], weights: MatRef<'_, f64>) -> Vec<[f64; BLOCK]> {
     let mut sums = vec![[0.0; BLOCK]; weights.ncols()];
     let mut at = [[0.0; BLOCK]; 3];
     for (i, p) in points.iter().take(BLOCK).enumerate() {
         (0..3).for_each(|k| at[k][i] = p[k]);
     }
     let per_support = functions.support.recip();
-    let Functions { kernel, centers, .. } = functions;
+    let BasisFunctions { kernel, centers, .. } = functions;
     let arch = Arch::new();
     let (at, to) = (&at, &mut sums[..]);
     match kernel {
-        Kernel::Triharmonic => {
+        RadialKernel::Triharmonic => {
             arch.dispatch(Summing { at, centers, weights, sums: to, phi: |r2: f64| r2 * r2.sqrt() })
         }
-        Kernel::Biharmonic => arch.dispatch(Summing { at, centers, weights, sums: to, phi: f64::sqrt }),
-        Kernel::CompactC2 => {
-            let phi = |r2| Kernel::compact_c2(r2, per_support);
+        RadialKernel::Biharmonic => arch.dispatch(Summing { at, centers, weights, sums: to, phi: f64::sqrt }),
+        RadialKernel::CompactC2 => {
+            let phi = |r2| RadialKernel::compact_c2(r2, per_support);
             arch.dispatch(Summing { at, centers, weights, sums: to, phi });
         }
-        Kernel::CompactC4 => {
-            let phi = |r2| Kernel::compact_c4(r2, per_support);
+        RadialKernel::CompactC4 => {
+            let phi = |r2| RadialKernel::compact_c4(r2, per_support);
             arch.dispatch(Summing { at, centers, weights, sums: to, phi });
         }
     }

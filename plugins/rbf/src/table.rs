@@ -1,10 +1,10 @@
 //! The solutions' values at all samples, and what a motion makes of them, many samples at a time.
 
-use crate::constraints::Constraints;
-use crate::fit::Fit;
-use crate::held::Held;
+use crate::constraints::RegionSamples;
+use crate::fit::SplineFit;
+use crate::held::RegionResiduals;
 use crate::kernel::{BLOCK, Point};
-use crate::{Motion, TOGETHER};
+use crate::{HandleCombination, TOGETHER};
 use pulp::Arch;
 use simod_plugin_api::{Host, PluginResult};
 
@@ -14,23 +14,23 @@ const LANES: usize = 8;
 /// Samples that are deformed at once on one thread.
 const DEFORM_BLOCK: usize = 8192;
 
-type Lanes = [f64; LANES];
+type SampleLanes = [f64; LANES];
 
 /// Each sample's values of all right-hand sides' solutions: of as many samples as there are lanes, those of
 /// one solution follow each other.
-pub struct Table {
+pub struct SolutionTable {
     values: Vec<[f32; LANES]>,
     functions: usize,
     samples: usize,
 }
 
-impl Table {
-    /// Of all samples: what those of the regions do is told. The rest of the preparation's progress begins at
-    /// `done`.
+impl SolutionTable {
+    /// The table of all samples: what those of the regions do is told. The rest of the preparation's progress
+    /// begins at `done`.
     pub fn new(
-        fit: &Fit,
-        held: &Held,
-        constraints: &Constraints,
+        fit: &SplineFit,
+        held: &RegionResiduals,
+        constraints: &RegionSamples,
         positions: &[[f32; 3]],
         host: &Host<'_>,
         done: f64,
@@ -77,7 +77,7 @@ impl Table {
     /// Where a motion takes the samples, which are at `rest`.
     pub fn deform(
         &self,
-        motion: &Motion,
+        motion: &HandleCombination,
         rest: &[[f32; 3]],
         out: &mut [[f32; 3]],
         host: &Host<'_>,
@@ -89,9 +89,9 @@ impl Table {
     }
 }
 
-/// Of the samples that values, rest positions and results begin with.
+/// Moves the samples that values, rest positions and results begin with.
 #[inline(always)]
-fn deform(motion: &Motion, values: &[[f32; LANES]], rest: &[[f32; 3]], out: &mut [[f32; 3]]) {
+fn deform(motion: &HandleCombination, values: &[[f32; LANES]], rest: &[[f32; 3]], out: &mut [[f32; 3]]) {
     let values = values.chunks_exact(motion.coefficients.len());
     for ((out, rest), values) in out.chunks_mut(LANES).zip(rest.chunks(LANES)).zip(values) {
         let mut p = [[0.0_f32; LANES]; 3];
@@ -107,9 +107,9 @@ fn deform(motion: &Motion, values: &[[f32; LANES]], rest: &[[f32; 3]], out: &mut
 
 /// What becomes of as many points as there are lanes.
 #[inline(always)]
-fn images(motion: &Motion, values: &[[f32; LANES]], p: &[[f32; LANES]; 3]) -> [[f32; LANES]; 3] {
+fn images(motion: &HandleCombination, values: &[[f32; LANES]], p: &[[f32; LANES]; 3]) -> [[f32; LANES]; 3] {
     let at = p.map(|axis| axis.map(f64::from));
-    let mut q: [Lanes; 3] = motion.common.rows.map(|r| {
+    let mut q: [SampleLanes; 3] = motion.common.rows.map(|r| {
         std::array::from_fn(|lane| r[0] * at[0][lane] + r[1] * at[1][lane] + r[2] * at[2][lane] + r[3])
     });
     for (value, k) in values.iter().zip(&motion.coefficients) {
@@ -144,7 +144,7 @@ mod tests {
         for (i, f) in (0..samples).flat_map(|i| (0..functions).map(move |f| (i, f))) {
             values[i / LANES * functions + f][i % LANES] = value(i, f);
         }
-        let table = Table { values, functions, samples };
+        let table = SolutionTable { values, functions, samples };
         assert!(table.is_of(functions, samples) && !table.is_of(functions, samples - 1));
         let rest: Vec<[f32; 3]> =
             (0..samples).map(|i| [wave(i, 7) as f32, -0.0, wave(i, 9) as f32]).collect();
@@ -152,7 +152,7 @@ mod tests {
         for common in [Affine::IDENTITY, turned] {
             let coefficients =
                 (0..functions).map(|f| std::array::from_fn(|axis| wave(f, 11 + axis))).collect();
-            let motion = Motion { common, coefficients };
+            let motion = HandleCombination { common, coefficients };
             let mut out = vec![[f32::NAN; 3]; samples];
             table.deform(&motion, &rest, &mut out, &Host::new(&())).unwrap();
             for (i, (p, image)) in rest.iter().zip(&out).enumerate() {

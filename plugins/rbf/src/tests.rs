@@ -55,7 +55,7 @@ impl Setup {
         Self::new(points, vec![(Role::FIXED, fixed), (Role::HANDLE, handle)])
     }
 
-    fn prepare(&self, host: &impl HostCalls) -> PluginResult<Prepared> {
+    fn prepare(&self, host: &impl HostCalls) -> PluginResult<PreparedFits> {
         let regions: Vec<Region<'_>> = self.regions.iter().map(|(role, w)| Region::new(*role, w)).collect();
         let (support, tolerance, max_centers) = ([self.support], [self.tolerance], [self.max_centers]);
         let params = [
@@ -68,14 +68,14 @@ impl Setup {
         Rbf::prepare(&PrepareInput::new(samples, self.bounds, &regions, &params), &Host::new(host))
     }
 
-    fn deform(&self, state: &Prepared, transforms: &[Affine]) -> Vec<[f32; 3]> {
+    fn deform(&self, state: &PreparedFits, transforms: &[Affine]) -> Vec<[f32; 3]> {
         let input = DeformInput::new(Samples::new(&self.points, &[], &[]), self.bounds, transforms, &[]);
         let mut out = vec![[f32::NAN; 3]; self.points.len()];
         Rbf::deform(state, &input, &mut (), &mut out, &Host::new(&())).unwrap();
         out
     }
 
-    fn evaluate(&self, state: &Prepared, transforms: &[Affine], points: &mut [Point]) {
+    fn evaluate(&self, state: &PreparedFits, transforms: &[Affine], points: &mut [Point]) {
         let input = DeformInput::new(Samples::new(&self.points, &[], &[]), self.bounds, transforms, &[]);
         Rbf::evaluate(state, &input, points, &Host::new(&())).unwrap();
     }

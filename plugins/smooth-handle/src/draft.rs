@@ -1,8 +1,8 @@
 //! Drafts of one handle that moves, in single precision: a hand mostly drags one, and wants one picture after
 //! the other.
 
-use crate::influence::{Profile, Shares};
-use crate::motion::{Motion, blend};
+use crate::influence::{HandleShares, Profile};
+use crate::motion::{HandleMotion, blend};
 use glam::{DVec3, Vec3, Vec3A};
 use simod_plugin_api::{Host, PluginResult};
 
@@ -27,10 +27,10 @@ struct Of {
 }
 
 impl Amounts {
-    /// Those of a handle, of which `shares`, the preparation of this number, tells the samples' shares.
+    /// The amounts of a handle, of which `shares`, the preparation of this number, tells the samples' shares.
     pub fn of_handle(
         &mut self,
-        (shares, state): (&Shares, u64),
+        (shares, state): (&HandleShares, u64),
         handle: usize,
         profile: &Profile<'_>,
         host: &Host<'_>,
@@ -56,7 +56,7 @@ impl Amounts {
 
 /// Parts of one motion: what lies between two of them is taken from a straight line.
 pub struct PartsTable<'a> {
-    motion: &'a Motion,
+    motion: &'a HandleMotion,
     /// What each part adds to the unit vectors, and to the origin.
     parts: Vec<[Vec3A; 4]>,
 }
@@ -66,8 +66,8 @@ impl<'a> PartsTable<'a> {
     /// distance from its axis.
     const STEPS: usize = 1024;
 
-    /// Of a motion.
-    pub fn new(motion: &'a Motion) -> Self {
+    /// The table of a motion.
+    pub fn new(motion: &'a HandleMotion) -> Self {
         let part = |k: usize| {
             let t = k as f64 / Self::STEPS as f64;
             let moved = |p: DVec3| blend(p, std::iter::once((motion, t))) - p;
@@ -122,7 +122,7 @@ mod tests {
         let stretch = DMat3::from_diagonal(DVec3::new(1.5, 0.8, 1.0));
         let center = DVec3::new(0.1, 0.3, -0.2);
         for matrix in [turn, 1.3 * turn * stretch, DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0))] {
-            let motion = Motion::new(&affine(matrix, DVec3::new(0.2, -0.1, 0.4)), center);
+            let motion = HandleMotion::new(&affine(matrix, DVec3::new(0.2, -0.1, 0.4)), center);
             let table = PartsTable::new(&motion);
             // Drawn profiles may leave 0 to 1.
             for k in -20..=797 {

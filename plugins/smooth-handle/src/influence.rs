@@ -6,7 +6,7 @@
 //! shows.
 
 use crate::distance;
-use crate::regions::Regions;
+use crate::regions::MergedRegions;
 use glam::{DMat2, DVec2, Vec3};
 use simod_plugin_api::{Curve, Graph, Host, ParamDesc, Params, PluginError, PluginResult};
 
@@ -22,25 +22,25 @@ const PART: f64 = 0.5;
 const DISTANCES: f64 = 0.5;
 
 /// The shares of what is fixed and of all handles, sample by sample: they sum up to 1.
-pub struct Shares {
-    /// Of what is fixed first, and then of the handles.
+pub struct HandleShares {
+    /// Shares of what is fixed first, and then those of the handles.
     values: Vec<f32>,
     /// What is fixed, and handles.
     columns: usize,
 }
 
 /// The samples and what is known of them.
-pub struct Samples<'a> {
+pub struct SurfaceAtRest<'a> {
     /// Local coordinates.
     pub positions: &'a [Vec3],
-    /// Of unit length.
+    /// Unit normals.
     pub normals: &'a [Vec3],
     /// Their neighbours.
     pub graph: &'a Graph<'a>,
 }
 
 /// How shares come about.
-pub struct Measure {
+pub struct ShareRule {
     /// Along the surface, not through space.
     pub on_surface: bool,
     /// Where nothing is fixed: how far handles reach, local coordinates.
@@ -49,15 +49,15 @@ pub struct Measure {
     pub smoothing: f64,
 }
 
-impl Shares {
+impl HandleShares {
     /// The shares of all samples.
     pub fn new(
-        regions: &Regions,
-        samples: &Samples<'_>,
-        measure: &Measure,
+        regions: &MergedRegions,
+        samples: &SurfaceAtRest<'_>,
+        measure: &ShareRule,
         host: &Host<'_>,
     ) -> PluginResult<Self> {
-        let Samples { positions, normals, graph } = samples;
+        let SurfaceAtRest { positions, normals, graph } = samples;
         let mut distances = Vec::with_capacity(regions.parts.len());
         for part in &regions.parts {
             host.progress(DISTANCES * distances.len() as f64 / regions.parts.len() as f64)?;
@@ -120,7 +120,7 @@ impl Shares {
     fn smooth(
         &mut self,
         held: &[bool],
-        samples: &Samples<'_>,
+        samples: &SurfaceAtRest<'_>,
         length: f64,
         host: &Host<'_>,
     ) -> PluginResult<()> {
@@ -177,7 +177,7 @@ impl Ring {
     ///
     /// M. Arroyo, M. Ortiz, Local maximum-entropy approximation schemes, Int. J. Numer. Meth. Engng. 65
     /// (2006).
-    fn around(of: &Samples<'_>, i: usize) -> Self {
+    fn around(of: &SurfaceAtRest<'_>, i: usize) -> Self {
         const NEWTON: usize = 8;
         /// Weights differ by no more than the exponential of twice this.
         const STEEPEST: f64 = 4.0;
@@ -344,7 +344,7 @@ mod tests {
         }
         let starts: Vec<u32> = (0..=positions.len() as u32).map(|i| 16 * i).collect();
         let graph = Graph::new(&starts, &neighbours);
-        let samples = Samples { positions: &positions, normals: &normals, graph: &graph };
+        let samples = SurfaceAtRest { positions: &positions, normals: &normals, graph: &graph };
         let inner =
             (0..positions.len()).filter(|&i| (positions[i] - 0.5).truncate().abs().max_element() < 0.35);
         for i in inner {

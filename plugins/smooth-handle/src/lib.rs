@@ -13,9 +13,9 @@ mod regions;
 
 use draft::{Amounts, PartsTable};
 use glam::{DVec3, Vec3};
-use influence::{Measure, Profile, Shares};
-use motion::Motion;
-use regions::Regions;
+use influence::{HandleShares, Profile, ShareRule};
+use motion::HandleMotion;
+use regions::MergedRegions;
 use simod_plugin_api::{
     Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, IsIdentity, ParamSet,
     PluginError, PluginResult, PrepareInput,
@@ -29,7 +29,7 @@ const BLOCK: usize = 4096;
 struct SmoothHandle;
 
 #[derive(ParamSet)]
-struct Distances {
+struct SmoothHandleSettings {
     /// How far samples are from regions: fingers that nearly touch are far along the surface
     #[param(default = Distance::Euclidean, invalidates_preparation)]
     distance: Distance,
@@ -50,16 +50,16 @@ enum Distance {
 }
 
 /// Who follows whom.
-struct Prepared {
+struct PreparedShares {
     /// Tells it from others.
     number: u64,
-    shares: Shares,
+    shares: HandleShares,
     /// The handles' middles, about which they stretch.
     centers: Vec<DVec3>,
 }
 
 impl Deformer for SmoothHandle {
-    type State = Prepared;
+    type State = PreparedShares;
     type Scratch = Amounts;
 
     fn descriptor() -> Descriptor {
@@ -71,7 +71,7 @@ impl Deformer for SmoothHandle {
             )
             .param(profile)
             .param(curve)
-            .param_set::<Distances>()
+            .param_set::<SmoothHandleSettings>()
             .consumes(Consumes {
                 fixed_regions: true,
                 handle_regions: true,
@@ -83,7 +83,7 @@ impl Deformer for SmoothHandle {
             })
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<PreparedShares> {
         static PREPARED: AtomicU64 = AtomicU64::new(0);
         let positions: &[Vec3] = bytemuck::cast_slice(input.samples.positions());
         if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
@@ -93,26 +93,26 @@ impl Deformer for SmoothHandle {
         let graph = input.graph().filter(|g| g.len() == positions.len() && normals.len() == positions.len());
         let graph = graph
             .ok_or_else(|| PluginError::internal("the host gave no neighbours or normals of the samples"))?;
-        let Distances { distance, reach, smoothing } = input.params().read()?;
+        let SmoothHandleSettings { distance, reach, smoothing } = input.params().read()?;
         let diagonal = input.bounds.diagonal();
-        let measure = Measure {
+        let measure = ShareRule {
             on_surface: distance == Distance::Surface,
             reach: reach * diagonal,
             smoothing: smoothing * diagonal,
         };
-        let regions = Regions::gather(input)?;
+        let regions = MergedRegions::gather(input)?;
         let handles = regions.parts.iter().skip(usize::from(regions.has_fixed));
         let center = |core: &[u32]| {
             core.iter().map(|&i| positions[i as usize].as_dvec3()).sum::<DVec3>() / core.len() as f64
         };
         let centers = handles.map(|part| center(&part.core)).collect();
-        let samples = influence::Samples { positions, normals, graph };
-        let shares = Shares::new(&regions, &samples, &measure, host)?;
-        Ok(Prepared { number: PREPARED.fetch_add(1, Ordering::Relaxed), shares, centers })
+        let samples = influence::SurfaceAtRest { positions, normals, graph };
+        let shares = HandleShares::new(&regions, &samples, &measure, host)?;
+        Ok(PreparedShares { number: PREPARED.fetch_add(1, Ordering::Relaxed), shares, centers })
     }
 
     fn deform(
-        state: &Prepared,
+        state: &PreparedShares,
         input: &DeformInput<'_>,
         kept: &mut Amounts,
         out: &mut [[f32; 3]],
@@ -127,8 +127,8 @@ impl Deformer for SmoothHandle {
             return Err(PluginError::internal("the samples are not those of the preparation"));
         }
         let profile = Profile::from_params(input.params())?;
-        let motions: Vec<Motion> =
-            transforms.iter().zip(&state.centers).map(|(t, &center)| Motion::new(t, center)).collect();
+        let motions: Vec<HandleMotion> =
+            transforms.iter().zip(&state.centers).map(|(t, &center)| HandleMotion::new(t, center)).collect();
         let mut moving = motions.iter().enumerate().filter(|(_, motion)| !motion.is_none());
         let is_draft = input.effort() == Effort::DRAFT;
         if let (true, Some((handle, motion)), None) = (is_draft, moving.next(), moving.next()) {
@@ -142,7 +142,7 @@ impl Deformer for SmoothHandle {
             let mut amounts = vec![0.0; motions.len()];
             for ((i, out), p) in (first..).zip(block).zip(&rest[first..]) {
                 profile.amounts(state.shares.row(i), &mut amounts);
-                let moves = |(motion, t): &(&Motion, f64)| *t != 0.0 && !motion.is_none();
+                let moves = |(motion, t): &(&HandleMotion, f64)| *t != 0.0 && !motion.is_none();
                 let mut parts = motions.iter().zip(amounts.iter().copied()).filter(moves);
                 let p64 = Vec3::from(*p).as_dvec3();
                 // Exactly where it was, or where its handle takes it.

@@ -16,15 +16,15 @@ const ROUNDING: f64 = 1e-12;
 
 /// A handle's motion, of which parts can be taken.
 #[derive(Debug, Clone, Copy)]
-pub struct Motion {
+pub struct HandleMotion {
     /// The whole of it.
     whole: Affine,
-    parts: Parts,
+    parts: PartialMotion,
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Parts {
-    /// It moves nothing.
+enum PartialMotion {
+    /// The motion moves nothing.
     None,
     /// A stretch, if there is one, and a similarity.
     Twist(Option<Stretch>, Twist),
@@ -51,14 +51,15 @@ struct Twist {
     shift: DVec3,
 }
 
-impl Motion {
+impl HandleMotion {
     /// The motion of a handle, which stretches about the handle's centre.
     pub fn new(whole: &Affine, center: DVec3) -> Self {
-        let parts = if *whole == Affine::IDENTITY { Some(Parts::None) } else { Self::split(whole, center) };
-        Self { whole: *whole, parts: parts.unwrap_or(Parts::Straight) }
+        let parts =
+            if *whole == Affine::IDENTITY { Some(PartialMotion::None) } else { Self::split(whole, center) };
+        Self { whole: *whole, parts: parts.unwrap_or(PartialMotion::Straight) }
     }
 
-    fn split(whole: &Affine, center: DVec3) -> Option<Parts> {
+    fn split(whole: &Affine, center: DVec3) -> Option<PartialMotion> {
         let row = |i: usize| DVec3::from_slice(&whole.rows[i][..3]);
         let matrix = DMat3::from_cols(row(0), row(1), row(2)).transpose();
         let offset = DVec3::from(whole.rows.map(|r| r[3]));
@@ -91,12 +92,12 @@ impl Motion {
         let (turn, growth) = (turn.to_scaled_axis(), scale.ln());
         let twist = Twist { turn, growth, shift: DVec3::ZERO };
         let shift = twist.integral().divide(offset);
-        Some(Parts::Twist(stretch, Twist { shift, ..twist })).filter(|_| shift.is_finite())
+        Some(PartialMotion::Twist(stretch, Twist { shift, ..twist })).filter(|_| shift.is_finite())
     }
 
     /// Whether it moves nothing.
     pub fn is_none(&self) -> bool {
-        matches!(self.parts, Parts::None)
+        matches!(self.parts, PartialMotion::None)
     }
 
     /// The image of a point under all of it.
@@ -106,13 +107,13 @@ impl Motion {
 }
 
 /// The image of a point under a part of each motion.
-pub fn blend<'a>(p: DVec3, parts: impl Iterator<Item = (&'a Motion, f64)>) -> DVec3 {
+pub fn blend<'a>(p: DVec3, parts: impl Iterator<Item = (&'a HandleMotion, f64)>) -> DVec3 {
     let (mut stretched, mut straight, mut sum) = (p, DVec3::ZERO, Twist::default());
     for (motion, t) in parts {
         match &motion.parts {
-            Parts::None => {}
-            Parts::Straight => straight += t * (motion.all(p) - p),
-            Parts::Twist(stretch, twist) => {
+            PartialMotion::None => {}
+            PartialMotion::Straight => straight += t * (motion.all(p) - p),
+            PartialMotion::Twist(stretch, twist) => {
                 if let Some(s) = stretch {
                     let from = p - s.center;
                     stretched += s.matrix(t) * from - from;
@@ -199,7 +200,7 @@ pub(crate) mod tests {
         Affine { rows: [row(m.x_axis, offset.x), row(m.y_axis, offset.y), row(m.z_axis, offset.z)] }
     }
 
-    fn part(motion: &Motion, t: f64, p: DVec3) -> DVec3 {
+    fn part(motion: &HandleMotion, t: f64, p: DVec3) -> DVec3 {
         blend(p, std::iter::once((motion, t)))
     }
 
@@ -215,8 +216,8 @@ pub(crate) mod tests {
         ) {
             let rest = DMat3::from_cols_array(&shear) * if is_similarity { 0.0 } else { 1.0 };
             let matrix = scale * (DMat3::from_quat(DQuat::from_scaled_axis(1.7 * turn)) + rest);
-            let motion = Motion::new(&affine(matrix, offset), center);
-            prop_assert!(matches!(motion.parts, Parts::Twist(..)));
+            let motion = HandleMotion::new(&affine(matrix, offset), center);
+            prop_assert!(matches!(motion.parts, PartialMotion::Twist(..)));
             let whole = part(&motion, 1.0, p);
             prop_assert!(whole.distance(motion.all(p)) < 1e-9, "{whole} {}", motion.all(p));
             if is_similarity {
@@ -235,22 +236,22 @@ pub(crate) mod tests {
     fn turns_turn_about_their_own_axis() {
         let pivot = DVec3::new(2.0, 1.0, 0.0);
         let turn = DMat3::from_rotation_z(2.0);
-        let motion = Motion::new(&affine(turn, pivot - turn * pivot), DVec3::ZERO);
+        let motion = HandleMotion::new(&affine(turn, pivot - turn * pivot), DVec3::ZERO);
         let p = DVec3::new(5.0, 1.0, 3.0);
         let expected = pivot + DMat3::from_rotation_z(0.5) * (p - pivot);
         assert!(part(&motion, 0.25, p).distance(expected) < 1e-12);
         // Half a turn has two halves that lead to the same end.
         let half = DMat3::from_rotation_z(std::f64::consts::PI);
-        let motion = Motion::new(&affine(half, pivot - half * pivot), DVec3::ZERO);
+        let motion = HandleMotion::new(&affine(half, pivot - half * pivot), DVec3::ZERO);
         assert!((part(&motion, 0.5, p).distance(pivot) - p.distance(pivot)).abs() < 1e-12);
-        let shift = Motion::new(&affine(DMat3::IDENTITY, pivot), DVec3::ZERO);
+        let shift = HandleMotion::new(&affine(DMat3::IDENTITY, pivot), DVec3::ZERO);
         assert!(part(&shift, 0.25, p).distance(p + 0.25 * pivot) < 1e-15);
     }
 
     #[test]
     fn mirrors_and_flat_maps_go_straight() {
         for matrix in [DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)), DMat3::ZERO] {
-            let motion = Motion::new(&affine(matrix, DVec3::X), DVec3::ZERO);
+            let motion = HandleMotion::new(&affine(matrix, DVec3::X), DVec3::ZERO);
             let p = DVec3::new(0.3, 0.2, 0.1);
             let expected = p.lerp(matrix * p + DVec3::X, 0.5);
             assert!(part(&motion, 0.5, p).distance(expected) < 1e-15);
@@ -259,7 +260,7 @@ pub(crate) mod tests {
 
     #[test]
     fn nothing_is_exactly_nothing() {
-        let motion = Motion::new(&Affine::IDENTITY, DVec3::ONE);
+        let motion = HandleMotion::new(&Affine::IDENTITY, DVec3::ONE);
         let p = DVec3::new(0.1, 0.2, 0.3);
         assert!(motion.is_none() && part(&motion, 0.7, p) == p);
     }

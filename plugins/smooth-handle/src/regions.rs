@@ -6,24 +6,24 @@ use simod_plugin_api::{PluginError, PluginResult, PrepareInput, Role};
 const INSIDE: f32 = 0.999;
 
 /// The fixed regions as one, and each handle.
-pub struct Regions {
+pub struct MergedRegions {
     /// Where nothing moves, if that is anywhere, and then the handles in their order.
-    pub parts: Vec<Part>,
+    pub parts: Vec<MergedRegion>,
     /// Whether the first part is what is fixed.
     pub has_fixed: bool,
 }
 
 /// One region, or all fixed ones.
-pub struct Part {
+pub struct MergedRegion {
     /// The samples in it, each in one part alone.
     pub core: Vec<u32>,
     /// One weight for each sample, 0 to 1.
     pub weights: Vec<f32>,
 }
 
-impl Regions {
-    /// Of a preparation's regions. A sample in several belongs to the first fixed one, or else to the first
-    /// handle.
+impl MergedRegions {
+    /// The merged regions of a preparation. A sample in several belongs to the first fixed one, or else to
+    /// the first handle.
     pub fn gather(input: &PrepareInput<'_>) -> PluginResult<Self> {
         let count = input.samples.positions().len();
         let regions = input.regions();
@@ -54,7 +54,8 @@ impl Regions {
             return Err(PluginError::input(format!("{what} holds no sample of its own"))
                 .hint("enlarge or move its shapes, take more samples, or let it overlap others less"));
         }
-        let parts = cores.into_iter().zip(weights).map(|(core, weights)| Part { core, weights }).collect();
+        let parts =
+            cores.into_iter().zip(weights).map(|(core, weights)| MergedRegion { core, weights }).collect();
         Ok(Self { parts, has_fixed })
     }
 }

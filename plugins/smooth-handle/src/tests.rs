@@ -75,7 +75,7 @@ impl Setup {
         ])
     }
 
-    fn prepare(&self, host: &impl HostCalls) -> PluginResult<Prepared> {
+    fn prepare(&self, host: &impl HostCalls) -> PluginResult<PreparedShares> {
         let regions: Vec<Region<'_>> = self.regions.iter().map(|(role, w)| Region::new(*role, w)).collect();
         let graph = Graph::new(&self.starts, &self.neighbours);
         let parts = [Part::new(&graph)];
@@ -92,7 +92,7 @@ impl Setup {
 
     fn deform_by(
         &self,
-        state: &Prepared,
+        state: &PreparedShares,
         transforms: &[Affine],
         effort: Effort,
         kept: &mut Amounts,

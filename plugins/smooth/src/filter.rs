@@ -4,7 +4,7 @@
 //! Golub, *Optimal surface smoothing as filter design*, ECCV 1996, §4: Chebyshev polynomials, so that a
 //! filter takes as many products with the Laplacian as its degree, and needs nothing but these.
 
-use crate::laplacian::Laplacian;
+use crate::laplacian::MeshLaplacian;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
 use std::f64::consts::PI;
@@ -68,7 +68,7 @@ impl Filter {
     /// Positions without the waves that it takes away. `progress` is told of parts of the whole.
     pub fn apply(
         &self,
-        laplacian: &Laplacian,
+        laplacian: &MeshLaplacian,
         positions: &[DVec3],
         host: &Host<'_>,
         progress: impl Fn(f64) -> PluginResult<()>,

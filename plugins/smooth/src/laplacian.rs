@@ -17,7 +17,7 @@ const FINEST: f64 = 0.05;
 const SLIVER: f64 = 1e-6;
 
 /// A Laplacian at the vertices, times [`scale`](Self::scale).
-pub struct Laplacian {
+pub struct MeshLaplacian {
     starts: Vec<u32>,
     entries: Vec<(u32, f64)>,
     /// A squared length: -Δ is the operator divided by it.
@@ -25,20 +25,20 @@ pub struct Laplacian {
 }
 
 /// Weights of edges between vertices, the lower one first, in ascending order; and the vertices' areas.
-struct Sums {
+struct EdgeWeights {
     edges: Vec<([u32; 2], f64)>,
     areas: Vec<f64>,
 }
 
-impl Laplacian {
-    /// That of triangles, and of neighbours at vertices without. `freedom` is how free each vertex is to
-    /// move, 0 to 1. Vertices on open borders are not: nothing says how these go on.
+impl MeshLaplacian {
+    /// The Laplacian of triangles, and of neighbours at vertices without. `freedom` is how free each vertex
+    /// is to move, 0 to 1. Vertices on open borders are not: nothing says how these go on.
     pub fn new(positions: &[DVec3], triangles: &[[u32; 3]], graph: &Graph<'_>, freedom: &[f64]) -> Self {
         let mut freedom = freedom.to_vec();
         let mut has_triangles = vec![false; positions.len()];
         triangles.iter().flatten().for_each(|c| has_triangles[*c as usize] = true);
         borders(triangles).for_each(|c| freedom[c as usize] = 0.0);
-        let of_triangles = Sums::of_triangles(positions, triangles);
+        let of_triangles = EdgeWeights::of_triangles(positions, triangles);
         let mut rows: Vec<Vec<(u32, f64)>> = vec![Vec::new(); positions.len()];
         for ([i, j], weight) in &of_triangles.edges {
             let (i, j) = (*i, *j);
@@ -47,7 +47,7 @@ impl Laplacian {
         }
         let mut areas = of_triangles.areas;
         if has_triangles.contains(&false) {
-            let among_points = Sums::of_neighbours(positions, graph);
+            let among_points = EdgeWeights::of_neighbours(positions, graph);
             for ([i, j], weight) in &among_points.edges {
                 for (i, j) in [(*i, *j), (*j, *i)] {
                     if !has_triangles[i as usize] {
@@ -85,7 +85,7 @@ impl Laplacian {
     }
 }
 
-impl Sums {
+impl EdgeWeights {
     /// Half of the cotangents against an edge, and a third of the triangles' areas.
     fn of_triangles(positions: &[DVec3], triangles: &[[u32; 3]]) -> Self {
         let (mut edges, mut areas) = (Vec::with_capacity(3 * triangles.len()), vec![0.0; positions.len()]);

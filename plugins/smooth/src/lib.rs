@@ -12,7 +12,7 @@ mod volume;
 
 use filter::Filter;
 use glam::DVec3;
-use laplacian::Laplacian;
+use laplacian::MeshLaplacian;
 use simod_plugin_api::{
     Choice, Consumes, DeformInput, Deformer, Descriptor, Host, IsIdentity, ParamSet, PluginError,
     PluginResult, PrepareInput, Role,
@@ -29,10 +29,10 @@ struct Smooth;
 
 /// What is smoothed.
 #[derive(ParamSet)]
-struct Settings {
+struct SmoothSettings {
     /// A filter keeps the size of what stays; the flow shrinks all, what is most curved first
-    #[param(default = Method::Filter, invalidates_preparation)]
-    method: Method,
+    #[param(default = SmoothingMethod::Filter, invalidates_preparation)]
+    method: SmoothingMethod,
     /// Bumps go that are shorter from crest to crest; of those of this size half is left (by the flow, a
     /// third)
     #[param(default = 0.05, unit = "diagonal", hard = f64::MIN_POSITIVE..=10.0, soft = 0.005..=0.5, invalidates_preparation)]
@@ -49,7 +49,7 @@ struct Settings {
 }
 
 #[derive(Choice, Debug, Clone, Copy, PartialEq)]
-enum Method {
+enum SmoothingMethod {
     #[choice(id = "taubin", label = "Filter (Taubin)")]
     Filter,
     #[choice(id = "mean-curvature", label = "Mean curvature flow")]
@@ -57,7 +57,7 @@ enum Method {
 }
 
 /// Where each sample goes at an amount of 1.
-struct Prepared(Vec<DVec3>);
+struct SmoothedSamples(Vec<DVec3>);
 
 /// How free each sample is to move: not at all where it is fixed, and less towards it.
 fn freedom(input: &PrepareInput<'_>) -> Vec<f64> {
@@ -69,7 +69,7 @@ fn freedom(input: &PrepareInput<'_>) -> Vec<f64> {
 }
 
 impl Deformer for Smooth {
-    type State = Prepared;
+    type State = SmoothedSamples;
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
@@ -80,7 +80,7 @@ impl Deformer for Smooth {
                  P. Schröder, A. Barr, Implicit Fairing of Irregular Meshes Using Diffusion and Curvature Flow, \
                  SIGGRAPH 1999",
             )
-            .param_set::<Settings>()
+            .param_set::<SmoothSettings>()
             .consumes(Consumes {
                 fixed_regions: true,
                 normals: true,
@@ -90,7 +90,7 @@ impl Deformer for Smooth {
             })
     }
 
-    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<SmoothedSamples> {
         let places = input.samples.positions();
         if let Some(i) = places.iter().position(|p| p.iter().any(|x| !x.is_finite())) {
             return Err(PluginError::input(format!("sample {i} is at no finite place")));
@@ -105,13 +105,13 @@ impl Deformer for Smooth {
         let triangles: Vec<[u32; 3]> =
             input.triangles().map_or(Vec::new(), |t| t.indices().iter().filter(is_right).copied().collect());
         let freedom = freedom(input);
-        let Settings { method, size, steps, keep_volume, .. } = input.params().read()?;
+        let SmoothSettings { method, size, steps, keep_volume, .. } = input.params().read()?;
         // A wave's number, squared: an eigenvalue of the Laplacian.
         let wave = (TAU / (size * input.bounds.diagonal())).powi(2);
-        let laplacian = |positions: &[DVec3]| Laplacian::new(positions, &triangles, graph, &freedom);
+        let laplacian = |positions: &[DVec3]| MeshLaplacian::new(positions, &triangles, graph, &freedom);
         let mut smoothed = positions.clone();
         match method {
-            Method::Filter => {
+            SmoothingMethod::Filter => {
                 let laplacian = laplacian(&positions);
                 let shortest = SHORTEST * 2.0 * laplacian.scale.sqrt() / input.bounds.diagonal();
                 if size < shortest {
@@ -126,7 +126,7 @@ impl Deformer for Smooth {
                 }
                 smoothed = filter.apply(&laplacian, &smoothed, host, |part| host.progress(part))?;
             }
-            Method::Flow => {
+            SmoothingMethod::Flow => {
                 let steps = steps.max(1);
                 for step in 0..steps {
                     let laplacian = laplacian(&smoothed);
@@ -153,11 +153,11 @@ impl Deformer for Smooth {
         if keep_volume && volume::is_closed(&triangles) {
             volume::bring_back(&mut smoothed, &triangles, &freedom, volume::volume(&positions, &triangles));
         }
-        Ok(Prepared(smoothed))
+        Ok(SmoothedSamples(smoothed))
     }
 
     fn deform(
-        Prepared(smoothed): &Prepared,
+        SmoothedSamples(smoothed): &SmoothedSamples,
         input: &DeformInput<'_>,
         _: &mut (),
         out: &mut [[f32; 3]],
@@ -167,7 +167,7 @@ impl Deformer for Smooth {
         if [rest.len(), out.len()] != [smoothed.len(); 2] {
             return Err(PluginError::internal("the samples are not those of the preparation"));
         }
-        let Settings { amount, .. } = input.params().read()?;
+        let SmoothSettings { amount, .. } = input.params().read()?;
         host.parallel_blocks(out, BLOCK, |first, out| {
             for ((o, p), to) in out.iter_mut().zip(&rest[first..]).zip(&smoothed[first..]) {
                 let from = DVec3::from(p.map(f64::from));
@@ -179,7 +179,7 @@ impl Deformer for Smooth {
 
 impl IsIdentity for Smooth {
     fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
-        let Settings { amount, .. } = input.params().read()?;
+        let SmoothSettings { amount, .. } = input.params().read()?;
         Ok(amount == 0.0)
     }
 }

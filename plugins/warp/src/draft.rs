@@ -1,13 +1,13 @@
 //! Twists and bends in single precision, many points at a time: for drafts, of which a hand that drags wants
 //! one after the other.
 
-use crate::map::{Deformation, Warp};
+use crate::map::{Warp, WarpKind};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Points at a time: loops over as many are what compilers make vectors of.
 const LANES: usize = 16;
 
-type Lanes = [f32; LANES];
+type DraftLanes = [f32; LANES];
 
 /// A warp whose sines take most of the time.
 #[derive(Debug, Clone, Copy)]
@@ -19,7 +19,7 @@ pub struct Draft {
     kind: DraftMap,
 }
 
-/// See [`Deformation`].
+/// See [`WarpKind`].
 #[derive(Debug, Clone, Copy)]
 enum DraftMap {
     /// Turns by so much per length along the axis.
@@ -30,13 +30,13 @@ enum DraftMap {
 }
 
 impl Draft {
-    /// Of a warp; none where that is as quick itself.
+    /// The draft of a warp; none where that is as quick itself.
     pub fn new(warp: &Warp) -> Option<Self> {
         let [from, to] = warp.range;
         let per_length = |angle: f64| Some((angle / (to - from)) as f32).filter(|turn| turn.is_normal());
         let kind = match warp.deformation {
-            Deformation::Twist { angle } => DraftMap::Twist { turn: per_length(angle)? },
-            Deformation::Bend { angle, direction } => DraftMap::Bend {
+            WarpKind::Twist { angle } => DraftMap::Twist { turn: per_length(angle)? },
+            WarpKind::Bend { angle, direction } => DraftMap::Bend {
                 turn: per_length(angle)?,
                 across: direction.map(|x| x as f32),
                 still: 0.0_f64.clamp(from, to) as f32,
@@ -51,18 +51,18 @@ impl Draft {
     /// The images of points, of which there are as many. Nothing is fused, so that all processors give the
     /// same.
     pub fn apply(&self, points: &[[f32; 3]], images: &mut [[f32; 3]]) {
-        Arch::new().dispatch(Packets { draft: self, points, images });
+        Arch::new().dispatch(PointPackets { draft: self, points, images });
     }
 }
 
 /// In the words of whatever vectors the processor has.
-struct Packets<'a> {
+struct PointPackets<'a> {
     draft: &'a Draft,
     points: &'a [[f32; 3]],
     images: &'a mut [[f32; 3]],
 }
 
-impl WithSimd for Packets<'_> {
+impl WithSimd for PointPackets<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -87,7 +87,7 @@ impl WithSimd for Packets<'_> {
 impl Draft {
     /// Moves by what the turn adds, so that what it does not reach stays exactly.
     #[inline(always)]
-    fn twist(&self, p: &mut [Lanes; 3], turn: f32) {
+    fn twist(&self, p: &mut [DraftLanes; 3], turn: f32) {
         let (a, c) = (self.axis, self.centre);
         let mut angle = [0.0; LANES];
         for i in 0..LANES {
@@ -107,7 +107,7 @@ impl Draft {
     }
 
     #[inline(always)]
-    fn bend(&self, p: &mut [Lanes; 3], turn: f32, across: [f32; 3], still: f32) {
+    fn bend(&self, p: &mut [DraftLanes; 3], turn: f32, across: [f32; 3], still: f32) {
         let (a, c) = (self.axis, self.centre);
         let mut angle = [0.0; LANES];
         for i in 0..LANES {
@@ -134,7 +134,7 @@ impl Draft {
 /// Sines and cosines, to some 1e-7, by the polynomials of S. L. Moshier's Cephes, of angles up to some
 /// thousand turns.
 #[inline(always)]
-fn sines(angles: &Lanes) -> (Lanes, Lanes) {
+fn sines(angles: &DraftLanes) -> (DraftLanes, DraftLanes) {
     /// Added, it leaves the nearest whole number in the lowest bits.
     const ROUND: f32 = 12_582_912.0;
     /// A quarter turn in three parts, whose multiples are exact.
@@ -164,7 +164,7 @@ mod tests {
     #[test]
     fn sines_are_those_of_the_library() {
         for first in (-40_000..40_000).step_by(LANES) {
-            let angles: Lanes = std::array::from_fn(|i| 0.001 * (first + i as i32) as f32);
+            let angles: DraftLanes = std::array::from_fn(|i| 0.001 * (first + i as i32) as f32);
             let (sin, cos) = sines(&angles);
             for i in 0..LANES {
                 let (s, c) = angles[i].sin_cos();
@@ -177,8 +177,7 @@ mod tests {
     #[test]
     fn drafts_are_like_results() {
         let direction = [1.0, 0.3, 0.0];
-        let (twist, bend) =
-            (|angle| Deformation::Twist { angle }, |angle| Deformation::Bend { angle, direction });
+        let (twist, bend) = (|angle| WarpKind::Twist { angle }, |angle| WarpKind::Bend { angle, direction });
         for deformation in [twist(2.0), bend(1.2), twist(-7.0), bend(-1e-3), twist(1e-4), bend(3.0)] {
             for range in [[-0.5, 0.5], [0.1, 0.6], [-0.7, -0.2]] {
                 let warp = Warp::new(deformation, [0.05, 0.1, -0.1], [0.2, 1.0, 0.1], range).unwrap();
@@ -198,7 +197,7 @@ mod tests {
             }
         }
         let taper =
-            Warp::new(Deformation::Taper { factor: 0.5 }, [0.0; 3], [0.0, 1.0, 0.0], [-1.0, 1.0]).unwrap();
+            Warp::new(WarpKind::Taper { factor: 0.5 }, [0.0; 3], [0.0, 1.0, 0.0], [-1.0, 1.0]).unwrap();
         assert!(Draft::new(&taper).is_none(), "it is as quick itself");
     }
 }

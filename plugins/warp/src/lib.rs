@@ -8,7 +8,7 @@ mod draft;
 mod map;
 
 use draft::Draft;
-use map::{Deformation, Warp};
+use map::{Warp, WarpKind};
 use simod_plugin_api::{
     Bounds, Choice, Consumes, DeformInput, Deformer, Descriptor, Effort, Evaluate, Host, ParamSet, Params,
     PluginError, PluginResult, PrepareInput,
@@ -22,7 +22,7 @@ struct WarpPlugin;
 
 /// Which warp, and where.
 #[derive(ParamSet)]
-struct Settings {
+struct WarpSettings {
     /// What happens along the axis
     #[param(default = Operation::Twist)]
     operation: Operation,
@@ -73,7 +73,7 @@ impl Deformer for WarpPlugin {
         Descriptor::new("warp", "Warp", env!("CARGO_PKG_VERSION"))
             .summary("Twists, bends, tapers, stretches or shears the whole model along an axis")
             .citation("A. H. Barr, Global and local deformations of solid primitives, SIGGRAPH 1984")
-            .param_set::<Settings>()
+            .param_set::<WarpSettings>()
             .consumes(Consumes { effort: true, ..Consumes::default() })
     }
 
@@ -121,7 +121,7 @@ impl Evaluate for WarpPlugin {
 
 /// The warp that the parameters describe.
 fn warp(params: Params<'_>, bounds: &Bounds) -> PluginResult<Warp> {
-    let Settings { operation, center, axis, direction, angle, factor, keep_volume, slope, from, to } =
+    let WarpSettings { operation, center, axis, direction, angle, factor, keep_volume, slope, from, to } =
         params.read()?;
     if from >= to {
         let error = PluginError::parameter("from", &format!("is {from}, not less than `to`, {to}"));
@@ -129,11 +129,11 @@ fn warp(params: Params<'_>, bounds: &Bounds) -> PluginResult<Warp> {
     }
     let angle = angle.to_radians();
     let deformation = match operation {
-        Operation::Twist => Deformation::Twist { angle },
-        Operation::Bend => Deformation::Bend { angle, direction },
-        Operation::Taper => Deformation::Taper { factor },
-        Operation::Stretch => Deformation::Stretch { factor, keep_volume },
-        Operation::Shear => Deformation::Shear { slope, direction },
+        Operation::Twist => WarpKind::Twist { angle },
+        Operation::Bend => WarpKind::Bend { angle, direction },
+        Operation::Taper => WarpKind::Taper { factor },
+        Operation::Stretch => WarpKind::Stretch { factor, keep_volume },
+        Operation::Shear => WarpKind::Shear { slope, direction },
     };
     let diagonal = bounds.diagonal();
     Warp::new(deformation, center, axis, [from * diagonal, to * diagonal])

@@ -18,7 +18,7 @@ type Vec3 = [f64; 3];
 
 /// What a warp does. Angles in radians, over the whole range.
 #[derive(Debug, Clone, Copy)]
-pub enum Deformation {
+pub enum WarpKind {
     /// Turns about the axis, ever more.
     Twist {
         /// At the end of the range; right-handed about the axis.
@@ -38,7 +38,7 @@ pub enum Deformation {
     },
     /// Scales along the axis.
     Stretch {
-        /// Of the range's length.
+        /// The factor of the range's length.
         factor: f64,
         /// Whether the range's volume stays.
         keep_volume: bool,
@@ -55,7 +55,7 @@ pub enum Deformation {
 /// A warp in place.
 #[derive(Debug, Clone, Copy)]
 pub struct Warp {
-    pub(crate) deformation: Deformation,
+    pub(crate) deformation: WarpKind,
     pub(crate) centre: Vec3,
     pub(crate) axis: Vec3,
     pub(crate) range: [f64; 2],
@@ -64,16 +64,16 @@ pub struct Warp {
 impl Warp {
     /// A warp about the line through `centre` along `axis` (any length but zero), over a range of signed
     /// distances from the centre, `range[0] < range[1]`.
-    pub fn new(deformation: Deformation, centre: Vec3, axis: Vec3, range: [f64; 2]) -> PluginResult<Self> {
+    pub fn new(deformation: WarpKind, centre: Vec3, axis: Vec3, range: [f64; 2]) -> PluginResult<Self> {
         let axis = unit(axis).ok_or_else(|| {
             PluginError::parameter("axis", "is zero").hint("give a direction, such as [0, 1, 0]")
         })?;
         let deformation = match deformation {
-            Deformation::Bend { angle, direction } => {
-                Deformation::Bend { angle, direction: across(direction, axis)? }
+            WarpKind::Bend { angle, direction } => {
+                WarpKind::Bend { angle, direction: across(direction, axis)? }
             }
-            Deformation::Shear { slope, direction } => {
-                Deformation::Shear { slope, direction: across(direction, axis)? }
+            WarpKind::Shear { slope, direction } => {
+                WarpKind::Shear { slope, direction: across(direction, axis)? }
             }
             other => other,
         };
@@ -83,19 +83,19 @@ impl Warp {
     /// The image of a point.
     pub fn apply(&self, p: Vec3) -> Vec3 {
         match self.deformation {
-            Deformation::Twist { angle } if angle != 0.0 => self.twist(p, angle),
-            Deformation::Bend { angle, direction } if angle != 0.0 => self.bend(p, angle, direction),
-            Deformation::Taper { factor } if factor != 1.0 => self.taper(p, factor),
-            Deformation::Stretch { factor, keep_volume } if factor != 1.0 => {
+            WarpKind::Twist { angle } if angle != 0.0 => self.twist(p, angle),
+            WarpKind::Bend { angle, direction } if angle != 0.0 => self.bend(p, angle, direction),
+            WarpKind::Taper { factor } if factor != 1.0 => self.taper(p, factor),
+            WarpKind::Stretch { factor, keep_volume } if factor != 1.0 => {
                 self.stretch(p, factor, keep_volume)
             }
-            Deformation::Shear { slope, direction } if slope != 0.0 => self.shear(p, slope, direction),
+            WarpKind::Shear { slope, direction } if slope != 0.0 => self.shear(p, slope, direction),
             // Exactly, and not only up to rounding.
-            Deformation::Twist { .. }
-            | Deformation::Bend { .. }
-            | Deformation::Taper { .. }
-            | Deformation::Stretch { .. }
-            | Deformation::Shear { .. } => p,
+            WarpKind::Twist { .. }
+            | WarpKind::Bend { .. }
+            | WarpKind::Taper { .. }
+            | WarpKind::Stretch { .. }
+            | WarpKind::Shear { .. } => p,
         }
     }
 

@@ -9,7 +9,7 @@ use simod_core::reconstruction::deformed_normals;
 use simod_model::Model;
 use simod_model::bounds::Bounds;
 use simod_model::output::write_file;
-use simod_picture::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
+use simod_picture::{Image, PictureCamera, Renderer, Spacing, Style, SurfaceDisc};
 
 use crate::method::Method;
 use crate::scene::Scene;
@@ -45,10 +45,14 @@ pub fn draw(scene: &Scene, map: Map, folder: &Path) -> Result<()> {
     Ok(write_file(&folder.join(name), &Image::side_by_side(&captioned).to_png()?)?)
 }
 
-fn picture(points: &[SurfacePoint], bounds: &Bounds) -> Image {
+fn picture(points: &[SurfaceDisc], bounds: &Bounds) -> Image {
     let [width, height] = SIZE;
-    let camera =
-        Camera::frame([bounds.min, bounds.max], VIEW[0], VIEW[1], f64::from(width) / f64::from(height));
+    let camera = PictureCamera::frame(
+        [bounds.min, bounds.max],
+        VIEW[0],
+        VIEW[1],
+        f64::from(width) / f64::from(height),
+    );
     let style = Style { own_colors: false, ground: Some(bounds.min.y) };
     let mut renderer = Renderer::new(width, height, camera, style);
     renderer.depth(points);
@@ -56,7 +60,7 @@ fn picture(points: &[SurfacePoint], bounds: &Bounds) -> Image {
     renderer.finish()
 }
 
-fn points_of_model(model: &dyn Model, bounds: &Bounds) -> Result<Vec<SurfacePoint>> {
+fn points_of_model(model: &dyn Model, bounds: &Bounds) -> Result<Vec<SurfaceDisc>> {
     let mut surface: Vec<(DVec3, Vec3)> = Vec::new();
     simod_model::for_vertices(model, |chunk| {
         let normals = chunk.normals.iter().copied().chain(std::iter::repeat(Vec3::ZERO));
@@ -65,7 +69,7 @@ fn points_of_model(model: &dyn Model, bounds: &Bounds) -> Result<Vec<SurfacePoin
     })?;
     let mut spacing = Spacing::new([bounds.min, bounds.max]);
     spacing.add(surface.iter().map(|(p, _)| *p));
-    let point = |(position, normal): (DVec3, Vec3)| SurfacePoint {
+    let point = |(position, normal): (DVec3, Vec3)| SurfaceDisc {
         position,
         normal,
         color: CLAY,
@@ -74,10 +78,10 @@ fn points_of_model(model: &dyn Model, bounds: &Bounds) -> Result<Vec<SurfacePoin
     Ok(surface.into_iter().map(point).collect())
 }
 
-fn points_of_samples(scene: &Scene, deformed: &[Vec3]) -> Vec<SurfacePoint> {
+fn points_of_samples(scene: &Scene, deformed: &[Vec3]) -> Vec<SurfaceDisc> {
     let (samples, frame) = (&scene.sampled.samples, scene.sampled.frame);
     let normals = deformed_normals(samples, deformed);
-    let point = |((p, normal), spacing): ((&Vec3, Vec3), &f32)| SurfacePoint {
+    let point = |((p, normal), spacing): ((&Vec3, Vec3), &f32)| SurfaceDisc {
         position: frame.to_model(*p),
         normal,
         color: CLAY,

@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 use simod_benches::process::Result;
 use simod_model::bounds::Bounds;
 use simod_model::output::write_file;
-use simod_picture::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
+use simod_picture::{Image, PictureCamera, Renderer, Spacing, Style, SurfaceDisc};
 use simod_session::SessionFile;
 use simod_session::step::Role;
 
@@ -47,18 +47,18 @@ impl<'a> Gallery<'a> {
         let bounds = Bounds::from_points(surface.iter().map(|(p, _)| *p));
         let mut spacing = Spacing::new([bounds.min, bounds.max]);
         spacing.add(surface.iter().map(|(p, _)| *p));
-        let point = |((position, normal), color): ((DVec3, Vec3), &[u8; 3])| SurfacePoint {
+        let point = |((position, normal), color): ((DVec3, Vec3), &[u8; 3])| SurfaceDisc {
             position,
             normal,
             color: *color,
             radius: spacing.radius_at(position),
         };
-        let points: Vec<SurfacePoint> = surface.into_iter().zip(&self.colors).map(point).collect();
+        let points: Vec<SurfaceDisc> = surface.into_iter().zip(&self.colors).map(point).collect();
 
         let ([width, height], [yaw, pitch]) = (self.case.size, self.case.view);
         // What is at rest may not fit on the others' stage.
         let stage = if self.pictures.is_empty() { [bounds.min, bounds.max] } else { self.case.stage };
-        let camera = Camera::frame(stage, yaw, pitch, f64::from(width) / f64::from(height));
+        let camera = PictureCamera::frame(stage, yaw, pitch, f64::from(width) / f64::from(height));
         let mut renderer =
             Renderer::new(width, height, camera, Style { own_colors: true, ground: Some(stage[0].y) });
         renderer.depth(&points);

@@ -7,7 +7,7 @@ use simod_core::guard::OutputKind;
 use simod_core::reconstruction::Reconstruction;
 use simod_generate::{ModelOptions, write_file};
 use simod_model::{Error, Progress, Result, output};
-use simod_picture::picture::{self, Crop, Drawn, Up, View};
+use simod_picture::picture::{self, Crop, Drawn, PictureView, UpAxis};
 use simod_picture::{Image, Paint};
 use simod_session::{Run, SessionFile};
 
@@ -84,8 +84,14 @@ impl Demo {
         let mut all = sampled.bounds;
         all.include(after_bounds.min);
         all.include(after_bounds.max);
-        let view =
-            View { bounds: all, yaw: 20.0, pitch: 10.0, size: [560, 700], up: Up::Y, crop: Crop::default() };
+        let view = PictureView {
+            bounds: all,
+            yaw: 20.0,
+            pitch: 10.0,
+            size: [560, 700],
+            up: UpAxis::Y,
+            crop: Crop::default(),
+        };
         let samples = &sampled.samples;
         // Faces of so many vertices are smaller than what a picture resolves.
         let how = (&Paint::Clay, Drawn::Points);

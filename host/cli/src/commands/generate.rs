@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 use simod_core::guard::OutputKind;
-use simod_generate::{Encoding, ModelOptions, Shape, write_file};
+use simod_generate::{ModelOptions, PlyEncoding, Shape, write_file};
 use simod_model::{Result, Scalar};
 
 use super::overwrite::Overwrite;
@@ -94,9 +94,9 @@ impl Generate {
             },
             vertices: self.vertices,
             encoding: match self.encoding {
-                EncodingName::Ascii => Encoding::Ascii,
-                EncodingName::LittleEndian => Encoding::BinaryLittleEndian,
-                EncodingName::BigEndian => Encoding::BinaryBigEndian,
+                EncodingName::Ascii => PlyEncoding::Ascii,
+                EncodingName::LittleEndian => PlyEncoding::BinaryLittleEndian,
+                EncodingName::BigEndian => PlyEncoding::BinaryBigEndian,
             },
             scalar: if self.double { Scalar::F64 } else { Scalar::F32 },
             normals: !self.no_normals,

@@ -8,7 +8,7 @@ use simod_core::guard::Guard;
 use simod_model::Result;
 use simod_model::size::human_size;
 use simod_session::SessionFile;
-use simod_session::plan::{Done, Plan as Units, PlanOptions, Stage, do_unit, make};
+use simod_session::plan::{Plan as Units, PlanOptions, Stage, UnitDone, do_unit, make};
 use simod_session::session_file::inputs;
 
 use super::compare::{tell_comparison, tell_method};
@@ -154,7 +154,7 @@ impl Unit {
         guard.reads_all(plan.model().files());
         guard.reads_all(inputs(plan.session())?);
         guard.writes_model(plan.output(), &plan.model().tiles())?;
-        let Done { was_done, messages, shared_vertices, written } =
+        let UnitDone { was_done, messages, shared_vertices, written } =
             do_unit(&plan, (&self.plan, self.number), &plugins, report.progress())?;
         tell(&messages, report);
         let stage = plan.units().get(self.number).map_or("", |unit| unit.stage.name());
@@ -187,7 +187,7 @@ impl Unit {
         guard.reads_all(inputs(plan.file())?);
         guard.reads_all(plugins.files());
         guard.replaces_folder(plan.output())?;
-        let simod_compare::Done { was_done, method, comparison } =
+        let simod_compare::ComparisonUnitDone { was_done, method, comparison } =
             simod_compare::do_unit(&plan, (&self.plan, self.number), &plugins, report.progress())?;
         let stage = plan.units().get(self.number).map_or("", |unit| unit.stage.name());
         report.figure("unit", self.number);

@@ -10,7 +10,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_model::bounds::Bounds;
 use simod_model::target::folder_of;
 use simod_model::{Error, Result, output};
-use simod_picture::picture::{self, Crop, Drawn, Up, View};
+use simod_picture::picture::{self, Crop, Drawn, PictureView, UpAxis};
 use simod_picture::{Coloring, FrameFolder, Image, Paint};
 
 use super::overwrite::Overwrite;
@@ -67,7 +67,7 @@ enum UpName {
     Z,
 }
 
-impl From<UpName> for Up {
+impl From<UpName> for UpAxis {
     fn from(name: UpName) -> Self {
         match name {
             UpName::X => Self::X,
@@ -134,10 +134,10 @@ impl Render {
     }
 
     /// From where it is seen.
-    fn view(&self, bounds: Bounds) -> View {
+    fn view(&self, bounds: Bounds) -> PictureView {
         let crop = Crop { around: self.target, part: self.crop };
         let Self { yaw, pitch, size, up, .. } = *self;
-        View { bounds, yaw, pitch, size, up: up.into(), crop }
+        PictureView { bounds, yaw, pitch, size, up: up.into(), crop }
     }
 
     /// The samples of a folder, from one side or from all around.

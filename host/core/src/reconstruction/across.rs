@@ -24,7 +24,7 @@ use crate::sampling::SampleSet;
 /// An anchor is fitted to all samples that so many links of the graph of neighbours lead to.
 const LINKS: usize = 4;
 
-/// It has a say at those that so many lead to.
+/// A sample has a say at those to which so many links lead from it.
 const HEARD: usize = 3;
 
 /// No other sample that so many links to the nearest neighbours lead to is an anchor.
@@ -77,7 +77,7 @@ const PAIRS: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
 /// The derivatives along each axis.
 const FIRST: [Derivative; DERIVATIVES] = derivatives(false);
 
-/// Those along each pair of axes, halved for an axis with itself: second-order terms of the expansion
+/// Derivatives along each pair of axes, halved for an axis with itself: second-order terms of the expansion
 /// elsewhere.
 const SECOND: [Derivative; DERIVATIVES] = derivatives(true);
 
@@ -378,13 +378,13 @@ const BLOCK: usize = 8;
 /// Length of the rows of a matrix: whole blocks.
 const ROW: usize = TERMS.next_multiple_of(BLOCK);
 
-type Rows = [[f64; ROW]; TERMS];
+type RowBlocks = [[f64; ROW]; TERMS];
 
 /// The squares of what the affine map leaves over, to be explained by the terms in units of the radius.
 struct ResidualSquares {
     /// Lower triangle of the products of terms, which is read, with what is beside it in blocks of [`BLOCK`];
     /// and the products with what is to be explained.
-    matrix: Rows,
+    matrix: RowBlocks,
     right: [DVec3; TERMS],
     /// The sums of the weights, and of their squares.
     weights: f64,
@@ -468,7 +468,7 @@ impl ResidualSquares {
 }
 
 /// The lower triangle of Cholesky's decomposition.
-struct CholeskyFactor(Rows);
+struct CholeskyFactor(RowBlocks);
 
 impl CholeskyFactor {
     fn solve(&self, mut right: [DVec3; TERMS]) -> [DVec3; TERMS] {

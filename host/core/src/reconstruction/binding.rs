@@ -27,8 +27,9 @@ use crate::varint::{self, VarintNumbers};
 /// What a binding begins with.
 pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 
-/// To be counted up whenever the format changes, or the homes or surroundings of the same samples.
-const VERSION: u32 = 7;
+/// To be counted up whenever the format changes, or the key of the same samples, their
+/// sheets, supports or homes.
+const VERSION: u32 = 8;
 
 /// Most bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;
@@ -95,13 +96,14 @@ pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &d
 /// Hash of all that a binding depends on.
 fn key(sampled: &SampledModel) -> String {
     let source = &sampled.source;
-    let (origin, scale) = (sampled.frame.origin.to_array(), sampled.frame.scale);
-    let small =
-        format!("{} {} {} {origin:?} {scale:?}", env!("CARGO_PKG_VERSION"), source.fingerprint, source.bytes);
+    let frame = [sampled.frame.origin.x, sampled.frame.origin.y, sampled.frame.origin.z, sampled.frame.scale];
+    let texts = [env!("CARGO_PKG_VERSION"), &source.fingerprint].map(str::as_bytes);
+    let (bytes, frame) = (source.bytes.to_le_bytes(), frame.map(f64::to_le_bytes));
+    let numbers = [&bytes[..], frame.as_flattened()];
     let samples = &sampled.samples;
     let points = [&samples.positions, samples.known_normals()].map(bytemuck::cast_slice::<Vec3, u8>);
-    let hashes = [small.as_bytes(), points[0], points[1]].map(xxh3_128);
-    let hashes = hashes.into_iter().chain(samples.contacts().map(Contacts::digest));
+    let hashes = [texts, numbers, points].into_iter().flatten().map(xxh3_128);
+    let hashes = hashes.chain(samples.contacts().map(Contacts::digest));
     fingerprint(xxh3_128(&hashes.flat_map(u128::to_le_bytes).collect::<Vec<_>>()))
 }
 
@@ -187,7 +189,7 @@ impl Binding {
 
     /// The homes of the next vertices, which are a chunk.
     pub(super) fn next(&mut self, vertices: usize) -> Result<Vec<u32>> {
-        let io = |_| damaged("it is cut off");
+        let io = |e| damaged("it is cut off").because(e);
         let mut start = [0; 16];
         self.file.read_exact(&mut start).map_err(io)?;
         let word = |at: usize| u32::from_le_bytes([start[at], start[at + 1], start[at + 2], start[at + 3]]);

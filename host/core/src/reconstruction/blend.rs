@@ -166,7 +166,7 @@ impl Grouped {
 pub struct Blending<'a> {
     pub supports: &'a Supports,
     pub expansions: &'a [Expansion],
-    /// Those by whose gradients numbers turn, with the same supports; none if nothing turns.
+    /// Expansions by whose gradients numbers turn, with the same supports; none if nothing turns.
     ///
     /// Their gradients are blended: that is smoother than the gradient of the blend, in which the weights'
     /// slopes make more of rounding.
@@ -185,20 +185,20 @@ impl Blending<'_> {
         grouped.make_room(self.gradient, turning);
         let arch = Arch::new();
         match (gradient, turning) {
-            (false, false) => arch.dispatch(Kernel::<false, false> { what: self, grouped }),
-            (false, true) => arch.dispatch(Kernel::<false, true> { what: self, grouped }),
-            (true, false) => arch.dispatch(Kernel::<true, false> { what: self, grouped }),
-            (true, true) => arch.dispatch(Kernel::<true, true> { what: self, grouped }),
+            (false, false) => arch.dispatch(PacketBlend::<false, false> { what: self, grouped }),
+            (false, true) => arch.dispatch(PacketBlend::<false, true> { what: self, grouped }),
+            (true, false) => arch.dispatch(PacketBlend::<true, false> { what: self, grouped }),
+            (true, true) => arch.dispatch(PacketBlend::<true, true> { what: self, grouped }),
         }
     }
 }
 
-struct Kernel<'a, const GRADIENT: bool, const TURNING: bool> {
+struct PacketBlend<'a, const GRADIENT: bool, const TURNING: bool> {
     what: &'a Blending<'a>,
     grouped: &'a mut Grouped,
 }
 
-impl<const GRADIENT: bool, const TURNING: bool> WithSimd for Kernel<'_, GRADIENT, TURNING> {
+impl<const GRADIENT: bool, const TURNING: bool> WithSimd for PacketBlend<'_, GRADIENT, TURNING> {
     type Output = ();
 
     #[inline(always)]

@@ -48,7 +48,7 @@ const STRAINED: f64 = 0.4;
 /// The power of the ratio of costs by which an expansion is preferred to another.
 const CHOICE: i32 = 8;
 
-/// Rings of samples in doubt, of about three spacings each, through which the gradient around them is handed
+/// Rings of troubled samples, of about three spacings each, through which the gradient around them is handed
 /// on.
 const ROUNDS: usize = 3;
 
@@ -79,19 +79,19 @@ impl Jet {
     }
 }
 
-/// The expansions of all samples, and what is known of those that their neighbours leave in doubt.
+/// The expansions of all samples, and what is known of those whose neighbours disagree with them.
 pub struct Expanded {
     /// The expansion at each sample.
     pub expansions: Vec<Expansion>,
     /// What the gradient across the surface leaves open, at each sample.
     pub unresolved: Vec<Unresolved>,
-    /// The samples in doubt, ascending.
-    pub doubtful: Vec<(u32, Doubt)>,
+    /// The troubled samples, ascending.
+    pub troubled: Vec<(u32, TroubledSample)>,
 }
 
 /// A sample beside a step, a crease, or noise: what its expansion has to be compared with.
 #[derive(Debug, Clone, Copy)]
-pub struct Doubt {
+pub struct TroubledSample {
     /// How little its expansion is to be believed, from 0 to 1.
     pub amount: f32,
     /// The gradient of the displacement that prevails around it.
@@ -113,56 +113,57 @@ pub fn expand(
     // The system's own zeros: the threads that fit touch them first.
     let mut expansions: Vec<Expansion> = memory::zeros(samples.len());
     let mut unresolved = vec![Unresolved::default(); samples.len()];
-    let mut doubt = vec![0.0; samples.len()];
+    let mut trouble = vec![0.0; samples.len()];
     let jobs = expansions.par_chunks_mut(TOGETHER).zip(unresolved.par_chunks_mut(TOGETHER));
-    jobs.zip(doubt.par_chunks_mut(TOGETHER)).enumerate().for_each(
-        |(chunk, ((expansions, unresolved), doubt))| {
+    jobs.zip(trouble.par_chunks_mut(TOGETHER)).enumerate().for_each(
+        |(chunk, ((expansions, unresolved), trouble))| {
             let first = chunk * TOGETHER;
             expansions.iter_mut().zip(first..).for_each(|(e, i)| *e = affine(i));
-            Arch::new().dispatch(ExpansionFits { fitted, first, expansions, unresolved, doubt });
+            Arch::new().dispatch(ExpansionFits { fitted, first, expansions, unresolved, trouble });
         },
     );
-    let in_doubt: Vec<u32> = (0..).zip(&doubt).filter(|(_, doubt)| **doubt > 0.0).map(|(i, _)| i).collect();
-    let prevailing = prevailing(samples, stencils, &expansions, &doubt, &in_doubt);
-    let mended: Vec<(u32, Jet, Doubt)> = in_doubt
+    let in_trouble: Vec<u32> =
+        (0..).zip(&trouble).filter(|(_, trouble)| **trouble > 0.0).map(|(i, _)| i).collect();
+    let prevailing = prevailing(samples, stencils, &expansions, &trouble, &in_trouble);
+    let mended: Vec<(u32, Jet, TroubledSample)> = in_trouble
         .par_iter()
         .zip(prevailing)
         .map(|(i, slope)| {
-            let amount = doubt[*i as usize];
+            let amount = trouble[*i as usize];
             let one_sided = one_sided(samples, stencils, deformed, &expansions, *i as usize);
             let mixed = Jet::from_expansion(&expansions[*i as usize]).mixed(&one_sided, amount);
-            (*i, mixed, Doubt { amount, prevailing: slope - Mat3::IDENTITY })
+            (*i, mixed, TroubledSample { amount, prevailing: slope - Mat3::IDENTITY })
         })
         .collect();
     for (i, jet, _) in &mended {
         let expansion = &mut expansions[*i as usize];
         *expansion = expansion.with_slope(jet.slope - Mat3::IDENTITY).with_second(jet.second);
     }
-    let doubtful = mended.into_iter().map(|(i, _, doubt)| (i, doubt)).collect();
-    Expanded { expansions, unresolved, doubtful }
+    let troubled = mended.into_iter().map(|(i, _, trouble)| (i, trouble)).collect();
+    Expanded { expansions, unresolved, troubled }
 }
 
-/// The gradient around each sample in doubt: that of its neighbours which are in none, or in their turn of
+/// The gradient around each troubled sample: that of its neighbours which are not, or in their turn of
 /// theirs.
 fn prevailing(
     samples: &SampleSet,
     stencils: &Stencils<'_>,
     expansions: &[Expansion],
-    doubt: &[f32],
-    in_doubt: &[u32],
+    trouble: &[f32],
+    in_trouble: &[u32],
 ) -> Vec<Mat3> {
-    if in_doubt.is_empty() {
+    if in_trouble.is_empty() {
         return Vec::new();
     }
     // The gradient at each sample, as far as it is known, and how well: from 0 to 1.
     let mut known: Vec<(Mat3, f32)> = expansions
         .iter()
-        .zip(doubt)
-        .map(|(e, doubt)| (e.slope() + Mat3::IDENTITY, (1.0 - doubt).powi(2)))
+        .zip(trouble)
+        .map(|(e, trouble)| (e.slope() + Mat3::IDENTITY, (1.0 - trouble).powi(2)))
         .collect();
     let mut slopes = Vec::new();
     for _ in 0..ROUNDS {
-        slopes = in_doubt
+        slopes = in_trouble
             .par_iter()
             .map(|i| {
                 let i = *i as usize;
@@ -180,7 +181,7 @@ fn prevailing(
                 }
             })
             .collect::<Vec<_>>();
-        in_doubt.iter().zip(&slopes).for_each(|(i, slope)| known[*i as usize] = *slope);
+        in_trouble.iter().zip(&slopes).for_each(|(i, slope)| known[*i as usize] = *slope);
     }
     slopes.into_iter().map(|(slope, _)| slope).collect()
 }
@@ -260,7 +261,7 @@ struct ExpansionFits<'a> {
     /// How far each fit is off, if the prior across the surface is.
     unresolved: &'a mut [Unresolved],
     /// How little each fit is to be believed, from 0 to 1.
-    doubt: &'a mut [f32],
+    trouble: &'a mut [f32],
 }
 
 impl WithSimd for ExpansionFits<'_> {
@@ -320,7 +321,7 @@ impl ExpansionFits<'_> {
             relied_on = is_noisy.select(ridged, left);
             is_solved = is_solved.and(is_found);
         }
-        let doubt = squares.doubt(relied_on).store();
+        let trouble = squares.trouble(relied_on).store();
         // How much the gradient differs at the radius: of a square it is twice the term, of a product each of
         // two coordinates has it.
         let mut bent = splat(0.0);
@@ -348,7 +349,7 @@ impl ExpansionFits<'_> {
                 let expansion = &mut self.expansions[place];
                 *expansion = expansion.with_slope(slope - Mat3::IDENTITY).with_second(second);
                 self.unresolved[place] = Unresolved(unresolved.map(|numbers| numbers[lane] as f32));
-                self.doubt[place] = doubt[lane] as f32;
+                self.trouble[place] = trouble[lane] as f32;
             }
         }
     }
@@ -401,21 +402,21 @@ mod tests {
                 |(p, g): (&Vec3, &Mat3)| Expansion::new(*p, Vec3::ZERO, *g - Mat3::IDENTITY, [Vec3::ZERO; 6]);
             let mut expansions: Vec<Expansion> =
                 samples.positions.iter().zip(&gradients.gradient).map(affine).collect();
-            let (mut unresolved, mut doubt) = (vec![Unresolved::default(); 961], vec![0.0; 961]);
+            let (mut unresolved, mut trouble) = (vec![Unresolved::default(); 961], vec![0.0; 961]);
             let (expansions_of, unresolved_of) = (&mut expansions, &mut unresolved);
             by(ExpansionFits {
                 fitted,
                 first: 0,
                 expansions: expansions_of,
                 unresolved: unresolved_of,
-                doubt: &mut doubt,
+                trouble: &mut trouble,
             });
-            let numbers = |(e, (open, doubt)): (&Expansion, (&Unresolved, &f32))| {
+            let numbers = |(e, (open, trouble)): (&Expansion, (&Unresolved, &f32))| {
                 let terms = e.rows().into_iter().flatten();
                 let open = [Vec3::X, Vec3::Y, Vec3::Z].map(|d| open.length(d));
-                (terms.chain(open).map(f32::to_bits).collect::<Vec<_>>(), doubt.to_bits())
+                (terms.chain(open).map(f32::to_bits).collect::<Vec<_>>(), trouble.to_bits())
             };
-            expansions.iter().zip(unresolved.iter().zip(&doubt)).map(numbers).collect::<Vec<_>>()
+            expansions.iter().zip(unresolved.iter().zip(&trouble)).map(numbers).collect::<Vec<_>>()
         };
         let one_by_one = fit(&|fits| fits.with_simd(pulp::Scalar::new()));
         assert!(fit(&|fits| Arch::new().dispatch(fits)) == one_by_one);
@@ -423,7 +424,7 @@ mod tests {
         if let Some(simd) = pulp::x86::V3::try_new() {
             assert!(fit(&|fits| Simd::vectorize(simd, fits)) == one_by_one);
         }
-        let in_doubt = one_by_one.iter().filter(|(_, doubt)| f32::from_bits(*doubt) > 0.5).count();
-        assert!((10..500).contains(&in_doubt), "{in_doubt}");
+        let in_trouble = one_by_one.iter().filter(|(_, trouble)| f32::from_bits(*trouble) > 0.5).count();
+        assert!((10..500).contains(&in_trouble), "{in_trouble}");
     }
 }

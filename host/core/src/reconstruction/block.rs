@@ -322,7 +322,7 @@ impl Workspace {
             let local = Vec3::from_array(self.local.each_ref().map(|x| x[at]));
             let place = if run.place == NOWHERE { NOWHERE } else { run.place + within_run };
             self.carry_one(
-                Vertex { i, home: run.home as usize, local, place: place as usize },
+                BlockVertex { i, home: run.home as usize, local, place: place as usize },
                 field,
                 frame,
                 moved,
@@ -330,9 +330,15 @@ impl Workspace {
         }
     }
 
-    fn carry_one(&self, vertex: Vertex, field: &DeformationField<'_>, frame: &Frame, moved: &mut Moved<'_>) {
+    fn carry_one(
+        &self,
+        vertex: BlockVertex,
+        field: &DeformationField<'_>,
+        frame: &Frame,
+        moved: &mut Moved<'_>,
+    ) {
         let Moved { positions: images, normals, gradients, figures } = moved;
-        let Vertex { i, home, local, place } = vertex;
+        let BlockVertex { i, home, local, place } = vertex;
         let figures = figures.get_mut(i);
         let is_within_range = self.grouped.is_within_range.get(place);
         let one_by_one = if is_within_range.is_some_and(|is| *is > 0.0) {
@@ -379,8 +385,8 @@ impl Workspace {
 
     /// What happens to a vertex of the block, where that is not just the blend.
     #[inline]
-    fn one_by_one(&self, field: &DeformationField<'_>, vertex: Vertex) -> Option<Transport> {
-        let Vertex { home, local: p, place, .. } = vertex;
+    fn one_by_one(&self, field: &DeformationField<'_>, vertex: BlockVertex) -> Option<Transport> {
+        let BlockVertex { home, local: p, place, .. } = vertex;
         let nearer = || if field.reaches(home, p) { None } else { field.by_nearer_ones(home, p) };
         match field.method {
             Method::ProjectedBarycentric => Some(projected_barycentric::carry(field, home, p)),
@@ -404,10 +410,10 @@ impl Workspace {
     fn bounded(
         &self,
         field: &DeformationField<'_>,
-        vertex: Vertex,
+        vertex: BlockVertex,
         one_by_one: Option<Transport>,
     ) -> Option<Transport> {
-        let Vertex { home, local: p, place, .. } = vertex;
+        let BlockVertex { home, local: p, place, .. } = vertex;
         let u = one_by_one.map_or_else(|| self.displacement(place), |moved| moved.displacement);
         if field.is_bounded(home, p, u) {
             return one_by_one;
@@ -536,7 +542,7 @@ impl Grouped {
 
 /// A vertex of a block: its number, and the place of the blend for it, if there is one.
 #[derive(Clone, Copy)]
-struct Vertex {
+struct BlockVertex {
     i: usize,
     home: usize,
     local: Vec3,

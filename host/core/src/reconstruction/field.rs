@@ -54,7 +54,7 @@ impl<'a> DeformationField<'a> {
         let RestGeometry { samples, sheets, supports, .. } = around;
         assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
         let (gradients, stencils) = Gradients::fit(samples, sheets, deformed);
-        let Expanded { mut expansions, unresolved, doubtful } =
+        let Expanded { mut expansions, unresolved, troubled } =
             blended_jets::expand(samples, &stencils, deformed, &gradients);
         let supported = |(e, radius): (&mut Expansion, &f32)| {
             e.inverse_square = (1.0 / (radius * radius)).min(Expansion::NO_SUPPORT);
@@ -63,7 +63,7 @@ impl<'a> DeformationField<'a> {
         let moves: Vec<bool> = expansions.par_iter_mut().zip(&supports.radius).map(supported).collect();
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
         let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
-        let limiter = Limiter::new(supports, &expansions, &doubtful);
+        let limiter = Limiter::new(supports, &expansions, &troubled);
         let bound = Bound::new(samples, sheets, deformed);
         let neighbours = |i| sheets.of_sample(i);
         let folds = Folds::new(&expansions, &gradients.tells_side, samples.normals(), neighbours);

@@ -34,7 +34,7 @@ const SIDE_BY_SIDE: usize = 1 << 12;
 /// Memory: 17 bytes per sample, and 32 for each cell that is parted: about one for seven samples of a
 /// surface. Where samples are in heaps of a dozen, each has a chain of at most [`LEVELS`] cells, which makes
 /// 1.5 per sample. As much again while it is made, and 16 bytes more for each sample.
-pub struct Cells {
+pub struct HomeOctree {
     /// Corner of the whole, in local coordinates.
     corner: Vec3,
     /// Finest cells per unit.
@@ -49,7 +49,7 @@ pub struct Cells {
     pub(super) largest: OnceLock<Vec<f32>>,
 }
 
-impl Cells {
+impl HomeOctree {
     /// The octree over samples with supports of these radii.
     pub fn build(samples: &SampleSet, radius: &[f32]) -> Self {
         let positions = &samples.positions;
@@ -88,7 +88,7 @@ impl Cells {
     }
 
     /// The octree of one cell, which is not parted yet.
-    fn whole(positions: &[Vec3], radius: &[f32]) -> (Self, Cell) {
+    fn whole(positions: &[Vec3], radius: &[f32]) -> (Self, OctreeCell) {
         let min = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
         let max = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
         // Room for rounding: the finest cells are still eight times as wide as coordinates there are exact.
@@ -107,7 +107,7 @@ impl Cells {
             supports: supports.collect(),
             largest: OnceLock::new(),
         };
-        (cells, Cell { corner, edge, level: 0 })
+        (cells, OctreeCell { corner, edge, level: 0 })
     }
 
     /// The square of how far a point is from a sample, as a part of the radius of its support.
@@ -132,13 +132,13 @@ fn depth(support: Vec4, p: Vec3) -> f32 {
 
 /// A cube.
 #[derive(Clone, Copy)]
-struct Cell {
+struct OctreeCell {
     corner: Vec3,
     edge: f32,
     level: u32,
 }
 
-impl Cell {
+impl OctreeCell {
     fn eighth(self, at: usize) -> Self {
         let edge = 0.5 * self.edge;
         let side = |bit: usize| if at >> bit & 1 == 1 { edge } else { 0.0 };
@@ -217,7 +217,7 @@ struct Growing<'a> {
 impl Growing<'_> {
     /// Parts a cell that some samples reach: appends itself and what is below. `levels` are those of its
     /// parts and below.
-    fn part(&self, cell: Cell, near: &[u32], parted: &mut Vec<[u32; 8]>, levels: &mut [Reached]) {
+    fn part(&self, cell: OctreeCell, near: &[u32], parted: &mut Vec<[u32; 8]>, levels: &mut [Reached]) {
         let at = parted.len();
         parted.push([0; 8]);
         let Some((reached, below)) = levels.split_first_mut() else { return };
@@ -247,7 +247,7 @@ impl Growing<'_> {
     }
 
     /// Finds which samples reach the eighths of a cell, of those that reach itself.
-    fn reach(&self, cell: Cell, near: &[u32], reached: &mut Reached) {
+    fn reach(&self, cell: OctreeCell, near: &[u32], reached: &mut Reached) {
         let [low, high] = [0, 7].map(|eighth| cell.eighth(eighth));
         if reached.samples.len() < 8 * near.len() {
             // The system's own zeros: most places stay free, and are not touched.
@@ -273,7 +273,7 @@ impl Growing<'_> {
     /// and itself by those that are `near`, whose `least` radius is known.
     fn fill(
         &self,
-        cell: Cell,
+        cell: OctreeCell,
         around: &[u32],
         near: &[u32],
         least: f32,
@@ -304,7 +304,7 @@ impl Growing<'_> {
 
 /// Where the last place was found, as the next one is mostly near it. What is found does not depend on it.
 pub struct Finger<'a> {
-    cells: &'a Cells,
+    cells: &'a HomeOctree,
     /// The cells around it that are parted, by their level ...
     parted: [u32; LEVELS as usize],
     /// ... and the level and the sample of the one that is not.
@@ -314,7 +314,7 @@ pub struct Finger<'a> {
 
 impl<'a> Finger<'a> {
     /// One that has found nothing yet: the first place has to [differ](Self::differ) in any digit.
-    pub fn new(cells: &'a Cells) -> Self {
+    pub fn new(cells: &'a HomeOctree) -> Self {
         Self { cells, parted: [0; LEVELS as usize], level: LEVELS, sample: 0 }
     }
 
@@ -356,7 +356,7 @@ impl<'a> Finger<'a> {
     }
 }
 
-impl Cells {
+impl HomeOctree {
     /// The finest cells to which ways from the corner lead, or those that are nearest to them, along an axis:
     /// whole numbers in the lower digits, below such that are the same for all.
     #[inline(always)]
@@ -420,7 +420,7 @@ mod tests {
         let radius = vec![0.03; set.len()];
         let of = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            pool.install(|| Cells::build(&set, &radius).parted)
+            pool.install(|| HomeOctree::build(&set, &radius).parted)
         };
         let cells = of(1);
         assert!(cells == of(3));

@@ -11,9 +11,10 @@ use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::RestGeometry;
-use super::home_cells::{Cells, Finger};
+use super::home_cells::{Finger, HomeOctree};
 use super::lanes::{Lanes, PACKET, triple_from};
-use super::sheets::{Sheets, sheet_distance};
+use super::sheets::Sheets;
+use crate::geometry::sheet_distance;
 use crate::sampling::SampleSet;
 
 /// The square of the part of a support within which its sample is taken for a home: it need not be the
@@ -29,7 +30,7 @@ pub struct Homes<'a> {
     samples: &'a SampleSet,
     sheets: &'a Sheets,
     radius: &'a [f32],
-    cells: &'a Cells,
+    cells: &'a HomeOctree,
 }
 
 impl<'a> Homes<'a> {
@@ -43,7 +44,7 @@ impl<'a> Homes<'a> {
     /// other. Behind positions and homes there is [room](with_room).
     pub fn find(&self, positions: [&[f32]; 3], count: usize, homes: &mut Vec<u32>) {
         homes.resize(with_room(count), 0);
-        Arch::new().dispatch(Finding { by: *self, positions, count, homes });
+        Arch::new().dispatch(HomeSearch { by: *self, positions, count, homes });
     }
 
     /// The homes of finite positions.
@@ -129,14 +130,14 @@ pub fn with_room(count: usize) -> usize {
     count + PACKET
 }
 
-struct Finding<'a> {
+struct HomeSearch<'a> {
     by: Homes<'a>,
     positions: [&'a [f32]; 3],
     count: usize,
     homes: &'a mut [u32],
 }
 
-impl WithSimd for Finding<'_> {
+impl WithSimd for HomeSearch<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -178,7 +179,7 @@ impl WithSimd for Finding<'_> {
     }
 }
 
-impl Finding<'_> {
+impl HomeSearch<'_> {
     /// Finds the samples near positions in the cell of a sample: that one, where its support reaches them
     /// well, or the first of its neighbours whose does, or which reaches them best.
     #[inline(always)]
@@ -283,10 +284,10 @@ mod tests {
             let by_axis = [0, 1, 2].map(|axis| {
                 places.iter().map(|p| p[axis]).chain([0.0; PACKET]).collect::<Vec<f32>>()
             });
-            let with = |dispatch: &dyn Fn(Finding<'_>)| {
+            let with = |dispatch: &dyn Fn(HomeSearch<'_>)| {
                 let mut homes = vec![0; with_room(places.len())];
                 let (by, positions) = (Homes::new(&around), by_axis.each_ref().map(|x| &x[..]));
-                dispatch(Finding { by, positions, count: places.len(), homes: &mut homes });
+                dispatch(HomeSearch { by, positions, count: places.len(), homes: &mut homes });
                 homes.truncate(places.len());
                 homes
             };

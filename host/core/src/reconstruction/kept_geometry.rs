@@ -21,7 +21,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use super::RestGeometry;
 use super::blend::Supports;
 use super::expansion::ReachingSupport;
-use super::home_cells::Cells;
+use super::home_cells::HomeOctree;
 use super::near_lists::{self, BEHIND, LONGEST};
 use super::sheets::{Listed, Sheets};
 use crate::sampled_model::{REST, SampledModel};
@@ -229,7 +229,7 @@ pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeo
     let (ends, reaching) = unpack_orders(&sheets, n, &content.pieces)?;
     let supports = Supports::known(&samples.positions, &sheets, ends, reaching);
     let parted: Vec<u32> = fours(content.cells)?.iter().map(|what| u32::from_le_bytes(*what)).collect();
-    let cells = Cells::known(&samples.positions, &supports.radius, parted.as_chunks().0.to_vec())?;
+    let cells = HomeOctree::known(&samples.positions, &supports.radius, parted.as_chunks().0.to_vec())?;
     let normals: Vec<f32> = fours(content.normals)?.iter().map(|x| f32::from_le_bytes(*x)).collect();
     let normals = normals.chunks_exact(3).map(Vec3::from_slice).collect();
     // At last, as whoever finds them anew otherwise shall not go by what was read.

@@ -36,8 +36,9 @@ pub const TERMS: usize = 9;
 /// The factors of its second-order terms.
 const FACTORS: [[usize; 2]; 6] = [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]];
 
-/// A fit that leaves over more than this part of the displacement's variation is in doubt …
-const DOUBTFUL: f64 = 0.1;
+/// A fit that leaves over more than this part of the displacement's variation makes its sample a troubled one
+/// …
+const TROUBLED: f64 = 0.1;
 
 /// … and one that leaves over more than this is not to be believed.
 const USELESS: f64 = 0.3;
@@ -113,7 +114,7 @@ impl<S: Simd> LeastSquares<S> {
             largest: zero,
             variation: zero,
         };
-        let mut moments = Moments { second: [zero; 6], third: [zero; 10], fourth: [zero; 15] };
+        let mut moments = ProductSums { second: [zero; 6], third: [zero; 10], fourth: [zero; 15] };
         for place in 0..neighbours.longest {
             sums.include(&slope, &neighbours.places[place], &mut moments);
         }
@@ -122,7 +123,12 @@ impl<S: Simd> LeastSquares<S> {
     }
 
     #[inline(always)]
-    fn include(&mut self, slope: &[DoubleLanes<S>; 9], place: &NeighbourPacket, moments: &mut Moments<S>) {
+    fn include(
+        &mut self,
+        slope: &[DoubleLanes<S>; 9],
+        place: &NeighbourPacket,
+        moments: &mut ProductSums<S>,
+    ) {
         let simd = self.simd;
         let (d, moved) = (triple(simd, &place.way), triple(simd, &place.moved));
         let mut left = moved;
@@ -169,7 +175,7 @@ impl<S: Simd> LeastSquares<S> {
     /// they could be found.
     #[inline(always)]
     pub fn ridged(&self, ridge: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleMask<S>) {
-        let (factor, is_found) = Factor::factorize(self.simd, &self.matrix, ridge * self.weights);
+        let (factor, is_found) = DenseFactor::factorize(self.simd, &self.matrix, ridge * self.weights);
         let terms = factor.solve(self.right);
         // For the least squares c, what is left over is Σ w|r|² − c·b, up to the ridge.
         let mut explained = DoubleLanes::splat(self.simd, 0.0);
@@ -197,13 +203,13 @@ impl<S: Simd> LeastSquares<S> {
 
     /// How little a fit is to be believed that leaves this part of the squares over, from 0 to 1.
     #[inline(always)]
-    pub fn doubt(&self, part: DoubleLanes<S>) -> DoubleLanes<S> {
+    pub fn trouble(&self, part: DoubleLanes<S>) -> DoubleLanes<S> {
         let splat = |x| DoubleLanes::splat(self.simd, x);
         let left = part * self.squares;
         let is_more = (splat(ROUNDING * ROUNDING) * self.weights).less(left);
         // Beside how much the displacement varies, little matters that is left over of little.
         let part = (left / self.squares.max(self.variation)).sqrt();
-        let t = (part - splat(DOUBTFUL)) / splat(USELESS - DOUBTFUL);
+        let t = (part - splat(TROUBLED)) / splat(USELESS - TROUBLED);
         let t = t.max(splat(0.0)).min(splat(1.0));
         is_more.select(t * t * splat(-2.0).mul_add(t, splat(3.0)), splat(0.0))
     }
@@ -221,7 +227,7 @@ impl<S: Simd> LeastSquares<S> {
     ) -> [DoubleLanes<S>; TERMS] {
         let zero = DoubleLanes::splat(self.simd, 0.0);
         let ridge = DoubleLanes::splat(self.simd, RIDGE) * self.weights;
-        let (factor, is_found) = Factor::factorize(self.simd, &self.matrix, ridge);
+        let (factor, is_found) = DenseFactor::factorize(self.simd, &self.matrix, ridge);
         let mut right = [[zero; 1]; TERMS];
         for axis in 0..3 {
             right[axis][0] = across[axis];
@@ -278,7 +284,7 @@ impl<S: Simd> LeastSquares<S> {
 
 /// Weighted sums of products of two, three and four coordinates: xx, xy, xz, yy, yz, zz; xxx, xxy, xxz, xyy,
 /// xyz, xzz, yyy, yyz, yzz, zzz; and so on.
-struct Moments<S: Simd> {
+struct ProductSums<S: Simd> {
     second: [DoubleLanes<S>; 6],
     third: [DoubleLanes<S>; 10],
     fourth: [DoubleLanes<S>; 15],
@@ -318,7 +324,7 @@ const OF_FOURTH: [[usize; 2]; 15] = [
     [5, 5],
 ];
 
-impl<S: Simd> Moments<S> {
+impl<S: Simd> ProductSums<S> {
     /// Adds those of a place, of which the products of two coordinates are `second`; gives these, weighted.
     #[inline(always)]
     fn include(
@@ -361,12 +367,12 @@ impl<S: Simd> Moments<S> {
 }
 
 /// Cholesky's decomposition of symmetric positive definite matrices.
-struct Factor<S: Simd> {
+struct DenseFactor<S: Simd> {
     /// The lower triangle, with one over the diagonal's numbers in their place.
     rows: [[DoubleLanes<S>; TERMS]; TERMS],
 }
 
-impl<S: Simd> Factor<S> {
+impl<S: Simd> DenseFactor<S> {
     /// The factors of matrices, of which the lower triangle is given, with `ridge` added along the diagonal;
     /// and where they are positive definite.
     #[inline(always)]

@@ -1,18 +1,18 @@
 //! A limit to what the blend of expansions may do where the deformation is not smooth.
 //!
-//! A polynomial that is fitted across a step overshoots on both sides. Where a vertex is blended from samples
-//! that their neighbours leave in doubt, it is held within where the samples around it would take it, each by
-//! its own displacement and the gradient that prevails there: in the direction in which the blend departs
-//! from their mean, no further than those of them do that lie that way. This is the limiter of finite volumes
-//! (T. Barth, D. Jespersen, *The Design and Application of Upwind Schemes on Unstructured Meshes*, 1989), for
-//! vectors, so that it turns with the model, and with a mean of fourth powers in the place of the furthest,
-//! so that it is as continuous as the weights are.
+//! A polynomial that is fitted across a step overshoots on both sides. Where a vertex is blended from
+//! troubled samples, whose neighbours disagree with them, it is held within where the samples around it would
+//! take it, each by its own displacement and the gradient that prevails there: in the direction in which the
+//! blend departs from their mean, no further than those of them do that lie that way. This is the limiter of
+//! finite volumes (T. Barth, D. Jespersen, *The Design and Application of Upwind Schemes on Unstructured
+//! Meshes*, 1989), for vectors, so that it turns with the model, and with a mean of fourth powers in the
+//! place of the furthest, so that it is as continuous as the weights are.
 
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::blend::Supports;
-use super::blended_jets::Doubt;
+use super::blended_jets::TroubledSample;
 use super::expansion::Expansion;
 use super::transport::Transport;
 
@@ -25,7 +25,7 @@ struct PrevailingSlope {
     /// own.
     most: f32,
     /// How little the sample's expansion is to be believed, from 0 to 1.
-    doubt: f32,
+    trouble: f32,
 }
 
 impl PrevailingSlope {
@@ -43,13 +43,13 @@ impl PrevailingSlope {
     }
 }
 
-/// The homes that samples in doubt reach, and what prevails around all samples that reach there.
+/// The homes that troubled samples reach, and what prevails around all samples that reach there.
 ///
 /// Memory: five bytes per sample, four more while it is made, and 44 for each that reaches such a home,
-/// unless no sample is in doubt.
+/// unless no sample is troubled.
 #[derive(Debug, Default)]
 pub struct Limiter {
-    /// Whether a sample in doubt reaches the home; empty if none is in doubt.
+    /// Whether a troubled sample reaches the home; empty if none is troubled.
     concerned: Vec<bool>,
     /// For each sample its place in `held`, or [`NONE`].
     place: Vec<u32>,
@@ -59,28 +59,28 @@ pub struct Limiter {
 const NONE: u32 = u32::MAX;
 
 impl Limiter {
-    /// The limiter for these expansions, of which `doubtful` are in doubt.
-    pub fn new(supports: &Supports, expansions: &[Expansion], doubtful: &[(u32, Doubt)]) -> Self {
-        if doubtful.is_empty() {
+    /// The limiter for these expansions, of which these samples are `troubled`.
+    pub fn new(supports: &Supports, expansions: &[Expansion], troubled: &[(u32, TroubledSample)]) -> Self {
+        if troubled.is_empty() {
             return Self::default();
         }
         let n = expansions.len();
         let around = |i: usize| supports.of_home(i).iter().map(|r| r.sample as usize);
         let mut of_sample = vec![NONE; n];
-        doubtful.iter().zip(0..).for_each(|((i, _), at)| of_sample[*i as usize] = at);
+        troubled.iter().zip(0..).for_each(|((i, _), at)| of_sample[*i as usize] = at);
         let concerned: Vec<bool> =
             (0..n).into_par_iter().map(|home| around(home).any(|i| of_sample[i] != NONE)).collect();
         let mut this = Self { concerned, place: vec![NONE; n], held: Vec::new() };
         for i in (0..n).filter(|home| this.concerned[*home]).flat_map(around) {
             if this.place[i] == NONE {
                 this.place[i] = this.held.len() as u32;
-                let (slope, doubt) = match doubtful.get(of_sample[i] as usize) {
-                    Some((_, doubt)) => (doubt.prevailing, doubt.amount),
+                let (slope, trouble) = match troubled.get(of_sample[i] as usize) {
+                    Some((_, trouble)) => (trouble.prevailing, trouble.amount),
                     None => (expansions[i].slope(), 0.0),
                 };
                 let differences =
                     around(i).map(|j| expansions[j].displacement().distance(expansions[i].displacement()));
-                this.held.push(PrevailingSlope { slope, most: differences.fold(0.0, f32::max), doubt });
+                this.held.push(PrevailingSlope { slope, most: differences.fold(0.0, f32::max), trouble });
             }
         }
         this
@@ -105,8 +105,8 @@ impl Limiter {
             return (u, slope);
         };
         let (way, prevailing) = held.evaluate_with_gradient(d);
-        let mixed = slope * (1.0 - held.doubt) + prevailing * held.doubt;
-        (u.lerp(e.displacement() + way, held.doubt), mixed)
+        let mixed = slope * (1.0 - held.trouble) + prevailing * held.trouble;
+        (u.lerp(e.displacement() + way, held.trouble), mixed)
     }
 
     /// What becomes of a vertex at `p`, for which the expansions around its home, which is concerned, give
@@ -129,18 +129,18 @@ impl Limiter {
                 (s > 0.0).then_some((e, d, s, &self.held[place as usize]))
             })
         };
-        let (mut mean, mut doubt, mut sum) = (Vec3::ZERO, 0.0, 0.0);
+        let (mut mean, mut trouble, mut sum) = (Vec3::ZERO, 0.0, 0.0);
         for (e, d, s, held) in reaching() {
             let w = s * s * s;
             mean += w * (e.displacement() + held.evaluate(d));
-            doubt += w * held.doubt;
+            trouble += w * held.trouble;
             sum += w;
         }
-        (mean, doubt) = (mean / sum, doubt / sum);
+        (mean, trouble) = (mean / sum, trouble / sum);
         let departure = blended.displacement - mean;
         let length = departure.length();
         // Written so that NaN, from a vertex without a support, is left alone.
-        if !(length > 0.0 && doubt > 0.0) {
+        if !(length > 0.0 && trouble > 0.0) {
             return blended;
         }
         let along = |u: Vec3| (u - mean).dot(departure / length).max(0.0);
@@ -148,7 +148,7 @@ impl Limiter {
             reaching().map(|(e, d, s, held)| s * s * s * fourth(along(e.displacement() + held.evaluate(d))));
         // Nearly the furthest of them, but a mean.
         let most = (fourths.sum::<f32>() / sum).sqrt().sqrt();
-        let back = doubt * (1.0 - (most / length).min(1.0));
+        let back = trouble * (1.0 - (most / length).min(1.0));
         if back == 0.0 {
             return blended;
         }

@@ -74,14 +74,12 @@ pub(crate) use homes::RING as TANGENT_RING;
 pub use parts::{Part, SharedTarget, abort_object, begin_object, join_parts, write_part};
 pub use reach::choose_offset;
 pub use rest_geometry::RestGeometry;
-use sheets::Sheets;
-pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, sheet_distance};
+pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS};
 pub use simod_model::Normals;
 pub use stream::{Folding, PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
 pub use transport::{Method, Transport};
 
 /// The unit normals of the deformed samples: those at rest, turned as their neighbourhoods are.
 pub fn deformed_normals(samples: &SampleSet, deformed: &[Vec3]) -> Vec<Vec3> {
-    samples.prepare();
-    Gradients::fit(samples, &Sheets::find(samples), deformed).0.normal
+    Gradients::fit(samples, &rest_geometry::sheets(samples), deformed).0.normal
 }

@@ -15,7 +15,7 @@ use simod_model::{Error, Output, Progress, Result, Summary, input};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use crate::fingerprint::HashedPart;
-use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
+use crate::sealed::{seal, unsealed};
 
 /// What the record of a part begins with.
 const LETTERS: &[u8; 8] = b"simodprt";
@@ -228,12 +228,7 @@ pub(super) fn open(path: &Path) -> Result<(File, PartRecord)> {
     let mut sealed = Vec::new();
     file.seek(SeekFrom::Start(start)).map_err(failed)?;
     Read::by_ref(&mut file).take(of_record).read_to_end(&mut sealed).map_err(failed)?;
-    let (version, content) = unseal(&sealed, LETTERS).map_err(damaged)?;
-    if version != VERSION {
-        return Err(damaged(UNKNOWN_VERSION));
-    }
-    let record: PartRecord =
-        postcard::from_bytes(content).map_err(|_| damaged("its record makes no sense"))?;
+    let record: PartRecord = unsealed(&sealed, (LETTERS, VERSION), damaged)?;
     if record.own() != start || record.pieces.start > record.pieces.end {
         return Err(damaged("its record makes no sense"));
     }

@@ -121,10 +121,10 @@ pub fn write_part(
 
     progress.begin("preparing", 0);
     let reusing = Reusing::begin();
-    let surroundings = RestGeometry::kept(sampled);
-    let fields = [field(sampled, model, how, &surroundings, deformed)];
+    let around = RestGeometry::kept(sampled);
+    let fields = [field(sampled, model, how, &around, deformed)];
     // Here, on all threads of the pool.
-    surroundings.cells();
+    around.cells();
     drop(reusing);
     let transfer = Transfer {
         fields: &fields,
@@ -529,12 +529,12 @@ impl PartJoin<'_> {
             let read = match &object {
                 Some(object) => copy(ObjectReader { object, at }, bytes, output, nowhere, self.progress),
                 None => {
-                    let mut file = input::open(output).map_err(|_| gone())?;
+                    let mut file = input::open(output).map_err(|e| gone().because(e))?;
                     file.seek(SeekFrom::Start(at)).map_err(|e| Error::io("read", output, &e))?;
                     copy(file, bytes, output, nowhere, self.progress)
                 }
             };
-            read.map_err(|_| gone())?;
+            read.map_err(|e| if e.kind() == ErrorKind::Cancelled { e } else { gone().because(e) })?;
         }
         Ok(())
     }

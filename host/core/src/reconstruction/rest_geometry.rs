@@ -6,13 +6,14 @@ use std::sync::{Arc, OnceLock};
 use glam::Vec3;
 
 use super::blend::{Grouped, Supports};
-use super::home_cells::Cells;
+use super::home_cells::HomeOctree;
 use super::sheets::Sheets;
 use super::workspace::Workspaces;
 use crate::sampling::SampleSet;
 
-/// What there is to know of the samples at rest, for all deformations of them: who is on whose sheet, and
-/// whose word counts where. It is found once for a [`SampleSet`], which holds it for all who need it.
+/// What there is to know of the samples at rest, for all deformations of them: the sheet of each sample, and
+/// its support, the ball in which its expansion has a weight. It is found once for a [`SampleSet`], which
+/// holds it for all who need it.
 ///
 /// Memory: about 290 bytes per sample, up to 130 more beside other sheets, and what [`SampleSet::prepare`]
 /// finds.
@@ -26,12 +27,19 @@ pub struct RestGeometry<'a> {
     vertices: Vec<AtomicU64>,
 }
 
-/// What is found of samples at rest, and held with them.
+/// What was found of samples at rest so far, each once, and is held with them: some need the sheets alone.
+#[derive(Default)]
+struct HeldGeometry {
+    sheets: OnceLock<Arc<Sheets>>,
+    all: OnceLock<Arc<FoundGeometry>>,
+}
+
+/// All that is found of samples at rest.
 struct FoundGeometry {
     sheets: Arc<Sheets>,
     supports: Arc<Supports>,
     /// What homes are found by: made when a place is first looked up, as fitting does not need it.
-    cells: OnceLock<Cells>,
+    cells: OnceLock<HomeOctree>,
     /// Whether it is on the disk, beside the samples.
     is_kept: AtomicBool,
 }
@@ -40,8 +48,7 @@ impl<'a> RestGeometry<'a> {
     /// The sheets and supports of the samples at rest: as somebody found them before, or found now.
     pub fn new(samples: &'a SampleSet) -> Self {
         Self::held(samples).unwrap_or_else(|| {
-            samples.prepare();
-            let sheets = Sheets::find(samples);
+            let sheets = sheets(samples);
             let supports = Supports::new(samples, &sheets);
             Self::known(samples, sheets, supports)
         })
@@ -54,7 +61,7 @@ impl<'a> RestGeometry<'a> {
 
     /// What was found of the same samples, if it was.
     pub(super) fn held(samples: &'a SampleSet) -> Option<Self> {
-        samples.rest().map(|found| Self::of_found(samples, found))
+        samples.rest::<HeldGeometry>().all.get().map(|found| Self::of_found(samples, found.clone()))
     }
 
     /// Whether a sample is on the sheet of another.
@@ -79,12 +86,18 @@ impl<'a> RestGeometry<'a> {
     }
 
     /// What was found out before.
-    pub(super) fn known(samples: &'a SampleSet, sheets: Sheets, supports: Supports) -> Self {
-        let (sheets, supports) = (Arc::new(sheets), Arc::new(supports));
+    pub(super) fn known(
+        samples: &'a SampleSet,
+        sheets: impl Into<Arc<Sheets>>,
+        supports: impl Into<Arc<Supports>>,
+    ) -> Self {
+        let (sheets, supports) = (sheets.into(), supports.into());
         let found =
             FoundGeometry { sheets, supports, cells: OnceLock::new(), is_kept: AtomicBool::new(false) };
         let found = Arc::new(found);
-        samples.set_rest(found.clone());
+        // Who found it at the same time found the same.
+        let held = samples.rest::<HeldGeometry>();
+        let _ = (held.sheets.set(found.sheets.clone()), held.all.set(found.clone()));
         Self::of_found(samples, found)
     }
 
@@ -104,19 +117,19 @@ impl<'a> RestGeometry<'a> {
         self.found.is_kept.store(true, Ordering::Relaxed);
     }
 
-    pub(super) fn cells(&self) -> &Cells {
+    pub(super) fn cells(&self) -> &HomeOctree {
         match self.found.cells.get() {
             Some(cells) => cells,
             // Jobs of the thread pool make them: no other one may wait for that.
             None => {
-                let cells = Cells::build(self.samples, &self.supports.radius);
+                let cells = HomeOctree::build(self.samples, &self.supports.radius);
                 self.found.cells.get_or_init(|| cells)
             }
         }
     }
 
     /// Sets what homes are found by, which was found out before.
-    pub(super) fn set_cells(&self, cells: Cells) {
+    pub(super) fn set_cells(&self, cells: HomeOctree) {
         let _ = self.found.cells.set(cells);
     }
 
@@ -135,4 +148,16 @@ impl<'a> RestGeometry<'a> {
     pub(super) fn vertices_of(&self, sample: usize) -> u64 {
         self.vertices[sample].load(Ordering::Relaxed)
     }
+}
+
+/// The sheets of the samples at rest: as somebody found them before, or found now.
+pub(super) fn sheets(samples: &SampleSet) -> Arc<Sheets> {
+    let held = samples.rest::<HeldGeometry>();
+    if let Some(sheets) = held.sheets.get() {
+        return sheets.clone();
+    }
+    // Jobs of the thread pool find them: no other one may wait for that.
+    samples.prepare();
+    let found = Arc::new(Sheets::find(samples));
+    held.sheets.get_or_init(|| found).clone()
 }

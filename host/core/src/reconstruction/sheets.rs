@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::lanes::{Lanes, triple};
 use crate::counting_sort;
+use crate::geometry::{STACKED, STEEPEST};
 use crate::sampling::{NEIGHBOURS, NeighbourGraph, SampleSet};
 
 /// Most neighbours of a sample on its sheet.
@@ -24,9 +25,6 @@ pub const SHEET_NEIGHBOURS: usize = 32;
 
 /// Neighbours in space that are looked at where several sheets are near.
 pub const CROWDED_NEIGHBOURS: usize = 96;
-
-/// How much more a distance across the surface counts than one along it.
-const STACKED: f32 = 10.0;
 
 /// Samples that are linked by one job.
 const TOGETHER: usize = 256;
@@ -42,9 +40,6 @@ const ENOUGH: usize = 16;
 
 /// A chord within this sine of the tangent planes is one along the surface.
 const ALONG: f32 = 0.2;
-
-/// A chord beyond this sine is no link.
-const ACROSS: f32 = 0.5;
 
 /// The place of a sample that has none.
 const NOWHERE: u8 = u8::MAX;
@@ -306,13 +301,6 @@ pub fn are_lists(starts: &[u32], lists: usize, entries: usize) -> bool {
         && starts.last().is_some_and(|end| *end as usize == entries)
 }
 
-/// The square of how far a point at `d` from a sample is, where the surface between them has the normal `n`.
-#[inline]
-pub fn sheet_distance(d: Vec3, n: Vec3) -> f32 {
-    let across = STACKED * d.dot(n);
-    d.length_squared() + across * across
-}
-
 /// What a sample is linked to.
 #[derive(Debug, Clone, Copy, Default)]
 struct Links {
@@ -368,8 +356,8 @@ impl Chords {
         }
     }
 
-    /// Measures the distances, and says whether all chords are plainly along the surface. What lies behind
-    /// the neighbours is of no meaning.
+    /// Measures the chords' lengths as [`chord_length`](crate::geometry::chord_length) does for one, and says
+    /// whether all chords are plainly along the surface. What lies behind the neighbours is of no meaning.
     #[inline(always)]
     fn measure<S: Simd>(&mut self, simd: S, own: Vec3, count: usize) -> bool {
         let splat = |x| Lanes::splat(simd, x);
@@ -390,7 +378,7 @@ impl Chords {
             // More than 120° apart, as on both sides of a thin plate, but not between the walls of a groove.
             let faces_away = (splat(2.0) * turn + one).less_or_equal(zero);
             let distance = faces_away.select(splat(f32::INFINITY), squared + stacked * stacked);
-            let is_link = across.less_or_equal(splat(ACROSS * ACROSS) * squared);
+            let is_link = across.less_or_equal(splat(STEEPEST * STEEPEST) * squared);
             distances[at] = is_link.select(distance, splat(f32::INFINITY)).1;
             let is_along = across.less_or_equal(splat(ALONG * ALONG) * squared);
             besides[at] = is_along.and(zero.less_or_equal(turn)).select(one, zero).1;

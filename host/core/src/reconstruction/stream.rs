@@ -324,11 +324,11 @@ impl<'a> ReconstructionCall<'a> {
 
         self.progress.begin("preparing", 0);
         let reusing = Reusing::begin();
-        let (binding, surroundings) = self.surroundings();
+        let (binding, around) = self.rest_geometry();
         let is_bound = binding.is_some();
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
-            let field = field(self.sampled, self.model, self.how, &surroundings, begun.version.deformed);
+            let field = field(self.sampled, self.model, self.how, &around, begun.version.deformed);
             if begun.diagnostics.is_some() { field.expecting_of_vertices() } else { field }
         };
         let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
@@ -343,7 +343,7 @@ impl<'a> ReconstructionCall<'a> {
         }
         if binding.is_none() {
             // Here, on all threads of the pool.
-            surroundings.cells();
+            around.cells();
         }
         drop(reusing);
         let transfer = Transfer {
@@ -372,8 +372,8 @@ impl<'a> ReconstructionCall<'a> {
         drop(fields);
         self.commit_pass(of_samples)?;
         // At last, so that it takes no room from the outputs.
-        if is_last && !is_bound && !surroundings.is_kept() {
-            kept_geometry::keep(self.sampled, &surroundings);
+        if is_last && !is_bound && !around.is_kept() {
+            kept_geometry::keep(self.sampled, &around);
         }
         Ok(())
     }
@@ -401,7 +401,7 @@ impl<'a> ReconstructionCall<'a> {
     }
 
     /// The geometry at rest: as a binding has it, or as it is [kept](RestGeometry::kept).
-    fn surroundings(&self) -> (Option<Binding>, RestGeometry<'a>) {
+    fn rest_geometry(&self) -> (Option<Binding>, RestGeometry<'a>) {
         if let Some(path) = self.how.binding {
             match Binding::open(path, self.sampled) {
                 Ok(Some((binding, geometry))) => {
@@ -510,10 +510,10 @@ pub(super) fn field<'a>(
     sampled: &SampledModel,
     model: &dyn Model,
     how: &Reconstruction<'a>,
-    surroundings: &'a RestGeometry<'a>,
+    around: &'a RestGeometry<'a>,
     deformed: &'a [Vec3],
 ) -> DeformationField<'a> {
-    let field = DeformationField::new(surroundings, deformed, how.method);
+    let field = DeformationField::new(around, deformed, how.method);
     let field = field.expecting(&sampled.frame, model.info());
     let known = how.gradients.filter(|known| known.len() == sampled.samples.len());
     let is_smooth = known.is_some() || how.method == Method::BlendedJets;

@@ -20,7 +20,7 @@ pub struct Workspace {
     pub local: [Vec<f32>; 3],
     /// … and homes, likewise.
     pub homes: Vec<u32>,
-    /// Those that follow each other in this order and have one home.
+    /// Vertices that follow each other in this order and have one home.
     pub runs: Vec<HomeRun>,
     /// For each sample, the group of which it is the home, if that group is of this block.
     pub group_of: Vec<u32>,

@@ -24,7 +24,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_model::size::human_size;
-use simod_model::{Error, ErrorKind, Model, Progress, Result};
+use simod_model::{Error, ErrorKind, Model, Progress, Result, memory};
 
 pub use record::Refinement;
 pub use selection::SpaceSelection;
@@ -36,7 +36,7 @@ use crate::sampling::cut::{self, threshold_for};
 use crate::sampling::grid::CellMap;
 use crate::sampling::kept_cells::{KeptCell, KeptCells};
 use crate::sampling::ranges::joined;
-use crate::sampling::{LEAST_MEMORY, Placement, total_memory};
+use crate::sampling::{LEAST_MEMORY, Placement};
 use crate::touching::{ContactVertices, Guides};
 use appending::{Appended, append};
 use faces::ReadMembers;
@@ -359,7 +359,7 @@ struct GrownTrees {
 
 impl RefinementCall<'_, '_> {
     fn limit(&self) -> u64 {
-        self.how.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30)).max(LEAST_MEMORY)
+        self.how.memory_limit.unwrap_or_else(|| (memory::of_machine() / 4).min(2 << 30)).max(LEAST_MEMORY)
     }
 
     fn goal(&self) -> RefinementGoal {

@@ -9,7 +9,7 @@ use simod_model::{Error, Result, input};
 use super::cluster::Moments;
 use super::vs_tree::VsTree;
 use crate::fingerprint::HashedPart;
-use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
+use crate::sealed::{seal, unsealed};
 
 /// What such a file begins with.
 const LETTERS: &[u8; 8] = b"simodtre";
@@ -74,16 +74,11 @@ impl ClusteredFile {
     /// Reads a file of this key.
     ///
     /// # Errors
-    /// It cannot be read, is damaged, or is of something else.
+    /// The file cannot be read, is damaged, or is of something else.
     pub fn read(path: &Path, key: u128) -> Result<Self> {
         let bytes = input::read(path, LONGEST)?;
         let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
-        let (version, content) = unseal(&bytes, LETTERS).map_err(damaged)?;
-        if version != VERSION {
-            return Err(damaged(UNKNOWN_VERSION));
-        }
-        let mut file: Self =
-            postcard::from_bytes(content).map_err(|_| damaged("its content makes no sense"))?;
+        let mut file: Self = unsealed(&bytes, (LETTERS, VERSION), damaged)?;
         if file.key != key {
             return Err(refused(path, "has clusters of another model, or for other samples"));
         }

@@ -10,7 +10,7 @@ use simod_model::{Error, Model, Progress, Result, SMALL_CHUNK, VertexChunk, inpu
 
 use super::grid::{CellKey, CellRecord, Grid, GridCounter};
 use super::opaque::Opaque;
-use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
+use crate::sealed::{seal, unsealed};
 
 /// What such a file begins with.
 const LETTERS: &[u8; 8] = b"simodcnt";
@@ -163,11 +163,7 @@ fn refused(path: &Path, what: &str) -> Error {
 fn read(path: &Path) -> Result<CountFile> {
     let bytes = input::read(path, LONGEST)?;
     let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
-    let (version, content) = unseal(&bytes, LETTERS).map_err(damaged)?;
-    if version != VERSION {
-        return Err(damaged(UNKNOWN_VERSION));
-    }
-    postcard::from_bytes(content).map_err(|_| damaged("its content makes no sense"))
+    unsealed(&bytes, (LETTERS, VERSION), damaged)
 }
 
 /// Vertices whose position is not finite: they are left out of P_S, and keep their bytes.

@@ -168,7 +168,7 @@ mod tests {
         }
     }
 
-    /// Of two sheets that bend alike, places of one stand out of those of the other by what is between.
+    /// Places of one of two sheets that bend alike stand out of those of the other by what is between.
     #[test]
     fn sheets_that_lie_one_above_the_other_stay_apart() {
         for gap in [0.1, 0.2, 0.4] {

@@ -125,7 +125,8 @@ impl<'a> Divided<'a> {
         let groups = ranges.len() as u32;
         let mut hash = Xxh3Default::new();
         hash.update(&input::read(division.counts, LONGEST_COUNTS)?);
-        hash.update(format!("{:?} {groups}", prepared.sampling).as_bytes());
+        let asked = postcard::to_allocvec(&(prepared.sampling, groups));
+        hash.update(&asked.map_err(|e| Error::unwritable("a key", e))?);
         let shares = Shares::new(&prepared.grid, ranges, groups);
         Ok(Self { prepared, shares, key: hash.digest128() })
     }

@@ -31,7 +31,7 @@ use super::divided::{Divided, UnitDivision, leaves_key, reads_faces};
 use super::face_ranges::FaceRanges;
 use super::face_runs::{FaceRuns, RunsRead, have_to_be_found};
 use super::gather::Grouping;
-use super::membership::{self, SampleOf, Samples};
+use super::membership::{self, LeafSamples, SampleOf};
 use super::numbers_file::{NumbersFile, NumbersWriter, is_there};
 use super::placement::{FACES_OF_A_SUM, LISTED, Placement, Planes};
 use super::shares::Owner;
@@ -41,13 +41,13 @@ use super::{
     keeps_faces,
 };
 use crate::sampled_model::SampledModel;
-use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
+use crate::sealed::{seal, unsealed};
 use crate::touching::{FoundTwins, Islands, TwinSearch, twins_may_be_there};
 
 /// What the file of a cut begins with.
 const LETTERS: &[u8; 8] = b"simodcut";
 
-/// Of what units leave each other to know of the faces, all of which is bound to a cut.
+/// Version of what units leave each other to know of the faces, all of which is bound to a cut.
 const VERSION: u32 = 3;
 
 /// No file of a cut is longer: of 2³² samples.
@@ -81,7 +81,7 @@ pub struct FaceFiles<'a> {
 /// What a cut through all trees leaves.
 #[derive(Serialize, Deserialize)]
 struct CutFile {
-    /// That of the division.
+    /// The division's key.
     key: u128,
     /// Why one unit has to sample the model by itself, if so.
     alone: Option<String>,
@@ -273,12 +273,7 @@ impl Divided<'_> {
     fn read_cut(&self, path: &Path) -> Result<CutFile> {
         let bytes = input::read(path, LONGEST)?;
         let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
-        let (version, content) = unseal(&bytes, LETTERS).map_err(damaged)?;
-        if version != VERSION {
-            return Err(damaged(UNKNOWN_VERSION));
-        }
-        let file: CutFile =
-            postcard::from_bytes(content).map_err(|_| damaged("its content makes no sense"))?;
+        let file: CutFile = unsealed(&bytes, (LETTERS, VERSION), damaged)?;
         if file.key != self.key() {
             return Err(refused(path, "is a cut of another model, or for other samples"));
         }
@@ -312,7 +307,7 @@ impl Divided<'_> {
         let mut of_groups: Vec<_> = groups.iter().map(|group| group.one_by_one(range as usize)).collect();
 
         let starts = membership::starts(grid);
-        let mut samples = Samples::new(&cut.cut.starts);
+        let mut samples = LeafSamples::new(&cut.cut.starts);
         // The leaves of the cell at hand, and who clustered it.
         let mut cell = (0..0, owner);
         let mut count = 0;
@@ -365,8 +360,8 @@ impl CutFile {
 
 /// The lists in a file of what faces tell.
 mod list {
-    /// Of triangles: how many lack a vertex (lower and upper half), whether they are of vertices, whether
-    /// tangled.
+    /// Triangles in numbers: how many lack a vertex (lower and upper half), whether they are of vertices,
+    /// whether tangled.
     pub const HEAD: usize = 0;
     /// Three corners each.
     pub const TRIANGLES: usize = 1;
@@ -431,7 +426,7 @@ struct FacePart<'a> {
     divided: &'a Divided<'a>,
     cut: &'a CutFile,
     read: RunsRead,
-    /// Of all triangles, bytes that it reads, about.
+    /// Bytes of all triangles that it reads, about.
     bytes: u64,
 }
 

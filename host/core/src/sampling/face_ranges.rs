@@ -23,9 +23,9 @@ pub struct FaceRanges {
 
 /// What becomes of ranges.
 enum KeptRanges {
-    /// They are kept, as far as there is room.
+    /// Ranges are kept, as far as there is room.
     Joined(Ranges),
-    /// They are listed for who [joins](FaceRanges::join) them; the last one of each cell may go on.
+    /// Ranges are listed for who [joins](FaceRanges::join) them; the last one of each cell may go on.
     Listed { last: Vec<Range<u64>>, list: Vec<(u32, Range<u64>)> },
 }
 

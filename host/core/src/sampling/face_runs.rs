@@ -11,7 +11,7 @@ use xxhash_rust::xxh3::xxh3_128;
 
 use super::clustered_file::refused;
 use super::placement::FACES_OF_A_SUM;
-use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
+use crate::sealed::{seal, unsealed};
 
 /// What a file of runs begins with.
 const LETTERS: &[u8; 8] = b"simodrun";
@@ -26,7 +26,7 @@ const LONGEST: u64 = 1 << 36;
 /// Memory: 16 bytes per run.
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct FaceRuns {
-    /// That of the model.
+    /// The model's key.
     key: u128,
     triangles: u64,
     starts: Vec<RunStart>,
@@ -46,11 +46,11 @@ struct RunStart {
 pub(super) struct RunsRead {
     /// The mark from which on it is read.
     pub(super) from: u64,
-    /// Of the triangles from there on those of its runs, whose planes it sums up …
+    /// The triangles from there on of its runs, whose planes it sums up …
     pub(super) summed: Range<u64>,
     /// … and those that lie before the mark from which the next one reads, of which it finds all else.
     pub(super) found: u64,
-    /// That mark; none of the last part, which reads to the end.
+    /// The mark at which it ends; none of the last part, which reads to the end.
     pub(super) to: Option<u64>,
 }
 
@@ -96,11 +96,7 @@ impl FaceRuns {
     fn read(model: &dyn Model, path: &Path) -> Result<Self> {
         let bytes = input::read(path, LONGEST)?;
         let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
-        let (version, content) = unseal(&bytes, LETTERS).map_err(damaged)?;
-        if version != VERSION {
-            return Err(damaged(UNKNOWN_VERSION));
-        }
-        let runs: Self = postcard::from_bytes(content).map_err(|_| damaged("its content makes no sense"))?;
+        let runs: Self = unsealed(&bytes, (LETTERS, VERSION), damaged)?;
         if runs.key != key_of(model) {
             return Err(refused(path, "is of the faces of another model"));
         }
@@ -145,7 +141,7 @@ impl FaceRuns {
         Err(Error::internal(format!("{} has faces without marks", model.path().display())))
     }
 
-    /// Those runs begin behind the last mark whose first triangle is one of so many.
+    /// Runs begin behind the last mark whose first triangle is one of so many.
     fn begin(&mut self, triangles: u64, last: Option<(u64, u64)>) {
         let Some((before, mark)) = last else { return };
         loop {
@@ -186,7 +182,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Of any blocks of faces, all triangles are found once, and summed up once, by any number of parts.
+        /// All triangles of any blocks of faces are found once, and summed up once, by any number of parts.
         #[test]
         fn parts_have_all_triangles_once(
             blocks in proptest::collection::vec(prop_oneof![0..50u64, 0..200_000u64], 1..40), parts in 1..50u64,

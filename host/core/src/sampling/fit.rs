@@ -17,7 +17,7 @@ use simod_model::mapped::looked_at;
 use simod_model::{Progress, Result};
 
 use super::cluster::symmetric;
-use super::kd_tree::Extent;
+use super::kd_tree::PointBox;
 use super::placement::Placed;
 use crate::lists::lists;
 
@@ -117,7 +117,7 @@ impl<'a> TriangleSurface<'a> {
         let (starts, around) = lists(samples.len(), corners);
         let normals =
             triangles.par_iter().map(|corners| normal(corners.map(|sample| samples[sample as usize])));
-        let Extent { min, max } = Extent::from_points(samples.iter().copied());
+        let PointBox { min, max } = PointBox::from_points(samples.iter().copied());
         let extent = (max - min).max_element().max(f32::MIN_POSITIVE);
         let normals = normals.collect();
         let mut surface = Self { samples, triangles, normals, starts, around, extent };

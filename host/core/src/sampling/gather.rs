@@ -9,6 +9,7 @@ use std::hash::BuildHasherDefault;
 use std::path::Path;
 
 use glam::{IVec3, Vec3};
+use serde::Serialize;
 use simod_model::Result;
 use simod_model::frame::Frame;
 
@@ -386,7 +387,7 @@ fn floor(x: Vec3) -> IVec3 {
 }
 
 /// How the vertices of open cells are held.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub enum Grouping {
     /// As they are, unless too many are held at a time, and groups of them would be fewer.
     #[default]

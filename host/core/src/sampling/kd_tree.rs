@@ -2,6 +2,11 @@
 //! Best Matches in Logarithmic Expected Time*, 1977) of tight boxes.
 //!
 //! Points at the same distance are told apart by their index, so what is found depends on the points alone.
+//!
+//! Why not kiddo's, on which other crates stand: the neighbours of all points at once are what P_S waits for.
+//! 200 000 points of a surface, two cores, kiddo 6.3: 32 neighbours of all in 0.04 s, and 0.18 s by kiddo,
+//! which looks each up by itself and leaves ties open; 0.01 s both to build; a nearest point in 0.3 and 0.2
+//! µs of a core.
 
 use glam::Vec3;
 
@@ -15,7 +20,7 @@ pub struct KdTree {
     pub(super) leaves: Vec<Leaf>,
     /// A node's box, then those of its left half, then those of its right half. A node of n leaves has ⌊n /
     /// 2⌋ of them on its left, and 2n − 1 boxes in all.
-    pub(super) boxes: Vec<Extent>,
+    pub(super) boxes: Vec<PointBox>,
     len: usize,
 }
 
@@ -29,7 +34,7 @@ pub(super) struct Leaf {
 }
 
 #[derive(Clone, Copy)]
-pub(super) struct Extent {
+pub(super) struct PointBox {
     pub(super) min: Vec3,
     pub(super) max: Vec3,
 }
@@ -55,7 +60,7 @@ impl KdTree {
         let mut points: Vec<(Vec3, u32)> = points.iter().copied().zip(0..).collect();
         let len = points.len();
         let leaves = len.div_ceil(LEAF);
-        let mut boxes = vec![Extent { min: Vec3::ZERO, max: Vec3::ZERO }; 2 * leaves - 1];
+        let mut boxes = vec![PointBox { min: Vec3::ZERO, max: Vec3::ZERO }; 2 * leaves - 1];
         halve(&mut points, &mut boxes, in_parallel);
         Self { leaves: points.chunks(LEAF).map(Leaf::from_points).collect(), boxes, len }
     }
@@ -67,7 +72,7 @@ impl KdTree {
 
     /// The point nearest to `p`.
     pub fn nearest(&self, p: Vec3) -> u32 {
-        let mut search = Search { tree: self, point: p, but: u32::MAX, found: &mut [NOTHING] };
+        let mut search = TreeSearch { tree: self, point: p, but: u32::MAX, found: &mut [NOTHING] };
         search.visit(0, 0, self.leaves.len());
         search.found[0] as u32
     }
@@ -159,7 +164,7 @@ impl KdTree {
     pub fn nearest_others(&self, p: Vec3, but: u32, found: &mut [Found]) {
         found.fill(NOTHING);
         if !found.is_empty() {
-            Search { tree: self, point: p, but, found }.visit(0, 0, self.leaves.len());
+            TreeSearch { tree: self, point: p, but, found }.visit(0, 0, self.leaves.len());
         }
     }
 }
@@ -180,10 +185,10 @@ pub(crate) fn completed<T: Copy>(values: &[Option<T>], positions: &[Vec3]) -> Op
 }
 
 /// Parts the points at the median along their box's longest side, so that leaves are full, and so on.
-fn halve(points: &mut [(Vec3, u32)], boxes: &mut [Extent], in_parallel: bool) {
+fn halve(points: &mut [(Vec3, u32)], boxes: &mut [PointBox], in_parallel: bool) {
     let Some((whole, halves)) = boxes.split_first_mut() else { return };
-    *whole = Extent::from_points(points.iter().map(|(p, _)| *p));
-    let Extent { min, max } = *whole;
+    *whole = PointBox::from_points(points.iter().map(|(p, _)| *p));
+    let PointBox { min, max } = *whole;
     if points.len() > LEAF {
         let left = points.len().div_ceil(LEAF) / 2;
         let axis = (max - min).max_position();
@@ -237,7 +242,7 @@ impl Leaf {
     }
 }
 
-impl Extent {
+impl PointBox {
     pub(super) fn from_points(points: impl Iterator<Item = Vec3>) -> Self {
         let nothing = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
         points.fold(nothing, |all, p| Self { min: all.min.min(p), max: all.max.max(p) })
@@ -259,7 +264,7 @@ impl Extent {
     }
 }
 
-struct Search<'a> {
+struct TreeSearch<'a> {
     tree: &'a KdTree,
     point: Vec3,
     /// Index of the point that is left out.
@@ -268,7 +273,7 @@ struct Search<'a> {
     found: &'a mut [Found],
 }
 
-impl Search<'_> {
+impl TreeSearch<'_> {
     /// Looks for nearer ones below a node of so many leaves, of which this is the first.
     fn visit(&mut self, node: usize, first: usize, leaves: usize) {
         if leaves == 1 {

@@ -121,7 +121,7 @@ impl KeptCells {
     /// Reads the content of a file: the hash of the `samples.ply` that it belongs to, and the cells.
     ///
     /// # Errors
-    /// It is damaged, or of a version that is not known.
+    /// The content is damaged, or of a version that is not known.
     pub fn decode(bytes: &[u8]) -> Result<(String, Self)> {
         let (version, content) = unseal(bytes, MAGIC).map_err(damaged)?;
         let failed = |e: postcard::Error| damaged(&e.to_string());
@@ -140,7 +140,7 @@ impl KeptCells {
     /// is whole may still lie.
     ///
     /// # Errors
-    /// They are not.
+    /// The cells are those of another model.
     pub fn check(
         &self,
         finite: u64,

@@ -13,7 +13,6 @@ use bytemuck::{cast_slice, cast_slice_mut};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::mapped::{Map, MapMut, looked_at};
-use simod_model::output::check_space;
 use simod_model::scratch::Scratch;
 use simod_model::{ModelInfo, Progress, Result};
 
@@ -84,17 +83,14 @@ impl Membership {
     /// A table without members yet, of a model of which so many vertices come. The files go to `folder`.
     ///
     /// # Errors
-    /// They cannot be made, or the disk has no room for them.
+    /// The files cannot be made, or the disk has no room for them.
     pub fn new(grid: &Grid, info: &ModelInfo, coming: u64, noted: Noted, folder: &Path) -> Result<Self> {
         let vertices = info.vertices;
         // Better known before a large model is clustered.
         let bytes = FILES * BYTES
             + if noted.positions { size_of::<Vec3>() as u64 } else { 0 }
             + if noted.twins { BYTES } else { 0 };
-        check_space(folder, folder, bytes.saturating_mul(coming)).map_err(|e| {
-            let hint = format!("{}; or {ADVICE}", e.hint());
-            e.hinting(hint)
-        })?;
+        Scratch::check_space(folder, bytes.saturating_mul(coming), ADVICE)?;
         let leaves = Leaves { file: Scratch::new(folder, ADVICE)?, starts: starts(grid) };
         // Sparse: only so much is written as there are items.
         leaves.file.set_len(vertices * BYTES)?;
@@ -192,7 +188,7 @@ impl Membership {
             let first = chunk * BUFFER as u64;
             let mut chunk = vec![0; BUFFER.min((self.written - first) as usize)];
             self.items.read_at(cast_slice_mut(&mut chunk), first * BYTES)?;
-            let mut samples = Samples::new(starts);
+            let mut samples = LeafSamples::new(starts);
             for item in &mut chunk {
                 *item = leaves.get(*item as usize).map_or(NONE, |leaf| samples.sample_of(*leaf));
             }
@@ -218,7 +214,7 @@ pub fn starts(grid: &Grid) -> Vec<u32> {
 }
 
 /// Finds samples by leaves.
-pub struct Samples<'a> {
+pub struct LeafSamples<'a> {
     /// From which leaf on leaves belong to which sample, ascending.
     starts: &'a [(u32, u32)],
     /// The leaves from the first to before the second are of the third.
@@ -228,7 +224,7 @@ pub struct Samples<'a> {
     last: usize,
 }
 
-impl<'a> Samples<'a> {
+impl<'a> LeafSamples<'a> {
     /// By these starts.
     pub fn new(starts: &'a [(u32, u32)]) -> Self {
         Self { starts, from: 0, to: 0, sample: NONE, last: 0 }

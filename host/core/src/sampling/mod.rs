@@ -52,7 +52,9 @@ use rayon::prelude::*;
 use simod_model::frame::Frame;
 use simod_model::mapped::looked_at;
 use simod_model::size::human_size;
-use simod_model::{Error, ErrorKind, FaceChunk, Model, ModelInfo, Progress, Result, for_faces, for_faces_at};
+use simod_model::{
+    Error, ErrorKind, FaceChunk, Model, ModelInfo, Progress, Result, for_faces, for_faces_at, memory,
+};
 
 pub use density::By;
 pub use gather::Grouping;
@@ -99,7 +101,7 @@ const CELLS_AT_EASE: u64 = 64 << 20;
 
 impl Sampling {
     fn limit(&self) -> u64 {
-        self.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30))
+        self.memory_limit.unwrap_or_else(|| (memory::of_machine() / 4).min(2 << 30))
     }
 
     /// Part of the memory limit that is for the clusters: what a target takes, or half of the limit.
@@ -124,15 +126,6 @@ impl Sampling {
         let most = self.memory_limit.map_or(CELLS_AT_EASE, |_| u64::MAX);
         left.min(most).max(LEAST_FOR_CELLS)
     }
-}
-
-/// Memory of the machine in bytes; 4 GiB where it does not tell.
-pub(crate) fn total_memory() -> u64 {
-    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    let total = text
-        .lines()
-        .find_map(|l| l.strip_prefix("MemTotal:")?.trim().strip_suffix("kB")?.trim().parse().ok());
-    total.unwrap_or(4 << 20) * 1024
 }
 
 /// Samples a model. Temporary files without a name are made in `folder`: of at most 40 bytes per vertex if

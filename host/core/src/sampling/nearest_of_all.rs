@@ -13,7 +13,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use simod_model::memory;
 
-use super::kd_tree::{Extent, Found, KdTree, LEAF, Leaf};
+use super::kd_tree::{Found, KdTree, LEAF, Leaf, PointBox};
 use crate::counting_sort;
 
 /// Most leaves that are looked at together. Where a leaf is near more, as one of few points beside a heap,
@@ -88,7 +88,7 @@ impl Batch<'_> {
     fn look_up(&mut self, leaf: usize, mut say: impl FnMut(u32, &[Found])) {
         let tree = self.tree;
         let leaf = &tree.leaves[leaf];
-        let whole = Extent::from_points(leaf.points().map(|(p, _)| p));
+        let whole = PointBox::from_points(leaf.points().map(|(p, _)| p));
         let mut most = MORE * self.farthest;
         let (mut is_gathered, mut is_sure) = (self.gather(&whole, most), false);
         self.farthest = 0.0;
@@ -124,7 +124,7 @@ impl Batch<'_> {
 
     /// Gathers the leaves of which a point may be no farther from a box than the root of `most`; `false` if
     /// they are too many.
-    fn gather(&mut self, whole: &Extent, most: f32) -> bool {
+    fn gather(&mut self, whole: &PointBox, most: f32) -> bool {
         self.near.clear();
         if !most.is_finite() {
             return false;

@@ -107,7 +107,7 @@ fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open
     });
 
     // All that look a way which is known are one part from the beginning.
-    let mut parts = Parts::new(positions.len());
+    let mut parts = OrientedParts::new(positions.len());
     let known = open.iter().position(|open| !open);
     if let Some(known) = known {
         (known..open.len()).filter(|i| !open[*i]).for_each(|i| parts.join(known, i, false));
@@ -143,14 +143,14 @@ fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open
 }
 
 /// A partition of the samples, with the sides that their normals look to: disjoint sets as trees.
-struct Parts {
+struct OrientedParts {
     /// The sample above each one, or itself: the root stands for the part.
     above: Vec<u32>,
     /// Whether its normal has to be turned to look the same way as that of the one above.
     turned: Vec<bool>,
 }
 
-impl Parts {
+impl OrientedParts {
     /// Each sample alone.
     fn new(samples: usize) -> Self {
         Self { above: (0..samples as u32).collect(), turned: vec![false; samples] }

@@ -63,7 +63,7 @@ impl NumbersWriter {
     /// Begins a file of so many lists.
     ///
     /// # Errors
-    /// It cannot be made, or another process makes it.
+    /// The file cannot be made, or another process makes it.
     pub fn create(path: &Path, key: u128, lists: usize) -> Result<Self> {
         Ok(Self {
             file: OutputFile::create(path, 0)?,
@@ -140,7 +140,7 @@ impl NumbersFile {
     /// Opens a file of this key.
     ///
     /// # Errors
-    /// It cannot be read, is damaged, or is of something else.
+    /// The file cannot be read, is damaged, or is of something else.
     pub fn open(path: &Path, key: u128) -> Result<Self> {
         let damaged = |what: &str| refused(path, &format!("is damaged: {what}"));
         let (_, table, end) = read_end::<NumberTable>(path, (LETTERS, VERSION), LONGEST, damaged)?;

@@ -166,7 +166,7 @@ fn logit(opacity: f64) -> f64 {
 /// The least opacity of a model's splats, by what was asked for: nothing where there are none.
 ///
 /// # Errors
-/// It is none from 0 to 1, or there is nothing of which it could be.
+/// The opacity asked for is not from 0 to 1, or the model has no splats.
 pub(super) fn resolve(model: &dyn Model, asked: Option<f64>) -> Result<Option<f64>> {
     let refused = |what: String, hint: &str| Err(Error::argument(what, hint));
     match asked {

@@ -1,5 +1,7 @@
 //! What sampling is asked for.
 
+use serde::Serialize;
+
 use super::density::By;
 use super::gather::Grouping;
 use super::placement::Placement;
@@ -7,7 +9,7 @@ use super::splitting::Splitting;
 use super::target::Target;
 
 /// What sampling is asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Sampling {
     /// How fine P_S shall be.
     pub target: Target,
@@ -32,7 +34,7 @@ pub struct Sampling {
 }
 
 /// Parts of a sampled model that can be left out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Skip {
     /// The triangles of P_S, which take a pass over the faces, and temporary files of at most 8 bytes per
     /// vertex.

@@ -145,9 +145,9 @@ impl PairVertices {
 struct Unlike {
     /// Area of the triangles.
     area: f64,
-    /// Of those with normals at their corners.
+    /// Angles of triangles with normals at their corners.
     from_corners: AngleSquares,
-    /// Of pairs.
+    /// Angles of pairs of triangles.
     from_next: AngleSquares,
     /// Corners, normal and area of the last triangle.
     last: Option<([u32; 3], DVec3, f64)>,
@@ -236,7 +236,7 @@ pub struct Planes<'a> {
     samples: &'a [Vec3],
     /// The number of the first of these: those before it stay where they are.
     first: u32,
-    /// Those of so many samples each, one after the other: each is summed up by one thread at a time, in the
+    /// Planes of so many samples each, one after the other: each is summed up by one thread at a time, in the
     /// file's order.
     shards: Vec<PlaneShard>,
     samples_of_a_shard: usize,
@@ -248,7 +248,7 @@ pub struct Planes<'a> {
 
 /// The planes around some samples that follow each other.
 struct PlaneShard {
-    /// Of the faces at hand, and the places of those samples that have any.
+    /// Quadrics of the faces at hand, and the places of those samples that have any.
     quadrics: Vec<Quadric>,
     met: Vec<u32>,
     sums: PlaneSumming,
@@ -265,9 +265,9 @@ struct CrossingFace {
 
 /// What becomes of the sums of some faces.
 enum PlaneSumming {
-    /// They are added up, in double precision.
+    /// Planes are added up, in double precision.
     Added(Vec<[f64; 10]>),
-    /// They are listed for who [adds](Planes::add_listed) them.
+    /// Faces are listed for who [adds](Planes::add_listed) them.
     Listed(Vec<u32>),
 }
 

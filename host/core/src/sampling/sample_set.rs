@@ -36,7 +36,7 @@ pub struct SampleSet {
     all_known: bool,
     /// All normals, where some had to be estimated.
     estimated: OnceLock<Vec<Vec3>>,
-    surroundings: OnceLock<Neighbourhoods>,
+    neighbourhoods: OnceLock<Neighbourhoods>,
     contacts: Option<Contacts>,
     tree: OnceLock<KdTree>,
     rest: OnceLock<Arc<dyn Any + Send + Sync>>,
@@ -73,7 +73,7 @@ impl SampleSet {
             known,
             all_known,
             estimated: OnceLock::new(),
-            surroundings: OnceLock::new(),
+            neighbourhoods: OnceLock::new(),
             contacts: None,
             tree: OnceLock::new(),
             rest: OnceLock::new(),
@@ -86,7 +86,7 @@ impl SampleSet {
         if self.all_known {
             return &self.known;
         }
-        self.estimated.get_or_init(|| match self.surroundings.get() {
+        self.estimated.get_or_init(|| match self.neighbourhoods.get() {
             Some(around) => normals::completed(&self.positions, &self.known, &around.neighbours),
             None => {
                 self.prepare_tree();
@@ -140,15 +140,10 @@ impl SampleSet {
         self.rest = OnceLock::new();
     }
 
-    /// What [`set_rest`](Self::set_rest) was given.
-    pub(crate) fn rest<T: Any + Send + Sync>(&self) -> Option<Arc<T>> {
-        self.rest.get().and_then(|rest| rest.clone().downcast().ok())
-    }
-
-    /// Holds what was found of the samples at rest, for all who need it as long as there are these samples:
-    /// the reconstruction's, whose type is not known here. Who found it at the same time found the same.
-    pub(crate) fn set_rest<T: Any + Send + Sync>(&self, rest: Arc<T>) {
-        let _ = self.rest.set(rest);
+    /// What is held of the samples at rest, for all who need it as long as there are these samples: the
+    /// reconstruction's, whose type is not known here.
+    pub(crate) fn rest<T: Any + Default + Send + Sync>(&self) -> Arc<T> {
+        self.rest.get_or_init(|| Arc::<T>::default()).clone().downcast().unwrap_or_default()
     }
 
     /// Number of samples.
@@ -166,13 +161,13 @@ impl SampleSet {
     /// To be called before these are asked for by jobs of a thread pool: finding them takes jobs of the pool,
     /// and a thread that waits for these could take one that waits for it.
     pub fn prepare(&self) {
-        let _ = (self.surroundings(), self.normals());
+        let _ = (self.neighbourhoods(), self.normals());
     }
 
     /// The k-nearest-neighbour graph.
     #[inline]
     pub fn neighbours(&self) -> &NeighbourGraph {
-        &self.surroundings().neighbours
+        &self.neighbourhoods().neighbours
     }
 
     /// Sets the graph, which was found out before; `false` if it cannot be that of these samples.
@@ -180,21 +175,21 @@ impl SampleSet {
         if graph.k() != NEIGHBOURS.min(self.len() - 1) || !graph.is_valid(self.len()) {
             return false;
         }
-        self.surroundings.get_or_init(|| Neighbourhoods::new(&self.positions, graph));
+        self.neighbourhoods.get_or_init(|| Neighbourhoods::new(&self.positions, graph));
         true
     }
 
     /// Mean distance to the nearest neighbours, for each sample; 0 for a single one.
     #[inline]
     pub fn spacing(&self) -> &[f32] {
-        &self.surroundings().spacing
+        &self.neighbourhoods().spacing
     }
 
     /// How far the surface around each sample goes that it stands for in pictures: its spacing, but for
     /// samples that lie apart from all others, as strays of a scan, no more than their nearest neighbour
     /// tells.
     pub fn extents(&self) -> Vec<f32> {
-        let Neighbourhoods { neighbours, spacing } = self.surroundings();
+        let Neighbourhoods { neighbours, spacing } = self.neighbourhoods();
         let ring = SPACING_NEIGHBOURS.min(neighbours.k());
         // To how many others each is a neighbour.
         let mut known = vec![0u8; spacing.len()];
@@ -280,8 +275,8 @@ impl SampleSet {
     }
 
     #[inline]
-    fn surroundings(&self) -> &Neighbourhoods {
-        self.surroundings.get_or_init(|| {
+    fn neighbourhoods(&self) -> &Neighbourhoods {
+        self.neighbourhoods.get_or_init(|| {
             self.prepare_tree();
             Neighbourhoods::new(&self.positions, NeighbourGraph::of_points(self.tree(), NEIGHBOURS))
         })
@@ -309,7 +304,7 @@ impl SampleSet {
             known: chosen.iter().map(|i| normals[*i as usize]).collect(),
             all_known: true,
             estimated: OnceLock::new(),
-            surroundings: OnceLock::new(),
+            neighbourhoods: OnceLock::new(),
             contacts: None,
             tree: OnceLock::new(),
             rest: OnceLock::new(),

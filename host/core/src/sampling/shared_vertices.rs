@@ -200,7 +200,7 @@ impl SharedWriter {
     /// Begins the file of a range, for so many groups.
     ///
     /// # Errors
-    /// It cannot be made, or another process makes it.
+    /// The file cannot be made, or another process makes it.
     pub fn create(path: &Path, key: u128, groups: u32) -> Result<Self> {
         let (mut buffers, mut blocks) = (Vec::new(), Vec::new());
         buffers.resize_with(groups as usize, Default::default);

@@ -281,7 +281,7 @@ struct StreamPiece<P: GatherPiece> {
 /// No item.
 const NONE: u32 = u32::MAX;
 
-/// Of a vertex of a cell that others cluster, the number of the cell is noted with this bit: pieces have
+/// The bit with which the number of a cell that others cluster is noted for its vertices: pieces have
 /// fewer items, and grids fewer cells.
 const OF_OTHERS: u32 = 1 << 31;
 

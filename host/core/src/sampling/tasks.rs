@@ -56,8 +56,8 @@ pub struct Tasks<P, C> {
 }
 
 impl<P, C> Tasks<P, C> {
-    /// Those of so many pieces, of which at most so many are taken and not finished, and of so many shards,
-    /// which merge until cells of so many bytes are complete and not clustered.
+    /// The tasks of so many pieces, of which at most so many are taken and not finished, and of so many
+    /// shards, which merge until cells of so many bytes are complete and not clustered.
     pub fn new(pieces: u64, most: u64, shards: usize, most_queued: usize) -> Self {
         Self {
             pieces,

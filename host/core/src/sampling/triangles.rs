@@ -22,7 +22,7 @@ pub struct Triangles {
     /// Samples of each triangle, in the orientation of its faces; each triangle once, in no order that means
     /// anything.
     pub triangles: Vec<[u32; 3]>,
-    /// They are not of samples yet, but of vertices, for which samples still have to be [put](Self::put).
+    /// Corners are not samples yet, but of vertices, for which samples still have to be [put](Self::put).
     pub of_vertices: bool,
     /// Number of triangles of P_L that refer to a vertex that there is not.
     pub without_vertex: u64,
@@ -183,7 +183,7 @@ struct Look<'a> {
     sample_of: &'a [u32],
     samples: usize,
     wants_triangles: bool,
-    /// They are wanted as vertices.
+    /// Corners are wanted as vertices.
     of_vertices: bool,
     /// Where the cells are of which it is noted that they are met.
     ranges: Option<&'a FaceRanges>,

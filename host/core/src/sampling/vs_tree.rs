@@ -408,9 +408,9 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> TreeBuilder<'_, F> {
 
 /// How the vertices of a cluster lie.
 enum ClusterShape {
-    /// They project on the plane of these vectors without folding.
+    /// Vertices project on the plane of these vectors without folding.
     Sheet([Vec3; 2]),
-    /// They are two sheets across this direction, with opposite normals.
+    /// Vertices are on two sheets across this direction, with opposite normals.
     TwoSheets(Vec3),
     /// Neither.
     Folded,

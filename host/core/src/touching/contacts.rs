@@ -97,7 +97,7 @@ impl Contacts {
     /// Writes a file, for the `samples.ply` with this hash.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The file cannot be written.
     pub fn save(&self, path: &Path, samples_fingerprint: &str) -> Result<()> {
         let failed = |e: io::Error| Error::written(path, e);
         let mut file = OutputFile::create(path, 12 * self.places.all().len() as u64)?;
@@ -111,7 +111,7 @@ impl Contacts {
     /// Reads a file, if it is there: of so many samples, and of the `samples.ply` with this hash.
     ///
     /// # Errors
-    /// It cannot be read; it is damaged, or of other samples.
+    /// The file cannot be read; it is damaged, or of other samples.
     pub fn load(path: &Path, samples_fingerprint: &str, samples: usize) -> Result<Option<Self>> {
         if path.symlink_metadata().is_err() {
             return Ok(None);

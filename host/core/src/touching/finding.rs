@@ -19,9 +19,8 @@ use super::contacts::{self, ContactLists, Contacts};
 use super::parting::{Parted, Parting};
 use super::places::PlaceSamples;
 use super::sorter::Sorter;
-use crate::reconstruction::{
-    CROWDED_NEIGHBOURS, RestGeometry, SHEET_NEIGHBOURS, TANGENT_RING, homes, sheet_distance,
-};
+use crate::geometry::sheet_distance;
+use crate::reconstruction::{CROWDED_NEIGHBOURS, RestGeometry, SHEET_NEIGHBOURS, TANGENT_RING, homes};
 use crate::sampled_model::SampledModel;
 use crate::sampling::kept_cells::CutTree;
 use crate::sampling::{NEIGHBOURS, SampleSet};
@@ -94,7 +93,7 @@ impl Contacts {
                 return Ok(());
             }
             let p = sampled.frame.to_local(p);
-            if planes.doubt(own, others[planes.place[own as usize] as usize], p) {
+            if planes.may_be_of_others(own, others[planes.place[own as usize] as usize], p) {
                 places.push(PlaceSamples::entry(p, own))
             } else {
                 Ok(())
@@ -342,7 +341,7 @@ impl<'a> Guides<'a> {
 
 /// How much worse than its own sample's a plane may suit a place that is kept nevertheless: homes are found
 /// with a few neighbours more or less than here.
-const DOUBT: f32 = 2.0;
+const AMBIGUOUS: f32 = 2.0;
 
 /// The tangent planes by which homes are told where sheets meet.
 struct Tangents<'a> {
@@ -383,14 +382,14 @@ impl<'a> Tangents<'a> {
 
     /// Whether the home of a place of sample `own` may be one of the others: where one of their planes suits
     /// it about as well, or where it is so far from its own sample that others have their say before it.
-    fn doubt(&self, own: u32, others: &[u32], p: Vec3) -> bool {
+    fn may_be_of_others(&self, own: u32, others: &[u32], p: Vec3) -> bool {
         let away = |i: u32| p - self.samples.positions[i as usize];
         let normal = |i: u32| self.normals[self.place[i as usize] as usize];
         let d = away(own);
         if d.length_squared() >= self.reach[self.place[own as usize] as usize] {
             return true;
         }
-        let most = DOUBT * sheet_distance(d, normal(own));
+        let most = AMBIGUOUS * sheet_distance(d, normal(own));
         others.iter().any(|j| {
             let d = away(*j);
             d.length_squared() <= most

@@ -396,7 +396,7 @@ impl<'a> DisjointSets<'a> {
         self.back[vertex as usize].load(Relaxed)
     }
 
-    /// Those corners of a face that are of one cluster are of one island. Whether it has others.
+    /// Corners of a face that are of one cluster are of one island. Whether it has others.
     #[inline]
     fn unite_corners(self, corners: [u32; 3], [a, b, c]: [u32; 3]) -> bool {
         let [u, v, w] = corners;

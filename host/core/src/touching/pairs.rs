@@ -27,7 +27,7 @@ pub struct Pairs<'a> {
     folder: &'a Path,
     /// Vertices of a range.
     width: u64,
-    /// Of each range those that are not written yet.
+    /// Pairs of each range that are not written yet.
     held: Vec<Vec<[u32; 2]>>,
     file: Option<Scratch>,
     /// The range of each block of the file.

@@ -10,7 +10,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 use simod_model::mapped::looked_at;
-use simod_model::output::check_space;
+use simod_model::scratch::Scratch;
 use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
 use super::islands::{ClusterGraph, Islands, Mixed};
@@ -110,10 +110,7 @@ impl Parting<'_> {
     /// The model cannot be read, or a temporary file written; the user cancelled.
     pub fn weld_all(&self, islands: &mut Islands, sample_of: &[u32]) -> Result<()> {
         let vertices = self.model.info().vertices;
-        check_space(self.folder, self.folder, BYTES_OF_A_PLACE.saturating_mul(vertices)).map_err(|e| {
-            let hint = format!("{}; or {}", e.hint(), super::ADVICE);
-            e.hinting(hint)
-        })?;
+        Scratch::check_space(self.folder, BYTES_OF_A_PLACE.saturating_mul(vertices), super::ADVICE)?;
         let all = std::iter::once(0..vertices).collect();
         self.weld(all, islands, sample_of).map(|_| ())
     }
@@ -209,7 +206,7 @@ impl Parting<'_> {
     /// Reads the vertices of some ranges: index, position in the model's coordinates, and unit normal.
     ///
     /// # Errors
-    /// They cannot be read, or `visit` failed; the user cancelled.
+    /// The vertices cannot be read, or `visit` failed; the user cancelled.
     pub fn vertices(
         &self,
         ranges: Vec<Range<u64>>,
@@ -234,7 +231,7 @@ impl Parting<'_> {
     }
 }
 
-/// Of which cluster each island of several sheets is, and of which of its parts.
+/// The cluster of which each island of several sheets is, and of which of its parts.
 fn places(mixed: &[Mixed]) -> HashMap<u32, (usize, usize)> {
     let mut place_of = HashMap::new();
     for (i, Mixed { parts, .. }) in mixed.iter().enumerate() {
@@ -365,7 +362,7 @@ const OPEN: u32 = u32::MAX;
 
 /// The samples that parts of clusters are given.
 struct GivenSamples {
-    /// That of each island.
+    /// The sample of each island.
     sample: Vec<u32>,
     /// As of [`Parted`].
     moved: Vec<(u32, Vec3, Vec3)>,

@@ -65,7 +65,7 @@ impl FoundTwins {
     /// What is in a file of the numbers of all vertices.
     ///
     /// # Errors
-    /// It cannot be mapped.
+    /// The file cannot be mapped.
     pub fn of_all(back: Scratch) -> Result<Self> {
         let back = back.map_mut()?;
         let count = cast_slice::<_, u32>(&back).par_iter().filter(|back| **back != 0).count() as u64;
@@ -100,7 +100,7 @@ impl Twins {
     /// [any](may_be_there), they are not looked for. The file goes to `folder`.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The file cannot be made.
     pub fn new(vertices: u64, faces: u64, folder: &Path) -> Result<Self> {
         Ok(Self {
             file: Scratch::new(folder, ADVICE)?,

@@ -10,7 +10,7 @@ use simod_core::reconstruction::{Reconstruction, Version, bind, reconstruct};
 use simod_core::refinement::{Finer, Refining, SpaceSelection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
-use simod_generate::{Encoding, ModelOptions, write_file};
+use simod_generate::{ModelOptions, PlyEncoding, write_file};
 use simod_model::progress::Silent;
 use simod_model::{FaceChunk, Model, Progress, VertexChunk, output};
 use simod_tests::damage::{damage, damaged, runner};
@@ -27,7 +27,7 @@ struct Good {
 }
 
 impl Good {
-    fn new(encoding: Encoding) -> Self {
+    fn new(encoding: PlyEncoding) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
         let options = ModelOptions { vertices: 1000, encoding, ..ModelOptions::default() };
@@ -101,7 +101,7 @@ fn read_all(path: &Path) {
 
 #[test]
 fn damaged_models_do_no_harm() {
-    for encoding in [Encoding::Ascii, Encoding::BinaryLittleEndian, Encoding::BinaryBigEndian] {
+    for encoding in [PlyEncoding::Ascii, PlyEncoding::BinaryLittleEndian, PlyEncoding::BinaryBigEndian] {
         let good = Good::new(encoding);
         let bytes = good.read("m.ply");
         let header = bytes.windows(10).position(|w| w == b"end_header").expect("a header") + 11;
@@ -126,7 +126,7 @@ fn damaged_models_do_no_harm() {
 /// The files of a sampled folder, whose checksums fit what is damaged.
 #[test]
 fn damaged_folders_do_no_harm() {
-    let good = Good::new(Encoding::BinaryLittleEndian);
+    let good = Good::new(PlyEncoding::BinaryLittleEndian);
     let names =
         ["simod.toml", "samples.ply", "cells.bin", "binding.bin", "sheets.bin", "attributes.bin", "rest.bin"];
     let kept: Vec<(String, Vec<u8>)> = names
@@ -170,7 +170,7 @@ fn damaged_folders_do_no_harm() {
 /// it ends, with the right bytes, and nothing is left.
 #[test]
 fn damaged_journals_do_no_harm() {
-    let good = Good::new(Encoding::BinaryLittleEndian);
+    let good = Good::new(PlyEncoding::BinaryLittleEndian);
     let at = |name: &str| good.folder.path().join(name);
     let model = simod_model::open(&at("m.ply")).expect("a model");
     let deformed = good.sampled.samples.positions.clone();

@@ -11,7 +11,7 @@ use glam::Vec3;
 use simod_core::reconstruction::{Normals, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
-use simod_generate::{Encoding, ModelOptions, write_file as generate};
+use simod_generate::{ModelOptions, PlyEncoding, write_file as generate};
 use simod_model::progress::Silent;
 use simod_model::{ErrorKind, Model, Progress, Result};
 use tempfile::TempDir;
@@ -28,7 +28,7 @@ struct Work {
 const PART: u64 = 200_000;
 
 impl Work {
-    fn new(encoding: Encoding) -> Self {
+    fn new(encoding: PlyEncoding) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
         let options = ModelOptions { vertices: 200_000, encoding, ..ModelOptions::default() };
@@ -182,12 +182,12 @@ impl Progress for Watch {
 
 #[test]
 fn killed_anywhere_it_goes_on_to_the_same_bytes() {
-    let cases: [(&[usize], Encoding, Normals); 4] = [
-        (&[1], Encoding::BinaryLittleEndian, Normals::Transform),
-        (&[1, 2, 3], Encoding::BinaryLittleEndian, Normals::Drop),
-        (&[2], Encoding::Ascii, Normals::Keep),
+    let cases: [(&[usize], PlyEncoding, Normals); 4] = [
+        (&[1], PlyEncoding::BinaryLittleEndian, Normals::Transform),
+        (&[1, 2, 3], PlyEncoding::BinaryLittleEndian, Normals::Drop),
+        (&[2], PlyEncoding::Ascii, Normals::Keep),
         // Six take two readings.
-        (&[0, 1, 2, 3, 4, 5], Encoding::BinaryBigEndian, Normals::Transform),
+        (&[0, 1, 2, 3, 4, 5], PlyEncoding::BinaryBigEndian, Normals::Transform),
     ];
     for (versions, encoding, normals) in cases {
         let work = Work::new(encoding);
@@ -208,7 +208,7 @@ fn killed_anywhere_it_goes_on_to_the_same_bytes() {
 
 #[test]
 fn without_resume_leftovers_are_replaced() {
-    let work = Work::new(Encoding::BinaryLittleEndian);
+    let work = Work::new(PlyEncoding::BinaryLittleEndian);
     let expected = work.expected(&[1, 2], Normals::Transform);
     let snapshots = Snapshots::new(work.folder.path());
     work.write(&[1, 2], &how(false), &snapshots).unwrap();
@@ -231,7 +231,7 @@ fn interrupted(work: &Work, how: &Reconstruction) -> (PathBuf, PathBuf) {
 
 #[test]
 fn cancelling_keeps_parts_only_where_they_are_wanted() {
-    let work = Work::new(Encoding::BinaryLittleEndian);
+    let work = Work::new(PlyEncoding::BinaryLittleEndian);
     let expected = work.expected(&[1], Normals::Transform);
     let bytes = work.model.info().bytes;
     for after in [0, bytes / 2, bytes - 1] {
@@ -259,7 +259,7 @@ fn cancelling_keeps_parts_only_where_they_are_wanted() {
 
 #[test]
 fn what_is_damaged_is_done_again() {
-    let work = Work::new(Encoding::BinaryLittleEndian);
+    let work = Work::new(PlyEncoding::BinaryLittleEndian);
     let expected = work.expected(&[1], Normals::Transform);
     let (part, journal) = interrupted(&work, &how(true));
     let (bytes, record) = (fs::read(&part).unwrap(), fs::read(&journal).unwrap());
@@ -308,7 +308,7 @@ fn what_is_damaged_is_done_again() {
 /// damaged.
 #[test]
 fn versions_go_on_together() {
-    let work = Work::new(Encoding::BinaryLittleEndian);
+    let work = Work::new(PlyEncoding::BinaryLittleEndian);
     let expected = work.expected(&[1, 2], Normals::Transform);
     let bytes = work.model.info().bytes;
     work.write(&[1, 2], &how(true), &Watch::new(bytes * 2 / 3)).unwrap_err();
@@ -329,7 +329,7 @@ fn versions_go_on_together() {
 
 #[test]
 fn another_key_starts_anew() {
-    let mut work = Work::new(Encoding::BinaryLittleEndian);
+    let mut work = Work::new(PlyEncoding::BinaryLittleEndian);
     let note = |work: &Work, how: &Reconstruction| {
         let watch = Watch::new(u64::MAX);
         assert_eq!(work.write(&[1], how, &watch).unwrap(), 0);
@@ -352,7 +352,7 @@ fn another_key_starts_anew() {
 
 #[test]
 fn two_outputs_that_are_one_file_are_refused() {
-    let work = Work::new(Encoding::BinaryLittleEndian);
+    let work = Work::new(PlyEncoding::BinaryLittleEndian);
     let outputs = [work.path("out"), work.path("./out")];
     let deformed = &work.deformed[0];
     let versions = outputs.each_ref().map(|output| Version { deformed, output, diagnostics: None });
@@ -364,7 +364,7 @@ fn two_outputs_that_are_one_file_are_refused() {
 
 #[test]
 fn threads_do_not_change_a_byte_of_several_versions() {
-    let work = Work::new(Encoding::Ascii);
+    let work = Work::new(PlyEncoding::Ascii);
     let versions = [0, 1, 2, 3];
     let expected = work.expected(&versions, Normals::Transform);
     for threads in [1, 2, 8] {

@@ -31,7 +31,7 @@ use crate::object::is_object;
 use crate::object_output::ObjectOutput;
 use crate::output::OutputFile;
 use crate::polygons::{MOST_CORNERS, PolygonCounts, PolygonJoin, Polygons};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::target::scratch_folder;
 use crate::{
     Edit, Edited, Error, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, Scalar,
@@ -47,7 +47,7 @@ const WRITTEN: [&str; 13] =
 /// A model that is written in another format than its own.
 pub struct Converted {
     model: Box<dyn Model>,
-    source: Source,
+    source: SourceFile,
     info: ModelInfo,
     /// One of [`WRITTEN`].
     extension: &'static str,
@@ -106,7 +106,7 @@ impl Converted {
         let is_las = matches!(extension, "las" | "laz") && as_las(&*model).is_some();
         let keeps_records = is_las && how.step.is_none() && how.offset.is_none();
         let mut converted = Self {
-            source: Source::open(model.path(), None)?,
+            source: SourceFile::open(model.path(), None)?,
             model,
             info,
             extension,

@@ -30,7 +30,7 @@ pub struct ConvertedTiles {
 /// What the tiles are called in their folder in another format.
 ///
 /// # Errors
-/// It cannot be written; two of them would have one name.
+/// A name cannot be written; two tiles would have one name.
 pub fn converted_names(tiles: &ModelName, extension: &str) -> Result<Vec<PathBuf>> {
     if !WRITTEN.contains(&extension) {
         return Err(Error::argument(

@@ -12,7 +12,7 @@ use crate::form::{Form, WrittenRows};
 use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable};
 use crate::polygons::{PolygonJoin, Polygons};
 use crate::progress::Emerging;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{
     Edit, Edited, Error, FaceChunk, FaceReader, Model, Normals, Progress, RawChunk, Result, Rewriting,
     Summary, VertexChunk, VertexReader,
@@ -24,7 +24,7 @@ pub(crate) const PIECE: u64 = 50_000;
 /// A call of [`Converted::rewrite`](super::Converted).
 pub(super) struct ConversionCall<'a> {
     model: &'a dyn Model,
-    source: &'a Source,
+    source: &'a SourceFile,
     form: &'a dyn Form,
     how: Rewriting,
     edit: &'a dyn Edit,
@@ -52,7 +52,7 @@ const BEHIND_ALL: u64 = u64::MAX;
 impl<'a> ConversionCall<'a> {
     pub(super) fn new(
         model: &'a dyn Model,
-        source: &'a Source,
+        source: &'a SourceFile,
         form: &'a dyn Form,
         how: Rewriting,
         edit: &'a dyn Edit,
@@ -226,7 +226,7 @@ impl Rewritable for ConversionCall<'_> {
         self.form.patches(all)
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         self.source
     }
 }

@@ -10,7 +10,7 @@ use super::fields::{E57Field, NumberEncoding};
 use super::pages::DAMAGED;
 use super::pose::ScanPose;
 use crate::Result;
-use crate::source::Source;
+use crate::source::SourceFile;
 
 /// Most elements, attributes and texts of the XML: what its tree takes while it is looked at.
 const MOST_NODES: u32 = 8 << 20;
@@ -55,7 +55,7 @@ pub(super) struct Corner {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct LimitSlot {
     pub corner: Corner,
-    /// It is a limit of the type of the field, which may be wider; else of the box of the points.
+    /// The number is a limit of the type of the field, which may be wider; else of the box of the points.
     pub is_limit: bool,
     /// The number as it is.
     pub value: f64,
@@ -67,7 +67,7 @@ pub(super) struct LimitSlot {
 }
 
 impl E57Description {
-    pub fn read(source: &Source, xml: &str) -> Result<Self> {
+    pub fn read(source: &SourceFile, xml: &str) -> Result<Self> {
         let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
         let document = Document::parse_with_options(xml, options).map_err(|e| {
             source.malformed(format!("the XML that describes the scans cannot be read: {e}"), DAMAGED)
@@ -131,7 +131,7 @@ fn crs_name(text: &str) -> Option<String> {
 }
 
 struct DescriptionReading<'a, 'i> {
-    source: &'a Source,
+    source: &'a SourceFile,
     xml: &'i str,
     document: &'a Document<'i>,
 }

@@ -9,7 +9,7 @@ use super::packets::{PacketWalk, Packets};
 use super::pages::{DAMAGED, PageWindow, physical};
 use super::scan::{NUMBER, Scan, TooWide};
 use crate::follow::Following;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Attribute, Error, ModelInfo, Result, Scalar, Type};
 use glam::DVec3;
 
@@ -19,7 +19,7 @@ const MOST_OF_NOTHING: u64 = 1 << 12;
 /// An E57 file.
 #[derive(Debug)]
 pub struct E57Model {
-    pub(super) source: Source,
+    pub(super) source: SourceFile,
     pub(super) header: E57Header,
     /// The text of its XML: at most 64 MiB.
     pub(super) xml: String,
@@ -39,7 +39,7 @@ impl E57Model {
     ///
     /// # Errors
     /// The file cannot be read, is not what E57 files are, or has a wrong checksum in what is read of it.
-    pub fn new(source: Source) -> Result<Self> {
+    pub fn new(source: SourceFile) -> Result<Self> {
         let header = E57Header::read(&source)?;
         let xml = read_xml(&source, &header)?;
         let E57Description { scans: described, images, crs } = E57Description::read(&source, &xml)?;
@@ -197,7 +197,7 @@ impl E57Model {
     }
 }
 
-fn read_xml(source: &Source, header: &E57Header) -> Result<String> {
+fn read_xml(source: &SourceFile, header: &E57Header) -> Result<String> {
     let mut window = PageWindow::new(source, 1);
     let bytes = window.get(header.xml.clone())?.to_vec();
     String::from_utf8(bytes).map_err(|e| {
@@ -230,7 +230,7 @@ fn describe(scan: &Scan) -> String {
 
 /// What is known of a model, and which field of each scan each attribute is.
 fn info(
-    source: &Source,
+    source: &SourceFile,
     header: &E57Header,
     scans: &[Scan],
     (vertices, crs): (u64, Option<String>),

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::pages::{CUT_OFF, DAMAGED, PAGE, PageWindow, logical};
 use crate::Result;
-use crate::source::Source;
+use crate::source::SourceFile;
 
 /// The first bytes.
 pub(super) const MAGIC: &[u8] = b"ASTM-E57";
@@ -32,7 +32,7 @@ pub(super) struct E57Header {
 }
 
 impl E57Header {
-    pub fn read(source: &Source) -> Result<Self> {
+    pub fn read(source: &SourceFile) -> Result<Self> {
         if source.len() < PAGE {
             let what = format!("{} bytes are less than the first page of E57", source.len());
             return Err(source.malformed(what, CUT_OFF));

@@ -38,7 +38,7 @@ use glam::DVec3;
 use reader::E57Reader;
 
 use crate::follow::{Follow, Following};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{
     Edit, Model, ModelInfo, Output, Progress, Result, Rewriting, VertexChunk, VertexReader, pipeline,
 };
@@ -50,7 +50,7 @@ pub(super) fn is_e57(start: &[u8]) -> bool {
 
 /// # Errors
 /// The file cannot be read, or is not what E57 files are.
-pub(super) fn open(source: Source) -> Result<Box<dyn Model>> {
+pub(super) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     Ok(Box::new(E57Model::new(source)?))
 }
 

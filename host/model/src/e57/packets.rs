@@ -7,7 +7,7 @@ use super::fields::{E57Field, PackedNumbers};
 use super::header::bytes_at;
 use super::pages::{DAMAGED, PageWindow, logical};
 use crate::Result;
-use crate::source::Source;
+use crate::source::SourceFile;
 
 /// Bytes of the head of a section.
 const HEAD: u64 = 32;
@@ -56,7 +56,7 @@ pub(super) struct PacketStream {
 
 /// What a walk through packets needs to know.
 pub(super) struct PacketWalk<'a, 'w> {
-    pub source: &'a Source,
+    pub source: &'a SourceFile,
     pub window: &'a mut PageWindow<'w>,
     /// The scan's name.
     pub name: &'a str,

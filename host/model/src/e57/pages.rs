@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use crate::Result;
-use crate::source::Source;
+use crate::source::SourceFile;
 
 /// Bytes of a page.
 pub(super) const PAGE: u64 = 1024;
@@ -66,7 +66,7 @@ pub(super) fn checksum_after<'a>(
 ///
 /// Memory: as many pages as it was made for, or as are asked for at once, twice.
 pub(super) struct PageWindow<'a> {
-    source: &'a Source,
+    source: &'a SourceFile,
     /// Pages that are read at a time.
     ahead: u64,
     /// The first page that is there.
@@ -77,7 +77,7 @@ pub(super) struct PageWindow<'a> {
 }
 
 impl<'a> PageWindow<'a> {
-    pub fn new(source: &'a Source, ahead: u64) -> Self {
+    pub fn new(source: &'a SourceFile, ahead: u64) -> Self {
         Self { source, ahead, first: 0, bytes: Vec::new(), read: Vec::new() }
     }
 

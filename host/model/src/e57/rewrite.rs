@@ -7,7 +7,7 @@ use super::pages::{PAYLOAD, append_pages};
 use super::pieces::{E57Pieces, PieceLayout, ScanSegment};
 use super::scan::{CoordinateOverflow, ScanReach};
 use crate::pipeline::{PieceVersion, Pieces, Rewritable};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::unfit::Unfit;
 use crate::{Error, Normals, Result, Summary, VertexChunk};
 
@@ -66,7 +66,7 @@ impl Rewritable for E57Model {
         self.patches_in_the_end(all)
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         &self.source
     }
 }

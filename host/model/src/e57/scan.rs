@@ -79,7 +79,7 @@ struct Coordinate {
     margin: f64,
     most: f64,
     is_angle: bool,
-    /// It is the same after a full turn.
+    /// The coordinate is the same after a full turn.
     turns: bool,
 }
 

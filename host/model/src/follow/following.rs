@@ -37,9 +37,9 @@ pub struct Following {
 /// What became of the splats of all versions.
 #[derive(Debug, Default)]
 struct SplatTally {
-    /// Those that keep their numbers, as some mean nothing.
+    /// Splats that keep their numbers, as some mean nothing.
     kept: AtomicU64,
-    /// Those that were longer than [`NEEDLE`] times their second axis afterwards and not before.
+    /// Splats that were longer than [`NEEDLE`] times their second axis afterwards and not before.
     needles: AtomicU64,
     /// Bits of the largest ratio of any of these.
     longest: AtomicU64,

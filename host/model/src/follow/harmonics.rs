@@ -113,7 +113,7 @@ pub(super) struct BandRotation {
 }
 
 impl BandRotation {
-    /// Of an orthogonal matrix, which may be a mirror.
+    /// The rotation by an orthogonal matrix, which may be a mirror.
     pub(super) fn new(q: &DMat3, degree: usize) -> Self {
         let back = q.transpose();
         let mut bands = [[[0.0; MOST]; MOST]; 3];

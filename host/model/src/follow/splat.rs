@@ -22,7 +22,7 @@ const UNSTRETCHED: f64 = 1e-6;
 pub(super) struct SplatNumbers {
     /// Three, or two of a disc.
     pub(super) scales: usize,
-    /// Of the harmonics, 0 to 3.
+    /// Degree of the harmonics, 0 to 3.
     pub(super) degree: usize,
 }
 
@@ -141,7 +141,7 @@ fn ratio(scales: [f64; 3]) -> f64 {
     first / second
 }
 
-/// Of the section through the two largest axes, up to a factor.
+/// Area of the section through the two largest axes, up to a factor.
 fn area(scales: [f64; 3]) -> f64 {
     let [first, second, _] = sorted(scales);
     first * second

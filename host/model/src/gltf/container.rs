@@ -14,7 +14,7 @@ use serde_json::value::RawValue;
 use super::json::{Buffer, list, span};
 use crate::cache::Cache;
 use crate::size::human_size;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::{CUT_OFF, DAMAGED};
 use crate::{Error, Result};
 
@@ -37,7 +37,7 @@ const AS_GLB: &str = "export the model as GLB, which has everything in one file"
 #[derive(Debug)]
 pub(super) struct Container {
     /// The file that was opened.
-    pub(super) source: Source,
+    pub(super) source: SourceFile,
     /// What its bytes are made of, if not of the file as it is.
     parts: Vec<Segment>,
     len: u64,
@@ -59,7 +59,7 @@ enum SegmentBytes {
     Memory(Vec<u8>),
     /// The opened file, from some place on.
     Opened(u64),
-    File(Source),
+    File(SourceFile),
 }
 
 /// The part of the JSON that speaks of buffers, as text.
@@ -89,7 +89,7 @@ struct Buffers {
 
 impl Container {
     /// Opens a file, and returns its JSON.
-    pub(super) fn open(source: Source, cache: &Cache) -> Result<(Self, Vec<u8>)> {
+    pub(super) fn open(source: SourceFile, cache: &Cache) -> Result<(Self, Vec<u8>)> {
         let mut start = [0; HEADER as usize];
         let read = source.read_at(&mut start, 0)?;
         if !start[..read].starts_with(MAGIC) {
@@ -116,7 +116,7 @@ impl Container {
     }
 
     /// The chunks of a GLB file.
-    fn of_glb(source: Source) -> Result<Self> {
+    fn of_glb(source: SourceFile) -> Result<Self> {
         let mut header = [0; (HEADER + CHUNK) as usize];
         if source.read_at(&mut header, 0)? < header.len() {
             let what = format!("{} bytes are too few for GLB, which begins with 20", source.len());
@@ -175,7 +175,7 @@ impl Container {
     /// A file whose JSON refers to buffers elsewhere, with all of them as binary data. `bin` is that of the
     /// file itself, and `after` is where other chunks begin.
     fn gather(
-        source: Source,
+        source: SourceFile,
         json: Vec<u8>,
         bin: Option<Range<u64>>,
         (after, cache): (u64, &Cache),
@@ -249,7 +249,7 @@ impl Container {
     }
 
     /// The same with other JSON and further binary data, which begins and ends at multiples of four bytes.
-    pub(super) fn with_more(mut self, text: Vec<u8>, more: Source) -> Result<(Self, Vec<u8>)> {
+    pub(super) fn with_more(mut self, text: Vec<u8>, more: SourceFile) -> Result<(Self, Vec<u8>)> {
         let old = std::mem::take(&mut self.parts);
         let (bin, end) = (self.bin.clone(), if self.bin.is_empty() { self.json.end } else { self.bin.end });
         let (mut parts, mut behind) = (Vec::new(), Vec::new());
@@ -311,7 +311,7 @@ impl Container {
     }
 
     /// What a buffer's URI leads to.
-    fn buffer(&self, index: usize, uri: &str, cache: &Cache) -> Result<Source> {
+    fn buffer(&self, index: usize, uri: &str, cache: &Cache) -> Result<SourceFile> {
         let refused = |why: &str| {
             let what = format!("buffer {index} {why}");
             Err(self.source.malformed(what, AS_GLB))
@@ -324,7 +324,7 @@ impl Container {
             // No more than the JSON, which is bounded.
             let scratch = cache.scratch()?;
             scratch.write_at(&bytes, 0)?;
-            return Ok(Source::of_scratch(scratch, self.source.path(), bytes.len() as u64));
+            return Ok(SourceFile::of_scratch(scratch, self.source.path(), bytes.len() as u64));
         }
         let Some(path) = unescaped(uri).filter(|path| !path.is_absolute() && !uri.contains(':')) else {
             return refused("is not a file beside it");

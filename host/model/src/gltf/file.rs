@@ -8,13 +8,13 @@ use serde::de::IgnoredAny;
 use serde_json::value::RawValue;
 
 use super::container::Container;
-use super::json::Document;
+use super::json::GltfDocument;
 use super::layout::{FACE, GltfLayout};
 use super::limits::AccessorLimits;
 use super::places::{AccessorBytes, Accessors, number_type};
 use super::sparse::made_plain;
 use crate::cache::Making;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Attribute, Error, ModelInfo, Result, Scalar};
 
 /// Longest name of the program that made a file, as it is shown.
@@ -87,11 +87,11 @@ impl GltfModel {
         Ok(found)
     }
 
-    pub(super) fn new(source: Source, making: &Making<'_>) -> Result<Self> {
+    pub(super) fn new(source: SourceFile, making: &Making<'_>) -> Result<Self> {
         let (container, json) = Container::open(source, making.cache)?;
         let is_gathered = container.is_made();
         let (container, json, had_sparse) = made_plain(container, json, making)?;
-        let document: Document<'_> = container.parse(&json)?;
+        let document: GltfDocument<'_> = container.parse(&json)?;
         check_version(&container, &document)?;
         let layout = Accessors { container: &container, document: &document }.layout()?;
         if layout.sets.is_empty() && !document.meshes.is_empty() {
@@ -104,7 +104,7 @@ impl GltfModel {
     }
 }
 
-fn check_version(container: &Container, document: &Document<'_>) -> Result<()> {
+fn check_version(container: &Container, document: &GltfDocument<'_>) -> Result<()> {
     let asset = &document.asset;
     let is_known = asset.version.split('.').next() == Some("2")
         && asset.min_version.as_ref().is_none_or(|version| version == "2.0");
@@ -122,7 +122,12 @@ fn check_version(container: &Container, document: &Document<'_>) -> Result<()> {
     ))
 }
 
-fn info(container: &Container, is_gathered: bool, document: &Document<'_>, layout: &GltfLayout) -> ModelInfo {
+fn info(
+    container: &Container,
+    is_gathered: bool,
+    document: &GltfDocument<'_>,
+    layout: &GltfLayout,
+) -> ModelInfo {
     let is_placed = layout.sets.iter().any(|set| set.placement.is_some());
     let has_normals = !layout.sets.is_empty() && layout.sets.iter().all(|set| set.normals.is_some());
     let attributes = colours(layout);
@@ -153,7 +158,7 @@ fn info(container: &Container, is_gathered: bool, document: &Document<'_>, layou
 }
 
 /// The format for people.
-fn format(is_gathered: bool, document: &Document<'_>, layout: &GltfLayout) -> String {
+fn format(is_gathered: bool, document: &GltfDocument<'_>, layout: &GltfLayout) -> String {
     let kind = if is_gathered { "with separate buffers" } else { "binary" };
     let meshes = layout.meshes;
     let mut format = format!(

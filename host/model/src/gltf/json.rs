@@ -16,28 +16,28 @@ const MOST: usize = 1 << 20;
 pub(super) type Names = BTreeMap<String, IgnoredAny>;
 
 /// Accessors by what they are of, as `POSITION`.
-pub(super) type Attributes = BTreeMap<String, usize>;
+pub(super) type AccessorIndices = BTreeMap<String, usize>;
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct Document<'a> {
+pub(super) struct GltfDocument<'a> {
     pub(super) asset: Asset,
     #[serde(borrow, default, deserialize_with = "list")]
     pub(super) accessors: Vec<Accessor<'a>>,
     #[serde(default, deserialize_with = "list")]
     pub(super) buffers: Vec<Buffer>,
     #[serde(default, deserialize_with = "list")]
-    pub(super) buffer_views: Vec<View>,
+    pub(super) buffer_views: Vec<BufferView>,
     #[serde(default, deserialize_with = "list")]
     pub(super) meshes: Vec<Mesh>,
     #[serde(default, deserialize_with = "list")]
-    pub(super) nodes: Vec<Node>,
+    pub(super) nodes: Vec<GltfNode>,
     #[serde(default, deserialize_with = "list")]
     pub(super) skins: Vec<Skin>,
     #[serde(default, deserialize_with = "list")]
     pub(super) animations: Vec<Animation>,
     #[serde(default, deserialize_with = "list")]
-    pub(super) images: Vec<Image>,
+    pub(super) images: Vec<GltfImage>,
 }
 
 #[derive(Deserialize)]
@@ -94,7 +94,7 @@ pub(super) struct Buffer {
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct View {
+pub(super) struct BufferView {
     pub(super) buffer: usize,
     #[serde(default)]
     pub(super) byte_offset: u64,
@@ -112,17 +112,17 @@ pub(super) struct Mesh {
 
 #[derive(Deserialize)]
 pub(super) struct Primitive {
-    pub(super) attributes: Attributes,
+    pub(super) attributes: AccessorIndices,
     pub(super) indices: Option<usize>,
     pub(super) mode: Option<u32>,
     #[serde(default)]
-    pub(super) targets: Vec<Attributes>,
+    pub(super) targets: Vec<AccessorIndices>,
     #[serde(default)]
     pub(super) extensions: Names,
 }
 
 #[derive(Deserialize)]
-pub(super) struct Node {
+pub(super) struct GltfNode {
     #[serde(default)]
     pub(super) children: Vec<usize>,
     pub(super) mesh: Option<usize>,
@@ -155,7 +155,7 @@ pub(super) struct Sampler {
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct Image {
+pub(super) struct GltfImage {
     pub(super) buffer_view: Option<usize>,
 }
 

@@ -9,7 +9,7 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use super::json::{Names, Node, Primitive};
+use super::json::{GltfNode, Names, Primitive};
 use super::nodes::MeshPose;
 use super::places::{AccessorBytes, Accessors, PLAIN, UNCOMPRESSED};
 use crate::Result;
@@ -62,7 +62,7 @@ pub(super) struct VertexRows {
     pub(super) rows: u64,
     /// What a row has, and where in it: no two of a kind.
     pub(super) elements: Vec<(VectorRole, usize)>,
-    /// Whose they are: one set, or several if they share normals or tangents.
+    /// The sets whose rows these are: one, or several if they share normals or tangents.
     pub(super) owners: Vec<usize>,
 }
 
@@ -219,7 +219,7 @@ impl Accessors<'_> {
         }
     }
 
-    fn check_node(&self, index: usize, node: &Node) -> Result<()> {
+    fn check_node(&self, index: usize, node: &GltfNode) -> Result<()> {
         let meshes = self.document.meshes.len();
         if let Some(mesh) = node.mesh.filter(|mesh| *mesh >= meshes) {
             return Err(self.malformed(format_args!("node {index} shows mesh {mesh}, of {meshes}")));

@@ -6,7 +6,7 @@ use std::ops::Range;
 use serde_json::value::RawValue;
 
 use super::container::Container;
-use super::json::{Document, span};
+use super::json::{GltfDocument, span};
 use super::layout::GltfLayout;
 use crate::Result;
 use crate::summary::{PartBox, Summary};
@@ -40,7 +40,7 @@ impl AccessorLimits {
     /// One that is there is not as many numbers as an element.
     pub(super) fn from_accessor(
         json: &[u8],
-        document: &Document<'_>,
+        document: &GltfDocument<'_>,
         layout: &GltfLayout,
         container: &Container,
     ) -> Result<Self> {

@@ -35,7 +35,7 @@ use file::GltfModel;
 use reader::GltfReader;
 
 use crate::cache::Making;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{
     Edit, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, VertexChunk,
     VertexReader, pipeline,
@@ -47,7 +47,7 @@ pub(super) fn is_glb(start: &[u8]) -> bool {
 }
 
 /// Whether a file is a `.gltf`, as far as its beginning tells: JSON that speaks of the asset.
-pub(super) fn is_gltf(source: &Source) -> Result<bool> {
+pub(super) fn is_gltf(source: &SourceFile) -> Result<bool> {
     const START: usize = 4096;
     let mut start = Vec::new();
     source.append_at(&mut start, 0, START)?;
@@ -56,7 +56,7 @@ pub(super) fn is_gltf(source: &Source) -> Result<bool> {
 }
 
 /// Opens a file.
-pub(super) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
+pub(super) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Model>> {
     Ok(Box::new(GltfModel::new(source, making)?))
 }
 

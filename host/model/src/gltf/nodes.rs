@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 
-use super::json::Node;
+use super::json::GltfNode;
 use super::places::Accessors;
 use crate::text::DAMAGED;
 use crate::{Error, Result};
@@ -61,7 +61,7 @@ impl MeshPose {
         with_length(self.inverse.transpose() * local.as_dvec3(), local)
     }
 
-    /// Such a normal in the mesh' coordinates, with the length of `old`.
+    /// A normal of the world in the mesh' coordinates, with the length of `old`.
     #[inline]
     pub(super) fn normal_back(&self, world: Vec3, old: Vec3) -> Vec3 {
         with_length(self.matrix.transpose() * world.as_dvec3(), old)
@@ -73,7 +73,7 @@ impl MeshPose {
         with_length(self.matrix * local.as_dvec3(), local)
     }
 
-    /// Such a direction in the mesh' coordinates, with the length of `old`.
+    /// A direction of the world in the mesh' coordinates, with the length of `old`.
     #[inline]
     pub(super) fn tangent_back(&self, world: Vec3, old: Vec3) -> Vec3 {
         with_length(self.inverse * world.as_dvec3(), old)
@@ -87,7 +87,7 @@ fn with_length(direction: DVec3, other: Vec3) -> Vec3 {
 }
 
 /// A node's own matrix.
-fn own(node: &Node) -> DMat4 {
+fn own(node: &GltfNode) -> DMat4 {
     if let Some(matrix) = &node.matrix {
         return DMat4::from_cols_array(matrix);
     }
@@ -106,7 +106,7 @@ impl Accessors<'_> {
     pub(super) fn placements(&self) -> Result<Vec<Option<MeshPose>>> {
         let nodes = &self.document.nodes;
         let worlds = self.worlds()?;
-        let of_node = |(index, node): (usize, &Node)| {
+        let of_node = |(index, node): (usize, &GltfNode)| {
             if node.mesh.is_none() || node.skin.is_some() {
                 return Ok(None);
             }

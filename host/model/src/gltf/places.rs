@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::container::Container;
-use super::json::{Accessor, Document};
+use super::json::{Accessor, GltfDocument};
 use crate::text::DAMAGED;
 use crate::{Error, Result, Type};
 
@@ -85,7 +85,7 @@ pub(super) fn numbers(shape: &str) -> Option<u64> {
 /// The accessors of a document.
 pub(super) struct Accessors<'a> {
     pub(super) container: &'a Container,
-    pub(super) document: &'a Document<'a>,
+    pub(super) document: &'a GltfDocument<'a>,
 }
 
 impl Accessors<'_> {

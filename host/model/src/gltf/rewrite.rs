@@ -12,7 +12,7 @@ use super::nodes::MeshPose;
 use super::reader::{CHUNK_BYTES, floats, rows};
 use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable};
 use crate::shared_normal::mean;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::summary::{PartBox, Summary};
 use crate::unfit::Unfit;
 use crate::{CHUNK_VERTICES, Edited, Error, Normals, Progress, Result, SMALL_CHUNK, VertexChunk};
@@ -176,7 +176,7 @@ impl Rewritable for GltfRewriting<'_> {
         Ok(vec![(container.json.start + first as u64, text.split_off(first))])
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         &self.model.container.source
     }
 }

@@ -7,12 +7,12 @@ use serde::Deserialize;
 use serde_json::value::RawValue;
 
 use super::container::Container;
-use super::json::{Document, Sparse, SparsePart, list, span};
+use super::json::{GltfDocument, Sparse, SparsePart, list, span};
 use super::places::{Accessors, PLAIN, number_type};
 use crate::cache::{CachedContent, Making};
 use crate::scratch::Scratch;
 use crate::size::human_size;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{CHUNK_VERTICES, Result};
 
 /// What of a primitive is patched.
@@ -36,7 +36,7 @@ pub(super) fn made_plain(
     json: Vec<u8>,
     making: &Making<'_>,
 ) -> Result<(Container, Vec<u8>, bool)> {
-    let document: Document<'_> = container.parse(&json)?;
+    let document: GltfDocument<'_> = container.parse(&json)?;
     let places = Accessors { container: &container, document: &document };
     let sparse = places.sparse();
     if sparse.is_empty() {
@@ -70,7 +70,7 @@ pub(super) fn made_plain(
         // What buffers elsewhere hold, a cache does not know.
         let scratch = making.cache.scratch()?;
         fill(&scratch)?;
-        Source::of_scratch(scratch, container.source.path(), bytes)
+        SourceFile::of_scratch(scratch, container.source.path(), bytes)
     } else {
         making.cache.get(&container.source, &need, making.progress, fill)?
     };
@@ -85,7 +85,7 @@ fn with_views(
     container: &Container,
     json: &[u8],
     starts: &[(usize, u64)],
-    (before, plain): (u64, &Source),
+    (before, plain): (u64, &SourceFile),
 ) -> Result<Vec<u8>> {
     let Changed { buffers, buffer_views, accessors } = container.parse(json)?;
     let views: Vec<&RawValue> = container.parse(buffer_views.get().as_bytes())?;

@@ -25,7 +25,7 @@ pub(super) struct LimitFields {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum How {
-    /// These bits of a byte.
+    /// Some bits of a byte.
     Bits {
         shift: u8,
         mask: u8,

@@ -9,7 +9,7 @@ use laz::laszip::{ChunkTable, ChunkTableEntry};
 use super::header::{CUT_OFF, DAMAGED, LasHeader};
 use super::laszip::{BlockLengths, Laszip};
 use crate::model::CompressedBlock;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{CHUNK_VERTICES, Result};
 
 /// Most vertices of a block: what a thread holds is bounded by it.
@@ -37,7 +37,7 @@ pub(super) struct LasBlocks {
 
 impl LasBlocks {
     /// Memory: besides, the table.
-    pub fn read(source: &Source, header: &LasHeader, laszip: &Laszip) -> Result<Self> {
+    pub fn read(source: &SourceFile, header: &LasHeader, laszip: &Laszip) -> Result<Self> {
         let is_variable = laszip.blocks == BlockLengths::Variable;
         // Where the points end at the latest.
         let end = header.evlrs.map_or(source.len(), |(start, _)| start);
@@ -57,7 +57,7 @@ impl LasBlocks {
     }
 
     /// Where the table is.
-    fn place(&mut self, source: &Source, header: &LasHeader) -> Result<Option<u64>> {
+    fn place(&mut self, source: &SourceFile, header: &LasHeader) -> Result<Option<u64>> {
         let place = |at: u64| -> Result<Option<u64>> {
             let mut bytes = [0; 8];
             if source.read_at(&mut bytes, at)? < bytes.len() {
@@ -85,7 +85,13 @@ impl LasBlocks {
         }
     }
 
-    fn read_table(&mut self, source: &Source, header: &LasHeader, laszip: &Laszip, at: u64) -> Result<()> {
+    fn read_table(
+        &mut self,
+        source: &SourceFile,
+        header: &LasHeader,
+        laszip: &Laszip,
+        at: u64,
+    ) -> Result<()> {
         let wrong = |what: String| {
             source.malformed(format!("the table of compressed blocks at byte {at}: {what}"), DAMAGED)
         };
@@ -139,7 +145,7 @@ impl LasBlocks {
     }
 
     /// Finds the blocks of a file without a table, one after the other.
-    fn find(&mut self, source: &Source, header: &LasHeader, laszip: &Laszip, end: u64) -> Result<()> {
+    fn find(&mut self, source: &SourceFile, header: &LasHeader, laszip: &Laszip, end: u64) -> Result<()> {
         if laszip.blocks == BlockLengths::Variable && !laszip.is_layered {
             let what = "there is no table of compressed blocks, and nothing else tells where these end";
             return Err(source.malformed(what, CUT_OFF));
@@ -170,7 +176,7 @@ impl LasBlocks {
     }
 
     /// An error where blocks are too large to be held, or too small to hold their points.
-    fn check(&self, source: &Source, header: &LasHeader) -> Result<()> {
+    fn check(&self, source: &SourceFile, header: &LasHeader) -> Result<()> {
         for (number, pair) in self.starts.windows(2).enumerate() {
             let [(first, start), (end, behind)] = pair else { continue };
             let (vertices, bytes) = (end - first, behind - start);
@@ -269,7 +275,7 @@ pub(super) fn table_of(entries: &[ChunkTableEntry], is_variable: bool) -> io::Re
 
 /// The file from some byte on, as a stream.
 struct ByteStream<'a> {
-    source: &'a Source,
+    source: &'a SourceFile,
     /// What was read of the file before byte `at`, from `used` on not handed out yet.
     buffer: Vec<u8>,
     used: usize,
@@ -277,7 +283,7 @@ struct ByteStream<'a> {
 }
 
 impl<'a> ByteStream<'a> {
-    fn new(source: &'a Source, at: u64) -> Self {
+    fn new(source: &'a SourceFile, at: u64) -> Self {
         Self { source, buffer: Vec::new(), used: 0, at }
     }
 }

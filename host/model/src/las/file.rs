@@ -11,7 +11,7 @@ use super::laszip::Laszip;
 use super::points;
 use super::vlrs::{KeptVlrs, VlrKind};
 use crate::follow::Following;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Attribute, Colors, ModelInfo, Result, Scalar, ScaledIntegers, VertexChunk};
 
 /// Most bytes of the record that describes extra bytes: as many as can be in a record of a point.
@@ -20,7 +20,7 @@ const MOST_DESCRIPTIONS: u64 = 192 << 16;
 /// A LAS or LAZ file.
 #[derive(Debug)]
 pub struct LasModel {
-    pub(super) source: Source,
+    pub(super) source: SourceFile,
     pub(super) header: LasHeader,
     pub(super) records: KeptVlrs,
     pub(super) places: AttributeFields,
@@ -41,7 +41,7 @@ impl LasModel {
     /// # Errors
     /// The file cannot be read, is not LAS of a known version, is cut off, or has blocks of compressed points
     /// that are too large to be held.
-    pub(crate) fn new(source: Source) -> Result<Self> {
+    pub(crate) fn new(source: SourceFile) -> Result<Self> {
         let header = LasHeader::read(&source)?;
         let records = KeptVlrs::read(&source, &header)?;
         let extra = records.content(&source, VlrKind::ExtraBytes, MOST_DESCRIPTIONS)?.unwrap_or_default();
@@ -111,7 +111,7 @@ impl LasModel {
 
 /// How the points are compressed, and where.
 fn compression(
-    source: &Source,
+    source: &SourceFile,
     header: &LasHeader,
     records: &KeptVlrs,
 ) -> Result<Option<(Laszip, LasBlocks)>> {
@@ -131,7 +131,7 @@ fn compression(
 }
 
 /// Bytes of points that are not compressed, all of which are there.
-fn check_room(source: &Source, header: &LasHeader) -> Result<u64> {
+fn check_room(source: &SourceFile, header: &LasHeader) -> Result<u64> {
     let needed = header.count.checked_mul(header.record as u64);
     let left = source.len() - header.points;
     needed.filter(|needed| *needed <= left).ok_or_else(|| {

@@ -22,7 +22,7 @@ pub(super) const TALLIES: usize = 17;
 /// Most bytes of a VLR's content.
 const LONGEST: usize = u16::MAX as usize;
 
-/// Whose VLR says how points are compressed, and its number.
+/// The user whose VLR says how points are compressed, and its number.
 pub(super) const LASZIP: (&[u8], u16) = (b"laszip encoded", 22204);
 
 /// Where a number goes.

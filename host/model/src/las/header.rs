@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Result, ScaledIntegers};
 
 /// Hint for everything that no correct program writes.
@@ -54,7 +54,7 @@ pub(super) struct LasHeader {
 }
 
 impl LasHeader {
-    pub fn read(source: &Source) -> Result<Self> {
+    pub fn read(source: &SourceFile) -> Result<Self> {
         let mut bytes = [0; 375];
         let read = source.read_at(&mut bytes, 0)?;
         let [major, minor] = [bytes[24], bytes[25]];
@@ -98,7 +98,7 @@ impl LasHeader {
         Ok(this)
     }
 
-    fn check(&self, source: &Source, least: u64) -> Result<()> {
+    fn check(&self, source: &SourceFile, least: u64) -> Result<()> {
         let Self { minor, len, points, format, record, integers: ScaledIntegers { scale, offset }, .. } =
             self;
         let wrong = |what: String| Err(source.malformed(what, DAMAGED));

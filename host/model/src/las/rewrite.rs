@@ -11,7 +11,7 @@ use super::points;
 use super::reader::LasReader;
 use crate::bounds::Bounds;
 use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable, Skipped};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::unfit::Unfit;
 use crate::{Division, Error, Normals, Result, ScaledIntegers, Summary, VertexChunk};
 
@@ -149,7 +149,7 @@ impl Rewritable for LasModel {
         Some(Division { pieces: first + points, vertices: first..first + points, in_place })
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         &self.source
     }
 }

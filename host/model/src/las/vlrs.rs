@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::header::{CUT_OFF, DAMAGED, LasHeader, bytes_at};
 use crate::Result;
-use crate::source::Source;
+use crate::source::SourceFile;
 
 /// Most bytes that are looked at of a record that names a coordinate reference system.
 const MOST_OF_CRS: u64 = 1 << 20;
@@ -45,7 +45,7 @@ pub(super) struct KeptVlrs {
 }
 
 impl KeptVlrs {
-    pub fn read(source: &Source, header: &LasHeader) -> Result<Self> {
+    pub fn read(source: &SourceFile, header: &LasHeader) -> Result<Self> {
         let mut this = Self::default();
         let mut at = header.len;
         for number in 0..header.vlrs {
@@ -73,7 +73,7 @@ impl KeptVlrs {
     }
 
     /// Reads the header of the record at a place; where it ends, if that is not beyond `end`.
-    fn read_one(&mut self, source: &Source, at: u64, end: u64, is_extended: bool) -> Result<Option<u64>> {
+    fn read_one(&mut self, source: &SourceFile, at: u64, end: u64, is_extended: bool) -> Result<Option<u64>> {
         let mut bytes = [0; 60];
         let bytes = &mut bytes[..if is_extended { 60 } else { 54 }];
         if at.checked_add(bytes.len() as u64).is_none_or(|behind| behind > end) {
@@ -117,7 +117,7 @@ impl KeptVlrs {
     }
 
     /// The content of a record, but no more than so many bytes.
-    pub fn content(&self, source: &Source, kind: VlrKind, most: u64) -> Result<Option<Vec<u8>>> {
+    pub fn content(&self, source: &SourceFile, kind: VlrKind, most: u64) -> Result<Option<Vec<u8>>> {
         let Some(KeptVlr { content, .. }) = self.find(kind) else { return Ok(None) };
         let mut bytes = Vec::new();
         source.append_at(&mut bytes, content.start, (content.end - content.start).min(most) as usize)?;
@@ -126,7 +126,7 @@ impl KeptVlrs {
 
     /// The unit of lengths of the coordinate reference system, as far as the file says one: of the plane and
     /// of heights, if these differ.
-    pub fn unit(&self, source: &Source) -> Result<Option<String>> {
+    pub fn unit(&self, source: &SourceFile) -> Result<Option<String>> {
         if let Some(wkt) = self.content(source, VlrKind::Wkt, MOST_OF_CRS)? {
             let units = units_of_wkt(&String::from_utf8_lossy(&wkt));
             return Ok((!units.is_empty()).then(|| units.join(", ")));
@@ -151,7 +151,7 @@ impl KeptVlrs {
     }
 
     /// The name of the coordinate reference system, as far as the file has one.
-    pub fn crs(&self, source: &Source) -> Result<Option<String>> {
+    pub fn crs(&self, source: &SourceFile) -> Result<Option<String>> {
         if let Some(wkt) = self.content(source, VlrKind::Wkt, MOST_OF_CRS)? {
             let wkt = String::from_utf8_lossy(&wkt);
             let name = wkt.split('"').nth(1).map(str::trim);

@@ -13,7 +13,7 @@ use super::grammar::Obj;
 use super::lines::{Statement, values};
 use crate::cache::Cache;
 use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::blocks::{BlockReader, TextBlocks, changed};
 use crate::text::digits::{Digits, Survey};
 use crate::text::lines::{lines, wrong_line};
@@ -215,7 +215,7 @@ impl Rewritable for ApartModel {
         Ok(())
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         self.model.source()
     }
 }

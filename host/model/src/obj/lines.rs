@@ -1,6 +1,6 @@
 //! Statements of OBJ, and their words.
 
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::lines::lines;
 use crate::text::{is_space, next_word, parse};
 use crate::{Result, Scalar};
@@ -57,7 +57,7 @@ fn keyword(line: &[u8]) -> Option<&[u8]> {
 }
 
 /// Whether a file looks like OBJ: its first statement is one that files begin with.
-pub(crate) fn is_obj(source: &Source) -> Result<bool> {
+pub(crate) fn is_obj(source: &SourceFile) -> Result<bool> {
     const START: usize = 1 << 14;
     let mut start = Vec::new();
     source.append_at(&mut start, 0, START)?;

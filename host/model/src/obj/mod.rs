@@ -23,7 +23,7 @@ mod scan;
 mod shared;
 
 use crate::cache::Making;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::model::{TextModel, info};
 use crate::{Attribute, Model, ModelInfo, Result, Type};
 use apart::{ApartModel, Sharing};
@@ -33,7 +33,7 @@ use lines::values;
 use scan::{NormalsAre, ObjScan};
 
 /// Opens a file, which is gone over once.
-pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
+pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Model>> {
     let ObjScan { vertices, normals, faces, face_lines, corners, is_relative, first_vertex, others } =
         ObjScan::from_source(&source)?;
     let colours = colours(&first_vertex);

@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use super::lines::{Statement, normals_are_of_vertices};
 use crate::Result;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::blocks::{GAP, TextBlocks, TextBlocksBuilder};
 use crate::text::lines::Lines;
 use crate::text::next_word;
@@ -15,7 +15,7 @@ use crate::text::next_word;
 /// what is held of them.
 const MOST_RUNS: u64 = 1 << 18;
 
-/// Whose the normals are.
+/// What has the normals: vertices or corners.
 #[derive(Debug)]
 pub(super) enum NormalsAre {
     /// There are none.
@@ -89,7 +89,7 @@ impl NormalPairs {
 }
 
 impl ObjScan {
-    pub(super) fn from_source(source: &Source) -> Result<Self> {
+    pub(super) fn from_source(source: &SourceFile) -> Result<Self> {
         let mut lines = Lines::new(source, 0, u64::MAX, true);
         let (mut vertices, mut normals) = (TextBlocksBuilder::new(0, 1), TextBlocksBuilder::new(0, 1));
         let mut beside =

@@ -19,7 +19,7 @@ use crate::form::counted;
 use crate::pipeline::{PieceVersion, Pieces, Rewritable};
 use crate::scratch::Scratch;
 use crate::shared_normal::mean;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::blocks::changed;
 use crate::text::lines::Lines;
 use crate::text::model::{TextModel, splice_normal};
@@ -44,7 +44,7 @@ pub(super) struct SharedNormals<'a> {
     model: &'a ApartModel,
     /// The positions of all vertices, and behind them the pairs: the normal in the upper half, the vertex in
     /// the lower; ascending, none twice.
-    file: Source,
+    file: SourceFile,
     /// How many pairs there are.
     pairs: u64,
     /// Normals that keep their bytes as their places disagree, of all versions.
@@ -130,7 +130,7 @@ fn position_of(bytes: [u8; POSITION]) -> DVec3 {
 
 /// Records of `N` bytes in a part of a file, of which the last blocks that were asked for are held.
 struct RecordFile<'a, const N: usize> {
-    file: &'a Source,
+    file: &'a SourceFile,
     range: Range<u64>,
     /// Each the block of the number beside it, or none.
     blocks: Vec<(u64, Vec<u8>)>,
@@ -141,7 +141,7 @@ impl<'a, const N: usize> RecordFile<'a, N> {
     const OF_A_BLOCK: u64 = 256;
     const BLOCKS: u64 = 64;
 
-    fn new(file: &'a Source, range: Range<u64>) -> Self {
+    fn new(file: &'a SourceFile, range: Range<u64>) -> Self {
         Self { file, range, blocks: vec![(u64::MAX, Vec::new()); Self::BLOCKS as usize] }
     }
 
@@ -230,7 +230,7 @@ impl Rewritable for SharedNormals<'_> {
         Ok(())
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         Rewritable::source(self.model)
     }
 }

@@ -1,6 +1,6 @@
 //! The header: fields, their types, and how many points there are.
 
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::lines::lines;
 use crate::text::{CUT_OFF, DAMAGED, quoted};
 use crate::{Result, Type};
@@ -94,7 +94,7 @@ pub(crate) fn is_pcd(start: &[u8]) -> bool {
 type PcdFault = (String, &'static str);
 
 impl PcdHeader {
-    pub(super) fn read(source: &Source) -> Result<Self> {
+    pub(super) fn read(source: &SourceFile) -> Result<Self> {
         let mut start = Vec::new();
         source.append_at(&mut start, 0, LONGEST)?;
         let mut parser = Parser::default();

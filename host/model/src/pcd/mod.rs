@@ -10,18 +10,18 @@ mod unpack;
 
 use crate::cache::Making;
 use crate::ply::{Encoding, PlyElement, PlyHeader, PlyModel, Property, PropertyShape};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Model, Result, Type};
 pub(crate) use header::is_pcd;
 use header::{Data, PcdField, PcdHeader};
 
 /// Whether a file of that extension begins as PCD, whatever its first comment says.
-pub(crate) fn is_head(source: &Source) -> bool {
+pub(crate) fn is_head(source: &SourceFile) -> bool {
     PcdHeader::read(source).is_ok()
 }
 
 /// Opens a file; a compressed one is unpacked into the cache.
-pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
+pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Model>> {
     let header = PcdHeader::read(&source)?;
     let name = header.data.name();
     let (compressed, is_text) = (header.data == Data::Compressed, header.data == Data::Ascii);

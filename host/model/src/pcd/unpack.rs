@@ -6,7 +6,7 @@
 use super::header::PcdHeader;
 use crate::cache::{CachedContent, Making};
 use crate::scratch::Scratch;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::{CUT_OFF, DAMAGED};
 use crate::{Error, Progress, Result};
 
@@ -19,7 +19,7 @@ const BLOCK: usize = 1 << 20;
 /// The same points as binary records, in the cache.
 ///
 /// Disk: the unpacked size, at most 4 GiB, and as much again until that is done. Memory: a few MiB.
-pub(super) fn unpack(source: &Source, header: &PcdHeader, making: &Making<'_>) -> Result<Source> {
+pub(super) fn unpack(source: &SourceFile, header: &PcdHeader, making: &Making<'_>) -> Result<SourceFile> {
     let mut sizes = [0; 8];
     if source.read_at(&mut sizes, header.len)? < sizes.len() {
         return Err(source.malformed("the file ends before the compressed points", CUT_OFF));
@@ -67,7 +67,7 @@ pub(super) fn unpack(source: &Source, header: &PcdHeader, making: &Making<'_>) -
 }
 
 struct Unpacker<'a> {
-    source: &'a Source,
+    source: &'a SourceFile,
     /// What is read next of the file, and where the block ends in it.
     at: u64,
     end: u64,

@@ -15,7 +15,7 @@ use super::reader::{CHUNK_BYTES, PlyReader};
 use super::walk::{CUT_OFF, RecordPlan, WalkStep};
 use crate::Type;
 use crate::fan::Fan;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text;
 use crate::{CHUNK_TRIANGLES, Error, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, Result};
 
@@ -508,7 +508,7 @@ impl<'a> RecordCursor<'a> {
 
 /// A block of the file that moves on.
 struct BlockWindow<'a> {
-    source: &'a Source,
+    source: &'a SourceFile,
     block: Vec<u8>,
     /// What of the block has been taken, and how much of it is filled.
     at: usize,
@@ -520,7 +520,7 @@ struct BlockWindow<'a> {
 }
 
 impl<'a> BlockWindow<'a> {
-    fn new(source: &'a Source, block_size: usize) -> Self {
+    fn new(source: &'a SourceFile, block_size: usize) -> Self {
         Self { source, block: vec![0; block_size], at: 0, filled: 0, end: 0, limit: None }
     }
 
@@ -701,7 +701,7 @@ mod tests {
         let mut file = NamedTempFile::new().unwrap();
         file.write_all(bytes).unwrap();
         // The open file outlives its name.
-        PlyModel::new(Source::open(file.path(), None)?)
+        PlyModel::new(SourceFile::open(file.path(), None)?)
     }
 
     fn read_by(block: usize, model: &PlyModel) -> Result<Vec<[u32; 3]>> {

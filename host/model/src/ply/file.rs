@@ -4,13 +4,13 @@ use super::header::PlyHeader;
 use super::layout::PlyLayout;
 use super::offsets::Offsets;
 use crate::follow::Following;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{ModelInfo, Result};
 
 /// A PLY file.
 #[derive(Debug)]
 pub struct PlyModel {
-    pub(super) source: Source,
+    pub(super) source: SourceFile,
     pub(super) header: PlyHeader,
     /// Index of the element that holds the vertices.
     pub(super) vertex: usize,

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Result, Type};
 
 /// A header has to end within this many bytes: what goes on without end is no PLY file.
@@ -118,7 +118,7 @@ pub(crate) fn is_ply(start: &[u8]) -> bool {
 
 impl PlyHeader {
     /// Reads the header of `source`.
-    pub(crate) fn read(source: &Source) -> Result<Self> {
+    pub(crate) fn read(source: &SourceFile) -> Result<Self> {
         let mut bytes = Vec::new();
         // Headers are short: do not fetch 1 MiB where 4 KiB hold it all.
         for limit in [4096, MAX_HEADER] {
@@ -140,7 +140,7 @@ impl PlyHeader {
     }
 
     /// The element that holds the vertices, and its place among the elements.
-    pub(super) fn vertex(&self, source: &Source) -> Result<(usize, &PlyElement)> {
+    pub(super) fn vertex(&self, source: &SourceFile) -> Result<(usize, &PlyElement)> {
         let mut found = self.elements.iter().enumerate().filter(|(_, e)| e.name == "vertex");
         let vertex = found.next().ok_or_else(|| {
             source

@@ -1,7 +1,7 @@
 //! Where a vertex record keeps its position and normal, and what else turns with the surface.
 
 use super::header::{DAMAGED, Encoding, NORMAL, PlyElement, PropertyShape, quoted};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Attribute, Result, Scalar, Type};
 
 /// One coordinate of the position or of the normal, or a number that follows these.
@@ -19,7 +19,7 @@ pub(super) struct Component {
 pub(super) enum PropertySlot {
     /// Nothing: so many bytes of something else.
     Other { size: usize },
-    /// It is the component of this index, of so many bytes.
+    /// The component of this index, of so many bytes.
     Component { index: usize, size: usize },
     /// A list, which makes records differ in length.
     List { count: Type, item: Type },
@@ -52,7 +52,7 @@ pub(super) struct PlyLayout {
 const POSITION: [&str; 3] = ["x", "y", "z"];
 
 impl PlyLayout {
-    pub(super) fn new(source: &Source, encoding: Encoding, vertex: &PlyElement) -> Result<Self> {
+    pub(super) fn new(source: &SourceFile, encoding: Encoding, vertex: &PlyElement) -> Result<Self> {
         for name in POSITION.iter().chain(&NORMAL) {
             if vertex.properties.iter().filter(|p| p.name == *name).count() > 1 {
                 return Err(source.malformed(format!("the vertices have two properties {name}"), DAMAGED));

@@ -42,7 +42,7 @@ pub(super) use header::{Encoding, PlyElement, PlyHeader, Property, PropertyShape
 pub use writer::{Besides, write_points, write_vertices};
 
 use super::model::some_by_all;
-use super::source::Source;
+use super::source::SourceFile;
 use super::{
     Division, Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline,
 };
@@ -59,7 +59,7 @@ use reader::PlyReader;
 
 impl PlyModel {
     /// The file.
-    pub(crate) fn source(&self) -> &Source {
+    pub(crate) fn source(&self) -> &SourceFile {
         &self.source
     }
 
@@ -70,7 +70,7 @@ impl PlyModel {
     ///
     /// # Errors
     /// The file cannot be read, is not PLY, is cut off, or has no vertices with positions.
-    pub(crate) fn new(source: Source) -> Result<Self> {
+    pub(crate) fn new(source: SourceFile) -> Result<Self> {
         let header = PlyHeader::read(&source)?;
         Self::from_header(source, header, header::without_normals)
     }
@@ -89,7 +89,7 @@ impl PlyModel {
     }
 
     pub(super) fn from_header(
-        source: Source,
+        source: SourceFile,
         header: PlyHeader,
         without_normals: fn(&[u8]) -> Vec<u8>,
     ) -> Result<Self> {
@@ -316,7 +316,7 @@ fn is_double_normal(property: &Property) -> bool {
 }
 
 /// An error where a text file is too short to hold a word for each number that its header speaks of.
-fn check_room_for_words(source: &Source, header: &PlyHeader) -> Result<()> {
+fn check_room_for_words(source: &SourceFile, header: &PlyHeader) -> Result<()> {
     let mut left = source.len() - header.len;
     for PlyElement { name, count, properties } in &header.elements {
         // A word takes a byte and another one to end it, if only the last one of the file may do without.

@@ -7,7 +7,7 @@ use super::reader::{CHUNK_BYTES, PlyReader};
 use super::walk::{CUT_OFF, Walker};
 use super::{ascii, binary};
 use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable, Skipped};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Division, Error, Normals, Result, VertexChunk};
 
 impl Rewritable for PlyModel {
@@ -58,7 +58,7 @@ impl Rewritable for PlyModel {
         Some(Division { pieces, vertices, in_place })
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         &self.source
     }
 }

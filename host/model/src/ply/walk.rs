@@ -10,7 +10,7 @@ use super::binary;
 use super::header::{DAMAGED, Encoding, PlyElement, Property, PropertyShape, quoted};
 use crate::Type;
 use crate::progress::Silent;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::is_space;
 use crate::{Progress, Result};
 
@@ -257,7 +257,7 @@ impl Walker {
 
 /// Goes over `elements`, which begin at `start` of the file; returns where they end.
 pub(super) fn walk(
-    source: &Source,
+    source: &SourceFile,
     encoding: Encoding,
     elements: &[PlyElement],
     start: u64,
@@ -269,7 +269,7 @@ pub(super) fn walk(
 /// Like [`walk`], reading so many bytes at a time.
 fn walk_by(
     block_size: usize,
-    source: &Source,
+    source: &SourceFile,
     encoding: Encoding,
     elements: &[PlyElement],
     start: u64,
@@ -305,7 +305,7 @@ fn walk_by(
 /// triangles alone, and then the rest of the file is as long as that many records of the first one's size.
 /// Where that is so, and some records all over the element have that size, it is taken as complete.
 pub(super) fn extents(
-    source: &Source,
+    source: &SourceFile,
     encoding: Encoding,
     elements: &[PlyElement],
     start: u64,
@@ -344,7 +344,7 @@ pub(super) fn extents(
 /// The end of an element with lists, if the file is exactly as long as if all its records had the size of the
 /// first one, and `after` it no lists follow.
 fn uniform_lists(
-    source: &Source,
+    source: &SourceFile,
     encoding: Encoding,
     element: &PlyElement,
     after: &[PlyElement],

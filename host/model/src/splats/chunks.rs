@@ -17,7 +17,7 @@ use super::{GroupOffsets, HARMONICS, SplatLayout, SplatReader, gradient, info, p
 use crate::follow::{Follow, Following};
 use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable};
 use crate::ply::{Encoding, PlyElement, PlyHeader, PlyModel, PropertyShape};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::unfit::Unfit;
 use crate::{
     CHUNK_VERTICES, Edit, Edited, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, Type,
@@ -52,7 +52,7 @@ const HINT: &str = "export it again as a compressed PLY, or as an ordinary one";
 /// A compressed PLY file.
 #[derive(Debug)]
 struct CompressedPly {
-    source: Source,
+    source: SourceFile,
     info: ModelInfo,
     following: Following,
     /// Where the bounds, the splats, their harmonics and what follows these begin.
@@ -67,7 +67,7 @@ struct CompressedPly {
 ///
 /// # Errors
 /// As of [`PlyModel`]; its chunks are not what packed splats have.
-pub(crate) fn open_ply(source: Source) -> Result<Box<dyn Model>> {
+pub(crate) fn open_ply(source: SourceFile) -> Result<Box<dyn Model>> {
     let header = PlyHeader::read(&source)?;
     let has = |name: &str| header.elements.iter().any(|e| e.name == name);
     let is_packed = |e: &PlyElement| e.name == "vertex" && e.properties.iter().any(|p| p.name == SPLAT[0]);
@@ -84,7 +84,7 @@ fn has_just<'a>(element: &PlyElement, kind: Type, names: impl IntoIterator<Item 
 }
 
 impl CompressedPly {
-    fn new(source: Source, header: &PlyHeader) -> Result<Self> {
+    fn new(source: SourceFile, header: &PlyHeader) -> Result<Self> {
         let wrong = |what: &str| Err(source.malformed(format_args!("packed splats, but {what}"), HINT));
         if header.encoding != Encoding::Little {
             return wrong("not in the format binary_little_endian");
@@ -494,7 +494,7 @@ impl Rewritable for CompressedPly {
         Ok(())
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         &self.source
     }
 }

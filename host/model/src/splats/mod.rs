@@ -19,7 +19,7 @@ use glam::{DVec3, Mat3};
 
 use crate::follow::Following;
 use crate::pipeline::Rewritable;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{
     Attribute, CHUNK_VERTICES, Edited, Model, ModelInfo, Result, Scalar, Type, VertexChunk, VertexReader,
 };
@@ -56,7 +56,7 @@ impl GroupOffsets {
 /// What is known of such a file.
 fn info(
     format: String,
-    source: &Source,
+    source: &SourceFile,
     vertices: u64,
     bytes_of_a_splat: u64,
     harmonics: usize,

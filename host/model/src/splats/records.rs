@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use super::{GroupOffsets, SplatLayout, SplatReader, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
 use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable, Skipped};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::unfit::Unfit;
 use crate::{
     CHUNK_VERTICES, Division, Edit, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
@@ -33,14 +33,14 @@ const HALF: f64 = 128.0;
 /// A file of such records.
 #[derive(Debug)]
 struct SplatRecords {
-    source: Source,
+    source: SourceFile,
     info: ModelInfo,
     following: Following,
 }
 
 /// # Errors
 /// The file does not end with a splat.
-pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
+pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     let left = source.len() % RECORD as u64;
     if left != 0 {
         let what = format!("{left} bytes are left behind its splats, which take {RECORD} each");
@@ -211,7 +211,7 @@ impl Rewritable for SplatRecords {
         Some(Division { pieces, vertices: 0..pieces, in_place: true })
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         &self.source
     }
 }

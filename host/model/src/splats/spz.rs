@@ -19,7 +19,7 @@ use super::{GroupOffsets, HARMONICS, SplatLayout, SplatReader, gradient, info, p
 use crate::cache::{CachedContent, Making};
 use crate::follow::{Follow, Following};
 use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{
     CHUNK_VERTICES, Edit, Edited, Error, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
     Summary, VertexChunk, VertexReader,
@@ -60,8 +60,8 @@ const ARRAYS: [Array; 6] =
 /// An SPZ file.
 #[derive(Debug)]
 struct Spz {
-    source: Source,
-    unpacked: Source,
+    source: SourceFile,
+    unpacked: SourceFile,
     info: ModelInfo,
     following: Following,
     /// Bytes of a splat in each array.
@@ -78,11 +78,12 @@ pub(crate) fn is_gzip(start: &[u8]) -> bool {
 /// # Errors
 /// The file is no SPZ, or of another version; it is cut off or damaged; there is no room for what is
 /// unpacked.
-pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
+pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Model>> {
     let damaged = |what: &str| source.malformed(what, HINT);
     let mut header = [0; HEADER as usize];
     let reader = || GzDecoder::new(SourceReader { source: &source, at: 0 });
-    reader().read_exact(&mut header).map_err(|_| damaged("gzip, but nothing that is known in it"))?;
+    let unknown = |e| damaged("gzip, but nothing that is known in it").because(e);
+    reader().read_exact(&mut header).map_err(unknown)?;
     let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     let [version, count] = [word(4), word(8)];
     let (degree, fraction) = (usize::from(header[12]), i32::from(header[13]));
@@ -130,7 +131,7 @@ pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>
 }
 
 struct SourceReader<'a> {
-    source: &'a Source,
+    source: &'a SourceFile,
     at: u64,
 }
 
@@ -448,7 +449,7 @@ impl Rewritable for Spz {
         Ok(())
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         &self.source
     }
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::facets::{FACET, Facets, normal};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::blocks::{GAP, TextBlocks, TextBlocksBuilder, too_far};
 use crate::text::digits::Digits;
 use crate::text::lines::{Lines, lines, wrong_line};
@@ -15,7 +15,7 @@ use crate::unfit::Unfit;
 use crate::{Edited, FaceReader, Model, ModelInfo, Result, Scalar, VertexChunk};
 
 /// Whether a file begins as text: with `solid`, and without anything that is none.
-pub(super) fn is_text(source: &Source) -> Result<bool> {
+pub(super) fn is_text(source: &SourceFile) -> Result<bool> {
     const START: usize = 1024;
     let mut start = Vec::new();
     source.append_at(&mut start, 0, START)?;
@@ -26,7 +26,7 @@ pub(super) fn is_text(source: &Source) -> Result<bool> {
 }
 
 /// Opens a file, which is gone over once.
-pub(super) fn open(source: Source) -> Result<Box<dyn Model>> {
+pub(super) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     let (blocks, facets) = scan(&source)?;
     let face_bytes = FACET * facets;
     let of_file = info(&source, "STL, ascii".into());
@@ -68,7 +68,7 @@ impl StlLine {
 }
 
 /// Where the vertices are, and how many facets there are. All of the file's structure is checked here.
-fn scan(source: &Source) -> Result<(TextBlocks, u64)> {
+fn scan(source: &SourceFile) -> Result<(TextBlocks, u64)> {
     let mut lines = Lines::new(source, 0, u64::MAX, false);
     let mut builder = TextBlocksBuilder::new(0, StlLines::UNIT);
     let (mut facets, mut in_solid, mut in_facet, mut at) = (0u64, false, false, 0);
@@ -117,7 +117,7 @@ fn scan(source: &Source) -> Result<(TextBlocks, u64)> {
 }
 
 /// An error where a facet's normal has a number that is too large; other words that are no numbers are kept.
-fn check_normal(source: &Source, start: u64, line: &[u8]) -> Result<()> {
+fn check_normal(source: &SourceFile, start: u64, line: &[u8]) -> Result<()> {
     let mut words = [[0; 2]; 3];
     words_after(line, 2, &mut words);
     for word in words.map(|[start, end]| &line[start..end]) {

@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 
 use super::facets::{FACET, Facets, START, normal};
 use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable, Skipped};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::text::CUT_OFF;
 use crate::unfit::Unfit;
 use crate::{
@@ -23,21 +23,21 @@ const CHUNK_FACETS: u64 = (CHUNK_VERTICES / 3) as u64;
 const COPIED: usize = 4 << 20;
 
 /// The number of facets that the file says it has, if it is long enough to say so.
-fn count(source: &Source) -> Result<Option<u64>> {
+fn count(source: &SourceFile) -> Result<Option<u64>> {
     let mut count = [0; 4];
     let read = source.read_at(&mut count, START - 4)?;
     Ok((read == count.len()).then(|| u64::from(u32::from_le_bytes(count))))
 }
 
 /// Whether the file is just as long as its number of facets says: text is not, by any chance.
-pub(super) fn has_its_length(source: &Source) -> Result<bool> {
+pub(super) fn has_its_length(source: &SourceFile) -> Result<bool> {
     Ok(count(source)?.is_some_and(|count| START + FACET * count == source.len()))
 }
 
 /// A binary STL file.
 #[derive(Debug)]
 pub(super) struct BinaryStl {
-    source: Source,
+    source: SourceFile,
     facets: u64,
     info: ModelInfo,
 }
@@ -45,7 +45,7 @@ pub(super) struct BinaryStl {
 impl BinaryStl {
     /// # Errors
     /// The file is shorter than its number of facets says, or longer by a facet or more.
-    pub(super) fn new(source: Source) -> Result<Self> {
+    pub(super) fn new(source: SourceFile) -> Result<Self> {
         let Some(facets) = count(&source)? else {
             return Err(source.malformed(
                 format_args!("{} bytes are too few for STL, which begins with 84", source.len()),
@@ -255,7 +255,7 @@ impl Rewritable for BinaryStl {
         Some(Division { pieces: facets.end, vertices: facets, in_place: true })
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         &self.source
     }
 }

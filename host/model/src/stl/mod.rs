@@ -9,11 +9,11 @@ mod ascii;
 mod binary;
 mod facets;
 
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Model, Result};
 
 /// Opens a file that is STL by its content, or if its name says so.
-pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
+pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     if !binary::has_its_length(&source)? && ascii::is_text(&source)? {
         return ascii::open(source);
     }
@@ -21,6 +21,6 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
 }
 
 /// Whether the content says that a file is STL.
-pub(crate) fn is_stl(source: &Source) -> Result<bool> {
+pub(crate) fn is_stl(source: &SourceFile) -> Result<bool> {
     Ok(binary::has_its_length(source)? || ascii::is_text(source)?)
 }

@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use super::lines::wrong_line;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{CHUNK_VERTICES, Error, Result};
 
 /// Bytes without a vertex from which on they are a gap.
@@ -159,7 +159,7 @@ impl TextBlocksBuilder {
 ///
 /// Memory: a block, where it is read in parts.
 pub(crate) struct BlockReader<'a> {
-    source: &'a Source,
+    source: &'a SourceFile,
     blocks: &'a TextBlocks,
     /// The vertices that are still to be read.
     range: Range<u64>,
@@ -173,7 +173,7 @@ pub(crate) struct BlockReader<'a> {
 }
 
 impl<'a> BlockReader<'a> {
-    pub(crate) fn new(source: &'a Source, blocks: &'a TextBlocks, range: Range<u64>) -> Self {
+    pub(crate) fn new(source: &'a SourceFile, blocks: &'a TextBlocks, range: Range<u64>) -> Self {
         let end = range.end.min(blocks.vertices());
         let range = range.start.min(end)..end;
         let (ahead, chunk) = (Vec::new(), CHUNK_VERTICES);
@@ -275,7 +275,7 @@ pub(crate) enum BlockPiece {
 
 impl<'a> BlockPieces<'a> {
     /// All of a file, in chunks of at most so many vertices.
-    pub(crate) fn new(source: &'a Source, blocks: &'a TextBlocks, chunk: usize) -> Self {
+    pub(crate) fn new(source: &'a SourceFile, blocks: &'a TextBlocks, chunk: usize) -> Self {
         let mut reader = BlockReader::new(source, blocks, 0..u64::MAX);
         reader.set_chunk(chunk);
         Self { reader, at: 0 }
@@ -306,12 +306,12 @@ impl<'a> BlockPieces<'a> {
 }
 
 /// An error where a file is not what it was when it was opened.
-pub(crate) fn changed(source: &Source) -> Error {
+pub(crate) fn changed(source: &SourceFile) -> Error {
     Error::changed_while_read(source.path())
 }
 
 /// An error where more bytes than a [`GAP`] stand between what belongs together, before `offset`.
-pub(crate) fn too_far(source: &Source, offset: u64) -> Error {
+pub(crate) fn too_far(source: &SourceFile, offset: u64) -> Error {
     let what =
         format!("more than {} KiB lie between this line and the one before that it belongs to", GAP >> 10);
     wrong_line(source, offset, what, super::DAMAGED)
@@ -332,10 +332,10 @@ mod tests {
         if count == 0 { Some(0) } else { ends.nth(count as usize - 1) }
     }
 
-    fn file(text: &[u8]) -> Source {
+    fn file(text: &[u8]) -> SourceFile {
         let mut file = tempfile::NamedTempFile::new().unwrap();
         file.write_all(text).unwrap();
-        Source::open(file.path(), None).unwrap()
+        SourceFile::open(file.path(), None).unwrap()
     }
 
     proptest! {

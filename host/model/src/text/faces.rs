@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::DAMAGED;
 use super::lines::{Lines, wrong_line};
 use crate::fan::Fan;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, Result};
 
 /// Bytes of the file that a chunk takes.
@@ -32,7 +32,7 @@ pub(crate) trait FaceLines: Send {
 ///
 /// Memory: a line, twice; no polygon is held otherwise.
 pub(crate) struct LineFaces<'a, P> {
-    source: &'a Source,
+    source: &'a SourceFile,
     parser: P,
     lines: Lines<'a>,
     ranges: std::vec::IntoIter<Range<u64>>,
@@ -49,7 +49,7 @@ pub(crate) struct LineFaces<'a, P> {
 impl<'a, P: FaceLines> LineFaces<'a, P> {
     /// A reader of the faces between two bytes of the file; or of some ranges, which are whole lines.
     pub(crate) fn new(
-        source: &'a Source,
+        source: &'a SourceFile,
         parser: P,
         all: Range<u64>,
         ranges: Option<Vec<Range<u64>>>,

@@ -1,6 +1,6 @@
 //! Lines of bounded length. A line ends with a line feed, a carriage return, or both; files may mix them.
 
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Error, Result};
 
 /// Longest line: what goes on longer is no text that can be worked on.
@@ -58,7 +58,7 @@ fn count_lines(bytes: &[u8]) -> u64 {
 ///
 /// Memory: a block, or a line and what is read with it: 32 MiB at most.
 pub(crate) struct Lines<'a> {
-    source: &'a Source,
+    source: &'a SourceFile,
     continues: bool,
     block: Vec<u8>,
     /// Where in the block the next line begins.
@@ -70,7 +70,7 @@ pub(crate) struct Lines<'a> {
 }
 
 impl<'a> Lines<'a> {
-    pub(crate) fn new(source: &'a Source, start: u64, end: u64, continues: bool) -> Self {
+    pub(crate) fn new(source: &'a SourceFile, start: u64, end: u64, continues: bool) -> Self {
         Self { source, continues, block: Vec::new(), at: 0, offset: start, end: end.min(source.len()) }
     }
 
@@ -122,7 +122,7 @@ impl<'a> Lines<'a> {
 }
 
 /// The number of the line that a byte of the file stands in, from 1 on: found by counting, for messages.
-pub(crate) fn line_number(source: &Source, offset: u64) -> Result<u64> {
+pub(crate) fn line_number(source: &SourceFile, offset: u64) -> Result<u64> {
     let (mut at, mut number, mut block) = (0, 1, Vec::new());
     while at < offset {
         block.clear();
@@ -143,7 +143,12 @@ pub(crate) fn line_number(source: &Source, offset: u64) -> Result<u64> {
 }
 
 /// An error about the line that a byte of the file stands in.
-pub(crate) fn wrong_line(source: &Source, offset: u64, what: impl std::fmt::Display, hint: &str) -> Error {
+pub(crate) fn wrong_line(
+    source: &SourceFile,
+    offset: u64,
+    what: impl std::fmt::Display,
+    hint: &str,
+) -> Error {
     match line_number(source, offset) {
         Ok(number) => source.malformed(format_args!("line {number}: {what}"), hint),
         Err(error) => error,
@@ -156,10 +161,10 @@ mod tests {
 
     use super::*;
 
-    fn source(bytes: &[u8]) -> Source {
+    fn source(bytes: &[u8]) -> SourceFile {
         let mut file = tempfile::NamedTempFile::new().unwrap();
         file.write_all(bytes).unwrap();
-        Source::open(file.path(), None).unwrap()
+        SourceFile::open(file.path(), None).unwrap()
     }
 
     #[test]

@@ -14,7 +14,7 @@ use super::{DAMAGED, coordinate, has_many_digits, is_beyond_doubles, no_coordina
 use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::unfit::Unfit;
 use crate::{
     CHUNK_VERTICES, Edit, Edited, Error, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
@@ -117,7 +117,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
 /// A file whose vertices are lines.
 #[derive(Debug)]
 pub(crate) struct TextModel<G> {
-    pub(crate) source: Source,
+    pub(crate) source: SourceFile,
     pub(crate) grammar: G,
     pub(crate) blocks: TextBlocks,
     /// What of the attributes turns with the surface.
@@ -128,7 +128,7 @@ pub(crate) struct TextModel<G> {
 }
 
 /// What is known of a text file, but for its vertices.
-pub(crate) fn info(source: &Source, format: String) -> ModelInfo {
+pub(crate) fn info(source: &SourceFile, format: String) -> ModelInfo {
     ModelInfo {
         format,
         vertices: 0,
@@ -152,7 +152,7 @@ pub(crate) fn info(source: &Source, format: String) -> ModelInfo {
 
 impl<G: Grammar> TextModel<G> {
     /// A file whose vertices lie in these blocks.
-    pub(crate) fn new(source: Source, grammar: G, blocks: TextBlocks, info: ModelInfo) -> Result<Self> {
+    pub(crate) fn new(source: SourceFile, grammar: G, blocks: TextBlocks, info: ModelInfo) -> Result<Self> {
         let info = ModelInfo {
             vertices: blocks.vertices(),
             vertex_bytes: blocks.vertex_bytes(),
@@ -563,7 +563,7 @@ impl<G: Grammar> Rewritable for TextModel<G> {
         G::encode(self, chunk, version.edited, version.bytes).map_err(unfit)
     }
 
-    fn source(&self) -> &Source {
+    fn source(&self) -> &SourceFile {
         &self.source
     }
 }

@@ -10,7 +10,7 @@ use crate::cloud::Cloud;
 use crate::frame::FrameData;
 use crate::splats::CloudRange;
 use crate::targets::{SurfaceTargets, Targets, texture};
-use crate::view::{PixelScale, SceneStyle, SurfaceMode, View};
+use crate::view::{PixelScale, SceneStyle, SceneView, SurfaceMode};
 
 /// Discs of a part of the samples are so much wider than their number says, as they are not quite evenly
 /// spread.
@@ -44,7 +44,7 @@ impl Scene {
     }
 
     /// Makes the textures anew where the picture's size changed.
-    pub(super) fn resize(&mut self, view: &View, scale: PixelScale) {
+    pub(super) fn resize(&mut self, view: &SceneView, scale: PixelScale) {
         let device = &self.gpu.device;
         let fits = self.finished.as_ref().is_some_and(|(t, _)| [t.width(), t.height()] == view.size);
         if !fits {
@@ -57,7 +57,7 @@ impl Scene {
     }
 
     /// The textures of a scale.
-    fn stage(&mut self, view: &View, scale: PixelScale) {
+    fn stage(&mut self, view: &SceneView, scale: PixelScale) {
         let device = &self.gpu.device;
         let stage = self.stages.entry(scale).or_insert_with(|| {
             let targets = Targets::new(device, view.size.map(|s| scale.drawn(s)), view.size);
@@ -77,7 +77,7 @@ impl Scene {
     pub(super) fn draw(
         &mut self,
         encoder: &mut CommandEncoder,
-        view: &View,
+        view: &SceneView,
         style: &SceneStyle,
         scale: PixelScale,
         splats: usize,
@@ -119,7 +119,7 @@ impl Scene {
     pub(super) fn fill(
         &mut self,
         encoder: &mut CommandEncoder,
-        view: &View,
+        view: &SceneView,
         style: &SceneStyle,
         splats: usize,
     ) {
@@ -243,7 +243,7 @@ impl Scene {
     }
 
     /// Tells the shaders of a frame of these shares.
-    fn set_frame(&self, view: &View, style: &SceneStyle, stage: &SizedTargets, shares: DetailShares) {
+    fn set_frame(&self, view: &SceneView, style: &SceneStyle, stage: &SizedTargets, shares: DetailShares) {
         let radius = self.surface.as_ref().or(self.ghost.as_ref()).map_or(1.0, |cloud| cloud.radius);
         let size = stage.targets.size;
         let mut frame = FrameData::new(view, style, size, view.size, radius, self.ghost.is_some());

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use super::stage::DetailShares;
 use super::{Scene, SurfaceShare};
 use crate::budget::Budget;
-use crate::cloud::{BadSurface, Surface, same_length};
-use crate::view::{SceneStyle, SurfaceMode, View};
+use crate::cloud::{BadSurface, SceneSurface, same_length};
+use crate::view::{SceneStyle, SceneView, SurfaceMode};
 
 impl Scene {
     /// The samples are somewhere else: none of them is up to date any more, and the next picture is another
@@ -16,13 +16,13 @@ impl Scene {
     }
 
     /// Whether the picture is that of this view, or is on its way to it.
-    pub fn is_of(&self, view: &View, style: &SceneStyle) -> bool {
+    pub fn is_of(&self, view: &SceneView, style: &SceneStyle) -> bool {
         self.of == Some(self.drawable(view, style))
     }
 
     /// How many samples the next picture is of, at most: no others than these [first ones](Self::first) have
     /// to be up to date for it.
-    pub fn reach(&self, view: &View, style: &SceneStyle, budget: Option<&Budget>) -> usize {
+    pub fn reach(&self, view: &SceneView, style: &SceneStyle, budget: Option<&Budget>) -> usize {
         let all = self.samples();
         let Some(budget) = budget else { return all };
         if !self.is_of(view, style) {
@@ -57,12 +57,12 @@ impl Scene {
     ///
     /// # Errors
     /// The lists do not fit together, or are not of these samples.
-    pub fn place_first(&mut self, of: &Surface<'_>) -> Result<(), BadSurface> {
+    pub fn place_first(&mut self, of: &SceneSurface<'_>) -> Result<(), BadSurface> {
         let (Some(surface), Some(first)) = (&self.surface, &self.first) else {
             return same_length("positions", of.positions.len(), 0);
         };
         same_length("positions", of.positions.len(), first.samples.len())?;
-        Surface { triangles: &[], ..*of }.check()?;
+        SceneSurface { triangles: &[], ..*of }.check()?;
         surface.write_first(&self.gpu.queue, first, of);
         self.placed = self.placed.max(first.samples.len());
         Ok(())
@@ -72,9 +72,9 @@ impl Scene {
     ///
     /// # Errors
     /// The lists do not fit together, or are not of as many samples as before.
-    pub fn place_all(&mut self, of: &Surface<'_>) -> Result<(), BadSurface> {
+    pub fn place_all(&mut self, of: &SceneSurface<'_>) -> Result<(), BadSurface> {
         same_length("positions", of.positions.len(), self.samples())?;
-        Surface { triangles: &[], ..*of }.check()?;
+        SceneSurface { triangles: &[], ..*of }.check()?;
         if let Some(surface) = &self.surface {
             let queue = &self.gpu.queue;
             surface.write_geometry(queue, of.positions, of.normals);

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use common::{Model, at, difference, draw, gpu, same, sphere, view};
 use glam::Vec3;
-use simod_scene::{Budget, Scene, SceneStyle, Surface, SurfaceMode};
+use simod_scene::{Budget, Scene, SceneStyle, SceneSurface, SurfaceMode};
 
 /// A sphere, of which some samples are the surface's and the others are details, in two pieces.
 struct Split {
@@ -99,7 +99,7 @@ fn fine_details_hide_what_is_behind() {
     fine.radii.iter_mut().zip(&fine.positions).filter(|(_, p)| p.x <= 0.2).for_each(|(r, _)| *r = -1.0);
     let mut scene = Scene::new(gpu);
     scene.set_surface(&surface.surface()).unwrap();
-    scene.set_detail(0, Some(&Surface { triangles: &[], ..fine.surface() })).unwrap();
+    scene.set_detail(0, Some(&SceneSurface { triangles: &[], ..fine.surface() })).unwrap();
     for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
         scene.render(&view(), &SceneStyle { mode, ..style() }, None);
         let image = scene.read().unwrap();
@@ -109,7 +109,7 @@ fn fine_details_hide_what_is_behind() {
         assert!(r > b + 60, "{mode:?}: {r}, {b}");
     }
     assert!(scene.set_detail_colors(0, &[1.0], None).is_err());
-    assert!(scene.set_detail(0, Some(&Surface { radii: &[], ..fine.surface() })).is_err());
+    assert!(scene.set_detail(0, Some(&SceneSurface { radii: &[], ..fine.surface() })).is_err());
 }
 
 /// A few of them, beside a surface of which only a part is drawn, by larger discs: they leave it their share

@@ -8,7 +8,7 @@ use std::path::Path;
 use common::{difference, gpu, sphere, view};
 use glam::{Mat4, Vec3};
 use simod_picture::Image;
-use simod_scene::{Background, Dot, Line, PixelScale, Scene, SceneStyle, SurfaceMode, View};
+use simod_scene::{Background, Dot, Line, PixelScale, Scene, SceneStyle, SceneView, SurfaceMode};
 
 /// Cards round differently: so much a channel, but for a share of the pixels, at edges.
 const TOLERANCE: i32 = 6;
@@ -49,7 +49,7 @@ fn goldens() {
     let mut scene = Scene::new(gpu);
     scene.set_surface(&model.surface()).unwrap();
     let turned = Mat4::from_rotation_x(0.3) * Mat4::from_rotation_y(-0.5);
-    let view = View { view: view().view * turned, size: [160, 160], ..view() };
+    let view = SceneView { view: view().view * turned, size: [160, 160], ..view() };
     let shot = |scene: &mut Scene, name, style: &SceneStyle| {
         scene.render(&view, style, None);
         check(name, &scene.read().unwrap());

@@ -12,7 +12,7 @@ use glam::{Vec3, Vec4};
 use simod_picture::Image;
 use simod_scene::{
     Background, BadSurface, Budget, Dot, Gpu, Light, Line, Matcap, NoGpu, PixelScale, Scene, SceneStyle,
-    Surface, SurfaceMode, View,
+    SceneSurface, SceneView, SurfaceMode,
 };
 
 fn scene_of(gpu: &Gpu, model: &Model) -> Scene {
@@ -137,15 +137,15 @@ fn a_part_of_the_surface_moves_alone() {
             first.iter().map(|i| (to.positions[of(i)], to.normals[of(i)])).unzip();
         let radii: Vec<f32> = first.iter().map(|i| to.radii[of(i)]).collect();
         let colors: Vec<[u8; 3]> = first.iter().map(|i| to.colors.as_ref().unwrap()[of(i)]).collect();
-        let surface = Surface {
+        let surface = SceneSurface {
             positions: &positions,
             normals: &normals,
             radii: &radii,
             colors: Some(&colors),
-            ..Surface::default()
+            ..SceneSurface::default()
         };
         scene.place_first(&surface).unwrap();
-        let short = Surface { positions: &positions[1..], ..surface };
+        let short = SceneSurface { positions: &positions[1..], ..surface };
         assert!(matches!(scene.place_first(&short), Err(BadSurface::Length { .. })));
     };
     let (mut moved, mut whole) = (scene_of(gpu, &from), scene_of(gpu, &from));
@@ -272,7 +272,7 @@ fn an_empty_scene_is_its_background() {
     let empty = shot(&mut scene, &SceneStyle::default());
     assert!(empty.pixels().iter().all(|p| p[0] > 200 && p[0] <= p[2]));
     assert!(scene.drawn().complete && scene.drawn().of == 0);
-    scene.set_surface(&Surface::default()).unwrap();
+    scene.set_surface(&SceneSurface::default()).unwrap();
     for mode in [SurfaceMode::Splats, SurfaceMode::Triangles] {
         assert!(same(&shot(&mut scene, &SceneStyle { mode, ..SceneStyle::default() }), &empty));
     }
@@ -286,7 +286,7 @@ fn views_of_any_size() {
     let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 0.8, 30).colored(RED));
     for scale in [PixelScale::Half, PixelScale::Full, PixelScale::Double] {
         for size in [[0, 0], [0, 7], [1, 1], [3, 500], [333, 77], [0, 0]] {
-            scene.render(&View { size, ..view() }, &SceneStyle { scale, ..plain() }, None);
+            scene.render(&SceneView { size, ..view() }, &SceneStyle { scale, ..plain() }, None);
             let image = scene.read().unwrap();
             assert_eq!([image.width(), image.height()], size.map(|s| s.max(1)));
             let middle = [image.width() as f32 / 2.0, image.height() as f32 / 2.0];
@@ -306,7 +306,7 @@ fn the_same_picture_twice_has_the_same_bytes() {
     shot(&mut scene, &SceneStyle { scale: PixelScale::Double, ..SceneStyle::default() });
     scene.set_surface(&model.surface()).unwrap();
     assert!(same(&shot(&mut scene, &SceneStyle::default()), &first));
-    let turned = View { view: view().view * glam::Mat4::from_rotation_y(0.7), ..view() };
+    let turned = SceneView { view: view().view * glam::Mat4::from_rotation_y(0.7), ..view() };
     assert!(!same(&draw_from(gpu, &model, &SceneStyle::default(), &turned), &first));
 }
 
@@ -318,13 +318,13 @@ fn lists_that_do_not_fit_are_refused() {
     let before = shot(&mut scene, &plain());
     let refused = |error: BadSurface, text: &str| assert_eq!(error.to_string().lines().next(), Some(text));
     let n = good.positions.len();
-    let short = Surface { normals: &good.normals[1..], ..good.surface() };
+    let short = SceneSurface { normals: &good.normals[1..], ..good.surface() };
     refused(scene.set_surface(&short).unwrap_err(), &format!("normals: {} for {n} samples", n - 1));
-    let colors = Surface { colors: Some(&[[0; 3]; 2]), ..good.surface() };
+    let colors = SceneSurface { colors: Some(&[[0; 3]; 2]), ..good.surface() };
     refused(scene.set_surface(&colors).unwrap_err(), &format!("colours: 2 for {n} samples"));
-    let axes = Surface { axes: &[[Vec3::X; 2]; 3], ..good.surface() };
+    let axes = SceneSurface { axes: &[[Vec3::X; 2]; 3], ..good.surface() };
     refused(scene.set_surface(&axes).unwrap_err(), &format!("axes: 3 for {n} samples"));
-    let triangles = Surface { triangles: &[[0, 1, 2], [0, 9999, 1]], ..good.surface() };
+    let triangles = SceneSurface { triangles: &[[0, 1, 2], [0, 9999, 1]], ..good.surface() };
     refused(scene.set_surface(&triangles).unwrap_err(), &format!("triangle 1 has sample 9999 of {n}"));
     refused(scene.set_positions(&[], &good.normals).unwrap_err(), &format!("positions: 0 for {n} samples"));
     refused(scene.set_colors(&[], None).unwrap_err(), &format!("radii: 0 for {n} samples"));
@@ -471,7 +471,7 @@ fn balls_of_light_face_the_eye() {
     let Some(gpu) = gpu() else { return };
     let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 1.0, 100));
     let lamps = shot(&mut scene, &SceneStyle { occlusion: false, ..SceneStyle::default() });
-    let turned = View { view: view().view * glam::Mat4::from_rotation_y(1.1), ..view() };
+    let turned = SceneView { view: view().view * glam::Mat4::from_rotation_y(1.1), ..view() };
     let mut seen: Vec<Image> = vec![lamps];
     for ball in [Matcap::Ceramic, Matcap::Metal, Matcap::Wax, Matcap::Stripes] {
         let style = SceneStyle { light: Light::Matcap(ball), occlusion: false, ..SceneStyle::default() };

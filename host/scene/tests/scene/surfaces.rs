@@ -9,7 +9,7 @@ use common::{
 use glam::camera::rh::proj::directx::orthographic;
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use simod_picture::Image;
-use simod_scene::{PixelScale, SceneStyle, SurfaceMode, View};
+use simod_scene::{PixelScale, SceneStyle, SceneView, SurfaceMode};
 
 /// Places of a picture, in the middle of each pixel, with their distances from the picture's middle.
 fn pixels(image: &Image) -> impl Iterator<Item = ([f32; 2], f32)> {
@@ -45,8 +45,8 @@ fn the_outline_is_the_projected_circle() {
 }
 
 /// A hundred pixels to a unit everywhere.
-fn parallel() -> View {
-    View { projection: orthographic(-1.2, 1.2, -1.2, 1.2, 0.5, 8.0), ..view() }
+fn parallel() -> SceneView {
+    SceneView { projection: orthographic(-1.2, 1.2, -1.2, 1.2, 0.5, 8.0), ..view() }
 }
 
 #[test]

@@ -183,7 +183,7 @@ mod watcher {
         tell('+', group);
     }
 
-    /// It has ended.
+    /// The group has ended.
     pub fn remove(group: u32) {
         tell('-', group);
     }

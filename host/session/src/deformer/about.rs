@@ -11,18 +11,18 @@ pub(crate) struct About {
     #[serde(with = "DescriptorRecord")]
     pub descriptor: Descriptor,
     pub capabilities: Capabilities,
-    /// Of a plugin whose older sessions keep working.
+    /// What a plugin has whose older sessions keep working.
     pub migration: Option<Migration>,
 }
 
 /// What a plugin can do besides deforming samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Capabilities {
-    /// It knows its map at any point of space.
+    /// The plugin knows its map at any point of space.
     pub evaluate: bool,
-    /// It places handles of its own.
+    /// The plugin places handles of its own.
     pub handles: bool,
-    /// It tells when it would do nothing.
+    /// The plugin tells when it would do nothing.
     pub is_identity: bool,
 }
 

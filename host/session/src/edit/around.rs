@@ -23,7 +23,7 @@ const RIDGE: f64 = 1e-6;
 /// Normals that are less alike than this cosine are of two sides of a thin wall.
 const AWAY: f32 = -0.5;
 
-/// Whose displacements make that of each sample which a refinement appended.
+/// The samples whose displacements make that of each sample which a refinement appended.
 ///
 /// Memory: 160 bytes for each of these.
 pub struct Around(Vec<[Word; NEAR]>);
@@ -36,7 +36,7 @@ struct Word {
 }
 
 impl Around {
-    /// Of the samples that `after` has more than `before`.
+    /// The surroundings of the samples that `after` has more than `before`.
     pub fn new(before: &SampledModel, after: &SampledModel) -> Self {
         let samples = &before.samples;
         samples.prepare();

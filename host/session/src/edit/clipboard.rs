@@ -32,7 +32,7 @@ pub fn copied(steps: &[Step], plugins: &PluginRegistry) -> Result<String> {
 /// `folder`.
 ///
 /// # Errors
-/// It is no session's text, names what makes no sense, or has no steps.
+/// The text is no session's, names what makes no sense, or has no steps.
 pub fn pasted(text: &str, folder: &Path) -> Result<Vec<Step>> {
     let hint = "copy steps in a window, or the text of a session";
     if text.len() as u64 > LARGEST {

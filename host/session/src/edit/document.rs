@@ -100,9 +100,9 @@ pub enum EditCommand {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Change {
-    /// It is done, or left out.
+    /// The step is done, or left out.
     Enable(bool),
-    /// It is called otherwise; nothing for what its plugin is called.
+    /// The step is called otherwise; nothing for what its plugin is called.
     SetTitle(Option<String>),
     /// Another amount of it is done, from 0 to 1.
     SetAmount(f64),

@@ -8,7 +8,7 @@ use std::sync::Arc;
 pub struct StepId(u64);
 
 impl StepId {
-    /// That of a number, which a document gives but once.
+    /// The id of a number, which a document gives but once.
     pub(super) fn new(number: u64) -> Self {
         Self(number)
     }

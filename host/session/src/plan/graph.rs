@@ -62,7 +62,7 @@ pub struct Plan {
     pub(super) output: PathBuf,
     /// The model, where it is; of one of several tiles, a pattern that they have in common.
     pub(super) model: PathBuf,
-    /// These, if it has any.
+    /// The model's tiles, if it has any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) tiles: Vec<PathBuf>,
     /// Its size.

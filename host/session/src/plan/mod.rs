@@ -16,6 +16,6 @@ pub use emit::{Emit, emit};
 pub use folder::{absolute, check_target, put, text};
 pub use graph::{Exchange, Plan};
 pub use make::{PlanOptions, make};
-pub use unit::{Done, do_unit};
+pub use unit::{UnitDone, do_unit};
 pub use units::{FINISHED, PLAN, Planned, check_before, check_units, hash_of, read, unit_of};
 pub use units::{Stage, Unit};

@@ -40,8 +40,8 @@ const LONGEST: u64 = 1 << 38;
 
 /// What a unit did.
 #[derive(Default)]
-pub struct Done {
-    /// It was done before, and nothing had to be.
+pub struct UnitDone {
+    /// The unit was done before, and nothing had to be.
     pub was_done: bool,
     /// What the plugins had to say.
     pub messages: Vec<Message>,
@@ -61,7 +61,7 @@ pub fn do_unit(
     (folder, number): (&Path, usize),
     plugins: &PluginRegistry,
     progress: &dyn Progress,
-) -> Result<Done> {
+) -> Result<UnitDone> {
     let unit = unit_of(plan.units(), (folder, number))?;
     let work = UnitRun { plan, unit, folder, progress };
     // Parts are checked where they are found, and what they were made of may be gone once all is done.
@@ -75,7 +75,7 @@ pub fn do_unit(
         work.tidy();
     }
     if is_finished || (!checks_itself && folder.join(&unit.writes).is_file()) {
-        return Ok(Done { was_done: true, ..Done::default() });
+        return Ok(UnitDone { was_done: true, ..UnitDone::default() });
     }
     check_before(plan.units(), unit, folder)?;
     match unit.stage {
@@ -106,13 +106,13 @@ impl UnitRun<'_> {
         self.folder.join(name)
     }
 
-    fn count(&self) -> Result<Done> {
+    fn count(&self) -> Result<UnitDone> {
         let session = self.session()?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
         let vertices = self.unit.vertices.clone().unwrap_or_default();
         let target = (vertices, &*self.at_own());
         let did = count(&*model, &Sampling::from(session.sampling), target, self.progress)?;
-        Ok(Done { was_done: !did, ..Done::default() })
+        Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
     /// The session, and how its model is sampled.
@@ -124,14 +124,14 @@ impl UnitRun<'_> {
     }
 
     /// Where runs of faces begin.
-    fn face_runs(&self) -> Result<Done> {
+    fn face_runs(&self) -> Result<UnitDone> {
         let session = self.session()?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
         let did = face_runs::find(&*model, &self.at_own(), self.progress)?;
-        Ok(Done { was_done: !did, ..Done::default() })
+        Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
-    fn merge(&self, plugins: &PluginRegistry) -> Result<Done> {
+    fn merge(&self, plugins: &PluginRegistry) -> Result<UnitDone> {
         let (session, sampling) = self.sampling(plugins)?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
         let counted = self.plan.files_of(self.folder, Stage::Count);
@@ -139,10 +139,10 @@ impl UnitRun<'_> {
         let did = merge_counts(&*model, &sampling, &counted, &counts)?;
         let division = self.division(&counts);
         let shared = shared(&*model, &sampling, &division, self.folder, self.progress)?;
-        Ok(Done { was_done: !did, shared_vertices: Some(shared), ..Done::default() })
+        Ok(UnitDone { was_done: !did, shared_vertices: Some(shared), ..UnitDone::default() })
     }
 
-    fn cluster(&self, plugins: &PluginRegistry) -> Result<Done> {
+    fn cluster(&self, plugins: &PluginRegistry) -> Result<UnitDone> {
         let (session, sampling) = self.sampling(plugins)?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
         let (counts, part) = (self.path(COUNTS), self.unit.part.unwrap_or_default());
@@ -156,22 +156,22 @@ impl UnitRun<'_> {
             let leaves = &files.leaves_of_groups[part as usize];
             cluster_shared(&*model, &sampling, division, &shared, (&own, leaves), folder, progress)?
         };
-        Ok(Done { was_done: !did, ..Done::default() })
+        Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
     /// The cut, for units that complete it.
-    fn cut(&self, plugins: &PluginRegistry) -> Result<Done> {
+    fn cut(&self, plugins: &PluginRegistry) -> Result<UnitDone> {
         let (session, sampling) = self.sampling(plugins)?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
         let [ranges, groups] = self.clustered();
         let (counts, files, own) = (self.path(COUNTS), (&ranges[..], &groups[..]), self.at_own());
         let division = self.division(&counts);
         let did = divided_faces::cut(&*model, &sampling, &division, files, &own, self.folder, self.progress)?;
-        Ok(Done { was_done: !did, ..Done::default() })
+        Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
     /// A part of what the faces tell.
-    fn faces(&self, plugins: &PluginRegistry) -> Result<Done> {
+    fn faces(&self, plugins: &PluginRegistry) -> Result<UnitDone> {
         let (session, sampling) = self.sampling(plugins)?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
         let counts = self.path(COUNTS);
@@ -183,7 +183,7 @@ impl UnitRun<'_> {
         } else {
             divided_faces::faces(&*model, &sampling, part, files, &own, self.folder, progress)?
         };
-        Ok(Done { was_done: !did, ..Done::default() })
+        Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
     /// What units leave each other to know of the faces.
@@ -216,7 +216,7 @@ impl UnitRun<'_> {
         (0..ranges).map(|range| self.path(&format!("shared-{range}.bin"))).collect()
     }
 
-    fn sample(&self, plugins: &PluginRegistry) -> Result<Done> {
+    fn sample(&self, plugins: &PluginRegistry) -> Result<UnitDone> {
         let session = self.session()?;
         let stack = Stack::build(&session.steps, plugins)?;
         let begun = SampledModel::begin(&self.path(SAMPLED))?;
@@ -241,10 +241,10 @@ impl UnitRun<'_> {
             sample_clustered(&*model, sampling, division, files, self.folder, self.progress)
         };
         sampled_of(&session, &*model, skip, &cache, by, self.progress)?.save_in(begun)?;
-        Ok(Done::default())
+        Ok(UnitDone::default())
     }
 
-    fn deform(&self, plugins: &PluginRegistry) -> Result<Done> {
+    fn deform(&self, plugins: &PluginRegistry) -> Result<UnitDone> {
         let session = self.session()?;
         let refines = session.steps.iter().any(|step| step.enabled && step.refines());
         let from = self.path(SAMPLED);
@@ -269,20 +269,20 @@ impl UnitRun<'_> {
         self.begin_upload(&*model)?;
         // In the end, as it tells that all is there.
         sampled.write_deformed(&self.path(DEFORMED), &positions, &normals)?;
-        Ok(Done { messages, ..Done::default() })
+        Ok(UnitDone { messages, ..UnitDone::default() })
     }
 
-    fn apply(&self) -> Result<Done> {
+    fn apply(&self) -> Result<UnitDone> {
         let edit = self.edit()?;
         let pieces = self.unit.pieces.clone().unwrap_or_default();
         let WritingInputs { sampled, model, deformed, .. } = &edit;
         let (own, file, upload) = (&*self.at_own(), self.output_in_the_making(), self.upload()?);
         let part = Part { pieces, own, shared: self.shared_by(&file, upload.as_deref()) };
         let did = write_part(sampled, &**model, deformed, &edit.how(), &part, self.progress)?;
-        Ok(Done { was_done: !did, ..Done::default() })
+        Ok(UnitDone { was_done: !did, ..UnitDone::default() })
     }
 
-    fn finish(&self) -> Result<Done> {
+    fn finish(&self) -> Result<UnitDone> {
         let edit = self.edit()?;
         let WritingInputs { sampled, model, deformed, .. } = &edit;
         let parts = self.plan.files_of(self.folder, Stage::Apply);
@@ -293,7 +293,7 @@ impl UnitRun<'_> {
             .map_err(|e| self.give_up(e, &parts, upload.as_deref()))?;
         self.finished(&**model)?;
         self.tidy();
-        Ok(Done { written: Some(written), ..Done::default() })
+        Ok(UnitDone { written: Some(written), ..UnitDone::default() })
     }
 
     /// Begins the upload that units will send their parts by, if they will.
@@ -342,7 +342,7 @@ impl UnitRun<'_> {
         upload.map_or(SharedTarget::File(file), |id| SharedTarget::Object(&self.plan.output, id))
     }
 
-    fn write(&self) -> Result<Done> {
+    fn write(&self) -> Result<UnitDone> {
         let mut edit = self.edit()?;
         let output = &self.plan.output;
         if self.plan.tiles.is_empty() && is_named_otherwise(&*edit.model, output) {
@@ -359,7 +359,7 @@ impl UnitRun<'_> {
         let written = reconstruct(sampled, &**model, &[version], &edit.how(), self.progress)?;
         self.finished(&**model)?;
         self.tidy();
-        Ok(Done { written: Some(written), ..Done::default() })
+        Ok(UnitDone { written: Some(written), ..UnitDone::default() })
     }
 
     /// What apply units share.

@@ -13,9 +13,9 @@ use std::path::Path;
 /// How a plugin is to be called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum EntryPoint {
-    /// It exports the root module of the interface's crate.
+    /// The library exports the root module of the interface's crate.
     Rust,
-    /// It exports the table that `simod_plugin.h` describes.
+    /// The library exports the table that `simod_plugin.h` describes.
     C,
 }
 

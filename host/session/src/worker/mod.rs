@@ -374,11 +374,11 @@ impl ProcessLink {
 
 /// How a process came to its end during a call.
 enum CallEnd {
-    /// It ended by itself; how, and the last line that it printed.
+    /// The process ended by itself; how, and the last line that it printed.
     Died { how: String, last_words: String, is_memory: bool },
-    /// It gave no sign of life, and was ended.
+    /// The process gave no sign of life, and was ended.
     Silent(Duration),
-    /// It did not stop when it was asked to, and was ended.
+    /// The process did not stop when it was asked to, and was ended.
     Deaf,
 }
 

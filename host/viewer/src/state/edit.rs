@@ -147,7 +147,7 @@ impl State {
     /// The same of all steps of the group that one is in.
     ///
     /// # Errors
-    /// It is in none; they are too long for a text.
+    /// The step is in no group; the steps are too long for a text.
     pub fn copied_group(&self, at: usize) -> Result<String> {
         let steps = self.open()?.steps();
         let none = || Error::argument(format!("step {at} is in no group"), "choose one that is");

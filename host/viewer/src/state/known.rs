@@ -9,7 +9,7 @@ use std::sync::Arc;
 pub(super) struct VersionNumbers {
     pub key: FieldKey,
     pub field: ScalarField,
-    /// Of these numbers alone.
+    /// The range of these numbers alone.
     pub range: [f32; 2],
 }
 

@@ -69,7 +69,7 @@ pub struct State {
     /// The former ones.
     selections: Selections,
     camera: Camera,
-    /// Of the picture, in pixels.
+    /// Size of the picture, in pixels.
     size: [f64; 2],
     chosen: Option<StepId>,
     stroke: Option<OpenStroke>,
@@ -89,7 +89,7 @@ pub struct State {
     /// The depth buffer of a scene.
     depth: Option<(u64, DepthBuffer)>,
     preview: Preview,
-    /// Of the samples at rest, once a step with joints was chosen.
+    /// Balls within the samples at rest, once a step with joints was chosen.
     body: Option<InscribedBalls>,
     /// The numbers of both versions.
     fields: [Option<VersionNumbers>; 2],
@@ -143,8 +143,8 @@ impl State {
     /// Does a command.
     ///
     /// # Errors
-    /// It makes no sense, or a file cannot be written; nothing has changed then. What takes its time fails
-    /// later, with a [`Notice`].
+    /// The command makes no sense, or a file cannot be written; nothing has changed then. What takes its time
+    /// fails later, with a [`Notice`].
     pub fn apply(&mut self, command: Command) -> Result<()> {
         let (settled, begun) = (self.is_settled(), Instant::now());
         let done = self.perform(command.clone());
@@ -245,7 +245,7 @@ impl State {
     /// Waits until all that was asked for is done.
     ///
     /// # Errors
-    /// It takes longer than this.
+    /// What was asked for takes longer than this.
     pub fn settle(&mut self, longest: Duration) -> Result<()> {
         while let Some(event) = self.engine.wait(longest)? {
             self.take(event);

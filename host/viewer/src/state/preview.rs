@@ -123,7 +123,8 @@ impl State {
         }
     }
 
-    /// It came to nothing, and is not tried again until somebody asks; as may be the case already.
+    /// Notes that the preview came to nothing, and is not tried again until somebody asks; as may be the case
+    /// already.
     pub(super) fn stop_preview(&mut self) {
         if !self.engine.wants(Job::Preview) && self.engine.activity(Job::Preview).is_none() {
             self.preview.streaming = None;

@@ -2,7 +2,7 @@
 
 use crate::actions::{ALL, Menu, NamedAction};
 use crate::lessons::{ALL as ALL_LESSONS, begin};
-use crate::settings::Settings;
+use crate::settings::WindowSettings;
 use crate::steps;
 use crate::window::{Asks, CommandPalette, Window};
 use crate::wording::purpose;
@@ -92,7 +92,7 @@ fn entry(ui: &mut Ui, window: &Window, asks: &mut Asks, action: &NamedAction) {
 }
 
 fn recent(ui: &mut Ui, window: &Window, asks: &mut Asks) {
-    let Settings { recent, .. } = &window.settings;
+    let WindowSettings { recent, .. } = &window.settings;
     ui.add_enabled_ui(!recent.is_empty(), |ui| {
         ui.menu_button("Open Recent", |ui| {
             for path in recent {

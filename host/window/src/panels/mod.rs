@@ -33,7 +33,7 @@ pub mod tools;
 mod turntable;
 pub mod welcome;
 
-pub use crate::numbers::{ago, bytes, count, duration, number};
+pub use crate::numbers::{ago, count, duration, number};
 pub use frames::card;
 
 use crate::window::Window;

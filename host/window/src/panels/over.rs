@@ -40,7 +40,7 @@ fn options(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
     });
 }
 
-/// Of handles that a plugin placed: how many are in the hand, and how far others go along.
+/// How many handles that a plugin placed are in the hand, and how far others go along.
 fn moving(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let Some((_, step, ..)) = window.chosen() else { return };
     let count = window.tools.handles(step).len();

@@ -1,8 +1,9 @@
 //! What takes its time: stage, rate, and a button that stops it.
 
-use super::{bytes, card, clip, duration, lesson};
+use super::{card, clip, duration, lesson};
 use crate::window::{Asks, Window};
 use eframe::egui::{Align, Layout, ProgressBar, Rect, RichText, Spinner, Ui, UiBuilder, pos2};
+use simod_model::size::human_size;
 use simod_viewer::Command;
 use simod_viewer::engine::{Activity, Job};
 
@@ -85,8 +86,8 @@ fn shown(
                 more.clone(),
                 Some(duration(activity.seconds)),
                 more.and_then(|_| left(activity)),
-                activity.rate.map(|rate| format!("{}/s", bytes(rate))),
-                activity.memory.map(|memory| format!("{} of memory", bytes(memory as f64))),
+                activity.rate.map(|rate| format!("{}/s", human_size(rate as u64))),
+                activity.memory.map(|memory| format!("{} of memory", human_size(memory))),
             ];
             let line = told.into_iter().flatten().collect::<Vec<_>>().join("   \u{00b7}   ");
             ui.label(RichText::new(line).small().weak());

@@ -1,9 +1,10 @@
 //! What became of the model that was written.
 
 use super::frames::modal;
-use crate::numbers::{bytes, count};
+use crate::numbers::count;
 use crate::window::{Asks, Window, WriteReport};
 use eframe::egui::{self, Grid, Id, Modal, RichText};
+use simod_model::size::human_size;
 
 /// Shows it until it is closed.
 pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
@@ -26,7 +27,7 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
             let rate = report.vertices as f64 / seconds.max(1e-3);
             row("Vertices a second", count(rate as u64));
             if let Ok(file) = std::fs::metadata(output) {
-                row("Size", bytes(file.len() as f64));
+                row("Size", human_size(file.len()));
             }
             if report.non_finite > 0 {
                 row("Left as they are: no finite position", count(report.non_finite));

@@ -1,9 +1,10 @@
 //! The line at the bottom: what is going on, and how much there is.
 
-use super::{bytes, count, detail::drawing};
+use super::{count, detail::drawing};
 use crate::window::Window;
 use eframe::egui::{Align, Frame, Layout, Margin, Panel, RichText, Spinner, Ui};
 use simod_model::memory::MemoryWatch;
+use simod_model::size::human_size;
 use simod_viewer::engine::Job;
 use std::sync::OnceLock;
 
@@ -60,7 +61,7 @@ fn figures(ui: &mut Ui, window: &Window) {
         figures.push(format!("{:.0} ms a picture", 1e3 * window.frame_time.as_secs_f64()));
     }
     if let Some(memory) = memory() {
-        figures.push(format!("peak memory {}", bytes(memory as f64)));
+        figures.push(format!("peak memory {}", human_size(memory)));
     }
     let line = figures.join("   \u{00b7}   ");
     ui.label(RichText::new(line).small().weak());

@@ -99,11 +99,11 @@ pub struct Tools {
     pub combine: Combine,
     /// Whether only what is seen is selected.
     pub visible: bool,
-    /// Of the selecting brush, in points of the screen.
+    /// Radius of the selecting brush, in points of the screen.
     pub radius: f32,
-    /// Of strokes, as a part of the model's size.
+    /// Radius of strokes, as a part of the model's size.
     pub stroke_radius: f64,
-    /// Of strokes.
+    /// Strength of strokes.
     pub strength: f64,
     /// Whether clicks place pins instead of joints, and whether the body is held where a skeleton is of a
     /// limb alone.

@@ -10,7 +10,7 @@ use simod_viewer::measured::{Measure, MeasuredPoint, angle, distance};
 
 /// How near to a point the pointer has to be to take it, in points of the screen.
 const NEAR: f32 = 9.0;
-/// Of the lines.
+/// The colour of the lines.
 const COLOR: Color32 = Color32::from_rgb(255, 226, 120);
 /// Lines that are seen shorter than this have no number on them, in points of the screen.
 const SHORT: f32 = 50.0;

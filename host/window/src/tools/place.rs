@@ -17,7 +17,7 @@ pub enum MovedPart {
 /// What the gizmo moves, and where it is.
 #[derive(Clone)]
 pub struct GizmoTarget {
-    /// Of which step.
+    /// The step that it is of.
     pub step: usize,
     pub id: StepId,
     pub target: MovedPart,

@@ -10,7 +10,7 @@ use simod_session::edit::{Change, StepId};
 use simod_viewer::held::GrabbedHandles;
 use simod_viewer::transform::{ScreenView, Transform, TransformKind};
 
-/// Of the axes, as the gizmo has them.
+/// Colours of the axes, as the gizmo has them.
 const COLORS: [Color32; 3] =
     [Color32::from_rgb(226, 62, 68), Color32::from_rgb(96, 172, 40), Color32::from_rgb(52, 120, 232)];
 const KEYS: [(Key, usize); 3] = [(Key::X, 0), (Key::Y, 1), (Key::Z, 2)];

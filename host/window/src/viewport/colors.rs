@@ -22,19 +22,19 @@ struct ColorsKey {
     overlay: Overlay,
     tint: Tint,
     own: bool,
-    /// Of both versions, where an overlay is shown: its scale is that of both.
+    /// Revisions of both versions, where an overlay is shown: its scale is that of both.
     revisions: Option<[Option<u64>; 2]>,
-    /// Of the overlay's scale.
+    /// Ends of the overlay's scale.
     range: Option<[f32; 2]>,
     selection: Selection,
-    regions: Option<Regions>,
+    regions: Option<ShownRegions>,
     /// Whether parts are shown in full.
     detail: bool,
 }
 
 /// The regions of the step that is chosen, if they are shown.
 #[derive(PartialEq)]
-struct Regions {
+struct ShownRegions {
     step: StepId,
     shapes: Vec<(Role, Shapes)>,
     /// The address of what the step began with.
@@ -131,7 +131,7 @@ impl SampleColors {
     }
 }
 
-/// Of a version with nothing but the overlay.
+/// The key of a version with nothing but the overlay.
 fn plain(window: &mut Window, scene: &ViewerScene) -> ColorsKey {
     let overlay = window.state().overlay();
     let revision = |version| window.state().scene_of(version).map(|scene| scene.revision);
@@ -146,7 +146,7 @@ fn key(window: &mut Window, scene: &Arc<ViewerScene>) -> ColorsKey {
     let regions = window.chosen().filter(|_| window.looks.regions).map(|(at, id, deformation, _)| {
         let shapes = deformation.regions.into_iter().map(|r| (r.role, r.shapes)).collect();
         let before = scene.before.get(at).map_or(0, |before| before.as_ptr() as usize);
-        Regions { step: id, shapes, before }
+        ShownRegions { step: id, shapes, before }
     });
     let (selection, detail) = (window.state().selection().clone(), window.state().detail().is_some());
     ColorsKey { selection, regions, detail, ..plain(window, scene) }

@@ -5,13 +5,13 @@ use super::vertex_colors::VertexColors;
 use crate::theme;
 use glam::Vec3;
 use simod_core::detail::DetailBatch;
-use simod_scene::{BadSurface, Dot, Scene, Surface};
+use simod_scene::{BadSurface, Dot, Scene, SceneSurface};
 use simod_viewer::Detail;
 use simod_viewer::detail::DetailPiece;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Of a splat that is not drawn.
+/// The radius of a splat that is not drawn.
 const HIDDEN: f32 = -1.0;
 
 /// Which pieces the card has, and what it shows of each.
@@ -61,8 +61,8 @@ pub struct PieceSplats {
 
 impl PieceSplats {
     /// As the renderer takes it.
-    pub fn surface(&self) -> Surface<'_> {
-        Surface {
+    pub fn surface(&self) -> SceneSurface<'_> {
+        SceneSurface {
             positions: &self.batch.positions,
             normals: &self.batch.normals,
             radii: &self.radii,

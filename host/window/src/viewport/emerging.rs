@@ -8,7 +8,7 @@ use crate::window::Window;
 use eframe::egui::Shape;
 use eframe::egui_wgpu::RenderState;
 use glam::DVec3;
-use simod_scene::{BadSurface, Budget, Gpu, Scene, SceneStyle, Surface, View};
+use simod_scene::{BadSurface, Budget, Gpu, Scene, SceneStyle, SceneSurface, SceneView};
 use simod_viewer::engine::{Emerged, SurfacePoints};
 use std::time::{Duration, Instant};
 
@@ -30,7 +30,7 @@ pub struct EmergingPoints {
     since: Option<Instant>,
     /// How long the last picture took, and from where it was.
     took: Duration,
-    seen: Option<View>,
+    seen: Option<SceneView>,
     bounds: [DVec3; 2],
 }
 
@@ -91,8 +91,11 @@ impl EmergingPoints {
     }
 }
 
-fn surface<'a>(SurfacePoints { positions, normals, .. }: &'a SurfacePoints, radii: &'a [f32]) -> Surface<'a> {
-    Surface { positions, normals, radii, ..Surface::default() }
+fn surface<'a>(
+    SurfacePoints { positions, normals, .. }: &'a SurfacePoints,
+    radii: &'a [f32],
+) -> SceneSurface<'a> {
+    SceneSurface { positions, normals, radii, ..SceneSurface::default() }
 }
 
 impl Theme {

@@ -18,7 +18,7 @@ use std::collections::{BTreeSet, HashMap};
 /// How near the pointer has to be, in points.
 const REACH: f32 = 11.0;
 
-/// Of dots that are not chosen.
+/// The colour of dots that are not chosen.
 const DOT: Color32 = Color32::from_rgb(90, 160, 235);
 
 /// A dot.
@@ -26,7 +26,7 @@ struct HandleDot {
     target: MovedPart,
     at: Pos2,
     depth: f64,
-    /// Of the bone to it, where it hangs on another one: from where to where.
+    /// Ends of the bone to it, where it hangs on another one: from where to where.
     bone: Option<[Pos2; 2]>,
 }
 

@@ -88,7 +88,7 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         let pictures = places.pictures(viewport, window);
         whole.set(picture, egui::Shape::Vec(pictures));
         versions::captions(ui, rect, &places, window);
-        corner::show(ui, main, window);
+        window.draw(|window, asks| corner::show(ui, main, window, asks));
         window.draw(|window, asks| panels::over::show(ui, rect, window, asks));
     });
 }

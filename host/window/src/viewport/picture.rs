@@ -11,7 +11,7 @@ use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
 use glam::{Mat4, Vec3};
-use simod_scene::{Budget, Gpu, Scene, SceneStyle, Surface};
+use simod_scene::{Budget, Gpu, Scene, SceneStyle, SceneSurface};
 use simod_viewer::shading::Rings;
 use simod_viewer::{ComparedVersion, Detail};
 use std::sync::Arc;
@@ -35,7 +35,7 @@ struct Pictures {
     now: PictureDrawing,
     /// While there is a pinned version, once it was shown.
     pinned: Option<PictureDrawing>,
-    /// Of a model that is being opened.
+    /// Points of a model that is being opened.
     emerging: Option<EmergingPoints>,
 }
 
@@ -248,7 +248,7 @@ impl PictureDrawing {
         self.texture.show(rect)
     }
 
-    /// Of all that is shown.
+    /// The box of all that is shown.
     fn bounds(&self, scene: &simod_viewer::ViewerScene) -> [glam::DVec3; 2] {
         let [min, max] = scene.bounds();
         let rest = &scene.sampled.bounds;
@@ -285,7 +285,7 @@ impl PictureDrawing {
         let colors = self.colors.of_samples();
         if !same_samples {
             let radii = sample_radii(&self.extents, scene.axes(), detail);
-            self.scene.set_surface(&Surface {
+            self.scene.set_surface(&SceneSurface {
                 positions: &scene.positions,
                 normals: scene.normals(),
                 radii: &radii,
@@ -309,11 +309,11 @@ impl PictureDrawing {
         if window.looks.ghost != self.ghost || self.ghost && !same_samples {
             self.ghost = window.looks.ghost;
             let radii = disc_radii(&self.extents);
-            let rest = Surface {
+            let rest = SceneSurface {
                 positions: &samples.positions,
                 normals: samples.normals(),
                 radii: &radii,
-                ..Surface::default()
+                ..SceneSurface::default()
             };
             self.scene.set_ghost(self.ghost.then_some(&rest))?;
         }
@@ -338,7 +338,7 @@ impl PictureDrawing {
         let colors = self.colors.of_samples();
         if !scene.is_draft() {
             let radii = sample_radii(&self.extents, scene.axes(), detail);
-            self.scene.place_all(&Surface {
+            self.scene.place_all(&SceneSurface {
                 positions: &scene.positions,
                 normals: scene.normals(),
                 radii: &radii,
@@ -359,7 +359,7 @@ impl PictureDrawing {
         let positions: Vec<Vec3> = some.iter().map(|i| scene.positions[*i as usize]).collect();
         let colors: Option<Vec<[u8; 3]>> =
             colors.map(|colors| some.iter().map(|i| colors[*i as usize]).collect());
-        self.scene.place_first(&Surface {
+        self.scene.place_first(&SceneSurface {
             positions: &positions,
             normals: &shading.normals,
             radii: &radii_of(&some, &self.extents, &shading.axes, detail),

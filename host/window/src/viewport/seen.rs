@@ -2,7 +2,7 @@
 //! plane that cuts.
 
 use glam::{DVec3, Vec4};
-use simod_scene::{SurfaceMode, View};
+use simod_scene::{SceneView, SurfaceMode};
 use simod_viewer::State;
 use simod_viewer::camera::Camera;
 
@@ -10,8 +10,8 @@ use simod_viewer::camera::Camera;
 const RADIUS: f32 = 1.35;
 
 /// From where a camera sees what is between two corners, in a picture of so many pixels.
-pub fn view(camera: &Camera, size: [f64; 2], bounds: [DVec3; 2]) -> View {
-    View {
+pub fn view(camera: &Camera, size: [f64; 2], bounds: [DVec3; 2]) -> SceneView {
+    SceneView {
         view: camera.view().as_mat4(),
         projection: camera.projection(size, camera.near_far(bounds)).as_mat4(),
         size: size.map(|s| s as u32),

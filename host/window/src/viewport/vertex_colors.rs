@@ -34,7 +34,7 @@ impl Mixing {
 /// The colours of vertices that are shown in full.
 #[derive(Clone, Copy, Default)]
 pub struct VertexColors<'a> {
-    /// Those that samples have, if they are not all the same.
+    /// Colours that samples have, if they are not all the same.
     pub samples: Option<&'a [[u8; 3]]>,
     /// What is done to the colour of each sample, if anything is.
     pub mixing: Option<&'a [Mixing]>,
@@ -49,7 +49,7 @@ impl<'a> VertexColors<'a> {
         Self { samples, mixing: None, tint, scale }
     }
 
-    /// Of all vertices of a piece: their own, as far as they came with it, or those of their samples.
+    /// Colours of all vertices of a piece: their own, as far as they came with it, or those of their samples.
     pub fn colors(&self, piece: &DetailPiece) -> Vec<[u8; 3]> {
         let batch = &piece.batch;
         let mixed = |(i, color): (usize, [u8; 3])| {

@@ -19,7 +19,7 @@ pub enum Question {
         path: PathBuf,
         /// Where the model was.
         model: PathBuf,
-        /// It is open nevertheless, by its samples.
+        /// The model is open nevertheless, by its samples.
         is_open: bool,
     },
 }
@@ -27,7 +27,7 @@ pub enum Question {
 /// An edit that was kept against a crash.
 #[derive(Clone)]
 pub struct KeptEdit {
-    /// Of what.
+    /// What was edited.
     pub path: PathBuf,
     /// How it is sampled.
     pub sampling: SamplingTable,

@@ -7,7 +7,7 @@ mod prompt;
 mod toasts;
 
 use crate::dialogs::{self, Chooser, Dialog, DialogAnswer, Purpose};
-use crate::settings::{self, Settings};
+use crate::settings::{self, WindowSettings};
 use crate::tools::Tools;
 use crate::turntable::{AskedPicture, AskedTurntable, Film, Turning};
 use crate::viewport::seen::mode_of;
@@ -53,7 +53,7 @@ pub struct Window {
     /// Whether the hand was quicker than the pictures, and events wait for their frame.
     waits: Arc<AtomicBool>,
     /// What the user likes.
-    pub settings: Settings,
+    pub settings: WindowSettings,
     /// The tools, and which one is in the hand.
     pub tools: Tools,
     /// What is shown.
@@ -110,7 +110,7 @@ pub struct Window {
 
 impl Window {
     /// With nothing open.
-    pub fn new(ctx: &egui::Context, plugins: Arc<PluginRegistry>, settings: Settings) -> Self {
+    pub fn new(ctx: &egui::Context, plugins: Arc<PluginRegistry>, settings: WindowSettings) -> Self {
         theme::apply(ctx, settings.theme);
         let waits = Arc::new(AtomicBool::new(false));
         in_turn::install(ctx, waits.clone());

@@ -64,7 +64,7 @@ impl Toasts {
         self.0.retain(|toast| toast.cause != Some(cause));
     }
 
-    /// Those that are too old go.
+    /// Lets messages go that are too old.
     pub fn leave_old(&mut self) {
         self.0.retain(|toast| toast.since.elapsed() < toast.stays());
     }

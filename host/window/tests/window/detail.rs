@@ -81,8 +81,8 @@ fn it_is_seen_and_gone_again() {
     write_file(&options, &path, &Silent).unwrap();
     let plugins = plugins();
     let builder = Harness::builder().with_size([1280.0, 800.0]).wgpu();
-    let mut harness =
-        builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())));
+    let mut harness = builder
+        .build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, WindowSettings::default())));
     open(&mut harness, &path);
     let before = picture(&mut harness, "samples.png");
     press(&mut harness, egui::Modifiers::NONE);

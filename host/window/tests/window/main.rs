@@ -24,7 +24,7 @@ use simod_session::session_file::SamplingTable;
 use simod_session::{PluginOptions, PluginRegistry};
 use simod_tests::library;
 use simod_viewer::Command;
-use simod_window::{App, Settings, Window};
+use simod_window::{App, Window, WindowSettings};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -65,7 +65,7 @@ fn plugins() -> Arc<PluginRegistry> {
 fn window() -> Harness<'static, App> {
     let plugins = plugins();
     let builder = Harness::builder().with_size([1440.0, 900.0]);
-    builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())))
+    builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, WindowSettings::default())))
 }
 
 /// Goes on until all that was asked for is done.

@@ -103,8 +103,8 @@ fn keys_and_drags_of_one_slow_picture_are_all_done() {
 fn clicks_between_slow_pictures_are_clicks() {
     let builder = Harness::builder().with_size([1440.0, 900.0]).with_step_dt(3.0);
     let plugins = plugins();
-    let mut harness =
-        builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())));
+    let mut harness = builder
+        .build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, WindowSettings::default())));
     let folder = tempfile::tempdir().unwrap();
     open(&mut harness, &model(folder.path()));
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });

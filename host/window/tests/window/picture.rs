@@ -39,7 +39,7 @@ pub fn drawn_window() -> Harness<'static, App> {
 pub fn drawn_window_of(size: [f32; 2]) -> Harness<'static, App> {
     let plugins = plugins();
     let builder = Harness::builder().with_size(size).wgpu();
-    builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())))
+    builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, WindowSettings::default())))
 }
 
 #[test]
@@ -74,7 +74,7 @@ fn a_card_that_goes_away_takes_nothing_of_the_edit_along() {
     let builder = Harness::builder().with_size([1280.0, 800.0]).wgpu();
     let mut harness = builder.build_eframe(|cc| {
         device.get_or_init(|| cc.wgpu_render_state.as_ref().unwrap().device.clone());
-        App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default()))
+        App::new(cc, Window::new(&cc.egui_ctx, plugins, WindowSettings::default()))
     });
     open(&mut harness, &path);
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });

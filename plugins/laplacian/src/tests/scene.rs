@@ -1,6 +1,6 @@
 //! Models, regions and calls of the plugin.
 
-use crate::{Laplacian, Prepared};
+use crate::{Laplacian, PreparedSurface};
 use glam::DVec3;
 use rayon::prelude::*;
 use simod_plugin_api::{
@@ -89,11 +89,11 @@ impl Scene {
         Bounds { min: by(f64::INFINITY, f64::min), max: by(f64::NEG_INFINITY, f64::max) }
     }
 
-    pub fn prepare(&self) -> PluginResult<Prepared> {
+    pub fn prepare(&self) -> PluginResult<PreparedSurface> {
         self.prepare_with(&Threads)
     }
 
-    pub fn prepare_with(&self, host: &impl HostCalls) -> PluginResult<Prepared> {
+    pub fn prepare_with(&self, host: &impl HostCalls) -> PluginResult<PreparedSurface> {
         self.with_input(|input| Laplacian::prepare(input, &Host::new(host)))
     }
 
@@ -133,13 +133,13 @@ impl Scene {
         ]
     }
 
-    pub fn deform(&self, state: &Prepared, transforms: &[Affine]) -> Vec<[f32; 3]> {
+    pub fn deform(&self, state: &PreparedSurface, transforms: &[Affine]) -> Vec<[f32; 3]> {
         self.deform_with(state, transforms, &Threads).unwrap()
     }
 
     pub fn deform_with(
         &self,
-        state: &Prepared,
+        state: &PreparedSurface,
         transforms: &[Affine],
         host: &impl HostCalls,
     ) -> PluginResult<Vec<[f32; 3]>> {

@@ -2,7 +2,7 @@
 
 use super::scene::{Scene, held_at_ends, tube, turn};
 use crate::operators::Operators;
-use crate::surface::{Weights, elements};
+use crate::surface::{TriangleWeights, elements};
 use glam::DVec3;
 use proptest::prelude::*;
 use simod_plugin_api::{Affine, Host, Role};
@@ -37,9 +37,9 @@ fn linear_functions_of_a_plane_have_no_laplacian() {
     let mesh = plane(N);
     let cloud = mesh.clone().cloud(20);
     for (name, scene, weights) in [
-        ("cotangent", &mesh, Weights::Cotangent),
-        ("robust", &mesh, Weights::Robust),
-        ("neighbours", &cloud, Weights::Robust),
+        ("cotangent", &mesh, TriangleWeights::Cotangent),
+        ("robust", &mesh, TriangleWeights::Robust),
+        ("neighbours", &cloud, TriangleWeights::Robust),
     ] {
         let rest: Vec<DVec3> = scene.points.iter().map(v).collect();
         let host = Host::new(&());

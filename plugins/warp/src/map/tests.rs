@@ -20,11 +20,11 @@ struct Place {
 }
 
 impl Place {
-    fn warp(&self, deformation: Deformation) -> Warp {
+    fn warp(&self, deformation: WarpKind) -> Warp {
         // Neither has to be of unit length, nor the direction perpendicular.
         let deformation = match deformation {
-            Deformation::Bend { angle, .. } => Deformation::Bend { angle, direction: self.slanted() },
-            Deformation::Shear { slope, .. } => Deformation::Shear { slope, direction: self.slanted() },
+            WarpKind::Bend { angle, .. } => WarpKind::Bend { angle, direction: self.slanted() },
+            WarpKind::Shear { slope, .. } => WarpKind::Shear { slope, direction: self.slanted() },
             other => other,
         };
         Warp::new(deformation, self.centre, self.axis.map(|x| 3.0 * x), RANGE).unwrap()
@@ -46,12 +46,12 @@ impl Place {
     }
 
     /// Where a point goes, in coordinates of the place.
-    fn image(&self, deformation: Deformation, coordinates: Vec3) -> Vec3 {
+    fn image(&self, deformation: WarpKind, coordinates: Vec3) -> Vec3 {
         self.coordinates(self.warp(deformation).apply(self.point(coordinates)))
     }
 
     /// The determinant of the gradient: how volumes change.
-    fn determinant(&self, deformation: Deformation, at: Vec3) -> f64 {
+    fn determinant(&self, deformation: WarpKind, at: Vec3) -> f64 {
         let columns: [Vec3; 3] = std::array::from_fn(|i| {
             let step = |t: f64| std::array::from_fn(|j| at[j] + if i == j { t } else { 0.0 });
             let [after, before] = [STEP, -STEP].map(|t| self.image(deformation, step(t)));
@@ -83,15 +83,14 @@ fn between_kinks() -> impl Strategy<Value = Vec3> {
 
 const ANY: Vec3 = [0.0; 3];
 
-fn deformations() -> impl Strategy<Value = Deformation> {
+fn deformations() -> impl Strategy<Value = WarpKind> {
     let (angle, factor) = (-7.0..7.0, 0.1..4.0);
     prop_oneof![
-        angle.clone().prop_map(|angle| Deformation::Twist { angle }),
-        angle.prop_map(|angle| Deformation::Bend { angle, direction: ANY }),
-        factor.clone().prop_map(|factor| Deformation::Taper { factor }),
-        (factor, any::<bool>())
-            .prop_map(|(factor, keep_volume)| Deformation::Stretch { factor, keep_volume }),
-        (-2.0..2.0).prop_map(|slope| Deformation::Shear { slope, direction: ANY }),
+        angle.clone().prop_map(|angle| WarpKind::Twist { angle }),
+        angle.prop_map(|angle| WarpKind::Bend { angle, direction: ANY }),
+        factor.clone().prop_map(|factor| WarpKind::Taper { factor }),
+        (factor, any::<bool>()).prop_map(|(factor, keep_volume)| WarpKind::Stretch { factor, keep_volume }),
+        (-2.0..2.0).prop_map(|slope| WarpKind::Shear { slope, direction: ANY }),
     ]
 }
 
@@ -110,7 +109,7 @@ fn is_inside(s: f64) -> bool {
 proptest! {
     #[test]
     fn twist_turns_about_the_axis(place in places(), p in points(), angle in -7.0..7.0) {
-        let q = place.image(Deformation::Twist { angle }, p);
+        let q = place.image(WarpKind::Twist { angle }, p);
         let (sin, cos) = (angle * parameter(p[0])).sin_cos();
         let expected = [p[0], cos * p[1] - sin * p[2], sin * p[1] + cos * p[2]];
         prop_assert!(distance(q, expected) < 1e-12, "{q:?} is not {expected:?}");
@@ -118,25 +117,25 @@ proptest! {
 
     #[test]
     fn taper_scales_linearly(place in places(), p in points(), factor in 0.1..4.0) {
-        let q = place.image(Deformation::Taper { factor }, p);
+        let q = place.image(WarpKind::Taper { factor }, p);
         let scale = 1.0 + (factor - 1.0) * parameter(p[0]);
         prop_assert!(distance(q, [p[0], scale * p[1], scale * p[2]]) < 1e-12);
     }
 
     #[test]
     fn stretch_scales_lengths_of_the_range(place in places(), p in points(), factor in 0.1..4.0) {
-        let q = place.image(Deformation::Stretch { factor, keep_volume: false }, p);
+        let q = place.image(WarpKind::Stretch { factor, keep_volume: false }, p);
         // The centre stays, the range is scaled about it, and what is beyond moves with its end.
         let end = p[0].clamp(RANGE[0], RANGE[1]);
         let s = factor * end + (p[0] - end);
         prop_assert!(distance(q, [s, p[1], p[2]]) < 1e-12);
-        let q = place.image(Deformation::Stretch { factor, keep_volume: true }, p);
+        let q = place.image(WarpKind::Stretch { factor, keep_volume: true }, p);
         prop_assert!(distance(q, [s, p[1] / factor.sqrt(), p[2] / factor.sqrt()]) < 1e-12);
     }
 
     #[test]
     fn shear_moves_across(place in places(), p in points(), slope in -2.0..2.0) {
-        let q = place.image(Deformation::Shear { slope, direction: ANY }, p);
+        let q = place.image(WarpKind::Shear { slope, direction: ANY }, p);
         let way = slope * p[0].clamp(RANGE[0], RANGE[1]);
         prop_assert!(distance(q, [p[0], p[1] + way, p[2]]) < 1e-12);
     }
@@ -149,7 +148,7 @@ proptest! {
         p in points().prop_filter("beyond", |p| is_inside(p[0])),
         angle in prop_oneof![-7.0..-0.01, 0.01..7.0],
     ) {
-        let q = place.image(Deformation::Bend { angle, direction: ANY }, p);
+        let q = place.image(WarpKind::Bend { angle, direction: ANY }, p);
         let radius = LENGTH / angle;
         let (sin, cos) = (p[0] / radius).sin_cos();
         let expected = [(radius - p[1]) * sin, radius - (radius - p[1]) * cos, p[2]];
@@ -162,12 +161,12 @@ proptest! {
     ) {
         let beyond = |[s, u, v]: Vec3| [RANGE[end] + if end == 0 { -s.abs() } else { s.abs() }, u, v];
         let (p, q) = (beyond(p), beyond(q));
-        for deformation in [Deformation::Bend { angle, direction: ANY }, Deformation::Twist { angle }] {
+        for deformation in [WarpKind::Bend { angle, direction: ANY }, WarpKind::Twist { angle }] {
             let images = [p, q].map(|x| place.image(deformation, x));
             prop_assert!((distance(p, q) - distance(images[0], images[1])).abs() < 1e-12);
         }
         // And on along the tangent.
-        let further = |x: Vec3| place.image(Deformation::Bend { angle, direction: ANY }, x);
+        let further = |x: Vec3| place.image(WarpKind::Bend { angle, direction: ANY }, x);
         let tangent = sub(further([2.0 * RANGE[end], 0.0, 0.0]), further([RANGE[end], 0.0, 0.0]));
         let phi = angle * RANGE[end] / LENGTH;
         prop_assert!(distance(tangent, [phi.cos(), phi.sin(), 0.0].map(|x| RANGE[end] * x)) < 1e-12);
@@ -188,10 +187,10 @@ proptest! {
     ) {
         let inside = is_inside(p[0]);
         let expected = match deformation {
-            Deformation::Twist { .. } | Deformation::Shear { .. } => 1.0,
-            Deformation::Bend { angle, .. } => if inside { 1.0 - angle / LENGTH * p[1] } else { 1.0 },
-            Deformation::Taper { factor } => (1.0 + (factor - 1.0) * parameter(p[0])).powi(2),
-            Deformation::Stretch { factor, keep_volume } => {
+            WarpKind::Twist { .. } | WarpKind::Shear { .. } => 1.0,
+            WarpKind::Bend { angle, .. } => if inside { 1.0 - angle / LENGTH * p[1] } else { 1.0 },
+            WarpKind::Taper { factor } => (1.0 + (factor - 1.0) * parameter(p[0])).powi(2),
+            WarpKind::Stretch { factor, keep_volume } => {
                 (if inside { factor } else { 1.0 }) / if keep_volume { factor } else { 1.0 }
             }
         };
@@ -204,11 +203,11 @@ proptest! {
     fn neutral_values_move_nothing(place in places(), p in points()) {
         let p = place.point(p);
         for deformation in [
-            Deformation::Twist { angle: 0.0 },
-            Deformation::Bend { angle: 0.0, direction: ANY },
-            Deformation::Taper { factor: 1.0 },
-            Deformation::Stretch { factor: 1.0, keep_volume: true },
-            Deformation::Shear { slope: 0.0, direction: ANY },
+            WarpKind::Twist { angle: 0.0 },
+            WarpKind::Bend { angle: 0.0, direction: ANY },
+            WarpKind::Taper { factor: 1.0 },
+            WarpKind::Stretch { factor: 1.0, keep_volume: true },
+            WarpKind::Shear { slope: 0.0, direction: ANY },
         ] {
             prop_assert_eq!(place.warp(deformation).apply(p), p);
         }
@@ -218,7 +217,7 @@ proptest! {
     #[test]
     fn small_bends_bend_little(place in places(), p in points(), exponent in -300.0..-6.0) {
         let angle = 10_f64.powf(exponent);
-        let q = place.image(Deformation::Bend { angle, direction: ANY }, p);
+        let q = place.image(WarpKind::Bend { angle, direction: ANY }, p);
         prop_assert!(distance(p, q) < 1e-12 + 10.0 * angle);
     }
 
@@ -229,7 +228,7 @@ proptest! {
     ) {
         let mut warp = place.warp(deformation);
         warp.range = [away, away + 1.0];
-        let keeps_size = !matches!(deformation, Deformation::Stretch { keep_volume: true, .. });
+        let keeps_size = !matches!(deformation, WarpKind::Stretch { keep_volume: true, .. });
         let p = place.point([p[0].min(away), p[1], p[2]]);
         prop_assert!(!keeps_size || distance(warp.apply(p), p) < 1e-12);
     }
@@ -237,7 +236,7 @@ proptest! {
 
 #[test]
 fn a_full_bend_of_the_range_is_a_circle() {
-    let bend = Deformation::Bend { angle: 2.0 * PI, direction: [1.0, 0.0, 0.0] };
+    let bend = WarpKind::Bend { angle: 2.0 * PI, direction: [1.0, 0.0, 0.0] };
     let w = Warp::new(bend, [0.0; 3], [0.0, 1.0, 0.0], [-PI, PI]).unwrap();
     for i in 0..100 {
         let s = PI * (f64::from(i) / 50.0 - 1.0);
@@ -251,10 +250,10 @@ fn a_full_bend_of_the_range_is_a_circle() {
 #[test]
 fn a_range_without_length_moves_nothing_far() {
     for deformation in [
-        Deformation::Twist { angle: 1.0 },
-        Deformation::Bend { angle: 1.0, direction: [1.0, 0.0, 0.0] },
-        Deformation::Stretch { factor: 2.0, keep_volume: false },
-        Deformation::Shear { slope: 1.0, direction: [1.0, 0.0, 0.0] },
+        WarpKind::Twist { angle: 1.0 },
+        WarpKind::Bend { angle: 1.0, direction: [1.0, 0.0, 0.0] },
+        WarpKind::Stretch { factor: 2.0, keep_volume: false },
+        WarpKind::Shear { slope: 1.0, direction: [1.0, 0.0, 0.0] },
     ] {
         let w = Warp::new(deformation, [0.0; 3], [0.0, 1.0, 0.0], [0.0, 0.0]).unwrap();
         assert_eq!(w.apply([0.3, 0.0, 0.1]), [0.3, 0.0, 0.1]);
@@ -265,12 +264,12 @@ fn a_range_without_length_moves_nothing_far() {
 fn senseless_directions_are_refused() {
     let axis = [1.0, 2.0, -0.5];
     let error = |deformation, axis| Warp::new(deformation, [0.0; 3], axis, RANGE).unwrap_err().message;
-    assert!(error(Deformation::Twist { angle: 1.0 }, [0.0; 3]).contains("`axis`"));
-    let bend = |direction| Deformation::Bend { angle: 1.0, direction };
-    let shear = |direction| Deformation::Shear { slope: 1.0, direction };
-    for with in [bend as fn(Vec3) -> Deformation, shear] {
+    assert!(error(WarpKind::Twist { angle: 1.0 }, [0.0; 3]).contains("`axis`"));
+    let bend = |direction| WarpKind::Bend { angle: 1.0, direction };
+    let shear = |direction| WarpKind::Shear { slope: 1.0, direction };
+    for with in [bend as fn(Vec3) -> WarpKind, shear] {
         assert!(error(with([0.0; 3]), axis).contains("`direction`"));
         assert!(error(with([2.0, 4.0, -1.0]), axis).contains("parallel"));
     }
-    assert!(Warp::new(Deformation::Twist { angle: 1.0 }, [0.0; 3], [1e-300, 0.0, 0.0], RANGE).is_ok());
+    assert!(Warp::new(WarpKind::Twist { angle: 1.0 }, [0.0; 3], [1e-300, 0.0, 0.0], RANGE).is_ok());
 }

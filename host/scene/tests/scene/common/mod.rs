@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use glam::camera::rh::{proj::directx::perspective, view::look_at_mat4};
 use glam::{Vec3, Vec4};
 use simod_picture::Image;
-use simod_scene::{Gpu, Scene, SceneStyle, Surface, View};
+use simod_scene::{Gpu, Scene, SceneStyle, SceneSurface, SceneView};
 
 /// The device, or none where there is no adapter; then the test says that it is skipped. Where `CI` is set,
 /// it fails.
@@ -36,8 +36,8 @@ pub struct Model {
 }
 
 impl Model {
-    pub fn surface(&self) -> Surface<'_> {
-        Surface {
+    pub fn surface(&self) -> SceneSurface<'_> {
+        SceneSurface {
             positions: &self.positions,
             normals: &self.normals,
             radii: &self.radii,
@@ -92,8 +92,8 @@ pub fn sphere(center: Vec3, radius: f32, rows: usize) -> Model {
 }
 
 /// From a distance of 4 along +z, 240 pixels in square, just wide enough for 1.2 to all sides of the origin.
-pub fn view() -> View {
-    View {
+pub fn view() -> SceneView {
+    SceneView {
         view: look_at_mat4(Vec3::new(0.0, 0.0, 4.0), Vec3::ZERO, Vec3::Y),
         projection: perspective(2.0 * (1.2f32 / 4.0).atan(), 1.0, 0.5, 8.0),
         size: [240, 240],
@@ -101,7 +101,7 @@ pub fn view() -> View {
 }
 
 /// Where a picture shows a point.
-pub fn project(view: &View, point: Vec3) -> [f32; 2] {
+pub fn project(view: &SceneView, point: Vec3) -> [f32; 2] {
     let clip: Vec4 = view.projection * (view.view * point.extend(1.0));
     let [w, h] = view.size.map(|s| s as f32);
     [(0.5 + 0.5 * clip.x / clip.w) * w, (0.5 - 0.5 * clip.y / clip.w) * h]
@@ -111,7 +111,7 @@ pub fn draw(gpu: &Gpu, model: &Model, style: &SceneStyle) -> Image {
     draw_from(gpu, model, style, &view())
 }
 
-pub fn draw_from(gpu: &Gpu, model: &Model, style: &SceneStyle, view: &View) -> Image {
+pub fn draw_from(gpu: &Gpu, model: &Model, style: &SceneStyle, view: &SceneView) -> Image {
     let mut scene = Scene::new(gpu);
     scene.set_surface(&model.surface()).expect("a surface");
     scene.render(view, style, None);

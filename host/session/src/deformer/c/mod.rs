@@ -30,19 +30,20 @@ use std::path::Path;
 /// The name of the exported table.
 const ENTRY: &CStr = c"simod_plugin_entry";
 
-type Evaluate = unsafe extern "C" fn(
+type EvaluateFunction = unsafe extern "C" fn(
     *const c_void,
     *const SimodDeformInput,
     *mut [f64; 3],
     usize,
     *const SimodHost,
 ) -> u32;
-type Handles = unsafe extern "C" fn(*const SimodPrepareInput, *mut SimodHandleList, *const SimodHost) -> u32;
-type HandleFaces =
+type HandlesFunction =
+    unsafe extern "C" fn(*const SimodPrepareInput, *mut SimodHandleList, *const SimodHost) -> u32;
+type HandleFacesFunction =
     unsafe extern "C" fn(*const SimodPrepareInput, *mut SimodFaceList, *const SimodHost) -> u32;
-type Migrate =
+type MigrateFunction =
     unsafe extern "C" fn(u32, *const SimodParam, usize, *mut SimodSettingList, *const SimodHost) -> u32;
-type IsIdentity = unsafe extern "C" fn(*const SimodDeformInput) -> u8;
+type IsIdentityFunction = unsafe extern "C" fn(*const SimodDeformInput) -> u8;
 
 /// The functions of a plugin in C. A call costs what it takes to put the input into other words: of
 /// parameters, regions and strokes; no samples are copied.
@@ -55,11 +56,11 @@ pub(crate) struct CCode {
         *mut [f32; 3],
         *const SimodHost,
     ) -> u32,
-    evaluate: Option<Evaluate>,
-    handles: Option<Handles>,
-    handle_faces: Option<HandleFaces>,
-    is_identity: Option<IsIdentity>,
-    migration: Option<(Migration, Option<Migrate>)>,
+    evaluate: Option<EvaluateFunction>,
+    handles: Option<HandlesFunction>,
+    handle_faces: Option<HandleFacesFunction>,
+    is_identity: Option<IsIdentityFunction>,
+    migration: Option<(Migration, Option<MigrateFunction>)>,
     /// What may be missing.
     plugin: SimodPlugin,
 }
@@ -346,7 +347,7 @@ impl CCode {
 
 /// The faces that a plugin puts between its handles.
 fn handle_faces(
-    function: HandleFaces,
+    function: HandleFacesFunction,
     input: &PrepareInput<'_>,
     calls: &dyn HostCalls,
 ) -> PluginResult<Vec<Vec<u32>>> {
