@@ -1,6 +1,6 @@
 //! Points in columns of text: XYZ, PTS, CSV, TXT, ASC and the like.
 //!
-//! Columns are separated by blanks and tabs, by commas, or by semicolons; in TSV by each tab. Which ones are
+//! Columns are separated by blanks and tabs, by commas, semicolons or bars; in TSV by each tab. Which ones are
 //! the position and the normal is told by the user, by names in a line before the points (a comment, too), or
 //! by the file's extension; without any, the first three are the position. The others are attributes, if they
 //! are numbers in the first point's line. A PTS file says first how many points follow, and so does each
@@ -8,7 +8,7 @@
 
 use crate::source::SourceFile;
 use crate::text::blocks::{TextBlocks, TextBlocksBuilder};
-use crate::text::lines::{Lines, wrong_line};
+use crate::text::lines::{Lines, text_start, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
 use crate::text::{CUT_OFF, integer, is_space, next_word, parse, quoted};
 use crate::{Attribute, Error, Model, ModelInfo, Result, Scalar, Type};
@@ -261,6 +261,7 @@ pub(crate) fn open(source: SourceFile, extension: &str, wanted: Option<&str>) ->
         None => "blanks",
         Some(b',') => "commas",
         Some(b'\t') => "tabs",
+        Some(b'|') => "bars",
         _ => "semicolons",
     };
     let others = names.iter().enumerate().filter(|(i, _)| columns.roles.get(*i).copied().flatten().is_none());
@@ -302,11 +303,9 @@ fn scan(source: &SourceFile, columns: &Columns, begin: u64, start: u64) -> Resul
 }
 
 fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<ColumnsHead> {
-    // A mark of UTF-8 is no part of the first number.
-    let mut mark = [0; 3];
-    let begin = if source.read_at(&mut mark, 0)? == 3 && mark == *b"\xef\xbb\xbf" { 3 } else { 0 };
+    let begin = text_start(source)?;
     let mut lines = Lines::new(source, begin, u64::MAX, false);
-    let separators: &[u8] = if extension == "tsv" { b"\t;," } else { b";," };
+    let separators: &[u8] = if extension == "tsv" { b"\t;,|" } else { b";,|" };
     let (mut comment, mut is_counted, mut header) = (Vec::new(), false, None::<(Option<u8>, Vec<String>)>);
     loop {
         let Some((at, line)) = lines.next()? else {

@@ -10,7 +10,7 @@ use crate::model::NoFaces;
 use crate::source::SourceFile;
 use crate::text::blocks::TextBlocksBuilder;
 use crate::text::faces::{FaceLines, LineFaces};
-use crate::text::lines::{Lines, wrong_line};
+use crate::text::lines::{Lines, text_start, without_mark, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
 use crate::text::{CUT_OFF, DAMAGED, integer, is_space, next_word, quoted};
 use crate::{Attribute, FaceReader, Model, ModelInfo, Result, Type};
@@ -60,7 +60,7 @@ fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
 
 /// Whether a file says that it is OFF.
 pub(crate) fn is_off(start: &[u8]) -> bool {
-    Letters::parse(first_word(start)).is_some()
+    Letters::parse(first_word(without_mark(start))).is_some()
 }
 
 /// Whether a file of that extension, which need not say so, begins as OFF.
@@ -82,7 +82,7 @@ struct OffHead {
 
 impl OffHead {
     fn read(source: &SourceFile) -> Result<Self> {
-        let mut lines = Lines::new(source, 0, u64::MAX, false);
+        let mut lines = Lines::new(source, text_start(source)?, u64::MAX, false);
         let (mut letters, mut counts) = (None, Vec::new());
         while let Some((at, line)) = lines.next()? {
             let end = at + line.len() as u64;
@@ -127,12 +127,25 @@ impl OffHead {
             }
             // The number of edges, which says nothing, may be left out.
             if counts.len() >= 2 {
-                let [vertices, faces] = [counts[0], counts[1]];
-                return Ok(Self { letters: letters.unwrap_or_default(), vertices, faces, start: end });
+                let (letters, vertices, faces) = (letters.unwrap_or_default(), counts[0], counts[1]);
+                let edges = if counts.len() == 2 && vertices > 0 { end_of_edges(&mut lines)? } else { None };
+                return Ok(Self { letters, vertices, faces, start: edges.unwrap_or(end) });
             }
         }
         Err(source.malformed("the file ends before the counts of vertices and faces", CUT_OFF))
     }
+}
+
+/// Where the line of the number of edges ends, if the next line with content is one: a vertex has more than
+/// one number.
+fn end_of_edges(lines: &mut Lines<'_>) -> Result<Option<u64>> {
+    while let Some((at, line)) = lines.next()? {
+        let mut words = words(line);
+        let Some(word) = words.next() else { continue };
+        let is_count = integer(word).is_some() && words.next().is_none();
+        return Ok(is_count.then_some(at + line.len() as u64));
+    }
+    Ok(None)
 }
 
 /// Opens a file, which is gone over once.

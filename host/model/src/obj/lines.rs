@@ -1,7 +1,7 @@
 //! Statements of OBJ, and their words.
 
 use crate::source::SourceFile;
-use crate::text::lines::lines;
+use crate::text::lines::{lines, without_mark};
 use crate::text::{is_space, next_word, parse};
 use crate::{Result, Scalar};
 
@@ -61,7 +61,8 @@ pub(crate) fn is_obj(source: &SourceFile) -> Result<bool> {
     const START: usize = 1 << 14;
     let mut start = Vec::new();
     source.append_at(&mut start, 0, START)?;
-    let mut words = lines(&start, true)
+    let start = without_mark(&start);
+    let mut words = lines(start, true)
         .map(|(a, b)| &start[a..b])
         .filter(|line| keyword(line).is_some_and(|w| w[0] != b'#'));
     Ok(words.next().is_some_and(|line| match keyword(line) {

@@ -8,7 +8,7 @@ use super::lines::{Statement, normals_are_of_vertices};
 use crate::Result;
 use crate::source::SourceFile;
 use crate::text::blocks::{GAP, TextBlocks, TextBlocksBuilder};
-use crate::text::lines::Lines;
+use crate::text::lines::{Lines, text_start};
 use crate::text::next_word;
 
 /// Most runs of vertices or of normals, one after the other, of a file whose normals are read: the bound of
@@ -90,10 +90,11 @@ impl NormalPairs {
 
 impl ObjScan {
     pub(super) fn from_source(source: &SourceFile) -> Result<Self> {
-        let mut lines = Lines::new(source, 0, u64::MAX, true);
-        let (mut vertices, mut normals) = (TextBlocksBuilder::new(0, 1), TextBlocksBuilder::new(0, 1));
-        let mut beside =
-            NormalPairs { builder: Some(TextBlocksBuilder::new(0, 1)), vertices: 0, normals: 0, start: 0 };
+        let begin = text_start(source)?;
+        let mut lines = Lines::new(source, begin, u64::MAX, true);
+        let builder = || TextBlocksBuilder::new(begin, 1);
+        let (mut vertices, mut normals) = (builder(), builder());
+        let mut beside = NormalPairs { builder: Some(builder()), vertices: 0, normals: 0, start: begin };
         let (mut faces, mut face_lines, mut slashes) = (0, 0..0, 0);
         let (mut is_relative, mut are_of_vertices, mut first_vertex) = (false, true, Vec::new());
         let mut others = BTreeMap::new();

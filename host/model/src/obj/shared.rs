@@ -21,7 +21,7 @@ use crate::scratch::Scratch;
 use crate::shared_normal::mean;
 use crate::source::SourceFile;
 use crate::text::blocks::changed;
-use crate::text::lines::Lines;
+use crate::text::lines::{Lines, text_start};
 use crate::text::model::{TextModel, splice_normal};
 use crate::{CHUNK_VERTICES, Model, Normals, Progress, Result, SMALL_CHUNK, VertexChunk};
 
@@ -251,7 +251,7 @@ fn write_positions(model: &ApartModel, to: &Scratch, progress: &dyn Progress) ->
 /// Writes pairs of normals and vertices, sorted, from `start` on; returns where they end.
 fn write_pairs(model: &TextModel<Obj>, to: &Scratch, start: u64, progress: &dyn Progress) -> Result<u64> {
     let mut runs = Runs::new(to)?;
-    let mut lines = Lines::new(&model.source, 0, u64::MAX, true);
+    let mut lines = Lines::new(&model.source, text_start(&model.source)?, u64::MAX, true);
     let (mut vertices, mut normals, mut faces) = (0, 0, 0u64);
     while let Some((_, line)) = lines.next()? {
         match Statement::parse(line) {

@@ -8,7 +8,7 @@ use super::facets::{FACET, Facets, normal};
 use crate::source::SourceFile;
 use crate::text::blocks::{GAP, TextBlocks, TextBlocksBuilder, too_far};
 use crate::text::digits::Digits;
-use crate::text::lines::{Lines, lines, wrong_line};
+use crate::text::lines::{Lines, lines, text_start, without_mark, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
 use crate::text::{CUT_OFF, DAMAGED, coordinate, is_space, next_word, no_coordinate, parse, quoted};
 use crate::unfit::Unfit;
@@ -19,7 +19,7 @@ pub(super) fn is_text(source: &SourceFile) -> Result<bool> {
     const START: usize = 1024;
     let mut start = Vec::new();
     source.append_at(&mut start, 0, START)?;
-    let text = start.trim_ascii_start();
+    let text = without_mark(&start).trim_ascii_start();
     let (mut head, is_binary) = (text.iter(), |b: &u8| *b < b' ' && !b.is_ascii_whitespace());
     let solid = first_word(text).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
     Ok(solid && !head.any(is_binary))
@@ -69,8 +69,9 @@ impl StlLine {
 
 /// Where the vertices are, and how many facets there are. All of the file's structure is checked here.
 fn scan(source: &SourceFile) -> Result<(TextBlocks, u64)> {
-    let mut lines = Lines::new(source, 0, u64::MAX, false);
-    let mut builder = TextBlocksBuilder::new(0, StlLines::UNIT);
+    let begin = text_start(source)?;
+    let mut lines = Lines::new(source, begin, u64::MAX, false);
+    let mut builder = TextBlocksBuilder::new(begin, StlLines::UNIT);
     let (mut facets, mut in_solid, mut in_facet, mut at) = (0u64, false, false, 0);
     while let Some((start, line)) = lines.next()? {
         let kind = StlLine::parse(line);

@@ -9,9 +9,48 @@ pub(crate) const MAX_LINE: usize = 16 << 20;
 /// Bytes read at a time.
 const BLOCK: usize = 1 << 18;
 
+/// The mark that some programs put before text in UTF-8 (its byte order mark), which is no part of the text.
+const MARK: &[u8] = b"\xef\xbb\xbf";
+
+/// The text behind the mark of UTF-8, if there is one.
+pub(crate) fn without_mark(start: &[u8]) -> &[u8] {
+    start.strip_prefix(MARK).unwrap_or(start)
+}
+
+/// Where in a file the first line of its text begins: behind the mark of UTF-8, if there is one.
+///
+/// # Errors
+/// The file cannot be read; it ends in bytes of zero, as one does whose writing was cut short.
+pub(crate) fn text_start(source: &SourceFile) -> Result<u64> {
+    check_end(source)?;
+    let mut mark = [0; MARK.len()];
+    let is_marked = source.read_at(&mut mark, 0)? == mark.len() && mark == MARK;
+    Ok(if is_marked { mark.len() as u64 } else { 0 })
+}
+
+/// An error where a file ends in bytes of zero, which no text has.
+fn check_end(source: &SourceFile) -> Result<()> {
+    let mut last = [0];
+    if source.len() == 0 || source.read_at(&mut last, source.len() - 1)? < 1 || last != [0] {
+        return Ok(());
+    }
+    let mut end = Vec::new();
+    let from = source.len().saturating_sub(BLOCK as u64);
+    source.append_at(&mut end, from, BLOCK)?;
+    let first = from + end.iter().rposition(|b| *b != 0).map_or(0, |at| at as u64 + 1);
+    let what = format!("bytes of zero from byte {first} on, as far as the file goes");
+    Err(source.malformed(what, "writing the file was cut short: copy or export it again"))
+}
+
+/// Whether the first line of `bytes` is a comment of OBJ as a whole.
+fn is_comment(bytes: &[u8]) -> bool {
+    bytes.iter().find(|b| !matches!(b, b' ' | b'\t')) == Some(&b'#')
+}
+
 /// Where the first line of `bytes` ends, and what ends it with it; `None` if it may go on after them.
 ///
-/// With `continues`, a line that ends in a backslash goes on with the next one.
+/// With `continues`, a line that ends in a backslash goes on with the next one, but not a comment, which may
+/// end in one as the path of a folder does.
 #[inline]
 pub(crate) fn line_end(bytes: &[u8], continues: bool, whole_file: bool) -> Option<usize> {
     let mut from = 0;
@@ -28,7 +67,7 @@ pub(crate) fn line_end(bytes: &[u8], continues: bool, whole_file: bool) -> Optio
                 _ => {}
             }
         }
-        if !(continues && at > 0 && bytes[at - 1] == b'\\') {
+        if !(continues && at > 0 && bytes[at - 1] == b'\\' && !is_comment(bytes)) {
             return Some(end);
         }
         if end == bytes.len() {
@@ -175,6 +214,9 @@ mod tests {
         assert_eq!(of(false), plain);
         let joined: [&[u8]; 6] = [b"a\n", b"b\r\n", b"c\r", b"d\\\ne\\\r\nf\n", b"\r\n", b"g"];
         assert_eq!(of(true), joined);
+        let comments = b"# C:\\folder\\\n\t# a\\\r\nv 1 \\\n2\n";
+        let found: Vec<(usize, usize)> = lines(comments, true).collect();
+        assert_eq!(found, [(0, 13), (13, 20), (20, 28)], "comments do not go on");
         for end in 0..text.len() {
             // What may go on is not given before it is known.
             let mut at = 0;

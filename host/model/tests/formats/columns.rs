@@ -36,6 +36,7 @@ fn any_separator_and_header_are_understood() {
         ("# made by hand\n# 1 2 3\n1 -2.5 3e2\n# between\n4 5 6\n", ".xyz"),
         ("easting,northing,height,\"a, b\"\n1,-2.5,3e2,\"q, r\"\n4,5,6,\"\"\n", ".csv"),
         ("\u{feff}1,-2.5,3e2\n4,5,6\n", ".csv"),
+        ("\u{feff}y|x|z\n-2.5|1|3e2\n5| 4 |6\n", ".txt"),
         ("2\n1 -2.5 3e2\n4 5 6\n", ".pts"),
         ("1\n1 -2.5 3e2 9\n1\r\n4 5 6 9\n", ".pts"),
         ("1 -2.5 3e2\n4 5 6\n", ".XYZ"),

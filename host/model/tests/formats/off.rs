@@ -40,7 +40,7 @@ fn letters_say_what_vertices_have() {
 #[test]
 fn the_first_word_may_be_glued_or_left_out() {
     let rest = " 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
-    for start in ["OFF3", "3", "# by hand\n3", "OFF # by hand\n3"] {
+    for start in ["OFF3", "3", "# by hand\n3", "OFF # by hand\n3", "\u{feff}OFF\n3"] {
         let text = format!("{start}{rest}");
         let model = check_whole(text.as_bytes(), ".off");
         assert_eq!(
@@ -48,6 +48,12 @@ fn the_first_word_may_be_glued_or_left_out() {
             (3, vec![[0, 1, 2]]),
             "{start}"
         );
+    }
+    for counts in ["3\n1\n0\n", "3 1\n\n0 # edges\n", "3\n1 0\n", "3 # vertices\n1\n"] {
+        let text = format!("OFF\n{counts}{}", &rest[5..]);
+        let model = check_whole(text.as_bytes(), ".data");
+        assert_eq!((model.info().vertices, model.info().faces), (3, 1), "{counts:?}");
+        assert_eq!(read(model.as_ref()).unwrap().0[1], DVec3::X, "{counts:?}");
     }
     let model = check_whole(format!("COFF3{}", rest.replace("0\n", "0 9 9 9 9\n")).as_bytes(), ".off");
     assert_eq!(model.info().attributes.len(), 4);

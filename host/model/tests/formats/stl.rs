@@ -92,6 +92,8 @@ fn the_content_tells_what_it_is() {
     for extension in [".stl", ".data", ".STL"] {
         assert_eq!(open(&ascii(&facets, "\n"), extension).unwrap().info().format, "STL, ascii");
     }
+    let marked = [&b"\xef\xbb\xbf"[..], &ascii(&facets, "\n")].concat();
+    assert_eq!(check_whole(&marked, ".stl").info().faces, 18);
     // A few bytes more are kept; as many as a facet are a lie, as are fewer.
     check_whole(&binary("solid", &facets, b"\0\r\n"), ".stl");
     let text = message(open(&binary("solid", &facets, &[0; 50]), ".stl"));
