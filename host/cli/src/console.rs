@@ -23,6 +23,9 @@ const SLOW: Duration = Duration::from_secs(10);
 /// How often a line of progress is printed.
 const PAUSE: Duration = Duration::from_millis(250);
 
+/// How often a bar is drawn, and told the memory.
+const TICK: Duration = Duration::from_millis(100);
+
 /// How progress is shown on standard error.
 #[derive(Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Show {
@@ -54,6 +57,8 @@ struct Stages {
     show: Show,
     bar: Option<ProgressBar>,
     told: Option<Instant>,
+    /// When the bar was last told the memory.
+    measured: Option<Instant>,
     current: Option<(&'static str, Instant)>,
     done: Vec<(&'static str, Duration)>,
 }
@@ -284,7 +289,7 @@ impl Progress for Console {
             bar.set_style(style);
         }
         bar.set_message(stage);
-        bar.enable_steady_tick(Duration::from_millis(100));
+        bar.enable_steady_tick(TICK);
         stages.bar = Some(bar);
         stages.current = Some((stage, Instant::now()));
         stages.line();
@@ -292,11 +297,18 @@ impl Progress for Console {
 
     fn advance(&self, bytes: u64) {
         let mut stages = self.locked();
+        let stages = &mut *stages;
         stages.line();
         if let (Some(bar), Some((stage, _))) = (&stages.bar, stages.current) {
             bar.inc(bytes);
-            if let Some(peak) = self.memory.peak().filter(|_| !bar.is_hidden()) {
+            // Seldom, and only where somebody sees it: the system takes longer to tell than a chunk does.
+            let is_due = stages.measured.is_none_or(|last| last.elapsed() >= TICK);
+            if is_due
+                && !bar.is_hidden()
+                && let Some(peak) = self.memory.peak()
+            {
                 bar.set_message(format!("{stage} ({} MB)", peak >> 20));
+                stages.measured = Some(Instant::now());
             }
         }
     }
