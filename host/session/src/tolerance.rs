@@ -17,12 +17,19 @@ use crate::deformed_samples::{DeformedSamples, deform};
 use crate::edit::Refinements;
 use crate::plugins::PluginRegistry;
 use crate::refining::{Room, ShapePose};
-use crate::shapes::Shapes;
+use crate::shapes::{RegionShape, Shapes};
 use crate::step::{Refine, Step};
 use simod_plugin_api::Time;
 
-/// Rounds of refinement; the number of samples may double in each.
+/// Rounds of refinement; the number of samples may double in each, or become [`LEAST_ADDED`] more.
 const ROUNDS: u64 = 20;
+const LEAST_ADDED: u64 = 256;
+
+/// Where nothing is added that the estimate asks for, clusters around the worst place are divided whatever
+/// their size, each into about so many ...
+const INTO: f64 = 4.0;
+/// ... within so many spacings of the samples there, the first within which any can be.
+const AROUND: [f64; 4] = [4.0, 32.0, 256.0, f64::MAX];
 
 /// Where it is refined, so much of the tolerance is asked for.
 const ASKED: f64 = 0.3;
@@ -276,6 +283,17 @@ impl<'a> ToleranceSearch<'a> {
         self.beginning.as_ref()?.why_not(of, field, beyond)
     }
 
+    /// What is told, besides, where the worst is around a sample of those at the beginning: they stay, and
+    /// stand for as many vertices as they did.
+    fn told_of_first(&self, of: &SampledModel, beyond: &ErrorExcess) -> &'static str {
+        let nearest = of.samples.nearest(of.frame.to_local(beyond.place));
+        if u64::from(nearest) >= self.first {
+            return "";
+        }
+        "; the worst is around one of the first samples, which stay where the means of their vertices are, off the surface \
+         where these are many"
+    }
+
     /// An error if the search has come to its limits, or no further for a while.
     fn check_progress(
         &mut self,
@@ -295,6 +313,7 @@ impl<'a> ToleranceSearch<'a> {
         } else {
             None
         };
+        let limit = limit.map(|limit| limit + self.told_of_first(of, beyond));
         let asks = limit.is_some() || self.waited >= PATIENCE;
         match asks.then(|| self.why_not(of, field, beyond).or(limit)).flatten() {
             Some(why) => Err(not_met(self.tolerance, beyond.worst, &why, Some(beyond))),
@@ -310,10 +329,19 @@ impl<'a> ToleranceSearch<'a> {
         beyond: &ErrorExcess,
     ) -> Result<Arc<SampledModel>> {
         let samples = of.samples.len() as u64;
-        let finer = Finer::Auto { error: self.asked, samples: Some((self.most - samples).min(samples)) };
+        let added = (self.most - samples).min(samples.max(LEAST_ADDED));
+        let finer = Finer::Auto { error: self.asked, samples: Some(added) };
         let everywhere = Refine { shapes: Shapes::default(), finer };
-        let room = Room { memory_limit: None, folder: self.folder };
-        let done = everywhere.refine(of, self.model, ShapePose::Rest(Some(field)), room, self.progress)?;
+        let refine = |how: &Refine| {
+            let room = Room { memory_limit: None, folder: self.folder };
+            how.refine(of, self.model, ShapePose::Rest(Some(field)), room, self.progress)
+        };
+        let mut done = refine(&everywhere)?;
+        for spacings in AROUND {
+            if done.sampled.is_none() {
+                done = refine(&around_worst(of, beyond, spacings))?;
+            }
+        }
         let Some(refined) = done.sampled else {
             let none_left = || "there are no vertices left there that could be samples".to_owned();
             let why = self.why_not(of, field, beyond).unwrap_or_else(none_left);
@@ -326,6 +354,15 @@ impl<'a> ToleranceSearch<'a> {
         self.rounds += 1;
         Ok(refined.into())
     }
+}
+
+/// A refinement within so many spacings of the place where most is expected, whatever the clusters' errors.
+fn around_worst(of: &SampledModel, beyond: &ErrorExcess, spacings: f64) -> Refine {
+    let nearest = of.samples.nearest(of.frame.to_local(beyond.place)) as usize;
+    let spacing = f64::from(of.samples.spacing()[nearest]) * of.frame.scale;
+    let radius = (spacings * spacing).min(2.0 * of.bounds.diagonal());
+    let ball = RegionShape::Sphere { center: beyond.place, radius };
+    Refine { shapes: Shapes { shapes: vec![ball], falloff: 0.0 }, finer: Finer::Factor(INTO) }
 }
 
 /// What was expected before samples were added.
