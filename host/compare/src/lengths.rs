@@ -1,5 +1,5 @@
-//! Distances among the figures of a comparison: as fractions of the diagonal of the model's bounding box, and the
-//! same in the model's unit.
+//! Distances among the figures of a comparison: as fractions of the diagonal of the model's bounding box, and
+//! the same in the model's unit.
 
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::ExpectedError;

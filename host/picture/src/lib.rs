@@ -9,11 +9,12 @@
 //!
 //! ```
 //! use glam::{DVec3, Vec3};
-//! use simod_picture::{Camera, Renderer, Style, SurfacePoint};
+//! use simod_picture::{PictureCamera, Renderer, Style, SurfaceDisc};
 //!
 //! let bounds = [DVec3::splat(-1.0), DVec3::splat(1.0)];
-//! let mut renderer = Renderer::new(64, 48, Camera::frame(bounds, 0.5, 0.3, 64.0 / 48.0), Style::default());
-//! let points = [SurfacePoint { position: DVec3::ZERO, normal: Vec3::Z, color: [200, 90, 40], radius: 0.5 }];
+//! let camera = PictureCamera::frame(bounds, 0.5, 0.3, 64.0 / 48.0);
+//! let mut renderer = Renderer::new(64, 48, camera, Style::default());
+//! let points = [SurfaceDisc { position: DVec3::ZERO, normal: Vec3::Z, color: [200, 90, 40], radius: 0.5 }];
 //! renderer.depth(&points);
 //! renderer.blend(&points);
 //! let image = renderer.finish();

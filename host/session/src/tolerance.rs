@@ -28,8 +28,8 @@ const LEAST_ADDED: u64 = 256;
 /// Where nothing is added that the estimate asks for, clusters around the worst place are divided whatever
 /// their size, each into about so many ...
 const INTO: f64 = 4.0;
-/// ... within so many spacings of the samples there, the first within which any can be.
-const AROUND: [f64; 4] = [4.0, 32.0, 256.0, f64::MAX];
+/// ... within so many spacings of the samples there.
+const AROUND: f64 = 4.0;
 
 /// Where it is refined, so much of the tolerance is asked for.
 const ASKED: f64 = 0.3;
@@ -337,13 +337,12 @@ impl<'a> ToleranceSearch<'a> {
             how.refine(of, self.model, ShapePose::Rest(Some(field)), room, self.progress)
         };
         let mut done = refine(&everywhere)?;
-        for spacings in AROUND {
-            if done.sampled.is_none() {
-                done = refine(&around_worst(of, beyond, spacings))?;
-            }
+        if done.sampled.is_none() {
+            done = refine(&around_worst(of, beyond))?;
         }
         let Some(refined) = done.sampled else {
-            let none_left = || "there are no vertices left there that could be samples".to_owned();
+            let told = self.told_of_first(of, beyond);
+            let none_left = || format!("there are no vertices left there that could be samples{told}");
             let why = self.why_not(of, field, beyond).unwrap_or_else(none_left);
             return Err(not_met(self.tolerance, beyond.worst, &why, Some(beyond)));
         };
@@ -356,12 +355,11 @@ impl<'a> ToleranceSearch<'a> {
     }
 }
 
-/// A refinement within so many spacings of the place where most is expected, whatever the clusters' errors.
-fn around_worst(of: &SampledModel, beyond: &ErrorExcess, spacings: f64) -> Refine {
+/// A refinement around the place where most is expected, whatever the clusters' errors.
+fn around_worst(of: &SampledModel, beyond: &ErrorExcess) -> Refine {
     let nearest = of.samples.nearest(of.frame.to_local(beyond.place)) as usize;
     let spacing = f64::from(of.samples.spacing()[nearest]) * of.frame.scale;
-    let radius = (spacings * spacing).min(2.0 * of.bounds.diagonal());
-    let ball = RegionShape::Sphere { center: beyond.place, radius };
+    let ball = RegionShape::Sphere { center: beyond.place, radius: AROUND * spacing };
     Refine { shapes: Shapes { shapes: vec![ball], falloff: 0.0 }, finer: Finer::Factor(INTO) }
 }
 
