@@ -1,10 +1,10 @@
 //! Points in columns of text: XYZ, PTS, CSV, TXT, ASC and the like.
 //!
-//! Columns are separated by blanks and tabs, by commas, semicolons or bars; in TSV by each tab. Which ones are
-//! the position and the normal is told by the user, by names in a line before the points (a comment, too), or
-//! by the file's extension; without any, the first three are the position. The others are attributes, if they
-//! are numbers in the first point's line. A PTS file says first how many points follow, and so does each
-//! further scan in it.
+//! Columns are separated by blanks and tabs, by commas, semicolons or bars; in TSV by each tab. Which ones
+//! are the position and the normal is told by the user, by names in a line before the points (a comment,
+//! too), or by the file's extension; without any, the first three are the position. The others are
+//! attributes, if they are numbers in the first point's line. A PTS file says first how many points follow,
+//! and so does each further scan in it.
 
 use crate::source::SourceFile;
 use crate::text::blocks::{TextBlocks, TextBlocksBuilder};

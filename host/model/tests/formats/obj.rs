@@ -241,17 +241,18 @@ fn strange_statements_pass_through() {
     assert_eq!(String::from_utf8(out).unwrap(), text.replace("8.00 9.00", "8.125 -9.000"));
 }
 
-/// A mark of UTF-8 is no part of the first statement, and a comment does not go on, though it ends as a path does.
+/// A mark of UTF-8 is no part of the first statement, and a comment does not go on, though it ends as a
+/// path does.
 #[test]
 fn the_first_vertex_counts_whatever_stands_before_it() {
     for start in ["\u{feff}", "# C:\\folder\\\n", "\u{feff} \t#\\\r\n"] {
         for faces in ["f 1 2 3\n", "f -3 -2 -1\n", "vn 0 0 1\nvn 0 0 1\nvn 0 0 1\nf 1//1 2//2 3//3\n"] {
-            let text = format!("{start}v 1.0 2 3\nv 4 5 6\nv 7 8 10\n{faces}");
+            let text = format!("{start}v 1.000000 2 3\nv 4 5 6\nv 7 8 10\n{faces}");
             let model = check_whole(text.as_bytes(), ".obj");
             assert_eq!(model.info().vertices, 3, "{text:?}");
             assert_eq!(triangles(model.as_ref()).unwrap(), [[0, 1, 2]], "{text:?}");
             let out = rewrite(model.as_ref(), |e| e.positions[0].x = 9.0).unwrap();
-            assert_eq!(String::from_utf8(out).unwrap(), text.replace("v 1.0 2 3", "v 9.0 2 3"));
+            assert_eq!(String::from_utf8(out).unwrap(), text.replace("v 1.000000 2 3", "v 9.000000 2 3"));
         }
     }
 }
