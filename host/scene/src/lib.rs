@@ -7,12 +7,13 @@
 //! ```no_run
 //! use glam::Vec3;
 //! use glam::camera::rh::{proj::directx::perspective, view::look_at_mat4};
-//! use simod_scene::{Gpu, Scene, SceneStyle, Surface, View};
+//! use simod_scene::{Gpu, Scene, SceneStyle, SceneSurface, SceneView};
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let gpu = Gpu::headless()?;
 //! let mut scene = Scene::new(&gpu);
-//! scene.set_surface(&Surface { positions: &[Vec3::ZERO], normals: &[Vec3::Z], radii: &[0.3], ..Surface::default() })?;
-//! let view = View {
+//! let (positions, normals) = (&[Vec3::ZERO], &[Vec3::Z]);
+//! scene.set_surface(&SceneSurface { positions, normals, radii: &[0.3], ..SceneSurface::default() })?;
+//! let view = SceneView {
 //!     view: look_at_mat4(Vec3::new(0.0, 0.0, 3.0), Vec3::ZERO, Vec3::Y),
 //!     projection: perspective(0.5, 1.5, 0.1, 10.0),
 //!     size: [600, 400],

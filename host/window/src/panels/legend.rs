@@ -44,16 +44,21 @@ fn title(window: &Window) -> Option<(String, ScaleUnit)> {
     Some((title.to_owned(), unit))
 }
 
-/// The unit in words; of lengths also how large the end of the scale is beside the model.
-fn unit_in_words(unit: ScaleUnit, end: f32, diagonal: Option<f64>) -> String {
-    match (unit, diagonal) {
-        (ScaleUnit::None, _) => String::new(),
-        (ScaleUnit::Times, _) => "times".to_owned(),
-        (ScaleUnit::Length, Some(diagonal)) if diagonal > 0.0 => {
-            format!("model units, up to {:.1e} of the diagonal", f64::from(end) / diagonal)
+impl ScaleUnit {
+    fn in_words(self) -> &'static str {
+        match self {
+            Self::None => "",
+            Self::Times => "times",
+            Self::Length => "model units",
         }
-        (ScaleUnit::Length, _) => "model units".to_owned(),
     }
+}
+
+/// How large the ends of a scale of lengths are beside the model.
+fn beside_diagonal(unit: ScaleUnit, range: [f32; 2], diagonal: Option<f64>) -> Option<String> {
+    let diagonal = diagonal.filter(|d| unit == ScaleUnit::Length && *d > 0.0)?;
+    let [from, to] = range.map(|end| f64::from(end) / diagonal);
+    Some(format!("From {from:.1e} to {to:.1e} of the model's diagonal"))
 }
 
 /// Below the picture, so that nothing of the model is covered: the scale of an overlay, or the colours of
@@ -67,7 +72,9 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, legend: Option<Legend
     Panel::bottom("legend").frame(frame).resizable(false).show(ui, |ui| {
         if let Some(legend) = legend {
             ui.horizontal_wrapped(|ui| match legend {
-                Legend::Scale(title, unit, range) => scale(ui, &title, &unit, range),
+                Legend::Scale(title, unit, range) => {
+                    scale(ui, (&title, unit), range, diagonal(window));
+                }
                 Legend::Classes(title, classes) => class_dots(ui, &title, &classes),
                 Legend::Roles(roles) => roles.iter().for_each(|(color, name)| dot(ui, *color, name)),
             });
@@ -85,8 +92,8 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, legend: Option<Legend
 
 /// What the colours of a picture mean.
 pub enum Legend {
-    /// Numbers: what they are of, their unit in words, and the ends of the scale.
-    Scale(String, String, [f32; 2]),
+    /// Numbers: what they are of, their unit, and the ends of the scale.
+    Scale(String, ScaleUnit, [f32; 2]),
     /// Classes of points.
     Classes(String, Vec<u8>),
     /// What samples are to the chosen step.
@@ -97,11 +104,10 @@ impl Legend {
     /// What the picture that is shown now has.
     pub fn find(window: &mut Window) -> Option<Self> {
         let Some((title, unit)) = title(window) else { return roles(window).map(Self::Roles) };
-        let diagonal = diagonal(window);
         let field = window.state_mut().field()?;
         Some(match field.are_classes {
             true => Self::Classes(title, classes_of(field)),
-            false => Self::Scale(title, unit_in_words(unit, field.range[1], diagonal), field.range),
+            false => Self::Scale(title, unit, field.range),
         })
     }
 }
@@ -131,10 +137,13 @@ fn class_dots(ui: &mut Ui, title: &str, classes: &[u8]) {
     }
 }
 
-fn scale(ui: &mut Ui, title: &str, unit: &str, [from, to]: [f32; 2]) {
+fn scale(ui: &mut Ui, (title, unit): (&str, ScaleUnit), [from, to]: [f32; 2], diagonal: Option<f64>) {
     ui.label(RichText::new(title).strong());
-    if !unit.is_empty() {
-        ui.label(RichText::new(unit).small().weak());
+    if unit != ScaleUnit::None {
+        let label = ui.label(RichText::new(unit.in_words()).small().weak());
+        if let Some(text) = beside_diagonal(unit, [from, to], diagonal) {
+            label.on_hover_text(text);
+        }
     }
     ui.add_space(12.0);
     let [width, height] = SIZE;
@@ -178,4 +187,19 @@ fn roles(window: &Window) -> Option<Vec<([u8; 3], &'static str)>> {
         shown.push((theme::SELECTED, "Selected"));
     }
     (!shown.is_empty()).then_some(shown)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scales_of_lengths_are_told_beside_the_diagonal() {
+        let told = |unit, diagonal| beside_diagonal(unit, [0.0, 0.25], diagonal);
+        let text = "From 0.0e0 to 5.0e-2 of the model's diagonal";
+        assert_eq!(told(ScaleUnit::Length, Some(5.0)).as_deref(), Some(text));
+        assert_eq!(told(ScaleUnit::Times, Some(5.0)), None);
+        assert_eq!(told(ScaleUnit::Length, Some(0.0)), None);
+        assert_eq!(told(ScaleUnit::Length, None), None);
+    }
 }
