@@ -213,11 +213,14 @@ pub(crate) fn handles(subject: &Subject) -> Checked<Finding> {
     }
     // Whoever grabs a handle expects that something moves.
     let rest = case.clone().at_rest();
-    let still = subject.run_ordinary(&rest)?.1;
-    let dead = |i: usize| -> Checked<bool> {
+    // As in a drag, one preparation is for all motions.
+    let (state, still) = subject.run_ordinary(&rest)?;
+    let mut scratch = subject.scratch()?;
+    let mut dead = |i: usize| -> Checked<bool> {
         let mut one = rest.clone();
         one.handles[i] = case.handles[i];
-        Ok(bits(&subject.run_ordinary(&one)?.1) == bits(&still))
+        let moved = subject.deform(&one, &state, &mut scratch)?.map_err(PluginRefusal::of_ordinary)?;
+        Ok(bits(&moved) == bits(&still))
     };
     const TRIED: usize = 8;
     let step = placed.descs.len().div_ceil(TRIED).max(1);
