@@ -74,7 +74,7 @@ impl Shot {
     ///
     /// # Errors
     /// Nothing is open.
-    pub fn take(state: &mut State) -> Result<Self> {
+    pub fn take(state: &State) -> Result<Self> {
         let none = || Error::argument("there is no model to be drawn", "name one");
         let shown = state.scene().cloned().ok_or_else(none)?;
         let (colors, tint) = (state.sample_colors(ComparedVersion::Now), state.tint());

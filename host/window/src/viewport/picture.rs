@@ -7,7 +7,7 @@ use super::emerging::EmergingPoints;
 use super::seen::{disc_radii, seen_clip, view};
 use super::texture::Texture;
 use crate::settings::Theme;
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
 use glam::{Mat4, Vec3};
@@ -98,14 +98,15 @@ impl Viewport {
         rect: Rect,
         version: ComparedVersion,
         share: u32,
-        window: &mut Window,
+        window: &Window,
+        commands: &mut Commands,
     ) -> Shape {
         match &mut self.0 {
             Some(Pictures { render, now, pinned, .. }) => match version {
-                ComparedVersion::Now => now.picture(rect, share, window),
+                ComparedVersion::Now => now.picture(rect, share, window, commands),
                 ComparedVersion::Pinned => {
                     let drawing = pinned.get_or_insert_with(|| PictureDrawing::new(version, render));
-                    drawing.picture(rect, share, window)
+                    drawing.picture(rect, share, window, commands)
                 }
             },
             None => background(rect, window.settings.theme),
@@ -183,7 +184,7 @@ impl PictureDrawing {
         }
     }
 
-    fn picture(&mut self, rect: Rect, share: u32, window: &mut Window) -> Shape {
+    fn picture(&mut self, rect: Rect, share: u32, window: &Window, commands: &mut Commands) -> Shape {
         let Some(scene) = window.state().scene_of(self.version).cloned() else {
             return background(rect, window.settings.theme);
         };
@@ -192,7 +193,7 @@ impl PictureDrawing {
             return self.texture.show(rect);
         }
         if let Err(error) = self.upload(&scene, window) {
-            return failed(error, rect, window);
+            return failed(error, rect, window, commands);
         }
         let size = window.state().size();
         let camera = window.state().camera();
@@ -229,17 +230,18 @@ impl PictureDrawing {
         let whole = !moves && parts * goal.as_secs_f64() < PATIENCE / f64::from(share);
         let reach = self.scene.reach(&view, &style, Some(&self.budget.1).filter(|_| !whole));
         if let Err(error) = self.place(&scene, reach, window) {
-            return failed(error, rect, window);
+            return failed(error, rect, window, commands);
         }
         let budget = (!whole).then_some(&mut self.budget.1);
         let picture = self.scene.render(&view, &style, budget).clone();
         let drawn = self.scene.drawn();
         if self.version == ComparedVersion::Now {
-            window.drawn = drawn;
+            commands.then(move |window| window.drawn = drawn);
         }
         // Without a budget the card goes on drawing meanwhile.
         if !whole && (drawn != before || !drawn.complete) {
-            window.frame_time = started.elapsed();
+            let took = started.elapsed();
+            commands.then(move |window| window.frame_time = took);
         }
         if !drawn.complete {
             window.ctx().request_repaint();
@@ -268,7 +270,7 @@ impl PictureDrawing {
     fn upload(
         &mut self,
         scene: &Arc<simod_viewer::ViewerScene>,
-        window: &mut Window,
+        window: &Window,
     ) -> Result<(), simod_scene::BadSurface> {
         let known = self.shown.as_ref();
         let same_samples = known.is_some_and(|known| Arc::ptr_eq(&known.sampled, &scene.sampled));
@@ -376,8 +378,9 @@ impl PictureDrawing {
 }
 
 /// What is shown where the card does not take what there is.
-fn failed(error: simod_scene::BadSurface, rect: Rect, window: &mut Window) -> Shape {
+fn failed(error: simod_scene::BadSurface, rect: Rect, window: &Window, commands: &mut Commands) -> Shape {
     let hint = "save the session, and report this";
-    window.toasts.error(&simod_model::Error::internal(error.to_string()).hinting(hint));
+    let error = simod_model::Error::internal(error.to_string()).hinting(hint);
+    commands.then(move |window| window.toasts.error(&error));
     background(rect, window.settings.theme)
 }
