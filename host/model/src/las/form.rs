@@ -40,7 +40,7 @@ enum FieldTarget {
 #[derive(Debug, Clone, PartialEq)]
 struct WrittenAttribute {
     name: String,
-    /// Its place among those of the model.
+    /// The attribute's place among those of the model.
     from: usize,
     at: usize,
     place: FieldTarget,
