@@ -87,7 +87,7 @@ impl NamedAction {
         Self { begins: true, ..self }
     }
 
-    /// Its first keys, as the user reads them; empty where there are none.
+    /// The action's first keys, as the user reads them; empty where there are none.
     pub fn keys_text(&self, ctx: &egui::Context) -> String {
         self.keys.first().map_or_else(String::new, |keys| text(ctx, keys))
     }

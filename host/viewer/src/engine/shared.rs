@@ -45,7 +45,7 @@ trait Request {
     /// Whether there is one.
     fn is_there(&self) -> bool;
 
-    /// It is wanted no more.
+    /// The request is wanted no more.
     fn drop(&mut self);
 }
 

@@ -144,7 +144,7 @@ impl State {
         edit::copied(&[step], &self.plugins)
     }
 
-    /// The same of all steps of the group that one is in.
+    /// The text of all steps of the group that one is in.
     ///
     /// # Errors
     /// The step is in no group; the steps are too long for a text.

@@ -13,8 +13,8 @@ impl State {
         self.field_of(ComparedVersion::Now)
     }
 
-    /// The same of a version. While one is pinned, the scale is that of both; what depends on the selection,
-    /// or on the step that is chosen, is of the other one alone.
+    /// The numbers that are shown on the surface of a version. While one is pinned, the scale is that of
+    /// both; what depends on the selection, or on the step that is chosen, is of the other one alone.
     pub fn field_of(&self, version: ComparedVersion) -> Option<Ref<'_, ScalarField>> {
         self.know(ComparedVersion::Now);
         self.know(ComparedVersion::Pinned);

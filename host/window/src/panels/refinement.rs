@@ -26,7 +26,7 @@ fn name(finer: Finer) -> &'static str {
     }
 }
 
-/// Its fineness, if the chosen step is a refinement.
+/// The fineness of the chosen step, if that is a refinement.
 pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some(at) = window.state().chosen() else { return };
     let Some(entry) = window.steps().get(at).cloned() else { return };

@@ -9,10 +9,10 @@ use glam::{DAffine3, DMat4, DQuat, DVec3};
 use simod_session::Motion;
 use simod_session::edit::{Change, StepId};
 use simod_session::step::HandleMove;
-use simod_viewer::Command;
 use simod_viewer::held::GrabbedHandles;
 use simod_viewer::motion::handle_matrix;
 use simod_viewer::skeleton::is_pin;
+use simod_viewer::{Command, ViewerScene};
 use transform_gizmo::math::{Pos2 as GizmoPos, Rect as GizmoRect, Transform};
 use transform_gizmo::{EnumSet, GizmoConfig, GizmoInteraction, GizmoMode, GizmoOrientation, GizmoVisuals};
 
@@ -88,12 +88,38 @@ pub fn update(
     gesture: &mut Gesture,
 ) -> bool {
     let Some(place) = place(window, commands) else { return false };
-    let Some(scene) = window.state().scene().cloned() else { return false };
-    let (frame, camera) = (scene.frame(), *window.state().camera());
-    let size = window.state().size();
+    let Some(scene) = window.state().scene() else { return false };
+    let frame = scene.frame();
+    gesture.gizmo.update_config(config(canvas, window, scene, &place));
+    let moved = follow(canvas, gesture, transform(&place.matrix, |p| frame.to_local_exact(p)));
+    canvas.painter().add(mesh(&gesture.gizmo));
+    if let Some(to) = moved {
+        if !gesture.dragging {
+            gesture.several = several(&place, window);
+        }
+        let matrix = affine(&to, |p| frame.to_model_exact(p));
+        let change = matrix.and_then(|matrix| match &gesture.several {
+            Some(several) => several.change_to(matrix),
+            None => place.change_to(matrix),
+        });
+        if let Some(change) = change {
+            gesture.dragging = true;
+            commands.change(place.step, change, true);
+        }
+    }
+    if gesture.dragging && !canvas.is_down() {
+        gesture.dragging = false;
+        commands.apply(Command::Rest);
+    }
+    gesture.gizmo.is_focused()
+}
+
+/// How the gizmo is seen, and what it can do with what it moves.
+fn config(canvas: &ModelArea<'_>, window: &Window, scene: &ViewerScene, place: &GizmoTarget) -> GizmoConfig {
+    let (camera, size) = (window.state().camera(), window.state().size());
     let near_far = camera.near_far(scene.bounds().map(|corner| corner.as_dvec3()));
     let rect = canvas.rect();
-    let config = GizmoConfig {
+    GizmoConfig {
         view_matrix: rows(camera.view()).into(),
         projection_matrix: rows(camera.projection(size, near_far)).into(),
         viewport: GizmoRect::from_min_max(
@@ -108,10 +134,11 @@ pub fn update(
         visuals: visuals(),
         pixels_per_point: 1.0,
         ..GizmoConfig::default()
-    };
-    let transform = transform(&place.matrix, |p| frame.to_local_exact(p));
-    let gizmo = &mut gesture.gizmo;
-    gizmo.update_config(config);
+    }
+}
+
+/// The gizmo follows the pointer: where it takes what is at `transform`, if it is dragged.
+fn follow(canvas: &ModelArea<'_>, gesture: &mut Gesture, transform: Transform) -> Option<Transform> {
     // Where it was pressed: in a slow picture the pointer may be far from there already.
     let pressed = canvas.is_pressed().then(|| canvas.ctx().input(|i| i.pointer.press_origin())).flatten();
     let at = pressed.or(canvas.pointer_pos()).unwrap_or(Pos2::ZERO);
@@ -123,32 +150,13 @@ pub fn update(
     };
     // What it was dragged to when it was let go counts, too.
     let released = gesture.dragging && !canvas.is_down();
+    let gizmo = &mut gesture.gizmo;
     let moved = gizmo
         .update(GizmoInteraction { dragging: canvas.is_down() || released, ..interaction }, &[transform]);
     if released {
         gizmo.update(interaction, &[transform]);
     }
-    let (focused, mesh) = (gizmo.is_focused(), mesh(gizmo));
-    canvas.painter().add(mesh);
-    if let Some((_, to)) = moved {
-        let matrix = to.first().and_then(|to| affine(to, |p| frame.to_model_exact(p)));
-        if !gesture.dragging {
-            gesture.several = several(&place, window);
-        }
-        let change = matrix.and_then(|matrix| match &gesture.several {
-            Some(several) => several.change_to(matrix),
-            None => place.change_to(matrix),
-        });
-        if let Some(change) = change {
-            gesture.dragging = true;
-            commands.change(place.step, change, true);
-        }
-    }
-    if gesture.dragging && !canvas.is_down() {
-        gesture.dragging = false;
-        commands.apply(Command::Rest);
-    }
-    focused
+    moved?.1.first().copied()
 }
 
 /// What was moved goes back to where it is at rest.

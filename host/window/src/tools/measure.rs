@@ -98,35 +98,44 @@ pub fn update(
         let pressed = ctx.input(|i| i.pointer.press_origin()).or(canvas.pointer_pos());
         gesture.measured_point = pressed.and_then(under);
     }
-    let hit = || window.state().at_rest(&window.state().pick(canvas.pointer()?)?);
     if let Some(held) = gesture.measured_point {
-        if canvas.is_down() {
-            if ctx.input(|i| i.pointer.is_decidedly_dragging())
-                && let Some(at) = hit()
-            {
-                let mut points = points(window);
-                if let Some(point) = points.get_mut(held).filter(|point| **point != at) {
-                    *point = at;
-                    commands.apply(Command::Measure { points });
-                }
-            }
-        } else {
+        if !canvas.is_down() {
             gesture.measured_point = None;
+        } else if ctx.input(|i| i.pointer.is_decidedly_dragging()) {
+            drag(canvas, window, commands, held);
         }
         return true;
     }
-    if canvas.is_clicked()
-        && over.is_none()
-        && let Some(at) = hit()
-    {
-        let mut points = points(window);
-        if points.len() >= window.tools.measuring.points() {
-            points.clear();
-        }
-        points.push(at);
-        commands.apply(Command::Measure { points });
+    if canvas.is_clicked() && over.is_none() {
+        add(canvas, window, commands);
     }
     false
+}
+
+/// The point of the surface under the pointer, by where it is at rest.
+fn hit(canvas: &ModelArea<'_>, window: &Window) -> Option<DVec3> {
+    window.state().at_rest(&window.state().pick(canvas.pointer()?)?)
+}
+
+/// Moves a point to where the pointer is.
+fn drag(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, held: usize) {
+    let Some(at) = hit(canvas, window) else { return };
+    let mut points = points(window);
+    if let Some(point) = points.get_mut(held).filter(|point| **point != at) {
+        *point = at;
+        commands.apply(Command::Measure { points });
+    }
+}
+
+/// Adds a point where the pointer is, or begins anew where there are enough.
+fn add(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands) {
+    let Some(at) = hit(canvas, window) else { return };
+    let mut points = points(window);
+    if points.len() >= window.tools.measuring.points() {
+        points.clear();
+    }
+    points.push(at);
+    commands.apply(Command::Measure { points });
 }
 
 /// Draws what is measured, whatever the tool.

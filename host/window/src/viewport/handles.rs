@@ -332,6 +332,21 @@ pub fn draw_axis(canvas: &ModelArea<'_>, window: &Window) {
     }
 }
 
+/// The plane whose knob is at a place of the screen.
+fn plane_under(canvas: &ModelArea<'_>, window: &Window, axis: &Axis, p: Pos2) -> Option<usize> {
+    let (camera, size) = (window.state().camera(), window.state().size());
+    let near = |place: f64| {
+        let at = canvas.in_points(camera.project(axis.point(place), size)?.0);
+        Some(at.distance(p)).filter(|distance| *distance < REACH)
+    };
+    match axis.places.map(near) {
+        [Some(a), Some(b)] => Some(usize::from(b < a)),
+        [Some(_), None] => Some(0),
+        [None, Some(_)] => Some(1),
+        [None, None] => None,
+    }
+}
+
 /// The knobs of the planes follow the hand. Whether the pointer is theirs.
 pub fn drag_planes(
     canvas: &ModelArea<'_>,
@@ -343,20 +358,7 @@ pub fn drag_planes(
         gesture.plane = None;
         return false;
     };
-    let (camera, size) = (*window.state().camera(), window.state().size());
-    let under = |p: Pos2| {
-        let near = |place: f64| {
-            let at = canvas.in_points(camera.project(axis.point(place), size)?.0);
-            Some(at.distance(p)).filter(|distance| *distance < REACH)
-        };
-        let [a, b] = axis.places.map(near);
-        match (a, b) {
-            (Some(a), Some(b)) => Some(usize::from(b < a)),
-            (Some(_), None) => Some(0),
-            (None, Some(_)) => Some(1),
-            (None, None) => None,
-        }
-    };
+    let under = |p: Pos2| plane_under(canvas, window, &axis, p);
     if canvas.is_pressed()
         && let Some(at) = canvas.ctx().input(|i| i.pointer.press_origin()).or(canvas.pointer_pos())
     {

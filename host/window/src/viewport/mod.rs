@@ -53,8 +53,7 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
             }
         };
         if let Some(emerging) = viewport.emerging(&canvas(main, false), window) {
-            let canvas = canvas(main, false);
-            window.draw(|window, commands| navigate::update(&canvas, window, commands, window.tools.tool));
+            navigate(&canvas(main, false), window, window.tools.tool);
             whole.set(picture, emerging);
             window.draw(|window, commands| panels::progress::show(ui, rect, window, commands));
             return;
@@ -66,28 +65,11 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         }
         // The pinned version is looked at only.
         let looks = places.under(ui) == Some(ComparedVersion::Pinned) && !window.tools.gesture.is_dragging();
-        let mut taken = false;
-        if places.now.is_some() {
-            let canvas = canvas(main, looks);
-            if window.looks.handles {
-                handles::draw(&canvas, window);
-                handles::draw_axis(&canvas, window);
-                taken = window.draw_with(
-                    |window| &mut window.tools.gesture,
-                    |window, commands, gesture| handles::drag_planes(&canvas, window, commands, gesture),
-                );
-            }
-            taken = taken || tools::update(&canvas, window);
-            if !taken && !looks && canvas.is_clicked() && window.tools.tool.grabs() {
-                window.draw(|window, commands| handles::take(&canvas, window, commands));
-            }
-        }
+        let taken = places.now.is_some() && work(&canvas(main, looks), looks, window);
         if looks {
-            let canvas = canvas(places.pinned.unwrap_or(main), false);
-            window.draw(|window, commands| navigate::update(&canvas, window, commands, Tool::Orbit));
+            navigate(&canvas(places.pinned.unwrap_or(main), false), window, Tool::Orbit);
         } else if !taken {
-            let canvas = canvas(main, false);
-            window.draw(|window, commands| navigate::update(&canvas, window, commands, window.tools.tool));
+            navigate(&canvas(main, false), window, window.tools.tool);
         }
         if places.now.is_some() {
             tools::measure::draw(&canvas(main, false), window);
@@ -98,4 +80,27 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         window.draw(|window, commands| corner::show(ui, main, window, commands));
         window.draw(|window, commands| panels::over::show(ui, rect, window, commands));
     });
+}
+
+fn navigate(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
+    window.draw(|window, commands| navigate::update(canvas, window, commands, tool));
+}
+
+/// Handles and tools follow the pointer, unless it only `looks`, and draw themselves. Whether the pointer is
+/// theirs, and not the camera's.
+fn work(canvas: &ModelArea<'_>, looks: bool, window: &mut Window) -> bool {
+    let mut taken = false;
+    if window.looks.handles {
+        handles::draw(canvas, window);
+        handles::draw_axis(canvas, window);
+        taken = window.draw_with(
+            |window| &mut window.tools.gesture,
+            |window, commands, gesture| handles::drag_planes(canvas, window, commands, gesture),
+        );
+    }
+    taken = taken || tools::update(canvas, window);
+    if !taken && !looks && canvas.is_clicked() && window.tools.tool.grabs() {
+        window.draw(|window, commands| handles::take(canvas, window, commands));
+    }
+    taken
 }

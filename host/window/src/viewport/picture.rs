@@ -195,19 +195,8 @@ impl PictureDrawing {
         if let Err(error) = self.upload(&scene, window) {
             return failed(error, rect, window, commands);
         }
-        let size = window.state().size();
-        let camera = window.state().camera();
-        let bounds = self.bounds(&scene);
-        let view = view(camera, size, bounds);
-        let style = SceneStyle {
-            mode: window.mode(),
-            own_colors: self.colors_are_own(),
-            background: window.settings.theme.background(),
-            light: window.settings.light.light(),
-            occlusion: window.settings.occlusion,
-            clip: seen_clip(window.state()),
-            ..SceneStyle::default()
-        };
+        let view = view(window.state().camera(), window.state().size(), self.bounds(&scene));
+        let style = self.style(window);
         let started = Instant::now();
         let before = self.scene.drawn();
         let goal = GOALS[usize::from(self.scene.gpu().is_software())] / share;
@@ -235,19 +224,28 @@ impl PictureDrawing {
         let budget = (!whole).then_some(&mut self.budget.1);
         let picture = self.scene.render(&view, &style, budget).clone();
         let drawn = self.scene.drawn();
-        if self.version == ComparedVersion::Now {
-            commands.then(move |window| window.drawn = drawn);
-        }
         // Without a budget the card goes on drawing meanwhile.
-        if !whole && (drawn != before || !drawn.complete) {
-            let took = started.elapsed();
-            commands.then(move |window| window.frame_time = took);
-        }
+        let took = (!whole && (drawn != before || !drawn.complete)).then(|| started.elapsed());
+        let is_now = self.version == ComparedVersion::Now;
+        commands.then(move |window| window.tell_drawn(Some(drawn).filter(|_| is_now), took));
         if !drawn.complete {
             window.ctx().request_repaint();
         }
         self.texture.set(&picture, view.size);
         self.texture.show(rect)
+    }
+
+    /// How the scene is drawn, as the window looks.
+    fn style(&self, window: &Window) -> SceneStyle {
+        SceneStyle {
+            mode: window.mode(),
+            own_colors: self.colors.of_samples().is_some(),
+            background: window.settings.theme.background(),
+            light: window.settings.light.light(),
+            occlusion: window.settings.occlusion,
+            clip: seen_clip(window.state()),
+            ..SceneStyle::default()
+        }
     }
 
     /// The box of all that is shown.
@@ -260,10 +258,6 @@ impl PictureDrawing {
             return [min.min(low).as_dvec3(), max.max(high).as_dvec3()];
         }
         [min.as_dvec3(), max.as_dvec3()]
-    }
-
-    fn colors_are_own(&self) -> bool {
-        self.colors.of_samples().is_some()
     }
 
     /// Brings what the card has up to date.

@@ -321,6 +321,12 @@ impl Window {
         }
     }
 
+    /// How much a picture shows, and how long it took, where these are known.
+    pub fn tell_drawn(&mut self, drawn: Option<SurfaceShare>, took: Option<Duration>) {
+        self.drawn = drawn.unwrap_or(self.drawn);
+        self.frame_time = took.unwrap_or(self.frame_time);
+    }
+
     /// No turntable is wanted any more.
     pub fn stop_turning(&mut self) {
         if let Some(turning) = self.turning.take() {
