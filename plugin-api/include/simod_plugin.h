@@ -313,7 +313,7 @@ typedef struct SimodDescriptor {
     const char *author;
     // Where there is more on it. May be NULL.
     const char *url;
-    // Its parameters, in the order to show them. Their values come in this order.
+    // The plugin's parameters, in the order to show them. Their values come in this order.
     const struct SimodParamDesc *params;
     // How many parameters there are.
     size_t param_count;
@@ -359,11 +359,11 @@ typedef struct SimodParam {
     const char *id;
     // What it holds: SIMOD_PARAM_...
     uint32_t kind;
-    // Its numbers; NULL where it is a text.
+    // The parameter's numbers; NULL where it is a text.
     const double *numbers;
     // How many numbers there are.
     size_t count;
-    // Its text; "" where it is numbers.
+    // The parameter's text; "" where it is numbers.
     const char *text;
 } SimodParam;
 
@@ -429,9 +429,9 @@ typedef struct SimodAffine {
 
 // What one deformation depends on, besides the state.
 typedef struct SimodDeformInput {
-    // The same samples at rest as at the preparation.
+    // The samples at rest: those of the preparation.
     struct SimodSamples samples;
-    // The same box as at the preparation.
+    // The bounding box of the model: that of the preparation.
     struct SimodBounds bounds;
     // One map for each region of role SIMOD_ROLE_HANDLE, in their order; all finite.
     const struct SimodAffine *transforms;
@@ -771,13 +771,13 @@ typedef struct SimodHandleMotions {
 
 // A brush stroke.
 typedef struct SimodStroke {
-    // The same for strokes that are the same in every respect, and nearly surely another for others.
+    // A hash: the same for strokes that are the same in every respect, and nearly surely another for others.
     uint64_t key;
     // Of the brush, local coordinates; above 0.
     double radius;
     // 1 is full strength; negative ones do the opposite, as far as the brush has one.
     double strength;
-    // Its path on or near the surface, local coordinates: a polyline of at least one point.
+    // The stroke's path on or near the surface, local coordinates: a polyline of at least one point.
     const double (*points)[3];
     // How many points there are: depends on the user's machine, and must not matter.
     size_t point_count;

@@ -199,7 +199,7 @@ pub struct SimodDescriptor {
     pub author: *const c_char,
     /// Where there is more on it. May be NULL.
     pub url: *const c_char,
-    /// Its parameters, in the order to show them. Their values come in this order.
+    /// The plugin's parameters, in the order to show them. Their values come in this order.
     pub params: *const SimodParamDesc,
     /// How many parameters there are.
     pub param_count: usize,
@@ -217,11 +217,11 @@ pub struct SimodParam {
     pub id: *const c_char,
     /// What it holds: SIMOD_PARAM_...
     pub kind: u32,
-    /// Its numbers; NULL where it is a text.
+    /// The parameter's numbers; NULL where it is a text.
     pub numbers: *const f64,
     /// How many numbers there are.
     pub count: usize,
-    /// Its text; "" where it is numbers.
+    /// The parameter's text; "" where it is numbers.
     pub text: *const c_char,
 }
 
@@ -305,9 +305,9 @@ pub struct SimodPrepareInput {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodDeformInput {
-    /// The same samples at rest as at the preparation.
+    /// The samples at rest: those of the preparation.
     pub samples: SimodSamples,
-    /// The same box as at the preparation.
+    /// The bounding box of the model: that of the preparation.
     pub bounds: SimodBounds,
     /// One map for each region of role SIMOD_ROLE_HANDLE, in their order; all finite.
     pub transforms: *const SimodAffine,
@@ -481,13 +481,13 @@ pub struct SimodHandleMotions {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodStroke {
-    /// The same for strokes that are the same in every respect, and nearly surely another for others.
+    /// A hash: the same for strokes that are the same in every respect, and nearly surely another for others.
     pub key: u64,
     /// Of the brush, local coordinates; above 0.
     pub radius: f64,
     /// 1 is full strength; negative ones do the opposite, as far as the brush has one.
     pub strength: f64,
-    /// Its path on or near the surface, local coordinates: a polyline of at least one point.
+    /// The stroke's path on or near the surface, local coordinates: a polyline of at least one point.
     pub points: *const [f64; 3],
     /// How many points there are: depends on the user's machine, and must not matter.
     pub point_count: usize,

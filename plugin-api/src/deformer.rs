@@ -45,7 +45,7 @@ pub trait Deformer: Sized + 'static {
 pub trait Evaluate: Deformer {
     /// Replaces each point by its image, local coordinates, in double precision.
     ///
-    /// The same map as `deform`, up to its rounding. Called by several threads at once, on blocks of any
+    /// The map is that of `deform`, up to its rounding. Called by several threads at once, on blocks of any
     /// length; points may lie anywhere, and are finite.
     fn evaluate(
         state: &Self::State,

@@ -84,7 +84,7 @@ impl Consumes {
     /// What a plugin's inputs come to; the first one that this version does not have, if the plugin needs it.
     ///
     /// # Errors
-    /// Its id.
+    /// The id of that input.
     pub fn from_inputs(inputs: &[InputDesc]) -> Result<Self, &str> {
         let mut this = Self::default();
         for InputDesc { id, at_least } in inputs {
@@ -127,7 +127,7 @@ pub struct Descriptor {
     pub author: RString,
     /// Where there is more on it; may be empty.
     pub url: RString,
-    /// Its parameters, in the order to show them.
+    /// The plugin's parameters, in the order to show them.
     pub params: RVec<ParamDesc>,
     /// Which inputs it uses.
     pub inputs: RVec<InputDesc>,

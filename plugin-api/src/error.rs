@@ -65,7 +65,7 @@ impl PluginError {
         Self::new(ErrorCode::INTERNAL, message)
     }
 
-    /// The same failure with a line that says what to do.
+    /// This failure with a line that says what to do.
     #[must_use]
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.hint = RString::from(hint.into());

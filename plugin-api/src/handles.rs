@@ -8,11 +8,11 @@ use abi_stable::{StableAbi, std_types::RString};
 pub struct Gizmo(pub u32);
 
 impl Gizmo {
-    /// It can be shifted.
+    /// The handle can be shifted.
     pub const TRANSLATE: Self = Self(1);
-    /// It can be turned about its position.
+    /// The handle can be turned about its position.
     pub const ROTATE: Self = Self(2);
-    /// It can be scaled about its position.
+    /// The handle can be scaled about its position.
     pub const SCALE: Self = Self(4);
 
     /// Whether all of `other` is among these.

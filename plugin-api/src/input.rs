@@ -213,9 +213,9 @@ impl<'a> PrepareInput<'a> {
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct DeformInput<'a> {
-    /// The same samples at rest as at the preparation.
+    /// The samples at rest: those of the preparation.
     pub samples: Samples<'a>,
-    /// The same box as at the preparation.
+    /// The bounding box of the model: that of the preparation.
     pub bounds: Bounds,
     transforms: RSlice<'a, Affine>,
     params: RSlice<'a, Param<'a>>,

@@ -52,9 +52,9 @@ pub struct Setting {
     /// [`DIRECTION`](ParamKind::DIRECTION) for three numbers, [`COLOUR`](ParamKind::COLOUR) for four,
     /// [`CURVE`](ParamKind::CURVE) for pairs of them.
     pub kind: ParamKind,
-    /// Its numbers; none where it is a text.
+    /// The parameter's numbers; none where it is a text.
     pub numbers: RVec<f64>,
-    /// Its text; empty where it is numbers.
+    /// The parameter's text; empty where it is numbers.
     pub text: RString,
 }
 

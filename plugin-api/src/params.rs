@@ -255,12 +255,12 @@ impl<'a> Param<'a> {
         self.kind
     }
 
-    /// Its numbers; none where it is a text.
+    /// The parameter's numbers; none where it is a text.
     pub fn as_numbers(&self) -> &'a [f64] {
         self.numbers.as_slice()
     }
 
-    /// Its text; empty where it is numbers.
+    /// The parameter's text; empty where it is numbers.
     pub fn as_text(&self) -> &'a str {
         self.text.as_str()
     }

@@ -390,8 +390,8 @@ impl<'a> HandleMotions<'a> {
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
 pub struct Stroke<'a> {
-    /// The same for strokes that are the same in every respect, and nearly surely another for others: a
-    /// plugin can tell by it how many of the first strokes it has applied already.
+    /// A hash: the same for strokes that are the same in every respect, and nearly surely another for others:
+    /// a plugin can tell by it how many of the first strokes it has applied already.
     pub key: u64,
     /// Of the brush, local coordinates; above 0.
     pub radius: f64,
@@ -417,8 +417,8 @@ impl<'a> Stroke<'a> {
         Self { key, radius, strength, points, pressures, params }
     }
 
-    /// Its path on or near the surface, local coordinates: a polyline of at least one point. How many points
-    /// there are on the way depends on how fast the user's machine draws, and must not matter.
+    /// The stroke's path on or near the surface, local coordinates: a polyline of at least one point. How
+    /// many points there are on the way depends on how fast the user's machine draws, and must not matter.
     pub fn points(&self) -> &'a [[f64; 3]] {
         self.points.as_slice()
     }

@@ -123,7 +123,7 @@ impl Surface<'_> {
         self.closest_within(point, f64::INFINITY)
     }
 
-    /// The same, if it is not farther away than `radius`.
+    /// The point of the surface that is nearest to a point, if it is not farther away than `radius`.
     pub fn closest_within(&self, point: [f64; 3], radius: f64) -> Option<SurfacePoint> {
         let mut found = SurfacePoint::default();
         (self.table.closest)(self.host, self.pose, &point, radius, &mut found).then_some(found)

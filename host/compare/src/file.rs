@@ -78,7 +78,7 @@ pub struct CropPlace {
     pub file: String,
     /// The model's point in the middle.
     pub target: DVec3,
-    /// Its width over that of the whole.
+    /// The part's width over that of the whole.
     pub part: f64,
 }
 
@@ -102,7 +102,7 @@ pub struct ComparedMethod {
 pub enum MethodWork {
     /// One plugin, on the shared regions.
     Plugin {
-        /// Its id.
+        /// The plugin's id.
         deform: String,
         /// The version of what its parameters mean; where nothing is said, the first.
         state_version: Option<u32>,

@@ -78,7 +78,7 @@ pub(crate) struct Deformed {
 /// A method that was begun.
 pub(crate) enum BegunMethod<'a> {
     Finished(Box<Deformed>),
-    /// Its samples were deformed, and are still to be transferred.
+    /// The method whose samples were deformed, and are still to be transferred.
     Untransferred(Box<UntransferredMethod<'a>>),
 }
 

@@ -34,7 +34,7 @@ pub struct Comparison {
     pub pairs: Vec<Pair>,
     /// The distance at the end of the colour scale of the pictures.
     pub color_scale: f64,
-    /// That, in the model's unit.
+    /// The end of the colour scale in the model's unit.
     pub lengths: Lengths,
     /// The text of `compare.toml`.
     pub compare_file: String,
@@ -67,7 +67,7 @@ pub struct Pair {
     pub first: String,
     /// The name of the other one.
     pub second: String,
-    /// The same vertices of both.
+    /// The differences between the vertices of both.
     pub vertices: WithLengths<Difference>,
     /// From the samples of the first to the triangles between those of the second, and back; nothing where
     /// there are no triangles. The Hausdorff distance is the larger of the two `max`.
@@ -169,7 +169,7 @@ pub struct Figures {
     /// The deformed samples beside those at rest; nothing where there are no triangles.
     #[serde(skip_deserializing)]
     pub on_samples: Option<OnSamples>,
-    /// The same of the model's own faces, where it is small enough to be held.
+    /// The deformed faces of the model beside those at rest, where it is small enough to be held.
     #[serde(skip_deserializing)]
     pub on_model: Option<OnSamples>,
     /// Samples around which the deformation folds the surface.
@@ -194,7 +194,7 @@ pub struct ResultFile {
 /// How long a method took: of several runs the median of each. What was not done has no time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
-    /// Its sampling, which is done once for all methods that have the same.
+    /// The method's sampling, which is done once for all methods that have the same.
     pub sample: Option<f64>,
     /// Preparing and deforming, with the normals of the deformed samples; of a program all that it did.
     pub deform: Option<f64>,

@@ -23,7 +23,7 @@ const VERSION: u32 = 2;
 /// An attribute of the samples.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OfSamples {
-    /// Its name and type in the model's file.
+    /// The attribute's name and type in the model's file.
     pub attribute: Attribute,
     /// One for each sample, all finite.
     pub values: Vec<f32>,

@@ -12,7 +12,7 @@ pub const MOST_LANES: usize = 8;
 pub struct DoubleLanes<S: Simd>(pub S, pub S::f64s);
 
 impl<S: Simd> DoubleLanes<S> {
-    /// The same number in all lanes.
+    /// One number in all lanes.
     #[inline(always)]
     pub fn splat(simd: S, x: f64) -> Self {
         Self(simd, simd.splat_f64s(x))
@@ -44,13 +44,13 @@ impl<S: Simd> DoubleLanes<S> {
         Self(self.0, self.0.negate_mul_add_f64s(self.1, by.1, from.1))
     }
 
-    /// Its size.
+    /// The absolute value of each lane.
     #[inline(always)]
     pub fn abs(self) -> Self {
         Self(self.0, self.0.abs_f64s(self.1))
     }
 
-    /// Its square root.
+    /// The square root of each lane.
     #[inline(always)]
     pub fn sqrt(self) -> Self {
         Self(self.0, self.0.sqrt_f64s(self.1))

@@ -1,8 +1,8 @@
 //! The hash of the bytes of all vertices, which tells whether a model is the one that was sampled.
 //!
-//! It is the hash of those of blocks of 256 KiB, so that readers of a part each find the blocks of theirs.
-//! Former versions hashed all bytes as they came: where such a hash is known, it is compared with one of its
-//! kind.
+//! The hash is that of the hashes of blocks of 256 KiB, so that readers of a part each find the blocks of
+//! theirs. Former versions hashed all bytes as they came: where such a hash is known, it is compared with one
+//! of its kind.
 
 use std::ops::Range;
 

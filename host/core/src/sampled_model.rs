@@ -98,9 +98,9 @@ pub struct SourceRecord {
     /// What the user said that its columns are, if it is a text in columns.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub columns: Option<String>,
-    /// Its size.
+    /// The model's size in bytes.
     pub bytes: u64,
-    /// Its number of vertices.
+    /// The model's number of vertices.
     pub vertices: u64,
     /// The numbers that each of them has besides; not known of folders that former versions wrote.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -131,9 +131,9 @@ pub struct SourceTile {
     /// The file; in `simod.toml` relative to the folder.
     #[serde(with = "any_path")]
     pub path: PathBuf,
-    /// Its size.
+    /// The file's size in bytes.
     pub bytes: u64,
-    /// Its number of vertices.
+    /// The file's number of vertices.
     pub vertices: u64,
 }
 
@@ -188,7 +188,7 @@ impl SourceRecord {
         Self { path: relative(&self.path, folder), tiles: tiles.collect(), ..self.clone() }
     }
 
-    /// The same with paths that are as seen from a folder.
+    /// The source with paths that were relative to a folder, as this process sees them.
     fn seen_from(mut self, folder: &Path) -> Self {
         // Without the detours that a relative path makes, where it still exists.
         let seen = |path: &Path| {
@@ -576,7 +576,7 @@ impl SampledModel {
         &self.cache
     }
 
-    /// The same from now on: what was made of the model when it was sampled.
+    /// Has this cache from now on: what was made of the model when it was sampled.
     pub fn set_cache(&mut self, cache: Arc<Cache>) {
         self.cache = cache;
     }
@@ -735,8 +735,8 @@ impl SampledModel {
         })
     }
 
-    /// The same, with what [`read_deformed`](Self::read_deformed) reads of several files. The first of them
-    /// is read beside the samples.
+    /// A sampled model, as [`load`](Self::load) reads it, with what [`read_deformed`](Self::read_deformed)
+    /// reads of several files. The first of them is read beside the samples.
     ///
     /// # Errors
     /// As of [`load`](Self::load) and [`read_deformed`](Self::read_deformed).
@@ -791,7 +791,7 @@ impl SampledModel {
         self.kept
     }
 
-    /// The same, checked against the model: what was read from a file may lie.
+    /// The cells that are in memory, checked against the model: what was read from a file may lie.
     ///
     /// # Errors
     /// The cells are not in memory, or of another model.

@@ -1,8 +1,9 @@
 //! Tables of TOML read into what serde derives reading for, with the values and complaints of the crate
 //! `toml`, which parses them; but no tables as tuples, and no keys as numbers, which nobody here asks for.
 //!
-//! That crate has a deserializer for tables, and others for what is told with its place, for keys, names and
-//! dates: what is derived is compiled for each of them. Here is one for all, so that it is compiled once.
+//! The crate `toml` has a deserializer for tables, and others for what is told with its place, for keys,
+//! names and dates: what is derived is compiled for each of them. Here is one for all, so that it is compiled
+//! once.
 
 use serde::de::{
     DeserializeOwned, DeserializeSeed, EnumAccess, Error as _, IgnoredAny, MapAccess, SeqAccess, Unexpected,
@@ -40,7 +41,7 @@ impl TableError {
         self.span.clone()
     }
 
-    /// The same, about that place unless it is about one within.
+    /// This error, about that place unless it is about one within.
     fn located(self, span: Option<&Range<usize>>) -> Self {
         Self { span: self.span.or_else(|| span.cloned()), ..self }
     }
@@ -616,7 +617,7 @@ mod tests {
         assert!(read_well > 100 && refused > 500, "{read_well}, {refused}");
     }
 
-    /// The same with places, which only one reading knows.
+    /// Tables whose texts and numbers come with their places, which only one reading knows.
     #[derive(Debug, Deserialize)]
     #[serde(deny_unknown_fields)]
     struct Places<Text: Ord, Numbers> {

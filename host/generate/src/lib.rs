@@ -51,7 +51,7 @@ pub enum Shape {
     BumpySphere,
     /// A square of side 2 about the origin, facing +y, with waves on it; its border is open.
     Plane,
-    /// The same square with 10 by 10 bumps on it, 0.06 high.
+    /// A square as of `Plane`, with 10 by 10 bumps on it, 0.06 high.
     BumpyPlane,
     /// A round bar, two units high along +y from the origin, with flat ends: radius 0.15, closed.
     Cylinder,

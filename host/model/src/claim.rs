@@ -180,7 +180,7 @@ impl Claim {
         Ok(())
     }
 
-    /// The same of another open file, on whichever disk it is.
+    /// Puts another open file in the target's place, on whichever disk it is.
     ///
     /// # Errors
     /// As of [`put_in_place`](Self::put_in_place).

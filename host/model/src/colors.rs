@@ -62,7 +62,8 @@ impl Colors {
         })
     }
 
-    /// The same, or what vertices with such attributes are seen in, if they are Gaussian splats.
+    /// Where vertices with such attributes have their colours, or what they are seen in, if they are Gaussian
+    /// splats.
     pub fn seen<'a>(attributes: impl IntoIterator<Item = &'a Attribute> + Clone) -> Option<Self> {
         let coefficient = |name: &str| {
             let mut all = attributes.clone().into_iter().enumerate();

@@ -31,8 +31,8 @@ pub enum ErrorKind {
 
 /// A failure: one line that says what and where, one that says what to do.
 ///
-/// It is one pointer, as results that may be one are moved, and let go, wherever they are passed on. What
-/// makes one is cold, so that the compiler spends little on the code around it.
+/// An error is one pointer, as results that may be one are moved, and let go, wherever they are passed on.
+/// What makes one is cold, so that the compiler spends little on the code around it.
 #[derive(Debug, Clone)]
 pub struct Error(Box<Failure>);
 
@@ -123,21 +123,21 @@ impl Error {
         Self::mismatch(format!("{} changed while it was read", path.display()), hint)
     }
 
-    /// The same error with the one that it came of.
+    /// This error with the one that it came of.
     #[cold]
     pub fn because(mut self, source: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
         self.0.source = Some(source.into().into());
         self
     }
 
-    /// The same error with another text of what failed.
+    /// This error with another text of what failed.
     #[cold]
     pub fn saying(mut self, what: impl Into<String>) -> Self {
         self.0.what = what.into();
         self
     }
 
-    /// The same failure, with something else to do about it.
+    /// This error with something else to do about it.
     #[cold]
     pub fn hinting(mut self, hint: impl Into<String>) -> Self {
         self.0.hint = hint.into();

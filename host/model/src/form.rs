@@ -26,7 +26,7 @@ pub(crate) struct ConversionInput<'a> {
     pub(crate) model: &'a dyn Model,
     /// Whether vertices have normals that are kept.
     pub(crate) has_normals: bool,
-    /// Its faces as polygons.
+    /// The model's faces as polygons.
     pub(crate) faces: FaceCounts,
     pub(crate) how: Conversion,
     /// Where temporary files go.

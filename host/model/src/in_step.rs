@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::{Model, SMALL_CHUNK, VertexChunk, VertexReader};
 use crate::{Error, Progress, Result};
 
-/// The same consecutive vertices in one of the models.
+/// Consecutive vertices of one of the models; those of the others are the same ones.
 #[derive(Debug, Clone, Copy)]
 pub struct Vertices<'a> {
     /// Positions in the model's coordinates; some may not be finite.

@@ -24,7 +24,7 @@ struct Maps {
 /// A temporary file as memory to be read.
 pub type Map = Mapped<Mmap>;
 
-/// The same, to be read and written.
+/// A temporary file as memory to be read and written.
 pub type MapMut = Mapped<MmapMut>;
 
 /// A file as memory.

@@ -15,7 +15,7 @@ const INTERVAL: Duration = Duration::from_millis(5);
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const LARGE: i32 = 256 << 10;
 
-/// The same while [blocks are used again](Reusing): the most that glibc allows.
+/// The size of such a block while [blocks are used again](Reusing): the most that glibc allows.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const LARGEST: i32 = 32 << 20;
 
@@ -117,8 +117,8 @@ pub fn zeros<T: Zeroable>(count: usize) -> Vec<T> {
     list
 }
 
-/// The same numbers, for several threads to change as long as the list is borrowed: those of a mapped file,
-/// say.
+/// The numbers of a list, for several threads to change as long as the list is borrowed: those of a mapped
+/// file, say.
 pub fn atomics(list: &mut [u32]) -> &[AtomicU32] {
     #[expect(unsafe_code, reason = "the standard library has no stable way from a slice to atomics")]
     // SAFETY: both types have the same size, alignment and values. The list is borrowed as the only one who
@@ -179,7 +179,7 @@ impl Drop for MemoryWatch {
     }
 }
 
-/// The same of another process and those that it started, now.
+/// Anonymous memory in bytes of another process and of those that it started, now.
 #[cfg(target_os = "linux")]
 pub fn anonymous_of(process: u32) -> Option<u64> {
     let own = anonymous_by(&format!("/proc/{process}/status"))?;

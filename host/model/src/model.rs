@@ -489,7 +489,7 @@ pub trait VertexReader: Send {
     /// takes time to read besides is left out.
     fn skip_attributes(&mut self) {}
 
-    /// The same, but for colours.
+    /// From now on attributes are left out that are no colours.
     fn skip_all_but_colors(&mut self) {}
 
     /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the
@@ -539,7 +539,7 @@ pub fn for_vertices(model: &dyn Model, visit: impl FnMut(&VertexChunk) -> Result
     read_ahead(move |chunk| reader.read(chunk), visit)
 }
 
-/// The same without the vertices' [attributes](Model::attributes).
+/// Streams all vertices of a model as [`for_vertices`] does, without their [attributes](Model::attributes).
 ///
 /// # Errors
 /// As of [`for_vertices`].
@@ -648,9 +648,9 @@ pub struct Tile {
     pub path: PathBuf,
     /// What it is called in a folder of all of them.
     pub name: PathBuf,
-    /// Its size.
+    /// The tile's size in bytes.
     pub bytes: u64,
-    /// Its number of vertices, which come after those of the tiles before it.
+    /// The tile's number of vertices, which come after those of the tiles before it.
     pub vertices: u64,
 }
 
@@ -750,7 +750,8 @@ pub trait Model: Send + Sync {
     /// In a text format, something is no number.
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()>;
 
-    /// The same of the attributes at some places among them, no place twice, a list each.
+    /// The numbers of the [attributes](ModelInfo::attributes) at some places among them, no place twice, a
+    /// list each.
     ///
     /// # Errors
     /// As of [`attributes`](Self::attributes).

@@ -99,8 +99,8 @@ pub fn open(path: &Path) -> Result<Box<dyn Model>> {
     open_with_columns(path, None)
 }
 
-/// The same; of text in columns, these are what `columns` says, as "x,y,z,_,nx,ny,nz": a name for each from
-/// the first one on, those of position and normal among them.
+/// Opens a model as [`open`] does; the columns of a text are what `columns` says, as "x,y,z,_,nx,ny,nz": a
+/// name for each from the first one on, those of position and normal among them.
 ///
 /// # Errors
 /// As of [`open`], or columns are given of another format.
@@ -108,8 +108,8 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
     open_with(path, columns, &Arc::default(), &Silent)
 }
 
-/// The same; what has to be made of the model to read it from anywhere goes to a cache, whose size `progress`
-/// is told first.
+/// Opens a model as [`open_with_columns`] does; what has to be made of it to read it from anywhere goes to a
+/// cache, whose size `progress` is told first.
 ///
 /// # Errors
 /// As of [`open_with_columns`], there is no room for what is made, or the user cancelled.

@@ -31,7 +31,7 @@ pub trait Store: Send + Sync {
     /// As of [`open`](Self::open); the store takes no parts.
     fn begin(&self, url: &str) -> Result<Box<dyn Upload>>;
 
-    /// The same that was begun before, perhaps by another machine, by its [id](Upload::id).
+    /// Goes on with an upload that was begun before, perhaps by another machine, by its [id](Upload::id).
     ///
     /// # Errors
     /// As of [`begin`](Self::begin); whether there is such an upload is told when a part is sent.
@@ -40,7 +40,7 @@ pub trait Store: Send + Sync {
 
 /// An object that is read, in the version that was there when it was opened.
 pub trait Object: Debug + Send + Sync {
-    /// Its length in bytes.
+    /// The object's length in bytes.
     fn bytes(&self) -> u64;
 
     /// What tells it from what may have its name later.
@@ -157,7 +157,7 @@ pub fn open(path: &Path) -> Result<Arc<dyn Object>> {
     })
 }
 
-/// The same, if it is there.
+/// Opens an object of a store to read it; `None` where there is none.
 ///
 /// # Errors
 /// As of [`open`].

@@ -45,7 +45,7 @@ impl ObjectOutput {
         Ok(Self::with_parts(path, object::begin(path)?, part_bytes(bytes)))
     }
 
-    /// The same by an upload that was begun for others as well, who send ranges of it. Dropped, it leaves
+    /// Goes on with an upload that was begun for others as well, who send ranges of it. Dropped, it leaves
     /// that as it is.
     ///
     /// # Errors

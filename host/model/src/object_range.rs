@@ -24,11 +24,11 @@ pub struct ObjectRange {
 /// What a range has become.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SentRange {
-    /// Its first bytes, of a part that begins before it.
+    /// The range's first bytes, of a part that begins before it.
     pub before: Vec<u8>,
     /// The tags of the parts that were sent, in a row.
     pub tags: Vec<String>,
-    /// Its last bytes, of a part that ends behind it.
+    /// The range's last bytes, of a part that ends behind it.
     pub behind: Vec<u8>,
 }
 

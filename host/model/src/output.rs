@@ -54,8 +54,8 @@ impl OutputFile {
         commit().map_err(|e| claim.failed(&e))
     }
 
-    /// The same without waiting for the disk: of what is made again where it is damaged, as a power failure
-    /// may leave it.
+    /// Puts the file in its place without waiting for the disk: of what is made again where it is damaged, as
+    /// a power failure may leave it.
     ///
     /// # Errors
     /// As of [`commit`](Self::commit), as far as the operating system tells by now.

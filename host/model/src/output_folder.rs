@@ -27,7 +27,7 @@ impl OutputFolder {
         Self::create_or_go_on(target, false)
     }
 
-    /// The same; with `resume`, what an earlier call [kept](Self::keep) of it is there.
+    /// Begins the folder `target`; with `resume`, what an earlier call [kept](Self::keep) of it is there.
     ///
     /// # Errors
     /// As of [`create`](Self::create).
@@ -83,12 +83,13 @@ impl OutputFolder {
         self.put_in_place()
     }
 
-    /// The same; what is dropped then removes nothing.
+    /// Puts the folder in its place, as [`commit`](Self::commit) does; dropped after that, it removes
+    /// nothing.
     pub(crate) fn put_in_place(&self) -> Result<()> {
         self.replace_by(self.path()).map_err(|e| self.claim.failed(&e))
     }
 
-    /// The same of another folder; `false` if that is on another disk.
+    /// Puts another folder in the place; `false` if that is on another disk.
     pub(crate) fn put_other_in_place(&self, other: &Path) -> Result<bool> {
         match self.replace_by(other) {
             Ok(()) => Ok(true),

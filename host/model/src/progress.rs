@@ -65,12 +65,12 @@ pub trait Progress: Sync {
     /// A new stage begins: a few words for the user, and its size in bytes (0 where it is not known).
     fn begin(&self, stage: &'static str, total_bytes: u64);
 
-    /// The same, of a stage that prepares a deformation: what does not depend on how things move.
+    /// A stage begins that prepares a deformation: what does not depend on how things move.
     fn begin_preparation(&self, stage: &'static str, total_bytes: u64) {
         self.begin(stage, total_bytes);
     }
 
-    /// The same, of a stage that is not of bytes, but of parts of whatever kind.
+    /// A stage begins that is not of bytes, but of parts of whatever kind.
     fn begin_parts(&self, stage: &'static str, total: u64) {
         self.begin(stage, total);
     }

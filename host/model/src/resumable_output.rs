@@ -35,7 +35,7 @@ pub enum OpenedOutput {
 pub struct OutputPaths {
     path: PathBuf,
     names: Vec<PathBuf>,
-    /// Its size, about.
+    /// The output's size in bytes, about.
     bytes: u64,
 }
 
@@ -200,7 +200,7 @@ pub enum FinishedOutput {
 }
 
 impl FinishedOutput {
-    /// Its size.
+    /// The output's size in bytes.
     pub fn bytes(&self) -> u64 {
         match self {
             Self::File(file) => file.bytes(),

@@ -14,7 +14,7 @@ use crate::{Error, Result};
 #[derive(Debug)]
 pub struct Scratch {
     file: Positioned,
-    /// The same file, to be mapped.
+    /// The file as it is mapped.
     handle: File,
     folder: PathBuf,
     /// What the user can do about it, beside making room.

@@ -57,7 +57,7 @@ pub fn canonical_target(path: &Path) -> Result<PathBuf> {
     Ok(folder.join(target.file_name().unwrap_or_default()))
 }
 
-/// The same of a folder, which need not exist.
+/// The path of a folder without links, which need not exist.
 ///
 /// # Errors
 /// Links lead nowhere, or the folder that it lies in is missing.

@@ -215,7 +215,7 @@ impl Disk {
 }
 
 /// A thread that writes one full buffer after the other, so that who fills them does not wait for the disk.
-/// It and its owner never use the file at the same time, whose place and flags they share.
+/// The thread and its owner never use the file at the same time, whose place and flags they share.
 #[derive(Debug)]
 struct WriteBehind {
     /// A buffer and where in the file it belongs; nothing once one could not be written.

@@ -59,8 +59,8 @@ impl PictureCamera {
         Self { position: target - forward * distance, right, up, forward, target, radius, tangents }
     }
 
-    /// The same view of a part of the picture, from as far away: that around a point, or the middle, `part`
-    /// as wide and high as the whole.
+    /// This view of a part of the picture, from as far away: that around a point, or the middle, `part` as
+    /// wide and high as the whole.
     pub(super) fn crop(self, around: Option<DVec3>, part: f64) -> Self {
         let way = around.map_or(DVec3::ZERO, |point| point - self.target);
         let aside = way - way.dot(self.forward) * self.forward;
@@ -77,7 +77,7 @@ impl PictureCamera {
         self.position.distance(self.target)
     }
 
-    /// The same view from so far away, where it was nearer by more than rounding.
+    /// This view from so far away, where it was nearer by more than rounding.
     pub(super) fn at_least(self, distance: f64) -> Self {
         if self.distance() >= distance * (1.0 - 1e-9) {
             return self;
@@ -147,7 +147,7 @@ impl Lens {
         [self.center[0] + self.scale[0] * v.x / v.z, self.center[1] - self.scale[1] * v.y / v.z]
     }
 
-    /// The same in double precision, for what may lie far outside of the picture.
+    /// The projection of a point in double precision, for what may lie far outside of the picture.
     pub fn project_exactly(&self, v: DVec3) -> [f64; 2] {
         let [center, scale] = [self.center, self.scale].map(|xy| xy.map(f64::from));
         [center[0] + scale[0] * v.x / v.z, center[1] - scale[1] * v.y / v.z]

@@ -89,8 +89,8 @@ impl Renderer {
         self.depth_of(points, &[]);
     }
 
-    /// The same of ellipses: each point has two half axes at right angles to each other and to its normal,
-    /// the longer one as long as its radius. Where there are no axes, points are discs.
+    /// Draws the depth of ellipses: each point has two half axes at right angles to each other and to its
+    /// normal, the longer one as long as its radius. Where there are no axes, points are discs.
     pub fn depth_of(&mut self, points: &[SurfaceDisc], axes: &[[Vec3; 2]]) {
         let Self { canvas, camera, ground, .. } = self;
         let shadow = || ground.iter_mut().for_each(|ground| ground.add(points));
@@ -103,7 +103,7 @@ impl Renderer {
         self.blend_of(points, &[]);
     }
 
-    /// The same of ellipses, as in [`depth_of`](Self::depth_of).
+    /// Blends ellipses, as in [`depth_of`](Self::depth_of).
     pub fn blend_of(&mut self, points: &[SurfaceDisc], axes: &[[Vec3; 2]]) {
         self.canvas.blend(&self.camera, points, axes);
     }

@@ -270,7 +270,8 @@ impl SplatBuffer {
         );
     }
 
-    /// The same for two pictures at once, in the points' colours and in others, of which there are as many.
+    /// Blends points into two pictures at once, in the points' colours and in others, of which there are as
+    /// many.
     pub fn blend_both(&mut self, camera: &PictureCamera, points: &[SurfaceDisc], others: &[[u8; 3]]) {
         let may_show = |pixel: &Pixel, splat: &ViewSplat| pixel.is_near(splat.least_depth(), splat.radius);
         self.draw(

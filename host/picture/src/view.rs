@@ -28,7 +28,7 @@ pub struct PictureView {
 pub struct Crop {
     /// The model's point in the middle; that of the bounds where it is not given.
     pub around: Option<DVec3>,
-    /// Its width over that of the whole: above 0.
+    /// The part's width over that of the whole: above 0.
     pub part: f64,
 }
 

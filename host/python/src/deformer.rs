@@ -22,7 +22,7 @@ struct FunctionDescription {
     id: String,
     name: String,
     summary: String,
-    /// It is a map of space, and may be asked for any points.
+    /// The deformer is a map of space, and may be asked for any points.
     everywhere: bool,
     /// The deformer wants normals.
     normals: bool,

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 /// The number of splats that a frame takes, by how long the last ones took.
 ///
-/// It is halved or doubled, and not at once: a surface whose discs change in every frame would flicker.
+/// The number is halved or doubled, and not at once: a surface whose discs change in every frame would
+/// flicker.
 #[derive(Debug, Clone)]
 pub struct Budget {
     goal: Duration,

@@ -41,7 +41,7 @@ pub enum BadSurface {
     Length {
         /// The list.
         what: &'static str,
-        /// Its length.
+        /// The list's length.
         found: usize,
         /// The number of samples.
         expected: usize,
@@ -51,7 +51,7 @@ pub enum BadSurface {
     Triangle {
         /// Which.
         triangle: usize,
-        /// Its corner.
+        /// The corner's sample.
         index: u32,
         /// The number of samples.
         samples: usize,

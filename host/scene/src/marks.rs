@@ -31,7 +31,7 @@ pub struct Line {
 /// A round dot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dot {
-    /// Its middle, in local coordinates.
+    /// The middle of the dot, in local coordinates.
     pub position: Vec3,
     /// Red, green, blue and opacity, in sRGB.
     pub color: [u8; 4],

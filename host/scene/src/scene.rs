@@ -110,7 +110,7 @@ impl Scene {
     /// triangle.
     ///
     /// # Errors
-    /// Its lists do not fit together.
+    /// The surface's lists do not fit together.
     pub fn set_surface(&mut self, surface: &SceneSurface<'_>) -> Result<(), BadSurface> {
         self.surface = Some(Cloud::new(&self.gpu, &self.samples, surface)?);
         (self.placed, self.first, self.of) = (self.samples(), None, None);
@@ -167,7 +167,7 @@ impl Scene {
     /// triangles are not used, and while there is any, neither are those of the surface.
     ///
     /// # Errors
-    /// Its lists do not fit together.
+    /// The detail's lists do not fit together.
     pub fn set_detail(&mut self, number: u64, detail: Option<&SceneSurface<'_>>) -> Result<(), BadSurface> {
         match detail {
             Some(detail) => {
@@ -203,7 +203,7 @@ impl Scene {
     /// Shows a ghost (the rest shape, say), or none. Its colours and triangles are not used.
     ///
     /// # Errors
-    /// Its lists do not fit together.
+    /// The ghost's lists do not fit together.
     pub fn set_ghost(&mut self, ghost: Option<&SceneSurface<'_>>) -> Result<(), BadSurface> {
         let bare = ghost.map(|ghost| SceneSurface { triangles: &[], ..*ghost });
         self.ghost = bare.map(|ghost| Cloud::new(&self.gpu, &self.samples, &ghost)).transpose()?;

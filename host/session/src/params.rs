@@ -464,7 +464,7 @@ pub struct ParamText {
     pub id: String,
     /// What it is shown together with; empty for nothing.
     pub group: String,
-    /// Its kind, default, range and hint.
+    /// The parameter's kind, default, range and hint.
     pub text: String,
 }
 

@@ -122,7 +122,7 @@ impl PickedPoints {
         self.0.inside.len() + self.0.outside.len() > MOST_IN_SESSION
     }
 
-    /// The same in a file beside a session, if it is too long for the session itself.
+    /// The samples that were picked in a file beside a session, if it is too long for the session itself.
     ///
     /// # Errors
     /// The file cannot be written.

@@ -268,7 +268,7 @@ impl Run {
         Self::execute_with(session, plugins, &running, output, progress)
     }
 
-    /// The same in other ways.
+    /// Runs a session in other ways than [`execute`](Self::execute).
     ///
     /// # Errors
     /// As of [`execute`](Self::execute); a step deforms samples alone, and all vertices are to be evaluated,

@@ -42,7 +42,7 @@ pub struct SessionFile {
     pub time: SessionTime,
     /// Where the deformed model goes.
     pub output: Option<PathBuf>,
-    /// The same as it stands in the file, if this was read from one.
+    /// The output's path as it stands in the file, if this was read from one.
     pub named_output: Option<PathBuf>,
 }
 

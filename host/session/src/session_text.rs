@@ -60,7 +60,7 @@ fn named_from(folder: &Path, path: &Path) -> PathBuf {
 pub struct SessionText<'a> {
     /// All that is written in it.
     pub text: &'a str,
-    /// Its path, which other paths in it are relative to the folder of.
+    /// The file's path, which other paths in it are relative to the folder of.
     pub path: &'a Path,
 }
 

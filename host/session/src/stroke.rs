@@ -12,7 +12,7 @@ pub struct Stroke {
     /// 1 is full strength, negative ones do the opposite.
     #[serde(default = "full_strength")]
     pub strength: f64,
-    /// Its path, model coordinates.
+    /// The stroke's path, model coordinates.
     #[serde(deserialize_with = "crate::vector::threes")]
     pub points: Vec<DVec3>,
     /// The pen's pressure at each point, 0 to 1; none where there was no pen.

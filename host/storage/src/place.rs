@@ -26,7 +26,7 @@ const WRITING: &str = "300 seconds";
 /// An object by its store, and the name in it.
 #[derive(Clone)]
 pub(crate) struct ObjectLocation {
-    /// Its URL, without what may be secret.
+    /// The object's URL, without what may be secret.
     pub name: String,
     pub store: Arc<dyn ObjectStore>,
     /// The store that takes objects in parts, if it does.

@@ -34,7 +34,7 @@ impl ObjectVersion {
         Self { place, bytes: 0, tag: "empty".to_owned(), only: GetOptions::default() }
     }
 
-    /// Its length.
+    /// The object's length in bytes.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }

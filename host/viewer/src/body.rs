@@ -32,9 +32,9 @@ const WITHIN: f64 = 0.8;
 /// A ball.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ball {
-    /// Its middle.
+    /// The middle of the ball, local coordinates.
     pub center: DVec3,
-    /// Its radius.
+    /// The radius of the ball.
     pub radius: f64,
 }
 

@@ -1,7 +1,7 @@
 //! A camera that goes round a point, in local coordinates, where models are of about unit size.
 //!
-//! Its way of looking is two angles about an upright axis, so it never rolls, and stops above and below.
-//! Pixels are counted from the top left of the picture; their middles are at halves.
+//! The camera's way of looking is two angles about an upright axis, so it never rolls, and stops above and
+//! below. Pixels are counted from the top left of the picture; their middles are at halves.
 
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4};
 use serde::{Deserialize, Serialize};

@@ -20,14 +20,14 @@ impl Clip {
         self.through.is_finite() && self.normal.try_normalize().is_some()
     }
 
-    /// The same in local coordinates: what is cut away is where `n · p > d`, for the unit normal n.
+    /// The plane in local coordinates: what is cut away is where `n · p > d`, for the unit normal n.
     pub fn local(&self, frame: &Frame) -> (DVec3, f64) {
         let normal = self.normal.normalize_or(DVec3::X);
         let through = frame.to_local_exact(self.through);
         (normal, normal.dot(through))
     }
 
-    /// The same plane, with the other side cut away.
+    /// The plane with the other side cut away.
     pub fn flipped(self) -> Self {
         Self { normal: -self.normal, ..self }
     }

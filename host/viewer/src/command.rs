@@ -60,7 +60,7 @@ pub enum Command {
     AddStep {
         /// The plugin's id.
         plugin: String,
-        /// Its place; the last one if it is not given.
+        /// The step's place; the last one if it is not given.
         #[serde(default)]
         at: Option<usize>,
     },

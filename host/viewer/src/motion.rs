@@ -78,12 +78,12 @@ impl PlacedHandle {
         self.map.transform_point3(self.rest)
     }
 
-    /// Its gizmo.
+    /// The handle's gizmo: where it is, and how it is turned.
     pub fn matrix(&self) -> DAffine3 {
         DAffine3 { matrix3: self.map.matrix3, translation: self.position() }
     }
 
-    /// Its own motion, if its gizmo is there now; see [`motion_of`].
+    /// The handle's own motion, if its gizmo is there now; see [`motion_of`].
     pub fn motion_to(&self, matrix: DAffine3) -> Option<Motion> {
         let motion = motion_of(self.parent.inverse() * matrix, self.rest)?;
         // About where it is at rest, which is what a session says unless it says otherwise.

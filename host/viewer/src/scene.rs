@@ -109,7 +109,7 @@ impl ViewerScene {
         &self.shading().axes
     }
 
-    /// The same, with the error to be expected, which takes as long as preparing to write.
+    /// This scene with the error to be expected, which takes as long as preparing to write.
     pub(crate) fn measured(self) -> Self {
         let still = *self.positions == *self.sampled.samples.positions;
         let expected = if still {

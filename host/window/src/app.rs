@@ -74,13 +74,13 @@ impl eframe::App for App {
     fn ui(&mut self, ui: &mut egui::Ui, _: &mut eframe::Frame) {
         let window = &mut self.window;
         actions::keys(window);
-        window.draw(|window, asks| panels::menu::show(ui, window, asks));
+        window.draw(|window, commands| panels::menu::show(ui, window, commands));
         panels::status::show(ui, window);
         if window.state().scene().is_some() {
-            window.draw(|window, asks| panels::tools::show(ui, window, asks));
-            window.draw(|window, asks| panels::side::show(ui, window, asks));
+            window.draw(|window, commands| panels::tools::show(ui, window, commands));
+            window.draw(|window, commands| panels::side::show(ui, window, commands));
             let legend = Legend::find(window);
-            window.draw(|window, asks| panels::legend::show(ui, window, asks, legend));
+            window.draw(|window, commands| panels::legend::show(ui, window, commands, legend));
         }
         viewport::show(ui, window, &mut self.viewport);
         panels::floating::show(ui.ctx(), window);

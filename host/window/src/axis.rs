@@ -1,7 +1,7 @@
 //! The axis along which a step works, with the planes between which it does; and the camera that sees them.
 
 use crate::widgets::values::{number_of, vector_of};
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use glam::{DVec2, DVec3};
 use simod_plugin_api::{ParamDesc, ParamKind, Unit};
 use simod_viewer::Command;
@@ -86,15 +86,15 @@ fn bounds(window: &Window) -> Option<[DVec3; 2]> {
 }
 
 /// Shows all of the samples, and of the axis along which the chosen step works.
-pub fn frame_all(window: &mut Window) {
+pub fn frame_all(window: &Window, commands: &mut Commands) {
     let Some(bounds) = bounds(window) else { return };
     let mut camera = *window.state().camera();
     camera.frame(bounds, window.state().size());
-    window.apply(Command::Camera(CameraMove::Set(camera)));
+    commands.apply(Command::Camera(CameraMove::Set(camera)));
 }
 
-/// The same where all samples are seen, but not the knobs of the step that was just added.
-pub fn frame_new(window: &mut Window) {
+/// Shows all where all samples are seen already, but not the knobs of the step that was just added.
+pub fn frame_new(window: &Window, commands: &mut Commands) {
     let (Some(axis), Some(scene)) = (Axis::find(window), window.state().scene()) else { return };
     let (camera, size) = (window.state().camera(), window.state().size());
     let is_seen = |p: DVec3, margin: f64| {
@@ -107,6 +107,6 @@ pub fn frame_new(window: &mut Window) {
     let corner =
         |i: usize| DVec3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { min[axis] } else { max[axis] }));
     if (0..8).all(|i| is_seen(corner(i), 0.0)) && !axis.knobs().iter().all(|knob| is_seen(*knob, MARGIN)) {
-        frame_all(window);
+        frame_all(window, commands);
     }
 }

@@ -1,16 +1,16 @@
 //! The plane that cuts the model open.
 
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use glam::DVec3;
 use simod_viewer::{Clip, Command};
 
 /// Opens the model by a plane through its middle that faces the eye, or closes it.
-pub fn switch(window: &mut Window) {
+pub fn switch(window: &Window, commands: &mut Commands) {
     let clip = match window.state().clipped() {
         Some(_) => None,
         None => across(window, window.state().camera().axes()[2]),
     };
-    window.apply(Command::Clip(clip));
+    commands.apply(Command::Clip(clip));
 }
 
 /// A plane through the model's middle.

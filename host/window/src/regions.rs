@@ -1,7 +1,7 @@
 //! What the window knows of regions: to make them of the selection.
 
 use crate::tools::{MovedPart, Tool};
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use simod_core::refinement::Finer;
 use simod_session::edit::Entry;
 use simod_session::step::Role;
@@ -45,40 +45,43 @@ pub fn missing(window: &Window, entry: &Entry) -> Option<&'static str> {
 }
 
 /// Makes a region of the selection. A handle is taken into the hand.
-pub fn make(window: &mut Window, role: Role) {
+pub fn make(window: &Window, commands: &mut Commands, role: Role) {
     let Some((step, _, deformation, _)) = window.chosen() else { return };
-    let falloff = 0.0;
-    if window.apply(Command::MakeRegion { step, role, falloff, replaces: None }) {
-        if role == Role::Handle {
-            take_into_hand(window, deformation.regions.len());
-        } else {
-            select_none(window);
-        }
-    }
+    let region = deformation.regions.len();
+    commands.apply_then(Command::MakeRegion { step, role, falloff: 0.0, replaces: None }, move |window| {
+        window.draw(|window, commands| match role {
+            Role::Handle => take_into_hand(window, commands, region),
+            _ => select_none(commands),
+        });
+    });
 }
 
 /// Makes a handle of the selection, and fixes all that is farther from it than the band that bends. The
 /// handle is taken into the hand.
-pub fn make_handle(window: &mut Window) {
+pub fn make_handle(window: &Window, commands: &mut Commands) {
     let Some((step, _, deformation, _)) = window.chosen() else { return };
     let Some(scene) = window.state().scene() else { return };
     let band = window.tools.band * scene.sampled.bounds.diagonal();
-    if window.apply(Command::MakeHandle { step, band }) {
-        take_into_hand(window, deformation.regions.len());
-    }
+    let region = deformation.regions.len();
+    commands.apply_then(Command::MakeHandle { step, band }, move |window| {
+        window.draw(|window, commands| take_into_hand(window, commands, region));
+    });
 }
 
 /// Takes a handle region that was made of the selection into the hand; nothing is selected any more.
-fn take_into_hand(window: &mut Window, region: usize) {
-    window.tools.target = Some(MovedPart::Region(region));
-    if !window.tools.tool.is_gizmo() {
-        window.tools.take(Tool::Move);
-    }
-    select_none(window);
+fn take_into_hand(window: &Window, commands: &mut Commands, region: usize) {
+    let takes_tool = !window.tools.tool.is_gizmo();
+    commands.then(move |window| {
+        window.tools.target = Some(MovedPart::Region(region));
+        if takes_tool {
+            window.tools.take(Tool::Move);
+        }
+    });
+    select_none(commands);
 }
 
-fn select_none(window: &mut Window) {
-    window.apply(Command::Select {
+fn select_none(commands: &mut Commands) {
+    commands.apply(Command::Select {
         area: simod_viewer::command::Area::None,
         combine: Default::default(),
         visible: false,
@@ -87,6 +90,6 @@ fn select_none(window: &mut Window) {
 }
 
 /// More samples where it is selected.
-pub fn refine(window: &mut Window) {
-    window.apply(Command::RefineSelection { finer: Finer::Factor(FINER) });
+pub fn refine(commands: &mut Commands) {
+    commands.apply(Command::RefineSelection { finer: Finer::Factor(FINER) });
 }

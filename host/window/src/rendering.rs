@@ -3,7 +3,7 @@
 use crate::screenshot::{ScreenshotFormat, Shot};
 use crate::turntable::{AskedPicture, AskedTurntable, FRAMES, Turning, TurntableWork, of_film};
 use crate::viewport::detail::sample_dots;
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use simod_model::Result;
 use simod_scene::SceneStyle;
 use std::path::{Path, PathBuf};
@@ -18,8 +18,8 @@ pub fn can_begin(window: &Window) -> bool {
     window.state().scene().is_some() && window.turning.is_none() && window.stopping.is_none()
 }
 
-/// Asks how many frames, and where they go.
-pub fn ask(window: &mut Window) {
+/// Commands how many frames, and where they go.
+pub fn ask(window: &Window, commands: &mut Commands) {
     let Some(editor) = window.state().editor() else { return };
     let beside = editor.path().or(editor.model()).map(|path| {
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -27,36 +27,43 @@ pub fn ask(window: &mut Window) {
     });
     let folder = beside.unwrap_or_else(|| PathBuf::from("turntable")).display().to_string();
     let format = ScreenshotFormat { size: shown_size(window), transparent: false };
-    window.turntable = Some(AskedTurntable { folder, frames: FRAMES, format });
+    commands.then(move |window| window.turntable = Some(AskedTurntable { folder, frames: FRAMES, format }));
 }
 
-/// Asks how large a picture is, and where it goes.
-pub fn ask_for_picture(window: &mut Window) {
+/// Commands how large a picture is, and where it goes.
+pub fn ask_for_picture(window: &Window, commands: &mut Commands) {
     let Some(editor) = window.state().editor() else { return };
     let beside = editor.path().or(editor.model()).map(|path| path.with_extension("png"));
     let file = beside.unwrap_or_else(|| PathBuf::from("picture.png")).display().to_string();
     let format = ScreenshotFormat { size: shown_size(window), transparent: false };
-    window.picture = Some(AskedPicture { file, format });
+    commands.then(move |window| window.picture = Some(AskedPicture { file, format }));
 }
 
 /// Begins one, as the window looks.
-pub fn begin(window: &mut Window, folder: &Path, frames: u32, format: ScreenshotFormat) {
-    begin_work(window, TurntableWork::Turntable(frames), folder, of_film(format));
+pub fn begin(window: &Window, commands: &mut Commands, folder: &Path, frames: u32, format: ScreenshotFormat) {
+    begin_work(window, commands, TurntableWork::Turntable(frames), folder, of_film(format));
 }
 
 /// Begins a picture, as the window looks.
-pub fn begin_picture(window: &mut Window, file: &Path, format: ScreenshotFormat) {
-    begin_work(window, TurntableWork::Picture, file, format);
+pub fn begin_picture(window: &Window, commands: &mut Commands, file: &Path, format: ScreenshotFormat) {
+    begin_work(window, commands, TurntableWork::Picture, file, format);
 }
 
-fn begin_work(window: &mut Window, work: TurntableWork, target: &Path, format: ScreenshotFormat) {
+fn begin_work(
+    window: &Window,
+    commands: &mut Commands,
+    work: TurntableWork,
+    target: &Path,
+    format: ScreenshotFormat,
+) {
     match shot_of(window) {
         Ok(shot) => {
             let ctx = window.ctx().clone();
             let shot = shot.formatted(format);
-            window.turning = Some(Turning::begin(shot, work, target, move || ctx.request_repaint()));
+            let turning = Turning::begin(shot, work, target, move || ctx.request_repaint());
+            commands.then(move |window| window.turning = Some(turning));
         }
-        Err(error) => window.toasts.error(&error),
+        Err(error) => commands.then(move |window| window.toasts.error(&error)),
     }
 }
 
@@ -65,11 +72,11 @@ fn begin_work(window: &mut Window, work: TurntableWork, target: &Path, format: S
 ///
 /// # Errors
 /// Nothing is open.
-fn shot_of(window: &mut Window) -> Result<Shot> {
+fn shot_of(window: &Window) -> Result<Shot> {
     let (looks, settings) = (window.looks, &window.settings);
     let (theme, occlusion, mode) = (settings.theme, settings.occlusion, window.mode());
     let light = settings.light.light();
-    let mut shot = Shot::take(window.state_mut())?;
+    let mut shot = Shot::take(window.state())?;
     let detail = window.state().detail().filter(|_| looks.samples);
     shot.dots = sample_dots(shot.positions(), detail);
     shot.format = ScreenshotFormat { size: shown_size(window), transparent: false };

@@ -74,7 +74,7 @@ impl Shot {
     ///
     /// # Errors
     /// Nothing is open.
-    pub fn take(state: &mut State) -> Result<Self> {
+    pub fn take(state: &State) -> Result<Self> {
         let none = || Error::argument("there is no model to be drawn", "name one");
         let shown = state.scene().cloned().ok_or_else(none)?;
         let (colors, tint) = (state.sample_colors(ComparedVersion::Now), state.tint());
@@ -115,7 +115,7 @@ impl Shot {
         &self.shown.positions
     }
 
-    /// The same in another size, or before another background.
+    /// This shot in another size, or before another background.
     pub fn formatted(self, format: ScreenshotFormat) -> Self {
         let size = format.size.map(|side| side.clamp(1, LARGEST));
         Self { format: ScreenshotFormat { size, ..format }, ..self }
@@ -177,7 +177,7 @@ impl Studio<'_> {
         self.drawn(turn, self.shot.style.background)
     }
 
-    /// The same as the content of a PNG file, in the shot's [format](ScreenshotFormat).
+    /// The picture as the content of a PNG file, in the shot's [format](ScreenshotFormat).
     ///
     /// # Errors
     /// The device was lost.

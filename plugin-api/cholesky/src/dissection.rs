@@ -56,7 +56,7 @@ struct Set {
     /// How many are between: all of them if it is not halved.
     between: usize,
     halves: Vec<usize>,
-    /// Its part, when there is one.
+    /// The set's supernode, by its place among them, once there is one.
     part: usize,
 }
 

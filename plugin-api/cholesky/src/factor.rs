@@ -61,7 +61,7 @@ impl Symmetric {
         self.columns[range.clone()].iter().map(|c| *c as usize).zip(self.values[range].iter().copied())
     }
 
-    /// The same with its unknowns in another order: columns from the diagonal on, in no order.
+    /// The matrix with its unknowns in another order: columns from the diagonal on, in no order.
     fn in_order(&self, order: &[u32]) -> Self {
         let mut place = vec![0; order.len()];
         order.iter().enumerate().for_each(|(k, i)| place[*i as usize] = k);

@@ -1,6 +1,6 @@
 //! What a solution does with the entries of a front, for three right-hand sides at once.
 //!
-//! The same sums in the same order, however wide the processor's vectors are.
+//! Sums are the same, in the same order, however wide the processor's vectors are.
 
 use glam::DVec3;
 use std::ops::Range;
@@ -76,7 +76,7 @@ fn set(sides: &mut Sides, row: usize, value: DVec3) {
 /// A front's lower triangle.
 #[derive(Clone, Copy)]
 pub struct FrontTriangle<'a, T> {
-    /// Its columns, from the diagonal on.
+    /// The columns of the triangle, each from the diagonal on.
     pub values: &'a [T],
 }
 

@@ -195,7 +195,7 @@ fn is_mirrored(octant: u8) -> bool {
 struct CentredPoint {
     /// Which triangle is in front of it.
     triangle: usize,
-    /// Its barycentric coordinates there.
+    /// The point's barycentric coordinates there.
     share: DVec3,
     /// How far out it is; 1 on the octahedron.
     size: f64,

@@ -91,7 +91,7 @@ impl Cage {
         }
     }
 
-    /// The same, of which these polygons are to be seen.
+    /// This cage, of which these polygons are to be seen.
     pub fn with_faces(self, faces: Vec<Vec<u32>>) -> Self {
         Self { faces, ..self }
     }

@@ -7,10 +7,11 @@
 //! the faces at each vertex do, by the angle at which the point sees them. Displacements are what is left in
 //! that frame.
 //!
-//! It differs from the paper in what tractions are taken. Nobody knows them, and those that follow from each
-//! face's stretch, rotated along, are wrong by the moduli where materials are nearly incompressible; here
-//! there are none in the frame, which needs no modulus, and half of the memory. And what stretch the cage has
-//! as a whole belongs to the frame, so that not only similarities but all affine maps come back.
+//! The method differs from the paper in what tractions are taken. Nobody knows them, and those that follow
+//! from each face's stretch, rotated along, are wrong by the moduli where materials are nearly
+//! incompressible; here there are none in the frame, which needs no modulus, and half of the memory. And what
+//! stretch the cage has as a whole belongs to the frame, so that not only similarities but all affine maps
+//! come back.
 
 use crate::mesh::Cage;
 use crate::panels::{Panel, Sight};

@@ -323,7 +323,7 @@ impl ThinPlateSpline {
         Ok(Self { factor: matrix.partial_piv_lu(), middle, size })
     }
 
-    /// Its weights, and the coefficients of the affine part.
+    /// The weights of the kernels, and the coefficients of the affine part.
     fn solve(&self, used: &[&Landmark]) -> Mat<f64> {
         let n = used.len();
         let mut right =

@@ -22,7 +22,7 @@ pub struct Row {
     pub name: String,
     /// From where the map takes it to where it belongs.
     pub residual: f64,
-    /// The same of the map that all others determine; nothing where they determine none.
+    /// The residual of the map that all others determine; nothing where they determine none.
     pub left_out: Option<f64>,
     /// Whether it has no weight.
     pub is_check: bool,
@@ -63,7 +63,7 @@ impl LandmarkReport {
         rms(self.rows.iter().filter(|row| !row.is_check).map(|row| row.residual)).unwrap_or(0.0)
     }
 
-    /// The same where each is left out; nothing where none can be.
+    /// The root mean square of residuals where each landmark is left out; nothing where none can be.
     pub fn left_out_rms(&self) -> Option<f64> {
         rms(self.rows.iter().filter_map(|row| row.left_out))
     }
@@ -95,7 +95,7 @@ impl LandmarkReport {
         self.told().into_iter().map(line).collect()
     }
 
-    /// The same as objects of JSON, the summary first.
+    /// The report as objects of JSON, the summary first.
     pub fn json(&self) -> Vec<String> {
         let summary = json!({
             "method": self.kind.id(), "landmarks": self.rows.len(), "rms": self.rms(),

@@ -36,7 +36,7 @@ pub struct StrokeWorkspace {
     felt: Vec<Felt>,
     /// What a dab and its mirror images do.
     pushed: Vec<Pushed>,
-    /// The same, each sample once.
+    /// What a dab and its mirror images do, each sample once.
     pushes: Vec<Push>,
     /// How much of the stroke each sample has felt so far, and where that moves it; 0 between strokes.
     covered: Vec<f64>,

@@ -25,7 +25,8 @@ const TOWARDS: f64 = 0.0;
 /// How quickly samples count less with their distance, for the brush's plane.
 const WIDE: i32 = 2;
 
-/// The same for the height of its middle: over details, but without cutting through what is round.
+/// How quickly samples count less with their distance, for the height of the brush's middle: over details,
+/// but without cutting through what is round.
 const NARROW: i32 = 6;
 
 /// Samples that are looked at at once on one thread.
@@ -126,7 +127,7 @@ impl SurfaceWays {
 /// A round place on the surface.
 #[derive(Debug, Clone, Copy)]
 pub struct Spot {
-    /// Its middle, and what is there.
+    /// The middle of the spot, and what is there.
     pub node: WayPoint,
     /// A point of the mean plane under the brush.
     pub origin: DVec3,

@@ -26,7 +26,7 @@ const TOGETHER: usize = 1024;
 /// A body that is held.
 #[derive(Debug)]
 pub struct Body {
-    /// Its cells.
+    /// The cells of the body.
     pub lattice: HexMesh,
     springs: Vec<Spring>,
     /// What the springs tie each corner by.

@@ -38,7 +38,7 @@ pub struct DescentEnd {
 /// The surface, or a coarse likeness of it, with its factorised Laplacian.
 #[derive(Debug)]
 pub struct SurfaceLevel {
-    /// Its nodes.
+    /// The nodes of the level.
     pub problem: Problem,
     /// The draws at free nodes.
     pub springs: Vec<Soft>,

@@ -43,7 +43,7 @@ impl Lists {
         self.starts.len() - 1
     }
 
-    /// The same the other way round, for numbers below `count`.
+    /// The lists the other way round, for numbers below `count`.
     fn transposed(&self, count: usize) -> Self {
         let mut starts = vec![0; count + 1];
         self.all.iter().for_each(|(group, _)| starts[*group as usize + 1] += 1);

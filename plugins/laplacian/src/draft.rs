@@ -67,7 +67,7 @@ pub fn carry(
 struct JacobiStep {
     /// What the rotations around it ask for.
     asked: Vec3A,
-    /// Its displacement after the step.
+    /// The sample's displacement after the step.
     placed: Vec3A,
 }
 

@@ -23,7 +23,7 @@ pub struct Operators {
     stiffness: Vec<f64>,
     /// In the sum over `j` of `R_j k_ij`: the rotated Laplacian of the positions at `i`.
     out: Vec<[f32; 3]>,
-    /// The same with `i` and `j` exchanged.
+    /// In that sum with `i` and `j` exchanged.
     into: Vec<[f32; 3]>,
     /// Voronoi areas.
     pub areas: Vec<f64>,
@@ -89,8 +89,8 @@ impl Operators {
         Ok(this)
     }
 
-    /// The same with the edges from a sample alone as its surroundings (*spokes*), as Sorkine and Alexa have
-    /// them: each edge turns with both of its ends, by halves.
+    /// The operators with the edges from a sample alone as its surroundings (*spokes*), as Sorkine and Alexa
+    /// have them: each edge turns with both of its ends, by halves.
     #[must_use]
     pub fn of_spokes(mut self, rest: &[DVec3]) -> Self {
         for i in 0..rest.len() {

@@ -106,7 +106,7 @@ impl Basis {
         self.place_of_many(u)
     }
 
-    /// The same to the bit without a branch, for loops over many parameters.
+    /// The place of a parameter, to the bit as of one, without a branch, for loops over many parameters.
     #[inline(always)]
     pub fn place_of_many(&self, u: f64) -> KnotPosition {
         let inside = u.clamp(0.0, 1.0);

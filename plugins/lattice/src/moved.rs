@@ -69,7 +69,7 @@ impl<'a> MovedPoints<'a> {
         }
     }
 
-    /// The same where no more than `N` functions of an axis reach.
+    /// Where a point goes, if no more than `N` functions of an axis reach.
     #[inline(always)]
     fn apply_within<const N: usize>(&self, p: DVec3) -> DVec3 {
         let u = self.lattice.frame.coordinates(p);
@@ -134,7 +134,8 @@ fn both<'v>(weights: &BasisWeights<'v>, moved: &Range<usize>) -> (Range<usize>, 
     }
 }
 
-/// The same in vectors, one number of each for a sample; for basis functions that all reach everywhere.
+/// Samples that are moved in vectors, one number of each for a sample; for basis functions that all reach
+/// everywhere.
 struct SamplePackets<'a> {
     moved: &'a MovedPoints<'a>,
     rest: &'a [[f32; 3]],

@@ -9,7 +9,7 @@
 use crate::fit::Goal;
 use crate::kernel::{Point, UnitBoxMap};
 use faer::{Mat, Side};
-use simod_plugin_api::{Host, PluginError, PluginResult, PrepareInput, Role};
+use simod_plugin_api::{Host, PluginError, PluginResult, PrepareInput, Region, Role};
 use std::collections::HashSet;
 
 /// Weight from which on a sample belongs to a region.
@@ -61,6 +61,33 @@ pub struct RegionSamples {
     pub spread: Vec<usize>,
 }
 
+/// The samples of each region. One in several regions belongs to the one where its weight is largest, the
+/// first of them where that is a draw.
+fn members_of(regions: &[Region<'_>], samples: usize) -> PluginResult<Vec<Vec<u32>>> {
+    let owner = |sample: usize| {
+        let mut best = None;
+        for (i, region) in regions.iter().enumerate() {
+            let weight = region.weights()[sample];
+            if weight > INSIDE && best.is_none_or(|(_, w)| weight > w) {
+                best = Some((i, weight));
+            }
+        }
+        best.map(|(i, _)| i)
+    };
+    let mut members = vec![Vec::new(); regions.len()];
+    for sample in 0..samples {
+        if let Some(region) = owner(sample) {
+            members[region].push(sample as u32);
+        }
+    }
+    if let Some(i) = members.iter().position(Vec::is_empty) {
+        let what = if regions[i].role == Role::HANDLE { "handle" } else { "fixed" };
+        return Err(PluginError::input(format!("region {} ({what}) holds no sample of its own", i + 1))
+            .hint("enlarge or move its shapes, take more samples, or let it overlap others less"));
+    }
+    Ok(members)
+}
+
 impl RegionSamples {
     /// Gathers the samples in the regions. One in several regions belongs to the one where its weight is
     /// largest, the first of them where that is a draw.
@@ -74,27 +101,7 @@ impl RegionSamples {
             return Err(PluginError::input("there is no handle region")
                 .hint("add a region with role = \"handle\" and a move"));
         }
-        let owner = |sample: usize| {
-            let mut best = None;
-            for (i, region) in regions.iter().enumerate() {
-                let weight = region.weights()[sample];
-                if weight > INSIDE && best.is_none_or(|(_, w)| weight > w) {
-                    best = Some((i, weight));
-                }
-            }
-            best.map(|(i, _)| i)
-        };
-        let mut members = vec![Vec::new(); regions.len()];
-        for sample in 0..positions.len() {
-            if let Some(region) = owner(sample) {
-                members[region].push(sample as u32);
-            }
-        }
-        if let Some(i) = members.iter().position(Vec::is_empty) {
-            let what = if regions[i].role == Role::HANDLE { "handle" } else { "fixed" };
-            return Err(PluginError::input(format!("region {} ({what}) holds no sample of its own", i + 1))
-                .hint("enlarge or move its shapes, take more samples, or let it overlap others less"));
-        }
+        let members = members_of(regions, positions.len())?;
         let samples = members.concat();
         let all: Vec<Point> = samples.iter().map(|&i| positions[i as usize].map(f64::from)).collect();
         if let Some(i) = all.iter().flatten().position(|x| !x.is_finite()) {
@@ -122,17 +129,7 @@ impl RegionSamples {
         for (region, members) in regions.iter().zip(&members) {
             host.progress(0.0)?;
             let first = constraints.handle.len();
-            let members = &all[first..first + members.len()];
-            let handle = (region.role == Role::HANDLE).then_some(constraints.handles.len());
-            constraints.has_fixed |= handle.is_none();
-            let HandleFrame { centroid, radius } = frame_of(members);
-            if handle.is_some() {
-                constraints.handles.push(HandleFrame { centroid, radius });
-            }
-            for p in members {
-                constraints.handle.push(handle);
-                constraints.relative.push(std::array::from_fn(|i| (p[i] - centroid[i]) / radius));
-            }
+            constraints.add_region(region.role, &all[first..first + members.len()]);
             orders.push(spread_order(&constraints.points, first..constraints.handle.len(), MOST_ROWS));
         }
         if !is_compact {
@@ -140,6 +137,20 @@ impl RegionSamples {
         }
         constraints.spread = interleave(&orders);
         Ok(constraints)
+    }
+
+    /// Adds the samples of a region, each by where it is in the frame of the region.
+    fn add_region(&mut self, role: Role, members: &[Point]) {
+        let handle = (role == Role::HANDLE).then_some(self.handles.len());
+        self.has_fixed |= handle.is_none();
+        let HandleFrame { centroid, radius } = frame_of(members);
+        if handle.is_some() {
+            self.handles.push(HandleFrame { centroid, radius });
+        }
+        for p in members {
+            self.handle.push(handle);
+            self.relative.push(std::array::from_fn(|i| (p[i] - centroid[i]) / radius));
+        }
     }
 
     /// Gives constraints on one plane or line, which say nothing about what lies beside it, some thickness: a

@@ -36,7 +36,7 @@ pub struct Domains<'a> {
 
 /// Some centres that interpolate for themselves.
 struct Domain {
-    /// Its own ones come first.
+    /// The centres that the domain reaches; its own ones come first.
     centers: Vec<usize>,
     own: usize,
     side: SideConditions,

@@ -27,11 +27,11 @@ const LANDMARKS: f64 = 1e-3;
 /// The variance that the drift begins with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
-    /// That of all pairs of points, as in the paper: what lies far apart finds each other, but parts that are
-    /// missing draw the rest along.
+    /// The variance of all pairs of points, as in the paper: what lies far apart finds each other, but parts
+    /// that are missing draw the rest along.
     Wide,
-    /// That of the nearest points: for what lies on each other already but for a deformation, also if parts
-    /// are missing.
+    /// The variance of the nearest points: for what lies on each other already but for a deformation, also if
+    /// parts are missing.
     Near,
 }
 

@@ -54,7 +54,7 @@ impl Graph {
         graph
     }
 
-    /// The same graph where a map takes its nodes; turns follow.
+    /// The graph where a map takes its nodes; turns follow.
     pub fn moved(&self, map: impl Fn(DVec3) -> DVec3) -> Self {
         let mut graph = self.clone();
         graph.nodes.iter_mut().for_each(|node| node.now = map(node.rest));

@@ -29,7 +29,7 @@ const WAYS: [Way; 4] = [
     Way { drift: Some(Start::Near), closest: Some(3.0) },
     Way { drift: Some(Start::Wide), closest: Some(3.0) },
 ];
-/// The same of drift alone.
+/// The ways where drift alone is asked for.
 const DRIFTS: [Way; 2] =
     [Way { drift: Some(Start::Near), closest: None }, Way { drift: Some(Start::Wide), closest: None }];
 /// Samples match that are as near to the target as so many distances between its points.

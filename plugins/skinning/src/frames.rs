@@ -74,7 +74,7 @@ impl Frames {
         PluginError::parameter("pose", &format!("{what}: {}, {place}", self.path.display()))
     }
 
-    /// That a bone's motion in a frame mirrors or flattens.
+    /// The error that a bone's motion in a frame mirrors or flattens.
     pub fn mirrors(&self, frame: i64, bone: usize) -> PluginError {
         let before = usize::try_from(frame).unwrap_or(0) * self.bones;
         self.wrong(before + bone, "mirrors or flattens").hint(CANNOT)

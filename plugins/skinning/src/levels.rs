@@ -54,7 +54,7 @@ impl Level {
         Self { starts, links, masses, parents: Vec::new(), cells }
     }
 
-    /// That of voxels.
+    /// The finest level: that of voxels.
     fn finest(voxels: &Voxels) -> Self {
         let mut links = Vec::new();
         for v in 0..voxels.len() as u32 {

@@ -202,7 +202,7 @@ fn handles(input: &PrepareInput<'_>, skeleton: &Skeleton) -> PluginResult<pose::
     Ok(pose::Handles::new(skeleton, which))
 }
 
-/// That no sample is near any place that the weights are of.
+/// The error that no sample is near any place that the weights are of.
 fn no_place_near(input: &PrepareInput<'_>) -> PluginResult<PluginError> {
     let [weights, places] = [input.params().file("weights")?, input.params().file("places")?];
     let (param, path) = match (weights, places) {

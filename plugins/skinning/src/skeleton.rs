@@ -20,7 +20,7 @@ pub struct Joint {
     pub id: String,
     /// At rest, local coordinates.
     pub at: DVec3,
-    /// Its number is less.
+    /// The joint that this one hangs on, whose number is less.
     pub parent: Option<usize>,
     /// The joints that hang on it, ascending.
     pub children: Vec<usize>,

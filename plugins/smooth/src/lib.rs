@@ -68,6 +68,73 @@ fn freedom(input: &PrepareInput<'_>) -> Vec<f64> {
     freedom
 }
 
+/// The triangles between the samples whose corners are there, and not the same.
+fn triangles(input: &PrepareInput<'_>) -> Vec<[u32; 3]> {
+    let count = input.samples.positions().len() as u32;
+    let is_right =
+        |t: &&[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0] && t.iter().all(|c| *c < count);
+    input.triangles().map_or(Vec::new(), |t| t.indices().iter().filter(is_right).copied().collect())
+}
+
+/// A wave's number, squared: an eigenvalue of the Laplacian. `size` is that of the wave, as a part of the
+/// diagonal.
+fn wave(size: f64, diagonal: f64) -> f64 {
+    (TAU / (size * diagonal)).powi(2)
+}
+
+/// Positions without waves that are shorter than `size`, by one filter of sharp edge.
+fn filtered(
+    positions: &[DVec3],
+    laplacian: impl Fn(&[DVec3]) -> MeshLaplacian,
+    size: f64,
+    diagonal: f64,
+    host: &Host<'_>,
+) -> PluginResult<Vec<DVec3>> {
+    let laplacian = laplacian(positions);
+    let shortest = SHORTEST * 2.0 * laplacian.scale.sqrt() / diagonal;
+    if size < shortest {
+        host.warn(&format!(
+            "the samples lie too far apart to tell bumps of {size} of the diagonal: from {shortest:.1e} on they do; \
+             take more of them for finer ones"
+        ));
+    }
+    let filter = Filter::low_pass((wave(size, diagonal) * laplacian.scale).min(1.0));
+    if filter.degree() == filter::MOST {
+        host.warn("bumps of that size are too large beside the finest triangles to be told apart sharply");
+    }
+    filter.apply(&laplacian, positions, host, |part| host.progress(part))
+}
+
+/// Positions after the flow by curvature, in steps that each have the Laplacian of what there is by then. Of
+/// a wave of this number, squared, a third is left in the end.
+fn flowed(
+    positions: &[DVec3],
+    laplacian: impl Fn(&[DVec3]) -> MeshLaplacian,
+    wave: f64,
+    steps: i64,
+    host: &Host<'_>,
+) -> PluginResult<Vec<DVec3>> {
+    let mut smoothed = positions.to_vec();
+    for step in 0..steps {
+        let laplacian = laplacian(&smoothed);
+        let time = if laplacian.scale > 0.0 { 1.0 / (wave * laplacian.scale * steps as f64) } else { 0.0 };
+        let progress = |part: f64| host.progress((step as f64 + part) / steps as f64);
+        smoothed = Filter::flow(time).apply(&laplacian, &smoothed, host, progress)?;
+    }
+    Ok(smoothed)
+}
+
+/// Moves samples along their normals alone. Nothing tells where a surface of points alone ends: towards its
+/// middle they do not go.
+fn keep_to_normals(smoothed: &mut [DVec3], positions: &[DVec3], normals: &[[f32; 3]]) {
+    for ((new, p), n) in smoothed.iter_mut().zip(positions).zip(normals) {
+        let n = DVec3::from(n.map(f64::from)).normalize_or_zero();
+        if n != DVec3::ZERO {
+            *new = *p + (*new - *p).dot(n) * n;
+        }
+    }
+}
+
 impl Deformer for Smooth {
     type State = SmoothedSamples;
     type Scratch = ();
@@ -99,56 +166,17 @@ impl Deformer for Smooth {
         let graph = input.graph().filter(|graph| graph.len() == positions.len());
         let graph =
             graph.ok_or_else(|| PluginError::internal("the host gave no neighbours of the samples"))?;
-        let count = positions.len() as u32;
-        let is_right =
-            |t: &&[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0] && t.iter().all(|c| *c < count);
-        let triangles: Vec<[u32; 3]> =
-            input.triangles().map_or(Vec::new(), |t| t.indices().iter().filter(is_right).copied().collect());
+        let triangles = triangles(input);
         let freedom = freedom(input);
         let SmoothSettings { method, size, steps, keep_volume, .. } = input.params().read()?;
-        // A wave's number, squared: an eigenvalue of the Laplacian.
-        let wave = (TAU / (size * input.bounds.diagonal())).powi(2);
+        let diagonal = input.bounds.diagonal();
         let laplacian = |positions: &[DVec3]| MeshLaplacian::new(positions, &triangles, graph, &freedom);
-        let mut smoothed = positions.clone();
-        match method {
-            SmoothingMethod::Filter => {
-                let laplacian = laplacian(&positions);
-                let shortest = SHORTEST * 2.0 * laplacian.scale.sqrt() / input.bounds.diagonal();
-                if size < shortest {
-                    host.warn(&format!(
-                        "the samples lie too far apart to tell bumps of {size} of the diagonal: from {shortest:.1e} on \
-                         they do; take more of them for finer ones"
-                    ));
-                }
-                let filter = Filter::low_pass((wave * laplacian.scale).min(1.0));
-                if filter.degree() == filter::MOST {
-                    host.warn("bumps of that size are too large beside the finest triangles to be told apart sharply");
-                }
-                smoothed = filter.apply(&laplacian, &smoothed, host, |part| host.progress(part))?;
-            }
-            SmoothingMethod::Flow => {
-                let steps = steps.max(1);
-                for step in 0..steps {
-                    let laplacian = laplacian(&smoothed);
-                    // Of a wave of this size a third is left in the end.
-                    let time = if laplacian.scale > 0.0 {
-                        1.0 / (wave * laplacian.scale * steps as f64)
-                    } else {
-                        0.0
-                    };
-                    let progress = |part: f64| host.progress((step as f64 + part) / steps as f64);
-                    smoothed = Filter::flow(time).apply(&laplacian, &smoothed, host, progress)?;
-                }
-            }
-        }
+        let mut smoothed = match method {
+            SmoothingMethod::Filter => filtered(&positions, laplacian, size, diagonal, host)?,
+            SmoothingMethod::Flow => flowed(&positions, laplacian, wave(size, diagonal), steps.max(1), host)?,
+        };
         if triangles.is_empty() {
-            // Nothing tells where a surface of points alone ends: towards its middle they do not go.
-            for ((new, p), n) in smoothed.iter_mut().zip(&positions).zip(input.samples.normals()) {
-                let n = DVec3::from(n.map(f64::from)).normalize_or_zero();
-                if n != DVec3::ZERO {
-                    *new = *p + (*new - *p).dot(n) * n;
-                }
-            }
+            keep_to_normals(&mut smoothed, &positions, input.samples.normals());
         }
         if keep_volume && volume::is_closed(&triangles) {
             volume::bring_back(&mut smoothed, &triangles, &freedom, volume::volume(&positions, &triangles));

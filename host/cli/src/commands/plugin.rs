@@ -159,7 +159,7 @@ fn tell_needs(plugin: &Loaded, report: &mut Report) {
     report.line(format!("takes {needs}"));
 }
 
-/// Its parameters, group by group, and what they were once called.
+/// The plugin's parameters, group by group, and what they were once called.
 fn tell_params(plugin: &Loaded, report: &mut Report) {
     let mut group = String::new();
     for param in simod_session::describe_params(plugin.params()) {

@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use simod_core::guard::Guard;
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{By, Grouping, Placement, Sampling, Skip, Splitting, Target, sample};
+use simod_core::sampling::{By, Placement, Sampling, Skip, Splitting, sample};
 use simod_model::target::folder_of;
 use simod_model::{ModelName, Result};
+use simod_session::session_file::SamplingTable;
 
 use super::{tell_cache, tell_transparent, warn_non_finite};
 use crate::report::{Report, count, rate};
@@ -134,32 +135,13 @@ pub(super) fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
 
 impl SamplingArguments {
     pub fn sampling(&self) -> Sampling {
-        let target = match (self.samples, self.error) {
-            (Some(n), _) => Target::Samples(n),
-            (None, Some(e)) => Target::Error(e),
-            (None, None) => Target::default(),
-        };
         let skips = |part| self.skip.contains(&part);
         Sampling {
-            target,
-            grid: self.grid,
             memory_limit: self.memory_limit,
             splitting: match self.tree {
                 TreeKind::Vs => Splitting::Layered,
                 TreeKind::Octree => Splitting::Octree,
             },
-            grouping: Grouping::Automatic,
-            by: match self.by {
-                SpreadBy::Error => By::Error,
-                SpreadBy::Area => By::Area,
-                SpreadBy::Vertices => By::Vertices,
-            },
-            placement: match self.place {
-                PlacementRule::Automatic => Placement::Automatic,
-                PlacementRule::Faces => Placement::Faces,
-                PlacementRule::Vertices => Placement::Vertices,
-            },
-            min_opacity: self.min_opacity,
             skip: Skip {
                 triangles: skips(SkippedPart::Triangles),
                 cells: skips(SkippedPart::Cells),
@@ -167,6 +149,28 @@ impl SamplingArguments {
                 sheets: skips(SkippedPart::Sheets),
                 colors: skips(SkippedPart::Colors),
             },
+            ..Sampling::from(self.table())
+        }
+    }
+
+    /// What a session's table of the sampling would say.
+    fn table(&self) -> SamplingTable {
+        SamplingTable {
+            samples: self.samples,
+            error: self.error,
+            grid: self.grid,
+            by: Some(match self.by {
+                SpreadBy::Error => By::Error,
+                SpreadBy::Area => By::Area,
+                SpreadBy::Vertices => By::Vertices,
+            }),
+            place: Some(match self.place {
+                PlacementRule::Automatic => Placement::Automatic,
+                PlacementRule::Faces => Placement::Faces,
+                PlacementRule::Vertices => Placement::Vertices,
+            }),
+            sheets: None,
+            min_opacity: self.min_opacity,
         }
     }
 }

@@ -84,7 +84,7 @@ pub enum Values {
     /// Nothing.
     #[default]
     Nothing,
-    /// Its colour, 8-bit sRGB.
+    /// The vertex's colour, 8-bit sRGB.
     Colors(Vec<[u8; 3]>),
     /// A number; it may not be finite.
     Numbers(Vec<f32>),
@@ -183,7 +183,7 @@ impl DetailRequest {
         Ok(Self { cells, stride: thinning::stride(&vertices, most as u64), shown: DetailAttributes::Nothing })
     }
 
-    /// The same with something of the vertices' attributes.
+    /// This request with something of the vertices' attributes.
     pub fn showing(self, shown: DetailAttributes) -> Self {
         Self { shown, ..self }
     }

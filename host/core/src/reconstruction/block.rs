@@ -75,8 +75,8 @@ pub fn carry_positions(field: &DeformationField<'_>, frame: &Frame, positions: &
     moved
 }
 
-/// The same, by the thread that calls it. Where nothing is asked for but positions, those of vertices at one
-/// place are found once.
+/// Carries vertices over as [`carry`] does, by the thread that calls it. Where nothing is asked for but
+/// positions, those of vertices at one place are found once.
 ///
 /// Memory: 28 bytes for each vertex, and 24 for each version, where places are [`Repeated`].
 pub fn carry_on_this_thread(

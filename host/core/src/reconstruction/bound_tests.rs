@@ -1,5 +1,5 @@
-//! That no vertex leaves the range of the samples around it, whatever the samples are and wherever they go:
-//! by the definition in `docs/reconstruction.md`, over all samples, and with nothing of what the
+//! Tests that no vertex leaves the range of the samples around it, whatever the samples are and wherever they
+//! go: by the definition in `docs/reconstruction.md`, over all samples, and with nothing of what the
 //! reconstruction knows.
 
 use glam::{DMat3, DVec3, EulerRot, Quat, Vec3};

@@ -71,12 +71,12 @@ impl Expansion {
         Mat3::from_cols(self.vector(1), self.vector(2), self.vector(3))
     }
 
-    /// The same with another gradient of the displacement.
+    /// This expansion with another gradient of the displacement.
     pub fn with_slope(self, slope: Mat3) -> Self {
         self.with(1, [slope.x_axis, slope.y_axis, slope.z_axis])
     }
 
-    /// The same with other second-order terms: xx, xy, xz, yy, yz, zz.
+    /// This expansion with other second-order terms: xx, xy, xz, yy, yz, zz.
     pub fn with_second(self, second: [Vec3; 6]) -> Self {
         self.with(4, second)
     }
@@ -91,7 +91,7 @@ impl Expansion {
         Vec3::new(self.term(k, 0), self.term(k, 1), self.term(k, 2))
     }
 
-    /// The same with other terms from the `k`-th on.
+    /// This expansion with other terms from the `k`-th on.
     fn with<const N: usize>(mut self, k: usize, terms: [Vec3; N]) -> Self {
         for (to, term) in self.terms[3 * k..].chunks_exact_mut(3).zip(terms) {
             to.copy_from_slice(&term.to_array());

@@ -124,7 +124,7 @@ impl<'a> DeformationField<'a> {
         VertexDiagnostics { displacement, stretch, folded, expected_error, anisotropy }
     }
 
-    /// The same, with smooth gradients for what turns: by what wider neighbourhoods tell, and with those at
+    /// This field with smooth gradients for what turns: by what wider neighbourhoods tell, and with those at
     /// the samples known, if they are.
     ///
     /// Memory: 136 bytes per sample.

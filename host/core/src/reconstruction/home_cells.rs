@@ -116,7 +116,7 @@ impl HomeOctree {
         depth(self.supports[sample as usize], p)
     }
 
-    /// The same of many points, to the bit.
+    /// The [depths](Self::depth) of many points, to the bit as of one.
     #[inline(always)]
     pub fn depths<S: Simd>(&self, simd: S, sample: u32, p: [Lanes<S>; 3]) -> Lanes<S> {
         let [x, y, z, inverse_square] = self.supports[sample as usize].to_array();

@@ -1,9 +1,10 @@
 //! The home of a place: the sample around which its neighbourhood is looked up.
 //!
-//! It follows from the position alone, so that vertices at one place, as those of a soup of triangles, stay
-//! together wherever they stand in the file. A tree of cells has for each the sample whose support reaches
-//! its middle best. That one, or one of its neighbours, is the home. Where several sheets of the surface are
-//! near, it may be on the wrong one: there the home is the sample whose tangent plane the place lies near.
+//! The home follows from the position alone, so that vertices at one place, as those of a soup of triangles,
+//! stay together wherever they stand in the file. A tree of cells has for each the sample whose support
+//! reaches its middle best. That one, or one of its neighbours, is the home. Where several sheets of the
+//! surface are near, it may be on the wrong one: there the home is the sample whose tangent plane the place
+//! lies near.
 
 use std::ops::Range;
 

@@ -51,7 +51,7 @@ const LEAST: u64 = 1 << 16;
 /// What a home's list has in place of a neighbour: the home itself.
 const ITSELF: u8 = LONGEST as u8;
 
-/// The same: a sample that is no neighbour, whose difference follows.
+/// What a home's list has in place of a neighbour: a sample that is none, whose difference follows.
 const OTHER: u8 = ITSELF + 1;
 
 /// The content of the file.

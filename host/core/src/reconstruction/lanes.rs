@@ -16,7 +16,7 @@ pub const PACKET: usize = 16;
 pub struct Lanes<S: Simd>(pub S, pub S::f32s);
 
 impl<S: Simd> Lanes<S> {
-    /// The same number in all lanes.
+    /// One number in all lanes.
     #[inline(always)]
     pub fn splat(simd: S, x: f32) -> Self {
         Self(simd, simd.splat_f32s(x))
@@ -72,7 +72,7 @@ impl<S: Simd> Lanes<S> {
         Self(self.0, self.0.mul_add_f32s(self.1, by.1, to.1))
     }
 
-    /// Its square root.
+    /// The square root of each lane.
     #[inline(always)]
     pub fn sqrt(self) -> Self {
         Self(self.0, self.0.sqrt_f32s(self.1))

@@ -35,7 +35,7 @@ pub struct NeighbourPacket {
     /// 1, or 0 where a list is over.
     pub is_there: [f64; MOST_LANES],
     pub way: [[f64; MOST_LANES]; 3],
-    /// The same after the deformation.
+    /// The way after the deformation.
     pub moved: [[f64; MOST_LANES]; 3],
 }
 

@@ -20,7 +20,7 @@ pub(super) const VERTICES_OF_A_PART: usize = PART / size_of::<Vertex>();
 
 /// All vertices of a cell.
 pub(crate) struct GatheredCell {
-    /// Its place among the kept cells.
+    /// The cell's place among the kept cells.
     pub cell: u32,
     /// In the order of the stream, counted.
     pub vertices: Vec<Vertex>,
@@ -40,7 +40,7 @@ pub(crate) struct Visited<'a> {
     pub position: DVec3,
     /// The unit normal; zero where it is not known.
     pub normal: Vec3,
-    /// Its index in the model.
+    /// The vertex's index in the model.
     pub index: u64,
     /// The attributes of all vertices of a chunk, and its place among these.
     attributes: (&'a [Vec<f64>], usize),

@@ -408,7 +408,8 @@ impl RefinementCall<'_, '_> {
         }
     }
 
-    /// The same down to the least bound; `None` if that is too coarse for the number of samples.
+    /// Grows the trees of the cells that the selection meets down to the least bound; `None` if that is too
+    /// coarse for the number of samples.
     fn regrow(&self, goal: RefinementGoal) -> Result<Option<GrownTrees>> {
         let mut cells = self.wanted(goal.least);
         let members = self.members_of(&mut cells)?;

@@ -28,14 +28,14 @@ pub(super) struct GrownNode {
     pub normal: Vec3,
     /// Half of its box's diagonal.
     pub reach: f32,
-    /// Its error, or that of one above if that is less.
+    /// The node's error, or that of one above if that is less.
     pub error: f32,
     /// The error less the slack, or that of an ancestor which is not kept; what a bound inside the selection
     /// is compared with.
     pub graded: f32,
     /// Index behind its subtree.
     pub end: u32,
-    /// Its first leaf, counted in the tree as it was built.
+    /// The node's first leaf, counted in the tree as it was built.
     pub first: u32,
     /// The kept node that it is.
     pub known: Option<u32>,
@@ -79,7 +79,7 @@ impl Sheet {
 /// What became of a cell.
 #[derive(Debug)]
 pub(super) struct Regrown {
-    /// Its place among the kept cells.
+    /// The cell's place among the kept cells.
     pub cell: u32,
     /// In the order of their roots.
     pub grown: Vec<Grown>,
@@ -411,9 +411,9 @@ struct TopNode {
 
 /// A sample of the first sampling: what has grown below it since.
 struct TopLeaf {
-    /// Its kept nodes.
+    /// The kept nodes of its tree.
     nodes: std::ops::Range<usize>,
-    /// Its leaves among those of the kept tree.
+    /// The leaves of its tree among those of the kept tree.
     samples: std::ops::Range<usize>,
 }
 

@@ -111,7 +111,7 @@ impl<'a> Selected<'a> {
 /// What is known of a leaf before the model is read.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LeafEstimate {
-    /// Its error.
+    /// The leaf's error.
     pub error: f32,
     /// At most its slack.
     pub slack: f32,

@@ -673,7 +673,7 @@ fn auto(
     })
 }
 
-/// The same number of samples more helps much more where the deformation needs them.
+/// As many samples more help much more where the deformation needs them.
 #[test]
 fn samples_come_where_the_deformation_needs_them() {
     let body = Body::new(200_000).without_faces();

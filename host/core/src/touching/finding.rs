@@ -102,9 +102,9 @@ impl Contacts {
         PlaceSamples::build(places, sampled.samples.len(), parting.folder)
     }
 
-    /// The same of a model that was refined: `samples`, of which those behind the ones that are known each
-    /// are on the sheet of one of `origins`. `parted` are those that no cell's tree has now, each with one of
-    /// its cluster that a tree has.
+    /// What touches in a model that was refined: `samples`, of which those behind the ones that are known
+    /// each are on the sheet of one of `origins`. `parted` are those that no cell's tree has now, each with
+    /// one of its cluster that a tree has.
     pub(crate) fn refined(&self, samples: &SampleSet, origins: &[u32], parted: Vec<[u32; 2]>) -> Self {
         let before = samples.len() - origins.len();
         let origin = |i: u32| (i as usize).checked_sub(before).map_or(i, |new| origins[new]);
@@ -127,8 +127,8 @@ impl Contacts {
         Self { lists: ContactLists::new(lists, parted), places: self.places.clone() }
     }
 
-    /// The same with the places of those of these vertices whose homes would be on another sheet than they
-    /// were on.
+    /// These contacts with the places of those vertices whose homes would be on another sheet than they were
+    /// on.
     pub(crate) fn with_places(
         self,
         sampled: &SampledModel,

@@ -50,7 +50,7 @@ pub struct Parting<'a> {
 
 /// A sheet of a cluster of several.
 pub struct ClusterSheet {
-    /// Its islands.
+    /// The islands of the sheet.
     islands: Vec<u32>,
     moments: Moments,
 }
@@ -97,7 +97,7 @@ pub struct Parted {
     mixed: Vec<bool>,
     /// The new position and normal of each sample that stands for another part than it did.
     pub moved: Vec<(u32, Vec3, Vec3)>,
-    /// The same of the new samples, and the one that each was parted from.
+    /// The position and normal of each new sample, and the one that each was parted from.
     pub added: Vec<(u32, Vec3, Vec3)>,
     /// Samples with a part of a cluster of several sheets.
     pub seeds: Vec<u32>,

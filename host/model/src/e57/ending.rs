@@ -188,7 +188,7 @@ fn written(kind: NumberEncoding, number: f64, is_max: bool) -> String {
     }
 }
 
-/// The same number in so many characters, if it has fewer: with zeros behind its decimals.
+/// A number in so many characters, if it has fewer: with zeros behind its decimals.
 fn padded(number: String, length: usize) -> String {
     let missing = length.saturating_sub(number.len());
     let Some(point) = number.find('.') else { return number };

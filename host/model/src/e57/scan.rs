@@ -84,7 +84,7 @@ struct Coordinate {
 }
 
 impl Coordinate {
-    /// The same number as it lies within a range, if it can; or else next to another one.
+    /// The number plus whole turns, within a range if it can be; or else next to another number.
     fn beside(&self, other: f64, (least, most): (f64, f64)) -> f64 {
         if !self.turns {
             return self.number;

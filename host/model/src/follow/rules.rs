@@ -13,13 +13,13 @@ use crate::Attribute;
 pub enum TensorKind {
     /// Three numbers v become J·v, with J the gradient of the deformation.
     Vector,
-    /// The same, but of the length that it had: a tangent.
+    /// Three numbers turn by J, and keep their length: a tangent.
     Direction,
     /// Three numbers turn by the cofactors of J, and keep their length.
     Normal,
     /// Four numbers, the real one first, turn by the rotation in J.
     QuaternionWxyz,
-    /// The same with the real one last.
+    /// Four numbers, the real one last, turn by the rotation in J.
     QuaternionXyzw,
     /// Six numbers xx, xy, xz, yy, yz, zz of a symmetric matrix Σ, which becomes J·Σ·Jᵀ.
     Covariance,
@@ -109,7 +109,7 @@ impl Follow {
     pub const SPLATS: Self =
         Self { declared: BTreeMap::new(), splats: true, opacity: Opacity::Keep, max_anisotropy: None };
 
-    /// The same with other numbers declared, which it may have none of itself.
+    /// These rules, with numbers declared that they say nothing of.
     pub fn or_declared(mut self, declared: &BTreeMap<String, TensorKind>) -> Self {
         if self.declared.is_empty() && self.splats {
             self.declared.clone_from(declared);

@@ -188,9 +188,9 @@ fn polar(j: &DMat3) -> Option<DMat3> {
     polar_by_averages(j).or_else(|| polar_by_axes(j))
 }
 
-/// The same by the average of the matrix and its inverse transpose, again and again (N. J. Higham, *Computing
-/// the Polar Decomposition, with Applications*, 1986), which is quicker; nothing where the matrix is nearly
-/// singular.
+/// The [orthogonal factor](polar) by the average of the matrix and its inverse transpose, again and again (N.
+/// J. Higham, *Computing the Polar Decomposition, with Applications*, 1986), which is quicker; nothing where
+/// the matrix is nearly singular.
 fn polar_by_averages(j: &DMat3) -> Option<DMat3> {
     // After each average, what is off is about half the square of what was.
     const FEW: usize = 12;
@@ -217,7 +217,7 @@ fn squares(m: &DMat3) -> f64 {
     m.x_axis.length_squared() + m.y_axis.length_squared() + m.z_axis.length_squared()
 }
 
-/// The same by the axes along which the matrix stretches.
+/// The [orthogonal factor](polar) by the axes along which the matrix stretches.
 fn polar_by_axes(j: &DMat3) -> Option<DMat3> {
     let itself = DMat3::IDENTITY.to_cols_array_2d().map(DVec3::from_array);
     let (us, [v]) = orthogonal_with(j, [itself], ORTHOGONAL);

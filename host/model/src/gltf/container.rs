@@ -248,7 +248,8 @@ impl Container {
         Ok(replaced(json, changes))
     }
 
-    /// The same with other JSON and further binary data, which begins and ends at multiples of four bytes.
+    /// This container with other JSON and further binary data, which begins and ends at multiples of four
+    /// bytes.
     pub(super) fn with_more(mut self, text: Vec<u8>, more: SourceFile) -> Result<(Self, Vec<u8>)> {
         let old = std::mem::take(&mut self.parts);
         let (bin, end) = (self.bin.clone(), if self.bin.is_empty() { self.json.end } else { self.bin.end });

@@ -108,7 +108,7 @@ pub(super) struct DrawnPrimitive {
     pub(super) first: u64,
     pub(super) triangles: u64,
     pub(super) mode: PrimitiveMode,
-    /// Its vertices.
+    /// The vertices of the primitive, by the place of their set.
     pub(super) set: usize,
     /// Indices of corners, if they are not simply the vertices.
     pub(super) indices: Option<AccessorBytes>,

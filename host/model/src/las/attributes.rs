@@ -98,7 +98,7 @@ impl ExtraBytesType {
         }
     }
 
-    /// Its code in the file, from 1 on.
+    /// The type that has this code in a file, from 1 on.
     fn of_code(code: u8) -> Option<Self> {
         use Type::{F32, F64, I8, I16, I32, U8, U16, U32};
         let kinds = [
@@ -278,7 +278,7 @@ impl AttributeFields {
         self.places[attribute].number(record)
     }
 
-    /// The same as it is stored.
+    /// An attribute of a record as it is stored, without scale and offset.
     pub fn stored(&self, attribute: usize, record: &[u8]) -> f64 {
         let NumberField { at, how, .. } = self.places[attribute];
         match how {
@@ -335,7 +335,7 @@ impl AttributeFields {
         record - self.standard_bytes - self.extra_bytes
     }
 
-    /// The same of the attributes at some places.
+    /// The numbers of the attributes at some places.
     pub fn decode_some(&self, records: &[u8], record: usize, places: &[usize], to: &mut [Vec<f64>]) {
         for (values, place) in to.iter_mut().zip(places) {
             values.clear();

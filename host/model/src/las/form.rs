@@ -11,7 +11,9 @@ use super::header::{RECORD_BYTES, at};
 use super::laszip::Laszip;
 use crate::bounds::Bounds;
 use crate::form::{ConversionInput, Form, WrittenRows, attribute_loss, counted, put_numbers};
-use crate::{ColorScale, Colors, Error, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions};
+use crate::{
+    Attribute, ColorScale, Colors, Error, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions,
+};
 
 /// Points of a compressed block: as LASzip has it.
 pub(super) const BLOCK: u32 = 50_000;
@@ -40,7 +42,7 @@ enum FieldTarget {
 #[derive(Debug, Clone, PartialEq)]
 struct WrittenAttribute {
     name: String,
-    /// Its place among those of the model.
+    /// The attribute's place among those of the model.
     from: usize,
     at: usize,
     place: FieldTarget,
@@ -135,6 +137,40 @@ fn fits(kind: Type, place: FieldTarget) -> bool {
     }
 }
 
+/// Tells what of a model points have no place for.
+fn lose_what_has_no_place(content: &ConversionInput<'_>, losses: &mut Vec<String>) {
+    if content.faces.triangles > 0 {
+        losses.push(counted(content.faces.polygons, "face"));
+    }
+    if content.has_normals {
+        losses.push("the normals".to_owned());
+    }
+    if let Some(crs) = &content.info().crs {
+        losses.push(format!("the coordinate reference system {crs}"));
+    }
+}
+
+/// The point format that has places for most attributes: one below 6 for angles in whole degrees.
+fn point_format(attributes: &[Attribute], has_colors: bool) -> u8 {
+    let has = |name: &str| attributes.iter().any(|a| a.name == name);
+    let is_old = attributes.iter().any(|a| a.name == "scan_angle" && a.kind == Type::I8);
+    match (is_old, has_colors) {
+        (true, colors) => u8::from(has("gps_time")) + if colors { 2 } else { 0 },
+        (false, _) if has("nir") => 8,
+        (false, true) => 7,
+        (false, false) => 6,
+    }
+}
+
+/// Where red is in a record.
+fn colors_at(format: u8) -> usize {
+    match format {
+        2 => 20,
+        3 => 28,
+        _ => 30,
+    }
+}
+
 impl LasForm {
     pub(crate) fn new(
         is_compressed: bool,
@@ -142,27 +178,12 @@ impl LasForm {
         losses: &mut Vec<String>,
     ) -> Result<Self> {
         let info = content.info();
-        if content.faces.triangles > 0 {
-            losses.push(counted(content.faces.polygons, "face"));
-        }
-        if content.has_normals {
-            losses.push("the normals".to_owned());
-        }
-        if let Some(crs) = &info.crs {
-            losses.push(format!("the coordinate reference system {crs}"));
-        }
-        let has = |name: &str| info.attributes.iter().any(|a| a.name == name);
+        lose_what_has_no_place(content, losses);
         let colors = Colors::from_info(info).filter(|colors| {
             let names = colors.places.map(|place| info.attributes[place].name.as_str());
             names == ["red", "green", "blue"]
         });
-        let is_old = info.attributes.iter().any(|a| a.name == "scan_angle" && a.kind == Type::I8);
-        let format = match (is_old, colors.is_some()) {
-            (true, colors) => u8::from(has("gps_time")) + if colors { 2 } else { 0 },
-            (false, _) if has("nir") => 8,
-            (false, true) => 7,
-            (false, false) => 6,
-        };
+        let format = point_format(&info.attributes, colors.is_some());
         if format < 6 {
             content.too_many("points of LAS 1.2", info.vertices, u64::from(u32::MAX))?;
         }
@@ -182,38 +203,12 @@ impl LasForm {
         };
         let scale = colors.map(|colors| full_light(content, &colors)).transpose()?;
         for (from, attribute) in info.attributes.iter().enumerate() {
-            let (name, kind) = (attribute.name.clone(), attribute.kind);
             let of_color = colors.zip(scale).and_then(|(colors, scale)| {
                 let which = colors.places.iter().position(|place| *place == from)?;
-                let at = match format {
-                    2 => 20,
-                    3 => 28,
-                    _ => 30,
-                };
-                Some((at + 2 * which, FieldTarget::Color(scale)))
+                Some((colors_at(format) + 2 * which, FieldTarget::Color(scale)))
             });
-            match of_color.or_else(|| standard(&name, format)) {
-                Some((at, place)) => {
-                    let rounds = !fits(kind, place);
-                    if rounds {
-                        let (least, most) = range(place);
-                        losses.push(format!(
-                            "digits of {}, which become whole numbers from {least} to {most}",
-                            attribute_loss(&name, kind)
-                        ));
-                    }
-                    if name == "return_number" {
-                        this.returns = Some(this.fields.len());
-                    }
-                    this.fields.push(WrittenAttribute { name, from, at, place, rounds });
-                }
-                None if this.add_extra(&name, kind) => {
-                    let (at, place) = (this.record, FieldTarget::Number(kind));
-                    this.record += kind.size();
-                    this.fields.push(WrittenAttribute { name, from, at, place, rounds: false });
-                }
-                None => losses.push(attribute_loss(&name, kind)),
-            }
+            let place = of_color.or_else(|| standard(&attribute.name, format));
+            this.add_attribute(from, attribute, place, losses);
         }
         if is_compressed {
             let extra = this.record - RECORD_BYTES[usize::from(format)];
@@ -221,6 +216,39 @@ impl LasForm {
             this.laszip = Some(laszip.map_err(|e| Error::unwritable("compressed points", e))?);
         }
         Ok(this)
+    }
+
+    /// Has an attribute written at its place in a record, if it has one there, or else as extra bytes.
+    fn add_attribute(
+        &mut self,
+        from: usize,
+        attribute: &Attribute,
+        place: Option<(usize, FieldTarget)>,
+        losses: &mut Vec<String>,
+    ) {
+        let (name, kind) = (attribute.name.clone(), attribute.kind);
+        match place {
+            Some((at, place)) => {
+                let rounds = !fits(kind, place);
+                if rounds {
+                    let (least, most) = range(place);
+                    losses.push(format!(
+                        "digits of {}, which become whole numbers from {least} to {most}",
+                        attribute_loss(&name, kind)
+                    ));
+                }
+                if name == "return_number" {
+                    self.returns = Some(self.fields.len());
+                }
+                self.fields.push(WrittenAttribute { name, from, at, place, rounds });
+            }
+            None if self.add_extra(&name, kind) => {
+                let (at, place) = (self.record, FieldTarget::Number(kind));
+                self.record += kind.size();
+                self.fields.push(WrittenAttribute { name, from, at, place, rounds: false });
+            }
+            None => losses.push(attribute_loss(&name, kind)),
+        }
     }
 
     /// Describes extra bytes; `false` where they have no room.

@@ -34,7 +34,7 @@ pub(super) const RECORD_BYTES: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38
 pub(super) struct LasHeader {
     /// The second number of the version, 0 to 4.
     pub minor: u8,
-    /// Its length, after which the VLRs begin.
+    /// The header's length, after which the VLRs begin.
     pub len: u64,
     /// Where the points begin.
     pub points: u64,

@@ -31,7 +31,7 @@ pub(super) struct KeptFields {
 
 #[derive(Debug)]
 struct KeptBlock {
-    /// Its first vertex.
+    /// The block's first vertex.
     first: u64,
     /// A hash of the block as it is in the model, which may change meanwhile; zero if it is not there.
     hash: AtomicU64,

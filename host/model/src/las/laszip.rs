@@ -33,7 +33,7 @@ pub(super) enum LayerChoice {
     All,
     /// What takes no time without the rest: in layers, whatever is not asked for is passed over.
     Positions,
-    /// The same, and colours.
+    /// Positions, and colours.
     Colors,
 }
 

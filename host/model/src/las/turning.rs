@@ -92,7 +92,7 @@ impl StoredReach {
         }
     }
 
-    /// The same as boxes of several numbers each.
+    /// The ranges of the numbers as boxes of several numbers each.
     fn boxes(&self) -> std::collections::BTreeMap<u32, [Bounds; 2]> {
         let corner = |of: &[[f64; 2]], side: usize| {
             DVec3::from_array(std::array::from_fn(|axis| of.get(axis).map_or(0.0, |limits| limits[side])))

@@ -21,7 +21,7 @@ pub(super) enum VlrKind {
     ExtraBytes,
     /// The coordinate reference system as text.
     Wkt,
-    /// The same as numbers, and the texts that these name.
+    /// The coordinate reference system as numbers, and the texts that these name.
     GeoKeys,
     GeoTexts,
 }

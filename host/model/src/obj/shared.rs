@@ -98,7 +98,8 @@ impl<'a> SharedNormals<'a> {
         Ok(low)
     }
 
-    /// The same, where it is not before `next` and probably one of the first from there on.
+    /// Index of the first pair of a normal, where it is not before `next` and probably one of the first from
+    /// there on.
     fn first_pair_from(
         &self,
         pairs: &mut RecordFile<'_, PAIR>,

@@ -20,7 +20,7 @@ pub(super) enum Data {
 }
 
 impl Data {
-    /// Its name in the header.
+    /// The name of this layout in the header.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Ascii => "ascii",

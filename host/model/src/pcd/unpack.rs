@@ -16,7 +16,7 @@ const WINDOW: usize = 1 << 13;
 /// Bytes that are read, and written, at a time.
 const BLOCK: usize = 1 << 20;
 
-/// The same points as binary records, in the cache.
+/// The points of a compressed file as binary records, in the cache.
 ///
 /// Disk: the unpacked size, at most 4 GiB, and as much again until that is done. Memory: a few MiB.
 pub(super) fn unpack(source: &SourceFile, header: &PcdHeader, making: &Making<'_>) -> Result<SourceFile> {

@@ -40,8 +40,8 @@ pub struct Besides<'a> {
     pub triangles: &'a [[u32; 3]],
 }
 
-/// The same with colours, of type uchar, and ids, of type int: other programs keep these rather than unsigned
-/// ones.
+/// Writes points with colours, of type uchar, and ids, of type int: other programs keep these rather than
+/// unsigned ones.
 ///
 /// # Errors
 /// As of [`write_points`].

@@ -56,7 +56,7 @@ pub(super) fn quaternion(packed: u32) -> [f64; 4] {
     q
 }
 
-/// The same of a quaternion of any length and sign.
+/// Packs a quaternion of any length and sign.
 pub(super) fn pack_quaternion(q: [f64; 4]) -> u32 {
     let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     let largest = (1..4).fold(0, |best: usize, i| if q[i].abs() > q[best].abs() { i } else { best });

@@ -1,8 +1,8 @@
 //! SPZ of Niantic, versions 2 and 3: a header and one array after the other (positions of 24 bits, opacities,
 //! colours, logarithms of scales, quaternions, harmonics), compressed as a whole by gzip.
 //!
-//! It is unpacked into the cache once. What is written goes through gzip again, array by array: splats are
-//! carried over once for each array of numbers that turn, each time with the same result.
+//! The file is unpacked into the cache once. What is written goes through gzip again, array by array: splats
+//! are carried over once for each array of numbers that turn, each time with the same result.
 //!
 //! A chunk's bytes are those of its splats, with all of a splat's numbers side by side.
 
@@ -266,7 +266,7 @@ fn quaternion(bytes: &[u8]) -> [f64; 4] {
     q
 }
 
-/// The same of a quaternion of any length and sign.
+/// Packs a quaternion of any length and sign.
 fn put_quaternion(q: [f64; 4], bytes: &mut [u8]) {
     let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     if bytes.len() == 3 {

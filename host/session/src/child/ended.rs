@@ -1,9 +1,9 @@
 //! A process that does not outlive this one, nor do those that it starts.
 //!
-//! It leads a process group, which is ended with it. What ends it where this process is killed, and cannot do
-//! so itself: on Linux the signal that the system sends to it ([`end_with`](super::end_with)), and on all
-//! systems of the kind a shell that reads a pipe from here until it breaks, and then ends all groups that are
-//! left.
+//! The process leads a process group, which is ended with it. What ends it where this process is killed, and
+//! cannot do so itself: on Linux the signal that the system sends to it ([`end_with`](super::end_with)), and
+//! on all systems of the kind a shell that reads a pipe from here until it breaks, and then ends all groups
+//! that are left.
 
 use std::io::Result;
 use std::process::{Child, ChildStderr, ChildStdout, Command, ExitStatus};
@@ -38,7 +38,7 @@ impl Ended {
         Ok(this)
     }
 
-    /// Its number, as long as it is there.
+    /// The process's number, as long as it is there.
     pub fn id(&self) -> u32 {
         self.child.id()
     }

@@ -23,21 +23,21 @@ const LONGEST_HISTORY: usize = 1000;
 pub enum EditCommand {
     /// A new step, before the one that is at this place now.
     Add {
-        /// Its place.
+        /// The place that it gets.
         at: usize,
         /// The step.
         step: Box<Step>,
     },
     /// The step goes away.
     Remove {
-        /// Its place.
+        /// The step's place.
         at: usize,
     },
     /// The step gets another place.
     Move {
-        /// Its place.
+        /// The step's place.
         from: usize,
-        /// Its place afterwards.
+        /// The step's place afterwards.
         to: usize,
     },
     /// New steps, before the one that is at this place now.
@@ -63,7 +63,7 @@ pub enum EditCommand {
     },
     /// The step becomes the last one of a group.
     JoinGroup {
-        /// Its place.
+        /// The step's place.
         from: usize,
         /// The place of one of the group.
         at: usize,
@@ -89,7 +89,7 @@ pub enum EditCommand {
     },
     /// The step becomes another one.
     Change {
-        /// Its place.
+        /// The step's place.
         at: usize,
         /// How.
         change: Change,
@@ -128,9 +128,9 @@ pub enum Change {
     SetJoints(Vec<Joint>),
     /// A joint is called otherwise, with its motion and what hangs on it.
     RenameJoint {
-        /// Its id.
+        /// The joint's id.
         from: String,
-        /// Its id afterwards.
+        /// The joint's id afterwards.
         to: String,
     },
     /// A handle that the plugin placed is moved.

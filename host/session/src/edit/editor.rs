@@ -92,13 +92,13 @@ impl Editor {
         (Self { session, path, opened, document, plugins, saved, kept }, evaluation)
     }
 
-    /// The same, of what is in no file that was saved, as what was [kept against a crash](recover).
+    /// This editor, of what is in no file that was saved, as what was [kept against a crash](recover).
     #[must_use]
     pub fn unsaved(self) -> Self {
         Self { saved: None, ..self }
     }
 
-    /// The same, opened by another path than its model's, as by the folder of its samples: what it is kept
+    /// This editor, opened by another path than its model's, as by the folder of its samples: what it is kept
     /// beside until it has a file.
     #[must_use]
     pub fn opened_by(self, path: &Path) -> Self {

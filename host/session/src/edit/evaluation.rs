@@ -78,7 +78,7 @@ impl Evaluated {
         })
     }
 
-    /// The same, with what users should know of the plugins that did the steps: see
+    /// What came of the steps, with what users should know of the plugins that did the steps: see
     /// [`PluginRegistry::notices`].
     #[must_use]
     pub fn with_notices(mut self, steps: &[Entry], registry: &PluginRegistry) -> Self {
@@ -212,8 +212,8 @@ impl Evaluation {
         Self { sampled, start: None, beginning: None, how, known: HashMap::new(), at: Arc::default() }
     }
 
-    /// The same, of samples that something else has moved before the first step: finite local positions, one
-    /// for each.
+    /// An evaluation of samples that something else has moved before the first step: finite local positions,
+    /// one for each.
     ///
     /// # Errors
     /// There are more positions than samples, or less.

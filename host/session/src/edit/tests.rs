@@ -170,7 +170,7 @@ fn update(evaluation: &mut Evaluation, document: &Document, effort: api::Effort)
     evaluation.update(document.steps(), &registry(), effort, &Silent).unwrap()
 }
 
-/// The same plugin each time: one that is loaded anew is another one.
+/// The plugins, the same ones each time: one that is loaded anew is another one.
 fn registry() -> Arc<PluginRegistry> {
     thread_local! {
         static REGISTRY: Arc<PluginRegistry> = {

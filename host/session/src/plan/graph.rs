@@ -65,7 +65,7 @@ pub struct Plan {
     /// The model's tiles, if it has any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) tiles: Vec<PathBuf>,
-    /// Its size.
+    /// The model's size in bytes.
     pub(super) model_bytes: u64,
     /// Number of its vertices.
     pub(super) vertices: u64,

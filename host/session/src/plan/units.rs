@@ -21,7 +21,7 @@ const LONGEST: u64 = 256 << 20;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Unit {
-    /// Its place in the list.
+    /// The unit's place in the list.
     pub number: usize,
     /// What is done.
     pub stage: Stage,

@@ -32,7 +32,7 @@ pub const PATH_VARIABLE: &str = "SIMOD_PLUGIN_PATH";
 /// A library that is not used.
 #[derive(Debug)]
 pub struct Rejected {
-    /// Its file, or a folder that could not be read.
+    /// The library's file, or a folder that could not be read.
     pub path: PathBuf,
     /// Why.
     pub error: Error,
@@ -112,8 +112,9 @@ impl PluginOptions {
         Self { chosen: Vec::new(), folders, isolation, worker: Arc::new(worker), cache }
     }
 
-    /// The same for another program that has this one's libraries within itself: its plugins are those of
-    /// `program`, beside which they lie, and which runs them where they have processes of their own.
+    /// Where plugins are looked for by another program that has this one's libraries within itself: its
+    /// plugins are those of `program`, beside which they lie, and which runs them where they have processes
+    /// of their own.
     #[cfg(unix)]
     pub fn of_program(program: &Path) -> Self {
         let worker = WorkerOptions::for_program(program);
@@ -136,7 +137,7 @@ impl PluginOptions {
 /// A library that took its time to say what it is.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Slow {
-    /// Its file.
+    /// The library's file.
     pub path: PathBuf,
     /// How long it took.
     pub time: Duration,
@@ -170,7 +171,7 @@ pub fn standard_folders() -> Vec<PluginFolder> {
     folders_of(std::env::current_exe().ok().as_deref())
 }
 
-/// The same, of a program that may not be the running one.
+/// The folders that a program looks for plugins in, which may not be the running one.
 fn folders_of(program: Option<&Path>) -> Vec<PluginFolder> {
     let any = |path| PluginFolder { path, by_name: false, shipped: false };
     let mut folders: Vec<PluginFolder> = std::env::var_os(PATH_VARIABLE)

@@ -83,7 +83,7 @@ impl RestShape<'_> {
         self.rest_at(self.positions.into(), key)
     }
 
-    /// The same at other positions, as layers before have left them.
+    /// What a layer starts from at other positions, as layers before have left them.
     pub(crate) fn rest_at(&self, positions: Arc<[Vec3]>, key: u64) -> Result<LayerRest> {
         self.check()?;
         let corner = |p| self.frame.to_local_exact(p).to_array();
@@ -97,7 +97,7 @@ impl RestShape<'_> {
         })
     }
 
-    /// The same once more at other positions, as `former` was made of.
+    /// What a layer starts from at positions that `former` was made of, once more.
     pub(crate) fn rest_again(
         &self,
         former: &LayerRest,

@@ -186,7 +186,7 @@ impl Engine {
 
     /// Whether another model may be there before long, or what became of one was not taken yet.
     pub fn is_opening(&self) -> bool {
-        let (wanted, running) = &*self.shared.lock();
+        let (wanted, running) = &mut *self.shared.lock();
         wanted.has(Job::Open) || running.watch(Job::Open).is_some() || running.opened > 0
     }
 
@@ -201,7 +201,7 @@ impl Engine {
 
     /// Whether nothing is running, nothing waits, and all events were taken.
     pub fn is_idle(&self) -> bool {
-        let (wanted, running) = &*self.shared.lock();
+        let (wanted, running) = &mut *self.shared.lock();
         is_idle(wanted, running)
     }
 
@@ -215,8 +215,8 @@ impl Engine {
             if let Some(event) = self.poll() {
                 return Ok(Some(event));
             }
-            let inner = self.shared.lock();
-            let (wanted, running) = &*inner;
+            let mut inner = self.shared.lock();
+            let (wanted, running) = &mut *inner;
             if is_idle(wanted, running) {
                 return Ok(None);
             }

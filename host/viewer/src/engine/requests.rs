@@ -117,9 +117,9 @@ impl SamplePose {
 pub struct ComparisonRequest {
     /// Which version it is; comes back with the result.
     pub number: u64,
-    /// Its steps.
+    /// The version's steps.
     pub steps: Arc<[Entry]>,
-    /// Its samples, if they are known already.
+    /// The version's samples, if they are known already.
     pub scene: Option<Arc<ViewerScene>>,
     /// Whether a step that cannot be done makes it worthless.
     pub whole: bool,
@@ -153,7 +153,7 @@ pub enum Event {
     Compared {
         /// Which, as it was asked for.
         number: u64,
-        /// Its samples.
+        /// The version's samples.
         scene: Arc<ViewerScene>,
         /// Where it has the others that were asked for.
         carried: Option<CarriedSamples>,

@@ -23,26 +23,39 @@ pub(super) struct WantedJobs {
 }
 
 impl WantedJobs {
+    /// The requests that wait, by the number of their job.
+    fn requests(&mut self) -> [&mut dyn Request; Job::ALL.len()] {
+        let Self { open, evaluate, write, preview, compare, .. } = self;
+        [open, evaluate, write, preview, compare]
+    }
+
     /// Whether a job waits to be begun.
-    pub fn has(&self, job: Job) -> bool {
-        match job {
-            Job::Open => self.open.is_some(),
-            Job::Evaluate => self.evaluate.is_some(),
-            Job::Write => self.write.is_some(),
-            Job::Preview => self.preview.is_some(),
-            Job::Compare => self.compare.is_some(),
-        }
+    pub fn has(&mut self, job: Job) -> bool {
+        self.requests()[job as usize].is_there()
     }
 
     /// The job that waits is wanted no more.
     pub fn give_up(&mut self, job: Job) {
-        match job {
-            Job::Open => self.open = None,
-            Job::Evaluate => self.evaluate = None,
-            Job::Write => self.write = None,
-            Job::Preview => self.preview = None,
-            Job::Compare => self.compare = None,
-        }
+        self.requests()[job as usize].drop();
+    }
+}
+
+/// A request for a job, whatever it is for, while it waits.
+trait Request {
+    /// Whether there is one.
+    fn is_there(&self) -> bool;
+
+    /// The request is wanted no more.
+    fn drop(&mut self);
+}
+
+impl<T> Request for Option<T> {
+    fn is_there(&self) -> bool {
+        self.is_some()
+    }
+
+    fn drop(&mut self) {
+        *self = None;
     }
 }
 
@@ -96,6 +109,6 @@ impl SharedState {
 }
 
 /// Whether nothing is running, nothing waits, and all events were taken.
-pub(super) fn is_idle(wanted: &WantedJobs, running: &RunningJobs) -> bool {
+pub(super) fn is_idle(wanted: &mut WantedJobs, running: &RunningJobs) -> bool {
     Job::ALL.iter().all(|job| !wanted.has(*job) && running.watch(*job).is_none()) && running.events == 0
 }

@@ -263,7 +263,7 @@ fn opened(
     Ok((if is_unsaved { editor.unsaved() } else { editor }, evaluation))
 }
 
-/// The same, of what was kept of it, if anything was.
+/// Opens a model or a session, or what was kept of its edit against a crash, if anything was.
 fn opened_as(
     Opening { path, sampling, model, .. }: &Opening,
     kept: Option<SessionFile>,

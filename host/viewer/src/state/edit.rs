@@ -31,8 +31,8 @@ impl State {
         }
         self.end_preview();
         (self.selection, self.selections) = (Selection::none(scene.len()), Default::default());
-        (self.chosen, self.stroke, self.depth, self.named) = (None, None, None, None);
-        (self.fields, self.body) = ([None, None], None);
+        (self.chosen, self.stroke, self.named, self.body) = (None, None, None, None);
+        (self.fields, self.depth) = Default::default();
         (self.clip, self.measured) = (None, Vec::new());
         self.unpin();
         (self.shown, self.floor) = (self.requested, self.requested);
@@ -144,7 +144,7 @@ impl State {
         edit::copied(&[step], &self.plugins)
     }
 
-    /// The same of all steps of the group that one is in.
+    /// The text of all steps of the group that one is in.
     ///
     /// # Errors
     /// The step is in no group; the steps are too long for a text.

@@ -4,29 +4,33 @@ use super::known::{FieldKey, VersionNumbers};
 use super::{ComparedVersion, State};
 use crate::overlay::{self, Overlay, ScalarField};
 use crate::scene::ViewerScene;
+use std::cell::Ref;
 use std::sync::Arc;
 
 impl State {
     /// The numbers that are shown on the surface; nothing where only the surface is.
-    pub fn field(&mut self) -> Option<&ScalarField> {
+    pub fn field(&self) -> Option<Ref<'_, ScalarField>> {
         self.field_of(ComparedVersion::Now)
     }
 
-    /// The same of a version. While one is pinned, the scale is that of both; what depends on the selection,
-    /// or on the step that is chosen, is of the other one alone.
-    pub fn field_of(&mut self, version: ComparedVersion) -> Option<&ScalarField> {
+    /// The numbers that are shown on the surface of a version. While one is pinned, the scale is that of
+    /// both; what depends on the selection, or on the step that is chosen, is of the other one alone.
+    pub fn field_of(&self, version: ComparedVersion) -> Option<Ref<'_, ScalarField>> {
         self.know(ComparedVersion::Now);
         self.know(ComparedVersion::Pinned);
-        let ranges = self.fields.iter().flatten().map(|known| known.range);
+        let mut fields = self.fields.borrow_mut();
+        let ranges = fields.iter().flatten().map(|known| known.range);
         if let Some(range) = ranges.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]) {
-            self.fields.iter_mut().flatten().for_each(|known| known.field.range = range);
+            fields.iter_mut().flatten().for_each(|known| known.field.range = range);
         }
-        self.fields[version as usize].as_ref().map(|known| &known.field)
+        drop(fields);
+        let fields = self.fields.borrow();
+        Ref::filter_map(fields, |fields| Some(&fields[version as usize].as_ref()?.field)).ok()
     }
 
     /// The colours of a version's samples, if they are not all the same: those of the numbers that are shown,
     /// or the model's own.
-    pub fn sample_colors(&mut self, version: ComparedVersion) -> Option<Vec<[u8; 3]>> {
+    pub fn sample_colors(&self, version: ComparedVersion) -> Option<Vec<[u8; 3]>> {
         let scene = self.scene_of(version)?.clone();
         if let Some(field) = self.field_of(version) {
             return Some((0..scene.len()).map(|i| field.color(i)).collect());
@@ -36,9 +40,10 @@ impl State {
     }
 
     /// Finds the numbers of a version, unless they are known.
-    fn know(&mut self, version: ComparedVersion) {
-        let known = self.fields[version as usize].take();
-        self.fields[version as usize] = self.found(version, known);
+    fn know(&self, version: ComparedVersion) {
+        let known = self.fields.borrow_mut()[version as usize].take();
+        let found = self.found(version, known);
+        self.fields.borrow_mut()[version as usize] = found;
     }
 
     fn found(&self, version: ComparedVersion, known: Option<VersionNumbers>) -> Option<VersionNumbers> {

@@ -40,6 +40,7 @@ use simod_plugin_api::Effort;
 use simod_session::edit::{Document, Editor, Entry, StepId};
 use simod_session::{PluginRegistry, SessionFile};
 pub use slowest::Slowest;
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
@@ -86,13 +87,13 @@ pub struct State {
     floor: u64,
     notices: Vec<Notice>,
     recorder: Option<Recorder>,
-    /// The depth buffer of a scene.
-    depth: Option<(u64, DepthBuffer)>,
+    /// The depth buffer of a scene, as it was asked for last.
+    depth: RefCell<Option<(u64, Arc<DepthBuffer>)>>,
     preview: Preview,
     /// Balls within the samples at rest, once a step with joints was chosen.
     body: Option<InscribedBalls>,
-    /// The numbers of both versions.
-    fields: [Option<VersionNumbers>; 2],
+    /// The numbers of both versions, as they were asked for last.
+    fields: RefCell<[Option<VersionNumbers>; 2]>,
     /// The version to compare with.
     pinned: Option<Pinned>,
     /// How many were pinned so far.
@@ -124,10 +125,10 @@ impl State {
             floor: 0,
             notices: Vec::new(),
             recorder: None,
-            depth: None,
+            depth: RefCell::default(),
             preview: Preview::default(),
             body: None,
-            fields: [None, None],
+            fields: RefCell::default(),
             pinned: None,
             pins: 0,
             named: None,

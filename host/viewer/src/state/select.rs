@@ -13,14 +13,14 @@ use std::sync::Arc;
 
 impl State {
     /// The point of the surface under a pixel.
-    pub fn pick(&mut self, pixel: DVec2) -> Option<Hit> {
+    pub fn pick(&self, pixel: DVec2) -> Option<Hit> {
         let scene = self.scene()?.clone();
         self.depth(&scene).pick(&scene, pixel)
     }
 
     /// The middle of the body under a pixel, where a step finds it: between the surface there and the one
     /// behind it that looks away. On the surface where there is none, as in an open scan. Model coordinates.
-    pub fn pick_middle(&mut self, step: usize, pixel: DVec2) -> Option<DVec3> {
+    pub fn pick_middle(&self, step: usize, pixel: DVec2) -> Option<DVec3> {
         let scene = self.scene()?.clone();
         let near = self.depth(&scene).pick(&scene, pixel)?;
         let far = self.depth(&scene).pick_far_side(&scene, pixel);
@@ -29,12 +29,17 @@ impl State {
         Some(far.map_or(near, |far| 0.5 * (near + far)))
     }
 
-    /// The depth buffer of what is shown.
-    pub(super) fn depth(&mut self, scene: &Arc<ViewerScene>) -> &DepthBuffer {
+    /// The depth buffer of what is shown; made where the one that was asked for last is of something else.
+    pub(super) fn depth(&self, scene: &Arc<ViewerScene>) -> Arc<DepthBuffer> {
         let (camera, size, clip) = (self.camera, self.size, self.local_clip());
-        let known = self.depth.take().filter(|(r, d)| *r == scene.revision && d.is_of(&camera, size, clip));
-        let made = known.unwrap_or_else(|| (scene.revision, DepthBuffer::new(scene, &camera, size, clip)));
-        &self.depth.insert(made).1
+        let is_it = |(revision, depth): &(u64, Arc<DepthBuffer>)| {
+            *revision == scene.revision && depth.is_of(&camera, size, clip)
+        };
+        let known = self.depth.take().filter(is_it);
+        let make = || (scene.revision, Arc::new(DepthBuffer::new(scene, &camera, size, clip)));
+        let depth = known.unwrap_or_else(make);
+        self.depth.replace(Some(depth.clone()));
+        depth.1
     }
 
     pub(super) fn select(
@@ -65,7 +70,7 @@ impl State {
     }
 
     /// The samples of an area, seen or not.
-    fn pointed(&mut self, area: &Area) -> Result<Selection> {
+    fn pointed(&self, area: &Area) -> Result<Selection> {
         let open = self.open()?;
         let (scene, adjacency) = (&open.scene.clone(), &open.adjacency.clone());
         let (camera, size, count) = (self.camera, self.size, scene.len());

@@ -62,7 +62,7 @@ impl State {
         self.clip
     }
 
-    /// The same as unit normal and distance, in local coordinates.
+    /// The plane that cuts the model open, as unit normal and distance, in local coordinates.
     pub fn local_clip(&self) -> Option<(DVec3, f64)> {
         Some(self.clip?.local(&self.scene()?.frame()))
     }

@@ -127,7 +127,7 @@ fn samples_and_vertices_have_the_models_numbers() {
 
     // No class that no vertex has.
     done(&mut state, Command::Show(Overlay::Attribute(CLASSIFICATION)));
-    let field = state.field().unwrap();
+    let field = state.field().unwrap().clone();
     assert!(field.are_classes && field.values.iter().all(|class| [2.0, 6.0].contains(class)));
     assert_ne!(field.scale().color(2.0), field.scale().color(6.0));
 

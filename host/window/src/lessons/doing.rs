@@ -1,7 +1,7 @@
 //! What parts of lessons look for, and do.
 
 use crate::tools::{MovedPart, Tool};
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use glam::DVec3;
 use simod_session::Motion;
 use simod_session::edit::{Change, StepId};
@@ -20,19 +20,19 @@ pub fn step(window: &Window, plugin: &str) -> Option<(usize, StepId, Deformation
 }
 
 /// Adds a step of a plugin, with the tool for it, as the menu does.
-pub fn add(window: &mut Window, plugin: &str) {
+pub fn add(window: &Window, commands: &mut Commands, plugin: &str) {
     let found = window.state().plugins().get(plugin).cloned();
     match found {
-        Ok(plugin) => crate::steps::added(window, &plugin, None),
-        Err(error) => window.toasts.error(&error),
+        Ok(plugin) => crate::steps::added(commands, &plugin, None),
+        Err(error) => commands.then(move |window| window.toasts.error(&error)),
     }
 }
 
 /// Works on the step of a plugin from now on. Its place.
-pub fn choose(window: &mut Window, plugin: &str) -> Option<usize> {
+pub fn choose(window: &Window, commands: &mut Commands, plugin: &str) -> Option<usize> {
     let (at, ..) = step(window, plugin)?;
     if window.state().chosen() != Some(at) {
-        window.apply(Command::Choose { step: Some(at) });
+        commands.apply(Command::Choose { step: Some(at) });
     }
     Some(at)
 }
@@ -44,16 +44,16 @@ pub fn number(window: &Window, plugin: &str, id: &str) -> Option<f64> {
     value.as_float().or_else(|| value.as_integer().map(|i| i as f64))
 }
 
-pub fn change(window: &mut Window, plugin: &str, change: Change) {
-    if let Some(at) = choose(window, plugin) {
-        window.change(at, change, false);
+pub fn change(window: &Window, commands: &mut Commands, plugin: &str, change: Change) {
+    if let Some(at) = choose(window, commands, plugin) {
+        commands.change(at, change, false);
     }
 }
 
 /// Looks at all of the model from its front.
-pub fn look_from_front(window: &mut Window) {
+pub fn look_from_front(_: &Window, commands: &mut Commands) {
     for step in [CameraMove::Look(Standard::Front), CameraMove::FrameAll] {
-        window.apply(Command::Camera(step));
+        commands.apply(Command::Camera(step));
     }
 }
 
@@ -62,13 +62,13 @@ pub fn is_selected(window: &Window) -> bool {
 }
 
 /// Selects the samples between two heights, from 0 at the model's foot to 1 at its top.
-pub fn select_between(window: &mut Window, [from, to]: [f32; 2]) {
+pub fn select_between(window: &Window, commands: &mut Commands, [from, to]: [f32; 2]) {
     let Some(scene) = window.state().scene() else { return };
     let [min, max] = scene.bounds();
     let height = |y: f32| (y - min.y) / (max.y - min.y);
     let marks = scene.positions.iter().map(|p| (from..=to).contains(&height(p.y))).collect();
     let area = Area::Runs(Selection::from_marks(marks).runs());
-    window.apply(Command::Select { area, combine: Default::default(), visible: false, goes_on: false });
+    commands.apply(Command::Select { area, combine: Default::default(), visible: false, goes_on: false });
 }
 
 /// Whether the plugin's step has a region of this role.
@@ -77,9 +77,9 @@ pub fn has_region(window: &Window, plugin: &str, role: Role) -> bool {
 }
 
 /// Makes a region of what is selected, for the plugin's step.
-pub fn make_region(window: &mut Window, plugin: &str, role: Role) {
-    if choose(window, plugin).is_some() {
-        crate::regions::make(window, role);
+pub fn make_region(window: &Window, commands: &mut Commands, plugin: &str, role: Role) {
+    if choose(window, commands, plugin).is_some() {
+        commands.then_draw(move |window, commands| crate::regions::make(window, commands, role));
     }
 }
 
@@ -96,8 +96,8 @@ fn height(window: &Window) -> f64 {
 }
 
 /// Moves the first handle region of the plugin's step aside, and turns it.
-pub fn move_region(window: &mut Window, plugin: &str) {
-    let Some(at) = choose(window, plugin) else { return };
+pub fn move_region(window: &Window, commands: &mut Commands, plugin: &str) {
+    let Some(at) = choose(window, commands, plugin) else { return };
     let Some((.., deformation)) = step(window, plugin) else { return };
     let Some(region) = deformation.regions.iter().position(|region| region.role == Role::Handle) else {
         return;
@@ -109,8 +109,8 @@ pub fn move_region(window: &mut Window, plugin: &str) {
         pivot: window.state().handle_pivot(at, region),
         ..Motion::default()
     };
-    window.tools.target = Some(MovedPart::Region(region));
-    change(window, plugin, Change::MoveRegion { region, motion });
+    commands.then(move |window| window.tools.target = Some(MovedPart::Region(region)));
+    commands.change(at, Change::MoveRegion { region, motion }, false);
 }
 
 /// How many handles of the plugin's step are in the hand.
@@ -119,8 +119,8 @@ pub fn in_hand(window: &Window, plugin: &str) -> usize {
 }
 
 /// Takes handles of the plugin's step into the hand: so many of those highest up.
-pub fn take_highest(window: &mut Window, plugin: &str, count: usize) {
-    let Some(at) = choose(window, plugin) else { return };
+pub fn take_highest(window: &Window, commands: &mut Commands, plugin: &str, count: usize) {
+    let Some(at) = choose(window, commands, plugin) else { return };
     let Some((_, id, _)) = step(window, plugin) else { return };
     let mut handles: Vec<(f64, String)> = window
         .state()
@@ -130,68 +130,74 @@ pub fn take_highest(window: &mut Window, plugin: &str, count: usize) {
         .collect();
     handles.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let ids: Vec<String> = handles.into_iter().take(count).map(|(_, id)| id).collect();
-    window.tools.take(Tool::Move);
-    window.tools.take_handles(id, ids.first().cloned(), ids.iter().cloned().collect());
+    commands.then(move |window| {
+        window.tools.take(Tool::Move);
+        window.tools.take_handles(id, ids.first().cloned(), ids.into_iter().collect());
+    });
 }
 
 /// Moves what is in the hand upwards and aside.
-pub fn move_in_hand(window: &mut Window, plugin: &str) {
+pub fn move_in_hand(window: &Window, commands: &mut Commands, plugin: &str) {
     let Some((_, id, _)) = step(window, plugin) else { return };
     let translate = DVec3::new(0.12, 0.14, 0.0) * height(window);
     let ids = window.tools.handles(id);
     let moved = |id| HandleMove { id, motion: Motion { translate, ..Motion::default() } };
-    change(window, plugin, Change::MoveHandles(ids.into_iter().map(moved).collect()));
+    change(window, commands, plugin, Change::MoveHandles(ids.into_iter().map(moved).collect()));
 }
 
 /// Places three joints along the upright middle of the model.
-pub fn place_joints(window: &mut Window, plugin: &str) {
-    let Some(step) = choose(window, plugin) else { return };
+pub fn place_joints(window: &Window, commands: &mut Commands, plugin: &str) {
+    let Some(step) = choose(window, commands, plugin) else { return };
     let Some(bounds) = window.state().scene().map(|scene| scene.sampled.bounds) else { return };
     let mut parent = None;
     for (i, part) in [0.05, 0.5, 0.93].into_iter().enumerate() {
         let id = format!("joint-{}", i + 1);
         let at = DVec3::new(0.0, bounds.min.y + part * (bounds.max.y - bounds.min.y), 0.0);
-        window.apply(Command::PlaceJoint { step, id: id.clone(), at, parent });
+        commands.apply(Command::PlaceJoint { step, id: id.clone(), at, parent });
         parent = Some(id);
     }
 }
 
 /// Takes a joint into the hand, to be turned.
-pub fn take_joint(window: &mut Window, plugin: &str, place: usize) {
-    choose(window, plugin);
+pub fn take_joint(window: &Window, commands: &mut Commands, plugin: &str, place: usize) {
+    choose(window, commands, plugin);
     let Some((.., deformation)) = step(window, plugin) else { return };
     if let Some(joint) = deformation.joints.get(place) {
-        window.tools.target = Some(MovedPart::Handle(joint.id.clone()));
-        window.tools.take(Tool::Rotate);
+        let target = Some(MovedPart::Handle(joint.id.clone()));
+        commands.then(|window| {
+            window.tools.target = target;
+            window.tools.take(Tool::Rotate);
+        });
     }
 }
 
 /// Turns a joint towards the side.
-pub fn turn_joint(window: &mut Window, plugin: &str, place: usize) {
+pub fn turn_joint(window: &Window, commands: &mut Commands, plugin: &str, place: usize) {
     let Some((.., deformation)) = step(window, plugin) else { return };
     let Some(joint) = deformation.joints.get(place) else { return };
     let motion = Motion { axis: DVec3::Z, degrees: 40.0, ..Motion::default() };
-    change(window, plugin, Change::MoveHandle { id: joint.id.clone(), motion });
+    change(window, commands, plugin, Change::MoveHandle { id: joint.id.clone(), motion });
 }
 
 /// Paints a stroke from left to right over what is seen, at a part of the picture's height.
-pub fn paint(window: &mut Window, plugin: &str, part: f64) {
-    let Some(step) = choose(window, plugin) else { return };
+pub fn paint(window: &Window, commands: &mut Commands, plugin: &str, part: f64) {
+    let Some(step) = choose(window, commands, plugin) else { return };
     let Some(scale) = window.state().scene().map(|scene| scene.frame().scale) else { return };
     let [width, height] = window.state().size();
     let pixels = (0..24).map(|i| [width * (0.3 + 0.4 * f64::from(i) / 23.0), height * part]);
-    let hits: Vec<_> = pixels.filter_map(|pixel| window.state_mut().pick(pixel.into())).collect();
+    let hits: Vec<_> = pixels.filter_map(|pixel| window.state().pick(pixel.into())).collect();
     let points: Vec<DVec3> = hits.iter().filter_map(|hit| window.state().in_step(step, hit)).collect();
     let radius = window.tools.stroke_radius * scale;
-    if points.is_empty()
-        || !window.apply(Command::BeginStroke { step, radius, strength: 1.0, params: Default::default() })
-    {
+    if points.is_empty() {
         return;
     }
-    for at in points {
-        window.apply(Command::StrokePoint { at, pressure: None });
-    }
-    window.apply(Command::EndStroke);
+    let begin = Command::BeginStroke { step, radius, strength: 1.0, params: Default::default() };
+    commands.apply_then(begin, |window| {
+        for at in points {
+            window.apply(Command::StrokePoint { at, pressure: None });
+        }
+        window.apply(Command::EndStroke);
+    });
 }
 
 pub fn strokes(window: &Window, plugin: &str) -> usize {

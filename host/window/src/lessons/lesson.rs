@@ -1,6 +1,6 @@
 //! What a lesson is: parts to be done on a generated model.
 
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use simod_generate::Shape;
 use simod_viewer::Camera;
 
@@ -26,6 +26,6 @@ pub struct Exercise {
     pub text: &'static str,
     /// Whether it is done, from where the camera was when it began.
     pub done: fn(&Window, &Camera) -> bool,
-    /// Does it.
-    pub run: fn(&mut Window),
+    /// Commands for it.
+    pub run: fn(&Window, &mut Commands),
 }

@@ -8,7 +8,7 @@ mod texts;
 
 use crate::example;
 use crate::tools::Tool;
-use crate::window::{RunningLesson, Window};
+use crate::window::{Commands, RunningLesson, Window};
 pub use lesson::{Exercise, Lesson};
 use simod_model::Result;
 use simod_session::session_file::SamplingTable;
@@ -37,28 +37,29 @@ pub fn is_open(running: &RunningLesson, window: &Window) -> bool {
 }
 
 /// Opens a lesson's model, and begins.
-pub fn begin(window: &mut Window, lesson: usize) {
-    match open(window, lesson) {
+pub fn begin(commands: &mut Commands, lesson: usize) {
+    match open(commands, lesson) {
         Ok(model) => {
             // What the lesson before showed is not what this one is about.
-            window.apply(Command::Show(Overlay::None));
-            (window.looks.side_by_side, window.looks.pinned_in_place) = (false, false);
-            window.tools.take(Tool::Orbit);
-            window.lesson = Some(RunningLesson { lesson, part: 0, model, began: None });
+            commands.apply(Command::Show(Overlay::None));
+            commands.then(move |window| {
+                (window.looks.side_by_side, window.looks.pinned_in_place) = (false, false);
+                window.tools.take(Tool::Orbit);
+                window.lesson = Some(RunningLesson { lesson, part: 0, model, began: None });
+            });
         }
-        Err(error) => window.toasts.error(&error),
+        Err(error) => commands.then(move |window| window.toasts.error(&error)),
     }
 }
 
-fn open(window: &mut Window, lesson: usize) -> Result<PathBuf> {
+fn open(commands: &mut Commands, lesson: usize) -> Result<PathBuf> {
     let Lesson { shape, file, .. } = &ALL[lesson];
     let model = example::model(file, *shape, VERTICES)?;
     // What was left of the lesson before is not what it begins with.
     state::forget(&model)?;
-    window.ask_to_open_sampled(
-        model.clone(),
-        SamplingTable { samples: Some(SAMPLES), ..SamplingTable::default() },
-    );
+    let opened = model.clone();
+    let sampling = SamplingTable { samples: Some(SAMPLES), ..SamplingTable::default() };
+    commands.then(move |window| window.ask_to_open_sampled(opened, sampling));
     Ok(model)
 }
 
@@ -68,7 +69,7 @@ pub fn update(window: &mut Window) {
     if is_open(&running, window) {
         let began = *running.began.get_or_insert(*window.state().camera());
         // What a hand is doing is done once it rests.
-        let rests = !window.tools.is_dragging() && !window.state().is_drawing();
+        let rests = !window.tools.gesture.is_dragging() && !window.state().is_drawing();
         if rests && part_of(&running).is_some_and(|part| (part.done)(window, &began)) {
             (running.part, running.began) = (running.part + 1, None);
             window.ctx().request_repaint();
@@ -77,10 +78,10 @@ pub fn update(window: &mut Window) {
     window.lesson = Some(running);
 }
 
-/// Does the part that is to be done.
-pub fn do_it(window: &mut Window) {
+/// Commands for the part that is to be done.
+pub fn do_it(window: &Window, commands: &mut Commands) {
     let part = window.lesson.as_ref().filter(|running| is_open(running, window)).and_then(part_of);
     if let Some(part) = part {
-        (part.run)(window);
+        (part.run)(window, commands);
     }
 }

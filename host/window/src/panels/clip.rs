@@ -2,7 +2,7 @@
 
 use super::card;
 use crate::clip::{across, reach};
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{Align2, Area, Button, Id, Order, Rect, RichText, Slider, Ui, vec2};
 use glam::DVec3;
 use simod_viewer::{Clip, Command};
@@ -12,16 +12,16 @@ const MARGIN: f32 = 12.0;
 pub const HEIGHT: f32 = 46.0;
 
 /// At the lower left, while the model is cut open.
-pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let Some(clip) = window.state().clipped() else { return };
     let area = Area::new(Id::unique("clip")).order(Order::Middle).movable(false);
     let area = area.pivot(Align2::LEFT_BOTTOM).fixed_pos(rect.left_bottom() + vec2(MARGIN, -MARGIN));
     area.show(ui.ctx(), |ui| {
-        card(ui).show(ui, |ui| ui.horizontal(|ui| content(ui, window, asks, clip)));
+        card(ui).show(ui, |ui| ui.horizontal(|ui| content(ui, window, commands, clip)));
     });
 }
 
-fn content(ui: &mut Ui, window: &Window, asks: &mut Asks, clip: Clip) {
+fn content(ui: &mut Ui, window: &Window, commands: &mut Commands, clip: Clip) {
     let normal = clip.normal.normalize_or(DVec3::X);
     ui.label(RichText::new("Cut").strong());
     for (name, axis) in [("X", DVec3::X), ("Y", DVec3::Y), ("Z", DVec3::Z)] {
@@ -30,13 +30,13 @@ fn content(ui: &mut Ui, window: &Window, asks: &mut Asks, clip: Clip) {
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label(format!("Cut across {name}")));
         if response.clicked() {
             let clip = across(window, axis);
-            asks.apply(Command::Clip(clip));
+            commands.apply(Command::Clip(clip));
         }
     }
     let facing = ui.button("View").on_hover_text("Across the way that is looked along now");
     if facing.clicked() {
         let clip = across(window, window.state().camera().axes()[2]);
-        asks.apply(Command::Clip(clip));
+        commands.apply(Command::Clip(clip));
     }
     ui.separator();
     if let Some([from, to]) = reach(window, normal) {
@@ -47,15 +47,15 @@ fn content(ui: &mut Ui, window: &Window, asks: &mut Asks, clip: Clip) {
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Place of the cut"));
         if response.changed() {
             let way = from + place * (to - from) - normal.dot(clip.through);
-            asks.apply(Command::Clip(Some(Clip { normal, through: clip.through + normal * way })));
+            commands.apply(Command::Clip(Some(Clip { normal, through: clip.through + normal * way })));
         }
     }
     if ui.button("Flip").on_hover_text("Cuts the other side away").clicked() {
-        asks.apply(Command::Clip(Some(clip.flipped())));
+        commands.apply(Command::Clip(Some(clip.flipped())));
     }
     let close = ui.button("Close").on_hover_text("Shows the whole model again (Alt+B)");
     close.ctx.accesskit_node_builder(close.id, |node| node.set_label("Close the cut"));
     if close.clicked() {
-        asks.apply(Command::Clip(None));
+        commands.apply(Command::Clip(None));
     }
 }

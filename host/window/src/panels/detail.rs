@@ -2,7 +2,7 @@
 
 use super::count;
 use crate::theme;
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{RichText, Sense, Ui, vec2};
 use simod_scene::SurfaceShare;
 use simod_viewer::detail::DetailCounts;
@@ -23,7 +23,7 @@ fn words(of: Previewed, DetailCounts { vertices, stride, stale, .. }: DetailCoun
 }
 
 /// In a line, from the right.
-pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some((of, figures)) = window.state().detail().map(|detail| (detail.previewed(), detail.figures()))
     else {
         return;
@@ -39,10 +39,10 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         None => line,
     };
     if ui.button("Off").on_hover_text("Samples everywhere").clicked() {
-        asks.apply(Command::Preview { what: Previewed::Nothing });
+        commands.apply(Command::Preview { what: Previewed::Nothing });
     }
     if ui.button("Update").on_hover_text("Stream what is seen, or selected, now").clicked() {
-        asks.apply(Command::Preview { what: of });
+        commands.apply(Command::Preview { what: of });
     }
     ui.label(RichText::new("samples, at less detail").small().weak());
     let (dot, _) = ui.allocate_exact_size(vec2(12.0, 14.0), Sense::hover());

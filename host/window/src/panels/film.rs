@@ -2,11 +2,11 @@
 
 use super::frames::modal;
 use crate::turntable::{Film, film};
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{self, DragValue, Id, Modal, RichText, TextEdit};
 
 /// Shows it until it is closed.
-pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
+pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(Film { folder, frames, transparent, mut rate }) = window.film.clone() else { return };
     let mut close = false;
     let modal = Modal::new(Id::unique("film")).frame(modal(ctx)).show(ctx, |ui| {
@@ -30,12 +30,12 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
         ui.horizontal(|ui| {
             if ui.button("Copy the Command Line").clicked() {
                 ui.ctx().copy_text(film(&folder, rate, transparent));
-                asks.then(|window| window.toasts.note("The command line is on the clipboard."));
+                commands.then(|window| window.toasts.note("The command line is on the clipboard."));
             }
             close = ui.button("Close").clicked();
         });
     });
     let closed = close || modal.should_close();
     let film = (!closed).then_some(Film { folder, frames, transparent, rate });
-    asks.then(move |window| window.film = film);
+    commands.then(move |window| window.film = film);
 }

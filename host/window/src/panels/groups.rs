@@ -3,7 +3,7 @@
 use super::rows::{Dragged, carried, name_field, put_back, switch};
 use crate::steps;
 use crate::theme;
-use crate::window::{Asks, Renaming, Window};
+use crate::window::{Commands, Renaming, Window};
 use eframe::egui::{
     self, Align, Button, Layout, Response, RichText, Sense, Stroke, StrokeKind, Ui, UiBuilder, Vec2,
     collapsing_header::paint_default_icon,
@@ -13,30 +13,35 @@ use simod_viewer::Command;
 use std::ops::Range;
 
 /// The heading of the group that has these steps. Whether they are shown.
-pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, group: Range<usize>, entries: &[Entry]) -> bool {
+pub fn show(
+    ui: &mut Ui,
+    window: &Window,
+    commands: &mut Commands,
+    group: Range<usize>,
+    entries: &[Entry],
+) -> bool {
     let first = &entries[group.start];
     let Some(name) = first.step.group.clone() else { return true };
     let folded = window.folded.contains(&name);
     let builder = UiBuilder::new().id_salt(("group", first.id)).sense(Sense::click_and_drag());
     let whole = ui.scope_builder(builder, |ui| {
         ui.horizontal(|ui| {
-            fold(ui, asks, &name, folded);
+            fold(ui, commands, &name, folded);
             let any = entries[group.clone()].iter().any(|entry| entry.step.enabled);
             if let Some(enabled) = switch(ui, &name, any, "Do these steps, or leave them out") {
-                asks.apply(Command::Edit(EditCommand::EnableGroup { at: group.start, enabled }));
+                commands.apply(Command::Edit(EditCommand::EnableGroup { at: group.start, enabled }));
             }
             let renamed =
                 window.renaming.as_ref().filter(|renaming| renaming.of_group && renaming.id == first.id);
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                more(ui, asks, &group, entries, &name);
+                more(ui, window, commands, &group, entries, &name);
                 ui.label(RichText::new(format!("{}", group.len())).weak()).on_hover_text("Steps in it");
                 ui.with_layout(Layout::left_to_right(Align::Center), |ui| match renamed {
-                    Some(renaming) => rename(ui, asks, group.clone(), &name, renaming.clone()),
+                    Some(renaming) => rename(ui, commands, group.clone(), &name, renaming.clone()),
                     None => {
                         let label = Button::new(RichText::new(&name).strong()).frame(false).truncate();
                         if ui.add(label).double_clicked() {
-                            let at = group.start;
-                            asks.then(move |window| steps::rename_group(window, at));
+                            steps::rename_group(window, commands, group.start);
                         }
                     }
                 });
@@ -45,29 +50,29 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, group: Range<usize>, 
     });
     if whole.response.clicked() {
         let name = name.clone();
-        asks.then(move |window| window.fold(&name, !folded));
+        commands.then(move |window| window.fold(&name, !folded));
     }
-    reorder(ui, window, asks, &group, first, (&name, folded), &whole.response);
+    reorder(ui, window, commands, &group, first, (&name, folded), &whole.response);
     !folded
 }
 
-fn fold(ui: &mut Ui, asks: &mut Asks, name: &str, folded: bool) {
+fn fold(ui: &mut Ui, commands: &mut Commands, name: &str, folded: bool) {
     let (_, arrow) = ui.allocate_exact_size(Vec2::splat(14.0), Sense::click());
     paint_default_icon(ui, if folded { 0.0 } else { 1.0 }, &arrow);
     let does = if folded { "Unfold" } else { "Fold" };
     arrow.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, format!("{does} {name}")));
     if arrow.clicked() {
         let name = name.to_owned();
-        asks.then(move |window| window.fold(&name, !folded));
+        commands.then(move |window| window.fold(&name, !folded));
     }
 }
 
-fn rename(ui: &mut Ui, asks: &mut Asks, group: Range<usize>, name: &str, mut renaming: Renaming) {
+fn rename(ui: &mut Ui, commands: &mut Commands, group: Range<usize>, name: &str, mut renaming: Renaming) {
     let wanted = name_field(ui, &mut renaming, "a few words", &format!("Name of the group {name}"));
     let (name, to) = (name.to_owned(), renaming.text.trim().to_owned());
-    put_back(asks, renaming, wanted.is_none());
+    put_back(commands, renaming, wanted.is_none());
     if wanted == Some(true) && !to.is_empty() {
-        asks.then(move |window| {
+        commands.then(move |window| {
             let folded = window.folded.contains(&name);
             if window.apply(Command::Edit(EditCommand::Group { steps: group, name: Some(to.clone()) })) {
                 window.fold(&to, folded);
@@ -77,7 +82,14 @@ fn rename(ui: &mut Ui, asks: &mut Asks, group: Range<usize>, name: &str, mut ren
 }
 
 /// What a group can do besides.
-fn more(ui: &mut Ui, asks: &mut Asks, group: &Range<usize>, entries: &[Entry], name: &str) {
+fn more(
+    ui: &mut Ui,
+    window: &Window,
+    commands: &mut Commands,
+    group: &Range<usize>,
+    entries: &[Entry],
+    name: &str,
+) {
     let menu = ui.menu_button("\u{2026}", |ui| {
         let at = group.start;
         // The group, or the step, before it and behind it.
@@ -88,17 +100,17 @@ fn more(ui: &mut Ui, asks: &mut Asks, group: &Range<usize>, entries: &[Entry], n
             if ui.add_enabled(to.is_some(), Button::new(name)).clicked()
                 && let Some(to) = to
             {
-                asks.apply(Command::Edit(EditCommand::MoveGroup { at, to }));
+                commands.apply(Command::Edit(EditCommand::MoveGroup { at, to }));
                 ui.close();
             }
         }
         ui.separator();
-        type Done = fn(&mut Window, usize);
+        type Done = fn(&Window, &mut Commands, usize);
         let others: [(&str, Done); 2] =
             [("Rename\u{2026}", steps::rename_group), ("Copy", steps::copy_group)];
         for (name, run) in others {
             if ui.button(name).clicked() {
-                asks.then(move |window| run(window, at));
+                run(window, commands, at);
                 ui.close();
             }
         }
@@ -109,7 +121,7 @@ fn more(ui: &mut Ui, asks: &mut Asks, group: &Range<usize>, entries: &[Entry], n
         ];
         for (name, command) in ends {
             if ui.button(name).clicked() {
-                asks.apply(Command::Edit(command));
+                commands.apply(Command::Edit(command));
                 ui.close();
             }
         }
@@ -123,7 +135,7 @@ fn more(ui: &mut Ui, asks: &mut Asks, group: &Range<usize>, entries: &[Entry], n
 fn reorder(
     ui: &Ui,
     window: &Window,
-    asks: &mut Asks,
+    commands: &mut Commands,
     group: &Range<usize>,
     first: &Entry,
     (name, folded): (&str, bool),
@@ -151,10 +163,10 @@ fn reorder(
         return;
     }
     match (gap, &*dragged) {
-        (Some(gap), dragged) => dragged.put(window, asks, gap),
+        (Some(gap), dragged) => dragged.put(window, commands, gap),
         (None, dragged) => {
             if let Some(from) = dragged.place(window).filter(|from| !group.contains(from)) {
-                asks.apply(Command::Edit(EditCommand::JoinGroup { from, at: group.start }));
+                commands.apply(Command::Edit(EditCommand::JoinGroup { from, at: group.start }));
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use super::frames::modal;
 use crate::actions::{ALL, Menu, NamedAction};
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{self, Grid, Id, Key, Modal, Modifiers, RichText, ScrollArea, Ui};
 
 /// What the pointer does, whatever the preset.
@@ -33,7 +33,7 @@ fn preset(name: &str) -> [(&'static str, &'static str); 3] {
 }
 
 /// Shows them until they are closed: by its button, Escape, the key that opened it, or a click beside it.
-pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
+pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     if !window.shows_keys {
         return;
     }
@@ -70,7 +70,7 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
             });
     });
     if close || modal.should_close() {
-        asks.then(|window| window.shows_keys = false);
+        commands.then(|window| window.shows_keys = false);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{detail, diagonal, number};
 use crate::theme;
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{
     Align, Align2, Color32, FontId, Frame, Layout, Margin, Mesh, Panel, Rect, RichText, Sense, Shape, Ui,
     pos2, vec2,
@@ -63,7 +63,7 @@ fn beside_diagonal(unit: ScaleUnit, range: [f32; 2], diagonal: Option<f64>) -> O
 
 /// Below the picture, so that nothing of the model is covered: the scale of an overlay, or the colours of
 /// regions, and how much is shown in full; nothing where all is of one colour.
-pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, legend: Option<Legend>) {
+pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands, legend: Option<Legend>) {
     let has_detail = window.state().detail().is_some();
     if legend.is_none() && !has_detail {
         return;
@@ -80,7 +80,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks, legend: Option<Legend
             });
         }
         if has_detail {
-            let line = |ui: &mut Ui| detail::show(ui, window, asks);
+            let line = |ui: &mut Ui| detail::show(ui, window, commands);
             ui.allocate_ui_with_layout(
                 vec2(ui.available_width(), 24.0),
                 Layout::right_to_left(Align::Center),
@@ -102,11 +102,11 @@ pub enum Legend {
 
 impl Legend {
     /// What the picture that is shown now has.
-    pub fn find(window: &mut Window) -> Option<Self> {
+    pub fn find(window: &Window) -> Option<Self> {
         let Some((title, unit)) = title(window) else { return roles(window).map(Self::Roles) };
-        let field = window.state_mut().field()?;
+        let field = window.state().field()?;
         Some(match field.are_classes {
-            true => Self::Classes(title, classes_of(field)),
+            true => Self::Classes(title, classes_of(&field)),
             false => Self::Scale(title, unit, field.range),
         })
     }

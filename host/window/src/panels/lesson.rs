@@ -4,7 +4,7 @@ use super::card;
 use super::clip;
 use crate::lessons::{self, ALL};
 use crate::theme;
-use crate::window::{Asks, RunningLesson, Window};
+use crate::window::{Commands, RunningLesson, Window};
 use eframe::egui::{Align2, Area, Button, Color32, Id, Order, Rect, RichText, Sense, Ui, vec2};
 
 const MARGIN: f32 = 12.0;
@@ -19,7 +19,7 @@ enum LessonAnswer {
 }
 
 /// At the lower left, while one is done.
-pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let Some(running) = &window.lesson else { return };
     let below = if window.state().clipped().is_some() { clip::HEIGHT } else { 0.0 };
     let area = Area::new(Id::unique("lesson")).order(Order::Middle).movable(false);
@@ -32,9 +32,9 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
         });
     });
     match answer {
-        Some(LessonAnswer::DoIt) => asks.then(lessons::do_it),
-        Some(LessonAnswer::Begin(lesson)) => asks.then(move |window| lessons::begin(window, lesson)),
-        Some(LessonAnswer::End) => asks.then(|window| window.lesson = None),
+        Some(LessonAnswer::DoIt) => lessons::do_it(window, commands),
+        Some(LessonAnswer::Begin(lesson)) => lessons::begin(commands, lesson),
+        Some(LessonAnswer::End) => commands.then(|window| window.lesson = None),
         None => {}
     }
 }
@@ -90,11 +90,11 @@ fn content(ui: &mut Ui, window: &Window, running: &RunningLesson) -> Option<Less
 }
 
 /// The lessons, each to be begun.
-pub fn list(ui: &mut Ui, asks: &mut Asks) {
+pub fn list(ui: &mut Ui, commands: &mut Commands) {
     for (i, lesson) in ALL.iter().enumerate() {
         ui.horizontal(|ui| {
             if ui.link(format!("{}. {}", i + 1, lesson.title)).on_hover_text(lesson.about).clicked() {
-                asks.then(move |window| lessons::begin(window, i));
+                lessons::begin(commands, i);
             }
         });
     }

@@ -4,7 +4,7 @@ use crate::actions::{ALL, Menu, NamedAction};
 use crate::lessons::{ALL as ALL_LESSONS, begin};
 use crate::settings::WindowSettings;
 use crate::steps;
-use crate::window::{Asks, CommandPalette, Window};
+use crate::window::{CommandPalette, Commands, Window};
 use crate::wording::purpose;
 use eframe::egui::{self, Button, Frame, Margin, MenuBar, Panel, RichText, Ui};
 use simod_session::Plugin;
@@ -22,21 +22,21 @@ const MENUS: [(&str, Menu); 8] = [
 ];
 
 /// The bar at the top.
-pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let frame = Frame::side_top_panel(ui.style()).inner_margin(Margin::symmetric(8, 4));
     Panel::top("menu").frame(frame).show(ui, |ui| {
         MenuBar::new().ui(ui, |ui| {
             for (name, menu) in MENUS {
                 if menu == Menu::Tool {
-                    ui.menu_button("Step", |ui| add_step(ui, window, asks, None));
+                    ui.menu_button("Step", |ui| add_step(ui, window, commands, None));
                 }
-                ui.menu_button(name, |ui| entries(ui, window, asks, menu));
+                ui.menu_button(name, |ui| entries(ui, window, commands, menu));
             }
             title(ui, window);
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 let text = RichText::new("Search commands   Ctrl+P").weak();
                 if ui.add(Button::new(text).min_size(egui::vec2(190.0, 0.0))).clicked() {
-                    asks.then(|window| window.palette = Some(CommandPalette::default()));
+                    commands.then(|window| window.palette = Some(CommandPalette::default()));
                 }
             });
         });
@@ -56,42 +56,42 @@ fn title(ui: &mut Ui, window: &Window) {
     ui.label(RichText::new(text).weak()).on_hover_text(hover);
 }
 
-fn entries(ui: &mut Ui, window: &Window, asks: &mut Asks, menu: Menu) {
+fn entries(ui: &mut Ui, window: &Window, commands: &mut Commands, menu: Menu) {
     for action in ALL.iter().filter(|action| action.menu == menu) {
         if action.begins {
             ui.separator();
         }
-        entry(ui, window, asks, action);
+        entry(ui, window, commands, action);
         if menu == Menu::File && action.name.starts_with("Open the Example") {
-            recent(ui, window, asks);
+            recent(ui, window, commands);
         }
     }
     if menu == Menu::Overlay {
         ui.separator();
-        ui.menu_button("Attribute", |ui| attributes(ui, window, asks));
+        ui.menu_button("Attribute", |ui| attributes(ui, window, commands));
     }
     if menu == Menu::Help {
         ui.separator();
-        ui.menu_button("Lessons", |ui| lessons(ui, asks));
+        ui.menu_button("Lessons", |ui| lessons(ui, commands));
     }
     if menu == Menu::View {
         ui.separator();
-        ui.menu_button("Light", |ui| entries(ui, window, asks, Menu::Light));
-        ui.menu_button("Navigation", |ui| navigation(ui, window, asks));
+        ui.menu_button("Light", |ui| entries(ui, window, commands, Menu::Light));
+        ui.menu_button("Navigation", |ui| navigation(ui, window, commands));
     }
 }
 
 /// One action, with its keys.
-fn entry(ui: &mut Ui, window: &Window, asks: &mut Asks, action: &NamedAction) {
+fn entry(ui: &mut Ui, window: &Window, commands: &mut Commands, action: &NamedAction) {
     let is_on = action.is_on.is_some_and(|is_on| is_on(window));
     let button = Button::selectable(is_on, action.name).shortcut_text(action.keys_text(ui.ctx()));
     if ui.add_enabled((action.can)(window), button).clicked() {
-        asks.then(action.run);
+        (action.run)(window, commands);
         ui.close();
     }
 }
 
-fn recent(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+fn recent(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let WindowSettings { recent, .. } = &window.settings;
     ui.add_enabled_ui(!recent.is_empty(), |ui| {
         ui.menu_button("Open Recent", |ui| {
@@ -99,7 +99,7 @@ fn recent(ui: &mut Ui, window: &Window, asks: &mut Asks) {
                 let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
                 if ui.button(name).on_hover_text(path.display().to_string()).clicked() {
                     let path = path.clone();
-                    asks.then(move |window| window.ask_to_open(path));
+                    commands.then(move |window| window.ask_to_open(path));
                     ui.close();
                 }
             }
@@ -108,7 +108,7 @@ fn recent(ui: &mut Ui, window: &Window, asks: &mut Asks) {
 }
 
 /// The numbers that the model's vertices have, to be shown on the surface.
-fn attributes(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+fn attributes(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let attributes = window.state().attributes();
     if attributes.is_empty() {
         ui.label("Its vertices have no numbers beside positions and normals.");
@@ -117,36 +117,33 @@ fn attributes(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         let overlay = Overlay::Attribute(place);
         let is_on = window.state().overlay() == overlay;
         if ui.add(Button::selectable(is_on, attribute.name.as_str())).clicked() {
-            asks.apply(Command::Show(if is_on { Overlay::None } else { overlay }));
+            commands.apply(Command::Show(if is_on { Overlay::None } else { overlay }));
             ui.close();
         }
     }
 }
 
-fn lessons(ui: &mut Ui, asks: &mut Asks) {
+fn lessons(ui: &mut Ui, commands: &mut Commands) {
     for (i, lesson) in ALL_LESSONS.iter().enumerate() {
         if ui.button(lesson.title).on_hover_text(lesson.about).clicked() {
-            asks.then(move |window| begin(window, i));
+            begin(commands, i);
             ui.close();
         }
     }
 }
 
-fn navigation(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+fn navigation(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     for preset in Navigation::ALL {
         let chosen = window.settings.navigation().name == preset.name;
         if ui.add(Button::selectable(chosen, preset.name)).clicked() {
-            asks.then(move |window| {
-                window.settings.navigation = preset.name.to_owned();
-                window.keep_settings();
-            });
+            commands.set(move |settings| settings.navigation = preset.name.to_owned());
             ui.close();
         }
     }
 }
 
 /// All plugins, to be added as a step.
-pub fn add_step(ui: &mut Ui, window: &Window, asks: &mut Asks, at: Option<usize>) {
+pub fn add_step(ui: &mut Ui, window: &Window, commands: &mut Commands, at: Option<usize>) {
     let plugins = window.state().plugins().plugins();
     let enabled = window.state().scene().is_some();
     if plugins.is_empty() {
@@ -155,8 +152,7 @@ pub fn add_step(ui: &mut Ui, window: &Window, asks: &mut Asks, at: Option<usize>
     for plugin in plugins {
         let button = Button::new(plugin.name()).right_text(RichText::new(plugin.id()).weak().small());
         if ui.add_enabled(enabled, button).on_hover_text(about(plugin)).clicked() {
-            let plugin = plugin.clone();
-            asks.then(move |window| steps::added(window, &plugin, at));
+            steps::added(commands, plugin, at);
             ui.close();
         }
     }

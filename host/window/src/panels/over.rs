@@ -4,7 +4,7 @@ use super::{card, clip, lesson, pinned, progress};
 use crate::tools::hand::Measuring;
 use crate::tools::measure;
 use crate::tools::{Tool, is_of_use};
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{Align, Button, DragValue, Layout, Rect, RichText, Slider, Ui, UiBuilder, pos2, vec2};
 use simod_viewer::Command;
 use simod_viewer::command::Area;
@@ -13,35 +13,35 @@ use simod_viewer::selection::Combine;
 const MARGIN: f32 = 12.0;
 
 /// Shows what is over the picture.
-pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     if window.tools.has_options() {
-        options(ui, rect, window, asks);
+        options(ui, rect, window, commands);
     }
-    progress::show(ui, rect, window, asks);
-    pinned::show(ui, rect, window, asks);
-    clip::show(ui, rect, window, asks);
-    lesson::show(ui, rect, window, asks);
+    progress::show(ui, rect, window, commands);
+    pinned::show(ui, rect, window, commands);
+    clip::show(ui, rect, window, commands);
+    lesson::show(ui, rect, window, commands);
 }
 
-fn options(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
+fn options(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let area = Rect::from_min_max(rect.min + vec2(MARGIN, MARGIN), pos2(rect.right() - 120.0, rect.bottom()));
     let builder = UiBuilder::new().max_rect(area).layout(Layout::left_to_right(Align::Min));
     ui.scope_builder(builder, |ui| {
         card(ui).show(ui, |ui| {
             // In a narrow picture, in several lines.
             ui.horizontal_wrapped(|ui| match window.tools.tool {
-                Tool::Stroke => stroke(ui, window, asks),
-                Tool::Measure => measuring(ui, window, asks),
-                Tool::Joint => chaining(ui, window, asks),
-                tool if tool.is_gizmo() => moving(ui, window, asks),
-                _ => selecting(ui, window, asks),
+                Tool::Stroke => stroke(ui, window, commands),
+                Tool::Measure => measuring(ui, window, commands),
+                Tool::Joint => chaining(ui, window, commands),
+                tool if tool.is_gizmo() => moving(ui, window, commands),
+                _ => selecting(ui, window, commands),
             });
         });
     });
 }
 
 /// How many handles that a plugin placed are in the hand, and how far others go along.
-fn moving(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+fn moving(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some((_, step, ..)) = window.chosen() else { return };
     let count = window.tools.handles(step).len();
     let text = if count == 1 { "1 handle".to_owned() } else { format!("{count} handles") };
@@ -56,12 +56,12 @@ fn moving(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     );
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Falloff around handles"));
     if response.changed() {
-        asks.then(move |window| window.tools.reach = reach);
+        commands.then(move |window| window.tools.reach = reach);
     }
 }
 
 /// How many joints a drag places.
-fn chaining(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+fn chaining(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     if !is_of_use(Tool::Joint, window) {
         ui.label(RichText::new("The chosen step takes no joints.").weak());
         return;
@@ -74,7 +74,7 @@ fn chaining(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         let response = ui.add(button).on_hover_text(hint);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label(format!("Place {name}")));
         if response.clicked() {
-            asks.then(move |window| window.tools.places_pins = pins);
+            commands.then(move |window| window.tools.places_pins = pins);
         }
     }
     ui.separator();
@@ -87,7 +87,7 @@ fn chaining(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let field = ui.add(DragValue::new(&mut chain).range(2..=64));
     field.ctx.accesskit_node_builder(field.id, |node| node.set_label("Joints of a chain"));
     if field.changed() {
-        asks.then(move |window| window.tools.chain = chain);
+        commands.then(move |window| window.tools.chain = chain);
     }
     ui.separator();
     let mut holds = window.tools.holds_body;
@@ -95,12 +95,12 @@ fn chaining(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         "As long as no bone is in its middle, pins there keep the body from turning with a limb",
     );
     if hold.changed() {
-        asks.then(move |window| window.tools.holds_body = holds);
+        commands.then(move |window| window.tools.holds_body = holds);
     }
 }
 
 /// What is measured, and what it comes to.
-fn measuring(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+fn measuring(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     for (measuring, name, hint) in [
         (Measuring::Distance, "Distance", "Between two points; a third click begins anew"),
         (Measuring::Angle, "Angle", "At the second of three points"),
@@ -110,7 +110,7 @@ fn measuring(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         let response = ui.add(button).on_hover_text(hint);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label(format!("Measure {name}")));
         if response.clicked() {
-            asks.then(move |window| window.tools.measuring = measuring);
+            commands.then(move |window| window.tools.measuring = measuring);
         }
     }
     ui.separator();
@@ -121,19 +121,19 @@ fn measuring(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     if !window.state().measured().is_empty() {
         ui.separator();
         if ui.button("Remove Last").on_hover_text("The last point goes away (Backspace)").clicked() {
-            asks.then(measure::remove_last);
+            measure::remove_last(window, commands);
         }
         if ui.button("Clear").on_hover_text("All points go away (Escape)").clicked() {
-            asks.then(measure::clear);
+            measure::clear(window, commands);
         }
     }
 }
 
 /// Whether a box chooses samples or handles, where the step has handles.
-fn what_is_boxed(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+fn what_is_boxed(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let has_handles = window.chosen().is_some_and(|(step, ..)| !window.state().handles(step).is_empty());
     if window.tools.tool != Tool::Box || !has_handles {
-        asks.then(move |window| window.tools.boxes_handles &= has_handles);
+        commands.then(move |window| window.tools.boxes_handles &= has_handles);
         return;
     }
     for (handles, name, hint) in [
@@ -142,14 +142,14 @@ fn what_is_boxed(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     ] {
         let button = Button::selectable(window.tools.boxes_handles == handles, name);
         if ui.add(button).on_hover_text(hint).clicked() {
-            asks.then(move |window| window.tools.boxes_handles = handles);
+            commands.then(move |window| window.tools.boxes_handles = handles);
         }
     }
     ui.separator();
 }
 
-fn selecting(ui: &mut Ui, window: &Window, asks: &mut Asks) {
-    what_is_boxed(ui, window, asks);
+fn selecting(ui: &mut Ui, window: &Window, commands: &mut Commands) {
+    what_is_boxed(ui, window, commands);
     let tools = &window.tools;
     for (combine, name, hint) in [
         (Combine::Replace, "Replace", "What is pointed at is the selection"),
@@ -157,7 +157,7 @@ fn selecting(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         (Combine::Subtract, "Subtract", "What is pointed at leaves the selection (Ctrl)"),
     ] {
         if ui.add(Button::selectable(tools.combine == combine, name)).on_hover_text(hint).clicked() {
-            asks.then(move |window| window.tools.combine = combine);
+            commands.then(move |window| window.tools.combine = combine);
         }
     }
     ui.separator();
@@ -167,7 +167,7 @@ fn selecting(ui: &mut Ui, window: &Window, asks: &mut Asks) {
             (false, "Through", "What lies behind is selected, too"),
         ] {
             if ui.add(Button::selectable(tools.visible == visible, name)).on_hover_text(hint).clicked() {
-                asks.then(move |window| window.tools.visible = visible);
+                commands.then(move |window| window.tools.visible = visible);
             }
         }
         ui.separator();
@@ -180,7 +180,7 @@ fn selecting(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         let response = ui.add(slider);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Size of the brush"));
         if response.changed() {
-            asks.then(move |window| window.tools.radius = radius);
+            commands.then(move |window| window.tools.radius = radius);
         }
         ui.separator();
     }
@@ -193,12 +193,17 @@ fn selecting(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         ("Shrink", Area::Shrunk, true),
     ] {
         if ui.add_enabled(some || !needs, Button::new(name)).clicked() {
-            asks.apply(Command::Select { area, combine: Combine::Replace, visible: false, goes_on: false });
+            commands.apply(Command::Select {
+                area,
+                combine: Combine::Replace,
+                visible: false,
+                goes_on: false,
+            });
         }
     }
 }
 
-fn stroke(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+fn stroke(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some(scale) = window.state().scene().map(|scene| scene.frame().scale) else { return };
     let takes = window.chosen().and_then(|(_, _, _, plugin)| plugin).is_some_and(|p| p.consumes().strokes);
     if !takes {
@@ -213,7 +218,7 @@ fn stroke(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let response = ui.add(slider).on_hover_text("In the model's unit; [ and ] change it");
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Radius of the brush"));
     if response.changed() {
-        asks.then(move |window| window.tools.stroke_radius = radius / scale);
+        commands.then(move |window| window.tools.stroke_radius = radius / scale);
     }
     ui.separator();
     ui.label("Strength");
@@ -221,6 +226,6 @@ fn stroke(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let response = ui.add(Slider::new(&mut strength, 0.0..=1.0)).on_hover_text("Ctrl does the opposite");
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Strength of the brush"));
     if response.changed() {
-        asks.then(move |window| window.tools.strength = strength);
+        commands.then(move |window| window.tools.strength = strength);
     }
 }

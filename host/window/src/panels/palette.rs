@@ -2,7 +2,7 @@
 
 use crate::actions::ALL;
 use crate::steps::added;
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{self, Align2, Button, Id, Key, Modal, RichText, ScrollArea, TextEdit, vec2};
 use simod_session::Plugin;
 use std::path::PathBuf;
@@ -34,11 +34,11 @@ impl PaletteEntry {
         }
     }
 
-    fn run(self, window: &mut Window) {
+    fn run(self, window: &Window, commands: &mut Commands) {
         match self {
-            Self::Action(action) => (action.run)(window),
-            Self::Add(plugin) => added(window, &plugin, None),
-            Self::Open(path) => window.ask_to_open(path),
+            Self::Action(action) => (action.run)(window, commands),
+            Self::Add(plugin) => added(commands, &plugin, None),
+            Self::Open(path) => commands.then(|window| window.ask_to_open(path)),
         }
     }
 }
@@ -71,7 +71,7 @@ fn found(window: &Window, typed: &str) -> Vec<PaletteEntry> {
 }
 
 /// Shows it while it is open.
-pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
+pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(mut palette) = window.palette.clone() else { return };
     let area = Modal::default_area(Id::unique("palette")).anchor(Align2::CENTER_TOP, vec2(0.0, 90.0));
     let mut done = None;
@@ -114,12 +114,10 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
         });
     });
     let palette = Some(palette).filter(|_| done.is_none() && !modal.should_close());
-    asks.then(move |window| {
-        window.palette = palette;
-        if let Some(entry) = done {
-            entry.run(window);
-        }
-    });
+    commands.then(|window| window.palette = palette);
+    if let Some(entry) = done {
+        entry.run(window, commands);
+    }
 }
 
 #[cfg(test)]

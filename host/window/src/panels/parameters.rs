@@ -4,7 +4,7 @@ use super::parts;
 use crate::dialogs::Purpose;
 use crate::widgets::parameter;
 use crate::widgets::values::{ListRequest, number_of};
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{CollapsingHeader, RichText, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::edit::Change;
@@ -12,7 +12,7 @@ use simod_session::step::Deformation;
 use simod_viewer::Command;
 
 /// The parameters.
-pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some((step, _, deformation, plugin)) = window.chosen() else { return };
     parts::part(ui);
     let Some(plugin) = plugin else {
@@ -25,7 +25,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         let reset = ui.add_enabled(can_reset, eframe::egui::Button::new("Reset All").small());
         if reset.on_hover_text("All parameters get their defaults").clicked() {
             for id in deformation.params.keys() {
-                asks.change(step, Change::SetParam { id: id.clone(), value: None }, false);
+                commands.change(step, Change::SetParam { id: id.clone(), value: None }, false);
             }
         }
     });
@@ -33,7 +33,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         ui.label(RichText::new(plugin.summary()).weak().small()).on_hover_text(super::menu::about(&plugin));
         ui.add_space(4.0);
     }
-    amount(ui, window, asks, step, &deformation);
+    amount(ui, window, commands, step, &deformation);
     if plugin.params().is_empty() {
         ui.label(RichText::new("It has no parameters.").weak());
     }
@@ -49,7 +49,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     for (group, params) in groups {
         let show = |ui: &mut Ui| {
             for desc in params {
-                one(ui, window, asks, step, desc, deformation.params.get(desc.id.as_str()));
+                one(ui, window, commands, step, desc, deformation.params.get(desc.id.as_str()));
             }
         };
         if group.is_empty() {
@@ -61,7 +61,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
 }
 
 /// How much of the step is done.
-fn amount(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation) {
+fn amount(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, deformation: &Deformation) {
     let Some(scene) = window.state().scene() else { return };
     let desc = ParamDesc::float("step-amount", "Amount", 1.0)
         .hint("How much of the step is done: 0 leaves all at rest, 1 is the whole deformation")
@@ -73,13 +73,13 @@ fn amount(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
         Change::SetAmount(amount.clamp(0.0, 1.0))
     };
     match parameter::show(ui, &desc, value.as_ref(), &scene.sampled.bounds) {
-        Some(ListRequest::Set(value)) => asks.change(step, to(value), false),
-        Some(ListRequest::Drag(value)) => asks.change(step, to(Some(value)), true),
+        Some(ListRequest::Set(value)) => commands.change(step, to(value), false),
+        Some(ListRequest::Drag(value)) => commands.change(step, to(Some(value)), true),
         Some(ListRequest::Rest(last)) => {
             if last.is_some() {
-                asks.change(step, to(last), true);
+                commands.change(step, to(last), true);
             }
-            asks.apply(Command::Rest);
+            commands.apply(Command::Rest);
         }
         Some(ListRequest::File) | None => {}
     }
@@ -88,7 +88,7 @@ fn amount(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
 fn one(
     ui: &mut Ui,
     window: &Window,
-    asks: &mut Asks,
+    commands: &mut Commands,
     step: usize,
     desc: &ParamDesc,
     value: Option<&toml::Value>,
@@ -98,16 +98,16 @@ fn one(
     match parameter::show(ui, desc, value, &scene.sampled.bounds) {
         None => {}
         Some(ListRequest::Set(value)) => {
-            asks.change(step, Change::SetParam { id, value }, false);
+            commands.change(step, Change::SetParam { id, value }, false);
         }
         Some(ListRequest::Drag(value)) => {
-            asks.change(step, Change::SetParam { id, value: Some(value) }, true);
+            commands.change(step, Change::SetParam { id, value: Some(value) }, true);
         }
         Some(ListRequest::Rest(last)) => {
             if last.is_some() {
-                asks.change(step, Change::SetParam { id, value: last }, true);
+                commands.change(step, Change::SetParam { id, value: last }, true);
             }
-            asks.apply(Command::Rest);
+            commands.apply(Command::Rest);
         }
         Some(ListRequest::File) => {
             let extensions = match desc.kind {
@@ -115,7 +115,7 @@ fn one(
                 ParamKind::MODEL => simod_model::extensions().chain(["toml"]).map(str::to_owned).collect(),
                 _ => desc.choices.iter().map(|choice| choice.id.to_string()).collect(),
             };
-            asks.then(move |window| window.ask(Purpose::Parameter { step, id, extensions }));
+            commands.then(move |window| window.ask(Purpose::Parameter { step, id, extensions }));
         }
     }
 }

@@ -4,12 +4,12 @@ use super::frames::modal;
 use super::render::{self, RenderAnswer};
 use crate::dialogs::Purpose;
 use crate::rendering::{begin_picture, shown_size};
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{self, Id, Modal, RichText};
 use std::path::Path;
 
 /// Shows it while it is asked.
-pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
+pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(mut picture) = window.picture.clone() else { return };
     let shown = shown_size(window);
     let mut done = None;
@@ -31,17 +31,17 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
         done = done.or(Some(RenderAnswer::Cancel));
     }
     match done {
-        Some(RenderAnswer::Do) => asks.then(move |window| {
-            window.picture = None;
+        Some(RenderAnswer::Do) => {
+            commands.then(|window| window.picture = None);
             let path = Path::new(picture.file.trim());
             let path = if path.extension().is_some() { path.to_owned() } else { path.with_extension("png") };
-            begin_picture(window, &path, picture.format);
-        }),
-        Some(RenderAnswer::Cancel) => asks.then(|window| window.picture = None),
-        Some(RenderAnswer::Browse) => asks.then(move |window| {
+            begin_picture(window, commands, &path, picture.format);
+        }
+        Some(RenderAnswer::Cancel) => commands.then(|window| window.picture = None),
+        Some(RenderAnswer::Browse) => commands.then(move |window| {
             window.picture = Some(picture);
             window.ask(Purpose::Picture);
         }),
-        None => asks.then(move |window| window.picture = Some(picture)),
+        None => commands.then(move |window| window.picture = Some(picture)),
     }
 }

@@ -2,7 +2,7 @@
 
 use super::card;
 use crate::actions::{ALL, Menu, NamedAction};
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{Align2, Area, Button, Id, Label, Order, Rect, RichText, Ui, vec2};
 use simod_viewer::ComparedVersion;
 
@@ -11,23 +11,23 @@ const MARGIN: f32 = 12.0;
 const LONGEST: usize = 36;
 
 /// At the lower right, while something is pinned.
-pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
-    let holds = window.state().pinned().is_some_and(|name| shown(ui, rect, window, asks, name));
+pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
+    let holds = window.state().pinned().is_some_and(|name| shown(ui, rect, window, commands, name));
     if holds != window.holds_pinned {
         ui.ctx().request_repaint();
-        asks.then(move |window| window.holds_pinned = holds);
+        commands.then(move |window| window.holds_pinned = holds);
     }
 }
 
 /// Whether its button is held.
-fn shown(ui: &Ui, rect: Rect, window: &Window, asks: &mut Asks, name: &str) -> bool {
+fn shown(ui: &Ui, rect: Rect, window: &Window, commands: &mut Commands, name: &str) -> bool {
     let area = Area::new(Id::unique("pinned")).order(Order::Middle).movable(false);
     let area = area.pivot(Align2::RIGHT_BOTTOM).fixed_pos(rect.right_bottom() - vec2(MARGIN, MARGIN));
-    let content = |ui: &mut Ui| content(ui, window, asks, name);
+    let content = |ui: &mut Ui| content(ui, window, commands, name);
     area.show(ui.ctx(), |ui| card(ui).show(ui, |ui| ui.horizontal(content).inner).inner).inner
 }
 
-fn content(ui: &mut Ui, window: &Window, asks: &mut Asks, name: &str) -> bool {
+fn content(ui: &mut Ui, window: &Window, commands: &mut Commands, name: &str) -> bool {
     if window.state().scene_of(ComparedVersion::Pinned).is_none() {
         ui.spinner();
     }
@@ -40,21 +40,21 @@ fn content(ui: &mut Ui, window: &Window, asks: &mut Asks, name: &str) -> bool {
         let label = Label::new(RichText::new(format!("Pinned: {short}")).strong()).extend();
         ui.add(label).on_hover_text(name);
     }
-    button(ui, window, asks, "Side by Side", "Side by Side");
+    button(ui, window, commands, "Side by Side", "Side by Side");
     let hold =
         ui.button("Hold to See").on_hover_text("Shows the pinned version while it is held, as the key X");
-    button(ui, window, asks, "Go On with the Pinned Version", "Swap");
-    button(ui, window, asks, "Unpin", "Unpin");
+    button(ui, window, commands, "Go On with the Pinned Version", "Swap");
+    button(ui, window, commands, "Unpin", "Unpin");
     hold.is_pointer_button_down_on()
 }
 
 /// A button for an action of the menu.
-fn button(ui: &mut Ui, window: &Window, asks: &mut Asks, name: &str, text: &str) {
+fn button(ui: &mut Ui, window: &Window, commands: &mut Commands, name: &str, text: &str) {
     let is_it = |action: &&NamedAction| action.menu == Menu::Compare && action.name == name;
     let Some(action) = ALL.iter().find(is_it) else { return };
     let is_on = action.is_on.is_some_and(|is_on| is_on(window));
     let hint = format!("{name} ({})", action.keys_text(ui.ctx()));
     if ui.add(Button::new(text).selected(is_on)).on_hover_text(hint).clicked() {
-        asks.then(action.run);
+        (action.run)(window, commands);
     }
 }

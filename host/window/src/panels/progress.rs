@@ -1,7 +1,7 @@
 //! What takes its time: stage, rate, and a button that stops it.
 
 use super::{card, clip, duration, lesson};
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{Align, Layout, ProgressBar, Rect, RichText, Spinner, Ui, UiBuilder, pos2};
 use simod_model::size::human_size;
 use simod_viewer::Command;
@@ -12,7 +12,7 @@ const PATIENCE: f64 = 0.4;
 const SIZE: [f32; 2] = [420.0, 92.0];
 
 /// Each job that is running and takes its time, above each other at the lower edge.
-pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     // Above what lies in the lower corners.
     let below = window.state().clipped().is_some() || window.state().pinned().is_some();
     let below =
@@ -33,14 +33,14 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
             continue;
         }
         if shown(ui, rect, &mut bottom, what, &activity, None) {
-            asks.apply(Command::Cancel { job });
+            commands.apply(Command::Cancel { job });
         }
     }
     if let Some(turning) = &window.turning {
         let (done, frames) = turning.progress();
         let line = (frames > 1).then(|| format!("frame {} of {frames}", (done + 1).min(frames)));
         if shown(ui, rect, &mut bottom, turning.name(), &turning.activity(), line) {
-            asks.then(Window::stop_turning);
+            commands.then(Window::stop_turning);
         }
     }
     if window.state().is_busy() || window.turning.is_some() || window.stopping.is_some() {

@@ -3,13 +3,13 @@
 use super::frames::modal;
 use crate::dialogs::Purpose;
 use crate::theme;
-use crate::window::{Asks, Prompt, Window, common};
+use crate::window::{Commands, Prompt, Window, common};
 use eframe::egui::text::{CCursor, CCursorRange};
 use eframe::egui::text_edit::TextEditState;
 use eframe::egui::{self, Button, Color32, Id, Key, Modal, Modifiers, RichText, ScrollArea, TextEdit, Ui};
 
 /// Shows it while it is open.
-pub fn show(ctx: &egui::Context, asks: &mut Asks, prompt: &mut Option<Prompt>) {
+pub fn show(ctx: &egui::Context, commands: &mut Commands, prompt: &mut Option<Prompt>) {
     let Some(typed) = prompt else { return };
     let mut done = None;
     let modal = Modal::new(Id::unique("prompt")).frame(modal(ctx)).show(ctx, |ui| {
@@ -51,14 +51,14 @@ pub fn show(ctx: &egui::Context, asks: &mut Asks, prompt: &mut Option<Prompt>) {
             None => {
                 let (purpose, path) = (typed.purpose.clone(), typed.path());
                 *prompt = None;
-                asks.then(move |window| window.answered(purpose, path));
+                commands.then(move |window| window.answered(purpose, path));
             }
             wrong => typed.wrong = wrong,
         },
         None if !modal.should_close() => {}
         Some(false) | None => {
             *prompt = None;
-            asks.then(Window::not_answered);
+            commands.then(Window::not_answered);
         }
     }
 }

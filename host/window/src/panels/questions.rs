@@ -4,7 +4,7 @@ use super::frames::modal;
 use crate::dialogs::Purpose;
 use crate::numbers::ago;
 use crate::theme;
-use crate::window::{Ask, Asks, KeptEdit, Leaving, Question, Window};
+use crate::window::{Commands, KeptEdit, Leaving, Question, Window};
 use eframe::egui::{self, Button, Color32, Id, Modal, RichText, Ui};
 use std::path::Path;
 
@@ -13,99 +13,97 @@ fn first(ui: &mut Ui, text: &str) -> bool {
     ui.add(Button::new(text).fill(theme::ACCENT)).clicked()
 }
 
-/// What comes of the question being taken back: nothing.
-fn nothing() -> Ask {
-    Box::new(|_| ())
-}
-
 /// Asks, if there is something to ask.
-pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
+pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(question) = &window.question else { return };
+    let mut answer = Commands::default();
     let modal = Modal::new(Id::unique("question")).frame(modal(ctx)).show(ctx, |ui| {
         ui.set_width(380.0);
         match question {
-            Question::Unsaved(leaving) => unsaved(ui, leaving),
-            Question::Recover(kept) => recover(ui, kept),
-            Question::Moved { path, model, is_open } => moved(ui, path, model, *is_open),
+            Question::Unsaved(leaving) => unsaved(ui, &mut answer, leaving),
+            Question::Recover(kept) => recover(ui, &mut answer, kept),
+            Question::Moved { path, model, is_open } => moved(ui, &mut answer, path, model, *is_open),
         }
     });
-    let closed = modal.should_close();
-    if let Some(then) = modal.inner.or_else(|| closed.then(nothing)) {
-        asks.then(|window| {
-            // What comes of it may ask another one.
-            window.question = None;
-            then(window);
-        });
+    if modal.inner || modal.should_close() {
+        // What comes of the answer may ask another one.
+        commands.then(|window| window.question = None);
+        commands.append(answer);
     }
 }
 
-/// What to do, once it is known.
-fn unsaved(ui: &mut Ui, leaving: &Leaving) -> Option<Ask> {
+/// Whether there is an answer: the edit is saved, discarded, or stays open.
+fn unsaved(ui: &mut Ui, answer: &mut Commands, leaving: &Leaving) -> bool {
     ui.heading("Save the edit?");
     ui.add_space(6.0);
     ui.label("There are changes that are not saved yet.");
     ui.add_space(10.0);
-    let mut then: Option<Ask> = None;
+    let mut answered = false;
     ui.horizontal(|ui| {
         if first(ui, "Save") {
             let leaving = leaving.clone();
-            then = Some(Box::new(|window| window.save_and_leave(leaving)));
+            answer.then(|window| window.save_and_leave(leaving));
+            answered = true;
         }
         if ui.button("Discard").clicked() {
             let leaving = leaving.clone();
-            then = Some(Box::new(|window| window.discard(leaving)));
+            answer.then(|window| window.discard(leaving));
+            answered = true;
         }
         if ui.button("Cancel").clicked() {
-            then = Some(nothing());
+            answered = true;
         }
     });
-    then
+    answered
 }
 
-/// What to do, once it is known.
-fn recover(ui: &mut Ui, kept: &KeptEdit) -> Option<Ask> {
+/// Whether there is an answer: the edit that was kept is opened, discarded, or left alone.
+fn recover(ui: &mut Ui, answer: &mut Commands, kept: &KeptEdit) -> bool {
     ui.heading("Recover the edit?");
     ui.add_space(6.0);
     ui.label(format!("{} was edited, and not saved before the program ended.", kept.path.display()));
     let steps = if kept.steps == 1 { "1 step".to_owned() } else { format!("{} steps", kept.steps) };
     ui.label(RichText::new(format!("Kept {}: {steps}", ago(kept.made))).strong());
     ui.add_space(10.0);
-    let mut then: Option<Ask> = None;
+    let mut answered = false;
     ui.horizontal(|ui| {
         if first(ui, "Recover") {
             let (path, sampling) = (kept.path.clone(), kept.sampling);
-            then = Some(Box::new(move |window| window.open_now(path, sampling, true)));
+            answer.then(move |window| window.open_now(path, sampling, true));
+            answered = true;
         }
         let discard =
             ui.button("Discard It").on_hover_text("Open it as it was saved; what was kept goes away");
         if discard.clicked() {
             let kept = kept.clone();
-            then = Some(Box::new(move |window| window.open_without(&kept)));
+            answer.then(move |window| window.open_without(&kept));
+            answered = true;
         }
         if ui.button("Cancel").clicked() {
-            then = Some(nothing());
+            answered = true;
         }
     });
-    then
+    answered
 }
 
-/// What to do, once it is known.
-fn moved(ui: &mut Ui, path: &Path, model: &Path, is_open: bool) -> Option<Ask> {
+/// Whether there is an answer: the model is looked for, or not.
+fn moved(ui: &mut Ui, answer: &mut Commands, path: &Path, model: &Path, is_open: bool) -> bool {
     ui.heading("Where is the model?");
     ui.add_space(6.0);
     ui.label(format!("{} is not there any more.", model.display()));
     let without = "Its samples can be edited without it; full detail, refinement and writing need it.";
     ui.label(RichText::new(if is_open { without } else { "It is needed to open the session." }).weak());
     ui.add_space(10.0);
-    let mut then: Option<Ask> = None;
+    let mut answered = false;
     ui.horizontal(|ui| {
         if first(ui, "Locate\u{2026}") {
             let purpose = Purpose::Locate { path: path.to_owned(), model: model.to_owned() };
-            then = Some(Box::new(|window| window.ask(purpose)));
+            answer.then(|window| window.ask(purpose));
+            answered = true;
         }
         if ui.button(if is_open { "Go On without It" } else { "Cancel" }).clicked() {
-            then = Some(nothing());
+            answered = true;
         }
     });
-    then
+    answered
 }

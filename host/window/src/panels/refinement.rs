@@ -1,7 +1,7 @@
 //! How fine the chosen refinement is.
 
 use super::{diagonal, number, parts};
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{Button, ComboBox, DragValue, Id, RichText, Ui};
 use simod_core::refinement::Finer;
 use simod_session::edit::Change;
@@ -26,8 +26,8 @@ fn name(finer: Finer) -> &'static str {
     }
 }
 
-/// Its fineness, if the chosen step is a refinement.
-pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+/// The fineness of the chosen step, if that is a refinement.
+pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some(at) = window.state().chosen() else { return };
     let Some(entry) = window.steps().get(at).cloned() else { return };
     let Action::Refine(refine) = &entry.step.action else { return };
@@ -38,7 +38,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         chosen.or_else(|| amount(ui, refine.finer))
     });
     if let Some(finer) = finer.inner {
-        asks.change(at, Change::SetRefine(Refine { finer, ..refine.clone() }), false);
+        commands.change(at, Change::SetRefine(Refine { finer, ..refine.clone() }), false);
     }
     ui.label(RichText::new(explanation(refine.finer, diagonal(window))).weak().small());
 }

@@ -4,12 +4,12 @@ use super::{count, parts};
 use crate::regions as make;
 use crate::theme;
 use crate::tools::{MovedPart, Tool};
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{
     self, Align, Button, CornerRadius, DragValue, Frame, Key, Layout, Margin, RichText, Sense, Slider,
     Stroke, TextEdit, Ui, vec2,
 };
-use simod_session::edit::Change;
+use simod_session::edit::{Change, EditCommand};
 use simod_session::step::{Deformation, Region, Role};
 use simod_session::{Motion, RegionShape};
 use simod_viewer::command::Area;
@@ -22,7 +22,7 @@ const NEAR_MIDDLE: f64 = 0.01;
 const ROLES: [Role; 3] = [Role::Fixed, Role::Handle, Role::Mask];
 
 /// Shows the panel.
-pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let chosen = window.chosen();
     if let Some((step, _, deformation, Some(plugin))) = &chosen {
         parts::part(ui);
@@ -32,20 +32,20 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
             ui.label(RichText::new(text).weak());
         }
         for (i, region) in deformation.regions.iter().enumerate() {
-            row(ui, window, asks, *step, deformation, i, region);
+            row(ui, window, commands, *step, deformation, i, region);
         }
     }
-    selection(ui, window, asks);
+    selection(ui, window, commands);
     if let Some((step, _, deformation, _)) = chosen {
-        handle(ui, window, asks, step, &deformation);
-        joints(ui, window, asks, step, &deformation);
+        handle(ui, window, commands, step, &deformation);
+        joints(ui, window, commands, step, &deformation);
     }
 }
 
 fn row(
     ui: &mut Ui,
     window: &Window,
-    asks: &mut Asks,
+    commands: &mut Commands,
     step: usize,
     deformation: &Deformation,
     i: usize,
@@ -68,24 +68,24 @@ fn row(
             let grab = ui.add(Button::new(RichText::new(&name).strong()).frame(false));
             let hint = if region.role == Role::Handle { "Grab it" } else { "Show its weight on the surface" };
             if grab.on_hover_text(hint).clicked() {
-                choose(window, asks, i, region.role);
+                choose(window, commands, i, region.role);
             }
             ui.label(RichText::new(what(region)).weak().small());
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                more(ui, window, asks, step, deformation, i, region);
+                more(ui, window, commands, step, deformation, i, region);
             });
         });
         ui.horizontal(|ui| {
             ui.add_space(18.0);
-            falloff(ui, window, asks, step, deformation, i);
+            falloff(ui, window, commands, step, deformation, i);
         });
     });
     ui.add_space(1.0);
 }
 
-fn choose(window: &Window, asks: &mut Asks, i: usize, role: Role) {
+fn choose(window: &Window, commands: &mut Commands, i: usize, role: Role) {
     if role == Role::Handle {
-        asks.then(move |window| {
+        commands.then(move |window| {
             window.tools.target = Some(MovedPart::Region(i));
             if !window.tools.tool.is_gizmo() {
                 window.tools.take(Tool::Move);
@@ -93,7 +93,7 @@ fn choose(window: &Window, asks: &mut Asks, i: usize, role: Role) {
         });
     } else {
         let shown = window.state().overlay() == Overlay::Region(i);
-        asks.apply(Command::Show(if shown { Overlay::None } else { Overlay::Region(i) }));
+        commands.apply(Command::Show(if shown { Overlay::None } else { Overlay::Region(i) }));
     }
 }
 
@@ -108,7 +108,14 @@ fn what(region: &Region) -> String {
     region.shapes.shapes.iter().map(name).collect::<Vec<_>>().join(", ")
 }
 
-fn falloff(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation, i: usize) {
+fn falloff(
+    ui: &mut Ui,
+    window: &Window,
+    commands: &mut Commands,
+    step: usize,
+    deformation: &Deformation,
+    i: usize,
+) {
     let Some(scene) = window.state().scene() else { return };
     let size = (scene.sampled.bounds.max - scene.sampled.bounds.min).length();
     ui.label(RichText::new("Falloff").small());
@@ -121,7 +128,7 @@ fn falloff(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformati
     if let Some(falloff) = changed {
         let mut regions = deformation.regions.clone();
         regions[i].shapes.falloff = falloff;
-        asks.change(step, Change::SetRegions(regions), false);
+        commands.change(step, Change::SetRegions(regions), false);
     }
     response.on_hover_text("How far beyond its border the region fades out, in the model's unit");
 }
@@ -129,7 +136,7 @@ fn falloff(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformati
 fn more(
     ui: &mut Ui,
     window: &Window,
-    asks: &mut Asks,
+    commands: &mut Commands,
     step: usize,
     deformation: &Deformation,
     i: usize,
@@ -141,7 +148,7 @@ fn more(
             if ui.add_enabled(make::takes(window, role), button).clicked() {
                 let mut regions = deformation.regions.clone();
                 regions[i].role = role;
-                asks.change(step, Change::SetRegions(regions), false);
+                commands.change(step, Change::SetRegions(regions), false);
                 ui.close();
             }
         }
@@ -149,30 +156,35 @@ fn more(
         let selected = !window.state().selection().is_empty();
         if ui.add_enabled(selected, Button::new("Replace by Selection")).clicked() {
             let (role, falloff) = (region.role, region.shapes.falloff);
-            asks.apply(Command::MakeRegion { step, role, falloff, replaces: Some(i) });
+            commands.apply(Command::MakeRegion { step, role, falloff, replaces: Some(i) });
             ui.close();
         }
         let still = region.motion == Motion { pivot: region.motion.pivot, ..Motion::default() };
         if ui.add_enabled(!still, Button::new("Reset Motion")).clicked() {
             let motion = Motion { pivot: region.motion.pivot, ..Motion::default() };
-            asks.change(step, Change::MoveRegion { region: i, motion }, false);
+            commands.change(step, Change::MoveRegion { region: i, motion }, false);
             ui.close();
         }
         if ui.button("Select Its Samples").clicked() {
             let area = Area::Region { step, region: i };
-            asks.apply(Command::Select { area, combine: Default::default(), visible: false, goes_on: false });
+            commands.apply(Command::Select {
+                area,
+                combine: Default::default(),
+                visible: false,
+                goes_on: false,
+            });
             ui.close();
         }
         if ui.button("Show Weight").clicked() {
-            asks.apply(Command::Show(Overlay::Region(i)));
+            commands.apply(Command::Show(Overlay::Region(i)));
             ui.close();
         }
         ui.separator();
         if ui.button("Remove").clicked() {
             let mut regions = deformation.regions.clone();
             regions.remove(i);
-            asks.change(step, Change::SetRegions(regions), false);
-            asks.then(|window| window.tools.target = None);
+            commands.change(step, Change::SetRegions(regions), false);
+            commands.then(|window| window.tools.target = None);
             ui.close();
         }
     });
@@ -181,7 +193,7 @@ fn more(
 }
 
 /// What can be made of what is selected.
-fn selection(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let selected = window.state().selection().count();
     if selected == 0 {
         return;
@@ -195,11 +207,11 @@ fn selection(ui: &mut Ui, window: &Window, asks: &mut Asks) {
             let why = if can { "" } else { "The chosen step takes no such region" };
             let button = ui.add_enabled(can, Button::new(text)).on_disabled_hover_text(why);
             if button.clicked() {
-                asks.then(move |window| make::make(window, role));
+                make::make(window, commands, role);
             }
         }
         if ui.button("Refine").on_hover_text("More samples there, as a step of its own").clicked() {
-            asks.then(make::refine);
+            make::refine(commands);
         }
     });
     if !(make::can_make(window, Role::Handle) && make::takes(window, Role::Fixed)) {
@@ -208,7 +220,7 @@ fn selection(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     ui.horizontal(|ui| {
         let hint = "A handle of the selection, and what is farther from it than the band that bends is fixed";
         if ui.button("Make Handle, Fix Around").on_hover_text(hint).clicked() {
-            asks.then(make::make_handle);
+            make::make_handle(window, commands);
         }
         ui.spacing_mut().slider_width = 60.0;
         let mut band = window.tools.band;
@@ -217,13 +229,13 @@ fn selection(ui: &mut Ui, window: &Window, asks: &mut Asks) {
         let response = ui.add(slider).on_hover_text(hint);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Band that bends"));
         if response.changed() {
-            asks.then(move |window| window.tools.band = band);
+            commands.then(move |window| window.tools.band = band);
         }
     });
 }
 
 /// Numbers of what the gizmo moves.
-fn handle(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation) {
+fn handle(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, deformation: &Deformation) {
     let Some(target) = window.tools.target.clone() else { return };
     let (name, motion) = match &target {
         MovedPart::Region(i) => match deformation.regions.get(*i) {
@@ -239,7 +251,7 @@ fn handle(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
     parts::part(ui);
     parts::heading(ui, &name, |ui| {
         if ui.small_button("Reset").on_hover_text("Back to where it is at rest").clicked() {
-            asks.then(crate::tools::gizmo::reset);
+            crate::tools::gizmo::reset(window, commands);
         }
     });
     let Some(scene) = window.state().scene() else { return };
@@ -272,34 +284,34 @@ fn handle(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
             MovedPart::Handle(id) => Change::MoveHandle { id, motion: to },
         };
         if response.changed() {
-            asks.change(step, change(), response.dragged() || response.drag_stopped());
+            commands.change(step, change(), response.dragged() || response.drag_stopped());
         }
         if response.drag_stopped() {
-            asks.apply(Command::Rest);
+            commands.apply(Command::Rest);
         }
     }
 }
 
-fn joints(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation) {
+fn joints(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, deformation: &Deformation) {
     if deformation.joints.is_empty() {
         return;
     }
     parts::part(ui);
     parts::heading(ui, "Joints", |ui| {
-        ui.menu_button("Mirror", |ui| mirror(ui, window, asks, step, deformation));
+        ui.menu_button("Mirror", |ui| mirror(ui, window, commands, step, deformation));
     });
     for (i, joint) in deformation.joints.iter().enumerate() {
         ui.horizontal(|ui| {
-            if name(ui, window, asks, step, &joint.id) {
+            if name(ui, window, commands, step, &joint.id) {
                 return;
             }
             let chosen = window.tools.target == Some(MovedPart::Handle(joint.id.clone()));
             let label = ui.selectable_label(chosen, &joint.id).on_hover_text("A double click renames it");
             if label.double_clicked() {
-                begin_naming(asks, &joint.id);
+                begin_naming(commands, &joint.id);
             } else if label.clicked() {
                 let target = Some(MovedPart::Handle(joint.id.clone()));
-                asks.then(move |window| window.tools.target = target);
+                commands.then(move |window| window.tools.target = target);
             }
             if let Some(parent) = &joint.parent {
                 ui.label(RichText::new(format!("on {parent}")).weak().small());
@@ -314,7 +326,7 @@ fn joints(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
                     egui::WidgetInfo::labeled(egui::Role::Button, true, format!("Rename {}", joint.id))
                 });
                 if rename.clicked() {
-                    begin_naming(asks, &joint.id);
+                    begin_naming(commands, &joint.id);
                 }
                 if remove.clicked() {
                     let mut joints = deformation.joints.clone();
@@ -323,8 +335,8 @@ fn joints(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
                     for other in joints.iter_mut().filter(|j| j.parent.as_ref() == Some(&gone.id)) {
                         other.parent.clone_from(&gone.parent);
                     }
-                    asks.change(step, Change::SetJoints(joints), false);
-                    asks.then(|window| window.tools.target = None);
+                    commands.change(step, Change::SetJoints(joints), false);
+                    commands.then(|window| window.tools.target = None);
                 }
             });
         });
@@ -332,7 +344,7 @@ fn joints(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
 }
 
 /// Joints of one side on the other one, too.
-fn mirror(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformation: &Deformation) {
+fn mirror(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, deformation: &Deformation) {
     let Some(scene) = window.state().scene() else { return };
     let bounds = scene.sampled.bounds;
     let near = NEAR_MIDDLE * (bounds.max - bounds.min).length();
@@ -343,20 +355,20 @@ fn mirror(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, deformatio
         if ui.button(text).clicked() {
             let middle = 0.5 * (bounds.min[axis] + bounds.max[axis]);
             let joints = mirrored(&deformation.joints, axis, middle, near);
-            asks.change(step, Change::SetJoints(joints), false);
+            commands.change(step, Change::SetJoints(joints), false);
             ui.close();
         }
     }
 }
 
 /// Has a joint's name typed.
-fn begin_naming(asks: &mut Asks, id: &str) {
+fn begin_naming(commands: &mut Commands, id: &str) {
     let naming = Some((id.to_owned(), id.to_owned()));
-    asks.then(move |window| window.tools.naming = naming);
+    commands.then(move |window| window.tools.naming = naming);
 }
 
 /// A joint's name while it is typed, until Enter or Escape, or a click elsewhere. Whether it is.
-fn name(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, id: &str) -> bool {
+fn name(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, id: &str) -> bool {
     let naming = window.tools.naming.clone().filter(|(of, _)| of == id);
     let Some((of, mut text)) = naming else { return false };
     let response = ui.add(TextEdit::singleline(&mut text).desired_width(180.0));
@@ -366,7 +378,7 @@ fn name(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, id: &str) ->
         response.request_focus();
     }
     let is_wanted = ends && !ui.input(|i| i.key_pressed(Key::Escape));
-    asks.then(move |window| {
+    commands.then(move |window| {
         // That of another joint may be typed by now.
         if window.tools.naming.take_if(|(now, _)| *now == of).is_none() {
             return;
@@ -374,17 +386,21 @@ fn name(ui: &mut Ui, window: &Window, asks: &mut Asks, step: usize, id: &str) ->
         if !ends {
             window.tools.naming = Some((of, text));
         } else if is_wanted {
-            rename(window, step, of, text.trim());
+            window.draw(|window, commands| rename(window, commands, step, of, text.trim()));
         }
     });
     true
 }
 
 /// Renames a joint; it stays in the hand.
-fn rename(window: &mut Window, step: usize, from: String, to: &str) {
-    let was_target = window.tools.target == Some(MovedPart::Handle(from.clone()));
-    let renames = to != from;
-    if renames && window.change(step, Change::RenameJoint { from, to: to.to_owned() }, false) && was_target {
-        window.tools.target = Some(MovedPart::Handle(to.to_owned()));
+fn rename(window: &Window, commands: &mut Commands, step: usize, from: String, to: &str) {
+    if to == from {
+        return;
     }
+    let was_target = window.tools.target == Some(MovedPart::Handle(from.clone()));
+    let target = Some(MovedPart::Handle(to.to_owned())).filter(|_| was_target);
+    let change = Change::RenameJoint { from, to: to.to_owned() };
+    commands.apply_then(Command::Edit(EditCommand::Change { at: step, change }), |window| {
+        window.tools.target = target.or(window.tools.target.take());
+    });
 }

@@ -2,12 +2,12 @@
 
 use super::frames::modal;
 use crate::numbers::count;
-use crate::window::{Asks, Window, WriteReport};
+use crate::window::{Commands, Window, WriteReport};
 use eframe::egui::{self, Grid, Id, Modal, RichText};
 use simod_model::size::human_size;
 
 /// Shows it until it is closed.
-pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
+pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(WriteReport { output, report, seconds }) = &window.report else { return };
     let mut done = false;
     let modal = Modal::new(Id::unique("report")).frame(modal(ctx)).show(ctx, |ui| {
@@ -37,6 +37,6 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
         done = ui.button("Close").clicked();
     });
     if done || modal.should_close() {
-        asks.then(|window| window.report = None);
+        commands.then(|window| window.report = None);
     }
 }

@@ -1,7 +1,7 @@
 //! What rows of the list of steps have in common, be they of steps or of groups: a box, a name that is typed,
 //! and that they can be dragged.
 
-use crate::window::{Asks, Renaming, Window};
+use crate::window::{Commands, Renaming, Window};
 use eframe::egui::{
     self, Align2, CursorIcon, FontId, Key, LayerId, Order, Pos2, Response, TextEdit, Ui, vec2,
 };
@@ -24,7 +24,7 @@ impl Dragged {
     }
 
     /// Puts it into the gap before the step that is at a place now.
-    pub fn put(&self, window: &Window, asks: &mut Asks, gap: usize) {
+    pub fn put(&self, window: &Window, commands: &mut Commands, gap: usize) {
         let Some(from) = self.place(window) else { return };
         let steps = window.steps();
         let length = match self {
@@ -36,7 +36,7 @@ impl Dragged {
         }
         // Its place once it has left the one where it is.
         let to = if gap > from { gap - length } else { gap };
-        asks.apply(Command::Edit(match self {
+        commands.apply(Command::Edit(match self {
             Self::Step(_) => edit::EditCommand::Move { from, to },
             Self::Group(_) => edit::EditCommand::MoveGroup { at: from, to },
         }));
@@ -73,8 +73,8 @@ pub fn name_field(ui: &mut Ui, renaming: &mut Renaming, hint: &str, label: &str)
 
 /// Has a name that is typed kept as it is now, if it goes on, or else no more; another one whose typing was
 /// asked for meanwhile stays.
-pub fn put_back(asks: &mut Asks, renaming: Renaming, goes_on: bool) {
-    asks.then(move |window| {
+pub fn put_back(commands: &mut Commands, renaming: Renaming, goes_on: bool) {
+    commands.then(move |window| {
         let is_it = |other: &mut Renaming| other.id == renaming.id && other.of_group == renaming.of_group;
         if window.renaming.take_if(is_it).is_some() && goes_on {
             window.renaming = Some(renaming);

@@ -5,7 +5,7 @@ use super::{count, groups, menu, number, parts};
 use crate::regions;
 use crate::steps;
 use crate::theme;
-use crate::window::{Asks, Renaming, Window};
+use crate::window::{Commands, Renaming, Window};
 use crate::wording::{in_window, remedies};
 use eframe::egui::{
     self, Align, Button, Color32, CornerRadius, Frame, Layout, Margin, Response, RichText, Sense, Spinner,
@@ -17,11 +17,11 @@ use simod_session::step::Action;
 use simod_viewer::Command;
 
 /// The list.
-pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     parts::heading(ui, "Steps", |ui| {
         ui.menu_button("+ Add Step", |ui| {
             ui.set_min_width(240.0);
-            menu::add_step(ui, window, asks, None);
+            menu::add_step(ui, window, commands, None);
         });
     });
     let steps = window.steps();
@@ -33,20 +33,20 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
     let mut at = 0;
     while let Some(entry) = steps.get(at) {
         let Some(group) = group_at(&steps, at) else {
-            row(ui, window, asks, at, entry, &steps);
+            row(ui, window, commands, at, entry, &steps);
             at += 1;
             continue;
         };
-        if groups::show(ui, window, asks, group.clone(), &steps) {
+        if groups::show(ui, window, commands, group.clone(), &steps) {
             ui.indent(("steps of a group", entry.id), |ui| {
-                group.clone().for_each(|at| row(ui, window, asks, at, &steps[at], &steps));
+                group.clone().for_each(|at| row(ui, window, commands, at, &steps[at], &steps));
             });
         }
         at = group.end;
     }
 }
 
-fn row(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry, steps: &[Entry]) {
+fn row(ui: &mut Ui, window: &Window, commands: &mut Commands, at: usize, entry: &Entry, steps: &[Entry]) {
     let chosen = window.state().chosen() == Some(at);
     let visuals = ui.visuals();
     let (fill, stroke) = if chosen {
@@ -63,17 +63,25 @@ fn row(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry, 
     // What is in the row comes later, and before it: it takes its clicks first.
     let builder = UiBuilder::new().id_salt(entry.id).sense(Sense::click_and_drag());
     let whole = ui.scope_builder(builder, |ui| {
-        frame.show(ui, |ui| content(ui, window, asks, at, entry, steps, &name));
+        frame.show(ui, |ui| content(ui, window, commands, at, entry, steps, &name));
     });
     if whole.response.clicked() {
-        choose(asks, at, chosen);
+        choose(commands, at, chosen);
     }
-    reorder(ui, window, asks, at, entry.id, &name, &whole.response);
+    reorder(ui, window, commands, at, entry.id, &name, &whole.response);
     ui.add_space(1.0);
 }
 
 /// The row can be dragged between others, and others beside it.
-fn reorder(ui: &Ui, window: &Window, asks: &mut Asks, at: usize, id: StepId, name: &str, row: &Response) {
+fn reorder(
+    ui: &Ui,
+    window: &Window,
+    commands: &mut Commands,
+    at: usize,
+    id: StepId,
+    name: &str,
+    row: &Response,
+) {
     row.dnd_set_drag_payload(Dragged::Step(id));
     let Some(pointer) = ui.input(|i| i.pointer.latest_pos()) else { return };
     if row.dragged() {
@@ -84,14 +92,14 @@ fn reorder(ui: &Ui, window: &Window, asks: &mut Asks, at: usize, id: StepId, nam
     let y = if below { row.rect.bottom() } else { row.rect.top() };
     ui.painter().hline(row.rect.x_range(), y, Stroke::new(2.0, theme::ACCENT));
     if row.dnd_release_payload::<Dragged>().is_some() {
-        dragged.put(window, asks, at + usize::from(below));
+        dragged.put(window, commands, at + usize::from(below));
     }
 }
 
 fn content(
     ui: &mut Ui,
     window: &Window,
-    asks: &mut Asks,
+    commands: &mut Commands,
     at: usize,
     entry: &Entry,
     steps: &[Entry],
@@ -101,7 +109,7 @@ fn content(
     ui.set_min_width(ui.available_width());
     ui.horizontal(|ui| {
         if let Some(enabled) = switch(ui, name, entry.step.enabled, "Do this step, or leave it out") {
-            asks.change(at, Change::Enable(enabled), false);
+            commands.change(at, Change::Enable(enabled), false);
         }
         let text = RichText::new(name);
         let text = if entry.step.enabled { text.strong() } else { text.weak() };
@@ -109,44 +117,40 @@ fn content(
         let renamed =
             window.renaming.as_ref().filter(|renaming| !renaming.of_group && renaming.id == entry.id);
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            more(ui, window, asks, at, entry, steps);
+            more(ui, window, commands, at, entry, steps);
             state(ui, window, at);
             ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
                 if let Some(renaming) = renamed {
-                    rename(ui, asks, at, renaming.clone());
+                    rename(ui, commands, at, renaming.clone());
                     return;
                 }
                 let label = ui.add(label);
                 if label.double_clicked() {
-                    asks.then(move |window| steps::rename(window, at));
+                    steps::rename(window, commands, at);
                 } else if label.clicked() {
-                    choose(asks, at, chosen);
+                    choose(commands, at, chosen);
                 }
             });
         });
     });
     messages(ui, window, entry);
-    mend(ui, window, asks, at, entry);
+    mend(ui, window, commands, at, entry);
 }
 
-fn rename(ui: &mut Ui, asks: &mut Asks, at: usize, mut renaming: Renaming) {
+fn rename(ui: &mut Ui, commands: &mut Commands, at: usize, mut renaming: Renaming) {
     let wanted = name_field(ui, &mut renaming, "as its plugin", &format!("Name of step {}", at + 1));
     let title = Some(renaming.text.trim().to_owned()).filter(|title| !title.is_empty());
-    put_back(asks, renaming, wanted.is_none());
+    put_back(commands, renaming, wanted.is_none());
     if wanted == Some(true) {
-        asks.change(at, Change::SetTitle(title), false);
+        commands.change(at, Change::SetTitle(title), false);
     }
 }
 
-fn choose(asks: &mut Asks, at: usize, chosen: bool) {
+fn choose(commands: &mut Commands, at: usize, chosen: bool) {
     if chosen {
         return;
     }
-    asks.then(move |window| {
-        if window.apply(Command::Choose { step: Some(at) }) {
-            window.tools.target = None;
-        }
-    });
+    commands.apply_then(Command::Choose { step: Some(at) }, |window| window.tools.target = None);
 }
 
 /// What the user calls it.
@@ -174,7 +178,7 @@ fn state(ui: &mut Ui, window: &Window, at: usize) {
 }
 
 /// What a step can do besides.
-fn more(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry, all: &[Entry]) {
+fn more(ui: &mut Ui, window: &Window, commands: &mut Commands, at: usize, entry: &Entry, all: &[Entry]) {
     let menu = ui.menu_button("\u{2026}", |ui| {
         let moves =
             [("Move Up", at.checked_sub(1)), ("Move Down", Some(at + 1).filter(|to| *to < all.len()))];
@@ -182,12 +186,12 @@ fn more(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry,
             if ui.add_enabled(to.is_some(), Button::new(name)).clicked()
                 && let Some(to) = to
             {
-                asks.apply(Command::Edit(edit::EditCommand::Move { from: at, to }));
+                commands.apply(Command::Edit(edit::EditCommand::Move { from: at, to }));
                 ui.close();
             }
         }
         ui.separator();
-        type Done = fn(&mut Window, usize);
+        type Done = fn(&Window, &mut Commands, usize);
         let others: [(&str, bool, Done); 5] = [
             ("Rename\u{2026}", true, steps::rename),
             ("Duplicate", true, steps::duplicate),
@@ -197,7 +201,7 @@ fn more(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry,
         ];
         for (name, can, run) in others {
             if ui.add_enabled(can, Button::new(name)).clicked() {
-                asks.then(move |window| run(window, at));
+                run(window, commands, at);
                 ui.close();
             }
         }
@@ -208,13 +212,13 @@ fn more(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry,
         ];
         for (name, can, run) in others {
             if ui.add_enabled(can, Button::new(name)).clicked() {
-                asks.then(move |window| run(window, at));
+                run(window, commands, at);
                 ui.close();
             }
         }
         ui.separator();
         if ui.button("Remove").clicked() {
-            asks.apply(Command::Edit(edit::EditCommand::Remove { at }));
+            commands.apply(Command::Edit(edit::EditCommand::Remove { at }));
             ui.close();
         }
     });
@@ -223,7 +227,7 @@ fn more(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry,
 }
 
 /// Buttons for what the step's plugin says to do about its parameters.
-fn mend(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry) {
+fn mend(ui: &mut Ui, window: &Window, commands: &mut Commands, at: usize, entry: &Entry) {
     let Some(deformation) = entry.step.deformation() else { return };
     let Ok(plugin) = window.state().plugins().get(&deformation.deform) else { return };
     let Some(scene) = window.state().scene() else { return };
@@ -237,7 +241,7 @@ fn mend(ui: &mut Ui, window: &Window, asks: &mut Asks, at: usize, entry: &Entry)
     for text in texts {
         for remedy in remedies(text, plugin.params(), &deformation.params) {
             if ui.small_button(&remedy.text).clicked() {
-                asks.change(at, Change::SetParam { id: remedy.id, value: Some(remedy.value) }, false);
+                commands.change(at, Change::SetParam { id: remedy.id, value: Some(remedy.value) }, false);
             }
         }
     }

@@ -3,7 +3,7 @@
 use super::{count, parts};
 use crate::widgets::parameter;
 use crate::widgets::values::ListRequest;
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{self, Button, DragValue, RichText, ScrollArea, Ui};
 use simod_plugin_api::{ParamDesc, ParamKind};
 use simod_session::edit::Change;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 const HEIGHT: f32 = 240.0;
 
 /// The list, if there are any.
-pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let Some((step, _, deformation, plugin)) = window.chosen() else { return };
     let strokes = &deformation.strokes;
     if strokes.is_empty() {
@@ -38,7 +38,7 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
                 ui.push_id(i, |ui| {
                     ui.horizontal(|ui| {
                         if let Some(change) = row(ui, i, stroke, &deformation.params, brush) {
-                            asks.change(step, change, false);
+                            commands.change(step, change, false);
                         }
                     });
                 });

@@ -1,10 +1,10 @@
 //! Messages that go away, with what to do.
 
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{self, Align2, Area, Color32, Frame, Id, Margin, Order, RichText, Stroke, vec2};
 
 /// Shows them at the lower right of the picture.
-pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
+pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let (toasts, Some(next)) = window.toasts.shown() else { return };
     ctx.request_repaint_after(next);
     let mut closed = None;
@@ -38,6 +38,6 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
         }
     });
     if let Some(i) = closed {
-        asks.then(move |window| window.toasts.close(i));
+        commands.then(move |window| window.toasts.close(i));
     }
 }

@@ -3,7 +3,7 @@
 use crate::actions::{ALL, Menu};
 use crate::tools::{Tool, is_of_use};
 use crate::widgets::icons;
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{Color32, Frame, Margin, Panel, Role, Sense, Ui, WidgetInfo, vec2};
 
 /// In groups.
@@ -16,7 +16,7 @@ const GROUPS: [&[Tool]; 4] = [
 const SIZE: f32 = 36.0;
 
 /// The strip.
-pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     let frame = Frame::side_top_panel(ui.style()).inner_margin(Margin::same(6));
     Panel::left("tools").frame(frame).resizable(false).exact_size(SIZE + 12.0).show(ui, |ui| {
         ui.spacing_mut().item_spacing.y = 2.0;
@@ -27,13 +27,13 @@ pub fn show(ui: &mut Ui, window: &Window, asks: &mut Asks) {
                 ui.add_space(3.0);
             }
             for tool in *group {
-                button(ui, window, asks, *tool);
+                button(ui, window, commands, *tool);
             }
         }
     });
 }
 
-fn button(ui: &mut Ui, window: &Window, asks: &mut Asks, tool: Tool) {
+fn button(ui: &mut Ui, window: &Window, commands: &mut Commands, tool: Tool) {
     let enabled = is_of_use(tool, window);
     let chosen = window.tools.tool == tool;
     let sense = if enabled { Sense::click() } else { Sense::hover() };
@@ -59,6 +59,6 @@ fn button(ui: &mut Ui, window: &Window, asks: &mut Asks, tool: Tool) {
         text += "\nThe chosen step takes none.";
     }
     if response.on_hover_text(text).clicked() {
-        asks.then(move |window| window.tools.take(tool));
+        commands.then(move |window| window.tools.take(tool));
     }
 }

@@ -5,13 +5,13 @@ use super::render::{self, RenderAnswer};
 use crate::dialogs::Purpose;
 use crate::rendering::{begin, shown_size};
 use crate::turntable::RATE;
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{self, DragValue, Id, Modal, RichText};
 use simod_picture::FrameFolder;
 use std::path::Path;
 
 /// Shows it while it is asked.
-pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
+pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     let Some(mut turntable) = window.turntable.clone() else { return };
     let shown = shown_size(window);
     let mut done = None;
@@ -43,15 +43,15 @@ pub fn show(ctx: &egui::Context, window: &Window, asks: &mut Asks) {
         done = done.or(Some(RenderAnswer::Cancel));
     }
     match done {
-        Some(RenderAnswer::Do) => asks.then(move |window| {
-            window.turntable = None;
-            begin(window, Path::new(turntable.folder.trim()), turntable.frames, turntable.format);
-        }),
-        Some(RenderAnswer::Cancel) => asks.then(|window| window.turntable = None),
-        Some(RenderAnswer::Browse) => asks.then(move |window| {
+        Some(RenderAnswer::Do) => {
+            commands.then(|window| window.turntable = None);
+            begin(window, commands, Path::new(turntable.folder.trim()), turntable.frames, turntable.format);
+        }
+        Some(RenderAnswer::Cancel) => commands.then(|window| window.turntable = None),
+        Some(RenderAnswer::Browse) => commands.then(move |window| {
             window.turntable = Some(turntable);
             window.ask(Purpose::Turntable);
         }),
-        None => asks.then(move |window| window.turntable = Some(turntable)),
+        None => commands.then(move |window| window.turntable = Some(turntable)),
     }
 }

@@ -1,18 +1,18 @@
 //! Arrows and rings that move a handle: a region's, or one that the plugin placed.
 
 use super::place::{GizmoTarget, MovedKind, Several};
-use super::{MovedPart, Tool};
+use super::{Gesture, MovedPart, Tool};
 use crate::viewport::ModelArea;
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::{Color32, Mesh, Pos2, Rgba, epaint};
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 use simod_session::Motion;
 use simod_session::edit::{Change, StepId};
 use simod_session::step::HandleMove;
-use simod_viewer::Command;
 use simod_viewer::held::GrabbedHandles;
 use simod_viewer::motion::handle_matrix;
 use simod_viewer::skeleton::is_pin;
+use simod_viewer::{Command, ViewerScene};
 use transform_gizmo::math::{Pos2 as GizmoPos, Rect as GizmoRect, Transform};
 use transform_gizmo::{EnumSet, GizmoConfig, GizmoInteraction, GizmoMode, GizmoOrientation, GizmoVisuals};
 
@@ -22,7 +22,7 @@ const SNAP_DEGREES: f32 = 15.0;
 const SNAP_DISTANCE: f32 = 0.05;
 
 /// The place of what is in the hand, if anything is.
-pub fn place(window: &mut Window) -> Option<GizmoTarget> {
+pub fn place(window: &Window, commands: &mut Commands) -> Option<GizmoTarget> {
     let (step, id, deformation, _) = window.chosen()?;
     let target = window.tools.target.clone()?;
     let all = simod_plugin_api::Gizmo(!0);
@@ -35,7 +35,8 @@ pub fn place(window: &mut Window) -> Option<GizmoTarget> {
                 // It takes all samples to find it.
                 (None, None) => window.state().handle_pivot(step, *region)?,
             };
-            window.tools.pivot = Some((id, *region, pivot));
+            let known = Some((id, *region, pivot));
+            commands.then(move |window| window.tools.pivot = known);
             let matrix = handle_matrix(&motion, pivot);
             Some(GizmoTarget { step, id, target, matrix, kind: MovedKind::Region { pivot }, can: all })
         }
@@ -80,14 +81,45 @@ fn rows(m: DMat4) -> [[f64; 4]; 4] {
     m.transpose().to_cols_array_2d()
 }
 
-pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
-    let Some(place) = place(window) else { return false };
-    let Some(scene) = window.state().scene().cloned() else { return false };
-    let (frame, camera) = (scene.frame(), *window.state().camera());
-    let size = window.state().size();
+pub fn update(
+    canvas: &ModelArea<'_>,
+    window: &Window,
+    commands: &mut Commands,
+    gesture: &mut Gesture,
+) -> bool {
+    let Some(place) = place(window, commands) else { return false };
+    let Some(scene) = window.state().scene() else { return false };
+    let frame = scene.frame();
+    gesture.gizmo.update_config(config(canvas, window, scene, &place));
+    let moved = follow(canvas, gesture, transform(&place.matrix, |p| frame.to_local_exact(p)));
+    canvas.painter().add(mesh(&gesture.gizmo));
+    if let Some(to) = moved {
+        if !gesture.dragging {
+            gesture.several = several(&place, window);
+        }
+        let matrix = affine(&to, |p| frame.to_model_exact(p));
+        let change = matrix.and_then(|matrix| match &gesture.several {
+            Some(several) => several.change_to(matrix),
+            None => place.change_to(matrix),
+        });
+        if let Some(change) = change {
+            gesture.dragging = true;
+            commands.change(place.step, change, true);
+        }
+    }
+    if gesture.dragging && !canvas.is_down() {
+        gesture.dragging = false;
+        commands.apply(Command::Rest);
+    }
+    gesture.gizmo.is_focused()
+}
+
+/// How the gizmo is seen, and what it can do with what it moves.
+fn config(canvas: &ModelArea<'_>, window: &Window, scene: &ViewerScene, place: &GizmoTarget) -> GizmoConfig {
+    let (camera, size) = (window.state().camera(), window.state().size());
     let near_far = camera.near_far(scene.bounds().map(|corner| corner.as_dvec3()));
     let rect = canvas.rect();
-    let config = GizmoConfig {
+    GizmoConfig {
         view_matrix: rows(camera.view()).into(),
         projection_matrix: rows(camera.projection(size, near_far)).into(),
         viewport: GizmoRect::from_min_max(
@@ -102,10 +134,11 @@ pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
         visuals: visuals(),
         pixels_per_point: 1.0,
         ..GizmoConfig::default()
-    };
-    let transform = transform(&place.matrix, |p| frame.to_local_exact(p));
-    let gizmo = &mut window.tools.gizmo;
-    gizmo.update_config(config);
+    }
+}
+
+/// The gizmo follows the pointer: where it takes what is at `transform`, if it is dragged.
+fn follow(canvas: &ModelArea<'_>, gesture: &mut Gesture, transform: Transform) -> Option<Transform> {
     // Where it was pressed: in a slow picture the pointer may be far from there already.
     let pressed = canvas.is_pressed().then(|| canvas.ctx().input(|i| i.pointer.press_origin())).flatten();
     let at = pressed.or(canvas.pointer_pos()).unwrap_or(Pos2::ZERO);
@@ -116,38 +149,19 @@ pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
         dragging: canvas.is_down(),
     };
     // What it was dragged to when it was let go counts, too.
-    let released = window.tools.dragging && !canvas.is_down();
+    let released = gesture.dragging && !canvas.is_down();
+    let gizmo = &mut gesture.gizmo;
     let moved = gizmo
         .update(GizmoInteraction { dragging: canvas.is_down() || released, ..interaction }, &[transform]);
     if released {
         gizmo.update(interaction, &[transform]);
     }
-    let (focused, mesh) = (gizmo.is_focused(), mesh(gizmo));
-    canvas.painter().add(mesh);
-    if let Some((_, to)) = moved {
-        let matrix = to.first().and_then(|to| affine(to, |p| frame.to_model_exact(p)));
-        if !window.tools.dragging {
-            window.tools.several = several(&place, window);
-        }
-        let change = matrix.and_then(|matrix| match &window.tools.several {
-            Some(several) => several.change_to(matrix),
-            None => place.change_to(matrix),
-        });
-        if let Some(change) = change {
-            window.tools.dragging = true;
-            window.change(place.step, change, true);
-        }
-    }
-    if window.tools.dragging && !canvas.is_down() {
-        window.tools.dragging = false;
-        window.apply(Command::Rest);
-    }
-    focused
+    moved?.1.first().copied()
 }
 
 /// What was moved goes back to where it is at rest.
-pub fn reset(window: &mut Window) {
-    let Some(place) = place(window) else { return };
+pub fn reset(window: &Window, commands: &mut Commands) {
+    let Some(place) = place(window, commands) else { return };
     let change = match (&place.kind, place.target) {
         (MovedKind::Region { pivot }, MovedPart::Region(region)) => {
             Change::MoveRegion { region, motion: Motion { pivot: Some(*pivot), ..Motion::default() } }
@@ -158,7 +172,7 @@ pub fn reset(window: &mut Window) {
         }
         _ => return,
     };
-    window.change(place.step, change, false);
+    commands.change(place.step, change, false);
 }
 
 /// In local coordinates, as the gizmo has it.

@@ -1,7 +1,7 @@
-//! What is in the hand: the tool, what it moves, and what is going on with it.
+//! What is in the hand: the tool, its options, and what it moves.
 
-use super::place::{MovedPart, Several};
-use super::transforming::Transforming;
+use super::gesture::Gesture;
+use super::place::MovedPart;
 use eframe::egui::Modifiers;
 use glam::DVec3;
 use simod_session::edit::StepId;
@@ -80,7 +80,7 @@ impl Tool {
     }
 }
 
-/// The tools, and what is going on with them.
+/// The tools, with their options, and what is going on with them.
 pub struct Tools {
     /// What is in the hand.
     pub tool: Tool,
@@ -92,9 +92,8 @@ pub struct Tools {
     pub reach: f64,
     /// Whether a box chooses handles instead of samples.
     pub boxes_handles: bool,
-    /// A motion by keys that shall begin with the next picture, and one that is going on.
+    /// A motion by keys that shall begin with the next picture.
     pub begins: Option<Tool>,
-    pub transforming: Option<Transforming>,
     /// What a selection does to the former one, if no key says otherwise.
     pub combine: Combine,
     /// Whether only what is seen is selected.
@@ -109,29 +108,18 @@ pub struct Tools {
     /// limb alone.
     pub places_pins: bool,
     pub holds_body: bool,
-    /// Joints of a chain that is dragged, and where its drag began, in pixels.
+    /// Joints of a chain that is dragged.
     pub chain: usize,
-    pub chain_from: Option<[f64; 2]>,
     /// A joint whose name is typed, and the name so far.
     pub naming: Option<(String, String)>,
     /// How wide the band around a new handle is that bends, as a part of the model's diagonal.
     pub band: f64,
-    /// What is measured, and the point of it that is held.
+    /// What is measured.
     pub measuring: Measuring,
-    pub measured_point: Option<usize>,
-    /// Pixels that the pointer went along, while a selection is drawn.
-    pub path: Vec<[f64; 2]>,
-    /// Whether the button is held that paints, wherever it was pressed.
-    pub painting: bool,
-    /// Which plane of a step's axis is held, and whether it was moved.
-    pub plane: Option<usize>,
-    pub drags_plane: bool,
-    pub gizmo: transform_gizmo::Gizmo,
     /// About what the gizmo's region turns.
     pub pivot: Option<(StepId, usize, DVec3)>,
-    /// Whether the gizmo moves something just now, and what moves along.
-    pub dragging: bool,
-    pub several: Option<Several>,
+    /// What the pointer has begun.
+    pub gesture: Gesture,
 }
 
 impl Default for Tools {
@@ -143,7 +131,6 @@ impl Default for Tools {
             reach: 0.0,
             boxes_handles: false,
             begins: None,
-            transforming: None,
             combine: Combine::Replace,
             visible: true,
             radius: 30.0,
@@ -152,19 +139,11 @@ impl Default for Tools {
             places_pins: false,
             holds_body: true,
             chain: 4,
-            chain_from: None,
             naming: None,
             band: 0.1,
             measuring: Measuring::Distance,
-            measured_point: None,
-            path: Vec::new(),
-            painting: false,
-            plane: None,
-            drags_plane: false,
-            gizmo: transform_gizmo::Gizmo::default(),
             pivot: None,
-            dragging: false,
-            several: None,
+            gesture: Gesture::default(),
         }
     }
 }
@@ -173,26 +152,20 @@ impl Tools {
     /// Takes a tool.
     pub fn take(&mut self, tool: Tool) {
         self.tool = tool;
-        self.path.clear();
+        self.gesture.path.clear();
     }
 
     /// Another model: nothing is held any more.
     pub fn reset(&mut self) {
-        (self.target, self.pivot, self.plane) = (None, None, None);
-        (self.others, self.transforming, self.begins) = (None, None, None);
-        (self.measured_point, self.chain_from, self.naming) = (None, None, None);
-        self.path.clear();
-        (self.dragging, self.painting) = (false, false);
+        (self.target, self.others, self.pivot) = (None, None, None);
+        (self.begins, self.naming) = (None, None);
+        self.gesture.reset();
     }
 
-    /// Whether something is being dragged.
-    pub fn is_dragging(&self) -> bool {
-        self.transforming.is_some()
-            || self.dragging
-            || self.painting
-            || self.plane.is_some()
-            || self.measured_point.is_some()
-            || !self.path.is_empty()
+    /// By so many presses of a key, the brushes are larger.
+    pub fn size_brushes(&mut self, presses: i32) {
+        self.radius = (self.radius * 1.2_f32.powi(presses)).clamp(2.0, 400.0);
+        self.stroke_radius = (self.stroke_radius * 1.2_f64.powi(presses)).clamp(1e-3, 1.0);
     }
 
     /// Whether options of the tool are shown over the picture.

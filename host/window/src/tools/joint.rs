@@ -1,11 +1,11 @@
 //! Joints and pins, placed by clicks, and chains of joints by drags.
 
-use super::MovedPart;
+use super::{Gesture, MovedPart};
 use crate::viewport::{ModelArea, handles};
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::{Color32, CursorIcon, Pos2, Shape, Stroke};
 use glam::{DVec2, DVec3};
-use simod_session::edit::Change;
+use simod_session::edit::{Change, EditCommand};
 use simod_session::step::{Deformation, Joint};
 use simod_viewer::Command;
 use simod_viewer::skeleton::{chained, free_id, is_pin, with_body_held};
@@ -13,7 +13,12 @@ use simod_viewer::skeleton::{chained, free_id, is_pin, with_body_held};
 /// From so many points of the screen on, a press that moves is a drag.
 const LEAST: f32 = 14.0;
 
-pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
+pub fn update(
+    canvas: &ModelArea<'_>,
+    window: &Window,
+    commands: &mut Commands,
+    gesture: &mut Gesture,
+) -> bool {
     let Some((step, _, deformation, plugin)) = window.chosen() else { return false };
     if !plugin.is_some_and(|plugin| plugin.consumes().joints) {
         return false;
@@ -22,9 +27,9 @@ pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
         canvas.ctx().set_cursor_icon(CursorIcon::Crosshair);
     }
     if canvas.is_pressed() {
-        window.tools.chain_from = canvas.press();
+        gesture.chain_from = canvas.press();
     }
-    if let Some(from) = window.tools.chain_from.map(DVec2::from)
+    if let Some(from) = gesture.chain_from.map(DVec2::from)
         && let Some(to) = canvas.pointer()
     {
         let is_drag =
@@ -35,44 +40,43 @@ pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
             }
             return is_drag;
         }
-        window.tools.chain_from = None;
+        gesture.chain_from = None;
         if is_drag {
-            chain(canvas, window, step, &deformation, from, to);
+            chain(canvas, window, commands, step, &deformation, [from, to]);
             return true;
         }
     }
-    if !canvas.is_clicked() || handles::take(canvas, window) {
+    if !canvas.is_clicked() || handles::take(canvas, window, commands) {
         return false;
     }
     let Some(pixel) = canvas.pointer() else { return false };
     let Some(at) = place(canvas, window, step, pixel) else { return false };
     if window.tools.places_pins {
         let id = free_id(&deformation.joints, true);
-        window.apply(Command::PlaceJoint { step, id, at, parent: None });
+        commands.apply(Command::PlaceJoint { step, id, at, parent: None });
     } else {
         let parent = parent(window, &deformation);
-        put(window, step, chained(&deformation.joints, &[at], parent));
+        put(window, commands, step, chained(&deformation.joints, &[at], parent));
     }
     false
 }
 
 /// Takes other joints, the last of which was placed now; the body is held by pins, if that is wanted.
-fn put(window: &mut Window, step: usize, joints: Vec<Joint>) {
+fn put(window: &Window, commands: &mut Commands, step: usize, joints: Vec<Joint>) {
     let last = joints.last().map(|joint| joint.id.clone());
     let joints =
         if window.tools.holds_body { with_body_held(joints, &window.state().body(step)) } else { joints };
-    if window.change(step, Change::SetJoints(joints), false) {
-        window.tools.target = last.map(MovedPart::Handle);
-    }
+    let change = EditCommand::Change { at: step, change: Change::SetJoints(joints) };
+    commands.apply_then(Command::Edit(change), |window| window.tools.target = last.map(MovedPart::Handle));
 }
 
 /// Bones lie in the middle of what they carry; with Shift, on the surface.
-fn place(canvas: &ModelArea<'_>, window: &mut Window, step: usize, pixel: DVec2) -> Option<DVec3> {
+fn place(canvas: &ModelArea<'_>, window: &Window, step: usize, pixel: DVec2) -> Option<DVec3> {
     if canvas.modifiers().shift {
-        let hit = window.state_mut().pick(pixel);
+        let hit = window.state().pick(pixel);
         hit.and_then(|hit| window.state().in_step(step, &hit))
     } else {
-        window.state_mut().pick_middle(step, pixel)
+        window.state().pick_middle(step, pixel)
     }
 }
 
@@ -96,11 +100,11 @@ fn pixels(from: DVec2, to: DVec2, count: usize) -> impl Iterator<Item = DVec2> {
 
 fn chain(
     canvas: &ModelArea<'_>,
-    window: &mut Window,
+    window: &Window,
+    commands: &mut Commands,
     step: usize,
     deformation: &Deformation,
-    from: DVec2,
-    to: DVec2,
+    [from, to]: [DVec2; 2],
 ) {
     // One that begins at a joint goes on from there.
     let begins = handles::joint_at(canvas, window, from);
@@ -113,7 +117,7 @@ fn chain(
     if places.is_empty() {
         return;
     }
-    put(window, step, chained(&deformation.joints, &places, parent));
+    put(window, commands, step, chained(&deformation.joints, &places, parent));
 }
 
 /// The chain that would be placed.

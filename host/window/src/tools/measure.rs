@@ -1,8 +1,9 @@
 //! Lengths and angles, between points on the surface that are clicked and dragged; they go along with it.
 
+use super::Gesture;
 use super::hand::Measuring;
 use crate::viewport::ModelArea;
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::{Align2, Color32, CursorIcon, FontId, Key, Pos2, Shape, Stroke, pos2, vec2};
 use glam::DVec3;
 use simod_viewer::Command;
@@ -40,18 +41,18 @@ fn points(window: &Window) -> Vec<DVec3> {
 }
 
 /// Takes the last point away.
-pub fn remove_last(window: &mut Window) {
+pub fn remove_last(window: &Window, commands: &mut Commands) {
     let mut points = points(window);
     if points.pop().is_some() {
-        window.apply(Command::Measure { points });
+        commands.apply(Command::Measure { points });
     }
 }
 
 /// Measures nothing any more.
-pub fn clear(window: &mut Window) {
-    window.tools.measured_point = None;
+pub fn clear(window: &Window, commands: &mut Commands) {
+    commands.then(|window| window.tools.gesture.measured_point = None);
     if !points(window).is_empty() {
-        window.apply(Command::Measure { points: Vec::new() });
+        commands.apply(Command::Measure { points: Vec::new() });
     }
 }
 
@@ -61,16 +62,26 @@ fn seen(canvas: &ModelArea<'_>, window: &Window, local: DVec3) -> Option<Pos2> {
     camera.project(local, size).map(|(pixel, _)| canvas.in_points(pixel))
 }
 
-pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
+/// Escape takes all points away, Backspace and Delete the last one.
+pub fn follow_keys(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands) {
     let ctx = canvas.ctx();
-    if !ctx.egui_wants_keyboard_input() && !window.is_asking() {
-        if ctx.input(|i| i.key_pressed(Key::Escape)) {
-            clear(window);
-        }
-        if ctx.input(|i| i.key_pressed(Key::Backspace) || i.key_pressed(Key::Delete)) {
-            remove_last(window);
-        }
+    if ctx.egui_wants_keyboard_input() || window.is_asking() {
+        return;
     }
+    if ctx.input(|i| i.key_pressed(Key::Escape)) {
+        clear(window, commands);
+    } else if ctx.input(|i| i.key_pressed(Key::Backspace) || i.key_pressed(Key::Delete)) {
+        remove_last(window, commands);
+    }
+}
+
+pub fn update(
+    canvas: &ModelArea<'_>,
+    window: &Window,
+    commands: &mut Commands,
+    gesture: &mut Gesture,
+) -> bool {
+    let ctx = canvas.ctx();
     let Some(frame) = window.state().scene().map(|scene| scene.frame()) else { return false };
     let places: Vec<Option<Pos2>> = window
         .state()
@@ -85,40 +96,46 @@ pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     }
     if canvas.is_pressed() {
         let pressed = ctx.input(|i| i.pointer.press_origin()).or(canvas.pointer_pos());
-        window.tools.measured_point = pressed.and_then(under);
+        gesture.measured_point = pressed.and_then(under);
     }
-    let hit = |window: &mut Window| {
-        let hit = window.state_mut().pick(canvas.pointer()?)?;
-        window.state().at_rest(&hit)
-    };
-    if let Some(held) = window.tools.measured_point {
-        if canvas.is_down() {
-            if ctx.input(|i| i.pointer.is_decidedly_dragging())
-                && let Some(at) = hit(window)
-            {
-                let mut points = points(window);
-                if let Some(point) = points.get_mut(held).filter(|point| **point != at) {
-                    *point = at;
-                    window.apply(Command::Measure { points });
-                }
-            }
-        } else {
-            window.tools.measured_point = None;
+    if let Some(held) = gesture.measured_point {
+        if !canvas.is_down() {
+            gesture.measured_point = None;
+        } else if ctx.input(|i| i.pointer.is_decidedly_dragging()) {
+            drag(canvas, window, commands, held);
         }
         return true;
     }
-    if canvas.is_clicked()
-        && over.is_none()
-        && let Some(at) = hit(window)
-    {
-        let mut points = points(window);
-        if points.len() >= window.tools.measuring.points() {
-            points.clear();
-        }
-        points.push(at);
-        window.apply(Command::Measure { points });
+    if canvas.is_clicked() && over.is_none() {
+        add(canvas, window, commands);
     }
     false
+}
+
+/// The point of the surface under the pointer, by where it is at rest.
+fn hit(canvas: &ModelArea<'_>, window: &Window) -> Option<DVec3> {
+    window.state().at_rest(&window.state().pick(canvas.pointer()?)?)
+}
+
+/// Moves a point to where the pointer is.
+fn drag(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, held: usize) {
+    let Some(at) = hit(canvas, window) else { return };
+    let mut points = points(window);
+    if let Some(point) = points.get_mut(held).filter(|point| **point != at) {
+        *point = at;
+        commands.apply(Command::Measure { points });
+    }
+}
+
+/// Adds a point where the pointer is, or begins anew where there are enough.
+fn add(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands) {
+    let Some(at) = hit(canvas, window) else { return };
+    let mut points = points(window);
+    if points.len() >= window.tools.measuring.points() {
+        points.clear();
+    }
+    points.push(at);
+    commands.apply(Command::Measure { points });
 }
 
 /// Draws what is measured, whatever the tool.

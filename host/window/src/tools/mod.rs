@@ -1,5 +1,6 @@
 //! What the left button does in the picture.
 
+mod gesture;
 pub mod gizmo;
 pub mod hand;
 mod joint;
@@ -11,8 +12,9 @@ pub mod transform;
 mod transforming;
 
 use crate::viewport::ModelArea;
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::{CursorIcon, Key};
+pub use gesture::Gesture;
 pub use hand::{Tool, Tools};
 pub use place::MovedPart;
 
@@ -28,30 +30,48 @@ pub fn is_of_use(tool: Tool, window: &Window) -> bool {
 
 /// The tool in the hand does its work and draws itself. Whether the pointer is its own, and not the camera's.
 pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
+    window.draw(|window, commands| follow_keys(canvas, window, commands));
+    window.draw_with(
+        |window| &mut window.tools.gesture,
+        |window, commands, gesture| {
+            transform::update(canvas, window, commands, gesture) || go_on(canvas, window, commands, gesture)
+        },
+    )
+}
+
+/// What keys say before the pointer does something.
+fn follow_keys(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands) {
     let ctx = canvas.ctx();
     if canvas.is_hovered() && !ctx.egui_wants_keyboard_input() {
         let size = |key| i32::from(ctx.input(|i| i.key_pressed(key)));
-        let steps = size(Key::CloseBracket) - size(Key::OpenBracket);
-        window.tools.radius = (window.tools.radius * 1.2_f32.powi(steps)).clamp(2.0, 400.0);
-        window.tools.stroke_radius = (window.tools.stroke_radius * 1.2_f64.powi(steps)).clamp(1e-3, 1.0);
+        let presses = size(Key::CloseBracket) - size(Key::OpenBracket);
+        commands.then(move |window| window.tools.size_brushes(presses));
     }
-    if let Some(tool) = window.tools.begins.take().filter(|_| canvas.is_hovered()) {
-        transform::begin(canvas, window, tool);
-    }
-    if window.tools.transforming.is_some() && transform::update(canvas, window) {
-        return true;
-    }
-    match window.tools.tool {
-        Tool::Orbit => false,
-        Tool::Move | Tool::Rotate | Tool::Scale => gizmo::update(canvas, window),
-        Tool::Brush | Tool::Lasso | Tool::Box | Tool::Connected => {
-            if canvas.is_hovered() {
-                ctx.set_cursor_icon(CursorIcon::Crosshair);
-            }
-            select::update(canvas, window)
+    if let Some(tool) = window.tools.begins {
+        commands.then(|window| window.tools.begins = None);
+        if canvas.is_hovered() {
+            transform::begin(canvas, window, commands, tool);
         }
-        Tool::Stroke => stroke::update(canvas, window),
-        Tool::Joint => joint::update(canvas, window),
-        Tool::Measure => measure::update(canvas, window),
+    }
+    if window.tools.tool == Tool::Measure {
+        measure::follow_keys(canvas, window, commands);
+    }
+}
+
+/// The tool in the hand follows the pointer.
+fn go_on(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, gesture: &mut Gesture) -> bool {
+    let tool = window.tools.tool;
+    if tool.selects() && canvas.is_hovered() {
+        canvas.ctx().set_cursor_icon(CursorIcon::Crosshair);
+    }
+    match tool {
+        Tool::Orbit => false,
+        Tool::Move | Tool::Rotate | Tool::Scale => gizmo::update(canvas, window, commands, gesture),
+        Tool::Brush | Tool::Lasso | Tool::Box | Tool::Connected => {
+            select::update(canvas, window, commands, gesture)
+        }
+        Tool::Stroke => stroke::update(canvas, window, commands, gesture),
+        Tool::Joint => joint::update(canvas, window, commands, gesture),
+        Tool::Measure => measure::update(canvas, window, commands, gesture),
     }
 }

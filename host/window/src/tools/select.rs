@@ -1,9 +1,9 @@
 //! Selecting by brush, lasso, box, and click.
 
-use super::Tool;
+use super::{Gesture, Tool};
 use crate::theme;
 use crate::viewport::{ModelArea, handles};
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::{Color32, Pos2, Rect, Shape, Stroke, StrokeKind};
 use simod_viewer::Command;
 use simod_viewer::command::Area;
@@ -13,15 +13,20 @@ use std::collections::BTreeSet;
 /// Points of a lasso are so far apart at least, in pixels.
 const SPACING: f64 = 3.0;
 
-pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
+pub fn update(
+    canvas: &ModelArea<'_>,
+    window: &Window,
+    commands: &mut Commands,
+    gesture: &mut Gesture,
+) -> bool {
     let tool = window.tools.tool;
     let combine = window.tools.combine_with(canvas.modifiers());
-    let drawing = !window.tools.path.is_empty();
+    let drawing = !gesture.path.is_empty();
     if canvas.is_pressed()
         && let Some(at) = canvas.press()
     {
         if tool == Tool::Connected {
-            window.apply(Command::Select {
+            commands.apply(Command::Select {
                 area: Area::Connected { at },
                 combine,
                 visible: false,
@@ -29,28 +34,35 @@ pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
             });
             return true;
         }
-        window.tools.path = vec![at];
+        gesture.path = vec![at];
         if tool == Tool::Brush {
-            paint(canvas, window, vec![at], combine, false);
+            paint(canvas, window, commands, vec![at], combine, false);
         }
     }
-    if !window.tools.path.is_empty() {
-        follow(canvas, window, combine);
+    if !gesture.path.is_empty() {
+        follow(canvas, window, commands, gesture, combine);
         if !canvas.is_down() {
+            let path = std::mem::take(&mut gesture.path);
             if window.tools.picks_handles() {
-                choose(canvas, window, combine);
+                choose(canvas, window, commands, &path, combine);
             } else {
-                finish(window, combine);
+                finish(window, commands, path, combine);
             }
         }
     }
-    draw(canvas, window);
+    draw(canvas, window, &gesture.path);
     drawing || canvas.is_pressed()
 }
 
 /// The pointer went on.
-fn follow(canvas: &ModelArea<'_>, window: &mut Window, combine: Combine) {
-    let path = &mut window.tools.path;
+fn follow(
+    canvas: &ModelArea<'_>,
+    window: &Window,
+    commands: &mut Commands,
+    gesture: &mut Gesture,
+    combine: Combine,
+) {
+    let path = &mut gesture.path;
     let from = path.len() - 1;
     for at in canvas.trail().into_iter().map(|p| [p.x, p.y]) {
         let last = path.last().copied().unwrap_or(at);
@@ -65,22 +77,34 @@ fn follow(canvas: &ModelArea<'_>, window: &mut Window, combine: Combine) {
     if window.tools.tool == Tool::Brush && new.len() > 1 {
         // What is painted first has replaced the selection.
         let combine = if combine == Combine::Replace { Combine::Add } else { combine };
-        paint(canvas, window, new, combine, true);
+        paint(canvas, window, commands, new, combine, true);
     }
 }
 
-fn paint(canvas: &ModelArea<'_>, window: &mut Window, path: Vec<[f64; 2]>, combine: Combine, goes_on: bool) {
+fn paint(
+    canvas: &ModelArea<'_>,
+    window: &Window,
+    commands: &mut Commands,
+    path: Vec<[f64; 2]>,
+    combine: Combine,
+    goes_on: bool,
+) {
     let radius = canvas.pixels(window.tools.radius);
     let visible = window.tools.visible;
-    window.apply(Command::Select { area: Area::Brush { path, radius }, combine, visible, goes_on });
+    commands.apply(Command::Select { area: Area::Brush { path, radius }, combine, visible, goes_on });
 }
 
 /// The handles in the box are chosen, and can be moved.
-fn choose(canvas: &ModelArea<'_>, window: &mut Window, combine: Combine) {
-    let path = std::mem::take(&mut window.tools.path);
+fn choose(
+    canvas: &ModelArea<'_>,
+    window: &Window,
+    commands: &mut Commands,
+    path: &[[f64; 2]],
+    combine: Combine,
+) {
     let Some((_, step, ..)) = window.chosen() else { return };
     let before = window.tools.handles(step);
-    let there: BTreeSet<String> = match path.as_slice() {
+    let there: BTreeSet<String> = match path {
         [from, to] => {
             let [from, to] = [from, to].map(|p| canvas.in_points((*p).into()));
             handles::within(canvas, window, Rect::from_two_pos(from, to))
@@ -92,11 +116,10 @@ fn choose(canvas: &ModelArea<'_>, window: &mut Window, combine: Combine) {
         Combine::Add => &before | &there,
         Combine::Subtract => &before - &there,
     };
-    window.tools.take_handles(step, None, chosen);
+    commands.then(move |window| window.tools.take_handles(step, None, chosen));
 }
 
-fn finish(window: &mut Window, combine: Combine) {
-    let path = std::mem::take(&mut window.tools.path);
+fn finish(window: &Window, commands: &mut Commands, path: Vec<[f64; 2]>, combine: Combine) {
     let area = match (window.tools.tool, path.as_slice()) {
         (Tool::Lasso, [_, _, _, ..]) => Area::Lasso { path },
         (Tool::Box, [from, to]) => Area::Box { from: *from, to: *to },
@@ -105,13 +128,13 @@ fn finish(window: &mut Window, combine: Combine) {
         _ => return,
     };
     let visible = window.tools.visible;
-    window.apply(Command::Select { area, combine, visible, goes_on: false });
+    commands.apply(Command::Select { area, combine, visible, goes_on: false });
 }
 
-fn draw(canvas: &ModelArea<'_>, window: &Window) {
+fn draw(canvas: &ModelArea<'_>, window: &Window, path: &[[f64; 2]]) {
     let painter = canvas.painter();
     let stroke = Stroke::new(1.5, theme::color(theme::SELECTED));
-    let points: Vec<Pos2> = window.tools.path.iter().map(|p| canvas.in_points((*p).into())).collect();
+    let points: Vec<Pos2> = path.iter().map(|p| canvas.in_points((*p).into())).collect();
     match (window.tools.tool, points.as_slice()) {
         (Tool::Brush, _) if canvas.is_hovered() => {
             if let Some(at) = canvas.pointer_pos() {

@@ -1,9 +1,9 @@
 //! Brush strokes on the surface, for plugins that take them.
 
+use super::Gesture;
 use crate::viewport::ModelArea;
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::{Color32, Event, Key, Pos2, Shape, Stroke};
-use glam::DVec2;
 use simod_viewer::{Command, Hit};
 
 /// Points of a stroke are so far apart at least, in radii of the brush.
@@ -11,72 +11,108 @@ const SPACING: f64 = 0.15;
 /// Corners of the circle that shows the brush.
 const CORNERS: usize = 48;
 
-pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
+pub fn update(
+    canvas: &ModelArea<'_>,
+    window: &Window,
+    commands: &mut Commands,
+    gesture: &mut Gesture,
+) -> bool {
     let Some((step, _, _, plugin)) = window.chosen() else { return false };
     if !plugin.is_some_and(|plugin| plugin.consumes().strokes) {
         return false;
     }
     let drawing = window.state().is_drawing();
     if drawing && canvas.ctx().input(|i| i.key_pressed(Key::Escape)) {
-        window.apply(Command::DropStroke);
-        window.tools.painting = false;
-        window.tools.path.clear();
+        commands.apply(Command::DropStroke);
+        gesture.painting = false;
+        gesture.path.clear();
         return true;
     }
     let hit = match canvas.pointer() {
-        Some(pixel) if canvas.is_hovered() || drawing => window.state_mut().pick(pixel),
+        Some(pixel) if canvas.is_hovered() || drawing => window.state().pick(pixel),
         _ => None,
     };
     if let Some(hit) = &hit {
         draw(canvas, window, hit);
     }
     if canvas.is_pressed() {
-        window.tools.painting = true;
+        gesture.painting = true;
     }
-    if window.tools.painting {
-        // A stroke that begins beside the surface begins where the hand gets to it.
-        for pixel in canvas.trail() {
-            paint(canvas, window, step, pixel);
-        }
-        if !canvas.is_down() {
-            window.tools.painting = false;
-            window.tools.path.clear();
-            if window.state().is_drawing() {
-                window.apply(Command::EndStroke);
-            }
+    if gesture.painting {
+        let painted = paint(canvas, window, gesture, step);
+        let ends = !canvas.is_down();
+        commands.then(move |window| stroke_on(window, painted, ends));
+        if ends {
+            gesture.painting = false;
+            gesture.path.clear();
             return true;
         }
     }
-    drawing || window.tools.painting
+    drawing || gesture.painting
 }
 
-/// The brush is on a pixel.
-fn paint(canvas: &ModelArea<'_>, window: &mut Window, step: usize, pixel: DVec2) {
-    let Some(hit) = window.state_mut().pick(pixel) else { return };
-    let Some(at) = window.state().in_step(step, &hit) else { return };
+/// What the brush paints since the last picture: the beginning of a stroke, if none is drawn, and its points.
+type Painted = (Option<Command>, Vec<Command>);
+
+/// The brush follows the pointer. A stroke that begins beside the surface begins where the hand gets to it.
+fn paint(canvas: &ModelArea<'_>, window: &Window, gesture: &mut Gesture, step: usize) -> Painted {
+    let (mut begin, mut points) = (None, Vec::new());
+    for pixel in canvas.trail() {
+        let Some(hit) = window.state().pick(pixel) else { continue };
+        let Some(at) = window.state().in_step(step, &hit) else { continue };
+        if !window.state().is_drawing() && begin.is_none() {
+            begin = begin_stroke(canvas, window, step);
+            gesture.path.clear();
+        } else if gesture
+            .path
+            .last()
+            .is_some_and(|last| pixel.distance((*last).into()) < spacing(window, &hit))
+        {
+            continue;
+        }
+        gesture.path.push(pixel.to_array());
+        points.push(Command::StrokePoint { at, pressure: pressure(canvas) });
+    }
+    (begin, points)
+}
+
+fn begin_stroke(canvas: &ModelArea<'_>, window: &Window, step: usize) -> Option<Command> {
+    let scale = window.state().scene()?.frame().scale;
+    let invert = if canvas.modifiers().command { -1.0 } else { 1.0 };
+    let (radius, strength) = (window.tools.stroke_radius * scale, invert * window.tools.strength);
+    Some(Command::BeginStroke { step, radius, strength, params: Default::default() })
+}
+
+/// How far apart points of a stroke are at a place of the surface, in pixels.
+fn spacing(window: &Window, hit: &Hit) -> f64 {
     let (camera, size) = (window.state().camera(), window.state().size());
     let depth = camera.project(hit.local, size).map_or(1.0, |p| p.1);
-    let spacing = (SPACING * window.tools.stroke_radius / camera.pixel_length(depth, size)).max(2.0);
-    if !window.state().is_drawing() {
-        let Some(scale) = window.state().scene().map(|scene| scene.frame().scale) else { return };
-        let invert = if canvas.modifiers().command { -1.0 } else { 1.0 };
-        let (radius, strength) = (window.tools.stroke_radius * scale, invert * window.tools.strength);
-        window.tools.path.clear();
-        if !window.apply(Command::BeginStroke { step, radius, strength, params: Default::default() }) {
-            window.tools.painting = false;
-            return;
-        }
-    } else if window.tools.path.last().is_some_and(|last| pixel.distance((*last).into()) < spacing) {
-        return;
-    }
+    (SPACING * window.tools.stroke_radius / camera.pixel_length(depth, size)).max(2.0)
+}
+
+/// How hard a pen is pressed, from 0 to 1, if there is one.
+fn pressure(canvas: &ModelArea<'_>) -> Option<f32> {
     let force = canvas.ctx().input(|i| {
         i.events.iter().rev().find_map(|event| match event {
             Event::Touch { force, .. } => *force,
             _ => None,
         })
     });
-    window.tools.path.push(pixel.to_array());
-    window.apply(Command::StrokePoint { at, pressure: force.map(|force| force.clamp(0.0, 1.0)) });
+    force.map(|force| force.clamp(0.0, 1.0))
+}
+
+/// Paints, and ends the stroke if the hand does.
+fn stroke_on(window: &mut Window, (begin, points): Painted, ends: bool) {
+    if begin.is_some_and(|begin| !window.apply(begin)) {
+        window.tools.gesture.painting = false;
+        return;
+    }
+    for point in points {
+        window.apply(point);
+    }
+    if ends && window.state().is_drawing() {
+        window.apply(Command::EndStroke);
+    }
 }
 
 /// The brush, lying on the surface.

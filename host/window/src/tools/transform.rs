@@ -3,22 +3,22 @@
 
 use super::gizmo;
 use super::transforming::{TransformOutcome, Transformed, Transforming};
-use super::{MovedPart, Tool};
+use super::{Gesture, MovedPart, Tool};
 use crate::viewport::ModelArea;
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::CursorIcon;
 use simod_viewer::Command;
 use simod_viewer::transform::{ScreenView, Transform, TransformKind};
 
 /// Begins, if there is anything in the hand and the pointer is over the picture.
-pub fn begin(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
+pub fn begin(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, tool: Tool) {
     let kind = match tool {
         Tool::Rotate => TransformKind::Turn,
         Tool::Scale => TransformKind::Scale,
         _ => TransformKind::Move,
     };
     let Some((step, id, ..)) = window.chosen() else { return };
-    let (Some(place), Some(pointer)) = (gizmo::place(window), canvas.pointer()) else { return };
+    let (Some(place), Some(pointer)) = (gizmo::place(window, commands), canvas.pointer()) else { return };
     let of = match &place.target {
         MovedPart::Region(_) => Transformed::Region(Box::new(place.clone()), place.matrix),
         MovedPart::Handle(_) => match gizmo::held(window, step, id) {
@@ -33,13 +33,18 @@ pub fn begin(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
     };
     let middle = frame.to_local_exact(middle);
     let transform = Transform::new(kind, middle, frame.scale, pointer);
-    window.tools.transforming =
-        Some(Transforming { transform, step: id, of, middle, last: None, pressed: false });
+    let begun = Transforming { transform, step: id, of, middle, last: None, pressed: false };
+    commands.then(|window| window.tools.gesture.transforming = Some(begun));
 }
 
-/// Goes on with it. The pointer is its own as long as it lasts.
-pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
-    let Some(mut going) = window.tools.transforming.take() else { return false };
+/// Goes on with a motion, if there is one. The pointer is its own as long as it lasts.
+pub fn update(
+    canvas: &ModelArea<'_>,
+    window: &Window,
+    commands: &mut Commands,
+    gesture: &mut Gesture,
+) -> bool {
+    let Some(mut going) = gesture.transforming.take() else { return false };
     if window.chosen().is_none_or(|(_, id, ..)| id != going.step) {
         return false;
     }
@@ -51,7 +56,7 @@ pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     let next = going.next(canvas.ctx());
     if matches!(next, TransformOutcome::Back) {
         if going.last.is_some() {
-            window.apply(Command::Undo);
+            commands.apply(Command::Undo);
         }
         return true;
     }
@@ -61,16 +66,16 @@ pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
         && let Some(change) = going.of.change(&motion)
     {
         going.last = Some(motion);
-        window.change(step, change, true);
+        commands.change(step, change, true);
     }
     canvas.ctx().set_cursor_icon(CursorIcon::Move);
     going.draw(canvas, seen);
     if matches!(next, TransformOutcome::Done) {
         if going.last.is_some() {
-            window.apply(Command::Rest);
+            commands.apply(Command::Rest);
         }
     } else {
-        window.tools.transforming = Some(going);
+        gesture.transforming = Some(going);
     }
     true
 }

@@ -56,12 +56,7 @@ pub struct SampleColors {
 impl SampleColors {
     /// Finds the samples' colours. Whether they have changed. The selection and regions are of
     /// the version that is worked on.
-    pub fn update(
-        &mut self,
-        window: &mut Window,
-        version: ComparedVersion,
-        scene: &Arc<ViewerScene>,
-    ) -> bool {
+    pub fn update(&mut self, window: &Window, version: ComparedVersion, scene: &Arc<ViewerScene>) -> bool {
         let key = match version {
             ComparedVersion::Now => key(window, scene),
             ComparedVersion::Pinned => plain(window, scene),
@@ -72,7 +67,7 @@ impl SampleColors {
                 self.weights = weights(window, scene, &key);
             }
             self.mixing = self.mixed(scene, &key);
-            self.scale = window.state_mut().field_of(version).map(ScalarField::scale);
+            self.scale = window.state().field_of(version).map(|field| field.scale());
             self.colors = self.made(window, version, scene);
             self.tinted = key.detail.then(|| sample_colors(scene.len(), self.colors.as_deref()));
             self.key = key;
@@ -92,13 +87,8 @@ impl SampleColors {
     }
 
     /// The colours of samples, if they are not all the same.
-    fn made(
-        &self,
-        window: &mut Window,
-        version: ComparedVersion,
-        scene: &ViewerScene,
-    ) -> Option<Vec<[u8; 3]>> {
-        let mut colors = match window.state_mut().sample_colors(version) {
+    fn made(&self, window: &Window, version: ComparedVersion, scene: &ViewerScene) -> Option<Vec<[u8; 3]>> {
+        let mut colors = match window.state().sample_colors(version) {
             Some(colors) => colors,
             None if self.mixing.is_none() => return None,
             None => vec![theme::CLAY; scene.len()],
@@ -132,17 +122,17 @@ impl SampleColors {
 }
 
 /// The key of a version with nothing but the overlay.
-fn plain(window: &mut Window, scene: &ViewerScene) -> ColorsKey {
+fn plain(window: &Window, scene: &ViewerScene) -> ColorsKey {
     let overlay = window.state().overlay();
     let revision = |version| window.state().scene_of(version).map(|scene| scene.revision);
     let revisions = [ComparedVersion::Now, ComparedVersion::Pinned].map(revision);
-    let range = window.state_mut().field().map(|field| field.range);
+    let range = window.state().field().map(|field| field.range);
     let revisions = (overlay != Overlay::None).then_some(revisions);
     let (tint, own) = (window.state().tint(), window.state().has_own_colors());
     ColorsKey { samples: scene.len(), overlay, tint, own, revisions, range, ..ColorsKey::default() }
 }
 
-fn key(window: &mut Window, scene: &Arc<ViewerScene>) -> ColorsKey {
+fn key(window: &Window, scene: &Arc<ViewerScene>) -> ColorsKey {
     let regions = window.chosen().filter(|_| window.looks.regions).map(|(at, id, deformation, _)| {
         let shapes = deformation.regions.into_iter().map(|r| (r.role, r.shapes)).collect();
         let before = scene.before.get(at).map_or(0, |before| before.as_ptr() as usize);

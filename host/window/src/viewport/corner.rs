@@ -1,6 +1,6 @@
 //! The axes in the corner: how the model is turned, and clicks to look along one.
 
-use crate::window::{Asks, Window};
+use crate::window::{Commands, Window};
 use eframe::egui::{self, Align2, Color32, FontId, Id, Pos2, Rect, Sense, Stroke, Ui, Vec2, vec2};
 use glam::DVec3;
 use simod_viewer::Command;
@@ -22,7 +22,7 @@ pub fn contains(rect: Rect, ctx: &egui::Context) -> bool {
 }
 
 /// Draws it, and looks along the axis that is clicked.
-pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
+pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let center = middle(rect);
     let area = Rect::from_center_size(center, Vec2::splat(2.0 * RADIUS));
     if rect.width() < 400.0 {
@@ -70,7 +70,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &Window, asks: &mut Asks) {
             painter.circle(at, BALL - 2.0, color.gamma_multiply(0.25), Stroke::new(1.5, fill));
         }
         if click.clicked() {
-            asks.apply(Command::Camera(CameraMove::Look(standard)));
+            commands.apply(Command::Camera(CameraMove::Look(standard)));
         }
     }
 }

@@ -102,7 +102,7 @@ pub fn sample_radii(spacing: &[f32], axes: &[[Vec3; 2]], detail: Option<&Detail>
     radii
 }
 
-/// The same of some samples, whose axes these are.
+/// The radii of some samples, whose axes these are.
 pub fn radii_of(some: &[u32], spacing: &[f32], axes: &[[Vec3; 2]], detail: Option<&Detail>) -> Vec<f32> {
     let mut radii = disc_radii(&some.iter().map(|i| spacing[*i as usize]).collect::<Vec<_>>());
     radii.iter_mut().zip(axes).for_each(|(radius, [long, _])| *radius *= long.length());

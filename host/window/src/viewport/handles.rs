@@ -4,8 +4,8 @@
 use super::ModelArea;
 use crate::axis::{Axis, PLANES};
 use crate::theme;
-use crate::tools::{MovedPart, Tool};
-use crate::window::Window;
+use crate::tools::{Gesture, MovedPart, Tool};
+use crate::window::{Commands, Window};
 use eframe::egui::{Color32, CursorIcon, Pos2, Rect, Shape, Stroke, pos2, vec2};
 use glam::DVec3;
 use simod_session::edit::Change;
@@ -235,7 +235,7 @@ pub fn joint_at(canvas: &ModelArea<'_>, window: &Window, pixel: glam::DVec2) -> 
 
 /// Takes the handle under the pointer, or the handle region that the surface there belongs to. Whether there
 /// is one.
-pub fn take(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
+pub fn take(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands) -> bool {
     let dots = dots(canvas, window);
     let target = match nearest(canvas, &dots) {
         Some(dot) => Some(dot.target.clone()),
@@ -243,23 +243,23 @@ pub fn take(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     };
     let found = target.is_some();
     if found {
-        take_also(canvas, window, target);
+        take_also(canvas, window, commands, target);
         if window.tools.tool == Tool::Orbit {
-            window.tools.take(Tool::Move);
+            commands.then(|window| window.tools.take(Tool::Move));
         }
     }
     found
 }
 
 /// Takes it instead of what is in the hand; with Shift besides, or no more if it is in the hand.
-fn take_also(canvas: &ModelArea<'_>, window: &mut Window, target: Option<MovedPart>) {
+fn take_also(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, target: Option<MovedPart>) {
     let (Some(MovedPart::Handle(id)), Some((_, step, ..))) = (&target, window.chosen()) else {
-        window.tools.target = target;
+        commands.then(|window| window.tools.target = target);
         return;
     };
     let mut all = if canvas.modifiers().shift { window.tools.handles(step) } else { BTreeSet::new() };
     let first = if all.remove(id) { None } else { Some(id.clone()) };
-    window.tools.take_handles(step, first, all);
+    commands.then(move |window| window.tools.take_handles(step, first, all));
 }
 
 /// The handles that the chosen step's plugin placed and that are seen in a part of the picture.
@@ -271,10 +271,10 @@ pub fn within(canvas: &ModelArea<'_>, window: &Window, rect: Rect) -> BTreeSet<S
     dots(canvas, window).into_iter().filter_map(id).collect()
 }
 
-fn region_under(canvas: &ModelArea<'_>, window: &mut Window) -> Option<MovedPart> {
+fn region_under(canvas: &ModelArea<'_>, window: &Window) -> Option<MovedPart> {
     let (step, _, deformation, _) = window.chosen()?;
     let has_handle = deformation.regions.iter().any(|r| r.role == Role::Handle);
-    let hit = window.state_mut().pick(canvas.pointer().filter(|_| has_handle)?)?;
+    let hit = window.state().pick(canvas.pointer().filter(|_| has_handle)?)?;
     let at = window.state().in_step(step, &hit)?;
     let holds =
         |region: &simod_session::step::Region| region.role == Role::Handle && region.shapes.weight(at) > 0.5;
@@ -320,7 +320,7 @@ pub fn draw_axis(canvas: &ModelArea<'_>, window: &Window) {
             ));
         }
         if let Some(at) = project(middle) {
-            let held = window.tools.plane == Some(k);
+            let held = window.tools.gesture.plane == Some(k);
             let near = hovered.is_some_and(|p| p.distance(at) < REACH);
             let (color, radius) = match (held, near) {
                 (true, _) => (theme::color(theme::SELECTED), 6.0),
@@ -332,32 +332,39 @@ pub fn draw_axis(canvas: &ModelArea<'_>, window: &Window) {
     }
 }
 
+/// The plane whose knob is at a place of the screen.
+fn plane_under(canvas: &ModelArea<'_>, window: &Window, axis: &Axis, p: Pos2) -> Option<usize> {
+    let (camera, size) = (window.state().camera(), window.state().size());
+    let near = |place: f64| {
+        let at = canvas.in_points(camera.project(axis.point(place), size)?.0);
+        Some(at.distance(p)).filter(|distance| *distance < REACH)
+    };
+    match axis.places.map(near) {
+        [Some(a), Some(b)] => Some(usize::from(b < a)),
+        [Some(_), None] => Some(0),
+        [None, Some(_)] => Some(1),
+        [None, None] => None,
+    }
+}
+
 /// The knobs of the planes follow the hand. Whether the pointer is theirs.
-pub fn drag_planes(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
+pub fn drag_planes(
+    canvas: &ModelArea<'_>,
+    window: &Window,
+    commands: &mut Commands,
+    gesture: &mut Gesture,
+) -> bool {
     let Some(axis) = Axis::find(window).filter(|_| is_shown(window)) else {
-        window.tools.plane = None;
+        gesture.plane = None;
         return false;
     };
-    let (camera, size) = (*window.state().camera(), window.state().size());
-    let under = |p: Pos2| {
-        let near = |place: f64| {
-            let at = canvas.in_points(camera.project(axis.point(place), size)?.0);
-            Some(at.distance(p)).filter(|distance| *distance < REACH)
-        };
-        let [a, b] = axis.places.map(near);
-        match (a, b) {
-            (Some(a), Some(b)) => Some(usize::from(b < a)),
-            (Some(_), None) => Some(0),
-            (None, Some(_)) => Some(1),
-            (None, None) => None,
-        }
-    };
+    let under = |p: Pos2| plane_under(canvas, window, &axis, p);
     if canvas.is_pressed()
         && let Some(at) = canvas.ctx().input(|i| i.pointer.press_origin()).or(canvas.pointer_pos())
     {
-        window.tools.plane = under(at);
+        gesture.plane = under(at);
     }
-    let Some(plane) = window.tools.plane else {
+    let Some(plane) = gesture.plane else {
         if canvas.is_hovered() && canvas.pointer_pos().and_then(under).is_some() {
             canvas.ctx().set_cursor_icon(CursorIcon::Grab);
         }
@@ -370,13 +377,13 @@ pub fn drag_planes(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
         let place =
             if plane == 0 { place.min(axis.places[1] - least) } else { place.max(axis.places[0] + least) };
         let value = Some((place / axis.diagonal).into());
-        window.change(axis.step, Change::SetParam { id: PLANES[plane].to_owned(), value }, true);
-        window.tools.drags_plane = true;
+        commands.change(axis.step, Change::SetParam { id: PLANES[plane].to_owned(), value }, true);
+        gesture.drags_plane = true;
     }
     if !canvas.is_down() {
-        window.tools.plane = None;
-        if std::mem::take(&mut window.tools.drags_plane) {
-            window.apply(Command::Rest);
+        gesture.plane = None;
+        if std::mem::take(&mut gesture.drags_plane) {
+            commands.apply(Command::Rest);
         }
     }
     true

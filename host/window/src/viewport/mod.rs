@@ -13,8 +13,9 @@ mod texture;
 mod versions;
 pub mod vertex_colors;
 
+use crate::panels;
+use crate::tools::{self, Tool};
 use crate::window::Window;
-use crate::{panels, tools};
 pub use canvas::ModelArea;
 use eframe::egui::{self, CentralPanel, Sense, Ui};
 pub use picture::Viewport;
@@ -52,43 +53,54 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
             }
         };
         if let Some(emerging) = viewport.emerging(&canvas(main, false), window) {
-            navigate::update(&canvas(main, false), window, window.tools.tool);
+            navigate(&canvas(main, false), window, window.tools.tool);
             whole.set(picture, emerging);
-            window.draw(|window, asks| panels::progress::show(ui, rect, window, asks));
+            window.draw(|window, commands| panels::progress::show(ui, rect, window, commands));
             return;
         }
         if window.state().scene().is_none() {
             viewport.clear(ui, rect, window);
-            window.draw(|window, asks| panels::welcome::show(ui, rect, window, asks));
+            window.draw(|window, commands| panels::welcome::show(ui, rect, window, commands));
             return;
         }
         // The pinned version is looked at only.
-        let looks = places.under(ui) == Some(ComparedVersion::Pinned) && !window.tools.is_dragging();
-        let mut taken = false;
-        if places.now.is_some() {
-            let canvas = canvas(main, looks);
-            if window.looks.handles {
-                handles::draw(&canvas, window);
-                handles::draw_axis(&canvas, window);
-                taken = handles::drag_planes(&canvas, window);
-            }
-            taken = taken || tools::update(&canvas, window);
-            if !taken && !looks && canvas.is_clicked() && window.tools.tool.grabs() {
-                handles::take(&canvas, window);
-            }
-        }
+        let looks = places.under(ui) == Some(ComparedVersion::Pinned) && !window.tools.gesture.is_dragging();
+        let taken = places.now.is_some() && work(&canvas(main, looks), looks, window);
         if looks {
-            navigate::update(&canvas(places.pinned.unwrap_or(main), false), window, tools::Tool::Orbit);
+            navigate(&canvas(places.pinned.unwrap_or(main), false), window, Tool::Orbit);
         } else if !taken {
-            navigate::update(&canvas(main, false), window, window.tools.tool);
+            navigate(&canvas(main, false), window, window.tools.tool);
         }
         if places.now.is_some() {
             tools::measure::draw(&canvas(main, false), window);
         }
-        let pictures = places.pictures(viewport, window);
+        let pictures = window.draw(|window, commands| places.pictures(viewport, window, commands));
         whole.set(picture, egui::Shape::Vec(pictures));
         versions::captions(ui, rect, &places, window);
-        window.draw(|window, asks| corner::show(ui, main, window, asks));
-        window.draw(|window, asks| panels::over::show(ui, rect, window, asks));
+        window.draw(|window, commands| corner::show(ui, main, window, commands));
+        window.draw(|window, commands| panels::over::show(ui, rect, window, commands));
     });
+}
+
+fn navigate(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
+    window.draw(|window, commands| navigate::update(canvas, window, commands, tool));
+}
+
+/// Handles and tools follow the pointer, unless it only `looks`, and draw themselves. Whether the pointer is
+/// theirs, and not the camera's.
+fn work(canvas: &ModelArea<'_>, looks: bool, window: &mut Window) -> bool {
+    let mut taken = false;
+    if window.looks.handles {
+        handles::draw(canvas, window);
+        handles::draw_axis(canvas, window);
+        taken = window.draw_with(
+            |window| &mut window.tools.gesture,
+            |window, commands, gesture| handles::drag_planes(canvas, window, commands, gesture),
+        );
+    }
+    taken = taken || tools::update(canvas, window);
+    if !taken && !looks && canvas.is_clicked() && window.tools.tool.grabs() {
+        window.draw(|window, commands| handles::take(canvas, window, commands));
+    }
+    taken
 }

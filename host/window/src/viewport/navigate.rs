@@ -2,7 +2,7 @@
 
 use super::ModelArea;
 use crate::tools::Tool;
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::{Event, Key, MouseWheelUnit, PointerButton};
 use simod_viewer::Command;
 use simod_viewer::command::CameraMove;
@@ -22,16 +22,16 @@ const BUTTONS: [(PointerButton, Button); 3] = [
 ];
 
 /// With this tool in the hand.
-pub fn update(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
-    drag(canvas, window, tool);
+pub fn update(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, tool: Tool) {
+    drag(canvas, window, commands, tool);
     if canvas.is_hovered() {
-        wheel(canvas, window);
-        pinch(canvas, window);
+        wheel(canvas, commands);
+        pinch(canvas, commands);
     }
-    keys(canvas, window);
+    keys(canvas, commands);
 }
 
-fn drag(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
+fn drag(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, tool: Tool) {
     let held = canvas.modifiers();
     let modifiers = Modifiers { shift: held.shift, control: held.command, alt: held.alt };
     let moves = |w: &Window, button| {
@@ -55,7 +55,7 @@ fn drag(canvas: &ModelArea<'_>, window: &mut Window, tool: Tool) {
             CameraMove::Zoom { factor, at: [0.5 * width, 0.5 * height] }
         }
     };
-    window.apply(Command::Camera(step));
+    commands.apply(Command::Camera(step));
 }
 
 /// What buttons do that the preset leaves to the tools, for those with one button or a pen.
@@ -70,7 +70,7 @@ fn free(tool: Tool, button: Button, modifiers: Modifiers) -> Option<Drag> {
     }
 }
 
-fn wheel(canvas: &ModelArea<'_>, window: &mut Window) {
+fn wheel(canvas: &ModelArea<'_>, commands: &mut Commands) {
     let wheel = canvas.ctx().input(|i| {
         let of = |event: &Event| match event {
             Event::MouseWheel { unit, delta, modifiers, .. } => Some((*unit, *delta, *modifiers)),
@@ -96,11 +96,11 @@ fn wheel(canvas: &ModelArea<'_>, window: &mut Window) {
             }
             MouseWheelUnit::Page => CameraMove::Zoom { factor: NOTCH.powf(3.0 * y), at: at.into() },
         };
-        window.apply(Command::Camera(step));
+        commands.apply(Command::Camera(step));
     }
 }
 
-fn pinch(canvas: &ModelArea<'_>, window: &mut Window) {
+fn pinch(canvas: &ModelArea<'_>, commands: &mut Commands) {
     let factor = canvas.ctx().input(|i| {
         let zoom = |event: &Event| if let Event::Zoom(factor) = event { *factor } else { 1.0 };
         i.events.iter().map(zoom).product::<f32>()
@@ -109,11 +109,11 @@ fn pinch(canvas: &ModelArea<'_>, window: &mut Window) {
         && factor > 0.0
         && let Some(at) = canvas.pointer()
     {
-        window.apply(Command::Camera(CameraMove::Zoom { factor: f64::from(factor), at: at.into() }));
+        commands.apply(Command::Camera(CameraMove::Zoom { factor: f64::from(factor), at: at.into() }));
     }
 }
 
-fn keys(canvas: &ModelArea<'_>, window: &mut Window) {
+fn keys(canvas: &ModelArea<'_>, commands: &mut Commands) {
     let ctx = canvas.ctx();
     if ctx.memory(|memory| memory.focused().is_some()) {
         return;
@@ -126,7 +126,7 @@ fn keys(canvas: &ModelArea<'_>, window: &mut Window) {
         (Key::ArrowDown, 0.0, -KEY_TURN),
     ] {
         if pressed(key) {
-            window.apply(Command::Camera(CameraMove::Orbit { yaw, pitch }));
+            commands.apply(Command::Camera(CameraMove::Orbit { yaw, pitch }));
         }
     }
 }

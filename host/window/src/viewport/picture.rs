@@ -7,7 +7,7 @@ use super::emerging::EmergingPoints;
 use super::seen::{disc_radii, seen_clip, view};
 use super::texture::Texture;
 use crate::settings::Theme;
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
 use glam::{Mat4, Vec3};
@@ -98,14 +98,15 @@ impl Viewport {
         rect: Rect,
         version: ComparedVersion,
         share: u32,
-        window: &mut Window,
+        window: &Window,
+        commands: &mut Commands,
     ) -> Shape {
         match &mut self.0 {
             Some(Pictures { render, now, pinned, .. }) => match version {
-                ComparedVersion::Now => now.picture(rect, share, window),
+                ComparedVersion::Now => now.picture(rect, share, window, commands),
                 ComparedVersion::Pinned => {
                     let drawing = pinned.get_or_insert_with(|| PictureDrawing::new(version, render));
-                    drawing.picture(rect, share, window)
+                    drawing.picture(rect, share, window, commands)
                 }
             },
             None => background(rect, window.settings.theme),
@@ -183,7 +184,7 @@ impl PictureDrawing {
         }
     }
 
-    fn picture(&mut self, rect: Rect, share: u32, window: &mut Window) -> Shape {
+    fn picture(&mut self, rect: Rect, share: u32, window: &Window, commands: &mut Commands) -> Shape {
         let Some(scene) = window.state().scene_of(self.version).cloned() else {
             return background(rect, window.settings.theme);
         };
@@ -192,21 +193,10 @@ impl PictureDrawing {
             return self.texture.show(rect);
         }
         if let Err(error) = self.upload(&scene, window) {
-            return failed(error, rect, window);
+            return failed(error, rect, window, commands);
         }
-        let size = window.state().size();
-        let camera = window.state().camera();
-        let bounds = self.bounds(&scene);
-        let view = view(camera, size, bounds);
-        let style = SceneStyle {
-            mode: window.mode(),
-            own_colors: self.colors_are_own(),
-            background: window.settings.theme.background(),
-            light: window.settings.light.light(),
-            occlusion: window.settings.occlusion,
-            clip: seen_clip(window.state()),
-            ..SceneStyle::default()
-        };
+        let view = view(window.state().camera(), window.state().size(), self.bounds(&scene));
+        let style = self.style(window);
         let started = Instant::now();
         let before = self.scene.drawn();
         let goal = GOALS[usize::from(self.scene.gpu().is_software())] / share;
@@ -229,23 +219,33 @@ impl PictureDrawing {
         let whole = !moves && parts * goal.as_secs_f64() < PATIENCE / f64::from(share);
         let reach = self.scene.reach(&view, &style, Some(&self.budget.1).filter(|_| !whole));
         if let Err(error) = self.place(&scene, reach, window) {
-            return failed(error, rect, window);
+            return failed(error, rect, window, commands);
         }
         let budget = (!whole).then_some(&mut self.budget.1);
         let picture = self.scene.render(&view, &style, budget).clone();
         let drawn = self.scene.drawn();
-        if self.version == ComparedVersion::Now {
-            window.drawn = drawn;
-        }
         // Without a budget the card goes on drawing meanwhile.
-        if !whole && (drawn != before || !drawn.complete) {
-            window.frame_time = started.elapsed();
-        }
+        let took = (!whole && (drawn != before || !drawn.complete)).then(|| started.elapsed());
+        let is_now = self.version == ComparedVersion::Now;
+        commands.then(move |window| window.tell_drawn(Some(drawn).filter(|_| is_now), took));
         if !drawn.complete {
             window.ctx().request_repaint();
         }
         self.texture.set(&picture, view.size);
         self.texture.show(rect)
+    }
+
+    /// How the scene is drawn, as the window looks.
+    fn style(&self, window: &Window) -> SceneStyle {
+        SceneStyle {
+            mode: window.mode(),
+            own_colors: self.colors.of_samples().is_some(),
+            background: window.settings.theme.background(),
+            light: window.settings.light.light(),
+            occlusion: window.settings.occlusion,
+            clip: seen_clip(window.state()),
+            ..SceneStyle::default()
+        }
     }
 
     /// The box of all that is shown.
@@ -260,15 +260,11 @@ impl PictureDrawing {
         [min.as_dvec3(), max.as_dvec3()]
     }
 
-    fn colors_are_own(&self) -> bool {
-        self.colors.of_samples().is_some()
-    }
-
     /// Brings what the card has up to date.
     fn upload(
         &mut self,
         scene: &Arc<simod_viewer::ViewerScene>,
-        window: &mut Window,
+        window: &Window,
     ) -> Result<(), simod_scene::BadSurface> {
         let known = self.shown.as_ref();
         let same_samples = known.is_some_and(|known| Arc::ptr_eq(&known.sampled, &scene.sampled));
@@ -376,8 +372,9 @@ impl PictureDrawing {
 }
 
 /// What is shown where the card does not take what there is.
-fn failed(error: simod_scene::BadSurface, rect: Rect, window: &mut Window) -> Shape {
+fn failed(error: simod_scene::BadSurface, rect: Rect, window: &Window, commands: &mut Commands) -> Shape {
     let hint = "save the session, and report this";
-    window.toasts.error(&simod_model::Error::internal(error.to_string()).hinting(hint));
+    let error = simod_model::Error::internal(error.to_string()).hinting(hint);
+    commands.then(move |window| window.toasts.error(&error));
     background(rect, window.settings.theme)
 }

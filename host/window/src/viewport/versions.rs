@@ -1,7 +1,7 @@
 //! Two versions: side by side, or one in the other's place.
 
 use super::Viewport;
-use crate::window::Window;
+use crate::window::{Commands, Window};
 use eframe::egui::{Align2, Color32, FontId, Key, Modifiers, Pos2, Rect, Shape, Stroke, Ui, pos2, vec2};
 use simod_viewer::ComparedVersion;
 
@@ -28,7 +28,7 @@ impl VersionRects {
         if state.is_opening() || state.scene_of(ComparedVersion::Pinned).is_none() {
             return Self { now: Some(rect), pinned: None };
         }
-        if (window.looks.pinned_in_place || is_held(window)) && !window.tools.is_dragging() {
+        if (window.looks.pinned_in_place || is_held(window)) && !window.tools.gesture.is_dragging() {
             return Self { now: None, pinned: Some(rect) };
         }
         if !window.looks.side_by_side {
@@ -65,11 +65,11 @@ impl VersionRects {
     }
 
     /// What is shown of each.
-    pub fn pictures(&self, viewport: &mut Viewport, window: &mut Window) -> Vec<Shape> {
+    pub fn pictures(&self, viewport: &mut Viewport, window: &Window, commands: &mut Commands) -> Vec<Shape> {
         let both = [(ComparedVersion::Pinned, self.pinned), (ComparedVersion::Now, self.now)];
         let shown: Vec<_> = both.into_iter().filter_map(|(version, rect)| Some((version, rect?))).collect();
         let share = shown.len() as u32;
-        let draw = |(version, rect)| viewport.picture(rect, version, share, window);
+        let draw = |(version, rect)| viewport.picture(rect, version, share, window, commands);
         shown.into_iter().map(draw).collect()
     }
 }
@@ -78,7 +78,7 @@ impl VersionRects {
 fn is_held(window: &Window) -> bool {
     let ctx = window.ctx();
     let held = ctx.input(|i| i.key_down(HOLD) && i.modifiers.matches_exact(Modifiers::NONE));
-    let held = held && window.tools.transforming.is_none();
+    let held = held && window.tools.gesture.transforming.is_none();
     window.holds_pinned || held && !ctx.egui_wants_keyboard_input() && !window.is_asking()
 }
 

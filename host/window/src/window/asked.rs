@@ -79,11 +79,11 @@ pub struct WriteReport {
 
 /// The lesson that is being done.
 pub struct RunningLesson {
-    /// Its place among [all](crate::lessons::ALL).
+    /// The lesson's place among [all](crate::lessons::ALL).
     pub lesson: usize,
     /// The part that is to be done; as many as there are parts once all are.
     pub part: usize,
-    /// Its model.
+    /// The lesson's model.
     pub model: PathBuf,
     /// Where the camera was when the part began.
     pub began: Option<Camera>,

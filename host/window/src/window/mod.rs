@@ -1,7 +1,7 @@
 //! The state, and what is the window's own.
 
 mod asked;
-mod asks;
+mod commands;
 mod looks;
 mod prompt;
 mod toasts;
@@ -13,7 +13,7 @@ use crate::turntable::{AskedPicture, AskedTurntable, Film, Turning};
 use crate::viewport::seen::mode_of;
 use crate::{example, in_turn, plugins, theme};
 pub use asked::{CommandPalette, KeptEdit, Leaving, Question, Renaming, RunningLesson, WriteReport};
-pub use asks::{Ask, Asks};
+pub use commands::Commands;
 use eframe::egui;
 pub use looks::Looks;
 pub use prompt::{Prompt, common};
@@ -159,11 +159,6 @@ impl Window {
     /// The state, to be read; it changes by [`apply`](Self::apply) alone.
     pub fn state(&self) -> &State {
         &self.state
-    }
-
-    /// The state where reading it takes a cache.
-    pub fn state_mut(&mut self) -> &mut State {
-        &mut self.state
     }
 
     /// egui's.
@@ -324,6 +319,12 @@ impl Window {
         if let Some(model) = model.filter(|model| !model.exists()).map(Path::to_owned) {
             self.question = Some(Question::Moved { path, model, is_open: true });
         }
+    }
+
+    /// How much a picture shows, and how long it took, where these are known.
+    pub fn tell_drawn(&mut self, drawn: Option<SurfaceShare>, took: Option<Duration>) {
+        self.drawn = drawn.unwrap_or(self.drawn);
+        self.frame_time = took.unwrap_or(self.frame_time);
     }
 
     /// No turntable is wanted any more.
@@ -528,7 +529,7 @@ impl Window {
         }
     }
 
-    /// Asks for a file.
+    /// Commands for a file.
     pub fn ask(&mut self, purpose: Purpose) {
         let editor = self.state.editor();
         let beside = |name: &str| {

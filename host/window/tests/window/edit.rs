@@ -386,7 +386,7 @@ fn a_limb_turns_without_the_body() {
     assert!(harness.query_by_label("Handle pin-1").is_none());
     harness.key_press(egui::Key::G);
     harness.run_steps(3);
-    assert!(harness.state().window().tools.transforming.is_none());
+    assert!(harness.state().window().tools.gesture.transforming.is_none());
     harness.get_by_label("joint-1").click();
     harness.run_steps(3);
     assert!(harness.query_by_label("Handle joint-1").is_some());

@@ -114,20 +114,20 @@ fn only_what_is_neither_saved_nor_discarded_is_offered_again() {
         let names = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name());
         names.filter(|name| name.to_string_lossy().starts_with('.')).count()
     };
-    let asks = |harness: &mut Harness<'_, App>| {
+    let commands = |harness: &mut Harness<'_, App>| {
         harness.state_mut().window_mut().ask_to_open(path.clone());
         settle(harness);
         harness.query_by_label("Recover the edit?").is_some()
     };
     let mut harness = window();
-    assert!(!asks(&mut harness));
+    assert!(!commands(&mut harness));
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
     harness.state_mut().window_mut().keep();
     assert_eq!(hidden(), 1);
 
     // The program ends here. The next one offers it, with when it was made.
     let mut harness = window();
-    assert!(asks(&mut harness));
+    assert!(commands(&mut harness));
     assert!(harness.query_by_label("Kept just now: 1 step").is_some());
     click(&mut harness, "Recover");
     assert_eq!(harness.state().window().steps().len(), 1);
@@ -138,7 +138,7 @@ fn only_what_is_neither_saved_nor_discarded_is_offered_again() {
     harness.state_mut().window_mut().answered(Purpose::Save, saved.clone());
     assert_eq!(hidden(), 0);
     let mut harness = window();
-    assert!(!asks(&mut harness));
+    assert!(!commands(&mut harness));
 
     // Discarded, it is gone for good; it is not kept once more by what comes.
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
@@ -161,11 +161,11 @@ fn only_what_is_neither_saved_nor_discarded_is_offered_again() {
 
     // Discarded at the question, too.
     let mut harness = window();
-    assert!(!asks(&mut harness));
+    assert!(!commands(&mut harness));
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
     harness.state_mut().window_mut().keep();
     let mut harness = window();
-    assert!(asks(&mut harness));
+    assert!(commands(&mut harness));
     click(&mut harness, "Discard It");
     assert!(harness.state().window().steps().is_empty());
     assert_eq!(hidden(), 0);

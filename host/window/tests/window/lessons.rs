@@ -59,7 +59,7 @@ fn each_lesson_can_be_done_by_the_window() {
 #[test]
 fn a_lesson_goes_on_by_what_the_user_does() {
     let mut harness = window();
-    lessons::begin(harness.state_mut().window_mut(), 0);
+    harness.state_mut().window_mut().draw(|_, commands| lessons::begin(commands, 0));
     settle(&mut harness);
     assert_eq!(at(&harness), (0, 0));
     done(&mut harness, Command::Camera(CameraMove::Orbit { yaw: 0.2, pitch: 0.0 }));

@@ -67,7 +67,8 @@ fn one_motion_of_all_handles_moves_everything_along() {
     }
 }
 
-/// The same bent by a rigid motion more is the same, moved: only differences of the handles' motions matter.
+/// A surface whose handles all move by a rigid motion more is bent as before, and moved: only differences of
+/// the handles' motions matter.
 #[test]
 fn a_common_part_of_motions_makes_no_difference() {
     let scene = bar(5, 24, 0.1).region(Role::HANDLE, |p| p[2] < 0.2).region(Role::HANDLE, |p| p[2] > 0.8);

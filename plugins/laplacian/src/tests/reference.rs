@@ -1,4 +1,4 @@
-//! The same as libigl, on the same regions: `tests/reference/laplacian.py` says how the figures came about.
+//! Results are libigl's, on the same regions: `tests/reference/laplacian.py` says how the figures came about.
 //!
 //! With cotangents as they are, `bi-laplacian` is libigl's `harmonic` of order 2, and `arap` its `ARAP` when
 //! both have converged. The default, robust weights, is another discretisation on purpose: cotangents of the

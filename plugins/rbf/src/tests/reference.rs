@@ -1,4 +1,4 @@
-//! The same as SciPy, on the same points: `tests/reference/rbf.py` says how the figures came about.
+//! Results are SciPy's, on the same points: `tests/reference/rbf.py` says how the figures came about.
 
 use super::{Setup, distance};
 use serde_json::Value;

@@ -1,5 +1,5 @@
-//! The same as libigl, and as the published algorithm: `tests/reference/skinning.py` says how the figures
-//! came about.
+//! Results are those of libigl, and of the published algorithm: `tests/reference/skinning.py` says how the
+//! figures came about.
 
 use super::scene::{Scene, at};
 use glam::DVec3;

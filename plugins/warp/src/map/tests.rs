@@ -39,7 +39,7 @@ impl Place {
         add(add(add(self.centre, self.axis, s), self.direction, u), self.side, v)
     }
 
-    /// Its inverse.
+    /// The inverse of `point`.
     fn coordinates(&self, p: Vec3) -> Vec3 {
         let x = sub(p, self.centre);
         [self.axis, self.direction, self.side].map(|a| dot(x, a))
@@ -76,7 +76,7 @@ fn points() -> impl Strategy<Value = Vec3> {
     prop::array::uniform3(-1.5..1.5)
 }
 
-/// The same, away from the ends of the range.
+/// Points away from the ends of the range.
 fn between_kinks() -> impl Strategy<Value = Vec3> {
     points().prop_filter("at a kink", |p| RANGE.iter().all(|end| (p[0] - end).abs() > 2.0 * STEP))
 }
