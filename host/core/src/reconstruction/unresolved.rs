@@ -30,10 +30,11 @@ use crate::geometry::hermite;
 const STRAINED: f64 = 0.4;
 
 /// So much of what the third order makes of the gradient counts, as second order tells it somewhat damped.
-const OF_THIRD: f32 = 1.2;
+const OF_THIRD: f32 = 1.1;
 
-/// The third order of a sample and its ring counts together, but at most so many times its own.
-const AROUND: f32 = 2.0;
+/// Where the third order makes little of a sample's gradient by chance, its ring tells: no less than the
+/// sample's own counts, and no more than so many times that.
+const OF_OWN: f32 = 2.0;
 
 /// How far an expansion is off around its sample, by its terms along each of a fit's: local units.
 #[derive(Debug, Clone, Copy, Default)]
@@ -54,7 +55,7 @@ impl Unresolved {
 
 /// What is unresolved at each sample, of which these are the expansions.
 ///
-/// Memory: 36 bytes per sample, and 56 more meanwhile.
+/// Memory: 36 bytes per sample, and 52 more meanwhile.
 pub fn find(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Unresolved> {
     let mut across = vec![Across::default(); expansions.len()];
     across.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, across)| {
@@ -66,7 +67,7 @@ pub fn find(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Unresolved> {
         let ring = fitted.stencils.ring(i);
         let sum = third[i].powi(2) + ring.iter().map(|j| third[*j as usize].powi(2)).sum::<f32>();
         let around = (sum / (ring.len() + 1) as f32).sqrt();
-        let off = hypot([OF_THIRD * around.min(AROUND * third[i]), across.prior]);
+        let off = hypot([OF_THIRD * around.min(OF_OWN * third[i]).max(third[i]), across.prior]);
         Unresolved(across.response.0.map(|term| term * off))
     };
     across.par_iter().enumerate().map(unresolved).collect()
