@@ -75,7 +75,7 @@ fn beyond_an_open_border_vertices_that_are_off_are_warned_of() {
     assert!((0.8..3.0).contains(&ratio), "{ratio}");
 }
 
-/// A place of a torus around the y axis, one unit wide, by its angles as parts of a turn, and the normal there.
+/// A place of a torus around the y axis, one unit wide, by its angles as parts of a turn; and the normal.
 fn on_torus((u, v): (f32, f32)) -> (Vec3, Vec3) {
     let ((sin_u, cos_u), (sin_v, cos_v)) = ((TAU * u).sin_cos(), (TAU * v).sin_cos());
     let normal = Vec3::new(cos_v * cos_u, sin_v, cos_v * sin_u);
