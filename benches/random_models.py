@@ -1,6 +1,6 @@
 """Random models, about 300 000 vertices each: NUMBER.ply in the folder at hand for each number given. The
-number is the seed; the kind of surface follows from it (blob, superquadric, box with fillets, swept tube, wavy
-sheet, lathed body), and so do its normals, its noise and how it lies.
+number is the seed; the kind of surface follows from it (blob, superquadric, box with fillets, swept tube,
+wavy sheet, lathed body), and so do its normals, its noise and how it lies.
 
     python benches/random_models.py 0 1 2
 """
