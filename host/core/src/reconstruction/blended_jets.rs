@@ -18,10 +18,10 @@ use simod_model::memory;
 
 use super::expansion::Expansion;
 use super::gradients::Gradients;
-use super::least_squares::{LeastSquares, TERMS, Unresolved};
-use super::packets::{MOST_NEIGHBOURS, Neighbours, triple};
+use super::least_squares::{LeastSquares, TERMS};
+use super::packets::{MOST_NEIGHBOURS, Neighbours};
 use super::stencils::Stencils;
-use crate::double_lanes::{DoubleLanes, MOST_LANES, square};
+use crate::double_lanes::{DoubleLanes, MOST_LANES};
 use crate::geometry::hermite;
 use crate::sampling::SampleSet;
 
@@ -32,7 +32,7 @@ pub const BLENDED: usize = 6;
 pub(super) const FIT_NEIGHBOURS: usize = MOST_NEIGHBOURS;
 
 /// Samples that are fitted by one job.
-const TOGETHER: usize = 64;
+pub(super) const TOGETHER: usize = 64;
 
 /// What a fit leaves over counts as noise of its data: a ridge of so much of it, as a part of the data's
 /// square, shows what the fit explains by terms that the noise leaves undetermined (as Wiener's filter
@@ -41,9 +41,6 @@ const NOISE: f64 = 0.3;
 
 /// What a fit to a smooth map may leave over, as a part of the data's square.
 const SMOOTH: f64 = 0.01;
-
-/// The part of the strain by which the gradient across a surface is expected to differ from its prior.
-const STRAINED: f64 = 0.4;
 
 /// The power of the ratio of costs by which an expansion is preferred to another.
 const CHOICE: i32 = 8;
@@ -83,8 +80,6 @@ impl Jet {
 pub struct Expanded {
     /// The expansion at each sample.
     pub expansions: Vec<Expansion>,
-    /// What the gradient across the surface leaves open, at each sample.
-    pub unresolved: Vec<Unresolved>,
     /// The troubled samples, ascending.
     pub troubled: Vec<(u32, TroubledSample)>,
 }
@@ -105,23 +100,20 @@ pub fn expand(
     deformed: &[Vec3],
     gradients: &Gradients,
 ) -> Expanded {
-    let fitted = Fitted { samples, stencils, deformed, gradient: &gradients.gradient };
+    let fitted = FitInput { samples, stencils, deformed, gradient: &gradients.gradient };
     let affine = |i: usize| {
         let (q, slope) = (samples.positions[i], gradients.gradient[i] - Mat3::IDENTITY);
         Expansion::new(q, deformed[i] - q, slope, [Vec3::ZERO; 6])
     };
     // The system's own zeros: the threads that fit touch them first.
     let mut expansions: Vec<Expansion> = memory::zeros(samples.len());
-    let mut unresolved = vec![Unresolved::default(); samples.len()];
     let mut trouble = vec![0.0; samples.len()];
-    let jobs = expansions.par_chunks_mut(TOGETHER).zip(unresolved.par_chunks_mut(TOGETHER));
-    jobs.zip(trouble.par_chunks_mut(TOGETHER)).enumerate().for_each(
-        |(chunk, ((expansions, unresolved), trouble))| {
-            let first = chunk * TOGETHER;
-            expansions.iter_mut().zip(first..).for_each(|(e, i)| *e = affine(i));
-            Arch::new().dispatch(ExpansionFits { fitted, first, expansions, unresolved, trouble });
-        },
-    );
+    let jobs = expansions.par_chunks_mut(TOGETHER).zip(trouble.par_chunks_mut(TOGETHER));
+    jobs.enumerate().for_each(|(chunk, (expansions, trouble))| {
+        let first = chunk * TOGETHER;
+        expansions.iter_mut().zip(first..).for_each(|(e, i)| *e = affine(i));
+        Arch::new().dispatch(ExpansionFits { fitted, first, expansions, trouble });
+    });
     let in_trouble: Vec<u32> =
         (0..).zip(&trouble).filter(|(_, trouble)| **trouble > 0.0).map(|(i, _)| i).collect();
     let prevailing = prevailing(samples, stencils, &expansions, &trouble, &in_trouble);
@@ -140,7 +132,7 @@ pub fn expand(
         *expansion = expansion.with_slope(jet.slope - Mat3::IDENTITY).with_second(jet.second);
     }
     let troubled = mended.into_iter().map(|(i, _, trouble)| (i, trouble)).collect();
-    Expanded { expansions, unresolved, troubled }
+    Expanded { expansions, troubled }
 }
 
 /// The gradient around each troubled sample: that of its neighbours which are not, or in their turn of
@@ -245,21 +237,46 @@ impl Jet {
 
 /// What is fitted: samples, and the gradient at each that the fit goes beyond.
 #[derive(Clone, Copy)]
-struct Fitted<'a> {
-    samples: &'a SampleSet,
-    stencils: &'a Stencils<'a>,
-    deformed: &'a [Vec3],
-    gradient: &'a [Mat3],
+pub(super) struct FitInput<'a> {
+    pub samples: &'a SampleSet,
+    pub stencils: &'a Stencils<'a>,
+    pub deformed: &'a [Vec3],
+    pub gradient: &'a [Mat3],
+}
+
+impl FitInput<'_> {
+    /// The neighbours of a packet's samples, and the gradients there, column by column.
+    #[inline(always)]
+    pub fn gather<S: Simd>(
+        &self,
+        neighbours: &mut Neighbours,
+        packet: &[usize; MOST_LANES],
+    ) -> [[f64; MOST_LANES]; 9] {
+        let around = |i: usize| self.stencils.around(&self.samples.positions, i, FIT_NEIGHBOURS);
+        neighbours.gather::<S>(&self.samples.positions, self.deformed, packet, around);
+        let mut gradient = [[0.0; MOST_LANES]; 9];
+        for lane in 0..S::F64_LANES {
+            let columns = self.gradient[packet[lane]].to_cols_array();
+            for i in 0..9 {
+                gradient[i][lane] = f64::from(columns[i]);
+            }
+        }
+        gradient
+    }
+}
+
+/// So many samples from this one on; where the lanes are more, the others are the first one again.
+#[inline(always)]
+pub(super) fn packet_of(first: usize, count: usize) -> [usize; MOST_LANES] {
+    std::array::from_fn(|lane| if lane < count { first + lane } else { first })
 }
 
 /// Fits samples that follow each other from the first: the affine map is left where nothing more is to be
 /// explained, or cannot be.
 struct ExpansionFits<'a> {
-    fitted: Fitted<'a>,
+    fitted: FitInput<'a>,
     first: usize,
     expansions: &'a mut [Expansion],
-    /// How far each fit is off, if the prior across the surface is.
-    unresolved: &'a mut [Unresolved],
     /// How little each fit is to be believed, from 0 to 1.
     trouble: &'a mut [f32],
 }
@@ -272,12 +289,9 @@ impl WithSimd for ExpansionFits<'_> {
         let mut neighbours = Neighbours::default();
         for at in (0..self.expansions.len()).step_by(S::F64_LANES) {
             let count = S::F64_LANES.min(self.expansions.len() - at);
-            let mut packet = [self.first + at; MOST_LANES];
-            packet.iter_mut().enumerate().take(count).for_each(|(lane, sample)| *sample += lane);
-            let Fitted { samples, stencils, deformed, .. } = self.fitted;
-            let around = |i: usize| stencils.around(&samples.positions, i, FIT_NEIGHBOURS);
-            neighbours.gather::<S>(&samples.positions, deformed, &packet, around);
-            self.fit(simd, &neighbours, &packet, at..at + count);
+            let packet = packet_of(self.first + at, count);
+            let gradient = self.fitted.gather::<S>(&mut neighbours, &packet);
+            self.fit(simd, &neighbours, &gradient, at..at + count);
         }
     }
 }
@@ -289,29 +303,16 @@ impl ExpansionFits<'_> {
         &mut self,
         simd: S,
         neighbours: &Neighbours,
-        packet: &[usize; MOST_LANES],
+        gradient: &[[f64; MOST_LANES]; 9],
         places: Range<usize>,
     ) {
-        let fitted = &self.fitted;
-        let (mut gradient, mut normal) = ([[0.0; MOST_LANES]; 9], [[0.0; MOST_LANES]; 3]);
-        let normals = fitted.samples.normals();
-        for lane in 0..S::F64_LANES {
-            let columns = fitted.gradient[packet[lane]].to_cols_array();
-            for i in 0..9 {
-                gradient[i][lane] = f64::from(columns[i]);
-            }
-            for axis in 0..3 {
-                normal[axis][lane] = f64::from(normals[packet[lane]][axis]);
-            }
-        }
-        let squares = LeastSquares::accumulate(simd, neighbours, &gradient);
+        let squares = LeastSquares::accumulate(simd, neighbours, gradient);
         let is_needed = squares.is_needed();
         if !is_needed.any() {
             return;
         }
         let splat = |x| DoubleLanes::splat(simd, x);
-        let strain = strain(simd, &gradient);
-        let (terms, left, ridge, is_solved) = squares.solve(strain);
+        let (terms, left, ridge, is_solved) = squares.solve(strain(simd, gradient));
         // What terms explain that noise of this size leaves undetermined is not relied on.
         let (mut relied_on, mut is_solved) = (left, is_solved);
         let is_noisy = splat(SMOOTH).less(left);
@@ -322,33 +323,21 @@ impl ExpansionFits<'_> {
             is_solved = is_solved.and(is_found);
         }
         let trouble = squares.trouble(relied_on).store();
-        // How much the gradient differs at the radius: of a square it is twice the term, of a product each of
-        // two coordinates has it.
-        let mut bent = splat(0.0);
-        for (term, times) in terms[3..].iter().zip([4.0, 2.0, 2.0, 4.0, 2.0, 4.0]) {
-            bent = splat(times).mul_add(square(*term), bent);
-        }
-        let (strained, bent) = (splat(STRAINED) * strain, bent * squares.scale * squares.scale);
-        let off = strained.mul_add(strained, bent).sqrt();
-        let open = squares.unresolved(triple(simd, &normal), strain, off, left);
-
         let is_fitted = is_needed.and(is_solved).store();
-        let (mut stored, mut unresolved) = ([[[0.0; MOST_LANES]; 3]; TERMS], [[0.0; MOST_LANES]; TERMS]);
+        let mut stored = [[[0.0; MOST_LANES]; 3]; TERMS];
         for a in 0..TERMS {
             for axis in 0..3 {
                 let scaled = terms[a][axis] * squares.scale;
                 stored[a][axis] = if a < 3 { scaled } else { scaled * squares.scale }.store();
             }
-            unresolved[a] = open[a].store();
         }
         for (lane, place) in places.enumerate().filter(|(lane, _)| is_fitted[*lane]) {
             let term = |a: usize| Vec3::from_array(stored[a].map(|numbers| numbers[lane] as f32));
-            let slope = fitted.gradient[packet[lane]] + Mat3::from_cols(term(0), term(1), term(2));
+            let slope = self.fitted.gradient[self.first + place] + Mat3::from_cols(term(0), term(1), term(2));
             let second = [3, 4, 5, 6, 7, 8].map(term);
             if slope.is_finite() && second.iter().all(|h| h.is_finite()) {
                 let expansion = &mut self.expansions[place];
                 *expansion = expansion.with_slope(slope - Mat3::IDENTITY).with_second(second);
-                self.unresolved[place] = Unresolved(unresolved.map(|numbers| numbers[lane] as f32));
                 self.trouble[place] = trouble[lane] as f32;
             }
         }
@@ -357,7 +346,7 @@ impl ExpansionFits<'_> {
 
 /// How far gradients, column by column, are from rotations: the size of Green's strain.
 #[inline(always)]
-fn strain<S: Simd>(simd: S, gradient: &[[f64; MOST_LANES]; 9]) -> DoubleLanes<S> {
+pub(super) fn strain<S: Simd>(simd: S, gradient: &[[f64; MOST_LANES]; 9]) -> DoubleLanes<S> {
     let splat = |x| DoubleLanes::splat(simd, x);
     let mut sum = splat(0.0);
     for a in 0..3 {
@@ -374,13 +363,12 @@ fn strain<S: Simd>(simd: S, gradient: &[[f64; MOST_LANES]; 9]) -> DoubleLanes<S>
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::reconstruction::RestGeometry;
 
-    /// A rolling patch with a step in its deformation.
-    #[test]
-    fn expansions_have_the_same_bits_with_any_vectors() {
+    /// A rolling patch, and a deformation of it with a step.
+    pub fn stepped_patch() -> (SampleSet, Vec<Vec3>) {
         let jitter = |i: u32, k: u32| ((i * 7919 + k * 104_729) % 1000) as f32 / 1500.0;
         let place = |i: u32| {
             let (x, y) = ((i % 31) as f32 + jitter(i, 1), (i / 31) as f32 + jitter(i, 2));
@@ -388,10 +376,16 @@ mod tests {
         };
         let samples = SampleSet::new((0..961).map(place).collect(), Vec::new()).expect("samples");
         let moved = |p: &Vec3| *p + Vec3::new(0.0, 0.2 * p.x * p.z, if p.z > 0.5 { 0.3 } else { p.x * p.x });
-        let deformed: Vec<Vec3> = samples.positions.iter().map(moved).collect();
+        let deformed = samples.positions.iter().map(moved).collect();
+        (samples, deformed)
+    }
+
+    #[test]
+    fn expansions_have_the_same_bits_with_any_vectors() {
+        let (samples, deformed) = stepped_patch();
         let around = RestGeometry::new(&samples);
         let (gradients, stencils) = Gradients::fit(&samples, &around.sheets, &deformed);
-        let fitted = Fitted {
+        let fitted = FitInput {
             samples: &samples,
             stencils: &stencils,
             deformed: &deformed,
@@ -402,21 +396,12 @@ mod tests {
                 |(p, g): (&Vec3, &Mat3)| Expansion::new(*p, Vec3::ZERO, *g - Mat3::IDENTITY, [Vec3::ZERO; 6]);
             let mut expansions: Vec<Expansion> =
                 samples.positions.iter().zip(&gradients.gradient).map(affine).collect();
-            let (mut unresolved, mut trouble) = (vec![Unresolved::default(); 961], vec![0.0; 961]);
-            let (expansions_of, unresolved_of) = (&mut expansions, &mut unresolved);
-            by(ExpansionFits {
-                fitted,
-                first: 0,
-                expansions: expansions_of,
-                unresolved: unresolved_of,
-                trouble: &mut trouble,
-            });
-            let numbers = |(e, (open, trouble)): (&Expansion, (&Unresolved, &f32))| {
-                let terms = e.rows().into_iter().flatten();
-                let open = [Vec3::X, Vec3::Y, Vec3::Z].map(|d| open.length(d));
-                (terms.chain(open).map(f32::to_bits).collect::<Vec<_>>(), trouble.to_bits())
+            let mut trouble = vec![0.0; 961];
+            by(ExpansionFits { fitted, first: 0, expansions: &mut expansions, trouble: &mut trouble });
+            let numbers = |(e, trouble): (&Expansion, &f32)| {
+                (e.rows().map(|row| row.map(f32::to_bits)), trouble.to_bits())
             };
-            expansions.iter().zip(unresolved.iter().zip(&trouble)).map(numbers).collect::<Vec<_>>()
+            expansions.iter().zip(&trouble).map(numbers).collect::<Vec<_>>()
         };
         let one_by_one = fit(&|fits| fits.with_simd(pulp::Scalar::new()));
         assert!(fit(&|fits| Arch::new().dispatch(fits)) == one_by_one);

@@ -18,7 +18,7 @@
 //! that, with the worst that any two disagree by halfway, and for more of it where a vertex lies beyond the
 //! samples, as off the surface or outside a border, up to what those around say there. How the map varies
 //! across a sheet of gentle relief all of them guess alike: what that leaves open counts, too
-//! ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples' positions, of
+//! ([`unresolved`](super::unresolved)). Rounding comes on top: of the samples' positions, of
 //! the displacement, and of the file that is written.
 
 use std::iter;
@@ -30,15 +30,14 @@ use simod_model::frame::Frame;
 use simod_model::{ModelInfo, Result};
 
 use super::blend::LEAST_WEIGHT;
+use super::blended_jets::FitInput;
 use super::expansion::{Expansion, ROUNDING};
 use super::expectation::{ErrorExcess, ErrorSums, Expectation, ExpectedError, Rounding, hypot};
 use super::homes::Homes;
 use super::neighbourhood::Neighbourhood;
-use super::{DeformationField, Method, Moved, blended_jets, carry};
+use super::stencils::RING;
+use super::{DeformationField, Method, Moved, blended_jets, carry, unresolved};
 use crate::sampled_model::SampledModel;
-
-/// Neighbours of a sample that its word is compared with: its ring.
-const RING: usize = 8;
 
 /// Differences below so many times the rounding of positions tell nothing.
 const TELLING: f64 = 4.0;
@@ -137,7 +136,7 @@ impl DeformationField<'_> {
     pub fn disagreement(&self, place: Vec3) -> f32 {
         let i = self.around.samples.nearest(place) as usize;
         let halfway = |j: &u32| self.halfway(i, *j as usize, |i| self.scale_at(i));
-        self.ring(i).iter().map(halfway).fold(0.0, f32::max)
+        self.stencils.ring(i).iter().map(halfway).fold(0.0, f32::max)
     }
 
     /// Expects nothing between two samples whose clusters are single places, as there are no vertices. How
@@ -173,7 +172,7 @@ impl DeformationField<'_> {
         let scales: Vec<Scale> = (0..samples).into_par_iter().map(|i| self.scale_at(i)).collect();
         let largest: Vec<AtomicU32> = (0..samples).map(|_| AtomicU32::new(0)).collect();
         let disagreement = |i: usize| {
-            let near = self.ring(i);
+            let near = self.stencils.ring(i);
             let mut squares = 0.0;
             for j in near.iter().map(|j| *j as usize) {
                 let off = self.halfway(i, j, |i| scales[i]);
@@ -199,12 +198,15 @@ impl DeformationField<'_> {
     pub(super) fn expecting_of_vertices(mut self) -> Self {
         let squares: Vec<f32> = (0..self.expected.len()).into_par_iter().map(|i| self.without(i)).collect();
         let mean = |i: usize| {
-            let ring = self.ring(i);
+            let ring = self.stencils.ring(i);
             let sum = squares[i] + ring.iter().map(|j| squares[*j as usize]).sum::<f32>();
             (sum / (ring.len() + 1) as f32).sqrt()
         };
         let means: Vec<f32> = (0..squares.len()).into_par_iter().map(mean).collect();
         self.expected.iter_mut().zip(means).for_each(|(expected, mean)| expected.left_out = mean);
+        let Self { around, stencils, deformed, gradients, expansions, .. } = &self;
+        let fitted = FitInput { samples: around.samples, stencils, deformed, gradient: &gradients.gradient };
+        self.unresolved = unresolved::find(fitted, expansions);
         self
     }
 
@@ -226,12 +228,6 @@ impl DeformationField<'_> {
             return (BY_HALFWAY * self.expected[i].disagreement).powi(2);
         }
         (off / sum).length_squared()
-    }
-
-    /// The neighbours that a sample's word is compared with.
-    fn ring(&self, i: usize) -> &[u32] {
-        let near = self.stencils.of_sample(i);
-        &near[..near.len().min(RING)]
     }
 
     /// How far the expansions about two samples are apart halfway between them, and more where these are so
@@ -401,7 +397,7 @@ impl Heard {
         let Expectation { left_out, largest, .. } = field.expected.get(i).copied().unwrap_or(unknown);
         self.left_out += w * left_out;
         self.largest = self.largest.max(largest);
-        self.unresolved += w * field.unresolved[i].length(-d);
+        self.unresolved += w * field.unresolved.get(i).map_or(f32::NAN, |open| open.length(-d));
         self.places += w * d;
         (0..3).for_each(|axis| self.products[axis] += d * (w * d[axis]));
         self.sum += w;

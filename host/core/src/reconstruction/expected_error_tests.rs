@@ -1,6 +1,6 @@
 //! What is expected of vertices beside what is true, where the deformation is known.
 
-use std::f32::consts::PI;
+use std::f32::consts::{PI, TAU};
 
 use glam::Vec3;
 
@@ -73,4 +73,44 @@ fn beyond_an_open_border_vertices_that_are_off_are_warned_of() {
     }
     let ratio = ratio(&beyond);
     assert!((0.8..3.0).contains(&ratio), "{ratio}");
+}
+
+/// A place of a torus around the y axis, one unit wide, by its angles as parts of a turn; and the normal.
+fn on_torus((u, v): (f32, f32)) -> (Vec3, Vec3) {
+    let ((sin_u, cos_u), (sin_v, cos_v)) = ((TAU * u).sin_cos(), (TAU * v).sin_cos());
+    let normal = Vec3::new(cos_v * cos_u, sin_v, cos_v * sin_u);
+    (0.357 * Vec3::new(cos_u, 0.0, sin_u) + 0.143 * normal, normal)
+}
+
+/// The gradient of the twist in a direction.
+fn twisted_along(p: Vec3, direction: Vec3) -> Vec3 {
+    let (sin, cos) = (PI * p.z).sin_cos();
+    let turned = |v: Vec3| Vec3::new(cos * v.x - sin * v.y, sin * v.x + cos * v.y, v.z);
+    turned(direction) + PI * direction.z * turned(Vec3::new(-p.y, p.x, 0.0))
+}
+
+/// Of a surface that is bent gently everywhere, samples guess the gradient across by what their neighbours do
+/// along it. How far that is off is told by the third order of the map.
+#[test]
+fn the_error_of_the_gradient_across_is_foretold() {
+    let (places, normals): (Vec<Vec3>, Vec<Vec3>) = (0..5000).map(|i| on_torus(filling(i))).unzip();
+    let samples = SampleSet::new(places, Vec::new()).expect("samples");
+    let around = RestGeometry::new(&samples);
+    let deformed: Vec<Vec3> = samples.positions.iter().map(|p| twisted(*p)).collect();
+    let mut field = DeformationField::new(&around, &deformed, Method::BlendedJets);
+    field.expected = field.around_samples(&[]);
+    let field = field.expecting_of_vertices();
+    let compare = |i: usize| {
+        let n = normals[i];
+        let off = (field.expansions[i].slope() * n + n).distance(twisted_along(samples.positions[i], n));
+        let little = 1e-4;
+        (off, field.unresolved[i].length(little * n) / little)
+    };
+    let compared: Vec<(f32, f32)> = (0..samples.len()).map(compare).collect();
+    let ratio = ratio(&compared);
+    let far_off = compared.iter().filter(|x| x.0 > 0.01);
+    let warned = far_off.clone().filter(|x| x.1 > 0.01 / 3.0).count();
+    println!("{ratio}, {warned} of {}", far_off.clone().count());
+    assert!((0.7..2.0).contains(&ratio), "{ratio}");
+    assert!(far_off.clone().count() > 100 && warned * 100 >= far_off.count() * 95, "{warned}");
 }

@@ -1,5 +1,4 @@
-//! The least squares of second-order expansions: how a sample's neighbours tell its terms, and what they
-//! leave open.
+//! The least squares of second-order expansions: how a sample's neighbours tell its terms.
 //!
 //! What the affine map of [`gradients`](super::gradients) leaves over at the neighbours is explained by nine
 //! terms for each coordinate, with a ridge that follows from what they leave over in their turn (N. Wiener,
@@ -13,7 +12,6 @@
     reason = "vectors are compiled for the processor only where they are inlined"
 )]
 
-use glam::Vec3;
 use pulp::Simd;
 
 use super::expansion::ROUNDING;
@@ -43,33 +41,6 @@ const TROUBLED: f64 = 0.1;
 /// … and one that leaves over more than this is not to be believed.
 const USELESS: f64 = 0.3;
 
-/// The part of what a fit leaves over that counts as noise of the gradient across the surface: of a smooth
-/// map it is of third order, and turns the gradient less than chance would.
-const OF_NOISE: f64 = 0.75;
-
-/// The least part of the neighbours that nine terms leave free, where these are few.
-const LEAST_FREE: f64 = 0.1;
-
-/// How far an expansion is off around its sample where its neighbours tell little of the gradient across the
-/// surface, or nothing: local units.
-///
-/// With x = (A + λ W)⁻¹ e, e across and A of the fit's squares, an expansion whose gradient across is off by
-/// δ is off by δ x·t(d) / x·e at d from the sample, nothing at the neighbours themselves. What is left to the
-/// prior, λ W x·e, is off by as much as the map strains. What the neighbours tell by little relief takes the
-/// noise s of the fit for that, too, and has the variance s² (x·e − λ W x·x) of least squares (C. F. Gauss,
-/// *Theoria combinationis*, 1823).
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Unresolved(pub [f32; TERMS]);
-
-impl Unresolved {
-    /// The length of what is left at `d` from the sample.
-    pub fn length(&self, d: Vec3) -> f32 {
-        let Vec3 { x, y, z } = d;
-        let [a, b, c, xx, xy, xz, yy, yz, zz] = self.0;
-        ((a + xx * x + xy * y + xz * z) * x + (b + yy * y + yz * z) * y + (c + zz * z) * z).abs()
-    }
-}
-
 /// The terms of the three coordinates.
 pub type Terms<S> = [Triple<S>; TERMS];
 
@@ -83,7 +54,7 @@ pub struct LeastSquares<S: Simd> {
     matrix: [[DoubleLanes<S>; TERMS]; TERMS],
     right: Terms<S>,
     /// The sums of the weights, and of their squares.
-    weights: DoubleLanes<S>,
+    pub weights: DoubleLanes<S>,
     squared_weights: DoubleLanes<S>,
     /// The weighted sum of squares of what is to be explained.
     squares: DoubleLanes<S>,
@@ -214,61 +185,32 @@ impl<S: Simd> LeastSquares<S> {
         is_more.select(t * t * splat(-2.0).mul_add(t, splat(3.0)), splat(0.0))
     }
 
-    /// What a fit that leaves this part of the squares over leaves open of the gradient `across` the surface,
-    /// where the map strains so much, and the prior is off by so much: the terms of [`Unresolved`], nothing
-    /// where they cannot be found.
+    /// How a fit with this ridge hears of a linear form of its terms, as the gradient in a direction: with e
+    /// the form, x = (A + λ W)⁻¹ e, and x·e; and where they could be found. Of data t(d) at the neighbours the
+    /// fit makes Σ w x·t(d) of that form, and λ W x·e is the part of it that is left to the prior.
     #[inline(always)]
-    pub fn unresolved(
+    pub fn response(
         &self,
-        across: Triple<S>,
-        strain: DoubleLanes<S>,
-        off: DoubleLanes<S>,
-        left: DoubleLanes<S>,
-    ) -> [DoubleLanes<S>; TERMS] {
+        direction: Triple<S>,
+        ridge: DoubleLanes<S>,
+    ) -> ([DoubleLanes<S>; TERMS], DoubleLanes<S>, DoubleMask<S>) {
         let zero = DoubleLanes::splat(self.simd, 0.0);
-        let ridge = DoubleLanes::splat(self.simd, RIDGE) * self.weights;
-        let (factor, is_found) = DenseFactor::factorize(self.simd, &self.matrix, ridge);
+        let (factor, is_found) = DenseFactor::factorize(self.simd, &self.matrix, ridge * self.weights);
         let mut right = [[zero; 1]; TERMS];
         for axis in 0..3 {
-            right[axis][0] = across[axis];
+            right[axis][0] = direction[axis];
         }
-        let open = factor.solve(right);
-        let (mut along, mut length) = (zero, zero);
-        for a in 0..TERMS {
-            along = right[a][0].mul_add(open[a][0], along);
-            length = open[a][0].mul_add(open[a][0], length);
+        let response = factor.solve(right).map(|[x]| x);
+        let mut along = zero;
+        for axis in 0..3 {
+            along = direction[axis].mul_add(response[axis], along);
         }
-        let told = ridge.negate_mul_add(length, along).max(zero);
-        let along = along.max(DoubleLanes::splat(self.simd, f64::MIN_POSITIVE));
-        let noise = self.noise(strain, left, told).sqrt() * self.scale / along;
-        let prior = ridge * off;
-        let amount = prior.mul_add(prior, noise * noise).sqrt();
-        let mut terms = [zero; TERMS];
-        for a in 0..TERMS {
-            let term = open[a][0] * amount;
-            terms[a] = is_found.select(if a < 3 { term } else { term * self.scale }, zero);
-        }
-        terms
-    }
-
-    /// The variance of a term that has so many times the noise's, where a fit leaves this part of the squares
-    /// over: by Bayes no more than those of the strain and of what there is to explain, and nothing where
-    /// rounding explains it.
-    #[inline(always)]
-    fn noise(&self, strain: DoubleLanes<S>, left: DoubleLanes<S>, told: DoubleLanes<S>) -> DoubleLanes<S> {
-        let splat = |x| DoubleLanes::splat(self.simd, x);
-        let mean_weight = self.squared_weights / self.weights;
-        let rounding = splat(ROUNDING * ROUNDING) * self.weights;
-        let left = (left * self.squares - rounding).max(splat(0.0));
-        let noise = left / (self.weights * self.free().max(splat(LEAST_FREE)));
-        let variance = splat(OF_NOISE * OF_NOISE) * mean_weight * noise * told;
-        let most = self.signal(strain) / self.weights;
-        variance * most / (variance + most).max(splat(f64::MIN_POSITIVE))
+        (response, along, is_found)
     }
 
     /// The weighted squares that terms may come to, where the map strains so much.
     #[inline(always)]
-    fn signal(&self, strain: DoubleLanes<S>) -> DoubleLanes<S> {
+    pub fn signal(&self, strain: DoubleLanes<S>) -> DoubleLanes<S> {
         let extent = strain / self.scale;
         self.weights.mul_add(extent * extent, self.squares)
     }

@@ -55,6 +55,7 @@ mod tests;
 mod transfer;
 pub mod transfer_error;
 mod transport;
+mod unresolved;
 mod within_range;
 mod workspace;
 

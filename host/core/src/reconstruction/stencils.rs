@@ -23,6 +23,9 @@ const OFF: f32 = 0.2;
 /// hinge, and none is borrowed.
 const ONE_OF: usize = 2;
 
+/// Neighbours of a sample that its word is compared with: its ring.
+pub const RING: usize = 8;
+
 /// The samples that fits are of.
 pub struct Stencils<'a> {
     sheets: &'a Sheets,
@@ -88,6 +91,12 @@ impl<'a> Stencils<'a> {
         }
         let at = self.mixed.partition_point(|(borrower, _)| (*borrower as usize) < i);
         &self.mixed[at].1
+    }
+
+    /// The nearest of them: its ring.
+    pub fn ring(&self, i: usize) -> &[u32] {
+        let near = self.of_sample(i);
+        &near[..near.len().min(RING)]
     }
 
     /// At most `count` of them, and the radius of a kernel over these: see [`Sheets::around`].
