@@ -141,6 +141,42 @@ impl ColorScale {
         Ok(Self::for_largest(colors, most))
     }
 
+    /// Whether all colours of a model, with the alpha that they have in the same type, come back from bytes.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn are_bytes(self, model: &dyn Model, colors: &Colors) -> Result<bool> {
+        const RANGE: u64 = 1 << 20;
+        let info = model.info();
+        let is_alpha = |a: &Attribute| a.name == "alpha" && a.kind == colors.kind;
+        let places: Vec<usize> =
+            colors.places.into_iter().chain(info.attributes.iter().position(is_alpha)).collect();
+        // Each byte as a number of any type, or of the digits of single precision.
+        let of_bytes: Vec<[f64; 3]> = (0..=u8::MAX)
+            .map(|byte| {
+                let exact = f64::from(byte) / 255.0 * self.full();
+                let single = exact as f32;
+                [exact, f64::from(single), single.to_string().parse().unwrap_or(exact)]
+            })
+            .collect();
+        let comes_back = |number: &f64| of_bytes[usize::from(self.byte(*number))].contains(number);
+        let range = if info.random_access { RANGE } else { info.vertices.max(1) };
+        let are_bytes = |first: u64| -> Result<bool> {
+            let mut reader = model.vertices(first..(first + range).min(info.vertices))?;
+            let (mut chunk, mut lists) = (VertexChunk::default(), vec![Vec::new(); places.len()]);
+            while reader.read(&mut chunk)? {
+                model.some_attributes(&chunk, &places, &mut lists)?;
+                if !lists.iter().flatten().all(comes_back) {
+                    return Ok(false);
+                }
+            }
+            Ok(true)
+        };
+        let ranges = info.vertices.div_ceil(range);
+        let all = (0..ranges).into_par_iter().map(|n| are_bytes(n * range));
+        all.try_reduce(|| true, |a, b| Ok(a && b))
+    }
+
     /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.
     #[inline]
     pub fn byte(self, number: f64) -> u8 {

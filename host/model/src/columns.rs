@@ -1,6 +1,7 @@
 //! Points in columns of text: XYZ, PTS, CSV, TXT, ASC and the like.
 //!
-//! Columns are separated by blanks and tabs, by commas, semicolons or bars; in TSV by each tab. Which ones
+//! Columns are separated by blanks and tabs, by commas, semicolons or bars, or by what else is between their
+//! numbers, as colons; in TSV by each tab. Which ones
 //! are the position and the normal is told by the user, by names in a line before the points (a comment,
 //! too), or by the file's extension; without any, the first three are the position. The others are
 //! attributes, if they are numbers in the first point's line. A PTS file says first how many points follow,
@@ -8,7 +9,7 @@
 
 use crate::source::SourceFile;
 use crate::text::blocks::{TextBlocks, TextBlocksBuilder};
-use crate::text::lines::{Lines, text_start, wrong_line};
+use crate::text::lines::{LineEnds, Lines, text_start, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
 use crate::text::{CUT_OFF, integer, is_space, next_word, parse, quoted};
 use crate::{Attribute, Error, Model, ModelInfo, Result, Scalar, Type};
@@ -125,7 +126,8 @@ fn fields(line: &[u8], separator: Option<u8>) -> impl Iterator<Item = (usize, us
         if is_over {
             return None;
         }
-        let mut start = at;
+        let begin = at;
+        let mut start = begin;
         while line.get(start).is_some_and(|b| is_space(*b) && *b != separator) {
             start += 1;
         }
@@ -137,7 +139,9 @@ fn fields(line: &[u8], separator: Option<u8>) -> impl Iterator<Item = (usize, us
         let mut end = memchr::memchr(separator, &line[from..]).map_or(line.len(), |found| from + found);
         is_over = end == line.len();
         at = end + 1;
-        let mut start = start.min(end);
+        if start >= end {
+            return Some((begin, begin));
+        }
         while end > start && is_space(line[end - 1]) {
             end -= 1;
         }
@@ -202,10 +206,30 @@ impl Grammar for Columns {
         }
     }
 
+    fn has_cell(&self, line: &[u8], component: usize) -> bool {
+        let column = self.roles.iter().position(|role| *role == Some(component));
+        self.separator.is_some() && column.is_some_and(|column| self.fields(line).nth(column).is_some())
+    }
+
     fn attribute<'l>(&self, line: &'l [u8], attribute: usize) -> Option<&'l [u8]> {
         let (start, end) = self.fields(line).nth(self.attributes[attribute])?;
         Some(&line[start..end])
     }
+}
+
+/// What separates the columns of a line; blanks and tabs if nothing else.
+fn separator(line: &[u8], extension: &str) -> Option<u8> {
+    let usual: &[u8] = if extension == "tsv" { b"\t;,|" } else { b";,|" };
+    let usual = usual.iter().copied().find(|b| line.contains(b));
+    usual.or_else(|| b":/&~!^@".iter().copied().find(|b| separates(line, *b)))
+}
+
+/// Whether a byte that dates, times and the like have, too, separates columns: three single words at least.
+fn separates(line: &[u8], separator: u8) -> bool {
+    let is_word =
+        |(start, end): (usize, usize)| start < end && !line[start..end].iter().any(|b| is_space(*b));
+    let mut columns = fields(line, Some(separator));
+    (0..3).all(|_| columns.next().is_some_and(is_word))
 }
 
 /// Whether a file's first lines are such a text.
@@ -262,7 +286,10 @@ pub(crate) fn open(source: SourceFile, extension: &str, wanted: Option<&str>) ->
         Some(b',') => "commas",
         Some(b'\t') => "tabs",
         Some(b'|') => "bars",
-        _ => "semicolons",
+        Some(b';') => "semicolons",
+        Some(b':') => "colons",
+        Some(b'/') => "slashes",
+        Some(_) => "other characters",
     };
     let others = names.iter().enumerate().filter(|(i, _)| columns.roles.get(*i).copied().flatten().is_none());
     let info = ModelInfo {
@@ -275,7 +302,7 @@ pub(crate) fn open(source: SourceFile, extension: &str, wanted: Option<&str>) ->
 
 /// Where the points are. Lines with a single word say how many, if any do.
 fn scan(source: &SourceFile, columns: &Columns, begin: u64, start: u64) -> Result<TextBlocks> {
-    let mut lines = Lines::new(source, begin, u64::MAX, false);
+    let mut lines = Lines::new(source, begin, u64::MAX, LineEnds::Breaks);
     let mut builder = TextBlocksBuilder::new(start, 1);
     let mut said = 0u64;
     while let Some((at, line)) = lines.next()? {
@@ -304,8 +331,9 @@ fn scan(source: &SourceFile, columns: &Columns, begin: u64, start: u64) -> Resul
 
 fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<ColumnsHead> {
     let begin = text_start(source)?;
-    let mut lines = Lines::new(source, begin, u64::MAX, false);
-    let separators: &[u8] = if extension == "tsv" { b"\t;,|" } else { b";,|" };
+    let mut lines = Lines::new(source, begin, u64::MAX, LineEnds::Breaks);
+    // The first row without any number, which tells nothing of the columns.
+    let mut empty = None;
     let (mut comment, mut is_counted, mut header) = (Vec::new(), false, None::<(Option<u8>, Vec<String>)>);
     loop {
         let Some((at, line)) = lines.next()? else {
@@ -316,7 +344,7 @@ fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<Co
             comment.extend_from_slice(&line[..line.len().min(LONGEST_HEADER)]);
             continue;
         }
-        let separator = separators.iter().copied().find(|b| line.contains(b));
+        let separator = separator(line, extension);
         let words: Vec<&[u8]> =
             fields(line, separator).map(|(a, b)| &line[a..b]).take(MOST_COLUMNS).collect();
         let numbers: Vec<bool> = words.iter().map(|word| parse(Scalar::F64, word).is_some()).collect();
@@ -328,8 +356,14 @@ fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<Co
             words.iter().map(|word| String::from_utf8_lossy(word).into_owned()).collect()
         };
         let wrong = |what: String| wrong_line(source, at, what, HINT);
+        let is_row = words.len() >= 3 && words.iter().zip(&numbers).all(|(word, is)| *is || word.is_empty());
+        if is_row && !numbers.contains(&true) {
+            empty.get_or_insert(at);
+            continue;
+        }
         // Names, unless the position is numbers.
         if header.is_none()
+            && !is_row
             && numbers.iter().take(3).filter(|n| **n).count() < 3
             && wanted.is_none_or(|_| !numbers.contains(&true))
         {
@@ -339,7 +373,7 @@ fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<Co
                     quoted(&String::from_utf8_lossy(line))
                 )));
             }
-            header = Some((separator, text(&words)));
+            (header, empty) = (Some((separator, text(&words))), None);
             continue;
         }
         let separator = header.as_ref().map_or(separator, |h| h.0.or(separator));
@@ -369,7 +403,7 @@ fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<Co
         let has_word = |column: usize| words.get(column).is_some_and(|word| !word.is_empty());
         let is_told = |column: usize| column < named || has_word(column);
         let attributes = columns.find_attributes(&names, &numbers, is_told);
-        return Ok(ColumnsHead { columns, names, attributes, begin, start: at });
+        return Ok(ColumnsHead { columns, names, attributes, begin, start: empty.unwrap_or(at) });
     }
 }
 

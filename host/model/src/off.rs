@@ -10,7 +10,7 @@ use crate::model::NoFaces;
 use crate::source::SourceFile;
 use crate::text::blocks::TextBlocksBuilder;
 use crate::text::faces::{FaceLines, LineFaces};
-use crate::text::lines::{Lines, text_start, without_mark, wrong_line};
+use crate::text::lines::{LineEnds, Lines, text_start, without_mark, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
 use crate::text::{CUT_OFF, DAMAGED, integer, is_space, next_word, quoted};
 use crate::{Attribute, FaceReader, Model, ModelInfo, Result, Type};
@@ -82,7 +82,7 @@ struct OffHead {
 
 impl OffHead {
     fn read(source: &SourceFile) -> Result<Self> {
-        let mut lines = Lines::new(source, text_start(source)?, u64::MAX, false);
+        let mut lines = Lines::new(source, text_start(source)?, u64::MAX, LineEnds::Breaks);
         let (mut letters, mut counts) = (None, Vec::new());
         while let Some((at, line)) = lines.next()? {
             let end = at + line.len() as u64;
@@ -151,9 +151,12 @@ fn end_of_edges(lines: &mut Lines<'_>) -> Result<Option<u64>> {
 /// Opens a file, which is gone over once.
 pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     let head = OffHead::read(&source)?;
-    let mut lines = Lines::new(&source, head.start, u64::MAX, false);
+    let mut lines = Lines::new(&source, head.start, u64::MAX, LineEnds::Breaks);
     let mut builder = TextBlocksBuilder::new(head.start, 1);
-    let (mut faces, mut face_lines, mut numbers, mut paints_faces) = (0, 0..0, 0, false);
+    let Letters { normals, colours, texture, .. } = head.letters;
+    let components = if normals { 6 } else { 3 };
+    let (mut faces, mut face_lines, mut names, mut paints_faces) = (0, 0..0, Vec::new(), false);
+    let mut bytes = ColourBytes { behind: 0, colours: 0, largest: 0 };
     while builder.vertices() < head.vertices || faces < head.faces {
         let Some((at, line)) = lines.next()? else {
             let what = format!(
@@ -170,12 +173,15 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
         }
         if builder.vertices() < head.vertices {
             if builder.vertices() == 0 {
-                numbers = words(line).count();
+                let numbers = words(line).count();
                 if numbers > MOST_NUMBERS {
                     let what = format!("{numbers} numbers in the line of a vertex");
                     return Err(wrong_line(&source, at, what, "each vertex has to have a line of its own"));
                 }
+                names = attributes(numbers.saturating_sub(components), texture);
+                bytes = ColourBytes::of(&names);
             }
+            bytes.take(line);
             builder.vertex(at, end);
         } else {
             if faces == 0 {
@@ -189,16 +195,14 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
             face_lines.end = end;
         }
     }
-    let Letters { normals, colours, texture, .. } = head.letters;
-    let components = if normals { 6 } else { 3 };
-    let names = attributes(numbers.saturating_sub(components), texture);
+    let kind = |name: &&str| if bytes.are_all() && !["s", "t"].contains(name) { Type::U8 } else { Type::F64 };
     let letters = [(texture, "ST"), (colours, "C"), (normals, "N")];
     let letters: String = letters.into_iter().filter(|(is, _)| *is).map(|(_, letter)| letter).collect();
     let info = ModelInfo {
         faces,
         face_bytes: face_lines.end - face_lines.start,
-        other_properties: names.iter().map(|name| format!("double {name}")).collect(),
-        attributes: names.iter().map(|name| Attribute { name: (*name).into(), kind: Type::F64 }).collect(),
+        other_properties: names.iter().map(|name| format!("{} {name}", kind(name).name())).collect(),
+        attributes: names.iter().map(|name| Attribute { name: (*name).into(), kind: kind(name) }).collect(),
         ..info(&source, format!("{letters}OFF"))
     };
     let off = Off { columns: Columns::in_order(components, names.len()), face_lines, paints_faces };
@@ -214,6 +218,40 @@ fn attributes(count: usize, texture: bool) -> Vec<&'static str> {
         _ => &[],
     };
     if colours.len() + coordinates.len() == count { [colours, coordinates].concat() } else { Vec::new() }
+}
+
+/// Whether all colours are bytes: whole numbers up to 255, which are no fractions unless none is more than 1.
+struct ColourBytes {
+    /// Numbers of a vertex behind its colours, and how many these are; none once one is no byte.
+    behind: usize,
+    colours: usize,
+    largest: u8,
+}
+
+impl ColourBytes {
+    fn of(attributes: &[&str]) -> Self {
+        let behind = attributes.iter().filter(|name| ["s", "t"].contains(name)).count();
+        Self { behind, colours: attributes.len() - behind, largest: 0 }
+    }
+
+    /// Takes the line of a vertex.
+    #[inline]
+    fn take(&mut self, line: &[u8]) {
+        if self.colours == 0 {
+            return;
+        }
+        let words = before_comment(line).rsplit(|b| is_space(*b)).filter(|word| !word.is_empty());
+        for word in words.skip(self.behind).take(self.colours) {
+            match integer(word).and_then(|value| u8::try_from(value).ok()) {
+                Some(value) => self.largest = self.largest.max(value),
+                None => return self.colours = 0,
+            }
+        }
+    }
+
+    fn are_all(&self) -> bool {
+        self.colours > 0 && self.largest > 1
+    }
 }
 
 /// The lines of OFF.

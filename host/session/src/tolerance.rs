@@ -117,7 +117,7 @@ pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64
     let diagonal = sampled.bounds.diagonal().max(f64::MIN_POSITIVE);
     let refused = |why: String, least: f64| {
         Err(Error::argument(
-            format!("the tolerance of {tolerance:.1e} of the diagonal cannot be met: {why}"),
+            format!("the tolerance of {} cannot be met: {why}", length(tolerance, diagonal)),
             format!(
                 "give {least:.1e} or more; `simod run --exact` does without samples where all plugins know their map"
             ),
@@ -254,7 +254,7 @@ impl<'a> ToleranceSearch<'a> {
                 // The estimate was too small there.
                 field.learn(&found.map_or_else(Vec::new, |(_, places)| places));
                 field.expected_beyond(of, self.tolerance).ok_or_else(|| {
-                    not_met(self.tolerance, self.tolerance, "single vertices are off by a little more", None)
+                    not_met(of, [self.tolerance; 2], "single vertices are off by a little more", None)
                 })?
             }
         };
@@ -316,7 +316,7 @@ impl<'a> ToleranceSearch<'a> {
         let limit = limit.map(|limit| limit + self.told_of_first(of, beyond));
         let asks = limit.is_some() || self.waited >= PATIENCE;
         match asks.then(|| self.why_not(of, field, beyond).or(limit)).flatten() {
-            Some(why) => Err(not_met(self.tolerance, beyond.worst, &why, Some(beyond))),
+            Some(why) => Err(not_met(of, [self.tolerance, beyond.worst], &why, Some(beyond))),
             None => Ok(()),
         }
     }
@@ -344,11 +344,12 @@ impl<'a> ToleranceSearch<'a> {
             let told = self.told_of_first(of, beyond);
             let none_left = || format!("there are no vertices left there that could be samples{told}");
             let why = self.why_not(of, field, beyond).unwrap_or_else(none_left);
-            return Err(not_met(self.tolerance, beyond.worst, &why, Some(beyond)));
+            return Err(not_met(of, [self.tolerance, beyond.worst], &why, Some(beyond)));
         };
         self.progress.note(&format!(
-            "up to {:.1e} of the diagonal are expected: {} samples more are deformed",
-            beyond.worst, done.added
+            "up to {} are expected: {} samples more are deformed",
+            length(beyond.worst, of.bounds.diagonal()),
+            done.added
         ));
         self.rounds += 1;
         Ok(refined.into())
@@ -422,13 +423,22 @@ fn truth(
     measure_some(model, field, &deformed.sampled, (MEASURED, tolerance), &exact, progress).map(Some)
 }
 
-fn not_met(tolerance: f64, left: f64, why: &str, beyond: Option<&ErrorExcess>) -> Error {
+/// A length for people: as a fraction of the model's diagonal, and in its unit.
+fn length(fraction: f64, diagonal: f64) -> String {
+    format!("{fraction:.1e} of the diagonal ({:.1e} in the model's unit)", fraction * diagonal)
+}
+
+/// An error where as much as `left` is expected in place of the tolerance.
+fn not_met(of: &SampledModel, [tolerance, left]: [f64; 2], why: &str, beyond: Option<&ErrorExcess>) -> Error {
+    let diagonal = of.bounds.diagonal();
     let place = beyond.map_or_else(String::new, |b| {
         format!(" near ({:.6}, {:.6}, {:.6})", b.place.x, b.place.y, b.place.z)
     });
     Error::argument(
         format!(
-            "the tolerance of {tolerance:.1e} of the diagonal is not met{place}, where {left:.1e} is expected: {why}"
+            "the tolerance of {} is not met{place}, where {} is expected: {why}",
+            length(tolerance, diagonal),
+            length(left, diagonal)
         ),
         "nothing was written; give a larger tolerance, sample the model more finely, or make the deformation smoother there",
     )

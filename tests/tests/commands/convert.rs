@@ -182,11 +182,21 @@ fn colours_go_to_obj_and_off() {
     // There and back.
     let report = work.report("convert bytes.off back.ply");
     assert_eq!(report["lost"].as_array().map(Vec::len), Some(0));
-    work.simod("convert back.ply again.off --lossy");
+    work.simod("convert back.ply again.off");
     assert_eq!(text("again.off"), off);
+    let header = String::from_utf8_lossy(&work.read("back.ply")).into_owned();
+    assert!(header.contains("property uchar red\n"), "{header}");
 
     work.refuses("convert bytes.ply bytes.obj", &["would lose: the attribute alpha (uchar)"]);
     work.simod("convert bytes.ply bytes.obj --lossy");
+    // Of fractions, and of numbers whose type nobody said, it is looked whether bytes hold them.
+    work.simod("convert bytes.obj fractions.off");
+    assert_eq!(text("fractions.off"), off.replace(" 7\n", " 255\n"));
+    work.write("whole.csv", "x,y,z,red,green,blue\n0,0,0,255,0,51\n1,2,3,1,2,3\n");
+    work.simod("convert whole.csv whole.off");
+    assert_eq!(text("whole.off"), "COFF\n2 0 0\n0 0 0 255 0 51 255\n1 2 3 1 2 3 255\n");
+    work.write("part.csv", "x,y,z,red,green,blue\n0,0,0,255,0,51\n1,2,3,1,2.5,3\n");
+    work.refuses("convert part.csv part.off", &["digits of the colours (double), which become bytes"]);
     let obj = "v 0 0 0 1 0 0.2\nvn 0 0 1\nv 1 2 3 0.003921569 0.007843138 0.011764706\nvn 0 1 0\n";
     assert_eq!(text("bytes.obj"), obj);
     work.simod("convert bytes.obj again.obj");

@@ -143,6 +143,24 @@ fn the_octree_alone_samples_too() {
     assert!(work.read("vs.simod/samples.ply") == work.read("default.simod/samples.ply"));
 }
 
+/// In the model's unit as well as in fractions of the diagonal.
+#[test]
+fn the_error_that_was_asked_for_is_told() {
+    let work = Workplace::new();
+    work.write("m.xyz", (0..900).map(|i| format!("{} {} {}\n", i % 30, i / 30, i % 7)).collect::<String>());
+    let report = work.report("sample m.xyz -o s.simod --error 0.05");
+    let told = work.report("info s.simod");
+    let length = told["diagonal"].as_f64().map(|diagonal| 0.05 * diagonal);
+    for report in [&report, &told] {
+        assert_eq!((report["error"].as_f64(), report["error_length"].as_f64()), (Some(0.05), length));
+    }
+    let line = "asked for an error of 0.05 of the diagonal (2.1e0 in the model's unit)";
+    let text = work.simod("sample m.xyz -o s.simod --error 0.05").stdout;
+    assert!(text.contains(line), "{text}");
+    assert!(work.simod("info s.simod").stdout.contains(line));
+    assert!(work.report("sample m.xyz -o s.simod --samples 50")["error"].is_null());
+}
+
 #[test]
 fn options_are_told_of_and_others_refused() {
     let work = Workplace::new();

@@ -255,7 +255,13 @@ fn why_a_tolerance_is_not_met_is_told() {
         let refused = work.run(&format!("run edit.toml --tolerance {tolerance}"));
         let errors = refused.lines("error: ");
         assert_eq!((refused.code, errors.len()), (Some(1), 1), "{}", refused.stderr);
-        assert!(errors[0].contains("is not met") && errors[0].contains(why), "{}", refused.stderr);
+        assert!(
+            errors[0].contains("is not met")
+                && errors[0].contains(why)
+                && errors[0].contains("in the model's unit"),
+            "{}",
+            refused.stderr
+        );
         assert!(!work.names().contains(&"edited.ply".to_owned()));
     }
 }

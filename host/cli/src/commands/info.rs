@@ -15,6 +15,7 @@ use simod_picture::picture;
 use simod_session::sidecar;
 
 use super::reconstruct::tell_following;
+use super::sample::asked_error;
 use super::tell_cache;
 use crate::report::{Report, count, length, with_lengths};
 
@@ -165,12 +166,9 @@ fn tell_content(model: &dyn Model, report: &mut Report) {
 
 /// Tells how a model was sampled.
 fn tell_sampling(sampled: &SampledModel, report: &mut Report) {
-    let diagonal = sampled.bounds.diagonal();
     let target = match sampled.sampling.target {
         Target::Samples(n) => format!("{} samples", count(n)),
-        Target::Error(e) => {
-            format!("an error of {e} of the diagonal ({:.1e} in the model's unit)", e * diagonal)
-        }
+        Target::Error(_) => asked_error(sampled, report).unwrap_or_default(),
     };
     report.line(format!("asked for {target}; {} cells of {:.4}", count(sampled.cells), sampled.cell_size));
     if sampled.sampling.by != By::Error {

@@ -207,8 +207,20 @@ impl Sample {
             self.output.display(),
             rate(vertices, report.seconds()),
         ));
+        if let Some(error) = asked_error(&sampled, report) {
+            report.line(format!("asked for {error}"));
+        }
         Ok(())
     }
+}
+
+/// The error that was asked for, for people, if one was; and as figures.
+pub(super) fn asked_error(sampled: &SampledModel, report: &mut Report) -> Option<String> {
+    let Target::Error(error) = sampled.sampling.target else { return None };
+    let diagonal = sampled.bounds.diagonal();
+    report.figure("error", error);
+    report.figure("error_length", error * diagonal);
+    Some(format!("an error of {error} of the diagonal ({:.1e} in the model's unit)", error * diagonal))
 }
 
 /// Says which of the model's faces gave no triangles of the samples.

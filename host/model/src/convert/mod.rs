@@ -127,6 +127,9 @@ impl Converted {
             losses
                 .push(form::counted(counted.without_vertex, "triangle") + " with a corner that is no vertex");
         }
+        if extension == "off" {
+            losses.extend(text::losses_of_bytes(&*converted.model)?);
+        }
         let form = converted.form(how.drops_normals, &mut losses)?;
         if form.has_faces() {
             losses.extend(losses_of_faces(form.holds_polygons(), converted.info.faces, &counted));

@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use crate::form::{ConversionInput, FaceCounts, Form, WrittenRows, attribute_loss, counted};
 use crate::polygons::Polygons;
-use crate::{Attribute, ColorScale, Colors, Error, Result, Scalar, Summary, Type};
+use crate::{Attribute, ColorScale, Colors, Error, Model, Result, Scalar, Summary, Type};
 
 /// How positions become text: so that they come back.
 #[derive(Debug, Clone, Copy)]
@@ -73,6 +73,15 @@ fn number_to(to: &mut Vec<u8>, number: f64, is_single: bool) -> std::io::Result<
 
 fn whole_or_not(kind: Type, number: f64, to: &mut Vec<u8>) {
     let _ = number_to(to, number, kind == Type::F32);
+}
+
+/// What of a model's colours OFF would lose, where they are bytes: a reading of them, unless they are such.
+pub(super) fn losses_of_bytes(model: &dyn Model) -> Result<Option<String>> {
+    let Some(colors) = Colors::from_info(model.info()).filter(|colors| colors.kind != Type::U8) else {
+        return Ok(None);
+    };
+    let are_kept = ColorScale::of_model(model, &colors)?.are_bytes(model, &colors)?;
+    Ok((!are_kept).then(|| format!("digits of the colours ({}), which become bytes", colors.kind.name())))
 }
 
 /// What of a text is written.
@@ -165,11 +174,6 @@ impl TextForm {
             losses.push(format!("the coordinate reference system {crs}"));
         }
         let colors = ColorStyle::for_content(kind, content)?;
-        if let Some(ColorStyle { colors, .. }) =
-            colors.as_ref().filter(|c| kind == TextFormat::Off && c.colors.kind != Type::U8)
-        {
-            losses.push(format!("digits of the colours ({}), which become bytes", colors.kind.name()));
-        }
         let is_painted = |place: usize| {
             colors.as_ref().is_some_and(|c| c.colors.places.contains(&place) || c.alpha == Some(place))
         };

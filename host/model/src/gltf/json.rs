@@ -33,6 +33,8 @@ pub(super) struct GltfDocument<'a> {
     #[serde(default, deserialize_with = "list")]
     pub(super) nodes: Vec<GltfNode>,
     #[serde(default, deserialize_with = "list")]
+    pub(super) scenes: Vec<GltfScene>,
+    #[serde(default, deserialize_with = "list")]
     pub(super) skins: Vec<Skin>,
     #[serde(default, deserialize_with = "list")]
     pub(super) animations: Vec<Animation>,
@@ -133,6 +135,13 @@ pub(super) struct GltfNode {
     pub(super) scale: Option<Box<[f64; 3]>>,
     #[serde(default)]
     pub(super) extensions: Names,
+}
+
+/// Nodes that are shown together, and all below them.
+#[derive(Deserialize)]
+pub(super) struct GltfScene {
+    #[serde(default, deserialize_with = "list")]
+    pub(super) nodes: Vec<usize>,
 }
 
 #[derive(Deserialize)]

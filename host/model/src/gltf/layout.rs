@@ -168,10 +168,16 @@ impl Accessors<'_> {
         for index in 0..document.accessors.len() {
             self.place(index)?;
         }
-        let placements = self.placements()?;
+        for (index, mesh) in document.nodes.iter().enumerate().filter_map(|(i, node)| Some((i, node.mesh?))) {
+            if mesh >= document.meshes.len() {
+                let what = format!("node {index} shows mesh {mesh}, of {}", document.meshes.len());
+                return Err(self.malformed(what));
+            }
+        }
         let mut builder = LayoutBuilder::default();
         let mut shown: BTreeMap<usize, (usize, Option<MeshPose>)> = BTreeMap::new();
-        for (index, (node, placement)) in document.nodes.iter().zip(placements).enumerate() {
+        for (index, placement) in self.placements()? {
+            let node = &document.nodes[index];
             let Some(mesh) = node.mesh else { continue };
             self.check_node(index, node)?;
             builder.layout.has_skins |= node.skin.is_some();
@@ -220,10 +226,6 @@ impl Accessors<'_> {
     }
 
     fn check_node(&self, index: usize, node: &GltfNode) -> Result<()> {
-        let meshes = self.document.meshes.len();
-        if let Some(mesh) = node.mesh.filter(|mesh| *mesh >= meshes) {
-            return Err(self.malformed(format_args!("node {index} shows mesh {mesh}, of {meshes}")));
-        }
         if node.extensions.contains_key(INSTANCED) {
             let what = format!("node {index} shows its mesh at many places ({INSTANCED})");
             return Err(self.container.source.malformed(what, SEPARATE));

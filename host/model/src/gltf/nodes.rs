@@ -101,24 +101,43 @@ fn own(node: &GltfNode) -> DMat4 {
 }
 
 impl Accessors<'_> {
-    /// Where each node is that shows a mesh without a skin: what is skinned is where its joints take it, and
-    /// stays in its own coordinates.
-    pub(super) fn placements(&self) -> Result<Vec<Option<MeshPose>>> {
-        let nodes = &self.document.nodes;
+    /// The nodes that show a mesh, and where each is. What is skinned is where its joints take it, and stays
+    /// in its own coordinates.
+    pub(super) fn placements(&self) -> Result<Vec<(usize, Option<MeshPose>)>> {
         let worlds = self.worlds()?;
         let of_node = |(index, node): (usize, &GltfNode)| {
-            if node.mesh.is_none() || node.skin.is_some() {
-                return Ok(None);
+            if node.skin.is_some() {
+                return Ok((index, None));
             }
-            MeshPose::from_matrix(worlds[index]).map_err(|why| {
+            let wrong = |why| {
                 let what = format!("node {index}: {why}");
                 self.container.source.malformed(
                     what,
                     "apply the transforms of nodes where the model is made, then export it again",
                 )
-            })
+            };
+            Ok((index, MeshPose::from_matrix(worlds[index]).map_err(wrong)?))
         };
-        nodes.iter().enumerate().map(of_node).collect()
+        let shown = self.shown()?;
+        let nodes = self.document.nodes.iter().enumerate();
+        nodes.filter(|(index, node)| shown[*index] && node.mesh.is_some()).map(of_node).collect()
+    }
+
+    /// Whether each node is in a scene, where there are any with nodes: else all are, as in a library of
+    /// meshes. The nodes are trees.
+    fn shown(&self) -> Result<Vec<bool>> {
+        let (nodes, scenes) = (&self.document.nodes, &self.document.scenes);
+        let mut next: Vec<usize> = scenes.iter().flat_map(|scene| &scene.nodes).copied().collect();
+        let mut shown = vec![next.is_empty(); nodes.len()];
+        while let Some(index) = next.pop() {
+            let Some(is_shown) = shown.get_mut(index) else {
+                return Err(self.malformed(format_args!("a scene has node {index}, of {}", nodes.len())));
+            };
+            if !std::mem::replace(is_shown, true) {
+                next.extend_from_slice(&nodes[index].children);
+            }
+        }
+        Ok(shown)
     }
 
     /// The matrices from each node's coordinates to the world's.

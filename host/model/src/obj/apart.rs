@@ -18,7 +18,7 @@ use crate::text::blocks::{BlockReader, TextBlocks, changed};
 use crate::text::digits::{Digits, Survey};
 use crate::text::lines::{lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, splice_normal};
-use crate::text::{DAMAGED, coordinate, no_coordinate};
+use crate::text::{DAMAGED, coordinate, no_normal};
 use crate::{CHUNK_VERTICES, Error, Model, Normals, Result, Scalar, VertexChunk, VertexReader};
 
 /// Bytes that are copied at once.
@@ -49,7 +49,7 @@ fn cut(bytes: &[u8], count: u64) -> Option<usize> {
         return Some(0);
     }
     let is_normal = |line: &(usize, usize)| Statement::parse(&bytes[line.0..line.1]) == Statement::Normal;
-    lines(bytes, true).filter(is_normal).nth(count as usize - 1).map(|(_, end)| end)
+    lines(bytes, Obj::ENDS).filter(is_normal).nth(count as usize - 1).map(|(_, end)| end)
 }
 
 impl ApartModel {
@@ -69,7 +69,7 @@ impl ApartModel {
             raw.clear();
             model.source.append_at(&mut raw, bytes.start, (bytes.end - bytes.start) as usize)?;
             let end = cut(&raw, OF_A_BLOCK).unwrap_or(raw.len());
-            let of_normals = lines(&raw[..end], true).map(|(a, b)| &raw[a..b]);
+            let of_normals = lines(&raw[..end], Obj::ENDS).map(|(a, b)| &raw[a..b]);
             for line in of_normals.filter(|line| Statement::parse(line) == Statement::Normal) {
                 values(line).take(3).enumerate().for_each(|(c, (a, b))| survey.take(c, &line[a..b]));
             }
@@ -100,7 +100,7 @@ impl ApartModel {
     ) -> Result<()> {
         normals.clear();
         spans.clear();
-        for (start, end) in lines(raw, true) {
+        for (start, end) in lines(raw, Obj::ENDS) {
             let line = &raw[start..end];
             if Statement::parse(line) != Statement::Normal {
                 continue;
@@ -123,7 +123,7 @@ impl ApartModel {
         let (what, hint) = if word.is_empty() {
             (format!("normal {normal} has fewer than 3 numbers"), DAMAGED)
         } else {
-            let (what, hint) = no_coordinate(Scalar::F64, word);
+            let (what, hint) = no_normal(Scalar::F64, word);
             (format!("normal {normal}: {what}"), hint)
         };
         let source = &self.model.source;

@@ -7,7 +7,7 @@ use super::lines::{Statement, absolute, leading_integer, values};
 use crate::form::counted;
 use crate::model::NoFaces;
 use crate::text::faces::{FaceLines, LineFaces};
-use crate::text::lines::{Lines, lines};
+use crate::text::lines::{LineEnds, Lines, lines};
 use crate::text::model::{Grammar, TextModel};
 use crate::text::{next_word, quoted};
 use crate::{FaceReader, Result};
@@ -27,9 +27,16 @@ pub(crate) struct Obj {
     pub(super) others: BTreeMap<Vec<u8>, u64>,
 }
 
+impl Obj {
+    /// What ends the lines of OBJ.
+    pub(super) const ENDS: LineEnds = LineEnds::Continued;
+}
+
 impl Grammar for Obj {
     const EXTENSIONS: &[&str] = &["obj"];
-    const CONTINUES: bool = true;
+    fn ends(&self) -> LineEnds {
+        Self::ENDS
+    }
 
     fn components(&self) -> usize {
         if self.beside { 6 } else { 3 }
@@ -65,7 +72,7 @@ impl Grammar for Obj {
     fn find(&self, raw: &[u8], spans: &mut Vec<[u32; 2]>) -> usize {
         let components = self.components();
         let (mut vertices, mut normals) = (0, 0);
-        for (start, end) in lines(raw, Self::CONTINUES) {
+        for (start, end) in lines(raw, Self::ENDS) {
             let line = &raw[start..end];
             let at = match Statement::parse(line) {
                 Statement::Vertex => {
@@ -96,7 +103,7 @@ impl Grammar for Obj {
         if count == 0 {
             return Some(0);
         }
-        for (start, end) in lines(bytes, Self::CONTINUES) {
+        for (start, end) in lines(bytes, Self::ENDS) {
             match Statement::parse(&bytes[start..end]) {
                 Statement::Vertex => vertices += 1,
                 Statement::Normal if self.beside => normals += 1,
@@ -144,7 +151,7 @@ impl<'a> ObjCorners<'a> {
 }
 
 impl FaceLines for ObjCorners<'_> {
-    const CONTINUES: bool = true;
+    const ENDS: LineEnds = Obj::ENDS;
 
     fn seek(&mut self, offset: u64) -> Result<()> {
         if !self.model.grammar.is_relative {
@@ -155,7 +162,7 @@ impl FaceLines for ObjCorners<'_> {
         self.vertices = vertices;
         // From the end of the last vertex on, there is none.
         if start < blocks.end() {
-            let mut lines = Lines::new(source, start, offset, Self::CONTINUES);
+            let mut lines = Lines::new(source, start, offset, Self::ENDS);
             while let Some((_, line)) = lines.next()? {
                 self.vertices += u64::from(Statement::parse(line) == Statement::Vertex);
             }

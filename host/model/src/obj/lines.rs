@@ -1,5 +1,6 @@
 //! Statements of OBJ, and their words.
 
+use super::grammar::Obj;
 use crate::source::SourceFile;
 use crate::text::lines::{lines, without_mark};
 use crate::text::{is_space, next_word, parse};
@@ -62,7 +63,7 @@ pub(crate) fn is_obj(source: &SourceFile) -> Result<bool> {
     let mut start = Vec::new();
     source.append_at(&mut start, 0, START)?;
     let start = without_mark(&start);
-    let mut words = lines(start, true)
+    let mut words = lines(start, Obj::ENDS)
         .map(|(a, b)| &start[a..b])
         .filter(|line| keyword(line).is_some_and(|w| w[0] != b'#'));
     Ok(words.next().is_some_and(|line| match keyword(line) {

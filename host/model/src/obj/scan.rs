@@ -4,12 +4,13 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::lines::{Statement, normals_are_of_vertices};
-use crate::Result;
+use super::grammar::Obj;
+use super::lines::{Statement, normals_are_of_vertices, values};
 use crate::source::SourceFile;
 use crate::text::blocks::{GAP, TextBlocks, TextBlocksBuilder};
-use crate::text::lines::{Lines, text_start};
-use crate::text::next_word;
+use crate::text::lines::{Lines, text_start, wrong_line};
+use crate::text::{coordinate, may_be_beyond, next_word, no_normal, parse};
+use crate::{Result, Scalar};
 
 /// Most runs of vertices or of normals, one after the other, of a file whose normals are read: the bound of
 /// what is held of them.
@@ -64,6 +65,22 @@ fn note(line: &[u8], others: &mut BTreeMap<Vec<u8>, u64>) {
     }
 }
 
+/// An error where a normal has a number beyond doubles: who samples a model does not read the normals of its
+/// corners, and would be told when it is written.
+#[inline]
+fn check_normal(source: &SourceFile, start: u64, line: &[u8], normal: u64) -> Result<()> {
+    if !may_be_beyond(line) {
+        return Ok(());
+    }
+    for word in values(line).take(3).map(|(a, b)| &line[a..b]) {
+        if coordinate(Scalar::F64, word).is_none() && parse(Scalar::F64, word).is_some() {
+            let (what, hint) = no_normal(Scalar::F64, word);
+            return Err(wrong_line(source, start, format!("normal {normal}: {what}"), hint));
+        }
+    }
+    Ok(())
+}
+
 /// Vertices that have their normals beside them, as long as all have.
 struct NormalPairs {
     builder: Option<TextBlocksBuilder>,
@@ -91,7 +108,7 @@ impl NormalPairs {
 impl ObjScan {
     pub(super) fn from_source(source: &SourceFile) -> Result<Self> {
         let begin = text_start(source)?;
-        let mut lines = Lines::new(source, begin, u64::MAX, true);
+        let mut lines = Lines::new(source, begin, u64::MAX, Obj::ENDS);
         let builder = || TextBlocksBuilder::new(begin, 1);
         let (mut vertices, mut normals) = (builder(), builder());
         let mut beside = NormalPairs { builder: Some(builder()), vertices: 0, normals: 0, start: begin };
@@ -115,6 +132,7 @@ impl ObjScan {
                     last = statement;
                     beside.line(statement, start, end);
                     if statement == Statement::Normal {
+                        check_normal(source, start, line, normals.vertices())?;
                         normals.vertex(start, end);
                     } else {
                         vertices.vertex(start, end);

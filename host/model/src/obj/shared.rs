@@ -252,7 +252,7 @@ fn write_positions(model: &ApartModel, to: &Scratch, progress: &dyn Progress) ->
 /// Writes pairs of normals and vertices, sorted, from `start` on; returns where they end.
 fn write_pairs(model: &TextModel<Obj>, to: &Scratch, start: u64, progress: &dyn Progress) -> Result<u64> {
     let mut runs = Runs::new(to)?;
-    let mut lines = Lines::new(&model.source, text_start(&model.source)?, u64::MAX, true);
+    let mut lines = Lines::new(&model.source, text_start(&model.source)?, u64::MAX, Obj::ENDS);
     let (mut vertices, mut normals, mut faces) = (0, 0, 0u64);
     while let Some((_, line)) = lines.next()? {
         match Statement::parse(line) {

@@ -1,7 +1,7 @@
 //! The header: fields, their types, and how many points there are.
 
 use crate::source::SourceFile;
-use crate::text::lines::lines;
+use crate::text::lines::{LineEnds, lines, without_mark};
 use crate::text::{CUT_OFF, DAMAGED, quoted};
 use crate::{Result, Type};
 
@@ -88,6 +88,7 @@ pub(super) struct PcdHeader {
 
 /// Whether a file says that it is PCD.
 pub(crate) fn is_pcd(start: &[u8]) -> bool {
+    let start = without_mark(start);
     start.starts_with(b"# .PCD") || start.starts_with(b"VERSION ") || start.starts_with(b"FIELDS ")
 }
 
@@ -98,18 +99,16 @@ impl PcdHeader {
         let mut start = Vec::new();
         source.append_at(&mut start, 0, LONGEST)?;
         let mut parser = Parser::default();
-        for (number, (at, end)) in lines(&start, false).enumerate() {
-            let line = String::from_utf8_lossy(&start[at..end]).into_owned();
+        for (number, (at, end)) in lines(&start, LineEnds::Breaks).enumerate() {
+            let line = if at == 0 { without_mark(&start[..end]) } else { &start[at..end] };
+            let line = String::from_utf8_lossy(line).into_owned();
             let wrong = |(what, hint): PcdFault| {
                 source.malformed(format_args!("line {} of the header: {what}", number + 1), hint)
             };
             if let Some(data) = parser.line(&line).map_err(wrong)? {
                 // Binary points may begin with what looks like a line feed.
-                let end = if start[..end].ends_with(b"\r\n") || !start[..end].ends_with(b"\r") {
-                    end
-                } else {
-                    at + line.trim_end().len() + 1
-                };
+                let is_break = start[..end].ends_with(b"\r\n") || !start[..end].ends_with(b"\r");
+                let end = if is_break { end } else { at + start[at..end].trim_ascii_end().len() + 1 };
                 let header = parser.finish(data, &start[..end], at).map_err(wrong)?;
                 return Ok(header);
             }
@@ -263,6 +262,8 @@ pub(super) fn without_normals(header: &[u8]) -> Vec<u8> {
     let text = String::from_utf8_lossy(header);
     let (mut dropped, mut left) = (Vec::new(), String::new());
     for line in text.split_inclusive('\n') {
+        let (mark, line) = line.split_at(line.len() - line.trim_start_matches('\u{feff}').len());
+        left += mark;
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         let end = &line[line.trim_ascii_end().len()..];
         match words[..] {

@@ -8,7 +8,7 @@ use super::layout::{Component, PlyLayout, PropertySlot};
 use super::patch::same_normal;
 use crate::follow::Following;
 use crate::text::{
-    coordinate, drop_word, next_word, no_coordinate, parse, quoted, round, word, write_number,
+    coordinate, drop_word, next_word, no_coordinate, no_normal, parse, quoted, round, word, write_number,
 };
 use crate::unfit::Unfit;
 use crate::{Edited, VertexChunk};
@@ -65,7 +65,10 @@ pub(super) fn decode(layout: &PlyLayout, chunk: &mut VertexChunk) -> Result<(), 
     let normal = layout.has_normals().then(|| layout.triple(3));
     for (vertex, spans) in spans.chunks_exact(layout.components.len()).enumerate() {
         let wrong = |c: usize, of: [Component; 3], spans: &[[u32; 2]]| {
-            let (what, hint) = no_coordinate(of[c].scalar, word(raw, spans[c]));
+            let word = word(raw, spans[c]);
+            let is_normal = of[c].name.starts_with('n');
+            let (what, hint) =
+                if is_normal { no_normal(of[c].scalar, word) } else { no_coordinate(of[c].scalar, word) };
             NoCoordinate { vertex, property: of[c].name, what, hint }
         };
         let p = parse_triple(raw, position, spans).map_err(|c| wrong(c, position, spans))?;

@@ -8,9 +8,9 @@ use super::facets::{FACET, Facets, normal};
 use crate::source::SourceFile;
 use crate::text::blocks::{GAP, TextBlocks, TextBlocksBuilder, too_far};
 use crate::text::digits::Digits;
-use crate::text::lines::{Lines, lines, text_start, without_mark, wrong_line};
+use crate::text::lines::{LineEnds, Lines, lines, text_start, without_mark, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
-use crate::text::{CUT_OFF, DAMAGED, coordinate, is_space, next_word, no_coordinate, parse, quoted};
+use crate::text::{CUT_OFF, DAMAGED, coordinate, is_space, next_word, no_normal, parse, quoted};
 use crate::unfit::Unfit;
 use crate::{Edited, FaceReader, Model, ModelInfo, Result, Scalar, VertexChunk};
 
@@ -27,11 +27,16 @@ pub(super) fn is_text(source: &SourceFile) -> Result<bool> {
 
 /// Opens a file, which is gone over once.
 pub(super) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
-    let (blocks, facets) = scan(&source)?;
+    // Breaks are but blanks to the format, though nearly all programs give each statement a line of its own.
+    const STATEMENTS: LineEnds = LineEnds::Words(|word| StlLine::of_word(word) != StlLine::Unknown);
+    let (ends, (blocks, facets)) = match scan(&source, LineEnds::Breaks) {
+        Ok(found) => (LineEnds::Breaks, found),
+        Err(error) => (STATEMENTS, scan(&source, STATEMENTS).map_err(|_| error)?),
+    };
     let face_bytes = FACET * facets;
     let of_file = info(&source, "STL, ascii".into());
     let info = ModelInfo { faces: facets, face_bytes, ..of_file };
-    Ok(Box::new(TextModel::new(source, StlLines, blocks, info)?))
+    Ok(Box::new(TextModel::new(source, StlLines { ends }, blocks, info)?))
 }
 
 fn first_word(line: &[u8]) -> Option<&[u8]> {
@@ -52,7 +57,11 @@ enum StlLine {
 
 impl StlLine {
     fn parse(line: &[u8]) -> Self {
-        let Some(word) = first_word(line) else { return Self::Other };
+        first_word(line).map_or(Self::Other, Self::of_word)
+    }
+
+    /// What a line is that begins with this word.
+    fn of_word(word: &[u8]) -> Self {
         let is = |name: &str| word.eq_ignore_ascii_case(name.as_bytes());
         match word.len() {
             6 if is("vertex") => Self::Vertex,
@@ -65,17 +74,31 @@ impl StlLine {
             _ => Self::Unknown,
         }
     }
+
+    /// How many words it has, where any number of others may stand behind it otherwise.
+    fn words(self, line: &[u8]) -> Option<usize> {
+        match self {
+            Self::Solid | Self::EndSolid | Self::Unknown => None,
+            Self::Vertex => Some(4),
+            Self::Facet => Some(5),
+            Self::EndFacet => Some(1),
+            Self::Other => first_word(line).map(|word| if word.len() == 5 { 2 } else { 1 }),
+        }
+    }
 }
 
 /// Where the vertices are, and how many facets there are. All of the file's structure is checked here.
-fn scan(source: &SourceFile) -> Result<(TextBlocks, u64)> {
+fn scan(source: &SourceFile, ends: LineEnds) -> Result<(TextBlocks, u64)> {
     let begin = text_start(source)?;
-    let mut lines = Lines::new(source, begin, u64::MAX, false);
+    let mut lines = Lines::new(source, begin, u64::MAX, ends);
     let mut builder = TextBlocksBuilder::new(begin, StlLines::UNIT);
     let (mut facets, mut in_solid, mut in_facet, mut at) = (0u64, false, false, 0);
+    let is_free = matches!(ends, LineEnds::Words(_));
     while let Some((start, line)) = lines.next()? {
         let kind = StlLine::parse(line);
-        let end = start + line.len() as u64;
+        // Blanks between statements are of none.
+        let own = if is_free { line.trim_ascii_end() } else { line };
+        let end = start + own.len() as u64;
         let is_right = match kind {
             StlLine::Vertex => {
                 if builder.vertices() > 0 && start - builder.end() > GAP {
@@ -101,7 +124,9 @@ fn scan(source: &SourceFile) -> Result<(TextBlocks, u64)> {
             StlLine::Other => true,
             StlLine::Unknown => false,
         };
-        if !is_right {
+        // What stands behind a statement would be of it.
+        let is_whole = || !is_free || kind.words(line).is_none_or(|words| words_of(line).count() == words);
+        if !is_right || !is_whole() {
             let text = quoted(&String::from_utf8_lossy(line.trim_ascii_start()));
             let what = match kind {
                 StlLine::Unknown => format!("{text} is nothing of STL"),
@@ -117,13 +142,17 @@ fn scan(source: &SourceFile) -> Result<(TextBlocks, u64)> {
     Ok((builder.finish(), facets))
 }
 
+fn words_of(line: &[u8]) -> impl Iterator<Item = &[u8]> {
+    line.split(|b| is_space(*b)).filter(|word| !word.is_empty())
+}
+
 /// An error where a facet's normal has a number that is too large; other words that are no numbers are kept.
 fn check_normal(source: &SourceFile, start: u64, line: &[u8]) -> Result<()> {
     let mut words = [[0; 2]; 3];
     words_after(line, 2, &mut words);
     for word in words.map(|[start, end]| &line[start..end]) {
         if coordinate(Scalar::F64, word).is_none() && parse(Scalar::F64, word).is_some() {
-            let (what, hint) = no_coordinate(Scalar::F64, word);
+            let (what, hint) = no_normal(Scalar::F64, word);
             return Err(wrong_line(source, start, format!("the normal of a facet: {what}"), hint));
         }
     }
@@ -132,11 +161,17 @@ fn check_normal(source: &SourceFile, start: u64, line: &[u8]) -> Result<()> {
 
 /// The lines of STL.
 #[derive(Debug)]
-struct StlLines;
+struct StlLines {
+    ends: LineEnds,
+}
 
 impl Grammar for StlLines {
     const EXTENSIONS: &[&str] = &["stl"];
     const UNIT: u64 = 3;
+
+    fn ends(&self) -> LineEnds {
+        self.ends
+    }
 
     fn is_vertex(&self, line: &[u8]) -> bool {
         let start = line.iter().position(|b| !is_space(*b)).unwrap_or(line.len());
@@ -179,7 +214,7 @@ impl Grammar for StlLines {
             if corners.map(bits) == [rest[0], rest[1], rest[2]].map(bits) {
                 continue;
             }
-            if let Some((words, old)) = facet_normal(raw, before)
+            if let Some((words, old)) = facet_normal(raw, before, model.grammar.ends)
                 && let Some(new) = normal(old, [rest[0], rest[1], rest[2]], corners)
             {
                 let of_normal = normal_digits(&words.map(|[start, end]| &raw[start..end]));
@@ -228,10 +263,10 @@ fn words_after(line: &[u8], others: usize, spans: &mut [[usize; 2]]) {
 }
 
 /// Where the numbers of the last facet's normal stand in a part of a chunk, and what it is.
-fn facet_normal(raw: &[u8], part: Range<usize>) -> Option<([[usize; 2]; 3], DVec3)> {
+fn facet_normal(raw: &[u8], part: Range<usize>, ends: LineEnds) -> Option<([[usize; 2]; 3], DVec3)> {
     let bytes = &raw[part.clone()];
     let (start, end) =
-        lines(bytes, false).filter(|l| StlLine::parse(&bytes[l.0..l.1]) == StlLine::Facet).last()?;
+        lines(bytes, ends).filter(|l| StlLine::parse(&bytes[l.0..l.1]) == StlLine::Facet).last()?;
     let mut words = [[0; 2]; 3];
     words_after(&bytes[start..end], 2, &mut words);
     let words = words.map(|word| word.map(|at| part.start + start + at));

@@ -323,12 +323,13 @@ mod tests {
 
     use proptest::prelude::*;
 
-    use super::super::lines::lines;
+    use super::super::lines::{LineEnds, lines};
     use super::*;
 
     /// A vertex is a line of `v`s.
     fn cut(bytes: &[u8], count: u64) -> Option<usize> {
-        let mut ends = lines(bytes, false).filter(|(start, _)| bytes[*start] == b'v').map(|(_, end)| end);
+        let mut ends =
+            lines(bytes, LineEnds::Breaks).filter(|(start, _)| bytes[*start] == b'v').map(|(_, end)| end);
         if count == 0 { Some(0) } else { ends.nth(count as usize - 1) }
     }
 

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::DAMAGED;
-use super::lines::{Lines, wrong_line};
+use super::lines::{LineEnds, Lines, wrong_line};
 use crate::fan::Fan;
 use crate::source::SourceFile;
 use crate::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, Result};
@@ -13,8 +13,8 @@ const CHUNK_BYTES: u64 = 4 << 20;
 
 /// What a format knows of its lines with faces.
 pub(crate) trait FaceLines: Send {
-    /// A line that ends in a backslash goes on with the next one.
-    const CONTINUES: bool = false;
+    /// What ends its lines.
+    const ENDS: LineEnds = LineEnds::Breaks;
 
     /// Reading goes on at this byte of the file.
     fn seek(&mut self, _offset: u64) -> Result<()> {
@@ -56,7 +56,7 @@ impl<'a, P: FaceLines> LineFaces<'a, P> {
     ) -> Self {
         let until_mark = ranges.is_none().then_some(0);
         let ranges = ranges.unwrap_or_else(|| vec![all]).into_iter();
-        let lines = Lines::new(source, 0, 0, P::CONTINUES);
+        let lines = Lines::new(source, 0, 0, P::ENDS);
         let (line, fan) = (Vec::new(), Fan::default());
         Self { source, parser, lines, ranges, line, at: 0, start: 0, fan, until_mark, is_over: false }
     }
@@ -73,7 +73,7 @@ impl<'a, P: FaceLines> LineFaces<'a, P> {
                     return Ok(false);
                 };
                 self.parser.seek(range.start)?;
-                self.lines = Lines::new(self.source, range.start, range.end, P::CONTINUES);
+                self.lines = Lines::new(self.source, range.start, range.end, P::ENDS);
                 continue;
             };
             chunk.bytes += line.len() as u64;

@@ -1,5 +1,6 @@
 //! Lines of bounded length. A line ends with a line feed, a carriage return, or both; files may mix them.
 
+use super::next_word;
 use crate::source::SourceFile;
 use crate::{Error, Result};
 
@@ -42,17 +43,31 @@ fn check_end(source: &SourceFile) -> Result<()> {
     Err(source.malformed(what, "writing the file was cut short: copy or export it again"))
 }
 
+/// What ends the lines of a format.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum LineEnds {
+    /// Each line feed, and each carriage return.
+    Breaks,
+    /// Those that no backslash stands before, but of a comment, which may end in one as the path of a folder
+    /// does.
+    Continued,
+    /// The next word that is one with which statements begin: breaks are blanks as others.
+    Words(fn(&[u8]) -> bool),
+}
+
 /// Whether the first line of `bytes` is a comment of OBJ as a whole.
 fn is_comment(bytes: &[u8]) -> bool {
     bytes.iter().find(|b| !matches!(b, b' ' | b'\t')) == Some(&b'#')
 }
 
 /// Where the first line of `bytes` ends, and what ends it with it; `None` if it may go on after them.
-///
-/// With `continues`, a line that ends in a backslash goes on with the next one, but not a comment, which may
-/// end in one as the path of a folder does.
 #[inline]
-pub(crate) fn line_end(bytes: &[u8], continues: bool, whole_file: bool) -> Option<usize> {
+pub(crate) fn line_end(bytes: &[u8], ends: LineEnds, whole_file: bool) -> Option<usize> {
+    let continues = match ends {
+        LineEnds::Breaks => false,
+        LineEnds::Continued => true,
+        LineEnds::Words(begins) => return statement_end(bytes, begins, whole_file),
+    };
     let mut from = 0;
     loop {
         let Some(found) = memchr::memchr2(b'\n', b'\r', &bytes[from..]) else {
@@ -77,12 +92,26 @@ pub(crate) fn line_end(bytes: &[u8], continues: bool, whole_file: bool) -> Optio
     }
 }
 
+/// Where the first statement of `bytes` ends: before the next word that begins one.
+fn statement_end(bytes: &[u8], begins: fn(&[u8]) -> bool, whole_file: bool) -> Option<usize> {
+    let mut at = next_word(bytes, 0, whole_file).map_or(bytes.len(), |(_, end)| end);
+    loop {
+        let Some((start, end)) = next_word(bytes, at, whole_file) else {
+            return (whole_file && !bytes.is_empty()).then_some(bytes.len());
+        };
+        if begins(&bytes[start..end]) {
+            return Some(start);
+        }
+        at = end;
+    }
+}
+
 /// The lines of bytes that hold whole lines: where each begins and ends.
-pub(crate) fn lines(bytes: &[u8], continues: bool) -> impl Iterator<Item = (usize, usize)> + '_ {
+pub(crate) fn lines(bytes: &[u8], ends: LineEnds) -> impl Iterator<Item = (usize, usize)> + '_ {
     let mut at = 0;
     std::iter::from_fn(move || {
         let start = at;
-        at += line_end(&bytes[start..], continues, true)?;
+        at += line_end(&bytes[start..], ends, true)?;
         Some((start, at))
     })
 }
@@ -98,7 +127,7 @@ fn count_lines(bytes: &[u8]) -> u64 {
 /// Memory: a block, or a line and what is read with it: 32 MiB at most.
 pub(crate) struct Lines<'a> {
     source: &'a SourceFile,
-    continues: bool,
+    ends: LineEnds,
     block: Vec<u8>,
     /// Where in the block the next line begins.
     at: usize,
@@ -109,8 +138,8 @@ pub(crate) struct Lines<'a> {
 }
 
 impl<'a> Lines<'a> {
-    pub(crate) fn new(source: &'a SourceFile, start: u64, end: u64, continues: bool) -> Self {
-        Self { source, continues, block: Vec::new(), at: 0, offset: start, end: end.min(source.len()) }
+    pub(crate) fn new(source: &'a SourceFile, start: u64, end: u64, ends: LineEnds) -> Self {
+        Self { source, ends, block: Vec::new(), at: 0, offset: start, end: end.min(source.len()) }
     }
 
     /// Where in the file the next line begins.
@@ -123,7 +152,7 @@ impl<'a> Lines<'a> {
     pub(crate) fn next(&mut self) -> Result<Option<(u64, &[u8])>> {
         loop {
             let whole = self.offset + self.block.len() as u64 >= self.end;
-            if let Some(length) = line_end(&self.block[self.at..], self.continues, whole)
+            if let Some(length) = line_end(&self.block[self.at..], self.ends, whole)
                 && length <= MAX_LINE
             {
                 let (start, position) = (self.at, self.position());
@@ -209,25 +238,38 @@ mod tests {
     #[test]
     fn lines_end_in_any_way() {
         let text = b"a\nb\r\nc\rd\\\ne\\\r\nf\n\r\ng";
-        let of = |continues| -> Vec<&[u8]> { lines(text, continues).map(|(a, b)| &text[a..b]).collect() };
+        let of = |ends| -> Vec<&[u8]> { lines(text, ends).map(|(a, b)| &text[a..b]).collect() };
         let plain: [&[u8]; 8] = [b"a\n", b"b\r\n", b"c\r", b"d\\\n", b"e\\\r\n", b"f\n", b"\r\n", b"g"];
-        assert_eq!(of(false), plain);
+        assert_eq!(of(LineEnds::Breaks), plain);
         let joined: [&[u8]; 6] = [b"a\n", b"b\r\n", b"c\r", b"d\\\ne\\\r\nf\n", b"\r\n", b"g"];
-        assert_eq!(of(true), joined);
+        assert_eq!(of(LineEnds::Continued), joined);
         let comments = b"# C:\\folder\\\n\t# a\\\r\nv 1 \\\n2\n";
-        let found: Vec<(usize, usize)> = lines(comments, true).collect();
+        let found: Vec<(usize, usize)> = lines(comments, LineEnds::Continued).collect();
         assert_eq!(found, [(0, 13), (13, 20), (20, 28)], "comments do not go on");
         for end in 0..text.len() {
             // What may go on is not given before it is known.
             let mut at = 0;
             for line in plain {
-                let found = line_end(&text[at..end], false, false);
+                let found = line_end(&text[at..end], LineEnds::Breaks, false);
                 let known = at + line.len() <= end && (line != b"c\r" || end > at + 2) && at + 1 < text.len();
                 assert_eq!(found.is_some(), known, "{end} {at}");
                 let Some(found) = found else { break };
                 assert_eq!(found, line.len());
                 at += found;
             }
+        }
+    }
+
+    #[test]
+    fn statements_end_where_others_begin() {
+        let text = b" at 1\n2 at\rat 3 that at";
+        let begins: fn(&[u8]) -> bool = |word| word == b"at";
+        let found: Vec<&[u8]> = lines(text, LineEnds::Words(begins)).map(|(a, b)| &text[a..b]).collect();
+        assert_eq!(found, [&b" at 1\n2 "[..], b"at\r", b"at 3 that ", b"at"]);
+        for end in 0..text.len() {
+            // Its end is the blank behind the word that begins the next one.
+            let found = line_end(&text[..end], LineEnds::Words(begins), false);
+            assert_eq!(found, (end > 10).then_some(8), "{end}");
         }
     }
 
@@ -254,7 +296,7 @@ mod tests {
         let mut text = b"1\n2\n".to_vec();
         text.resize(text.len() + MAX_LINE + 3 * BLOCK, b'7');
         let source = source(&text);
-        let mut lines = Lines::new(&source, 0, u64::MAX, false);
+        let mut lines = Lines::new(&source, 0, u64::MAX, LineEnds::Breaks);
         assert_eq!(lines.next().unwrap(), Some((0, &b"1\n"[..])));
         assert_eq!(lines.next().unwrap(), Some((2, &b"2\n"[..])));
         let error = lines.next().err().unwrap().to_string();

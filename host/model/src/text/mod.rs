@@ -25,8 +25,11 @@ pub(crate) const DAMAGED: &str = "the file is damaged: copy or export it again";
 /// Hint for files that end too early.
 pub(crate) const CUT_OFF: &str = "the file is cut off, or its header lies: copy or export it again";
 
-/// Hint for numbers that are too large.
+/// Hint for coordinates that are too large.
 const BEYOND: &str = "write nan in its place if the vertex has no position, or export the file again";
+
+/// Hint for components of normals that are too large.
+const BEYOND_NORMAL: &str = "write a normal of length 1 in its place, as 0 0 1, or export the file again";
 
 /// Hint for numbers with commas.
 const POINTS: &str =
@@ -89,6 +92,13 @@ pub(crate) fn no_coordinate(scalar: Scalar, word: &[u8]) -> (String, &'static st
     }
 }
 
+/// The same of a word in a normal.
+#[cold]
+pub(crate) fn no_normal(scalar: Scalar, word: &[u8]) -> (String, &'static str) {
+    let (what, hint) = no_coordinate(scalar, word);
+    (what, if hint == BEYOND { BEYOND_NORMAL } else { hint })
+}
+
 /// A number of a type, rounded to it if that is single precision.
 pub(crate) fn number(kind: Type, word: &[u8]) -> Option<f64> {
     parse(if kind == Type::F32 { Scalar::F32 } else { Scalar::F64 }, word)
@@ -127,6 +137,14 @@ pub(crate) fn has_many_digits(text: &[u8]) -> bool {
         let behind = text[at..].iter().take_while(|byte| byte.is_ascii_digit()).take(MANY).count();
         before + behind >= MANY
     })
+}
+
+/// Whether a line may have a number beyond doubles: one with an exponent of three digits, or with that many
+/// digits. Hardly any has.
+#[inline]
+pub(crate) fn may_be_beyond(line: &[u8]) -> bool {
+    let is_large = |at: usize| line[at + 1..].iter().take(4).filter(|b| b.is_ascii_digit()).count() >= 3;
+    line.len() > f64::MAX_10_EXP as usize || memchr::memchr2_iter(b'e', b'E', line).any(is_large)
 }
 
 /// The word that was noted to stand there.

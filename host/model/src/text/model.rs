@@ -9,8 +9,10 @@ use rayon::prelude::*;
 
 use super::blocks::{BlockPiece, BlockPieces, BlockReader, TextBlocks, changed};
 use super::digits::{Digits, Survey};
-use super::lines::{line_end, lines, wrong_line};
-use super::{DAMAGED, coordinate, has_many_digits, is_beyond_doubles, no_coordinate, parse, quoted, word};
+use super::lines::{LineEnds, line_end, lines, wrong_line};
+use super::{
+    DAMAGED, coordinate, has_many_digits, is_beyond_doubles, no_coordinate, no_normal, parse, quoted, word,
+};
 use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable};
@@ -23,12 +25,16 @@ use crate::{
 
 /// What a text format knows of its lines, among those between the first and the last vertex.
 pub(crate) trait Grammar: Send + Sync + Sized + 'static {
-    /// A line that ends in a backslash goes on with the next one.
-    const CONTINUES: bool = false;
     /// Vertices that stay in one chunk together when the model is rewritten.
     const UNIT: u64 = 1;
     /// Extensions that names of such files have.
     const EXTENSIONS: &'static [&'static str];
+
+    /// What ends its lines.
+    #[inline(always)]
+    fn ends(&self) -> LineEnds {
+        LineEnds::Breaks
+    }
 
     /// What the user said that the columns are.
     fn wanted(&self) -> Option<&str> {
@@ -59,10 +65,15 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
     /// Notes where a vertex' numbers stand in its line. Those that are missing are left as they are.
     fn words(&self, line: &[u8], spans: &mut [[usize; 2]]);
 
+    /// Whether a line has a cell for a component, which may be empty.
+    fn has_cell(&self, _line: &[u8], _component: usize) -> bool {
+        false
+    }
+
     /// Notes where the numbers of all vertices stand in whole lines; returns how many vertices there are.
     fn find(&self, raw: &[u8], spans: &mut Vec<[u32; 2]>) -> usize {
         let (mut count, mut words) = (0, vec![[0; 2]; self.numbers()]);
-        for (start, end) in lines(raw, Self::CONTINUES) {
+        for (start, end) in lines(raw, self.ends()) {
             let line = &raw[start..end];
             if self.is_vertex(line) {
                 words.fill([0; 2]);
@@ -78,7 +89,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
     fn cut(&self, bytes: &[u8], count: u64) -> Option<usize> {
         let (mut at, mut left) = (0, count);
         while left > 0 {
-            let length = line_end(&bytes[at..], Self::CONTINUES, true)?;
+            let length = line_end(&bytes[at..], self.ends(), true)?;
             left -= u64::from(self.is_vertex(&bytes[at..at + length]));
             at += length;
         }
@@ -225,22 +236,16 @@ impl<G: Grammar> TextModel<G> {
             return Err(changed(&self.source));
         }
         if let Some(at) = memchr::memchr(0, raw) {
-            // Where a disk was full, these are instead of what was written: nobody knows how many vertices.
-            let is_before =
-                |line: &(usize, usize)| line.1 <= at && self.grammar.is_vertex(&raw[line.0..line.1]);
-            let before = lines(raw, G::CONTINUES).filter(is_before).count() as u64;
-            let vertex = chunk.first + before;
-            return Err(self.wrong_vertex(vertex, format!("vertex {vertex}: a byte of zero"), DAMAGED));
+            return Err(self.zero_byte(chunk.first, raw, at));
         }
         let components = self.grammar.components();
         for (vertex, spans) in spans.chunks_exact(self.grammar.numbers()).enumerate() {
             let mut values = [0.0; 6];
-            for (value, [start, end]) in values.iter_mut().zip(&spans[..components]) {
-                let word = &raw[*start as usize..*end as usize];
-                let Some(number) = coordinate(Scalar::F64, word) else {
-                    return Err(self.no_coordinate(chunk.first + vertex as u64, word));
+            for (n, (value, span)) in values.iter_mut().zip(&spans[..components]).enumerate() {
+                *value = match coordinate(Scalar::F64, word(raw, *span)) {
+                    Some(number) => number,
+                    None => self.no_number(chunk.first + vertex as u64, n, raw, *span)?,
                 };
-                *value = number;
             }
             let [x, y, z, nx, ny, nz] = values;
             positions.push(DVec3::new(x, y, z));
@@ -251,13 +256,45 @@ impl<G: Grammar> TextModel<G> {
         Ok(())
     }
 
-    fn no_coordinate(&self, vertex: u64, word: &[u8]) -> Error {
-        if word.is_empty() {
-            let what = format!("vertex {vertex} has fewer than {} numbers", self.grammar.components());
-            return self.wrong_vertex(vertex, what, DAMAGED);
+    /// What stands where a component is no number: nothing, in a cell that is empty.
+    #[cold]
+    fn no_number(&self, vertex: u64, component: usize, raw: &[u8], span: [u32; 2]) -> Result<f64> {
+        let found = word(raw, span);
+        if !found.is_empty() {
+            let wrong = if component < 3 { no_coordinate } else { no_normal };
+            let (what, hint) = wrong(Scalar::F64, found);
+            return Err(self.wrong_vertex(vertex, format!("vertex {vertex}: {what}"), hint));
         }
-        let (what, hint) = no_coordinate(Scalar::F64, word);
-        self.wrong_vertex(vertex, format!("vertex {vertex}: {what}"), hint)
+        let at = span[0] as usize;
+        let start = raw[..at].iter().rposition(|b| matches!(b, b'\n' | b'\r')).map_or(0, |end| end + 1);
+        let end = line_end(&raw[start..], self.grammar.ends(), true).unwrap_or_default();
+        if self.grammar.has_cell(&raw[start..start + end], component) {
+            return Ok(f64::NAN);
+        }
+        let what = format!("vertex {vertex} has fewer than {} numbers", self.grammar.components());
+        Err(self.wrong_vertex(vertex, what, DAMAGED))
+    }
+
+    /// An error about a byte of zero in a chunk that begins with the vertex `first`. Where a disk was full,
+    /// such are instead of what was written: nobody knows how many vertices.
+    #[cold]
+    fn zero_byte(&self, first: u64, raw: &[u8], at: usize) -> Error {
+        let (mut vertex, mut is_in) = (first, false);
+        for (start, end) in lines(raw, self.grammar.ends()).take_while(|line| line.0 <= at) {
+            vertex += u64::from(std::mem::replace(&mut is_in, self.grammar.is_vertex(&raw[start..end])));
+        }
+        let what = match is_in {
+            true => format!("vertex {vertex}: a byte of zero"),
+            false => format!("a byte of zero before vertex {vertex}"),
+        };
+        match self.block_of(first) {
+            Ok(Some((block, begin, before))) => {
+                let start = begin + self.grammar.cut(&block, before).unwrap_or_default() as u64;
+                wrong_line(&self.source, start + at as u64, what, DAMAGED)
+            }
+            Ok(None) => self.source.malformed(what, DAMAGED),
+            Err(error) => error,
+        }
     }
 
     /// An error about a vertex, which names its line.
@@ -269,17 +306,20 @@ impl<G: Grammar> TextModel<G> {
         }
     }
 
-    /// Where in the file the last byte of a vertex is.
-    fn place_of(&self, vertex: u64) -> Result<Option<u64>> {
-        let mut raw = Vec::new();
-        let Some((first, begin)) = self.blocks.spread(usize::MAX).find(|b| b.0.contains(&vertex)).map(|b| {
-            raw.resize((b.1.end - b.1.start) as usize, 0);
-            (b.0.start, b.1.start)
-        }) else {
+    /// The bytes of the block that holds a vertex, where they begin, and how many of its vertices come before.
+    fn block_of(&self, vertex: u64) -> Result<Option<(Vec<u8>, u64, u64)>> {
+        let Some((of, bytes)) = self.blocks.spread(usize::MAX).find(|block| block.0.contains(&vertex)) else {
             return Ok(None);
         };
-        self.source.read_at(&mut raw, begin)?;
-        let end = self.grammar.cut(&raw, vertex - first + 1);
+        let mut raw = vec![0; (bytes.end - bytes.start) as usize];
+        self.source.read_at(&mut raw, bytes.start)?;
+        Ok(Some((raw, bytes.start, vertex - of.start)))
+    }
+
+    /// Where in the file the last byte of a vertex is.
+    fn place_of(&self, vertex: u64) -> Result<Option<u64>> {
+        let Some((raw, begin, before)) = self.block_of(vertex)? else { return Ok(None) };
+        let end = self.grammar.cut(&raw, before + 1);
         Ok(end.map(|end| {
             let line = raw[..end].trim_ascii_end().len();
             begin + line.saturating_sub(1) as u64
@@ -298,7 +338,7 @@ impl<G: Grammar> TextModel<G> {
     pub(crate) fn read_attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
         to.iter_mut().for_each(Vec::clear);
         let mut vertex = chunk.first_of_file();
-        for (start, end) in lines(&chunk.raw, G::CONTINUES) {
+        for (start, end) in lines(&chunk.raw, self.grammar.ends()) {
             let line = &chunk.raw[start..end];
             if !self.grammar.is_vertex(line) {
                 continue;
@@ -482,7 +522,7 @@ impl<G: Grammar> Model for TextModel<G> {
             if !has_many_digits(raw) {
                 return Ok(());
             }
-            let of_vertices = lines(raw, G::CONTINUES).map(|(start, end)| &raw[start..end]);
+            let of_vertices = lines(raw, self.grammar.ends()).map(|(start, end)| &raw[start..end]);
             for line in of_vertices.filter(|line| has_many_digits(line) && self.grammar.is_vertex(line)) {
                 for (attribute, is_beyond) in are_beyond.iter().enumerate() {
                     if self.grammar.attribute(line, attribute).is_some_and(is_beyond_doubles) {

@@ -30,6 +30,12 @@ fn any_separator_and_header_are_understood() {
         ("\t1\t-2.5\t3e2\r\n\r\n4 5\t 6", ".txt"),
         ("1,-2.5,3e2\n4, 5 ,6", ".csv"),
         ("1;-2.5;3e2\r4;5;6\r", ".asc"),
+        ("x:y:z:t\n1:-2.5:3e2:\n4:5: 6:12\n", ".csv"),
+        ("1/-2.5/3e2\n4/5/6\n", ".txt"),
+        // Times and dates are no columns.
+        ("1 -2.5 3e2 12:30:05\n4 5 6 7:00:00\n", ".xyz"),
+        ("day x y z\n2020/01/02 1 -2.5 3e2\n2020/01/03 4 5 6\n", ".txt"),
+        ("Points:0 Points:1 Points:2\n1 -2.5 3e2\n4 5 6\n", ".txt"),
         ("X Y Z\n1 -2.5 3e2\n4 5 6\n", ".txt"),
         ("id,\"Y\",\"X [m]\",z (m)\n7,\"-2.5\",1,3e2\n8,5,4,6\n", ".csv"),
         ("// z y x\n3e2 -2.5 1\n6 5 4\n", ".txt"),
@@ -83,6 +89,26 @@ fn an_empty_cell_is_no_number() {
 }
 
 #[test]
+fn empty_coordinates_are_no_position() {
+    // A row of nothing is no header, wherever it stands.
+    let rows = "x,y,z,t\n,,,\r\n1,2,3,4\n5,,6,7\n,,,8\n9,1,2,\n7,8,\n";
+    for text in [rows.to_owned(), rows[8..].to_owned(), format!(",,,\n{rows}")] {
+        let model = check_whole(text.as_bytes(), ".csv");
+        let (positions, _) = read(model.as_ref()).unwrap();
+        let are_there: Vec<bool> = positions.iter().map(|p| p.is_finite()).collect();
+        assert_eq!(are_there, [false, true, false, false, true, false], "{text:?}");
+        assert_eq!((positions[1], model.info().attributes.len()), (DVec3::new(1.0, 2.0, 3.0), 1));
+        let out = rewrite(model.as_ref(), |e| e.positions[4].z = 2.5).unwrap();
+        assert_eq!(String::from_utf8(out).unwrap(), text.replace("9,1,2,", "9,1,2.500000,"));
+    }
+    let normals = check_whole(b"x;y;z;nx;ny;nz\n1;2;3;;;\n4;5;6;0;0;1\n", ".csv");
+    assert!(read(normals.as_ref()).unwrap().1[0].is_nan());
+    // A cell that is missing is none that is empty.
+    assert_eq!(message(go_over(b"1,2,3\n4,\n", ".csv")), "line 2: vertex 1 has fewer than 3 numbers");
+    assert_eq!(message(go_over(b",,,\n", ".csv")), "there is no line of numbers in it");
+}
+
+#[test]
 fn the_user_may_say_what_columns_are() {
     let mut file = tempfile::Builder::new().suffix(".data").tempfile().unwrap();
     file.write_all(b"9 3 2 1 0 0 1 5\n8 6 5 4 0 1 0 6\n").unwrap();
@@ -131,7 +157,7 @@ fn georeferenced_coordinates_keep_their_digits() {
 fn what_is_wrong_is_named_with_its_line() {
     let bad = |text: &str, extension| message(go_over(text.as_bytes(), extension));
     assert_eq!(bad("1 2 3\n\n4 5\n", ".xyz"), "line 3: vertex 1 has fewer than 3 numbers");
-    assert_eq!(bad("1,2,3\n4,,6\n", ".csv"), "line 2: vertex 1 has fewer than 3 numbers");
+    assert_eq!(bad("1,2,3\n,4\n", ".csv"), "line 2: vertex 1 has fewer than 3 numbers");
     assert_eq!(bad("1 2 3\n4 5 x\n", ".xyz"), "line 2: vertex 1: \"x\" is no number");
     assert_eq!(bad("# nothing\n", ".xyz"), "there is no line of numbers in it");
     assert_eq!(bad("a,b,c\n1,2,3\n", ".csv"), "line 2: no column is x");
@@ -141,6 +167,12 @@ fn what_is_wrong_is_named_with_its_line() {
     assert_eq!(bad("1,5;2,5;3,5\n", ".csv"), "there is no line of numbers in it");
     // As a full disk leaves them.
     assert_eq!(bad("1 2 3\n\n4 5 \0\0\0 6\n7 8 9\n", ".xyz"), "line 3: vertex 1: a byte of zero");
+    assert_eq!(bad("1 2 3\n\n\0\0\0\n4 5 6\n", ".xyz"), "line 3: a byte of zero before vertex 1");
+    let lines = "1 2 3\r\n".repeat(5000);
+    let middle = format!("{lines}4 5\0 6\r\n{lines}");
+    assert_eq!(bad(&middle, ".xyz"), "line 5001: vertex 5000: a byte of zero");
+    let between = format!("{lines}\0\0\r\n{lines}");
+    assert_eq!(bad(&between, ".xyz"), "line 5001: a byte of zero before vertex 5000");
     let long = "1 2 3\n4 5 ".to_string() + &"6".repeat(17 << 20);
     assert_eq!(bad(&long, ".xyz"), "line 2 is longer than 16 MiB");
     let commas = go_over(b"x;y;z\n1,5;2,5;3,5\n", ".csv").unwrap_err();

@@ -525,6 +525,36 @@ fn what_is_shared_counts_once() {
 }
 
 #[test]
+fn nodes_that_no_scene_has_show_nothing() {
+    let of = |scenes: &str, nodes: &[&str]| {
+        let mut glb = Glb::default();
+        glb.positions(&points(9));
+        glb.positions(&points(5));
+        glb.mesh("{\"attributes\":{\"POSITION\":0}}");
+        glb.mesh("{\"attributes\":{\"POSITION\":1}}");
+        glb.nodes.extend(nodes.iter().map(|node| format!("{{{node}}}")));
+        glb.rest = format!(",\"scenes\":[{scenes}]");
+        glb.bytes()
+    };
+    let nodes = ["\"mesh\":0", "\"mesh\":0,\"scale\":[0,0,0]", "\"children\":[3]", "\"mesh\":1"];
+    let vertices = |scenes: &str| check_whole(&of(scenes, &nodes), ".glb").info().vertices;
+    assert_eq!(vertices("{\"nodes\":[0]}"), 9);
+    assert_eq!(vertices("{\"nodes\":[0]},{\"nodes\":[2]}"), 14);
+    assert_eq!(vertices("{\"nodes\":[2,2]}"), 5);
+    assert_eq!(message(open(&of("{\"nodes\":[4]}", &nodes), ".glb")), "a scene has node 4, of 4");
+    // Without a scene, all show what they have.
+    for scenes in ["", "{}"] {
+        assert_eq!(
+            message(open(&of(scenes, &nodes), ".glb")),
+            "node 1: its matrix is singular, so that nothing leads back from the world"
+        );
+        assert_eq!(check_whole(&of(scenes, &["\"mesh\":1"]), ".glb").info().vertices, 5);
+    }
+    let lie = of("{\"nodes\":[0]}", &["\"mesh\":0", "\"mesh\":7"]);
+    assert_eq!(message(open(&lie, ".glb")), "node 1 shows mesh 7, of 2");
+}
+
+#[test]
 fn normals_that_meshes_share_become_the_mean_or_stay() {
     let mut glb = Glb::default();
     glb.positions(&points(6));

@@ -287,10 +287,18 @@ fn what_is_wrong_is_named_with_its_line() {
     assert_eq!(bad(&long), "line 2 is longer than 16 MiB");
     let beyond = "is beyond the type double";
     assert_eq!(bad("v 1 2 3\nv -1e999 2 3\n"), format!("line 2: vertex 1: \"-1e999\" {beyond}"));
-    assert_eq!(bad("v 1 2 3\nvn 0 0 1e999\n"), format!("line 2: vertex 0: \"1e999\" {beyond}"));
+    assert_eq!(bad("v 1 2 3\nvn 0 0 1e999\n"), format!("line 2: normal 0: \"1e999\" {beyond}"));
     let apart = "v 1 2 3\nv 1 2 3\nvn 0 0 1\nvn 0 1e999 1\n";
     assert_eq!(bad(apart), format!("line 4: normal 1: \"1e999\" {beyond}"));
     go_over(b"v inf nan 0\nv 0 0 0\nvt 1e999 0\n", ".obj").unwrap();
+    // Normals of corners are not read to sample a model, and not found wrong only when it is written.
+    for word in ["1e999".to_owned(), "-1E+0400".to_owned(), "9".repeat(310)] {
+        let shared = format!("v 1 2 3\nv 4 5 6\nvn 0 0 1e-300\n\nvn 0 {word} 1\nf 1//1 2//1 1//1\n");
+        let error = open(shared.as_bytes(), ".obj").err().unwrap();
+        assert!(error.to_string().contains("line 5: normal 1: \""), "{error}");
+        assert!(error.to_string().ends_with(beyond) && error.hint().starts_with("write a normal"), "{error}");
+    }
+    go_over(b"v 1 2 3\nvn 0 nan 1e+005\nf 1//1 1//1 1//1\n", ".obj").unwrap();
 }
 
 #[test]

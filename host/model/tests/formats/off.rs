@@ -36,6 +36,22 @@ fn letters_say_what_vertices_have() {
     assert_eq!(of("STCNOFF", "1 2 3 0 0 1 9 8 7 6 0.5 0.25"), is("STCNOFF", 2, "red green blue alpha s t"));
 }
 
+#[test]
+fn whole_numbers_of_colours_are_bytes() {
+    use simod_model::Type::{F64, U8};
+    let of = |letters: &str, lines: [&str; 2]| -> Vec<simod_model::Type> {
+        let text = format!("{letters}\n2 0 0\n{}\n{} # 1.5\n", lines[0], lines[1]);
+        let model = check_whole(text.as_bytes(), ".off");
+        model.info().attributes.iter().map(|a| a.kind).collect()
+    };
+    assert_eq!(of("COFF", ["1 2 3 1 0 0 1", "1 2 3 0 255 9 1"]), [U8; 4]);
+    assert_eq!(of("STCOFF", ["1 2 3 1 0 2 0.5 1", "1 2 3 0 255 9 1 0"]), [U8, U8, U8, F64, F64]);
+    // Fractions: none is more than 1, or one is no whole number; and no byte.
+    assert_eq!(of("COFF", ["1 2 3 1 0 0 1", "1 2 3 0 1 1 1"]), [F64; 4]);
+    assert_eq!(of("COFF", ["1 2 3 9 0 0", "1 2 3 0 1 0.5"]), [F64; 3]);
+    assert_eq!(of("COFF", ["1 2 3 9 0 0", "1 2 3 0 1 256"]), [F64; 3]);
+}
+
 /// As Geomview allows it, and ModelNet has it.
 #[test]
 fn the_first_word_may_be_glued_or_left_out() {

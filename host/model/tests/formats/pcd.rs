@@ -112,6 +112,26 @@ fn any_comment_may_come_first() {
 }
 
 #[test]
+fn the_mark_of_utf_8_is_kept() {
+    const MARK: &[u8] = b"\xef\xbb\xbf";
+    let headless = HEADER.split_once('\n').unwrap().1.split_once('\n').unwrap().1.len();
+    for bytes in [ascii(), binary(), binary()[HEADER.len() - headless..].to_vec()] {
+        let marked = [MARK, &bytes].concat();
+        let model = check_whole(&marked, ".data");
+        check_points(model.as_ref());
+        let how = Rewriting { normals: simod_model::Normals::Drop, ..Rewriting::default() };
+        let mut out = Written::default();
+        let keep = |_: &VertexChunk, _: &mut [Edited]| Ok(());
+        model.rewrite(&mut [&mut out], how, &keep, &Silent).unwrap();
+        assert!(out.0.starts_with(MARK));
+        assert!(!open(&out.0, ".data").unwrap().info().has_normals);
+    }
+    let packed = open(&[MARK, &compressed()].concat(), ".data").unwrap();
+    check_points(packed.as_ref());
+    assert!(rewrite(packed.as_ref(), |_| {}).unwrap() == [MARK, &binary()].concat());
+}
+
+#[test]
 fn all_encodings_hold_the_same_points() {
     for (bytes, name) in [(ascii(), "PCD 0.7, ascii"), (binary(), "PCD 0.7, binary")] {
         let model = check_whole(&bytes, ".data");

@@ -81,6 +81,34 @@ fn facets_are_what_was_written() {
     }
 }
 
+/// Breaks are blanks as others to the format.
+#[test]
+fn statements_may_stand_in_one_line() {
+    let facets = sheet(20);
+    let numbers = |model: &dyn Model| read(model).unwrap().0;
+    let expected = numbers(open(&ascii(&facets, "\n"), ".stl").unwrap().as_ref());
+    let upper = ascii(&facets, "\t").to_ascii_uppercase();
+    let divided = String::from_utf8(ascii(&facets, " ")).unwrap().replace("vertex\t", "vertex\n");
+    for text in [&ascii(&facets, " "), &upper, divided.as_bytes()] {
+        let model = check_whole(text, ".stl");
+        assert_eq!((model.info().faces, numbers(model.as_ref())), (800, expected.clone()));
+        let up = |p: DVec3| p + DVec3::Z * p.x;
+        let out = rewrite(model.as_ref(), |e| e.positions.iter_mut().for_each(|p| *p = up(*p))).unwrap();
+        let moved = open(&out, ".stl").unwrap();
+        let moved = numbers(moved.as_ref()).into_iter().zip(&expected);
+        assert!(moved.into_iter().all(|(new, old)| (new - up(*old)).length() < 1e-5));
+        let lines = |text: &[u8]| text.iter().filter(|b| **b == b'\n').count();
+        assert_eq!(lines(&out), lines(text));
+    }
+    let one = "solid facet normal 0 0 1 outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet endsolid";
+    check_whole(one.as_bytes(), ".stl");
+    // What is wrong is told as of lines.
+    for (from, to) in [("vertex 1 0 0", ""), ("endloop", "color 1 1 1"), ("1 0 0", "1 0"), ("endsolid", "")] {
+        let text = message(go_over(one.replacen(from, to, 1).as_bytes(), ".stl"));
+        assert!(text.starts_with("line 1: "), "{text}");
+    }
+}
+
 #[test]
 fn the_content_tells_what_it_is() {
     let facets = sheet(3);
