@@ -68,7 +68,7 @@ fn execute(arguments: WindowArguments) -> Result<()> {
         screenshot::write(&mut state, file, format)?;
     }
     if let Some(folder) = &arguments.turntable {
-        let shot = Shot::take(&mut state)?.formatted(turntable::of_film(format));
+        let shot = Shot::take(&state)?.formatted(turntable::of_film(format));
         turntable::write(&shot, folder, arguments.frames, &Silent)?;
         let command = turntable::film(folder, turntable::RATE, arguments.transparent);
         let _ = writeln!(std::io::stdout(), "film: {command}");

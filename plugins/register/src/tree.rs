@@ -1,6 +1,12 @@
 //! The nearest of a set of points: a k-d tree (J. Friedman, J. Bentley, R. Finkel, *An Algorithm for Finding
 //! Best Matches in Logarithmic Expected Time*, 1977), of the points themselves, each half way through its
 //! range.
+//!
+//! Why not kiddo's, on which other plugins stand: partners are the nearest points among those that are
+//! accepted, by their normals, and points at the same distance are told apart by their index. kiddo 6.3 has
+//! no filter, so that more and more neighbours would be asked for, and leaves ties open. 100 000 points of
+//! two sheets, one core: the nearest point in 0.4 µs, and 0.25 µs by kiddo; the nearest accepted one in 1.9
+//! and 1.5 µs; 10 and 5 ms to build.
 
 use glam::DVec3;
 

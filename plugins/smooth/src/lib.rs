@@ -94,8 +94,8 @@ fn filtered(
     let shortest = SHORTEST * 2.0 * laplacian.scale.sqrt() / diagonal;
     if size < shortest {
         host.warn(&format!(
-            "the samples lie too far apart to tell bumps of {size} of the diagonal: from {shortest:.1e} on they do; \
-             take more of them for finer ones"
+            "the samples lie too far apart to tell bumps of {size} of the diagonal: from {shortest:.1e} on \
+             they do; take more of them for finer ones"
         ));
     }
     let filter = Filter::low_pass((wave(size, diagonal) * laplacian.scale).min(1.0));

@@ -6,9 +6,12 @@ use crate::settings::WindowSettings;
 use simod_session::edit::Change;
 use simod_viewer::Command;
 
+/// Something that is to be done with the window.
+type WindowCommand = Box<dyn FnOnce(&mut Window)>;
+
 /// What is to be done with the window, first to last.
 #[derive(Default)]
-pub struct Commands(Vec<Box<dyn FnOnce(&mut Window)>>);
+pub struct Commands(Vec<WindowCommand>);
 
 impl Commands {
     /// Anything.

@@ -173,7 +173,7 @@ fn a_turntable_is_whole_or_not_there() {
     let commands = [Command::Open { path, sampling, recover: false }];
     let mut state = simod_viewer::replay(&commands, &plugins()).unwrap();
     let (plain, turn) = (folder.path().join("plain.png"), folder.path().join("turn"));
-    let shot = Shot::take(&mut state).unwrap();
+    let shot = Shot::take(&state).unwrap();
 
     let stopped = turntable::write(&shot, &turn, 5, &Until(2.into()));
     assert_eq!(stopped.unwrap_err().kind(), Error::cancelled().kind());
