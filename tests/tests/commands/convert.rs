@@ -184,8 +184,8 @@ fn colours_go_to_obj_and_off() {
     assert_eq!(report["lost"].as_array().map(Vec::len), Some(0));
     work.simod("convert back.ply again.off");
     assert_eq!(text("again.off"), off);
-    let header = String::from_utf8_lossy(&work.read("back.ply")).into_owned();
-    assert!(header.contains("property uchar red\n"), "{header}");
+    let back = String::from_utf8_lossy(&work.read("back.ply")).into_owned();
+    assert!(back.contains("property uchar red\n"), "{back}");
 
     work.refuses("convert bytes.ply bytes.obj", &["would lose: the attribute alpha (uchar)"]);
     work.simod("convert bytes.ply bytes.obj --lossy");

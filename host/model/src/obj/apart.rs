@@ -10,7 +10,7 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 
 use super::grammar::Obj;
-use super::lines::{Statement, values};
+use super::lines::{ENDS, Statement, values};
 use crate::cache::Cache;
 use crate::pipeline::{Piece, PieceVersion, Pieces, Rewritable};
 use crate::source::SourceFile;
@@ -49,7 +49,7 @@ fn cut(bytes: &[u8], count: u64) -> Option<usize> {
         return Some(0);
     }
     let is_normal = |line: &(usize, usize)| Statement::parse(&bytes[line.0..line.1]) == Statement::Normal;
-    lines(bytes, Obj::ENDS).filter(is_normal).nth(count as usize - 1).map(|(_, end)| end)
+    lines(bytes, ENDS).filter(is_normal).nth(count as usize - 1).map(|(_, end)| end)
 }
 
 impl ApartModel {
@@ -69,7 +69,7 @@ impl ApartModel {
             raw.clear();
             model.source.append_at(&mut raw, bytes.start, (bytes.end - bytes.start) as usize)?;
             let end = cut(&raw, OF_A_BLOCK).unwrap_or(raw.len());
-            let of_normals = lines(&raw[..end], Obj::ENDS).map(|(a, b)| &raw[a..b]);
+            let of_normals = lines(&raw[..end], ENDS).map(|(a, b)| &raw[a..b]);
             for line in of_normals.filter(|line| Statement::parse(line) == Statement::Normal) {
                 values(line).take(3).enumerate().for_each(|(c, (a, b))| survey.take(c, &line[a..b]));
             }
@@ -100,7 +100,7 @@ impl ApartModel {
     ) -> Result<()> {
         normals.clear();
         spans.clear();
-        for (start, end) in lines(raw, Obj::ENDS) {
+        for (start, end) in lines(raw, ENDS) {
             let line = &raw[start..end];
             if Statement::parse(line) != Statement::Normal {
                 continue;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::lines::{Statement, absolute, leading_integer, values};
+use super::lines::{ENDS, Statement, absolute, leading_integer, values};
 use crate::form::counted;
 use crate::model::NoFaces;
 use crate::text::faces::{FaceLines, LineFaces};
@@ -27,15 +27,10 @@ pub(crate) struct Obj {
     pub(super) others: BTreeMap<Vec<u8>, u64>,
 }
 
-impl Obj {
-    /// What ends the lines of OBJ.
-    pub(super) const ENDS: LineEnds = LineEnds::Continued;
-}
-
 impl Grammar for Obj {
     const EXTENSIONS: &[&str] = &["obj"];
     fn ends(&self) -> LineEnds {
-        Self::ENDS
+        ENDS
     }
 
     fn components(&self) -> usize {
@@ -72,7 +67,7 @@ impl Grammar for Obj {
     fn find(&self, raw: &[u8], spans: &mut Vec<[u32; 2]>) -> usize {
         let components = self.components();
         let (mut vertices, mut normals) = (0, 0);
-        for (start, end) in lines(raw, Self::ENDS) {
+        for (start, end) in lines(raw, ENDS) {
             let line = &raw[start..end];
             let at = match Statement::parse(line) {
                 Statement::Vertex => {
@@ -103,7 +98,7 @@ impl Grammar for Obj {
         if count == 0 {
             return Some(0);
         }
-        for (start, end) in lines(bytes, Self::ENDS) {
+        for (start, end) in lines(bytes, ENDS) {
             match Statement::parse(&bytes[start..end]) {
                 Statement::Vertex => vertices += 1,
                 Statement::Normal if self.beside => normals += 1,
@@ -151,7 +146,7 @@ impl<'a> ObjCorners<'a> {
 }
 
 impl FaceLines for ObjCorners<'_> {
-    const ENDS: LineEnds = Obj::ENDS;
+    const ENDS: LineEnds = super::lines::ENDS;
 
     fn seek(&mut self, offset: u64) -> Result<()> {
         if !self.model.grammar.is_relative {
@@ -162,7 +157,7 @@ impl FaceLines for ObjCorners<'_> {
         self.vertices = vertices;
         // From the end of the last vertex on, there is none.
         if start < blocks.end() {
-            let mut lines = Lines::new(source, start, offset, Self::ENDS);
+            let mut lines = Lines::new(source, start, offset, ENDS);
             while let Some((_, line)) = lines.next()? {
                 self.vertices += u64::from(Statement::parse(line) == Statement::Vertex);
             }

@@ -1,10 +1,12 @@
 //! Statements of OBJ, and their words.
 
-use super::grammar::Obj;
 use crate::source::SourceFile;
-use crate::text::lines::{lines, without_mark};
+use crate::text::lines::{LineEnds, lines, without_mark};
 use crate::text::{is_space, next_word, parse};
 use crate::{Result, Scalar};
+
+/// What ends the lines of OBJ.
+pub(super) const ENDS: LineEnds = LineEnds::Continued;
 
 /// What a line is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,7 +65,7 @@ pub(crate) fn is_obj(source: &SourceFile) -> Result<bool> {
     let mut start = Vec::new();
     source.append_at(&mut start, 0, START)?;
     let start = without_mark(&start);
-    let mut words = lines(start, Obj::ENDS)
+    let mut words = lines(start, ENDS)
         .map(|(a, b)| &start[a..b])
         .filter(|line| keyword(line).is_some_and(|w| w[0] != b'#'));
     Ok(words.next().is_some_and(|line| match keyword(line) {

@@ -4,8 +4,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::grammar::Obj;
-use super::lines::{Statement, normals_are_of_vertices, values};
+use super::lines::{ENDS, Statement, normals_are_of_vertices, values};
 use crate::source::SourceFile;
 use crate::text::blocks::{GAP, TextBlocks, TextBlocksBuilder};
 use crate::text::lines::{Lines, text_start, wrong_line};
@@ -108,7 +107,7 @@ impl NormalPairs {
 impl ObjScan {
     pub(super) fn from_source(source: &SourceFile) -> Result<Self> {
         let begin = text_start(source)?;
-        let mut lines = Lines::new(source, begin, u64::MAX, Obj::ENDS);
+        let mut lines = Lines::new(source, begin, u64::MAX, ENDS);
         let builder = || TextBlocksBuilder::new(begin, 1);
         let (mut vertices, mut normals) = (builder(), builder());
         let mut beside = NormalPairs { builder: Some(builder()), vertices: 0, normals: 0, start: begin };

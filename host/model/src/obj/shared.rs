@@ -13,7 +13,7 @@ use glam::DVec3;
 
 use super::apart::{ApartModel, ApartPieces, Sharing};
 use super::grammar::Obj;
-use super::lines::{Statement, absolute, leading_integer, values};
+use super::lines::{ENDS, Statement, absolute, leading_integer, values};
 use crate::cache::CachedContent;
 use crate::form::counted;
 use crate::pipeline::{PieceVersion, Pieces, Rewritable};
@@ -252,7 +252,7 @@ fn write_positions(model: &ApartModel, to: &Scratch, progress: &dyn Progress) ->
 /// Writes pairs of normals and vertices, sorted, from `start` on; returns where they end.
 fn write_pairs(model: &TextModel<Obj>, to: &Scratch, start: u64, progress: &dyn Progress) -> Result<u64> {
     let mut runs = Runs::new(to)?;
-    let mut lines = Lines::new(&model.source, text_start(&model.source)?, u64::MAX, Obj::ENDS);
+    let mut lines = Lines::new(&model.source, text_start(&model.source)?, u64::MAX, ENDS);
     let (mut vertices, mut normals, mut faces) = (0, 0, 0u64);
     while let Some((_, line)) = lines.next()? {
         match Statement::parse(line) {

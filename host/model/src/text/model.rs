@@ -306,7 +306,8 @@ impl<G: Grammar> TextModel<G> {
         }
     }
 
-    /// The bytes of the block that holds a vertex, where they begin, and how many of its vertices come before.
+    /// The bytes of the block that holds a vertex, where they begin, and how many vertices come before it
+    /// there.
     fn block_of(&self, vertex: u64) -> Result<Option<(Vec<u8>, u64, u64)>> {
         let Some((of, bytes)) = self.blocks.spread(usize::MAX).find(|block| block.0.contains(&vertex)) else {
             return Ok(None);
