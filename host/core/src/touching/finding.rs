@@ -428,20 +428,35 @@ const MOST_MET: usize = 256;
 /// The samples, ascending, among whose nearest are some on another sheet, if samples are at these positions
 /// (local coordinates): sheets meet there, though no cluster may hold vertices of both.
 ///
-/// Memory: 80 bytes per sample, and on each thread another one.
+/// Memory: 80 bytes per sample.
 ///
 /// # Errors
 /// A position is not finite.
 pub(crate) fn meeting(positions: Vec<Vec3>, parted: &Parted) -> Result<Vec<u32>> {
     let samples = SampleSet::new(positions, Vec::new())?;
     let nearest = samples.graph_to(NEAREST);
-    let meets = |ways: &mut Ways<'_>, sample: u32| {
+    let meets = |ring: &mut Vec<u32>, sample: u32| {
         let near = nearest.nearest_to(sample as usize);
-        !ways.lead_to_all(sample, near) && !are_met(parted, sample, near)
+        !are_beside(parted, sample, near, ring) && !are_met(parted, sample, near)
     };
     let all = (0..samples.len() as u32).into_par_iter().with_min_len(JOB);
-    let ways = || Ways::new(&samples.positions, parted);
-    Ok(all.map_init(ways, |ways, sample| meets(ways, sample).then_some(sample)).flatten().collect())
+    let found = all.map_init(Vec::new, |ring, sample| meets(ring, sample).then_some(sample));
+    Ok(found.flatten().collect())
+}
+
+/// Whether all of `near` are joined with a sample, or with one that is, as they mostly are: these are put
+/// into `ring`.
+fn are_beside(parted: &Parted, sample: u32, near: &[u32], ring: &mut Vec<u32>) -> bool {
+    ring.clear();
+    parted.each_joined(sample, |other| ring.push(other));
+    let is_beside = |j: &u32| {
+        let mut found = ring.contains(j);
+        if !found {
+            parted.each_joined(*j, |other| found |= ring.contains(&other));
+        }
+        found
+    };
+    near.iter().all(is_beside)
 }
 
 /// Whether all of `near` are met within [`STEPS`] from a sample, over samples that faces join.
@@ -488,11 +503,26 @@ fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLis
     open.iter().for_each(|(seed, _)| known[*seed as usize] = true);
     let (mut lists, mut others) = (SampleLists::new(), SampleLists::new());
     let mut left_out = Vec::new();
+    let distance = |i: u32, j: u32| samples.positions[i as usize].distance(samples.positions[j as usize]);
+    let look = |ways: &mut Ways<'_>, sample: u32, reach: f32| {
+        // Mostly short ways lead to as many as a list holds, without going round by others.
+        let near = samples.neighbours_about(sample as usize, reach, SHEET_NEIGHBOURS);
+        if ways.lead_to_all(sample, &near) {
+            return None;
+        }
+        // On a surface their number grows as the square of the distance does.
+        let more = (CROWDED_NEIGHBOURS as f32 / near.len().max(1) as f32).sqrt();
+        let reach = near.last().map_or(0.0, |last| distance(sample, *last));
+        let near = samples.neighbours_about(sample as usize, more * reach, CROWDED_NEIGHBOURS);
+        let mut same = ways.connected(sample, &near);
+        let others: Vec<u32> = without(&near, &same).collect();
+        same.truncate(SHEET_NEIGHBOURS);
+        (same[..] != near[..same.len()]).then_some(Crowded { sample, reach, near, same, others })
+    };
     while !open.is_empty() {
         let jobs = open.par_chunks(JOB).flat_map_iter(|some| {
             let mut ways = Ways::new(&samples.positions, parted);
-            let crowded = some.iter().filter_map(|(sample, reach)| ways.crowded(samples, *sample, *reach));
-            crowded.collect::<Vec<_>>()
+            some.iter().filter_map(|(sample, reach)| look(&mut ways, *sample, *reach)).collect::<Vec<_>>()
         });
         let found: Vec<Crowded> = jobs.collect();
         open.clear();
@@ -578,25 +608,6 @@ impl<'a> Ways<'a> {
         let places = vec![0; positions.len()];
         let (starts, joins, lengths) = Default::default();
         Self { positions, parted, places, starts, joins, lengths, most: 0.0 }
-    }
-
-    /// A sample near which sheets meet, if they do. About as many neighbours are within `reach` as a list may
-    /// have, if that is known.
-    fn crowded(&mut self, samples: &SampleSet, sample: u32, reach: f32) -> Option<Crowded> {
-        // Mostly short ways lead to as many as a list holds, without going round by others.
-        let near = samples.neighbours_about(sample as usize, reach, SHEET_NEIGHBOURS);
-        if self.lead_to_all(sample, &near) {
-            return None;
-        }
-        // On a surface their number grows as the square of the distance does.
-        let more = (CROWDED_NEIGHBOURS as f32 / near.len().max(1) as f32).sqrt();
-        let distance = |last: &u32| self.positions[sample as usize].distance(self.positions[*last as usize]);
-        let reach = near.last().map_or(0.0, distance);
-        let near = samples.neighbours_about(sample as usize, more * reach, CROWDED_NEIGHBOURS);
-        let mut same = self.connected(sample, &near);
-        let others: Vec<u32> = without(&near, &same).collect();
-        same.truncate(SHEET_NEIGHBOURS);
-        (same[..] != near[..same.len()]).then_some(Crowded { sample, reach, near, same, others })
     }
 
     /// Whether short ways are found at once from a sample to all those of `near`; they may be there if not.
