@@ -82,8 +82,8 @@ fn soup((body, part): (Body, Vec<f64>)) -> (Body, Vec<f64>) {
     (Body { positions, normals: Vec::new(), faces }, corners.iter().map(|v| part[*v]).collect())
 }
 
-/// Two spheres beside each other that touch, but for a gap, with their normals; and for each vertex whether it
-/// is of the second. No vertex is at a pole, nor where they touch.
+/// Two spheres beside each other that touch, but for a gap, with their normals; and for each vertex whether
+/// it is of the second. No vertex is at a pole, nor where they touch.
 fn spheres(gap: f64) -> (Body, Vec<f64>) {
     let (around, along) = (300, 150);
     let mut body = Body::default();
