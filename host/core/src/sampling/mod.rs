@@ -71,7 +71,7 @@ pub use splitting::Splitting;
 use crate::colors::{Picked, Picking};
 use crate::sampled_model::{SampledModel, SourceRecord, SourceTile};
 use crate::sampling::ranges::joined;
-use crate::touching::{self, Contacts, Islands, Parted, Parting};
+use crate::touching::{self, ClusterParts, Contacts, Islands, Parted, Parting};
 use counted::{CountKey, NonFinite, count_range};
 use deconvolution::Deconvolved;
 use density::SplitRule;
@@ -582,9 +582,8 @@ impl FaceResult {
         self.fit(read, sample_of, vertices)
     }
 
-    /// Parts the clusters of several sheets, if need be after a coarser cut, so that there are no more
-    /// samples than are wanted; which are others than before then. `welded` says that what is at one place is
-    /// joined already.
+    /// Finds where sheets meet, and parts the clusters that hold several; which are others than before then.
+    /// `welded` says that what is at one place is joined already.
     fn part_sheets(
         &mut self,
         read: &Read<'_>,
@@ -592,13 +591,32 @@ impl FaceResult {
         sample_of: &mut [u32],
         welded: bool,
     ) -> Result<Option<ClusterChanges>> {
-        let Read { sampling, parting, .. } = *read;
-        let parts = parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
-        if parts.is_empty() {
+        let parts = read.parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
+        let (mut parted, changed) = if parts.is_empty() {
+            drop(islands);
             self.triangles.put(sample_of);
-            return Ok(None);
+            (parts.part(&self.cut.positions, None, 0), None)
+        } else {
+            let (parted, changed) = self.part_clusters(read, parts, islands, sample_of)?;
+            (parted, Some(changed))
+        };
+        if parted.joins_any() {
+            parted.beside = touching::meeting(self.cut.positions.clone(), &parted)?;
         }
+        self.parted = Some(parted).filter(|parted| changed.is_some() || !parted.beside.is_empty());
+        Ok(changed)
+    }
 
+    /// Parts clusters of several sheets, if need be after a coarser cut, so that there are no more samples
+    /// than are wanted.
+    fn part_clusters(
+        &mut self,
+        read: &Read<'_>,
+        parts: ClusterParts,
+        islands: Islands,
+        sample_of: &mut [u32],
+    ) -> Result<(Parted, ClusterChanges)> {
+        let Read { sampling, parting, .. } = *read;
         let (mut most, mut becomes) = (usize::MAX, None);
         if let Target::Samples(n) = sampling.target {
             let n = usize::try_from(n).unwrap_or(usize::MAX);
@@ -631,8 +649,7 @@ impl FaceResult {
                 triangles::reindex(parting.model, sample_of, self.cut.samples(), wanted, parting.progress)?;
         }
         let changed = ClusterChanges::new(&parted, becomes, self.cut.samples());
-        self.parted = Some(parted);
-        Ok(Some(changed))
+        Ok((parted, changed))
     }
 
     /// Finds the triangles, and where the faces of each cell are, if they are wanted; what hangs together;
@@ -724,8 +741,10 @@ impl FaceResult {
             let members = VertexMembers { vertices, sample_of, at_one_place };
             // Where sheets meet, samples that come nearer to their own get into what is on the other side.
             let held = match &self.parted {
-                Some(parted) => touching::crowded(placed.iter().map(|placed| placed.at).collect(), parted)?,
-                None => Vec::new(),
+                Some(parted) if !parted.seeds.is_empty() => {
+                    touching::crowded(placed.iter().map(|placed| placed.at).collect(), parted)?
+                }
+                _ => Vec::new(),
             };
             fit::fit(placed, &self.cut.positions, triangles, members, &held, read.parting.progress)?;
         }

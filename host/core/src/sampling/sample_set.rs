@@ -88,11 +88,7 @@ impl SampleSet {
         }
         self.estimated.get_or_init(|| match self.neighbourhoods.get() {
             Some(around) => normals::completed(&self.positions, &self.known, &around.neighbours),
-            None => {
-                self.prepare_tree();
-                let near = NeighbourGraph::of_points(self.tree(), normals::NEIGHBOURS);
-                normals::completed(&self.positions, &self.known, &near)
-            }
+            None => normals::completed(&self.positions, &self.known, &self.graph_to(normals::NEIGHBOURS)),
         })
     }
 
@@ -276,10 +272,13 @@ impl SampleSet {
 
     #[inline]
     fn neighbourhoods(&self) -> &Neighbourhoods {
-        self.neighbourhoods.get_or_init(|| {
-            self.prepare_tree();
-            Neighbourhoods::new(&self.positions, NeighbourGraph::of_points(self.tree(), NEIGHBOURS))
-        })
+        self.neighbourhoods.get_or_init(|| Neighbourhoods::new(&self.positions, self.graph_to(NEIGHBOURS)))
+    }
+
+    /// The graph of all samples to at most `count` nearest neighbours. Takes jobs of the thread pool.
+    pub(crate) fn graph_to(&self, count: usize) -> NeighbourGraph {
+        self.prepare_tree();
+        NeighbourGraph::of_points(self.tree(), count)
     }
 
     /// Builds now, with jobs of the thread pool, the tree in which the nearest samples are looked up.

@@ -16,6 +16,7 @@ use simod_model::scratch::Scratch;
 
 use super::ADVICE;
 use super::contacts::{self, ContactLists, Contacts};
+use super::islands::STEPS;
 use super::parting::{Parted, Parting};
 use super::places::PlaceSamples;
 use super::sorter::Sorter;
@@ -36,9 +37,9 @@ const DETOUR: f32 = 1.5;
 const BATCH: usize = 1 << 14;
 
 impl Contacts {
-    /// The contacts of the samples of a model whose clusters were parted, of which `sample_of` says what
-    /// vertex belongs to which. `trees` has the samples of each cell. Where clusters were parted there are
-    /// contacts, though nothing may be near any more: so it is known that they were.
+    /// The contacts of the samples of a model in which sheets meet, of which `sample_of` says what vertex
+    /// belongs to which. `trees` has the samples of each cell. Where clusters were parted there are contacts,
+    /// though nothing may be near any more: so it is known that they were.
     ///
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
@@ -54,7 +55,10 @@ impl Contacts {
         let first = samples.len() - parted.added.len();
         let parted_from: Vec<[u32; 2]> =
             (first as u32..).zip(&parted.added).map(|(i, (of, ..))| [i, *of]).collect();
-        let (lists, others) = same_sheet(samples, parted);
+        let (lists, others) = same_sheet(samples, parted, &parted.all_seeds());
+        if lists.is_empty() && parted.moved.is_empty() {
+            return Ok(());
+        }
         let contacts = Self { lists: ContactLists::new(lists, parted_from), ..Self::default() };
         let places = contacts.exceptions(sampled, &others, sample_of, trees, parting)?;
         sampled.samples.set_contacts(Some(Self { places: Arc::new(places), ..contacts }));
@@ -415,6 +419,66 @@ struct Crowded {
 /// Samples that are looked at by one job.
 const JOB: usize = 256;
 
+/// The nearest neighbours of a sample among which another sheet is looked for: a ring, and some more.
+const NEAREST: usize = 8;
+
+/// Samples that are met from one, at most: more of them are around one that stands for much of a model.
+const MOST_MET: usize = 256;
+
+/// The samples, ascending, among whose nearest are some on another sheet, if samples are at these positions
+/// (local coordinates): sheets meet there, though no cluster may hold vertices of both.
+///
+/// Memory: 80 bytes per sample.
+///
+/// # Errors
+/// A position is not finite.
+pub(crate) fn meeting(positions: Vec<Vec3>, parted: &Parted) -> Result<Vec<u32>> {
+    let samples = SampleSet::new(positions, Vec::new())?;
+    let nearest = samples.graph_to(NEAREST);
+    let meets = |ring: &mut Vec<u32>, sample: u32| {
+        let near = nearest.nearest_to(sample as usize);
+        !are_beside(parted, sample, near, ring) && !are_met(parted, sample, near)
+    };
+    let all = (0..samples.len() as u32).into_par_iter().with_min_len(JOB);
+    let found = all.map_init(Vec::new, |ring, sample| meets(ring, sample).then_some(sample));
+    Ok(found.flatten().collect())
+}
+
+/// Whether all of `near` are joined with a sample, or with one that is, as they mostly are: these are put
+/// into `ring`.
+fn are_beside(parted: &Parted, sample: u32, near: &[u32], ring: &mut Vec<u32>) -> bool {
+    ring.clear();
+    parted.each_joined(sample, |other| ring.push(other));
+    let is_beside = |j: &u32| {
+        let mut found = ring.contains(j);
+        if !found {
+            parted.each_joined(*j, |other| found |= ring.contains(&other));
+        }
+        found
+    };
+    near.iter().all(is_beside)
+}
+
+/// Whether all of `near` are met within [`STEPS`] from a sample, over samples that faces join.
+fn are_met(parted: &Parted, sample: u32, near: &[u32]) -> bool {
+    let (mut met, mut from) = (vec![sample], 0);
+    for _ in 0..STEPS {
+        let to = met.len();
+        for i in from..to {
+            parted.each_joined(met[i], |other| {
+                if met.len() < MOST_MET && !met.contains(&other) {
+                    met.push(other);
+                }
+            });
+        }
+        if near.iter().all(|j| met.contains(j)) {
+            return true;
+        }
+        from = to;
+    }
+    false
+}
+
 /// The samples near which sheets meet, ascending, if samples are at these positions (local coordinates).
 ///
 /// Memory: 48 bytes per sample, and on each thread another one; the lists of neighbours of those that it
@@ -425,17 +489,17 @@ const JOB: usize = 256;
 pub(crate) fn crowded(positions: Vec<Vec3>, parted: &Parted) -> Result<Vec<u32>> {
     let samples = SampleSet::new(positions, Vec::new())?;
     samples.prepare_tree();
-    Ok(same_sheet(&samples, parted).0.into_keys().collect())
+    Ok(same_sheet(&samples, parted, &parted.seeds).0.into_keys().collect())
 }
 
 /// The neighbours on its sheet of each sample near which sheets meet, and those that are left out: going out
-/// from those that were parted, as far as the nearest samples are not all on the same one.
+/// from some where they do, as far as the nearest samples are not all on the same one.
 ///
 /// Memory: a byte per sample, and on each thread another one.
-fn same_sheet(samples: &SampleSet, parted: &Parted) -> (SampleLists, SampleLists) {
+fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLists, SampleLists) {
     let mut known = vec![false; samples.len()];
     // Each with how far neighbours of the one are from which it was gone on to.
-    let mut open: Vec<(u32, f32)> = parted.seeds.iter().map(|seed| (*seed, 0.0)).collect();
+    let mut open: Vec<(u32, f32)> = seeds.iter().map(|seed| (*seed, 0.0)).collect();
     open.iter().for_each(|(seed, _)| known[*seed as usize] = true);
     let (mut lists, mut others) = (SampleLists::new(), SampleLists::new());
     let mut left_out = Vec::new();

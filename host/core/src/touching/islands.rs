@@ -36,7 +36,7 @@ const LATEST: usize = 4;
 const REMEMBERED: usize = 1 << 10;
 
 /// Islands of a cluster that so many steps from island to island join are on one sheet.
-const STEPS: usize = 4;
+pub const STEPS: usize = 4;
 
 /// Islands, while faces come.
 ///
@@ -541,6 +541,11 @@ impl ClusterGraph {
     /// Number of clusters.
     pub fn clusters(&self) -> usize {
         self.firsts.len()
+    }
+
+    /// Whether no islands are joined.
+    pub fn is_empty(&self) -> bool {
+        self.joined.is_empty()
     }
 
     /// How many islands may have a number.

@@ -8,7 +8,9 @@
 //! for each (`parting`). [`Contacts`] keeps who is on whose sheet near such places, and of which sheet the
 //! vertices are that their position alone would put on another one.
 //!
-//! Where no cluster holds two sheets, nothing is kept: the samples tell the sheets apart by themselves.
+//! Two sheets may also meet in clusters beside each other, of which each holds but one, as normals part them
+//! first: there a sample has some among its nearest that faces do not join with it. Where there are none of
+//! either, nothing is kept: the samples tell the sheets apart by themselves.
 
 mod contacts;
 mod finding;
@@ -20,9 +22,9 @@ mod sorter;
 mod twins;
 
 pub use contacts::Contacts;
-pub(crate) use finding::{ContactVertices, Guides, crowded};
+pub(crate) use finding::{ContactVertices, Guides, crowded, meeting};
 pub(crate) use islands::Islands;
-pub(crate) use parting::{Parted, Parting};
+pub(crate) use parting::{ClusterParts, Parted, Parting};
 pub(crate) use twins::{FoundTwins, TwinSearch, Twins, may_be_there as twins_may_be_there};
 
 /// What the user can do where a temporary file has no room.

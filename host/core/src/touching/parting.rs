@@ -99,8 +99,10 @@ pub struct Parted {
     pub moved: Vec<(u32, Vec3, Vec3)>,
     /// The position and normal of each new sample, and the one that each was parted from.
     pub added: Vec<(u32, Vec3, Vec3)>,
-    /// Samples with a part of a cluster of several sheets.
+    /// Samples with a part of a cluster of several sheets, ascending.
     pub seeds: Vec<u32>,
+    /// Samples beside which clusters of other sheets lie, ascending.
+    pub beside: Vec<u32>,
 }
 
 impl Parting<'_> {
@@ -308,7 +310,19 @@ impl ClusterParts {
         islands_of.keys().for_each(|sample| has_own[*sample as usize] = true);
         let becomes = becomes.map(<[u32]>::to_vec);
         let graph = self.graph;
-        Parted { sample, cluster_of, becomes, has_own, islands_of, mixed, moved, added, seeds, graph }
+        Parted {
+            sample,
+            cluster_of,
+            becomes,
+            has_own,
+            islands_of,
+            mixed,
+            moved,
+            added,
+            seeds,
+            beside: Vec::new(),
+            graph,
+        }
     }
 
     /// The islands of all clusters of several sheets.
@@ -451,6 +465,19 @@ impl GivenSamples {
 }
 
 impl Parted {
+    /// The samples at which sheets meet, in one cluster or two, ascending.
+    pub fn all_seeds(&self) -> Vec<u32> {
+        let mut all = [&self.seeds[..], &self.beside].concat();
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+
+    /// Whether faces join any samples: they do not where they are a tangle.
+    pub fn joins_any(&self) -> bool {
+        !self.graph.is_empty()
+    }
+
     /// Notes in `sample_of` which sample each vertex belongs to now.
     pub fn renumber(&self, islands: &Islands, sample_of: &mut [u32]) {
         sample_of.par_iter_mut().enumerate().for_each(|(vertex, sample)| {

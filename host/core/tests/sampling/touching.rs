@@ -82,6 +82,60 @@ fn soup((body, part): (Body, Vec<f64>)) -> (Body, Vec<f64>) {
     (Body { positions, normals: Vec::new(), faces }, corners.iter().map(|v| part[*v]).collect())
 }
 
+/// Two spheres beside each other that touch, but for a gap, with their normals; and for each vertex whether
+/// it is of the second. No vertex is at a pole, nor where they touch.
+fn spheres(gap: f64) -> (Body, Vec<f64>) {
+    let (around, along) = (300, 150);
+    let mut body = Body::default();
+    for (side, first) in [(-1.0, 0), (1.0, around * along)] {
+        let ring = |i: u32| PI * (f64::from(i) + 0.5) / f64::from(along);
+        let out = |i: u32, j: u32| {
+            let (turn, rise) = (TAU * (f64::from(j) + 0.5) / f64::from(around), ring(i));
+            DVec3::new(turn.cos() * rise.sin(), turn.sin() * rise.sin(), -rise.cos())
+        };
+        let outs = (0..along).flat_map(|i| (0..around).map(move |j| (i, j))).map(|(i, j)| out(i, j));
+        let center = side * (1.0 + 0.5 * gap) * DVec3::X;
+        for out in outs {
+            body.positions.push(center + out);
+            body.normals.push(out.as_vec3());
+        }
+        for i in 0..along - 1 {
+            for j in 0..around {
+                let at = |i: u32, j: u32| first + i * around + j % around;
+                body.faces.push([at(i, j), at(i, j + 1), at(i + 1, j + 1)]);
+                body.faces.push([at(i, j), at(i + 1, j + 1), at(i + 1, j)]);
+            }
+        }
+    }
+    let half = body.positions.len() / 2;
+    let part = (0..2 * half).map(|v| f64::from(u32::from(v >= half))).collect();
+    (body, part)
+}
+
+/// Where a sample belongs, of two parts that no triangle of samples joins: to that of the sample farthest
+/// along x, or to the other one.
+fn of_triangles(sampled: &SampledModel) -> impl Fn(DVec3) -> f64 + use<> {
+    let places: Vec<DVec3> = sampled.samples.positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
+    let mut is_second = vec![false; places.len()];
+    let last = (0..places.len()).max_by(|a, b| places[*a].x.total_cmp(&places[*b].x)).unwrap();
+    (is_second[last], is_second[0]) = (true, last == 0);
+    let mut grows = true;
+    while grows {
+        grows = false;
+        for corners in &sampled.triangles {
+            let corners = corners.map(|i| i as usize);
+            if corners.iter().any(|i| is_second[*i]) && !corners.iter().all(|i| is_second[*i]) {
+                corners.iter().for_each(|i| is_second[*i] = true);
+                grows = true;
+            }
+        }
+    }
+    move |p| {
+        let at = places.iter().position(|place| *place == p).unwrap();
+        f64::from(u32::from(is_second[at]))
+    }
+}
+
 /// Where a sample belongs: how far its place goes with the second part. It lies at the surface of one of two
 /// tubes.
 fn of_rings(gap: f64) -> impl Fn(DVec3) -> f64 {
@@ -182,6 +236,32 @@ fn nobody_stays_and_nobody_follows() {
         assert!(share(&with, 0.5) < least && share(&with, 0.5) * times < share(&without, 0.5), "{name}");
         assert!(share(&with, 0.1) * times.min(5.0) < share(&without, 0.1), "{name}");
     }
+}
+
+/// Clusters are parted by their normals, or by a border of cells, before they hold vertices of both.
+#[test]
+fn parts_that_no_cluster_holds_two_of_come_apart() {
+    let sampling = |sheets| Sampling { target: Target::Samples(3000), ..sampling(sheets) };
+    let mut stay_without = 0;
+    for gap in [0.0, 1e-3, -0.02] {
+        let plain = |(body, part): (Body, Vec<f64>)| (body.without_normals(), part);
+        let cases = [
+            ("with normals", spheres(gap)),
+            ("without", plain(spheres(gap))),
+            ("single faces", soup(spheres(gap))),
+        ];
+        for (name, (body, part)) in cases {
+            let off = [true, false].map(|sheets| {
+                let sampled = body.sampled(sampling(sheets));
+                pulled(&sampled, &body, &part, &of_triangles(&sampled))
+            });
+            let [worst, without] = off.map(|off| off.into_iter().fold(0.0, f64::max));
+            println!("spheres {gap} apart, {name}: off by {worst:.1e} of the way, and {without:.1e} without");
+            assert!(worst < 1e-4, "{gap}, {name}: {worst}");
+            stay_without += usize::from(without > 0.3);
+        }
+    }
+    assert!(stay_without >= 6, "{stay_without} cases need to be told");
 }
 
 /// Parts that go one way lend each other samples, and those that a hinge joins where they touch do not.
