@@ -185,9 +185,9 @@ impl<S: Simd> LeastSquares<S> {
         is_more.select(t * t * splat(-2.0).mul_add(t, splat(3.0)), splat(0.0))
     }
 
-    /// How a fit with this ridge hears of a linear form of its terms, as the gradient in a direction: with e
-    /// the form, x = (A + λ W)⁻¹ e, and x·e; and where they could be found. Of data t(d) at the neighbours the
-    /// fit makes Σ w x·t(d) of that form, and λ W x·e is the part of it that is left to the prior.
+    /// How a fit with this ridge tells the slope e in a direction: x = (A + λ W)⁻¹ e, and x·e; and where they
+    /// could be found. Data r at the neighbours make Σ w r x·t(d) of it, t(d) the terms there. λ W x·e is the
+    /// part of a slope that is left to the prior.
     #[inline(always)]
     pub fn response(
         &self,

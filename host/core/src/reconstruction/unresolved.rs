@@ -9,11 +9,6 @@
 //! Wilson, *On the Experimental Attainment of Optimum Conditions*, 1951). How much the second order differs
 //! at a neighbour tells these, c(d) = (Qₖ − Q)(d, d) / 3.
 
-#![expect(
-    clippy::needless_range_loop,
-    reason = "vectors are compiled for the processor only where they are inlined"
-)]
-
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
