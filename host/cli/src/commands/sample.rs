@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use simod_core::guard::Guard;
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{By, Placement, Sampling, Skip, Splitting, sample};
+use simod_core::sampling::{By, Placement, Sampling, Skip, Splitting, Target, sample};
 use simod_model::target::folder_of;
 use simod_model::{ModelName, Result};
 use simod_session::session_file::SamplingTable;
