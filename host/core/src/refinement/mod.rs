@@ -37,7 +37,7 @@ use crate::sampling::grid::CellMap;
 use crate::sampling::kept_cells::{KeptCell, KeptCells};
 use crate::sampling::ranges::joined;
 use crate::sampling::{LEAST_MEMORY, Placement};
-use crate::touching::{ContactVertices, Guides};
+use crate::touching::{ContactVertices, Contacts, Guides, InheritedSheets};
 use appending::{Appended, append};
 use faces::ReadMembers;
 use gathering::{GatheredCell, Gathering};
@@ -600,9 +600,11 @@ impl RefinementCall<'_, '_> {
         let mut with_new = self.sampled.refined((positions, normals), triangles, kept, record)?;
         if let Some(contacts) = self.sampled.samples.contacts() {
             with_new.samples.prepare();
-            let mut contacts = contacts.refined(&with_new.samples, &origins, parted);
+            let before = self.sampled.samples.len();
+            let inherited = InheritedSheets { contacts, before, origins: &origins };
+            let mut contacts = Contacts::refined(&inherited, &with_new.samples, parted);
             if let Some(noted) = noted {
-                contacts = contacts.with_places(&with_new, noted, self.folder)?;
+                contacts = contacts.with_places(&inherited, &with_new, noted, self.folder)?;
             }
             with_new.samples.set_contacts(Some(contacts));
         }

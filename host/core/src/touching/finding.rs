@@ -2,7 +2,7 @@
 //! model's faces make; and looked up for vertices that are sampled again.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
@@ -19,7 +19,7 @@ use super::contacts::{self, ContactLists, Contacts};
 use super::islands::STEPS;
 use super::parting::{Parted, Parting};
 use super::places::PlaceSamples;
-use super::sorter::Sorter;
+use super::sorter::{HashedNumber, Sorter, hash_in, hash_of};
 use crate::geometry::sheet_distance;
 use crate::reconstruction::{CROWDED_NEIGHBOURS, RestGeometry, SHEET_NEIGHBOURS, TANGENT_RING, homes};
 use crate::sampled_model::SampledModel;
@@ -106,21 +106,18 @@ impl Contacts {
         PlaceSamples::build(places, sampled.samples.len(), parting.folder)
     }
 
-    /// What touches in a model that was refined: `samples`, of which those behind the ones that are known
-    /// each are on the sheet of one of `origins`. `parted` are those that no cell's tree has now, each with
-    /// one of its cluster that a tree has.
-    pub(crate) fn refined(&self, samples: &SampleSet, origins: &[u32], parted: Vec<[u32; 2]>) -> Self {
-        let before = samples.len() - origins.len();
-        let origin = |i: u32| (i as usize).checked_sub(before).map_or(i, |new| origins[new]);
-        let knows = |i: u32, j: u32| self.same_sheet(i as usize).is_some_and(|same| same.contains(&j));
+    /// What touches in a model that was refined: `samples`, which `inherited` says the sheets of. `parted` are
+    /// those that no cell's tree has now, each with one of its cluster that a tree has.
+    pub(crate) fn refined(
+        inherited: &InheritedSheets<'_>,
+        samples: &SampleSet,
+        parted: Vec<[u32; 2]>,
+    ) -> Self {
         let list = |i: u32| {
-            let own = origin(i);
-            self.same_sheet(own as usize)?;
+            let own = inherited.origin(i);
+            inherited.contacts.same_sheet(own as usize)?;
             let near = samples.nearest_neighbours(i as usize, CROWDED_NEIGHBOURS);
-            let is_same = |j: &u32| {
-                let other = origin(*j);
-                other == own || knows(own, other) || knows(other, own)
-            };
+            let is_same = |j: &u32| inherited.is_of(*j, own);
             let same: Vec<u32> = near.iter().copied().filter(is_same).take(SHEET_NEIGHBOURS).collect();
             let left_out: Vec<(u32, u32)> = left_out_by(i, &near, &same).collect();
             Some(((i, same), left_out))
@@ -128,13 +125,17 @@ impl Contacts {
         let found: Vec<_> = (0..samples.len() as u32).into_par_iter().filter_map(list).collect();
         let (mut lists, left_out): (BTreeMap<_, _>, Vec<_>) = found.into_iter().unzip();
         make_mutual(samples, left_out.concat(), &mut lists);
-        Self { lists: ContactLists::new(lists, parted), places: self.places.clone() }
+        Self { lists: ContactLists::new(lists, parted), places: inherited.contacts.places.clone() }
     }
 
     /// These contacts with the places of those vertices whose homes would be on another sheet than they were
-    /// on.
+    /// on, each with the sample of its sheet that is nearest now: the one that it had may be far off, as
+    /// samples are apart here.
+    ///
+    /// Memory: besides that of the places, some 16 bytes for each place that there was.
     pub(crate) fn with_places(
         self,
+        inherited: &InheritedSheets<'_>,
         sampled: &SampledModel,
         vertices: ContactVertices,
         folder: &Path,
@@ -142,7 +143,7 @@ impl Contacts {
         if vertices.bytes == 0 {
             return Ok(self);
         }
-        let mut all = Sorter::new(folder);
+        let (mut all, mut looked_at_again) = (Sorter::new(folder), HashSet::new());
         let near = self.near(&sampled.samples);
         let around = RestGeometry::new(&near.samples);
         let mut found = Vec::new();
@@ -150,14 +151,20 @@ impl Contacts {
             let in_model: Vec<DVec3> = positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
             homes(&around, &sampled.frame, &in_model, &mut found);
             for ((p, own), home) in positions.iter().zip(own).zip(&found) {
-                let place = near.place(*own).unwrap_or_default();
-                if !around.share_sheet(place as usize, *home) {
-                    all.push(PlaceSamples::entry(*p, *own))?;
+                if self.places.sample_at(*p).is_some() {
+                    looked_at_again.insert(hash_of(p.as_dvec3()));
+                }
+                if !inherited.is_of(near.numbers[*home as usize], *own) {
+                    let mut found = [0; CROWDED_NEIGHBOURS];
+                    let mut nearest = sampled.samples.nearest_ones(*p, &mut found);
+                    let nearest = nearest.find(|j| inherited.is_of(*j, *own)).unwrap_or(*own);
+                    all.push(PlaceSamples::entry(*p, nearest))?;
                 }
             }
             Ok(())
         })?;
-        self.places.all().iter().try_for_each(|place| all.push(*place))?;
+        let stays = |place: &&HashedNumber| !looked_at_again.contains(&hash_in(**place));
+        self.places.all().iter().filter(stays).try_for_each(|place| all.push(*place))?;
         let places = Arc::new(PlaceSamples::build(all, sampled.samples.len(), folder)?);
         Ok(Self { places, ..self })
     }
@@ -165,6 +172,31 @@ impl Contacts {
     /// The samples, of all of these, near which sheets meet, and those that homes there depend on.
     pub(crate) fn near(&self, samples: &SampleSet) -> Near {
         Near::new(samples, &self.lists)
+    }
+}
+
+/// The sheets of the samples of a refined model, by those that were there before.
+pub(crate) struct InheritedSheets<'a> {
+    /// What was known before.
+    pub contacts: &'a Contacts,
+    /// How many samples there were.
+    pub before: usize,
+    /// For each new sample one that was there, on its sheet.
+    pub origins: &'a [u32],
+}
+
+impl InheritedSheets<'_> {
+    /// The sample that was there on the sheet of one; itself, if it was there.
+    fn origin(&self, sample: u32) -> u32 {
+        (sample as usize).checked_sub(self.before).map_or(sample, |new| self.origins[new])
+    }
+
+    /// Whether a sample is known to be on the sheet of one that was there, and is near to it.
+    fn is_of(&self, sample: u32, own: u32) -> bool {
+        let other = self.origin(sample);
+        let knows =
+            |i: u32, j: u32| self.contacts.same_sheet(i as usize).is_some_and(|same| same.contains(&j));
+        other == own || knows(own, other) || knows(other, own)
     }
 }
 

@@ -22,7 +22,7 @@ mod sorter;
 mod twins;
 
 pub use contacts::Contacts;
-pub(crate) use finding::{ContactVertices, Guides, crowded, meeting};
+pub(crate) use finding::{ContactVertices, Guides, InheritedSheets, crowded, meeting};
 pub(crate) use islands::Islands;
 pub(crate) use parting::{ClusterParts, Parted, Parting};
 pub(crate) use twins::{FoundTwins, TwinSearch, Twins, may_be_there as twins_may_be_there};

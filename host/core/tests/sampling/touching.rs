@@ -82,9 +82,9 @@ fn soup((body, part): (Body, Vec<f64>)) -> (Body, Vec<f64>) {
     (Body { positions, normals: Vec::new(), faces }, corners.iter().map(|v| part[*v]).collect())
 }
 
-/// Two spheres beside each other that touch, but for a gap, with their normals; and for each vertex whether
-/// it is of the second. No vertex is at a pole, nor where they touch.
-fn spheres(gap: f64) -> (Body, Vec<f64>) {
+/// Two spheres, one beside the other in a direction, that touch, but for a gap, with their normals; and for
+/// each vertex whether it is of the second. There is a hole at each pole, and no vertex where they touch.
+fn spheres(beside: DVec3, gap: f64) -> (Body, Vec<f64>) {
     let (around, along) = (300, 150);
     let mut body = Body::default();
     for (side, first) in [(-1.0, 0), (1.0, around * along)] {
@@ -94,7 +94,7 @@ fn spheres(gap: f64) -> (Body, Vec<f64>) {
             DVec3::new(turn.cos() * rise.sin(), turn.sin() * rise.sin(), -rise.cos())
         };
         let outs = (0..along).flat_map(|i| (0..around).map(move |j| (i, j))).map(|(i, j)| out(i, j));
-        let center = side * (1.0 + 0.5 * gap) * DVec3::X;
+        let center = side * (1.0 + 0.5 * gap) * beside;
         for out in outs {
             body.positions.push(center + out);
             body.normals.push(out.as_vec3());
@@ -246,9 +246,9 @@ fn parts_that_no_cluster_holds_two_of_come_apart() {
     for gap in [0.0, 1e-3, -0.02] {
         let plain = |(body, part): (Body, Vec<f64>)| (body.without_normals(), part);
         let cases = [
-            ("with normals", spheres(gap)),
-            ("without", plain(spheres(gap))),
-            ("single faces", soup(spheres(gap))),
+            ("with normals", spheres(DVec3::X, gap)),
+            ("without", plain(spheres(DVec3::X, gap))),
+            ("single faces", soup(spheres(DVec3::X, gap))),
         ];
         for (name, (body, part)) in cases {
             let off = [true, false].map(|sheets| {
@@ -325,6 +325,25 @@ fn refined(sampled: &SampledModel, path: &Path, place: DVec3, radius: f64, finer
     let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
     let folder = path.parent().unwrap();
     refine(sampled, model.as_ref(), selection, &how, folder, &Silent).unwrap().sampled.unwrap()
+}
+
+/// In the end each vertex has a sample, and those of the other part are as near as the next one of its own.
+#[test]
+fn refinements_down_to_every_vertex_keep_parts_apart() {
+    let of = |p: DVec3| f64::from(u32::from(p.z > 0.0));
+    let (body, part) = spheres(DVec3::Z, 0.0);
+    for (name, body) in [("with normals", body.clone()), ("without", body.without_normals())] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.ply");
+        body.write(&path);
+        let mut sampled = sample_file(&path, Sampling { target: Target::Samples(3000), ..sampling(true) });
+        for (radius, error) in [(0.4, 5e-4), (0.15, 2e-4), (0.1, 0.0)] {
+            sampled = refined(&sampled, &path, DVec3::ZERO, radius, Finer::Error(error));
+            let worst = pulled(&sampled, &body, &part, &of).into_iter().fold(0.0, f64::max);
+            println!("spheres {name}, {} samples: off by {worst:.1e} of the way", sampled.samples.len());
+            assert!(worst < 1e-3, "{name}, {radius}: {worst}");
+        }
+    }
 }
 
 #[test]
