@@ -240,8 +240,15 @@ impl Cut {
             let trees = self.trees.iter().zip(&errors);
             trees.flat_map(move |(tree, errors)| tree.children.iter().zip(&**errors).filter_map(inner))
         };
-        let roots = self.samples() - splits().map(|(_, added)| added as usize).sum::<usize>();
-        let threshold = threshold_for(splits(), roots, target);
+        let added = |kept: bool| -> usize {
+            let splits = splits().filter(|(error, _)| !kept || error.is_infinite());
+            splits.map(|(_, added)| added as usize).sum()
+        };
+        let roots = self.samples() - added(false);
+        // Samples that stay keep those beside them. What may go does so by half at most.
+        let staying = roots + added(true);
+        let target = target.max(staying + (self.samples() - staying) / 2);
+        let threshold = threshold_for(splits(), roots, target).min(f32::MAX);
         let mut coarser = Self::default();
         let mut becomes = vec![u32::MAX; self.samples()];
         let (mut starts, mut inner) = (self.starts.iter(), self.inner.iter());

@@ -591,13 +591,20 @@ impl FaceResult {
         sample_of: &mut [u32],
         welded: bool,
     ) -> Result<Option<ClusterChanges>> {
-        let parts = read.parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
-        let (mut parted, changed) = if parts.is_empty() {
+        let mut parts = read.parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
+        let mut merged = None;
+        if let Some(n) = samples_wanted(read.sampling)
+            && let Some(fewer) = parts.fewer_clusters(self.cut.samples(), n)
+        {
+            merged = Some(self.merge_clusters(fewer, &mut islands, sample_of));
+            parts = read.parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
+        }
+        let (mut parted, changed) = if parts.is_empty() && merged.is_none() {
             drop(islands);
             self.triangles.put(sample_of);
             (parts.part(&self.cut.positions, None, 0), None)
         } else {
-            let (parted, changed) = self.part_clusters(read, parts, islands, sample_of)?;
+            let (parted, changed) = self.part_clusters(read, parts, merged, islands, sample_of)?;
             (parted, Some(changed))
         };
         if parted.joins_any() {
@@ -607,19 +614,30 @@ impl FaceResult {
         Ok(changed)
     }
 
+    /// Makes the clusters larger, about so many: which one each of them becomes.
+    fn merge_clusters(&mut self, fewer: usize, islands: &mut Islands, sample_of: &mut [u32]) -> Vec<u32> {
+        let (cut, becomes) = self.cut.coarser(fewer, |_| false);
+        self.cut = cut;
+        // There are vertices without a sample.
+        sample_of.par_iter_mut().for_each(|of| *of = becomes.get(*of as usize).copied().unwrap_or(*of));
+        looked_at(size_of_val(sample_of));
+        islands.merge(sample_of, self.cut.samples());
+        becomes
+    }
+
     /// Parts clusters of several sheets, if need be after a coarser cut, so that there are no more samples
-    /// than are wanted.
+    /// than are wanted. `merged` says which one each cluster became before that.
     fn part_clusters(
         &mut self,
         read: &Read<'_>,
         parts: ClusterParts,
+        merged: Option<Vec<u32>>,
         islands: Islands,
         sample_of: &mut [u32],
     ) -> Result<(Parted, ClusterChanges)> {
         let Read { sampling, parting, .. } = *read;
         let (mut most, mut becomes) = (usize::MAX, None);
-        if let Target::Samples(n) = sampling.target {
-            let n = usize::try_from(n).unwrap_or(usize::MAX);
+        if let Some(n) = samples_wanted(sampling) {
             let needed = parts.needed(n);
             if self.cut.samples() + needed > n {
                 let target = n.saturating_sub(needed).max(n.div_ceil(2));
@@ -648,6 +666,10 @@ impl FaceResult {
             self.triangles =
                 triangles::reindex(parting.model, sample_of, self.cut.samples(), wanted, parting.progress)?;
         }
+        let becomes = match (merged, becomes) {
+            (Some(merged), Some(becomes)) => Some(merged.iter().map(|of| becomes[*of as usize]).collect()),
+            (merged, becomes) => merged.or(becomes),
+        };
         let changed = ClusterChanges::new(&parted, becomes, self.cut.samples());
         Ok((parted, changed))
     }
@@ -753,6 +775,14 @@ impl FaceResult {
             self.triangles.tangled = false;
         }
         Ok(())
+    }
+}
+
+/// How many samples are wanted, if that is the target.
+fn samples_wanted(sampling: &Sampling) -> Option<usize> {
+    match sampling.target {
+        Target::Samples(n) => Some(usize::try_from(n).unwrap_or(usize::MAX)),
+        Target::Error(_) => None,
     }
 }
 

@@ -241,6 +241,20 @@ impl Islands {
         self.links = links;
     }
 
+    /// Goes on with coarser clusters, of which `sample_of` has that of each vertex: islands that are linked
+    /// within one are one. To be called when the [graph](Self::graph) is known.
+    pub fn merge(&mut self, sample_of: &[u32], clusters: usize) {
+        let sets = DisjointSets::new(&mut self.back);
+        self.links.retain(|[u, v]| {
+            let is_within = sample_of[*u as usize] == sample_of[*v as usize];
+            if is_within {
+                sets.unite(sets.first(*u), sets.first(*v));
+            }
+            !is_within
+        });
+        self.latest = vec![[[0; 2]; LATEST]; clusters];
+    }
+
     /// Two vertices are of one island of a cluster, as is known of other faces.
     pub fn unite_both(&mut self, u: u32, v: u32) {
         let sets = DisjointSets::new(&mut self.back);

@@ -31,6 +31,9 @@ const MOST_OF_ALL: usize = 32;
 /// Samples that may go to such parts in any case.
 const FEW: usize = 128;
 
+/// Where parts want more than one of so many samples, as those of a thin wall do, all clusters become larger.
+const MANY: usize = 4;
+
 /// Bytes of temporary files for each vertex while what is at the same position is joined.
 const BYTES_OF_A_PLACE: u64 = 20;
 
@@ -255,6 +258,14 @@ impl ClusterParts {
     pub fn needed(&self, samples: usize) -> usize {
         let (_, needed, alone) = self.decide(usize::MAX);
         needed.min(alone.max(samples / MOST_OF_ALL).max(FEW))
+    }
+
+    /// How many clusters there shall be instead of `clusters`, where so many hold several sheets that not each
+    /// of these could get one of `wanted` samples: so many fewer that they can.
+    pub fn fewer_clusters(&self, clusters: usize, wanted: usize) -> Option<usize> {
+        let (_, more, _) = self.decide(usize::MAX);
+        let fewer = (clusters as u128 * wanted as u128 / (clusters + more) as u128) as usize;
+        (more > wanted / MANY && clusters + more > wanted).then_some(fewer.max(1))
     }
 
     /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for those with

@@ -8,7 +8,7 @@ use glam::{DQuat, DVec3, Vec3};
 use simod_core::reconstruction::{DeformationField, Method, Moved, RestGeometry, carry};
 use simod_core::refinement::{Finer, Refining, SpaceSelection, refine};
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{Sampling, Skip, Target};
+use simod_core::sampling::{Placement, Sampling, Skip, Target};
 use simod_model::output::write_file;
 use simod_model::progress::Silent;
 
@@ -82,21 +82,20 @@ fn soup((body, part): (Body, Vec<f64>)) -> (Body, Vec<f64>) {
     (Body { positions, normals: Vec::new(), faces }, corners.iter().map(|v| part[*v]).collect())
 }
 
-/// Two spheres, one beside the other in a direction, that touch, but for a gap, with their normals; and for
-/// each vertex whether it is of the second. There is a hole at each pole, and no vertex where they touch.
-fn spheres(beside: DVec3, gap: f64) -> (Body, Vec<f64>) {
+/// Two spheres with holes at their poles, by their centers and radii, with their normals; and for each vertex
+/// whether it is of the second.
+fn two_spheres(of: [(DVec3, f64); 2]) -> (Body, Vec<f64>) {
     let (around, along) = (300, 150);
     let mut body = Body::default();
-    for (side, first) in [(-1.0, 0), (1.0, around * along)] {
+    for ((center, radius), first) in of.into_iter().zip([0, around * along]) {
         let ring = |i: u32| PI * (f64::from(i) + 0.5) / f64::from(along);
         let out = |i: u32, j: u32| {
             let (turn, rise) = (TAU * (f64::from(j) + 0.5) / f64::from(around), ring(i));
             DVec3::new(turn.cos() * rise.sin(), turn.sin() * rise.sin(), -rise.cos())
         };
         let outs = (0..along).flat_map(|i| (0..around).map(move |j| (i, j))).map(|(i, j)| out(i, j));
-        let center = side * (1.0 + 0.5 * gap) * beside;
         for out in outs {
-            body.positions.push(center + out);
+            body.positions.push(center + radius * out);
             body.normals.push(out.as_vec3());
         }
         for i in 0..along - 1 {
@@ -110,6 +109,12 @@ fn spheres(beside: DVec3, gap: f64) -> (Body, Vec<f64>) {
     let half = body.positions.len() / 2;
     let part = (0..2 * half).map(|v| f64::from(u32::from(v >= half))).collect();
     (body, part)
+}
+
+/// Two spheres, one beside the other in a direction, that touch, but for a gap. There is no vertex where they
+/// do.
+fn spheres(beside: DVec3, gap: f64) -> (Body, Vec<f64>) {
+    two_spheres([-1.0, 1.0].map(|side| (side * (1.0 + 0.5 * gap) * beside, 1.0)))
 }
 
 /// Where a sample belongs, of two parts that no triangle of samples joins: to that of the sample farthest
@@ -325,6 +330,27 @@ fn refined(sampled: &SampledModel, path: &Path, place: DVec3, radius: f64, finer
     let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
     let folder = path.parent().unwrap();
     refine(sampled, model.as_ref(), selection, &how, folder, &Silent).unwrap().sampled.unwrap()
+}
+
+/// Of a thin wall all clusters hold both sides, and normals do not tell.
+#[test]
+fn the_sides_of_a_thin_wall_come_apart() {
+    for thickness in [0.004, 0.02] {
+        let (body, part) = two_spheres([(DVec3::ZERO, 1.0), (DVec3::ZERO, 1.0 - thickness)]);
+        let body = body.without_normals();
+        let of = |p: DVec3| f64::from(u32::from(p.length() < 1.0 - 0.5 * thickness));
+        let off = |sheets| {
+            let target = Target::Samples(10_000);
+            let sampled =
+                body.sampled(Sampling { target, placement: Placement::Vertices, ..sampling(sheets) });
+            let samples = sampled.samples.len();
+            assert!((9_500..=10_000).contains(&samples), "{samples}");
+            pulled(&sampled, &body, &part, &of).into_iter().fold(0.0, f64::max)
+        };
+        let [worst, without] = [true, false].map(off);
+        println!("a wall of {thickness}: off by {worst:.1e} of the way, and {without:.1e} without sheets");
+        assert!(worst < 1e-4 && without > 0.3, "{thickness}: {worst}, {without}");
+    }
 }
 
 /// In the end each vertex has a sample, and those of the other part are as near as the next one of its own.
