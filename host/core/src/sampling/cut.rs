@@ -230,8 +230,8 @@ impl Cut {
     }
 
     /// A cut through the same trees of at most so many samples, if there are no fewer trees, and those that
-    /// shall `stay` are not more; and which of them has the clusters of each sample. What is above the cells
-    /// stays as it is.
+    /// shall `stay`, with half of all others, are not more; and which of them has the clusters of each sample.
+    /// What is above the cells stays as it is.
     pub fn coarser(&self, target: usize, stay: impl Fn(u32) -> bool) -> (Self, Vec<u32>) {
         let errors: Vec<Cow<'_, [f32]>> = self.trees.iter().map(|tree| raised(tree, &stay)).collect();
         let splits = || {
@@ -240,15 +240,17 @@ impl Cut {
             let trees = self.trees.iter().zip(&errors);
             trees.flat_map(move |(tree, errors)| tree.children.iter().zip(&**errors).filter_map(inner))
         };
-        let added = |kept: bool| -> usize {
-            let splits = splits().filter(|(error, _)| !kept || error.is_infinite());
+        let added = |stays: bool| -> usize {
+            let splits = splits().filter(|(error, _)| !stays || error.is_infinite());
             splits.map(|(_, added)| added as usize).sum()
         };
         let roots = self.samples() - added(false);
-        // Samples that stay keep those beside them. What may go does so by half at most.
-        let staying = roots + added(true);
-        let target = target.max(staying + (self.samples() - staying) / 2);
-        let threshold = threshold_for(splits(), roots, target).min(f32::MAX);
+        // Samples that stay keep those beside them. Of the others, no more than half go for their sake.
+        let least = match added(true) {
+            0 => 0,
+            staying => roots + staying + (self.samples() - roots - staying) / 2,
+        };
+        let threshold = threshold_for(splits(), roots, target.max(least)).min(f32::MAX);
         let mut coarser = Self::default();
         let mut becomes = vec![u32::MAX; self.samples()];
         let (mut starts, mut inner) = (self.starts.iter(), self.inner.iter());
