@@ -230,8 +230,8 @@ impl Cut {
     }
 
     /// A cut through the same trees of at most so many samples, if there are no fewer trees, and those that
-    /// shall `stay`, with half of all others, are not more; and which of them has the clusters of each sample.
-    /// What is above the cells stays as it is.
+    /// shall `stay`, with half of all others, are not more; and which of them has the clusters of each
+    /// sample. What is above the cells stays as it is.
     pub fn coarser(&self, target: usize, stay: impl Fn(u32) -> bool) -> (Self, Vec<u32>) {
         let errors: Vec<Cow<'_, [f32]>> = self.trees.iter().map(|tree| raised(tree, &stay)).collect();
         let splits = || {

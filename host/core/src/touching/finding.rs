@@ -106,8 +106,8 @@ impl Contacts {
         PlaceSamples::build(places, sampled.samples.len(), parting.folder)
     }
 
-    /// What touches in a model that was refined: `samples`, which `inherited` says the sheets of. `parted` are
-    /// those that no cell's tree has now, each with one of its cluster that a tree has.
+    /// What touches in a model that was refined: `samples`, whose sheets are `inherited`. `parted` are those
+    /// that no cell's tree has now, each with one of its cluster that a tree has.
     pub(crate) fn refined(
         inherited: &InheritedSheets<'_>,
         samples: &SampleSet,

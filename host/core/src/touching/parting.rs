@@ -260,8 +260,8 @@ impl ClusterParts {
         needed.min(alone.max(samples / MOST_OF_ALL).max(FEW))
     }
 
-    /// How many clusters there shall be instead of `clusters`, where so many hold several sheets that not each
-    /// of these could get one of `wanted` samples: so many fewer that they can.
+    /// How many clusters there shall be instead of `clusters`, where so many hold several sheets that not
+    /// each of these could get one of `wanted` samples: so many fewer that they can.
     pub fn fewer_clusters(&self, clusters: usize, wanted: usize) -> Option<usize> {
         let (_, more, _) = self.decide(usize::MAX);
         let fewer = (clusters as u128 * wanted as u128 / (clusters + more) as u128) as usize;
