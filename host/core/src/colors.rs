@@ -16,6 +16,7 @@ use simod_model::frame::Frame;
 use simod_model::mapped::looked_at;
 use simod_model::scratch::Scratch;
 use simod_model::{ColorScale, Colors, Model, Progress, Result, SMALL_CHUNK, VertexChunk};
+use xxhash_rust::xxh3::xxh3_64;
 
 use crate::sampling::KdTree;
 use crate::sampling::kd_tree::completed;
@@ -84,7 +85,8 @@ pub struct Pick {
 /// Which vertices are picked, and what their colours are.
 pub struct Picking {
     colors: ColorBytes,
-    /// One of so many is picked, from the first on.
+    /// The vertices of the file, so many at a time; one of each such run is picked, which one follows from its number's hash.
+    /// The first of each would be picked along stripes where the vertices are in rows.
     every: u64,
 }
 
@@ -111,17 +113,24 @@ impl Picking {
         lists: &mut ColorLists,
         to: &mut Vec<Pick>,
     ) -> Result<()> {
-        let skip = chunk.first.next_multiple_of(self.every) - chunk.first;
-        if skip >= chunk.len() as u64 {
+        let end = chunk.first + chunk.len() as u64;
+        let picked = (chunk.first / self.every..end.div_ceil(self.every)).map(|run| self.vertex(run));
+        let mut picked = picked.filter(|vertex| (chunk.first..end).contains(vertex)).peekable();
+        if picked.peek().is_none() {
             return Ok(());
         }
         model.some_attributes(chunk, &self.colors.colors.places, lists)?;
-        let some = (skip as usize..chunk.len()).step_by(self.every as usize);
-        to.extend(some.map(|i| {
+        to.extend(picked.map(|vertex| {
+            let i = (vertex - chunk.first) as usize;
             let [r, g, b] = self.colors.color(lists, i);
             Pick { position: frame.to_local(chunk.positions[i]), color: [r, g, b, 0] }
         }));
         Ok(())
+    }
+
+    /// The vertex that is picked of run number `run`. Of the last run, which may be shorter, it may be beyond the model.
+    fn vertex(&self, run: u64) -> u64 {
+        run * self.every + xxh3_64(&run.to_le_bytes()) % self.every
     }
 }
 
@@ -180,7 +189,7 @@ impl Picked {
             picks.truncate((self.written - first).min(BLOCK as u64) as usize);
             self.file.read_at(cast_slice_mut(&mut picks), first * size_of::<Pick>() as u64)?;
             let known = |i: usize| {
-                let vertex = (first + i as u64) * picking.every;
+                let vertex = picking.vertex(first + i as u64);
                 sample_of.and_then(|all| all.get(vertex as usize).copied())
             };
             means.add(&picks, known);
@@ -272,4 +281,46 @@ pub fn of_ranges(
     let mut colors = means.colors();
     colors.resize(positions.len() - first, [0; 3]);
     Ok(colors)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampling::{Sampling, Target, sample};
+    use simod_model::progress::Silent;
+
+    /// The rows of this model are as long as 20 runs of 15: the first of each run would be of 20 columns alone.
+    #[test]
+    fn colours_of_rows_are_those_around_each_sample() {
+        const SIDE: usize = 300;
+        let mut bytes = format!(
+            "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\n\
+             property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
+            SIDE * SIDE
+        )
+        .into_bytes();
+        for i in 0..SIDE * SIDE {
+            let at = [i % SIDE, i / SIDE].map(|x| x as f32 / (SIDE - 1) as f32);
+            [at[0], at[1], 0.0].map(f32::to_le_bytes).iter().for_each(|number| bytes.extend(number));
+            bytes.extend(at.map(|x| (255.0 * x).round() as u8));
+            bytes.push(7);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rows.ply");
+        std::fs::write(&path, bytes).unwrap();
+        let model = simod_model::open(&path).unwrap();
+        // One of 15 vertices is picked.
+        let sampling = Sampling { target: Target::Samples(750), ..Sampling::default() };
+        let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
+        assert_eq!(sampled.colors.len(), sampled.samples.len());
+        let off = |(p, color): (&Vec3, &[u8; 3])| {
+            assert_eq!(color[2], 7);
+            let p = sampled.frame.to_model(*p);
+            (255.0 * p.x - f64::from(color[0])).abs()
+        };
+        let off: Vec<f64> = sampled.samples.positions.iter().zip(&sampled.colors).map(off).collect();
+        let mean = off.iter().sum::<f64>() / off.len() as f64;
+        println!("{} samples, off by {mean:.2} in the mean", off.len());
+        assert!(mean < 1.5, "{mean}");
+    }
 }
