@@ -1,5 +1,5 @@
-//! Blocks of consecutive vertices: each finds its home, vertices of one home are put side by side, and the
-//! blend goes over them.
+//! Blocks of consecutive vertices, which are gone through part by part: each vertex finds its home, vertices of one
+//! home are put side by side, and the blend goes over them. Vertices in no order are put along a curve before.
 
 use glam::{DVec3, Mat3, UVec3, Vec3};
 use rayon::prelude::*;
@@ -12,15 +12,13 @@ use super::repeated::Repeated;
 use super::workspace::{GroupFill, HomeRun, NOWHERE, Workspace};
 use super::{DeformationField, Method, RestGeometry, Transport, VertexDiagnostics, projected_barycentric};
 
-/// Most vertices of a block that follow the surface: many, so that there are several of each home, and as few
-/// as stay in the cache.
+/// Most vertices that are carried over at a time: many, so that there are several of each home, and as few as
+/// stay in the cache.
 const BLOCK: usize = 1 << 14;
 
-/// Most vertices of a block that are in no order: many, so that those side by side on a curve are near …
+/// Most vertices of a block that are in no order, where blocks are dealt out to threads: so many that those
+/// which follow each other on a curve are near.
 const LARGE_BLOCK: usize = 1 << 16;
-
-/// … but a quarter less where more threads than these have a block each, for the sake of memory.
-const FEW_THREADS: usize = 12;
 
 /// Two of so many vertices are looked at to tell whether they are in order.
 const LOOKED_AT: usize = 16;
@@ -64,7 +62,8 @@ pub fn carry(
         // Before jobs ask for them.
         first.around.cells();
     }
-    blocks(positions, homes, moved).into_par_iter().for_each(|block| block.carry(fields, frame));
+    let most = most_of_block(positions, LARGE_BLOCK);
+    blocks(positions, homes, moved, most).into_par_iter().for_each(|block| block.carry(fields, frame));
 }
 
 /// Where points of the model (its coordinates) go.
@@ -76,9 +75,11 @@ pub fn carry_positions(field: &DeformationField<'_>, frame: &Frame, positions: &
 }
 
 /// Carries vertices over as [`carry`] does, by the thread that calls it. Where nothing is asked for but
-/// positions, those of vertices at one place are found once.
+/// positions, those of vertices at one place are found once. Vertices in no order are put in one as a whole: the
+/// more there are, the nearer are those that follow each other then.
 ///
-/// Memory: 28 bytes for each vertex, and 24 for each version, where places are [`Repeated`].
+/// Memory: 12 bytes for each vertex in no order; 28 for each, and 24 for each version, where places are
+/// [`Repeated`].
 pub fn carry_on_this_thread(
     fields: &[DeformationField<'_>],
     frame: &Frame,
@@ -91,15 +92,17 @@ pub fn carry_on_this_thread(
     };
     let is_by_place = homes.is_none() && moved.iter().all(places_alone);
     let Some(repeated) = is_by_place.then(|| Repeated::find(positions)).flatten() else {
-        blocks(positions, homes, moved).into_iter().for_each(|block| block.carry(fields, frame));
+        let most = most_of_block(positions, usize::MAX);
+        blocks(positions, homes, moved, most).into_iter().for_each(|block| block.carry(fields, frame));
         return;
     };
     let positions = repeated.gather(positions);
     let mut images: Vec<Vec<DVec3>> = moved.iter().map(|moved| repeated.gather(moved.positions)).collect();
     let of_places = |positions| Moved { positions, normals: &mut [], gradients: &mut [], figures: &mut [] };
     let mut of_places: Vec<Moved<'_>> = images.iter_mut().map(|images| of_places(images)).collect();
-    let mut counts = repeated.count.chunks(most_of_block(&positions));
-    for block in blocks(&positions, None, &mut of_places) {
+    let most = most_of_block(&positions, usize::MAX);
+    let mut counts = repeated.count.chunks(most);
+    for block in blocks(&positions, None, &mut of_places, most) {
         let counts = counts.next().unwrap_or_default();
         Block { counts, ..block }.carry(fields, frame);
     }
@@ -117,13 +120,13 @@ struct Block<'a> {
     moved: Vec<Moved<'a>>,
 }
 
-/// The blocks that vertices are divided into.
+/// The blocks that vertices are divided into, of at most so many.
 fn blocks<'a>(
     positions: &'a [DVec3],
     homes: Option<&'a [u32]>,
     moved: &'a mut [Moved<'_>],
+    most: usize,
 ) -> Vec<Block<'a>> {
-    let most = most_of_block(positions);
     let ranges = (0..positions.len()).step_by(most).map(|at| at..positions.len().min(at + most));
     let mut blocks: Vec<Block<'a>> = ranges
         .map(|range| Block {
@@ -148,25 +151,32 @@ fn blocks<'a>(
 
 impl Block<'_> {
     fn carry(self, fields: &[DeformationField<'_>], frame: &Frame) {
-        let Self { positions, homes, counts, moved } = self;
+        let Self { positions, homes, counts, mut moved } = self;
         let Some(around) = fields.first().map(|field| field.around) else { return };
+        for Moved { normals, .. } in &mut moved {
+            // As a rule those of splats are all zero, and stay it.
+            if normals.iter().all(|n| *n == Vec3::ZERO) {
+                *normals = &mut [];
+            }
+        }
         around.workspaces.with(|workspace| {
-            workspace.place(frame, positions);
-            match homes {
-                Some(homes) => workspace.take_homes(homes),
-                None => workspace.find_homes(around),
-            }
-            workspace.group(fields);
-            around.count(&workspace.grouped);
-            if !counts.is_empty() {
-                for run in workspace.runs.iter().filter(|run| run.place != NOWHERE) {
-                    let vertices = &workspace.order[run.range()];
-                    let more = vertices.iter().map(|i| u64::from(counts[*i as usize] - 1));
-                    around.count_more(run.home, more.sum());
+            workspace.for_parts(frame, positions, |workspace| {
+                match homes {
+                    Some(homes) => workspace.take_homes(homes),
+                    None => workspace.find_homes(around),
                 }
-            }
-            let versions = fields.iter().zip(moved);
-            versions.for_each(|(field, moved)| workspace.carry(field, frame, positions, moved));
+                workspace.group(fields);
+                around.count(&workspace.grouped);
+                if !counts.is_empty() {
+                    for run in workspace.runs.iter().filter(|run| run.place != NOWHERE) {
+                        let vertices = &workspace.order[run.range()];
+                        let more = vertices.iter().map(|i| u64::from(counts[*i as usize] - 1));
+                        around.count_more(run.home, more.sum());
+                    }
+                }
+                let versions = fields.iter().zip(&mut moved);
+                versions.for_each(|(field, moved)| workspace.carry(field, frame, positions, moved));
+            });
         });
     }
 }
@@ -176,23 +186,37 @@ pub fn homes(around: &RestGeometry<'_>, frame: &Frame, positions: &[DVec3], home
     homes.resize(positions.len(), 0);
     // Before jobs ask for them.
     around.cells();
-    let most = most_of_block(positions);
+    let most = most_of_block(positions, LARGE_BLOCK);
     let blocks = positions.par_chunks(most).zip(homes.par_chunks_mut(most));
     blocks.for_each(|(positions, homes)| {
         around.workspaces.with(|workspace| {
-            workspace.place(frame, positions);
-            workspace.find_homes(around);
-            let found = workspace.order.iter().zip(&workspace.homes);
-            found.for_each(|(vertex, home)| homes[*vertex as usize] = *home);
+            workspace.for_parts(frame, positions, |workspace| {
+                workspace.find_homes(around);
+                let found = workspace.order.iter().zip(&workspace.homes);
+                found.for_each(|(vertex, home)| homes[*vertex as usize] = *home);
+            });
         });
     });
 }
 
 impl Workspace {
-    /// Takes the positions of a block.
-    fn place(&mut self, frame: &Frame, positions: &[DVec3]) {
-        put_in_order(frame, positions, &mut self.order, &mut self.keys);
-        self.local.iter_mut().for_each(|x| x.resize(with_room(positions.len()), 0.0));
+    /// Takes the vertices of a block, some of those that are near to each other after the other, and does `work`
+    /// on each such part.
+    fn for_parts(&mut self, frame: &Frame, positions: &[DVec3], mut work: impl FnMut(&mut Self)) {
+        let mut all = std::mem::take(&mut self.block_order);
+        put_in_order(frame, positions, &mut all, &mut self.keys);
+        for part in all.chunks(BLOCK) {
+            self.place(frame, positions, part);
+            work(self);
+        }
+        self.block_order = all;
+    }
+
+    /// Takes some vertices of a block, in their order.
+    fn place(&mut self, frame: &Frame, positions: &[DVec3], part: &[u32]) {
+        self.order.clear();
+        self.order.extend_from_slice(part);
+        self.local.iter_mut().for_each(|x| x.resize(with_room(part.len()), 0.0));
         let [x, y, z] = &mut self.local;
         self.is_finite = true;
         for (((i, x), y), z) in self.order.iter().zip(x).zip(y).zip(z) {
@@ -212,11 +236,15 @@ impl Workspace {
         self.homes.extend(self.order.iter().map(|i| homes[*i as usize]));
     }
 
-    /// Carries the block over.
-    fn carry(&mut self, field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], moved: Moved<'_>) {
-        let Moved { positions: images, normals, gradients, figures } = moved;
-        // As a rule those of splats are all zero, and stay it.
-        let normals = if normals.iter().all(|n| *n == Vec3::ZERO) { &mut [][..] } else { normals };
+    /// Carries the part over.
+    fn carry(
+        &mut self,
+        field: &DeformationField<'_>,
+        frame: &Frame,
+        positions: &[DVec3],
+        moved: &mut Moved<'_>,
+    ) {
+        let Moved { normals, gradients, figures, .. } = moved;
         let turning = if gradients.is_empty() { &[][..] } else { &field.turning };
         let is_blend = field.method == Method::BlendedJets;
         if is_blend || !turning.is_empty() {
@@ -239,13 +267,12 @@ impl Workspace {
             self.grouped.is_within_range.clear();
         }
         let places_alone = gradients.is_empty() && figures.is_empty() && self.is_finite;
-        let mut moved = Moved { positions: images, normals, gradients, figures };
         for run in &self.runs {
             let within = run.grouped().and_then(|places| self.grouped.is_within_range.get(places));
             if places_alone && within.is_some_and(|within| within.iter().all(|is| *is > 0.0)) {
-                self.take(run, frame, &mut moved);
+                self.take(run, frame, moved);
             } else if !(places_alone && self.stays(run, field)) {
-                self.carry_one_by_one(run, field, frame, positions, &mut moved);
+                self.carry_one_by_one(run, field, frame, positions, moved);
             }
         }
     }
@@ -513,7 +540,7 @@ impl Workspace {
             if place == NOWHERE {
                 continue;
             }
-            // What an earlier block left is no group of this one, unless that group is of the same home.
+            // What an earlier part left is no group of this one, unless that group is of the same home.
             let group = &mut group_of[home as usize];
             if grouped.groups.get(*group as usize).is_some_and(|(of, _)| *of == home) {
                 filled[*group as usize].next += count;
@@ -556,15 +583,9 @@ fn local(frame: &Frame, p: DVec3) -> Vec3 {
     if is_finite(p) { frame.to_local(p) + 0.0 } else { Vec3::ZERO }
 }
 
-/// The most vertices of a block of these.
-fn most_of_block(positions: &[DVec3]) -> usize {
-    if is_in_order(positions) {
-        BLOCK
-    } else if rayon::current_num_threads() <= FEW_THREADS {
-        LARGE_BLOCK
-    } else {
-        LARGE_BLOCK / 4 * 3
-    }
+/// The most vertices of a block of these: `in_no_order` where they are in none.
+fn most_of_block(positions: &[DVec3], in_no_order: usize) -> usize {
+    if is_in_order(positions) { BLOCK } else { in_no_order.min(positions.len()).max(1) }
 }
 
 /// Whether most vertices are near to the one before, by some of them.

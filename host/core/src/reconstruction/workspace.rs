@@ -1,19 +1,21 @@
-//! Memory that is used again from block to block of vertices.
+//! Memory that is used again from part to part of a block of vertices, and from block to block.
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
 use super::blend::Grouped;
 
-/// Memory that is used again from block to block.
+/// Memory that is used again from part to part, and from block to block.
 ///
-/// About 100 bytes per vertex of a block, at most 400 if all homes have four, 16 per run of vertices that
-/// have one home, and 4 per sample.
+/// About 100 bytes per vertex of a part, at most 400 if all homes have four, 16 per run of vertices that
+/// have one home, and 4 per sample; 4 bytes per vertex of a block, and 8 more where these are in no order.
 #[derive(Debug, Default)]
 pub struct Workspace {
-    /// The vertices in the order in which they are gone through, and what it is found by.
-    pub order: Vec<u32>,
+    /// The vertices of a block in the order in which they are gone through, and what it is found by.
+    pub block_order: Vec<u32>,
     pub keys: Vec<u64>,
+    /// Those of the part that is gone through now.
+    pub order: Vec<u32>,
     /// Whether all of them have finite positions.
     pub is_finite: bool,
     /// Local coordinates, in this order, with room behind them …
@@ -22,7 +24,7 @@ pub struct Workspace {
     pub homes: Vec<u32>,
     /// Vertices that follow each other in this order and have one home.
     pub runs: Vec<HomeRun>,
-    /// For each sample, the group of which it is the home, if that group is of this block.
+    /// For each sample, the group of which it is the home, if that group is of this part.
     pub group_of: Vec<u32>,
     /// How far each group is filled.
     pub filled: Vec<GroupFill>,
