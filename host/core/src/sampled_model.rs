@@ -205,10 +205,15 @@ impl SourceRecord {
         self
     }
 
-    /// What the order of the vertices costs a reconstruction, if it is poor: more than half of them are in
-    /// another cell of the coarse grid than the one before.
+    /// Whether more than half of the vertices are in another cell of the coarse grid than the one before, as far
+    /// as that is known.
+    pub fn comes_in_no_order(&self) -> bool {
+        self.jumps.is_some_and(|jumps| jumps > self.vertices / 2)
+    }
+
+    /// What the order of the vertices costs a reconstruction, if they [come in none](Self::comes_in_no_order).
     pub fn cost_of_order(&self) -> Option<String> {
-        let jumps = self.jumps.filter(|jumps| self.vertices >= MANY && *jumps > self.vertices / 2)?;
+        let jumps = self.jumps.filter(|_| self.vertices >= MANY && self.comes_in_no_order())?;
         Some(format!(
             "the vertices come in no order in space ({:.0} % of them are in another cell than the one before): to \
              reconstruct them takes about {TIMES} times as long per vertex as in an order that follows the surface",

@@ -340,6 +340,9 @@ pub struct Rewriting {
     /// The pieces that alone are read, edited and written: a part of a file that can be
     /// [divided](Model::division).
     pub only: Option<PieceRange>,
+    /// Most consecutive pieces with vertices that are edited at a time, as one chunk, where the format can: it
+    /// pays where vertices are in no order. Zero is one. The file comes out in the same pieces.
+    pub pieces_at_once: u64,
 }
 
 /// Consecutive pieces of a model that is rewritten, by their numbers.
@@ -394,6 +397,20 @@ pub trait Output: Send {
     /// # Errors
     /// The piece cannot be written.
     fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()>;
+
+    /// Takes so many pieces that follow each other at once, as [`write_piece`](Self::write_piece) takes one.
+    ///
+    /// # Errors
+    /// They cannot be written.
+    fn write_pieces(
+        &mut self,
+        _pieces: u64,
+        bytes: &[u8],
+        source_bytes: u64,
+        summary: &Summary,
+    ) -> io::Result<()> {
+        self.write_piece(bytes, source_bytes, summary)
+    }
 
     /// The summaries of the pieces that are there already, as one.
     fn summary(&self) -> Summary {

@@ -83,6 +83,11 @@ pub(crate) trait Pieces: Send {
     /// Reads the bytes of the next piece into `chunk`, in the file's order.
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece>;
 
+    /// Reads those of up to `most` pieces with vertices, as one, and tells how many they are; or of another piece.
+    fn read_several(&mut self, chunk: &mut VertexChunk, _most: u64) -> Result<(Piece, u64)> {
+        Ok((self.read(chunk)?, 1))
+    }
+
     /// Passes over so many pieces at the beginning of a file that can be [divided](Rewritable::division),
     /// without reading them.
     fn skip(&mut self, _pieces: u64) -> Result<Skipped> {
@@ -145,7 +150,8 @@ pub(crate) fn rewrite(
         how,
         edit,
         progress,
-        most: (threads + WAITING) as u64,
+        most: threads as u64 * how.pieces_at_once.max(1) + WAITING as u64,
+        most_spare: (threads + WAITING) * versions,
         reading: Mutex::new(PieceReading { pieces, next: first, is_over: false }),
         queue: Mutex::new(Queue {
             writing: Some(PieceWriting {
@@ -191,8 +197,10 @@ struct RewriteCall<'a, 'o> {
     how: Rewriting,
     edit: &'a dyn Edit,
     progress: &'a dyn Progress,
-    /// Most pieces between reading and writing.
+    /// Most pieces between reading and writing; another chunk is read while there are fewer.
     most: u64,
+    /// Most buffers that are kept for chunks to come: no more than are in use at a time.
+    most_spare: usize,
     reading: Mutex<PieceReading<'a>>,
     queue: Mutex<Queue<'a, 'o>>,
     /// A piece was written, or the work is over.
@@ -234,6 +242,8 @@ struct PieceWriting<'a, 'o> {
 /// A piece as it goes to the outputs.
 #[derive(Default)]
 struct Ready {
+    /// For how many pieces it stands.
+    pieces: u64,
     /// The first of its vertices, if they were edited.
     edited: Option<u64>,
     /// Bytes that it took in the file.
@@ -260,10 +270,10 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
         let mut bench = PieceWorkspace::default();
         bench.edited.resize_with(self.versions, Edited::default);
         while self.may_take() {
-            let (number, piece) = self.read(&mut bench.chunk);
+            let (number, pieces, piece) = self.read(&mut bench.chunk);
             let done = piece.and_then(|piece| self.process(number, &piece, &mut bench));
             match done {
-                Ok(Some(ready)) => self.hand_in(number, ready),
+                Ok(Some(ready)) => self.hand_in(number, Ready { pieces, ..ready }),
                 Ok(None) => self.end(None),
                 Err(error) => self.end(Some((number, error))),
             }
@@ -285,28 +295,41 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
         }
     }
 
-    /// Reads the next piece, and its number.
-    fn read(&self, chunk: &mut VertexChunk) -> (u64, Result<Piece>) {
+    /// Reads the next piece, or several as one: the number of the first, and how many they are.
+    fn read(&self, chunk: &mut VertexChunk) -> (u64, u64, Result<Piece>) {
         if chunk.raw.is_empty() {
             chunk.raw = self.queue().spare.pop().unwrap_or_default();
         }
         let mut reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
         let number = reading.next;
-        if reading.is_over || self.how.only.and_then(|only| only.end) == Some(number) {
+        let end = self.how.only.and_then(|only| only.end);
+        if reading.is_over || end == Some(number) {
             reading.is_over = true;
-            return (number, Ok(Piece::End));
+            return (number, 1, Ok(Piece::End));
         }
-        let piece = self.progress.check().and_then(|()| reading.pieces.read(chunk)).and_then(|piece| {
+        // Those that are done already, and those that are not of this part, are not read with others.
+        let until = [Some(self.how.pieces_done).filter(|done| *done > number), end];
+        let most = until.into_iter().flatten().map(|until| until - number).min().unwrap_or(u64::MAX);
+        let most = self.how.pieces_at_once.clamp(1, most.max(1));
+        let read = |()| reading.pieces.read_several(chunk, most);
+        let (piece, pieces) = match self.progress.check().and_then(read) {
+            Ok((piece, pieces)) => (Ok(piece), pieces),
+            Err(error) => (Err(error), 1),
+        };
+        let piece = piece.and_then(|piece| {
             if let Piece::Vertices(vertices) = piece {
                 let is_edited = number >= self.how.pieces_done;
                 self.edit.begin(&RawChunk { first: chunk.first, vertices, bytes: &chunk.raw, is_edited })?;
             }
             Ok(piece)
         });
-        reading.next += 1;
+        reading.next += pieces;
         let goes_on = |piece: &Piece| !matches!(piece, Piece::End);
         reading.is_over = !piece.as_ref().is_ok_and(goes_on);
-        (number, piece)
+        drop(reading);
+        // One was taken before it was known how many there are.
+        self.queue().taken += pieces - 1;
+        (number, pieces, piece)
     }
 
     /// What a piece becomes; nothing at the end of the file.
@@ -389,9 +412,8 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
                 self.end(Some((next, error)));
             }
             queue = self.queue();
-            queue.written += 1;
-            // No more than are in use at a time.
-            if queue.spare.len() < self.most as usize * self.versions {
+            queue.written += ready.pieces;
+            if queue.spare.len() < self.most_spare {
                 queue.spare.extend(ready.versions);
             }
             self.moved.notify_all();
@@ -414,7 +436,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
             let Some(bytes) = made.as_ref().or(copied) else { break };
             let none = Summary::default();
             let summary = ready.summaries.get(version).unwrap_or(&none);
-            let written = output.write_piece(bytes, ready.source_bytes, summary);
+            let written = output.write_pieces(ready.pieces, bytes, ready.source_bytes, summary);
             written.map_err(|e| failed_write(self.file, e))?;
             before.absorb(summary);
         }

@@ -290,10 +290,20 @@ impl ResumableFile {
 
 impl Output for ResumableFile {
     fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
+        self.write_pieces(1, bytes, source_bytes, summary)
+    }
+
+    fn write_pieces(
+        &mut self,
+        pieces: u64,
+        bytes: &[u8],
+        source_bytes: u64,
+        summary: &Summary,
+    ) -> io::Result<()> {
         let mut write = || {
             self.file.write(bytes)?;
             self.hash.update(bytes);
-            self.pieces += 1;
+            self.pieces += pieces;
             self.end += bytes.len() as u64;
             self.since += source_bytes;
             self.summary.absorb(summary);

@@ -250,7 +250,17 @@ impl Output for ResumableFolder {
     }
 
     fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
-        let written = self.current()?.write_piece(bytes, source_bytes, summary);
+        self.write_pieces(1, bytes, source_bytes, summary)
+    }
+
+    fn write_pieces(
+        &mut self,
+        pieces: u64,
+        bytes: &[u8],
+        source_bytes: u64,
+        summary: &Summary,
+    ) -> io::Result<()> {
+        let written = self.current()?.write_pieces(pieces, bytes, source_bytes, summary);
         written.map_err(|e| self.repacked(e))
     }
 

@@ -619,7 +619,8 @@ impl Model for TiledModel {
         }
         let some = self.tiles.iter().enumerate().take(numbers.end as usize).skip(numbers.start as usize);
         for (number, part) in some {
-            let of_tile = Rewriting { normals: how.normals, ..Rewriting::default() };
+            let Rewriting { normals, pieces_at_once, .. } = how;
+            let of_tile = Rewriting { normals, pieces_at_once, ..Rewriting::default() };
             if (number as u64) < how.files_done {
                 // They are read for what they are compared with.
                 let nothing = Rewriting { pieces_done: u64::MAX, ..of_tile };

@@ -30,7 +30,7 @@ use simod_model::{
 use super::part_file::{PartContent, PartFile, PartRecord, PartTarget, copy, damaged, open, refused};
 use super::reach::check_reach;
 use super::stream::{check_targets, checked_targets, field, key};
-use super::transfer::{HashedModel, Surveys, Transfer, locked};
+use super::transfer::{HashedModel, Surveys, Transfer, locked, pieces_at_once};
 use super::{Folding, Reconstructed, Reconstruction, RestGeometry, Version};
 use crate::fingerprint::{BlockHash, HashedPart};
 use crate::sampled_model::SampledModel;
@@ -137,7 +137,9 @@ pub fn write_part(
     };
     progress.begin("reconstructing", bytes_of(model.bytes_to_rewrite()));
     let only = PieceRange { first: pieces.start, end: Some(pieces.end) };
-    let rewriting = Rewriting { normals: how.normals, only: Some(only), ..Rewriting::default() };
+    let pieces_at_once = pieces_at_once(sampled, fields.len());
+    let rewriting =
+        Rewriting { normals: how.normals, only: Some(only), pieces_at_once, ..Rewriting::default() };
     model.rewrite(&mut [&mut part], rewriting, &transfer, progress)?;
     let HashedModel::Part(hashed) =
         std::mem::replace(&mut *locked(&transfer.hash), HashedModel::Part(Default::default()))

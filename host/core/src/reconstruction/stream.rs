@@ -22,7 +22,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
-use super::transfer::{HashedModel, Surveys, Transfer, locked};
+use super::transfer::{HashedModel, Surveys, Transfer, locked, pieces_at_once};
 use super::{DeformationField, ExpectedError, Method, RestGeometry, kept_geometry};
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
@@ -356,8 +356,13 @@ impl<'a> ReconstructionCall<'a> {
             progress: self.progress,
         };
         self.progress.begin("reconstructing", self.model.bytes_to_rewrite());
-        let how =
-            Rewriting { normals: self.how.normals, files_done: done.0, pieces_done: done.1, only: None };
+        let how = Rewriting {
+            normals: self.how.normals,
+            files_done: done.0,
+            pieces_done: done.1,
+            only: None,
+            pieces_at_once: pieces_at_once(self.sampled, fields.len()),
+        };
         self.model.rewrite(&mut outputs, how, &transfer, self.progress)?;
         if let HashedModel::All(hash) = &*locked(&transfer.hash)
             && hash.fingerprint() != self.sampled.source.fingerprint

@@ -14,6 +14,23 @@ use super::block::carry_on_this_thread;
 use super::diagnostics::DiagnosticsFile;
 use super::{DeformationField, Moved, VertexDiagnostics};
 use crate::fingerprint::{HashedPart, VertexHash};
+use crate::sampled_model::SampledModel;
+
+/// Most pieces of vertices in no order that a thread takes at a time …
+const SCATTERED_AT_ONCE: u64 = 4;
+
+/// … and all threads and versions together, unless each has one: about 8 MB each.
+const SCATTERED_PIECES: u64 = 8;
+
+/// How many pieces of the model a thread takes at a time: one, or, where vertices come in no order in space, so
+/// many that several are near to each other among them.
+pub(super) fn pieces_at_once(sampled: &SampledModel, versions: usize) -> u64 {
+    if !sampled.source.comes_in_no_order() {
+        return 1;
+    }
+    let all = rayon::current_num_threads() * versions.max(1);
+    (SCATTERED_PIECES / all as u64).clamp(1, SCATTERED_AT_ONCE)
+}
 
 /// Transfers deformations of the same samples to chunks of their model, one for each version.
 pub(super) struct Transfer<'a> {

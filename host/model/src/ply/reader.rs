@@ -11,6 +11,9 @@ use crate::{CHUNK_VERTICES, Error, Result, VertexChunk, VertexReader, memory};
 /// A chunk ends with the vertex that reaches this many bytes, however few vertices that are.
 pub(super) const CHUNK_BYTES: usize = 4 << 20;
 
+/// Most bytes of several chunks that are read as one.
+const SEVERAL_BYTES: u64 = 8 << 20;
+
 /// Longest vertex record. Only a list, or a word without end, makes a longer one.
 const MAX_RECORD: usize = 16 << 20;
 
@@ -59,15 +62,14 @@ impl<'a> PlyReader<'a> {
         self.offset
     }
 
-    /// Reads the bytes of the next vertices, at most `limit`, which all have a length of `stride`.
+    /// Reads the bytes of the next `limit` vertices, which all have a length of `stride`.
     fn read_fixed(&mut self, chunk: &mut VertexChunk, stride: usize, limit: u64) -> Result<()> {
-        let count = limit.min((CHUNK_BYTES / stride).max(1) as u64);
-        let bytes = count as usize * stride;
+        let bytes = limit as usize * stride;
         memory::resize(&mut chunk.raw, bytes);
         if self.model.source.read_at(&mut chunk.raw, self.offset)? < bytes {
             return Err(self.ends_early(self.range.start));
         }
-        self.range.start += count;
+        self.range.start += limit;
         self.offset += bytes as u64;
         Ok(())
     }
@@ -136,11 +138,26 @@ impl<'a> PlyReader<'a> {
             }
             Some(stride) => {
                 chunk.spans.clear();
-                self.read_fixed(chunk, stride, limit)?;
+                self.read_fixed(chunk, stride, limit.min((CHUNK_BYTES / stride).max(1) as u64))?;
             }
             None => self.scan(chunk, limit)?,
         }
         Ok((self.range.start - chunk.first) as usize)
+    }
+
+    /// Reads the bytes of up to `most` whole chunks as one, where all vertices have the same length: how many
+    /// vertices these are, and how many chunks they would be. At most [`SEVERAL_BYTES`], or one chunk.
+    pub(super) fn read_pieces(&mut self, chunk: &mut VertexChunk, most: u64) -> Result<(usize, u64)> {
+        let Some(stride) = self.model.layout.stride.filter(|_| most > 1) else {
+            return Ok((self.read_bytes(chunk)?, 1));
+        };
+        let of_piece = Self::fixed_chunk(stride);
+        let most = most.min(SEVERAL_BYTES / (of_piece * stride as u64)).max(1);
+        let vertices = (self.range.end - self.range.start).min(most * of_piece);
+        chunk.first = self.range.start;
+        chunk.spans.clear();
+        self.read_fixed(chunk, stride, vertices)?;
+        Ok((vertices as usize, vertices.div_ceil(of_piece).max(1)))
     }
 
     fn ends_early(&self, vertex: u64) -> Error {

@@ -78,23 +78,27 @@ struct PlyPieces<'a> {
 
 impl Pieces for PlyPieces<'_> {
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
+        Ok(self.read_several(chunk, 1)?.0)
+    }
+
+    fn read_several(&mut self, chunk: &mut VertexChunk, most: u64) -> Result<(Piece, u64)> {
         let PlyModel { header, vertices_start, source, .. } = self.model;
         if std::mem::take(&mut self.drop_normals) {
             self.at = self.model.read_bytes(chunk, 0, header.len as usize)?;
             chunk.raw = (self.model.without_normals)(&chunk.raw);
-            return Ok(Piece::Bytes);
+            return Ok((Piece::Bytes, 1));
         }
         if self.at < *vertices_start {
             let wanted = (vertices_start - self.at).min(CHUNK_BYTES as u64) as usize;
             self.at += self.model.read_bytes(chunk, self.at, wanted)?;
-            return Ok(Piece::Bytes);
+            return Ok((Piece::Bytes, 1));
         }
         let walker = match &mut self.walker {
             Some(walker) => walker,
             None => {
-                let vertices = self.vertices.read_bytes(chunk)?;
+                let (vertices, pieces) = self.vertices.read_pieces(chunk, most)?;
                 if vertices > 0 {
-                    return Ok(Piece::Vertices(vertices));
+                    return Ok((Piece::Vertices(vertices), pieces));
                 }
                 self.at = self.vertices.offset();
                 let after = &header.elements[self.model.vertex + 1..];
@@ -105,11 +109,11 @@ impl Pieces for PlyPieces<'_> {
             self.at += self.model.read_bytes(chunk, self.at, CHUNK_BYTES)?;
             // Once it is done, it takes nothing: what follows is copied without being looked at.
             walker.feed(&chunk.raw).map_err(|what| source.malformed(what, DAMAGED))?;
-            return Ok(Piece::Bytes);
+            return Ok((Piece::Bytes, 1));
         }
         walker.finish().map_err(|what| source.malformed(what, CUT_OFF))?;
         source.check_unchanged()?;
-        Ok(Piece::End)
+        Ok((Piece::End, 1))
     }
 
     fn skip(&mut self, pieces: u64) -> Result<Skipped> {

@@ -74,16 +74,21 @@ impl Edit for Twist {
     }
 }
 
-fn write_range(model: &dyn Model, normals: Normals, only: Option<PieceRange>, out: &mut Part) -> Twist {
-    let edit = Twist::default();
-    model.rewrite(&mut [out], Rewriting { normals, only, ..Rewriting::default() }, &edit, &Silent).unwrap();
+fn write_range(
+    model: &dyn Model,
+    normals: Normals,
+    (only, pieces_at_once): (Option<PieceRange>, u64),
+    out: &mut Part,
+) -> Twist {
+    let (edit, how) = (Twist::default(), Rewriting { normals, only, pieces_at_once, ..Rewriting::default() });
+    model.rewrite(&mut [out], how, &edit, &Silent).unwrap();
     edit
 }
 
 /// Writes a model at once, and in so many parts: the same.
 fn check_parts(model: &dyn Model, normals: Normals) {
     let mut whole = Part::default();
-    let all = write_range(model, normals, None, &mut whole).raw.into_inner().unwrap();
+    let all = write_range(model, normals, (None, 0), &mut whole).raw.into_inner().unwrap();
     let Division { pieces, vertices, in_place } = model.division(normals).unwrap();
     assert!(vertices.end <= pieces && vertices.end - vertices.start >= 3, "{vertices:?} of {pieces}");
     for parts in [1, 2, 3, pieces] {
@@ -92,7 +97,7 @@ fn check_parts(model: &dyn Model, normals: Normals) {
             let [first, end] = [part, part + 1].map(|part| part * pieces / parts);
             let mut some = Part::default();
             let only = Some(PieceRange { first, end: Some(end) });
-            let Twist { behind, raw: of_part } = write_range(model, normals, only, &mut some);
+            let Twist { behind, raw: of_part } = write_range(model, normals, (only, 1 + part % 3), &mut some);
             assert!(!some.is_patched);
             if in_place {
                 assert_eq!(some.begins, file.bytes.len() as u64, "part {part} of {parts}");
@@ -104,7 +109,7 @@ fn check_parts(model: &dyn Model, normals: Normals) {
         }
         let before_rest = file.bytes.len() as u64;
         let rest = Some(PieceRange { first: pieces, end: None });
-        let told = write_range(model, normals, rest, &mut file).raw.into_inner().unwrap();
+        let told = write_range(model, normals, (rest, 2), &mut file).raw.into_inner().unwrap();
         assert!(told.is_empty());
         assert!(!in_place || file.begins == before_rest);
         assert!(raw == all, "{parts} parts read other vertices");

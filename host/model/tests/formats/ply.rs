@@ -714,6 +714,57 @@ fn pieces_that_are_done_are_read_alone() {
     }
 }
 
+/// Pieces that are edited as one are counted as many, and do not reach over what is done.
+#[test]
+fn pieces_that_are_edited_at_once_stay_what_they_are() {
+    let spec = Spec { faces: Faces::Mixed, element_before: true, ..Spec::new(Little) };
+    let model = open(&spec.build(&grid(4 * CHUNK_VERTICES + 5))).unwrap();
+    let normals = Normals::Transform;
+    let (mut apart, counting) = (Pieces::default(), Counting::default());
+    model
+        .rewrite(&mut [&mut apart], Rewriting { normals, ..Rewriting::default() }, &counting, &Silent)
+        .unwrap();
+    let chunks = counting.edited.into_inner();
+    assert!(chunks >= 5);
+    for pieces_at_once in [2, 3, 100] {
+        for done in 0..=apart.0.len() {
+            let (mut out, counting) = (CountedPieces::default(), Counting::default());
+            let how = Rewriting { normals, pieces_done: done as u64, pieces_at_once, ..Rewriting::default() };
+            model.rewrite(&mut [&mut out], how, &counting, &Silent).unwrap();
+            assert_eq!((done as u64 + out.pieces) as usize, apart.0.len());
+            assert!(out.bytes == apart.0[done..].concat(), "{pieces_at_once} at once, after {done}");
+            assert!(done > 0 || counting.edited.into_inner() < chunks);
+        }
+    }
+}
+
+/// What it was given, and how many pieces it was told that this is.
+#[derive(Default)]
+struct CountedPieces {
+    bytes: Vec<u8>,
+    pieces: u64,
+}
+
+impl Output for CountedPieces {
+    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
+        self.write_pieces(1, bytes, source_bytes, summary)
+    }
+
+    fn write_pieces(&mut self, pieces: u64, bytes: &[u8], _: u64, _: &Summary) -> io::Result<()> {
+        self.bytes.extend_from_slice(bytes);
+        self.pieces += pieces;
+        Ok(())
+    }
+
+    fn patch(&mut self, _at: u64, _bytes: &[u8]) -> io::Result<()> {
+        unreachable!("nothing of PLY is replaced")
+    }
+
+    fn finish(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
 /// Moves all vertices, and counts what it is told of.
 #[derive(Default)]
 struct Counting {
