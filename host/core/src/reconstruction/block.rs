@@ -204,7 +204,7 @@ impl Workspace {
     /// on each such part.
     fn for_parts(&mut self, frame: &Frame, positions: &[DVec3], mut work: impl FnMut(&mut Self)) {
         let mut all = std::mem::take(&mut self.block_order);
-        put_in_order(frame, positions, &mut all, &mut self.keys);
+        put_in_order(frame, positions, &mut all);
         for part in all.chunks(BLOCK) {
             self.place(frame, positions, part);
             work(self);
@@ -599,7 +599,9 @@ fn is_in_order(positions: &[DVec3]) -> bool {
 
 /// Puts the numbers of vertices in an order in which those near to each other are mostly side by side: along
 /// a curve of Morton's, unless they are so as they are.
-fn put_in_order(frame: &Frame, positions: &[DVec3], order: &mut Vec<u32>, keys: &mut Vec<u64>) {
+///
+/// Memory: 8 bytes for each meanwhile.
+fn put_in_order(frame: &Frame, positions: &[DVec3], order: &mut Vec<u32>) {
     order.clear();
     order.extend(0..positions.len() as u32);
     if is_in_order(positions) {
@@ -610,11 +612,10 @@ fn put_in_order(frame: &Frame, positions: &[DVec3], order: &mut Vec<u32>, keys: 
     let high = local().fold(Vec3::NEG_INFINITY, Vec3::max);
     let size = (high - low).max_element();
     let steps = (1 << MORTON_BITS) as f32 * 0.999 / size;
-    keys.clear();
     let key = |p: Vec3| u64::from(morton(((p - low) * steps).as_uvec3())) << 32;
-    keys.extend(local().zip(0u64..).map(|(p, i)| key(p) | i));
+    let mut keys: Vec<u64> = local().zip(0u64..).map(|(p, i)| key(p) | i).collect();
     keys.sort_unstable();
-    order.iter_mut().zip(keys).for_each(|(to, key)| *to = *key as u32);
+    order.iter_mut().zip(keys).for_each(|(to, key)| *to = key as u32);
 }
 
 /// The bits of three coordinates in turn.

@@ -17,10 +17,10 @@ use crate::fingerprint::{HashedPart, VertexHash};
 use crate::sampled_model::SampledModel;
 
 /// Most pieces of vertices in no order that a thread takes at a time …
-const SCATTERED_AT_ONCE: u64 = 4;
+const SCATTERED_AT_ONCE: u64 = 3;
 
 /// … and all threads and versions together, unless each has one: about 8 MB each.
-const SCATTERED_PIECES: u64 = 8;
+const SCATTERED_PIECES: u64 = 16;
 
 /// How many pieces of the model a thread takes at a time: one, or, where vertices come in no order in space, so
 /// many that several are near to each other among them.

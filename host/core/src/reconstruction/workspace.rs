@@ -8,12 +8,11 @@ use super::blend::Grouped;
 /// Memory that is used again from part to part, and from block to block.
 ///
 /// About 100 bytes per vertex of a part, at most 400 if all homes have four, 16 per run of vertices that
-/// have one home, and 4 per sample; 4 bytes per vertex of a block, and 8 more where these are in no order.
+/// have one home, and 4 per sample; 4 bytes per vertex of a block.
 #[derive(Debug, Default)]
 pub struct Workspace {
-    /// The vertices of a block in the order in which they are gone through, and what it is found by.
+    /// The vertices of a block in the order in which they are gone through.
     pub block_order: Vec<u32>,
-    pub keys: Vec<u64>,
     /// Those of the part that is gone through now.
     pub order: Vec<u32>,
     /// Whether all of them have finite positions.
