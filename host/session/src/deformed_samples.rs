@@ -5,7 +5,8 @@ use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages};
 use crate::plugins::PluginRegistry;
 use crate::stack::PreparedStack;
 use crate::step::Step;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::deformed_normals;
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Progress, Result};
@@ -16,8 +17,8 @@ use std::sync::Arc;
 pub struct DeformedSamples {
     /// The model with its samples at rest, with those that steps appended.
     pub sampled: Arc<SampledModel>,
-    /// Local positions, one per sample, rounded to what a file of them holds.
-    pub positions: Vec<Vec3>,
+    /// One per sample, rounded to what a file of them holds.
+    pub positions: DeformedPositions,
     /// Unit normals, derived from the positions.
     pub normals: Vec<Vec3>,
     /// The exact map, where all plugins know it.
@@ -42,7 +43,28 @@ pub fn deform(
     let Evaluated { sampled, positions, statuses, stack, .. } =
         evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
     let messages = messages(statuses)?;
-    let positions = sampled.rounded(&positions);
-    let normals = deformed_normals(&sampled.samples, &positions);
+    let positions = rounded(&sampled, &positions, &stack, progress)?;
+    let normals = deformed_normals(&sampled.samples, &positions.local);
     Ok(DeformedSamples { sampled, positions, normals, stack, messages })
+}
+
+/// Deformed positions as a file of them holds them. Where all samples go far, what plugins give in single
+/// precision is coarse: where all plugins know their map, it is evaluated in double precision instead.
+///
+/// # Errors
+/// A plugin fails; the user cancelled.
+pub(crate) fn rounded(
+    sampled: &SampledModel,
+    positions: &[Vec3],
+    stack: &PreparedStack,
+    progress: &dyn Progress,
+) -> Result<DeformedPositions> {
+    let near = sampled.rounded(positions);
+    if near.is_unshifted() || !stack.can_evaluate() {
+        return Ok(near);
+    }
+    let mut places: Vec<DVec3> =
+        sampled.samples.positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
+    stack.evaluate_with(&mut places, progress)?;
+    Ok(sampled.rounded_places(places))
 }

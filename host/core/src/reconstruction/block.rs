@@ -248,6 +248,10 @@ impl Workspace {
                 self.carry_one_by_one(run, field, frame, positions, &mut moved);
             }
         }
+        if field.shift != DVec3::ZERO {
+            let all = moved.positions.iter_mut().filter(|p| p.is_finite());
+            all.for_each(|p| *p += field.shift);
+        }
     }
 
     /// Whether the vertices of a run stay where they are, in all versions: neither their home moves nor who

@@ -2,6 +2,7 @@
 
 use super::around::Around;
 use super::entry::{Entry, StepId};
+use crate::deformed_samples::rounded;
 use crate::deformer::{Message, OwnHandles, PluginWatch};
 use crate::key::Key;
 use crate::plugins::PluginRegistry;
@@ -110,7 +111,7 @@ impl Evaluated {
         messages(self.statuses)?;
         let mut model = self.sampled.open_source(model, progress)?;
         sidecar::follow(&mut *model, follow)?;
-        let deformed = self.sampled.rounded(&self.positions);
+        let deformed = rounded(&self.sampled, &self.positions, &self.stack, progress)?;
         let version = Version { deformed: &deformed, output, diagnostics: None };
         let known = turning_gradients(&self.sampled, &self.stack, model.as_ref(), progress)?;
         let how = Reconstruction { gradients: known.as_deref(), ..*how };

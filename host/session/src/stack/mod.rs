@@ -158,7 +158,7 @@ mod tests {
     /// Where a session's steps take its samples.
     fn deformed(session: &str, registry: &PluginRegistry, of: Arc<SampledModel>) -> Result<Vec<Vec3>> {
         let session = SessionFile::parse(session, Path::new("s.toml"))?;
-        Ok(deform(of, &session.steps, registry, Refinements::default(), &Silent)?.positions)
+        Ok(deform(of, &session.steps, registry, Refinements::default(), &Silent)?.positions.local)
     }
 
     /// Moves each sample to the mean of its neighbours and of the corners of its triangles.
