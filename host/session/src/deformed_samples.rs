@@ -5,7 +5,7 @@ use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages};
 use crate::plugins::PluginRegistry;
 use crate::stack::PreparedStack;
 use crate::step::Step;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::deformed_normals;
 use simod_core::sampled_model::SampledModel;
@@ -40,31 +40,10 @@ pub fn deform(
 ) -> Result<DeformedSamples> {
     let document = Document::new(steps.iter().cloned());
     let mut evaluation = Evaluation::new(sampled.into(), how);
-    let Evaluated { sampled, positions, statuses, stack, .. } =
-        evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
-    let messages = messages(statuses)?;
-    let positions = rounded(&sampled, &positions, &stack, progress)?;
+    let mut done = evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
+    let messages = messages(std::mem::take(&mut done.statuses))?;
+    let positions = done.rounded(progress)?;
+    let Evaluated { sampled, stack, .. } = done;
     let normals = deformed_normals(&sampled.samples, &positions.local);
     Ok(DeformedSamples { sampled, positions, normals, stack, messages })
-}
-
-/// Deformed positions as a file of them holds them. Where all samples go far, what plugins give in single
-/// precision is coarse: where all plugins know their map, it is evaluated in double precision instead.
-///
-/// # Errors
-/// A plugin fails; the user cancelled.
-pub(crate) fn rounded(
-    sampled: &SampledModel,
-    positions: &[Vec3],
-    stack: &PreparedStack,
-    progress: &dyn Progress,
-) -> Result<DeformedPositions> {
-    let near = sampled.rounded(positions);
-    if near.is_unshifted() || !stack.can_evaluate() {
-        return Ok(near);
-    }
-    let mut places: Vec<DVec3> =
-        sampled.samples.positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
-    stack.evaluate_with(&mut places, progress)?;
-    Ok(sampled.rounded_places(places))
 }
