@@ -952,6 +952,8 @@ impl SampledModel {
     }
 
     /// The same of deformed positions in the model's coordinates.
+    ///
+    /// Memory: 24 bytes per sample while it runs.
     pub fn rounded_places(&self, places: impl IntoIterator<Item = DVec3>) -> DeformedPositions {
         let places: Vec<DVec3> = places.into_iter().map(|p| rounded(p, self.position_type)).collect();
         DeformedPositions::new(&self.frame, &self.samples.positions, &places)
