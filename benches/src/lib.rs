@@ -9,6 +9,7 @@ pub mod scan;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use glam::{DQuat, DVec3, EulerRot, Vec3};
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::sampled_model::SampledModel;
 use simod_model::bounds::Bounds;
 
@@ -78,8 +79,8 @@ impl Map {
         }
     }
 
-    /// P_S*: the local positions of the samples after the map, as exact as a file of them holds.
-    pub fn deform(self, sampled: &SampledModel) -> Vec<Vec3> {
+    /// P_S*: the samples after the map, as exact as a file of them holds.
+    pub fn deform(self, sampled: &SampledModel) -> DeformedPositions {
         let frame = sampled.frame;
         let image = |p: &Vec3| frame.to_local(self.apply(&sampled.bounds, frame.to_model(*p)));
         sampled.rounded(&sampled.samples.positions.iter().map(image).collect::<Vec<_>>())

@@ -32,12 +32,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     // And whatever else one can do with points: they are in local coordinates, which the sampled model's
     // frame maps to the model's.
     let sampled = &deformed.sampled;
-    for p in &mut deformed.positions {
+    for p in &mut deformed.positions.local {
         p.x += 0.05 * (12.0 * p.y).sin();
     }
-    let normals = deformed_normals(&sampled.samples, &deformed.positions);
+    let normals = deformed_normals(&sampled.samples, &deformed.positions.local);
     sampled.write_deformed(output, &deformed.positions, &normals)?;
 
-    println!("{} samples deformed by {} plugin", deformed.positions.len(), steps.len());
+    println!("{} samples deformed by {} plugin", deformed.positions.local.len(), steps.len());
     Ok(())
 }

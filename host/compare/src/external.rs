@@ -111,9 +111,8 @@ pub(crate) fn write_given(
     sampled: &SampledModel,
     regions: &[Region],
 ) -> Result<()> {
-    let samples = &sampled.samples;
     if command.given.contains(&ProgramFile::Samples) {
-        sampled.write_deformed(files.samples, &samples.positions, samples.normals())?;
+        sampled.write_rest(files.samples)?;
     }
     if command.given.contains(&ProgramFile::Constraints) {
         write_file(files.constraints, constraints(sampled, regions).as_bytes())?;

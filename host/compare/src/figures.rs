@@ -3,8 +3,9 @@
 use crate::lengths::WithLengths;
 use crate::method::Deformed;
 use crate::record::{OnSamples, Pair};
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rayon::prelude::*;
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::sampled_model::SampledModel;
 use simod_measure::{
     Also, DetailRotation, Details, Difference, DistanceSurface, Distances, Edges, Energies, OpenMesh,
@@ -66,17 +67,18 @@ pub(crate) fn on_samples(deformed: &[&Deformed], progress: &dyn Progress) -> Res
         if triangles.is_empty() || deformed[..first].iter().any(|other| is_same(other)) {
             continue;
         }
-        let rest = in_diagonals(&one.sampled, &one.sampled.samples.positions);
+        let rest = one.sampled.samples.positions.iter().map(|p| p.as_dvec3());
+        let rest = in_diagonals(&one.sampled, rest);
         progress.check()?;
         let shape = AtRest::new(&rest, triangles);
-        let own: Vec<(usize, &[Vec3])> = deformed
+        let own: Vec<(usize, &DeformedPositions)> = deformed
             .iter()
             .enumerate()
             .filter(|(_, other)| is_same(other))
-            .filter_map(|(i, other)| Some((i, other.positions.as_deref()?)))
+            .filter_map(|(i, other)| Some((i, other.positions.as_ref()?)))
             .collect();
         for some in own.chunks(TOGETHER) {
-            let after: Vec<_> = some.iter().map(|(_, p)| in_diagonals(&one.sampled, p)).collect();
+            let after: Vec<_> = some.iter().map(|(_, p)| deformed_in_diagonals(&one.sampled, p)).collect();
             let measured = shape.measure(&after, progress)?;
             some.iter().zip(measured).for_each(|((i, _), one)| found[*i] = Some(one));
         }
@@ -211,10 +213,16 @@ fn positions(model: &dyn Model) -> Result<Vec<DVec3>> {
     Ok(positions)
 }
 
-/// Positions in the unit of all lengths.
-fn in_diagonals(sampled: &SampledModel, positions: &[Vec3]) -> Vec<DVec3> {
+/// Local positions in the unit of all lengths.
+fn in_diagonals(sampled: &SampledModel, local: impl Iterator<Item = DVec3>) -> Vec<DVec3> {
     let scale = 1.0 / sampled.local_diagonal().max(f64::MIN_POSITIVE);
-    positions.iter().map(|p| p.as_dvec3() * scale).collect()
+    local.map(|p| p * scale).collect()
+}
+
+/// Deformed samples in the unit of all lengths.
+fn deformed_in_diagonals(sampled: &SampledModel, deformed: &DeformedPositions) -> Vec<DVec3> {
+    let shift = deformed.shift / sampled.frame.scale;
+    in_diagonals(sampled, deformed.local.iter().map(|p| p.as_dvec3() + shift))
 }
 
 /// Each two methods, of a model whose bounding box has the `diagonal`.
@@ -234,12 +242,12 @@ pub(crate) fn pairs(
     let mut ways: Vec<Option<Distances>> = vec![None; count * count];
     for (to, target) in deformed.iter().enumerate() {
         let Some(positions) = &target.positions else { continue };
-        let positions = in_diagonals(&target.sampled, positions);
+        let positions = deformed_in_diagonals(&target.sampled, positions);
         let Some(surface) = DistanceSurface::new(&positions, &target.sampled.triangles) else { continue };
         for (from, source) in deformed.iter().enumerate().filter(|(from, _)| *from != to) {
             let triangles = &source.sampled.triangles;
             if let Some(points) = source.positions.as_ref().filter(|_| !triangles.is_empty()) {
-                let points = in_diagonals(&source.sampled, points);
+                let points = deformed_in_diagonals(&source.sampled, points);
                 ways[from * count + to] = Some(surface.distances(&points, triangles, progress)?);
             }
         }

@@ -5,7 +5,7 @@ use crate::external::{self, Files, Ran, write_given};
 use crate::file::{CompareFile, ComparedMethod, MethodWork, ProgramMethod};
 use crate::lengths::WithLengths;
 use crate::record::{DeformationRecord, Figures, MethodRecord, ResultFile, RunSeconds, Seconds, words};
-use glam::Vec3;
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{ExpectedError, Reconstruction, RestGeometry, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
@@ -67,8 +67,8 @@ pub(crate) struct Deformed {
     /// What its files begin with.
     pub name: String,
     pub sampled: Arc<SampledModel>,
-    /// Positions of the samples, local; nothing where the method deforms none.
-    pub positions: Option<Vec<Vec3>>,
+    /// Positions of the samples; nothing where the method deforms none.
+    pub positions: Option<DeformedPositions>,
     /// The deformed model.
     pub output: PathBuf,
     /// The output was made here, and not by the user before.
@@ -131,7 +131,7 @@ impl TimedSamples {
 /// A run of a method.
 struct Once {
     sampled: Arc<SampledModel>,
-    positions: Option<Vec<Vec3>>,
+    positions: Option<DeformedPositions>,
     output: PathBuf,
     /// What the deformed model is in: `output`, or the tiles there.
     files: Vec<PathBuf>,
@@ -150,7 +150,7 @@ struct Once {
 /// Where samples went, by whatever.
 struct MethodSamples {
     sampled: Arc<SampledModel>,
-    positions: Vec<Vec3>,
+    positions: DeformedPositions,
     messages: Vec<Message>,
     /// The exact map, if the plugins know it.
     stack: Option<PreparedStack>,
@@ -468,9 +468,9 @@ impl<'a> Bench<'a> {
 
     /// Where a method has the samples go.
     fn moved(&self, known: &PreparedMethod<'_>, progress: &dyn Progress) -> Result<MethodSamples> {
-        let by_another = |positions: Vec<Vec3>, peak_memory_bytes| MethodSamples {
+        let by_another = |positions: DeformedPositions, peak_memory_bytes| MethodSamples {
             sampled: known.rest.clone(),
-            positions: known.rest.rounded(&positions),
+            positions: known.rest.rounded_places(positions.places(&known.rest.frame)),
             messages: Vec::new(),
             stack: None,
             prepare: None,

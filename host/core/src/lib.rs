@@ -13,6 +13,7 @@ pub mod attributes;
 pub mod colors;
 mod counting_sort;
 pub mod deformed_file;
+pub mod deformed_positions;
 pub mod detail;
 mod double_lanes;
 mod eigen_lanes;

@@ -178,7 +178,7 @@ impl Model {
             lossy,
             ..Running::default()
         };
-        let (sampled, local) = samples.get().now(py)?;
+        let (sampled, deformed) = samples.get().written(py)?;
         let ((written, seconds), notes) = work(py, progress, |watch| {
             let start = std::time::Instant::now();
             let mut guard = Guard::new(overwrite);
@@ -192,9 +192,8 @@ impl Model {
                 return Err(Error::system(what, hint));
             }
             let model = sampled.open_source(Some(&self.path), watch).map_err(moved)?;
-            let positions = sampled.rounded(&local);
             let written =
-                pipeline::write(&sampled, model, &positions, &out, &running, watch).map_err(moved)?;
+                pipeline::write(&sampled, model, &deformed, &out, &running, watch).map_err(moved)?;
             Ok((written, start.elapsed().as_secs_f64()))
         })?;
         let folded = written.folding.first().copied().flatten().map_or(0, |f| f.samples);

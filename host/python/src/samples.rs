@@ -9,6 +9,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyDict, PyTuple};
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::{DeformationField, Method, Moved, RestGeometry, carry, deformed_normals};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::sample as sample_model;
@@ -64,6 +65,19 @@ impl UndoMoment {
     fn new(sampled: Arc<SampledModel>, local: Arc<[Vec3]>, steps: Vec<String>) -> Self {
         let points = local.iter().map(|p| sampled.frame.to_model(*p)).collect();
         Self { sampled, local, points, steps }
+    }
+
+    /// Where the samples are. Near, local positions are exact.
+    fn deformed(&self) -> DeformedPositions {
+        let SampledModel { frame, samples, .. } = &*self.sampled;
+        let far = DeformedPositions::new(frame, &samples.positions, &self.points);
+        if far.is_unshifted() { self.local.to_vec().into() } else { far }
+    }
+
+    /// The same as it is written.
+    fn rounded(&self) -> DeformedPositions {
+        let deformed = self.deformed();
+        self.sampled.rounded_places(deformed.places(&self.sampled.frame))
     }
 
     /// Local positions of an array's.
@@ -135,6 +149,13 @@ impl Samples {
     pub fn now(&self, py: Python<'_>) -> PyResult<(Arc<SampledModel>, Arc<[Vec3]>)> {
         let UndoMoment { sampled, local, .. } = self.state(py).look(py)?;
         Ok((sampled, local))
+    }
+
+    /// The samples, and where they are now, as they are written.
+    pub fn written(&self, py: Python<'_>) -> PyResult<(Arc<SampledModel>, DeformedPositions)> {
+        let now = self.state(py).look(py)?;
+        let deformed = now.rounded();
+        Ok((now.sampled, deformed))
     }
 
     /// The state; who waits for it lets others have the interpreter's lock.
@@ -392,7 +413,8 @@ impl Samples {
         normals: Option<&Bound<'py, PyAny>>,
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Points<'py>, Option<Points<'py>>)> {
-        let (sampled, local) = self.now(py)?;
+        let now = self.state(py).look(py)?;
+        let (sampled, deformed) = (now.sampled.clone(), now.deformed());
         let rest = arrays::points("points", points, None)?;
         let normals = normals.filter(|normals| !normals.is_none());
         let normals = normals.map(|n| arrays::points("normals", n, Some(rest.len()))).transpose()?;
@@ -401,7 +423,7 @@ impl Samples {
         let ((moved, normals), _) = work(py, progress, |watch| {
             watch.begin("transferring", rest.len() as u64);
             let around = RestGeometry::kept(&sampled);
-            let field = [DeformationField::new(&around, &local, Method::default())];
+            let field = [DeformationField::of(&around, &deformed, Method::default())];
             let mut moved = rest.clone();
             let mut of_normals = normals.chunks_mut(BATCH);
             for (rest, positions) in rest.chunks(BATCH).zip(moved.chunks_mut(BATCH)) {
@@ -431,13 +453,12 @@ impl Samples {
     /// Writes the samples where they are now as a PLY file, which `simod reconstruct --deformed` takes, or
     /// any other program.
     fn write(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        let (sampled, local) = self.now(py)?;
+        let (sampled, deformed) = self.written(py)?;
         let write = || {
             let mut guard = simod_core::guard::Guard::default();
             guard.reads_all(sampled.source.files());
             guard.writes(&path, simod_core::guard::OutputKind::Model)?;
-            let positions = sampled.rounded(&local);
-            sampled.write_deformed(&path, &positions, &deformed_normals(&sampled.samples, &positions))
+            sampled.write_deformed(&path, &deformed, &deformed_normals(&sampled.samples, &deformed.local))
         };
         py.detach(write).or_raise(py)
     }
@@ -446,7 +467,8 @@ impl Samples {
     /// Where it has ids, they tell which is which; otherwise the order does.
     fn read(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let sampled = self.sampled(py);
-        let local = py.detach(|| sampled.read_deformed(&path)).or_raise(py)?;
+        let read = || sampled.read_deformed(&path).map(|deformed| deformed.into_unshifted(&sampled.frame));
+        let local = py.detach(read).or_raise(py)?;
         let mut state = self.state(py);
         let before = state.look(py)?;
         let named = path.file_name().unwrap_or_default().to_string_lossy().into_owned();

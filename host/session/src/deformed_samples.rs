@@ -6,6 +6,7 @@ use crate::plugins::PluginRegistry;
 use crate::stack::PreparedStack;
 use crate::step::Step;
 use glam::Vec3;
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::deformed_normals;
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Progress, Result};
@@ -16,8 +17,8 @@ use std::sync::Arc;
 pub struct DeformedSamples {
     /// The model with its samples at rest, with those that steps appended.
     pub sampled: Arc<SampledModel>,
-    /// Local positions, one per sample, rounded to what a file of them holds.
-    pub positions: Vec<Vec3>,
+    /// One per sample, rounded to what a file of them holds.
+    pub positions: DeformedPositions,
     /// Unit normals, derived from the positions.
     pub normals: Vec<Vec3>,
     /// The exact map, where all plugins know it.
@@ -39,10 +40,10 @@ pub fn deform(
 ) -> Result<DeformedSamples> {
     let document = Document::new(steps.iter().cloned());
     let mut evaluation = Evaluation::new(sampled.into(), how);
-    let Evaluated { sampled, positions, statuses, stack, .. } =
-        evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
-    let messages = messages(statuses)?;
-    let positions = sampled.rounded(&positions);
-    let normals = deformed_normals(&sampled.samples, &positions);
+    let mut done = evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
+    let messages = messages(std::mem::take(&mut done.statuses))?;
+    let positions = done.rounded(progress)?;
+    let Evaluated { sampled, stack, .. } = done;
+    let normals = deformed_normals(&sampled.samples, &positions.local);
     Ok(DeformedSamples { sampled, positions, normals, stack, messages })
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::{DVec3, Vec3};
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::fingerprint::are_same;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{
@@ -136,7 +137,7 @@ pub fn deform_from(
 pub fn write(
     sampled: &SampledModel,
     mut model: Box<dyn Model>,
-    positions: &[Vec3],
+    positions: &DeformedPositions,
     output: &Path,
     running: &Running<'_>,
     progress: &dyn Progress,
@@ -294,7 +295,11 @@ impl Run {
         // Before it is sampled, as what is declared may not be there.
         let follow = &sidecar::follow(&mut *model, follow)?;
         let following = model.following().map_or(Vec::new(), |following| following.descriptions().to_vec());
-        let by = |sampling: &Sampling| sample(&*model, sampling, folder, progress);
+        let by = |sampling: &Sampling| {
+            let target =
+                if tolerance.is_some() { tolerance::beginning(sampling.target) } else { sampling.target };
+            sample(&*model, &Sampling { target, ..*sampling }, folder, progress)
+        };
         let sampled = sampled_of(session, &*model, skip, cache, by, progress)?;
         if let Some(converted) = converted {
             note_losses(&converted, progress);
@@ -315,7 +320,7 @@ impl Run {
             }
         };
         if *may_move {
-            let chosen = choose_offset(&deformed.sampled, model.as_mut(), [&deformed.positions[..]])?;
+            let chosen = choose_offset(&deformed.sampled, model.as_mut(), [&deformed.positions])?;
             chosen.into_iter().for_each(|changed| progress.note(&changed));
         }
         let (written, exact) = written(&deformed, model.as_ref(), running, output, progress)?;
@@ -425,7 +430,7 @@ fn evaluated(
     progress.begin("preparing", 0);
     let around = RestGeometry::kept(sampled);
     let field =
-        DeformationField::new(&around, positions, Method::default()).expecting(&sampled.frame, model.info());
+        DeformationField::of(&around, positions, Method::default()).expecting(&sampled.frame, model.info());
     let map = |points: &mut [DVec3]| stack.evaluate_with(points, progress);
     write_exact(sampled, model, &field, &map, version, how, progress)
 }

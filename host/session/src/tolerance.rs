@@ -10,7 +10,7 @@ use simod_core::reconstruction::transfer_error::{Excesses, TransferError, measur
 use simod_core::reconstruction::{DeformationField, ErrorExcess, Method, RestGeometry};
 use simod_core::refinement::Finer;
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::SampleSet;
+use simod_core::sampling::{SampleSet, Target};
 use simod_model::{Error, Model, Progress, Result, Scalar};
 
 use crate::deformed_samples::{DeformedSamples, deform};
@@ -20,6 +20,10 @@ use crate::refining::{Room, ShapePose};
 use crate::shapes::{RegionShape, Shapes};
 use crate::step::{Refine, Step};
 use simod_plugin_api::Time;
+
+/// The search begins with no fewer samples. First samples stay: those of a few large clusters, at the means
+/// of these, are off the surface, and no others could do their work.
+const FEWEST: u64 = 1000;
 
 /// Rounds of refinement; the number of samples may double in each, or become [`LEAST_ADDED`] more.
 const ROUNDS: u64 = 20;
@@ -148,6 +152,14 @@ pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64
     Ok(())
 }
 
+/// What is sampled for a search to begin with, where so much was asked for.
+pub(crate) fn beginning(asked: Target) -> Target {
+    match asked {
+        Target::Samples(samples) => Target::Samples(samples.max(FEWEST)),
+        error => error,
+    }
+}
+
 /// Deforms samples by the steps, and adds more, which the steps deform as well, until nothing is expected to
 /// be off by more. `sampled` holds its cells.
 ///
@@ -238,7 +250,7 @@ impl<'a> ToleranceSearch<'a> {
         let of = &deformed.sampled;
         self.progress.begin("estimating the error", 0);
         let around = RestGeometry::new(&of.samples);
-        let mut field = DeformationField::new(&around, &deformed.positions, Method::default())
+        let mut field = DeformationField::of(&around, &deformed.positions, Method::default())
             .expecting(&of.frame, self.model.info());
         self.beginning.get_or_insert_with(|| UnrefinedState::new(of, &field));
         if deformed.stack.can_evaluate() {

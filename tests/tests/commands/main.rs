@@ -9,6 +9,7 @@ mod diagnostics;
 mod e57;
 mod errors;
 mod examples;
+mod far;
 mod files;
 mod formats;
 mod gltf;

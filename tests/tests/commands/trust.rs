@@ -225,6 +225,8 @@ fn tolerances_are_met_from_any_sampling() {
         ("amphora", &upright, "1e-4", [1000, 2000, 10_000, 20_000]),
         ("bumpy-plane", TWIST, "1e-5", [1000, 1400, 2000, 5000]),
         ("bumpy-plane", &across, "1e-4", [1000, 2000, 5000, 20_000]),
+        ("cylinder", TWIST, "2e-5", [10, 30, 100, 200]),
+        ("cylinder", &upright, "1e-4", [10, 30, 100, 200]),
     ];
     for (shape, steps, tolerance, samples) in cases {
         let work = Workplace::new();

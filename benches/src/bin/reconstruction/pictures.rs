@@ -27,7 +27,7 @@ pub fn draw(scene: &Scene, map: Map, folder: &Path) -> Result<()> {
     scene.transfer(Method::SIMOD[1], &deformed)?;
     let result = scene.result()?;
 
-    let samples = points_of_samples(scene, &deformed);
+    let samples = points_of_samples(scene, &deformed.local);
     let after = Bounds::from_points(samples.iter().map(|p| p.position));
     let pictures = [
         picture(&points_of_model(scene.model.as_ref(), &scene.sampled.bounds)?, &scene.sampled.bounds),

@@ -7,6 +7,7 @@ use glam::{DVec3, Vec3};
 use simod_benches::Map;
 use simod_benches::peers::{self, Peer};
 use simod_benches::process::{Result, own_cpu};
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::{self, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
@@ -108,14 +109,14 @@ impl Scene {
     }
 
     /// P_S* after any map of space, as exact as a file of them holds.
-    pub fn deform(&self, map: impl Fn(DVec3) -> DVec3) -> Vec<Vec3> {
+    pub fn deform(&self, map: impl Fn(DVec3) -> DVec3) -> DeformedPositions {
         let frame = self.sampled.frame;
         let image = |p: &Vec3| frame.to_local(map(frame.to_model(*p)));
         self.sampled.rounded(&self.sampled.samples.positions.iter().map(image).collect::<Vec<_>>())
     }
 
     /// Carries the deformation of the samples over to the file [`result`](Self::result).
-    pub fn transfer(&self, method: Method, deformed: &[Vec3]) -> Result<Cost> {
+    pub fn transfer(&self, method: Method, deformed: &DeformedPositions) -> Result<Cost> {
         match method {
             Method::Simod(method) => self.reconstruct(method, deformed),
             Method::Peer(peer) => self.apply(peer, deformed),
@@ -138,7 +139,7 @@ impl Scene {
     }
 
     /// SIMOD, file in and file out.
-    fn reconstruct(&self, method: reconstruction::Method, deformed: &[Vec3]) -> Result<Cost> {
+    fn reconstruct(&self, method: reconstruction::Method, deformed: &DeformedPositions) -> Result<Cost> {
         let clock = StageClock::default();
         let start = own_cpu();
         let version = Version { deformed, output: &self.output(), diagnostics: None };
@@ -149,9 +150,9 @@ impl Scene {
     }
 
     /// Another method, in memory. What it takes to write its result is not counted.
-    fn apply(&self, peer: Peer, deformed: &[Vec3]) -> Result<Cost> {
+    fn apply(&self, peer: Peer, deformed: &DeformedPositions) -> Result<Cost> {
         let start = own_cpu();
-        let field = peer.prepare(&self.sampled, deformed);
+        let field = peer.prepare(&self.sampled, &deformed.local);
         let began = own_cpu();
         let moved = peers::carry(field.as_ref(), &self.sampled.frame, &self.positions);
         let cost = Cost { preparation: began - start, transfer: own_cpu() - began };

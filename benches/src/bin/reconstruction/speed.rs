@@ -128,7 +128,7 @@ impl Subject {
     /// Processor seconds per vertex by inverse distances, in memory; preparation is not counted.
     fn inverse_distance(&self) -> Result<f64> {
         let positions = some_positions(simod_model::open(&self.model)?.as_ref())?;
-        let field = Peer::InverseDistance.prepare(&self.sampled, &Map::Twist.deform(&self.sampled));
+        let field = Peer::InverseDistance.prepare(&self.sampled, &Map::Twist.deform(&self.sampled).local);
         let start = own_cpu();
         carry(field.as_ref(), &self.sampled.frame, &positions);
         Ok((own_cpu() - start) / positions.len() as f64)

@@ -98,7 +98,7 @@ impl Demo {
         let pictures = [
             picture::of_model(before.as_ref(), &sampled.bounds, &view, how, progress)?,
             picture::of_samples(sampled, &samples.positions, samples.normals(), &view, None),
-            picture::of_samples(sampled, &run.deformed.positions, &run.deformed.normals, &view, None),
+            picture::of_samples(sampled, &run.deformed.positions.local, &run.deformed.normals, &view, None),
             picture::of_model(after.as_ref(), &after_bounds, &view, how, progress)?,
         ];
         let captions = [

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use glam::Vec3;
 use serde_json::{Value, json};
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::guard::OutputKind;
 use simod_core::reconstruction::{
     DeformationField, ErrorExcess, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstructed,
@@ -188,14 +188,14 @@ impl Reconstruct {
         &self,
         sampled: &SampledModel,
         paths: &[VersionPaths],
-        deformed: &[Vec<Vec3>],
+        deformed: &[DeformedPositions],
         report: &mut Report,
     ) -> Result<Box<dyn Model>> {
         let mut model = sampled.open_source(self.model.as_deref(), report.progress())?;
         sidecar::follow(&mut *model, &self.following.follow(&BTreeMap::new()))?;
         tell_following(&*model, report);
         if self.offset == OffsetName::Auto {
-            let chosen = choose_offset(sampled, model.as_mut(), deformed.iter().map(Vec::as_slice))?;
+            let chosen = choose_offset(sampled, model.as_mut(), deformed.iter())?;
             chosen.into_iter().for_each(|changed| report.progress().note(&changed));
         }
         let mut outputs = paths.iter().map(|v| &v.output);
@@ -247,7 +247,7 @@ impl Reconstruct {
         sampled: &SampledModel,
         model: &dyn Model,
         paths: &[VersionPaths],
-        deformed: &[Vec<Vec3>],
+        deformed: &[DeformedPositions],
         report: &mut Report,
     ) -> Result<f64> {
         if self.method != MethodName::BlendedJets {
@@ -262,7 +262,7 @@ impl Reconstruct {
         let mut most = 0.0f64;
         for (paths, deformed) in paths.iter().zip(deformed) {
             report.progress().check()?;
-            let field = DeformationField::new(&around, deformed, self.method.into())
+            let field = DeformationField::of(&around, deformed, self.method.into())
                 .expecting(&sampled.frame, model.info());
             if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
                 let ErrorExcess { worst, place, samples, needed, .. } = beyond;

@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::{ArgGroup, Args};
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use serde_json::{Value, json};
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::guard::OutputKind;
 use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deformed_normals};
 use simod_core::refinement::{Finer, Refined, SamplesNeed, appended_deformed};
@@ -98,7 +99,7 @@ impl Refine {
         self.guard(&sampled, model.as_ref())?;
         let progress = report.progress();
         sampled.hold_cells(sampled.cells_or_resample(&self.sampled, self.model.as_deref(), progress)?);
-        let done = self.refined(&how, &sampled, model.as_ref(), deformed.as_deref(), progress)?;
+        let done = self.refined(&how, &sampled, model.as_ref(), deformed.as_ref(), progress)?;
         // First what belongs to the refined model: it would be of no use without, but harms nobody.
         if let (Some(from), Some(deformed), Some(to)) = (&self.deformed, deformed, &self.output) {
             progress.begin("deforming the new samples", 0);
@@ -150,14 +151,14 @@ impl Refine {
         how: &Refinement,
         sampled: &SampledModel,
         model: &dyn Model,
-        deformed: Option<&[Vec3]>,
+        deformed: Option<&DeformedPositions>,
         progress: &dyn Progress,
     ) -> Result<Refined> {
         let around = deformed.filter(|_| self.auto).map(|_| RestGeometry::kept(sampled));
         let field = around
             .as_ref()
             .zip(deformed)
-            .map(|(around, deformed)| DeformationField::new(around, deformed, Method::default()));
+            .map(|(around, deformed)| DeformationField::of(around, deformed, Method::default()));
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         let room = Room { memory_limit: self.memory_limit, folder: folder_of(target) };
         how.refine(sampled, model, ShapePose::Rest(field.as_ref()), room, progress)
@@ -179,22 +180,22 @@ impl Refine {
     }
 }
 
-/// Writes the deformed samples of the refined model; `deformed` are the local positions of those before, from
-/// a file.
+/// Writes the deformed samples of the refined model; `deformed` are those before, from a file.
 fn write_deformed(
     sampled: &SampledModel,
     refined: &SampledModel,
     from: &Path,
-    mut deformed: Vec<Vec3>,
+    mut deformed: DeformedPositions,
     to: &Path,
 ) -> Result<()> {
     let more = {
         let around = RestGeometry::kept(sampled);
-        let field = DeformationField::new(&around, &deformed, Method::default());
-        appended_deformed(refined, field.deformed().len(), &field)
+        let field = DeformationField::of(&around, &deformed, Method::default());
+        appended_deformed(refined, deformed.local.len(), &field)
     };
-    deformed.extend(more.iter().map(|p| refined.frame.to_local(*p)));
-    let normals = deformed_normals(&refined.samples, &deformed);
+    let frame = deformed.frame(&refined.frame);
+    deformed.local.extend(more.iter().map(|p| frame.to_local(*p)));
+    let normals = deformed_normals(&refined.samples, &deformed.local);
     refined.write_more_deformed(to, from, &more, &normals)
 }
 

@@ -5,6 +5,7 @@ use simod_model::progress::Silent;
 use simod_model::{ErrorKind, for_vertices};
 
 use super::*;
+use crate::deformed_positions::DeformedPositions;
 use crate::reconstruction::{Method, Reconstruction, RestGeometry, Version, reconstruct};
 use crate::refinement::tests::{Body, samples};
 use crate::sampling::grid::{CellMap, key_at};
@@ -14,7 +15,7 @@ fn twist(p: DVec3) -> DVec3 {
     DVec3::new(cos * p.x - sin * p.z, p.y, sin * p.x + cos * p.z)
 }
 
-fn twisted(sampled: &SampledModel) -> Vec<Vec3> {
+fn twisted(sampled: &SampledModel) -> DeformedPositions {
     let frame = &sampled.frame;
     let deformed = sampled.samples.positions.iter().map(|p| frame.to_local(twist(frame.to_model(*p))));
     sampled.rounded(&deformed.collect::<Vec<_>>())
@@ -29,7 +30,7 @@ fn streamed(
     sampled: &SampledModel,
     model: &dyn Model,
     chosen: &DetailRequest,
-    deformed: Option<&[Vec3]>,
+    deformed: Option<&DeformedPositions>,
 ) -> Result<(Vec<DetailBatch>, Streamed)> {
     let mut batches = Vec::new();
     let mut run = |field: Option<&DeformationField<'_>>| {
@@ -41,7 +42,7 @@ fn streamed(
     let report = match deformed {
         Some(deformed) => {
             let around = RestGeometry::new(&sampled.samples);
-            run(Some(&DeformationField::new(&around, deformed, Method::default())))
+            run(Some(&DeformationField::of(&around, deformed, Method::default())))
         }
         None => run(None),
     }?;

@@ -178,6 +178,10 @@ impl Block<'_> {
                 versions.for_each(|(field, moved)| workspace.carry(field, frame, positions, moved));
             });
         });
+        for (field, moved) in fields.iter().zip(moved).filter(|(field, _)| field.shift != DVec3::ZERO) {
+            let all = moved.positions.iter_mut().filter(|p| p.is_finite());
+            all.for_each(|p| *p += field.shift);
+        }
     }
 }
 

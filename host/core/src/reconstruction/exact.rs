@@ -215,7 +215,7 @@ impl ExactEdit<'_> {
                 *position = DVec3::select(moves, *position + moved.way, *position);
             }
             for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
-                let transport = moved.transport(self.sampled.frame.scale);
+                let transport = moved.transport(self.sampled.frame.scale, DVec3::ZERO);
                 *normal = transport.normal(*normal, self.field.gradients.mirrored);
             }
             edited.mirrored = self.field.is_mirrored();
@@ -236,9 +236,10 @@ struct ExactImage {
 }
 
 impl ExactImage {
-    /// The displacement and gradient in local units of this length.
-    fn transport(&self, scale: f64) -> Transport {
-        Transport { displacement: (self.way / scale).as_vec3(), gradient: self.gradient.as_mat3() }
+    /// The displacement, less a shift, and gradient in local units of this length.
+    fn transport(&self, scale: f64, shift: DVec3) -> Transport {
+        let displacement = ((self.way - shift) / scale).as_vec3();
+        Transport { displacement, gradient: self.gradient.as_mat3() }
     }
 }
 
@@ -274,7 +275,7 @@ impl ExactEdit<'_> {
             }
             let local = frame.to_local(*p);
             let home = sampled.samples.nearest(local) as usize;
-            let moved = carried.transport(frame.scale);
+            let moved = carried.transport(frame.scale, field.shift);
             let rounding = field.written_rounding(local, moved.displacement);
             VertexDiagnostics {
                 expected_error: (f64::from(rounding) * frame.scale) as f32,

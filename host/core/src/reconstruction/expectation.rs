@@ -25,19 +25,23 @@ pub(super) struct Expectation {
 /// What the file that is written rounds.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Rounding {
-    /// The model's origin, from the local one, in local units; `None` where positions are not of single
-    /// precision.
+    /// Where the model's origin is, from the local one of what was shifted, in local units; `None` where
+    /// positions are not of single precision.
     pub from: Option<Vec3>,
+    /// What comes to all displacements, in local units, where positions are of single precision.
+    pub shift: Vec3,
     /// What is rounded to an integer is off by so much, local units: the root of the mean square.
     pub step: f32,
 }
 
 impl Rounding {
-    /// The rounding of a model with such positions.
-    pub fn for_model(frame: &Frame, info: &ModelInfo) -> Self {
+    /// The rounding of a model with such positions, all of which are shifted (the model's unit).
+    pub fn for_model(frame: &Frame, shift: DVec3, info: &ModelInfo) -> Self {
         let is_single = info.position_type == Scalar::F32;
+        let shift = if is_single { shift } else { DVec3::ZERO };
         Self {
-            from: is_single.then(|| (frame.origin / frame.scale).as_vec3()),
+            from: is_single.then(|| ((frame.origin + shift) / frame.scale).as_vec3()),
+            shift: (shift / frame.scale).as_vec3(),
             step: (info.rounding() / frame.scale) as f32,
         }
     }
@@ -45,7 +49,7 @@ impl Rounding {
     /// What writing it makes of a vertex that goes from `p` by `u`, local units; one that does not move is
     /// not rounded again.
     pub fn written(self, p: Vec3, u: Vec3) -> f32 {
-        if u == Vec3::ZERO {
+        if u == Vec3::ZERO && self.shift == Vec3::ZERO {
             return 0.0;
         }
         self.from.map_or(self.step, |origin| SINGLE * (p + u + origin).length())
@@ -53,12 +57,12 @@ impl Rounding {
 
     /// What rounding makes at a vertex or a sample that goes from `p` by `u`, local units.
     pub fn estimate(self, p: Vec3, u: Vec3) -> f32 {
-        if u == Vec3::ZERO {
+        if u == Vec3::ZERO && self.shift == Vec3::ZERO {
             return 0.0;
         }
-        // Samples are rounded each for itself, and the blend is a mean of some; the displacement comes of
-        // several sums.
-        let (sample, displacement) = (0.7 * (p + u).length(), 1.2 * u.length());
+        // Samples are rounded each for itself, as in their file, and the blend is a mean of some; the
+        // displacement comes of several sums.
+        let (sample, displacement) = (0.7 * (p + u + self.shift).length(), 1.2 * u.length());
         hypot([self.written(p, u), SINGLE * sample, SINGLE * displacement])
     }
 }

@@ -127,7 +127,7 @@ impl DeformationField<'_> {
     /// `info` says.
     pub fn expecting(mut self, frame: &Frame, info: &ModelInfo) -> Self {
         self.expected = self.around_samples(&[]);
-        self.rounding = Rounding::for_model(frame, info);
+        self.rounding = Rounding::for_model(frame, self.shift, info);
         self
     }
 
@@ -156,7 +156,7 @@ impl DeformationField<'_> {
         let moved = Moved { positions: &mut carried, normals: &mut [], gradients: &mut [], figures: &mut [] };
         carry(std::slice::from_ref(&self), &of.frame, &rest, None, &mut [moved]);
         for (i, carried) in single.into_iter().zip(carried) {
-            let off = of.frame.to_model(self.deformed[i]).distance(carried) / of.frame.scale;
+            let off = self.place(&of.frame, i).distance(carried) / of.frame.scale;
             let largest = &mut self.expected[i].largest;
             *largest = largest.max(off as f32);
         }

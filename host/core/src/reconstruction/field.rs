@@ -1,8 +1,9 @@
 //! The deformation that P_S and P_S* sample, as expansions around the samples.
 
-use glam::{Mat3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use simod_model::follow;
+use simod_model::frame::Frame;
 
 use super::blend::LEAST_WEIGHT;
 use super::blended_jets::Expanded;
@@ -18,6 +19,7 @@ use super::stencils::Stencils;
 use super::transport::{Method, Transport};
 use super::unresolved::Unresolved;
 use super::{across, blend, blended_jets};
+use crate::deformed_positions::DeformedPositions;
 
 /// A home that does not reach a vertex is not its own if other samples are so many times nearer.
 const MUCH_NEARER: f32 = 2.0;
@@ -28,6 +30,8 @@ const MUCH_NEARER: f32 = 2.0;
 pub struct DeformationField<'a> {
     pub(super) around: &'a RestGeometry<'a>,
     pub(super) deformed: &'a [Vec3],
+    /// What comes to all displacements, in the model's unit.
+    pub(super) shift: DVec3,
     pub(super) method: Method,
     pub(super) gradients: Gradients,
     pub(super) stencils: Stencils<'a>,
@@ -72,6 +76,7 @@ impl<'a> DeformationField<'a> {
         Self {
             around,
             deformed,
+            shift: DVec3::ZERO,
             method,
             gradients,
             stencils,
@@ -87,15 +92,24 @@ impl<'a> DeformationField<'a> {
         }
     }
 
-    /// Local position of each sample after the deformation.
-    pub fn deformed(&self) -> &'a [Vec3] {
-        self.deformed
+    /// Prepares the field of samples that may all have gone far.
+    ///
+    /// # Panics
+    /// The number of deformed positions is not that of the samples.
+    pub fn of(around: &'a RestGeometry<'a>, deformed: &'a DeformedPositions, method: Method) -> Self {
+        Self { shift: deformed.shift, ..Self::new(around, &deformed.local, method) }
+    }
+
+    /// Where a sample is after the deformation, in the coordinates of the model with this frame.
+    pub fn place(&self, frame: &Frame, sample: usize) -> DVec3 {
+        frame.to_model(self.deformed[sample]) + self.shift
     }
 
     /// Whether no sample moves at all, and so no vertex.
     pub fn is_still(&self) -> bool {
         let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
-        self.deformed.iter().map(bits).eq(self.around.samples.positions.iter().map(bits))
+        let of_rest = self.around.samples.positions.iter().map(bits);
+        self.shift == DVec3::ZERO && self.deformed.iter().map(bits).eq(of_rest)
     }
 
     /// Whether it turns left into right as a whole.
@@ -120,8 +134,10 @@ impl<'a> DeformationField<'a> {
         let stretch = principal_stretches(gradient, self.around.samples.normals()[home]);
         let folded = self.folds.contains(home, gradient);
         let expected_error = if self.active[home] { self.expected_at(home, p, *displacement) } else { 0.0 };
-        let [displacement, expected_error] =
+        let whole = (displacement.as_dvec3() * scale + self.shift).length() as f32;
+        let [near, expected_error] =
             [displacement.length(), expected_error].map(|x| (f64::from(x) * scale) as f32);
+        let displacement = if self.shift == DVec3::ZERO { near } else { whole };
         let anisotropy = follow::anisotropy(gradient);
         VertexDiagnostics { displacement, stretch, folded, expected_error, anisotropy }
     }

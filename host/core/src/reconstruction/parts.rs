@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use simod_model::memory::Reusing;
 use simod_model::object::{self, Object, is_object};
 use simod_model::object_output::{ObjectOutput, part_bytes};
@@ -32,6 +32,7 @@ use super::reach::check_reach;
 use super::stream::{check_targets, checked_targets, field, key};
 use super::transfer::{HashedModel, Surveys, Transfer, locked, pieces_at_once};
 use super::{Folding, Reconstructed, Reconstruction, RestGeometry, Version};
+use crate::deformed_positions::DeformedPositions;
 use crate::fingerprint::{BlockHash, HashedPart};
 use crate::sampled_model::SampledModel;
 
@@ -99,7 +100,7 @@ pub struct Part<'a> {
 pub fn write_part(
     sampled: &SampledModel,
     model: &dyn Model,
-    deformed: &[Vec3],
+    deformed: &DeformedPositions,
     how: &Reconstruction<'_>,
     part: &Part<'_>,
     progress: &dyn Progress,
@@ -213,8 +214,7 @@ pub fn join_parts(
         let what = format!("{} cannot be written in parts", version.output.display());
         return Err(Error::argument(what, "write all of it at once"));
     };
-    let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
-    let is_still = version.deformed.iter().map(bits).eq(sampled.samples.positions.iter().map(bits));
+    let is_still = version.deformed.are_still(&sampled.samples.positions);
     let joining = PartJoin {
         sampled,
         model,

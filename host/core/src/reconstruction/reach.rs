@@ -1,10 +1,11 @@
 //! Whether the integers that a file stores positions as reach as far as a deformation goes, as far as the
 //! samples tell; and an offset with which they do.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use simod_model::bounds::Bounds;
 use simod_model::{Error, Model, Result};
 
+use crate::deformed_positions::DeformedPositions;
 use crate::sampled_model::SampledModel;
 
 /// Vertices go beyond the samples by no more than this part of the diagonal of these, as a rule.
@@ -16,13 +17,13 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 pub(super) fn check_reach<'a>(
     sampled: &SampledModel,
     model: &dyn Model,
-    deformed: impl IntoIterator<Item = &'a [Vec3]>,
+    deformed: impl IntoIterator<Item = &'a DeformedPositions>,
 ) -> Result<()> {
-    let rest = &sampled.samples.positions;
-    for positions in deformed {
-        for (sample, (local, rest)) in positions.iter().zip(rest).enumerate() {
-            let p = sampled.frame.to_model(*local);
-            if local != rest && !model.has_room_for(p) {
+    for deformed in deformed {
+        let from = deformed.local.iter().zip(&sampled.samples.positions);
+        for (sample, (p, (local, rest))) in deformed.places(&sampled.frame).zip(from).enumerate() {
+            let moves = local != rest || !deformed.is_unshifted();
+            if moves && !model.has_room_for(p) {
                 return Err(no_room(model, sample, p));
             }
         }
@@ -62,12 +63,12 @@ fn no_room(model: &dyn Model, sample: usize, p: DVec3) -> Error {
 pub fn choose_offset<'a>(
     sampled: &SampledModel,
     model: &mut dyn Model,
-    deformed: impl IntoIterator<Item = &'a [Vec3]>,
+    deformed: impl IntoIterator<Item = &'a DeformedPositions>,
 ) -> Result<Option<String>> {
-    let rest = &sampled.samples.positions;
-    let pairs = deformed.into_iter().flat_map(|deformed| rest.iter().zip(deformed));
-    let moves: Vec<[DVec3; 2]> =
-        pairs.map(|(from, to)| [*from, *to].map(|local| sampled.frame.to_model(local))).collect();
+    let frame = &sampled.frame;
+    let rest = || sampled.samples.positions.iter().map(|p| frame.to_model(*p));
+    let pairs = deformed.into_iter().flat_map(|deformed| rest().zip(deformed.places(frame)));
+    let moves: Vec<[DVec3; 2]> = pairs.map(|(from, to)| [from, to]).collect();
     let bounds = Bounds::from_points(moves.iter().map(|[_, to]| *to));
     let margin = if bounds.is_empty() { 0.0 } else { BEYOND * bounds.diagonal() };
     model.make_room(&moves, margin)

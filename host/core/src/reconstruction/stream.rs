@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
-use glam::{DVec3, Mat3, Vec3};
+use glam::{DVec3, Mat3};
 use simod_model::input::Identity;
 use simod_model::memory::Reusing;
 use simod_model::object::{self, is_object};
@@ -24,12 +24,13 @@ use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
 use super::transfer::{HashedModel, Surveys, Transfer, locked, pieces_at_once};
 use super::{DeformationField, ExpectedError, Method, RestGeometry, kept_geometry};
+use crate::deformed_positions::DeformedPositions;
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
 
 /// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on
 /// with then.
-const REVISION: u32 = 12;
+const REVISION: u32 = 13;
 
 /// What is lost at most, in bytes of the model, when the program is killed: see
 /// [`Reconstruction::part_bytes`].
@@ -41,8 +42,8 @@ const MAX_PARTS: u64 = 1024;
 /// A deformation of the samples, and where the model that is deformed likewise goes.
 #[derive(Debug, Clone, Copy)]
 pub struct Version<'a> {
-    /// The samples' finite local positions after the deformation.
-    pub deformed: &'a [Vec3],
+    /// The samples' finite positions after the deformation.
+    pub deformed: &'a DeformedPositions,
     /// The file to write, which appears whole or not at all; of a model that is made of tiles a folder of as
     /// many.
     pub output: &'a Path,
@@ -459,7 +460,7 @@ pub(super) fn key(
     sampled: &SampledModel,
     model: &dyn Model,
     how: &Reconstruction<'_>,
-    deformed: &[Vec3],
+    deformed: &DeformedPositions,
 ) -> Result<String> {
     let source = &sampled.source;
     // The fingerprint is of the vertices alone.
@@ -484,12 +485,12 @@ pub(super) fn key(
     };
     let frame = (sampled.frame.origin.to_array(), sampled.frame.scale);
     let offset = model.info().written.map(|integers| integers.offset.to_array());
-    let ranges = &model.info().ranges;
-    let numbers = (REVISION, method, normals, model.info().bytes, changed, frame, offset, ranges);
+    let (ranges, shift) = (&model.info().ranges, deformed.shift.to_array());
+    let numbers = (REVISION, method, normals, model.info().bytes, changed, frame, offset, ranges, shift);
     let small = (env!("CARGO_PKG_VERSION"), &source.fingerprint, numbers);
     let small = postcard::to_allocvec(&small).map_err(|e| Error::unwritable("a key", e))?;
     let samples = &sampled.samples;
-    let points = [&samples.positions, samples.known_normals(), deformed].map(bytemuck::cast_slice);
+    let points = [&samples.positions, samples.known_normals(), &deformed.local].map(bytemuck::cast_slice);
     let contacts = samples.contacts().map(|contacts| contacts.digest().to_le_bytes());
     let contacts = contacts.as_ref().map(|digest| &digest[..]);
     let following = model.following().map(|following| following.descriptions().join("; "));
@@ -516,9 +517,9 @@ pub(super) fn field<'a>(
     model: &dyn Model,
     how: &Reconstruction<'a>,
     around: &'a RestGeometry<'a>,
-    deformed: &'a [Vec3],
+    deformed: &'a DeformedPositions,
 ) -> DeformationField<'a> {
-    let field = DeformationField::new(around, deformed, how.method);
+    let field = DeformationField::of(around, deformed, how.method);
     let field = field.expecting(&sampled.frame, model.info());
     let known = how.gradients.filter(|known| known.len() == sampled.samples.len());
     let is_smooth = known.is_some() || how.method == Method::BlendedJets;

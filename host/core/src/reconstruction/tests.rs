@@ -6,6 +6,7 @@ use simod_model::frame::Frame;
 
 use super::block::carry_on_this_thread;
 use super::{DeformationField, Method, Moved, RestGeometry, VertexDiagnostics, carry};
+use crate::deformed_positions::DeformedPositions;
 use crate::sampling::SampleSet;
 
 const LOCAL: Frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
@@ -248,6 +249,34 @@ fn tangents_turn_as_lines_on_the_surface_do() {
         carry(std::slice::from_ref(&field), &LOCAL, &rest, None, &mut [moved]);
         assert!(gradients.iter().all(|gradient| *gradient == Mat3::IDENTITY));
     }
+}
+
+/// More of them than are carried over at a time, and samples that all go far.
+#[test]
+fn vertices_in_no_order_go_where_they_go_in_order() {
+    let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
+    let around = RestGeometry::new(&set);
+    let to = |p: Vec3| (Quat::from_rotation_z(0.3 * p.z) * p).as_dvec3() + DVec3::new(1e6, 0.0, -300.0);
+    let places: Vec<DVec3> = set.positions.iter().map(|p| to(*p)).collect();
+    let deformed = DeformedPositions::new(&LOCAL, &set.positions, &places);
+    assert!(!deformed.is_unshifted());
+    let field = DeformationField::of(&around, &deformed, Method::BlendedJets);
+    let rest: Vec<DVec3> = patch(220).map(|p| p.as_dvec3()).collect();
+    let carried = |rest: &[DVec3]| {
+        let mut positions = rest.to_vec();
+        let moved =
+            Moved { positions: &mut positions, normals: &mut [], gradients: &mut [], figures: &mut [] };
+        carry_on_this_thread(std::slice::from_ref(&field), &LOCAL, rest, None, &mut [moved]);
+        positions
+    };
+    let images = carried(&rest);
+    let inner = rest.iter().zip(&images).filter(|(p, _)| inner(&p.as_vec3()));
+    let off = inner.map(|(p, image)| to(p.as_vec3()).distance(*image)).fold(0.0, f64::max);
+    assert!(off < 1e-5, "{off:e}");
+    // Each once: 48 400 and 24 097 have no divisor in common.
+    let order: Vec<usize> = (0..rest.len()).map(|i| i * 24_097 % rest.len()).collect();
+    let scattered: Vec<DVec3> = order.iter().map(|i| rest[*i]).collect();
+    assert!(order.iter().zip(carried(&scattered)).all(|(i, image)| image == images[*i]));
 }
 
 /// What a call gives for each vertex: the bits of its position and of its normal, and its figures.

@@ -38,8 +38,12 @@ impl<'a> SpaceSelection<'a> {
 
     /// Whether each sample is selected.
     pub(super) fn samples(&self, sampled: &SampledModel) -> Vec<bool> {
-        let positions = self.pose().map_or(&sampled.samples.positions[..], DeformationField::deformed);
-        positions.par_iter().map(|p| (self.distance)(sampled.frame.to_model(*p)) <= 0.0).collect()
+        let place = |i: usize| match self.pose() {
+            Some(field) => field.place(&sampled.frame, i),
+            None => sampled.frame.to_model(sampled.samples.positions[i]),
+        };
+        let all = (0..sampled.samples.len()).into_par_iter();
+        all.map(|i| (self.distance)(place(i)) <= 0.0).collect()
     }
 }
 
@@ -73,8 +77,9 @@ impl<'a> Selected<'a> {
         let positions = &sampled.samples.positions;
         let of_sample: Vec<f64> = match self.selection.pose() {
             Some(field) => {
-                let place = |p: &Vec3| (self.selection.distance)(self.frame.to_model(*p)) / self.frame.scale;
-                field.deformed().par_iter().map(place).collect()
+                let distance = |p: DVec3| (self.selection.distance)(p) / self.frame.scale;
+                let all = (0..positions.len()).into_par_iter();
+                all.map(|i| distance(field.place(&self.frame, i))).collect()
             }
             None => positions.par_iter().map(|p| self.distance(*p)).collect(),
         };

@@ -531,7 +531,7 @@ fn shapes_of_the_deformed_model_select_what_is_there_then() {
     assert!(run(&here, Some(&field)).is_err());
     for (rest, image) in moved.samples.positions[3000.min(first.samples.len())..]
         .iter()
-        .zip(appended_deformed(&moved, field.deformed().len(), &field))
+        .zip(appended_deformed(&moved, deformed.len(), &field))
     {
         let off = image.distance(moved.frame.to_model(*rest) + by) / moved.frame.scale;
         assert!(off < 1e-5, "{off}");

@@ -2,7 +2,7 @@
 //! model's faces make; and looked up for vertices that are sampled again.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
@@ -19,7 +19,7 @@ use super::contacts::{self, ContactLists, Contacts};
 use super::islands::STEPS;
 use super::parting::{Parted, Parting};
 use super::places::PlaceSamples;
-use super::sorter::{HashedNumber, Sorter, hash_in, hash_of};
+use super::sorter::Sorter;
 use crate::geometry::sheet_distance;
 use crate::reconstruction::{CROWDED_NEIGHBOURS, RestGeometry, SHEET_NEIGHBOURS, TANGENT_RING, homes};
 use crate::sampled_model::SampledModel;
@@ -132,7 +132,7 @@ impl Contacts {
     /// on, each with the sample of its sheet that is nearest now: the one that it had may be far off, as
     /// samples are apart here.
     ///
-    /// Memory: besides that of the places, some 16 bytes for each place that there was.
+    /// Memory: besides that of the places, a bit for each place that there was.
     pub(crate) fn with_places(
         self,
         inherited: &InheritedSheets<'_>,
@@ -143,7 +143,7 @@ impl Contacts {
         if vertices.bytes == 0 {
             return Ok(self);
         }
-        let (mut all, mut looked_at_again) = (Sorter::new(folder), HashSet::new());
+        let (mut all, mut again) = (Sorter::new(folder), vec![0u64; self.places.all().len().div_ceil(64)]);
         let near = self.near(&sampled.samples);
         let around = RestGeometry::new(&near.samples);
         let mut found = Vec::new();
@@ -151,8 +151,8 @@ impl Contacts {
             let in_model: Vec<DVec3> = positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
             homes(&around, &sampled.frame, &in_model, &mut found);
             for ((p, own), home) in positions.iter().zip(own).zip(&found) {
-                if self.places.sample_at(*p).is_some() {
-                    looked_at_again.insert(hash_of(p.as_dvec3()));
+                if let Some(at) = self.places.find(*p) {
+                    again[at / 64] |= 1 << (at % 64);
                 }
                 if !inherited.is_of(near.numbers[*home as usize], *own) {
                     let mut found = [0; CROWDED_NEIGHBOURS];
@@ -163,8 +163,9 @@ impl Contacts {
             }
             Ok(())
         })?;
-        let stays = |place: &&HashedNumber| !looked_at_again.contains(&hash_in(**place));
-        self.places.all().iter().filter(stays).try_for_each(|place| all.push(*place))?;
+        let stays = |at: usize| again[at / 64] >> (at % 64) & 1 == 0;
+        let stay = self.places.all().iter().enumerate().filter(|(at, _)| stays(*at));
+        stay.map(|(_, place)| *place).try_for_each(|place| all.push(place))?;
         let places = Arc::new(PlaceSamples::build(all, sampled.samples.len(), folder)?);
         Ok(Self { places, ..self })
     }

@@ -105,13 +105,18 @@ impl PlaceSamples {
 
     /// The sample of the sheet that a local position is on, if it is such a place.
     pub fn sample_at(&self, p: Vec3) -> Option<u32> {
+        self.find(p).map(|at| self.all()[at][2])
+    }
+
+    /// The number of a local position among all entries, if it is such a place.
+    pub fn find(&self, p: Vec3) -> Option<usize> {
         let all = self.all();
         if all.is_empty() {
             return None;
         }
         let [high, low, _] = Self::entry(p, 0);
         let at = all.partition_point(|place| (place[0], place[1]) < (high, low));
-        all.get(at).filter(|place| (place[0], place[1]) == (high, low)).map(|place| place[2])
+        all.get(at).filter(|place| (place[0], place[1]) == (high, low)).map(|_| at)
     }
 
     /// Writes them.

@@ -35,11 +35,6 @@ pub fn entry(hash: u64, number: u32) -> HashedNumber {
     [(hash >> 32) as u32, hash as u32, number]
 }
 
-/// The hash of an entry.
-pub fn hash_in([high, low, _]: HashedNumber) -> u64 {
-    u64::from(high) << 32 | u64::from(low)
-}
-
 /// Takes entries in any order, and gives them back in theirs.
 ///
 /// Memory: 12 MiB, and 48 KiB for each run of a million entries; the rest in a file of 12 bytes per entry.

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::{
     Method, Normals, Part, Reconstruction, SharedTarget, Version, join_parts, reconstruct, write_part,
 };
@@ -23,7 +24,7 @@ struct Work {
     folder: TempDir,
     model: Box<dyn Model>,
     sampled: SampledModel,
-    deformed: Vec<Vec3>,
+    deformed: DeformedPositions,
 }
 
 impl Work {
@@ -45,7 +46,7 @@ impl Work {
         let sampling = Sampling { target: Target::Samples(500), ..Sampling::default() };
         let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
         let bend = |p: &Vec3| *p + Vec3::new(0.1 * p.y * p.y, 0.0, 0.1 * p.x);
-        let deformed = sampled.samples.positions.iter().map(bend).collect();
+        let deformed = sampled.samples.positions.iter().map(bend).collect::<Vec<_>>().into();
         Self { folder, model, sampled, deformed }
     }
 

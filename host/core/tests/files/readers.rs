@@ -82,7 +82,8 @@ fn moved(
     output: &Path,
     how: &Reconstruction<'_>,
 ) -> simod_model::Result<()> {
-    let deformed: Vec<_> = sampled.samples.positions.iter().map(|p| *p * (1.0 + p.y)).collect();
+    let stretched = sampled.samples.positions.iter().map(|p| *p * (1.0 + p.y));
+    let deformed = stretched.collect::<Vec<_>>().into();
     let version = Version { deformed: &deformed, output, diagnostics: None };
     reconstruct(sampled, model, &[version], how, &Silent).map(drop)
 }
@@ -173,7 +174,7 @@ fn damaged_journals_do_no_harm() {
     let good = Good::new(PlyEncoding::BinaryLittleEndian);
     let at = |name: &str| good.folder.path().join(name);
     let model = simod_model::open(&at("m.ply")).expect("a model");
-    let deformed = good.sampled.samples.positions.clone();
+    let deformed = good.sampled.samples.positions.clone().into();
     let write = |resume: bool, progress: &dyn Progress| {
         let version = Version { deformed: &deformed, output: &at("out.ply"), diagnostics: None };
         let how = Reconstruction { resume, part_bytes: 1000, ..Reconstruction::default() };

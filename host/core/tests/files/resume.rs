@@ -8,6 +8,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::{Normals, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
@@ -21,7 +22,7 @@ struct Work {
     folder: TempDir,
     model: Box<dyn Model>,
     sampled: SampledModel,
-    deformed: Vec<Vec<Vec3>>,
+    deformed: Vec<DeformedPositions>,
 }
 
 /// Less than most pieces of the model: so nearly every piece ends a part.
@@ -38,7 +39,7 @@ impl Work {
         let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
         let bent = |version: usize| {
             let bend = |p: &Vec3| *p + Vec3::new(0.1 * version as f32 * p.y * p.y, 0.0, 0.1);
-            sampled.samples.positions.iter().map(bend).collect()
+            sampled.samples.positions.iter().map(bend).collect::<Vec<_>>().into()
         };
         let deformed = (0..6).map(bent).collect();
         Self { folder, model, sampled, deformed }
@@ -344,7 +345,7 @@ fn another_key_starts_anew() {
     work.check(&[1], &expected);
 
     interrupted(&work, &how(true));
-    work.deformed[1][7].x += 0.01;
+    work.deformed[1].local[7].x += 0.01;
     let changed = note(&work, &how(true));
     fs::remove_file(work.path("out-1")).unwrap();
     assert!(changed.contains("changed") && changed.contains("out-1"), "{changed}");

@@ -10,6 +10,7 @@ use crate::sidecar;
 use crate::stack::{Layer, LayerCache, LayerRest, LayerResult, Moment, PreparedStack, RestShape, located};
 use crate::step::{Action, Deformation, Refine, Step};
 use glam::{DVec3, Mat3, Vec3};
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::{
     DeformationField, Method, Reconstructed, Reconstruction, RestGeometry, Version, deformed_normals,
     known_gradients, reconstruct,
@@ -94,23 +95,41 @@ impl Evaluated {
         self
     }
 
+    /// The deformed samples as a file of them holds them. Where all of them go far, what plugins give in
+    /// single precision is coarse: where all plugins know their map, it is evaluated in double precision
+    /// instead.
+    ///
+    /// # Errors
+    /// A plugin fails; the user cancelled.
+    pub fn rounded(&self, progress: &dyn Progress) -> Result<DeformedPositions> {
+        let Self { sampled, positions, stack, .. } = self;
+        let deformed = sampled.rounded(positions);
+        if deformed.is_unshifted() || !stack.can_evaluate() {
+            return Ok(deformed);
+        }
+        let rest = sampled.samples.positions.iter().map(|p| sampled.frame.to_model(*p));
+        let mut places: Vec<DVec3> = rest.collect();
+        stack.evaluate_with(&mut places, progress)?;
+        Ok(sampled.rounded_places(places))
+    }
+
     /// Writes the deformed model, whole or not at all. `model` is where it is, if it was moved since it was
     /// sampled, and `follow` what turns with the surface.
     ///
     /// # Errors
     /// A step could not be done; the model or the file cannot be read or written; the user cancelled.
     pub fn write(
-        self,
+        mut self,
         model: Option<&Path>,
         follow: &Follow,
         output: &Path,
         how: &Reconstruction<'_>,
         progress: &dyn Progress,
     ) -> Result<Reconstructed> {
-        messages(self.statuses)?;
+        messages(std::mem::take(&mut self.statuses))?;
         let mut model = self.sampled.open_source(model, progress)?;
         sidecar::follow(&mut *model, follow)?;
-        let deformed = self.sampled.rounded(&self.positions);
+        let deformed = self.rounded(progress)?;
         let version = Version { deformed: &deformed, output, diagnostics: None };
         let known = turning_gradients(&self.sampled, &self.stack, model.as_ref(), progress)?;
         let how = Reconstruction { gradients: known.as_deref(), ..*how };

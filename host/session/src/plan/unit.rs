@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use glam::{Mat3, Vec3};
+use glam::Mat3;
+use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::{
     Part, Reconstructed, Reconstruction, SharedTarget, Version, abort_object, begin_object, choose_offset,
     join_parts, reconstruct, write_part,
@@ -424,7 +425,7 @@ impl UnitRun<'_> {
 
     fn choose_offset(&self, edit: &mut WritingInputs) -> Result<()> {
         if self.plan.options.choose_offset {
-            let chosen = choose_offset(&edit.sampled, edit.model.as_mut(), [&edit.deformed[..]])?;
+            let chosen = choose_offset(&edit.sampled, edit.model.as_mut(), [&edit.deformed])?;
             chosen.into_iter().for_each(|changed| self.progress.note(&changed));
         }
         Ok(())
@@ -495,7 +496,7 @@ impl OfFaces {
 struct WritingInputs {
     sampled: SampledModel,
     model: Box<dyn Model>,
-    deformed: Vec<Vec3>,
+    deformed: DeformedPositions,
     gradients: Option<Vec<Mat3>>,
     method: simod_core::reconstruction::Method,
     normals: Normals,

@@ -155,10 +155,12 @@ mod tests {
         Arc::new(sampled)
     }
 
-    /// Where a session's steps take its samples.
+    /// Where a session's steps take its samples, local coordinates.
     fn deformed(session: &str, registry: &PluginRegistry, of: Arc<SampledModel>) -> Result<Vec<Vec3>> {
         let session = SessionFile::parse(session, Path::new("s.toml"))?;
-        Ok(deform(of, &session.steps, registry, Refinements::default(), &Silent)?.positions)
+        let frame = of.frame;
+        let deformed = deform(of, &session.steps, registry, Refinements::default(), &Silent)?;
+        Ok(deformed.positions.into_unshifted(&frame))
     }
 
     /// Moves each sample to the mean of its neighbours and of the corners of its triangles.

@@ -72,7 +72,7 @@ fn assert_evaluates(deformed: &DeformedSamples, positions: &[Vec3], tolerance: f
     assert!(deformed.stack.can_evaluate());
     let mut points: Vec<DVec3> = positions.iter().map(|p| FRAME.to_model(*p)).collect();
     deformed.stack.evaluate(&mut points).unwrap();
-    for (a, b) in points.iter().zip(&deformed.positions) {
+    for (a, b) in points.iter().zip(&deformed.positions.local) {
         let error = FRAME.to_local_exact(*a).distance(b.as_dvec3());
         assert!(error < tolerance, "{error}");
     }
@@ -107,7 +107,7 @@ shapes = [{ half-space = { point = [1e6, -1999995, 500], normal = [0, 1, 0] } }]
 fn an_empty_stack_changes_nothing() {
     let positions = cylinder(100);
     let deformed = apply("", &positions).unwrap();
-    assert_eq!(deformed.positions, positions);
+    assert_eq!(deformed.positions, positions.clone().into());
     assert_evaluates(&deformed, &positions, 1e-6);
 }
 
@@ -119,11 +119,11 @@ fn two_plugins_in_one_stack() {
     // The other way round is something else: each layer works on what the one before made.
     let other = apply(&format!("{BEND}{RBF}"), &positions).unwrap();
     assert_evaluates(&other, &positions, 1e-5);
-    let apart = other.positions.iter().zip(&deformed.positions).map(|(a, b)| a.distance(*b));
+    let apart = other.positions.local.iter().zip(&deformed.positions.local).map(|(a, b)| a.distance(*b));
     assert!(apart.fold(0.0, f32::max) > 0.5);
 
     let turned = apply(RBF, &positions).unwrap();
-    for (p, q) in positions.iter().zip(&turned.positions) {
+    for (p, q) in positions.iter().zip(&turned.positions.local) {
         let (p, q) = (about_origin(*p), about_origin(*q));
         if p.y < 1.0 {
             assert!(p.distance(q) < 1e-2);
@@ -140,7 +140,7 @@ fn masks_hold_any_layer_back() {
     let whole = apply(BEND, &positions).unwrap();
     let masked = apply(&format!("{BEND}{MASK}"), &positions).unwrap();
     assert_evaluates(&masked, &positions, 1e-5);
-    for (p, (w, m)) in positions.iter().zip(whole.positions.iter().zip(&masked.positions)) {
+    for (p, (w, m)) in positions.iter().zip(whole.positions.local.iter().zip(&masked.positions.local)) {
         let y = about_origin(*p).y;
         if y >= 5.0 {
             assert_eq!(w, m);
@@ -163,11 +163,11 @@ fn an_amount_blends_any_layer_with_its_rest_shape() {
         };
         let whole = apply(&step, &positions).unwrap();
         assert_eq!(with(1.0).positions, whole.positions);
-        assert_eq!(with(0.0).positions, positions);
+        assert_eq!(with(0.0).positions, positions.clone().into());
         assert!(with(0.0).stack.can_evaluate());
         let part = with(0.3);
         assert_evaluates(&part, &positions, 1e-5);
-        for (p, (w, q)) in positions.iter().zip(whole.positions.iter().zip(&part.positions)) {
+        for (p, (w, q)) in positions.iter().zip(whole.positions.local.iter().zip(&part.positions.local)) {
             assert!(p.lerp(*w, 0.3).distance(*q) < 1e-5, "{p} went to {q}, not a part of the way to {w}");
         }
         // The next layer's rest shape is what is left of this one.

@@ -1,0 +1,120 @@
+//! P_S*, the deformed samples, so that they keep their digits far from where they were.
+
+use glam::{DVec3, Vec3};
+use simod_model::frame::Frame;
+
+/// The shift is whole steps of so many local units: nothing, unless samples go further than the model's
+/// diagonal in the mean.
+const STEP: f64 = 4.0;
+
+/// Where samples went, in local coordinates less a shift that all have in common.
+///
+/// Single precision tells places far off the local origin but coarsely: samples that all go a thousand times
+/// the model's size away would lose three digits of what they do beside each other. So most of the way that
+/// they go together is kept by itself, in double precision.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct DeformedPositions {
+    /// Local positions, one per sample, less the shift.
+    pub local: Vec<Vec3>,
+    /// In the model's unit; mostly zero.
+    pub shift: DVec3,
+}
+
+impl DeformedPositions {
+    /// Samples of a model with this frame that went from `rest` (local coordinates) to finite places (the
+    /// model's coordinates).
+    pub fn new(frame: &Frame, rest: &[Vec3], places: &[DVec3]) -> Self {
+        let ways = rest.iter().zip(places).map(|(from, to)| frame.to_local_exact(*to) - from.as_dvec3());
+        let mean = ways.sum::<DVec3>() / rest.len().max(1) as f64;
+        let shift = (mean / STEP).round() * STEP * frame.scale;
+        let frame = shifted(frame, shift);
+        Self { local: places.iter().map(|p| frame.to_local(*p)).collect(), shift }
+    }
+
+    /// The frame of the local positions; `rest` is that of the model at rest.
+    pub fn frame(&self, rest: &Frame) -> Frame {
+        shifted(rest, self.shift)
+    }
+
+    /// The places, in the model's coordinates; `rest` is the frame of the model at rest.
+    pub fn places(&self, rest: &Frame) -> impl ExactSizeIterator<Item = DVec3> {
+        let frame = self.frame(rest);
+        self.local.iter().map(move |p| frame.to_model(*p))
+    }
+
+    /// The same without a shift, as precise as single precision is there.
+    pub fn into_unshifted(self, rest: &Frame) -> Vec<Vec3> {
+        if self.is_unshifted() { self.local } else { self.places(rest).map(|p| rest.to_local(p)).collect() }
+    }
+
+    /// Whether local positions are those of the model at rest's frame.
+    pub fn is_unshifted(&self) -> bool {
+        self.shift == DVec3::ZERO
+    }
+
+    /// Whether all are where they were, to the bit.
+    pub fn are_still(&self, rest: &[Vec3]) -> bool {
+        let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
+        self.is_unshifted() && self.local.iter().map(bits).eq(rest.iter().map(bits))
+    }
+}
+
+impl From<Vec<Vec3>> for DeformedPositions {
+    fn from(local: Vec<Vec3>) -> Self {
+        Self { local, shift: DVec3::ZERO }
+    }
+}
+
+/// The frame of what was shifted; without a shift the same one, to the signs of zeros.
+fn shifted(frame: &Frame, shift: DVec3) -> Frame {
+    let origin = if shift == DVec3::ZERO { frame.origin } else { frame.origin + shift };
+    Frame { origin, ..*frame }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Samples of a model of two local units.
+    fn rest() -> Vec<Vec3> {
+        (0..60).map(|i| Vec3::new((i as f32).sin(), (2.0 * i as f32).cos(), i as f32 / 60.0)).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn what_goes_far_keeps_its_digits(
+            way in prop::array::uniform3(-1e7..1e7), origin in -1e6..1e6, scale in -8..8i32,
+        ) {
+            let frame = Frame { origin: DVec3::splat(origin), scale: 2f64.powi(scale) };
+            let (way, rest) = (DVec3::from(way), rest());
+            let places: Vec<DVec3> = rest.iter().map(|p| frame.to_model(*p) + way).collect();
+            let far = DeformedPositions::new(&frame, &rest, &places);
+            // What numbers of that size are rounded to, and the singles of local units that are left.
+            let rounding = 1e-15 * (way.length() + origin.abs()) + 3e-7 * frame.scale;
+            for ((back, place), local) in far.places(&frame).zip(&places).zip(&far.local) {
+                prop_assert!(back.distance(*place) <= rounding, "{back} {place}");
+                prop_assert!(local.abs().max_element() <= 3.5);
+            }
+            // What is written and read again is the same.
+            let written: Vec<DVec3> = far.places(&frame).collect();
+            let read = DeformedPositions::new(&frame, &rest, &written);
+            prop_assert_eq!(read.shift, far.shift);
+            prop_assert!(read.places(&frame).eq(written));
+        }
+    }
+
+    #[test]
+    fn what_stays_near_is_local_as_it_was() {
+        let (rest, frame) = (rest(), Frame { origin: DVec3::new(5e5, -0.0, 3.0), scale: 0.5 });
+        for way in [DVec3::ZERO, DVec3::new(0.9, -0.9, 0.3)] {
+            let places: Vec<DVec3> = rest.iter().map(|p| frame.to_model(*p) + way).collect();
+            let near = DeformedPositions::new(&frame, &rest, &places);
+            let local: Vec<Vec3> = places.iter().map(|p| frame.to_local(*p)).collect();
+            assert!(near.is_unshifted());
+            assert_eq!(near.are_still(&rest), way == DVec3::ZERO && local == rest);
+            assert_eq!(near.into_unshifted(&frame), local);
+        }
+        assert!(!DeformedPositions { local: rest.clone(), shift: DVec3::X }.are_still(&rest));
+    }
+}
