@@ -48,6 +48,15 @@ impl Scalar {
             Self::F64 => 8,
         }
     }
+
+    /// The number of this type that is nearest.
+    #[inline]
+    pub(crate) fn round(self, value: f64) -> f64 {
+        match self {
+            Self::F32 => f64::from(value as f32),
+            Self::F64 => value,
+        }
+    }
 }
 
 /// What is known of a model once it is open, before any vertex is read.
