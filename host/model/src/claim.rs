@@ -283,7 +283,7 @@ fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
             Err(TryLockError::Error(_)) if !is_new && !resumes => break,
             _ => {}
         }
-        // Whoever had it before may have renamed or removed it meanwhile.
+        // The process that had the file before may have renamed or removed it meanwhile.
         if !Identity::is_at(&file, part) {
             continue;
         }

@@ -340,7 +340,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
             Piece::Made => ready.is_made = true,
             Piece::Vertices(_) | Piece::Normals => {
                 self.file.decode(chunk)?;
-                // They may have been read just now.
+                // The bytes may have been read just now.
                 ready.source_bytes = chunk.raw.len() as u64;
                 edited.iter_mut().for_each(|version| version.reset(chunk, self.how.normals));
                 if let Piece::Normals = piece {

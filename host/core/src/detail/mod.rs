@@ -40,7 +40,7 @@ const MOST_STRETCH: f32 = 8.0;
 /// The cells to be streamed, how finely, and with what.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DetailRequest {
-    /// Their places among the kept cells; ascending.
+    /// The cells' places among the kept ones; ascending.
     pub cells: Vec<u32>,
     /// One of so many vertices is taken: 1 for all.
     pub stride: u64,
@@ -272,7 +272,7 @@ struct OpenCells<'a> {
     scale: f64,
     /// What has come of each, in the order in which they were chosen.
     open: Vec<CellVertices>,
-    /// Those of which all has come, until they are handed on, and how many vertices they have.
+    /// Cells of which all has come, until they are handed on, and how many vertices they have.
     complete: Vec<CellVertices>,
     held: usize,
     streamed: Streamed,

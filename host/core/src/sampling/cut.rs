@@ -39,7 +39,7 @@ pub const BYTES_PER_SAMPLE: u64 = 150;
 pub struct ClusteredCell {
     /// The cell's place in the grid's list.
     pub cell: u32,
-    /// Its VS-Tree.
+    /// The cell's VS-Tree.
     pub tree: VsTree,
     /// The moments of all its samples.
     pub moments: Moments,
@@ -182,7 +182,7 @@ pub struct Cut {
     pub positions: Vec<Vec3>,
     /// Unit normals; zero where unknown.
     pub normals: Vec<Vec3>,
-    /// Their [variances](Moments::variance_of_mean).
+    /// The samples' [variances](Moments::variance_of_mean).
     pub variances: Vec<f32>,
     /// The tree of each cell.
     pub trees: Vec<CutTree>,
@@ -263,7 +263,7 @@ impl Cut {
                             let (position, normal) = own.copied().or_else(of_leaf).unwrap_or_default();
                             coarser.positions.push(position);
                             coarser.normals.push(normal);
-                            // It is for clouds, whose sheets no faces tell.
+                            // Variances are for clouds, whose sheets no faces tell.
                             coarser.variances.push(f32::INFINITY);
                         }
                         new.samples.push(to);

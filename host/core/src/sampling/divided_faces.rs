@@ -555,7 +555,7 @@ impl<'a> FacePart<'a> {
             return Vec::new();
         }
         if have_to_be_found(model) {
-            // Those behind its triangles are of the next part.
+            // Marks behind the part's triangles are of the next part.
             let is_own = |mark: &&FaceMark| own.start + (mark.triangle as u64) < *found || to.is_none();
             return marks.iter().filter(is_own).copied().collect();
         }

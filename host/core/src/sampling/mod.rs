@@ -398,7 +398,7 @@ impl<'a> SamplingPass<'a> {
         for foresight in [Some(1.0), None] {
             let clustered = match self.stream(StreamJob::Whole, foresight, grouping)? {
                 Some(clustered) => clustered,
-                // Those that find no room in memory do so in a file.
+                // Groups find no room in memory; single vertices find some in a file.
                 None => {
                     grouping = Grouping::Never;
                     let vertices = self.stream(StreamJob::Whole, foresight, grouping)?;

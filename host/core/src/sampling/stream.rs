@@ -302,7 +302,7 @@ struct StreamPiece<P: GatherPiece> {
     places: Vec<AtomicU32>,
     /// Each cell that the stream enters, and the vertices up to where it leaves it.
     visits: Vec<(u32, Range<u64>)>,
-    /// Its vertices in cells that others cluster, and what is written down of them.
+    /// The piece's vertices in cells that others cluster, and what is written down of them.
     shared: SharedPiece,
     records: Vec<(u32, Vec<u8>)>,
     /// What was read in the place of the model.
@@ -478,7 +478,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         shared.visits.iter_mut().zip(&mut ends).for_each(|(visit, end)| visit.vertices.end = end);
         let group_of = |cell| match shares.owner(cell) {
             Owner::Group(group) => Some(group),
-            // Its vertices were elsewhere when they were counted.
+            // The cell's vertices were elsewhere when they were counted.
             Owner::Range(_) => None,
         };
         *records = shared.records(group_of).ok_or_else(|| changed(*model))?;
@@ -522,7 +522,7 @@ impl<'a, G: Gather> Stream<'a, G> {
             merging.at = 0;
         }
         drop(merging);
-        // Whoever finishes the piece has it alone.
+        // The thread that finishes the piece has it alone.
         drop(piece);
         self.schedule.tasks().merged(shard, has_all);
         Ok(())

@@ -202,7 +202,7 @@ impl InheritedSheets<'_> {
 
 /// The samples near which sheets meet, with all that the homes of places there depend on.
 pub(crate) struct Near {
-    /// Their numbers in the whole set, ascending.
+    /// The samples' numbers in the whole set, ascending.
     numbers: Vec<u32>,
     samples: SampleSet,
 }
@@ -566,7 +566,7 @@ fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLis
 
 /// The samples among the nearest of one that are on another sheet, each with that sample.
 fn left_out_by<'a>(sample: u32, near: &'a [u32], same: &'a [u32]) -> impl Iterator<Item = (u32, u32)> + 'a {
-    // Who lies beyond the last one of the list is not left out.
+    // Samples beyond the last one of the list are not left out.
     without(&near[..end_of(near, same)], same).map(move |j| (j, sample))
 }
 

@@ -216,7 +216,7 @@ impl Islands {
 
     /// Each link once, by the islands as they are now.
     fn once_each(&self, links: &mut Vec<[u32; 2]>) {
-        // They are in about the vertices' order.
+        // Links are in about the vertices' order.
         let share = self.back.len() / links.len().max(1);
         links.par_chunks_mut(FEW).for_each(|some| {
             for link in some.iter_mut() {
@@ -667,7 +667,7 @@ pub fn met_within(
 /// Leaves each island in the list of another one once.
 fn keep_once(starts: &mut [u32], joined: &mut Vec<u32>) {
     let count = starts.len() - 1;
-    // Who was met last by whom.
+    // The island by which each one was met last.
     let mut met = vec![NONE; count];
     let (mut kept, mut from) = (0, 0);
     for island in 0..count {

@@ -269,7 +269,7 @@ impl ChunkRange {
 /// What the splats of a chunk of the file become.
 struct TurnedSplats {
     positions: Vec<DVec3>,
-    /// Their numbers before and after, one splat after the other.
+    /// The splats' numbers before and after, one splat after the other.
     old: Vec<f64>,
     new: Vec<f64>,
     /// New bounds of positions and of scales, where any of these changed.

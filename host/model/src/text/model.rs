@@ -375,7 +375,7 @@ impl<G: Grammar> TextModel<G> {
         if let Some(of_vertex) = spans.get(..numbers) {
             order.sort_by_key(|n| of_vertex[*n][0]);
         }
-        // Those that turn, before and after.
+        // Numbers that turn, before and after.
         let mut turned = [Vec::new(), Vec::new()];
         let mut words: Vec<(usize, f64)> = Vec::with_capacity(numbers);
         for (vertex, spans) in spans.chunks_exact(numbers).enumerate() {

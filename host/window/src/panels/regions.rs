@@ -331,7 +331,7 @@ fn joints(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, de
                 if remove.clicked() {
                     let mut joints = deformation.joints.clone();
                     let gone = joints.remove(i);
-                    // Those that hung on it hang on what it hung on.
+                    // Joints that hung on the one that is gone hang on what it hung on.
                     for other in joints.iter_mut().filter(|j| j.parent.as_ref() == Some(&gone.id)) {
                         other.parent.clone_from(&gone.parent);
                     }
@@ -379,7 +379,7 @@ fn name(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, id: 
     }
     let is_wanted = ends && !ui.input(|i| i.key_pressed(Key::Escape));
     commands.then(move |window| {
-        // That of another joint may be typed by now.
+        // The name of another joint may be typed by now.
         if window.tools.naming.take_if(|(now, _)| *now == of).is_none() {
             return;
         }
