@@ -43,7 +43,7 @@ fn touched(low: f64, high: f64, count: usize) -> Option<[usize; 2]> {
     (first < last).then_some([first as usize, last as usize])
 }
 
-/// The normal of a triangle on the side that is seen, and how steep the triangle is, in depths for each width.
+/// The normal of a triangle on the side that is seen, and its slope, in depths for each width.
 fn facing([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
     let face = (b - a).cross(c - a);
     // Of a triangle without an area, any side will do: that towards the eye.

@@ -257,7 +257,7 @@ impl<'a> TriangleSurface<'a> {
     /// What takes a sample's part of what is left to its step: the inverse of its block, lumped, with a
     /// ridge.
     fn lumped(&self, sample: u32, moments: &[TriangleSums]) -> Mat3 {
-        // A sample at a corner of a triangle of too many vertices stays: its other triangles would have all say.
+        // A sample at a corner of a triangle of too many vertices stays, as the others would move it alone.
         if self.around(sample).iter().any(|triangle| moments[*triangle as usize].is_full()) {
             return Mat3::ZERO;
         }

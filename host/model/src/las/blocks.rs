@@ -134,8 +134,8 @@ impl LasBlocks {
         Ok(())
     }
 
-    /// Where the table is that begins at a byte and is written anew as `again`: where other bytes are there, up
-    /// to what is behind it.
+    /// Where the table is that begins at a byte and is written anew as `again`: where other bytes are there,
+    /// up to what is behind it.
     fn extent(&self, source: &SourceFile, header: &LasHeader, at: u64, again: &[u8]) -> Result<Range<u64>> {
         let mut there = Vec::new();
         source.append_at(&mut there, at, again.len())?;

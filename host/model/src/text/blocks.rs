@@ -195,8 +195,8 @@ impl<'a> BlockReader<'a> {
         (!self.range.is_empty()).then(|| self.blocks.entries[block].1)
     }
 
-    /// The end of the blocks from this one on that are read as a whole, of at most so many vertices; the block
-    /// itself if it is not.
+    /// The end of the blocks from this one on that are read as a whole, of at most so many vertices; the
+    /// block itself if it is not.
     fn last_whole(&self, block: usize, limit: u64) -> usize {
         let entries = &self.blocks.entries;
         let (first, begin) = entries[block];
