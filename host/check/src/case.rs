@@ -174,6 +174,13 @@ impl Case {
         Ok(case)
     }
 
+    /// Whether one preparation is for both cases, which differ in their parameters alone: by what the plugin
+    /// says that these invalidate.
+    pub fn is_prepared_as(&self, other: &Self, plugin: &Plugin) -> bool {
+        let prepares = |id: &str| plugin.params().iter().any(|d| d.id == id && d.invalidates_preparation);
+        self.params.some(prepares) == other.params.some(prepares)
+    }
+
     /// The same case without any sample.
     pub fn without_samples(mut self) -> Self {
         self.positions.clear();

@@ -5,7 +5,7 @@ use crate::case::Case;
 use crate::finding::{Checked, Finding};
 use crate::subject::{Subject, unwritten};
 use glam::Vec3;
-use simod_plugin_api::ErrorCode;
+use simod_plugin_api::{ErrorCode, State};
 use simod_session::deformer::line;
 
 /// Samples of a large case: as many as the interactive tools are made for.
@@ -134,10 +134,17 @@ fn survives(subject: &Subject, case: &Case) -> Checked<Finding> {
 /// Prepares, deforms, and evaluates at the samples, where the plugin does that: finite positions or a polite
 /// error.
 pub(crate) fn all_calls(subject: &Subject, case: &Case) -> Checked<Answer<()>> {
-    let state = match subject.run(case)? {
-        Ok((state, _)) => state,
-        Err(refusal) => return Ok(Err(refusal)),
-    };
+    match subject.prepare(case)? {
+        Ok(state) => calls_with(subject, case, &state),
+        Err(refusal) => Ok(Err(refusal)),
+    }
+}
+
+/// The same with what was prepared.
+pub(crate) fn calls_with(subject: &Subject, case: &Case, state: &State) -> Checked<Answer<()>> {
+    if let Err(refusal) = subject.deform(case, state, &mut subject.scratch()?)? {
+        return Ok(Err(refusal));
+    }
     let points = case.positions.iter().map(|p| p.map(f64::from)).collect();
-    Ok(subject.evaluate(case, &state, points)?.unwrap_or(Ok(Vec::new())).map(drop))
+    Ok(subject.evaluate(case, state, points)?.unwrap_or(Ok(Vec::new())).map(drop))
 }

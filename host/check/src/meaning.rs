@@ -211,7 +211,7 @@ pub(crate) fn handles(subject: &Subject) -> Checked<Finding> {
         let hint = "let the handles depend on the input alone";
         return Err(Finding::fail("asked again it places other handles", hint));
     }
-    // Whoever grabs a handle expects that something moves.
+    // Users who grab a handle expect that something moves.
     let rest = case.clone().at_rest();
     // As in a drag, one preparation is for all motions.
     let (state, still) = subject.run_ordinary(&rest)?;
@@ -274,7 +274,7 @@ pub(crate) fn time(subject: &Subject) -> Checked<Finding> {
     let mut moved = 0;
     for (frame, seconds) in [(0, 0.0), (-24, -1.0), (1, 1.0 / 24.0), (2_400_000, 1e5), (12, 0.5)] {
         let at = case.clone().at_time(Time { frame, seconds });
-        // It may refuse a time, politely.
+        // The plugin may refuse a time, politely.
         let Ok(positions) = subject.deform(&at, &state, &mut scratch)? else { continue };
         match difference(&first, &positions) {
             Some(what) if frame == 12 => {
@@ -308,7 +308,7 @@ pub(crate) fn attributes(subject: &Subject) -> Checked<Finding> {
     ];
     let mut moved = 0;
     for case in &cases {
-        // It may refuse them, politely.
+        // The plugin may refuse attributes, politely.
         let Ok((_, positions)) = subject.run(case)? else { continue };
         moved += usize::from(difference(&first, &positions).is_some());
     }

@@ -3,7 +3,7 @@
 use crate::answer::PluginRefusal;
 use crate::case::Case;
 use crate::finding::{Checked, Finding, Verdict};
-use crate::inputs::{FEW, all_calls};
+use crate::inputs::{FEW, all_calls, calls_with};
 use crate::meaning::difference;
 use crate::random::Random;
 use crate::subject::Subject;
@@ -16,36 +16,42 @@ const RANDOM: usize = 32;
 /// Other values that are tried of a parameter that does not invalidate the preparation.
 const CHANGES: usize = 4;
 
+/// Settings that do not invalidate the preparation of the defaults are tried with that one, as in a session:
+/// preparing with them is of the rule on [invalidation].
 pub(crate) fn bounds(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     if plugin.params().is_empty() {
         return Ok(Finding::skip("it has no parameters"));
     }
     let case = Case::bumpy_sphere(plugin, FEW)?;
-    let mut random = Random::new(subject.seed);
-    let mut tables: Vec<toml::Table> = Vec::new();
-    for d in plugin.params() {
-        tables.extend(ends(d).into_iter().map(|value| one(d, value)));
-    }
-    for _ in 0..RANDOM {
-        tables.push(plugin.params().iter().map(|d| (d.id.to_string(), any(d, &mut random))).collect());
-    }
+    let tables = settings(subject);
+    let mut usual = None;
+    let mut try_with = |given: &toml::Table| {
+        let changed = case.with_params(plugin, given)?;
+        if !changed.is_prepared_as(&case, plugin) {
+            return all_calls(subject, &changed);
+        }
+        let state = match usual.take() {
+            Some(state) => state,
+            None => subject.prepare(&changed)?,
+        };
+        match usual.insert(state) {
+            Ok(state) => calls_with(subject, &changed, state),
+            Err(refusal) => Ok(Err(PluginRefusal(refusal.0.clone()))),
+        }
+    };
     let mut refused = Vec::new();
     for given in &tables {
-        let at = |finding: Finding| Finding {
-            found: format!("with {}: {}", text(given), finding.found),
-            ..finding
-        };
-        let case = match case.with_params(plugin, given) {
-            // Its handles cannot be placed with these: a refusal as any other.
-            Err(Finding { verdict: Verdict::Skip, found, .. }) => {
-                refused.push(format!("{} ({found})", text(given)));
-                continue;
+        match try_with(given) {
+            Ok(Ok(())) => {}
+            // Where its handles cannot be placed with these, that is a refusal as any other.
+            Ok(Err(PluginRefusal(why))) | Err(Finding { verdict: Verdict::Skip, found: why, .. }) => {
+                refused.push(format!("{} ({why})", text(given)));
             }
-            case => case.map_err(at)?,
-        };
-        if let Err(refusal) = all_calls(subject, &case).map_err(at)? {
-            refused.push(format!("{} ({})", text(given), refusal.0));
+            Err(finding) => {
+                let found = format!("with {}: {}", text(given), finding.found);
+                return Err(Finding { found, ..finding });
+            }
         }
     }
     let all = tables.len();
@@ -88,6 +94,18 @@ pub(crate) fn invalidation(subject: &Subject) -> Checked<Finding> {
         }
     }
     Ok(Finding::pass(format!("{compared} changes of {} parameters need no new preparation", free.len())))
+}
+
+/// The ends of each parameter's range, and values of all at random.
+fn settings(subject: &Subject) -> Vec<toml::Table> {
+    let params = subject.plugin.params();
+    let mut random = Random::new(subject.seed);
+    let of_ends = params.iter().flat_map(|d| ends(d).into_iter().map(|value| one(d, value)));
+    let mut tables: Vec<toml::Table> = of_ends.collect();
+    for _ in 0..RANDOM {
+        tables.push(params.iter().map(|d| (d.id.to_string(), any(d, &mut random))).collect());
+    }
+    tables
 }
 
 /// A setting of one parameter.

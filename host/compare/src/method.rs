@@ -521,7 +521,7 @@ impl<'a> Bench<'a> {
             ["given-samples.ply", "given-constraints.txt"].map(|name| self.folder.join(name));
         let model = &self.file.model;
         let files = Files { samples: &samples, constraints: &constraints, model, output };
-        // That of a former run would pass for this one's.
+        // The output of a former run would pass for this one's.
         if output.exists() {
             std::fs::remove_file(output).map_err(|e| Error::io("remove", output, &e))?;
         }

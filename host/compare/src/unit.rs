@@ -65,7 +65,7 @@ pub fn do_unit(
     let unit = unit_of(plan.units(), (folder, number))?;
     let is_finished = folder.join(FINISHED).is_file();
     if is_finished && unit.stage == Stage::Page {
-        // Whoever did it may have been killed before it had tidied.
+        // The process that did it may have been killed before it had tidied.
         tidy(plan, folder);
     }
     if is_finished || folder.join(&unit.writes).is_file() {

@@ -39,9 +39,30 @@ pub fn symmetric_eigen<S: Simd>(simd: S, diagonal: Triple<S>, off: Triple<S>) ->
         (d[i], o[i]) = (d[i] / size, o[i] / size);
     }
     let shifted = [[d[0], o[0], o[1]], [o[0], d[1], o[2]], [o[1], o[2], d[2]]];
-    let determinant = dot(shifted[0], cross(shifted[1], shifted[2]));
+    let (is_least, axis) = far_axis(simd, shifted);
+    let far = (dot(axis, times(shifted, axis)), axis);
+    let [first, second] = pair_across(simd, shifted, axis);
+    let is_second = second.0.less(first.0);
+    let (low, high) = (either(is_second, second, first), either(is_second, first, second));
+    let ordered = [either(is_least, far, low), either(is_least, low, high), either(is_least, high, far)];
+    let (mut values, mut vectors) = ([zero; 3], [[zero; 3]; 3]);
+    for i in 0..3 {
+        values[i] = is_parted.select((ordered[i].0 * size + mean) * scale, diagonal[0]);
+        for j in 0..3 {
+            vectors[i][j] = is_parted.select(ordered[i].1[j], if i == j { one } else { zero });
+        }
+    }
+    (values, vectors)
+}
 
-    // The root that is farthest from zero, from above.
+/// The eigenvector of the eigenvalue that is farthest from zero, of shifted and scaled matrices, and where
+/// that is the least eigenvalue.
+#[inline(always)]
+fn far_axis<S: Simd>(simd: S, shifted: [Triple<S>; 3]) -> (DoubleMask<S>, Triple<S>) {
+    let splat = |x| DoubleLanes::splat(simd, x);
+    let (zero, one) = (splat(0.0), splat(1.0));
+    let determinant = dot(shifted[0], cross(shifted[1], shifted[2]));
+    // The root comes from above.
     let mut root = splat(2.0);
     for _ in 0..STEPS {
         let squared = root * root;
@@ -64,8 +85,19 @@ pub fn symmetric_eigen<S: Simd>(simd: S, diagonal: Triple<S>, off: Triple<S>) ->
     for i in 0..3 {
         axis[i] = is_long.select(longest[i] / length, if i == 0 { one } else { zero });
     }
+    (is_least, axis)
+}
 
-    // In the plane across it, one of Jacobi's rotations (Golub and Van Loan, *Matrix Computations*, 8.5).
+/// The two other eigenvalues with their eigenvectors, in the plane across an eigenvector: by one of Jacobi's
+/// rotations (Golub and Van Loan, *Matrix Computations*, 8.5).
+#[inline(always)]
+fn pair_across<S: Simd>(
+    simd: S,
+    shifted: [Triple<S>; 3],
+    axis: Triple<S>,
+) -> [(DoubleLanes<S>, Triple<S>); 2] {
+    let splat = |x| DoubleLanes::splat(simd, x);
+    let (zero, one) = (splat(0.0), splat(1.0));
     let (u, v) = across(simd, axis);
     let (along_u, along_v) = (times(shifted, u), times(shifted, v));
     let (uu, uv, vv) = (dot(u, along_u), dot(u, along_v), dot(v, along_v));
@@ -79,19 +111,7 @@ pub fn symmetric_eigen<S: Simd>(simd: S, diagonal: Triple<S>, off: Triple<S>) ->
     for i in 0..3 {
         (first[i], second[i]) = (u[i] * cosine - v[i] * sine, u[i] * sine + v[i] * cosine);
     }
-    let (first, second) = ((uu - t * uv, first), (vv + t * uv, second));
-    let is_second = second.0.less(first.0);
-    let (low, high) = (either(is_second, second, first), either(is_second, first, second));
-    let far = (dot(axis, times(shifted, axis)), axis);
-    let ordered = [either(is_least, far, low), either(is_least, low, high), either(is_least, high, far)];
-    let (mut values, mut vectors) = ([zero; 3], [[zero; 3]; 3]);
-    for i in 0..3 {
-        values[i] = is_parted.select((ordered[i].0 * size + mean) * scale, diagonal[0]);
-        for j in 0..3 {
-            vectors[i][j] = is_parted.select(ordered[i].1[j], if i == j { one } else { zero });
-        }
-    }
-    (values, vectors)
+    [(uu - t * uv, first), (vv + t * uv, second)]
 }
 
 /// The product of a symmetric matrix and a vector.

@@ -819,7 +819,7 @@ impl SampledModel {
     pub fn cluster_errors(&self) -> Result<Vec<f32>> {
         let trees = self.checked_cells()?.cells.iter().map(|cell| &cell.tree);
         let mut errors = cut::errors(trees, self.samples.len());
-        // Those that share a cluster with one that a tree has.
+        // Samples that share a cluster with one that a tree has.
         for [sample, of] in self.samples.contacts().map_or(&[][..], Contacts::parted) {
             errors[*sample as usize] = errors[*of as usize];
         }

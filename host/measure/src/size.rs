@@ -22,7 +22,7 @@ pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
         let sides = sides(triangles.iter().copied()).filter(|[a, b]| (a < b) == up);
         sorted(sides.map(either_way))
     };
-    // Those of one way and of the other, each two that are the same taken off together.
+    // Sides that go one way and the other; each two that are the same are taken off together.
     let (up, down) = (going(true), going(false));
     let (mut i, mut k, mut closed) = (0, 0, 0);
     while i < up.len() && k < down.len() {

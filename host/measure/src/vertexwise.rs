@@ -277,7 +277,7 @@ fn is_direction(n: Vec3) -> bool {
 /// itself.
 #[inline(always)]
 fn angle(a: DVec3, b: DVec3) -> f64 {
-    // Their lengths cancel out.
+    // The vectors' lengths cancel out.
     let (across, along) = (a.cross(b).length(), a.dot(b));
     // As libraries' arctangents, but without branches, so that several are found at once: x is at most the
     // tangent of a sixteenth of a turn, where what the series leaves out is 3e-9.

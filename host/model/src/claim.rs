@@ -239,6 +239,25 @@ pub fn abandon_all() {
     }
 }
 
+/// Opens a part file that is there; `None` if it is there no more, or was removed because it is nobody's.
+fn open_there(part: &Path, in_the_way: &dyn Fn() -> Error) -> Result<Option<File>> {
+    match fs::symlink_metadata(part) {
+        Err(_) => return Ok(None),
+        Ok(is) if is.is_dir() => return Err(in_the_way()),
+        Ok(is) if !is.is_file() => {
+            // A link, a pipe or a device is nobody's part.
+            remove(part).map_err(|e| in_the_way().because(e))?;
+            return Ok(None);
+        }
+        Ok(_) => {}
+    }
+    match open_again(part) {
+        Ok(file) => Ok(Some(file)),
+        Err(e) if e.kind() == io::ErrorKind::PermissionDenied => Err(in_the_way().because(e)),
+        Err(_) => Ok(None),
+    }
+}
+
 /// Opens the part file for this process alone.
 fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
     const ATTEMPTS: usize = 100;
@@ -251,25 +270,10 @@ fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
     for _ in 0..ATTEMPTS {
         let (file, is_new) = match create_new(part, target) {
             Ok(file) => (file, true),
-            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {
-                match fs::symlink_metadata(part) {
-                    Err(_) => continue,
-                    Ok(is) if is.is_dir() => return Err(in_the_way()),
-                    Ok(is) if !is.is_file() => {
-                        // A link, a pipe or a device is nobody's part.
-                        remove(part).map_err(|e| in_the_way().because(e))?;
-                        continue;
-                    }
-                    Ok(_) => {}
-                }
-                match open_again(part) {
-                    Ok(file) => (file, false),
-                    Err(e) if e.kind() == io::ErrorKind::PermissionDenied => {
-                        return Err(in_the_way().because(e));
-                    }
-                    Err(_) => continue,
-                }
-            }
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => match open_there(part, &in_the_way)? {
+                Some(file) => (file, false),
+                None => continue,
+            },
             Err(e) => return Err(failed(e)),
         };
         match file.try_lock() {
@@ -279,7 +283,7 @@ fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
             Err(TryLockError::Error(_)) if !is_new && !resumes => break,
             _ => {}
         }
-        // Whoever had it before may have renamed or removed it meanwhile.
+        // The process that had the file before may have renamed or removed it meanwhile.
         if !Identity::is_at(&file, part) {
             continue;
         }

@@ -329,81 +329,122 @@ fn scan(source: &SourceFile, columns: &Columns, begin: u64, start: u64) -> Resul
     Ok(builder.finish())
 }
 
+/// What stands before the first row with a number.
+#[derive(Default)]
+struct BeforeRows {
+    /// The last comment.
+    comment: Vec<u8>,
+    /// Whether there is a number of points.
+    is_counted: bool,
+    /// Names of columns, and what is between them.
+    header: Option<(Option<u8>, Vec<String>)>,
+    /// The first row without any number, which tells nothing of the columns.
+    empty: Option<u64>,
+}
+
+/// A line of a file with columns.
+struct ColumnsLine<'a> {
+    at: u64,
+    separator: Option<u8>,
+    words: Vec<&'a [u8]>,
+    /// Which of the words are numbers.
+    numbers: Vec<bool>,
+}
+
+impl ColumnsLine<'_> {
+    fn has_row(&self) -> bool {
+        let mut words = self.words.iter().zip(&self.numbers);
+        self.words.len() >= 3 && words.all(|(word, is_number)| *is_number || word.is_empty())
+    }
+}
+
+impl BeforeRows {
+    /// The names of the columns of a row, and whether the file or the user tells them.
+    fn names(&mut self, extension: &str, wanted: Option<&str>, row: &ColumnsLine<'_>) -> (Vec<String>, bool) {
+        if let Some(wanted) = wanted {
+            return (wanted.split(',').map(|name| name.trim().to_owned()).collect(), true);
+        }
+        let columns = row.words.len();
+        let named = self.header.take().map(|(_, names)| names);
+        match named.or_else(|| in_comment(&self.comment, row.separator, columns)) {
+            Some(names) => (names, true),
+            None => (usual(extension, self.is_counted, columns), false),
+        }
+    }
+
+    /// What is known of the file with its first row.
+    fn with_row(
+        mut self,
+        source: &SourceFile,
+        (extension, wanted): (&str, Option<&str>),
+        begin: u64,
+        mut row: ColumnsLine<'_>,
+    ) -> Result<ColumnsHead> {
+        row.separator = self.header.as_ref().map_or(row.separator, |h| h.0.or(row.separator));
+        let (mut names, is_named) = self.names(extension, wanted, &row);
+        let wrong = |what: String| match wanted {
+            Some(wanted) => {
+                let path = source.path().display();
+                let what = format!("{path}, of the columns {}: {what}", quoted(wanted));
+                Error::argument(what, HINT)
+            }
+            None => wrong_line(source, row.at, what, HINT),
+        };
+        let mut columns = Columns::named(row.separator, &names, self.is_counted).map_err(wrong)?;
+        let named = if is_named { names.len() } else { 0 };
+        for column in names.len()..row.words.len() {
+            names.push(format!("column {}", column + 1));
+        }
+        let has_word = |column: usize| row.words.get(column).is_some_and(|word| !word.is_empty());
+        let is_told = |column: usize| column < named || has_word(column);
+        let attributes = columns.find_attributes(&names, &row.numbers, is_told);
+        Ok(ColumnsHead { columns, names, attributes, begin, start: self.empty.unwrap_or(row.at) })
+    }
+}
+
 fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<ColumnsHead> {
     let begin = text_start(source)?;
     let mut lines = Lines::new(source, begin, u64::MAX, LineEnds::Breaks);
-    // The first row without any number, which tells nothing of the columns.
-    let mut empty = None;
-    let (mut comment, mut is_counted, mut header) = (Vec::new(), false, None::<(Option<u8>, Vec<String>)>);
+    let mut before = BeforeRows::default();
     loop {
         let Some((at, line)) = lines.next()? else {
             return Err(source.malformed("there is no line of numbers in it", HINT));
         };
         if is_blank(line) {
-            comment.clear();
-            comment.extend_from_slice(&line[..line.len().min(LONGEST_HEADER)]);
+            before.comment.clear();
+            before.comment.extend_from_slice(&line[..line.len().min(LONGEST_HEADER)]);
             continue;
         }
         let separator = separator(line, extension);
         let words: Vec<&[u8]> =
             fields(line, separator).map(|(a, b)| &line[a..b]).take(MOST_COLUMNS).collect();
         let numbers: Vec<bool> = words.iter().map(|word| parse(Scalar::F64, word).is_some()).collect();
-        if words.len() == 1 && integer(words[0]).is_some() && !is_counted && header.is_none() {
-            is_counted = true;
+        if words.len() == 1 && integer(words[0]).is_some() && !before.is_counted && before.header.is_none() {
+            before.is_counted = true;
             continue;
         }
-        let text = |words: &[&[u8]]| -> Vec<String> {
-            words.iter().map(|word| String::from_utf8_lossy(word).into_owned()).collect()
-        };
-        let wrong = |what: String| wrong_line(source, at, what, HINT);
-        let is_row = words.len() >= 3 && words.iter().zip(&numbers).all(|(word, is)| *is || word.is_empty());
-        if is_row && !numbers.contains(&true) {
-            empty.get_or_insert(at);
+        let row = ColumnsLine { at, separator, words, numbers };
+        let (is_row, has_number) = (row.has_row(), row.numbers.contains(&true));
+        if is_row && !has_number {
+            before.empty.get_or_insert(at);
             continue;
         }
         // Names, unless the position is numbers.
-        if header.is_none()
+        if before.header.is_none()
             && !is_row
-            && numbers.iter().take(3).filter(|n| **n).count() < 3
-            && wanted.is_none_or(|_| !numbers.contains(&true))
+            && row.numbers.iter().take(3).filter(|n| **n).count() < 3
+            && wanted.is_none_or(|_| !has_number)
         {
-            if words.len() < 3 {
-                return Err(wrong(format!(
-                    "{} is neither a point nor names of columns",
-                    quoted(&String::from_utf8_lossy(line))
-                )));
+            if row.words.len() < 3 {
+                let line = quoted(&String::from_utf8_lossy(line));
+                let what = format!("{line} is neither a point nor names of columns");
+                return Err(wrong_line(source, at, what, HINT));
             }
-            (header, empty) = (Some((separator, text(&words))), None);
+            let names = row.words.iter().map(|word| String::from_utf8_lossy(word).into_owned()).collect();
+            (before.header, before.empty) = (Some((separator, names)), None);
             continue;
         }
-        let separator = header.as_ref().map_or(separator, |h| h.0.or(separator));
-        let mut is_named = true;
-        let mut names = match wanted {
-            Some(wanted) => wanted.split(',').map(|name| name.trim().to_owned()).collect(),
-            None => match header.take() {
-                Some((_, names)) => names,
-                None => in_comment(&comment, separator, words.len()).unwrap_or_else(|| {
-                    is_named = false;
-                    usual(extension, is_counted, words.len())
-                }),
-            },
-        };
-        let mut columns = Columns::named(separator, &names, is_counted).map_err(|what| match wanted {
-            Some(wanted) => {
-                let path = source.path().display();
-                let what = format!("{path}, of the columns {}: {what}", quoted(wanted));
-                Error::argument(what, HINT)
-            }
-            None => wrong(what),
-        })?;
-        let named = if is_named { names.len() } else { 0 };
-        for column in names.len()..words.len() {
-            names.push(format!("column {}", column + 1));
-        }
-        let has_word = |column: usize| words.get(column).is_some_and(|word| !word.is_empty());
-        let is_told = |column: usize| column < named || has_word(column);
-        let attributes = columns.find_attributes(&names, &numbers, is_told);
-        return Ok(ColumnsHead { columns, names, attributes, begin, start: empty.unwrap_or(at) });
+        return before.with_row(source, (extension, wanted), begin, row);
     }
 }
 

@@ -45,7 +45,7 @@ pub fn read(path: &Path, most: u64) -> Result<Vec<u8>> {
     }
     let mut bytes = Vec::with_capacity(length as usize);
     file.take(most + 1).read_to_end(&mut bytes).map_err(failed)?;
-    // It may grow while it is read.
+    // The file may grow while it is read.
     if bytes.len() as u64 > most { Err(too_long(path, most)) } else { Ok(bytes) }
 }
 

@@ -48,6 +48,15 @@ impl Scalar {
             Self::F64 => 8,
         }
     }
+
+    /// The number of this type that is nearest.
+    #[inline]
+    pub(crate) fn round(self, value: f64) -> f64 {
+        match self {
+            Self::F32 => f64::from(value as f32),
+            Self::F64 => value,
+        }
+    }
 }
 
 /// What is known of a model once it is open, before any vertex is read.
@@ -139,7 +148,7 @@ pub struct VertexChunk {
     /// The bytes of the file that these vertices were read from; in a compressed file those of whole blocks,
     /// each with the first chunk that was read of it.
     pub(crate) raw: Vec<u8>,
-    /// Their records, where `raw` is compressed.
+    /// The vertices' records, where `raw` is compressed.
     pub(crate) records: Vec<u8>,
     /// How many vertices each of the compressed blocks in `raw` has, and how many bytes.
     pub(crate) blocks: Vec<CompressedBlock>,
@@ -624,7 +633,7 @@ fn read_ahead<C: Default + Send>(
         let _ = recycle.send(C::default());
     }
     thread::scope(|scope| {
-        // Its ends of the channels are dropped with the thread, so that no end waits for another in vain.
+        // The thread's ends of the channels are dropped with it, so that no end waits for another in vain.
         let reading = scope.spawn(move || -> Result<()> {
             while let Ok(mut chunk) = empty.recv() {
                 if !read(&mut chunk)? || full.send(chunk).is_err() {

@@ -13,7 +13,7 @@ use crate::text::faces::{FaceLines, LineFaces};
 use crate::text::lines::{LineEnds, Lines, text_start, without_mark, wrong_line};
 use crate::text::model::{Grammar, TextModel, info};
 use crate::text::{CUT_OFF, DAMAGED, integer, is_space, next_word, quoted};
-use crate::{Attribute, FaceReader, Model, ModelInfo, Result, Type};
+use crate::{Attribute, Error, FaceReader, Model, ModelInfo, Result, Type};
 
 /// Most numbers of a vertex: position, normal, colour and texture coordinates.
 const MOST_NUMBERS: usize = 12;
@@ -42,6 +42,12 @@ impl Letters {
         let (texture, colours, normals) = (takes(b"ST"), takes(b"C"), takes(b"N"));
         let other_dimension = takes(b"4") | takes(b"n");
         rest.is_empty().then_some(Self { normals, colours, texture, other_dimension })
+    }
+
+    /// What stands before `OFF`.
+    fn text(self) -> String {
+        let letters = [(self.texture, "ST"), (self.colours, "C"), (self.normals, "N")];
+        letters.into_iter().filter(|(is, _)| *is).map(|(_, letter)| letter).collect()
     }
 }
 
@@ -81,6 +87,15 @@ struct OffHead {
 }
 
 impl OffHead {
+    /// The error that a file has but so many lines of vertices and of faces.
+    fn cut_off(&self, source: &SourceFile, [vertices, faces]: [u64; 2]) -> Error {
+        let what = format!(
+            "says {} vertices and {} faces, but it has {vertices} and {faces} lines of them",
+            self.vertices, self.faces
+        );
+        source.malformed(what, CUT_OFF)
+    }
+
     fn read(source: &SourceFile) -> Result<Self> {
         let mut lines = Lines::new(source, text_start(source)?, u64::MAX, LineEnds::Breaks);
         let (mut letters, mut counts) = (None, Vec::new());
@@ -95,28 +110,21 @@ impl OffHead {
                 let (keyword, count) = word.split_at(word.len() - digits);
                 let found =
                     if keyword.is_empty() { Some(Letters::default()) } else { Letters::parse(keyword) };
+                let text = || quoted(&String::from_utf8_lossy(word));
                 let Some(found) = found else {
-                    let what =
-                        format!("{} is neither OFF nor a count", quoted(&String::from_utf8_lossy(word)));
+                    let what = format!("{} is neither OFF nor a count", text());
                     return Err(wrong_line(source, at, what, DAMAGED));
                 };
                 (letters, glued) = (Some(found), Some(count).filter(|count| !count.is_empty()));
                 if found.other_dimension {
-                    let what = format!(
-                        "{} has vertices of another dimension than three",
-                        quoted(&String::from_utf8_lossy(word))
-                    );
+                    let what = format!("{} has vertices of another dimension than three", text());
                     return Err(wrong_line(source, at, what, "export the model as OFF, with x, y and z"));
                 }
             }
             for word in glued.into_iter().chain(words) {
                 if word.eq_ignore_ascii_case(b"BINARY") {
-                    return Err(wrong_line(
-                        source,
-                        at,
-                        "binary OFF cannot be read",
-                        "export the model as OFF in ascii",
-                    ));
+                    let (what, hint) = ("binary OFF cannot be read", "export the model as OFF in ascii");
+                    return Err(wrong_line(source, at, what, hint));
                 }
                 let count = integer(word).and_then(|count| u64::try_from(count).ok());
                 let Some(count) = count else {
@@ -148,24 +156,28 @@ fn end_of_edges(lines: &mut Lines<'_>) -> Result<Option<u64>> {
     Ok(None)
 }
 
+/// How many numbers the line of a vertex has.
+fn numbers_of_vertex(source: &SourceFile, at: u64, line: &[u8]) -> Result<usize> {
+    let numbers = words(line).count();
+    if numbers > MOST_NUMBERS {
+        let what = format!("{numbers} numbers in the line of a vertex");
+        return Err(wrong_line(source, at, what, "each vertex has to have a line of its own"));
+    }
+    Ok(numbers)
+}
+
 /// Opens a file, which is gone over once.
 pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     let head = OffHead::read(&source)?;
     let mut lines = Lines::new(&source, head.start, u64::MAX, LineEnds::Breaks);
     let mut builder = TextBlocksBuilder::new(head.start, 1);
-    let Letters { normals, colours, texture, .. } = head.letters;
+    let Letters { normals, texture, .. } = head.letters;
     let components = if normals { 6 } else { 3 };
     let (mut faces, mut face_lines, mut names, mut paints_faces) = (0, 0..0, Vec::new(), false);
     let mut bytes = ColourBytes { behind: 0, colours: 0, largest: 0 };
     while builder.vertices() < head.vertices || faces < head.faces {
         let Some((at, line)) = lines.next()? else {
-            let what = format!(
-                "says {} vertices and {} faces, but it has {} and {faces} lines of them",
-                head.vertices,
-                head.faces,
-                builder.vertices()
-            );
-            return Err(source.malformed(what, CUT_OFF));
+            return Err(head.cut_off(&source, [builder.vertices(), faces]));
         };
         let end = at + line.len() as u64;
         if !has_content(line) {
@@ -173,11 +185,7 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
         }
         if builder.vertices() < head.vertices {
             if builder.vertices() == 0 {
-                let numbers = words(line).count();
-                if numbers > MOST_NUMBERS {
-                    let what = format!("{numbers} numbers in the line of a vertex");
-                    return Err(wrong_line(&source, at, what, "each vertex has to have a line of its own"));
-                }
+                let numbers = numbers_of_vertex(&source, at, line)?;
                 names = attributes(numbers.saturating_sub(components), texture);
                 bytes = ColourBytes::of(&names);
             }
@@ -196,14 +204,12 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
         }
     }
     let kind = |name: &&str| if bytes.are_all() && !["s", "t"].contains(name) { Type::U8 } else { Type::F64 };
-    let letters = [(texture, "ST"), (colours, "C"), (normals, "N")];
-    let letters: String = letters.into_iter().filter(|(is, _)| *is).map(|(_, letter)| letter).collect();
     let info = ModelInfo {
         faces,
         face_bytes: face_lines.end - face_lines.start,
         other_properties: names.iter().map(|name| format!("{} {name}", kind(name).name())).collect(),
         attributes: names.iter().map(|name| Attribute { name: (*name).into(), kind: kind(name) }).collect(),
-        ..info(&source, format!("{letters}OFF"))
+        ..info(&source, format!("{}OFF", head.letters.text()))
     };
     let off = Off { columns: Columns::in_order(components, names.len()), face_lines, paints_faces };
     Ok(Box::new(TextModel::new(source, off, builder.finish(), info)?))

@@ -117,6 +117,21 @@ pub(crate) enum Piece {
     End,
 }
 
+/// # Errors
+/// There are too many versions; a part of the file is asked for, and it has none.
+fn check(file: &dyn Rewritable, versions: usize, how: Rewriting) -> Result<()> {
+    if versions > MAX_VERSIONS {
+        return Err(Error::argument(
+            format!("{versions} versions of a model at once"),
+            format!("write at most {MAX_VERSIONS} in one reading"),
+        ));
+    }
+    if how.only.is_some() && file.division(how.normals).is_none() {
+        return Err(indivisible(file));
+    }
+    Ok(())
+}
+
 /// Streams `file` to `outputs` through `edit`: see [`Model::rewrite`](super::Model::rewrite).
 pub(crate) fn rewrite(
     file: &dyn Rewritable,
@@ -125,17 +140,8 @@ pub(crate) fn rewrite(
     edit: &dyn Edit,
     progress: &dyn Progress,
 ) -> Result<()> {
-    let versions = outputs.len();
-    if versions > MAX_VERSIONS {
-        return Err(Error::argument(
-            format!("{versions} versions of a model at once"),
-            format!("write at most {MAX_VERSIONS} in one reading"),
-        ));
-    }
-    let threads = rayon::current_num_threads();
-    if how.only.is_some() && file.division(how.normals).is_none() {
-        return Err(indivisible(file));
-    }
+    let (versions, threads) = (outputs.len(), rayon::current_num_threads());
+    check(file, versions, how)?;
     let mut pieces = file.pieces(how.normals)?;
     let first = how.only.map_or(0, |only| only.first);
     if first > 0 {
@@ -154,10 +160,7 @@ pub(crate) fn rewrite(
         most_spare: (threads + WAITING) * versions,
         reading: Mutex::new(PieceReading { pieces, next: first, is_over: false }),
         queue: Mutex::new(Queue {
-            writing: Some(PieceWriting {
-                summaries: outputs.iter().map(|output| output.summary()).collect(),
-                outputs,
-            }),
+            writing: Some(PieceWriting::new(outputs)),
             taken: first,
             written: first,
             ..Queue::default()
@@ -176,7 +179,18 @@ pub(crate) fn rewrite(
     if let Some((_, error)) = failed {
         return Err(error);
     }
-    let Some(PieceWriting { outputs, summaries }) = writing else { return Ok(()) };
+    let Some(written) = writing else { return Ok(()) };
+    complete(file, written, how, edit)
+}
+
+/// Completes the outputs, all pieces of which are written.
+fn complete(
+    file: &dyn Rewritable,
+    written: PieceWriting<'_, '_>,
+    how: Rewriting,
+    edit: &dyn Edit,
+) -> Result<()> {
+    let PieceWriting { outputs, summaries } = written;
     if how.only.is_some_and(|only| only.end.is_some()) {
         file.source().check_unchanged()?;
         let finish = |output: &mut &mut dyn Output| output.finish().map_err(|e| failed_write(file, e));
@@ -237,6 +251,12 @@ struct Queue<'a, 'o> {
 struct PieceWriting<'a, 'o> {
     outputs: &'a mut [&'o mut dyn Output],
     summaries: Vec<Summary>,
+}
+
+impl<'a, 'o> PieceWriting<'a, 'o> {
+    fn new(outputs: &'a mut [&'o mut dyn Output]) -> Self {
+        Self { summaries: outputs.iter().map(|output| output.summary()).collect(), outputs }
+    }
 }
 
 /// A piece as it goes to the outputs.
@@ -343,7 +363,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
             Piece::Made => ready.is_made = true,
             Piece::Vertices(_) | Piece::Normals => {
                 self.file.decode(chunk)?;
-                // They may have been read just now.
+                // The bytes may have been read just now.
                 ready.source_bytes = chunk.raw.len() as u64;
                 edited.iter_mut().for_each(|version| version.reset(chunk, self.how.normals));
                 if let Piece::Normals = piece {

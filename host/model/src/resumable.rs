@@ -138,7 +138,7 @@ impl ResumableFile {
         progress.begin("checking what is there", bytes);
         let file = target.as_ref().unwrap_or(self.file.file());
         let good = good_parts(file, &parts, &patches, progress);
-        // Whoever cancels now has lost nothing.
+        // A cancellation now loses nothing.
         let good = good.inspect_err(|_| self.claim.keep())?;
         let all = good == parts.len();
         let length = |file: &File| file.metadata().is_ok_and(|m| m.len() == bytes);

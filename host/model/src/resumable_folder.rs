@@ -30,7 +30,7 @@ pub struct ResumableFolder {
     syncs: bool,
     /// How many files are finished, the first ones.
     finished: usize,
-    /// Their bytes that an earlier call wrote.
+    /// The bytes of each file that an earlier call wrote.
     taken_over: Vec<u64>,
     /// The folder stands in its place.
     is_in_place: bool,
@@ -81,7 +81,7 @@ impl ResumableFolder {
             is_in_place: false,
         };
         if resume && let Err(e) = this.find(progress) {
-            // Whoever cancels now has lost nothing.
+            // A cancellation now loses nothing.
             this.keep();
             return Err(e);
         }

@@ -37,6 +37,24 @@ struct PictureTriangle {
     only: Option<[usize; 2]>,
 }
 
+/// The samples of a row or column that a triangle touches, whether it covers their middles or not.
+fn touched(low: f64, high: f64, count: usize) -> Option<[usize; 2]> {
+    let (first, last) = (low.floor().max(0.0), (high.floor() + 1.0).min(count as f64));
+    (first < last).then_some([first as usize, last as usize])
+}
+
+/// The normal of a triangle on the side that is seen, and its slope, in depths for each width.
+fn facing([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
+    let face = (b - a).cross(c - a);
+    // Of a triangle without an area, any side will do: that towards the eye.
+    let face = face.try_normalize().unwrap_or_else(|| -a.normalize_or_zero());
+    let middle = (a + b + c) / 3.0;
+    let face = if face.dot(middle) > 0.0 { -face } else { face };
+    let toward = middle.normalize_or_zero();
+    let along = face.dot(toward).abs().max(1e-3);
+    (face, ((1.0 - along * along).max(0.0).sqrt() / along).min(STEEPEST))
+}
+
 impl PictureTriangle {
     /// None for what is out of the picture of the given size, or has a corner that is not before the camera.
     fn new(
@@ -55,24 +73,10 @@ impl PictureTriangle {
         });
         let [low, high] =
             [corners[0].min(corners[1]).min(corners[2]), corners[0].max(corners[1]).max(corners[2])];
-        // All samples that it touches, whether it covers their middles or not.
-        let within = |low: f64, high: f64, count: usize| {
-            let (first, last) = (low.floor().max(0.0), (high.floor() + 1.0).min(count as f64));
-            (first < last).then_some([first as usize, last as usize])
-        };
-        let columns = within(low.x, high.x, size[0])?;
-        let rows = within(low.y, high.y, size[1])?;
+        let columns = touched(low.x, high.x, size[0])?;
+        let rows = touched(low.y, high.y, size[1])?;
         let area = (corners[1] - corners[0]).perp_dot(corners[2] - corners[0]);
-
-        let [a, b, c] = places;
-        let face = (b - a).cross(c - a);
-        // Of a triangle without an area, any side will do: that towards the eye.
-        let face = face.try_normalize().unwrap_or_else(|| -a.normalize_or_zero());
-        let middle = (a + b + c) / 3.0;
-        let face = if face.dot(middle) > 0.0 { -face } else { face };
-        let toward = middle.normalize_or_zero();
-        let along = face.dot(toward).abs().max(1e-3);
-        let slope = ((1.0 - along * along).max(0.0).sqrt() / along).min(STEEPEST);
+        let (face, slope) = facing(places);
         let normals = triangle.map(|corner| {
             let normal = camera.direction_to_view(corner.normal.as_dvec3()).as_vec3();
             let normal = normal.try_normalize().unwrap_or(face);

@@ -128,6 +128,24 @@ fn around(positions: &[Vec3], turn: f32) -> SceneView {
     }
 }
 
+/// A lattice around the model, under a map.
+fn lattice(map: impl Fn(Vec3) -> Vec3) -> (Vec<Line>, Vec<Dot>) {
+    let corners =
+        |i: usize| Vec3::new((i % 3) as f32 - 1.0, (i / 3 % 4) as f32 / 1.5 - 1.0, (i / 12) as f32 - 1.0);
+    let corner = |i: usize| map(corners(i) * Vec3::new(0.32, 0.52, 0.32));
+    let mut lines = Vec::new();
+    for i in 0..36 {
+        for (step, within) in [(1, i % 3 < 2), (3, i / 3 % 4 < 3), (12, i / 12 < 2)] {
+            if within {
+                let (a, b) = (corner(i), corner(i + step));
+                lines.push(Line { a, b, color: [40, 90, 160, 255], width_px: 1.5, on_top: false });
+            }
+        }
+    }
+    let dot = |i| Dot { position: corner(i), color: [235, 130, 20, 255], size_px: 9.0, on_top: i % 3 == 2 };
+    (lines, (0..36).map(dot).collect())
+}
+
 fn pictures(gpu: &Gpu, sampled: &SampledModel, folder: &Path) -> Result<(), Box<dyn Error>> {
     std::fs::create_dir_all(folder)?;
     let set = &sampled.samples;
@@ -170,21 +188,9 @@ fn pictures(gpu: &Gpu, sampled: &SampledModel, folder: &Path) -> Result<(), Box<
     let positions: Vec<Vec3> = set.positions.iter().map(|p| bent(*p)).collect();
     scene.set_positions(&positions, set.normals())?;
     scene.set_ghost(Some(&rest))?;
-    let corners =
-        |i: usize| Vec3::new((i % 3) as f32 - 1.0, (i / 3 % 4) as f32 / 1.5 - 1.0, (i / 12) as f32 - 1.0);
-    let corner = |i: usize| bent(corners(i) * Vec3::new(0.32, 0.52, 0.32));
-    let mut lines = Vec::new();
-    for i in 0..36 {
-        for (step, within) in [(1, i % 3 < 2), (3, i / 3 % 4 < 3), (12, i / 12 < 2)] {
-            if within {
-                let (a, b) = (corner(i), corner(i + step));
-                lines.push(Line { a, b, color: [40, 90, 160, 255], width_px: 1.5, on_top: false });
-            }
-        }
-    }
-    let dot = |i| Dot { position: corner(i), color: [235, 130, 20, 255], size_px: 9.0, on_top: i % 3 == 2 };
+    let (lines, dots) = lattice(bent);
     scene.set_lines(&lines);
-    scene.set_dots(&(0..36).map(dot).collect::<Vec<_>>());
+    scene.set_dots(&dots);
     shot(&mut scene, "bent", &style, None, &view)?;
     shot(&mut scene, "bent-dark", &dark, None, &view)
 }

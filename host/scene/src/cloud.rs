@@ -70,7 +70,7 @@ pub(crate) struct Cloud {
 
 /// The samples that are drawn first.
 pub(crate) struct First {
-    /// Their indices, ascending.
+    /// The samples' indices, ascending.
     pub samples: Arc<[u32]>,
     /// The place of each in the order of drawing.
     places: Vec<u32>,

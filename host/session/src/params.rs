@@ -124,7 +124,7 @@ impl Params {
 }
 
 /// Values in the form that crosses the border.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct LocalParams(Vec<(String, ParamKind, Vec<f64>, String)>);
 
 impl Keyed for LocalParams {
@@ -173,6 +173,11 @@ impl LocalParams {
     pub fn name_models(&mut self, path: &str) {
         let models = self.0.iter_mut().filter(|(_, kind, ..)| *kind == ParamKind::MODEL);
         models.for_each(|(.., text)| path.clone_into(text));
+    }
+
+    /// Those of some ids.
+    pub fn some(&self, chosen: impl Fn(&str) -> bool) -> Self {
+        Self(self.0.iter().filter(|(id, ..)| chosen(id)).cloned().collect())
     }
 
     /// Views of them.

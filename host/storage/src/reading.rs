@@ -44,7 +44,7 @@ impl StoredObject {
             }
         };
         let version = Arc::new(ObjectVersion::from_meta(place, &meta));
-        // It comes again if it did not come whole.
+        // A block comes again if it did not come whole.
         if let Ok(block) = block
             && block.len() as u64 == BLOCK.min(version.bytes())
         {

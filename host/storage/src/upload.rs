@@ -125,7 +125,7 @@ impl Upload for PartsUpload {
         loop {
             let completed = wait(self.parts.complete_multipart(&self.place.path, &self.id, parts.clone()))?;
             let Err(e) = completed else { return Ok(()) };
-            // Its answer may have been lost, and whoever asks again is told that there is no such upload.
+            // The answer may have been lost, and a second request is told that there is no such upload.
             let now = self.in_place().ok().flatten();
             let is_ours = |(_, _, length): &(Option<String>, String, u64)| *length == bytes;
             if now.as_ref().is_some_and(is_ours) && now != before {

@@ -90,7 +90,7 @@ pub fn as_found<'a>(scene: &'a ViewerScene, before: &'a [Vec3]) -> StepSamples<'
     let neighbours = samples.neighbours();
     let ring = RING.min(neighbours.k());
     let owners = owners(samples, |i| i < known, |i| &neighbours.nearest_to(i)[..ring]);
-    // Those that were there before are the neighbours of each other; of all, most may be appended ones.
+    // Samples that were there before are the neighbours of each other; of all, most may be appended ones.
     let mut of_owner: Vec<u32> = owners[known..].to_vec();
     of_owner.sort_unstable();
     of_owner.dedup();

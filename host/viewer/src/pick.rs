@@ -40,7 +40,7 @@ pub struct Hit {
     pub normal: DVec3,
 }
 
-/// Who is seen in each pixel.
+/// The sample that is seen in each pixel.
 pub struct DepthBuffer {
     camera: Camera,
     /// The picture's size, in pixels of the window, and those of the buffer.

@@ -156,7 +156,7 @@ impl Transform {
         let (slope, from) = (axis.dot(ray.direction), self.pivot - ray.origin);
         let apart = 1.0 - slope * slope;
         if apart < 1e-4 {
-            // It points to the eye: nothing to be seen along it.
+            // The axis points to the eye: nothing is to be seen along it.
             return 0.0;
         }
         (slope * ray.direction.dot(from) - axis.dot(from)) / apart

@@ -91,7 +91,7 @@ pub enum DialogAnswer {
 /// [`DialogTurn::take`] right before the user sees it.
 pub type Chooser = Arc<dyn Fn(&Purpose, Option<&Path>, &DialogTurn) -> DialogAnswer + Send + Sync>;
 
-/// Who may answer: the turn is that of the system's dialog, or that of the window, which went on without it.
+/// The side that may answer: the system's dialog, or the window, which went on without it.
 #[derive(Default)]
 pub struct DialogTurn(AtomicU8);
 

@@ -192,7 +192,7 @@ fn halve(
     for (k, (_, i)) in along.iter().enumerate() {
         half_of[*i as usize].store(names[usize::from(k >= middle)], Ordering::Relaxed);
     }
-    // Those next to the other half, of whichever half has fewer.
+    // The separator: the nodes next to the other half, of whichever half has fewer.
     let touches = |i: u32, half: u32| {
         pattern.around(i).iter().any(|j| half_of[*j as usize].load(Ordering::Relaxed) == half)
     };

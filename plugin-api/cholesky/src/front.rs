@@ -17,7 +17,7 @@ const TOGETHER: usize = 128;
 /// What an elimination does to the unknowns after it.
 #[derive(Debug)]
 pub struct Update {
-    /// These unknowns.
+    /// The unknowns that are updated.
     pub rows: Vec<u32>,
     /// The lower triangle of a square matrix, column by column; what is above it means nothing.
     pub values: Vec<f64>,

@@ -60,7 +60,7 @@ impl Cage {
             a.cross(b).dot(c) / 6.0
         };
         let volume: f64 = corners.iter().map(volume).sum();
-        // It is not a number with all vertices in one point.
+        // The volume is not a number with all vertices in one point.
         if volume.is_nan() || volume.abs() <= FLAT {
             return Err(refused("holds a cage without a volume".to_owned()));
         }
@@ -69,7 +69,7 @@ impl Cage {
         }
         let mean = vertices.iter().sum::<DVec3>() / vertices.len() as f64;
         let outer = |d: DVec3| DMat3::from_cols(d.x * d, d.y * d, d.z * d);
-        // It has an inverse, as there is a volume.
+        // The scatter has an inverse, as there is a volume.
         let scatter = vertices.iter().fold(DMat3::ZERO, |sum, p| sum + outer((*p - mean) / radius));
         let scatter_inverse = scatter.inverse() * (1.0 / (radius * radius));
         let mut this = Self {

@@ -44,7 +44,7 @@ impl CageSums {
     ) -> PluginResult<()> {
         let vertices = displacements.len();
         let count = table.len() / (TILE * vertices).max(1);
-        // Whoever fails leaves nothing half done.
+        // A failure leaves nothing half done.
         let known = std::mem::take(&mut self.displacements);
         let is_exact = |d: &[DVec3]| d.iter().map(|d| d.abs().max_element()).sum::<f64>() <= LARGEST;
         let is_known = self.state == state && known.len() == vertices && self.tiles.len() == count;

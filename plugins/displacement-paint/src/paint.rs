@@ -99,7 +99,7 @@ impl Painter<'_> {
         work.covered.resize(self.surface.len(), 0.0);
         work.offsets.resize(self.surface.len(), DVec3::ZERO);
         let exposure = tool.exposure();
-        // Whoever sweeps does so on the surface as it is now: all spots are known beforehand.
+        // Sweeps are on the surface as it is now: all spots are known beforehand.
         let all = if tool.sweeps() { &dabs[..] } else { &[] };
         let mut spots: Vec<Images<Spot>> = Vec::with_capacity(all.len());
         for dab in all {

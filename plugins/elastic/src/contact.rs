@@ -82,6 +82,9 @@ impl Touch {
     }
 }
 
+/// A point in a state of the body: its place in the lattice, where that is, and its normal.
+type PointNow = (CellPoint, DVec3, DVec3);
+
 impl ContactSurface {
     /// Samples of a body with an inside, one of several that lie together; normals are turned outward. `size`
     /// is that of a cell.
@@ -109,6 +112,37 @@ impl ContactSurface {
         self.size
     }
 
+    /// The nearest point in front of one, of those in some slots of the cells around it: its place, and its
+    /// normal.
+    fn opposite(
+        &self,
+        cells: &ContactCells,
+        now: &[Option<PointNow>],
+        i: usize,
+        around: impl Iterator<Item = usize>,
+    ) -> Option<(CellPoint, DVec3)> {
+        let (near, beside) = (NEAR * self.size, BESIDE * self.size);
+        let (_, at, normal) = now[i]?;
+        let (mut best, mut nearest) = (None, REACH * self.size);
+        for slot in around {
+            if normal.dot(cells.normals[slot]) >= 0.0 {
+                continue;
+            }
+            let j = cells.points[slot] as usize;
+            let Some((other, to, out)) = now[j] else { continue };
+            let far = at.distance(to);
+            // Points beside each other are in front of others.
+            let aside = far * far - (at - to).dot(out).powi(2);
+            if aside < beside * beside
+                && far < nearest
+                && self.points[i].rest.distance(self.points[j].rest) > near
+            {
+                (best, nearest) = (Some((other, out)), far);
+            }
+        }
+        best
+    }
+
     /// What is too near to what, in a state of the body.
     pub fn touches(
         &self,
@@ -126,11 +160,9 @@ impl ContactSurface {
                 *now = Some((place, lattice.interpolate(place, x), normal.normalize_or_zero()));
             }
         })?;
-        let reach = REACH * self.size;
-        let places = |(_, at, out): (CellPoint, DVec3, DVec3)| ((at / reach).floor().as_i64vec3(), out);
+        let (reach, gap) = (REACH * self.size, GAP * self.size);
+        let places = |(_, at, out): PointNow| ((at / reach).floor().as_i64vec3(), out);
         let cells = ContactCells::new(now.iter().map(|n| n.map(places)));
-        let (near, gap) = (NEAR * self.size, GAP * self.size);
-        let beside = BESIDE * self.size;
         let stiffness = STIFFNESS * self.size * APART * APART;
         // Cell by cell, as those around it are the same for all its points.
         let mut found = vec![None; cells.points.len()];
@@ -142,26 +174,10 @@ impl ContactSurface {
                     cells.around(cells.keys[at], &mut around);
                 }
                 let i = cells.points[at] as usize;
-                let Some((place, at, normal)) = now[i] else { continue };
-                let mut best: Option<(f64, CellPoint, DVec3)> = None;
-                for slot in around.iter().cloned().flatten() {
-                    if normal.dot(cells.normals[slot]) >= 0.0 {
-                        continue;
-                    }
-                    let j = cells.points[slot] as usize;
-                    let Some((other, to, out)) = now[j] else { continue };
-                    let far = at.distance(to);
-                    // Points beside each other are in front of others.
-                    let aside = far * far - (at - to).dot(out).powi(2);
-                    if aside < beside * beside
-                        && far < best.map_or(reach, |b| b.0)
-                        && self.points[i].rest.distance(self.points[j].rest) > near
-                    {
-                        best = Some((far, other, out));
-                    }
-                }
-                *found = best
-                    .map(|(_, other, normal)| (i, Touch { places: [place, other], normal, gap, stiffness }));
+                let Some((place, ..)) = now[i] else { continue };
+                let opposite = self.opposite(&cells, &now, i, around.iter().cloned().flatten());
+                *found = opposite
+                    .map(|(other, normal)| (i, Touch { places: [place, other], normal, gap, stiffness }));
             }
         })?;
         let mut touches = vec![None; now.len()];

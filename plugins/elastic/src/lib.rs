@@ -202,21 +202,7 @@ impl Deformer for Elastic {
             let size = (space.step * PARTS as f64).element_product().cbrt();
             ContactSurface::new(&space, tied.map(of), size)
         });
-        let mut levels: Vec<HeldLevel> = Vec::new();
-        let mut parts = PARTS;
-        loop {
-            host.progress(0.5)?;
-            let level = level(&space, parts, &points, &loose, &held, poisson)?;
-            if let Some(finer) = levels.last_mut() {
-                finer.corners = corners(&finer.body.lattice, &level.body.lattice, parts / 2);
-            }
-            let cells = level.body.lattice.cells.len();
-            levels.push(level);
-            if cells <= COARSE || parts >= COARSEST {
-                break;
-            }
-            parts *= 2;
-        }
+        let levels = levels(&space, &points, &loose, &held, poisson, host)?;
         host.progress(0.8)?;
         let foreseen: Vec<u32> = (1..=held.handles as u32).take(FORESEEN as usize).collect();
         let shares = match levels.last() {
@@ -411,6 +397,32 @@ fn tell(kind: Enclosure, host: &Host<'_>) {
             "the surface encloses nothing: the body is a skin, as thick as a cell of the lattice, and does not look after \
              contact with itself; raise `resolution` for a thinner one, or take `laplacian` for surfaces",
         ),
+    }
+}
+
+/// All levels, the finest first: each of the next has cells of twice the size, until they are few.
+fn levels(
+    space: &Occupancy,
+    points: &[DVec3],
+    loose: &Loose,
+    held: &SampleGoals,
+    poisson: f64,
+    host: &Host<'_>,
+) -> PluginResult<Vec<HeldLevel>> {
+    let mut levels: Vec<HeldLevel> = Vec::new();
+    let mut parts = PARTS;
+    loop {
+        host.progress(0.5)?;
+        let level = level(space, parts, points, loose, held, poisson)?;
+        if let Some(finer) = levels.last_mut() {
+            finer.corners = corners(&finer.body.lattice, &level.body.lattice, parts / 2);
+        }
+        let cells = level.body.lattice.cells.len();
+        levels.push(level);
+        if cells <= COARSE || parts >= COARSEST {
+            return Ok(levels);
+        }
+        parts *= 2;
     }
 }
 

@@ -200,23 +200,60 @@ impl NodeGraph {
 
 /// A coarse likeness; nothing where the problem is small as it is.
 pub fn coarsen(fine: &Problem, host: &Host<'_>) -> PluginResult<Option<(Problem, Prolongation)>> {
-    let mut graph = NodeGraph::from_problem(fine);
-    let mut group: Vec<u32> = (0..fine.len() as u32).collect();
-    let mut groups = fine.len();
-    while groups > MOST {
-        host.progress(0.0)?;
-        let (next, count) = graph.groups();
-        if count as f64 > WORTH * groups as f64 {
-            break;
-        }
-        graph = graph.merged(&next, count);
-        group.iter_mut().for_each(|g| *g = next[*g as usize]);
-        groups = count;
-    }
+    let Grouping { graph, group, groups } = Grouping::new(fine, host)?;
     if groups == fine.len() {
         return Ok(None);
     }
+    let (coarse, rest) = merged(fine, &graph, &group, groups, host)?;
+    let mut node = vec![u32::MAX; groups];
+    coarse.samples.iter().enumerate().for_each(|(k, g)| node[*g as usize] = k as u32);
+    let mut lists = Lists { starts: vec![0], all: Vec::new() };
+    for (p, &g) in fine.rest[..fine.rows].iter().zip(&group) {
+        let near = std::iter::once(g).chain(graph.around(g as usize).iter().map(|e| e.0));
+        // Rotations of groups far from all free ones are not known, nor needed.
+        let near =
+            near.map(|g| (node[g as usize], rest[g as usize])).filter(|(g, _)| (*g as usize) < coarse.rows);
+        lists.push(near.map(|(g, at)| (g, p.distance(at))).collect());
+    }
+    let prolongation = Prolongation { members: lists.transposed(coarse.len()), groups: lists };
+    Ok(Some((coarse, prolongation)))
+}
 
+/// Nodes in groups, until these are few, or merging them is not worth while.
+struct Grouping {
+    graph: NodeGraph,
+    /// The group of each node, and how many there are.
+    group: Vec<u32>,
+    groups: usize,
+}
+
+impl Grouping {
+    fn new(fine: &Problem, host: &Host<'_>) -> PluginResult<Self> {
+        let mut graph = NodeGraph::from_problem(fine);
+        let mut group: Vec<u32> = (0..fine.len() as u32).collect();
+        let mut groups = fine.len();
+        while groups > MOST {
+            host.progress(0.0)?;
+            let (next, count) = graph.groups();
+            if count as f64 > WORTH * groups as f64 {
+                break;
+            }
+            graph = graph.merged(&next, count);
+            group.iter_mut().for_each(|g| *g = next[*g as usize]);
+            groups = count;
+        }
+        Ok(Self { graph, group, groups })
+    }
+}
+
+/// The problem of groups of nodes, and the middle of each group.
+fn merged(
+    fine: &Problem,
+    graph: &NodeGraph,
+    group: &[u32],
+    groups: usize,
+    host: &Host<'_>,
+) -> PluginResult<(Problem, Vec<DVec3>)> {
     let mut counts = vec![0.0; groups];
     let mut rest = vec![DVec3::ZERO; groups];
     let mut areas = vec![0.0; groups];
@@ -250,20 +287,7 @@ pub fn coarsen(fine: &Problem, host: &Host<'_>) -> PluginResult<Option<(Problem,
             Soft { node, strength: s.strength / counts[node as usize], ..*s }
         })
         .collect();
-    let coarse = Problem::new(&rest, &elements, &kinds, &soft, host)?;
-
-    let mut node = vec![u32::MAX; groups];
-    coarse.samples.iter().enumerate().for_each(|(k, g)| node[*g as usize] = k as u32);
-    let mut lists = Lists { starts: vec![0], all: Vec::new() };
-    for (p, &g) in fine.rest[..fine.rows].iter().zip(&group) {
-        let near = std::iter::once(g).chain(graph.around(g as usize).iter().map(|e| e.0));
-        // Rotations of groups far from all free ones are not known, nor needed.
-        let near =
-            near.map(|g| (node[g as usize], rest[g as usize])).filter(|(g, _)| (*g as usize) < coarse.rows);
-        lists.push(near.map(|(g, at)| (g, p.distance(at))).collect());
-    }
-    let prolongation = Prolongation { members: lists.transposed(coarse.len()), groups: lists };
-    Ok(Some((coarse, prolongation)))
+    Ok((Problem::new(&rest, &elements, &kinds, &soft, host)?, rest))
 }
 
 impl Lists {

@@ -65,7 +65,7 @@ impl Hierarchy {
         let Some((coarse, prolongation)) = &self.coarse else {
             let turning = TurningNodes { cells, problem: &fine.problem, groups: None };
             let mut pose = fine.pose(self.influence.turns(&fine.problem, motion), turning, motion, host)?;
-            // These are as cheap as coarse ones, and all that there are.
+            // Steps here are as cheap as coarse ones, and all that there are.
             let steps = COARSE_STEPS + if is_draft { 0 } else { until.steps };
             fine.relax(&mut pose, turning, motion, DescentEnd { steps, ..until }, host)?;
             return Ok(pose.displacements);

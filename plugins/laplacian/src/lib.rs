@@ -307,7 +307,7 @@ impl Migrate for Laplacian {
     }
 
     fn migrate(_: u32, settings: &mut Settings) -> PluginResult<()> {
-        // Who says what turns has written the step since.
+        // A step that says what turns was written since.
         if settings.text("mode") != Some("arap") || settings.get("surroundings").is_some() {
             return Ok(());
         }

@@ -94,7 +94,7 @@ fn solve(
     host: &Host<'_>,
 ) -> PluginResult<Vec<DVec3>> {
     let Problem { rows, free, held, operators, .. } = &level.problem;
-    // Those of held nodes one farther from free ones.
+    // The turns of held nodes one farther from free ones.
     turns.extend(held[rows - free..].iter().map(|target| motion.turn(*target)));
     let mut laplacians = vec![DVec3::ZERO; *rows];
     host.parallel_blocks(&mut laplacians, TOGETHER, |first, out| {

@@ -56,7 +56,7 @@ fn of_neighbours(
     host: &Host<'_>,
 ) -> PluginResult<Vec<SurfaceTriangle>> {
     let Some(graph) = input.graph().filter(|g| g.len() == positions.len()) else { return Ok(Vec::new()) };
-    // They may be stale after other deformations; neighbours' are so alike.
+    // Normals may be stale after other deformations; neighbours' are so alike.
     let normals = input.samples.normals();
     let same_side = |i: u32, j: u32| match (normals.get(i as usize), normals.get(j as usize)) {
         (Some(a), Some(b)) => a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>() >= 0.0,

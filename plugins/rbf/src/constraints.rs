@@ -45,7 +45,7 @@ pub struct HandleFrame {
 pub struct RegionSamples {
     /// Maps local coordinates to the unit box.
     pub frame: UnitBoxMap,
-    /// Their positions, in the unit box; after them those of constraints that are no samples.
+    /// The samples' positions, in the unit box; after them those of constraints that are no samples.
     pub points: Vec<Point>,
     /// The samples' numbers.
     pub samples: Vec<u32>,

@@ -107,7 +107,7 @@ impl Drift {
         Ok((found, self.most_iterations))
     }
 
-    /// Who belongs to whom (equation 6 of the paper, for all points).
+    /// Which points belong to which (equation 6 of the paper, for all points).
     fn expect(
         &self,
         moved: &[DVec3],

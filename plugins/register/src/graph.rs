@@ -186,7 +186,7 @@ impl Graph {
         (0..self.nodes.len()).for_each(|i| add(i, i, hold * DMat3::IDENTITY));
     }
 
-    /// Their right side, as the nodes are turned.
+    /// The right side of the terms, as the nodes are turned.
     fn wanted(&self, terms: &[Term], stiffness: f64) -> Mat<f64> {
         let mut right = Mat::<f64>::zeros(3 * self.nodes.len(), 1);
         let mut wants = |a: usize, v: DVec3| (0..3).for_each(|i| right[(3 * a + i, 0)] += v[i]);

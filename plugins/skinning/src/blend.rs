@@ -126,7 +126,7 @@ fn dual_blend(
     let mut first = None;
     for (joint, weight) in influences {
         let Dual { real: r, dual: d, stretch } = &duals[joint];
-        // That of the largest weight.
+        // The joint of the largest weight comes first.
         let first = *first.get_or_insert(joint);
         let sign = if is_by_place && r.dot(duals[first].real) < 0.0 { -1.0 } else { 1.0 };
         real += sign * weight * *r;

@@ -159,6 +159,22 @@ struct Told {
 }
 
 impl Source {
+    /// Weights that are found in the voxels of a body.
+    fn of_voxels(
+        binding: Binding,
+        voxels: Voxels,
+        skeleton: &Skeleton,
+        rule: Rule,
+        host: &Host<'_>,
+    ) -> PluginResult<Self> {
+        Ok(match binding {
+            Binding::Biharmonic => {
+                Self::Biharmonic(Box::new(Biharmonic::new(voxels, skeleton, rule.limit, host)?))
+            }
+            Binding::Geodesic => Self::Geodesic(Box::new(Geodesic::new(voxels, skeleton, rule, host)?)),
+        })
+    }
+
     fn influences_at(&self, p: DVec3, influences: &mut Influences) -> Told {
         match self {
             Self::Biharmonic(binding) => binding.influences_at(p, influences),
@@ -200,6 +216,34 @@ fn handles(input: &PrepareInput<'_>, skeleton: &Skeleton) -> PluginResult<pose::
         Reach::None => Reaching::None,
     };
     Ok(pose::Handles::new(skeleton, which))
+}
+
+/// Says how many samples lose weights, as they follow so many joints at most, and how many are far from all
+/// places of a table.
+///
+/// # Errors
+/// All samples are far.
+fn tell(
+    input: &PrepareInput<'_>,
+    [lossy, far]: [usize; 2],
+    limit: usize,
+    host: &Host<'_>,
+) -> PluginResult<()> {
+    let all = input.samples.positions().len();
+    if lossy > 0 {
+        host.warn(&format!(
+            "{lossy} of {all} samples lose more than 1 % of their weights, as they follow {limit} joints at most; raise \
+             `influences`"
+        ));
+    }
+    if far == 0 {
+        return Ok(());
+    }
+    if far == all {
+        return Err(no_place_near(input)?);
+    }
+    host.warn(&format!("{far} of {all} samples are far from all places of the table of weights"));
+    Ok(())
 }
 
 /// The error that no sample is near any place that the weights are of.
@@ -311,16 +355,9 @@ impl Deformer for Skinning {
             None => {
                 let voxels =
                     Voxels::new(input, &skeleton.all_bones(), whole("resolution", resolution)?, host)?;
-                let limit = limit.unwrap_or(FOUND);
-                let rule = Rule { power: falloff, smoothing: smoothing * input.bounds.diagonal(), limit };
-                match binding {
-                    Binding::Biharmonic => {
-                        Source::Biharmonic(Box::new(Biharmonic::new(voxels, &skeleton, limit, host)?))
-                    }
-                    Binding::Geodesic => {
-                        Source::Geodesic(Box::new(Geodesic::new(voxels, &skeleton, rule, host)?))
-                    }
-                }
+                let smoothing = smoothing * input.bounds.diagonal();
+                let rule = Rule { power: falloff, smoothing, limit: limit.unwrap_or(FOUND) };
+                Source::of_voxels(binding, voxels, &skeleton, rule, host)?
             }
         };
         let (far, lossy) = (AtomicUsize::new(0), AtomicUsize::new(0));
@@ -331,25 +368,7 @@ impl Deformer for Skinning {
             lossy.fetch_add(usize::from(told.lost > LOST), Ordering::Relaxed);
         };
         let table = InfluenceTable::new(samples, find, host)?;
-        let lossy = lossy.into_inner();
-        if lossy > 0 {
-            host.warn(&format!(
-                "{lossy} of {} samples lose more than 1 % of their weights, as they follow {} joints at most; raise \
-                 `influences`",
-                samples.len(),
-                limit.unwrap_or(FOUND)
-            ));
-        }
-        match far.into_inner() {
-            0 => {}
-            all if all == samples.len() => {
-                return Err(no_place_near(input)?);
-            }
-            some => host.warn(&format!(
-                "{some} of {} samples are far from all places of the table of weights",
-                samples.len()
-            )),
-        }
+        tell(input, [lossy.into_inner(), far.into_inner()], limit.unwrap_or(FOUND), host)?;
         Ok(Prepared { skeleton, moved, weights, table })
     }
 

@@ -11,7 +11,7 @@ pub const REACH: &str = "/reach";
 /// Which joints can reach for a place of their own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reaching {
-    /// Those that no other hangs on.
+    /// Joints that no other hangs on.
     Ends,
     /// All that hang on one.
     All,

@@ -258,7 +258,7 @@ fn between(
         let steps = (2.0 * from.distance(to) / grid.size).ceil().max(1.0);
         let way = (0..=steps as usize).map(|i| grid.cell(from.lerp(to, i as f64 / steps)));
         let way: Vec<usize> = way.filter(|c| grid.is_inner(*c)).map(|c| grid.index(c)).collect();
-        // It may begin along the surface, and does not come to it again.
+        // The way may begin along the surface, and does not come to it again.
         let mut off = way.iter().skip_while(|i| is_surface[**i]);
         if off.all(|i| !is_surface[*i]) {
             way.iter().for_each(|i| is_between[*i] = true);

@@ -35,7 +35,7 @@ pub struct SurfaceAtRest<'a> {
     pub positions: &'a [Vec3],
     /// Unit normals.
     pub normals: &'a [Vec3],
-    /// Their neighbours.
+    /// The samples' neighbours.
     pub graph: &'a Graph<'a>,
 }
 
@@ -172,8 +172,8 @@ struct Ring {
 }
 
 impl Ring {
-    /// Their weighted mean is the sample itself, as far as positive weights can do that: so what grows evenly
-    /// is left as it is, though samples lie unevenly. Of all such weights these are the most alike.
+    /// The neighbours' weighted mean is the sample itself, as far as positive weights can do that: what grows
+    /// evenly is left as it is, though samples lie unevenly. Of all such weights these are the most alike.
     ///
     /// M. Arroyo, M. Ortiz, Local maximum-entropy approximation schemes, Int. J. Numer. Meth. Engng. 65
     /// (2006).

@@ -171,7 +171,7 @@ impl Reconstruct {
     fn check_paths(&self, paths: &[VersionPaths], sampled: &SampledModel) -> Result<()> {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.sampled);
-        // That the model itself is kept is seen to where it is streamed.
+        // The model itself is guarded where it is streamed.
         guard.reads_all(self.model.is_some().then(|| sampled.source.files()).into_iter().flatten());
         guard.reads(&sidecar::path_beside(self.model.as_ref().unwrap_or(&sampled.source.path)));
         guard.reads_all(paths.iter().map(|v| &v.deformed));

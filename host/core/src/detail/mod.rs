@@ -21,6 +21,7 @@ use crate::reconstruction::{DeformationField, Moved, VertexDiagnostics, carry, h
 use crate::refinement::gathering::{Gathering, Visited};
 use crate::sampled_model::SampledModel;
 use crate::sampling::kd_tree::KdTree;
+use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::normals;
 use thinning::Thinning;
 
@@ -39,7 +40,7 @@ const MOST_STRETCH: f32 = 8.0;
 /// The cells to be streamed, how finely, and with what.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DetailRequest {
-    /// Their places among the kept cells; ascending.
+    /// The cells' places among the kept ones; ascending.
     pub cells: Vec<u32>,
     /// One of so many vertices is taken: 1 for all.
     pub stride: u64,
@@ -235,57 +236,87 @@ pub fn stream(
         attributes: shown.count().max(splats.as_ref().map_or(0, Ellipses::count)),
         opaque: sampled.opaque(model),
     };
-    let thinning = Thinning::new(chosen.stride);
     let extents = sampled.samples.extents();
     let carrying = Carrying { sampled, extents: &extents, field, stride: chosen.stride, progress };
-    let part_of = |cell: u32| CellVertices::new(cell, &shown);
-    let mut open: Vec<CellVertices> = chosen.cells.iter().map(|cell| part_of(*cell)).collect();
-    let mut complete: Vec<CellVertices> = Vec::new();
-    let mut streamed = Streamed::default();
+    let mut cells = OpenCells::new(chosen, kept, splats, frame.scale);
     let mut hand_on = |parts: &mut Vec<CellVertices>| -> Result<()> {
         let batch = carrying.batch(parts)?;
         parts.clear();
         if batch.positions.is_empty() { Ok(()) } else { each(batch) }
     };
-    let mut held = 0;
     progress.begin("streaming vertices", gathering.bytes_of(&chosen.cells));
     let bytes = gathering.visit(&chosen.cells, progress, |visited| {
         let Some(vertex) = visited else { return Ok(true) };
-        let Visited { at, position, normal, .. } = vertex;
-        let part = &mut open[at as usize];
-        let all = kept.cells[part.cell as usize].vertices;
-        if part.seen == all {
-            return Ok(false);
+        let is_of_cell = cells.take(&vertex);
+        if cells.held >= BATCH {
+            hand_on(&mut cells.complete)?;
+            cells.held = 0;
         }
-        if thinning.takes(part.cell, part.seen, all) {
-            let normal = match &splats {
-                Some(splats) => part.push_ellipse(splats, &vertex, frame.scale),
-                None => normal,
+        Ok(is_of_cell)
+    })?;
+    let bytes = bytes.ok_or_else(changed)?;
+    if !cells.are_complete() {
+        return Err(changed());
+    }
+    hand_on(&mut cells.complete)?;
+    Ok(Streamed { bytes, ..cells.streamed })
+}
+
+/// The chosen cells, while their vertices come.
+struct OpenCells<'a> {
+    shown: DetailAttributes,
+    kept: &'a KeptCells,
+    thinning: Thinning,
+    splats: Option<Ellipses>,
+    /// Model units of a local one.
+    scale: f64,
+    /// What has come of each, in the order in which they were chosen.
+    open: Vec<CellVertices>,
+    /// Cells of which all has come, until they are handed on, and how many vertices they have.
+    complete: Vec<CellVertices>,
+    held: usize,
+    streamed: Streamed,
+}
+
+impl<'a> OpenCells<'a> {
+    fn new(chosen: &DetailRequest, kept: &'a KeptCells, splats: Option<Ellipses>, scale: f64) -> Self {
+        let shown = chosen.shown;
+        let open = chosen.cells.iter().map(|cell| CellVertices::new(*cell, &shown)).collect();
+        let (thinning, streamed) = (Thinning::new(chosen.stride), Streamed::default());
+        Self { shown, kept, thinning, splats, scale, open, complete: Vec::new(), held: 0, streamed }
+    }
+
+    /// Takes a vertex; `false` if its cell has all of its vertices already.
+    fn take(&mut self, vertex: &Visited<'_>) -> bool {
+        let part = &mut self.open[vertex.at as usize];
+        let all = self.kept.cells[part.cell as usize].vertices;
+        if part.seen == all {
+            return false;
+        }
+        if self.thinning.takes(part.cell, part.seen, all) {
+            let normal = match &self.splats {
+                Some(splats) => part.push_ellipse(splats, vertex, self.scale),
+                None => vertex.normal,
             };
-            part.positions.push(position);
+            part.positions.push(vertex.position);
             part.normals.push(normal);
-            part.values.push(&shown, &vertex);
+            part.values.push(&self.shown, vertex);
         }
         part.seen += 1;
         if part.seen == all {
-            held += part.positions.len();
-            streamed.vertices += part.positions.len() as u64;
-            streamed.of += all;
-            let whole = CellVertices { seen: all, ..part_of(part.cell) };
-            complete.push(std::mem::replace(part, whole));
-            if held >= BATCH {
-                hand_on(&mut complete)?;
-                held = 0;
-            }
+            self.held += part.positions.len();
+            self.streamed.vertices += part.positions.len() as u64;
+            self.streamed.of += all;
+            let whole = CellVertices { seen: all, ..CellVertices::new(part.cell, &self.shown) };
+            self.complete.push(std::mem::replace(part, whole));
         }
-        Ok(true)
-    })?;
-    streamed.bytes = bytes.ok_or_else(changed)?;
-    if open.iter().any(|part| part.seen != kept.cells[part.cell as usize].vertices) {
-        return Err(changed());
+        true
     }
-    hand_on(&mut complete)?;
-    Ok(streamed)
+
+    /// Whether all vertices have come.
+    fn are_complete(&self) -> bool {
+        self.open.iter().all(|part| part.seen == self.kept.cells[part.cell as usize].vertices)
+    }
 }
 
 /// What has come of a cell.
@@ -316,6 +347,33 @@ impl CellVertices {
     }
 }
 
+/// The vertices of several cells, one after the other; the lists are those of [`CellVertices`].
+struct JoinedCells {
+    rest: Vec<DVec3>,
+    known: Vec<Vec3>,
+    axes: Vec<[Vec3; 2]>,
+    values: Values,
+    /// The cells, and which vertices are theirs.
+    cells: Vec<(u32, Range<u32>)>,
+}
+
+impl JoinedCells {
+    fn new(parts: &[CellVertices]) -> Self {
+        let (rest, known, axes) = Default::default();
+        let mut all =
+            Self { rest, known, axes, values: Values::Nothing, cells: Vec::with_capacity(parts.len()) };
+        for part in parts {
+            let first = all.rest.len() as u32;
+            all.rest.extend_from_slice(&part.positions);
+            all.known.extend_from_slice(&part.normals);
+            all.axes.extend_from_slice(&part.axes);
+            all.values.extend(&part.values, 0..part.values.len());
+            all.cells.push((part.cell, first..all.rest.len() as u32));
+        }
+        all
+    }
+}
+
 /// How vertices become a batch.
 struct Carrying<'a> {
     sampled: &'a SampledModel,
@@ -328,17 +386,7 @@ struct Carrying<'a> {
 
 impl Carrying<'_> {
     fn batch(&self, parts: &[CellVertices]) -> Result<DetailBatch> {
-        let mut cells = Vec::with_capacity(parts.len());
-        let (mut rest, mut known, mut axes) = (Vec::new(), Vec::new(), Vec::new());
-        let mut values = Values::Nothing;
-        for part in parts {
-            let first = rest.len() as u32;
-            rest.extend_from_slice(&part.positions);
-            known.extend_from_slice(&part.normals);
-            axes.extend_from_slice(&part.axes);
-            values.extend(&part.values, 0..part.values.len());
-            cells.push((part.cell, first..rest.len() as u32));
-        }
+        let JoinedCells { rest, mut known, mut axes, values, cells } = JoinedCells::new(parts);
         if rest.is_empty() {
             return Ok(DetailBatch { cells, ..DetailBatch::default() });
         }
@@ -355,39 +403,33 @@ impl Carrying<'_> {
         let at_samples = self.sampled.samples.normals();
         let outwards = |(n, home): (&mut Vec3, &u32)| *n *= n.dot(at_samples[*home as usize]).signum();
         known.iter_mut().zip(&at).take(axes.len()).for_each(outwards);
-        let (mut turned, mut spacing) = self.surface(&local, &known, &at);
+        let (normals, spacing) = self.surface(&local, &known, &at);
         // One of so many splats stands for all.
         let wider = (self.stride as f32).sqrt();
         axes.iter_mut().flatten().for_each(|axis: &mut Vec3| *axis *= wider);
         self.progress.check()?;
-        let Some(field) = self.field else {
-            return Ok(DetailBatch {
-                positions: local,
-                normals: turned,
-                spacing,
-                homes: at,
-                axes,
-                values,
-                cells,
-            });
-        };
-        let mut moved = rest.clone();
+        let mut batch = DetailBatch { positions: local, normals, spacing, homes: at, axes, values, cells };
+        if let Some(field) = self.field {
+            self.deform(field, rest, &mut batch);
+        }
+        Ok(batch)
+    }
+
+    /// Carries a batch over; where it is at rest, `moved` says in the model's coordinates.
+    fn deform(&self, field: &DeformationField<'_>, mut moved: Vec<DVec3>, batch: &mut DetailBatch) {
+        let frame = &self.sampled.frame;
+        let DetailBatch { positions, normals, spacing, homes, axes, .. } = batch;
+        let rest = moved.clone();
         let mut figures = vec![VertexDiagnostics::UNKNOWN; rest.len()];
         let mut gradients = vec![Mat3::IDENTITY; axes.len()];
-        let to = Moved {
-            positions: &mut moved,
-            normals: &mut turned,
-            gradients: &mut gradients,
-            figures: &mut figures,
-        };
-        carry(std::slice::from_ref(field), frame, &rest, Some(&at), &mut [to]);
+        let to = Moved { positions: &mut moved, normals, gradients: &mut gradients, figures: &mut figures };
+        carry(std::slice::from_ref(field), frame, &rest, Some(homes), &mut [to]);
         spacing.iter_mut().zip(&figures).for_each(|(spacing, figures)| {
             let stretch = figures.stretch[0];
             *spacing *= if stretch.is_finite() { stretch.min(MOST_STRETCH) } else { 1.0 };
         });
         axes.iter_mut().zip(&gradients).for_each(|(axes, g)| *axes = ellipses::image(*axes, g));
-        let positions = moved.par_iter().map(|p| frame.to_local(*p)).collect();
-        Ok(DetailBatch { positions, normals: turned, spacing, homes: at, axes, values, cells })
+        *positions = moved.par_iter().map(|p| frame.to_local(*p)).collect();
     }
 
     /// Normals at rest of vertices of which some are known, and their spacing.

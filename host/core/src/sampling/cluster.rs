@@ -18,7 +18,7 @@ pub trait Element: bytemuck::Pod + Send + Sync {
     fn position(&self) -> Vec3;
     /// Unit mean normal; zero where there is none.
     fn normal(&self) -> Vec3;
-    /// Its place in its cell, in the order of the stream.
+    /// The element's place in its cell, in the order of the stream.
     fn index(&self) -> u32;
     /// Number of its vertices.
     fn vertices(&self) -> u32;
@@ -287,7 +287,7 @@ pub struct Moments {
 pub struct Covariance {
     /// The matrix.
     pub matrix: DMat3,
-    /// Its least eigenvalue, once it was asked for.
+    /// The least eigenvalue, once it was asked for.
     least: OnceCell<f64>,
 }
 

@@ -46,7 +46,7 @@ pub struct ClusteredFile {
 /// A cell with its tree.
 #[derive(Serialize, Deserialize)]
 pub struct CellOfFile {
-    /// Its place in the grid's list.
+    /// The cell's place in the grid's list.
     pub cell: u32,
     /// What the tree was built of: vertices, or groups of them.
     pub items: u32,

@@ -39,7 +39,7 @@ pub const BYTES_PER_SAMPLE: u64 = 150;
 pub struct ClusteredCell {
     /// The cell's place in the grid's list.
     pub cell: u32,
-    /// Its VS-Tree.
+    /// The cell's VS-Tree.
     pub tree: VsTree,
     /// The moments of all its samples.
     pub moments: Moments,
@@ -157,34 +157,15 @@ impl Forest {
         let mut cut = Cut::default();
         let mut first_leaf = 0u32;
         for ((mut tree, record), merged) in trees.into_iter().zip(&grid.records).zip(merged) {
-            let next = cut.samples() as u32;
             match merged {
                 None => {
                     tree.prune(threshold);
-                    let errors = tree.nodes.iter().map(|n| n.key).collect();
-                    let is_inner = |i: &usize| tree.nodes[*i].end as usize > i + 1;
-                    let inner = (0..tree.nodes.len()).filter(is_inner).map(|i| &tree.nodes[i]);
-                    cut.inner.extend(inner.map(|node| (node.position, node.normal)));
-                    let children: Vec<u8> = (0..tree.nodes.len()).map(|i| tree.children(i) as u8).collect();
-                    let leaves = tree.nodes.iter().zip(&children).filter(|(_, children)| **children == 0);
-                    leaves.for_each(|(node, _)| cut.push(node, first_leaf));
-                    let samples = (next..cut.samples() as u32).collect();
-                    cut.trees.push(CutTree { children, errors, samples, grown: Vec::new() });
+                    cut.push_tree(&tree, first_leaf);
                 }
                 Some(piece) => {
                     let (node, sample) = &mut above[piece as usize];
-                    let sample = *sample.get_or_insert(next);
-                    if sample == next {
-                        cut.push(node, first_leaf);
-                    } else {
-                        cut.starts.push((first_leaf, sample));
-                    }
-                    cut.trees.push(CutTree {
-                        children: vec![0],
-                        errors: vec![node.key],
-                        samples: vec![sample],
-                        grown: Vec::new(),
-                    });
+                    let next = cut.samples() as u32;
+                    cut.push_merged(node, *sample.get_or_insert(next), first_leaf);
                 }
             }
             // Beyond 2^32 vertices nobody asks for it.
@@ -201,7 +182,7 @@ pub struct Cut {
     pub positions: Vec<Vec3>,
     /// Unit normals; zero where unknown.
     pub normals: Vec<Vec3>,
-    /// Their [variances](Moments::variance_of_mean).
+    /// The samples' [variances](Moments::variance_of_mean).
     pub variances: Vec<f32>,
     /// The tree of each cell.
     pub trees: Vec<CutTree>,
@@ -229,15 +210,12 @@ impl Cut {
         self.positions.len()
     }
 
-    /// A cut through the same trees of at most so many samples, if there are no fewer trees, and those that
-    /// shall `stay`, with half of all others, are not more; and which of them has the clusters of each
-    /// sample. What is above the cells stays as it is.
-    pub fn coarser(&self, target: usize, stay: impl Fn(u32) -> bool) -> (Self, Vec<u32>) {
-        let errors: Vec<Cow<'_, [f32]>> = self.trees.iter().map(|tree| raised(tree, &stay)).collect();
+    /// The bound of a [coarser](Self::coarser) cut, by the [raised] errors of all trees.
+    fn coarser_threshold(&self, errors: &[Cow<'_, [f32]>], target: usize) -> f32 {
         let splits = || {
             let inner =
                 |(children, error): (&u8, &f32)| children.checked_sub(1).map(|n| (*error, u32::from(n)));
-            let trees = self.trees.iter().zip(&errors);
+            let trees = self.trees.iter().zip(errors);
             trees.flat_map(move |(tree, errors)| tree.children.iter().zip(&**errors).filter_map(inner))
         };
         let added = |stays: bool| -> usize {
@@ -250,7 +228,15 @@ impl Cut {
             0 => 0,
             staying => roots + staying + (self.samples() - roots - staying) / 2,
         };
-        let threshold = threshold_for(splits(), roots, target.max(least)).min(f32::MAX);
+        threshold_for(splits(), roots, target.max(least)).min(f32::MAX)
+    }
+
+    /// A cut through the same trees of at most so many samples, if there are no fewer trees, and those that
+    /// shall `stay`, with half of all others, are not more; and which of them has the clusters of each
+    /// sample. What is above the cells stays as it is.
+    pub fn coarser(&self, target: usize, stay: impl Fn(u32) -> bool) -> (Self, Vec<u32>) {
+        let errors: Vec<Cow<'_, [f32]>> = self.trees.iter().map(|tree| raised(tree, &stay)).collect();
+        let threshold = self.coarser_threshold(&errors, target);
         let mut coarser = Self::default();
         let mut becomes = vec![u32::MAX; self.samples()];
         let (mut starts, mut inner) = (self.starts.iter(), self.inner.iter());
@@ -269,22 +255,19 @@ impl Cut {
                     new.errors.push(tree.errors[i]);
                     if !splits {
                         // A sample of several cells is there from the first of them on.
-                        let known =
-                            leaf.and_then(|(sample, _)| sample).map(|sample| becomes[*sample as usize]);
-                        let to = known.filter(|to| *to != u32::MAX).unwrap_or(coarser.samples() as u32);
-                        if to as usize == coarser.samples() {
-                            let of_leaf = || leaf.and_then(|(sample, _)| sample).map(|s| *s as usize);
-                            let of_leaf = || of_leaf().map(|s| (self.positions[s], self.normals[s]));
+                        let sample = leaf.and_then(|(sample, _)| sample).map(|sample| *sample as usize);
+                        let known = sample.map(|sample| becomes[sample]).filter(|to| *to != u32::MAX);
+                        let to = known.unwrap_or(coarser.samples() as u32);
+                        if known.is_none() {
+                            let of_leaf = || sample.map(|s| (self.positions[s], self.normals[s]));
                             let (position, normal) = own.copied().or_else(of_leaf).unwrap_or_default();
                             coarser.positions.push(position);
                             coarser.normals.push(normal);
-                            // It is for clouds, whose sheets no faces tell.
+                            // Variances are for clouds, whose sheets no faces tell.
                             coarser.variances.push(f32::INFINITY);
                         }
                         new.samples.push(to);
-                        if *children > 0 {
-                            within = Some(ends[i]);
-                        }
+                        within = (*children > 0).then(|| ends[i]);
                     } else {
                         coarser.inner.extend(own);
                     }
@@ -299,6 +282,31 @@ impl Cut {
             coarser.trees.push(new);
         }
         (coarser, becomes)
+    }
+
+    /// Takes a cell's tree, of which each leaf becomes a sample.
+    fn push_tree(&mut self, tree: &VsTree, first_leaf: u32) {
+        let next = self.samples() as u32;
+        let errors = tree.nodes.iter().map(|n| n.key).collect();
+        let is_inner = |i: &usize| tree.nodes[*i].end as usize > i + 1;
+        let inner = (0..tree.nodes.len()).filter(is_inner).map(|i| &tree.nodes[i]);
+        self.inner.extend(inner.map(|node| (node.position, node.normal)));
+        let children: Vec<u8> = (0..tree.nodes.len()).map(|i| tree.children(i) as u8).collect();
+        let leaves = tree.nodes.iter().zip(&children).filter(|(_, children)| **children == 0);
+        leaves.for_each(|(node, _)| self.push(node, first_leaf));
+        let samples = (next..self.samples() as u32).collect();
+        self.trees.push(CutTree { children, errors, samples, grown: Vec::new() });
+    }
+
+    /// Takes a cell all of whose leaves belong to a sample: a known one, or the next.
+    fn push_merged(&mut self, node: &Node, sample: u32, first_leaf: u32) {
+        if sample as usize == self.samples() {
+            self.push(node, first_leaf);
+        } else {
+            self.starts.push((first_leaf, sample));
+        }
+        let (children, errors, samples) = (vec![0], vec![node.key], vec![sample]);
+        self.trees.push(CutTree { children, errors, samples, grown: Vec::new() });
     }
 
     fn push(&mut self, node: &Node, first_leaf: u32) {

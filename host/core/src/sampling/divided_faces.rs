@@ -34,10 +34,10 @@ use super::gather::Grouping;
 use super::membership::{self, LeafSamples, SampleOf};
 use super::numbers_file::{NumbersFile, NumbersWriter, is_there};
 use super::placement::{FACES_OF_A_SUM, LISTED, Placement, Planes};
-use super::shares::Owner;
+use super::shares::{Owner, Shares};
 use super::triangles::{Reindexing, Triangles, Wanted};
 use super::{
-    ClusteredStream, FaceResult, Read, Sampling, SamplingPass, Target, are_apart, finds_triangles,
+    ClusteredStream, FaceResult, Read, Sampling, SamplingPass, Target, begin_islands, finds_triangles,
     keeps_faces,
 };
 use crate::sampled_model::SampledModel;
@@ -236,6 +236,30 @@ pub fn members(
     Ok(true)
 }
 
+/// The owners of the cells of leaves, of which those of a cell mostly follow each other.
+struct LeafOwners<'a> {
+    shares: &'a Shares,
+    /// The first leaf of each cell.
+    starts: Vec<u32>,
+    /// The leaves of the cell at hand, and who clustered it.
+    leaves: Range<u32>,
+    owner: Owner,
+}
+
+impl LeafOwners<'_> {
+    fn owner_of(&mut self, leaf: u32) -> Owner {
+        let Self { starts, leaves, .. } = self;
+        if !leaves.contains(&leaf) {
+            let next = starts.partition_point(|start| *start <= leaf);
+            let cell = next.saturating_sub(1);
+            let end = starts.get(next).copied().unwrap_or(NONE);
+            *leaves = starts.get(cell).copied().unwrap_or(0)..end;
+            self.owner = self.shares.owner(cell as u32);
+        }
+        self.owner
+    }
+}
+
 /// The lists in a file of what is known of the vertices of a range.
 mod member {
     /// Their samples.
@@ -298,18 +322,14 @@ impl Divided<'_> {
         let Self { prepared: SamplingPass { grid, .. }, shares, .. } = self;
         let Owner::Range(range) = owner else { return Ok(()) };
         let (of_ranges, of_groups) = cut.trees.split_at(shares.ranges().len());
-        let open = |path: &PathBuf, mark: &u128| NumbersFile::open(path, leaves_key(*mark));
+        let open = |(path, mark): (&PathBuf, &u128)| NumbersFile::open(path, leaves_key(*mark));
         let missing = || Error::argument("not all leaves are there", "do the units first that write them");
-        let (path, mark) = files.leaves.iter().zip(of_ranges).nth(range as usize).ok_or_else(missing)?;
-        let own = open(path, mark)?;
-        let groups = files.leaves_of_groups.iter().zip(of_groups);
-        let groups: Vec<NumbersFile> = groups.map(|(path, mark)| open(path, mark)).collect::<Result<_>>()?;
+        let own = open(files.leaves.iter().zip(of_ranges).nth(range as usize).ok_or_else(missing)?)?;
+        let groups = files.leaves_of_groups.iter().zip(of_groups).map(open).collect::<Result<Vec<_>>>()?;
         let mut of_groups: Vec<_> = groups.iter().map(|group| group.one_by_one(range as usize)).collect();
 
-        let starts = membership::starts(grid);
+        let mut owners = LeafOwners { shares, starts: membership::starts(grid), leaves: 0..0, owner };
         let mut samples = LeafSamples::new(&cut.cut.starts);
-        // The leaves of the cell at hand, and who clustered it.
-        let mut cell = (0..0, owner);
         let mut count = 0;
         let mut found = Vec::with_capacity(COPIED);
         own.each(0, |leaves| {
@@ -320,13 +340,7 @@ impl Divided<'_> {
                     found.push(NONE);
                     continue;
                 }
-                if !cell.0.contains(leaf) {
-                    let next = starts.partition_point(|start| start <= leaf);
-                    let at = next.saturating_sub(1);
-                    let end = starts.get(next).copied().unwrap_or(NONE);
-                    cell = (starts.get(at).copied().unwrap_or(0)..end, shares.owner(at as u32));
-                }
-                let leaf = match cell.1 {
+                let leaf = match owners.owner_of(*leaf) {
                     Owner::Range(_) => *leaf,
                     Owner::Group(group) => {
                         let of_group = of_groups.get_mut(group as usize).ok_or_else(missing)?;
@@ -342,12 +356,10 @@ impl Divided<'_> {
         if count != all.end - all.start {
             return Err(refused(own.path(), "is not of all vertices of its range"));
         }
-        for (of_group, group) in of_groups.iter_mut().zip(&groups) {
-            if of_group.next()?.is_some() {
-                return Err(refused(group.path(), "has vertices of other ranges"));
-            }
-        }
-        Ok(())
+        of_groups.iter_mut().zip(&groups).try_for_each(|(of_group, group)| match of_group.next()? {
+            Some(_) => Err(refused(group.path(), "has vertices of other ranges")),
+            None => Ok(()),
+        })
     }
 }
 
@@ -543,7 +555,7 @@ impl<'a> FacePart<'a> {
             return Vec::new();
         }
         if have_to_be_found(model) {
-            // Those behind its triangles are of the next part.
+            // Marks behind the part's triangles are of the next part.
             let is_own = |mark: &&FaceMark| own.start + (mark.triangle as u64) < *found || to.is_none();
             return marks.iter().filter(is_own).copied().collect();
         }
@@ -717,26 +729,16 @@ pub fn complete(
     let (mut islands, mut welded) = (None, false);
     if sheets {
         let twins = divided.twins(&cut, files)?;
-        welded = are_apart(info, twins.count);
-        let islands = islands.insert(Islands::new(twins, known, reindexed.cut.samples(), folder));
-        if welded {
-            parting.weld_all(islands, known)?;
-        }
+        let found = begin_islands(&parting, twins, known, reindexed.cut.samples())?;
+        (islands, welded) = (Some(found.0), found.1);
     }
     divided.take_faces(&cut, files, &read, (known, islands.as_mut()), &mut reindexed)?;
     if let Some(map) = &mut sample_of {
         divided.part_and_place(&read, islands, welded, cast_slice_mut(map), &mut reindexed)?;
     }
     let CutFile { fingerprint, jumps, .. } = cut;
-    let found = ClusteredStream {
-        cut: Cut::default(),
-        fingerprint,
-        jumps,
-        ranges,
-        membership: None,
-        picked: None,
-        grouping,
-    };
+    let (cut, membership, picked) = (Cut::default(), None, None);
+    let found = ClusteredStream { cut, fingerprint, jumps, ranges, membership, picked, grouping };
     divided.prepared.assemble(found, reindexed, sample_of.map(SampleOf::of_all))
 }
 

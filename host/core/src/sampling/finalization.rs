@@ -47,9 +47,9 @@ pub fn work_memory(largest: u64) -> u64 {
 pub struct ClusteringPass<'a> {
     /// The model.
     pub model: &'a dyn Model,
-    /// Its grid, from pass 1.
+    /// The model's grid, from pass 1.
     pub grid: &'a Grid,
-    /// Its local coordinates.
+    /// The model's local coordinates.
     pub frame: &'a Frame,
     /// How clusters are split.
     pub rule: SplitRule,

@@ -102,7 +102,7 @@ fn by_place(p: &Vec3, q: &Vec3) -> Ordering {
 struct TriangleSurface<'a> {
     samples: &'a [Vec3],
     triangles: &'a [[u32; 3]],
-    /// Their normals; zero where they have no area.
+    /// The triangles' normals; zero where they have no area.
     normals: Vec<Vec3>,
     /// Where those around each sample begin in `around`.
     starts: Vec<u32>,
@@ -257,7 +257,7 @@ impl<'a> TriangleSurface<'a> {
     /// What takes a sample's part of what is left to its step: the inverse of its block, lumped, with a
     /// ridge.
     fn lumped(&self, sample: u32, moments: &[TriangleSums]) -> Mat3 {
-        // Who is at the corner of a triangle of too many vertices stays, as all others would have their say.
+        // A sample at a corner of a triangle of too many vertices stays, as the others would move it alone.
         if self.around(sample).iter().any(|triangle| moments[*triangle as usize].is_full()) {
             return Mat3::ZERO;
         }
@@ -392,7 +392,7 @@ fn add(moments: &mut [TriangleSums], found: &[NearestPoint], per: f32) {
 #[derive(Clone, Copy)]
 struct NearestPoint {
     triangle: u32,
-    /// Its barycentric coordinates.
+    /// The point's barycentric coordinates.
     weights: [f32; 3],
     /// How high the vertex is over the triangle.
     height: f32,

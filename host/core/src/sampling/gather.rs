@@ -101,7 +101,7 @@ impl Gather for VertexGather {
 
     #[inline]
     fn merge(&mut self, cell: u32, vertex: &Vertex) -> Result<Option<u32>> {
-        // Who asks for the index has fewer than 2^32 vertices.
+        // The index is asked for where there are fewer than 2^32 vertices.
         let index = self.0.count(cell) as u32;
         self.0.push(cell, Vertex { index, ..*vertex })?;
         Ok(Some(index))
@@ -225,7 +225,7 @@ fn groups_find_room(records: &[CellRecord], groups: &[u32], blocks: u64) -> bool
 /// The vertices of a piece, summed up in little cubes.
 pub struct PieceGroups {
     edge: f32,
-    /// Its inverse: a division for each vertex would take as long as all else.
+    /// The inverse of the edge: a division for each vertex would take as long as all else.
     per_edge: f32,
     items: Vec<(u32, Group)>,
     /// The group of the same cell that was begun next after each of them.

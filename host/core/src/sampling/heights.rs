@@ -102,8 +102,7 @@ impl WithSimd for Heights<'_> {
 #[inline(always)]
 fn height<S: Simd>(simd: S, ways: &[[[f64; MOST_LANES]; 3]], heights: &mut [Height]) {
     let splat = |x| DoubleLanes::splat(simd, x);
-    let (zero, one) = (splat(0.0), splat(1.0));
-    let mut around = [[zero; 3]; NEIGHBOURS];
+    let mut around = [[splat(0.0); 3]; NEIGHBOURS];
     for i in 0..ways.len() {
         let [x, y, z] = &ways[i];
         around[i] = [DoubleLanes::load(simd, x), DoubleLanes::load(simd, y), DoubleLanes::load(simd, z)];
@@ -121,7 +120,26 @@ fn height<S: Simd>(simd: S, ways: &[[[f64; MOST_LANES]; 3]], heights: &mut [Heig
     let is_thick = (splat(LEAST_THICKNESS * LEAST_THICKNESS) * variances[1]).less(variances[0]);
     let is_of_two = are_two_sheets(simd, around, variances, is_thin.and(is_thick));
 
-    // In units of how far apart samples are.
+    let [height, variance, moment] = over_plane(simd, around).map(DoubleLanes::store);
+    let (is_thin, is_of_two) = (is_thin.store(), is_of_two.store());
+    let across = [axes[0][0].store(), axes[0][1].store(), axes[0][2].store()];
+    for (lane, to) in heights.iter_mut().enumerate() {
+        let across = direction(DVec3::new(across[0][lane], across[1][lane], across[2][lane]));
+        *to = Height { across, is_of_two: is_of_two[lane], ..Height::default() };
+        let is_one = is_thin[lane] && !is_of_two[lane];
+        if is_one && moment[lane] >= LEAST_SURROUNDED && height[lane].is_finite() {
+            (to.height, to.variance) = (height[lane], variance[lane]);
+        }
+    }
+}
+
+/// The height over the plane of weighted least squares of the neighbours, to which these are the ways along
+/// the axes of their scatter; its variance; and the moment of the neighbours' weights. The ways are in units
+/// of how far apart samples are afterwards.
+#[inline(always)]
+fn over_plane<S: Simd>(simd: S, around: &mut [Triple<S>]) -> [DoubleLanes<S>; 3] {
+    let splat = |x| DoubleLanes::splat(simd, x);
+    let (zero, one) = (splat(0.0), splat(1.0));
     let mut ring = zero;
     for i in 0..RING.min(around.len()) {
         ring += along(around[i]);
@@ -156,18 +174,7 @@ fn height<S: Simd>(simd: S, ways: &[[[f64; MOST_LANES]; 3]], heights: &mut [Heig
         moment += part * along(d);
         squares += part * part;
     }
-    let height = (height / (moment * scale)).store();
-    let variance = (squares / (moment * moment)).store();
-    let (moment, is_thin, is_of_two) = (moment.store(), is_thin.store(), is_of_two.store());
-    let across = [axes[0][0].store(), axes[0][1].store(), axes[0][2].store()];
-    for (lane, to) in heights.iter_mut().enumerate() {
-        let across = direction(DVec3::new(across[0][lane], across[1][lane], across[2][lane]));
-        *to = Height { across, is_of_two: is_of_two[lane], ..Height::default() };
-        let is_one = is_thin[lane] && !is_of_two[lane];
-        if is_one && moment[lane] >= LEAST_SURROUNDED && height[lane].is_finite() {
-            (to.height, to.variance) = (height[lane], variance[lane]);
-        }
-    }
+    [height / (moment * scale), squares / (moment * moment), moment]
 }
 
 /// The scatter of each sample and its neighbours about their mean, by the ways from it to them: xx, yy, zz,
@@ -213,6 +220,28 @@ fn along<S: Simd>(d: Triple<S>) -> DoubleLanes<S> {
     d[1] * d[1] + d[2] * d[2]
 }
 
+/// How many of each sample and its neighbours are higher than the middle, and the sum of the ways to them.
+#[inline(always)]
+fn sum_above<S: Simd>(
+    simd: S,
+    around: &[Triple<S>],
+    across: Triple<S>,
+    middle: DoubleLanes<S>,
+) -> (DoubleLanes<S>, Triple<S>) {
+    let (zero, one) = (DoubleLanes::splat(simd, 0.0), DoubleLanes::splat(simd, 1.0));
+    let mut upper = middle.less(zero).select(one, zero);
+    let mut sum = [zero; 3];
+    for i in 0..around.len() {
+        let d = around[i];
+        let is_upper = middle.less(dot(across, d));
+        upper += is_upper.select(one, zero);
+        for axis in 0..3 {
+            sum[axis] += is_upper.select(d[axis], zero);
+        }
+    }
+    (upper, sum)
+}
+
 /// Which of the samples that are `asked` for lie on two sheets, one above the other, with their neighbours,
 /// to which these are the ways along the axes of their scatter. Heights are at first along x, and then across
 /// what is found to be both sheets: with all in one, their plane leans from one sheet to the other.
@@ -233,17 +262,7 @@ fn are_two_sheets<S: Simd>(
         if !asked.any() {
             break;
         }
-        let middle = dot(across, mean);
-        let mut upper = middle.less(zero).select(one, zero);
-        let mut sum = [zero; 3];
-        for i in 0..around.len() {
-            let d = around[i];
-            let is_upper = middle.less(dot(across, d));
-            upper += is_upper.select(one, zero);
-            for axis in 0..3 {
-                sum[axis] += is_upper.select(d[axis], zero);
-            }
-        }
+        let (upper, sum) = sum_above(simd, around, across, dot(across, mean));
         let lower = count - upper;
         let weight = upper * lower / count;
         let mut apart = sum;

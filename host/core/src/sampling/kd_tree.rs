@@ -213,7 +213,7 @@ impl Leaf {
         leaf
     }
 
-    /// Its points and their indices.
+    /// The leaf's points and their indices.
     pub(super) fn points(&self) -> impl Iterator<Item = (Vec3, u32)> {
         let point = |i| (Vec3::new(self.x[i], self.y[i], self.z[i]), self.index[i]);
         (0..LEAF).map(point).filter(|(_, index)| *index != u32::MAX)

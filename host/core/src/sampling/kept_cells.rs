@@ -40,7 +40,7 @@ pub struct KeptCell {
     /// Bytes of the file among which all faces with one of its vertices are; ascending, and from one mark of
     /// their reader ([`FaceMark`](simod_model::FaceMark)) to another.
     pub faces: Vec<Range<u64>>,
-    /// Its VS-Tree.
+    /// The cell's VS-Tree.
     pub tree: CutTree,
 }
 

@@ -43,6 +43,13 @@ const THIN: f64 = 1.0 / 16.0;
 /// Strength of the ridge that holds the quadratic surface to a plane, relative to the number of elements.
 const RIDGE: f64 = 1e-6;
 
+/// The height of elements with normals along the mean of these, less what the bend of a smooth patch explains
+/// (standard deviation).
+fn thickness(m: &Moments, covariance: DMat3) -> f64 {
+    let (normal, bent) = (m.mean_normal(), BENT * m.deviation() * m.spread());
+    (normal.dot(covariance * normal) - bent * bent).max(0.0).sqrt()
+}
+
 /// Two layers: where they are parted.
 pub struct Layers {
     mean: Vec3,
@@ -60,13 +67,8 @@ impl Layers {
         }
         let (covariance, least) = (covariance.matrix, covariance.least());
         let [thin, width, length] = deviations(covariance, least);
-        let thickness = if m.has_normals() {
-            // Mostly it ends here.
-            let (normal, bent) = (m.mean_normal(), BENT * m.deviation() * m.spread());
-            (normal.dot(covariance * normal) - bent * bent).max(0.0).sqrt()
-        } else {
-            thin
-        };
+        // Mostly it ends here.
+        let thickness = if m.has_normals() { thickness(m, covariance) } else { thin };
         // An evenly filled rectangle of these deviations; half of the elements in it.
         let area = 12.0 * width * length;
         let apart = APART * (2.0 * area / elements.len() as f64).sqrt();

@@ -71,7 +71,7 @@ pub use splitting::Splitting;
 use crate::colors::{Picked, Picking};
 use crate::sampled_model::{SampledModel, SourceRecord, SourceTile};
 use crate::sampling::ranges::joined;
-use crate::touching::{self, ClusterParts, Contacts, Islands, Parted, Parting};
+use crate::touching::{self, ClusterParts, Contacts, FoundTwins, Islands, Parted, Parting};
 use counted::{CountKey, NonFinite, count_range};
 use deconvolution::Deconvolved;
 use density::SplitRule;
@@ -215,6 +215,44 @@ pub(crate) struct ClusteredStream {
 }
 
 /// # Errors
+/// The model has no vertices.
+fn check_not_empty(model: &dyn Model) -> Result<()> {
+    if model.info().vertices > 0 {
+        return Ok(());
+    }
+    Err(Error::degenerate(
+        format!("{} has no vertices", model.path().display()),
+        "a model needs at least one vertex to be sampled",
+    ))
+}
+
+/// Pass 1: the vertices of each cell, counted here or merged from files.
+///
+/// # Errors
+/// The model or a file cannot be read; no vertex is finite; the extent is no finite number; the user
+/// cancelled.
+fn counted_cells(
+    model: &dyn Model,
+    sampling: &Sampling,
+    counted: Option<&[&Path]>,
+    opaque: Option<Opaque>,
+    progress: &dyn Progress,
+) -> Result<(Grid, NonFinite)> {
+    let info = model.info();
+    let (grid, non_finite) = match counted {
+        Some(files) => counted::merged(model, &counting(model, sampling)?, files)?,
+        None => {
+            progress.begin("counting", info.vertex_bytes);
+            let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
+            count_cells(model, opaque, resolution, progress)?
+        }
+    };
+    check_counted(model, &non_finite)?;
+    check_extent(model, &grid)?;
+    Ok((grid, non_finite))
+}
+
+/// # Errors
 /// The extent of the model is no finite number.
 fn check_extent(model: &dyn Model, grid: &Grid) -> Result<()> {
     if grid.bounds.diagonal().is_finite() {
@@ -253,25 +291,10 @@ impl<'a> SamplingPass<'a> {
         progress: &'a dyn Progress,
     ) -> Result<Self> {
         let info = model.info();
-        if info.vertices == 0 {
-            return Err(Error::degenerate(
-                format!("{} has no vertices", model.path().display()),
-                "a model needs at least one vertex to be sampled",
-            ));
-        }
+        check_not_empty(model)?;
         let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
         let opaque = Opaque::find(model, min_opacity)?;
-        let (grid, non_finite) = match counted {
-            Some(files) => counted::merged(model, &counting(model, sampling)?, files)?,
-            None => {
-                progress.begin("counting", info.vertex_bytes);
-                let resolution =
-                    sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
-                count_cells(model, opaque, resolution, progress)?
-            }
-        };
-        check_counted(model, &non_finite)?;
-        check_extent(model, &grid)?;
+        let (grid, non_finite) = counted_cells(model, sampling, counted, opaque, progress)?;
         let frame = Frame::from_bounds(&grid.bounds);
 
         let (target, bound) = match sampling.target {
@@ -281,11 +304,7 @@ impl<'a> SamplingPass<'a> {
         let memory = sampling.memory_for_cells(&grid);
         let finite = info.vertices - non_finite.count - non_finite.transparent;
         let edge = grid.cell_size() / frame.scale;
-        let splitting = match sampling.splitting {
-            // Where there are faces, these tell layers apart.
-            Splitting::Layered if info.faces > 0 => Splitting::VolumeSurface,
-            splitting => splitting,
-        };
+        let splitting = sampling.splitting.resolve(info);
         let rule = SplitRule::new(splitting, sampling.by, finite, grid.keys.len() as u64, edge);
         let (grouping, for_groups) = resolve_grouping(sampling, &grid, &frame, memory);
         let reads_faces = can_tell(info);
@@ -379,7 +398,7 @@ impl<'a> SamplingPass<'a> {
         for foresight in [Some(1.0), None] {
             let clustered = match self.stream(StreamJob::Whole, foresight, grouping)? {
                 Some(clustered) => clustered,
-                // Those that find no room in memory do so in a file.
+                // Groups find no room in memory; single vertices find some in a file.
                 None => {
                     grouping = Grouping::Never;
                     let vertices = self.stream(StreamJob::Whole, foresight, grouping)?;
@@ -442,6 +461,25 @@ impl<'a> SamplingPass<'a> {
         deconvolution::deconvolved(&cut.positions, &cut.variances, most)
     }
 
+    fn source_record(&self, jumps: u64, fingerprint: String) -> SourceRecord {
+        let Self { model, non_finite, opaque, .. } = self;
+        let info = model.info();
+        SourceRecord {
+            path: model.path().to_owned(),
+            tiles: SourceTile::all(*model),
+            columns: model.columns().map(str::to_owned),
+            bytes: info.bytes,
+            vertices: info.vertices,
+            attributes: info.attributes.clone(),
+            non_finite: non_finite.count,
+            first_non_finite: non_finite.first,
+            transparent: non_finite.transparent,
+            usual_splat: opaque.and_then(|opaque| opaque.usual()),
+            jumps: Some(jumps),
+            fingerprint,
+        }
+    }
+
     /// P_S, once all is known of it.
     fn assemble(
         self,
@@ -451,9 +489,9 @@ impl<'a> SamplingPass<'a> {
     ) -> Result<SampledModel> {
         let ClusteredStream { fingerprint, jumps, ranges, picked, grouping, .. } = found;
         let parting = self.parting(&ranges);
-        let Self { model, sampling, grid, non_finite, picking, opaque, progress, .. } = &self;
+        let source = self.source_record(jumps, fingerprint);
+        let Self { model, sampling, grid, picking, progress, .. } = &self;
         let (model, progress) = (*model, *progress);
-        let info = model.info();
         let FaceResult { mut cut, triangles, faces, parted, placed } = reindexed;
         let mut around = None;
         if let Some(placed) = placed {
@@ -464,23 +502,10 @@ impl<'a> SamplingPass<'a> {
         progress.check()?;
         let trees = cut.trees;
         let mut sampled = SampledModel::new(
-            SourceRecord {
-                path: model.path().to_owned(),
-                tiles: SourceTile::all(model),
-                columns: model.columns().map(str::to_owned),
-                bytes: info.bytes,
-                vertices: info.vertices,
-                attributes: info.attributes.clone(),
-                non_finite: non_finite.count,
-                first_non_finite: non_finite.first,
-                transparent: non_finite.transparent,
-                usual_splat: opaque.and_then(|opaque| opaque.usual()),
-                jumps: Some(jumps),
-                fingerprint,
-            },
+            source,
             Sampling { grouping, ..*sampling },
             grid,
-            info.position_type,
+            model.info().position_type,
             (cut.positions, cut.normals),
             triangles,
         )?;
@@ -562,18 +587,13 @@ impl FaceResult {
     /// place the samples, those of the samples that this changes are read once more.
     fn run(&mut self, read: &Read<'_>, members: &mut SampleOf) -> Result<()> {
         let Read { parting, .. } = *read;
-        let info = parting.model.info();
         let twins = members.take_twins();
         let (sample_of, vertices) = members.all_mut();
         let Some(twins) = twins else {
             self.read_faces(read, sample_of, vertices, None)?;
             return self.fit(read, sample_of, vertices);
         };
-        let welded = are_apart(info, twins.count);
-        let mut islands = Islands::new(twins, sample_of, self.cut.samples(), parting.folder);
-        if welded {
-            parting.weld_all(&mut islands, sample_of)?;
-        }
+        let (mut islands, welded) = begin_islands(parting, twins, sample_of, self.cut.samples())?;
         self.read_faces(read, sample_of, vertices, Some(&mut islands))?;
         let changed = self.part_sheets(read, islands, sample_of, welded)?;
         if let (Some(changed), Some(vertices)) = (changed, vertices) {
@@ -810,6 +830,21 @@ fn are_told(placement: Placement, skip: &Skip) -> bool {
 /// what hangs together is told by the positions of all then.
 fn are_apart(info: &ModelInfo, twins: u64) -> bool {
     (info.vertices - twins) / 2 > info.faces
+}
+
+/// The islands of so many clusters before the faces are read, and whether all that is at one place is joined.
+fn begin_islands(
+    parting: &Parting<'_>,
+    twins: FoundTwins,
+    sample_of: &[u32],
+    samples: usize,
+) -> Result<(Islands, bool)> {
+    let welded = are_apart(parting.model.info(), twins.count);
+    let mut islands = Islands::new(twins, sample_of, samples, parting.folder);
+    if welded {
+        parting.weld_all(&mut islands, sample_of)?;
+    }
+    Ok((islands, welded))
 }
 
 /// Bytes between two ranges of faces that cost less to read than to begin anew.

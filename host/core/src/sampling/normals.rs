@@ -86,9 +86,8 @@ fn rooms<'a, T>(mut list: &'a mut [T], counts: &[usize]) -> Vec<&'a mut [T]> {
     rooms
 }
 
-/// Turns the normals that are `open` so that those at the ends of each edge of a minimum spanning forest look
-/// the same way. Edges cost 1 − |nᵢ·nⱼ|: orientation spreads where the surface is flattest.
-fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open: &[bool]) {
+/// The edges of each sample to the nearest few, of which either is `open`.
+fn edges(positions: &[Vec3], graph: &NeighbourGraph, normals: &[Vec3], open: &[bool]) -> Vec<Edge> {
     let near = |i: usize| first(graph.nearest_to(i), ORIENT_NEIGHBOURS);
     let cost = |i: usize, j: usize| (1.0 - normals[i].dot(normals[j]).abs()).max(0.0).to_bits();
     // Each edge once, though most are known at both ends.
@@ -105,7 +104,13 @@ fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open
         let pairs = samples(job).flat_map(of_sample);
         room.iter_mut().zip(pairs).for_each(|(to, (i, j))| *to = (cost(i, j), i as u32, j as u32));
     });
+    edges
+}
 
+/// Turns the normals that are `open` so that those at the ends of each edge of a minimum spanning forest look
+/// the same way. Edges cost 1 − |nᵢ·nⱼ|: orientation spreads where the surface is flattest.
+fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open: &[bool]) {
+    let mut edges = edges(positions, graph, normals, open);
     // All that look a way which is known are one part from the beginning.
     let mut parts = OrientedParts::new(positions.len());
     let known = open.iter().position(|open| !open);

@@ -256,7 +256,7 @@ struct PlaneShard {
 
 /// A face across the border of clusters.
 struct CrossingFace {
-    /// Its number among those that are taken at once.
+    /// The face's number among those that are taken at once.
     number: u32,
     corners: [u32; 3],
     /// The sample of each corner.
@@ -443,7 +443,7 @@ impl ShardPlanes<'_> {
             return;
         }
         let [a, b, c] = corners.map(|vertex| Vec3A::from(self.vertices[vertex as usize]));
-        // Its length is twice the area.
+        // The length of the product is twice the area.
         let across = (b - a).cross(c - a);
         let normal = across * across.length_recip();
         // Neither are corners without a finite position.
@@ -584,7 +584,7 @@ mod tests {
         assert!(far.is_finite(), "{far}");
     }
 
-    /// Whoever reads which faces, sums are of the same ones.
+    /// Sums are of the same faces, whichever unit reads which of them.
     #[test]
     fn ranges_of_faces_add_up_to_the_sums_of_one_reading() {
         let random =

@@ -93,7 +93,7 @@ impl SharedPiece {
             visits.push((group_of(visit.cell)?, first, visit));
             first += visit.finite as usize;
         }
-        // Those of a group stay in their order.
+        // The visits of a group stay in their order.
         visits.sort_by_key(|(group, ..)| *group);
         let of_group = visits.chunk_by(|a, b| a.0 == b.0);
         Some(of_group.map(|visits| (visits[0].0, self.record(visits))).collect())

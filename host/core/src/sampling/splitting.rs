@@ -1,6 +1,7 @@
 //! How clusters are split.
 
 use serde::{Deserialize, Serialize};
+use simod_model::ModelInfo;
 
 /// How clusters are split.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -15,4 +16,11 @@ pub enum Splitting {
     VolumeSurface,
     /// In space alone: what the paper compares the VS-Tree with.
     Octree,
+}
+
+impl Splitting {
+    /// How the clusters of a model are split: where there are faces, these tell layers apart.
+    pub(super) fn resolve(self, info: &ModelInfo) -> Self {
+        if self == Self::Layered && info.faces > 0 { Self::VolumeSurface } else { self }
+    }
 }

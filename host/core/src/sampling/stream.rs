@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use simod_model::bounds::Bounds;
 use simod_model::progress::{Emerging, Visitor};
 use simod_model::{Error, Result, VertexChunk, VertexReader};
@@ -117,6 +117,15 @@ fn vertices_of(pass: &ClusteringPass<'_>) -> Range<u64> {
     }
 }
 
+/// How many pieces the stream has.
+fn pieces_of(pass: &ClusteringPass<'_>) -> u64 {
+    let Range { start, end } = vertices_of(pass);
+    match pass.job {
+        StreamJob::Group(_, _, reader) => lock(reader).records(),
+        StreamJob::Whole | StreamJob::Range(..) => (end - start).div_ceil(PIECE),
+    }
+}
+
 /// Bytes that are streamed, about.
 fn bytes_of(pass: &ClusteringPass<'_>) -> u64 {
     let info = pass.model.info();
@@ -130,19 +139,10 @@ fn bytes_of(pass: &ClusteringPass<'_>) -> u64 {
     }
 }
 
-/// Whether there was room.
-fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clustered) -> Result<bool> {
-    let Clustered { forest, hash, ranges, items, ends, membership, picked } = found;
-    let vertices = vertices_of(pass);
-    let threads = rayon::current_num_threads();
-    let in_order = !pass.model.info().reads_exactly() && !matches!(pass.job, StreamJob::Group(..));
-    let reader = in_order.then(|| positions_of(pass, vertices.clone())).transpose()?;
+/// The open cells, dealt out to what gathers each part of them.
+fn shards<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>) -> Vec<Mutex<CellShard<G>>> {
     let own = |(cell, record): (u32, &CellRecord)| if pass.job.has(cell) { record.count } else { 0 };
     let left = deal((0..).zip(&pass.grid.records).map(own), gather.len());
-    let pieces = match pass.job {
-        StreamJob::Group(_, _, reader) => lock(reader).records(),
-        StreamJob::Whole | StreamJob::Range(..) => (vertices.end - vertices.start).div_ceil(PIECE),
-    };
     let shard = |(gather, left): (G, Vec<u64>)| CellShard {
         gather,
         items: vec![0; left.len()],
@@ -150,7 +150,18 @@ fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clus
         at: 0,
         complete: None,
     };
-    let shards: Vec<_> = gather.into_iter().zip(left).map(shard).map(Mutex::new).collect();
+    gather.into_iter().zip(left).map(shard).map(Mutex::new).collect()
+}
+
+/// Whether there was room.
+fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clustered) -> Result<bool> {
+    let Clustered { forest, hash, ranges, items, ends, membership, picked } = found;
+    let vertices = vertices_of(pass);
+    let threads = rayon::current_num_threads();
+    let in_order = !pass.model.info().reads_exactly() && !matches!(pass.job, StreamJob::Group(..));
+    let reader = in_order.then(|| positions_of(pass, vertices.clone())).transpose()?;
+    let pieces = pieces_of(pass);
+    let shards = shards(pass, gather);
     let stream = Stream {
         pass,
         leaves: membership.as_ref().map(Membership::leaves),
@@ -190,6 +201,26 @@ fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clus
         *items = shards[cell % shards.len()].items[cell / shards.len()];
     }
     Ok(true)
+}
+
+/// Notes that the stream is in a cell from the first of these vertices on; `false` if it was there before.
+fn note_visit(visits: &mut Vec<(u32, Range<u64>)>, cell: u32, vertices: &Range<u64>) -> bool {
+    if let Some((last, visited)) = visits.last_mut() {
+        if *last == cell {
+            return false;
+        }
+        visited.end = vertices.start;
+    }
+    visits.push((cell, vertices.clone()));
+    true
+}
+
+/// The cell that the stream is in.
+struct EnteredCell {
+    inside: Bounds,
+    cell: u32,
+    /// Whether it is clustered here.
+    is_own: bool,
 }
 
 /// Deals what is of each cell out to so many shards.
@@ -271,7 +302,7 @@ struct StreamPiece<P: GatherPiece> {
     places: Vec<AtomicU32>,
     /// Each cell that the stream enters, and the vertices up to where it leaves it.
     visits: Vec<(u32, Range<u64>)>,
-    /// Its vertices in cells that others cluster, and what is written down of them.
+    /// The piece's vertices in cells that others cluster, and what is written down of them.
     shared: SharedPiece,
     records: Vec<(u32, Vec<u8>)>,
     /// What was read in the place of the model.
@@ -361,67 +392,73 @@ impl<'a, G: Gather> Stream<'a, G> {
         Ok((number, range))
     }
 
+    /// Leaves out the splats of a chunk in which nobody sees a surface, and picks vertices for their colours.
+    fn look_at_attributes(
+        &self,
+        chunk: &mut VertexChunk,
+        lists: &mut ColorLists,
+        picks: &mut Vec<Pick>,
+    ) -> Result<()> {
+        let ClusteringPass { model, frame, opaque, picking, .. } = self.pass;
+        if let Some(opaque) = opaque {
+            opaque.leave_out(*model, chunk)?;
+        }
+        if let Some(picking) = picking {
+            picking.pick(*model, frame, chunk, lists, picks)?;
+        }
+        Ok(())
+    }
+
+    /// The cell at a place.
+    fn enter(&self, p: DVec3) -> Result<EnteredCell> {
+        let ClusteringPass { model, grid, job, .. } = self.pass;
+        let key = grid.key_of(p);
+        let cell = grid.find(&key).ok_or_else(|| changed(*model))?;
+        Ok(EnteredCell { inside: cell_box(key, grid.level), cell, is_own: job.has(cell) })
+    }
+
     /// Puts each vertex of a piece, which ends before a vertex, into its cell.
     fn put_in_cells(&self, piece: &mut StreamPiece<G::Piece>, end: u64) -> Result<()> {
-        let ClusteringPass { model, grid, frame, noted, job, .. } = *self.pass;
+        let ClusteringPass { frame, noted, .. } = *self.pass;
         let with_items = self.leaves.is_some();
-        let StreamPiece { chunks, gatherer, items, positions, picks, lists, visits, shared, records, .. } =
-            piece;
-        let mut current: Option<(Bounds, u32, bool)> = None;
+        let StreamPiece { chunks, gatherer, items, positions, picks, lists, visits, shared, .. } = piece;
+        let mut note = |item: u32, local: Vec3| {
+            if with_items {
+                items.push(item);
+            }
+            if noted.positions {
+                positions.push(local);
+            }
+        };
+        let mut current: Option<EnteredCell> = None;
         for chunk in chunks {
-            if let Some(opaque) = self.pass.opaque {
-                opaque.leave_out(model, chunk)?;
-            }
-            if let Some(picking) = self.pass.picking {
-                picking.pick(model, frame, chunk, lists, picks)?;
-            }
+            self.look_at_attributes(chunk, lists, picks)?;
             for (i, p) in chunk.positions.iter().enumerate() {
                 let (cell, is_own) = match &current {
-                    Some((inside, cell, is_own)) if inside.contains(*p) => (*cell, *is_own),
+                    Some(entered) if entered.inside.contains(*p) => (entered.cell, entered.is_own),
                     _ if !p.is_finite() => {
-                        if with_items {
-                            items.push(NONE);
-                        }
-                        if noted.positions {
-                            positions.push(Vec3::NAN);
-                        }
+                        note(NONE, Vec3::NAN);
                         continue;
                     }
                     _ => {
-                        let key = grid.key_of(*p);
-                        let cell = grid.find(&key).ok_or_else(|| changed(model))?;
-                        let is_own = job.has(cell);
-                        current = Some((cell_box(key, grid.level), cell, is_own));
-                        if visits.last().is_none_or(|(last, _)| *last != cell) {
-                            let vertex = chunk.first + i as u64;
-                            if let Some((_, last)) = visits.last_mut() {
-                                last.end = vertex;
-                            }
-                            visits.push((cell, vertex..end));
-                            if !is_own {
-                                gatherer.leave();
-                                shared.visits.push(Visit { cell, vertices: vertex..end, finite: 0 });
-                            }
+                        let EnteredCell { cell, is_own, .. } = *current.insert(self.enter(*p)?);
+                        let vertices = chunk.first + i as u64..end;
+                        if note_visit(visits, cell, &vertices) && !is_own {
+                            gatherer.leave();
+                            shared.visits.push(Visit { cell, vertices, finite: 0 });
                         }
                         (cell, is_own)
                     }
                 };
                 let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
                 let local = frame.to_local(*p);
-                if !is_own {
+                let item = if is_own {
+                    gatherer.add(cell, local, normal)
+                } else {
                     shared.add(local, normal);
-                    if with_items {
-                        items.push(OF_OTHERS | cell);
-                    }
-                    continue;
-                }
-                let item = gatherer.add(cell, local, normal);
-                if with_items {
-                    items.push(item);
-                }
-                if noted.positions {
-                    positions.push(local);
-                }
+                    OF_OTHERS | cell
+                };
+                note(item, local);
             }
             // Nothing but the bytes is needed any more, unless positions are compared.
             chunk.normals = Vec::new();
@@ -429,17 +466,22 @@ impl<'a, G: Gather> Stream<'a, G> {
                 chunk.positions = Vec::new();
             }
         }
-        if let StreamJob::Range(shares, ..) = job {
-            let mut ends =
-                visits.iter().filter(|(cell, _)| !job.has(*cell)).map(|(_, vertices)| vertices.end);
-            shared.visits.iter_mut().zip(&mut ends).for_each(|(visit, end)| visit.vertices.end = end);
-            let group_of = |cell| match shares.owner(cell) {
-                Owner::Group(group) => Some(group),
-                // Its vertices were elsewhere when they were counted.
-                Owner::Range(_) => None,
-            };
-            *records = shared.records(group_of).ok_or_else(|| changed(model))?;
-        }
+        self.record_shared(piece)
+    }
+
+    /// Writes down the vertices of a piece in cells that others cluster, where units of work cluster ranges.
+    fn record_shared(&self, piece: &mut StreamPiece<G::Piece>) -> Result<()> {
+        let ClusteringPass { model, job, .. } = self.pass;
+        let StreamJob::Range(shares, ..) = job else { return Ok(()) };
+        let StreamPiece { visits, shared, records, .. } = piece;
+        let mut ends = visits.iter().filter(|(cell, _)| !job.has(*cell)).map(|(_, vertices)| vertices.end);
+        shared.visits.iter_mut().zip(&mut ends).for_each(|(visit, end)| visit.vertices.end = end);
+        let group_of = |cell| match shares.owner(cell) {
+            Owner::Group(group) => Some(group),
+            // The cell's vertices were elsewhere when they were counted.
+            Owner::Range(_) => None,
+        };
+        *records = shared.records(group_of).ok_or_else(|| changed(*model))?;
         Ok(())
     }
 
@@ -480,7 +522,7 @@ impl<'a, G: Gather> Stream<'a, G> {
             merging.at = 0;
         }
         drop(merging);
-        // Whoever finishes the piece has it alone.
+        // The thread that finishes the piece has it alone.
         drop(piece);
         self.schedule.tasks().merged(shard, has_all);
         Ok(())

@@ -34,7 +34,7 @@ impl Triangles {
     /// Puts samples for vertices, if these are still there: each triangle once, without those that are none.
     pub fn put(&mut self, sample_of: &[u32]) {
         if std::mem::take(&mut self.of_vertices) {
-            // They are in about the vertices' order.
+            // Triangles are in about the vertices' order.
             let share = size_of_val(sample_of) / self.triangles.len().max(1);
             self.triangles.par_chunks_mut(FACES_OF_A_JOB).for_each(|some| {
                 for triangle in some.iter_mut() {

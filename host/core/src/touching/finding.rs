@@ -16,7 +16,7 @@ use simod_model::scratch::Scratch;
 
 use super::ADVICE;
 use super::contacts::{self, ContactLists, Contacts};
-use super::islands::STEPS;
+use super::islands::met_within;
 use super::parting::{Parted, Parting};
 use super::places::PlaceSamples;
 use super::sorter::Sorter;
@@ -203,7 +203,7 @@ impl InheritedSheets<'_> {
 
 /// The samples near which sheets meet, with all that the homes of places there depend on.
 pub(crate) struct Near {
-    /// Their numbers in the whole set, ascending.
+    /// The samples' numbers in the whole set, ascending.
     numbers: Vec<u32>,
     samples: SampleSet,
 }
@@ -492,24 +492,11 @@ fn are_beside(parted: &Parted, sample: u32, near: &[u32], ring: &mut Vec<u32>) -
     near.iter().all(is_beside)
 }
 
-/// Whether all of `near` are met within [`STEPS`] from a sample, over samples that faces join.
+/// Whether all of `near` are met from a sample in few steps, over samples that faces join.
 fn are_met(parted: &Parted, sample: u32, near: &[u32]) -> bool {
-    let (mut met, mut from) = (vec![sample], 0);
-    for _ in 0..STEPS {
-        let to = met.len();
-        for i in from..to {
-            parted.each_joined(met[i], |other| {
-                if met.len() < MOST_MET && !met.contains(&other) {
-                    met.push(other);
-                }
-            });
-        }
-        if near.iter().all(|j| met.contains(j)) {
-            return true;
-        }
-        from = to;
-    }
-    false
+    let are_all = |met: &[u32]| near.iter().all(|j| met.contains(j));
+    let each_joined = |sample, visit: &mut dyn FnMut(u32)| parted.each_joined(sample, visit);
+    are_all(&met_within(sample, MOST_MET, each_joined, are_all))
 }
 
 /// The samples near which sheets meet, ascending, if samples are at these positions (local coordinates).
@@ -580,7 +567,7 @@ fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLis
 
 /// The samples among the nearest of one that are on another sheet, each with that sample.
 fn left_out_by<'a>(sample: u32, near: &'a [u32], same: &'a [u32]) -> impl Iterator<Item = (u32, u32)> + 'a {
-    // Who lies beyond the last one of the list is not left out.
+    // Samples beyond the last one of the list are not left out.
     without(&near[..end_of(near, same)], same).map(move |j| (j, sample))
 }
 

@@ -36,7 +36,7 @@ const LATEST: usize = 4;
 const REMEMBERED: usize = 1 << 10;
 
 /// Islands of a cluster that so many steps from island to island join are on one sheet.
-pub const STEPS: usize = 4;
+const STEPS: usize = 4;
 
 /// Islands, while faces come.
 ///
@@ -216,7 +216,7 @@ impl Islands {
 
     /// Each link once, by the islands as they are now.
     fn once_each(&self, links: &mut Vec<[u32; 2]>) {
-        // They are in about the vertices' order.
+        // Links are in about the vertices' order.
         let share = self.back.len() / links.len().max(1);
         links.par_chunks_mut(FEW).for_each(|some| {
             for link in some.iter_mut() {
@@ -617,9 +617,15 @@ impl ClusterGraph {
             // first.
             let (mut part, mut at) = (vec![*island], 0);
             while at < part.len() && part.len() < islands.len() {
-                let met = self.met_from(part[at], cluster, islands.len());
-                let new: Vec<u32> = met.into_iter().filter(|island| !part.contains(island)).collect();
-                part.extend(new);
+                let of_cluster = |island: &u32| self.cluster(*island) == cluster;
+                let each_joined = |island, visit: &mut dyn FnMut(u32)| {
+                    self.joined(island).iter().copied().for_each(visit);
+                };
+                let met = met_within(part[at], usize::MAX, each_joined, |met| {
+                    met.iter().copied().filter(of_cluster).count() == islands.len()
+                });
+                let new = met.into_iter().filter(of_cluster).filter(|island| !part.contains(island));
+                part.extend(new.collect::<Vec<_>>());
                 at += 1;
             }
             if part.len() == islands.len() {
@@ -630,36 +636,38 @@ impl ClusterGraph {
         }
         (parts.len() > 1).then_some(Mixed { cluster, parts })
     }
+}
 
-    /// The islands, among the `count` of a cluster, that are met within [`STEPS`] from one of them.
-    fn met_from(&self, island: u32, cluster: u32, count: usize) -> Vec<u32> {
-        let (mut found, mut from) = (vec![island], 0);
-        let mut met = vec![island];
-        for _ in 0..STEPS {
-            let to = found.len();
-            for i in from..to {
-                for next in self.joined(found[i]) {
-                    if !found.contains(next) {
-                        found.push(*next);
-                        if self.cluster(*next) == cluster {
-                            met.push(*next);
-                        }
-                    }
+/// What is met within [`STEPS`] from one node of a graph, nearer ones first: at most so many, and no farther
+/// than until these are enough. `each_joined` visits the nodes that are joined with one.
+pub fn met_within(
+    start: u32,
+    most: usize,
+    each_joined: impl Fn(u32, &mut dyn FnMut(u32)),
+    are_enough: impl Fn(&[u32]) -> bool,
+) -> Vec<u32> {
+    let (mut met, mut from) = (vec![start], 0);
+    for _ in 0..STEPS {
+        let to = met.len();
+        for i in from..to {
+            each_joined(met[i], &mut |other| {
+                if met.len() < most && !met.contains(&other) {
+                    met.push(other);
                 }
-            }
-            if met.len() == count {
-                break;
-            }
-            from = to;
+            });
         }
-        met
+        if are_enough(&met) {
+            break;
+        }
+        from = to;
     }
+    met
 }
 
 /// Leaves each island in the list of another one once.
 fn keep_once(starts: &mut [u32], joined: &mut Vec<u32>) {
     let count = starts.len() - 1;
-    // Who was met last by whom.
+    // The island by which each one was met last.
     let mut met = vec![NONE; count];
     let (mut kept, mut from) = (0, 0);
     for island in 0..count {

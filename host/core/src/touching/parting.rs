@@ -82,6 +82,10 @@ fn by_place(a: Vec3, b: Vec3) -> Ordering {
 pub struct ClusterParts {
     graph: ClusterGraph,
     mixed: Vec<(u32, Vec<ClusterSheet>)>,
+    /// Which parts of which mixed clusters shall get samples of their own: first those with nothing of their
+    /// own sheet beside them, so many, and then the others; in both the largest first.
+    wanted: Vec<(usize, usize)>,
+    alone: usize,
 }
 
 /// What the clusters come to.
@@ -168,7 +172,7 @@ impl Parting<'_> {
                 several = found.iter().map(|mixed| mixed.cluster).collect();
             }
             if several.is_empty() {
-                return Ok(ClusterParts { graph, mixed: Vec::new() });
+                return Ok(ClusterParts::new(graph, Vec::new()));
             }
             let ranges = self.ranges_with(trees, |sample| several.binary_search(&sample).is_ok());
             if self.weld(ranges, islands, sample_of)? {
@@ -196,7 +200,7 @@ impl Parting<'_> {
         for (_, parts) in &mut found {
             parts.sort_by(ClusterSheet::by_size);
         }
-        Ok(ClusterParts { graph, mixed: found })
+        Ok(ClusterParts::new(graph, found))
     }
 
     /// Where the cells are that hold vertices of chosen samples.
@@ -248,6 +252,26 @@ fn places(mixed: &[Mixed]) -> HashMap<u32, (usize, usize)> {
 }
 
 impl ClusterParts {
+    fn new(graph: ClusterGraph, mixed: Vec<(u32, Vec<ClusterSheet>)>) -> Self {
+        let mut parts = Self { graph, mixed, wanted: Vec::new(), alone: 0 };
+        let mut wanted: Vec<(bool, usize, usize)> = Vec::new();
+        for (i, (_, sheets)) in parts.mixed.iter().enumerate() {
+            let all: f64 = sheets.iter().map(|sheet| sheet.moments.count()).sum();
+            for (j, sheet) in sheets.iter().enumerate().skip(1) {
+                let is_alone = parts.neighbours(sheet).next().is_none();
+                let count = sheet.moments.count();
+                if count > 0.0 && (is_alone || (count > 1.0 && count >= LEAST_PART * all)) {
+                    wanted.push((!is_alone, i, j));
+                }
+            }
+        }
+        let sheet = |(_, i, j): (bool, usize, usize)| &parts.mixed[i].1[j];
+        wanted.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| sheet(*a).by_size(sheet(*b))));
+        parts.alone = wanted.iter().filter(|(joins, ..)| !joins).count();
+        parts.wanted = wanted.into_iter().map(|(_, i, j)| (i, j)).collect();
+        parts
+    }
+
     /// Whether there is no cluster of several sheets.
     pub fn is_empty(&self) -> bool {
         self.mixed.is_empty()
@@ -256,40 +280,22 @@ impl ClusterParts {
     /// How many samples more parts shall have, of so many samples in all: as many as they need, but no more
     /// than [a part of them](MOST_OF_ALL), unless nothing of their own sheets is beside them.
     pub fn needed(&self, samples: usize) -> usize {
-        let (_, needed, alone) = self.decide(usize::MAX);
-        needed.min(alone.max(samples / MOST_OF_ALL).max(FEW))
+        self.wanted.len().min(self.alone.max(samples / MOST_OF_ALL).max(FEW))
     }
 
     /// How many clusters there shall be instead of `clusters`, where so many hold several sheets that not
     /// each of these could get one of `wanted` samples: so many fewer that they can.
     pub fn fewer_clusters(&self, clusters: usize, wanted: usize) -> Option<usize> {
-        let (_, more, _) = self.decide(usize::MAX);
+        let more = self.wanted.len();
         let fewer = (clusters as u128 * wanted as u128 / (clusters + more) as u128) as usize;
         (more > wanted / MANY && clusters + more > wanted).then_some(fewer.max(1))
     }
 
-    /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for those with
-    /// nothing of their own sheet beside them, and then for the largest. And how many that are, and those of
-    /// the former.
-    fn decide(&self, most: usize) -> (Vec<Vec<bool>>, usize, usize) {
-        let mut wanted: Vec<(bool, usize, usize)> = Vec::new();
-        for (i, (_, parts)) in self.mixed.iter().enumerate() {
-            let all: f64 = parts.iter().map(|part| part.moments.count()).sum();
-            for (j, part) in parts.iter().enumerate().skip(1) {
-                let own = self.neighbours(part).next().is_none();
-                let count = part.moments.count();
-                if count > 0.0 && (own || (count > 1.0 && count >= LEAST_PART * all)) {
-                    wanted.push((!own, i, j));
-                }
-            }
-        }
-        let part = |(_, i, j): (bool, usize, usize)| &self.mixed[i].1[j];
-        wanted.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| part(*a).by_size(part(*b))));
-        wanted.truncate(most);
-        let alone = wanted.iter().filter(|(joins, ..)| !joins).count();
-        let mut gets: Vec<Vec<bool>> = self.mixed.iter().map(|(_, parts)| vec![false; parts.len()]).collect();
-        wanted.iter().for_each(|(_, i, j)| gets[*i][*j] = true);
-        (gets, wanted.len(), alone)
+    /// For each mixed cluster, which of its parts get a sample, if at most so many do.
+    fn with_own(&self, most: usize) -> Vec<Vec<bool>> {
+        let mut own: Vec<Vec<bool>> = self.mixed.iter().map(|(_, parts)| vec![false; parts.len()]).collect();
+        self.wanted.iter().take(most).for_each(|(i, j)| own[*i][*j] = true);
+        own
     }
 
     /// Islands of other clusters that a part is joined with.
@@ -400,7 +406,7 @@ impl GivenSamples {
     /// The largest part of each cluster keeps its sample, and as many others as may get new ones.
     fn new(parts: &ClusterParts, samples: &[Vec3], of: impl Fn(u32) -> u32, most: usize) -> Self {
         let first = samples.len() as u32;
-        let (gets, ..) = parts.decide(most);
+        let with_own = parts.with_own(most);
         let graph = &parts.graph;
         let sample = (0..graph.len()).map(|island| of(graph.cluster(island))).collect();
         let mut given = Self { sample, moved: Vec::new(), added: Vec::new(), open: Vec::new() };
@@ -410,7 +416,7 @@ impl GivenSamples {
                 let of_part = if j == 0 {
                     given.moved.push((of(*cluster), position, normal));
                     of(*cluster)
-                } else if gets[i][j] {
+                } else if with_own[i][j] {
                     given.added.push((of(*cluster), position, normal));
                     first + given.added.len() as u32 - 1
                 } else {

@@ -241,7 +241,7 @@ mod tests {
         }
     }
 
-    /// Who looks at a part of the vertices finds what a search of all of them does.
+    /// A search of a part of the vertices finds what a search of all of them does.
     #[test]
     fn parts_find_what_all_do() {
         // Three at each place, some of them far from each other, and some that are nowhere.

@@ -81,6 +81,18 @@ fn written_extension(model: &dyn Model, target: &Path) -> Result<&'static str> {
     })
 }
 
+/// # Errors
+/// The model is of several tiles.
+fn check_one_file(model: &dyn Model) -> Result<()> {
+    if model.tiles().is_empty() {
+        return Ok(());
+    }
+    Err(Error::argument(
+        format!("{} is a model of several tiles, which are not joined", model.path().display()),
+        "have each tile written by itself: name a folder, and say with --to what they become, as --to ply",
+    ))
+}
+
 impl Converted {
     /// The model as what the extension of `target` says. Its faces are read once, to be counted.
     ///
@@ -94,12 +106,7 @@ impl Converted {
         progress: &dyn Progress,
     ) -> Result<Self> {
         let extension = written_extension(&*model, target)?;
-        if !model.tiles().is_empty() {
-            return Err(Error::argument(
-                format!("{} is a model of several tiles, which are not joined", model.path().display()),
-                "have each tile written by itself: name a folder, and say with --to what they become, as --to ply",
-            ));
-        }
+        check_one_file(&*model)?;
         model.check_complete(progress)?;
         let (faces, counted) = count_faces(&*model, progress)?;
         let info = model.info().clone();
@@ -118,18 +125,7 @@ impl Converted {
             bytes: 0,
             left_out: AtomicU64::new(0),
         };
-        let mut losses = Vec::new();
-        if !keeps_records {
-            losses.extend(converted.model.besides()?);
-            losses.extend(converted.model.beyond_doubles(progress)?);
-        }
-        if counted.without_vertex > 0 {
-            losses
-                .push(form::counted(counted.without_vertex, "triangle") + " with a corner that is no vertex");
-        }
-        if extension == "off" {
-            losses.extend(text::losses_of_bytes(&*converted.model)?);
-        }
+        let mut losses = converted.losses_of_model(&counted, progress)?;
         let form = converted.form(how.drops_normals, &mut losses)?;
         if form.has_faces() {
             losses.extend(losses_of_faces(form.holds_polygons(), converted.info.faces, &counted));
@@ -149,6 +145,23 @@ impl Converted {
         }
         converted.losses = losses;
         Ok(converted)
+    }
+
+    /// What is lost of the model whatever form it takes, in a few words each.
+    fn losses_of_model(&self, counted: &PolygonCounts, progress: &dyn Progress) -> Result<Vec<String>> {
+        let mut losses = Vec::new();
+        if !self.keeps_records {
+            losses.extend(self.model.besides()?);
+            losses.extend(self.model.beyond_doubles(progress)?);
+        }
+        if counted.without_vertex > 0 {
+            let triangles = form::counted(counted.without_vertex, "triangle");
+            losses.push(triangles + " with a corner that is no vertex");
+        }
+        if self.extension == "off" {
+            losses.extend(text::losses_of_bytes(&*self.model)?);
+        }
+        Ok(losses)
     }
 
     /// The error that a conversion loses something, where it was not said that it may.

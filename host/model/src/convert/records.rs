@@ -36,6 +36,31 @@ pub(super) struct RecordForm {
     stride: usize,
 }
 
+/// Name, type and place of those attributes that can be written.
+fn written<'a>(
+    kind: RecordFormat,
+    attributes: impl Iterator<Item = (usize, &'a Attribute)>,
+    losses: &mut Vec<String>,
+) -> Vec<(String, Type, usize)> {
+    let own = if kind == RecordFormat::Ply { PLY } else { PCD };
+    let mut taken: HashSet<String> = own.iter().map(|name| (*name).to_owned()).collect();
+    let mut written = Vec::new();
+    for (place, attribute) in attributes {
+        let name: String = attribute.name.chars().map(|c| if c.is_whitespace() { '_' } else { c }).collect();
+        let is_packed = kind == RecordFormat::Pcd && PACKED.contains(&name.as_str());
+        // A name that words are made of in the header alone.
+        if !name.is_ascii() || is_packed || !taken.insert(name.clone()) {
+            losses.push(attribute_loss(&attribute.name, attribute.kind));
+            continue;
+        }
+        if name != attribute.name {
+            losses.push(format!("the name of the attribute {}, which becomes {name}", attribute.name));
+        }
+        written.push((name, attribute.kind, place));
+    }
+    written
+}
+
 impl RecordForm {
     pub(super) fn new(
         kind: RecordFormat,
@@ -43,7 +68,6 @@ impl RecordForm {
         losses: &mut Vec<String>,
     ) -> Result<Self> {
         let info = content.info();
-        let own = if kind == RecordFormat::Ply { PLY } else { PCD };
         let faces = if kind == RecordFormat::Ply { content.faces } else { FaceCounts::default() };
         if kind == RecordFormat::Pcd && content.faces.triangles > 0 {
             losses.push(counted(content.faces.polygons, "face"));
@@ -51,8 +75,6 @@ impl RecordForm {
         if faces.triangles > 0 {
             content.too_many("vertices with faces", info.vertices, u64::from(u32::MAX))?;
         }
-        let mut taken: HashSet<String> = own.iter().map(|name| (*name).to_owned()).collect();
-        let mut attributes = Vec::new();
         let names = |c: &Colors| {
             c.places.map(|place| info.attributes[place].name.as_str()) == ["red", "green", "blue"]
         };
@@ -61,23 +83,9 @@ impl RecordForm {
         let colors =
             Colors::from_info(info).filter(|colors| packs && colors.kind == Type::U8 && names(colors));
         let packed = colors.map(|Colors { places: [r, g, b], .. }| [b, g, r]);
-        for (place, attribute) in info.attributes.iter().enumerate() {
-            if packed.is_some_and(|packed| packed.contains(&place)) {
-                continue;
-            }
-            let name: String =
-                attribute.name.chars().map(|c| if c.is_whitespace() { '_' } else { c }).collect();
-            let is_packed = kind == RecordFormat::Pcd && PACKED.contains(&name.as_str());
-            // A name that words are made of in the header alone.
-            if !name.is_ascii() || is_packed || !taken.insert(name.clone()) {
-                losses.push(attribute_loss(&attribute.name, attribute.kind));
-                continue;
-            }
-            if name != attribute.name {
-                losses.push(format!("the name of the attribute {}, which becomes {name}", attribute.name));
-            }
-            attributes.push((name, attribute.kind, place));
-        }
+        let is_other = |place: &usize| !packed.is_some_and(|packed| packed.contains(place));
+        let others = (0..info.attributes.len()).filter(is_other);
+        let attributes = written(kind, others.map(|place| (place, &info.attributes[place])), losses);
         let mut comments = Vec::new();
         if let Some(crs) = &info.crs {
             if kind == RecordFormat::Ply {

@@ -99,6 +99,16 @@ pub(super) enum TextFormat {
     },
 }
 
+impl TextFormat {
+    /// Whether an attribute of this name can be written.
+    fn holds_attribute(self, name: &str) -> bool {
+        let Self::Named(separator) = self else { return false };
+        let needs_care = |c: char| c == separator as char || "\"'#,;\t\n\r".contains(c) || c == ' ';
+        !name.contains(needs_care)
+            && !["x", "y", "z", "nx", "ny", "nz"].contains(&name.to_ascii_lowercase().as_str())
+    }
+}
+
 /// A file of lines.
 pub(super) struct TextForm {
     kind: TextFormat,
@@ -182,17 +192,7 @@ impl TextForm {
             if is_painted(place) {
                 continue;
             }
-            let is_written = match kind {
-                TextFormat::Obj | TextFormat::Off | TextFormat::Plain { .. } => false,
-                TextFormat::Named(separator) => {
-                    let needs_care =
-                        |c: char| c == separator as char || "\"'#,;\t\n\r".contains(c) || c == ' ';
-                    !attribute.name.contains(needs_care)
-                        && !["x", "y", "z", "nx", "ny", "nz"]
-                            .contains(&attribute.name.to_ascii_lowercase().as_str())
-                }
-            };
-            if is_written {
+            if kind.holds_attribute(&attribute.name) {
                 attributes.push((attribute.name.clone(), attribute.kind, place));
             } else {
                 losses.push(attribute_loss(&attribute.name, attribute.kind));

@@ -57,7 +57,6 @@ impl E57Model {
         }
         found.sort_by_key(|(_, packets)| packets.section.start);
         let (mut scans, mut vertices) = (Vec::new(), 0u64);
-        let mut taken = (0..LENGTH, "the header");
         for (one, packets) in found {
             let (name, count) = (one.name.clone(), one.count);
             let Some(scan) = Scan::new(one, packets, vertices) else {
@@ -74,20 +73,7 @@ impl E57Model {
             })?;
             scans.push(scan);
         }
-        for scan in scans.iter().filter(|scan| scan.described.count > 0) {
-            let section = &scan.packets.section;
-            let is_over_xml = section.start < header.xml.end && header.xml.start < section.end;
-            if section.start < taken.0.end || is_over_xml {
-                let other = if is_over_xml { "the XML" } else { taken.1 };
-                let what = format!(
-                    "the points of {}, from byte {} on, lie over {other}",
-                    scan.described.name,
-                    physical(section.start)
-                );
-                return Err(source.malformed(what, DAMAGED));
-            }
-            taken = (section.clone(), &scan.described.name);
-        }
+        check_sections(&source, &header, &scans)?;
         let (info, attributes) = info(&source, &header, &scans, (vertices, crs));
         let following = Following::recognised(&info.attributes);
         let mut this = Self { source, header, xml, scans, images, attributes, following, info };
@@ -228,20 +214,26 @@ fn describe(scan: &Scan) -> String {
     text
 }
 
-/// What is known of a model, and which field of each scan each attribute is.
-fn info(
-    source: &SourceFile,
-    header: &E57Header,
-    scans: &[Scan],
-    (vertices, crs): (u64, Option<String>),
-) -> (ModelInfo, Vec<Vec<(usize, usize)>>) {
-    let with_points = || scans.iter().filter(|scan| scan.described.count > 0);
-    let has_normals = vertices > 0 && with_points().all(|scan| scan.has_normals);
-    let is_single = |scan: &Scan| {
-        let fields = scan.row.iter().take(3).map(|field| &scan.described.fields[*field]);
-        fields.into_iter().all(|field| field.kind == NumberEncoding::Single)
-            && scan.described.pose.is_identity()
-    };
+/// # Errors
+/// The points of a scan lie over something else; the scans are in the order of the file.
+fn check_sections(source: &SourceFile, header: &E57Header, scans: &[Scan]) -> Result<()> {
+    let mut taken = (0..LENGTH, "the header");
+    for scan in scans.iter().filter(|scan| scan.described.count > 0) {
+        let (section, name) = (&scan.packets.section, &scan.described.name);
+        let is_over_xml = section.start < header.xml.end && header.xml.start < section.end;
+        if section.start < taken.0.end || is_over_xml {
+            let other = if is_over_xml { "the XML" } else { taken.1 };
+            let start = physical(section.start);
+            let what = format!("the points of {name}, from byte {start} on, lie over {other}");
+            return Err(source.malformed(what, DAMAGED));
+        }
+        taken = (section.clone(), name);
+    }
+    Ok(())
+}
+
+/// The attributes of all scans, and which field of each scan each of them is.
+fn attributes(scans: &[Scan], has_normals: bool) -> (Vec<Attribute>, Vec<Vec<(usize, usize)>>) {
     let mut attributes: Vec<Attribute> = Vec::new();
     let mut known = BTreeMap::new();
     let mut places = Vec::new();
@@ -269,6 +261,24 @@ fn info(
         }
         places.push(of_scan.into_iter().collect());
     }
+    (attributes, places)
+}
+
+/// What is known of a model, and which field of each scan each attribute is.
+fn info(
+    source: &SourceFile,
+    header: &E57Header,
+    scans: &[Scan],
+    (vertices, crs): (u64, Option<String>),
+) -> (ModelInfo, Vec<Vec<(usize, usize)>>) {
+    let with_points = || scans.iter().filter(|scan| scan.described.count > 0);
+    let has_normals = vertices > 0 && with_points().all(|scan| scan.has_normals);
+    let is_single = |scan: &Scan| {
+        let fields = scan.row.iter().take(3).map(|field| &scan.described.fields[*field]);
+        fields.into_iter().all(|field| field.kind == NumberEncoding::Single)
+            && scan.described.pose.is_identity()
+    };
+    let (attributes, places) = attributes(scans, has_normals);
     let number = match scans.len() {
         1 => "1 scan".to_owned(),
         scans => format!("{scans} scans"),

@@ -84,6 +84,15 @@ struct Moving<'a, 'v> {
 }
 
 impl Moving<'_, '_> {
+    /// Notes how far vertices of a scan reached, and how far they do now.
+    fn note_reach(&mut self, scan: usize, before: ScanReach, after: ScanReach) {
+        for (kind, boxes) in (0..).zip(before.into_iter().zip(after)) {
+            let number = 2 * scan as u32 + kind;
+            let one = Summary { boxes: [(number, [boxes.0, boxes.1])].into(), ..Summary::default() };
+            self.version.summary.absorb(&one);
+        }
+    }
+
     /// Patches what the pages have of a segment.
     fn patch(&mut self, segment: &ScanSegment, pages: &mut [u8]) -> Result<()> {
         let scan = &self.model.scans[segment.scan];
@@ -116,11 +125,7 @@ impl Moving<'_, '_> {
             }
         }
         if scan.wants_reach() && !segment.own.is_empty() {
-            for (kind, boxes) in (0..).zip(before.into_iter().zip(after)) {
-                let number = 2 * segment.scan as u32 + kind;
-                let one = Summary { boxes: [(number, [boxes.0, boxes.1])].into(), ..Summary::default() };
-                self.version.summary.absorb(&one);
-            }
+            self.note_reach(segment.scan, before, after);
         }
         put(segment, &scan.row, &rows, &changed, pages);
         let fields: Vec<usize> = scan.turning.iter().flatten().copied().collect();

@@ -115,6 +115,19 @@ impl Container {
         Self::gather(this.source, json, bin, (after, cache))
     }
 
+    /// Where the content of the chunk at a byte of a GLB file of length `len` is, and of what kind.
+    fn chunk(&self, at: u64, len: u64) -> Result<(Range<u64>, u32)> {
+        let mut chunk = [0; CHUNK as usize];
+        self.read_at(&mut chunk, at)?;
+        let (size, start) = (u64::from(number(&chunk, 0)), at + CHUNK);
+        if start + size > len {
+            let left = len.saturating_sub(start);
+            let what = format!("the chunk at byte {at} says {size} bytes, but {left} are left");
+            return Err(self.source.malformed(what, CUT_OFF));
+        }
+        Ok((start..start + size, number(&chunk, 4)))
+    }
+
     /// The chunks of a GLB file.
     fn of_glb(source: SourceFile) -> Result<Self> {
         let mut header = [0; (HEADER + CHUNK) as usize];
@@ -141,17 +154,7 @@ impl Container {
             if at + CHUNK > len && index > 0 {
                 break;
             }
-            let mut chunk = [0; CHUNK as usize];
-            this.read_at(&mut chunk, at)?;
-            let (size, kind) = (u64::from(number(&chunk, 0)), number(&chunk, 4));
-            let range = at + CHUNK..at + CHUNK + size;
-            if range.end > len {
-                let what = format!(
-                    "the chunk at byte {at} says {size} bytes, but {} are left",
-                    len.saturating_sub(range.start)
-                );
-                return Err(this.source.malformed(what, CUT_OFF));
-            }
+            let (range, kind) = this.chunk(at, len)?;
             at = range.end;
             match (index, kind) {
                 (0, JSON) => this.json = range,

@@ -233,6 +233,58 @@ impl Accessors<'_> {
         Ok(())
     }
 
+    /// Adds an attribute of vertices at known positions.
+    fn add_attribute(
+        &self,
+        builder: &mut LayoutBuilder,
+        positions: AccessorBytes,
+        (attribute, index): (&str, usize),
+        name: &dyn Fn() -> String,
+    ) -> Result<()> {
+        let accessor = self.accessor(index)?;
+        if accessor.count != positions.count {
+            let (name, count) = (name(), accessor.count);
+            let what =
+                format!("{name}: {count} {attribute} (accessor {index}) for {} positions", positions.count);
+            return Err(self.malformed(what));
+        }
+        let (kind, shape) = match attribute {
+            "POSITION" => return Ok(()),
+            "NORMAL" => (VectorRole::Normal, "VEC3"),
+            "TANGENT" => (VectorRole::Tangent, "VEC4"),
+            _ => return self.add_other(builder, positions, (attribute, index), name),
+        };
+        let place = self.place_of(index, attribute, shape)?;
+        if let (VectorRole::Normal, Some(found)) = (kind, builder.sets.get_mut(&positions)) {
+            found.normals.get_or_insert(place);
+        }
+        builder.accessors.insert(index, (place, kind));
+        builder.streams.entry((place, kind)).or_default().insert(positions);
+        Ok(())
+    }
+
+    /// Adds an attribute that stays as it is.
+    fn add_other(
+        &self,
+        builder: &mut LayoutBuilder,
+        positions: AccessorBytes,
+        (attribute, index): (&str, usize),
+        name: &dyn Fn() -> String,
+    ) -> Result<()> {
+        let accessor = self.accessor(index)?;
+        builder.kept.entry(index).or_insert_with(|| format!("{attribute} of {}", name()));
+        let kind = super::places::number_type(accessor.component_type).map_or("", crate::Type::name);
+        builder.layout.others.insert(format!("{kind} {}", attribute.escape_debug()));
+        if attribute == "COLOR_0"
+            && ["VEC3", "VEC4"].contains(&accessor.shape.as_str())
+            && accessor.sparse.is_none()
+            && let Some(found) = builder.sets.get_mut(&positions)
+        {
+            found.colours = self.place(index)?.map(|place| (place, accessor.component_type));
+        }
+        Ok(())
+    }
+
     /// Adds a primitive that a node shows.
     fn add(
         &self,
@@ -258,59 +310,17 @@ impl Accessors<'_> {
             return Ok(());
         }
         builder.accessors.insert(*index, (positions, VectorRole::Position));
-        let found = match builder.sets.entry(positions) {
-            Entry::Vacant(entry) => {
-                entry.insert(FoundPositions { placement, node, normals: None, colours: None })
-            }
-            Entry::Occupied(entry) => {
-                let found = entry.into_mut();
-                if found.placement != placement {
-                    let what = format!(
-                        "nodes {} and {node} show the positions of accessor {index} at two places, where they would need two shapes",
-                        found.node
-                    );
-                    return Err(self.container.source.malformed(what, SINGLE));
-                }
-                found
-            }
-        };
+        let found = FoundPositions { placement, node, normals: None, colours: None };
+        let found = builder.sets.entry(positions).or_insert(found);
+        if found.placement != placement {
+            let what = format!(
+                "nodes {} and {node} show the positions of accessor {index} at two places, where they would need two shapes",
+                found.node
+            );
+            return Err(self.container.source.malformed(what, SINGLE));
+        }
         for (attribute, index) in &primitive.attributes {
-            let accessor = self.accessor(*index)?;
-            if accessor.count != positions.count {
-                let what = format!(
-                    "{}: {} {attribute} (accessor {index}) for {} positions",
-                    name(),
-                    accessor.count,
-                    positions.count
-                );
-                return Err(self.malformed(what));
-            }
-            let kind = match attribute.as_str() {
-                "POSITION" => continue,
-                "NORMAL" => VectorRole::Normal,
-                "TANGENT" => VectorRole::Tangent,
-                _ => {
-                    let what = || format!("{attribute} of {}", name());
-                    builder.kept.entry(*index).or_insert_with(what);
-                    let kind =
-                        super::places::number_type(accessor.component_type).map_or("", crate::Type::name);
-                    builder.layout.others.insert(format!("{kind} {}", attribute.escape_debug()));
-                    if attribute == "COLOR_0"
-                        && ["VEC3", "VEC4"].contains(&accessor.shape.as_str())
-                        && accessor.sparse.is_none()
-                    {
-                        found.colours = self.place(*index)?.map(|place| (place, accessor.component_type));
-                    }
-                    continue;
-                }
-            };
-            let place =
-                self.place_of(*index, attribute, if kind == VectorRole::Normal { "VEC3" } else { "VEC4" })?;
-            if kind == VectorRole::Normal {
-                found.normals.get_or_insert(place);
-            }
-            builder.accessors.insert(*index, (place, kind));
-            builder.streams.entry((place, kind)).or_default().insert(positions);
+            self.add_attribute(builder, positions, (attribute, *index), name)?;
         }
         let mode = match primitive.mode {
             None | Some(4) => PrimitiveMode::Triangles,
@@ -364,18 +374,10 @@ impl Accessors<'_> {
             sets.keys().enumerate().map(|(number, place)| (*place, number)).collect();
         let number = |place: &AccessorBytes| numbers.get(place).copied().unwrap_or_default();
         for (place, found) in &sets {
-            let FoundPositions { placement, normals, colours, .. } = found;
-            let first = layout.vertices;
+            let FoundPositions { placement, normals, colours, .. } = *found;
+            let (place, first, region) = (*place, layout.vertices, 0);
             layout.vertices += place.count;
-            let set = VertexSet {
-                place: *place,
-                first,
-                placement: *placement,
-                region: 0,
-                normals: *normals,
-                colours: *colours,
-            };
-            layout.sets.push(set);
+            layout.sets.push(VertexSet { place, first, placement, region, normals, colours });
         }
         let mut all: Vec<ElementRun> =
             sets.keys().map(|place| (*place, VectorRole::Position, vec![number(place)])).collect();

@@ -105,21 +105,18 @@ impl LasBlocks {
         }
         let mut reader = ByteStream::new(source, at);
         let table = ChunkTable::read(&mut reader, self.is_variable).map_err(|e| wrong(e.to_string()))?;
-        let (mut vertex, mut byte) = (0u64, header.points + PLACE);
+        let (points, mut vertex, mut byte) = (header.count, 0u64, header.points + PLACE);
         self.starts.reserve(table.len() + 1);
         for entry in &table {
             self.starts.push((vertex, byte));
-            let left = header.count - vertex;
+            let left = points - vertex;
             let vertices = match laszip.blocks {
                 BlockLengths::Fixed(size) => u64::from(size).min(left),
                 // The library gives what is negative a sign.
                 _ => u64::from(entry.point_count as u32),
             };
             if vertices > left {
-                return Err(wrong(format!(
-                    "its blocks have more than the {} points of the file",
-                    header.count
-                )));
+                return Err(wrong(format!("its blocks have more than the {points} points of the file")));
             }
             vertex += vertices;
             byte += u64::from(entry.byte_count as u32);
@@ -128,20 +125,25 @@ impl LasBlocks {
             }
         }
         self.starts.push((vertex, byte));
-        if vertex < header.count {
-            return Err(wrong(format!(
-                "its blocks have {vertex} of the {} points of the file",
-                header.count
-            )));
+        if vertex < points {
+            return Err(wrong(format!("its blocks have {vertex} of the {points} points of the file")));
         }
         // How long it is tells whoever writes it anew alone, as what follows may be anything.
         let again = table_of(table.as_ref(), self.is_variable).map_err(|e| wrong(e.to_string()))?;
+        self.table = Some(self.extent(source, header, at, &again)?);
+        Ok(())
+    }
+
+    /// Where the table is that begins at a byte and is written anew as `again`: where other bytes are there,
+    /// up to what is behind it.
+    fn extent(&self, source: &SourceFile, header: &LasHeader, at: u64, again: &[u8]) -> Result<Range<u64>> {
         let mut there = Vec::new();
         source.append_at(&mut there, at, again.len())?;
+        if there == again {
+            return Ok(at..at + again.len() as u64);
+        }
         let last = source.len() - if self.is_told_at_end { PLACE } else { 0 };
-        let end = header.evlrs.map_or(last, |(start, _)| start).max(at);
-        self.table = Some(at..if there == again { at + again.len() as u64 } else { end });
-        Ok(())
+        Ok(at..header.evlrs.map_or(last, |(start, _)| start).max(at))
     }
 
     /// Finds the blocks of a file without a table, one after the other.

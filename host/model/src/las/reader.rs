@@ -33,9 +33,9 @@ pub(super) struct LasReader<'a> {
 /// Blocks of compressed vertices that are read at a time.
 #[derive(Default)]
 pub(super) struct BlockGroup {
-    /// Their first vertex.
+    /// The blocks' first vertex.
     first: u64,
-    /// Their bytes in the file, until a chunk takes them, and each block's share.
+    /// The blocks' bytes in the file, until a chunk takes them, and each block's share.
     raw: Vec<u8>,
     blocks: Vec<CompressedBlock>,
     /// What they hold.

@@ -80,6 +80,29 @@ fn check_normal(source: &SourceFile, start: u64, line: &[u8], normal: u64) -> Re
     Ok(())
 }
 
+/// The lines of faces.
+#[derive(Default)]
+struct FaceLines {
+    count: u64,
+    /// The bytes from the first one to the last one.
+    lines: Range<u64>,
+    slashes: u64,
+    /// Whether any of them counts vertices backwards.
+    is_relative: bool,
+}
+
+impl FaceLines {
+    fn take(&mut self, start: u64, line: &[u8]) {
+        if self.count == 0 {
+            self.lines.start = start;
+        }
+        self.lines.end = start + line.len() as u64;
+        self.count += 1;
+        self.slashes += memchr::memchr_iter(b'/', line).count() as u64;
+        self.is_relative = self.is_relative || memchr::memchr(b'-', line).is_some();
+    }
+}
+
 /// Vertices that have their normals beside them, as long as all have.
 struct NormalPairs {
     builder: Option<TextBlocksBuilder>,
@@ -102,6 +125,24 @@ impl NormalPairs {
             _ => self.builder = None,
         }
     }
+
+    /// The vertices of a file and where their normals are, of the lines of both.
+    fn finish(
+        self,
+        [vertices, normals]: [TextBlocks; 2],
+        are_of_vertices: bool,
+        are_scattered: bool,
+    ) -> (TextBlocks, NormalsAre) {
+        let are_paired = self.normals == self.vertices && are_of_vertices;
+        let normals = match self.builder {
+            _ if self.normals == 0 => NormalsAre::None,
+            Some(pairs) if are_paired => return (pairs.finish(), NormalsAre::Beside),
+            _ if are_scattered => NormalsAre::Scattered(self.normals),
+            _ if !are_paired => NormalsAre::Shared(normals),
+            _ => NormalsAre::Apart(normals),
+        };
+        (vertices, normals)
+    }
 }
 
 impl ObjScan {
@@ -111,8 +152,8 @@ impl ObjScan {
         let builder = || TextBlocksBuilder::new(begin, 1);
         let (mut vertices, mut normals) = (builder(), builder());
         let mut beside = NormalPairs { builder: Some(builder()), vertices: 0, normals: 0, start: begin };
-        let (mut faces, mut face_lines, mut slashes) = (0, 0..0, 0);
-        let (mut is_relative, mut are_of_vertices, mut first_vertex) = (false, true, Vec::new());
+        let mut faces = FaceLines::default();
+        let (mut are_of_vertices, mut first_vertex) = (true, Vec::new());
         let mut others = BTreeMap::new();
         let (mut runs, mut last) = (0u64, Statement::Other);
         while let Some((start, line)) = lines.next()? {
@@ -141,31 +182,16 @@ impl ObjScan {
                     }
                 }
                 Statement::Face => {
-                    if faces == 0 {
-                        face_lines.start = start;
-                    }
-                    face_lines.end = end;
-                    faces += 1;
-                    slashes += memchr::memchr_iter(b'/', line).count() as u64;
-                    is_relative = is_relative || memchr::memchr(b'-', line).is_some();
+                    faces.take(start, line);
                     are_of_vertices = are_of_vertices
                         && normals_are_of_vertices(line, vertices.vertices(), normals.vertices());
                 }
                 Statement::Other => note(line, &mut others),
             }
         }
-        let NormalPairs { builder, vertices: count, normals: of_normals, .. } = beside;
-        let (mut vertices, normals) = (vertices.finish(), normals.finish());
-        let normals = match builder {
-            _ if of_normals == 0 => NormalsAre::None,
-            Some(builder) if of_normals == count && are_of_vertices => {
-                vertices = builder.finish();
-                NormalsAre::Beside
-            }
-            _ if runs > MOST_RUNS => NormalsAre::Scattered(of_normals),
-            _ if of_normals != count || !are_of_vertices => NormalsAre::Shared(normals),
-            _ => NormalsAre::Apart(normals),
-        };
+        let blocks = [vertices.finish(), normals.finish()];
+        let (vertices, normals) = beside.finish(blocks, are_of_vertices, runs > MOST_RUNS);
+        let FaceLines { count: faces, lines: face_lines, slashes, is_relative } = faces;
         let corners = slashes / 2;
         Ok(Self { vertices, normals, faces, face_lines, corners, is_relative, first_vertex, others })
     }

@@ -209,21 +209,15 @@ impl Parser {
             return Err((format!("says {points} points, but also {product}, by width and height"), DAMAGED));
         }
         let of_fields = self.names.into_iter().zip(self.letters).zip(self.sizes.into_iter().zip(counts));
-        let fields = of_fields
-            .map(|((name, letter), (size, count))| {
-                let kind = kind(&letter, size).ok_or_else(|| {
-                    (
-                        format!(
-                            "field {} has the unknown type {} of {size} bytes",
-                            quoted(&name),
-                            quoted(&letter)
-                        ),
-                        DAMAGED,
-                    )
-                })?;
-                Ok(PcdField { name, letter, size, count, kind })
-            })
-            .collect::<Result<Vec<PcdField>, PcdFault>>()?;
+        let field = |((name, letter), (size, count)): ((String, String), (usize, usize))| {
+            let Some(kind) = kind(&letter, size) else {
+                let (name, letter) = (quoted(&name), quoted(&letter));
+                let what = format!("field {name} has the unknown type {letter} of {size} bytes");
+                return Err((what, DAMAGED));
+            };
+            Ok(PcdField { name, letter, size, count, kind })
+        };
+        let fields = of_fields.map(field).collect::<Result<Vec<PcdField>, PcdFault>>()?;
         Ok(PcdHeader {
             version: self.version.unwrap_or_else(|| "0.7".into()),
             fields,

@@ -5,12 +5,11 @@
 use glam::{DVec3, Mat3, Vec3};
 
 use super::layout::{Component, PlyLayout, PropertySlot};
-use super::patch::same_normal;
 use crate::follow::Following;
 use crate::text::{
-    coordinate, drop_word, next_word, no_coordinate, no_normal, parse, quoted, round, word, write_number,
+    coordinate, drop_word, next_word, no_coordinate, no_normal, parse, quoted, word, write_number,
 };
-use crate::unfit::Unfit;
+use crate::unfit::{Unfit, new_component};
 use crate::{Edited, VertexChunk};
 
 /// Goes over the record that `bytes` begin with (after whitespace, which is part of it): notes where its
@@ -93,17 +92,15 @@ pub(super) fn splice(
     text: &mut Vec<u8>,
 ) -> Result<(), Unfit> {
     let first = layout.following();
-    let mut numbers = Vec::new();
-    let VertexChunk { positions, normals, raw, spans, .. } = chunk;
-    let mut copied = 0;
+    let VertexChunk { positions, raw, spans, .. } = chunk;
+    let (mut numbers, mut copied) = (Vec::new(), 0);
     for (vertex, spans) in spans.chunks_exact(layout.components.len()).enumerate() {
         let is_finite = positions[vertex].is_finite();
         if !is_finite && !drop_normals {
             continue;
         }
-        let gradient = edited.gradients.get(vertex).filter(|g| is_finite && **g != Mat3::IDENTITY);
         numbers.clear();
-        if let Some(gradient) = gradient {
+        if let Some(gradient) = edited.gradients.get(vertex).filter(|g| is_finite && **g != Mat3::IDENTITY) {
             let of = layout.components[first..].iter().zip(&spans[first..]);
             // A word that is no number stays, as nothing that it belongs to is finite.
             numbers.extend(of.map(|(c, span)| parse(c.scalar, word(raw, *span)).unwrap_or(f64::NAN)));
@@ -119,22 +116,12 @@ pub(super) fn splice(
             let scalar = layout.components[c].scalar;
             let value = if !is_finite {
                 None
-            } else if c < 3 {
-                let (old, new) = (positions[vertex][c], edited.positions[vertex][c]);
-                let value = round(scalar, new);
-                if !value.is_finite() {
-                    return Err(Unfit { vertex, axis: c, value: new });
-                }
-                (value.to_bits() != old.to_bits()).then_some(value)
-            } else if c >= first {
-                let old = || parse(scalar, word(raw, spans[c])).unwrap_or(f64::NAN);
-                let new = numbers.get(c - first).map(|new| round(scalar, *new));
-                new.filter(|new| new.is_finite() && new.to_bits() != old().to_bits())
+            } else if c < first {
+                new_component(chunk, edited, (vertex, c), scalar)?
             } else {
-                // Normals are edited all or none.
-                let old = normals[vertex][c - 3];
-                let new = edited.normals.get(vertex).map_or(old, |n| n[c - 3]);
-                (!same_normal(old, new)).then_some(f64::from(new))
+                let old = || parse(scalar, word(raw, spans[c])).unwrap_or(f64::NAN);
+                let new = numbers.get(c - first).map(|new| scalar.round(*new));
+                new.filter(|new| new.is_finite() && new.to_bits() != old().to_bits())
             };
             if let Some(value) = value {
                 text.extend_from_slice(&raw[copied..start]);

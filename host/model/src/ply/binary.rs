@@ -6,13 +6,19 @@ use glam::{DVec3, Mat3, Vec3};
 
 use super::header::Encoding;
 use super::layout::{PlyLayout, PropertySlot};
-use super::patch::{Rest, same_normal};
 use crate::Type;
 use crate::follow::Following;
 use crate::frame::is_finite;
-use crate::text::round;
-use crate::unfit::Unfit;
+use crate::unfit::{Unfit, same_normal};
 use crate::{Edited, Scalar, VertexChunk};
+
+/// A chunk of a binary file but for its bytes, as they were read.
+#[derive(Clone, Copy)]
+pub(super) struct Rest<'a> {
+    pub(super) positions: &'a [DVec3],
+    pub(super) normals: &'a [Vec3],
+    pub(super) spans: &'a [[u32; 2]],
+}
 
 /// How a floating-point number lies in the file.
 trait Codec: Copy {
@@ -319,7 +325,7 @@ fn turn_all<const BIG: bool>(
         new.clone_from(&old);
         following.turn(gradient, edited.mirrored, &mut new);
         for (c, (old, new)) in old.iter().zip(&new).enumerate() {
-            let new = round(components[c].scalar, *new);
+            let new = components[c].scalar.round(*new);
             if new.to_bits() != old.to_bits() && new.is_finite() {
                 Any::<BIG>(components[c].scalar).put(raw, at(c), new);
             }

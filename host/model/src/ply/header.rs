@@ -221,6 +221,23 @@ enum HeaderLine {
 
 type LineError = (String, &'static str);
 
+/// The encoding that a format line says.
+fn parse_encoding(name: &str, version: &str) -> Result<Encoding, LineError> {
+    if version != "1.0" {
+        let what = format!("unknown version {} of PLY", quoted(version));
+        return Err((what, "export the model as PLY 1.0"));
+    }
+    match name {
+        "ascii" => Ok(Encoding::Ascii),
+        "binary_little_endian" => Ok(Encoding::Little),
+        "binary_big_endian" => Ok(Encoding::Big),
+        _ => {
+            let hint = "formats are ascii, binary_little_endian and binary_big_endian";
+            Err((format!("unknown format {}", quoted(name)), hint))
+        }
+    }
+}
+
 fn parse_line(
     text: &str,
     number: usize,
@@ -237,23 +254,7 @@ fn parse_line(
             if encoding.is_some() {
                 return Err(damaged("a second format line".into()));
             }
-            if version != "1.0" {
-                return Err((
-                    format!("unknown version {} of PLY", quoted(version)),
-                    "export the model as PLY 1.0",
-                ));
-            }
-            *encoding = Some(match name {
-                "ascii" => Encoding::Ascii,
-                "binary_little_endian" => Encoding::Little,
-                "binary_big_endian" => Encoding::Big,
-                _ => {
-                    return Err((
-                        format!("unknown format {}", quoted(name)),
-                        "formats are ascii, binary_little_endian and binary_big_endian",
-                    ));
-                }
-            });
+            *encoding = Some(parse_encoding(name, version)?);
         }
         ["element", name, count] => {
             let count = count.parse().map_err(|_| damaged(bad_count(name, count)))?;

@@ -1,6 +1,6 @@
 //! Where a vertex record keeps its position and normal, and what else turns with the surface.
 
-use super::header::{DAMAGED, Encoding, NORMAL, PlyElement, PropertyShape, quoted};
+use super::header::{DAMAGED, Encoding, NORMAL, PlyElement, Property, PropertyShape, quoted};
 use crate::source::SourceFile;
 use crate::{Attribute, Result, Scalar, Type};
 
@@ -51,77 +51,84 @@ pub(super) struct PlyLayout {
 
 const POSITION: [&str; 3] = ["x", "y", "z"];
 
+/// # Errors
+/// A coordinate of the position is missing, or of another type than float or double; or it, or one of the
+/// normal, is there twice.
+fn check_properties(source: &SourceFile, vertex: &PlyElement) -> Result<()> {
+    for name in POSITION.iter().chain(&NORMAL) {
+        if vertex.properties.iter().filter(|p| p.name == *name).count() > 1 {
+            return Err(source.malformed(format!("the vertices have two properties {name}"), DAMAGED));
+        }
+    }
+    for name in POSITION {
+        let hint = "positions have to be of type float or double: export the model so";
+        match vertex.properties.iter().find(|p| p.name == name) {
+            None => return Err(source.malformed(format!("the vertices have no property {name}"), hint)),
+            Some(p) if floating(p.shape).is_none() => {
+                let what = format!("property {name} of the vertices is {}", quoted(&p.describe()));
+                return Err(source.malformed(what, hint));
+            }
+            Some(_) => {}
+        }
+    }
+    Ok(())
+}
+
 impl PlyLayout {
     pub(super) fn new(source: &SourceFile, encoding: Encoding, vertex: &PlyElement) -> Result<Self> {
-        for name in POSITION.iter().chain(&NORMAL) {
-            if vertex.properties.iter().filter(|p| p.name == *name).count() > 1 {
-                return Err(source.malformed(format!("the vertices have two properties {name}"), DAMAGED));
-            }
-        }
-        for name in POSITION {
-            let hint = "positions have to be of type float or double: export the model so";
-            match vertex.properties.iter().find(|p| p.name == name) {
-                None => return Err(source.malformed(format!("the vertices have no property {name}"), hint)),
-                Some(p) if floating(p.shape).is_none() => {
-                    let what = format!("property {name} of the vertices is {}", quoted(&p.describe()));
-                    return Err(source.malformed(what, hint));
-                }
-                Some(_) => {}
-            }
-        }
+        check_properties(source, vertex)?;
         let scalar_of =
             |name: &str| vertex.properties.iter().find(|p| p.name == name).and_then(|p| floating(p.shape));
         // Normals of another type, or not all three, are properties like any other.
         let has_normals = NORMAL.iter().all(|name| scalar_of(name).is_some());
         let names = if has_normals { [POSITION, NORMAL].concat() } else { POSITION.to_vec() };
-        let mut components: Vec<Component> = names
-            .iter()
-            .filter_map(|&name| Some(Component { name, scalar: scalar_of(name)?, offset: 0 }))
-            .collect();
-        let (mut slots, mut other, mut file_order) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut attributes, mut places) = (Vec::<Attribute>::new(), Vec::new());
-        let mut stride = (encoding != Encoding::Ascii).then_some(0);
-        for property in &vertex.properties {
-            let index = names.iter().position(|n| *n == property.name);
-            slots.push(match (property.shape, index) {
-                (PropertyShape::List { count, item }, _) => PropertySlot::List { count, item },
-                (PropertyShape::Scalar(t), None) => PropertySlot::Other { size: t.size() },
-                (PropertyShape::Scalar(t), Some(index)) => {
-                    components[index].offset = stride.unwrap_or(0);
-                    file_order.push(index);
-                    PropertySlot::Component { index, size: t.size() }
-                }
-            });
-            // Other formats have what nobody can ask for.
-            if index.is_none() && !property.name.is_empty() {
-                other.push(property.describe());
-                let known = attributes.iter().any(|known| known.name == property.name);
-                if let PropertyShape::Scalar(kind) = property.shape
-                    && !known
-                    && Attribute::is_name(&property.name)
-                {
-                    attributes.push(Attribute { name: property.name.clone(), kind });
-                    places.push((slots.len() - 1, stride.unwrap_or(0)));
-                }
-            }
-            stride = match property.shape {
-                PropertyShape::Scalar(t) => stride.map(|bytes| bytes + t.size()),
-                PropertyShape::List { .. } => None,
-            };
-        }
-        let packed = None;
-        Ok(Self {
+        let component = |&name: &&'static str| Some(Component { name, scalar: scalar_of(name)?, offset: 0 });
+        let mut layout = Self {
             encoding,
-            components,
+            components: names.iter().filter_map(component).collect(),
             has_normals,
-            file_order,
-            slots,
-            stride,
-            other,
-            attributes,
-            places,
-            packed,
-        })
+            file_order: Vec::new(),
+            slots: Vec::new(),
+            stride: (encoding != Encoding::Ascii).then_some(0),
+            other: Vec::new(),
+            attributes: Vec::new(),
+            places: Vec::new(),
+            packed: None,
+        };
+        for property in &vertex.properties {
+            layout.push(property, names.iter().position(|n| *n == property.name));
+        }
+        Ok(layout)
+    }
+
+    /// Adds the next property of the file: a component of this index, or another one.
+    fn push(&mut self, property: &Property, index: Option<usize>) {
+        let offset = self.stride.unwrap_or(0);
+        self.slots.push(match (property.shape, index) {
+            (PropertyShape::List { count, item }, _) => PropertySlot::List { count, item },
+            (PropertyShape::Scalar(t), None) => PropertySlot::Other { size: t.size() },
+            (PropertyShape::Scalar(t), Some(index)) => {
+                self.components[index].offset = offset;
+                self.file_order.push(index);
+                PropertySlot::Component { index, size: t.size() }
+            }
+        });
+        // Other formats have what nobody can ask for.
+        if index.is_none() && !property.name.is_empty() {
+            self.other.push(property.describe());
+            let known = self.attributes.iter().any(|known| known.name == property.name);
+            if let PropertyShape::Scalar(kind) = property.shape
+                && !known
+                && Attribute::is_name(&property.name)
+            {
+                self.attributes.push(Attribute { name: property.name.clone(), kind });
+                self.places.push((self.slots.len() - 1, offset));
+            }
+        }
+        self.stride = match property.shape {
+            PropertyShape::Scalar(t) => self.stride.map(|bytes| bytes + t.size()),
+            PropertyShape::List { .. } => None,
+        };
     }
 
     /// Makes colours of the bytes of the number `rgb` or `rgba` of a text, as PCD has them: blue, green and

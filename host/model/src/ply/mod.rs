@@ -28,7 +28,6 @@ mod file;
 mod header;
 mod layout;
 mod offsets;
-mod patch;
 mod reader;
 mod rewrite;
 mod walk;
@@ -56,6 +55,30 @@ use glam::DVec3;
 use layout::PlyLayout;
 use offsets::Offsets;
 use reader::PlyReader;
+
+/// What the header tells of a model; how many bytes its vertices and faces take is not known yet.
+fn info(source: &SourceFile, header: &PlyHeader, vertices: u64, layout: &PlyLayout) -> ModelInfo {
+    let faces = header.elements.iter().filter(|e| e.name == "face" || e.name == "tristrips");
+    ModelInfo {
+        format: format!("PLY 1.0, {}", header.encoding.name()),
+        vertices,
+        faces: faces.map(|e| e.count).fold(0, u64::saturating_add),
+        has_normals: layout.has_normals(),
+        position_type: layout.position_type(),
+        other_properties: layout.other.clone(),
+        attributes: layout.attributes.clone(),
+        bytes: source.len(),
+        random_access: layout.stride.is_some(),
+        block_vertices: 1,
+        vertex_bytes: 0,
+        face_bytes: 0,
+        integers: None,
+        step: DVec3::ZERO,
+        ranges: Vec::new(),
+        written: None,
+        crs: None,
+    }
+}
 
 impl PlyModel {
     /// The file.
@@ -97,26 +120,7 @@ impl PlyModel {
         let mut layout = PlyLayout::new(&source, header.encoding, element)?;
         let following = Following::recognised(&layout.attributes);
         layout.follow(following.places());
-        let faces = header.elements.iter().filter(|e| e.name == "face" || e.name == "tristrips");
-        let mut info = ModelInfo {
-            format: format!("PLY 1.0, {}", header.encoding.name()),
-            vertices: element.count,
-            faces: faces.map(|e| e.count).fold(0, u64::saturating_add),
-            has_normals: layout.has_normals(),
-            position_type: layout.position_type(),
-            other_properties: layout.other.clone(),
-            attributes: layout.attributes.clone(),
-            bytes: source.len(),
-            random_access: layout.stride.is_some(),
-            block_vertices: 1,
-            vertex_bytes: 0,
-            face_bytes: 0,
-            integers: None,
-            step: DVec3::ZERO,
-            ranges: Vec::new(),
-            written: None,
-            crs: None,
-        };
+        let mut info = info(&source, &header, element.count, &layout);
         let mut starts = Vec::new();
         let vertices_start = if header.encoding == Encoding::Ascii {
             check_room_for_words(&source, &header)?;

@@ -1,8 +1,8 @@
 //! Writing a model's file anew, with other positions and normals, or without normals.
 
+use super::binary::Rest;
 use super::file::PlyModel;
 use super::header::{DAMAGED, Encoding};
-use super::patch::Rest;
 use super::reader::{CHUNK_BYTES, PlyReader};
 use super::walk::{CUT_OFF, Walker};
 use super::{ascii, binary};

@@ -54,14 +54,7 @@ pub fn write_vertices(
 ) -> Result<()> {
     let count = positions.len();
     let Besides { normals, colors, ids, triangles } = besides;
-    for (kind, number) in [("normals", normals.len()), ("colours", colors.len())] {
-        if number != 0 && number != count {
-            return Err(Error::mismatch(
-                format!("{}: {number} {kind} for {count} positions", path.display()),
-                "give one for each position, or none",
-            ));
-        }
-    }
+    check_counts(path, count, &besides)?;
     let header = header(count, &besides, scalar, comments);
     let record = 3 * scalar.size() + if ids { 4 } else { 0 };
     let bytes = header.len() + count * record + normals.len() * 12 + colors.len() * 3 + triangles.len() * 13;
@@ -97,6 +90,20 @@ pub fn write_vertices(
         write_all(&mut out, corners.map(u32::to_le_bytes)).map_err(failed)?;
     }
     out.commit()
+}
+
+/// # Errors
+/// There is not one normal, or colour, for each position.
+fn check_counts(path: &Path, count: usize, besides: &Besides<'_>) -> Result<()> {
+    for (kind, number) in [("normals", besides.normals.len()), ("colours", besides.colors.len())] {
+        if number != 0 && number != count {
+            return Err(Error::mismatch(
+                format!("{}: {number} {kind} for {count} positions", path.display()),
+                "give one for each position, or none",
+            ));
+        }
+    }
+    Ok(())
 }
 
 fn header(count: usize, besides: &Besides<'_>, scalar: Scalar, comments: &[String]) -> String {

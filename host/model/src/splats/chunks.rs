@@ -83,38 +83,48 @@ fn has_just<'a>(element: &PlyElement, kind: Type, names: impl IntoIterator<Item 
     found.eq(names.into_iter().map(|name| (name, PropertyShape::Scalar(kind))))
 }
 
+/// The chunks and the splats of a file.
+///
+/// # Errors
+/// They are not what packed splats have.
+fn check_elements<'a>(source: &SourceFile, header: &'a PlyHeader) -> Result<[&'a PlyElement; 2]> {
+    let wrong = |what: &str| Err(source.malformed(format_args!("packed splats, but {what}"), HINT));
+    if header.encoding != Encoding::Little {
+        return wrong("not in the format binary_little_endian");
+    }
+    let [chunk, vertex, ..] = &header.elements[..] else { return wrong("without chunks before them") };
+    let groups = chunk.properties.len() / 6;
+    if chunk.name != "chunk" || !(2..=3).contains(&groups) {
+        return wrong("without bounds of positions and scales before them");
+    }
+    if !has_just(chunk, Type::F32, BOUNDS[..groups].iter().flatten().copied()) {
+        return wrong("the bounds of their chunks have other names, another order or another type");
+    }
+    if vertex.name != "vertex" || !has_just(vertex, Type::U32, SPLAT) {
+        return wrong(
+            "with other properties than packed_position, packed_rotation, packed_scale, packed_color",
+        );
+    }
+    if chunk.count != vertex.count.div_ceil(CHUNK) {
+        let what = format!("{} chunks are not of {} splats, {CHUNK} each", chunk.count, vertex.count);
+        return wrong(&what);
+    }
+    if let Some(sh) = header.elements.get(2).filter(|e| e.name == "sh") {
+        let harmonics = sh.properties.len();
+        let names: Vec<String> = (0..harmonics).map(|i| format!("f_rest_{i}")).collect();
+        let is_known = matches!(harmonics, 9 | 24 | 45) && sh.count == vertex.count;
+        if !is_known || !has_just(sh, Type::U8, names.iter().map(String::as_str)) {
+            return wrong("its harmonics are not bytes of degree 1 to 3 for each splat");
+        }
+    }
+    Ok([chunk, vertex])
+}
+
 impl CompressedPly {
     fn new(source: SourceFile, header: &PlyHeader) -> Result<Self> {
-        let wrong = |what: &str| Err(source.malformed(format_args!("packed splats, but {what}"), HINT));
-        if header.encoding != Encoding::Little {
-            return wrong("not in the format binary_little_endian");
-        }
-        let [chunk, vertex, ..] = &header.elements[..] else { return wrong("without chunks before them") };
+        let [chunk, vertex] = check_elements(&source, header)?;
         let groups = chunk.properties.len() / 6;
-        if chunk.name != "chunk" || !(2..=3).contains(&groups) {
-            return wrong("without bounds of positions and scales before them");
-        }
-        if !has_just(chunk, Type::F32, BOUNDS[..groups].iter().flatten().copied()) {
-            return wrong("the bounds of their chunks have other names, another order or another type");
-        }
-        if vertex.name != "vertex" || !has_just(vertex, Type::U32, SPLAT) {
-            return wrong(
-                "with other properties than packed_position, packed_rotation, packed_scale, packed_color",
-            );
-        }
-        if chunk.count != vertex.count.div_ceil(CHUNK) {
-            let what = format!("{} chunks are not of {} splats, {CHUNK} each", chunk.count, vertex.count);
-            return wrong(&what);
-        }
-        let mut harmonics = 0;
-        if let Some(sh) = header.elements.get(2).filter(|e| e.name == "sh") {
-            harmonics = sh.properties.len();
-            let names: Vec<String> = (0..harmonics).map(|i| format!("f_rest_{i}")).collect();
-            let is_known = matches!(harmonics, 9 | 24 | 45) && sh.count == vertex.count;
-            if !is_known || !has_just(sh, Type::U8, names.iter().map(String::as_str)) {
-                return wrong("its harmonics are not bytes of degree 1 to 3 for each splat");
-            }
-        }
+        let harmonics = header.elements.get(2).filter(|e| e.name == "sh").map_or(0, |sh| sh.properties.len());
         let sizes = [24 * groups as u64 * chunk.count, PACKED as u64, harmonics as u64];
         let bytes = [Some(sizes[0]), vertex.count.checked_mul(sizes[1]), vertex.count.checked_mul(sizes[2])];
         let (mut starts, mut at) = ([header.len; 4], header.len);
@@ -259,7 +269,7 @@ impl ChunkRange {
 /// What the splats of a chunk of the file become.
 struct TurnedSplats {
     positions: Vec<DVec3>,
-    /// Their numbers before and after, one splat after the other.
+    /// The splats' numbers before and after, one splat after the other.
     old: Vec<f64>,
     new: Vec<f64>,
     /// New bounds of positions and of scales, where any of these changed.

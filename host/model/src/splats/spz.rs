@@ -94,9 +94,8 @@ pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Mo
         return Err(damaged(&format!("SPZ of version {version}, and 2 and 3 are known")));
     }
     if degree > 3 || fraction > 23 {
-        return Err(damaged(&format!(
-            "SPZ with harmonics of degree {degree} and {fraction} bits of fractions"
-        )));
+        let what = format!("SPZ with harmonics of degree {degree} and {fraction} bits of fractions");
+        return Err(damaged(&what));
     }
     let harmonics = 3 * ((degree + 1).pow(2) - 1);
     let sizes = [9, 1, 3, 3, if version == 2 { 3 } else { 4 }, harmonics];
@@ -112,9 +111,8 @@ pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Mo
             making.progress.check()?;
             let read = reader.read(&mut block).map_err(|e| damaged(&format!("what gzip has of it: {e}")))?;
             if at + read as u64 > bytes || (read == 0 && at < bytes) {
-                return Err(damaged(&format!(
-                    "says {count} splats, but has another number of bytes for them"
-                )));
+                let what = format!("says {count} splats, but has another number of bytes for them");
+                return Err(damaged(&what));
             }
             if read == 0 {
                 return Ok(bytes);

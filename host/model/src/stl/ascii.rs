@@ -115,10 +115,8 @@ fn scan(source: &SourceFile, ends: LineEnds) -> Result<(TextBlocks, u64)> {
             StlLine::EndFacet => std::mem::take(&mut in_facet) && builder.vertices() == 3 * facets,
             // Some programs leave out `endsolid` between two solids.
             StlLine::Solid => {
-                !in_facet && {
-                    in_solid = true;
-                    true
-                }
+                in_solid |= !in_facet;
+                !in_facet
             }
             StlLine::EndSolid => !in_facet && std::mem::take(&mut in_solid),
             StlLine::Other => true,
@@ -128,9 +126,10 @@ fn scan(source: &SourceFile, ends: LineEnds) -> Result<(TextBlocks, u64)> {
         let is_whole = || !is_free || kind.words(line).is_none_or(|words| words_of(line).count() == words);
         if !is_right || !is_whole() {
             let text = quoted(&String::from_utf8_lossy(line.trim_ascii_start()));
+            let corners = builder.vertices();
             let what = match kind {
                 StlLine::Unknown => format!("{text} is nothing of STL"),
-                _ => format!("{text} after {} facets and {} corners", facets, builder.vertices()),
+                _ => format!("{text} after {facets} facets and {corners} corners"),
             };
             return Err(wrong_line(source, start, what, DAMAGED));
         }
@@ -157,6 +156,20 @@ fn check_normal(source: &SourceFile, start: u64, line: &[u8]) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// The corners of a facet, which begin with a vertex, after an edit. Those at no finite place stay.
+fn moved_corners(vertex: usize, rest: &[DVec3], moved: &[DVec3]) -> Result<[DVec3; 3], Unfit> {
+    let mut corners = [rest[0], rest[1], rest[2]];
+    for i in 0..3 {
+        if rest[i].is_finite() {
+            corners[i] = moved[i];
+            if let Some(axis) = (0..3).find(|axis| !moved[i][*axis].is_finite()) {
+                return Err(Unfit { vertex: vertex + i, axis, value: moved[i][axis] });
+            }
+        }
+    }
+    Ok(corners)
 }
 
 /// The lines of STL.
@@ -201,15 +214,7 @@ impl Grammar for StlLines {
             };
             let before = facet_at..places[0][0] as usize;
             facet_at = places[8][1] as usize;
-            let mut corners = [rest[0], rest[1], rest[2]];
-            for i in 0..3 {
-                if rest[i].is_finite() {
-                    corners[i] = moved[i];
-                    if let Some(axis) = (0..3).find(|axis| !moved[i][*axis].is_finite()) {
-                        return Err(Unfit { vertex: vertex + i, axis, value: moved[i][axis] });
-                    }
-                }
-            }
+            let corners = moved_corners(vertex, rest, moved)?;
             let bits = |p: DVec3| p.to_array().map(f64::to_bits);
             if corners.map(bits) == [rest[0], rest[1], rest[2]].map(bits) {
                 continue;

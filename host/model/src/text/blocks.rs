@@ -195,6 +195,22 @@ impl<'a> BlockReader<'a> {
         (!self.range.is_empty()).then(|| self.blocks.entries[block].1)
     }
 
+    /// The end of the blocks from this one on that are read as a whole, of at most so many vertices; the
+    /// block itself if it is not.
+    fn last_whole(&self, block: usize, limit: u64) -> usize {
+        let entries = &self.blocks.entries;
+        let (first, begin) = entries[block];
+        let mut last = block;
+        while first == self.range.start
+            && let Some(end) = entries.get(last + 1)
+            && end.0 - first <= limit
+            && (last == block || (entries[last].0 < end.0 && end.1 - begin <= CHUNK_BYTES))
+        {
+            last += 1;
+        }
+        last
+    }
+
     /// Makes `raw` the bytes of the next vertices; returns how many, none at the end.
     ///
     /// `cut` finds where so many vertices end in bytes that begin with them.
@@ -211,14 +227,7 @@ impl<'a> BlockReader<'a> {
         }
         let mut block = self.blocks.of_vertex(self.range.start);
         let (first, begin) = entries[block];
-        let mut last = block;
-        while first == self.range.start
-            && let Some(end) = entries.get(last + 1)
-            && end.0 - first <= limit
-            && (last == block || (entries[last].0 < end.0 && end.1 - begin <= CHUNK_BYTES))
-        {
-            last += 1;
-        }
+        let last = self.last_whole(block, limit);
         if last > block {
             let (next, end) = entries[last];
             // Not cleared first: filling a buffer with zeros, only to overwrite it, takes time.

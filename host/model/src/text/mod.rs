@@ -153,13 +153,6 @@ pub(crate) fn word(raw: &[u8], [start, end]: [u32; 2]) -> &[u8] {
     &raw[start as usize..end as usize]
 }
 
-pub(crate) fn round(scalar: Scalar, value: f64) -> f64 {
-    match scalar {
-        Scalar::F32 => f64::from(value as f32),
-        Scalar::F64 => value,
-    }
-}
-
 /// Appends the fewest digits that are read back as this very number of the given type.
 pub(crate) fn write_number(text: &mut Vec<u8>, scalar: Scalar, value: f64) {
     macro_rules! write_shortest {

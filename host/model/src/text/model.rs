@@ -17,7 +17,7 @@ use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, PieceVersion, Pieces, Rewritable};
 use crate::source::SourceFile;
-use crate::unfit::Unfit;
+use crate::unfit::{Unfit, new_component, same_normal};
 use crate::{
     CHUNK_VERTICES, Edit, Edited, Error, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
     Rewriting, Scalar, VertexChunk, VertexReader,
@@ -367,7 +367,7 @@ impl<G: Grammar> TextModel<G> {
         edited: &Edited,
         text: &mut Vec<u8>,
     ) -> Result<(), Unfit> {
-        let VertexChunk { positions, normals, raw, spans, .. } = chunk;
+        let VertexChunk { positions, raw, spans, .. } = chunk;
         let (components, numbers) = (self.grammar.components(), self.grammar.numbers());
         let mut copied = 0;
         // Words come in the file's order, but for columns that do not.
@@ -375,7 +375,7 @@ impl<G: Grammar> TextModel<G> {
         if let Some(of_vertex) = spans.get(..numbers) {
             order.sort_by_key(|n| of_vertex[*n][0]);
         }
-        // Those that turn, before and after.
+        // Numbers that turn, before and after.
         let mut turned = [Vec::new(), Vec::new()];
         let mut words: Vec<(usize, f64)> = Vec::with_capacity(numbers);
         for (vertex, spans) in spans.chunks_exact(numbers).enumerate() {
@@ -385,26 +385,14 @@ impl<G: Grammar> TextModel<G> {
             self.turn(vertex, edited, (raw, &spans[components..]), &mut turned);
             words.clear();
             for &n in &order {
-                if n < 3 {
-                    let (old, new) = (positions[vertex][n], edited.positions[vertex][n]);
-                    if !new.is_finite() {
-                        return Err(Unfit { vertex, axis: n, value: new });
-                    }
-                    if new.to_bits() != old.to_bits() {
-                        words.push((n, new));
-                    }
-                } else if n < components {
-                    let old = normals[vertex][n - 3];
-                    let new = edited.normals.get(vertex).map_or(old, |normal| normal[n - 3]);
-                    if !same_normal(old, new) {
-                        words.push((n, f64::from(new)));
-                    }
-                } else if let [Some(old), Some(new)] = turned.each_ref().map(|of| of.get(n - components))
-                    && new.to_bits() != old.to_bits()
-                    && new.is_finite()
-                {
-                    words.push((n, *new));
-                }
+                let new = if n < components {
+                    new_component(chunk, edited, (vertex, n), Scalar::F64)?
+                } else if let [Some(old), Some(new)] = turned.each_ref().map(|of| of.get(n - components)) {
+                    Some(*new).filter(|new| new.to_bits() != old.to_bits() && new.is_finite())
+                } else {
+                    None
+                };
+                words.extend(new.map(|new| (n, new)));
             }
             if words.windows(2).any(|pair| spans[pair[0].0][0] > spans[pair[1].0][0]) {
                 words.sort_by_key(|(n, _)| spans[*n][0]);
@@ -436,12 +424,6 @@ impl<G: Grammar> TextModel<G> {
         new.clone_from(old);
         self.following.turn(gradient, edited.mirrored, new);
     }
-}
-
-/// Whether a coordinate of a normal was left as it was. Any NaN is as good as another: keep the file's.
-#[inline(always)]
-pub(crate) fn same_normal(old: f32, new: f32) -> bool {
-    old.to_bits() == new.to_bits() || (old.is_nan() && new.is_nan())
 }
 
 /// Writes one normal in the place of another.

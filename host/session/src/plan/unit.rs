@@ -72,7 +72,7 @@ pub fn do_unit(
     );
     let is_finished = folder.join(FINISHED).is_file();
     if is_finished && matches!(unit.stage, Stage::Finish | Stage::Write) {
-        // Whoever did it may have been killed before it had tidied.
+        // The process that did it may have been killed before it had tidied.
         work.tidy();
     }
     if is_finished || (!checks_itself && folder.join(&unit.writes).is_file()) {

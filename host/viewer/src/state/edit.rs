@@ -158,7 +158,7 @@ impl State {
 
     pub(super) fn paste(&mut self, text: &str, at: Option<usize>) -> Result<()> {
         let mut steps = edit::pasted(text, &self.folder()?)?;
-        // Those that cannot be brought up to their plugins say so when they are done.
+        // Steps that cannot be brought up to their plugins say so when they are done.
         for step in &mut steps {
             let _ = self.plugins.migrate(std::slice::from_mut(step));
         }

@@ -260,7 +260,7 @@ impl State {
                 let (editor, scene) = *opened;
                 self.opened(editor, scene);
             }
-            // Those of the model that was open before are of no use.
+            // Results of the model that was open before are of no use.
             Event::Evaluated { request, scene } => {
                 if self.open.is_some() && request > self.floor {
                     self.show_scene(Arc::new(*scene));
@@ -279,7 +279,7 @@ impl State {
                 match job {
                     Job::Preview => self.stop_preview(),
                     Job::Compare => self.not_compared(),
-                    // They were interrupted for the model that could not be opened.
+                    // Comparison and stream were interrupted for the model that could not be opened.
                     Job::Open => {
                         self.compare_again();
                         self.stream_missing();

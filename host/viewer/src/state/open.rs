@@ -10,7 +10,7 @@ use std::sync::Arc;
 pub(super) struct OpenSession {
     pub editor: Editor,
     pub scene: Arc<ViewerScene>,
-    /// Who is next to whom, of the scene's samples.
+    /// Which of the scene's samples are next to which.
     pub adjacency: Arc<Adjacency>,
 }
 

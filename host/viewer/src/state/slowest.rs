@@ -49,7 +49,7 @@ fn beginning(command: &Command) -> String {
         }
     }
     let mut text = StageStart(String::new());
-    // It ends with an error once there is enough.
+    // Writing ends with an error once there is enough.
     let _ = write!(text, "{command:?}");
     text.0
 }

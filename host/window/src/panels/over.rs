@@ -148,6 +148,18 @@ fn what_is_boxed(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     ui.separator();
 }
 
+fn brush_size(ui: &mut Ui, mut radius: f32, commands: &mut Commands) {
+    ui.spacing_mut().slider_width = 90.0;
+    let slider = Slider::new(&mut radius, 4.0..=200.0).logarithmic(true).max_decimals(0);
+    ui.label("Size");
+    let response = ui.add(slider);
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Size of the brush"));
+    if response.changed() {
+        commands.then(move |window| window.tools.radius = radius);
+    }
+    ui.separator();
+}
+
 fn selecting(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     what_is_boxed(ui, window, commands);
     let tools = &window.tools;
@@ -173,16 +185,7 @@ fn selecting(ui: &mut Ui, window: &Window, commands: &mut Commands) {
         ui.separator();
     }
     if tools.tool == Tool::Brush {
-        ui.spacing_mut().slider_width = 90.0;
-        let mut radius = tools.radius;
-        let slider = Slider::new(&mut radius, 4.0..=200.0).logarithmic(true).max_decimals(0);
-        ui.label("Size");
-        let response = ui.add(slider);
-        response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Size of the brush"));
-        if response.changed() {
-            commands.then(move |window| window.tools.radius = radius);
-        }
-        ui.separator();
+        brush_size(ui, tools.radius, commands);
     }
     let some = !window.state().selection().is_empty();
     for (name, area, needs) in [

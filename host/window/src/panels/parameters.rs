@@ -44,7 +44,7 @@ pub fn show(ui: &mut Ui, window: &Window, commands: &mut Commands) {
             None => groups.push((desc.group.as_str(), vec![desc])),
         }
     }
-    // Those without a group first.
+    // Parameters without a group come first.
     groups.sort_by_key(|(group, _)| !group.is_empty());
     for (group, params) in groups {
         let show = |ui: &mut Ui| {

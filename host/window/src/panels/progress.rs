@@ -26,7 +26,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
         (Job::Compare, "Comparing"),
     ] {
         let Some(activity) = window.state().activity(job) else { continue };
-        // It may be over before anybody could read it.
+        // The job may be over before anybody could read of it.
         let left = PATIENCE - activity.seconds;
         if left > 0.0 && matches!(job, Job::Evaluate | Job::Preview | Job::Compare) {
             ui.ctx().request_repaint_after(std::time::Duration::from_secs_f64(left));

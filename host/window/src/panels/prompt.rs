@@ -78,7 +78,7 @@ fn field(ui: &mut Ui, prompt: &mut Prompt) -> bool {
     if !field.has_focus() {
         field.request_focus();
     } else if let Some([from, to]) = prompt.select.take() {
-        // It chooses a place of its own when it gets the focus.
+        // The field chooses a place of its own when it gets the focus.
         let mut state = TextEditState::load(ui.ctx(), id).unwrap_or_default();
         let range = CCursorRange::two(CCursor::new(from), CCursor::new(to));
         state.cursor.set_char_range(Some(range));

@@ -234,6 +234,31 @@ fn selection(ui: &mut Ui, window: &Window, commands: &mut Commands) {
     });
 }
 
+/// Numbers of a motion, of a model of so large a diagonal; one answer for each number.
+fn motion_rows(ui: &mut Ui, to: &mut Motion, size: f64) -> Vec<egui::Response> {
+    let mut rows: Vec<egui::Response> = Vec::new();
+    egui::Grid::new("motion").num_columns(2).spacing([12.0, 5.0]).show(ui, |ui| {
+        ui.label("Move");
+        ui.horizontal(|ui| {
+            for (x, axis) in [&mut to.translate.x, &mut to.translate.y, &mut to.translate.z]
+                .into_iter()
+                .zip(["x", "y", "z"])
+            {
+                let drag = DragValue::new(x).speed(0.001 * size).max_decimals(4).prefix(format!("{axis} "));
+                rows.push(ui.add_sized([64.0, ui.spacing().interact_size.y], drag));
+            }
+        });
+        ui.end_row();
+        ui.label("Turn");
+        rows.push(ui.add(DragValue::new(&mut to.degrees).speed(0.5).suffix("\u{b0}").max_decimals(2)));
+        ui.end_row();
+        ui.label("Scale");
+        rows.push(ui.add(DragValue::new(&mut to.scale).speed(0.005).range(0.001..=1000.0).max_decimals(4)));
+        ui.end_row();
+    });
+    rows
+}
+
 /// Numbers of what the gizmo moves.
 fn handle(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, deformation: &Deformation) {
     let Some(target) = window.tools.target.clone() else { return };
@@ -257,26 +282,7 @@ fn handle(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, de
     let Some(scene) = window.state().scene() else { return };
     let size = (scene.sampled.bounds.max - scene.sampled.bounds.min).length();
     let mut to = motion;
-    let mut rows: Vec<egui::Response> = Vec::new();
-    egui::Grid::new("motion").num_columns(2).spacing([12.0, 5.0]).show(ui, |ui| {
-        ui.label("Move");
-        ui.horizontal(|ui| {
-            for (x, axis) in [&mut to.translate.x, &mut to.translate.y, &mut to.translate.z]
-                .into_iter()
-                .zip(["x", "y", "z"])
-            {
-                let drag = DragValue::new(x).speed(0.001 * size).max_decimals(4).prefix(format!("{axis} "));
-                rows.push(ui.add_sized([64.0, ui.spacing().interact_size.y], drag));
-            }
-        });
-        ui.end_row();
-        ui.label("Turn");
-        rows.push(ui.add(DragValue::new(&mut to.degrees).speed(0.5).suffix("\u{b0}").max_decimals(2)));
-        ui.end_row();
-        ui.label("Scale");
-        rows.push(ui.add(DragValue::new(&mut to.scale).speed(0.005).range(0.001..=1000.0).max_decimals(4)));
-        ui.end_row();
-    });
+    let rows = motion_rows(ui, &mut to, size);
     for (response, name) in rows.iter().zip(["Move x", "Move y", "Move z", "Turn", "Scale"]) {
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label(name));
         let change = || match target.clone() {
@@ -331,7 +337,7 @@ fn joints(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, de
                 if remove.clicked() {
                     let mut joints = deformation.joints.clone();
                     let gone = joints.remove(i);
-                    // Those that hung on it hang on what it hung on.
+                    // Joints that hung on the one that is gone hang on what it hung on.
                     for other in joints.iter_mut().filter(|j| j.parent.as_ref() == Some(&gone.id)) {
                         other.parent.clone_from(&gone.parent);
                     }
@@ -379,7 +385,7 @@ fn name(ui: &mut Ui, window: &Window, commands: &mut Commands, step: usize, id: 
     }
     let is_wanted = ends && !ui.input(|i| i.key_pressed(Key::Escape));
     commands.then(move |window| {
-        // That of another joint may be typed by now.
+        // The name of another joint may be typed by now.
         if window.tools.naming.take_if(|(now, _)| *now == of).is_none() {
             return;
         }

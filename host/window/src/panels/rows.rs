@@ -34,7 +34,7 @@ impl Dragged {
         if (from..=from + length).contains(&gap) {
             return;
         }
-        // Its place once it has left the one where it is.
+        // The row's place once it has left the one where it is.
         let to = if gap > from { gap - length } else { gap };
         commands.apply(Command::Edit(match self {
             Self::Step(_) => edit::EditCommand::Move { from, to },

@@ -20,7 +20,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
         progress::show(ui, Rect::from_center_size(rect.center(), vec2(400.0, 120.0)), window, commands);
         return;
     }
-    // Its height is that of the last time.
+    // The panel's height is that of the last time.
     let known = ui.ctx().data(|data| data.get_temp::<f32>(Id::unique("welcome"))).unwrap_or(SIZE.y);
     let area = Rect::from_center_size(rect.center(), vec2(SIZE.x, known).min(rect.size()));
     let builder = UiBuilder::new().max_rect(area).layout(Layout::top_down(Align::Min));

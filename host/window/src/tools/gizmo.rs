@@ -1,7 +1,7 @@
 //! Arrows and rings that move a handle: a region's, or one that the plugin placed.
 
 use super::place::{GizmoTarget, MovedKind, Several};
-use super::{Gesture, MovedPart, Tool};
+use super::{Gesture, MovedPart, Tool, ToolContext};
 use crate::viewport::ModelArea;
 use crate::window::{Commands, Window};
 use eframe::egui::{Color32, Mesh, Pos2, Rgba, epaint};
@@ -32,7 +32,7 @@ pub fn place(window: &Window, commands: &mut Commands) -> Option<GizmoTarget> {
             let known = window.tools.pivot.filter(|(of, i, _)| (*of, *i) == (id, *region));
             let pivot = match (motion.pivot, known) {
                 (Some(pivot), _) | (None, Some((_, _, pivot))) => pivot,
-                // It takes all samples to find it.
+                // All samples are gone through to find the pivot.
                 (None, None) => window.state().handle_pivot(step, *region)?,
             };
             let known = Some((id, *region, pivot));
@@ -81,37 +81,33 @@ fn rows(m: DMat4) -> [[f64; 4]; 4] {
     m.transpose().to_cols_array_2d()
 }
 
-pub fn update(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    gesture: &mut Gesture,
-) -> bool {
-    let Some(place) = place(window, commands) else { return false };
+pub fn update(context: &mut ToolContext<'_>) -> bool {
+    let (canvas, window) = (context.canvas, context.window);
+    let Some(place) = place(window, context.commands) else { return false };
     let Some(scene) = window.state().scene() else { return false };
     let frame = scene.frame();
-    gesture.gizmo.update_config(config(canvas, window, scene, &place));
-    let moved = follow(canvas, gesture, transform(&place.matrix, |p| frame.to_local_exact(p)));
-    canvas.painter().add(mesh(&gesture.gizmo));
+    context.gesture.gizmo.update_config(config(canvas, window, scene, &place));
+    let moved = follow(canvas, context.gesture, transform(&place.matrix, |p| frame.to_local_exact(p)));
+    canvas.painter().add(mesh(&context.gesture.gizmo));
     if let Some(to) = moved {
-        if !gesture.dragging {
-            gesture.several = several(&place, window);
+        if !context.gesture.dragging {
+            context.gesture.several = several(&place, window);
         }
         let matrix = affine(&to, |p| frame.to_model_exact(p));
-        let change = matrix.and_then(|matrix| match &gesture.several {
+        let change = matrix.and_then(|matrix| match &context.gesture.several {
             Some(several) => several.change_to(matrix),
             None => place.change_to(matrix),
         });
         if let Some(change) = change {
-            gesture.dragging = true;
-            commands.change(place.step, change, true);
+            context.gesture.dragging = true;
+            context.commands.change(place.step, change, true);
         }
     }
-    if gesture.dragging && !canvas.is_down() {
-        gesture.dragging = false;
-        commands.apply(Command::Rest);
+    if context.gesture.dragging && !canvas.is_down() {
+        context.gesture.dragging = false;
+        context.commands.apply(Command::Rest);
     }
-    gesture.gizmo.is_focused()
+    context.gesture.gizmo.is_focused()
 }
 
 /// How the gizmo is seen, and what it can do with what it moves.

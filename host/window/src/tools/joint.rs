@@ -1,6 +1,6 @@
 //! Joints and pins, placed by clicks, and chains of joints by drags.
 
-use super::{Gesture, MovedPart};
+use super::{MovedPart, ToolContext};
 use crate::viewport::{ModelArea, handles};
 use crate::window::{Commands, Window};
 use eframe::egui::{Color32, CursorIcon, Pos2, Shape, Stroke};
@@ -13,12 +13,8 @@ use simod_viewer::skeleton::{chained, free_id, is_pin, with_body_held};
 /// From so many points of the screen on, a press that moves is a drag.
 const LEAST: f32 = 14.0;
 
-pub fn update(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    gesture: &mut Gesture,
-) -> bool {
+pub fn update(context: &mut ToolContext<'_>) -> bool {
+    let (canvas, window) = (context.canvas, context.window);
     let Some((step, _, deformation, plugin)) = window.chosen() else { return false };
     if !plugin.is_some_and(|plugin| plugin.consumes().joints) {
         return false;
@@ -27,9 +23,9 @@ pub fn update(
         canvas.ctx().set_cursor_icon(CursorIcon::Crosshair);
     }
     if canvas.is_pressed() {
-        gesture.chain_from = canvas.press();
+        context.gesture.chain_from = canvas.press();
     }
-    if let Some(from) = gesture.chain_from.map(DVec2::from)
+    if let Some(from) = context.gesture.chain_from.map(DVec2::from)
         && let Some(to) = canvas.pointer()
     {
         let is_drag =
@@ -40,23 +36,23 @@ pub fn update(
             }
             return is_drag;
         }
-        gesture.chain_from = None;
+        context.gesture.chain_from = None;
         if is_drag {
-            chain(canvas, window, commands, step, &deformation, [from, to]);
+            chain(context, step, &deformation, [from, to]);
             return true;
         }
     }
-    if !canvas.is_clicked() || handles::take(canvas, window, commands) {
+    if !canvas.is_clicked() || handles::take(canvas, window, context.commands) {
         return false;
     }
     let Some(pixel) = canvas.pointer() else { return false };
     let Some(at) = place(canvas, window, step, pixel) else { return false };
     if window.tools.places_pins {
         let id = free_id(&deformation.joints, true);
-        commands.apply(Command::PlaceJoint { step, id, at, parent: None });
+        context.commands.apply(Command::PlaceJoint { step, id, at, parent: None });
     } else {
         let parent = parent(window, &deformation);
-        put(window, commands, step, chained(&deformation.joints, &[at], parent));
+        put(window, context.commands, step, chained(&deformation.joints, &[at], parent));
     }
     false
 }
@@ -98,14 +94,8 @@ fn pixels(from: DVec2, to: DVec2, count: usize) -> impl Iterator<Item = DVec2> {
     (0..count).map(move |i| from.lerp(to, i as f64 / (count - 1).max(1) as f64))
 }
 
-fn chain(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    step: usize,
-    deformation: &Deformation,
-    [from, to]: [DVec2; 2],
-) {
+fn chain(context: &mut ToolContext<'_>, step: usize, deformation: &Deformation, [from, to]: [DVec2; 2]) {
+    let (canvas, window) = (context.canvas, context.window);
     // One that begins at a joint goes on from there.
     let begins = handles::joint_at(canvas, window, from);
     let skipped = usize::from(begins.is_some());
@@ -117,7 +107,7 @@ fn chain(
     if places.is_empty() {
         return;
     }
-    put(window, commands, step, chained(&deformation.joints, &places, parent));
+    put(window, context.commands, step, chained(&deformation.joints, &places, parent));
 }
 
 /// The chain that would be placed.

@@ -1,6 +1,6 @@
 //! Lengths and angles, between points on the surface that are clicked and dragged; they go along with it.
 
-use super::Gesture;
+use super::ToolContext;
 use super::hand::Measuring;
 use crate::viewport::ModelArea;
 use crate::window::{Commands, Window};
@@ -75,12 +75,8 @@ pub fn follow_keys(canvas: &ModelArea<'_>, window: &Window, commands: &mut Comma
     }
 }
 
-pub fn update(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    gesture: &mut Gesture,
-) -> bool {
+pub fn update(context: &mut ToolContext<'_>) -> bool {
+    let (canvas, window) = (context.canvas, context.window);
     let ctx = canvas.ctx();
     let Some(frame) = window.state().scene().map(|scene| scene.frame()) else { return false };
     let places: Vec<Option<Pos2>> = window
@@ -96,18 +92,18 @@ pub fn update(
     }
     if canvas.is_pressed() {
         let pressed = ctx.input(|i| i.pointer.press_origin()).or(canvas.pointer_pos());
-        gesture.measured_point = pressed.and_then(under);
+        context.gesture.measured_point = pressed.and_then(under);
     }
-    if let Some(held) = gesture.measured_point {
+    if let Some(held) = context.gesture.measured_point {
         if !canvas.is_down() {
-            gesture.measured_point = None;
+            context.gesture.measured_point = None;
         } else if ctx.input(|i| i.pointer.is_decidedly_dragging()) {
-            drag(canvas, window, commands, held);
+            drag(context, held);
         }
         return true;
     }
     if canvas.is_clicked() && over.is_none() {
-        add(canvas, window, commands);
+        add(context);
     }
     false
 }
@@ -118,24 +114,24 @@ fn hit(canvas: &ModelArea<'_>, window: &Window) -> Option<DVec3> {
 }
 
 /// Moves a point to where the pointer is.
-fn drag(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, held: usize) {
-    let Some(at) = hit(canvas, window) else { return };
-    let mut points = points(window);
+fn drag(context: &mut ToolContext<'_>, held: usize) {
+    let Some(at) = hit(context.canvas, context.window) else { return };
+    let mut points = points(context.window);
     if let Some(point) = points.get_mut(held).filter(|point| **point != at) {
         *point = at;
-        commands.apply(Command::Measure { points });
+        context.commands.apply(Command::Measure { points });
     }
 }
 
 /// Adds a point where the pointer is, or begins anew where there are enough.
-fn add(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands) {
-    let Some(at) = hit(canvas, window) else { return };
-    let mut points = points(window);
-    if points.len() >= window.tools.measuring.points() {
+fn add(context: &mut ToolContext<'_>) {
+    let Some(at) = hit(context.canvas, context.window) else { return };
+    let mut points = points(context.window);
+    if points.len() >= context.window.tools.measuring.points() {
         points.clear();
     }
     points.push(at);
-    commands.apply(Command::Measure { points });
+    context.commands.apply(Command::Measure { points });
 }
 
 /// Draws what is measured, whatever the tool.

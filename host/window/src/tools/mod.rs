@@ -1,5 +1,6 @@
 //! What the left button does in the picture.
 
+mod context;
 mod gesture;
 pub mod gizmo;
 pub mod hand;
@@ -13,6 +14,7 @@ mod transforming;
 
 use crate::viewport::ModelArea;
 use crate::window::{Commands, Window};
+pub use context::ToolContext;
 use eframe::egui::{CursorIcon, Key};
 pub use gesture::Gesture;
 pub use hand::{Tool, Tools};
@@ -34,7 +36,8 @@ pub fn update(canvas: &ModelArea<'_>, window: &mut Window) -> bool {
     window.draw_with(
         |window| &mut window.tools.gesture,
         |window, commands, gesture| {
-            transform::update(canvas, window, commands, gesture) || go_on(canvas, window, commands, gesture)
+            let mut context = ToolContext { canvas, window, commands, gesture };
+            transform::update(&mut context) || go_on(&mut context)
         },
     )
 }
@@ -59,19 +62,17 @@ fn follow_keys(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands)
 }
 
 /// The tool in the hand follows the pointer.
-fn go_on(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, gesture: &mut Gesture) -> bool {
-    let tool = window.tools.tool;
-    if tool.selects() && canvas.is_hovered() {
-        canvas.ctx().set_cursor_icon(CursorIcon::Crosshair);
+fn go_on(context: &mut ToolContext<'_>) -> bool {
+    let tool = context.window.tools.tool;
+    if tool.selects() && context.canvas.is_hovered() {
+        context.canvas.ctx().set_cursor_icon(CursorIcon::Crosshair);
     }
     match tool {
         Tool::Orbit => false,
-        Tool::Move | Tool::Rotate | Tool::Scale => gizmo::update(canvas, window, commands, gesture),
-        Tool::Brush | Tool::Lasso | Tool::Box | Tool::Connected => {
-            select::update(canvas, window, commands, gesture)
-        }
-        Tool::Stroke => stroke::update(canvas, window, commands, gesture),
-        Tool::Joint => joint::update(canvas, window, commands, gesture),
-        Tool::Measure => measure::update(canvas, window, commands, gesture),
+        Tool::Move | Tool::Rotate | Tool::Scale => gizmo::update(context),
+        Tool::Brush | Tool::Lasso | Tool::Box | Tool::Connected => select::update(context),
+        Tool::Stroke => stroke::update(context),
+        Tool::Joint => joint::update(context),
+        Tool::Measure => measure::update(context),
     }
 }

@@ -1,6 +1,6 @@
 //! Selecting by brush, lasso, box, and click.
 
-use super::{Gesture, Tool};
+use super::{Tool, ToolContext};
 use crate::theme;
 use crate::viewport::{ModelArea, handles};
 use crate::window::{Commands, Window};
@@ -13,20 +13,16 @@ use std::collections::BTreeSet;
 /// Points of a lasso are so far apart at least, in pixels.
 const SPACING: f64 = 3.0;
 
-pub fn update(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    gesture: &mut Gesture,
-) -> bool {
+pub fn update(context: &mut ToolContext<'_>) -> bool {
+    let (canvas, window) = (context.canvas, context.window);
     let tool = window.tools.tool;
     let combine = window.tools.combine_with(canvas.modifiers());
-    let drawing = !gesture.path.is_empty();
+    let drawing = !context.gesture.path.is_empty();
     if canvas.is_pressed()
         && let Some(at) = canvas.press()
     {
         if tool == Tool::Connected {
-            commands.apply(Command::Select {
+            context.commands.apply(Command::Select {
                 area: Area::Connected { at },
                 combine,
                 visible: false,
@@ -34,35 +30,29 @@ pub fn update(
             });
             return true;
         }
-        gesture.path = vec![at];
+        context.gesture.path = vec![at];
         if tool == Tool::Brush {
-            paint(canvas, window, commands, vec![at], combine, false);
+            paint(context, vec![at], combine, false);
         }
     }
-    if !gesture.path.is_empty() {
-        follow(canvas, window, commands, gesture, combine);
+    if !context.gesture.path.is_empty() {
+        follow(context, combine);
         if !canvas.is_down() {
-            let path = std::mem::take(&mut gesture.path);
+            let path = std::mem::take(&mut context.gesture.path);
             if window.tools.picks_handles() {
-                choose(canvas, window, commands, &path, combine);
+                choose(context, &path, combine);
             } else {
-                finish(window, commands, path, combine);
+                finish(window, context.commands, path, combine);
             }
         }
     }
-    draw(canvas, window, &gesture.path);
+    draw(canvas, window, &context.gesture.path);
     drawing || canvas.is_pressed()
 }
 
 /// The pointer went on.
-fn follow(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    gesture: &mut Gesture,
-    combine: Combine,
-) {
-    let path = &mut gesture.path;
+fn follow(context: &mut ToolContext<'_>, combine: Combine) {
+    let (canvas, window, path) = (context.canvas, context.window, &mut context.gesture.path);
     let from = path.len() - 1;
     for at in canvas.trail().into_iter().map(|p| [p.x, p.y]) {
         let last = path.last().copied().unwrap_or(at);
@@ -77,31 +67,19 @@ fn follow(
     if window.tools.tool == Tool::Brush && new.len() > 1 {
         // What is painted first has replaced the selection.
         let combine = if combine == Combine::Replace { Combine::Add } else { combine };
-        paint(canvas, window, commands, new, combine, true);
+        paint(context, new, combine, true);
     }
 }
 
-fn paint(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    path: Vec<[f64; 2]>,
-    combine: Combine,
-    goes_on: bool,
-) {
-    let radius = canvas.pixels(window.tools.radius);
-    let visible = window.tools.visible;
-    commands.apply(Command::Select { area: Area::Brush { path, radius }, combine, visible, goes_on });
+fn paint(context: &mut ToolContext<'_>, path: Vec<[f64; 2]>, combine: Combine, goes_on: bool) {
+    let tools = &context.window.tools;
+    let (radius, visible) = (context.canvas.pixels(tools.radius), tools.visible);
+    context.commands.apply(Command::Select { area: Area::Brush { path, radius }, combine, visible, goes_on });
 }
 
 /// The handles in the box are chosen, and can be moved.
-fn choose(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    path: &[[f64; 2]],
-    combine: Combine,
-) {
+fn choose(context: &mut ToolContext<'_>, path: &[[f64; 2]], combine: Combine) {
+    let (canvas, window) = (context.canvas, context.window);
     let Some((_, step, ..)) = window.chosen() else { return };
     let before = window.tools.handles(step);
     let there: BTreeSet<String> = match path {
@@ -116,7 +94,7 @@ fn choose(
         Combine::Add => &before | &there,
         Combine::Subtract => &before - &there,
     };
-    commands.then(move |window| window.tools.take_handles(step, None, chosen));
+    context.commands.then(move |window| window.tools.take_handles(step, None, chosen));
 }
 
 fn finish(window: &Window, commands: &mut Commands, path: Vec<[f64; 2]>, combine: Combine) {

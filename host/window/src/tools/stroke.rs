@@ -1,8 +1,8 @@
 //! Brush strokes on the surface, for plugins that take them.
 
-use super::Gesture;
+use super::{Gesture, ToolContext};
 use crate::viewport::ModelArea;
-use crate::window::{Commands, Window};
+use crate::window::Window;
 use eframe::egui::{Color32, Event, Key, Pos2, Shape, Stroke};
 use simod_viewer::{Command, Hit};
 
@@ -11,21 +11,17 @@ const SPACING: f64 = 0.15;
 /// Corners of the circle that shows the brush.
 const CORNERS: usize = 48;
 
-pub fn update(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    gesture: &mut Gesture,
-) -> bool {
+pub fn update(context: &mut ToolContext<'_>) -> bool {
+    let (canvas, window) = (context.canvas, context.window);
     let Some((step, _, _, plugin)) = window.chosen() else { return false };
     if !plugin.is_some_and(|plugin| plugin.consumes().strokes) {
         return false;
     }
     let drawing = window.state().is_drawing();
     if drawing && canvas.ctx().input(|i| i.key_pressed(Key::Escape)) {
-        commands.apply(Command::DropStroke);
-        gesture.painting = false;
-        gesture.path.clear();
+        context.commands.apply(Command::DropStroke);
+        context.gesture.painting = false;
+        context.gesture.path.clear();
         return true;
     }
     let hit = match canvas.pointer() {
@@ -36,19 +32,19 @@ pub fn update(
         draw(canvas, window, hit);
     }
     if canvas.is_pressed() {
-        gesture.painting = true;
+        context.gesture.painting = true;
     }
-    if gesture.painting {
-        let painted = paint(canvas, window, gesture, step);
+    if context.gesture.painting {
+        let painted = paint(canvas, window, context.gesture, step);
         let ends = !canvas.is_down();
-        commands.then(move |window| stroke_on(window, painted, ends));
+        context.commands.then(move |window| stroke_on(window, painted, ends));
         if ends {
-            gesture.painting = false;
-            gesture.path.clear();
+            context.gesture.painting = false;
+            context.gesture.path.clear();
             return true;
         }
     }
-    drawing || gesture.painting
+    drawing || context.gesture.painting
 }
 
 /// What the brush paints since the last picture: the beginning of a stroke, if none is drawn, and its points.

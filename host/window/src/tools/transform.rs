@@ -3,7 +3,7 @@
 
 use super::gizmo;
 use super::transforming::{TransformOutcome, Transformed, Transforming};
-use super::{Gesture, MovedPart, Tool};
+use super::{MovedPart, Tool, ToolContext};
 use crate::viewport::ModelArea;
 use crate::window::{Commands, Window};
 use eframe::egui::CursorIcon;
@@ -38,13 +38,9 @@ pub fn begin(canvas: &ModelArea<'_>, window: &Window, commands: &mut Commands, t
 }
 
 /// Goes on with a motion, if there is one. The pointer is its own as long as it lasts.
-pub fn update(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    gesture: &mut Gesture,
-) -> bool {
-    let Some(mut going) = gesture.transforming.take() else { return false };
+pub fn update(context: &mut ToolContext<'_>) -> bool {
+    let (canvas, window) = (context.canvas, context.window);
+    let Some(mut going) = context.gesture.transforming.take() else { return false };
     if window.chosen().is_none_or(|(_, id, ..)| id != going.step) {
         return false;
     }
@@ -56,7 +52,7 @@ pub fn update(
     let next = going.next(canvas.ctx());
     if matches!(next, TransformOutcome::Back) {
         if going.last.is_some() {
-            commands.apply(Command::Undo);
+            context.commands.apply(Command::Undo);
         }
         return true;
     }
@@ -66,16 +62,16 @@ pub fn update(
         && let Some(change) = going.of.change(&motion)
     {
         going.last = Some(motion);
-        commands.change(step, change, true);
+        context.commands.change(step, change, true);
     }
     canvas.ctx().set_cursor_icon(CursorIcon::Move);
     going.draw(canvas, seen);
     if matches!(next, TransformOutcome::Done) {
         if going.last.is_some() {
-            commands.apply(Command::Rest);
+            context.commands.apply(Command::Rest);
         }
     } else {
-        gesture.transforming = Some(going);
+        context.gesture.transforming = Some(going);
     }
     true
 }

@@ -21,6 +21,22 @@ pub fn contains(rect: Rect, ctx: &egui::Context) -> bool {
         && !ctx.input(|i| i.pointer.any_down() && !i.pointer.any_pressed())
 }
 
+/// The ends of the axes: where they point, what they are called, their colours, and the view along each.
+fn ends(up: Up) -> [(DVec3, &'static str, Color32, Standard); 6] {
+    let [plus_y, minus_y, plus_z, minus_z] = match up {
+        Up::Y => [Standard::Top, Standard::Bottom, Standard::Front, Standard::Back],
+        Up::Z => [Standard::Back, Standard::Front, Standard::Top, Standard::Bottom],
+    };
+    [
+        (DVec3::X, "X", Color32::from_rgb(226, 62, 68), Standard::Right),
+        (DVec3::NEG_X, "-X", Color32::from_rgb(226, 62, 68), Standard::Left),
+        (DVec3::Y, "Y", Color32::from_rgb(106, 176, 46), plus_y),
+        (DVec3::NEG_Y, "-Y", Color32::from_rgb(106, 176, 46), minus_y),
+        (DVec3::Z, "Z", Color32::from_rgb(62, 128, 236), plus_z),
+        (DVec3::NEG_Z, "-Z", Color32::from_rgb(62, 128, 236), minus_z),
+    ]
+}
+
 /// Draws it, and looks along the axis that is clicked.
 pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
     let center = middle(rect);
@@ -34,18 +50,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &Window, commands: &mut Commands) {
         let at = center + vec2(axis.dot(right) as f32, -axis.dot(up) as f32) * (RADIUS - BALL);
         (at, axis.dot(back))
     };
-    let [plus_y, minus_y, plus_z, minus_z] = match camera.up {
-        Up::Y => [Standard::Top, Standard::Bottom, Standard::Front, Standard::Back],
-        Up::Z => [Standard::Back, Standard::Front, Standard::Top, Standard::Bottom],
-    };
-    let mut ends = [
-        (DVec3::X, "X", Color32::from_rgb(226, 62, 68), Standard::Right),
-        (DVec3::NEG_X, "-X", Color32::from_rgb(226, 62, 68), Standard::Left),
-        (DVec3::Y, "Y", Color32::from_rgb(106, 176, 46), plus_y),
-        (DVec3::NEG_Y, "-Y", Color32::from_rgb(106, 176, 46), minus_y),
-        (DVec3::Z, "Z", Color32::from_rgb(62, 128, 236), plus_z),
-        (DVec3::NEG_Z, "-Z", Color32::from_rgb(62, 128, 236), minus_z),
-    ];
+    let mut ends = ends(camera.up);
     ends.sort_by(|a, b| of(a.0).1.total_cmp(&of(b.0).1));
     let response = ui.interact(area, Id::unique("axes"), Sense::hover());
     if response.hovered() {

@@ -4,7 +4,7 @@
 use super::ModelArea;
 use crate::axis::{Axis, PLANES};
 use crate::theme;
-use crate::tools::{Gesture, MovedPart, Tool};
+use crate::tools::{MovedPart, Tool, ToolContext};
 use crate::window::{Commands, Window};
 use eframe::egui::{Color32, CursorIcon, Pos2, Rect, Shape, Stroke, pos2, vec2};
 use glam::DVec3;
@@ -73,7 +73,7 @@ fn dots(canvas: &ModelArea<'_>, window: &Window) -> Vec<HandleDot> {
         let target = MovedPart::Handle(desc.id.to_string());
         dots.push(HandleDot { target, at, depth, bone });
     }
-    // Those in front are drawn last.
+    // Dots in front are drawn last.
     dots.sort_by(|a, b| b.depth.total_cmp(&a.depth));
     dots
 }
@@ -348,23 +348,19 @@ fn plane_under(canvas: &ModelArea<'_>, window: &Window, axis: &Axis, p: Pos2) ->
 }
 
 /// The knobs of the planes follow the hand. Whether the pointer is theirs.
-pub fn drag_planes(
-    canvas: &ModelArea<'_>,
-    window: &Window,
-    commands: &mut Commands,
-    gesture: &mut Gesture,
-) -> bool {
+pub fn drag_planes(context: &mut ToolContext<'_>) -> bool {
+    let (canvas, window) = (context.canvas, context.window);
     let Some(axis) = Axis::find(window).filter(|_| is_shown(window)) else {
-        gesture.plane = None;
+        context.gesture.plane = None;
         return false;
     };
     let under = |p: Pos2| plane_under(canvas, window, &axis, p);
     if canvas.is_pressed()
         && let Some(at) = canvas.ctx().input(|i| i.pointer.press_origin()).or(canvas.pointer_pos())
     {
-        gesture.plane = under(at);
+        context.gesture.plane = under(at);
     }
-    let Some(plane) = gesture.plane else {
+    let Some(plane) = context.gesture.plane else {
         if canvas.is_hovered() && canvas.pointer_pos().and_then(under).is_some() {
             canvas.ctx().set_cursor_icon(CursorIcon::Grab);
         }
@@ -377,13 +373,13 @@ pub fn drag_planes(
         let place =
             if plane == 0 { place.min(axis.places[1] - least) } else { place.max(axis.places[0] + least) };
         let value = Some((place / axis.diagonal).into());
-        commands.change(axis.step, Change::SetParam { id: PLANES[plane].to_owned(), value }, true);
-        gesture.drags_plane = true;
+        context.commands.change(axis.step, Change::SetParam { id: PLANES[plane].to_owned(), value }, true);
+        context.gesture.drags_plane = true;
     }
     if !canvas.is_down() {
-        gesture.plane = None;
-        if std::mem::take(&mut gesture.drags_plane) {
-            commands.apply(Command::Rest);
+        context.gesture.plane = None;
+        if std::mem::take(&mut context.gesture.drags_plane) {
+            context.commands.apply(Command::Rest);
         }
     }
     true

@@ -14,7 +14,7 @@ mod versions;
 pub mod vertex_colors;
 
 use crate::panels;
-use crate::tools::{self, Tool};
+use crate::tools::{self, Tool, ToolContext};
 use crate::window::Window;
 pub use canvas::ModelArea;
 use eframe::egui::{self, CentralPanel, Sense, Ui};
@@ -95,7 +95,9 @@ fn work(canvas: &ModelArea<'_>, looks: bool, window: &mut Window) -> bool {
         handles::draw_axis(canvas, window);
         taken = window.draw_with(
             |window| &mut window.tools.gesture,
-            |window, commands, gesture| handles::drag_planes(canvas, window, commands, gesture),
+            |window, commands, gesture| {
+                handles::drag_planes(&mut ToolContext { canvas, window, commands, gesture })
+            },
         );
     }
     taken = taken || tools::update(canvas, window);

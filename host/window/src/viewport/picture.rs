@@ -11,6 +11,7 @@ use crate::window::{Commands, Window};
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
 use glam::{Mat4, Vec3};
+use simod_core::sampling::SampleSet;
 use simod_scene::{Budget, Gpu, Scene, SceneStyle, SceneSurface};
 use simod_viewer::shading::Rings;
 use simod_viewer::{ComparedVersion, Detail};
@@ -260,6 +261,18 @@ impl PictureDrawing {
         [min.as_dvec3(), max.as_dvec3()]
     }
 
+    /// Gives the card the samples at rest as a ghost, or takes that away.
+    fn upload_ghost(&mut self, samples: &SampleSet) -> Result<(), simod_scene::BadSurface> {
+        let radii = disc_radii(&self.extents);
+        let rest = SceneSurface {
+            positions: &samples.positions,
+            normals: samples.normals(),
+            radii: &radii,
+            ..SceneSurface::default()
+        };
+        self.scene.set_ghost(self.ghost.then_some(&rest))
+    }
+
     /// Brings what the card has up to date.
     fn upload(
         &mut self,
@@ -304,14 +317,7 @@ impl PictureDrawing {
         }
         if window.looks.ghost != self.ghost || self.ghost && !same_samples {
             self.ghost = window.looks.ghost;
-            let radii = disc_radii(&self.extents);
-            let rest = SceneSurface {
-                positions: &samples.positions,
-                normals: samples.normals(),
-                radii: &radii,
-                ..SceneSurface::default()
-            };
-            self.scene.set_ghost(self.ghost.then_some(&rest))?;
+            self.upload_ghost(samples)?;
         }
         if !same {
             self.shown = Some(scene.clone());

@@ -416,7 +416,7 @@ impl Window {
                 let steps = kept.steps.len();
                 self.question = Some(Question::Recover(KeptEdit { path, sampling, made, steps }));
             }
-            // It is left alone, for whoever wants to look at it.
+            // The kept edit is left alone, for whoever wants to look at it.
             Some((_, Err(error))) => {
                 self.toasts.error(&error);
                 self.open_now(path, sampling, recover);
