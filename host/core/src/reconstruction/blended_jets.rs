@@ -245,14 +245,15 @@ pub(super) struct FitInput<'a> {
 }
 
 impl FitInput<'_> {
-    /// The neighbours of a packet's samples, and the gradients there, column by column.
+    /// The nearest neighbours of a packet's samples, so many, and the gradients there, column by column.
     #[inline(always)]
     pub fn gather<S: Simd>(
         &self,
         neighbours: &mut Neighbours,
         packet: &[usize; MOST_LANES],
+        count: usize,
     ) -> [[f64; MOST_LANES]; 9] {
-        let around = |i: usize| self.stencils.around(&self.samples.positions, i, FIT_NEIGHBOURS);
+        let around = |i: usize| self.stencils.around(&self.samples.positions, i, count);
         neighbours.gather::<S>(&self.samples.positions, self.deformed, packet, around);
         let mut gradient = [[0.0; MOST_LANES]; 9];
         for lane in 0..S::F64_LANES {
@@ -290,7 +291,7 @@ impl WithSimd for ExpansionFits<'_> {
         for at in (0..self.expansions.len()).step_by(S::F64_LANES) {
             let count = S::F64_LANES.min(self.expansions.len() - at);
             let packet = packet_of(self.first + at, count);
-            let gradient = self.fitted.gather::<S>(&mut neighbours, &packet);
+            let gradient = self.fitted.gather::<S>(&mut neighbours, &packet, FIT_NEIGHBOURS);
             self.fit(simd, &neighbours, &gradient, at..at + count);
         }
     }

@@ -52,7 +52,7 @@ const BY_SAMPLES: f32 = 0.42;
 const OF_TURNING: f32 = 2.0;
 
 /// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
-const OF_SPREAD: f32 = 0.54;
+const OF_SPREAD: f32 = 0.45;
 
 /// The other blend has supports so many times as wide, and so much of how far it is from the first one
 /// counts.

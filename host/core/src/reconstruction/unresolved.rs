@@ -4,10 +4,13 @@
 //! With x = (A + λ W)⁻¹ e, e across and A of the fit's squares, an expansion whose gradient across is off by
 //! δ is off by δ x·t(d) / x·e at d from the sample, t(d) the terms of the fit; nothing at the neighbours
 //! themselves. δ has two parts. What the fit leaves to the prior, λ W x·e of it, is off by as much as the map
-//! strains and bends. And the third order, which the fit leaves out, is taken for a gradient as far as little
-//! relief makes them look alike: Σ w x·t(d) c(d) of the cubic terms c (the alias of G. E. P. Box, K. B.
-//! Wilson, *On the Experimental Attainment of Optimum Conditions*, 1951). How much the second order differs
-//! at a neighbour tells these, c(d) = (Qₖ − Q)(d, d) / 3.
+//! strains and bends. And what the fit leaves out is taken for a gradient as far as little relief makes them
+//! look alike (the alias of G. E. P. Box, K. B. Wilson, *On the Experimental Attainment of Optimum
+//! Conditions*, 1951). Of the third order that is Σ w x·t(d) c(d), where how much the second order differs at
+//! a neighbour tells the cubic terms, c(d) = (Qₖ − Q)(d, d) / 3. All orders, and chance, a fit to fewer
+//! neighbours tells, as it takes less of them for a gradient: two orders of one method tell its error, as in
+//! an embedded pair of Runge and Kutta. Either is more than there is where the other fit hardly tells a
+//! gradient, or second orders are off; then samples agree better on the gradient than they say.
 
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
@@ -24,12 +27,21 @@ use crate::geometry::hermite;
 /// The part of the strain by which the gradient across a surface is expected to differ from its prior.
 const STRAINED: f64 = 0.4;
 
-/// So much of what the third order makes of the gradient counts, as second order tells it somewhat damped.
-const OF_THIRD: f32 = 1.1;
+/// So much of what the third order makes of the gradient counts.
+const OF_THIRD: f32 = 0.8;
 
 /// Where the third order makes little of a sample's gradient by chance, its ring tells: no less than the
 /// sample's own counts, and no more than so many times that.
 const OF_OWN: f32 = 2.0;
+
+/// The error of a gradient goes with the square of the radius, as the number of neighbours does: a fit to so
+/// many has two thirds of it. So many times how far this one is from the whole one counts ...
+const FEWER_NEIGHBOURS: usize = 18;
+const OF_FEWER: f32 = 1.5;
+
+/// ... together with the third order no more than so many times what the sample and its ring disagree by on
+/// the gradient across.
+const OF_DISAGREED: f32 = 2.5;
 
 /// How far an expansion is off around its sample, by its terms along each of a fit's: local units.
 #[derive(Debug, Clone, Copy, Default)]
@@ -50,7 +62,7 @@ impl Unresolved {
 
 /// What is unresolved at each sample, of which these are the expansions.
 ///
-/// Memory: 36 bytes per sample, and 52 more meanwhile.
+/// Memory: 36 bytes per sample, and 56 more meanwhile.
 pub fn find(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Unresolved> {
     let mut across = vec![Across::default(); expansions.len()];
     across.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, across)| {
@@ -62,10 +74,26 @@ pub fn find(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Unresolved> {
         let ring = fitted.stencils.ring(i);
         let sum = third[i].powi(2) + ring.iter().map(|j| third[*j as usize].powi(2)).sum::<f32>();
         let around = (sum / (ring.len() + 1) as f32).sqrt();
-        let off = hypot([OF_THIRD * around.min(OF_OWN * third[i]).max(third[i]), across.prior]);
+        let third = around.min(OF_OWN * third[i]).max(third[i]);
+        let left_out = hypot([OF_THIRD * third, OF_FEWER * across.by_fewer]);
+        let off = hypot([left_out.min(OF_DISAGREED * disagreement(fitted, expansions, i)), across.prior]);
         Unresolved(across.response.0.map(|term| term * off))
     };
     across.par_iter().enumerate().map(unresolved).collect()
+}
+
+/// How far sample `i` and its ring disagree on the gradient across, by the root of the mean square: what the
+/// second order halfway between two of them does not explain.
+fn disagreement(fitted: FitInput<'_>, expansions: &[Expansion], i: usize) -> f32 {
+    let (own, across) = (&expansions[i], fitted.samples.normals()[i]);
+    let ring = fitted.stencils.ring(i);
+    let square = |j: &u32| {
+        let other = &expansions[*j as usize];
+        let d = fitted.samples.positions[*j as usize] - fitted.samples.positions[i];
+        let bent = product(own.second(), d, across) + product(other.second(), d, across);
+        ((other.slope() - own.slope()) * across - bent).length_squared()
+    };
+    (ring.iter().map(square).sum::<f32>() / ring.len().max(1) as f32).sqrt()
 }
 
 /// How the fit at a sample hears of the gradient across the surface.
@@ -77,6 +105,8 @@ struct Across {
     weight: f32,
     /// How far the gradient is off by the prior.
     prior: f32,
+    /// How far a fit to fewer neighbours has it from where the whole fit has it.
+    by_fewer: f32,
     /// The most by which the third order makes it off: by how much the map strains, and by what there is to
     /// explain.
     most: f32,
@@ -91,16 +121,17 @@ impl Across {
         let alias = |j: &u32| {
             let (d, second) = (positions[*j as usize] - positions[i], expansions[*j as usize].second());
             let difference = std::array::from_fn(|term| second[term] - own[term]);
-            hermite(d.length() / radius) * self.response.at(d) * squared(difference, d) / 3.0
+            hermite(d.length() / radius) * self.response.at(d) * product(difference, d, d) / 3.0
         };
         let sum: Vec3 = near.iter().map(alias).sum();
         (self.weight * sum.length()).min(self.most)
     }
 }
 
-/// Q(d, d), of the terms xx, xy, xz, yy, yz, zz.
-fn squared([xx, xy, xz, yy, yz, zz]: [Vec3; 6], d: Vec3) -> Vec3 {
-    (xx * d.x + xy * d.y + xz * d.z) * d.x + (yy * d.y + yz * d.z) * d.y + zz * d.z * d.z
+/// Q(a, b), of the terms xx, xy, xz, yy, yz, zz.
+fn product([xx, xy, xz, yy, yz, zz]: [Vec3; 6], a: Vec3, b: Vec3) -> Vec3 {
+    let mixed = xy * (a.x * b.y + a.y * b.x) + xz * (a.x * b.z + a.z * b.x) + yz * (a.y * b.z + a.z * b.y);
+    xx * (a.x * b.x) + yy * (a.y * b.y) + zz * (a.z * b.z) + 0.5 * mixed
 }
 
 /// Finds that of samples that follow each other from the first; nothing where nothing is fitted.
@@ -115,10 +146,11 @@ impl WithSimd for AcrossFits<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let mut neighbours = Neighbours::default();
+        let (mut neighbours, mut nearest) = (Neighbours::default(), Neighbours::default());
         for (at, across) in self.across.chunks_mut(S::F64_LANES).enumerate() {
             let packet = packet_of(self.first + at * S::F64_LANES, across.len());
-            let gradient = self.fitted.gather::<S>(&mut neighbours, &packet);
+            let gradient = self.fitted.gather::<S>(&mut neighbours, &packet, FIT_NEIGHBOURS);
+            self.fitted.gather::<S>(&mut nearest, &packet, FEWER_NEIGHBOURS);
             let normals = self.fitted.samples.normals();
             let mut normal = [[0.0; MOST_LANES]; 3];
             for lane in 0..S::F64_LANES {
@@ -126,16 +158,16 @@ impl WithSimd for AcrossFits<'_> {
                     normal[axis][lane] = f64::from(normals[packet[lane]][axis]);
                 }
             }
-            fit(simd, &neighbours, &gradient, &normal, across);
+            fit(simd, [&neighbours, &nearest], &gradient, &normal, across);
         }
     }
 }
 
-/// Fits the samples of a packet.
+/// Fits the samples of a packet to their neighbours, and to the nearest of these alone.
 #[inline(always)]
 fn fit<S: Simd>(
     simd: S,
-    neighbours: &Neighbours,
+    [neighbours, nearest]: [&Neighbours; 2],
     gradient: &[[f64; MOST_LANES]; 9],
     normal: &[[f64; MOST_LANES]; 3],
     across: &mut [Across],
@@ -148,7 +180,8 @@ fn fit<S: Simd>(
     let splat = |x| DoubleLanes::splat(simd, x);
     let strain = strain(simd, gradient);
     let (terms, _, ridge, is_solved) = squares.solve(strain);
-    let (response, along, is_found) = squares.response(triple(simd, normal), ridge);
+    let normal = triple(simd, normal);
+    let (response, along, is_found) = squares.response(normal, ridge);
     // How much the gradient differs at the radius: of a square it is twice the term, of a product each of two
     // coordinates has it.
     let mut bent = splat(0.0);
@@ -158,6 +191,15 @@ fn fit<S: Simd>(
     let (strained, scale) = (splat(STRAINED) * strain, squares.scale);
     let off = strained.mul_add(strained, bent * scale * scale).sqrt();
     let prior = (ridge * squares.weights * along * off).store();
+    let fewer = LeastSquares::accumulate(simd, nearest, gradient);
+    let (by_fewer, _, _, is_told) = fewer.solve(strain);
+    let mut apart = [splat(0.0); 3];
+    for ((by_fewer, term), e) in by_fewer.iter().zip(&terms).zip(normal) {
+        for (axis, apart) in apart.iter_mut().enumerate() {
+            *apart = e.mul_add(by_fewer[axis] * fewer.scale - term[axis] * scale, *apart);
+        }
+    }
+    let by_fewer = is_told.select(square(apart).sqrt(), splat(0.0)).store();
     let weight = (along * scale * scale).store();
     let most = ((squares.signal(strain) / squares.weights).sqrt() * scale).store();
     let mut stored = [[0.0; MOST_LANES]; TERMS];
@@ -169,8 +211,8 @@ fn fit<S: Simd>(
     for (lane, across) in across.iter_mut().enumerate().filter(|(lane, _)| is_fitted[*lane]) {
         let response = stored.map(|term| term[lane] as f32);
         if response.iter().all(|term| term.is_finite()) {
-            let [weight, prior, most] = [weight, prior, most].map(|x| x[lane] as f32);
-            *across = Across { response: Unresolved(response), weight, prior, most };
+            let [weight, prior, by_fewer, most] = [weight, prior, by_fewer, most].map(|x| x[lane] as f32);
+            *across = Across { response: Unresolved(response), weight, prior, by_fewer, most };
         }
     }
 }
@@ -196,8 +238,8 @@ mod tests {
         let fit = |by: &dyn Fn(AcrossFits<'_>)| {
             let mut all = vec![Across::default(); samples.len()];
             by(AcrossFits { fitted, first: 0, across: &mut all });
-            let numbers = |a: &Across| (a.response.0, [a.weight, a.prior, a.most]);
-            let bits = |(response, others): ([f32; 9], [f32; 3])| {
+            let numbers = |a: &Across| (a.response.0, [a.weight, a.prior, a.by_fewer, a.most]);
+            let bits = |(response, others): ([f32; 9], [f32; 4])| {
                 (response.map(f32::to_bits), others.map(f32::to_bits))
             };
             all.iter().map(numbers).map(bits).collect::<Vec<_>>()
