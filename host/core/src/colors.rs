@@ -307,6 +307,7 @@ mod tests {
         }
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rows.ply");
+        #[expect(clippy::disallowed_methods, reason = "a test's own file")]
         std::fs::write(&path, bytes).unwrap();
         let model = simod_model::open(&path).unwrap();
         // One of 15 vertices is picked.
