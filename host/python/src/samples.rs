@@ -12,6 +12,7 @@ use pyo3::types::{PyDict, PyTuple};
 use simod_core::reconstruction::{DeformationField, Method, Moved, RestGeometry, carry, deformed_normals};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::sample as sample_model;
+use simod_model::progress::Silent;
 use simod_model::{InMemory, Progress};
 use simod_session::edit::Refinements;
 use simod_session::pipeline::{MovedSamples, deform_from};
@@ -446,7 +447,7 @@ impl Samples {
     /// Where it has ids, they tell which is which; otherwise the order does.
     fn read(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let sampled = self.sampled(py);
-        let local = py.detach(|| sampled.read_deformed(&path)).or_raise(py)?;
+        let local = py.detach(|| sampled.read_deformed(&path, &Silent)).or_raise(py)?;
         let mut state = self.state(py);
         let before = state.look(py)?;
         let named = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
