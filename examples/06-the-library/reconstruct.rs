@@ -16,7 +16,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let sampled = SampledModel::load(folder)?;
     let model = sampled.open_source(None, &Silent)?;
     // Up to four versions share one reading of the model.
-    let version = Version { deformed: &sampled.read_deformed(deformed)?, output, diagnostics: None };
+    let deformed = &sampled.read_deformed(deformed, &Silent)?;
+    let version = Version { deformed, output, diagnostics: None };
     reconstruct(&sampled, model.as_ref(), &[version], &Reconstruction::default(), &Silent)?;
 
     println!("{} vertices in {}", sampled.source.vertices, output.display());

@@ -477,11 +477,11 @@ impl<'a> Bench<'a> {
             peak_memory_bytes,
         };
         match &known.method.work {
-            MethodWork::Deformed(path) => Ok(by_another(known.rest.read_deformed(path)?, None)),
+            MethodWork::Deformed(path) => Ok(by_another(known.rest.read_deformed(path, progress)?, None)),
             MethodWork::Command(command) => {
                 let output = self.folder.join("given-output.ply");
                 let ran = self.run_program(command, known, &output, progress)?;
-                let read = known.rest.read_deformed(&output);
+                let read = known.rest.read_deformed(&output, progress);
                 std::fs::remove_file(&output).map_err(|e| Error::io("remove", &output, &e))?;
                 Ok(by_another(read?, ran.peak_memory_bytes))
             }

@@ -159,7 +159,8 @@ impl ComparisonUnitRun<'_> {
                 } else {
                     samplings[self.sampling_of(number)].0.clone()
                 };
-                let positions = deformed.is_file().then(|| sampled.read_deformed(&deformed)).transpose()?;
+                let read = || sampled.read_deformed(&deformed, self.progress);
+                let positions = deformed.is_file().then(read).transpose()?;
                 let file = file_name(&record.file, rest);
                 let (output, is_ours) = match (given_model(method), kept) {
                     (Some(given), _) => (given.to_owned(), false),

@@ -2,18 +2,23 @@
 //!
 //! Each sample has its number in the property `id` of `samples.ply`. A program that keeps it may bring the
 //! vertices in any order, and turn it into a floating-point number, or call it `scalar_id`, as CloudCompare
-//! does. Without an id the order counts. Whichever it is, all samples have to come back, each once.
+//! does, in capitals or not. Without an id the order counts. Whichever it is, all samples have to come back, each once.
 
 use std::path::Path;
 
 use glam::DVec3;
-use simod_model::{Error, Model, Result, Scalar, VertexChunk};
+use simod_model::{Attribute, Error, Model, Result, Scalar, VertexChunk};
 
 /// Most samples that are read: they are held, with some hundred bytes each.
 const MOST: u64 = 1 << 29;
 
-/// Names of the property that says which sample a vertex is.
-pub const ID_NAMES: [&str; 2] = ["id", "scalar_id"];
+/// Which attribute says which sample a vertex is: `id`, which programs also call `ID`, `scalar_id` or
+/// `scalar_Id`; the plainest name where there are several.
+pub fn place_of_ids(attributes: &[Attribute]) -> Option<usize> {
+    let is_id = |a: &Attribute| a.name.to_ascii_lowercase().trim_start_matches("scalar_") == "id";
+    let of_ids = attributes.iter().enumerate().filter(|(_, a)| is_id(a));
+    of_ids.min_by_key(|(_, a)| (a.name.len(), a.name.to_ascii_lowercase() != a.name)).map(|(place, _)| place)
+}
 
 /// Whole numbers up to here are exact in single precision.
 const EXACT: usize = 1 << 24;
@@ -59,7 +64,7 @@ impl<'a> DeformedFile<'a> {
     pub fn read(path: &'a Path) -> Result<Self> {
         let model = open(path)?;
         let info = model.info();
-        let place = ID_NAMES.iter().find_map(|name| info.attributes.iter().position(|a| a.name == *name));
+        let place = place_of_ids(&info.attributes);
         let (mut positions, mut ids) = (Vec::new(), Vec::new());
         let mut lists = vec![Vec::new(); place.map_or(0, |place| place + 1)];
         let mut reader = model.vertices(0..info.vertices)?;
@@ -144,6 +149,7 @@ fn in_order(positions: Vec<DVec3>, ids: &[f64], samples: usize) -> Result<Vec<DV
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use simod_model::Type;
 
     fn positions(count: usize) -> Vec<DVec3> {
         (0..count).map(|i| DVec3::splat(i as f64)).collect()
@@ -173,6 +179,20 @@ mod tests {
             let is_whole = sorted.iter().copied().eq((0..10).map(f64::from)) && ids.iter().all(|id| *id >= 0.0);
             prop_assert_eq!(in_order(positions(ids.len()), &ids, 10).is_ok(), is_whole);
         }
+    }
+
+    #[test]
+    fn ids_are_found_by_any_of_their_names() {
+        let place = |names: &[&str]| {
+            let attribute = |name: &&str| Attribute { name: (*name).to_owned(), kind: Type::F32 };
+            place_of_ids(&names.iter().map(attribute).collect::<Vec<_>>())
+        };
+        for name in ["id", "ID", "Id", "scalar_id", "scalar_Id", "Scalar_ID", "scalar_scalar_id"] {
+            assert_eq!(place(&["red", name]), Some(1), "{name}");
+        }
+        assert_eq!(place(&["scalar_id", "ID", "id"]), Some(2));
+        assert_eq!(place(&["scalar_id", "ID"]), Some(1));
+        assert_eq!(place(&["identity", "point_id", "scalar_"]), None);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! P_S*, the deformed samples, so that they keep their digits far from where they were.
 
-use glam::{DVec3, Vec3};
+use glam::{BVec3, DVec3, Vec3};
 use simod_model::frame::Frame;
 
 /// The shift is whole steps of so many local units: nothing, unless samples go further than the model's
@@ -27,8 +27,13 @@ impl DeformedPositions {
         let ways = rest.iter().zip(places).map(|(from, to)| frame.to_local_exact(*to) - from.as_dvec3());
         let mean = ways.sum::<DVec3>() / rest.len().max(1) as f64;
         let shift = (mean / STEP).round() * STEP * frame.scale;
-        let frame = shifted(frame, shift);
-        Self { local: places.iter().map(|p| frame.to_local(*p)).collect(), shift }
+        let shifted = shifted(frame, shift);
+        let local = |(place, own): (&DVec3, &Vec3)| {
+            // Where a sample is where it was, it keeps its bits.
+            let stays = place.cmpeq(frame.to_model(*own)) & BVec3::splat(shift == DVec3::ZERO);
+            Vec3::select(stays, *own, shifted.to_local(*place))
+        };
+        Self { local: places.iter().zip(rest).map(local).collect(), shift }
     }
 
     /// The frame of the local positions; `rest` is that of the model at rest.

@@ -28,6 +28,7 @@ pub mod refinement;
 pub mod sampled_model;
 pub mod sampling;
 mod sealed;
+mod stored_precision;
 pub mod tables;
 pub mod touching;
 mod varint;

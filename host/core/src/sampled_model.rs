@@ -38,6 +38,7 @@ use crate::sampling::triangles::Triangles;
 use crate::sampling::{
     By, Grouping, Opaque, Placement, SampleSet, Sampling, Skip, Splitting, Target, UsualSplat,
 };
+use crate::stored_precision::StoredPrecision;
 use crate::tables;
 use crate::touching::Contacts;
 
@@ -75,6 +76,10 @@ const LONGEST_CELLS: u64 = 16 << 30;
 
 /// Longest file of attributes.
 pub(crate) const LONGEST_ATTRIBUTES: u64 = 16 << 30;
+
+/// From one coordinate of deformed samples to the next, as a part of the model's diagonal: what is more is
+/// said.
+const COARSE: f64 = 1e-6;
 
 /// How far from the middle of the model a deformed sample may be, in local units: the model's size, about.
 const FARTHEST: f32 = 1e12;
@@ -746,12 +751,16 @@ impl SampledModel {
     ///
     /// # Errors
     /// As of [`load`](Self::load) and [`read_deformed`](Self::read_deformed).
-    pub fn load_with_deformed(folder: &Path, paths: &[&Path]) -> Result<(Self, Vec<DeformedPositions>)> {
+    pub fn load_with_deformed(
+        folder: &Path,
+        paths: &[&Path],
+        progress: &dyn Progress,
+    ) -> Result<(Self, Vec<DeformedPositions>)> {
         let first = || paths.first().map(|path| DeformedFile::read(path));
         let (sampled, first) = rayon::join(|| Self::load(folder), first);
         let (sampled, first) = (sampled?, first.transpose()?);
-        let first = first.into_iter().map(|file| sampled.localized(file));
-        let others = paths.iter().skip(1).map(|path| sampled.read_deformed(path));
+        let first = first.into_iter().map(|file| sampled.localized(file, progress));
+        let others = paths.iter().skip(1).map(|path| sampled.read_deformed(path, progress));
         let deformed = first.chain(others).collect::<Result<_>>()?;
         Ok((sampled, deformed))
     }
@@ -993,20 +1002,49 @@ impl SampledModel {
 
     /// Reads deformed samples, in the order of the samples. Where the file's vertices have
     /// ids, these tell which is which; otherwise their order does. Normals in the file are not looked at, as
-    /// a tool may leave stale ones.
+    /// a tool may leave stale ones. A coordinate that is what the file's precision makes of the sample's own
+    /// did not move, and it is noted where that precision is too coarse for the model.
     ///
     /// # Errors
     /// The file cannot be read, has other vertices than P_S, or positions that are not finite.
-    pub fn read_deformed(&self, path: &Path) -> Result<DeformedPositions> {
-        self.localized(DeformedFile::read(path)?)
+    pub fn read_deformed(&self, path: &Path, progress: &dyn Progress) -> Result<DeformedPositions> {
+        self.localized(DeformedFile::read(path)?, progress)
     }
 
     /// Deformed samples that were read from a file.
-    fn localized(&self, deformed: DeformedFile<'_>) -> Result<DeformedPositions> {
+    fn localized(&self, deformed: DeformedFile<'_>, progress: &dyn Progress) -> Result<DeformedPositions> {
         let path = deformed.path;
-        let places = deformed.into_ordered(self.samples.len())?;
+        let mut places = deformed.into_ordered(self.samples.len())?;
+        let precision = StoredPrecision::of(&places);
+        if let Some(note) = self.coarseness(&precision) {
+            progress.note(&format!("{}: {note}", path.display()));
+        }
         self.to_local(&places, &path.display())?;
-        Ok(DeformedPositions::new(&self.frame, &self.samples.positions, &places))
+        let rest = &self.samples.positions;
+        for (place, own) in places.iter_mut().zip(rest) {
+            let own = self.frame.to_model(*own);
+            let known = |axis: usize| if precision.is_rounded(place[axis], own[axis]) { own } else { *place };
+            *place = DVec3::new(known(0).x, known(1).y, known(2).z);
+        }
+        Ok(DeformedPositions::new(&self.frame, rest, &places))
+    }
+
+    /// What is to be said of deformed samples whose numbers are further apart than the model can do with, and
+    /// than those of the samples.
+    fn coarseness(&self, precision: &StoredPrecision) -> Option<String> {
+        let (step, diagonal) = (precision.coarsest(), self.bounds.diagonal());
+        let own = || {
+            let rest: Vec<DVec3> = self.samples.positions.iter().map(|p| self.frame.to_model(*p)).collect();
+            StoredPrecision::of(&rest).coarsest()
+        };
+        (step > COARSE * diagonal && step > own()).then(|| {
+            format!(
+                "its coordinates are {step:.1e} apart (in the model's unit; {:.1e} of the diagonal), which is coarser than the \
+                 samples: what moved is rounded to that, and more samples do not help; have the program export double \
+                 precision, or more digits, or shift the samples near the origin there, and back",
+                step / diagonal
+            )
+        })
     }
 
     /// Local positions of deformed samples, which are in the model's coordinates; `whose` they are, for

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use glam::{DVec3, Vec3};
 
 use crate::polygons::Polygons;
-use crate::{Error, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk};
+use crate::{Edited, Error, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk};
 
 /// What is asked of a conversion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -85,6 +85,8 @@ pub(crate) struct WrittenRows<'a> {
     pub(crate) attributes: &'a [Vec<f64>],
     /// As they were read.
     pub(crate) chunk: &'a VertexChunk,
+    /// What became of them, for forms that turn by themselves what follows.
+    pub(crate) edited: &'a Edited,
 }
 
 impl WrittenRows<'_> {

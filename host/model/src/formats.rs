@@ -51,6 +51,18 @@ pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
     is_known && !own.is_empty() && !own.contains(&extension.as_str())
 }
 
+/// What is to be said of a name that promises more than is written.
+pub fn note_on_name(path: &Path) -> Option<String> {
+    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+    name.ends_with(".copc.laz").then(|| {
+        format!(
+            "{}: what is written is LAZ without the octree that its name speaks of; `pdal translate OUT.laz OUT.copc.laz` \
+             makes COPC of LAZ",
+            path.display()
+        )
+    })
+}
+
 /// Whether a file is a model, as far as its first bytes tell.
 ///
 /// # Errors

@@ -69,6 +69,7 @@ mod text;
 mod tiles;
 mod uncached;
 mod unfit;
+mod wkt;
 
 pub use attribute::Attribute;
 pub use cache::Cache;
@@ -76,7 +77,7 @@ pub use colors::{ColorScale, Colors};
 pub use convert::{Converted, ConvertedTiles, convert_tiles, converted_names};
 pub use error::{Error, ErrorKind, Result};
 pub use form::Conversion;
-pub use formats::{extensions, is_model, is_named_otherwise};
+pub use formats::{extensions, is_model, is_named_otherwise, note_on_name};
 pub use in_memory::InMemory;
 pub use in_step::{Vertices, in_ranges, in_step, range_in_step};
 pub use model::{

@@ -709,6 +709,17 @@ pub trait Model: Send + Sync {
         Vec::new()
     }
 
+    /// The coordinate reference system as text (WKT), in one line, where the file has more of it than its
+    /// [name](ModelInfo::crs).
+    fn wkt(&self) -> Option<String> {
+        None
+    }
+
+    /// How large intensities may be, as far as the file says so.
+    fn intensity_limits(&self) -> Option<[f64; 2]> {
+        None
+    }
+
     /// What the file has that is given nowhere here, each in a few words, as "3 comments": what another
     /// format than its own loses.
     ///

@@ -13,6 +13,7 @@ use simod_core::deformed_positions::DeformedPositions;
 use simod_core::reconstruction::{DeformationField, Method, Moved, RestGeometry, carry, deformed_normals};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::sample as sample_model;
+use simod_model::progress::Silent;
 use simod_model::{InMemory, Progress};
 use simod_session::edit::Refinements;
 use simod_session::pipeline::{MovedSamples, deform_from};
@@ -467,7 +468,8 @@ impl Samples {
     /// Where it has ids, they tell which is which; otherwise the order does.
     fn read(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let sampled = self.sampled(py);
-        let read = || sampled.read_deformed(&path).map(|deformed| deformed.into_unshifted(&sampled.frame));
+        let read =
+            || sampled.read_deformed(&path, &Silent).map(|deformed| deformed.into_unshifted(&sampled.frame));
         let local = py.detach(read).or_raise(py)?;
         let mut state = self.state(py);
         let before = state.look(py)?;

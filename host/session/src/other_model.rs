@@ -5,7 +5,7 @@
 //! has moved.
 
 use glam::{DVec3, Vec3};
-use simod_core::deformed_file::ID_NAMES;
+use simod_core::deformed_file::place_of_ids;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{SampleSet, Sampling, Skip, Target, sample};
 use simod_model::bounds::Bounds;
@@ -163,8 +163,9 @@ fn too_many(count: u64) -> Error {
 /// The file cannot be read, or a sample has no finite position; the user cancelled.
 fn samples_with_ids(model: &dyn Model, progress: &dyn Progress) -> Result<Option<(Vec<DVec3>, Vec<u64>)>> {
     let info = model.info();
-    let place = ID_NAMES.iter().find_map(|name| info.attributes.iter().position(|a| a.name == *name));
-    let Some(place) = place.filter(|_| info.vertices <= MOST_SAMPLES) else { return Ok(None) };
+    let Some(place) = place_of_ids(&info.attributes).filter(|_| info.vertices <= MOST_SAMPLES) else {
+        return Ok(None);
+    };
     let (mut positions, mut ids) = (Vec::new(), Vec::new());
     let mut lists = vec![Vec::new(); place + 1];
     let mut reader = model.vertices(0..info.vertices)?;

@@ -19,6 +19,7 @@ use simod_model::input::may_be_there;
 use simod_model::target::scratch_folder;
 use simod_model::{
     Cache, Conversion, Converted, Error, Model, ModelName, Normals, Progress, Result, is_named_otherwise,
+    note_on_name,
 };
 use simod_plugin_api::Effort;
 
@@ -143,10 +144,6 @@ pub fn write(
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
     sidecar::follow(&mut *model, running.follow)?;
-    if running.choose_offset {
-        let chosen = choose_offset(sampled, model.as_mut(), [positions])?;
-        chosen.into_iter().for_each(|changed| progress.note(&changed));
-    }
     if is_named_otherwise(&*model, output) {
         let drops_normals = running.how.normals == Normals::Drop;
         let how = Conversion { lossy: running.lossy, drops_normals, ..Conversion::default() };
@@ -154,6 +151,11 @@ pub fn write(
         note_losses(&converted, progress);
         model = Box::new(converted);
     }
+    if running.choose_offset {
+        let chosen = choose_offset(sampled, model.as_mut(), [positions])?;
+        chosen.into_iter().for_each(|changed| progress.note(&changed));
+    }
+    note_on_name(output).into_iter().for_each(|note| progress.note(&note));
     let version = Version { deformed: positions, output, diagnostics: running.diagnostics };
     reconstruct(sampled, model.as_ref(), &[version], &running.how, progress)
 }
@@ -323,6 +325,7 @@ impl Run {
             let chosen = choose_offset(&deformed.sampled, model.as_mut(), [&deformed.positions])?;
             chosen.into_iter().for_each(|changed| progress.note(&changed));
         }
+        note_on_name(output).into_iter().for_each(|note| progress.note(&note));
         let (written, exact) = written(&deformed, model.as_ref(), running, output, progress)?;
         let seconds = start.elapsed().as_secs_f64();
         let output = output.to_owned();

@@ -286,7 +286,7 @@ fn what_would_be_lost_is_named() {
     let ply = "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 3\nproperty double x\nproperty double y\n\
                property double z\nproperty uchar red\nproperty list uchar int seen_by\nelement face 1\n\
                property list uchar int vertex_indices\nproperty int material\nelement edge 1\nproperty int a\n\
-               end_header\n0 0 0 1 0\n1 0 0 2 1 7\n0 1 0 3 0\n3 0 1 2 5\n4\n";
+               end_header\n0 0 0 1 0\n0.3333333333333 0 0 2 1 7\n0 1 0 3 0\n3 0 1 2 5\n4\n";
     work.write("rich.ply", ply);
     let of_ply = [
         "1 comment; ",
@@ -504,5 +504,167 @@ fn damaged_models_give_no_other_ones() {
     for cut in [whole.len() - 1, whole.len() - 20, whole.len() / 2, 3, 1] {
         work.write("cut.ply", &whole[..cut]);
         work.refuses("convert cut.ply out.obj", &["cut.ply"]);
+    }
+}
+
+/// Pieces of a conversion end within facets.
+#[test]
+fn soups_of_many_facets_are_deformed_into_other_formats() {
+    let work = Workplace::new();
+    work.simod("generate -o g.ply --vertices 20000");
+    work.simod("convert g.ply g.stl --lossy");
+    work.simod("sample g.stl -o m.simod --samples 500");
+    work.simod("reconstruct m.simod --deformed m.simod/samples.ply -o out.ply");
+    work.simod("convert g.stl expected.ply");
+    assert!(work.ply("out.ply").len() > 100_000 && work.read("out.ply") == work.read("expected.ply"));
+}
+
+/// Vectors in extra bytes turn, and what is said of their reach follows, whether points become compressed,
+/// or are no longer, or stay as they are.
+#[test]
+fn what_follows_turns_between_las_and_laz() {
+    let work = Workplace::new();
+    let names = ["x", "y", "z", "d_x", "d_y", "d_z"];
+    let types = ["double", "double", "double", "float", "float", "float"];
+    let mut text = "ply\nformat ascii 1.0\nelement vertex 3000\n".to_owned();
+    names.iter().zip(types).for_each(|(name, kind)| text += &format!("property {kind} {name}\n"));
+    text += "end_header\n";
+    for i in 0..3000 {
+        let (u, v) = (f64::from(i % 60) / 60.0, f64::from(i / 60) / 50.0);
+        text += &format!("{u} {v} {} {} {} 0\n", 0.1 * (9.0 * u).sin(), (7.0 * v).cos(), (7.0 * v).sin());
+    }
+    work.write("v.ply", text);
+    work.simod("convert v.ply v.las --step 1e-6");
+    let mut bytes = work.read("v.las");
+    // The descriptions are the only VLR of the file, behind its header and the VLR's own.
+    for (axis, description) in bytes[375 + 54..][..3 * 192].chunks_mut(192).enumerate() {
+        description[3] = 6;
+        let reach = if axis < 2 { [-1.0, 1.0] } else { [0.0, 0.0] };
+        description[64..72].copy_from_slice(&f64::to_le_bytes(reach[0]));
+        description[88..96].copy_from_slice(&f64::to_le_bytes(reach[1]));
+    }
+    work.write("v.las", &bytes);
+    work.simod("convert v.las v.laz");
+    work.simod("sample v.las -o las.simod --samples 300");
+    work.simod("sample v.laz -o laz.simod --samples 300");
+    let turned = |p: DVec3| DVec3::new(p.x, -p.z, p.y);
+    for from in ["las", "laz"] {
+        work.move_samples(&format!("{from}.simod"), turned);
+        for to in ["las", "laz"] {
+            let line = format!("reconstruct {from}.simod --deformed deformed.ply --follow d_=direction");
+            work.simod(&format!("{line} -o {from}.{to}"));
+        }
+        work.simod(&format!("convert {from}.laz {from}-back.las"));
+        assert!(work.read(&format!("{from}-back.las")) == work.read(&format!("{from}.las")), "{from}");
+    }
+    assert!(work.read("las.las") == work.read("laz.las"));
+    let out = work.read("las.las");
+    let reach = |axis: usize, end: usize| {
+        let at = 375 + 54 + 192 * axis + 64 + 24 * end;
+        f64::from_le_bytes(out[at..at + 8].try_into().expect("eight bytes"))
+    };
+    assert!(
+        reach(1, 0).abs() < 1e-3 && reach(1, 1).abs() < 1e-3 && reach(2, 0) < -0.99 && reach(2, 1) > 0.99
+    );
+    work.simod("convert las.las las.csv --lossy");
+    let text = String::from_utf8(work.read("las.csv")).expect("text");
+    for (i, line) in text.lines().skip(1).enumerate() {
+        let numbers: Vec<f64> = line.split(',').map(|word| word.parse().expect("a number")).collect();
+        let [.., x, y, z] = numbers[..] else { panic!("{line}") };
+        let v = (i / 60) as f64 / 50.0;
+        let off = DVec3::new(x, y, z).distance(turned(DVec3::new((7.0 * v).cos(), (7.0 * v).sin(), 0.0)));
+        assert!(off < 1e-3, "{line}");
+    }
+}
+
+/// The coordinate reference system goes through PLY, as a comment.
+#[test]
+fn a_reference_system_goes_through_ply() {
+    let work = Workplace::new();
+    write_cloud(&work, "a.las", (4, 6), true, 1000);
+    let mut bytes = work.read("a.las");
+    let wkt = b"PROJCS[\"ETRS89 / UTM zone 32N\"]";
+    let at = bytes.windows(wkt.len()).position(|some| some == wkt).expect("a text");
+    bytes[at + wkt.len() - 1] = b',';
+    let more = format!("UNIT[\"US survey foot\",0.3048],{}]", "REMARK[\"as long as it may be\"],".repeat(20));
+    bytes.splice(at + wkt.len()..at + wkt.len(), more.bytes());
+    let length = u16::from_le_bytes([bytes[at - 34], bytes[at - 33]]) + more.len() as u16;
+    bytes[at - 34..at - 32].copy_from_slice(&length.to_le_bytes());
+    let start = u32::from_le_bytes([bytes[96], bytes[97], bytes[98], bytes[99]]) + more.len() as u32;
+    bytes[96..100].copy_from_slice(&start.to_le_bytes());
+    work.write("a.las", &bytes);
+    work.simod("convert a.las a.ply --lossy");
+    // No line is longer than other programs read.
+    let head = String::from_utf8_lossy(&work.read("a.ply")[..2000]).into_owned();
+    assert!(head.lines().take_while(|line| *line != "end_header").all(|line| line.len() < 250), "{head}");
+    let check = |name: &str| {
+        let report = work.report(&format!("info {name}"));
+        assert_eq!(report["crs"], "ETRS89 / UTM zone 32N", "{name}");
+        assert_eq!(report["details"][0], "unit: US survey foot", "{name}");
+    };
+    check("a.las");
+    check("a.ply");
+    work.simod("convert a.ply b.ply");
+    check("b.ply");
+    assert!(work.read("a.ply") == work.read("b.ply"));
+    work.refuses(
+        "convert a.ply a.pcd",
+        &["would lose: the coordinate reference system ETRS89 / UTM zone 32N"],
+    );
+    for model in ["a.las", "a.ply"] {
+        work.simod(&format!("sample {model} -o m.simod --samples 100 --force"));
+        check("m.simod");
+    }
+    std::fs::remove_file(work.path("a.ply")).expect("a file");
+    assert!(work.report("info m.simod")["crs"].is_null());
+    // What says who wrote a file is no loss.
+    let outcome = work.run("convert m.simod/samples.ply s.las");
+    assert!(!outcome.stderr.contains("comment"), "{}", outcome.stderr);
+}
+
+/// Numbers that LAS has places for are no loss, whatever type a text gives them.
+#[test]
+fn what_las_holds_of_a_text_needs_no_word() {
+    let work = Workplace::new();
+    let text = |intensity: &str, x: &str| {
+        format!(
+            "x,y,z,intensity,classification\n{x},5318765.432,5.1,{intensity},2\n412346.789,5318766,6,65535,31\n"
+        )
+    };
+    work.write("c.csv", text("17", "412345.678"));
+    let report = work.report("convert c.csv c.las");
+    assert_eq!(report["lost"].as_array().map(Vec::len), Some(0), "{report}");
+    let found = points(work.read("c.las")).1;
+    assert_eq!((found[0].intensity, found[1].intensity, u8::from(found[1].classification)), (17, 65535, 31));
+    assert!((found[0].x, found[0].y, found[1].x) == (412345.678, 5318765.432, 412346.789), "{found:?}");
+    for (intensity, x, lost) in [
+        ("17.5", "412345.678", "digits of the attribute intensity (double), which become whole numbers"),
+        ("65536", "412345.678", "digits of the attribute intensity (double)"),
+        ("-1", "412345.678", "digits of the attribute intensity (double)"),
+        ("17", "412345.678901234", "digits of the positions, which are rounded to"),
+    ] {
+        work.write("d.csv", text(intensity, x));
+        let outcome = work.refuses("convert d.csv d.las", &[lost]);
+        assert!(!outcome.stderr.contains("classification"), "{}", outcome.stderr);
+    }
+}
+
+/// What is asked for in vain, or promised by a name, is said.
+#[test]
+fn names_and_options_that_promise_too_much_are_told() {
+    let work = Workplace::new();
+    write_cloud(&work, "a.laz", (4, 6), false, 1000);
+    let told = |line: &str| work.simod(line).lines("note: ").join("\n");
+    assert!(told("convert a.laz b.ply --step 0.1").contains("--step and --origin are for LAS and LAZ"));
+    assert_eq!(told("convert a.laz b.ply"), "");
+    assert_eq!(told("convert b.ply b.las --step 0.001"), "");
+    assert!(told("convert a.laz b.copc.laz").contains("without the octree"));
+    work.simod("sample a.laz -o m.simod --samples 100");
+    work.move_samples("m.simod", |p| p + DVec3::new(1e7, 0.0, 0.0));
+    let line = "reconstruct m.simod --deformed deformed.ply --offset auto -o";
+    assert!(told(&format!("{line} out.copc.laz")).contains("without the octree"));
+    assert!(told(&format!("{line} out.las")).contains("integers are written anew"));
+    for out in ["out.ply", "out.csv"] {
+        assert!(!told(&format!("{line} {out}")).contains("integers"), "{out}");
     }
 }

@@ -338,3 +338,43 @@ fn what_does_not_fit_is_refused_and_leaves_nothing() {
     work.refuses("sample short.e57 -o none.simod", &["short.e57", "bytes, but the file has"]);
     assert!(!work.path("none.simod").exists() && !work.path("out.e57").exists());
 }
+
+/// Fractions, which scanners have, become numbers of 16 bits, as those of LAS are.
+#[test]
+fn intensities_that_are_fractions_are_spread_in_las() {
+    for (least, most) in [(0.0, 1.0), (-40.0, 10.0)] {
+        let work = Workplace::new();
+        let mut writer = E57Writer::from_file(work.path("m.e57"), "guid").expect("a file");
+        let record = |name, data_type| Record { name, data_type };
+        let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+        let mut prototype = axes.map(|name| record(name, RecordDataType::F64)).to_vec();
+        let limits = RecordDataType::Single { min: Some(least), max: Some(most) };
+        prototype.push(record(RecordName::Intensity, limits));
+        let mut cloud = writer.add_pointcloud("one", prototype).expect("a cloud");
+        let intensity = |i: i32| least + (most - least) * (0.1 + i as f32 / 100.0);
+        for i in 0..50 {
+            let place = [f64::from(i), 0.0, 1.0].map(RecordValue::Double);
+            let values = place.into_iter().chain([RecordValue::Single(intensity(i))]);
+            cloud.add_point(values.collect()).expect("a point");
+        }
+        cloud.finalize().expect("a cloud");
+        writer.finalize().expect("a file");
+        let lost =
+            format!("intensity (float), of which {least} to {most} become whole numbers from 0 to 65535");
+        work.refuses("convert m.e57 m.las", &[&lost]);
+        work.simod("convert m.e57 m.las --lossy");
+        work.simod("convert m.las m.csv --lossy");
+        let text = String::from_utf8(work.read("m.csv")).expect("text");
+        for (i, line) in (0..).zip(text.lines().skip(1)) {
+            let found: f32 = line.split(',').nth(3).expect("a cell").parse().expect("a number");
+            assert!((found - 65535.0 * (0.1 + i as f32 / 100.0)).abs() < 0.6, "{line}");
+        }
+        // Without a word on limits as well, where all are fractions.
+        if most == 1.0 {
+            work.simod("convert m.e57 m.ply --lossy");
+            work.simod("convert m.ply again.las --lossy");
+            work.simod("convert again.las again.csv --lossy");
+            assert!(work.read("again.csv") == work.read("m.csv"));
+        }
+    }
+}

@@ -172,9 +172,14 @@ fn ids_tell_which_sample_is_which() {
     work.simod(&format!("{RECONSTRUCT} expected.ply"));
     let expected = work.read("expected.ply");
     records.shuffle();
-    for (kind, name) in
-        [("uint", "id"), ("int", "id"), ("float", "id"), ("double", "id"), ("float", "scalar_id")]
-    {
+    for (kind, name) in [
+        ("uint", "id"),
+        ("int", "id"),
+        ("float", "ID"),
+        ("double", "Id"),
+        ("float", "scalar_id"),
+        ("float", "scalar_Id"),
+    ] {
         work.write("deformed.ply", records.bytes(kind, name));
         work.simod(&format!("{RECONSTRUCT} out.ply"));
         assert!(work.read("out.ply") == expected, "{kind} {name}");
@@ -247,4 +252,58 @@ fn samples_without_ids_are_taken_in_their_order() {
     work.write("deformed.ply", records.bytes("uint", "other"));
     work.simod(&format!("{RECONSTRUCT} out.ply"));
     assert!(work.read("out.ply") == work.read("expected.ply"));
+}
+
+/// Far from the origin, single precision is half a metre: what did not move stays, and what moves is told to
+/// be coarse.
+#[test]
+fn samples_that_come_back_coarser_stay_where_they_did_not_move() {
+    let work = Workplace::new();
+    let header = "ply\nformat ascii 1.0\nelement vertex 10000\nproperty double x\nproperty double y\nproperty double z\n";
+    let at = |k: usize| {
+        let (u, v) = ((k % N) as f64, (k / N) as f64);
+        DVec3::new(412_345.678 + 3.1 * u, 5_318_765.432 + 2.9 * v, 500.0 + 5.0 * (u / 20.0).sin())
+    };
+    let row = |p: DVec3, digits: usize| format!("{:.*} {:.*} {:.*}\n", digits, p.x, digits, p.y, digits, p.z);
+    let text: String = (0..N * N).map(|k| row(at(k), 9)).collect();
+    work.write("m.ply", format!("{header}end_header\n{text}"));
+    work.simod("sample m.ply -o m.simod --samples 800");
+    let samples = work.ply("m.simod/samples.ply").positions();
+    let write = |kind: &str, to: &dyn Fn(DVec3) -> String| {
+        let count = samples.len();
+        let mut text = format!("ply\nformat ascii 1.0\nelement vertex {count}\n");
+        ["x", "y", "z"].iter().for_each(|name| text += &format!("property {kind} {name}\n"));
+        text += "end_header\n";
+        samples.iter().for_each(|p| text += &to(*p));
+        work.write("deformed.ply", text);
+        work.simod(&format!("{RECONSTRUCT} out.ply --json"))
+    };
+    let same = |kind: &str, to: &dyn Fn(DVec3) -> String| {
+        let outcome = write(kind, to);
+        assert!(work.read("out.ply") == work.read("m.ply"), "{kind}");
+        let notes = outcome.lines("note: ").join("\n");
+        assert!(outcome.lines("warning: ").is_empty(), "{}", outcome.stderr);
+        notes
+    };
+    let single = |p: DVec3| format!("{} {} {}\n", p.x as f32, p.y as f32, p.z as f32);
+    let notes = same("float", &single);
+    assert!(notes.contains("5.0e-1 apart") && notes.contains("double precision"), "{notes}");
+    // As a program that writes singles as doubles does, or few decimals, or six digits.
+    let doubles = |p: DVec3| row(p.as_vec3().as_dvec3(), 9);
+    assert!(same("double", &doubles).contains("5.0e-1 apart"));
+    assert!(same("double", &|p| row(p, 2)).contains("1.0e-2 apart"));
+    let six = |p: DVec3| {
+        let number = |x: f64| format!("{:.5e}", x);
+        format!("{} {} {}\n", number(p.x), number(p.y), number(p.z))
+    };
+    assert!(same("double", &six).contains("1.0e1 apart"));
+    assert_eq!(same("double", &|p| row(p, 9)), "");
+    // What moves does so, along its own axis alone.
+    let outcome = write("float", &|p| single(p + DVec3::new(0.0, 0.0, 7.25)));
+    assert!(outcome.stderr.contains("more samples do not help"), "{}", outcome.stderr);
+    let found = work.ply("out.ply").positions();
+    assert!(found.iter().enumerate().all(|(k, p)| {
+        let off = *p - at(k) - DVec3::new(0.0, 0.0, 7.25);
+        off.x.abs().max(off.y.abs()) < 1e-6 && off.z.abs() < 1e-3
+    }));
 }

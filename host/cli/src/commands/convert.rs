@@ -1,5 +1,6 @@
 //! `simod convert`: a model in another format, as it is.
 
+use std::fmt::Display;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -9,7 +10,10 @@ use serde_json::json;
 use simod_core::guard::OutputKind;
 use simod_model::object::{self, is_object};
 use simod_model::target::scratch_folder;
-use simod_model::{Cache, Conversion, Converted, Error, ModelName, Result, convert_tiles, converted_names};
+use simod_model::{
+    Cache, Conversion, Converted, Error, Model, ModelName, Progress, Result, convert_tiles, converted_names,
+    note_on_name,
+};
 
 use super::overwrite::Overwrite;
 use super::tell_cache;
@@ -70,6 +74,9 @@ impl Convert {
         guard.reads_all(named.files());
         guard.writes_model(&self.output, &converted_names(named, to)?)?;
         let how = (self.columns.as_deref(), self.how());
+        if !matches!(&*to.to_ascii_lowercase(), "las" | "laz") {
+            self.tell_of_floats(&self.output.display(), report.progress());
+        }
         let done = convert_tiles(named, to, how, &self.output, report.progress())?;
         tell_losses(&done.losses, report);
         let tiles = named.files().len();
@@ -95,6 +102,10 @@ impl Convert {
         guard.reads_all(model.other_files());
         guard.writes(&self.output, OutputKind::Model)?;
         let converted = Converted::new(model, &self.output, self.how(), progress)?;
+        note_on_name(&self.output).into_iter().for_each(|note| progress.note(&note));
+        if converted.info().written.is_none() {
+            self.tell_of_floats(&self.output.display(), progress);
+        }
         converted.write(&self.output, progress)?;
         tell_losses(converted.losses(), report);
         tell_cache(&cache, report);
@@ -105,6 +116,14 @@ impl Convert {
         };
         self.tell((converted.vertices(), converted.triangles(), bytes), "", report);
         Ok(())
+    }
+
+    /// Says what --step and --origin are for, where they are given in vain.
+    fn tell_of_floats(&self, target: &dyn Display, progress: &dyn Progress) {
+        if self.step.is_some() || self.origin.is_some() {
+            progress
+                .note(&format!("{target}: --step and --origin are of no use here: they are for LAS and LAZ"));
+        }
     }
 
     /// Says what was written.

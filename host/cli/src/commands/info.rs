@@ -98,6 +98,16 @@ impl Info {
             ));
         }
         tell_bounds(&sampled.bounds, report);
+        // As far as the model is there, and tells without being gone over.
+        let says_so = |path: &PathBuf| {
+            let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+            ["las", "laz", "e57", "ply"].iter().any(|known| extension == *known)
+        };
+        if source.files().iter().all(says_so)
+            && let Ok(model) = sampled.open_source(None, report.progress())
+        {
+            tell_details(&*model, report);
+        }
         report.figure("vertices", source.vertices);
         report.figure("jumps", source.jumps);
         report.figure("samples", sampled.samples.len());
@@ -150,17 +160,22 @@ fn tell_content(model: &dyn Model, report: &mut Report) {
         report.figure("scale", scale.to_array());
         report.figure("offset", offset.to_array());
     }
+    tell_details(model, report);
+    if !info.other_properties.is_empty() {
+        report.line(format!("further properties: {}", info.other_properties.join(", ")));
+    }
+}
+
+/// Tells what a model's file says of itself, and where on earth it is.
+fn tell_details(model: &dyn Model, report: &mut Report) {
     let details = model.details();
     if !details.is_empty() {
         details.iter().for_each(|line| report.line(line.as_str()));
         report.figure("details", details);
     }
-    if let Some(crs) = &info.crs {
+    if let Some(crs) = &model.info().crs {
         report.line(format!("coordinate reference system: {crs}"));
         report.figure("crs", crs.as_str());
-    }
-    if !info.other_properties.is_empty() {
-        report.line(format!("further properties: {}", info.other_properties.join(", ")));
     }
 }
 

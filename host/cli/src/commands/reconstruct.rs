@@ -12,7 +12,7 @@ use simod_core::reconstruction::{
     Reconstruction, RestGeometry, Version, choose_offset, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
-use simod_model::{Conversion, Converted, Error, Model, Result, is_named_otherwise};
+use simod_model::{Conversion, Converted, Error, Model, Result, is_named_otherwise, note_on_name};
 use simod_session::tolerance::check_precision;
 use simod_session::{Tolerance, sidecar};
 
@@ -133,7 +133,7 @@ impl Reconstruct {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let paths = versions(&self.deformed, &self.output, self.diagnostics.as_deref())?;
         let files: Vec<&Path> = paths.iter().map(|version| version.deformed.as_path()).collect();
-        let (sampled, deformed) = SampledModel::load_with_deformed(&self.sampled, &files)?;
+        let (sampled, deformed) = SampledModel::load_with_deformed(&self.sampled, &files, report.progress())?;
         self.check_paths(&paths, &sampled)?;
         let model = self.open_model(&sampled, &paths, &deformed, report)?;
         let versions: Vec<Version<'_>> = paths
@@ -194,17 +194,20 @@ impl Reconstruct {
         let mut model = sampled.open_source(self.model.as_deref(), report.progress())?;
         sidecar::follow(&mut *model, &self.following.follow(&BTreeMap::new()))?;
         tell_following(&*model, report);
+        let mut outputs = paths.iter().map(|v| &v.output);
+        outputs.clone().filter_map(|path| note_on_name(path)).for_each(|note| report.progress().note(&note));
+        if let Some(output) = outputs.find(|path| is_named_otherwise(&*model, path)) {
+            let drops_normals = self.normals == NormalsName::Drop;
+            let how = Conversion { lossy: self.lossy, drops_normals, ..Conversion::default() };
+            let converted = Converted::new(model, output, how, report.progress())?;
+            tell_losses(converted.losses(), report);
+            model = Box::new(converted);
+        }
         if self.offset == OffsetName::Auto {
             let chosen = choose_offset(sampled, model.as_mut(), deformed.iter())?;
             chosen.into_iter().for_each(|changed| report.progress().note(&changed));
         }
-        let mut outputs = paths.iter().map(|v| &v.output);
-        let Some(output) = outputs.find(|path| is_named_otherwise(&*model, path)) else { return Ok(model) };
-        let drops_normals = self.normals == NormalsName::Drop;
-        let how = Conversion { lossy: self.lossy, drops_normals, ..Conversion::default() };
-        let converted = Converted::new(model, output, how, report.progress())?;
-        tell_losses(converted.losses(), report);
-        Ok(Box::new(converted))
+        Ok(model)
     }
 
     /// What was written, and what there is to know of it.

@@ -94,7 +94,11 @@ impl Refine {
         // From here on nobody else refines it, or what this one does would be lost.
         let begun = SampledModel::begin(target)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
-        let deformed = self.deformed.as_deref().map(|path| sampled.read_deformed(path)).transpose()?;
+        let deformed = self
+            .deformed
+            .as_deref()
+            .map(|path| sampled.read_deformed(path, report.progress()))
+            .transpose()?;
         let model = sampled.open_source(self.model.as_deref(), report.progress())?;
         self.guard(&sampled, model.as_ref())?;
         let progress = report.progress();

@@ -358,6 +358,10 @@ impl Model for Converted {
     }
 
     fn make_room(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<Option<String>> {
+        if self.info.written.is_none() {
+            // Floats and text reach everywhere.
+            return Ok(None);
+        }
         if !self.keeps_records {
             return Err(Error::argument(
                 format!("{} is not written with the offset of the model", self.path().display()),
@@ -382,6 +386,9 @@ impl Model for Converted {
     ) -> Result<()> {
         if let Some(las) = as_las(&*self.model) {
             las.tell_of_octree(progress);
+            if self.keeps_records {
+                las.tell_of_waveforms(progress);
+            }
         }
         let form = self.form(how.normals == Normals::Drop, &mut Vec::new())?;
         if form.needs_vertices() && (outputs.len() > 1 || how.pieces_done > 0) {

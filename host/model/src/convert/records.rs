@@ -4,6 +4,7 @@
 use std::collections::HashSet;
 
 use crate::form::{ConversionInput, FaceCounts, Form, WrittenRows, attribute_loss, counted, put_numbers};
+use crate::ply::comments_on_crs;
 use crate::polygons::Polygons;
 use crate::{Attribute, Colors, Result, Scalar, Summary, Type};
 
@@ -87,12 +88,10 @@ impl RecordForm {
         let others = (0..info.attributes.len()).filter(is_other);
         let attributes = written(kind, others.map(|place| (place, &info.attributes[place])), losses);
         let mut comments = Vec::new();
-        if let Some(crs) = &info.crs {
-            if kind == RecordFormat::Ply {
-                comments.push(format!("crs {crs}"));
-            } else {
-                losses.push(format!("the coordinate reference system {crs}"));
-            }
+        if kind == RecordFormat::Ply {
+            comments = comments_on_crs(content.model);
+        } else if let Some(crs) = &info.crs {
+            losses.push(format!("the coordinate reference system {crs}"));
         }
         // Where integers stand for positions, these are as many digits.
         let scalar = if info.integers.is_some() { Scalar::F64 } else { info.position_type };

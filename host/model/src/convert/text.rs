@@ -316,9 +316,15 @@ impl Form for TextForm {
     }
 
     fn bytes(&self) -> u64 {
-        // Twelve characters for a number, at a guess.
+        // Characters of a number with its separator, at a guess: large whole numbers are rare.
+        let of_type = |kind: Type| match kind {
+            Type::U8 | Type::I8 => 3,
+            Type::U16 | Type::I16 => 5,
+            Type::U32 | Type::I32 => 8,
+            Type::F32 | Type::F64 => 12,
+        };
         let (normals, colors) = (u64::from(self.has_normals), u64::from(self.colors.is_some()));
-        let numbers = 3 * (1 + normals + colors) + self.attributes.len() as u64;
-        12 * numbers * self.vertices + 8 * self.faces.corners
+        let attributes: u64 = self.attributes.iter().map(|(_, kind, _)| of_type(*kind)).sum();
+        (36 * (1 + normals + colors) + attributes) * self.vertices + 8 * self.faces.corners
     }
 }

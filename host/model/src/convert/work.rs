@@ -119,13 +119,13 @@ impl<'a> ConversionCall<'a> {
 
     /// The attributes of vertices that the form asks for, and others that turn with them.
     fn attributes(&self, chunk: &VertexChunk, edited: &Edited) -> Result<Vec<Vec<f64>>> {
+        if self.form.attributes() == 0 {
+            return Ok(Vec::new());
+        }
         let following = self.model.following().filter(|_| !edited.gradients.is_empty());
         let places = following.map_or(&[][..], Following::places);
         let needed = places.iter().map(|place| place + 1).max().unwrap_or(0);
         let mut attributes = vec![Vec::new(); self.form.attributes().max(needed)];
-        if attributes.is_empty() {
-            return Ok(attributes);
-        }
         self.model.attributes(chunk, &mut attributes)?;
         let Some(following) = following else { return Ok(attributes) };
         let mut numbers = Vec::new();
@@ -203,6 +203,7 @@ impl Rewritable for ConversionCall<'_> {
                 normals: if normals == Normals::Transform { &edited.normals } else { &chunk.normals },
                 attributes: &attributes[..self.form.attributes()],
                 chunk,
+                edited,
             };
             let moved = |i: usize| {
                 let (was, is) = (chunk.positions[i], rows.positions[i]);

@@ -9,8 +9,8 @@ use roxmltree::{Document, Node, ParsingOptions};
 use super::fields::{E57Field, NumberEncoding};
 use super::pages::DAMAGED;
 use super::pose::ScanPose;
-use crate::Result;
 use crate::source::SourceFile;
+use crate::{Result, wkt};
 
 /// Most elements, attributes and texts of the XML: what its tree takes while it is looked at.
 const MOST_NODES: u32 = 8 << 20;
@@ -29,6 +29,8 @@ pub(super) struct Described {
     pub slots: Vec<LimitSlot>,
     /// For each field, where in the text its least and its largest number are, as far as it says them.
     pub limits: Vec<[Option<Range<usize>>; 2]>,
+    /// How large intensities may be, as far as the scan says so.
+    pub intensities: Option<[f64; 2]>,
     /// What else is told of the scan, by the names of elements.
     pub besides: Vec<String>,
 }
@@ -38,7 +40,7 @@ pub(super) struct Described {
 pub(super) struct E57Description {
     pub scans: Vec<Described>,
     pub images: usize,
-    /// The name of the coordinate reference system, as far as the file has one.
+    /// What the file says of its coordinate reference system, in one line: WKT, or its name.
     pub crs: Option<String>,
 }
 
@@ -80,7 +82,7 @@ impl E57Description {
         }
         let scans = child(root, "data3D").into_iter().flat_map(elements).enumerate();
         let scans = scans.map(|(i, node)| reading.scan(i, node)).collect::<Result<_>>()?;
-        let crs = child(root, "coordinateMetadata").and_then(|node| node.text()).and_then(crs_name);
+        let crs = child(root, "coordinateMetadata").and_then(|node| node.text()).and_then(wkt::in_one_line);
         let images = child(root, "images2D").map_or(0, |images| elements(images).count());
         Ok(Self { scans, images, crs })
     }
@@ -121,13 +123,6 @@ fn besides(scan: Node<'_, '_>) -> Vec<String> {
             && node.descendants().any(has_text)
     };
     elements(scan).filter(is_told).map(|node| node.tag_name().name().chars().take(100).collect()).collect()
-}
-
-/// The name in a text in WKT, or else all of a short text.
-fn crs_name(text: &str) -> Option<String> {
-    let name = text.split('"').nth(1).unwrap_or(text).trim();
-    let name: String = name.chars().filter(|c| !c.is_control()).take(200).collect();
-    (!name.is_empty()).then_some(name)
 }
 
 struct DescriptionReading<'a, 'i> {
@@ -180,7 +175,14 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
             }
         }
         let pose = self.pose(node, &name)?;
-        Ok(Described { name, count, place, fields, pose, slots, limits, besides: besides(node) })
+        let intensities = child(node, "intensityLimits").and_then(|limits| {
+            let ends = ["intensityMinimum", "intensityMaximum"].map(|end| {
+                // What is no number tells nothing.
+                child(limits, end).and_then(|node| self.number(node).ok())
+            });
+            Some([ends[0]?, ends[1]?]).filter(|[least, most]| least < most && (most - least).is_finite())
+        });
+        Ok(Described { name, count, place, fields, pose, slots, limits, intensities, besides: besides(node) })
     }
 
     fn fields(

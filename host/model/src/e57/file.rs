@@ -10,7 +10,7 @@ use super::pages::{DAMAGED, PageWindow, physical};
 use super::scan::{NUMBER, Scan, TooWide};
 use crate::follow::Following;
 use crate::source::SourceFile;
-use crate::{Attribute, Error, ModelInfo, Result, Scalar, Type};
+use crate::{Attribute, Error, ModelInfo, Result, Scalar, Type, wkt};
 use glam::DVec3;
 
 /// Most points of which no field takes any bits: how many there are is held against nothing.
@@ -26,6 +26,8 @@ pub struct E57Model {
     /// In the order of their points in the file, which is that of the vertices.
     pub(super) scans: Vec<Scan>,
     pub(super) images: usize,
+    /// The coordinate reference system as text, where that is more than its name.
+    pub(super) wkt: Option<String>,
     /// For each scan, those attributes that it has, and which of its fields they are; ascending.
     pub(super) attributes: Vec<Vec<(usize, usize)>>,
     /// What of the attributes turns with the surface.
@@ -74,9 +76,12 @@ impl E57Model {
             scans.push(scan);
         }
         check_sections(&source, &header, &scans)?;
-        let (info, attributes) = info(&source, &header, &scans, (vertices, crs));
+        // The name in WKT, or else all of a short text.
+        let name = crs.as_deref().and_then(|text| wkt::name(text).or_else(|| wkt::short(text)));
+        let wkt = crs.filter(|text| Some(text) != name.as_ref());
+        let (info, attributes) = info(&source, &header, &scans, (vertices, name));
         let following = Following::recognised(&info.attributes);
-        let mut this = Self { source, header, xml, scans, images, attributes, following, info };
+        let mut this = Self { source, header, xml, scans, images, wkt, attributes, following, info };
         this.note_what_follows();
         Ok(this)
     }
@@ -180,6 +185,13 @@ impl E57Model {
     /// What there is to say of each scan.
     pub(super) fn describe_scans(&self) -> Vec<String> {
         self.scans.iter().map(describe).collect()
+    }
+
+    /// How large intensities may be in any scan, if all that have points say so.
+    pub(super) fn intensities(&self) -> Option<[f64; 2]> {
+        let with_points = self.scans.iter().map(|scan| &scan.described).filter(|scan| scan.count > 0);
+        let limits: Option<Vec<[f64; 2]>> = with_points.map(|scan| scan.intensities).collect();
+        limits?.into_iter().reduce(|[least, most], [a, b]| [least.min(a), most.max(b)])
     }
 }
 

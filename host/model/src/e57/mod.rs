@@ -40,7 +40,7 @@ use reader::E57Reader;
 use crate::follow::{Follow, Following};
 use crate::source::SourceFile;
 use crate::{
-    Edit, Model, ModelInfo, Output, Progress, Result, Rewriting, VertexChunk, VertexReader, pipeline,
+    Edit, Model, ModelInfo, Output, Progress, Result, Rewriting, VertexChunk, VertexReader, pipeline, wkt,
 };
 
 /// Whether a file that begins so is E57.
@@ -68,7 +68,17 @@ impl Model for E57Model {
     }
 
     fn details(&self) -> Vec<String> {
-        self.describe_scans()
+        let mut details = self.describe_scans();
+        details.extend(self.wkt.as_deref().and_then(wkt::line_of_units));
+        details
+    }
+
+    fn wkt(&self) -> Option<String> {
+        self.wkt.clone()
+    }
+
+    fn intensity_limits(&self) -> Option<[f64; 2]> {
+        self.intensities()
     }
 
     fn besides(&self) -> Result<Vec<String>> {

@@ -12,7 +12,8 @@ use super::laszip::Laszip;
 use crate::bounds::Bounds;
 use crate::form::{ConversionInput, Form, WrittenRows, attribute_loss, counted, put_numbers};
 use crate::{
-    Attribute, ColorScale, Colors, Error, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions,
+    Attribute, ColorScale, Colors, Error, Model, Result, ScaledIntegers, Summary, Type, VertexChunk,
+    for_positions,
 };
 
 /// Points of a compressed block: as LASzip has it.
@@ -20,6 +21,9 @@ pub(super) const BLOCK: u32 = 50_000;
 
 /// Numbers of a summary for each piece: points, bytes, and points by their return, up to the fifteenth.
 pub(super) const TALLIES: usize = 17;
+
+/// Full light, of colours and intensities.
+const MOST_LIGHT: f64 = 65535.0;
 
 /// Most bytes of a VLR's content.
 const LONGEST: usize = u16::MAX as usize;
@@ -34,8 +38,8 @@ enum FieldTarget {
     Number(Type),
     /// So many bits of a byte.
     Bits { shift: u8, bits: u8 },
-    /// A colour of 16 bits, of which this one is a part, so much as large.
-    Color(f64),
+    /// A number of 16 bits of light: how much more than the first number, times the second.
+    Light(f64, f64),
 }
 
 /// An attribute that is written.
@@ -109,7 +113,7 @@ fn standard(name: &str, format: u8) -> Option<(usize, FieldTarget)> {
 fn range(place: FieldTarget) -> (f64, f64) {
     match place {
         FieldTarget::Bits { bits, .. } => (0.0, f64::from((1u32 << bits) - 1)),
-        FieldTarget::Color(_) => (0.0, 65535.0),
+        FieldTarget::Light(..) => (0.0, MOST_LIGHT),
         FieldTarget::Number(kind) => match kind {
             Type::U8 => (0.0, 255.0),
             Type::I8 => (-128.0, 127.0),
@@ -133,7 +137,80 @@ fn fits(kind: Type, place: FieldTarget) -> bool {
             let ((least, most), (from, end)) = (range(place), range(FieldTarget::Number(kind)));
             !to.is_float() && from >= least && end <= most
         }
-        FieldTarget::Color(_) => matches!(kind, Type::U8 | Type::U16),
+        FieldTarget::Light(..) => matches!(kind, Type::U8 | Type::U16),
+    }
+}
+
+/// What the numbers of an attribute are, all over the model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct FoundNumbers {
+    least: f64,
+    most: f64,
+    are_whole: bool,
+}
+
+impl FoundNumbers {
+    /// Before any were found.
+    const NONE: Self = Self { least: f64::INFINITY, most: f64::NEG_INFINITY, are_whole: true };
+
+    /// Takes numbers in; what is none is not whole.
+    fn take(&mut self, numbers: &[f64]) {
+        for number in numbers {
+            (self.least, self.most) = (self.least.min(*number), self.most.max(*number));
+            self.are_whole &= number.fract() == 0.0;
+        }
+    }
+
+    /// Whether a place holds all of them as they are.
+    fn fit(&self, place: FieldTarget) -> bool {
+        let (least, most) = range(place);
+        let is_light = matches!(place, FieldTarget::Light(..));
+        self.are_whole && !is_light && self.least >= least && self.most <= most
+    }
+}
+
+/// What the numbers of those attributes are whose type does not tell that their places hold them: a reading
+/// of the model, if there are such.
+fn found_numbers(model: &dyn Model, places: &[Option<(usize, FieldTarget)>]) -> Result<Vec<FoundNumbers>> {
+    let mut found = vec![FoundNumbers::NONE; places.len()];
+    let is_open = |(attribute, place): (&Attribute, &Option<(usize, FieldTarget)>)| {
+        place.is_some_and(|(_, place)| {
+            !matches!(place, FieldTarget::Light(..)) && !fits(attribute.kind, place)
+        })
+    };
+    let all = model.info().attributes.iter().zip(places);
+    let open: Vec<usize> = all.enumerate().filter(|(_, both)| is_open(*both)).map(|(i, _)| i).collect();
+    if open.is_empty() {
+        return Ok(found);
+    }
+    let mut reader = model.vertices(0..model.info().vertices)?;
+    let (mut chunk, mut lists) = (VertexChunk::default(), vec![Vec::new(); open.len()]);
+    while reader.read(&mut chunk)? {
+        model.some_attributes(&chunk, &open, &mut lists)?;
+        open.iter().zip(&lists).for_each(|(place, numbers)| found[*place].take(numbers));
+    }
+    Ok(found)
+}
+
+/// The place of an attribute, which for intensities that are no whole numbers of LAS's is one of light: from
+/// the least to the largest that the model says there may be, or else of fractions.
+fn for_intensity(
+    attribute: &Attribute,
+    place: FieldTarget,
+    found: &FoundNumbers,
+    limits: Option<[f64; 2]>,
+) -> FieldTarget {
+    let holds_all = fits(attribute.kind, place) || found.fit(place);
+    if attribute.name != "intensity" || holds_all {
+        return place;
+    }
+    let are_fractions = found.least >= 0.0 && found.most <= 1.0;
+    let limits = limits.filter(|[least, most]| *least <= found.least && found.most <= *most);
+    match limits.or(are_fractions.then_some([0.0, 1.0])) {
+        // Numbers such as LAS has them, but for their digits.
+        Some([least, most]) if least >= 0.0 && most > 1.0 && most <= MOST_LIGHT => place,
+        Some([least, most]) => FieldTarget::Light(least, MOST_LIGHT / (most - least)),
+        None => place,
     }
 }
 
@@ -202,13 +279,20 @@ impl LasForm {
             left_out: AtomicU64::new(0),
         };
         let scale = colors.map(|colors| full_light(content, &colors)).transpose()?;
+        let mut places = Vec::new();
         for (from, attribute) in info.attributes.iter().enumerate() {
             let of_color = colors.zip(scale).and_then(|(colors, scale)| {
                 let which = colors.places.iter().position(|place| *place == from)?;
-                Some((colors_at(format) + 2 * which, FieldTarget::Color(scale)))
+                Some((colors_at(format) + 2 * which, FieldTarget::Light(0.0, scale)))
             });
-            let place = of_color.or_else(|| standard(&attribute.name, format));
-            this.add_attribute(from, attribute, place, losses);
+            places.push(of_color.or_else(|| standard(&attribute.name, format)));
+        }
+        let found = found_numbers(content.model, &places)?;
+        for (from, (attribute, place)) in info.attributes.iter().zip(places).enumerate() {
+            let intensities = content.model.intensity_limits();
+            let place =
+                place.map(|(at, place)| (at, for_intensity(attribute, place, &found[from], intensities)));
+            this.add_attribute(from, attribute, place, &found[from], losses);
         }
         if is_compressed {
             let extra = this.record - RECORD_BYTES[usize::from(format)];
@@ -224,18 +308,23 @@ impl LasForm {
         from: usize,
         attribute: &Attribute,
         place: Option<(usize, FieldTarget)>,
+        found: &FoundNumbers,
         losses: &mut Vec<String>,
     ) {
         let (name, kind) = (attribute.name.clone(), attribute.kind);
         match place {
             Some((at, place)) => {
                 let rounds = !fits(kind, place);
-                if rounds {
+                if rounds && !found.fit(place) {
                     let (least, most) = range(place);
-                    losses.push(format!(
-                        "digits of {}, which become whole numbers from {least} to {most}",
-                        attribute_loss(&name, kind)
-                    ));
+                    let of = match place {
+                        FieldTarget::Light(from, scale) => {
+                            format!("of which {from} to {} become", from + MOST_LIGHT / scale)
+                        }
+                        _ => "which become".to_owned(),
+                    };
+                    let of_all = attribute_loss(&name, kind);
+                    losses.push(format!("digits of {of_all}, {of} whole numbers from {least} to {most}"));
                 }
                 if name == "return_number" {
                     self.returns = Some(self.fields.len());
@@ -330,7 +419,7 @@ impl LasForm {
                     }
                 }
                 FieldTarget::Number(kind) => put_numbers(kind, &numbers, to, field.at, self.record),
-                FieldTarget::Color(_) => put_numbers(Type::U16, &numbers, to, field.at, self.record),
+                FieldTarget::Light(..) => put_numbers(Type::U16, &numbers, to, field.at, self.record),
             }
         }
         Ok(())
@@ -338,11 +427,12 @@ impl LasForm {
 
     /// The numbers of a field as they are written.
     fn numbers(&self, field: &WrittenAttribute, rows: &WrittenRows<'_>, to: &mut Vec<f64>) -> Result<()> {
-        let scale = if let FieldTarget::Color(scale) = field.place { scale } else { 1.0 };
+        let (from, scale) =
+            if let FieldTarget::Light(from, scale) = field.place { (from, scale) } else { (0.0, 1.0) };
         let (least, most) = range(field.place);
         to.clear();
         for (i, number) in rows.attributes[field.from].iter().enumerate() {
-            let scaled = number * scale;
+            let scaled = (number - from) * scale;
             let is_whole = least.is_finite();
             to.push(match field.rounds {
                 // Of what is left out, and where something may be lost, as what a scan does not have though
@@ -567,6 +657,15 @@ impl Form for LasForm {
     }
 }
 
+/// Most decimals of positions that are told from any others.
+const MOST_DECIMALS: i32 = 9;
+
+/// Whether coordinates are numbers of so many decimals, as far as doubles tell.
+fn are_on_grid(p: DVec3, decimals: i32) -> bool {
+    let power = 10f64.powi(decimals);
+    (p - (p * power).round() / power).abs().cmple(2.0 * f64::EPSILON * p.abs()).all()
+}
+
 /// How positions become integers.
 fn integers(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Result<ScaledIntegers> {
     let how = &content.how;
@@ -581,11 +680,12 @@ fn integers(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Result<S
     if how.offset.is_some_and(|offset| !offset.is_finite()) {
         return wrong("the origin of positions is none");
     }
-    let mut bounds = Bounds::default();
+    let (mut bounds, mut decimals) = (Bounds::default(), Some(0));
     if how.step.is_none() || how.offset.is_none() {
         for_positions(content.model, |chunk: &VertexChunk| {
             for p in chunk.positions.iter().filter(|p| p.is_finite()) {
                 (bounds.min, bounds.max) = (bounds.min.min(*p), bounds.max.max(*p));
+                decimals = decimals.and_then(|least| (least..=MOST_DECIMALS).find(|n| are_on_grid(*p, *n)));
             }
             Ok(())
         })?;
@@ -596,9 +696,14 @@ fn integers(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Result<S
     let step = how.step.unwrap_or_else(|| {
         // Room for what moves as far as the model is large.
         let extent = (bounds.max - bounds.min).max_element().max(f64::MIN_POSITIVE);
-        let step = 10f64.powi((4.0 * extent / f64::from(i32::MAX)).log10().ceil() as i32);
-        losses.push(format!("digits of the positions, which are rounded to {step} (--step)"));
-        step
+        let power = (4.0 * extent / f64::from(i32::MAX)).log10().ceil() as i32;
+        // Of few digits, as an origin that is found here is a multiple of a million steps.
+        let is_kept = decimals.is_some_and(|decimals| -power >= decimals);
+        if !is_kept || how.offset.is_some() {
+            let step = 10f64.powi(power);
+            losses.push(format!("digits of the positions, which are rounded to {step} (--step)"));
+        }
+        10f64.powi(power)
     });
     let offset = how.offset.unwrap_or_else(|| {
         // Of few digits.
@@ -615,5 +720,5 @@ fn full_light(content: &ConversionInput<'_>, colors: &Colors) -> Result<f64> {
         Type::U16 => return Ok(1.0),
         _ => {}
     }
-    Ok(65535.0 / ColorScale::of_model(content.model, colors)?.full())
+    Ok(MOST_LIGHT / ColorScale::of_model(content.model, colors)?.full())
 }

@@ -49,6 +49,8 @@ pub(super) struct LasHeader {
     pub integers: ScaledIntegers,
     /// Where the waveforms are in this file, if so.
     pub waveforms: Option<u64>,
+    /// Whether the waveforms are in another file, of the same name but for its extension.
+    pub has_waveforms_beside: bool,
     /// Where the EVLRs begin, and their number, if there are any.
     pub evlrs: Option<(u64, u32)>,
 }
@@ -81,17 +83,19 @@ impl LasHeader {
         let count = if minor == 4 && u64_at(247) > 0 { u64_at(247) } else { legacy };
         let some = |at: u64, least: u8| (minor >= least).then(|| u64_at(at as usize)).filter(|at| *at > 0);
         let evlrs = some(at::EVLRS_START, 4).map(|start| (start, u32_at(at::EVLRS as usize)));
+        let format = bytes[104] & 0x3f;
         let this = Self {
             minor,
             len: u64::from(u16_at(94)),
             points: u64::from(u32_at(at::POINTS as usize)),
             vlrs: u32_at(at::VLRS as usize),
-            format: bytes[104] & 0x3f,
+            format,
             is_compressed: bytes[104] & 0xc0 != 0,
             record: usize::from(u16_at(105)),
             count,
             integers: ScaledIntegers { scale: vector(131), offset: vector(at::OFFSETS as usize) },
             waveforms: some(at::WAVEFORMS, 3),
+            has_waveforms_beside: minor >= 3 && bytes[6] & 4 != 0 && matches!(format, 4 | 5 | 9 | 10),
             evlrs: evlrs.filter(|(_, count)| *count > 0),
         };
         this.check(source, least as u64)?;

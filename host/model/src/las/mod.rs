@@ -77,6 +77,10 @@ impl Model for LasModel {
         unit.into_iter().map(|unit| format!("unit: {unit}")).collect()
     }
 
+    fn wkt(&self) -> Option<String> {
+        self.records.wkt(&self.source).ok().flatten()
+    }
+
     fn besides(&self) -> Result<Vec<String>> {
         let mut besides = Vec::new();
         let records = u64::from(self.header.vlrs) + self.header.evlrs.map_or(0, |(_, n)| u64::from(n));
@@ -198,6 +202,7 @@ impl Model for LasModel {
     ) -> Result<()> {
         self.following.check(self.source.path())?;
         self.tell_of_octree(progress);
+        self.tell_of_waveforms(progress);
         pipeline::rewrite(self, outputs, how, edit, progress)?;
         self.following.tell(self.source.path(), progress);
         Ok(())
@@ -205,6 +210,18 @@ impl Model for LasModel {
 }
 
 impl LasModel {
+    /// Says that waveforms are in a file of their own, if they are.
+    pub(crate) fn tell_of_waveforms(&self, progress: &dyn Progress) {
+        if self.header.has_waveforms_beside {
+            progress.note(&format!(
+                "{}: its waveforms are in {}, which is not copied: put a copy beside what is written, with the name of that and \
+                 the extension wdp",
+                self.source.path().display(),
+                self.source.path().with_extension("wdp").display()
+            ));
+        }
+    }
+
     /// Says that what is written has no octree, if this is COPC.
     pub(crate) fn tell_of_octree(&self, progress: &dyn Progress) {
         if self.records.of_copc().next().is_some() {

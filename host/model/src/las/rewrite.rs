@@ -104,8 +104,11 @@ impl Rewritable for LasModel {
 
     fn patches(&self, all: &Summary, is_still: bool) -> Result<Vec<(u64, Vec<u8>)>> {
         let mut patches = self.bounds(all);
-        patches.extend(self.limits(all));
-        let Some((_, blocks)) = &self.compressed else { return Ok(patches) };
+        let descriptions = self.descriptions();
+        let Some((_, blocks)) = &self.compressed else {
+            patches.extend(descriptions.into_iter().flat_map(|at| self.limits(all, self.moved(at))));
+            return Ok(patches);
+        };
         let points = self.moved(blocks.start(0).1);
         let mut end = points + all.lengths.iter().map(|length| u64::from(*length)).sum::<u64>();
         let mut old_end = blocks.end();
@@ -124,13 +127,17 @@ impl Rewritable for LasModel {
             patches.extend(told.map(|at| (self.moved(at) - self.moved(old_end) + end, place)));
         }
         // Where things behind the points have gone.
-        let gone = |at: u64| (self.moved(at) - self.moved(old_end) + end).to_le_bytes().to_vec();
+        let gone = |at: u64| self.moved(at) - self.moved(old_end) + end;
+        if let Some(at) = descriptions {
+            patches.extend(self.limits(all, if at < old_end { self.moved(at) } else { gone(at) }));
+        }
         if let Some(start) = self.header.waveforms.filter(|start| *start >= old_end) {
-            patches.push((at::WAVEFORMS, gone(start)));
+            patches.push((at::WAVEFORMS, gone(start).to_le_bytes().to_vec()));
         }
         if let Some((start, count)) = self.header.evlrs.filter(|(start, _)| *start >= old_end) {
             let left = u64::from(count) - self.dropped(true);
-            patches.push((at::EVLRS_START, if left > 0 { gone(start) } else { vec![0; 8] }));
+            let place = if left > 0 { gone(start) } else { 0 };
+            patches.push((at::EVLRS_START, place.to_le_bytes().to_vec()));
         }
         Ok(patches)
     }

@@ -72,6 +72,17 @@ impl<'a> SameRecords<'a> {
         Ok(bytes)
     }
 
+    /// Where a byte of the file's records is in the new one, if what lies behind the points begins at `end`
+    /// there.
+    fn place(&self, at: u64, end: u64) -> Result<u64> {
+        if at >= self.behind.start {
+            return Ok(self.source.moved(at) - self.source.moved(self.behind.start) + end);
+        }
+        let header = &self.source.header;
+        let before = self.laszip_vlr().len() + self.kept(&(header.len..at))?.len();
+        Ok(header.len + before as u64)
+    }
+
     /// The VLR on how points are compressed.
     fn laszip_vlr(&self) -> Vec<u8> {
         self.laszip.as_ref().map_or(Vec::new(), |(_, content)| vlr(LASZIP.0, LASZIP.1, content))
@@ -118,6 +129,8 @@ impl Form for SameRecords<'_> {
         let moved = (&rows.chunk.positions[..], rows.positions);
         points::patch(grid, to, self.source.header.record, moved, summary)
             .map_err(|unfit| self.source.unfit(rows.first, unfit))?;
+        let turned = (rows.edited, 0..rows.positions.len());
+        self.source.turn(turned, &rows.chunk.positions, to, summary);
         if let Some((laszip, _)) = &self.laszip {
             compress(laszip, to)?;
         }
@@ -142,13 +155,15 @@ impl Form for SameRecords<'_> {
             patches.extend(laszip_patches(header.len, start, all));
             end += 8 + table(all)?.len() as u64;
         }
-        let gone = |at: u64| self.source.moved(at) - self.source.moved(self.behind.start) + end;
+        if let Some(content) = self.source.descriptions() {
+            patches.extend(self.source.limits(all, self.place(content, end)?));
+        }
         if let Some(waveforms) = header.waveforms.filter(|at| *at >= self.behind.start) {
-            patches.push((at::WAVEFORMS, gone(waveforms).to_le_bytes().to_vec()));
+            patches.push((at::WAVEFORMS, self.place(waveforms, end)?.to_le_bytes().to_vec()));
         }
         if let Some((evlrs, count)) = header.evlrs.filter(|(at, _)| *at >= self.behind.start) {
             let left = u64::from(count) - self.source.dropped(true);
-            let place = if left > 0 { gone(evlrs) } else { 0 };
+            let place = if left > 0 { self.place(evlrs, end)? } else { 0 };
             patches.push((at::EVLRS_START, place.to_le_bytes().to_vec()));
         }
         Ok(patches)

@@ -55,10 +55,14 @@ impl LasModel {
         changed
     }
 
-    /// What descriptions of extra bytes say of their reach, as far as it changes.
-    pub(super) fn limits(&self, all: &Summary) -> Vec<(u64, Vec<u8>)> {
-        let Some(descriptions) = self.records.find(VlrKind::ExtraBytes) else { return Vec::new() };
-        let content = self.moved(descriptions.content.start);
+    /// Where the file has its descriptions of extra bytes.
+    pub(super) fn descriptions(&self) -> Option<u64> {
+        self.records.find(VlrKind::ExtraBytes).map(|record| record.content.start)
+    }
+
+    /// What descriptions of extra bytes, which are at `content` in the new file, say of their reach, as far
+    /// as it changes.
+    pub(super) fn limits(&self, all: &Summary, content: u64) -> Vec<(u64, Vec<u8>)> {
         let mut patches = Vec::new();
         for (number, place) in self.following.places().iter().enumerate() {
             let boxes = all.boxes.get(&((number / OF_A_BOX) as u32));

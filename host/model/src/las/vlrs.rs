@@ -4,11 +4,21 @@
 use std::ops::Range;
 
 use super::header::{CUT_OFF, DAMAGED, LasHeader, bytes_at};
-use crate::Result;
 use crate::source::SourceFile;
+use crate::{Result, wkt};
 
 /// Most bytes that are looked at of a record that names a coordinate reference system.
 const MOST_OF_CRS: u64 = 1 << 20;
+
+/// The record of numbers that GeoKeys name.
+const GEO_NUMBERS: u16 = 34736;
+
+/// What stands in a GeoKey for a code, where there is none.
+const OWN: u16 = 32767;
+
+/// Kinds of systems in GeoKeys.
+const GEOGRAPHIC: u16 = 2;
+const GEOCENTRIC: u16 = 3;
 
 /// What a record belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -21,8 +31,9 @@ pub(super) enum VlrKind {
     ExtraBytes,
     /// The coordinate reference system as text.
     Wkt,
-    /// The coordinate reference system as numbers, and the texts that these name.
+    /// The coordinate reference system as numbers, and the numbers and texts that these name.
     GeoKeys,
+    GeoNumbers,
     GeoTexts,
 }
 
@@ -96,6 +107,7 @@ impl KeptVlrs {
             (b"LASF_Spec", 4) => VlrKind::ExtraBytes,
             (b"LASF_Projection", 2112) => VlrKind::Wkt,
             (b"LASF_Projection", 34735) => VlrKind::GeoKeys,
+            (b"LASF_Projection", GEO_NUMBERS) => VlrKind::GeoNumbers,
             (b"LASF_Projection", 34737) => VlrKind::GeoTexts,
             _ => return Ok(Some(behind)),
         };
@@ -124,40 +136,72 @@ impl KeptVlrs {
         Ok(Some(bytes))
     }
 
-    /// The unit of lengths of the coordinate reference system, as far as the file says one: of the plane and
-    /// of heights, if these differ.
+    /// The coordinate reference system as text, in one line, if the file has it so.
+    pub fn wkt(&self, source: &SourceFile) -> Result<Option<String>> {
+        let text = self.content(source, VlrKind::Wkt, MOST_OF_CRS)?;
+        Ok(text.and_then(|text| wkt::in_one_line(&String::from_utf8_lossy(&text))))
+    }
+
+    /// The unit of positions by the coordinate reference system, as far as the file says one: of the plane
+    /// and of heights, if these differ.
     pub fn unit(&self, source: &SourceFile) -> Result<Option<String>> {
-        if let Some(wkt) = self.content(source, VlrKind::Wkt, MOST_OF_CRS)? {
-            let units = units_of_wkt(&String::from_utf8_lossy(&wkt));
-            return Ok((!units.is_empty()).then(|| units.join(", ")));
-        }
-        let keys = self.content(source, VlrKind::GeoKeys, MOST_OF_CRS)?.unwrap_or_default();
-        let keys =
-            keys.chunks_exact(8).skip(1).map(|key| [0, 2, 6].map(|at| u16::from_le_bytes(bytes_at(key, at))));
-        let mut units: Vec<String> = Vec::new();
-        for [key, place, code] in keys {
-            let unit = match code {
-                9001 => "metre".to_owned(),
-                9002 => "foot".to_owned(),
-                9003 => "US survey foot".to_owned(),
-                _ => format!("EPSG:{code}"),
-            };
-            let is_told = matches!(key, 3076 | 4099) && place == 0 && !matches!(code, 0 | 32767);
-            if is_told && units.len() < MOST_UNITS && !units.contains(&unit) {
-                units.push(unit);
-            }
+        let mut units = self.wkt(source)?.map_or(Vec::new(), |text| wkt::units(&text));
+        if units.is_empty() {
+            units = self.unit_of_keys(source)?;
         }
         Ok((!units.is_empty()).then(|| units.join(", ")))
     }
 
+    /// That of GeoKeys: in the plane, or on the ellipsoid, and of heights.
+    fn unit_of_keys(&self, source: &SourceFile) -> Result<Vec<String>> {
+        let keys = self.content(source, VlrKind::GeoKeys, MOST_OF_CRS)?.unwrap_or_default();
+        let keys: Vec<[u16; 4]> = keys
+            .chunks_exact(8)
+            .skip(1)
+            .map(|key| [0, 2, 4, 6].map(|at| u16::from_le_bytes(bytes_at(key, at))))
+            .collect();
+        let value = |wanted: u16, at: u16| {
+            let found = keys.iter().find(|[key, place, ..]| (*key, *place) == (wanted, at));
+            found.map(|[.., value]| *value).filter(|value| *value != 0)
+        };
+        let numbers = self.content(source, VlrKind::GeoNumbers, MOST_OF_CRS)?.unwrap_or_default();
+        // A unit that has no code has its size, in metres.
+        let own = |size: u16| {
+            let at = 8 * usize::from(value(size, GEO_NUMBERS)?);
+            let metres = f64::from_le_bytes(numbers.get(at..at + 8)?.try_into().ok()?);
+            metres.is_finite().then(|| format!("{metres} metres"))
+        };
+        let unit = |key: u16, size: u16| match value(key, 0)? {
+            OWN => own(size),
+            9001 => Some("metre".to_owned()),
+            9002 => Some("foot".to_owned()),
+            9003 => Some("US survey foot".to_owned()),
+            9101 => Some("radian".to_owned()),
+            9102 | 9122 => Some("degree".to_owned()),
+            9105 | 9106 => Some("grad".to_owned()),
+            code => Some(format!("EPSG:{code}")),
+        };
+        // Some systems are in one unit by their code: WGS 84, ETRS89, NAD83 and NAD27, and WGS 84 geocentric.
+        let of_earth = || match value(2048, 0)? {
+            4326 | 4258 | 4269 | 4267 => Some("degree".to_owned()),
+            4978 => Some("metre".to_owned()),
+            _ => None,
+        };
+        let plane = match value(1024, 0) {
+            Some(GEOGRAPHIC) => unit(2054, 2055).or_else(of_earth),
+            Some(GEOCENTRIC) => unit(2052, 2053).or_else(of_earth),
+            _ if value(3072, 0).is_some() || value(3076, 0).is_some() => unit(3076, 3077),
+            _ => unit(2054, 2055).or_else(of_earth),
+        };
+        let mut units: Vec<String> = plane.into_iter().chain(unit(4099, 0)).collect();
+        units.dedup();
+        Ok(units)
+    }
+
     /// The name of the coordinate reference system, as far as the file has one.
     pub fn crs(&self, source: &SourceFile) -> Result<Option<String>> {
-        if let Some(wkt) = self.content(source, VlrKind::Wkt, MOST_OF_CRS)? {
-            let wkt = String::from_utf8_lossy(&wkt);
-            let name = wkt.split('"').nth(1).map(str::trim);
-            if let Some(name) = name.filter(|name| !name.is_empty()) {
-                return Ok(Some(name.chars().filter(|c| !c.is_control()).take(200).collect()));
-            }
+        if let Some(name) = self.wkt(source)?.and_then(|text| wkt::name(&text)) {
+            return Ok(Some(name));
         }
         let keys = self.content(source, VlrKind::GeoKeys, MOST_OF_CRS)?.unwrap_or_default();
         // Four numbers first, then key, place, count and value for each key.
@@ -168,7 +212,7 @@ impl KeptVlrs {
         let value =
             |wanted: u16, at: u16| keys.iter().find(|[key, place, ..]| (*key, *place) == (wanted, at));
         let found = value(3072, 0).or(value(2048, 0)).map(|[.., code]| *code);
-        if let Some(code) = found.filter(|code| *code != 0 && *code != 32767) {
+        if let Some(code) = found.filter(|code| *code != 0 && *code != OWN) {
             return Ok(Some(format!("EPSG:{code}")));
         }
         // Then it may have a name: the projected system, all of it, or the geographic one.
@@ -177,54 +221,8 @@ impl KeptVlrs {
             let text = texts.get(usize::from(*at)..)?;
             let text = String::from_utf8_lossy(&text[..text.len().min(usize::from(*count))]).into_owned();
             let text = text.split(['|', '\0']).next().unwrap_or_default().trim();
-            let text: String = text.chars().filter(|c| !c.is_control()).take(200).collect();
-            (!text.is_empty()).then_some(text)
+            wkt::short(text)
         };
         Ok([3073, 1026, 2049].into_iter().find_map(|key| value(key, 34737).and_then(named)))
-    }
-}
-
-/// Units that are told: there is one of the plane, and one of heights.
-const MOST_UNITS: usize = 4;
-
-/// Names of the units of lengths in a system in WKT, none twice.
-fn units_of_wkt(wkt: &str) -> Vec<String> {
-    // In WKT 2, ellipsoids and parameters have units of their own, before those of the axes.
-    let (wkt, keyword) = match wkt.find("CS[Cartesian") {
-        Some(at) => (&wkt[at..], "LENGTHUNIT[\""),
-        None => (wkt, "UNIT[\""),
-    };
-    let is_angle = |name: &str| ["deg", "grad", "gon", "rad"].iter().any(|angle| name.contains(angle));
-    let mut units: Vec<String> = Vec::new();
-    for (at, _) in wkt.match_indices(keyword) {
-        if units.len() == MOST_UNITS {
-            break;
-        }
-        let name = wkt[at + keyword.len()..].split('"').next().unwrap_or_default().trim();
-        let name: String = name.chars().filter(|c| !c.is_control()).take(100).collect();
-        let is_other = wkt[..at].ends_with(|before: char| before.is_alphabetic());
-        if !is_other && !name.is_empty() && !is_angle(&name.to_lowercase()) && !units.contains(&name) {
-            units.push(name);
-        }
-    }
-    units
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn units_are_those_of_lengths() {
-        let plane = r#"PROJCS["A",GEOGCS["B",UNIT["degree",0.017]],UNIT["US survey foot",0.3048]]"#;
-        assert_eq!(units_of_wkt(plane), ["US survey foot"]);
-        let both = format!(r#"COMPD_CS["C",{plane},VERT_CS["D",UNIT["metre",1]]]"#);
-        assert_eq!(units_of_wkt(&both), ["US survey foot", "metre"]);
-        let second =
-            r#"PROJCRS["E",ELLIPSOID["F",1,2,LENGTHUNIT["metre",1]],CS[Cartesian,2],LENGTHUNIT["foot",0.3]]"#;
-        assert_eq!(units_of_wkt(second), ["foot"]);
-        assert!(
-            units_of_wkt("GEOGCS[\"B\",UNIT[\"Degree\",0.017]").is_empty() && units_of_wkt("").is_empty()
-        );
     }
 }

@@ -31,5 +31,7 @@ pub struct PlyModel {
     pub(crate) besides: fn(&PlyModel) -> Result<Vec<String>>,
     /// Extensions that names of such files have.
     pub(crate) extensions: &'static [&'static str],
+    /// The coordinate reference system as text.
+    pub(super) wkt: Option<String>,
     pub(crate) info: ModelInfo,
 }

@@ -49,7 +49,7 @@ use crate::follow::{Follow, Following};
 use crate::form::counted;
 use crate::pipeline::Rewritable;
 use crate::progress::Silent;
-use crate::{Normals, Progress, Result};
+use crate::{Normals, Progress, Result, wkt};
 use faces::{PlyFaces, SomeFaces};
 use glam::DVec3;
 use layout::PlyLayout;
@@ -95,7 +95,11 @@ impl PlyModel {
     /// The file cannot be read, is not PLY, is cut off, or has no vertices with positions.
     pub(crate) fn new(source: SourceFile) -> Result<Self> {
         let header = PlyHeader::read(&source)?;
-        Self::from_header(source, header, header::without_normals)
+        let mut model = Self::from_header(source, header, header::without_normals)?;
+        let Comments { crs, wkt, .. } = model.comments()?;
+        model.info.crs = crs.or_else(|| wkt::name(&wkt));
+        model.wkt = Some(wkt).filter(|wkt| !wkt.is_empty());
+        Ok(model)
     }
 
     /// What a file of such records is, which need not be called PLY. `without_normals` makes its header anew
@@ -143,6 +147,7 @@ impl PlyModel {
             note: None,
             extensions: &["ply"],
             besides: Self::besides_of_ply,
+            wkt: None,
             info,
         };
         if model.header.encoding == Encoding::Ascii {
@@ -152,15 +157,32 @@ impl PlyModel {
         Ok(model)
     }
 
-    /// Comments, and what is neither vertex nor face.
-    fn besides_of_ply(&self) -> Result<Vec<String>> {
+    /// What the header says besides.
+    fn comments(&self) -> Result<Comments> {
         let mut text = Vec::new();
         self.source.append_at(&mut text, 0, self.header.len as usize)?;
-        let is_comment = |line: &&[u8]| line.starts_with(b"comment") || line.starts_with(b"obj_info");
-        let comments = text.split(|byte| matches!(byte, b'\n' | b'\r')).filter(is_comment).count();
+        let mut comments = Comments::default();
+        for line in text.split(|byte| matches!(byte, b'\n' | b'\r')) {
+            let own = |word: &str| line.strip_prefix(format!("comment {word} ").as_bytes());
+            if let Some(name) = own(CRS) {
+                comments.crs = wkt::short(&String::from_utf8_lossy(name)).or(comments.crs);
+            } else if let Some(part) = own(WKT) {
+                comments.wkt += &String::from_utf8_lossy(part);
+            } else if (line.starts_with(b"comment") || line.starts_with(b"obj_info"))
+                && !line.starts_with(b"comment SIMOD ")
+            {
+                comments.others += 1;
+            }
+        }
+        Ok(comments)
+    }
+
+    /// Comments, and what is neither vertex nor face.
+    fn besides_of_ply(&self) -> Result<Vec<String>> {
         let mut besides = Vec::new();
-        if comments > 0 {
-            besides.push(counted(comments as u64, "comment"));
+        let others = self.comments()?.others;
+        if others > 0 {
+            besides.push(counted(others, "comment"));
         }
         for (place, PlyElement { name, count, properties }) in self.header.elements.iter().enumerate() {
             let name = header::quoted(name);
@@ -226,6 +248,14 @@ impl Model for PlyModel {
 
     fn extensions(&self) -> &'static [&'static str] {
         self.extensions
+    }
+
+    fn details(&self) -> Vec<String> {
+        self.wkt.as_deref().and_then(wkt::line_of_units).into_iter().collect()
+    }
+
+    fn wkt(&self) -> Option<String> {
+        self.wkt.clone()
     }
 
     fn besides(&self) -> Result<Vec<String>> {
@@ -310,6 +340,30 @@ impl Model for PlyModel {
         self.following.tell(self.source.path(), progress);
         Ok(())
     }
+}
+
+/// What comments of ours begin with: the name of the coordinate reference system, and parts of it as text,
+/// which other programs have no room for in one line.
+const CRS: &str = "crs";
+const WKT: &str = "crs-wkt";
+const PART: usize = 200;
+
+/// What comments say.
+#[derive(Default)]
+struct Comments {
+    crs: Option<String>,
+    wkt: String,
+    /// Number of all others, but for who wrote the file.
+    others: u64,
+}
+
+/// Comments on the coordinate reference system of a model.
+pub(crate) fn comments_on_crs(model: &dyn Model) -> Vec<String> {
+    let name = model.info().crs.iter().map(|name| format!("{CRS} {name}"));
+    let text = model.wkt().unwrap_or_default();
+    let characters: Vec<char> = text.chars().collect();
+    let parts = characters.chunks(PART).map(|part| format!("{WKT} {}", part.iter().collect::<String>()));
+    name.chain(parts).collect()
 }
 
 /// Names of the position.

@@ -140,6 +140,10 @@ impl VertexReader for StlReader<'_> {
         chunk.positions.clear();
         let skipped = (start - 3 * first) as usize;
         chunk.positions.extend(corners(&chunk.raw).skip(skipped).take((next - start) as usize));
+        if skipped > 0 {
+            // A facet's bytes come with its first corner: all chunks of a model together have all, once.
+            chunk.raw.drain(..FACET as usize);
+        }
         self.range.start = next;
         Ok(next > start)
     }

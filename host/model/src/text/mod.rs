@@ -124,9 +124,16 @@ pub(crate) fn integer(word: &[u8]) -> Option<i64> {
     Some(if negative { -value } else { value })
 }
 
-/// Whether a word is a whole number of which doubles do not hold all digits.
+/// Whether a word is a whole number of which doubles do not hold all digits; those of large numbers that are
+/// doubles, as 10^30, come back.
 pub(crate) fn is_beyond_doubles(word: &[u8]) -> bool {
-    integer(word).is_some_and(|value| value.unsigned_abs() > 1 << 53)
+    if integer(word).is_none_or(|value| value.unsigned_abs() <= 1 << 53) {
+        return false;
+    }
+    let text = std::str::from_utf8(word).unwrap_or_default().trim_start_matches('+');
+    let double: f64 = text.parse().unwrap_or(f64::NAN);
+    // All of its digits, or as few as tell it from others.
+    format!("{double:.0}") != text && format!("{double}") != text
 }
 
 /// Whether there are as many digits in a row as such a number has: one of them is at a multiple of that.

@@ -475,6 +475,82 @@ fn a_coordinate_system_without_a_code_has_its_name() {
     assert_eq!(crs(&[[1026, 34737, 9999, 10]], texts).as_deref(), Some("my own"));
 }
 
+/// What GeoKeys, and systems in WKT that say nothing, tell of units.
+#[test]
+fn units_are_told_as_far_as_they_are_declared() {
+    let mut built = Spec::new(2, 1).build(&hills(10));
+    // Its WKT becomes what nobody knows.
+    built[227 + 18] += 1;
+    let told = |keys: &[[u16; 4]], wkt: Option<&[u8]>| {
+        let keys = [&[[1, 1, 0, keys.len() as u16]], keys].concat();
+        let keys: Vec<u8> = keys.as_flattened().iter().flat_map(|n| n.to_le_bytes()).collect();
+        let numbers = 0.3333f64.to_le_bytes();
+        let all = [(34735, &keys[..]), (34736, &numbers)].into_iter().chain(wkt.map(|wkt| (2112, wkt)));
+        let vlrs: Vec<Vec<u8>> =
+            all.map(|(id, content)| Spec::vlr(b"LASF_Projection", id, content)).collect();
+        let (count, vlrs) = (vlrs.len() as u32, vlrs.concat());
+        let mut bytes = [&built[..227], &vlrs, &built[227..]].concat();
+        for (at, more) in [(96, vlrs.len() as u32), (100, count)] {
+            let number = u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) + more;
+            bytes[at..at + 4].copy_from_slice(&number.to_le_bytes());
+        }
+        let model = open(file(&bytes).path()).unwrap();
+        (model.details().join("; "), model.info().crs.clone().unwrap_or_default())
+    };
+    let unit = |keys: &[[u16; 4]]| told(keys, None).0;
+    assert_eq!(
+        unit(&[[3072, 0, 1, 25832], [3076, 0, 1, 9001], [4099, 0, 1, 9003]]),
+        "unit: metre, US survey foot"
+    );
+    assert_eq!(unit(&[[1024, 0, 1, 2], [2048, 0, 1, 4807], [2054, 0, 1, 9105]]), "unit: grad");
+    assert_eq!(unit(&[[1024, 0, 1, 2], [2048, 0, 1, 4326]]), "unit: degree");
+    assert_eq!(unit(&[[2048, 0, 1, 4326], [2054, 0, 1, 9102]]), "unit: degree");
+    assert_eq!(unit(&[[1024, 0, 1, 3], [2048, 0, 1, 4978]]), "unit: metre");
+    assert_eq!(unit(&[[3072, 0, 1, 32767], [3076, 0, 1, 32767], [3077, 34736, 1, 0]]), "unit: 0.3333 metres");
+    // The projected system's own, though that which it is projected from has another.
+    assert_eq!(unit(&[[2054, 0, 1, 9102], [3072, 0, 1, 25832], [3076, 0, 1, 9001]]), "unit: metre");
+    for lie in [[3077, 34736, 1, 1], [3077, 34736, 1, 9999], [3077, 0, 1, 5]] {
+        assert_eq!(unit(&[[3076, 0, 1, 32767], lie]), "", "{lie:?}");
+    }
+    let keys = [[3072, 0, 1, 2056], [3076, 0, 1, 9001]];
+    for empty in [&b""[..], b"\0\0\0", b" \0"] {
+        assert_eq!(told(&keys, Some(empty)), ("unit: metre".to_owned(), "EPSG:2056".to_owned()));
+    }
+    let wkt = b"PROJCS[\"Here\",UNIT[\"foot\",0.3]]\0";
+    assert_eq!(told(&keys, Some(wkt)), ("unit: foot".to_owned(), "Here".to_owned()));
+}
+
+/// Waveforms in a file of their own stay there, which is told.
+#[test]
+fn waveforms_beside_a_file_are_told() {
+    struct Notes(std::sync::Mutex<Vec<String>>);
+    impl simod_model::Progress for Notes {
+        fn begin(&self, _: &'static str, _: u64) {}
+        fn advance(&self, _: u64) {}
+        fn is_cancelled(&self) -> bool {
+            false
+        }
+        fn note(&self, text: &str) {
+            self.0.lock().unwrap().push(text.to_owned());
+        }
+    }
+    for (encoding, format, count) in [(4, 9, 1), (2, 9, 0), (4, 6, 0)] {
+        let mut bytes = Spec::new(4, format).build(&hills(10));
+        bytes[6] = encoding;
+        let file = file(&bytes);
+        let model = open(file.path()).unwrap();
+        let notes = Notes(Default::default());
+        let keep = |_: &VertexChunk, _: &mut [Edited]| Ok(());
+        let mut out = Written::default();
+        model.rewrite(&mut [&mut out], Rewriting::default(), &keep, &notes).unwrap();
+        let notes = notes.0.into_inner().unwrap();
+        assert!(
+            notes.len() == count && notes.iter().all(|note| note.contains(".wdp, which is not copied")),
+            "{notes:?}"
+        );
+    }
+}
+
 /// Moves a part of the points, and compares all that has to stay and all that has to change.
 fn check_moved(spec: &Spec, positions: &[[i32; 3]], map: impl Fn(DVec3) -> DVec3 + Sync) {
     let bytes = spec.build(positions);

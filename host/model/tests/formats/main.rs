@@ -59,7 +59,11 @@ pub fn read(model: &dyn Model) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
 /// The bytes of all vertices, in chunks of at most so many: what tells whether a model is the one that was
 /// sampled.
 pub fn vertex_bytes(model: &dyn Model, chunk_size: usize) -> Vec<u8> {
-    let mut reader = model.vertices(0..u64::MAX).unwrap();
+    bytes_of(model, 0..u64::MAX, chunk_size)
+}
+
+fn bytes_of(model: &dyn Model, range: Range<u64>, chunk_size: usize) -> Vec<u8> {
+    let mut reader = model.vertices(range).unwrap();
     reader.set_chunk(chunk_size);
     let (mut chunk, mut bytes) = (VertexChunk::default(), Vec::new());
     while reader.read(&mut chunk).unwrap() {
@@ -228,10 +232,22 @@ pub fn check_whole(bytes: &[u8], extension: &str) -> Box<dyn Model> {
         let expected = &all.0[range.start.min(end)..end];
         assert!(format!("{:?}", some.0) == format!("{expected:?}"), "{range:?}");
     }
+    check_parts(model.as_ref(), &of_all);
     if !triangles(model.as_ref()).unwrap().is_empty() {
         check_marks(model.as_ref());
     }
     model
+}
+
+/// Ranges of vertices, wherever they meet, have all bytes together, once: as conversions read them.
+fn check_parts(model: &dyn Model, of_all: &[u8]) {
+    let count = model.info().vertices;
+    for at in [1, 2, 3, count / 3 + 1, count.saturating_sub(1)] {
+        if model.info().reads_exactly() && at < count {
+            let parts = [0..at, at..count].map(|range| bytes_of(model, range, 1000));
+            assert!(parts.concat() == of_all, "{at}");
+        }
+    }
 }
 
 /// What is left of a file at every byte is an error or something sane, and so is the file with any byte

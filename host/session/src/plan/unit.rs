@@ -410,7 +410,7 @@ impl UnitRun<'_> {
     fn edit(&self) -> Result<WritingInputs> {
         let of = if self.path(REFINED).is_dir() { REFINED } else { SAMPLED };
         let sampled = SampledModel::load(&self.path(of))?;
-        let deformed = sampled.read_deformed(&self.path(DEFORMED))?;
+        let deformed = sampled.read_deformed(&self.path(DEFORMED), self.progress)?;
         let mut model = sampled.open_source(None, self.progress)?;
         model.follow(&self.plan.follow())?;
         let gradients = self.gradients(sampled.samples.len())?;

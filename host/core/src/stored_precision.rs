@@ -1,0 +1,131 @@
+//! How far apart the numbers of a file are, by the numbers themselves: those of a program that has single
+//! precision, or writes few digits, are coarser than the type that the file says.
+
+use std::fmt::Write;
+
+use glam::DVec3;
+
+/// Digits as many as tell singles from each other, or doubles for all that matters here: who has fewer, rounds
+/// to decimal digits.
+const OF_SINGLES: i32 = 8;
+const OF_DOUBLES: i32 = 12;
+
+/// Fewer digits do not tell that numbers are rounded: they may be whole.
+const LEAST: i32 = 5;
+
+/// The numbers of positions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StoredPrecision {
+    /// All are exact in single precision.
+    is_single: bool,
+    /// Decimal digits of any number, and decimals behind the point, at most; nothing where these are many.
+    decimal: Option<(i32, i32)>,
+    /// The largest coordinate, without its sign.
+    largest: f64,
+}
+
+impl StoredPrecision {
+    /// That of positions in the coordinates of their file.
+    pub fn of(positions: &[DVec3]) -> Self {
+        let coordinates =
+            || positions.iter().flat_map(DVec3::to_array).filter(|x| x.is_finite() && *x != 0.0);
+        let is_single = coordinates().all(|x| f64::from(x as f32) == x);
+        let enough = if is_single { OF_SINGLES } else { OF_DOUBLES };
+        let (mut text, mut digits, mut decimals) = (String::new(), 0, i32::MIN);
+        for x in coordinates() {
+            text.clear();
+            // Writing to memory does not fail.
+            let _ = if is_single { write!(text, "{:e}", x as f32) } else { write!(text, "{x:e}") };
+            let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+            let count = mantissa.bytes().filter(u8::is_ascii_digit).count() as i32;
+            digits = digits.max(count);
+            decimals = decimals.max(count - 1 - exponent.parse::<i32>().unwrap_or(0));
+            if digits >= enough {
+                break;
+            }
+        }
+        let decimal = (LEAST..enough).contains(&digits).then_some((digits, decimals));
+        let largest = coordinates().fold(0.0, |largest: f64, x| largest.max(x.abs()));
+        Self { is_single, decimal, largest }
+    }
+
+    /// From a coordinate to the next one that the file tells from it: zero where these are doubles.
+    fn step(&self, at: f64) -> f64 {
+        self.single_step(at).max(self.decimal_step(at))
+    }
+
+    fn single_step(&self, at: f64) -> f64 {
+        if self.is_single { f64::from((at.abs() as f32).next_up()) - at.abs() } else { 0.0 }
+    }
+
+    fn decimal_step(&self, at: f64) -> f64 {
+        let Some((digits, decimals)) = self.decimal.filter(|_| at != 0.0) else { return 0.0 };
+        let place = at.abs().log10().floor() as i32 + 1 - digits;
+        10f64.powi(place.max(-decimals))
+    }
+
+    /// The largest step between coordinates.
+    pub fn coarsest(&self) -> f64 {
+        self.step(self.largest)
+    }
+
+    /// Whether a coordinate is what the file makes of another one.
+    pub fn is_rounded(&self, found: f64, from: f64) -> bool {
+        let is_single = self.is_single && f64::from(from as f32) == found;
+        let step = self.decimal_step(found);
+        // A little more, as what is read is rounded once more.
+        let bound = 0.5 * (1.0 + 1e-6) * step + self.single_step(found);
+        is_single || (step > 0.0 && (found - from).abs() <= bound)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Places as far from the origin as in surveys.
+    fn places() -> Vec<DVec3> {
+        let at = |i: u32| f64::from(i.wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);
+        (0..300)
+            .map(|i| DVec3::new(4e5 + 100.0 * at(i), 5e6 + 100.0 * at(i + 999), 50.0 * at(i + 77)))
+            .collect()
+    }
+
+    fn check(write: impl Fn(f64) -> f64, coarsest: f64) {
+        let places = places();
+        let written: Vec<DVec3> = places.iter().map(|p| DVec3::from(p.to_array().map(&write))).collect();
+        let precision = StoredPrecision::of(&written);
+        let found = precision.coarsest();
+        assert!((found - coarsest).abs() <= 1e-9 * coarsest, "{found} for {coarsest}");
+        for (from, found) in
+            places.iter().flat_map(DVec3::to_array).zip(written.iter().flat_map(DVec3::to_array))
+        {
+            assert!(found == from || precision.is_rounded(found, from), "{from} is {found}");
+            // What moves by more than a step does so.
+            let step = precision.step(found).max(1e-9);
+            assert!(
+                !precision.is_rounded(found, from + 1.1 * step)
+                    && !precision.is_rounded(found, from - 1.1 * step)
+            );
+        }
+    }
+
+    #[test]
+    fn numbers_tell_how_far_they_are_apart() {
+        check(|x| x, 0.0);
+        check(|x| f64::from(x as f32), 0.5);
+        // Of few digits, or of few decimals; as singles, too.
+        let digits = |x: f64| format!("{x:.5e}").parse::<f64>().unwrap();
+        check(digits, 10.0);
+        check(|x| f64::from(digits(x) as f32), 10.0);
+        check(|x| (x * 1e3).round() / 1e3, 1e-3);
+    }
+
+    #[test]
+    fn whole_numbers_are_meant() {
+        let whole: Vec<DVec3> = places().iter().map(|p| (p - DVec3::new(4e5, 5e6, 0.0)).round()).collect();
+        let precision = StoredPrecision::of(&whole);
+        assert!(!precision.is_rounded(3.0, 3.2) && precision.coarsest() < 1e-4);
+        assert_eq!(StoredPrecision::of(&[DVec3::ZERO, DVec3::NAN]).coarsest(), f64::from(f32::from_bits(1)));
+    }
+}
