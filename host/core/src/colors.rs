@@ -85,8 +85,8 @@ pub struct Pick {
 /// Which vertices are picked, and what their colours are.
 pub struct Picking {
     colors: ColorBytes,
-    /// The vertices of the file, so many at a time; one of each such run is picked, which one follows from its number's hash.
-    /// The first of each would be picked along stripes where the vertices are in rows.
+    /// The vertices of the file, so many at a time; one of each such run is picked, which one follows from
+    /// its number's hash. The first of each would be picked along stripes where the vertices are in rows.
     every: u64,
 }
 
@@ -128,7 +128,8 @@ impl Picking {
         Ok(())
     }
 
-    /// The vertex that is picked of run number `run`. Of the last run, which may be shorter, it may be beyond the model.
+    /// The vertex that is picked of run number `run`. Of the last run, which may be shorter, it may be beyond
+    /// the model.
     fn vertex(&self, run: u64) -> u64 {
         run * self.every + xxh3_64(&run.to_le_bytes()) % self.every
     }
@@ -289,7 +290,8 @@ mod tests {
     use crate::sampling::{Sampling, Target, sample};
     use simod_model::progress::Silent;
 
-    /// The rows of this model are as long as 20 runs of 15: the first of each run would be of 20 columns alone.
+    /// The rows of this model are as long as 20 runs of 15: the first of each run would be of 20 columns
+    /// alone.
     #[test]
     fn colours_of_rows_are_those_around_each_sample() {
         const SIDE: usize = 300;

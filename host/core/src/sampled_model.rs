@@ -211,13 +211,14 @@ impl SourceRecord {
         self
     }
 
-    /// Whether more than half of the vertices are in another cell of the coarse grid than the one before, as far
-    /// as that is known.
+    /// Whether more than half of the vertices are in another cell of the coarse grid than the one before, as
+    /// far as that is known.
     pub fn comes_in_no_order(&self) -> bool {
         self.jumps.is_some_and(|jumps| jumps > self.vertices / 2)
     }
 
-    /// What the order of the vertices costs a reconstruction, if they [come in none](Self::comes_in_no_order).
+    /// What the order of the vertices costs a reconstruction, if they [come in
+    /// none](Self::comes_in_no_order).
     pub fn cost_of_order(&self) -> Option<String> {
         let jumps = self.jumps.filter(|_| self.vertices >= MANY && self.comes_in_no_order())?;
         Some(format!(

@@ -349,8 +349,8 @@ pub struct Rewriting {
     /// The pieces that alone are read, edited and written: a part of a file that can be
     /// [divided](Model::division).
     pub only: Option<PieceRange>,
-    /// Most consecutive pieces with vertices that are edited at a time, as one chunk, where the format can: it
-    /// pays where vertices are in no order. Zero is one. The file comes out in the same pieces.
+    /// Most consecutive pieces with vertices that are edited at a time, as one chunk, where the format can:
+    /// it pays where vertices are in no order. Zero is one. The file comes out in the same pieces.
     pub pieces_at_once: u64,
 }
 

@@ -83,7 +83,8 @@ pub(crate) trait Pieces: Send {
     /// Reads the bytes of the next piece into `chunk`, in the file's order.
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece>;
 
-    /// Reads those of up to `most` pieces with vertices, as one, and tells how many they are; or of another piece.
+    /// Reads those of up to `most` pieces with vertices, as one, and tells how many they are; or of another
+    /// piece.
     fn read_several(&mut self, chunk: &mut VertexChunk, _most: u64) -> Result<(Piece, u64)> {
         Ok((self.read(chunk)?, 1))
     }

@@ -1,5 +1,6 @@
-//! Blocks of consecutive vertices, which are gone through part by part: each vertex finds its home, vertices of one
-//! home are put side by side, and the blend goes over them. Vertices in no order are put along a curve before.
+//! Blocks of consecutive vertices, which are gone through part by part: each vertex finds its home, vertices
+//! of one home are put side by side, and the blend goes over them. Vertices in no order are put along a curve
+//! before.
 
 use glam::{DVec3, Mat3, UVec3, Vec3};
 use rayon::prelude::*;
@@ -75,8 +76,8 @@ pub fn carry_positions(field: &DeformationField<'_>, frame: &Frame, positions: &
 }
 
 /// Carries vertices over as [`carry`] does, by the thread that calls it. Where nothing is asked for but
-/// positions, those of vertices at one place are found once. Vertices in no order are put in one as a whole: the
-/// more there are, the nearer are those that follow each other then.
+/// positions, those of vertices at one place are found once. Vertices in no order are put in one as a whole:
+/// the more there are, the nearer are those that follow each other then.
 ///
 /// Memory: 12 bytes for each vertex in no order; 28 for each, and 24 for each version, where places are
 /// [`Repeated`].
@@ -204,8 +205,8 @@ pub fn homes(around: &RestGeometry<'_>, frame: &Frame, positions: &[DVec3], home
 }
 
 impl Workspace {
-    /// Takes the vertices of a block, some of those that are near to each other after the other, and does `work`
-    /// on each such part.
+    /// Takes the vertices of a block, some of those that are near to each other after the other, and does
+    /// `work` on each such part.
     fn for_parts(&mut self, frame: &Frame, positions: &[DVec3], mut work: impl FnMut(&mut Self)) {
         let mut all = std::mem::take(&mut self.block_order);
         put_in_order(frame, positions, &mut all);

@@ -22,8 +22,8 @@ const SCATTERED_AT_ONCE: u64 = 3;
 /// … and all threads and versions together, unless each has one: about 8 MB each.
 const SCATTERED_PIECES: u64 = 16;
 
-/// How many pieces of the model a thread takes at a time: one, or, where vertices come in no order in space, so
-/// many that several are near to each other among them.
+/// How many pieces of the model a thread takes at a time: one, or, where vertices come in no order in space,
+/// so many that several are near to each other among them.
 pub(super) fn pieces_at_once(sampled: &SampledModel, versions: usize) -> u64 {
     if !sampled.source.comes_in_no_order() {
         return 1;
