@@ -996,7 +996,7 @@ impl SampledModel {
         for ((local, own), found) in local.iter_mut().zip(&self.samples.positions).zip(&positions) {
             let rest = self.frame.to_model(*own);
             for axis in 0..3 {
-                if precision.is_rounded(found[axis], rest[axis]) {
+                if precision.is_rounded(axis, found[axis], rest[axis]) {
                     local[axis] = own[axis];
                 }
             }
