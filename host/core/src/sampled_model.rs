@@ -1024,7 +1024,7 @@ impl SampledModel {
         let rest = &self.samples.positions;
         for (place, own) in places.iter_mut().zip(rest) {
             let own = self.frame.to_model(*own);
-            let known = |axis: usize| if precision.is_rounded(place[axis], own[axis]) { own } else { *place };
+            let known = |axis| if precision.is_rounded(axis, place[axis], own[axis]) { own } else { *place };
             *place = DVec3::new(known(0).x, known(1).y, known(2).z);
         }
         Ok(DeformedPositions::new(&self.frame, rest, &places))

@@ -16,46 +16,49 @@ const LEAST: i32 = 5;
 /// The numbers of positions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StoredPrecision {
-    /// All are exact in single precision.
-    is_single: bool,
+    /// All along an axis are exact in single precision.
+    is_single: [bool; 3],
     /// Decimal digits of any number, and decimals behind the point, at most; nothing where these are many.
     decimal: Option<(i32, i32)>,
-    /// The largest coordinate, without its sign.
-    largest: f64,
+    /// The largest coordinates, without their sign.
+    largest: DVec3,
 }
 
 impl StoredPrecision {
     /// That of positions in the coordinates of their file.
     pub fn of(positions: &[DVec3]) -> Self {
-        let coordinates =
-            || positions.iter().flat_map(DVec3::to_array).filter(|x| x.is_finite() && *x != 0.0);
-        let is_single = coordinates().all(|x| f64::from(x as f32) == x);
-        let enough = if is_single { OF_SINGLES } else { OF_DOUBLES };
-        let (mut text, mut digits, mut decimals) = (String::new(), 0, i32::MIN);
-        for x in coordinates() {
-            text.clear();
-            // Writing to memory does not fail.
-            let _ = if is_single { write!(text, "{:e}", x as f32) } else { write!(text, "{x:e}") };
-            let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
-            let count = mantissa.bytes().filter(u8::is_ascii_digit).count() as i32;
-            digits = digits.max(count);
-            decimals = decimals.max(count - 1 - exponent.parse::<i32>().unwrap_or(0));
-            if digits >= enough {
-                break;
+        let along =
+            |axis: usize| positions.iter().map(move |p| p[axis]).filter(|x| x.is_finite() && *x != 0.0);
+        let is_single = [0, 1, 2].map(|axis| along(axis).all(|x| f64::from(x as f32) == x));
+        let (mut text, mut digits, mut decimals, mut are_many) = (String::new(), 0, i32::MIN, false);
+        for (axis, is_single) in is_single.into_iter().enumerate() {
+            for x in along(axis) {
+                text.clear();
+                // Writing to memory does not fail.
+                let _ = if is_single { write!(text, "{:e}", x as f32) } else { write!(text, "{x:e}") };
+                let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+                let count = mantissa.bytes().filter(u8::is_ascii_digit).count() as i32;
+                digits = digits.max(count);
+                decimals = decimals.max(count - 1 - exponent.parse::<i32>().unwrap_or(0));
+                are_many |= count >= if is_single { OF_SINGLES } else { OF_DOUBLES };
+                if are_many {
+                    break;
+                }
             }
         }
-        let decimal = (LEAST..enough).contains(&digits).then_some((digits, decimals));
-        let largest = coordinates().fold(0.0, |largest: f64, x| largest.max(x.abs()));
-        Self { is_single, decimal, largest }
+        let decimal = (!are_many && digits >= LEAST).then_some((digits, decimals));
+        let largest = [0, 1, 2].map(|axis| along(axis).fold(0.0, |largest: f64, x| largest.max(x.abs())));
+        Self { is_single, decimal, largest: largest.into() }
     }
 
-    /// From a coordinate to the next one that the file tells from it: zero where these are doubles.
-    fn step(&self, at: f64) -> f64 {
-        self.single_step(at).max(self.decimal_step(at))
+    /// From a coordinate along an axis to the next one that the file tells from it: zero where these are
+    /// doubles.
+    fn step(&self, axis: usize, at: f64) -> f64 {
+        self.single_step(axis, at).max(self.decimal_step(at))
     }
 
-    fn single_step(&self, at: f64) -> f64 {
-        if self.is_single { f64::from((at.abs() as f32).next_up()) - at.abs() } else { 0.0 }
+    fn single_step(&self, axis: usize, at: f64) -> f64 {
+        if self.is_single[axis] { f64::from((at.abs() as f32).next_up()) - at.abs() } else { 0.0 }
     }
 
     fn decimal_step(&self, at: f64) -> f64 {
@@ -66,15 +69,15 @@ impl StoredPrecision {
 
     /// The largest step between coordinates.
     pub fn coarsest(&self) -> f64 {
-        self.step(self.largest)
+        (0..3).map(|axis| self.step(axis, self.largest[axis])).fold(0.0, f64::max)
     }
 
-    /// Whether a coordinate is what the file makes of another one.
-    pub fn is_rounded(&self, found: f64, from: f64) -> bool {
-        let is_single = self.is_single && f64::from(from as f32) == found;
+    /// Whether a coordinate along an axis is what the file makes of another one.
+    pub fn is_rounded(&self, axis: usize, found: f64, from: f64) -> bool {
+        let is_single = self.is_single[axis] && f64::from(from as f32) == found;
         let step = self.decimal_step(found);
         // A little more, as what is read is rounded once more.
-        let bound = 0.5 * (1.0 + 1e-6) * step + self.single_step(found);
+        let bound = 0.5 * (1.0 + 1e-6) * step + 0.5 * self.single_step(axis, found);
         is_single || (step > 0.0 && (found - from).abs() <= bound)
     }
 }
@@ -97,16 +100,18 @@ mod tests {
         let precision = StoredPrecision::of(&written);
         let found = precision.coarsest();
         assert!((found - coarsest).abs() <= 1e-9 * coarsest, "{found} for {coarsest}");
-        for (from, found) in
-            places.iter().flat_map(DVec3::to_array).zip(written.iter().flat_map(DVec3::to_array))
-        {
-            assert!(found == from || precision.is_rounded(found, from), "{from} is {found}");
-            // What moves by more than a step does so.
-            let step = precision.step(found).max(1e-9);
-            assert!(
-                !precision.is_rounded(found, from + 1.1 * step)
-                    && !precision.is_rounded(found, from - 1.1 * step)
-            );
+        for (places, written) in places.iter().zip(&written) {
+            for axis in 0..3 {
+                let (from, found) = (places[axis], written[axis]);
+                let is_rounded = |from: f64| precision.is_rounded(axis, found, from);
+                assert!(found == from || is_rounded(from), "{from} is {found}");
+                // What moves by more than a step does so.
+                let step = precision.step(axis, found).max(1e-9);
+                assert!(
+                    !is_rounded(from + 1.6 * step) && !is_rounded(from - 1.6 * step),
+                    "{from} is {found}"
+                );
+            }
         }
     }
 
@@ -119,13 +124,15 @@ mod tests {
         check(digits, 10.0);
         check(|x| f64::from(digits(x) as f32), 10.0);
         check(|x| (x * 1e3).round() / 1e3, 1e-3);
+        // Singles of which few decimals were written: far from the origin these are all.
+        check(|x| (f64::from(x as f32) * 1e6).round() / 1e6, 0.5);
     }
 
     #[test]
     fn whole_numbers_are_meant() {
         let whole: Vec<DVec3> = places().iter().map(|p| (p - DVec3::new(4e5, 5e6, 0.0)).round()).collect();
         let precision = StoredPrecision::of(&whole);
-        assert!(!precision.is_rounded(3.0, 3.2) && precision.coarsest() < 1e-4);
+        assert!(!precision.is_rounded(0, 3.0, 3.2) && precision.coarsest() < 1e-4);
         assert_eq!(StoredPrecision::of(&[DVec3::ZERO, DVec3::NAN]).coarsest(), f64::from(f32::from_bits(1)));
     }
 }

@@ -251,7 +251,7 @@ fn soups_become_what_ply_becomes() {
 #[test]
 fn a_model_is_written_in_its_own_format_and_name() {
     let work = Workplace::new();
-    work.write("m.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    work.write("m.obj", "v 0 0 0\nv 0.333333333333333 0 0\nv 0 1 0\nf 1 2 3\n");
     work.simod("sample m.obj -o m.simod");
     let line = "reconstruct m.simod --deformed m.simod/samples.ply -o";
     let outcome = work.refuses(&format!("{line} out.pts"), &["out.pts", "cannot be written anew"]);

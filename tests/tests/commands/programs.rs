@@ -289,8 +289,10 @@ fn samples_that_come_back_coarser_stay_where_they_did_not_move() {
     let notes = same("float", &single);
     assert!(notes.contains("5.0e-1 apart") && notes.contains("double precision"), "{notes}");
     // As a program that writes singles as doubles does, or few decimals, or six digits.
-    let doubles = |p: DVec3| row(p.as_vec3().as_dvec3(), 9);
-    assert!(same("double", &doubles).contains("5.0e-1 apart"));
+    let outcome = write("double", &|p| row(p.as_vec3().as_dvec3(), 6));
+    assert!(outcome.stderr.contains("5.0e-1 apart"), "{}", outcome.stderr);
+    let found = work.ply("out.ply").positions();
+    assert!(found.iter().enumerate().all(|(k, p)| p.distance(at(k)) < 1e-4));
     assert!(same("double", &|p| row(p, 2)).contains("1.0e-2 apart"));
     let six = |p: DVec3| {
         let number = |x: f64| format!("{:.5e}", x);

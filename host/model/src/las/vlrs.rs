@@ -160,14 +160,15 @@ impl KeptVlrs {
             .skip(1)
             .map(|key| [0, 2, 4, 6].map(|at| u16::from_le_bytes(bytes_at(key, at))))
             .collect();
-        let value = |wanted: u16, at: u16| {
+        let found = |wanted: u16, at: u16| {
             let found = keys.iter().find(|[key, place, ..]| (*key, *place) == (wanted, at));
-            found.map(|[.., value]| *value).filter(|value| *value != 0)
+            found.map(|[.., value]| *value)
         };
+        let value = |wanted: u16, at: u16| found(wanted, at).filter(|value| *value != 0);
         let numbers = self.content(source, VlrKind::GeoNumbers, MOST_OF_CRS)?.unwrap_or_default();
         // A unit that has no code has its size, in metres.
         let own = |size: u16| {
-            let at = 8 * usize::from(value(size, GEO_NUMBERS)?);
+            let at = 8 * usize::from(found(size, GEO_NUMBERS)?);
             let metres = f64::from_le_bytes(numbers.get(at..at + 8)?.try_into().ok()?);
             metres.is_finite().then(|| format!("{metres} metres"))
         };
