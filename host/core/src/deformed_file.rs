@@ -2,7 +2,8 @@
 //!
 //! Each sample has its number in the property `id` of `samples.ply`. A program that keeps it may bring the
 //! vertices in any order, and turn it into a floating-point number, or call it `scalar_id`, as CloudCompare
-//! does, in capitals or not. Without an id the order counts. Whichever it is, all samples have to come back, each once.
+//! does, in capitals or not. Without an id the order counts. Whichever it is, all samples have to come back,
+//! each once.
 
 use std::path::Path;
 

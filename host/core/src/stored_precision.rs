@@ -5,8 +5,8 @@ use std::fmt::Write;
 
 use glam::DVec3;
 
-/// Digits as many as tell singles from each other, or doubles for all that matters here: who has fewer, rounds
-/// to decimal digits.
+/// Digits as many as tell singles from each other, or doubles for all that matters here: who has fewer,
+/// rounds to decimal digits.
 const OF_SINGLES: i32 = 8;
 const OF_DOUBLES: i32 = 12;
 
