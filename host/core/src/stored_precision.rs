@@ -18,10 +18,23 @@ const LEAST: i32 = 5;
 pub struct StoredPrecision {
     /// All along an axis are exact in single precision.
     is_single: [bool; 3],
-    /// Decimal digits of any number, and decimals behind the point, at most; nothing where these are many.
+    /// Such an axis has all digits of singles, and no decimal ones.
+    has_all_digits: [bool; 3],
+    /// Decimal digits of any number of the other axes, and decimals behind the point, at most; nothing where
+    /// these are many.
     decimal: Option<(i32, i32)>,
     /// The largest coordinates, without their sign.
     largest: DVec3,
+}
+
+/// Digits, and decimals behind the point, of the shortest text that tells a number from others of its type.
+fn digits_of(x: f64, is_single: bool, text: &mut String) -> (i32, i32) {
+    text.clear();
+    // Writing to memory does not fail.
+    let _ = if is_single { write!(text, "{:e}", x as f32) } else { write!(text, "{x:e}") };
+    let (mantissa, exponent) = text.split_once('e').unwrap_or((text, "0"));
+    let digits = mantissa.bytes().filter(u8::is_ascii_digit).count() as i32;
+    (digits, digits - 1 - exponent.parse::<i32>().unwrap_or(0))
 }
 
 impl StoredPrecision {
@@ -30,39 +43,38 @@ impl StoredPrecision {
         let along =
             |axis: usize| positions.iter().map(move |p| p[axis]).filter(|x| x.is_finite() && *x != 0.0);
         let is_single = [0, 1, 2].map(|axis| along(axis).all(|x| f64::from(x as f32) == x));
-        let (mut text, mut digits, mut decimals, mut are_many) = (String::new(), 0, i32::MIN, false);
+        let (mut text, mut most, mut are_many, mut has_all_digits) =
+            (String::new(), (0, i32::MIN), false, [false; 3]);
         for (axis, is_single) in is_single.into_iter().enumerate() {
-            for x in along(axis) {
-                text.clear();
-                // Writing to memory does not fail.
-                let _ = if is_single { write!(text, "{:e}", x as f32) } else { write!(text, "{x:e}") };
-                let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
-                let count = mantissa.bytes().filter(u8::is_ascii_digit).count() as i32;
-                digits = digits.max(count);
-                decimals = decimals.max(count - 1 - exponent.parse::<i32>().unwrap_or(0));
-                are_many |= count >= if is_single { OF_SINGLES } else { OF_DOUBLES };
-                if are_many {
+            let enough = if is_single { OF_SINGLES } else { OF_DOUBLES };
+            let mut of_axis = (0, i32::MIN);
+            for x in along(axis).take_while(|_| !are_many) {
+                let (digits, decimals) = digits_of(x, is_single, &mut text);
+                of_axis = (of_axis.0.max(digits), of_axis.1.max(decimals));
+                if digits >= enough {
+                    (has_all_digits[axis], are_many) = (is_single, !is_single);
                     break;
                 }
             }
+            if !has_all_digits[axis] {
+                most = (most.0.max(of_axis.0), most.1.max(of_axis.1));
+            }
         }
-        let decimal = (!are_many && digits >= LEAST).then_some((digits, decimals));
+        let decimal = (!are_many && most.0 >= LEAST).then_some(most);
         let largest = [0, 1, 2].map(|axis| along(axis).fold(0.0, |largest: f64, x| largest.max(x.abs())));
-        Self { is_single, decimal, largest: largest.into() }
+        Self { is_single, has_all_digits, decimal, largest: largest.into() }
     }
 
     /// From a coordinate along an axis to the next one that the file tells from it: zero where these are
     /// doubles.
     fn step(&self, axis: usize, at: f64) -> f64 {
-        self.single_step(axis, at).max(self.decimal_step(at))
+        let single = if self.is_single[axis] { single_step(at) } else { 0.0 };
+        single.max(self.decimal_step(axis, at))
     }
 
-    fn single_step(&self, axis: usize, at: f64) -> f64 {
-        if self.is_single[axis] { f64::from((at.abs() as f32).next_up()) - at.abs() } else { 0.0 }
-    }
-
-    fn decimal_step(&self, at: f64) -> f64 {
-        let Some((digits, decimals)) = self.decimal.filter(|_| at != 0.0) else { return 0.0 };
+    fn decimal_step(&self, axis: usize, at: f64) -> f64 {
+        let decimal = self.decimal.filter(|_| at != 0.0 && !self.has_all_digits[axis]);
+        let Some((digits, decimals)) = decimal else { return 0.0 };
         let place = at.abs().log10().floor() as i32 + 1 - digits;
         10f64.powi(place.max(-decimals))
     }
@@ -72,14 +84,25 @@ impl StoredPrecision {
         (0..3).map(|axis| self.step(axis, self.largest[axis])).fold(0.0, f64::max)
     }
 
+    /// How far a coordinate along an axis may be from what the file has rounded to decimals, if it has: where
+    /// other axes have singles, it was rounded to one before.
+    fn decimal_bound(&self, axis: usize, at: f64) -> f64 {
+        let step = self.decimal_step(axis, at);
+        let single = if self.is_single.contains(&true) { single_step(at) } else { 0.0 };
+        // A little more, as what is read is rounded once more.
+        if step > 0.0 { 0.5 * (1.0 + 1e-6) * step + 0.5 * single } else { 0.0 }
+    }
+
     /// Whether a coordinate along an axis is what the file makes of another one.
     pub fn is_rounded(&self, axis: usize, found: f64, from: f64) -> bool {
         let is_single = self.is_single[axis] && f64::from(from as f32) == found;
-        let step = self.decimal_step(found);
-        // A little more, as what is read is rounded once more.
-        let bound = 0.5 * (1.0 + 1e-6) * step + 0.5 * self.single_step(axis, found);
-        is_single || (step > 0.0 && (found - from).abs() <= bound)
+        is_single || (found - from).abs() <= self.decimal_bound(axis, found)
     }
+}
+
+/// From a number to the next one in single precision.
+fn single_step(at: f64) -> f64 {
+    f64::from((at.abs() as f32).next_up()) - f64::from(at.abs() as f32)
 }
 
 #[cfg(test)]
@@ -105,12 +128,10 @@ mod tests {
                 let (from, found) = (places[axis], written[axis]);
                 let is_rounded = |from: f64| precision.is_rounded(axis, found, from);
                 assert!(found == from || is_rounded(from), "{from} is {found}");
-                // What moves by more than a step does so.
-                let step = precision.step(axis, found).max(1e-9);
-                assert!(
-                    !is_rounded(from + 1.6 * step) && !is_rounded(from - 1.6 * step),
-                    "{from} is {found}"
-                );
+                // What moves by more than a step, or by more than two roundings, does so.
+                let far =
+                    precision.step(axis, found).max(2.0 * precision.decimal_bound(axis, found)).max(1e-9);
+                assert!(!is_rounded(from + 1.6 * far) && !is_rounded(from - 1.6 * far), "{from} is {found}");
             }
         }
     }
