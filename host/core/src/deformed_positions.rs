@@ -59,9 +59,14 @@ impl DeformedPositions {
 
     /// Whether all are where they were, to the bit.
     pub fn are_still(&self, rest: &[Vec3]) -> bool {
-        let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
-        self.is_unshifted() && self.local.iter().map(bits).eq(rest.iter().map(bits))
+        are_still(&self.local, self.shift, rest)
     }
+}
+
+/// Whether samples with these local positions, less a shift, are where they were, to the bit.
+pub(crate) fn are_still(local: &[Vec3], shift: DVec3, rest: &[Vec3]) -> bool {
+    let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
+    shift == DVec3::ZERO && local.iter().map(bits).eq(rest.iter().map(bits))
 }
 
 impl From<Vec<Vec3>> for DeformedPositions {

@@ -1020,7 +1020,7 @@ impl SampledModel {
         if let Some(note) = self.coarseness(&precision) {
             progress.note(&format!("{}: {note}", path.display()));
         }
-        self.to_local(&places, &path.display())?;
+        self.check_places(&places, &path.display())?;
         let rest = &self.samples.positions;
         for (place, own) in places.iter_mut().zip(rest) {
             let own = self.frame.to_model(*own);
@@ -1054,8 +1054,14 @@ impl SampledModel {
     /// # Errors
     /// One is not finite, or too far away.
     pub fn to_local(&self, positions: &[DVec3], whose: &dyn Display) -> Result<Vec<Vec3>> {
-        let local: Vec<Vec3> = positions.iter().map(|p| self.frame.to_local(*p)).collect();
-        let mut bad = (0..local.len()).filter(|i| !local[*i].is_finite());
+        self.check_places(positions, whose)?;
+        Ok(positions.iter().map(|p| self.frame.to_local(*p)).collect())
+    }
+
+    /// The errors of [`to_local`](Self::to_local).
+    fn check_places(&self, positions: &[DVec3], whose: &dyn Display) -> Result<()> {
+        let local = || positions.iter().map(|p| self.frame.to_local(*p));
+        let mut bad = local().enumerate().filter(|(_, p)| !p.is_finite()).map(|(i, _)| i);
         if let Some(first) = bad.next() {
             return Err(Error::degenerate(
                 format!(
@@ -1066,13 +1072,13 @@ impl SampledModel {
             ));
         }
         // Squares of lengths have to be numbers, too.
-        if let Some(i) = local.iter().position(|p| p.abs().max_element() > FARTHEST) {
+        if let Some(i) = local().position(|p| p.abs().max_element() > FARTHEST) {
             return Err(Error::degenerate(
                 format!("{whose}: sample {i} is at {}, too far from the model to go on", positions[i]),
                 "mend the deformation: no sample can be a trillion times the model's size away",
             ));
         }
-        Ok(local)
+        Ok(())
     }
 }
 

@@ -19,7 +19,7 @@ use super::stencils::Stencils;
 use super::transport::{Method, Transport};
 use super::unresolved::Unresolved;
 use super::{across, blend, blended_jets};
-use crate::deformed_positions::DeformedPositions;
+use crate::deformed_positions::{DeformedPositions, are_still};
 
 /// A home that does not reach a vertex is not its own if other samples are so many times nearer.
 const MUCH_NEARER: f32 = 2.0;
@@ -107,9 +107,7 @@ impl<'a> DeformationField<'a> {
 
     /// Whether no sample moves at all, and so no vertex.
     pub fn is_still(&self) -> bool {
-        let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
-        let of_rest = self.around.samples.positions.iter().map(bits);
-        self.shift == DVec3::ZERO && self.deformed.iter().map(bits).eq(of_rest)
+        are_still(self.deformed, self.shift, &self.around.samples.positions)
     }
 
     /// Whether it turns left into right as a whole.
