@@ -57,7 +57,7 @@ pub trait ParamSet: Sized {
     /// The parameters, in the order to show them.
     fn describe() -> Vec<ParamDesc>;
 
-    /// Their values.
+    /// The values of the parameters.
     ///
     /// # Errors
     /// Where the host gave others than were described: a bug of the host.

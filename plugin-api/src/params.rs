@@ -245,7 +245,7 @@ impl<'a> Param<'a> {
         Self { id: id.into(), kind, numbers: RSlice::EMPTY, text: text.into() }
     }
 
-    /// Whose value it is.
+    /// The parameter of which it is the value.
     pub fn id(&self) -> &'a str {
         self.id.as_str()
     }

@@ -38,7 +38,7 @@ fn digits_of(x: f64, is_single: bool, text: &mut String) -> (i32, i32) {
 }
 
 impl StoredPrecision {
-    /// That of positions in the coordinates of their file.
+    /// The precision of positions in the coordinates of their file.
     pub fn of(positions: &[DVec3]) -> Self {
         let along =
             |axis: usize| positions.iter().map(move |p| p[axis]).filter(|x| x.is_finite() && *x != 0.0);

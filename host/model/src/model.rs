@@ -327,7 +327,7 @@ impl<F: Fn(&VertexChunk, &mut [Edited]) -> Result<()> + Sync> Edit for F {
 pub struct RawChunk<'a> {
     /// Index in the model of the first of them.
     pub first: u64,
-    /// Their number.
+    /// The number of vertices.
     pub vertices: usize,
     /// The bytes of the file that hold them.
     pub bytes: &'a [u8],
@@ -410,7 +410,7 @@ pub trait Output: Send {
     /// Takes so many pieces that follow each other at once, as [`write_piece`](Self::write_piece) takes one.
     ///
     /// # Errors
-    /// They cannot be written.
+    /// The pieces cannot be written.
     fn write_pieces(
         &mut self,
         _pieces: u64,

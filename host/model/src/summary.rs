@@ -12,7 +12,7 @@ use crate::bounds::Bounds;
 pub struct Summary {
     /// The box of the vertices as they were, in whatever the format counts in.
     pub(crate) before: Bounds,
-    /// Their box in the new version.
+    /// The box of the vertices in the new version.
     pub(crate) after: Bounds,
     /// Bytes of each compressed block of the new version, in the file's order.
     pub(crate) lengths: Vec<u32>,

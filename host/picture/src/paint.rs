@@ -17,7 +17,7 @@ pub(super) type Painted<'a> = Option<(usize, &'a PaintBy<'a>)>;
 pub enum Coloring {
     /// All alike.
     Clay,
-    /// Their own colours.
+    /// The vertices' own colours.
     Own(Colors),
     /// The attribute at a place.
     Attribute(usize, Attribute),
@@ -28,7 +28,7 @@ pub enum Coloring {
 pub enum Paint {
     /// All alike.
     Clay,
-    /// Their own colours, whose numbers mean this.
+    /// The vertices' own colours, whose numbers mean this.
     Own(Colors, ColorScale),
     /// Classes, from the least to the largest that there are.
     Classes {

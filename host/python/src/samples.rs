@@ -135,7 +135,7 @@ fn rest(py: Python<'_>, sampled: &SampledModel) -> PyResult<Py<PyArray2<f64>>> {
 }
 
 impl Samples {
-    /// Those of a model that was sampled, at rest.
+    /// The samples of a model that was sampled, at rest.
     pub fn new(py: Python<'_>, sampled: SampledModel, of_file: bool) -> PyResult<Self> {
         let sampled = Arc::new(sampled);
         let local = sampled.samples.positions.as_slice().into();

@@ -175,7 +175,7 @@ impl LocalParams {
         models.for_each(|(.., text)| path.clone_into(text));
     }
 
-    /// Those of some ids.
+    /// The parameters of some ids.
     pub fn some(&self, chosen: impl Fn(&str) -> bool) -> Self {
         Self(self.0.iter().filter(|(id, ..)| chosen(id)).cloned().collect())
     }

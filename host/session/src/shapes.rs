@@ -21,7 +21,7 @@ pub enum RegionShape {
     },
     /// A ball.
     Sphere {
-        /// Its centre.
+        /// The sphere's centre.
         #[serde(deserialize_with = "crate::vector::three")]
         center: DVec3,
         /// In the model's unit; positive.

@@ -6,8 +6,8 @@ pub enum Tint {
     /// The samples that they are at.
     #[default]
     Samples,
-    /// Their own colours.
+    /// The vertices' own colours.
     Own,
-    /// Their attribute at this place in the model's list.
+    /// The vertices' attribute at this place in the model's list.
     Attribute(usize),
 }

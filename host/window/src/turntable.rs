@@ -64,7 +64,7 @@ pub struct Film {
     pub folder: PathBuf,
     /// How many.
     pub frames: u32,
-    /// Their background is seen through.
+    /// Whether the background of the pictures is seen through.
     pub transparent: bool,
     /// Frames a second of the film.
     pub rate: u32,

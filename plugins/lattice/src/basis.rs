@@ -12,7 +12,7 @@ pub const MOST: usize = 32;
 pub enum Beyond {
     /// As at the nearer end.
     Clamped,
-    /// They go on along their tangents and fade to nothing over this distance: continuous with their
+    /// The functions go on along their tangents and fade to nothing over this distance: continuous with their
     /// derivatives.
     Smooth {
         /// In units of the axis' length; above 0.

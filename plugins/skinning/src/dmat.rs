@@ -30,7 +30,7 @@ impl Matrix {
     /// The matrix in a file.
     ///
     /// # Errors
-    /// They say what is wrong.
+    /// The file cannot be read, or is no matrix: the error says what is wrong.
     pub fn read(path: &Path) -> Result<Self, Wrong> {
         let unreadable = |e: std::io::Error| (None, format!("cannot be read: {e}"));
         if std::fs::metadata(path).map_err(unreadable)?.len() > MOST_BYTES {

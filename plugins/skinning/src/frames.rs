@@ -34,7 +34,7 @@ impl Frames {
     /// model's coordinates.
     ///
     /// # Errors
-    /// They name the line.
+    /// Errors name the line.
     pub fn read(path: &Path, bones: usize, frame: ModelFrame) -> PluginResult<Self> {
         let is_matrix = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("dmat"));
         let rows = if is_matrix { Matrix::read(path).and_then(|m| of_matrix(&m)) } else { of_text(path) };

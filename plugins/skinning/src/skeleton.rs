@@ -172,7 +172,7 @@ impl Skeleton {
     /// no bone (three more numbers, of which the first is 0), and what comes after a second `#`.
     ///
     /// # Errors
-    /// They name the line.
+    /// Errors name the line.
     pub fn read(path: &Path, to_local: impl Fn(DVec3) -> DVec3) -> PluginResult<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| {
             PluginError::parameter("skeleton", &format!("cannot be read: {}: {e}", path.display()))

@@ -60,7 +60,7 @@ impl WeightTable {
     /// second file: an OBJ's vertices, or a DMAT with three columns.
     ///
     /// # Errors
-    /// They name the line, and the column.
+    /// Errors name the line, and the column.
     pub fn read(
         path: &Path,
         places: Option<&Path>,

@@ -66,7 +66,7 @@ impl Voxels {
     /// if the surface encloses nothing.
     ///
     /// # Errors
-    /// They are too many; a sample is not finite.
+    /// The voxels are too many; a sample is not finite.
     pub fn new(
         input: &PrepareInput<'_>,
         bones: &[[DVec3; 2]],

@@ -54,7 +54,7 @@ pub enum DetailAttributes {
     /// Nothing.
     #[default]
     Nothing,
-    /// Their colours.
+    /// The vertices' own colours.
     Colors(Colors, ColorScale),
     /// The attribute at this place in the model's list.
     Attribute(usize),
@@ -450,7 +450,9 @@ impl Carrying<'_> {
             let normal = if is_known {
                 known[i]
             } else {
-                let n = normals::plane_normal(positions, i, near);
+                let mut n = [Vec3::ZERO];
+                normals::plane_normals(positions, i, |_| near, &mut n);
+                let [n] = n;
                 if n.dot(at_samples[home]) < 0.0 { -n } else { n }
             };
             // Vertices may be there twice, as at seams of textures.

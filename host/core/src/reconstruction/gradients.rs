@@ -39,8 +39,8 @@ const COLLINEAR: f64 = 1e-3;
 /// Weight of the prior for the direction across, relative to the neighbours' whole spread.
 const PRIOR: f64 = 3e-3;
 
-/// Its weight where neighbours tell all they can, for each of their own weights: the square of what rounding
-/// makes of how far they are off the plane, for a gradient that is off by a third.
+/// The prior's weight where neighbours tell all they can, for each of their own weights: the square of what
+/// rounding makes of how far they are off the plane, for a gradient that is off by a third.
 const LEAST_PRIOR: f64 = 1e-13;
 
 /// Relief of this part of the whole spread tells on which side of the surface things come to lie.

@@ -356,7 +356,7 @@ fn written(file: &mut OutputFile, bytes: &[u8]) -> Result<()> {
 struct PartJoin<'a> {
     sampled: &'a SampledModel,
     model: &'a dyn Model,
-    /// Their files, in their order.
+    /// The files of the parts, in their order.
     paths: Vec<&'a Path>,
     output: &'a Path,
     key: String,

@@ -13,7 +13,7 @@ use super::blend::Grouped;
 pub struct Workspace {
     /// The vertices of a block in the order in which they are gone through.
     pub block_order: Vec<u32>,
-    /// Those of the part that is gone through now.
+    /// The vertices of the part that is gone through now, in that order.
     pub order: Vec<u32>,
     /// Whether all of them have finite positions.
     pub is_finite: bool,
@@ -34,7 +34,7 @@ pub struct Workspace {
 #[derive(Debug, Clone, Copy)]
 pub struct HomeRun {
     pub home: u32,
-    /// Their first place in the order, and their number.
+    /// The run's first place in the order, and the number of its vertices.
     pub first: u32,
     pub count: u32,
     /// Where they are among the grouped ones, side by side; [`NOWHERE`] if their home does not move.
@@ -45,12 +45,12 @@ pub struct HomeRun {
 pub const NOWHERE: u32 = u32::MAX;
 
 impl HomeRun {
-    /// Their places in the order.
+    /// The places of the run's vertices in the order.
     pub fn range(&self) -> Range<usize> {
         self.first as usize..(self.first + self.count) as usize
     }
 
-    /// Their places among the grouped ones, where they are.
+    /// The places of the run's vertices among the grouped ones, where they are.
     pub fn places(&self) -> Range<usize> {
         self.place as usize..(self.place + self.count) as usize
     }

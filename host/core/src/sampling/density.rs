@@ -32,7 +32,7 @@ impl By {
         *self == Self::Error
     }
 
-    /// Its name in files.
+    /// The name of this choice in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Error => "error",

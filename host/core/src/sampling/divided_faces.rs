@@ -262,7 +262,7 @@ impl LeafOwners<'_> {
 
 /// The lists in a file of what is known of the vertices of a range.
 mod member {
-    /// Their samples.
+    /// The samples of the vertices.
     pub const SAMPLES: usize = 0;
     /// How far before each one at the same position is, or 0: where such are worth looking for.
     pub const TWINS: usize = 1;

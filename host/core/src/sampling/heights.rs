@@ -11,8 +11,9 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::neighbour_graph::NeighbourGraph;
-use super::normals::{NEIGHBOURS, direction};
-use crate::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple};
+use super::normals::direction;
+use super::ways::{NEIGHBOURS, Ways, mean, scatter};
+use crate::double_lanes::{DoubleLanes, DoubleMask, Triple};
 use crate::eigen_lanes::{dot, symmetric_eigen};
 
 /// Neighbours whose mean distance tells how far apart samples are: as many as in a hexagonal packing.
@@ -81,33 +82,24 @@ impl WithSimd for Heights<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { positions, graph, first, heights } = self;
-        let mut ways = [[[0.0; MOST_LANES]; 3]; NEIGHBOURS];
+        let mut ways = Ways::new(graph.k());
         for at in (0..heights.len()).step_by(S::F64_LANES) {
             let count = S::F64_LANES.min(heights.len() - at);
             for lane in 0..count {
                 let sample = first + at + lane;
-                for (way, j) in ways.iter_mut().zip(graph.nearest_to(sample)) {
-                    let d = positions[*j as usize] - positions[sample];
-                    for axis in 0..3 {
-                        way[axis][lane] = f64::from(d[axis]);
-                    }
-                }
+                ways.set(lane, positions, sample, graph.nearest_to(sample));
             }
-            height(simd, &ways[..graph.k()], &mut heights[at..at + count]);
+            height(simd, &ways, &mut heights[at..at + count]);
         }
     }
 }
 
 /// The heights of the samples of a packet, from which these are the ways to their neighbours.
 #[inline(always)]
-fn height<S: Simd>(simd: S, ways: &[[[f64; MOST_LANES]; 3]], heights: &mut [Height]) {
+fn height<S: Simd>(simd: S, ways: &Ways, heights: &mut [Height]) {
     let splat = |x| DoubleLanes::splat(simd, x);
     let mut around = [[splat(0.0); 3]; NEIGHBOURS];
-    for i in 0..ways.len() {
-        let [x, y, z] = &ways[i];
-        around[i] = [DoubleLanes::load(simd, x), DoubleLanes::load(simd, y), DoubleLanes::load(simd, z)];
-    }
-    let around = &mut around[..ways.len()];
+    let around = ways.load(simd, &mut around);
     let (diagonal, off) = scatter(simd, around);
     let (variances, axes) = symmetric_eigen(simd, diagonal, off);
     let is_thin = variances[0].less(splat(MOST_THICKNESS * MOST_THICKNESS) * variances[1]);
@@ -175,43 +167,6 @@ fn over_plane<S: Simd>(simd: S, around: &mut [Triple<S>]) -> [DoubleLanes<S>; 3]
         squares += part * part;
     }
     [height / (moment * scale), squares / (moment * moment), moment]
-}
-
-/// The scatter of each sample and its neighbours about their mean, by the ways from it to them: xx, yy, zz,
-/// and xy, xz, yz.
-#[inline(always)]
-fn scatter<S: Simd>(simd: S, around: &[Triple<S>]) -> (Triple<S>, Triple<S>) {
-    let zero = DoubleLanes::splat(simd, 0.0);
-    let mean = mean(simd, around);
-    let mut sums = ([zero; 3], [zero; 3]);
-    add_products(&mut sums, mean);
-    for i in 0..around.len() {
-        let d = around[i];
-        add_products(&mut sums, [d[0] - mean[0], d[1] - mean[1], d[2] - mean[2]]);
-    }
-    sums
-}
-
-/// Adds the products of a vector's coordinates.
-#[inline(always)]
-fn add_products<S: Simd>((diagonal, off): &mut (Triple<S>, Triple<S>), d: Triple<S>) {
-    for (at, [a, b]) in [[0, 1], [0, 2], [1, 2]].into_iter().enumerate() {
-        diagonal[at] += d[at] * d[at];
-        off[at] += d[a] * d[b];
-    }
-}
-
-/// The mean of each sample and its neighbours, from the sample.
-#[inline(always)]
-fn mean<S: Simd>(simd: S, around: &[Triple<S>]) -> Triple<S> {
-    let mut sum = [DoubleLanes::splat(simd, 0.0); 3];
-    for i in 0..around.len() {
-        for axis in 0..3 {
-            sum[axis] += around[i][axis];
-        }
-    }
-    let count = DoubleLanes::splat(simd, around.len() as f64 + 1.0);
-    [sum[0] / count, sum[1] / count, sum[2] / count]
 }
 
 /// The squared distance of a way along the surface.

@@ -43,6 +43,7 @@ mod target;
 mod tasks;
 pub(crate) mod triangles;
 pub mod vs_tree;
+mod ways;
 
 use std::ops::Range;
 use std::path::Path;

@@ -2,16 +2,17 @@
 //! along a minimum spanning tree. H. Hoppe, T. DeRose, T. Duchamp, J. McDonald, W. Stuetzle,
 //! *Surface Reconstruction from Unorganized Points*, 1992.
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DVec3, Vec3};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::neighbour_graph::NeighbourGraph;
-use crate::geometry::symmetric_eigen;
+pub use super::ways::NEIGHBOURS;
+use super::ways::{Ways, scatter};
+use crate::double_lanes::DoubleLanes;
+use crate::eigen_lanes::symmetric_eigen;
 
-/// Neighbours that are needed: they span the tangent plane.
-pub const NEIGHBOURS: usize = 12;
-
-/// Samples whose edges are found by one job.
+/// Samples whose planes or edges are found by one job.
 const TOGETHER: usize = 4096;
 
 /// Neighbours along which the orientation spreads.
@@ -24,11 +25,14 @@ const ORIENT_NEIGHBOURS: usize = 8;
 /// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces
 /// only.
 ///
-/// Memory: 12 bytes for each of at most [`ORIENT_NEIGHBOURS`] edges per sample, about five; and 15 per
+/// Memory: 12 bytes for each of at most [`ORIENT_NEIGHBOURS`] edges per sample, about five; and 27 per
 /// sample.
 pub fn completed(positions: &[Vec3], known: &[Vec3], graph: &NeighbourGraph) -> Vec<Vec3> {
-    let across = |i: usize| plane_normal(positions, i, first(graph.nearest_to(i), NEIGHBOURS));
-    completed_from(positions, known, graph, across)
+    let mut across = vec![Vec3::ZERO; positions.len()];
+    across.par_chunks_mut(TOGETHER).enumerate().for_each(|(job, across)| {
+        plane_normals(positions, job * TOGETHER, |i| first(graph.nearest_to(i), NEIGHBOURS), across);
+    });
+    completed_from(positions, known, graph, &across)
 }
 
 /// The same, of samples whose directions of least variance are known.
@@ -36,12 +40,17 @@ pub fn completed_from(
     positions: &[Vec3],
     known: &[Vec3],
     graph: &NeighbourGraph,
-    across: impl Fn(usize) -> Vec3 + Sync,
+    across: &[Vec3],
 ) -> Vec<Vec3> {
     let mut normals = known.to_vec();
     normals.resize(positions.len(), Vec3::ZERO);
     let missing: Vec<bool> = normals.iter().map(|n| *n == Vec3::ZERO).collect();
-    normals.par_iter_mut().enumerate().filter(|(i, _)| missing[*i]).for_each(|(i, n)| *n = across(i));
+    normals
+        .iter_mut()
+        .zip(across)
+        .zip(&missing)
+        .filter(|(_, missing)| **missing)
+        .for_each(|((n, a), _)| *n = *a);
     orient(positions, graph, &mut normals, &missing);
     normals
 }
@@ -50,21 +59,44 @@ fn first(neighbours: &[u32], count: usize) -> &[u32] {
     &neighbours[..count.min(neighbours.len())]
 }
 
-/// The direction of least variance of a point and its neighbours.
-pub fn plane_normal(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Vec3 {
-    let around = neighbours.iter().map(|j| (positions[*j as usize] - positions[i]).as_dvec3());
-    direction(symmetric_eigen(scatter(around)).1.x_axis)
+/// The direction of least variance of each of some points, which follow each other from the first, and its
+/// neighbours, of which all have as many, [`NEIGHBOURS`] at most.
+pub fn plane_normals<'a>(
+    positions: &[Vec3],
+    begin: usize,
+    neighbours: impl Fn(usize) -> &'a [u32],
+    normals: &mut [Vec3],
+) {
+    Arch::new().dispatch(PlaneNormals { positions, begin, neighbours, normals });
 }
 
-/// The scatter of a point and its neighbours about their mean, by the ways from it to them.
-fn scatter(around: impl ExactSizeIterator<Item = DVec3> + Clone) -> DMat3 {
-    let mean = around.clone().sum::<DVec3>() / (around.len() + 1) as f64;
-    around.fold(outer(mean), |sum, d| sum + outer(d - mean))
+/// What [`plane_normals`] does, in the processor's vectors.
+struct PlaneNormals<'a, F> {
+    positions: &'a [Vec3],
+    begin: usize,
+    neighbours: F,
+    normals: &'a mut [Vec3],
 }
 
-/// d dᵀ
-fn outer(d: DVec3) -> DMat3 {
-    DMat3::from_cols(d * d.x, d * d.y, d * d.z)
+impl<'a, F: Fn(usize) -> &'a [u32]> WithSimd for PlaneNormals<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let mut ways = Ways::new((self.neighbours)(self.begin).len());
+        for (packet, normals) in self.normals.chunks_mut(S::F64_LANES).enumerate() {
+            let begin = self.begin + packet * S::F64_LANES;
+            for lane in 0..normals.len() {
+                ways.set(lane, self.positions, begin + lane, (self.neighbours)(begin + lane));
+            }
+            let mut around = [[DoubleLanes::splat(simd, 0.0); 3]; NEIGHBOURS];
+            let (diagonal, off) = scatter(simd, ways.load(simd, &mut around));
+            let [x, y, z] = symmetric_eigen(simd, diagonal, off).1[0].map(DoubleLanes::store);
+            for (lane, normal) in normals.iter_mut().enumerate() {
+                *normal = direction(DVec3::new(x[lane], y[lane], z[lane]));
+            }
+        }
+    }
 }
 
 /// The direction of an axis, or any, if it has none.

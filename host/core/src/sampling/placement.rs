@@ -52,7 +52,7 @@ const ALIKE: f64 = 0.03;
 const AT_EDGES: f64 = 0.05;
 
 impl Placement {
-    /// Its name in files.
+    /// The name of this choice in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Automatic => "automatic",

@@ -96,7 +96,7 @@ impl SampleSet {
     /// variance that were found out before.
     pub(super) fn estimate_normals(&self, graph: &NeighbourGraph, across: &[Vec3]) {
         if !self.all_known {
-            let completed = || normals::completed_from(&self.positions, &self.known, graph, |i| across[i]);
+            let completed = || normals::completed_from(&self.positions, &self.known, graph, across);
             self.estimated.get_or_init(completed);
         }
     }

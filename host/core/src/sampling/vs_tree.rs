@@ -50,7 +50,7 @@ const MAX_DEPTH: u32 = 96;
 pub struct Node {
     /// The sample that stands for the cluster, in local coordinates.
     pub position: Vec3,
-    /// Its unit normal; zero where unknown.
+    /// The sample's unit normal; zero where unknown.
     pub normal: Vec3,
     /// [Variance](Moments::variance_of_mean) of the sample.
     pub variance: f32,

@@ -96,7 +96,7 @@ pub fn worst_distance(sampled: &SampledModel, vertices: &[DVec3]) -> f32 {
     distances(sampled, vertices).max_by(f32::total_cmp).unwrap()
 }
 
-/// Their root mean square.
+/// The root mean square of the distances.
 pub fn rms_distance(sampled: &SampledModel, vertices: &[DVec3]) -> f64 {
     let squares = distances(sampled, vertices).map(|d| f64::from(d).powi(2));
     (squares.sum::<f64>() / vertices.len() as f64).sqrt()

@@ -152,7 +152,7 @@ impl KeptVlrs {
         Ok((!units.is_empty()).then(|| units.join(", ")))
     }
 
-    /// That of GeoKeys: in the plane, or on the ellipsoid, and of heights.
+    /// The unit that GeoKeys tell: in the plane, or on the ellipsoid, and of heights.
     fn unit_of_keys(&self, source: &SourceFile) -> Result<Vec<String>> {
         let keys = self.content(source, VlrKind::GeoKeys, MOST_OF_CRS)?.unwrap_or_default();
         let keys: Vec<[u16; 4]> = keys

@@ -86,7 +86,7 @@ fn has_just<'a>(element: &PlyElement, kind: Type, names: impl IntoIterator<Item 
 /// The chunks and the splats of a file.
 ///
 /// # Errors
-/// They are not what packed splats have.
+/// The elements are not what packed splats have.
 fn check_elements<'a>(source: &SourceFile, header: &'a PlyHeader) -> Result<[&'a PlyElement; 2]> {
     let wrong = |what: &str| Err(source.malformed(format_args!("packed splats, but {what}"), HINT));
     if header.encoding != Encoding::Little {

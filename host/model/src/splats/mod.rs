@@ -39,7 +39,7 @@ struct GroupOffsets {
     opacity: usize,
     scale: usize,
     rotation: usize,
-    /// Their number.
+    /// The number of all properties.
     all: usize,
 }
 

@@ -48,8 +48,8 @@ fn check_end(source: &SourceFile) -> Result<()> {
 pub(crate) enum LineEnds {
     /// Each line feed, and each carriage return.
     Breaks,
-    /// Those that no backslash stands before, but of a comment, which may end in one as the path of a folder
-    /// does.
+    /// Ends of lines before which no backslash stands, but of a comment, which may end in one as the path of
+    /// a folder does.
     Continued,
     /// The next word that is one with which statements begin: breaks are blanks as others.
     Words(fn(&[u8]) -> bool),

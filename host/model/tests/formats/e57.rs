@@ -50,7 +50,7 @@ fn move_points(model: &dyn Model, to: impl Fn(DVec3) -> DVec3 + Sync) -> Result<
 /// A field of a scan that is made here.
 #[derive(Debug, Clone)]
 struct Made {
-    /// Its element.
+    /// The field's element.
     xml: String,
     bits: u32,
     numbers: Vec<u64>,

@@ -51,7 +51,7 @@ pub fn read_by(model: &dyn Model, range: Range<u64>, chunk_size: usize) -> Resul
     Ok((positions, normals))
 }
 
-/// Those of the whole model.
+/// Positions and normals of the whole model.
 pub fn read(model: &dyn Model) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
     read_by(model, 0..u64::MAX, 1 << 16)
 }

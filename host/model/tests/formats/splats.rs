@@ -97,7 +97,7 @@ fn of_spz(bytes: &[u8]) -> Vec<u8> {
     found
 }
 
-/// Its numbers by the names that they have.
+/// The numbers of a model by the names that they have.
 fn numbers(model: &dyn Model) -> Vec<Vec<f64>> {
     let mut reader = model.vertices(0..u64::MAX).unwrap();
     let (mut chunk, mut all) = (VertexChunk::default(), vec![Vec::new(); model.info().attributes.len()]);

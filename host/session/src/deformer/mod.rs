@@ -180,7 +180,7 @@ impl Plugin {
         &self.descriptor.url
     }
 
-    /// Its parameters.
+    /// The parameters of the tool.
     pub fn params(&self) -> &[ParamDesc] {
         &self.descriptor.params
     }
@@ -421,12 +421,12 @@ impl Plugin {
         About { descriptor: self.descriptor.clone(), capabilities: self.capabilities, migration }
     }
 
-    /// Its description, as it was told at load.
+    /// The tool's description, as it was told at load.
     pub fn descriptor(&self) -> &Descriptor {
         &self.descriptor
     }
 
-    /// Its calls as it answers them, with error codes, and output of any kind: to measure and check them.
+    /// The tool's calls as it answers them, with error codes, and output of any kind: to measure and check them.
     /// What deforms for users is a [`Stack`](crate::Stack), which looks at the output.
     pub fn code(&self) -> &dyn Code {
         self.code.as_ref()

@@ -55,7 +55,7 @@ pub enum EditCommand {
     },
     /// Steps that follow each other become a group, or are of none any more.
     Group {
-        /// Their places.
+        /// The places of the steps that become a group.
         steps: Range<usize>,
         /// What the group is called.
         #[serde(default)]
