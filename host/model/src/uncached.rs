@@ -12,8 +12,8 @@ use crate::memory::{LARGE_PAGE, zeros};
 /// Places in memory and in the file are multiples of this: as much as any device in use asks for.
 pub(crate) const BLOCK: usize = 4096;
 
-/// Bytes that are written at once: a large page. Of small ones, the system looks up one by one where they are,
-/// and asks the disk in several steps for what it can do in one.
+/// Bytes that are written at once: a large page. Of small ones, the system looks up one by one where they
+/// are, and asks the disk in several steps for what it can do in one.
 const BUFFER: usize = LARGE_PAGE;
 
 /// A file that is written from some place on, in order. Where the operating system lets us write past the
