@@ -93,8 +93,7 @@ fn set_allocator(block: i32, free: i32) {
 }
 
 /// Bytes of a large page.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-const LARGE_PAGE: usize = 2 << 20;
+pub(crate) const LARGE_PAGE: usize = 2 << 20;
 
 /// So many zeros, the system's own, which whoever writes to first takes from there: for long lists that are
 /// held for long. The system is asked for large pages, by which they are there and are looked up in fewer

@@ -7,11 +7,14 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 
+use crate::memory::{LARGE_PAGE, zeros};
+
 /// Places in memory and in the file are multiples of this: as much as any device in use asks for.
 pub(crate) const BLOCK: usize = 4096;
 
-/// Bytes that are written at once.
-const BUFFER: usize = 2 << 20;
+/// Bytes that are written at once: a large page. Of small ones, the system looks up one by one where they
+/// are, and asks the disk in several steps for what it can do in one.
+const BUFFER: usize = LARGE_PAGE;
 
 /// A file that is written from some place on, in order. Where the operating system lets us write past the
 /// page cache, a full buffer is written by a thread of its own while the next one fills.
@@ -130,7 +133,7 @@ impl UncachedFile {
     }
 }
 
-/// Bytes that go to the disk together, in memory from a multiple of [`BLOCK`] on.
+/// Bytes that go to the disk together, in one large page where the system gives such.
 #[derive(Debug, Default)]
 struct AlignedBuffer {
     /// Empty until it is needed.
@@ -148,8 +151,9 @@ impl AlignedBuffer {
     /// The next `count` bytes, for their values; no more than there is room for.
     fn take_room(&mut self, count: usize) -> &mut [u8] {
         if self.memory.is_empty() {
-            self.memory = vec![0; BUFFER + BLOCK];
-            self.origin = self.memory.as_ptr().align_offset(BLOCK).min(BLOCK);
+            // Half of it, or nearly, is never touched.
+            self.memory = zeros(BUFFER + LARGE_PAGE);
+            self.origin = self.memory.as_ptr().align_offset(LARGE_PAGE).min(LARGE_PAGE);
         }
         let at = self.origin + self.filled;
         self.filled += count;
@@ -294,6 +298,14 @@ mod tests {
         for later in [written.write(&buffer), written.flush(), written.begin_at(0), written.go_on_at(0)] {
             assert_eq!(later.unwrap_err().to_string(), ended().to_string());
         }
+    }
+
+    #[test]
+    fn what_is_written_at_once_lies_in_one_large_page() {
+        let mut buffer = AlignedBuffer::default();
+        buffer.take_room(BUFFER).fill(7);
+        assert_eq!(buffer.bytes().as_ptr().addr() % LARGE_PAGE, 0);
+        assert!(buffer.bytes().len() == LARGE_PAGE && buffer.bytes().iter().all(|byte| *byte == 7));
     }
 
     #[derive(Debug, Clone)]

@@ -13,6 +13,7 @@ use crate::problem::Problem;
 use glam::{DMat3, DVec3};
 use simod_cholesky::Factor;
 use simod_plugin_api::{Host, PluginResult};
+use std::borrow::Cow;
 use std::ops::Range;
 
 /// Nodes at once on one thread.
@@ -66,6 +67,8 @@ pub struct LevelPose {
     pub turns: Vec<DMat3>,
     /// What they come to at each of the level's nodes whose surroundings are whole: means of rotations.
     pub blends: Vec<DMat3>,
+    /// What edges told of these nodes' rotations when they were fitted last; nothing before.
+    covariances: Vec<DMat3>,
 }
 
 impl SurfaceLevel {
@@ -86,7 +89,7 @@ impl SurfaceLevel {
     ) -> PluginResult<LevelPose> {
         let displacements = self.problem.held_displacements(|target, at| motion.displacement(target, at));
         let blends = turning.blend(&turns, host)?;
-        let mut pose = LevelPose { displacements, turns, blends };
+        let mut pose = LevelPose { displacements, turns, blends, covariances: Vec::new() };
         self.place(&mut pose, motion, host)?;
         Ok(pose)
     }
@@ -116,14 +119,14 @@ impl SurfaceLevel {
 
     /// The local step: fits the rotations to where the nodes are.
     fn turn(&self, pose: &mut LevelPose, turning: TurningNodes<'_>, host: &Host<'_>) -> PluginResult<()> {
-        let covariances = covariances(&self.problem, &pose.displacements, host)?;
-        turning.fit(covariances, &mut pose.turns, host)?;
+        pose.covariances = covariances(&self.problem, &pose.displacements, host)?;
+        turning.fit(&pose.covariances, &mut pose.turns, host)?;
         pose.blends = turning.blend(&pose.turns, host)?;
         Ok(())
     }
 
-    /// The energy, but for a constant, and its derivative by the free nodes' displacements. As the rotations
-    /// are those that fit best, they count as constant.
+    /// The energy, but for a constant, and its derivative by the free nodes' displacements, behind a local
+    /// step. As the rotations are those that fit best, they count as constant.
     fn assess(
         &self,
         pose: &LevelPose,
@@ -131,25 +134,24 @@ impl SurfaceLevel {
         host: &Host<'_>,
     ) -> PluginResult<(f64, Vec<DVec3>)> {
         let problem = &self.problem;
-        let LevelPose { displacements, blends, .. } = pose;
-        let at = |i: usize| problem.rest[i] + displacements[i];
+        let LevelPose { displacements, blends, covariances, .. } = pose;
         let mut parts = vec![(0.0, DVec3::ZERO); problem.rows];
         host.parallel_blocks(&mut parts, TOGETHER, |first, parts| {
             for (i, (energy, gradient)) in (first..).zip(parts) {
+                // What edges have to do with how far rotations take what they lead to.
+                let change = blends[i] - DMat3::IDENTITY;
+                *energy = -(0..3).map(|axis| change.col(axis).dot(covariances[i].col(axis))).sum::<f64>();
+                if i >= problem.free {
+                    continue;
+                }
                 let (mut free, mut held, mut turned) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
                 for e in problem.operators.row(i) {
-                    let edge = at(e.column) - at(i);
-                    *energy -= edge.dot(blends[i] * e.into - e.into);
-                    if i < problem.free {
-                        let laplacian = e.stiffness * displacements[e.column];
-                        *(if e.column < problem.free { &mut free } else { &mut held }) += laplacian;
-                        turned += blends[e.column] * e.out - e.out;
-                    }
+                    let laplacian = e.stiffness * displacements[e.column];
+                    *(if e.column < problem.free { &mut free } else { &mut held }) += laplacian;
+                    turned += blends[e.column] * e.out - e.out;
                 }
-                if i < problem.free {
-                    *energy += displacements[i].dot(0.5 * free + held);
-                    *gradient = free + held - turned;
-                }
+                *energy += displacements[i].dot(0.5 * free + held);
+                *gradient = free + held - turned;
             }
         })?;
         let mut energy: f64 = parts.iter().map(|p| p.0).sum();
@@ -188,7 +190,13 @@ impl SurfaceLevel {
             host.progress(0.0)?;
             let step = past.step(&gradient, &self.factor, host)?;
             let slope: f64 = step.iter().zip(&gradient).map(|(s, g)| s.dot(*g)).sum();
-            let before = pose.clone();
+            // The rest is found anew.
+            let before = LevelPose {
+                displacements: pose.displacements.clone(),
+                turns: pose.turns.clone(),
+                blends: std::mem::take(&mut pose.blends),
+                covariances: Vec::new(),
+            };
             let mut part = 1.0;
             let taken = loop {
                 for ((d, b), s) in pose.displacements.iter_mut().zip(&before.displacements).zip(&step) {
@@ -233,10 +241,10 @@ fn is_settled(energies: &[f64], part: f64) -> bool {
 
 impl TurningNodes<'_> {
     /// Fits rotations to the covariances of a level's nodes.
-    fn fit(&self, covariances: Vec<DMat3>, turns: &mut [DMat3], host: &Host<'_>) -> PluginResult<()> {
+    fn fit(&self, covariances: &[DMat3], turns: &mut [DMat3], host: &Host<'_>) -> PluginResult<()> {
         let own = match self.groups {
-            Some(groups) => groups.sums(&covariances, self.problem.rows, host)?,
-            None => covariances,
+            Some(groups) => Cow::Owned(groups.sums(covariances, self.problem.rows, host)?),
+            None => Cow::Borrowed(covariances),
         };
         self.cells.fit(self.problem, own, turns, host)
     }
@@ -293,6 +301,13 @@ mod tests {
         level.pose(turns.take(level.problem.rows).collect(), turning, motion, &Host::new(&())).unwrap()
     }
 
+    /// The energy of a pose, whichever step was the last.
+    fn energy(level: &SurfaceLevel, pose: &mut LevelPose, motion: &OwnMotions) -> f64 {
+        let host = Host::new(&());
+        pose.covariances = covariances(&level.problem, &pose.displacements, &host).unwrap();
+        level.assess(pose, motion, &host).unwrap().0
+    }
+
     #[test]
     fn neither_step_raises_the_energy() {
         let (motion, host) = (motion(), Host::new(&()));
@@ -301,7 +316,7 @@ mod tests {
             let cells = NodeNeighbourhoods::new(&level.problem, width, &host).unwrap();
             let turning = TurningNodes { cells: &cells, problem: &level.problem, groups: None };
             let mut pose = start(&level, turning, &motion);
-            let mut last = level.assess(&pose, &motion, &host).unwrap().0;
+            let mut last = energy(&level, &mut pose, &motion);
             for step in 0..60 {
                 for local in [true, false] {
                     if local {
@@ -309,7 +324,7 @@ mod tests {
                     } else {
                         level.place(&mut pose, &motion, &host).unwrap();
                     }
-                    let energy = level.assess(&pose, &motion, &host).unwrap().0;
+                    let energy = energy(&level, &mut pose, &motion);
                     // Coefficients are of single precision.
                     assert!(energy <= last + 1e-7, "width {width}, step {step}: {last} to {energy}");
                     last = energy;

@@ -14,6 +14,7 @@ use crate::rotation;
 use glam::{DMat3, DVec3};
 use simod_cholesky::Factor;
 use simod_plugin_api::{Host, PluginResult};
+use std::borrow::Cow;
 
 /// Nodes at once on one thread.
 const TOGETHER: usize = 1024;
@@ -59,15 +60,16 @@ impl NodeNeighbourhoods {
     pub fn fit(
         &self,
         problem: &Problem,
-        mut covariances: Vec<DMat3>,
+        mut covariances: Cow<'_, [DMat3]>,
         turns: &mut [DMat3],
         host: &Host<'_>,
     ) -> PluginResult<()> {
         let mut own = turns;
         if let Some(wide) = &self.wide {
-            covariances.truncate(problem.free);
-            wide.solve(&mut covariances, host)?;
-            covariances.iter_mut().zip(&problem.operators.areas).for_each(|(s, area)| *s *= *area);
+            let spread = covariances.to_mut();
+            spread.truncate(problem.free);
+            wide.solve(spread, host)?;
+            spread.iter_mut().zip(&problem.operators.areas).for_each(|(s, area)| *s *= *area);
             own = &mut own[..problem.free];
         }
         host.parallel_blocks(own, TOGETHER, |first, turns| {

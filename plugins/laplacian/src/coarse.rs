@@ -59,14 +59,15 @@ impl Lists {
         Self { starts, all }
     }
 
-    /// For each list the weighted sum of what its numbers stand for.
-    fn sums(&self, of: &[DMat3], together: usize, host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
+    /// For each list the weighted sum of what its numbers stand for, and of `more`.
+    fn sums(&self, of: &[DMat3], more: DMat3, together: usize, host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
         let mut sums = vec![DMat3::ZERO; self.len()];
         host.parallel_blocks(&mut sums, together, |first, sums| {
             for (i, sum) in (first..).zip(sums) {
                 for &(k, weight) in self.row(i) {
                     *sum += of[k as usize] * f64::from(weight);
                 }
+                *sum += more;
             }
         })?;
         Ok(sums)
@@ -78,9 +79,7 @@ impl Prolongation {
     pub fn means(&self, groups: &[DMat3], host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
         // Weights of single precision add up to 1 but nearly.
         let changes: Vec<DMat3> = groups.iter().map(|m| *m - DMat3::IDENTITY).collect();
-        let mut means = self.groups.sums(&changes, 4096, host)?;
-        means.iter_mut().for_each(|m| *m += DMat3::IDENTITY);
-        Ok(means)
+        self.groups.sums(&changes, DMat3::IDENTITY, 4096, host)
     }
 
     /// The weighted means of the groups' affine maps, for the fine problem's nodes.
@@ -100,7 +99,7 @@ impl Prolongation {
 
     /// The weighted sums of nodes' matrices, for the groups below `count`.
     pub fn sums(&self, nodes: &[DMat3], count: usize, host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
-        let mut sums = self.members.sums(nodes, 64, host)?;
+        let mut sums = self.members.sums(nodes, DMat3::ZERO, 64, host)?;
         sums.truncate(count);
         Ok(sums)
     }

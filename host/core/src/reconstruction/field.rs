@@ -155,6 +155,17 @@ impl<'a> DeformationField<'a> {
         self
     }
 
+    /// This field without what vertices need no more: the gradients and normals of the samples, but by the
+    /// paper's method.
+    ///
+    /// Memory: 49 bytes per sample less.
+    pub(super) fn prepared(mut self) -> Self {
+        if self.method == Method::BlendedJets {
+            self.gradients = Gradients { mirrored: self.gradients.mirrored, ..Gradients::default() };
+        }
+        self
+    }
+
     /// Carries a vertex over that no support reaches, as one that lies far off the samples.
     pub(super) fn beyond(&self, home: usize, p: Vec3) -> Transport {
         let around = Neighbourhood::gather(self.around, home, blended_jets::BLENDED, p);

@@ -47,6 +47,7 @@ const LEAST_PRIOR: f64 = 1e-13;
 const RELIEF: f64 = 4e-7;
 
 /// What the fits give.
+#[derive(Default)]
 pub struct Gradients {
     /// Gradient of the deformation at each sample, held to the prior across.
     pub gradient: Vec<Mat3>,

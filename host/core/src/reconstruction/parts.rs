@@ -123,7 +123,7 @@ pub fn write_part(
     progress.begin("preparing", 0);
     let reusing = Reusing::begin();
     let around = RestGeometry::kept(sampled);
-    let fields = [field(sampled, model, how, &around, deformed)];
+    let fields = [field(sampled, model, how, &around, deformed).prepared()];
     // Here, on all threads of the pool.
     around.cells();
     drop(reusing);

@@ -330,7 +330,7 @@ impl<'a> ReconstructionCall<'a> {
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
             let field = field(self.sampled, self.model, self.how, &around, begun.version.deformed);
-            if begun.diagnostics.is_some() { field.expecting_of_vertices() } else { field }
+            if begun.diagnostics.is_some() { field.expecting_of_vertices() } else { field }.prepared()
         };
         let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
         for (field, begun) in fields.iter().zip(&self.pass) {
