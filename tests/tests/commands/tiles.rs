@@ -234,8 +234,8 @@ fn formats_are_mixed_in_a_session() {
     work.refuses("convert tiles/* joined.ply", &["several tiles, which are not joined"]);
 }
 
-/// Another offset is chosen for those tiles alone whose integers do not reach: of others, however far away they
-/// are, nothing changes.
+/// Another offset is chosen for those tiles alone whose integers do not reach: of others, however far away,
+/// nothing changes.
 #[test]
 fn offsets_are_chosen_tile_by_tile() {
     const FAR: f64 = 9e6;
