@@ -232,6 +232,13 @@ fn separates(line: &[u8], separator: u8) -> bool {
     (0..3).all(|_| columns.next().is_some_and(is_word))
 }
 
+/// Whether a line tells a spreadsheet what separates columns, as `sep=;` does before all others; which the
+/// lines behind it tell, too.
+fn says_separator(line: &[u8]) -> bool {
+    let word = line.trim_ascii();
+    word.len() <= 5 && word.len() >= 4 && word[..4].eq_ignore_ascii_case(b"sep=")
+}
+
 /// Whether a file's first lines are such a text.
 pub(crate) fn is_columns(source: &SourceFile, extension: &str) -> bool {
     EXTENSIONS.contains(&extension) && head(source, extension, None).is_ok()
@@ -410,6 +417,9 @@ fn head(source: &SourceFile, extension: &str, wanted: Option<&str>) -> Result<Co
         let Some((at, line)) = lines.next()? else {
             return Err(source.malformed("there is no line of numbers in it", HINT));
         };
+        if at == begin && says_separator(line) {
+            continue;
+        }
         if is_blank(line) {
             before.comment.clear();
             before.comment.extend_from_slice(&line[..line.len().min(LONGEST_HEADER)]);

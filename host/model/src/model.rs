@@ -14,6 +14,7 @@ use std::thread;
 
 use glam::{DVec3, Mat3, Vec3, Vec4};
 
+use crate::bounds::Bounds;
 use crate::fan::Fan;
 use crate::follow::{self, Follow, Following};
 use crate::{Attribute, Error, Progress, Result, ScaledIntegers, Summary};
@@ -672,7 +673,7 @@ pub(crate) fn some_by_all(
 pub struct Tile {
     /// The file.
     pub path: PathBuf,
-    /// What it is called in a folder of all of them.
+    /// What it is called in a folder that all of them are written to.
     pub name: PathBuf,
     /// The tile's size in bytes.
     pub bytes: u64,
@@ -850,6 +851,11 @@ pub trait Model: Send + Sync {
     /// which vertex it is: integers do not reach everywhere.
     fn has_room_for(&self, p: DVec3) -> bool {
         self.info().written.is_none_or(|integers| integers.range().contains(p))
+    }
+
+    /// The box of all vertices as the file tells it, which may lie; none where it does not.
+    fn told_bounds(&self) -> Option<Bounds> {
+        None
     }
 
     /// Sees to it that what is rewritten from now on has room for vertices that go from the first place of

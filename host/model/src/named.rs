@@ -10,7 +10,7 @@ use crate::cache::{Cache, Making};
 use crate::formats::open_file;
 use crate::input::may_be_there;
 use crate::progress::Silent;
-use crate::tiles::{TiledModel, names};
+use crate::tiles::{TiledModel, names, written_names};
 use crate::{Error, Model, Progress, Result};
 
 /// A model as it is named.
@@ -68,6 +68,14 @@ impl ModelName {
         match self {
             Self::File(_) => Vec::new(),
             Self::Tiles(files) => names(files),
+        }
+    }
+
+    /// What each tile is called in a folder that all of them are written to; none if it is a single file.
+    pub fn written_tiles(&self) -> Vec<PathBuf> {
+        match self {
+            Self::File(_) => Vec::new(),
+            Self::Tiles(files) => written_names(files),
         }
     }
 

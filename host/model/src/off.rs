@@ -1,7 +1,7 @@
 //! OFF: a line of counts, a line for each vertex, and one for each face.
 //!
 //! Letters before `OFF` say what vertices have beside their position: `N` a normal, `C` a colour, `ST`
-//! texture coordinates, in this order in their lines.
+//! texture coordinates, in this order in their lines, whatever the order of the letters.
 
 use std::ops::Range;
 
@@ -26,22 +26,31 @@ struct Letters {
     texture: bool,
     /// Four coordinates, or as many as are said.
     other_dimension: bool,
+    /// The letter of normals comes before that of colours. Programs that write it so (vcglib) have colours
+    /// first in the lines of vertices.
+    are_swapped: bool,
 }
 
 impl Letters {
     /// The letters of a word that ends in `OFF`.
     fn parse(word: &[u8]) -> Option<Self> {
-        let mut rest = word.strip_suffix(b"OFF")?;
-        let mut takes = |letters: &[u8]| match rest.strip_prefix(letters) {
-            Some(after) => {
-                rest = after;
-                true
+        let (mut rest, mut found) = (word.strip_suffix(b"OFF")?, Self::default());
+        while let Some(letter) = rest.first() {
+            let is = match rest {
+                [b'S', b'T', ..] => &mut found.texture,
+                [b'C', ..] => &mut found.colours,
+                [b'N', ..] => &mut found.normals,
+                [b'4' | b'n', ..] => &mut found.other_dimension,
+                _ => return None,
+            };
+            // Each is said once, but for `4nOFF`.
+            if std::mem::replace(is, true) && !matches!(letter, b'4' | b'n') {
+                return None;
             }
-            None => false,
-        };
-        let (texture, colours, normals) = (takes(b"ST"), takes(b"C"), takes(b"N"));
-        let other_dimension = takes(b"4") | takes(b"n");
-        rest.is_empty().then_some(Self { normals, colours, texture, other_dimension })
+            found.are_swapped |= *letter == b'C' && found.normals;
+            rest = &rest[if *letter == b'S' { 2 } else { 1 }..];
+        }
+        Some(found)
     }
 
     /// What stands before `OFF`.
@@ -116,6 +125,11 @@ impl OffHead {
                     return Err(wrong_line(source, at, what, DAMAGED));
                 };
                 (letters, glued) = (Some(found), Some(count).filter(|count| !count.is_empty()));
+                if found.are_swapped {
+                    let what = format!("{} does not tell whether normals or colours come first", text());
+                    let hint = "export the model without normals or without colours, or as CNOFF";
+                    return Err(wrong_line(source, at, what, hint));
+                }
                 if found.other_dimension {
                     let what = format!("{} has vertices of another dimension than three", text());
                     return Err(wrong_line(source, at, what, "export the model as OFF, with x, y and z"));

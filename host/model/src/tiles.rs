@@ -4,6 +4,7 @@
 //! Each tile is a model by itself, of whatever format. Its file is [closed](crate::pool) while others are
 //! read.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io;
 use std::ops::Range;
@@ -12,9 +13,10 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use crate::bounds::Bounds;
 use crate::cache::{Cache, Making};
 use crate::follow::{Follow, Following};
-use crate::formats::open_file;
+use crate::formats::{extension, open_file};
 use crate::input::Identity;
 use crate::model::{
     CHUNK_VERTICES, Division, Edit, FaceChunk, FaceReader, Model, ModelInfo, Normals, Output, Rewriting,
@@ -60,6 +62,28 @@ struct TilePart {
     places: Vec<usize>,
 }
 
+impl TilePart {
+    /// The moves that begin in the box that its file tells, or near to it if none does, with the same part of
+    /// the size of these as `margin` is of all: other tiles may be further away than the integers of this one
+    /// reach, and it has no vertices there.
+    fn own_moves<'m>(&self, moves: &'m [[DVec3; 2]], margin: f64) -> (Cow<'m, [[DVec3; 2]]>, f64) {
+        let size = |moves: &[[DVec3; 2]]| Bounds::from_points(moves.iter().map(|[_, to]| *to)).diagonal();
+        let (Some(told), all) = (self.model.told_bounds(), size(moves)) else {
+            return (Cow::Borrowed(moves), margin);
+        };
+        let part = if all > 0.0 { margin / all } else { 0.0 };
+        for beyond in [part * told.diagonal(), margin] {
+            let near = Bounds { min: told.min - beyond, max: told.max + beyond };
+            let own: Vec<_> = moves.iter().copied().filter(|[from, _]| near.contains(*from)).collect();
+            if !own.is_empty() {
+                let margin = part * size(&own).max(told.diagonal());
+                return (Cow::Owned(own), margin);
+            }
+        }
+        (Cow::Borrowed(moves), margin)
+    }
+}
+
 impl TiledModel {
     /// Opens tiles in the order of their vertices.
     ///
@@ -98,7 +122,7 @@ impl TiledModel {
             let own = &part.model.info().attributes;
             part.places = attributes.iter().filter_map(|a| own.iter().position(|own| own == a)).collect();
         }
-        let names = names(files);
+        let names = written_names(files);
         let tile = |((part, path), name): ((&TilePart, &PathBuf), PathBuf)| Tile {
             path: path.clone(),
             name,
@@ -282,6 +306,19 @@ pub(crate) fn names(files: &[PathBuf]) -> Vec<PathBuf> {
         below.components().filter(|part| matches!(part, Component::Normal(_))).collect()
     };
     files.iter().map(name).collect()
+}
+
+/// What tiles are called in the folder that they are written to: of a `.gltf` with its buffers comes one GLB.
+pub(crate) fn written_names(files: &[PathBuf]) -> Vec<PathBuf> {
+    let names = names(files);
+    let written = |name: &PathBuf| {
+        if extension(name) != "gltf" {
+            return name.clone();
+        }
+        let glb = name.with_extension("glb");
+        if names.contains(&glb) { name.with_extension("gltf.glb") } else { glb }
+    };
+    names.iter().map(written).collect()
 }
 
 /// A pattern that files have in common, which stands for them in messages.
@@ -569,7 +606,8 @@ impl Model for TiledModel {
         let any = self.tiles.iter().any(Self::has_integers);
         let mut changes = Vec::new();
         for part in self.tiles.iter_mut().filter(|part| !any || Self::has_integers(part)) {
-            changes.extend(part.model.make_room(moves, margin)?);
+            let (own, margin) = part.own_moves(moves, margin);
+            changes.extend(part.model.make_room(&own, margin)?);
         }
         let attributes = std::mem::take(&mut self.info.attributes);
         // Of the first tile, by which the others are told apart.

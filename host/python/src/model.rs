@@ -184,7 +184,7 @@ impl Model {
             let mut guard = Guard::new(overwrite);
             guard.reads(&self.path);
             let named = ModelName::from_path(&self.path)?;
-            guard.writes_model(&out, &named.tiles())?;
+            guard.writes_model(&out, &named.written_tiles())?;
             diagnostics.iter().try_for_each(|path| guard.writes(path, OutputKind::Model))?;
             if !named.files().iter().all(|file| file.exists()) {
                 let what = format!("the model {} is gone since it was opened", self.path.display());

@@ -113,7 +113,7 @@ impl Session {
             guard.reads_all(named.iter().flat_map(|named| named.files()));
             guard.reads_all(inputs(&self.path)?);
             guard.reads_all(plugins.files());
-            guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
+            guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.written_tiles()))?;
             diagnostics.iter().try_for_each(|path| guard.writes(path, OutputKind::Model))?;
             let run = Run::execute_with(&session, &plugins, &running, &output, watch)?;
             let error = measure.then(|| run.transfer_error(watch)).transpose()?;

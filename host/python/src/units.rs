@@ -48,7 +48,7 @@ pub fn plan(
         guard.reads_all(named.iter().flat_map(ModelName::files));
         guard.reads_all(inputs(&session)?);
         guard.reads_all(plugins.files());
-        guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.tiles()))?;
+        guard.writes_model(&output, &named.map_or(Vec::new(), |named| named.written_tiles()))?;
         guard.replaces_folder(&folder)?;
         let options = PlanOptions {
             method: how.method,
@@ -122,7 +122,7 @@ pub fn unit(py: Python<'_>, folder: PathBuf, number: usize) -> PyResult<bool> {
         guard.reads(plan.session());
         guard.reads_all(plan.model().files());
         guard.reads_all(inputs(plan.session())?);
-        guard.writes_model(plan.output(), &plan.model().tiles())?;
+        guard.writes_model(plan.output(), &plan.model().written_tiles())?;
         do_unit(&plan, (&folder, number), &plugins, watch)
     })?;
     let said = messages.iter().filter(|m| m.is_warning());

@@ -268,6 +268,24 @@ fn a_gltf_becomes_a_glb_and_keeps_its_files() {
     let (out, whole) = (work.read("out.glb"), work.read("whole-out.glb"));
     assert!(out[json(&out).1..] == whole[json(&whole).1..]);
     assert_eq!(json(&out).0["accessors"], json(&whole).0["accessors"]);
+    // As a tile, too, whose name says then what it is; it may be written over, and found with the others.
+    work.write(
+        "more.ply",
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n\
+         property float z\nend_header\n0 0 0\n",
+    );
+    work.simod("sample a.gltf more.ply -o tiles.simod --samples 500");
+    work.move_samples("tiles.simod", moved);
+    for _ in 0..2 {
+        work.simod("reconstruct tiles.simod --deformed deformed.ply -o out");
+    }
+    assert!(work.read("out/a.glb").starts_with(b"glTF") && work.path("out/more.ply").exists());
+    assert!(!work.path("out/a.gltf").exists(), "a GLB is named .gltf");
+    work.write("moved/a.gltf", work.read("a.gltf"));
+    work.write("moved/a.bin", work.read("a.bin"));
+    work.write("moved/more.ply", work.read("more.ply"));
+    work.simod("reconstruct tiles.simod --model moved --deformed deformed.ply -o again");
+    assert!(work.read("again/a.glb") == work.read("out/a.glb"));
 }
 
 #[test]

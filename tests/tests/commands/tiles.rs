@@ -234,6 +234,40 @@ fn formats_are_mixed_in_a_session() {
     work.refuses("convert tiles/* joined.ply", &["several tiles, which are not joined"]);
 }
 
+/// Another offset is chosen for those tiles alone whose integers do not reach: of others, however far away,
+/// nothing changes.
+#[test]
+fn offsets_are_chosen_tile_by_tile() {
+    const FAR: f64 = 9e6;
+    let work = Workplace::new();
+    write(&work, "tiles/near.las", (0.0, SYSTEM), strip(0, 5_000));
+    let far = strip(1, 5_000).map(|point| Point { x: point.x + FAR, ..point });
+    write(&work, "tiles/far.laz", (FAR, SYSTEM), far);
+    work.simod("sample tiles/* -o model.simod --samples 500");
+    let is_far = |p: DVec3| p.x > CORNER.x + FAR / 2.0;
+    let away = move |p: DVec3| if is_far(p) { p + DVec3::new(3e6, 0.0, 0.0) } else { p };
+    let line = "reconstruct model.simod --deformed deformed.ply --offset auto -o";
+    work.move_samples("model.simod", |p| p);
+    work.simod(&format!("{line} same"));
+    work.move_samples("model.simod", away);
+    work.refuses("reconstruct model.simod --deformed deformed.ply -o out", &["has no room in its integers"]);
+    let outcome = work.simod(&format!("{line} out"));
+    assert!(outcome.stderr.contains("the offset of the positions becomes"), "{}", outcome.stderr);
+    for name in ["near.las", "far.laz"] {
+        assert!(work.read(&format!("same/{name}")) == work.read(&format!("tiles/{name}")), "{name}");
+    }
+    assert!(work.read("out/near.las") == work.read("tiles/near.las"), "what is near stays");
+    let points = |name: &str| -> Vec<Point> {
+        let mut reader = las::Reader::from_path(work.path(name)).expect("a reader");
+        let all = reader.read_all().expect("points");
+        all.points().map(|point| point.expect("a point")).collect()
+    };
+    for (was, is) in points("tiles/far.laz").iter().zip(points("out/far.laz")) {
+        assert!((is.x - was.x - 3e6).abs() < 0.002, "{} goes to {}", was.x, is.x);
+        assert!((is.y, is.z) == (was.y, was.z));
+    }
+}
+
 /// Meshes side by side: the faces of each are of its own vertices.
 #[test]
 fn faces_of_meshes_stay_with_their_vertices() {

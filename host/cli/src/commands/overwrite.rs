@@ -49,7 +49,7 @@ impl Overwrite {
         guard.reads_all(session.model.as_deref().map(sidecar::path_beside));
         guard.reads_all(inputs(path)?);
         guard.reads_all(plugins.files());
-        guard.writes_model(output, &named.map_or(Vec::new(), |named| named.tiles()))?;
+        guard.writes_model(output, &named.map_or(Vec::new(), |named| named.written_tiles()))?;
         Ok(guard)
     }
 }

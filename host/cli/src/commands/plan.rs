@@ -153,7 +153,7 @@ impl Unit {
         guard.reads(plan.session());
         guard.reads_all(plan.model().files());
         guard.reads_all(inputs(plan.session())?);
-        guard.writes_model(plan.output(), &plan.model().tiles())?;
+        guard.writes_model(plan.output(), &plan.model().written_tiles())?;
         let UnitDone { was_done, messages, shared_vertices, written } =
             do_unit(&plan, (&self.plan, self.number), &plugins, report.progress())?;
         tell(&messages, report);

@@ -175,7 +175,7 @@ impl Reconstruct {
         guard.reads_all(self.model.is_some().then(|| sampled.source.files()).into_iter().flatten());
         guard.reads(&sidecar::path_beside(self.model.as_ref().unwrap_or(&sampled.source.path)));
         guard.reads_all(paths.iter().map(|v| &v.deformed));
-        let tiles = sampled.source.named(self.model.as_deref())?.tiles();
+        let tiles = sampled.source.named(self.model.as_deref())?.written_tiles();
         for VersionPaths { output, diagnostics, .. } in paths {
             guard.writes_model(output, &tiles)?;
             diagnostics.iter().try_for_each(|path| guard.writes(path, OutputKind::Model))?;

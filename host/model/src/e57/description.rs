@@ -31,6 +31,8 @@ pub(super) struct Described {
     pub limits: Vec<[Option<Range<usize>>; 2]>,
     /// How large intensities may be, as far as the scan says so.
     pub intensities: Option<[f64; 2]>,
+    /// Groups of its points, as lines of a scanner, have boxes of their own, which are in their records.
+    pub has_boxes_of_groups: bool,
     /// What else is told of the scan, by the names of elements.
     pub besides: Vec<String>,
 }
@@ -125,6 +127,12 @@ fn besides(scan: Node<'_, '_>) -> Vec<String> {
     elements(scan).filter(is_told).map(|node| node.tag_name().name().chars().take(100).collect()).collect()
 }
 
+/// Whether groups of a scan's points have boxes in their records.
+fn has_boxes_of_groups(scan: Node<'_, '_>) -> bool {
+    let is_box = |node: Node<'_, '_>| matches!(node.tag_name().name(), "cartesianBounds" | "sphericalBounds");
+    child(scan, "pointGroupingSchemes").is_some_and(|groups| groups.descendants().any(is_box))
+}
+
 struct DescriptionReading<'a, 'i> {
     source: &'a SourceFile,
     xml: &'i str,
@@ -182,7 +190,20 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
             });
             Some([ends[0]?, ends[1]?]).filter(|[least, most]| least < most && (most - least).is_finite())
         });
-        Ok(Described { name, count, place, fields, pose, slots, limits, intensities, besides: besides(node) })
+        let has_boxes_of_groups = has_boxes_of_groups(node);
+        let besides = besides(node);
+        Ok(Described {
+            name,
+            count,
+            place,
+            fields,
+            pose,
+            slots,
+            limits,
+            intensities,
+            has_boxes_of_groups,
+            besides,
+        })
     }
 
     fn fields(

@@ -10,7 +10,7 @@ use super::pages::{DAMAGED, PageWindow, physical};
 use super::scan::{NUMBER, Scan, TooWide};
 use crate::follow::Following;
 use crate::source::SourceFile;
-use crate::{Attribute, Error, ModelInfo, Result, Scalar, Type, wkt};
+use crate::{Attribute, Error, ModelInfo, Progress, Result, Scalar, Type, wkt};
 use glam::DVec3;
 
 /// Most points of which no field takes any bits: how many there are is held against nothing.
@@ -180,6 +180,17 @@ impl E57Model {
             besides.push(format!("{} of points that are no numbers", number(others, "field")));
         }
         besides
+    }
+
+    /// Says that groups of points have boxes of their own, if they do, which stay.
+    pub(super) fn tell_of_groups(&self, progress: &dyn Progress) {
+        if let Some(scan) = self.scans.iter().find(|scan| scan.described.has_boxes_of_groups) {
+            progress.note(&format!(
+                "{}: groups of points, as of {}, have boxes of their own, which are kept as they are",
+                self.source.path().display(),
+                scan.described.name
+            ));
+        }
     }
 
     /// What there is to say of each scan.

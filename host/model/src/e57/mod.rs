@@ -124,6 +124,7 @@ impl Model for E57Model {
         progress: &dyn Progress,
     ) -> Result<()> {
         self.following.check(self.source.path())?;
+        self.tell_of_groups(progress);
         pipeline::rewrite(self, outputs, how, edit, progress)?;
         self.following.tell(self.source.path(), progress);
         Ok(())

@@ -15,6 +15,7 @@ use super::json::{Buffer, list, span};
 use crate::cache::Cache;
 use crate::size::human_size;
 use crate::source::SourceFile;
+use crate::text::lines::without_mark;
 use crate::text::{CUT_OFF, DAMAGED};
 use crate::{Error, Result};
 
@@ -101,6 +102,8 @@ impl Container {
             }
             let mut json = Vec::new();
             source.append_at(&mut json, 0, len as usize)?;
+            let marked = json.len() - without_mark(&json).len();
+            json.drain(..marked);
             return Self::gather(source, json, None, (0, cache));
         }
         let this = Self::of_glb(source)?;

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use crate::bounds::Bounds;
 use crate::source::SourceFile;
 use crate::{Result, ScaledIntegers};
 
@@ -47,6 +48,8 @@ pub(super) struct LasHeader {
     pub record: usize,
     pub count: u64,
     pub integers: ScaledIntegers,
+    /// The box of all points, as the header tells it; none where it is not one.
+    pub told: Option<Bounds>,
     /// Where the waveforms are in this file, if so.
     pub waveforms: Option<u64>,
     /// Whether the waveforms are in another file, of the same name but for its extension.
@@ -94,6 +97,7 @@ impl LasHeader {
             record: usize::from(u16_at(105)),
             count,
             integers: ScaledIntegers { scale: vector(131), offset: vector(at::OFFSETS as usize) },
+            told: told_bounds(&bytes),
             waveforms: some(at::WAVEFORMS, 3),
             has_waveforms_beside: minor >= 3 && bytes[6] & 4 != 0 && matches!(format, 4 | 5 | 9 | 10),
             evlrs: evlrs.filter(|(_, count)| *count > 0),
@@ -137,6 +141,15 @@ impl LasHeader {
     pub fn extra_bytes(&self) -> usize {
         self.record - RECORD_BYTES[usize::from(self.format)]
     }
+}
+
+/// The box of all points, as a header tells it.
+fn told_bounds(header: &[u8; 375]) -> Option<Bounds> {
+    let number = |at: usize| f64::from_le_bytes(bytes_at(header, at));
+    let corner =
+        |side: usize| DVec3::from([0, 1, 2].map(|axis| number(at::BOUNDS as usize + 16 * axis + 8 * side)));
+    let told = Bounds { max: corner(0), min: corner(1) };
+    (told.min.is_finite() && told.max.is_finite() && told.min.cmple(told.max).all()).then_some(told)
 }
 
 /// `N` bytes from `at` on, which are there.

@@ -145,6 +145,10 @@ impl Model for LasModel {
         self.source.check_unchanged()
     }
 
+    fn told_bounds(&self) -> Option<Bounds> {
+        self.header.told
+    }
+
     fn make_room(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<Option<String>> {
         let integers = self.header.integers;
         let bounds = Bounds::from_points(moves.iter().map(|[_, to]| *to));
@@ -156,8 +160,8 @@ impl Model for LasModel {
                 integers.scale[axis],
                 self.path().display()
             );
-            let hint = "write the model with a coarser scale first, as `pdal translate IN.las OUT.las \
-                        --writers.las.scale_x=0.01` (and _y, _z) does";
+            let hint = "write one version after the other, where there are several, or the model with a coarser scale first, \
+                        as `pdal translate IN.las OUT.las --writers.las.scale_x=0.01` (and _y, _z) does";
             Error::degenerate(what, hint)
         })?;
         let Some(steps) = steps else { return Ok(None) };

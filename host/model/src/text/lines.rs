@@ -13,6 +13,9 @@ const BLOCK: usize = 1 << 18;
 /// The mark that some programs put before text in UTF-8 (its byte order mark), which is no part of the text.
 const MARK: &[u8] = b"\xef\xbb\xbf";
 
+/// The marks of UTF-16 in either byte order.
+const MARKS_OF_UTF16: [&[u8]; 2] = [b"\xff\xfe", b"\xfe\xff"];
+
 /// The text behind the mark of UTF-8, if there is one.
 pub(crate) fn without_mark(start: &[u8]) -> &[u8] {
     start.strip_prefix(MARK).unwrap_or(start)
@@ -21,11 +24,15 @@ pub(crate) fn without_mark(start: &[u8]) -> &[u8] {
 /// Where in a file the first line of its text begins: behind the mark of UTF-8, if there is one.
 ///
 /// # Errors
-/// The file cannot be read; it ends in bytes of zero, as one does whose writing was cut short.
+/// The file cannot be read; it is UTF-16, or ends in bytes of zero, as one does whose writing was cut short.
 pub(crate) fn text_start(source: &SourceFile) -> Result<u64> {
-    check_end(source)?;
     let mut mark = [0; MARK.len()];
     let is_marked = source.read_at(&mut mark, 0)? == mark.len() && mark == MARK;
+    if MARKS_OF_UTF16.iter().any(|mark_of| mark.starts_with(mark_of)) {
+        let hint = "save it as UTF-8, or convert it: iconv -f UTF-16 -t UTF-8 IN > OUT";
+        return Err(source.malformed("a text in UTF-16", hint));
+    }
+    check_end(source)?;
     Ok(if is_marked { mark.len() as u64 } else { 0 })
 }
 

@@ -11,6 +11,7 @@ use proptest::prelude::*;
 use simod_model::follow::{Follow, TensorKind};
 use simod_model::{Output, Rewriting, Summary, progress::Silent};
 
+use super::obj::Notes;
 use super::*;
 
 /// A file that bytes can be replaced in.
@@ -717,6 +718,26 @@ fn normals_turn_in_their_scan_and_cannot_be_left_out() {
     let how = Rewriting { normals: Normals::Drop, ..Rewriting::default() };
     let error = message(model.rewrite(&mut [&mut Target::default()], how, &edit, &Silent));
     assert_eq!(error, "normals cannot be left out of a file of this format");
+}
+
+#[test]
+fn boxes_of_groups_are_told_to_stay() {
+    let groups = "<pointGroupingSchemes type=\"Structure\"><groupingByLine type=\"Structure\"><groups \
+         type=\"CompressedVector\"><prototype type=\"Structure\"><startPointIndex type=\"Integer\"/>\
+         <cartesianBounds type=\"Structure\"><xMinimum type=\"Float\"/></cartesianBounds></prototype></groups>\
+         </groupingByLine></pointGroupingSchemes>";
+    for (groups, count) in [(groups.to_owned(), 1), (groups.replace("cartesianBounds", "other"), 0)] {
+        let mut scan = three(5).swap_remove(0);
+        scan.xml += &groups;
+        let model = open(&make(&[scan], At::End, |left| left), ".e57").unwrap();
+        let notes = Notes::default();
+        let keep = |_: &VertexChunk, _: &mut [Edited]| Ok(());
+        model.rewrite(&mut [&mut Target::default()], Rewriting::default(), &keep, &notes).unwrap();
+        let notes = notes.0.into_inner().unwrap();
+        let are_told =
+            notes.iter().all(|note| note.contains("groups of points, as of scan 1, have boxes of their own"));
+        assert!(notes.len() == count && are_told, "{notes:?}");
+    }
 }
 
 /// Single, scaled in odd bits, and double, over several pieces; the second scan has no such numbers.

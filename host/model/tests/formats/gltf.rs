@@ -688,6 +688,10 @@ fn a_gltf_with_its_buffers_becomes_a_glb() {
         assert_eq!(json["bufferViews"], parts(&expected).0["bufferViews"]);
         assert_eq!(bin, parts(&expected).1);
     }
+    // The mark of UTF-8 is no part of the JSON.
+    let marked = format!("\u{feff}{}", glb.json(&data));
+    let model = open(marked.as_bytes(), ".gltf").unwrap();
+    assert_eq!(read(model.as_ref()).unwrap().0, read(whole.as_ref()).unwrap().0);
     // What is not there, or too short, or elsewhere.
     let path = folder.path().join("bad.gltf");
     for (uri, says) in [

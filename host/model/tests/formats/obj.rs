@@ -205,7 +205,7 @@ fn a_shared_normal_is_the_mean_of_its_places_where_they_agree() {
 
 /// What the user is told.
 #[derive(Default)]
-struct Notes(Mutex<Vec<String>>);
+pub struct Notes(pub Mutex<Vec<String>>);
 
 impl simod_model::Progress for Notes {
     fn begin(&self, _: &str, _: u64) {}

@@ -33,6 +33,8 @@ fn letters_say_what_vertices_have() {
     assert_eq!(of("COFF", "1 2 3 255 0 0 255"), is("COFF", 0, "red green blue alpha"));
     assert_eq!(of("CNOFF", "1 2 3 0 0 1 0.5 0.5 0.5"), is("CNOFF", 2, "red green blue"));
     assert_eq!(of("STOFF", "1 2 3 0.5 0.25"), is("STOFF", 0, "s t"));
+    // As MeshLab has it.
+    assert_eq!(of("CSTOFF", "1 2 3 9 8 7 6 0.5 0.25"), is("STCOFF", 0, "red green blue alpha s t"));
     assert_eq!(of("STCNOFF", "1 2 3 0 0 1 9 8 7 6 0.5 0.25"), is("STCNOFF", 2, "red green blue alpha s t"));
 }
 
@@ -95,6 +97,11 @@ fn what_is_wrong_is_named() {
         "line 1: \"4OFF\" has vertices of another dimension than three"
     );
     assert_eq!(bad("nOFF\n3 1 0 0\n"), "line 1: \"nOFF\" has vertices of another dimension than three");
+    assert_eq!(
+        bad("NCOFF\n1 0 0\n0 0 0 9 8 7 6 0 0 1\n"),
+        "line 1: \"NCOFF\" does not tell whether normals or colours come first"
+    );
+    assert_eq!(bad("CCOFF\n1 0 0\n0 0 0\n"), "line 1: \"CCOFF\" is neither OFF nor a count");
     assert_eq!(bad("OFF BINARY\n\0\0\0\x01"), "line 1: binary OFF cannot be read");
     assert_eq!(
         bad("OFF\n2 1 0\n0 0 0\n1 1 1\n"),

@@ -238,6 +238,14 @@ proptest! {
 }
 
 #[test]
+fn tiles_of_gltf_are_written_as_glb() {
+    let files = ["a/x.gltf", "a/y.GLTF", "a/y.glb", "a/z.ply"].map(PathBuf::from);
+    let name = ModelName::Tiles(files.to_vec());
+    assert_eq!(name.tiles(), ["x.gltf", "y.GLTF", "y.glb", "z.ply"].map(PathBuf::from));
+    assert_eq!(name.written_tiles(), ["x.glb", "y.gltf.glb", "y.glb", "z.ply"].map(PathBuf::from));
+}
+
+#[test]
 fn tiles_have_a_name_in_common_and_names_of_their_own() {
     let folder = tempfile::tempdir().unwrap();
     let tile = Tile {
