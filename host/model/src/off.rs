@@ -1,7 +1,8 @@
 //! OFF: a line of counts, a line for each vertex, and one for each face.
 //!
 //! Letters before `OFF` say what vertices have beside their position: `N` a normal, `C` a colour, `ST`
-//! texture coordinates, in this order in their lines.
+//! texture coordinates, in this order in their lines; but behind the letters `NC`, which MeshLab writes, colours
+//! come before normals.
 
 use std::ops::Range;
 
@@ -24,6 +25,8 @@ struct Letters {
     normals: bool,
     colours: bool,
     texture: bool,
+    /// Colours come before normals.
+    colours_first: bool,
     /// Four coordinates, or as many as are said.
     other_dimension: bool,
 }
@@ -39,13 +42,17 @@ impl Letters {
             }
             None => false,
         };
-        let (texture, colours, normals) = (takes(b"ST"), takes(b"C"), takes(b"N"));
+        let (texture, colours_first) = (takes(b"ST"), takes(b"NC"));
+        let (colours, normals) = (colours_first || takes(b"C"), colours_first || takes(b"N"));
         let other_dimension = takes(b"4") | takes(b"n");
-        rest.is_empty().then_some(Self { normals, colours, texture, other_dimension })
+        rest.is_empty().then_some(Self { normals, colours, texture, colours_first, other_dimension })
     }
 
     /// What stands before `OFF`.
     fn text(self) -> String {
+        if self.colours_first {
+            return if self.texture { "STNC".into() } else { "NC".into() };
+        }
         let letters = [(self.texture, "ST"), (self.colours, "C"), (self.normals, "N")];
         letters.into_iter().filter(|(is, _)| *is).map(|(_, letter)| letter).collect()
     }
@@ -171,7 +178,7 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     let head = OffHead::read(&source)?;
     let mut lines = Lines::new(&source, head.start, u64::MAX, LineEnds::Breaks);
     let mut builder = TextBlocksBuilder::new(head.start, 1);
-    let Letters { normals, texture, .. } = head.letters;
+    let Letters { normals, texture, colours_first, .. } = head.letters;
     let components = if normals { 6 } else { 3 };
     let (mut faces, mut face_lines, mut names, mut paints_faces) = (0, 0..0, Vec::new(), false);
     let mut bytes = ColourBytes { behind: 0, colours: 0, largest: 0 };
@@ -187,7 +194,7 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
             if builder.vertices() == 0 {
                 let numbers = numbers_of_vertex(&source, at, line)?;
                 names = attributes(numbers.saturating_sub(components), texture);
-                bytes = ColourBytes::of(&names);
+                bytes = ColourBytes::of(&names, if colours_first { 3 } else { 0 });
             }
             bytes.take(line);
             builder.vertex(at, end);
@@ -211,7 +218,10 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
         attributes: names.iter().map(|name| Attribute { name: (*name).into(), kind: kind(name) }).collect(),
         ..info(&source, format!("{}OFF", head.letters.text()))
     };
-    let off = Off { columns: Columns::in_order(components, names.len()), face_lines, paints_faces };
+    // Of attributes, so many stand before the normal.
+    let first =
+        if colours_first { names.iter().filter(|name| !["s", "t"].contains(name)).count() } else { 0 };
+    let off = Off { columns: Columns::in_order(components, first, names.len()), face_lines, paints_faces };
     Ok(Box::new(TextModel::new(source, off, builder.finish(), info)?))
 }
 
@@ -235,9 +245,10 @@ struct ColourBytes {
 }
 
 impl ColourBytes {
-    fn of(attributes: &[&str]) -> Self {
-        let behind = attributes.iter().filter(|name| ["s", "t"].contains(name)).count();
-        Self { behind, colours: attributes.len() - behind, largest: 0 }
+    /// Those among some attributes, with so many numbers of the normal behind them.
+    fn of(attributes: &[&str], normal: usize) -> Self {
+        let texture = attributes.iter().filter(|name| ["s", "t"].contains(name)).count();
+        Self { behind: texture + normal, colours: attributes.len() - texture, largest: 0 }
     }
 
     /// Takes the line of a vertex.
