@@ -59,7 +59,7 @@ fn colours_may_come_before_normals() {
         e.normals[0] = Vec3::X;
     })
     .unwrap();
-    let expected = lines.replace("1 2 3 3 0 99 255 0 0 1", "1.5 2 3 3 0 99 255 1 0 0");
+    let expected = lines.replace("1 2 3 3 0 99 255 0 0 1", "1.5000000 2 3 3 0 99 255 1.0000000 0 0.0000000");
     assert_eq!(String::from_utf8(out).unwrap(), format!("NCOFF\n2 0 0\n{expected}"));
 }
 
