@@ -52,14 +52,16 @@ pub(crate) struct Columns {
 }
 
 impl Columns {
-    /// Columns between blanks that are these components in this order, as many attributes behind them.
-    pub(crate) fn in_order(components: usize, attributes: usize) -> Self {
+    /// Columns between blanks that are so many components in this order, and so many attributes, of which the
+    /// `first` ones stand behind the position, and the others behind all.
+    pub(crate) fn in_order(components: usize, first: usize, attributes: usize) -> Self {
+        let position = (0..3).map(Some);
         Self {
             separator: None,
-            roles: (0..components).map(Some).collect(),
+            roles: position.chain((0..first).map(|_| None)).chain((3..components).map(Some)).collect(),
             components,
             following: 0,
-            attributes: (components..components + attributes).collect(),
+            attributes: (3..3 + first).chain(components + first..components + attributes).collect(),
             unread: Vec::new(),
             is_counted: false,
             wanted: None,

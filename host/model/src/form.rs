@@ -1,11 +1,15 @@
 //! What writes a format: beginning, vertices, faces, end, each as bytes.
 
+use std::fmt;
 use std::path::PathBuf;
 
 use glam::{DVec3, Vec3};
 
+use crate::bounds::Bounds;
 use crate::polygons::Polygons;
-use crate::{Edited, Error, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk};
+use crate::{
+    Edited, Error, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions,
+};
 
 /// What is asked of a conversion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -21,6 +25,50 @@ pub struct Conversion {
     pub drops_normals: bool,
 }
 
+/// What positions are rounded to in a new format, where they lose digits by it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rounding {
+    /// From one position to the next, in the model's unit.
+    pub step: f64,
+    /// The diagonal of the model's box, likewise.
+    pub diagonal: f64,
+    /// Whether just this step was [asked for](Conversion::step).
+    pub is_asked: bool,
+}
+
+impl Rounding {
+    /// What becomes of a model's positions, of which those keep their digits that `stays` says so of, and
+    /// which are a `step` apart within their bounds: nothing where all stay. A reading of them.
+    pub(crate) fn of_model(
+        model: &dyn Model,
+        stays: impl Fn(DVec3) -> bool,
+        step: impl Fn(&Bounds) -> f64,
+    ) -> Result<Option<Self>> {
+        let (mut bounds, mut all_stay) = (Bounds::default(), true);
+        for_positions(model, |chunk| {
+            for p in chunk.positions.iter().filter(|p| p.is_finite()) {
+                (bounds.min, bounds.max) = (bounds.min.min(*p), bounds.max.max(*p));
+                all_stay = all_stay && stays(*p);
+            }
+            Ok(())
+        })?;
+        let rounding = || Self { step: step(&bounds), diagonal: bounds.diagonal(), is_asked: false };
+        Ok((!all_stay).then(rounding))
+    }
+
+    /// The step as a fraction of the diagonal; nothing of a model without an extent.
+    pub fn fraction(&self) -> Option<f64> {
+        Some(self.step / self.diagonal).filter(|fraction| fraction.is_finite())
+    }
+}
+
+impl fmt::Display for Rounding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "digits of the positions, which are rounded to {} in the model's unit", self.step)?;
+        self.fraction().map_or(Ok(()), |fraction| write!(f, ", {fraction:.1e} of the diagonal"))
+    }
+}
+
 /// A model that is converted, and how.
 pub(crate) struct ConversionInput<'a> {
     pub(crate) model: &'a dyn Model,
@@ -29,6 +77,8 @@ pub(crate) struct ConversionInput<'a> {
     /// The model's faces as polygons.
     pub(crate) faces: FaceCounts,
     pub(crate) how: Conversion,
+    /// The integers that positions become, once they are [chosen](Form::integers).
+    pub(crate) integers: Option<ScaledIntegers>,
     /// Where temporary files go.
     pub(crate) folder: PathBuf,
 }
@@ -168,6 +218,14 @@ pub(crate) trait Form: Send + Sync {
     /// How positions are stored, where they are integers.
     fn integers(&self) -> Option<ScaledIntegers> {
         None
+    }
+
+    /// What positions are rounded to, if they lose digits by it: may take a reading of them.
+    ///
+    /// # Errors
+    /// The model cannot be read.
+    fn rounding(&self, _content: &ConversionInput<'_>) -> Result<Option<Rounding>> {
+        Ok(None)
     }
 
     /// Bytes that the file will have, about.

@@ -42,18 +42,10 @@ impl InMemory {
             faces: triangles.len() as u64,
             has_normals: !normals.is_empty(),
             position_type: Scalar::F64,
-            other_properties: Vec::new(),
-            attributes: Vec::new(),
             bytes: (vertex_bytes + face_bytes) as u64,
-            random_access: true,
-            block_vertices: 1,
             vertex_bytes: vertex_bytes as u64,
             face_bytes: face_bytes as u64,
-            integers: None,
-            written: None,
-            step: DVec3::ZERO,
-            ranges: Vec::new(),
-            crs: None,
+            ..ModelInfo::default()
         };
         Ok(Self { info, positions, normals, triangles })
     }

@@ -76,8 +76,8 @@ pub use cache::Cache;
 pub use colors::{ColorScale, Colors};
 pub use convert::{Converted, ConvertedTiles, convert_tiles, converted_names};
 pub use error::{Error, ErrorKind, Result};
-pub use form::Conversion;
-pub use formats::{extensions, is_model, is_named_otherwise, note_on_name};
+pub use form::{Conversion, Rounding};
+pub use formats::{extensions, is_model, is_named_otherwise, note_on_name, tells_when_opened};
 pub use in_memory::InMemory;
 pub use in_step::{Vertices, in_ranges, in_step, range_in_step};
 pub use model::{

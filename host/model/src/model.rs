@@ -101,6 +101,31 @@ pub struct ModelInfo {
     pub crs: Option<String>,
 }
 
+/// Of a model without any vertices, each of which could be read without the others.
+impl Default for ModelInfo {
+    fn default() -> Self {
+        Self {
+            format: String::new(),
+            vertices: 0,
+            faces: 0,
+            has_normals: false,
+            position_type: Scalar::F64,
+            other_properties: Vec::new(),
+            attributes: Vec::new(),
+            bytes: 0,
+            random_access: true,
+            block_vertices: 1,
+            vertex_bytes: 0,
+            face_bytes: 0,
+            integers: None,
+            written: None,
+            step: DVec3::ZERO,
+            ranges: Vec::new(),
+            crs: None,
+        }
+    }
+}
+
 impl ModelInfo {
     /// Whether a range of vertices is read without others: neither all before them, nor those of the same
     /// compressed block.
@@ -400,26 +425,26 @@ pub trait Output: Send {
         Err(io::Error::new(io::ErrorKind::Unsupported, "a model of several files goes to a folder"))
     }
 
-    /// Takes the next piece of the new file, which stands for `source_bytes` of the model, and what other
-    /// places of the file have to know of it. The same model, rewritten in the same way, comes in the same
-    /// pieces each time.
-    ///
-    /// # Errors
-    /// The piece cannot be written.
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()>;
-
-    /// Takes so many pieces that follow each other at once, as [`write_piece`](Self::write_piece) takes one.
+    /// Takes the next pieces of the new file, so many, which stand for `source_bytes` of the model, and what
+    /// other places of the file have to know of them. The same model, rewritten in the same way, comes in the
+    /// same pieces each time.
     ///
     /// # Errors
     /// The pieces cannot be written.
     fn write_pieces(
         &mut self,
-        _pieces: u64,
+        pieces: u64,
         bytes: &[u8],
         source_bytes: u64,
         summary: &Summary,
-    ) -> io::Result<()> {
-        self.write_piece(bytes, source_bytes, summary)
+    ) -> io::Result<()>;
+
+    /// Takes the next piece alone.
+    ///
+    /// # Errors
+    /// As of [`write_pieces`](Self::write_pieces).
+    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
+        self.write_pieces(1, bytes, source_bytes, summary)
     }
 
     /// The summaries of the pieces that are there already, as one.
@@ -442,7 +467,7 @@ pub trait Output: Send {
 }
 
 impl<W: Write + Send> Output for W {
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
+    fn write_pieces(&mut self, _: u64, bytes: &[u8], _: u64, _: &Summary) -> io::Result<()> {
         self.write_all(bytes)
     }
 
@@ -714,6 +739,12 @@ pub trait Model: Send + Sync {
     /// [name](ModelInfo::crs).
     fn wkt(&self) -> Option<String> {
         None
+    }
+
+    /// What the file says of its attributes that has no place in most formats: lines that PLY keeps as
+    /// comments, and LAS reads.
+    fn remarks(&self) -> Vec<String> {
+        Vec::new()
     }
 
     /// How large intensities may be, as far as the file says so.

@@ -172,7 +172,7 @@ fn packed(error: Error) -> io::Error {
 }
 
 impl Output for ObjectOutput {
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
+    fn write_pieces(&mut self, _: u64, bytes: &[u8], _: u64, _: &Summary) -> io::Result<()> {
         self.write(bytes).map_err(packed)
     }
 

@@ -1,7 +1,8 @@
 //! OFF: a line of counts, a line for each vertex, and one for each face.
 //!
 //! Letters before `OFF` say what vertices have beside their position: `N` a normal, `C` a colour, `ST`
-//! texture coordinates, in this order in their lines, whatever the order of the letters.
+//! texture coordinates, in this order in their lines, whatever the order of the letters; but where `N` comes before
+//! `C`, as MeshLab writes it, colours come before normals.
 
 use std::ops::Range;
 
@@ -24,11 +25,11 @@ struct Letters {
     normals: bool,
     colours: bool,
     texture: bool,
+    /// Colours come before normals in the lines of vertices, as MeshLab has them where the letter of normals
+    /// comes first.
+    colours_first: bool,
     /// Four coordinates, or as many as are said.
     other_dimension: bool,
-    /// The letter of normals comes before that of colours. Programs that write it so (vcglib) have colours
-    /// first in the lines of vertices.
-    are_swapped: bool,
 }
 
 impl Letters {
@@ -47,7 +48,7 @@ impl Letters {
             if std::mem::replace(is, true) && !matches!(letter, b'4' | b'n') {
                 return None;
             }
-            found.are_swapped |= *letter == b'C' && found.normals;
+            found.colours_first |= *letter == b'C' && found.normals;
             rest = &rest[if *letter == b'S' { 2 } else { 1 }..];
         }
         Some(found)
@@ -55,6 +56,9 @@ impl Letters {
 
     /// What stands before `OFF`.
     fn text(self) -> String {
+        if self.colours_first {
+            return if self.texture { "STNC".into() } else { "NC".into() };
+        }
         let letters = [(self.texture, "ST"), (self.colours, "C"), (self.normals, "N")];
         letters.into_iter().filter(|(is, _)| *is).map(|(_, letter)| letter).collect()
     }
@@ -125,11 +129,6 @@ impl OffHead {
                     return Err(wrong_line(source, at, what, DAMAGED));
                 };
                 (letters, glued) = (Some(found), Some(count).filter(|count| !count.is_empty()));
-                if found.are_swapped {
-                    let what = format!("{} does not tell whether normals or colours come first", text());
-                    let hint = "export the model without normals or without colours, or as CNOFF";
-                    return Err(wrong_line(source, at, what, hint));
-                }
                 if found.other_dimension {
                     let what = format!("{} has vertices of another dimension than three", text());
                     return Err(wrong_line(source, at, what, "export the model as OFF, with x, y and z"));
@@ -185,7 +184,7 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     let head = OffHead::read(&source)?;
     let mut lines = Lines::new(&source, head.start, u64::MAX, LineEnds::Breaks);
     let mut builder = TextBlocksBuilder::new(head.start, 1);
-    let Letters { normals, texture, .. } = head.letters;
+    let Letters { normals, texture, colours_first, .. } = head.letters;
     let components = if normals { 6 } else { 3 };
     let (mut faces, mut face_lines, mut names, mut paints_faces) = (0, 0..0, Vec::new(), false);
     let mut bytes = ColourBytes { behind: 0, colours: 0, largest: 0 };
@@ -201,7 +200,7 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
             if builder.vertices() == 0 {
                 let numbers = numbers_of_vertex(&source, at, line)?;
                 names = attributes(numbers.saturating_sub(components), texture);
-                bytes = ColourBytes::of(&names);
+                bytes = ColourBytes::of(&names, if colours_first { 3 } else { 0 });
             }
             bytes.take(line);
             builder.vertex(at, end);
@@ -225,7 +224,10 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
         attributes: names.iter().map(|name| Attribute { name: (*name).into(), kind: kind(name) }).collect(),
         ..info(&source, format!("{}OFF", head.letters.text()))
     };
-    let off = Off { columns: Columns::in_order(components, names.len()), face_lines, paints_faces };
+    // Of attributes, so many stand before the normal.
+    let first =
+        if colours_first { names.iter().filter(|name| !["s", "t"].contains(name)).count() } else { 0 };
+    let off = Off { columns: Columns::in_order(components, first, names.len()), face_lines, paints_faces };
     Ok(Box::new(TextModel::new(source, off, builder.finish(), info)?))
 }
 
@@ -249,9 +251,10 @@ struct ColourBytes {
 }
 
 impl ColourBytes {
-    fn of(attributes: &[&str]) -> Self {
-        let behind = attributes.iter().filter(|name| ["s", "t"].contains(name)).count();
-        Self { behind, colours: attributes.len() - behind, largest: 0 }
+    /// Those among some attributes, with so many numbers of the normal behind them.
+    fn of(attributes: &[&str], normal: usize) -> Self {
+        let texture = attributes.iter().filter(|name| ["s", "t"].contains(name)).count();
+        Self { behind: texture + normal, colours: attributes.len() - texture, largest: 0 }
     }
 
     /// Takes the line of a vertex.

@@ -108,7 +108,7 @@ impl Write for OutputFile {
 pub struct Replaceable<'a>(&'a mut OutputFile);
 
 impl Output for Replaceable<'_> {
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
+    fn write_pieces(&mut self, _: u64, bytes: &[u8], _: u64, _: &Summary) -> io::Result<()> {
         self.0.write_all(bytes)
     }
 

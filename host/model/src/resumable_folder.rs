@@ -249,10 +249,6 @@ impl Output for ResumableFolder {
         Ok(())
     }
 
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
-        self.write_pieces(1, bytes, source_bytes, summary)
-    }
-
     fn write_pieces(
         &mut self,
         pieces: u64,

@@ -76,7 +76,7 @@ impl Output for SharedFile {
         Ok(())
     }
 
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
+    fn write_pieces(&mut self, _: u64, bytes: &[u8], _: u64, _: &Summary) -> io::Result<()> {
         let room = (self.at.next_multiple_of(BLOCK as u64) - self.at) as usize;
         // Bytes of a block that began in another range, where nothing has been written behind them yet.
         let (first, rest) =

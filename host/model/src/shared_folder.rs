@@ -101,7 +101,7 @@ impl Output for SharedFiles<'_> {
         Ok(())
     }
 
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
+    fn write_pieces(&mut self, _: u64, bytes: &[u8], _: u64, _: &Summary) -> io::Result<()> {
         self.current()?.write_all(bytes)
     }
 

@@ -172,12 +172,17 @@ impl Paint {
         }
     }
 
+    /// What the attribute is called whose numbers are shown, and what the ends of the legend stand for.
+    pub fn legend(&self) -> Option<(&str, [f64; 2])> {
+        match self {
+            Self::Clay | Self::Own(..) => None,
+            Self::Classes { name, range, .. } | Self::Scale { name, range, .. } => Some((name, *range)),
+        }
+    }
+
     /// A picture with what its colours mean below it.
     pub fn with_legend(&self, image: &Image) -> Image {
-        let (name, [from, to]) = match self {
-            Self::Clay | Self::Own(..) => return image.clone(),
-            Self::Classes { name, range, .. } | Self::Scale { name, range, .. } => (name, *range),
-        };
+        let Some((name, [from, to])) = self.legend() else { return image.clone() };
         let color = |t: f32| match self {
             Self::Classes { .. } => class_color((from + (to - from + 1.0) * f64::from(t)).min(to) as u8),
             _ => scale_color(t),
@@ -192,8 +197,11 @@ fn part([from, to]: [f64; 2], x: f64) -> f32 {
     if to > from { ((x - from) / (to - from)) as f32 } else { 0.0 }
 }
 
-/// With four digits at most.
+/// Whole numbers, which doubles hold, as they are; others with four digits at most.
 fn short(x: f64) -> String {
+    if x.fract() == 0.0 && x.abs() < 1e15 {
+        return format!("{x}");
+    }
     let rounded: f64 = format!("{x:.3e}").parse().unwrap_or(x);
     if x == 0.0 || (1e-3..1e6).contains(&x.abs()) { format!("{rounded}") } else { format!("{rounded:e}") }
 }
@@ -285,6 +293,13 @@ mod tests {
         let error = |word, attributes: &[Attribute]| Coloring::choose(Some(word), attributes).unwrap_err();
         assert!(error("own", &all[..1]).to_string().contains("no colours of their own"));
         assert!(error("gps", &all).to_string().contains("\"gps\""));
+    }
+
+    #[test]
+    fn whole_numbers_of_a_legend_are_as_they_are() {
+        let told = [65535.0, -123_456.0, 4_294_967_295.0, 0.0, 0.123_456, 1234.56, 12345.6, 1e-7, 3e20];
+        let shown = ["65535", "-123456", "4294967295", "0", "0.1235", "1235", "12350", "1e-7", "3e20"];
+        assert_eq!(told.map(short), shown);
     }
 
     #[test]

@@ -110,8 +110,9 @@ fn las_and_laz_keep_everything() {
         assert!(work.simod("info a.laz").stdout.contains("ETRS89 / UTM zone 32N"));
         work.simod("convert a.laz back.las");
         assert!(work.read("back.las") == work.read("a.las"), "{format:?}");
-        // What goes to another format loses its reference system.
-        work.refuses("convert a.laz a.ply", &["1 variable length record, ", "ETRS89 / UTM zone 32N"]);
+        // What goes to text loses its reference system; as text, PLY keeps it.
+        work.refuses("convert a.laz a.csv", &["the coordinate reference system ETRS89 / UTM zone 32N"]);
+        work.simod("convert a.laz a.ply");
         // A deformation on the way: the points that it writes in its own format.
         work.simod("sample a.las -o m.simod --samples 2000");
         work.move_samples("m.simod", |p| p + DVec3::new(0.0, 0.0, 0.01 * (p.x - 412_345.678)));
@@ -132,9 +133,9 @@ fn a_mesh_goes_through_formats() {
     work.simod("convert m.ply m.off");
     let off = "OFF\n4 2 0\n0 0 0\n1.25 0 0\n0 1 0.125\n1 1 0\n3 0 1 2\n3 2 1 3\n";
     assert_eq!(String::from_utf8(work.read("m.off")).expect("text"), off);
-    work.refuses("convert m.obj m.stl", &["digits of the positions", "which corners are one vertex"]);
+    work.refuses("convert m.obj m.stl", &["which corners are one vertex"]);
     let outcome = work.simod("convert m.obj m.stl --lossy");
-    assert!(outcome.stderr.contains("what was lost: digits"), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("what was lost: which corners"), "{}", outcome.stderr);
     assert_eq!(work.read("m.stl").len(), 84 + 2 * 50);
     // Soup is soup in STL, and goes there and back.
     work.simod("convert m.stl soup.ply");
@@ -295,7 +296,9 @@ fn what_would_be_lost_is_named() {
         "the element \"edge\"",
     ];
     work.refuses("convert rich.ply out.obj", &[&of_ply[..], &["the attribute red (uchar)"]].concat());
-    work.refuses("convert rich.ply out.laz", &[&of_ply[..], &["1 face; ", "rounded to", "--step"]].concat());
+    let outcome =
+        work.refuses("convert rich.ply out.laz", &[&of_ply[..], &["1 face; ", "rounded to"]].concat());
+    assert!(outcome.hint().contains("--step"), "{}", outcome.hint());
     work.refuses("convert rich.ply out.pcd", &[&of_ply[..], &["1 face"]].concat());
     // To another file of the same format as well.
     work.refuses("convert rich.ply out.ply", &of_ply);
@@ -593,7 +596,7 @@ fn a_reference_system_goes_through_ply() {
     let start = u32::from_le_bytes([bytes[96], bytes[97], bytes[98], bytes[99]]) + more.len() as u32;
     bytes[96..100].copy_from_slice(&start.to_le_bytes());
     work.write("a.las", &bytes);
-    work.simod("convert a.las a.ply --lossy");
+    work.simod("convert a.las a.ply");
     // No line is longer than other programs read.
     let head = String::from_utf8_lossy(&work.read("a.ply")[..2000]).into_owned();
     assert!(head.lines().take_while(|line| *line != "end_header").all(|line| line.len() < 250), "{head}");
@@ -607,6 +610,15 @@ fn a_reference_system_goes_through_ply() {
     work.simod("convert a.ply b.ply");
     check("b.ply");
     assert!(work.read("a.ply") == work.read("b.ply"));
+    // Of all the text, there and back.
+    work.simod("convert a.ply back.laz --step 0.001 --origin 412000,5318000,0");
+    check("back.laz");
+    assert!(points(work.read("a.las")).1 == points(work.read("back.laz")).1);
+    let of_crs = |name: &str| {
+        let vlrs = points(work.read(name)).0.vlrs().clone();
+        vlrs.into_iter().find(|vlr| vlr.record_id == 2112).expect("a reference system").data
+    };
+    assert!(of_crs("a.las") == of_crs("back.laz"));
     work.refuses(
         "convert a.ply a.pcd",
         &["would lose: the coordinate reference system ETRS89 / UTM zone 32N"],
@@ -620,6 +632,171 @@ fn a_reference_system_goes_through_ply() {
     // What says who wrote a file is no loss.
     let outcome = work.run("convert m.simod/samples.ply s.las");
     assert!(!outcome.stderr.contains("comment"), "{}", outcome.stderr);
+}
+
+/// What LAS says of extra bytes and of times goes through PLY, and is named where it is lost.
+#[test]
+fn what_is_said_of_extra_bytes_goes_through_ply() {
+    let work = Workplace::new();
+    let number =
+        |description: &mut [u8], at: usize, bytes: [u8; 8]| description[at..at + 8].copy_from_slice(&bytes);
+    // Heights in centimetres above 100, and echoes.
+    let mut descriptions = vec![0; 2 * 192];
+    let (height, echo) = descriptions.split_at_mut(192);
+    (height[2], height[3]) = (4, 1 | 2 | 4 | 8 | 16);
+    height[4..13].copy_from_slice(b"height of");
+    number(height, 40, (-9999i64).to_le_bytes());
+    number(height, 64, (-50i64).to_le_bytes());
+    number(height, 88, 949i64.to_le_bytes());
+    number(height, 112, 0.01f64.to_le_bytes());
+    number(height, 136, 100f64.to_le_bytes());
+    height[160..172].copy_from_slice(b"above ground");
+    echo[2] = 1;
+    echo[4..8].copy_from_slice(b"echo");
+    echo[160..169].copy_from_slice(b"amplitude");
+    let mut builder = Builder::from((1, 4));
+    builder.point_format = Format::new(6).expect("a format");
+    builder.point_format.extra_bytes = 3;
+    builder.gps_time_type = las::GpsTimeType::Standard;
+    let transform = Transform { scale: 0.001, offset: 0.0 };
+    builder.transforms = Vector { x: transform, y: transform, z: transform };
+    let (user_id, description) = ("LASF_Spec".to_owned(), String::new());
+    builder.vlrs.push(Vlr { user_id, record_id: 4, description, data: descriptions.clone() });
+    let file = std::fs::File::create(work.path("e.las")).expect("a file");
+    let header = builder.into_header().expect("a header");
+    let mut writer = Writer::new(std::io::BufWriter::new(file), header).expect("a writer");
+    for i in 0..1000i16 {
+        let [low, high] = (i - 50).to_le_bytes();
+        let (x, y) = (f64::from(i % 40), f64::from(i / 40));
+        let (gps_time, extra_bytes) = (Some(2e8 + x), vec![low, high, i as u8]);
+        let returns = (1, 1);
+        let (return_number, number_of_returns) = returns;
+        let point =
+            Point { x, y, gps_time, extra_bytes, return_number, number_of_returns, ..Point::default() };
+        writer.write_point(point).expect("a point");
+    }
+    writer.close().expect("a file");
+
+    work.simod("convert e.las e.ply");
+    let head = String::from_utf8_lossy(&work.read("e.ply")[..2000]).into_owned();
+    for line in [
+        "comment gps-time adjusted\n",
+        "comment extra-bytes height_of type short scale 0.01 offset 100 no-data -9999 least -50 most 949 \
+         name \"height of\" description above ground\n",
+        "comment extra-bytes echo description amplitude\n",
+        "property double height_of\n",
+    ] {
+        assert!(head.contains(line), "{line} in {head}");
+    }
+    work.simod("convert e.ply again.ply");
+    assert!(work.read("e.ply") == work.read("again.ply"));
+    // Back from PLY, and on another grid without it: also as values that moved to a finer one.
+    for line in [
+        "e.ply back.las --step 0.001 --origin 0,0,0",
+        "e.las back.las --step 0.0001",
+        "e.ply back.laz --step 0.001",
+    ] {
+        work.simod(&format!("convert {line}"));
+        let out = line.split(' ').nth(1).expect("a name");
+        let ((before, old), (after, new)) = (points(work.read("e.las")), points(work.read(out)));
+        assert!(old == new, "{line}");
+        assert_eq!(before.gps_time_type(), after.gps_time_type(), "{line}");
+        let of = |header: &las::Header| {
+            header.vlrs().iter().find(|vlr| vlr.record_id == 4).expect("descriptions").data.clone()
+        };
+        assert!(of(&before) == of(&after), "{line}");
+    }
+    let lost =
+        ["that GPS times are adjusted standard ones; ", "what LAS says of the extra bytes height of, echo: "];
+    let outcome = work.refuses("convert e.las e.csv", &lost);
+    assert!(!outcome.stderr.contains("the attribute"), "{}", outcome.stderr);
+    work.refuses("convert e.ply e.pcd", &lost);
+    // Numbers that the scale does not give are kept instead of it.
+    let mut bytes = work.read("e.ply");
+    let end = bytes.len() - 1;
+    bytes[end - 8..end].copy_from_slice(&100.005f64.to_le_bytes());
+    work.write("other.ply", &bytes);
+    work.refuses("convert other.ply other.las --step 0.001", &["height of was a short with a scale"]);
+    work.simod("convert other.ply other.las --step 0.001 --lossy");
+    work.simod("convert other.las other.csv --lossy");
+    let text = String::from_utf8(work.read("other.csv")).expect("text");
+    assert!(text.trim_end().lines().last().is_some_and(|line| line.contains(",100.005,")), "{text}");
+}
+
+/// However fine the step of LAS is, text has all digits of its positions.
+#[test]
+fn text_has_the_digits_of_fine_steps() {
+    let work = Workplace::new();
+    let digits = ["-0.52573111", "0.85065081", "0.00000001"];
+    work.write("p.obj", format!("v {}\nv 1.5 1 0\nv -1 0 0.25\n", digits.join(" ")));
+    for step in ["1e-8", "0.00000005", "2e-9"] {
+        work.simod(&format!("convert p.obj p.las --step {step} --lossy"));
+        work.simod("convert p.las p.csv --lossy");
+        let text = String::from_utf8(work.read("p.csv")).expect("text");
+        let numbers: Vec<f64> = text
+            .lines()
+            .nth(1)
+            .expect("a line")
+            .split(',')
+            .map(|word| word.parse().expect("a number"))
+            .collect();
+        let step: f64 = step.parse().expect("a number");
+        for (number, digits) in numbers.iter().zip(digits) {
+            let expected: f64 = digits.parse().expect("a number");
+            assert!((number - expected).abs() <= 0.5 * step + 1e-15, "step {step}: {text}");
+        }
+    }
+    work.simod("convert p.obj p.las --step 1e-8");
+    work.simod("convert p.las p.xyz --lossy");
+    let text = String::from_utf8(work.read("p.xyz")).expect("text");
+    assert_eq!(text.lines().next(), Some("-0.52573111 0.85065081 0.00000001"));
+}
+
+/// What positions lose is said in the model's unit and as a fraction of its diagonal.
+#[test]
+fn coarser_positions_are_told_as_lengths_and_fractions() {
+    let work = Workplace::new();
+    write_cloud(&work, "a.las", (4, 6), false, 1000);
+    let diagonal = work.report("info a.las")["diagonal"].as_f64().expect("a length");
+    let check = |line: &str, step: f64| {
+        let report = work.report(line);
+        let text = format!(
+            "which are rounded to {step} in the model's unit, {:.1e} of the diagonal",
+            step / diagonal
+        );
+        assert!(report["lost"].to_string().contains(&text), "{line}: {report}");
+        let near = |a: &serde_json::Value, b: f64| a.as_f64().is_some_and(|a| (a / b - 1.0).abs() < 1e-9);
+        assert!(near(&report["rounding"]["step"], step / diagonal), "{line}: {report}");
+        assert!(near(&report["rounding"]["lengths"]["step"], step), "{line}: {report}");
+    };
+    // A step that is asked for needs no other word.
+    check("convert a.las b.las --step 0.01", 0.01);
+    check("convert a.las b.laz --origin 412000.00000003,5318000,0 --lossy", 1e-6);
+    work.refuses(
+        "convert a.las b.laz --origin 412000.00000003,5318000,0",
+        &["would lose: digits of the positions"],
+    );
+    for line in ["convert a.las b.las --step 0.0005", "convert a.las b.las --origin 412000,5318000,0"] {
+        let report = work.report(line);
+        assert!(
+            report["lost"].as_array().is_some_and(Vec::is_empty) && report["rounding"].is_null(),
+            "{report}"
+        );
+    }
+    // Tiles have one line, of the coarsest.
+    write_cloud(&work, "t-1.las", (4, 6), false, 100);
+    write_cloud(&work, "t-2.las", (4, 6), false, 2000);
+    let report = work.report("convert t-*.las out --to las --step 0.01");
+    assert_eq!(report["lost"].as_array().map(Vec::len), Some(1), "{report}");
+    // Singles far from the origin are as far apart as this.
+    let far = "v 412000 5318000.1 1\nv 412001 5318000 0\nv 412000 5318001 0\nf 1 2 3\n";
+    work.write("far.obj", far);
+    work.refuses(
+        "convert far.obj far.stl",
+        &["which are rounded to 0.5 in the model's unit, 2.9e-1 of the diagonal"],
+    );
+    work.write("near.obj", far.replace(".1", ""));
+    work.simod("convert near.obj near.stl");
 }
 
 /// Numbers that LAS has places for are no loss, whatever type a text gives them.

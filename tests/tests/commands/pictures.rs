@@ -1,5 +1,6 @@
 //! `simod render`: what pictures are coloured by.
 
+use serde_json::{Value, json};
 use simod_tests::Workplace;
 use std::fmt::Write as _;
 use std::fs::File;
@@ -80,6 +81,16 @@ fn own_colours_attributes_and_clay() {
         let [[r, g, _], [s, h, _]] = [LEFT, RIGHT].map(|at| mean(&work, "classes.png", at));
         assert!(g / r > 0.6 && h / s < 0.6, "{of}: {r} {g}, {s} {h}");
         work.refuses(&format!("render {of} -o no.png --color temperature"), &["temperature"]);
+        // What colours mean is also in the report.
+        let told = |option: &str| {
+            let report = work.report(&format!("render {of} -o told.png --size 20x20 {option}"));
+            (report["color"].clone(), report["color_range"].clone())
+        };
+        assert_eq!(told(""), ("own".into(), Value::Null));
+        assert_eq!(told("--color clay"), ("clay".into(), Value::Null));
+        assert_eq!(told("--color classification"), ("classification".into(), json!([2.0, 6.0])));
+        let (name, range) = told("--color intensity");
+        assert!(name == "intensity" && range[0].as_f64() < range[1].as_f64(), "{range}");
     }
 }
 

@@ -11,13 +11,13 @@ use simod_core::guard::OutputKind;
 use simod_model::object::{self, is_object};
 use simod_model::target::scratch_folder;
 use simod_model::{
-    Cache, Conversion, Converted, Error, Model, ModelName, Progress, Result, convert_tiles, converted_names,
-    note_on_name,
+    Cache, Conversion, Converted, Error, Model, ModelName, Progress, Result, Rounding, convert_tiles,
+    converted_names, note_on_name,
 };
 
 use super::overwrite::Overwrite;
 use super::tell_cache;
-use crate::report::{Report, count, rate};
+use crate::report::{Report, count, rate, with_lengths};
 
 /// Write a model in another format, streamed, as it is
 #[derive(Args)]
@@ -78,7 +78,7 @@ impl Convert {
             self.tell_of_floats(&self.output.display(), report.progress());
         }
         let done = convert_tiles(named, to, how, &self.output, report.progress())?;
-        tell_losses(&done.losses, report);
+        tell_losses(&done.losses, done.rounding, report);
         let tiles = named.files().len();
         report.figure("tiles", tiles);
         self.tell(
@@ -107,7 +107,7 @@ impl Convert {
             self.tell_of_floats(&self.output.display(), progress);
         }
         converted.write(&self.output, progress)?;
-        tell_losses(converted.losses(), report);
+        tell_losses(converted.losses(), converted.rounding(), report);
         tell_cache(&cache, report);
         let bytes = if is_object(&self.output) {
             object::open(&self.output)?.bytes()
@@ -141,9 +141,13 @@ impl Convert {
     }
 }
 
-/// Says what a converted model lacks.
-pub fn tell_losses(losses: &[String], report: &mut Report) {
+/// Says what a converted model lacks, and what its positions are rounded to.
+pub fn tell_losses(losses: &[String], rounding: Option<Rounding>, report: &mut Report) {
     report.figure("lost", json!(losses));
+    if let Some(rounding) = rounding {
+        let figures = json!({ "step": rounding.fraction() });
+        report.figure("rounding", with_lengths(figures, &["step"], rounding.diagonal));
+    }
     if !losses.is_empty() {
         report.warn(format!("what was lost: {}", losses.join("; ")));
     }

@@ -10,7 +10,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{By, Placement, Target};
 use simod_model::bounds::Bounds;
 use simod_model::follow::Follow;
-use simod_model::{Model, ModelName, Result, Scalar, ScaledIntegers};
+use simod_model::{Model, ModelName, Result, Scalar, ScaledIntegers, tells_when_opened};
 use simod_picture::picture;
 use simod_session::sidecar;
 
@@ -99,11 +99,7 @@ impl Info {
         }
         tell_bounds(&sampled.bounds, report);
         // As far as the model is there, and tells without being gone over.
-        let says_so = |path: &PathBuf| {
-            let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-            ["las", "laz", "e57", "ply"].iter().any(|known| extension == *known)
-        };
-        if source.files().iter().all(says_so)
+        if source.files().iter().all(|path| tells_when_opened(path))
             && let Ok(model) = sampled.open_source(None, report.progress())
         {
             tell_details(&*model, report);
@@ -185,7 +181,10 @@ fn tell_sampling(sampled: &SampledModel, report: &mut Report) {
         Target::Samples(n) => format!("{} samples", count(n)),
         Target::Error(_) => asked_error(sampled, report).unwrap_or_default(),
     };
-    report.line(format!("asked for {target}; {} cells of {:.4}", count(sampled.cells), sampled.cell_size));
+    let diagonal = sampled.bounds.diagonal();
+    let cell = sampled.cell_size / diagonal;
+    report.line(format!("asked for {target}; {} cells of {}", count(sampled.cells), length(cell, diagonal)));
+    report.figure("cell_size", with_lengths(json!({ "fraction": cell }), &["fraction"], diagonal));
     if sampled.sampling.by != By::Error {
         report.line(format!("spread by {}", sampled.sampling.by.name()));
     }

@@ -200,7 +200,7 @@ impl Reconstruct {
             let drops_normals = self.normals == NormalsName::Drop;
             let how = Conversion { lossy: self.lossy, drops_normals, ..Conversion::default() };
             let converted = Converted::new(model, output, how, report.progress())?;
-            tell_losses(converted.losses(), report);
+            tell_losses(converted.losses(), converted.rounding(), report);
             model = Box::new(converted);
         }
         if self.offset == OffsetName::Auto {

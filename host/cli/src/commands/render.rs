@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
+use serde_json::json;
 use simod_core::guard::OutputKind;
 use simod_core::sampled_model::SampledModel;
 use simod_model::bounds::Bounds;
@@ -147,6 +148,7 @@ impl Render {
         report.figure("samples", samples.len());
         let (paint, colors) = self.of_samples(&sampled, report)?;
         let colors = colors.as_deref();
+        tell_colors(&paint, colors.is_some(), report);
         let mut take = |image: &Image| take(&paint.with_legend(image));
         match self.turntable {
             Some(n) => {
@@ -177,6 +179,7 @@ impl Render {
         report.figure("vertices", model.info().vertices);
         let view = self.view(bounds);
         let paint = Paint::of_model(model.as_ref(), coloring, progress)?;
+        tell_colors(&paint, paint.is_colored(), report);
         let mut take = |image: &Image| take(&paint.with_legend(image));
         let folder = folder_of(&self.output);
         let how = (&paint, if self.points { Drawn::Points } else { Drawn::Faces(folder) });
@@ -211,4 +214,14 @@ impl Render {
         let colors = (0..sampled.samples.len()).map(color).collect();
         Ok((paint, Some(colors)))
     }
+}
+
+/// Says what a picture is coloured by, and what the ends of its legend stand for.
+fn tell_colors(paint: &Paint, is_colored: bool, report: &mut Report) {
+    let (name, range) = match paint.legend() {
+        Some((name, range)) => (name, Some(range)),
+        None => (if is_colored { "own" } else { "clay" }, None),
+    };
+    report.figure("color", name);
+    report.figure("color_range", json!(range));
 }

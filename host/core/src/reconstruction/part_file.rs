@@ -174,12 +174,18 @@ impl Output for PartFile<'_> {
         }
     }
 
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
+    fn write_pieces(
+        &mut self,
+        pieces: u64,
+        bytes: &[u8],
+        source_bytes: u64,
+        summary: &Summary,
+    ) -> io::Result<()> {
         match &mut self.to {
             PartTarget::Own => self.own.write_all(bytes)?,
-            PartTarget::Shared(file) => file.write_piece(bytes, source_bytes, summary)?,
+            PartTarget::Shared(file) => file.write_pieces(pieces, bytes, source_bytes, summary)?,
             PartTarget::Object(range, _) => range.write(bytes).map_err(io::Error::other)?,
-            PartTarget::Tiles(files) => return files.write_piece(bytes, source_bytes, summary),
+            PartTarget::Tiles(files) => return files.write_pieces(pieces, bytes, source_bytes, summary),
         }
         self.hash.update(bytes);
         self.bytes += bytes.len() as u64;

@@ -325,10 +325,16 @@ impl Joined {
 }
 
 impl Output for Joined {
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
+    fn write_pieces(
+        &mut self,
+        pieces: u64,
+        bytes: &[u8],
+        source_bytes: u64,
+        summary: &Summary,
+    ) -> io::Result<()> {
         match &mut self.to {
-            JoinedTarget::File(file) => file.replaceable().write_piece(bytes, source_bytes, summary),
-            JoinedTarget::Object(object) => object.write_piece(bytes, source_bytes, summary),
+            JoinedTarget::File(file) => file.replaceable().write_pieces(pieces, bytes, source_bytes, summary),
+            JoinedTarget::Object(object) => object.write_pieces(pieces, bytes, source_bytes, summary),
         }
     }
 
@@ -583,8 +589,14 @@ impl Output for Ending<'_> {
         self.to.begin_at(at)
     }
 
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
-        self.to.write_piece(bytes, source_bytes, summary)
+    fn write_pieces(
+        &mut self,
+        pieces: u64,
+        bytes: &[u8],
+        source_bytes: u64,
+        summary: &Summary,
+    ) -> io::Result<()> {
+        self.to.write_pieces(pieces, bytes, source_bytes, summary)
     }
 
     fn summary(&self) -> Summary {

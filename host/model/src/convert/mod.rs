@@ -22,10 +22,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::DVec3;
 
 use crate::follow::{Follow, Following};
-use crate::form::{self, Conversion, ConversionInput, FaceCounts, Form};
+use crate::form::{self, Conversion, ConversionInput, FaceCounts, Form, Rounding};
 use crate::formats::extension;
 use crate::las::LasModel;
 use crate::las::form::LasForm;
+use crate::las::remarks;
 use crate::las::same_records::SameRecords;
 use crate::object::is_object;
 use crate::object_output::ObjectOutput;
@@ -35,7 +36,7 @@ use crate::source::SourceFile;
 use crate::target::scratch_folder;
 use crate::{
     Edit, Edited, Error, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, Scalar,
-    VertexChunk, VertexReader, for_faces, pipeline,
+    ScaledIntegers, VertexChunk, VertexReader, for_faces, pipeline,
 };
 pub use tiles::{ConvertedTiles, convert_tiles, converted_names};
 use work::ConversionCall;
@@ -57,6 +58,9 @@ pub struct Converted {
     /// The records of points stay what they are, as from LAS to LAZ.
     keeps_records: bool,
     losses: Vec<String>,
+    rounding: Option<Rounding>,
+    /// The integers that positions become, once they are chosen.
+    integers: Option<ScaledIntegers>,
     bytes: u64,
     /// Vertices of each file written that were left out.
     left_out: AtomicU64,
@@ -122,29 +126,42 @@ impl Converted {
             folder: scratch_folder(target),
             keeps_records,
             losses: Vec::new(),
+            rounding: None,
+            integers: None,
             bytes: 0,
             left_out: AtomicU64::new(0),
         };
-        let mut losses = converted.losses_of_model(&counted, progress)?;
-        let form = converted.form(how.drops_normals, &mut losses)?;
-        if form.has_faces() {
-            losses.extend(losses_of_faces(form.holds_polygons(), converted.info.faces, &counted));
+        converted.choose_form(&counted, progress)?;
+        // Who says how fine positions shall be need not say so twice.
+        let is_asked = converted.rounding.is_some_and(|rounding| rounding.is_asked);
+        let is_silent = converted.losses.len() == usize::from(is_asked);
+        if !is_silent && !how.lossy {
+            return Err(converted.would_lose(target, &converted.losses));
         }
+        Ok(converted)
+    }
+
+    /// Chooses how the file is written, which tells what it loses.
+    fn choose_form(&mut self, counted: &PolygonCounts, progress: &dyn Progress) -> Result<()> {
+        let mut losses = self.losses_of_model(counted, progress)?;
+        let form = self.form(self.how.drops_normals, &mut losses)?;
+        if form.has_faces() {
+            losses.extend(losses_of_faces(form.holds_polygons(), self.info.faces, counted));
+        }
+        let rounding = form.rounding(&self.content(self.how.drops_normals))?;
+        losses.extend(rounding.map(|rounding| rounding.to_string()));
         let (bytes, written) = (form.bytes(), form.integers());
         drop(form);
-        (converted.bytes, converted.info.written) = (bytes, written);
-        converted.info.step = written.map_or(DVec3::ZERO, |integers| integers.scale.abs());
-        if !keeps_records {
-            converted.info.integers = None;
+        (self.bytes, self.integers, self.info.written) = (bytes, written, written);
+        self.info.step = written.map_or(DVec3::ZERO, |integers| integers.scale.abs());
+        if !self.keeps_records {
+            self.info.integers = None;
         }
-        if extension == "stl" {
-            converted.info.position_type = Scalar::F32;
+        if self.extension == "stl" {
+            self.info.position_type = Scalar::F32;
         }
-        if !losses.is_empty() && !how.lossy {
-            return Err(converted.would_lose(target, &losses));
-        }
-        converted.losses = losses;
-        Ok(converted)
+        (self.losses, self.rounding) = (losses, rounding);
+        Ok(())
     }
 
     /// What is lost of the model whatever form it takes, in a few words each.
@@ -153,6 +170,9 @@ impl Converted {
         if !self.keeps_records {
             losses.extend(self.model.besides()?);
             losses.extend(self.model.beyond_doubles(progress)?);
+            if !matches!(self.extension, "ply" | "las" | "laz") {
+                losses.extend(remarks::losses(&self.model.remarks()));
+            }
         }
         if counted.without_vertex > 0 {
             let triangles = form::counted(counted.without_vertex, "triangle");
@@ -168,8 +188,10 @@ impl Converted {
     fn would_lose(&self, target: &Path, losses: &[String]) -> Error {
         let own = self.own_extension();
         let all = format!("in its own format, .{own}, a deformed model keeps all of it");
-        let without = "give --lossy to write it without";
-        let hint = if own == self.extension { without.to_owned() } else { format!("{without}; {all}") };
+        let is_of_step = self.rounding.is_some() && self.integers.is_some();
+        let step = if is_of_step { ", or say with --step what positions are rounded to" } else { "" };
+        let without = format!("give --lossy to write it without{step}");
+        let hint = if own == self.extension { without } else { format!("{without}; {all}") };
         Error::argument(format!("{} would lose: {}", target.display(), losses.join("; ")), hint)
     }
 
@@ -182,6 +204,11 @@ impl Converted {
     /// What the new file lacks, each in a few words.
     pub fn losses(&self) -> &[String] {
         &self.losses
+    }
+
+    /// What positions are rounded to, if they lose digits by it: as among the losses.
+    pub fn rounding(&self) -> Option<Rounding> {
+        self.rounding
     }
 
     /// Number of vertices that were written: without those that were left out.
@@ -219,16 +246,21 @@ impl Converted {
         progress.check()
     }
 
-    fn form(&self, drops_normals: bool, losses: &mut Vec<String>) -> Result<Box<dyn Form + '_>> {
-        use records::RecordFormat::{Pcd, Ply};
-        use text::TextFormat::{Named, Obj, Off, Plain};
-        let content = ConversionInput {
+    fn content(&self, drops_normals: bool) -> ConversionInput<'_> {
+        ConversionInput {
             model: &*self.model,
             has_normals: self.model.info().has_normals && !drops_normals,
             faces: self.faces,
             how: self.how,
+            integers: self.integers,
             folder: self.folder.clone(),
-        };
+        }
+    }
+
+    fn form(&self, drops_normals: bool, losses: &mut Vec<String>) -> Result<Box<dyn Form + '_>> {
+        use records::RecordFormat::{Pcd, Ply};
+        use text::TextFormat::{Named, Obj, Off, Plain};
+        let content = self.content(drops_normals);
         let records = |kind, losses: &mut _| records::RecordForm::new(kind, &content, losses);
         let lines = |kind, losses: &mut _| text::TextForm::new(kind, &content, losses);
         let plain = |with_normals, with_colors| Plain { with_normals, with_colors };

@@ -4,7 +4,8 @@
 use std::collections::HashSet;
 
 use crate::form::{ConversionInput, FaceCounts, Form, WrittenRows, attribute_loss, counted, put_numbers};
-use crate::ply::comments_on_crs;
+use crate::las::remarks;
+use crate::ply::own_comments;
 use crate::polygons::Polygons;
 use crate::{Attribute, Colors, Result, Scalar, Summary, Type};
 
@@ -41,6 +42,7 @@ pub(super) struct RecordForm {
 fn written<'a>(
     kind: RecordFormat,
     attributes: impl Iterator<Item = (usize, &'a Attribute)>,
+    remarks: &[String],
     losses: &mut Vec<String>,
 ) -> Vec<(String, Type, usize)> {
     let own = if kind == RecordFormat::Ply { PLY } else { PCD };
@@ -54,7 +56,7 @@ fn written<'a>(
             losses.push(attribute_loss(&attribute.name, attribute.kind));
             continue;
         }
-        if name != attribute.name {
+        if name != attribute.name && !remarks::has_name(remarks, &attribute.name) {
             losses.push(format!("the name of the attribute {}, which becomes {name}", attribute.name));
         }
         written.push((name, attribute.kind, place));
@@ -86,10 +88,13 @@ impl RecordForm {
         let packed = colors.map(|Colors { places: [r, g, b], .. }| [b, g, r]);
         let is_other = |place: &usize| !packed.is_some_and(|packed| packed.contains(place));
         let others = (0..info.attributes.len()).filter(is_other);
-        let attributes = written(kind, others.map(|place| (place, &info.attributes[place])), losses);
+        // Of which PLY keeps names with blanks.
+        let remarks = if kind == RecordFormat::Ply { content.model.remarks() } else { Vec::new() };
+        let others = others.map(|place| (place, &info.attributes[place]));
+        let attributes = written(kind, others, &remarks, losses);
         let mut comments = Vec::new();
         if kind == RecordFormat::Ply {
-            comments = comments_on_crs(content.model);
+            comments = own_comments(content.model);
         } else if let Some(crs) = &info.crs {
             losses.push(format!("the coordinate reference system {crs}"));
         }

@@ -5,7 +5,8 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 
 use glam::Vec3;
 
-use crate::form::{ConversionInput, Form, WrittenRows, attribute_loss};
+use crate::bounds::Bounds;
+use crate::form::{ConversionInput, Form, Rounding, WrittenRows, attribute_loss};
 use crate::mapped::{Map, looked_at};
 use crate::polygons::Polygons;
 use crate::scratch::Scratch;
@@ -30,9 +31,6 @@ impl StlForm {
             ));
         }
         content.too_many("triangles", content.faces.triangles, u64::from(u32::MAX))?;
-        if info.position_type == Scalar::F64 {
-            losses.push("digits of the positions: double becomes float".to_owned());
-        }
         if content.has_normals {
             losses.push("the normals of the vertices".to_owned());
         }
@@ -121,6 +119,18 @@ impl Form for StlForm {
         }
         looked_at(3 * 12 * faces.len());
         Ok(())
+    }
+
+    fn rounding(&self, content: &ConversionInput<'_>) -> Result<Option<Rounding>> {
+        if content.info().position_type == Scalar::F32 {
+            return Ok(None);
+        }
+        // What one single of the largest coordinates is from the next.
+        let step = |bounds: &Bounds| {
+            let largest = bounds.min.abs().max(bounds.max.abs()).max_element() as f32;
+            f64::from(largest.next_up()) - f64::from(largest)
+        };
+        Rounding::of_model(content.model, |p| p.as_vec3().as_dvec3() == p, step)
     }
 
     fn bytes(&self) -> u64 {

@@ -26,7 +26,8 @@ impl PositionDigits {
             (Some(integers), _) => {
                 let decimals = (0..=12).find(|n| {
                     let power = 10f64.powi(*n);
-                    let on_grid = |x: f64| ((x * power) - (x * power).round()).abs() < 1e-6;
+                    // As far as doubles tell: a step may be as small as anything.
+                    let on_grid = |x: f64| is_whole(x * power, 0.0);
                     (0..3).all(|axis| on_grid(integers.scale[axis]) && on_grid(integers.offset[axis]))
                 });
                 decimals.map_or(Self::Double, |n| Self::Decimals(n as usize))
@@ -43,7 +44,7 @@ impl PositionDigits {
             Self::Double => number_to(to, number, false),
             Self::Decimals(n) => {
                 let power = 10f64.powi(n as i32);
-                let is_on_grid = (number * power - (number * power).round()).abs() < 1e-4;
+                let is_on_grid = is_whole(number * power, 1e-4);
                 write!(to, "{number:.*}", if is_on_grid { n } else { n + 3 })
             }
         };
@@ -57,6 +58,11 @@ impl PositionDigits {
             self.write(number, to);
         }
     }
+}
+
+/// Whether a number is whole but for a little, or for what doubles round.
+fn is_whole(number: f64, little: f64) -> bool {
+    (number - number.round()).abs() <= little.max(4.0 * f64::EPSILON * number.abs())
 }
 
 /// With an exponent where zeros would be many.
@@ -103,7 +109,8 @@ impl TextFormat {
     /// Whether an attribute of this name can be written.
     fn holds_attribute(self, name: &str) -> bool {
         let Self::Named(separator) = self else { return false };
-        let needs_care = |c: char| c == separator as char || "\"'#,;\t\n\r".contains(c) || c == ' ';
+        let needs_care =
+            |c: char| c == separator as char || "\"'#,;\t\n\r".contains(c) || (c == ' ' && separator == b' ');
         !name.contains(needs_care)
             && !["x", "y", "z", "nx", "ny", "nz"].contains(&name.to_ascii_lowercase().as_str())
     }

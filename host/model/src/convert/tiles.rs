@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::{Converted, WRITTEN};
 use crate::cache::{Cache, Making};
-use crate::form::Conversion;
+use crate::form::{Conversion, Rounding};
 use crate::formats::open_file;
 use crate::output_folder::OutputFolder;
 use crate::resumable_folder::check_target;
@@ -15,7 +15,7 @@ use crate::target::folder_of;
 use crate::{Error, ModelName, Progress, Result};
 
 /// Tiles that were written in another format.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct ConvertedTiles {
     /// Vertices of all of them.
     pub vertices: u64,
@@ -25,6 +25,8 @@ pub struct ConvertedTiles {
     pub bytes: u64,
     /// What the new files lack, each in a few words, and once.
     pub losses: Vec<String>,
+    /// What positions are rounded to, if they lose digits by it, where it is most of the diagonal.
+    pub rounding: Option<Rounding>,
 }
 
 /// What the tiles are called in their folder in another format.
@@ -88,13 +90,20 @@ pub fn convert_tiles(
         done.vertices += converted.vertices();
         done.triangles += converted.triangles();
         done.bytes += size(&path);
-        for loss in converted.losses() {
+        // Told of the coarsest alone.
+        let rounded = converted.rounding().map(|rounding| rounding.to_string());
+        for loss in converted.losses().iter().filter(|loss| Some(*loss) != rounded.as_ref()) {
             if !done.losses.contains(loss) {
                 done.losses.push(loss.clone());
             }
         }
+        let fraction = |rounding: &Option<Rounding>| rounding.and_then(|rounding| rounding.fraction());
+        if done.rounding.is_none() || fraction(&converted.rounding()) > fraction(&done.rounding) {
+            done.rounding = converted.rounding().or(done.rounding);
+        }
         progress.advance(size(tile));
     }
+    done.losses.extend(done.rounding.map(|rounding| rounding.to_string()));
     progress.check()?;
     check_target(output, &names)?;
     folder.commit()?;

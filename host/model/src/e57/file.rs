@@ -311,24 +311,18 @@ fn info(
     let info = ModelInfo {
         format: format!("E57 {}.{}, {number}", header.version[0], header.version[1]),
         vertices,
-        faces: 0,
         has_normals,
         position_type: if vertices > 0 && with_points().all(is_single) { Scalar::F32 } else { Scalar::F64 },
         other_properties: attributes.iter().map(described).collect(),
         attributes,
         bytes: source.len(),
-        random_access: true,
-        block_vertices: 1,
         vertex_bytes: vertex_bytes.fold(0, u64::saturating_add),
-        face_bytes: 0,
-        integers: None,
-        written: None,
         step: with_points()
             .map(Scan::step)
             .max_by(|a, b| a.length().total_cmp(&b.length()))
             .unwrap_or_default(),
-        ranges: Vec::new(),
         crs,
+        ..ModelInfo::default()
     };
     (info, places)
 }

@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use glam::DVec3;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_json::value::RawValue;
@@ -145,15 +144,9 @@ fn info(
         other_properties,
         attributes,
         bytes: container.len(),
-        random_access: true,
-        block_vertices: 1,
         vertex_bytes: regions.map(|region| region.bytes.end - region.bytes.start).sum(),
         face_bytes: FACE * layout.triangles,
-        integers: None,
-        step: DVec3::ZERO,
-        ranges: Vec::new(),
-        written: None,
-        crs: None,
+        ..ModelInfo::default()
     }
 }
 

@@ -159,6 +159,16 @@ struct FoundPositions {
     colours: Option<(AccessorBytes, u32)>,
 }
 
+/// What vertices at known positions have: an accessor of so many numbers.
+struct VertexAttribute<'a> {
+    positions: AccessorBytes,
+    /// Its name, as `NORMAL`.
+    attribute: &'a str,
+    accessor: usize,
+    /// What the primitive is called in errors.
+    primitive: &'a dyn Fn() -> String,
+}
+
 impl Accessors<'_> {
     /// Finds out where everything is.
     pub(super) fn layout(&self) -> Result<GltfLayout> {
@@ -233,17 +243,12 @@ impl Accessors<'_> {
         Ok(())
     }
 
-    /// Adds an attribute of vertices at known positions.
-    fn add_attribute(
-        &self,
-        builder: &mut LayoutBuilder,
-        positions: AccessorBytes,
-        (attribute, index): (&str, usize),
-        name: &dyn Fn() -> String,
-    ) -> Result<()> {
+    /// Adds an attribute of vertices.
+    fn add_attribute(&self, builder: &mut LayoutBuilder, of: &VertexAttribute<'_>) -> Result<()> {
+        let VertexAttribute { positions, attribute, accessor: index, primitive } = *of;
         let accessor = self.accessor(index)?;
         if accessor.count != positions.count {
-            let (name, count) = (name(), accessor.count);
+            let (name, count) = (primitive(), accessor.count);
             let what =
                 format!("{name}: {count} {attribute} (accessor {index}) for {} positions", positions.count);
             return Err(self.malformed(what));
@@ -252,7 +257,7 @@ impl Accessors<'_> {
             "POSITION" => return Ok(()),
             "NORMAL" => (VectorRole::Normal, "VEC3"),
             "TANGENT" => (VectorRole::Tangent, "VEC4"),
-            _ => return self.add_other(builder, positions, (attribute, index), name),
+            _ => return self.add_other(builder, of),
         };
         let place = self.place_of(index, attribute, shape)?;
         if let (VectorRole::Normal, Some(found)) = (kind, builder.sets.get_mut(&positions)) {
@@ -264,15 +269,10 @@ impl Accessors<'_> {
     }
 
     /// Adds an attribute that stays as it is.
-    fn add_other(
-        &self,
-        builder: &mut LayoutBuilder,
-        positions: AccessorBytes,
-        (attribute, index): (&str, usize),
-        name: &dyn Fn() -> String,
-    ) -> Result<()> {
+    fn add_other(&self, builder: &mut LayoutBuilder, of: &VertexAttribute<'_>) -> Result<()> {
+        let VertexAttribute { positions, attribute, accessor: index, primitive } = *of;
         let accessor = self.accessor(index)?;
-        builder.kept.entry(index).or_insert_with(|| format!("{attribute} of {}", name()));
+        builder.kept.entry(index).or_insert_with(|| format!("{attribute} of {}", primitive()));
         let kind = super::places::number_type(accessor.component_type).map_or("", crate::Type::name);
         builder.layout.others.insert(format!("{kind} {}", attribute.escape_debug()));
         if attribute == "COLOR_0"
@@ -320,7 +320,8 @@ impl Accessors<'_> {
             return Err(self.container.source.malformed(what, SINGLE));
         }
         for (attribute, index) in &primitive.attributes {
-            self.add_attribute(builder, positions, (attribute, *index), name)?;
+            let of = VertexAttribute { positions, attribute, accessor: *index, primitive: name };
+            self.add_attribute(builder, &of)?;
         }
         let mode = match primitive.mode {
             None | Some(4) => PrimitiveMode::Triangles,

@@ -3,10 +3,8 @@
 use std::ops::Range;
 
 use super::header::{LasHeader, RECORD_BYTES, bytes_at};
+use super::remarks::{DESCRIPTION, ExtraBytesRemark, HAS_OFFSET, HAS_SCALE, OFFSET, SCALE};
 use crate::{Attribute, Type};
-
-/// Bytes of the description of extra bytes.
-const DESCRIPTION: usize = 192;
 
 /// Where a number stands in a record, and how.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,6 +124,8 @@ pub(super) struct AttributeFields {
     extra_bytes: usize,
     /// Bytes of a record before extra ones.
     pub standard_bytes: usize,
+    /// What is said of extra bytes beside their names and types.
+    pub remarks: Vec<ExtraBytesRemark>,
 }
 
 impl AttributeFields {
@@ -229,9 +229,9 @@ impl AttributeFields {
             if let Some(whole) = ExtraBytesType::of_code(code) {
                 let name = one[4..36].split(|byte| *byte == 0).next().unwrap_or_default();
                 let name = String::from_utf8_lossy(name);
-                let [scale, offset] = [112, 136].map(|at| f64::from_le_bytes(bytes_at(one, at)));
-                let scale = if options & 8 != 0 { scale } else { 1.0 };
-                let offset = if options & 16 != 0 { offset } else { 0.0 };
+                let [scale, offset] = [SCALE, OFFSET].map(|at| f64::from_le_bytes(bytes_at(one, at)));
+                let scale = if options & HAS_SCALE != 0 { scale } else { 1.0 };
+                let offset = if options & HAS_OFFSET != 0 { offset } else { 0.0 };
                 let (kind, how) = match whole {
                     number if (scale, offset) != (1.0, 0.0) => {
                         (Type::F64, How::Scaled { number, scale, offset })
@@ -246,6 +246,7 @@ impl AttributeFields {
                     self.extra_bytes += bytes;
                     let told = |bit: u8, at| (options & bit != 0).then_some(number * DESCRIPTION + at);
                     self.places[known].limits = Some(LimitFields { least: told(2, 64), most: told(4, 88) });
+                    self.remarks.extend(remark(name.trim(), one, how));
                 }
             }
             at = behind;
@@ -344,6 +345,33 @@ impl AttributeFields {
             }
         }
     }
+}
+
+/// What the description of extra bytes says of such numbers beside name and type, if anything.
+fn remark(name: &str, one: &[u8], how: How) -> Option<ExtraBytesRemark> {
+    let stored = |number: ExtraBytesType, bytes: &[u8]| match number {
+        ExtraBytesType::Of(Type::F32 | Type::F64) => plain(Type::F64, bytes),
+        ExtraBytesType::Of(Type::U8 | Type::U16 | Type::U32) => whole(ExtraBytesType::U64, bytes),
+        ExtraBytesType::Of(_) => whole(ExtraBytesType::I64, bytes),
+        wide => whole(wide, bytes),
+    };
+    let remark = match how {
+        How::Scaled { number: ExtraBytesType::Of(kind), .. } => {
+            ExtraBytesRemark::read(name, one, Some(kind), |bytes| stored(ExtraBytesType::Of(kind), bytes))
+        }
+        // Which become doubles.
+        How::Scaled { number, scale, offset } => {
+            ExtraBytesRemark::read(name, one, None, |bytes| stored(number, bytes) * scale + offset)
+        }
+        How::Number(kind) => {
+            ExtraBytesRemark::read(name, one, None, |bytes| stored(ExtraBytesType::Of(kind), bytes))
+        }
+        How::I64 => ExtraBytesRemark::read(name, one, None, |bytes| whole(ExtraBytesType::I64, bytes)),
+        How::U64 | How::Bits { .. } => {
+            ExtraBytesRemark::read(name, one, None, |bytes| whole(ExtraBytesType::U64, bytes))
+        }
+    };
+    (!remark.is_empty()).then_some(remark)
 }
 
 impl NumberField {

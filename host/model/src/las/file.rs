@@ -58,21 +58,17 @@ impl LasModel {
         let info = ModelInfo {
             format: format!("LAS 1.{}, point format {}{how}", header.minor, header.format),
             vertices: header.count,
-            faces: 0,
-            has_normals: false,
             position_type: Scalar::F64,
             other_properties: places.attributes.iter().map(described).collect(),
             attributes: places.attributes.clone(),
             bytes: source.len(),
-            random_access: true,
             block_vertices: compressed.as_ref().map_or(1, |(_, blocks)| blocks.most_vertices().max(2)),
             vertex_bytes,
-            face_bytes: 0,
             integers: Some(header.integers),
             written: Some(header.integers),
             step: header.integers.scale.abs(),
-            ranges: Vec::new(),
             crs: records.crs(&source)?,
+            ..ModelInfo::default()
         };
         Ok(Self {
             source,

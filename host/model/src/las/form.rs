@@ -9,8 +9,10 @@ use laz::laszip::ChunkTableEntry;
 use super::blocks::table_of;
 use super::header::{RECORD_BYTES, at};
 use super::laszip::Laszip;
+use super::remarks::{self, ADJUSTED_TIME, DESCRIPTION, ExtraBytesRemark};
 use crate::bounds::Bounds;
-use crate::form::{ConversionInput, Form, WrittenRows, attribute_loss, counted, put_numbers};
+use crate::follow::Following;
+use crate::form::{ConversionInput, Form, Rounding, WrittenRows, attribute_loss, counted, put_numbers};
 use crate::{
     Attribute, ColorScale, Colors, Error, Model, Result, ScaledIntegers, Summary, Type, VertexChunk,
     for_positions,
@@ -38,6 +40,8 @@ enum FieldTarget {
     Number(Type),
     /// So many bits of a byte.
     Bits { shift: u8, bits: u8 },
+    /// A number of extra bytes that is stored in this type: less the second number, divided by the first.
+    Scaled { kind: Type, scale: f64, offset: f64 },
     /// A number of 16 bits of light: how much more than the first number, times the second.
     Light(f64, f64),
 }
@@ -66,6 +70,10 @@ pub(crate) struct LasForm {
     integers: ScaledIntegers,
     /// Descriptions of extra bytes.
     extra: Vec<u8>,
+    /// The coordinate reference system as text, if it has one.
+    wkt: Vec<u8>,
+    /// Whether GPS times are adjusted standard ones.
+    has_adjusted_time: bool,
     /// How points are compressed, and the VLR that says so.
     laszip: Option<(Laszip, Vec<u8>)>,
     /// Whether vertices without a position are left out, and how many were.
@@ -114,7 +122,7 @@ fn range(place: FieldTarget) -> (f64, f64) {
     match place {
         FieldTarget::Bits { bits, .. } => (0.0, f64::from((1u32 << bits) - 1)),
         FieldTarget::Light(..) => (0.0, MOST_LIGHT),
-        FieldTarget::Number(kind) => match kind {
+        FieldTarget::Number(kind) | FieldTarget::Scaled { kind, .. } => match kind {
             Type::U8 => (0.0, 255.0),
             Type::I8 => (-128.0, 127.0),
             Type::U16 => (0.0, 65535.0),
@@ -138,6 +146,7 @@ fn fits(kind: Type, place: FieldTarget) -> bool {
             !to.is_float() && from >= least && end <= most
         }
         FieldTarget::Light(..) => matches!(kind, Type::U8 | Type::U16),
+        FieldTarget::Scaled { .. } => false,
     }
 }
 
@@ -147,14 +156,25 @@ struct FoundNumbers {
     least: f64,
     most: f64,
     are_whole: bool,
+    /// Whether all are such as they are [said](ExtraBytesRemark::stored) to be stored.
+    are_stored: bool,
 }
 
 impl FoundNumbers {
     /// Before any were found.
-    const NONE: Self = Self { least: f64::INFINITY, most: f64::NEG_INFINITY, are_whole: true };
+    const NONE: Self =
+        Self { least: f64::INFINITY, most: f64::NEG_INFINITY, are_whole: true, are_stored: true };
 
-    /// Takes numbers in; what is none is not whole.
-    fn take(&mut self, numbers: &[f64]) {
+    /// Takes numbers in, of which something is said; what is none is not whole.
+    fn take(&mut self, numbers: &[f64], remark: Option<&ExtraBytesRemark>) {
+        if let Some((remark, kind)) = remark.and_then(|remark| Some((remark, remark.stored?))) {
+            let (least, most) = range(FieldTarget::Number(kind));
+            self.are_stored = self.are_stored
+                && numbers.iter().all(|number| {
+                    let stored = remark.to_stored(*number);
+                    (least..=most).contains(&stored) && remark.of_stored(stored) == *number
+                });
+        }
         for number in numbers {
             (self.least, self.most) = (self.least.min(*number), self.most.max(*number));
             self.are_whole &= number.fract() == 0.0;
@@ -169,17 +189,21 @@ impl FoundNumbers {
     }
 }
 
-/// What the numbers of those attributes are whose type does not tell that their places hold them: a reading
-/// of the model, if there are such.
-fn found_numbers(model: &dyn Model, places: &[Option<(usize, FieldTarget)>]) -> Result<Vec<FoundNumbers>> {
+/// What the numbers of those attributes are whose type does not tell that their places hold them, or that
+/// are said to be stored otherwise: a reading of the model, if there are such.
+fn found_numbers(
+    model: &dyn Model,
+    places: &[Option<(usize, FieldTarget)>],
+    remarks: &[Option<ExtraBytesRemark>],
+) -> Result<Vec<FoundNumbers>> {
     let mut found = vec![FoundNumbers::NONE; places.len()];
-    let is_open = |(attribute, place): (&Attribute, &Option<(usize, FieldTarget)>)| {
-        place.is_some_and(|(_, place)| {
-            !matches!(place, FieldTarget::Light(..)) && !fits(attribute.kind, place)
-        })
+    let attributes = &model.info().attributes;
+    let is_open = |from: &usize| match places[*from] {
+        Some((_, FieldTarget::Light(..))) => false,
+        Some((_, place)) => !fits(attributes[*from].kind, place),
+        None => remarks[*from].as_ref().is_some_and(|remark| remark.stored.is_some()),
     };
-    let all = model.info().attributes.iter().zip(places);
-    let open: Vec<usize> = all.enumerate().filter(|(_, both)| is_open(*both)).map(|(i, _)| i).collect();
+    let open: Vec<usize> = (0..places.len()).filter(is_open).collect();
     if open.is_empty() {
         return Ok(found);
     }
@@ -187,7 +211,9 @@ fn found_numbers(model: &dyn Model, places: &[Option<(usize, FieldTarget)>]) -> 
     let (mut chunk, mut lists) = (VertexChunk::default(), vec![Vec::new(); open.len()]);
     while reader.read(&mut chunk)? {
         model.some_attributes(&chunk, &open, &mut lists)?;
-        open.iter().zip(&lists).for_each(|(place, numbers)| found[*place].take(numbers));
+        for (place, numbers) in open.iter().zip(&lists) {
+            found[*place].take(numbers, remarks[*place].as_ref());
+        }
     }
     Ok(found)
 }
@@ -214,6 +240,20 @@ fn for_intensity(
     }
 }
 
+/// The text of the coordinate reference system, as a record has it, where there is room for it: in LAS 1.4,
+/// whose points are of the new formats.
+fn wkt(content: &ConversionInput<'_>, format: u8, losses: &mut Vec<String>) -> Vec<u8> {
+    let text = content.model.wkt().filter(|text| format >= 6 && text.len() < LONGEST);
+    match (text, &content.info().crs) {
+        (Some(text), _) => [text.as_bytes(), &[0]].concat(),
+        (None, Some(crs)) => {
+            losses.push(format!("the coordinate reference system {crs}"));
+            Vec::new()
+        }
+        (None, None) => Vec::new(),
+    }
+}
+
 /// Tells what of a model points have no place for.
 fn lose_what_has_no_place(content: &ConversionInput<'_>, losses: &mut Vec<String>) {
     if content.faces.triangles > 0 {
@@ -222,9 +262,33 @@ fn lose_what_has_no_place(content: &ConversionInput<'_>, losses: &mut Vec<String
     if content.has_normals {
         losses.push("the normals".to_owned());
     }
-    if let Some(crs) = &content.info().crs {
-        losses.push(format!("the coordinate reference system {crs}"));
+}
+
+/// What is said of each attribute's extra bytes; what else is said is lost.
+fn remarks(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Vec<Option<ExtraBytesRemark>> {
+    let attributes = &content.info().attributes;
+    let has_time = attributes.iter().any(|attribute| attribute.name == "gps_time");
+    let (mut found, mut lost) = (vec![None; attributes.len()], Vec::new());
+    for line in content.model.remarks() {
+        let remark = ExtraBytesRemark::parse(&line);
+        let is_extra = |a: &Attribute| standard(&a.name, 0).or(standard(&a.name, 8)).is_none();
+        let is_its = |a: &Attribute| {
+            is_extra(a) && remark.as_ref().is_some_and(|remark| remark.name == remarks::name_of(&a.name))
+        };
+        match attributes.iter().position(is_its) {
+            Some(place) => found[place] = remark,
+            None if line == remarks::GPS_TIME && has_time => {}
+            None => lost.push(line),
+        }
     }
+    losses.extend(remarks::losses(&lost));
+    // What turns with the surface keeps no range.
+    for place in content.model.following().map_or(&[][..], Following::places) {
+        if let Some(Some(remark)) = found.get_mut(*place) {
+            (remark.least, remark.most) = (None, None);
+        }
+    }
+    found
 }
 
 /// The point format that has places for most attributes: one below 6 for angles in whole degrees.
@@ -237,6 +301,22 @@ fn point_format(attributes: &[Attribute], has_colors: bool) -> u8 {
         (false, true) => 7,
         (false, false) => 6,
     }
+}
+
+/// Where attributes go that have a place in a record: colours by their scale, and all others by their names.
+fn places(
+    attributes: &[Attribute],
+    format: u8,
+    colors: Option<(Colors, f64)>,
+) -> Vec<Option<(usize, FieldTarget)>> {
+    let place = |(from, attribute): (usize, &Attribute)| {
+        let of_color = colors.and_then(|(colors, scale)| {
+            let which = colors.places.iter().position(|place| *place == from)?;
+            Some((colors_at(format) + 2 * which, FieldTarget::Light(0.0, scale)))
+        });
+        of_color.or_else(|| standard(&attribute.name, format))
+    };
+    attributes.iter().enumerate().map(place).collect()
 }
 
 /// Where red is in a record.
@@ -264,7 +344,7 @@ impl LasForm {
         if format < 6 {
             content.too_many("points of LAS 1.2", info.vertices, u64::from(u32::MAX))?;
         }
-        let integers = integers(content, losses)?;
+        let integers = integers(content)?;
         let mut this = Self {
             is_compressed,
             format,
@@ -274,25 +354,27 @@ impl LasForm {
             returns: None,
             integers,
             extra: Vec::new(),
+            wkt: wkt(content, format, losses),
+            has_adjusted_time: content.model.remarks().iter().any(|line| line == remarks::GPS_TIME),
             laszip: None,
             leaves_out: content.how.lossy,
             left_out: AtomicU64::new(0),
         };
         let scale = colors.map(|colors| full_light(content, &colors)).transpose()?;
-        let mut places = Vec::new();
-        for (from, attribute) in info.attributes.iter().enumerate() {
-            let of_color = colors.zip(scale).and_then(|(colors, scale)| {
-                let which = colors.places.iter().position(|place| *place == from)?;
-                Some((colors_at(format) + 2 * which, FieldTarget::Light(0.0, scale)))
-            });
-            places.push(of_color.or_else(|| standard(&attribute.name, format)));
-        }
-        let found = found_numbers(content.model, &places)?;
+        let places = places(&info.attributes, format, colors.zip(scale));
+        let remarks = remarks(content, losses);
+        let found = found_numbers(content.model, &places, &remarks)?;
         for (from, (attribute, place)) in info.attributes.iter().zip(places).enumerate() {
             let intensities = content.model.intensity_limits();
             let place =
                 place.map(|(at, place)| (at, for_intensity(attribute, place, &found[from], intensities)));
-            this.add_attribute(from, attribute, place, &found[from], losses);
+            match place {
+                Some(place) => this.add_attribute(from, attribute, place, &found[from], losses),
+                None => {
+                    let remark = remarks[from].clone().unwrap_or_default();
+                    this.add_extra(from, attribute, (remark, &found[from]), losses);
+                }
+            }
         }
         if is_compressed {
             let extra = this.record - RECORD_BYTES[usize::from(format)];
@@ -302,54 +384,67 @@ impl LasForm {
         Ok(this)
     }
 
-    /// Has an attribute written at its place in a record, if it has one there, or else as extra bytes.
+    /// Has an attribute written at its place in a record.
     fn add_attribute(
         &mut self,
         from: usize,
         attribute: &Attribute,
-        place: Option<(usize, FieldTarget)>,
+        (at, place): (usize, FieldTarget),
         found: &FoundNumbers,
         losses: &mut Vec<String>,
     ) {
         let (name, kind) = (attribute.name.clone(), attribute.kind);
-        match place {
-            Some((at, place)) => {
-                let rounds = !fits(kind, place);
-                if rounds && !found.fit(place) {
-                    let (least, most) = range(place);
-                    let of = match place {
-                        FieldTarget::Light(from, scale) => {
-                            format!("of which {from} to {} become", from + MOST_LIGHT / scale)
-                        }
-                        _ => "which become".to_owned(),
-                    };
-                    let of_all = attribute_loss(&name, kind);
-                    losses.push(format!("digits of {of_all}, {of} whole numbers from {least} to {most}"));
+        let rounds = !fits(kind, place);
+        if rounds && !found.fit(place) {
+            let (least, most) = range(place);
+            let of = match place {
+                FieldTarget::Light(from, scale) => {
+                    format!("of which {from} to {} become", from + MOST_LIGHT / scale)
                 }
-                if name == "return_number" {
-                    self.returns = Some(self.fields.len());
-                }
-                self.fields.push(WrittenAttribute { name, from, at, place, rounds });
-            }
-            None if self.add_extra(&name, kind) => {
-                let (at, place) = (self.record, FieldTarget::Number(kind));
-                self.record += kind.size();
-                self.fields.push(WrittenAttribute { name, from, at, place, rounds: false });
-            }
-            None => losses.push(attribute_loss(&name, kind)),
+                _ => "which become".to_owned(),
+            };
+            let of_all = attribute_loss(&name, kind);
+            losses.push(format!("digits of {of_all}, {of} whole numbers from {least} to {most}"));
         }
+        if name == "return_number" {
+            self.returns = Some(self.fields.len());
+        }
+        self.fields.push(WrittenAttribute { name, from, at, place, rounds });
     }
 
-    /// Describes extra bytes; `false` where they have no room.
-    fn add_extra(&mut self, name: &str, kind: Type) -> bool {
-        let one = 192;
-        let fits_in = name.len() <= 32 && self.extra.len() + one <= LONGEST;
-        if !fits_in || self.record + kind.size() > LONGEST {
-            return false;
+    /// Has an attribute written as extra bytes, if they have room, with what is said of them.
+    fn add_extra(
+        &mut self,
+        from: usize,
+        attribute: &Attribute,
+        (remark, found): (ExtraBytesRemark, &FoundNumbers),
+        losses: &mut Vec<String>,
+    ) {
+        let Attribute { name, kind } = attribute;
+        let name = remark.spaced.clone().unwrap_or_else(|| name.clone());
+        let (place, remark) = match remark.stored {
+            Some(kind) if found.are_stored => {
+                let (scale, offset) = (remark.scale.unwrap_or(1.0), remark.offset.unwrap_or(0.0));
+                (FieldTarget::Scaled { kind, scale, offset }, remark)
+            }
+            Some(kind) => {
+                let kind = kind.name();
+                losses
+                    .push(format!("that {name} was a {kind} with a scale, which does not give its numbers"));
+                (FieldTarget::Number(attribute.kind), remark.unscaled())
+            }
+            None => (FieldTarget::Number(*kind), remark),
+        };
+        let (FieldTarget::Scaled { kind: stored, .. } | FieldTarget::Number(stored)) = place else { return };
+        let fits_in = name.len() <= 32 && self.extra.len() + DESCRIPTION <= LONGEST;
+        if !fits_in || self.record + stored.size() > LONGEST {
+            losses.push(attribute_loss(&name, *kind));
+            return;
         }
         let start = self.extra.len();
-        self.extra.resize(start + one, 0);
-        let code = match kind {
+        self.extra.resize(start + DESCRIPTION, 0);
+        let description = &mut self.extra[start..];
+        description[2] = match stored {
             Type::U8 => 1,
             Type::I8 => 2,
             Type::U16 => 3,
@@ -359,9 +454,11 @@ impl LasForm {
             Type::F32 => 9,
             Type::F64 => 10,
         };
-        self.extra[start + 2] = code;
-        self.extra[start + 4..start + 4 + name.len()].copy_from_slice(name.as_bytes());
-        true
+        description[4..4 + name.len()].copy_from_slice(name.as_bytes());
+        remark.put(stored, description);
+        let at = self.record;
+        self.record += stored.size();
+        self.fields.push(WrittenAttribute { name, from, at, place, rounds: false });
     }
 
     /// Where the header says how many points there are, and that it is so many.
@@ -383,6 +480,9 @@ impl LasForm {
             self.laszip.as_ref().map_or(Vec::new(), |(_, content)| vlr(LASZIP.0, LASZIP.1, content));
         if !self.extra.is_empty() {
             all.extend(vlr(b"LASF_Spec", 4, &self.extra));
+        }
+        if !self.wkt.is_empty() {
+            all.extend(vlr(b"LASF_Projection", 2112, &self.wkt));
         }
         all
     }
@@ -418,7 +518,9 @@ impl LasForm {
                         record[field.at] |= (*number as u8) << shift;
                     }
                 }
-                FieldTarget::Number(kind) => put_numbers(kind, &numbers, to, field.at, self.record),
+                FieldTarget::Number(kind) | FieldTarget::Scaled { kind, .. } => {
+                    put_numbers(kind, &numbers, to, field.at, self.record);
+                }
                 FieldTarget::Light(..) => put_numbers(Type::U16, &numbers, to, field.at, self.record),
             }
         }
@@ -427,12 +529,17 @@ impl LasForm {
 
     /// The numbers of a field as they are written.
     fn numbers(&self, field: &WrittenAttribute, rows: &WrittenRows<'_>, to: &mut Vec<f64>) -> Result<()> {
-        let (from, scale) =
-            if let FieldTarget::Light(from, scale) = field.place { (from, scale) } else { (0.0, 1.0) };
         let (least, most) = range(field.place);
         to.clear();
         for (i, number) in rows.attributes[field.from].iter().enumerate() {
-            let scaled = (number - from) * scale;
+            let scaled = match field.place {
+                FieldTarget::Light(from, scale) => (number - from) * scale,
+                FieldTarget::Scaled { kind, scale, offset } => {
+                    let stored = (number - offset) / scale;
+                    if kind.is_float() { stored } else { stored.round() }
+                }
+                FieldTarget::Number(_) | FieldTarget::Bits { .. } => *number,
+            };
             let is_whole = least.is_finite();
             to.push(match field.rounds {
                 // Of what is left out, and where something may be lost, as what a scan does not have though
@@ -545,14 +652,14 @@ impl Form for LasForm {
 
     fn head(&self) -> Result<Vec<u8>> {
         let vlrs = self.vlrs();
-        let count = u8::from(self.laszip.is_some()) + u8::from(!self.extra.is_empty());
+        let are_there = [self.laszip.is_some(), !self.extra.is_empty(), !self.wkt.is_empty()];
+        let count = are_there.map(u8::from).iter().sum::<u8>();
         let mut head = vec![0; self.header_len()];
         let mut put = |at: usize, bytes: &[u8]| head[at..at + bytes.len()].copy_from_slice(bytes);
         put(0, b"LASF");
-        if self.format >= 6 {
-            // Coordinate reference systems are WKT, if there are any.
-            put(6, &16u16.to_le_bytes());
-        }
+        // Coordinate reference systems are WKT, if there are any.
+        let of_crs = if self.format >= 6 { 16 } else { 0 };
+        put(6, &[of_crs | if self.has_adjusted_time { ADJUSTED_TIME } else { 0 }]);
         put(24, &[1, if self.format < 6 { 2 } else { 4 }]);
         put(26, b"OTHER");
         put(58, b"SIMOD");
@@ -651,25 +758,38 @@ impl Form for LasForm {
         Some(self.integers)
     }
 
+    fn rounding(&self, content: &ConversionInput<'_>) -> Result<Option<Rounding>> {
+        if content.info().integers == Some(self.integers) {
+            return Ok(None);
+        }
+        let stays = |p| is_on_grid(p, &self.integers);
+        let step = |_: &Bounds| self.integers.scale.abs().max_element();
+        let rounding = Rounding::of_model(content.model, stays, step)?;
+        Ok(rounding.map(|rounding| Rounding { is_asked: content.how.step.is_some(), ..rounding }))
+    }
+
     fn bytes(&self) -> u64 {
         let all = self.start() + self.vertices * self.record as u64;
         if self.is_compressed { all / 3 } else { all }
     }
 }
 
-/// Most decimals of positions that are told from any others.
-const MOST_DECIMALS: i32 = 9;
-
-/// Whether coordinates are numbers of so many decimals, as far as doubles tell.
-fn are_on_grid(p: DVec3, decimals: i32) -> bool {
-    let power = 10f64.powi(decimals);
-    (p - (p * power).round() / power).abs().cmple(2.0 * f64::EPSILON * p.abs()).all()
+/// Whether a position is that of integers, as far as doubles tell.
+fn is_on_grid(p: DVec3, integers: &ScaledIntegers) -> bool {
+    // What has no integers is an error of its own.
+    integers.nearest(p).is_none_or(|numbers| {
+        let near = 4.0 * f64::EPSILON * p.abs().max(integers.offset.abs());
+        (integers.position(numbers) - p).abs().cmple(near).all()
+    })
 }
 
 /// How positions become integers.
-fn integers(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Result<ScaledIntegers> {
+fn integers(content: &ConversionInput<'_>) -> Result<ScaledIntegers> {
     let how = &content.how;
     let info = content.info();
+    if let Some(integers) = content.integers {
+        return Ok(integers);
+    }
     if let (Some(integers), None, None) = (info.integers, how.step, how.offset) {
         return Ok(integers);
     }
@@ -680,12 +800,11 @@ fn integers(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Result<S
     if how.offset.is_some_and(|offset| !offset.is_finite()) {
         return wrong("the origin of positions is none");
     }
-    let (mut bounds, mut decimals) = (Bounds::default(), Some(0));
+    let mut bounds = Bounds::default();
     if how.step.is_none() || how.offset.is_none() {
         for_positions(content.model, |chunk: &VertexChunk| {
             for p in chunk.positions.iter().filter(|p| p.is_finite()) {
                 (bounds.min, bounds.max) = (bounds.min.min(*p), bounds.max.max(*p));
-                decimals = decimals.and_then(|least| (least..=MOST_DECIMALS).find(|n| are_on_grid(*p, *n)));
             }
             Ok(())
         })?;
@@ -697,12 +816,6 @@ fn integers(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Result<S
         // Room for what moves as far as the model is large.
         let extent = (bounds.max - bounds.min).max_element().max(f64::MIN_POSITIVE);
         let power = (4.0 * extent / f64::from(i32::MAX)).log10().ceil() as i32;
-        // Of few digits, as an origin that is found here is a multiple of a million steps.
-        let is_kept = decimals.is_some_and(|decimals| -power >= decimals);
-        if !is_kept || how.offset.is_some() {
-            let step = 10f64.powi(power);
-            losses.push(format!("digits of the positions, which are rounded to {step} (--step)"));
-        }
         10f64.powi(power)
     });
     let offset = how.offset.unwrap_or_else(|| {

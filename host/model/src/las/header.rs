@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use super::remarks::ADJUSTED_TIME;
 use crate::bounds::Bounds;
 use crate::source::SourceFile;
 use crate::{Result, ScaledIntegers};
@@ -54,6 +55,8 @@ pub(super) struct LasHeader {
     pub waveforms: Option<u64>,
     /// Whether the waveforms are in another file, of the same name but for its extension.
     pub has_waveforms_beside: bool,
+    /// Whether GPS times are said to be adjusted standard ones.
+    pub has_adjusted_time: bool,
     /// Where the EVLRs begin, and their number, if there are any.
     pub evlrs: Option<(u64, u32)>,
 }
@@ -100,6 +103,7 @@ impl LasHeader {
             told: told_bounds(&bytes),
             waveforms: some(at::WAVEFORMS, 3),
             has_waveforms_beside: minor >= 3 && bytes[6] & 4 != 0 && matches!(format, 4 | 5 | 9 | 10),
+            has_adjusted_time: minor >= 2 && bytes[6] & ADJUSTED_TIME != 0,
             evlrs: evlrs.filter(|(_, count)| *count > 0),
         };
         this.check(source, least as u64)?;

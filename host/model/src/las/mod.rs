@@ -9,7 +9,7 @@
 //! |---|---|
 //! | `file` | what is known of a file once it is open |
 //! | `header` | the header; `vlrs` the records around the points, of which few matter |
-//! | `points` | positions in and out of records; `attributes` the other numbers |
+//! | `points` | positions in and out of records; `attributes` the other numbers, `remarks` what is said of them |
 //! | `laszip` | a block of compressed points, in and out; `blocks` where they are; `kept` what was found in them |
 //! | `reader` | chunks of vertices from anywhere in the file |
 //! | `rewrite` | the whole file anew, `turning` what of its extra bytes turns; `form` one made of another format, and
@@ -24,6 +24,7 @@ mod kept;
 mod laszip;
 mod points;
 mod reader;
+pub(crate) mod remarks;
 mod rewrite;
 pub(crate) mod same_records;
 mod turning;
@@ -38,6 +39,7 @@ pub(super) use file::LasModel;
 use glam::DVec3;
 use kept::KeptFields;
 use reader::LasReader;
+use remarks::ExtraBytesRemark;
 use vlrs::VlrKind;
 
 use crate::bounds::Bounds;
@@ -81,14 +83,22 @@ impl Model for LasModel {
         self.records.wkt(&self.source).ok().flatten()
     }
 
+    fn remarks(&self) -> Vec<String> {
+        let has_time = self.places.attributes.iter().any(|attribute| attribute.name == "gps_time");
+        let of_time = (has_time && self.header.has_adjusted_time).then(|| remarks::GPS_TIME.to_owned());
+        of_time.into_iter().chain(self.places.remarks.iter().map(ExtraBytesRemark::line)).collect()
+    }
+
     fn besides(&self) -> Result<Vec<String>> {
         let mut besides = Vec::new();
         let records = u64::from(self.header.vlrs) + self.header.evlrs.map_or(0, |(_, n)| u64::from(n));
-        let known =
-            [VlrKind::Laszip, VlrKind::ExtraBytes].iter().filter(|kind| self.records.find(**kind).is_some());
+        let has_wkt = self.wkt().is_some();
+        let known = [VlrKind::Laszip, VlrKind::ExtraBytes, VlrKind::Wkt];
+        let known = known.iter().filter(|kind| **kind != VlrKind::Wkt || has_wkt);
+        let known = known.filter(|kind| self.records.find(**kind).is_some());
         let others = records - (known.count() + self.records.of_copc().count()) as u64;
         if others > 0 {
-            let crs = self.info.crs.as_ref();
+            let crs = self.info.crs.as_ref().filter(|_| !has_wkt);
             let crs = crs
                 .map_or(String::new(), |crs| format!(", the coordinate reference system {crs} among them"));
             besides.push(counted(others, "variable length record") + &crs);

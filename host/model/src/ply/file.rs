@@ -33,5 +33,7 @@ pub struct PlyModel {
     pub(crate) extensions: &'static [&'static str],
     /// The coordinate reference system as text.
     pub(super) wkt: Option<String>,
+    /// [Remarks](crate::Model::remarks), which are comments.
+    pub(super) remarks: Vec<String>,
     pub(crate) info: ModelInfo,
 }

@@ -47,11 +47,11 @@ use super::{
 };
 use crate::follow::{Follow, Following};
 use crate::form::counted;
+use crate::las::remarks;
 use crate::pipeline::Rewritable;
 use crate::progress::Silent;
 use crate::{Normals, Progress, Result, wkt};
 use faces::{PlyFaces, SomeFaces};
-use glam::DVec3;
 use layout::PlyLayout;
 use offsets::Offsets;
 use reader::PlyReader;
@@ -69,14 +69,7 @@ fn info(source: &SourceFile, header: &PlyHeader, vertices: u64, layout: &PlyLayo
         attributes: layout.attributes.clone(),
         bytes: source.len(),
         random_access: layout.stride.is_some(),
-        block_vertices: 1,
-        vertex_bytes: 0,
-        face_bytes: 0,
-        integers: None,
-        step: DVec3::ZERO,
-        ranges: Vec::new(),
-        written: None,
-        crs: None,
+        ..ModelInfo::default()
     }
 }
 
@@ -96,7 +89,8 @@ impl PlyModel {
     pub(crate) fn new(source: SourceFile) -> Result<Self> {
         let header = PlyHeader::read(&source)?;
         let mut model = Self::from_header(source, header, header::without_normals)?;
-        let Comments { crs, wkt, .. } = model.comments()?;
+        let Comments { crs, wkt, remarks, .. } = model.comments()?;
+        model.remarks = remarks;
         model.info.crs = crs.or_else(|| wkt::name(&wkt));
         model.wkt = Some(wkt).filter(|wkt| !wkt.is_empty());
         Ok(model)
@@ -148,6 +142,7 @@ impl PlyModel {
             extensions: &["ply"],
             besides: Self::besides_of_ply,
             wkt: None,
+            remarks: Vec::new(),
             info,
         };
         if model.header.encoding == Encoding::Ascii {
@@ -168,6 +163,8 @@ impl PlyModel {
                 comments.crs = wkt::short(&String::from_utf8_lossy(name)).or(comments.crs);
             } else if let Some(part) = own(WKT) {
                 comments.wkt += &String::from_utf8_lossy(part);
+            } else if let Some(remark) = remark(line) {
+                comments.remarks.push(remark);
             } else if (line.starts_with(b"comment") || line.starts_with(b"obj_info"))
                 && !line.starts_with(b"comment SIMOD ")
             {
@@ -256,6 +253,10 @@ impl Model for PlyModel {
 
     fn wkt(&self) -> Option<String> {
         self.wkt.clone()
+    }
+
+    fn remarks(&self) -> Vec<String> {
+        self.remarks.clone()
     }
 
     fn besides(&self) -> Result<Vec<String>> {
@@ -353,17 +354,25 @@ const PART: usize = 200;
 struct Comments {
     crs: Option<String>,
     wkt: String,
+    /// [Remarks](Model::remarks).
+    remarks: Vec<String>,
     /// Number of all others, but for who wrote the file.
     others: u64,
 }
 
-/// Comments on the coordinate reference system of a model.
-pub(crate) fn comments_on_crs(model: &dyn Model) -> Vec<String> {
+/// Comments on the coordinate reference system of a model, and on its attributes.
+pub(crate) fn own_comments(model: &dyn Model) -> Vec<String> {
     let name = model.info().crs.iter().map(|name| format!("{CRS} {name}"));
     let text = model.wkt().unwrap_or_default();
     let characters: Vec<char> = text.chars().collect();
     let parts = characters.chunks(PART).map(|part| format!("{WKT} {}", part.iter().collect::<String>()));
-    name.chain(parts).collect()
+    name.chain(parts).chain(model.remarks()).collect()
+}
+
+/// The [remark](Model::remarks) of a line, if it is one.
+fn remark(line: &[u8]) -> Option<String> {
+    let line = str::from_utf8(line.strip_prefix(b"comment ")?).ok()?;
+    remarks::is_remark(line).then(|| line.to_owned())
 }
 
 /// Names of the position.

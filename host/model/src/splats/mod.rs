@@ -15,7 +15,7 @@ pub(crate) mod spz;
 
 use std::ops::Range;
 
-use glam::{DVec3, Mat3};
+use glam::Mat3;
 
 use crate::follow::Following;
 use crate::pipeline::Rewritable;
@@ -65,21 +65,12 @@ fn info(
     ModelInfo {
         format,
         vertices,
-        faces: 0,
-        has_normals: false,
         position_type: Scalar::F32,
         other_properties: attributes.iter().map(|a| format!("float {}", a.name)).collect(),
         attributes,
         bytes: source.len(),
-        random_access: true,
-        block_vertices: 1,
         vertex_bytes: vertices * bytes_of_a_splat,
-        face_bytes: 0,
-        integers: None,
-        step: DVec3::ZERO,
-        ranges: Vec::new(),
-        written: None,
-        crs: None,
+        ..ModelInfo::default()
     }
 }
 

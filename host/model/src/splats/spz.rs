@@ -395,10 +395,16 @@ impl<'a> CompressedOutput<'a> {
 }
 
 impl Output for CompressedOutput<'_> {
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
+    fn write_pieces(
+        &mut self,
+        pieces: u64,
+        bytes: &[u8],
+        source_bytes: u64,
+        summary: &Summary,
+    ) -> io::Result<()> {
         self.encoder.write_all(bytes)?;
         let ready = std::mem::take(self.encoder.get_mut());
-        self.to.write_piece(&ready, source_bytes, summary)
+        self.to.write_pieces(pieces, &ready, source_bytes, summary)
     }
 
     fn patch(&mut self, _at: u64, _bytes: &[u8]) -> io::Result<()> {

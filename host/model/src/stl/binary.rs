@@ -65,20 +65,11 @@ impl BinaryStl {
             format: "STL, binary".into(),
             vertices: 3 * facets,
             faces: facets,
-            has_normals: false,
             position_type: Scalar::F32,
-            other_properties: Vec::new(),
-            attributes: Vec::new(),
             bytes: source.len(),
-            random_access: true,
-            block_vertices: 1,
             vertex_bytes: FACET * facets,
             face_bytes: FACET * facets,
-            integers: None,
-            step: DVec3::ZERO,
-            ranges: Vec::new(),
-            written: None,
-            crs: None,
+            ..ModelInfo::default()
         };
         Ok(Self { source, facets, info })
     }

@@ -140,25 +140,7 @@ pub(crate) struct TextModel<G> {
 
 /// What is known of a text file, but for its vertices.
 pub(crate) fn info(source: &SourceFile, format: String) -> ModelInfo {
-    ModelInfo {
-        format,
-        vertices: 0,
-        faces: 0,
-        has_normals: false,
-        position_type: Scalar::F64,
-        other_properties: Vec::new(),
-        attributes: Vec::new(),
-        bytes: source.len(),
-        random_access: true,
-        block_vertices: 1,
-        vertex_bytes: 0,
-        face_bytes: 0,
-        integers: None,
-        step: DVec3::ZERO,
-        ranges: Vec::new(),
-        written: None,
-        crs: None,
-    }
+    ModelInfo { format, position_type: Scalar::F64, bytes: source.len(), ..ModelInfo::default() }
 }
 
 impl<G: Grammar> TextModel<G> {

@@ -19,7 +19,7 @@ use super::*;
 struct Target(Vec<u8>);
 
 impl Output for Target {
-    fn write_piece(&mut self, bytes: &[u8], _: u64, _: &Summary) -> std::io::Result<()> {
+    fn write_pieces(&mut self, _: u64, bytes: &[u8], _: u64, _: &Summary) -> std::io::Result<()> {
         self.0.extend_from_slice(bytes);
         Ok(())
     }

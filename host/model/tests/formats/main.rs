@@ -131,7 +131,7 @@ pub fn check_reading_on(model: &dyn Model, all: &[[u32; 3]], marks: &[(usize, u6
 pub struct Written(pub Vec<u8>);
 
 impl Output for Written {
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
+    fn write_pieces(&mut self, _: u64, bytes: &[u8], _: u64, _: &Summary) -> io::Result<()> {
         self.0.extend_from_slice(bytes);
         Ok(())
     }

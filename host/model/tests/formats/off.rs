@@ -38,6 +38,33 @@ fn letters_say_what_vertices_have() {
     assert_eq!(of("STCNOFF", "1 2 3 0 0 1 9 8 7 6 0.5 0.25"), is("STCNOFF", 2, "red green blue alpha s t"));
 }
 
+/// As MeshLab writes them, letters and numbers.
+#[test]
+fn colours_may_come_before_normals() {
+    let lines = "1 2 3 3 0 99 255 0 0 1\n4 2 3 255 9 8 255 0.6 0 0.8\n";
+    let model = check_whole(format!("NCOFF\n2 0 0\n{lines}").as_bytes(), ".off");
+    assert_eq!(model.info().format, "NCOFF");
+    let (_, normals) = read(model.as_ref()).unwrap();
+    assert_eq!(normals, [Vec3::Z, Vec3::new(0.6, 0.0, 0.8)]);
+    let names: Vec<&str> = model.info().attributes.iter().map(|a| a.name.as_str()).collect();
+    assert_eq!(names, ["red", "green", "blue", "alpha"]);
+    assert!(model.info().attributes.iter().all(|a| a.kind == simod_model::Type::U8));
+    simod_model::for_vertices(model.as_ref(), |chunk| {
+        let mut numbers = vec![Vec::new(); 4];
+        model.attributes(chunk, &mut numbers)?;
+        assert_eq!(numbers, [[3.0, 255.0], [0.0, 9.0], [99.0, 8.0], [255.0, 255.0]]);
+        Ok(())
+    })
+    .unwrap();
+    let out = rewrite(model.as_ref(), |e| {
+        e.positions[0].x = 1.5;
+        e.normals[0] = Vec3::X;
+    })
+    .unwrap();
+    let expected = lines.replace("1 2 3 3 0 99 255 0 0 1", "1.5000000 2 3 3 0 99 255 1.0000000 0 0.0000000");
+    assert_eq!(String::from_utf8(out).unwrap(), format!("NCOFF\n2 0 0\n{expected}"));
+}
+
 #[test]
 fn whole_numbers_of_colours_are_bytes() {
     use simod_model::Type::{F64, U8};
@@ -97,10 +124,6 @@ fn what_is_wrong_is_named() {
         "line 1: \"4OFF\" has vertices of another dimension than three"
     );
     assert_eq!(bad("nOFF\n3 1 0 0\n"), "line 1: \"nOFF\" has vertices of another dimension than three");
-    assert_eq!(
-        bad("NCOFF\n1 0 0\n0 0 0 9 8 7 6 0 0 1\n"),
-        "line 1: \"NCOFF\" does not tell whether normals or colours come first"
-    );
     assert_eq!(bad("CCOFF\n1 0 0\n0 0 0\n"), "line 1: \"CCOFF\" is neither OFF nor a count");
     assert_eq!(bad("OFF BINARY\n\0\0\0\x01"), "line 1: binary OFF cannot be read");
     assert_eq!(

@@ -27,7 +27,7 @@ impl Output for Part {
         Ok(())
     }
 
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, summary: &Summary) -> io::Result<()> {
+    fn write_pieces(&mut self, _: u64, bytes: &[u8], _: u64, summary: &Summary) -> io::Result<()> {
         self.bytes.extend_from_slice(bytes);
         self.summary.absorb(summary);
         Ok(())

@@ -746,10 +746,6 @@ struct CountedPieces {
 }
 
 impl Output for CountedPieces {
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
-        self.write_pieces(1, bytes, source_bytes, summary)
-    }
-
     fn write_pieces(&mut self, pieces: u64, bytes: &[u8], _: u64, _: &Summary) -> io::Result<()> {
         self.bytes.extend_from_slice(bytes);
         self.pieces += pieces;
@@ -798,7 +794,7 @@ impl Edit for Counting {
 struct Pieces(Vec<Vec<u8>>);
 
 impl Output for Pieces {
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
+    fn write_pieces(&mut self, _: u64, bytes: &[u8], _: u64, _: &Summary) -> io::Result<()> {
         self.0.push(bytes.to_vec());
         Ok(())
     }

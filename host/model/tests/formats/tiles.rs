@@ -134,7 +134,7 @@ impl Output for Files {
         Ok(())
     }
 
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> std::io::Result<()> {
+    fn write_pieces(&mut self, _: u64, bytes: &[u8], _: u64, _: &Summary) -> std::io::Result<()> {
         self.0.last_mut().unwrap().extend_from_slice(bytes);
         Ok(())
     }
