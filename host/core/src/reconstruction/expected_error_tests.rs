@@ -89,8 +89,8 @@ fn twisted_along(p: Vec3, direction: Vec3) -> Vec3 {
     turned(direction) + PI * direction.z * turned(Vec3::new(-p.y, p.x, 0.0))
 }
 
-/// How far the gradient across a surface of such places and normals is off at samples of the twist, and how far
-/// it is expected to be.
+/// How far the gradient across a surface of such places and normals is off at samples, which are twisted, and
+/// how far it is expected to be.
 fn off_across(on_surface: fn((f32, f32)) -> (Vec3, Vec3)) -> Vec<(f32, f32)> {
     let (places, normals): (Vec<Vec3>, Vec<Vec3>) = (0..5000).map(|i| on_surface(filling(i))).unzip();
     let samples = SampleSet::new(places, Vec::new()).expect("samples");
