@@ -126,7 +126,7 @@ fn on_sheet((u, v): (f32, f32)) -> (Vec3, Vec3) {
     let (x, y) = (u - 0.5, v - 0.5);
     let ((sin, cos), (other_sin, other_cos)) = ((9.0 * x + 4.0 * y).sin_cos(), (6.0 * y - 2.0 * x).sin_cos());
     let slope = (0.27 * cos + 0.06 * other_sin, 0.12 * cos - 0.18 * other_sin);
-    (Vec3::new(x, y, 0.03 * (sin + other_cos)), Vec3::new(-slope.0, -slope.1, 1.0).normalize())
+    (Vec3::new(x, y, 0.03 * (sin + other_cos)), Vec3::new(-slope.0, -slope.1, 1.0).normalize_or(Vec3::Z))
 }
 
 /// A sheet that a map twists about its own normal is hardly strained, and samples agree with their neighbours
