@@ -1,4 +1,5 @@
-//! The gradient by which what turns needs it: from wider neighbourhoods than expansions have.
+//! The gradient by which what turns needs it: from wider neighbourhoods than expansions have. How far that is
+//! from the expansions' own tells how far these are off across the surface.
 //!
 //! A surface tells how a map of space changes across it by how its own bending varies: where it bends by
 //! another amount, the same gradient across moves it by another one. Next to a sample that hardly shows, and
@@ -16,6 +17,7 @@ use glam::{DMat3, DVec3, Mat3, Vec3};
 use pulp::Arch;
 use rayon::prelude::*;
 
+use super::blended_jets::FitInput;
 use super::expansion::{Expansion, ROUNDING};
 use super::stencils::Stencils;
 use crate::lists::lists;
@@ -175,26 +177,14 @@ pub fn told(
     gradient: &[Mat3],
     expansions: &[Expansion],
 ) -> Vec<Expansion> {
-    let chosen = anchors(stencils, expansions);
-    let fit = |walk: &mut NeighbourWalk, i: &u32| {
-        let fit = AnchorFit { samples, stencils, deformed, affine: gradient[*i as usize], i: *i as usize };
-        Arch::new().dispatch(|| fit.anchor(walk))
-    };
-    let fitted = chosen.par_iter().map_init(|| NeighbourWalk::new(samples.len()), fit);
-    let (anchors, heard): (Vec<Anchor>, Vec<Vec<u32>>) = fitted.unzip();
-    let heard = AnchorLists::new(samples.len(), &heard);
+    let anchors = Anchors::fit(samples, stencils, deformed, gradient, expansions);
     let told = |(i, e): (usize, &Expansion)| {
-        let near = heard.anchors(i);
-        if e.is_still() || near.is_empty() {
+        if e.is_still() || anchors.are_silent_at(i) {
             return *e;
         }
-        let q = samples.positions[i];
         let (own, own_second) = (Mat3::IDENTITY + e.slope(), e.second());
         let (mut more, mut second, mut sum) = (Mat3::ZERO, [Vec3::ZERO; 6], 0.0);
-        for anchor in near.iter().map(|anchor| &anchors[*anchor as usize]) {
-            let d = q - anchor.center;
-            let products = anchor.products(d);
-            let w = (1.0 - d.length_squared() * anchor.inverse_square).max(0.0).powi(3);
+        for (anchor, products, w) in anchors.heard_at(i, samples.positions[i]) {
             let trusted = w * anchor.trust;
             more += (anchor.gradient(&products) - own) * trusted;
             let theirs = anchor.second(&products).into_iter().zip(own_second);
@@ -202,14 +192,114 @@ pub fn told(
             sum += w;
         }
         let more = more * (1.0 / sum);
-        let ratio = (own + more).determinant() / own.determinant();
-        if !(more.is_finite() && (THINNEST..1.0 / THINNEST).contains(&ratio)) {
+        if !is_plausible(own, more) {
             return *e;
         }
         let second = std::array::from_fn(|at| own_second[at] + second[at] / sum);
         e.with_slope(e.slope() + more).with_second(second)
     };
     expansions.par_iter().enumerate().map(told).collect()
+}
+
+/// What anchors tell of the gradient across the surface at a sample.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ToldAcross {
+    /// How far the expansion's own is from what they tell.
+    apart: f32,
+    /// How far they differ on that: the root of the mean square.
+    spread: f32,
+    /// How far their neighbours tell it, from 0 to 1; 0 where what they tell is not plausible.
+    trust: f32,
+}
+
+impl ToldAcross {
+    /// How far the expansion's own gradient across is expected to be off, where `guessed` is expected without
+    /// the anchors: by what they tell, as far as they tell it, and agree better than what is guessed.
+    pub fn expected(self, guessed: f32) -> f32 {
+        let [apart, spread, guessed] = [self.apart, self.spread, guessed].map(|x| x * x);
+        let told = self.trust.powi(4) * guessed / (guessed + spread).max(f32::MIN_POSITIVE);
+        (told * (apart + spread) + (1.0 - told) * guessed).sqrt()
+    }
+}
+
+/// What anchors tell across the surface at all samples, of which these are the expansions, along their
+/// normals.
+///
+/// Memory: 12 bytes per sample, and some 85 more meanwhile.
+pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAcross> {
+    let FitInput { samples, stencils, deformed, gradient } = fitted;
+    let anchors = Anchors::fit(samples, stencils, deformed, gradient, expansions);
+    let told = |(i, e): (usize, &Expansion)| {
+        if e.is_still() || anchors.are_silent_at(i) {
+            return ToldAcross::default();
+        }
+        let (own, normal) = (Mat3::IDENTITY + e.slope(), samples.normals()[i]);
+        let (mut more, mut squares, mut trust, mut sum) = (Mat3::ZERO, 0.0, 0.0, 0.0);
+        for (anchor, products, w) in anchors.heard_at(i, samples.positions[i]) {
+            let differs = (anchor.gradient(&products) - own) * anchor.trust;
+            more += differs * w;
+            squares += w * (differs * normal).length_squared();
+            trust += w * anchor.trust;
+            sum += w;
+        }
+        let more = more * (1.0 / sum);
+        if !is_plausible(own, more) {
+            return ToldAcross::default();
+        }
+        let apart = (more * normal).length();
+        let spread = (squares / sum - apart * apart).max(0.0).sqrt();
+        ToldAcross { apart, spread, trust: trust / sum }
+    };
+    expansions.par_iter().enumerate().map(told).collect()
+}
+
+/// Whether a gradient may be the map's that differs by so much from an expansion's own.
+fn is_plausible(own: Mat3, more: Mat3) -> bool {
+    let ratio = (own + more).determinant() / own.determinant();
+    more.is_finite() && (THINNEST..1.0 / THINNEST).contains(&ratio)
+}
+
+/// All anchors, and where each has a say.
+struct Anchors {
+    anchors: Vec<Anchor>,
+    lists: AnchorLists,
+}
+
+impl Anchors {
+    /// Those of a deformation with these affine maps and expansions.
+    fn fit(
+        samples: &SampleSet,
+        stencils: &Stencils<'_>,
+        deformed: &[Vec3],
+        gradient: &[Mat3],
+        expansions: &[Expansion],
+    ) -> Self {
+        let chosen = anchors(stencils, expansions);
+        let fit = |walk: &mut NeighbourWalk, i: &u32| {
+            let fit =
+                AnchorFit { samples, stencils, deformed, affine: gradient[*i as usize], i: *i as usize };
+            Arch::new().dispatch(|| fit.anchor(walk))
+        };
+        let fitted = chosen.par_iter().map_init(|| NeighbourWalk::new(samples.len()), fit);
+        let (anchors, heard): (Vec<Anchor>, Vec<Vec<u32>>) = fitted.unzip();
+        Self { anchors, lists: AnchorLists::new(samples.len(), &heard) }
+    }
+
+    /// Whether none has a say at a sample.
+    fn are_silent_at(&self, i: usize) -> bool {
+        self.lists.anchors(i).is_empty()
+    }
+
+    /// Those that have a say at sample `i`, which is at `q`, with the products of terms there, and their
+    /// weights.
+    fn heard_at(&self, i: usize, q: Vec3) -> impl Iterator<Item = (&Anchor, [f32; TERMS + 1], f32)> {
+        self.lists.anchors(i).iter().map(move |anchor| {
+            let anchor = &self.anchors[*anchor as usize];
+            let d = q - anchor.center;
+            let w = (1.0 - d.length_squared() * anchor.inverse_square).max(0.0).powi(3);
+            (anchor, anchor.products(d), w)
+        })
+    }
 }
 
 /// The anchors, ascending, among samples that move.
