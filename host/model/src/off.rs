@@ -1,8 +1,8 @@
 //! OFF: a line of counts, a line for each vertex, and one for each face.
 //!
 //! Letters before `OFF` say what vertices have beside their position: `N` a normal, `C` a colour, `ST`
-//! texture coordinates, in this order in their lines, whatever the order of the letters; but where `N` comes before
-//! `C`, as MeshLab writes it, colours come before normals.
+//! texture coordinates, in this order in their lines, whatever the order of the letters; but where `N` comes
+//! before `C`, as MeshLab writes it, colours come before normals.
 
 use std::ops::Range;
 
