@@ -426,8 +426,8 @@ impl Plugin {
         &self.descriptor
     }
 
-    /// The tool's calls as it answers them, with error codes, and output of any kind: to measure and check them.
-    /// What deforms for users is a [`Stack`](crate::Stack), which looks at the output.
+    /// The tool's calls as it answers them, with error codes, and output of any kind: to measure and check
+    /// them. What deforms for users is a [`Stack`](crate::Stack), which looks at the output.
     pub fn code(&self) -> &dyn Code {
         self.code.as_ref()
     }
