@@ -52,8 +52,8 @@ pub(crate) struct Columns {
 }
 
 impl Columns {
-    /// Columns between blanks that are so many components in this order, and so many attributes, of which the
-    /// `first` ones stand behind the position, and the others behind all.
+    /// Columns between blanks that are so many components in this order, with `first` others behind the
+    /// position. Attributes are these and those behind all, so many, or none at all.
     pub(crate) fn in_order(components: usize, first: usize, attributes: usize) -> Self {
         let position = (0..3).map(Some);
         Self {
@@ -61,7 +61,10 @@ impl Columns {
             roles: position.chain((0..first).map(|_| None)).chain((3..components).map(Some)).collect(),
             components,
             following: 0,
-            attributes: (3..3 + first).chain(components + first..components + attributes).collect(),
+            attributes: (3..3 + first)
+                .chain(components + first..components + attributes)
+                .take(attributes)
+                .collect(),
             unread: Vec::new(),
             is_counted: false,
             wanted: None,

@@ -187,6 +187,8 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     let Letters { normals, texture, colours_first, .. } = head.letters;
     let components = if normals { 6 } else { 3 };
     let (mut faces, mut face_lines, mut names, mut paints_faces) = (0, 0..0, Vec::new(), false);
+    // So many numbers stand before the normal, whether they are colours that are known or not.
+    let mut first = 0;
     let mut bytes = ColourBytes { behind: 0, colours: 0, largest: 0 };
     while builder.vertices() < head.vertices || faces < head.faces {
         let Some((at, line)) = lines.next()? else {
@@ -199,7 +201,11 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
         if builder.vertices() < head.vertices {
             if builder.vertices() == 0 {
                 let numbers = numbers_of_vertex(&source, at, line)?;
-                names = attributes(numbers.saturating_sub(components), texture);
+                let others = numbers.saturating_sub(components);
+                names = attributes(others, texture);
+                if colours_first {
+                    first = if texture { others.saturating_sub(2) } else { others };
+                }
                 bytes = ColourBytes::of(&names, if colours_first { 3 } else { 0 });
             }
             bytes.take(line);
@@ -224,9 +230,6 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
         attributes: names.iter().map(|name| Attribute { name: (*name).into(), kind: kind(name) }).collect(),
         ..info(&source, format!("{}OFF", head.letters.text()))
     };
-    // Of attributes, so many stand before the normal.
-    let first =
-        if colours_first { names.iter().filter(|name| !["s", "t"].contains(name)).count() } else { 0 };
     let off = Off { columns: Columns::in_order(components, first, names.len()), face_lines, paints_faces };
     Ok(Box::new(TextModel::new(source, off, builder.finish(), info)?))
 }

@@ -46,6 +46,10 @@ fn colours_may_come_before_normals() {
     assert_eq!(model.info().format, "NCOFF");
     let (_, normals) = read(model.as_ref()).unwrap();
     assert_eq!(normals, [Vec3::Z, Vec3::new(0.6, 0.0, 0.8)]);
+    // Also where they are none that are known, as a place in a table of colours.
+    let by_index = check_whole(b"NCOFF\n2 0 0\n1 2 3 7 0 0 1\n4 2 3 8 0.6 0 0.8\n", ".off");
+    assert_eq!(read(by_index.as_ref()).unwrap().1, normals);
+    assert!(by_index.info().attributes.is_empty());
     let names: Vec<&str> = model.info().attributes.iter().map(|a| a.name.as_str()).collect();
     assert_eq!(names, ["red", "green", "blue", "alpha"]);
     assert!(model.info().attributes.iter().all(|a| a.kind == simod_model::Type::U8));
