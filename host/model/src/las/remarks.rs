@@ -33,9 +33,12 @@ pub(super) const ADJUSTED_TIME: u8 = 1;
 pub(crate) const GPS_TIME: &str = "gps-time adjusted";
 const EXTRA_BYTES: &str = "extra-bytes";
 
+/// What stands before a name with blanks, which a quote ends.
+const NAME: &str = " name \"";
+
 /// Whether a line is a remark.
 pub(crate) fn is_remark(line: &str) -> bool {
-    line == GPS_TIME || line.strip_prefix(EXTRA_BYTES).is_some_and(|rest| rest.starts_with(' '))
+    line == GPS_TIME || ExtraBytesRemark::parse(line).is_some()
 }
 
 /// What is lost with remarks, in a few words each.
@@ -132,7 +135,7 @@ impl ExtraBytesRemark {
             }
         }
         if let Some(spaced) = &self.spaced {
-            let _ = write!(line, " name \"{spaced}\"");
+            let _ = write!(line, "{NAME}{spaced}\"");
         }
         if !self.text.is_empty() {
             let _ = write!(line, " description {}", self.text);
@@ -145,14 +148,21 @@ impl ExtraBytesRemark {
         [("scale", scale), ("offset", offset), ("no-data", no_data), ("least", least), ("most", most)]
     }
 
-    /// What a line says; words that are not known end it.
+    /// What a line says; nothing where there are words that are not known.
     pub fn parse(line: &str) -> Option<Self> {
         let rest = line.strip_prefix(EXTRA_BYTES)?.strip_prefix(' ')?;
         let (head, text) = rest.split_once(" description ").unwrap_or((rest, ""));
-        let (head, spaced) = head.split_once(" name \"").unwrap_or((head, ""));
+        let (head, spaced, text) = match head.split_once(NAME) {
+            // A name may have that word, too, but no quote.
+            Some((head, _)) => {
+                let (spaced, behind) = rest[head.len() + NAME.len()..].split_once('"')?;
+                (head, Some(spaced.to_owned()), behind.strip_prefix(" description ").unwrap_or_default())
+            }
+            None => (head, None, text),
+        };
         let mut words = head.split(' ');
-        let mut this = Self { name: words.next()?.to_owned(), text: text.to_owned(), ..Self::default() };
-        this.spaced = spaced.strip_suffix('"').map(str::to_owned);
+        let name = words.next()?.to_owned();
+        let mut this = Self { name, spaced, text: text.to_owned(), ..Self::default() };
         while let (Some(word), Some(value)) = (words.next(), words.next()) {
             let number = value.parse().ok();
             match word {
@@ -237,8 +247,16 @@ mod tests {
         assert_eq!(ExtraBytesRemark::parse(&remark.line()), Some(remark.clone()));
         assert!(is_remark(&remark.line()) && is_remark(GPS_TIME) && !is_remark("extra-bytesize 3"));
         assert!(!remark.is_empty() && ExtraBytesRemark::parse("extra-bytes a").unwrap().is_empty());
+        // Which would be lost without a word.
         for other in ["extra-bytes", "extra-bytes a colour 3", "comment"] {
-            assert_eq!(ExtraBytesRemark::parse(other), None, "{other}");
+            assert!(ExtraBytesRemark::parse(other).is_none() && !is_remark(other), "{other}");
+        }
+        // Words of such lines are also those of names and descriptions.
+        for (spaced, text) in [("a description b", "of c"), ("a description b", ""), ("a b", "as name \"c\"")]
+        {
+            let (name, spaced, text) = (name_of(spaced), Some(spaced.to_owned()), text.to_owned());
+            let remark = ExtraBytesRemark { name, spaced, text, ..ExtraBytesRemark::default() };
+            assert_eq!(ExtraBytesRemark::parse(&remark.line()), Some(remark));
         }
         let mut one = [0; DESCRIPTION];
         remark.put(Type::I16, &mut one);
