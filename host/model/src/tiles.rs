@@ -5,7 +5,7 @@
 //! read.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
@@ -308,17 +308,22 @@ pub(crate) fn names(files: &[PathBuf]) -> Vec<PathBuf> {
     files.iter().map(name).collect()
 }
 
-/// What tiles are called in the folder that they are written to: of a `.gltf` with its buffers comes one GLB.
+/// What tiles are called in the folder that they are written to, none like another: of a `.gltf` with its
+/// buffers comes one GLB.
 pub(crate) fn written_names(files: &[PathBuf]) -> Vec<PathBuf> {
     let names = names(files);
-    let written = |name: &PathBuf| {
-        if extension(name) != "gltf" {
-            return name.clone();
+    let mut taken: BTreeSet<PathBuf> = names.iter().cloned().collect();
+    let written = |name: PathBuf| {
+        if extension(&name) != "gltf" {
+            return name;
         }
-        let glb = name.with_extension("glb");
-        if names.contains(&glb) { name.with_extension("gltf.glb") } else { glb }
+        let mut glb = name.with_extension("glb");
+        while !taken.insert(glb.clone()) {
+            glb = glb.with_extension("gltf.glb");
+        }
+        glb
     };
-    names.iter().map(written).collect()
+    names.into_iter().map(written).collect()
 }
 
 /// A pattern that files have in common, which stands for them in messages.

@@ -239,10 +239,11 @@ proptest! {
 
 #[test]
 fn tiles_of_gltf_are_written_as_glb() {
-    let files = ["a/x.gltf", "a/y.GLTF", "a/y.glb", "a/z.ply"].map(PathBuf::from);
+    let files = ["a/x.gltf", "a/y.GLTF", "a/y.glb", "a/z.ply", "a/y.gltf"].map(PathBuf::from);
     let name = ModelName::Tiles(files.to_vec());
-    assert_eq!(name.tiles(), ["x.gltf", "y.GLTF", "y.glb", "z.ply"].map(PathBuf::from));
-    assert_eq!(name.written_tiles(), ["x.glb", "y.gltf.glb", "y.glb", "z.ply"].map(PathBuf::from));
+    assert_eq!(name.tiles(), ["x.gltf", "y.GLTF", "y.glb", "z.ply", "y.gltf"].map(PathBuf::from));
+    let written = ["x.glb", "y.gltf.glb", "y.glb", "z.ply", "y.gltf.gltf.glb"].map(PathBuf::from);
+    assert_eq!(name.written_tiles(), written);
 }
 
 #[test]
