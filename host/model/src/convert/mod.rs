@@ -188,8 +188,10 @@ impl Converted {
     fn would_lose(&self, target: &Path, losses: &[String]) -> Error {
         let own = self.own_extension();
         let all = format!("in its own format, .{own}, a deformed model keeps all of it");
-        let is_of_step = self.rounding.is_some() && self.integers.is_some();
-        let step = if is_of_step { ", or say with --step what positions are rounded to" } else { "" };
+        let is_of_step = self.integers.is_some() && self.rounding.is_some_and(|rounding| !rounding.is_asked);
+        // Which other commands have not.
+        let step =
+            if is_of_step { "; `simod convert --step` says what positions are rounded to" } else { "" };
         let without = format!("give --lossy to write it without{step}");
         let hint = if own == self.extension { without } else { format!("{without}; {all}") };
         Error::argument(format!("{} would lose: {}", target.display(), losses.join("; ")), hint)
