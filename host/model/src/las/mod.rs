@@ -92,7 +92,8 @@ impl Model for LasModel {
     fn besides(&self) -> Result<Vec<String>> {
         let mut besides = Vec::new();
         let records = u64::from(self.header.vlrs) + self.header.evlrs.map_or(0, |(_, n)| u64::from(n));
-        let has_wkt = self.wkt().is_some();
+        // Without a name, nobody is told of it where it is lost.
+        let has_wkt = self.wkt().is_some_and(|text| crate::wkt::name(&text).is_some());
         let known = [VlrKind::Laszip, VlrKind::ExtraBytes, VlrKind::Wkt];
         let known = known.iter().filter(|kind| **kind != VlrKind::Wkt || has_wkt);
         let known = known.filter(|kind| self.records.find(**kind).is_some());
