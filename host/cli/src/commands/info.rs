@@ -183,7 +183,13 @@ fn tell_sampling(sampled: &SampledModel, report: &mut Report) {
     };
     let diagonal = sampled.bounds.diagonal();
     let cell = sampled.cell_size / diagonal;
-    report.line(format!("asked for {target}; {} cells of {}", count(sampled.cells), length(cell, diagonal)));
+    // A model may be at one place.
+    let size = if diagonal > 0.0 {
+        length(cell, diagonal)
+    } else {
+        format!("{:.1e} in the model's unit", sampled.cell_size)
+    };
+    report.line(format!("asked for {target}; {} cells of {size}", count(sampled.cells)));
     report.figure("cell_size", with_lengths(json!({ "fraction": cell }), &["fraction"], diagonal));
     if sampled.sampling.by != By::Error {
         report.line(format!("spread by {}", sampled.sampling.by.name()));
