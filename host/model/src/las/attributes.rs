@@ -3,7 +3,9 @@
 use std::ops::Range;
 
 use super::header::{LasHeader, RECORD_BYTES, bytes_at};
-use super::remarks::{DESCRIPTION, ExtraBytesRemark, HAS_OFFSET, HAS_SCALE, OFFSET, SCALE};
+use super::remarks::{
+    DESCRIPTION, ExtraBytesRemark, HAS_LEAST, HAS_MOST, HAS_OFFSET, HAS_SCALE, LEAST, MOST, OFFSET, SCALE,
+};
 use crate::{Attribute, Type};
 
 /// Where a number stands in a record, and how.
@@ -245,7 +247,8 @@ impl AttributeFields {
                 if self.attributes.len() > known {
                     self.extra_bytes += bytes;
                     let told = |bit: u8, at| (options & bit != 0).then_some(number * DESCRIPTION + at);
-                    self.places[known].limits = Some(LimitFields { least: told(2, 64), most: told(4, 88) });
+                    self.places[known].limits =
+                        Some(LimitFields { least: told(HAS_LEAST, LEAST), most: told(HAS_MOST, MOST) });
                     self.remarks.extend(remark(name.trim(), one, how));
                 }
             }

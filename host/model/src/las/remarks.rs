@@ -12,16 +12,16 @@ pub(super) const DESCRIPTION: usize = 192;
 
 /// Where in a description its parts are: the text is the last, of 32 bytes.
 const NO_DATA: usize = 40;
-const LEAST: usize = 64;
-const MOST: usize = 88;
+pub(super) const LEAST: usize = 64;
+pub(super) const MOST: usize = 88;
 pub(super) const SCALE: usize = 112;
 pub(super) const OFFSET: usize = 136;
 const TEXT: usize = 160;
 
 /// Bits of a description's options, which say what of it is there.
 const HAS_NO_DATA: u8 = 1;
-const HAS_LEAST: u8 = 2;
-const HAS_MOST: u8 = 4;
+pub(super) const HAS_LEAST: u8 = 2;
+pub(super) const HAS_MOST: u8 = 4;
 pub(super) const HAS_SCALE: u8 = 8;
 pub(super) const HAS_OFFSET: u8 = 16;
 
