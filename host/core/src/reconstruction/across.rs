@@ -225,7 +225,7 @@ impl ToldAcross {
 /// What anchors tell across the surface at all samples, of which these are the expansions, along their
 /// normals.
 ///
-/// Memory: 12 bytes per sample, and some 85 more meanwhile.
+/// Memory: 12 bytes per sample, and some 85 more meanwhile, with 4 for each thread.
 pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAcross> {
     let FitInput { samples, stencils, deformed, gradient } = fitted;
     let anchors = Anchors::fit(samples, stencils, deformed, gradient, expansions);
@@ -266,7 +266,7 @@ struct Anchors {
 }
 
 impl Anchors {
-    /// Those of a deformation with these affine maps and expansions.
+    /// The anchors of a deformation with these affine maps and expansions.
     fn fit(
         samples: &SampleSet,
         stencils: &Stencils<'_>,
@@ -290,8 +290,8 @@ impl Anchors {
         self.lists.anchors(i).is_empty()
     }
 
-    /// Those that have a say at sample `i`, which is at `q`, with the products of terms there, and their
-    /// weights.
+    /// The anchors that have a say at sample `i`, which is at `q`, with the products of terms there, and
+    /// their weights.
     fn heard_at(&self, i: usize, q: Vec3) -> impl Iterator<Item = (&Anchor, [f32; TERMS + 1], f32)> {
         self.lists.anchors(i).iter().map(move |anchor| {
             let anchor = &self.anchors[*anchor as usize];
@@ -413,6 +413,8 @@ impl AnchorFit<'_> {
         }
         let normal = samples.normals()[i].as_dvec3();
         near.truncate(heard);
+        // The lists of all anchors are held at once, and the walk has met nearly twice as many samples.
+        near.shrink_to_fit();
         let anchor = match squares.solve(radius * strain(affine.as_dmat3()), normal) {
             Some((terms, trust)) => Anchor {
                 scale: (1.0 / radius) as f32,

@@ -67,7 +67,7 @@ impl Unresolved {
 
 /// What is unresolved at each sample, of which these are the expansions.
 ///
-/// Memory: 36 bytes per sample, and some 100 more meanwhile.
+/// Memory: 36 bytes per sample, and some 100 more meanwhile, with 4 for each thread.
 pub fn find(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Unresolved> {
     let told = told_across(fitted, expansions);
     let mut across = vec![Across::default(); expansions.len()];

@@ -26,7 +26,7 @@ impl Ways {
         Self { numbers: [[[0.0; MOST_LANES]; 3]; NEIGHBOURS], count: count.min(NEIGHBOURS) }
     }
 
-    /// Takes those of one sample of the packet.
+    /// Takes the ways of one sample of the packet.
     #[inline(always)]
     pub fn set(&mut self, lane: usize, positions: &[Vec3], sample: usize, neighbours: &[u32]) {
         for (way, j) in self.numbers.iter_mut().zip(&neighbours[..self.count]) {
@@ -37,7 +37,7 @@ impl Ways {
         }
     }
 
-    /// All of them as vectors, one for each neighbour.
+    /// All ways as vectors, one for each neighbour.
     #[inline(always)]
     pub fn load<'a, S: Simd>(&self, simd: S, room: &'a mut [Triple<S>; NEIGHBOURS]) -> &'a mut [Triple<S>] {
         for i in 0..self.count {
