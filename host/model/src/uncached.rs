@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_at_once_lies_in_one_large_page() {
+    fn what_is_written_at_once_begins_where_a_large_page_may() {
         let mut buffer = AlignedBuffer::default();
         buffer.take_room(BUFFER).fill(7);
         assert_eq!(buffer.bytes().as_ptr().addr() % LARGE_PAGE, 0);

@@ -723,6 +723,23 @@ fn what_is_said_of_extra_bytes_goes_through_ply() {
     assert!(text.trim_end().lines().last().is_some_and(|line| line.contains(",100.005,")), "{text}");
 }
 
+/// What a file says of times is not said of points that have none, and what it says of an attribute goes to
+/// that one.
+#[test]
+fn remarks_go_to_what_they_are_of() {
+    let work = Workplace::new();
+    let properties = ["x", "y", "z", "h_a", "h_a_2"].map(|name| format!("property double {name}\n")).concat();
+    let head = "ply\nformat ascii 1.0\ncomment gps-time adjusted\ncomment extra-bytes h_a description one\n";
+    let header = format!("{head}element vertex 2\n{properties}end_header\n");
+    work.write("a.ply", format!("{header}0 0 0 1 2\n1 2 3 4 5\n"));
+    work.refuses("convert a.ply a.las --step 0.01", &["that GPS times are adjusted standard ones"]);
+    work.simod("convert a.ply a.las --step 0.01 --lossy");
+    let header = Reader::new(Cursor::new(work.read("a.las"))).expect("LAS").header().clone();
+    assert_eq!(header.gps_time_type(), las::GpsTimeType::Week);
+    let said = header.vlrs().iter().find(|vlr| vlr.record_id == 4).expect("descriptions").data.clone();
+    assert!(said.len() == 2 * 192 && said[160..164] == *b"one\0" && said[192 + 160] == 0);
+}
+
 /// However fine the step of LAS is, text has all digits of its positions.
 #[test]
 fn text_has_the_digits_of_fine_steps() {

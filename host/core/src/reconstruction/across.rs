@@ -153,6 +153,9 @@ const LEAST_FREE: f64 = 0.3;
 /// map's.
 const THINNEST: f32 = 0.1;
 
+/// An anchor that has more than this part of the say is alone.
+const ALONE: f32 = 0.9;
+
 /// The expansion around an anchor.
 struct Anchor {
     center: Vec3,
@@ -235,15 +238,18 @@ pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAc
         }
         let (own, normal) = (Mat3::IDENTITY + e.slope(), samples.normals()[i]);
         let (mut more, mut squares, mut trust, mut sum) = (Mat3::ZERO, 0.0, 0.0, 0.0);
+        let mut heaviest: f32 = 0.0;
         for (anchor, products, w) in anchors.heard_at(i, samples.positions[i]) {
             let differs = (anchor.gradient(&products) - own) * anchor.trust;
+            heaviest = heaviest.max(w);
             more += differs * w;
             squares += w * (differs * normal).length_squared();
             trust += w * anchor.trust;
             sum += w;
         }
         let more = more * (1.0 / sum);
-        if !is_plausible(own, more) {
+        // One anchor alone agrees with itself, which tells nothing.
+        if !is_plausible(own, more) || heaviest > ALONE * sum {
             return ToldAcross::default();
         }
         let apart = (more * normal).length();

@@ -30,7 +30,11 @@ const ORIENT_NEIGHBOURS: usize = 8;
 pub fn completed(positions: &[Vec3], known: &[Vec3], graph: &NeighbourGraph) -> Vec<Vec3> {
     let mut across = vec![Vec3::ZERO; positions.len()];
     across.par_chunks_mut(TOGETHER).enumerate().for_each(|(job, across)| {
-        plane_normals(positions, job * TOGETHER, |i| first(graph.nearest_to(i), NEIGHBOURS), across);
+        let begin = job * TOGETHER;
+        let known = known.get(begin..begin + across.len());
+        if known.is_none_or(|known| known.contains(&Vec3::ZERO)) {
+            plane_normals(positions, begin, |i| first(graph.nearest_to(i), NEIGHBOURS), across);
+        }
     });
     completed_from(positions, known, graph, &across)
 }
@@ -221,6 +225,7 @@ impl OrientedParts {
 #[cfg(test)]
 mod tests {
     use super::super::SampleSet;
+    use super::super::kd_tree::KdTree;
     use super::*;
 
     /// Points of a Fibonacci spiral on a unit sphere.
@@ -244,6 +249,35 @@ mod tests {
             let center = if i < 2000 { Vec3::ZERO } else { Vec3::new(5.0, 0.0, 0.0) };
             assert!(n.dot(*p - center) > 0.99, "{i}: {n}");
         }
+    }
+
+    type Near<'a> = &'a dyn Fn(usize) -> &'a [u32];
+
+    /// The bits of all planes' normals.
+    fn bits<'a>(
+        points: &[Vec3],
+        neighbours: Near<'a>,
+        by: &dyn Fn(PlaneNormals<'_, Near<'a>>),
+    ) -> Vec<[u32; 3]> {
+        let mut normals = vec![Vec3::ZERO; points.len()];
+        by(PlaneNormals { positions: points, begin: 0, neighbours, normals: &mut normals });
+        normals.iter().map(|n| n.to_array().map(f32::to_bits)).collect()
+    }
+
+    #[test]
+    fn planes_have_the_same_bits_with_any_vectors() {
+        let points = sphere(501, Vec3::ZERO);
+        let graph = NeighbourGraph::of_points(&KdTree::new(&points), NEIGHBOURS);
+        let near: Near<'_> = &|i| graph.nearest_to(i);
+        let found = |by: &dyn Fn(PlaneNormals<'_, Near<'_>>)| bits(&points, near, by);
+        let one_by_one = found(&|planes| planes.with_simd(pulp::Scalar::new()));
+        assert!(found(&|planes| Arch::new().dispatch(planes)) == one_by_one);
+        #[cfg(target_arch = "x86_64")]
+        if let Some(simd) = pulp::x86::V3::try_new() {
+            assert!(found(&|planes| Simd::vectorize(simd, planes)) == one_by_one);
+        }
+        let off = |(n, p): (&[u32; 3], &Vec3)| 1.0 - Vec3::from(n.map(f32::from_bits)).dot(*p).abs();
+        assert!(one_by_one.iter().zip(&points).all(|both| off(both) < 0.01));
     }
 
     #[test]

@@ -125,9 +125,11 @@ impl Form for StlForm {
         if content.info().position_type == Scalar::F32 {
             return Ok(None);
         }
-        // What one single of the largest coordinates is from the next.
+        // What one single of the largest coordinates is from the next; coordinates beyond all singles are an
+        // error where they are written.
         let step = |bounds: &Bounds| {
             let largest = bounds.min.abs().max(bounds.max.abs()).max_element() as f32;
+            let largest = largest.min(f32::MAX.next_down());
             f64::from(largest.next_up()) - f64::from(largest)
         };
         Rounding::of_model(content.model, |p| p.as_vec3().as_dvec3() == p, step)

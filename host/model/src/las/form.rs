@@ -7,9 +7,9 @@ use glam::{DVec3, IVec3};
 use laz::laszip::ChunkTableEntry;
 
 use super::blocks::table_of;
-use super::header::{RECORD_BYTES, at};
+use super::header::{ADJUSTED_TIME, RECORD_BYTES, at};
 use super::laszip::Laszip;
-use super::remarks::{self, ADJUSTED_TIME, DESCRIPTION, ExtraBytesRemark};
+use super::remarks::{self, DESCRIPTION, ExtraBytesRemark};
 use crate::bounds::Bounds;
 use crate::follow::Following;
 use crate::form::{ConversionInput, Form, Rounding, WrittenRows, attribute_loss, counted, put_numbers};
@@ -267,7 +267,7 @@ fn lose_what_has_no_place(content: &ConversionInput<'_>, losses: &mut Vec<String
 /// What is said of each attribute's extra bytes; what else is said is lost.
 fn remarks(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Vec<Option<ExtraBytesRemark>> {
     let attributes = &content.info().attributes;
-    let has_time = attributes.iter().any(|attribute| attribute.name == "gps_time");
+    let has_time = has_time(attributes);
     let (mut found, mut lost) = (vec![None; attributes.len()], Vec::new());
     for line in content.model.remarks() {
         let remark = ExtraBytesRemark::parse(&line);
@@ -275,20 +275,30 @@ fn remarks(content: &ConversionInput<'_>, losses: &mut Vec<String>) -> Vec<Optio
         let is_its = |a: &Attribute| {
             is_extra(a) && remark.as_ref().is_some_and(|remark| remark.name == remarks::name_of(&a.name))
         };
-        match attributes.iter().position(is_its) {
+        // Names that differ in their blanks alone have their remarks one after the other.
+        let place =
+            (0..attributes.len()).find(|place| found[*place].is_none() && is_its(&attributes[*place]));
+        match place {
             Some(place) => found[place] = remark,
             None if line == remarks::GPS_TIME && has_time => {}
             None => lost.push(line),
         }
     }
     losses.extend(remarks::losses(&lost));
-    // What turns with the surface keeps no range.
+    // What turns with the surface keeps neither its range nor the steps of its numbers.
     for place in content.model.following().map_or(&[][..], Following::places) {
-        if let Some(Some(remark)) = found.get_mut(*place) {
-            (remark.least, remark.most) = (None, None);
+        if let Some(slot) = found.get_mut(*place)
+            && let Some(remark) = slot.take()
+        {
+            *slot = Some(ExtraBytesRemark { least: None, most: None, ..remark.unscaled() });
         }
     }
     found
+}
+
+/// Whether points have times.
+fn has_time(attributes: &[Attribute]) -> bool {
+    attributes.iter().any(|attribute| attribute.name == "gps_time")
 }
 
 /// The point format that has places for most attributes: one below 6 for angles in whole degrees.
@@ -355,7 +365,8 @@ impl LasForm {
             integers,
             extra: Vec::new(),
             wkt: wkt(content, format, losses),
-            has_adjusted_time: content.model.remarks().iter().any(|line| line == remarks::GPS_TIME),
+            has_adjusted_time: has_time(&info.attributes)
+                && content.model.remarks().iter().any(|line| line == remarks::GPS_TIME),
             laszip: None,
             leaves_out: content.how.lossy,
             left_out: AtomicU64::new(0),

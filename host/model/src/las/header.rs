@@ -2,10 +2,13 @@
 
 use glam::DVec3;
 
-use super::remarks::ADJUSTED_TIME;
 use crate::bounds::Bounds;
 use crate::source::SourceFile;
 use crate::{Result, ScaledIntegers};
+
+/// The bit of the header's global encoding that GPS times are adjusted standard ones: seconds less 10⁹
+/// since the beginning of 1980, instead of those of a week.
+pub(super) const ADJUSTED_TIME: u8 = 1;
 
 /// Hint for everything that no correct program writes.
 pub(super) const DAMAGED: &str = "the file is damaged: copy or export it again";

@@ -25,10 +25,6 @@ pub(super) const HAS_MOST: u8 = 4;
 pub(super) const HAS_SCALE: u8 = 8;
 pub(super) const HAS_OFFSET: u8 = 16;
 
-/// The bit of the header's global encoding that GPS times are adjusted standard ones: seconds less 10⁹
-/// since the beginning of 1980, instead of those of a week.
-pub(super) const ADJUSTED_TIME: u8 = 1;
-
 /// The lines, which begin with one of these words.
 pub(crate) const GPS_TIME: &str = "gps-time adjusted";
 const EXTRA_BYTES: &str = "extra-bytes";
