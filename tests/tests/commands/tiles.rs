@@ -413,8 +413,8 @@ fn tiles_are_converted_each_by_itself() {
     work.write("out/notes.txt", "precious");
     work.refuses(line, &["out holds notes.txt"]);
     // What is lost is listed once, and has to be allowed.
-    work.refuses("convert tiles/*.laz lost --to ply", &["lost/t-1.ply would lose", "reference system"]);
-    let report = work.report("convert tiles/*.laz lost --to ply --lossy");
+    work.refuses("convert tiles/*.laz lost --to csv", &["lost/t-1.csv would lose", "reference system"]);
+    let report = work.report("convert tiles/*.laz lost --to csv --lossy");
     assert_eq!(report["lost"].as_array().map(Vec::len), Some(1), "{report}");
     // What is wrong is told, and nothing is left.
     work.refuses("convert tiles/*.laz folder --to ../x", &["../x is no format"]);

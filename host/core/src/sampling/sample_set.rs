@@ -22,6 +22,9 @@ const MORE: [f32; 3] = [1.15, 1.5, 2.0];
 /// Neighbours over which the spacing is measured: as many as in a hexagonal packing.
 const SPACING_NEIGHBOURS: usize = 6;
 
+/// A sample that few others have for a neighbour stands for so many times as much as those around it, at most.
+const FINER: f32 = 4.0;
+
 /// The small point set P_S, in local coordinates (see [`Frame`](simod_model::frame::Frame)).
 ///
 /// Memory: 24 bytes per sample; 12 more where normals were estimated (about 150 meanwhile), and 160 once the
@@ -195,6 +198,12 @@ impl SampleSet {
                 *known = known.saturating_add(1);
             }
         }
+        let median_around = |i: usize| {
+            let mut around = [0.0; SPACING_NEIGHBOURS];
+            let around = &mut around[..ring];
+            around.iter_mut().zip(neighbours.nearest_to(i)).for_each(|(to, j)| *to = spacing[*j as usize]);
+            *around.select_nth_unstable_by(ring / 2, f32::total_cmp).1
+        };
         let extent = |i: usize| {
             let Some(nearest) =
                 neighbours.nearest_to(i).first().map(|j| *j as usize).filter(|_| known[i] < 5)
@@ -203,7 +212,12 @@ impl SampleSet {
             };
             // One of a few that are far from all others, or, where hardly any other knows it, all alone.
             let of_few = spacing[i].min(2.0 * self.positions[i].distance(self.positions[nearest]));
-            if known[i] < 2 { of_few.min(spacing[nearest]) } else { of_few }
+            match known[i] {
+                0 | 1 => of_few.min(spacing[nearest]),
+                // Far from each other, too, beside a surface that is much finer.
+                2 | 3 => of_few.min(FINER * median_around(i)),
+                _ => of_few,
+            }
         };
         (0..spacing.len()).map(extent).collect()
     }
@@ -364,10 +378,15 @@ mod tests {
     #[test]
     fn strays_stand_for_little() {
         let surface = (0..900).map(|i| Vec3::new((i % 30) as f32, (i / 30) as f32, 0.0));
-        let strays = [Vec3::splat(60.0), Vec3::new(-40.0, 0.0, 30.0), Vec3::new(-41.0, 0.0, 30.0)];
-        let set = SampleSet::new(surface.chain(strays).collect(), Vec::new()).expect("finite points");
+        let together = [Vec3::splat(60.0), Vec3::new(-40.0, 0.0, 30.0), Vec3::new(-41.0, 0.0, 30.0)];
+        let scattered =
+            [Vec3::new(15.0, 10.0, 40.0), Vec3::new(15.0, 20.0, 40.0), Vec3::new(22.0, 15.0, 42.0)];
+        let points = surface.chain(together).chain(scattered).collect();
+        let set = SampleSet::new(points, Vec::new()).expect("finite points");
         let (extents, spacing) = (set.extents(), set.spacing());
         assert!((0..900).all(|i| extents[i] == spacing[i]));
-        assert!((900..903).all(|i| spacing[i] > 20.0 && extents[i] < 3.0), "{:?}", &extents[900..]);
+        assert!((900..906).all(|i| spacing[i] > 20.0), "{:?}", &spacing[900..]);
+        assert!(extents[900..903].iter().all(|extent| *extent < 3.0), "{:?}", &extents[900..]);
+        assert!(extents[903..].iter().all(|extent| *extent < 5.0), "{:?}", &extents[900..]);
     }
 }
