@@ -212,12 +212,9 @@ impl SampleSet {
             };
             // One of a few that are far from all others, or, where hardly any other knows it, all alone.
             let of_few = spacing[i].min(2.0 * self.positions[i].distance(self.positions[nearest]));
-            match known[i] {
-                0 | 1 => of_few.min(spacing[nearest]),
-                // Far from each other, too, beside a surface that is much finer.
-                2 | 3 => of_few.min(FINER * median_around(i)),
-                _ => of_few,
-            }
+            // Or far from each other, too, beside a surface that is much finer.
+            let of_few = if known[i] < 4 { of_few.min(FINER * median_around(i)) } else { of_few };
+            if known[i] < 2 { of_few.min(spacing[nearest]) } else { of_few }
         };
         (0..spacing.len()).map(extent).collect()
     }
@@ -381,11 +378,12 @@ mod tests {
         let together = [Vec3::splat(60.0), Vec3::new(-40.0, 0.0, 30.0), Vec3::new(-41.0, 0.0, 30.0)];
         let scattered =
             [Vec3::new(15.0, 10.0, 40.0), Vec3::new(15.0, 20.0, 40.0), Vec3::new(22.0, 15.0, 42.0)];
-        let points = surface.chain(together).chain(scattered).collect();
+        let apart = [Vec3::new(70.0, 10.0, -40.0), Vec3::new(70.0, 30.0, -40.0)];
+        let points = surface.chain(together).chain(scattered).chain(apart).collect();
         let set = SampleSet::new(points, Vec::new()).expect("finite points");
         let (extents, spacing) = (set.extents(), set.spacing());
         assert!((0..900).all(|i| extents[i] == spacing[i]));
-        assert!((900..906).all(|i| spacing[i] > 20.0), "{:?}", &spacing[900..]);
+        assert!((900..908).all(|i| spacing[i] > 20.0), "{:?}", &spacing[900..]);
         assert!(extents[900..903].iter().all(|extent| *extent < 3.0), "{:?}", &extents[900..]);
         assert!(extents[903..].iter().all(|extent| *extent < 5.0), "{:?}", &extents[900..]);
     }
