@@ -22,7 +22,8 @@ const MORE: [f32; 3] = [1.15, 1.5, 2.0];
 /// Neighbours over which the spacing is measured: as many as in a hexagonal packing.
 const SPACING_NEIGHBOURS: usize = 6;
 
-/// A sample that few others have for a neighbour stands for so many times as much as those around it, at most.
+/// A sample that few others have for a neighbour stands for so many times as much as those around it, at
+/// most.
 const FINER: f32 = 4.0;
 
 /// The small point set P_S, in local coordinates (see [`Frame`](simod_model::frame::Frame)).
