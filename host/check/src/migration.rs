@@ -7,7 +7,7 @@ use simod_plugin_api::ParamKind;
 use simod_session::migration::migrated;
 use simod_session::params::check_migration;
 use simod_session::step::Deformation;
-use simod_session::{Migration, Plugin};
+use simod_session::{Migration, Plugin, is_plugins_bug};
 
 /// Sessions of all versions that give nothing, or every parameter by its default and by each former name,
 /// become what the plugin takes; always the same, and nothing of what they become is changed once more.
@@ -96,9 +96,7 @@ fn brought(step: &Deformation, plugin: &Plugin) -> Result<Brought, String> {
     let first = match brought(step) {
         Ok(first) => first,
         // What old defaults were, nobody knows here: it may refuse what it cannot understand.
-        Err(e) if !e.hint().contains("bug of the plugin") && !e.to_string().contains("panicked") => {
-            return Ok(Brought::Refused(e.to_string()));
-        }
+        Err(e) if !is_plugins_bug(&e) => return Ok(Brought::Refused(e.to_string())),
         Err(e) => return Err(e.to_string()),
     };
     if brought(step).ok().as_ref() != Some(&first) {

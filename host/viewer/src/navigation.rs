@@ -32,6 +32,8 @@ pub enum Drag {
 pub struct Navigation {
     /// What the user reads.
     pub name: &'static str,
+    /// Whether a tool that moves what is selected begins as soon as it is taken, without a click.
+    pub begins_at_once: bool,
     bindings: [(Button, Modifiers, Drag); 3],
 }
 
@@ -45,6 +47,7 @@ impl Navigation {
     pub const ALL: [Self; 2] = [
         Self {
             name: "Blender-like",
+            begins_at_once: true,
             bindings: [
                 (Button::Middle, NONE, Drag::Orbit),
                 (Button::Middle, SHIFT, Drag::Pan),
@@ -53,6 +56,7 @@ impl Navigation {
         },
         Self {
             name: "Maya-like",
+            begins_at_once: false,
             bindings: [
                 (Button::Left, ALT, Drag::Orbit),
                 (Button::Middle, ALT, Drag::Pan),
@@ -60,6 +64,11 @@ impl Navigation {
             ],
         },
     ];
+
+    /// The drags that move the camera: the button, the keys that are held, and what it does.
+    pub fn bindings(&self) -> &[(Button, Modifiers, Drag)] {
+        &self.bindings
+    }
 
     /// What a drag with these does, if it is the camera's.
     pub fn drag(&self, button: Button, modifiers: Modifiers) -> Option<Drag> {

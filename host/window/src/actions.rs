@@ -44,6 +44,8 @@ pub struct NamedAction {
     pub run: fn(&Window, &mut Commands),
     /// Whether a line is drawn before it in its menu.
     pub begins: bool,
+    /// Whether the models and sessions that were opened last follow it in its menu.
+    pub precedes_recent: bool,
 }
 
 const CTRL: Modifiers = Modifiers::COMMAND;
@@ -75,7 +77,7 @@ const fn action(
     can: fn(&Window) -> bool,
     run: fn(&Window, &mut Commands),
 ) -> NamedAction {
-    NamedAction { name, menu, keys, can, is_on: None, run, begins: false }
+    NamedAction { name, menu, keys, can, is_on: None, run, begins: false, precedes_recent: false }
 }
 
 impl NamedAction {
@@ -85,6 +87,10 @@ impl NamedAction {
 
     const fn begins(self) -> Self {
         Self { begins: true, ..self }
+    }
+
+    const fn precedes_recent(self) -> Self {
+        Self { precedes_recent: true, ..self }
     }
 
     /// The action's first keys, as the user reads them; empty where there are none.
@@ -153,7 +159,8 @@ pub const ALL: &[NamedAction] = &[
     action(Menu::File, "Open Sampled Folder\u{2026}", &[], always, |_, c| {
         c.then(|w| w.ask(Purpose::OpenFolder))
     }),
-    action(Menu::File, "Open the Example", &[], always, |_, c| c.then(Window::open_example)),
+    action(Menu::File, "Open the Example", &[], always, |_, c| c.then(Window::open_example))
+        .precedes_recent(),
     action(Menu::File, "Save Session", &[(CTRL, Key::S)], is_open, |_, c| {
         c.then(|w| {
             w.save();
@@ -424,10 +431,10 @@ const fn tool(
     action(Menu::Tool, tool.name(), keys, can, run).on(is_on)
 }
 
-/// Takes a tool that moves what is in the hand; in navigation like Blender's, it begins at once.
+/// Takes a tool that moves what is in the hand, and begins with it where the navigation says so.
 fn begin(w: &Window, commands: &mut Commands, tool: Tool) {
     pick(commands, tool);
-    let at_once = w.settings.navigation().name.starts_with("Blender");
+    let at_once = w.settings.navigation().begins_at_once;
     let begins = Some(tool).filter(|_| at_once && w.tools.target.is_some());
     commands.then(move |w| w.tools.begins = begins);
 }

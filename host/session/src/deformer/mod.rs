@@ -366,7 +366,12 @@ impl Plugin {
         } else {
             line(&error.hint)
         };
-        Error::plugin(format!("plugin {}: {}", self.id(), line(&error.message)), hint)
+        let what = format!("plugin {}: {}", self.id(), line(&error.message));
+        let failed = Error::plugin(what, hint);
+        match error.code {
+            ErrorCode::PANICKED => failed.because(PluginBug(error.clone())),
+            _ => failed.because(error.clone()),
+        }
     }
 }
 
@@ -501,7 +506,27 @@ pub(crate) const TELL_AUTHOR: &str = "this is a bug of the plugin; tell its auth
 
 /// A mistake of a plugin, which is named.
 pub(crate) fn plugins_bug(what: impl Into<String>) -> Error {
-    Error::plugin(what, TELL_AUTHOR)
+    let what = what.into();
+    let bug = PluginError::internal(what.clone()).hint(TELL_AUTHOR);
+    Error::plugin(what, TELL_AUTHOR).because(PluginBug(bug))
+}
+
+/// The source of errors that a plugin's mistake led to, as [`is_plugins_bug`] finds it.
+#[derive(Debug)]
+struct PluginBug(PluginError);
+
+impl std::fmt::Display for PluginBug {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl std::error::Error for PluginBug {}
+
+/// Whether an error came of a mistake in a plugin: a panic, or an answer that breaks a rule of the interface.
+/// Other errors of plugins are refusals of what they were given.
+pub fn is_plugins_bug(error: &Error) -> bool {
+    std::error::Error::source(error).is_some_and(|source| source.is::<PluginBug>())
 }
 
 fn refused(path: &Path, what: &str) -> Error {

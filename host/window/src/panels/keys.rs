@@ -4,6 +4,8 @@ use super::frames::modal;
 use crate::actions::{ALL, Menu, NamedAction};
 use crate::window::{Commands, Window};
 use eframe::egui::{self, Grid, Id, Key, Modal, Modifiers, RichText, ScrollArea, Ui};
+use simod_viewer::Navigation;
+use simod_viewer::navigation::{Button, Drag};
 
 /// What the pointer does, whatever the preset.
 const POINTER: [(&str, &str); 8] = [
@@ -23,13 +25,26 @@ const COLUMNS: [&[(&str, Menu)]; 2] = [
     &[("View", Menu::View), ("Overlay", Menu::Overlay), ("Compare", Menu::Compare), ("Help", Menu::Help)],
 ];
 
-/// The middle button, or Alt with buttons, by preset.
-fn preset(name: &str) -> [(&'static str, &'static str); 3] {
-    if name.starts_with("Maya") {
-        [("Alt + left drag", "look around"), ("Alt + middle drag", "move"), ("Alt + right drag", "zoom")]
-    } else {
-        [("Middle drag", "look around"), ("Shift + middle drag", "move"), ("Ctrl + middle drag", "zoom")]
-    }
+/// The drags by which a preset moves the camera: the keys and the button, as "Alt + left drag", and what the
+/// camera does.
+fn camera_drags(navigation: &Navigation) -> impl Iterator<Item = (String, &'static str)> {
+    navigation.bindings().iter().map(|(button, held, drag)| {
+        let keys = [(held.shift, "Shift + "), (held.control, "Ctrl + "), (held.alt, "Alt + ")];
+        let keys: String = keys.iter().filter(|(is_held, _)| *is_held).map(|(_, name)| *name).collect();
+        let button = match button {
+            Button::Left => "left",
+            Button::Middle => "middle",
+            Button::Right => "right",
+        };
+        let what = match drag {
+            Drag::Orbit => "look around",
+            Drag::Pan => "move",
+            Drag::Zoom => "zoom",
+        };
+        let mut text = format!("{keys}{button} drag");
+        text[..1].make_ascii_uppercase();
+        (text, what)
+    })
 }
 
 /// Shows them until they are closed: by its button, Escape, the key that opened it, or a click beside it.
@@ -37,7 +52,8 @@ pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
     if !window.shows_keys {
         return;
     }
-    let preset = preset(window.settings.navigation().name);
+    let others = POINTER.iter().map(|(keys, what)| ((*keys).to_owned(), *what));
+    let pointer: Vec<(String, &str)> = camera_drags(window.settings.navigation()).chain(others).collect();
     let mut close = ctx.input_mut(|i| i.consume_key(Modifiers::NONE, Key::F1));
     let height = (ctx.content_rect().height() - 140.0).max(160.0);
     let modal = Modal::new(Id::unique("keys")).frame(modal(ctx)).show(ctx, |ui| {
@@ -54,24 +70,26 @@ pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
             .min_scrolled_height(height)
             .auto_shrink([false, true])
             .show(ui, |ui| {
-                let pointer: Vec<(String, &str)> =
-                    preset.iter().chain(&POINTER).map(|(keys, what)| ((*keys).to_owned(), *what)).collect();
                 group(ui, "Mouse and trackpad", &pointer);
-                ui.columns(2, |columns| {
-                    for (ui, groups) in columns.iter_mut().zip(COLUMNS) {
-                        for (name, menu) in groups {
-                            let is_of_it =
-                                |action: &&NamedAction| action.menu == *menu && !action.keys.is_empty();
-                            let row = |action: &NamedAction| (action.all_keys_text(ctx), action.name);
-                            group(ui, name, &ALL.iter().filter(is_of_it).map(row).collect::<Vec<_>>());
-                        }
-                    }
-                });
+                action_groups(ui, ctx);
             });
     });
     if close || modal.should_close() {
         commands.then(|window| window.shows_keys = false);
     }
+}
+
+/// The keys of all actions, by their menus, in two columns.
+fn action_groups(ui: &mut Ui, ctx: &egui::Context) {
+    let row = |action: &NamedAction| (action.all_keys_text(ctx), action.name);
+    ui.columns(2, |columns| {
+        for (ui, groups) in columns.iter_mut().zip(COLUMNS) {
+            for (name, menu) in groups {
+                let of_menu = ALL.iter().filter(|action| action.menu == *menu && !action.keys.is_empty());
+                group(ui, name, &of_menu.map(row).collect::<Vec<_>>());
+            }
+        }
+    });
 }
 
 fn group(ui: &mut Ui, name: &str, rows: &[(String, &str)]) {

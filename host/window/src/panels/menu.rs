@@ -62,7 +62,7 @@ fn entries(ui: &mut Ui, window: &Window, commands: &mut Commands, menu: Menu) {
             ui.separator();
         }
         entry(ui, window, commands, action);
-        if menu == Menu::File && action.name.starts_with("Open the Example") {
+        if action.precedes_recent {
             recent(ui, window, commands);
         }
     }

@@ -13,13 +13,10 @@ const SIZES: [(&str, [u32; 2]); 3] =
 pub fn fields(ui: &mut Ui, format: &mut ScreenshotFormat, shown: [u32; 2]) {
     ui.horizontal(|ui| {
         ui.label("Size");
-        for (side, name) in format.size.iter_mut().zip(["Width", "Height"]) {
-            let field = ui.add(DragValue::new(side).range(16..=LARGEST).speed(8.0));
-            field.ctx.accesskit_node_builder(field.id, |node| node.set_label(format!("{name} in pixels")));
-            if name == "Width" {
-                ui.label("\u{d7}");
-            }
-        }
+        let [width, height] = &mut format.size;
+        side(ui, width, "Width in pixels");
+        ui.label("\u{d7}");
+        side(ui, height, "Height in pixels");
         ui.label(RichText::new("pixels").weak());
     });
     ui.horizontal(|ui| {
@@ -31,6 +28,12 @@ pub fn fields(ui: &mut Ui, format: &mut ScreenshotFormat, shown: [u32; 2]) {
     });
     ui.add_space(2.0);
     ui.checkbox(&mut format.transparent, "Transparent background");
+}
+
+/// A field for a side of the picture, in pixels, under a name for those who do not see it.
+fn side(ui: &mut Ui, pixels: &mut u32, name: &str) {
+    let field = ui.add(DragValue::new(pixels).range(16..=LARGEST).speed(8.0));
+    field.ctx.accesskit_node_builder(field.id, |node| node.set_label(name));
 }
 
 /// What was answered.
