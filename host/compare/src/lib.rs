@@ -223,11 +223,8 @@ fn beside_each_other(
     let beside = figures::beside(&models, diagonal, (attributes, &also), progress)?;
     let chosen = choosing.map(Choosing::finish).transpose()?;
     let on_samples = figures::on_samples(&deformed, progress)?;
-    let on_model = match HeldMesh::read(rest, diagonal, progress)? {
-        Some(held) => held.measure(&models[1..], progress)?,
-        None => Vec::new(),
-    };
-    let mut on_model = on_model.into_iter();
+    let on_model = HeldMesh::read(rest, diagonal, progress)?.map(|held| held.measure(&models[1..], progress));
+    let mut on_model = on_model.transpose()?.unwrap_or_default().into_iter();
     for (k, ((i, _), on_samples)) in done.iter().zip(on_samples).enumerate() {
         let found = (beside.displacements[k], beside.to_first(k));
         comparison.methods[*i].set_shape(found, diagonal, on_samples, on_model.next());

@@ -26,7 +26,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 use xxhash_rust::xxh3::Xxh3Default;
 
-/// Where methods are done, with the samplings that they share.
+/// The place where methods are done, with the samplings that they share.
 pub(crate) struct Bench<'a> {
     file: &'a CompareFile,
     plugins: &'a PluginRegistry,
@@ -62,7 +62,7 @@ impl PreparedRest {
     }
 }
 
-/// What is kept of a method that was done, to be compared.
+/// A method that was done, as far as it is kept to be compared.
 pub(crate) struct Deformed {
     /// What its files begin with.
     pub name: String,
@@ -145,6 +145,25 @@ struct Once {
     folded_samples: Option<u64>,
     /// Hash of the output, where it came about while that was written.
     hash: Option<u128>,
+}
+
+impl Once {
+    /// A run whose deformed model, a version of `source`, was written to `output`, without errors and hash.
+    fn written(source: &dyn Model, output: PathBuf, moved: &MethodSamples, seconds: RunSeconds) -> Self {
+        Self {
+            sampled: moved.sampled.clone(),
+            positions: Some(moved.positions.clone()),
+            files: OutputPaths::for_model(source, &output).files(),
+            output,
+            messages: moved.messages.clone(),
+            seconds,
+            peak_memory_bytes: moved.peak_memory_bytes,
+            transfer_error: None,
+            expected_error: None,
+            folded_samples: None,
+            hash: None,
+        }
+    }
 }
 
 /// Where samples went, by whatever.
@@ -430,27 +449,20 @@ impl<'a> Bench<'a> {
 
         let mut transferred = Vec::new();
         for (i, ((_, ready), output)) in all.iter().zip(outputs).enumerate() {
-            let moved = &ready.moved;
             let seconds = RunSeconds {
                 reconstruct: Some(seconds + found.map_or(0.0, |found| found.seconds)),
                 processor: sum([ready.processor, found.map_or(Some(0.0), |found| found.processor), used]),
                 ..ready.seconds()
             };
-            let exact = moved.stack.as_ref().filter(|_| measure);
+            let exact = ready.moved.stack.as_ref().filter(|_| measure);
             let transfer_error =
                 exact.map(|stack| beside_exact(source.as_ref(), &output, stack, sampled, progress));
             transferred.push(Once {
-                sampled: sampled.clone(),
-                positions: Some(moved.positions.clone()),
-                files: OutputPaths::for_model(source.as_ref(), &output).files(),
-                output,
-                messages: moved.messages.clone(),
-                seconds,
-                peak_memory_bytes: moved.peak_memory_bytes,
-                transfer_error: transfer_error.transpose()?,
                 expected_error: done.expected.get(i).cloned().flatten(),
                 folded_samples: done.folding.get(i).copied().flatten().map(|f| f.samples),
                 hash: done.hashes.get(i).copied().flatten(),
+                transfer_error: transfer_error.transpose()?,
+                ..Once::written(source.as_ref(), output, &ready.moved, seconds)
             });
         }
         Ok(transferred)

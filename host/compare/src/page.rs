@@ -4,7 +4,7 @@ use crate::figures::DETAIL;
 use crate::file::CropPlace;
 use crate::folder::{REST, difference};
 use crate::html::{NONE, Table, number, or_dash, round_percent};
-use crate::record::{Comparison, MethodRecord, Pair, TimeOf};
+use crate::record::{Comparison, Figures, MethodRecord, Pair, TimeOf};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -347,31 +347,35 @@ fn costs(c: &Comparison) -> Markup {
     };
     let mut table = Table::new(&caption, &titles);
     for (method, f) in c.done() {
-        let s = &f.seconds;
-        let memory = f.peak_memory_bytes.map_or(NONE.to_owned(), |bytes| bytes.div_ceil(1 << 20).to_string());
-        let time = |median: Option<f64>, of: TimeOf| match (median, s.spread(of)) {
-            (None, _) => NONE.to_owned(),
-            (Some(median), None) => format!("{median:.2}"),
-            (Some(median), Some(spread)) => format!("{median:.2} ± {spread:.2}"),
-        };
-        let hash = f.result.hash.rsplit(':').next().unwrap_or_default().chars().take(12);
-        let hash = hash.collect::<String>()
-            + if f.result.repeats == Some(false) { ", others in other runs" } else { "" };
-        let cells = [
-            f.samples.to_string(),
-            f.triangles.to_string(),
-            time(s.sample, |_| None),
-            time(s.deform, |r| r.deform),
-            time(s.prepare, |r| r.prepare),
-            time(s.motion, |r| r.motion),
-            time(s.reconstruct, |r| r.reconstruct),
-            time(s.processor, |r| r.processor),
-            memory,
-            hash,
-        ];
-        table.row(&[&method.name], cells);
+        table.row(&[&method.name], cost_cells(f));
     }
     section("Time and memory", &table.finish())
+}
+
+/// The cells of a method's row in the table of [`costs`].
+fn cost_cells(f: &Figures) -> [String; 10] {
+    let s = &f.seconds;
+    let memory = f.peak_memory_bytes.map_or(NONE.to_owned(), |bytes| bytes.div_ceil(1 << 20).to_string());
+    let time = |median: Option<f64>, of: TimeOf| match (median, s.spread(of)) {
+        (None, _) => NONE.to_owned(),
+        (Some(median), None) => format!("{median:.2}"),
+        (Some(median), Some(spread)) => format!("{median:.2} ± {spread:.2}"),
+    };
+    let hash = f.result.hash.rsplit(':').next().unwrap_or_default().chars().take(12);
+    let hash = hash.collect::<String>()
+        + if f.result.repeats == Some(false) { ", others in other runs" } else { "" };
+    [
+        f.samples.to_string(),
+        f.triangles.to_string(),
+        time(s.sample, |_| None),
+        time(s.deform, |r| r.deform),
+        time(s.prepare, |r| r.prepare),
+        time(s.motion, |r| r.motion),
+        time(s.reconstruct, |r| r.reconstruct),
+        time(s.processor, |r| r.processor),
+        memory,
+        hash,
+    ]
 }
 
 /// What the columns mean, but for the details, whose text has a figure in it.

@@ -179,6 +179,31 @@ fn numbers_of_vertex(source: &SourceFile, at: u64, line: &[u8]) -> Result<usize>
     Ok(numbers)
 }
 
+/// The faces of a file, as far as it was gone over.
+#[derive(Default)]
+struct OffFaces {
+    count: u64,
+    /// The bytes from the first one's line to the end of the last one's.
+    lines: Range<u64>,
+    /// Whether any of them has a colour.
+    are_painted: bool,
+}
+
+impl OffFaces {
+    /// Takes the line of a face, which begins at this byte.
+    fn take(&mut self, at: u64, line: &[u8]) {
+        if self.count == 0 {
+            self.lines.start = at;
+        }
+        if !self.are_painted {
+            let corners = integer(first_word(line)).unwrap_or_default();
+            self.are_painted = words(line).count() as i64 > corners.saturating_add(1);
+        }
+        self.count += 1;
+        self.lines.end = at + line.len() as u64;
+    }
+}
+
 /// Opens a file, which is gone over once.
 pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     let head = OffHead::read(&source)?;
@@ -186,13 +211,13 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     let mut builder = TextBlocksBuilder::new(head.start, 1);
     let Letters { normals, texture, colours_first, .. } = head.letters;
     let components = if normals { 6 } else { 3 };
-    let (mut faces, mut face_lines, mut names, mut paints_faces) = (0, 0..0, Vec::new(), false);
+    let (mut faces, mut names) = (OffFaces::default(), Vec::new());
     // So many numbers stand before the normal, whether they are colours that are known or not.
     let mut first = 0;
     let mut bytes = ColourBytes { behind: 0, colours: 0, largest: 0 };
-    while builder.vertices() < head.vertices || faces < head.faces {
+    while builder.vertices() < head.vertices || faces.count < head.faces {
         let Some((at, line)) = lines.next()? else {
-            return Err(head.cut_off(&source, [builder.vertices(), faces]));
+            return Err(head.cut_off(&source, [builder.vertices(), faces.count]));
         };
         let end = at + line.len() as u64;
         if !has_content(line) {
@@ -211,26 +236,19 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
             bytes.take(line);
             builder.vertex(at, end);
         } else {
-            if faces == 0 {
-                face_lines.start = at;
-            }
-            if !paints_faces {
-                let corners = integer(first_word(line)).unwrap_or_default();
-                paints_faces = words(line).count() as i64 > corners.saturating_add(1);
-            }
-            faces += 1;
-            face_lines.end = end;
+            faces.take(at, line);
         }
     }
     let kind = |name: &&str| if bytes.are_all() && !["s", "t"].contains(name) { Type::U8 } else { Type::F64 };
     let info = ModelInfo {
-        faces,
-        face_bytes: face_lines.end - face_lines.start,
+        faces: faces.count,
+        face_bytes: faces.lines.end - faces.lines.start,
         other_properties: names.iter().map(|name| format!("{} {name}", kind(name).name())).collect(),
         attributes: names.iter().map(|name| Attribute { name: (*name).into(), kind: kind(name) }).collect(),
         ..info(&source, format!("{}OFF", head.letters.text()))
     };
-    let off = Off { columns: Columns::in_order(components, first, names.len()), face_lines, paints_faces };
+    let columns = Columns::in_order(components, first, names.len());
+    let off = Off { columns, face_lines: faces.lines, paints_faces: faces.are_painted };
     Ok(Box::new(TextModel::new(source, off, builder.finish(), info)?))
 }
 
@@ -254,7 +272,7 @@ struct ColourBytes {
 }
 
 impl ColourBytes {
-    /// Those among some attributes, with so many numbers of the normal behind them.
+    /// The colours among some attributes, with so many numbers of the normal behind them.
     fn of(attributes: &[&str], normal: usize) -> Self {
         let texture = attributes.iter().filter(|name| ["s", "t"].contains(name)).count();
         Self { behind: texture + normal, colours: attributes.len() - texture, largest: 0 }

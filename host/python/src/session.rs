@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
-use serde_json::json;
+use serde_json::{Value, json};
 use simod_compare::{CompareFile, Comparing};
 use simod_core::guard::{Guard, OutputKind};
+use simod_core::reconstruction::transfer_error::TransferError;
 use simod_model::follow::Follow;
 use simod_session::session_file::inputs;
 use simod_session::{Run, Running, SessionFile, Tolerance};
@@ -122,19 +123,22 @@ impl Session {
         notes.extend(plugins.notices(&session.steps));
         let said = run.deformed.messages.iter().filter(|m| m.is_warning());
         notes.extend(said.map(|m| format!("{}: {}", m.plugin, m.text)));
-        let folded = run.written.folding.first().copied().flatten().map_or(0, |f| f.samples);
-        let error = error.map(
-            |e| json!({"vertices": e.vertices, "rms": e.rms, "p999": e.p999, "max": e.max, "jump": e.jump}),
-        );
-        let report = json!({
-            "output": run.output, "vertices": run.written.vertices, "non_finite": run.written.non_finite,
-            "samples": run.deformed.sampled.samples.len(), "seconds": run.seconds, "folded_samples": folded,
-            "expected_error": run.written.expected.first().copied().flatten(), "transfer_error": error,
-            "diagonal": run.deformed.sampled.bounds.diagonal(),
-        });
         warn(py, &notes)?;
-        record(py, "Report", &report)
+        record(py, "Report", &report(&run, error))
     }
+}
+
+/// What is told of a run, with the error that was measured beside the exact deformation.
+fn report(run: &Run, error: Option<TransferError>) -> Value {
+    let folded = run.written.folding.first().copied().flatten().map_or(0, |f| f.samples);
+    let error = error
+        .map(|e| json!({"vertices": e.vertices, "rms": e.rms, "p999": e.p999, "max": e.max, "jump": e.jump}));
+    json!({
+        "output": run.output, "vertices": run.written.vertices, "non_finite": run.written.non_finite,
+        "samples": run.deformed.sampled.samples.len(), "seconds": run.seconds, "folded_samples": folded,
+        "expected_error": run.written.expected.first().copied().flatten(), "transfer_error": error,
+        "diagonal": run.deformed.sampled.bounds.diagonal(),
+    })
 }
 
 /// A fraction of the diagonal, or a text as on the command line.

@@ -70,6 +70,18 @@ pub(crate) fn open(
     named.open(session.columns.as_deref(), cache, progress)
 }
 
+/// The samples as a session's steps deform them; samples of its refinements are kept in `folder`.
+fn deformed(
+    sampled: SampledModel,
+    session: &SessionFile,
+    plugins: &PluginRegistry,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<DeformedSamples> {
+    let (folder, time) = (folder.to_owned(), session.time.time());
+    deform(sampled, &session.steps, plugins, Refinements { folder, time, ..Refinements::default() }, progress)
+}
+
 /// Samples a session's model, which is open, as `sample` does.
 pub(crate) fn sampled_of(
     session: &SessionFile,
@@ -289,7 +301,6 @@ impl Run {
         let stack = Stack::build(&session.steps, plugins)?;
         running.check(&stack)?;
         let folder = &*scratch_folder(output);
-        let time = session.time.time();
         let skip = needed(session, &stack, tolerance.is_some());
         let cache = &Arc::new(Cache::nameless(folder));
         let converted = converted(session, output, (how.normals, *lossy), (cache, progress))?;
@@ -311,15 +322,11 @@ impl Run {
         let (deformed, certificate) = match tolerance {
             Some(tolerance) => {
                 let tolerance = tolerance.fraction(sampled.bounds.diagonal());
-                let by = (&session.steps[..], plugins, time);
-                let (deformed, certificate) =
-                    tolerance::meet(sampled, model.as_ref(), by, tolerance, folder, progress)?;
-                (deformed, Some(certificate))
+                let by = (&session.steps[..], plugins, session.time.time());
+                let met = tolerance::meet(sampled, model.as_ref(), by, tolerance, folder, progress)?;
+                (met.0, Some(met.1))
             }
-            None => {
-                let refinements = Refinements { folder: folder.to_owned(), time, ..Refinements::default() };
-                (deform(sampled, &session.steps, plugins, refinements, progress)?, None)
-            }
+            None => (deformed(sampled, session, plugins, folder, progress)?, None),
         };
         if *may_move {
             let chosen = choose_offset(&deformed.sampled, model.as_mut(), [&deformed.positions])?;

@@ -14,7 +14,7 @@ const SMALL: usize = 48;
 /// Rows, or columns, at once on one thread.
 const TOGETHER: usize = 128;
 
-/// What an elimination does to the unknowns after it.
+/// The update of the unknowns after an elimination.
 #[derive(Debug)]
 pub struct Update {
     /// The unknowns that are updated.
@@ -144,19 +144,9 @@ impl Front {
             solve_lower_triangular_in_place(own, rows.transpose_mut(), Par::Seq);
         };
         match host {
-            Some(host) => {
-                let mut blocks = Vec::new();
-                let mut rest = below.rb_mut();
-                while rest.nrows() > 0 {
-                    let count = TOGETHER.min(rest.nrows());
-                    let (block, after) = rest.split_at_row_mut(count);
-                    blocks.push(block);
-                    rest = after;
-                }
-                host.parallel_blocks(&mut blocks, 1, |_, blocks| {
-                    blocks.iter_mut().for_each(|block| solve(block.rb_mut()));
-                })?;
-            }
+            Some(host) => host.parallel_blocks(&mut in_blocks(below.rb_mut()), 1, |_, blocks| {
+                blocks.iter_mut().for_each(|block| solve(block.rb_mut()));
+            })?,
             None => solve(below.rb_mut()),
         }
         let below = below.rb();
@@ -225,4 +215,16 @@ fn subtract_square(block: MatMut<'_, f64>, below: MatRef<'_, f64>, first: usize)
         Par::Seq,
     );
     matmul(rest, Accum::Add, after, own.transpose(), -1.0, Par::Seq);
+}
+
+/// A matrix as blocks of [`TOGETHER`] rows, the last one of what is left.
+fn in_blocks(mut rest: MatMut<'_, f64>) -> Vec<MatMut<'_, f64>> {
+    let mut blocks = Vec::new();
+    while rest.nrows() > 0 {
+        let count = TOGETHER.min(rest.nrows());
+        let (block, after) = rest.split_at_row_mut(count);
+        blocks.push(block);
+        rest = after;
+    }
+    blocks
 }

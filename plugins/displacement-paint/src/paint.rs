@@ -53,7 +53,7 @@ struct Pushed {
     by: DVec3,
 }
 
-/// What a dab does to a sample, with all its images.
+/// The push of a dab on a sample, with all its images.
 #[derive(Debug, Clone, Copy)]
 struct Push {
     sample: u32,
@@ -98,7 +98,6 @@ impl Painter<'_> {
         }
         work.covered.resize(self.surface.len(), 0.0);
         work.offsets.resize(self.surface.len(), DVec3::ZERO);
-        let exposure = tool.exposure();
         // Sweeps are on the surface as it is now: all spots are known beforehand.
         let all = if tool.sweeps() { &dabs[..] } else { &[] };
         let mut spots: Vec<Images<Spot>> = Vec::with_capacity(all.len());
@@ -121,18 +120,42 @@ impl Painter<'_> {
                 let round = round.map(|s| s.map(|s| (s, DabSweep::round(&s))));
                 self.gather(canvas, work, &tool, grab, &round, host)?;
             }
-            let share = exposure * dab.share;
-            match tool.brush {
-                Brush::Smooth => self.smooth(canvas, work, &tool, share, host)?,
-                Brush::Flatten => {
-                    self.shift(canvas, work, |w| relaxed(FLATTEN * tool.strength * share * w), host)?;
-                }
-                Brush::Grab => self.shift(canvas, work, |w| w, host)?,
-                _ if tool.accumulate => self.shift(canvas, work, |w| share * w, host)?,
-                _ => cover(work),
+            self.push(canvas, work, &tool, tool.exposure() * dab.share, host)?;
+        }
+        self.shift_covered(canvas, work, host)
+    }
+
+    /// Does to the canvas what was gathered of a dab, which has this share of the stroke's exposure. Brushes
+    /// that do not accumulate only note how far they cover each sample.
+    fn push(
+        &self,
+        canvas: &mut Canvas,
+        work: &mut StrokeWorkspace,
+        tool: &SetBrush<'_>,
+        share: f64,
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        match tool.brush {
+            Brush::Smooth => self.smooth(canvas, work, tool, share, host),
+            Brush::Flatten => {
+                self.shift(canvas, work, |w| relaxed(FLATTEN * tool.strength * share * w), host)
+            }
+            Brush::Grab => self.shift(canvas, work, |w| w, host),
+            _ if tool.accumulate => self.shift(canvas, work, |w| share * w, host),
+            _ => {
+                cover(work);
+                Ok(())
             }
         }
-        // What was covered moves at last.
+    }
+
+    /// Moves the samples that the stroke covered, once all its dabs are known.
+    fn shift_covered(
+        &self,
+        canvas: &mut Canvas,
+        work: &mut StrokeWorkspace,
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
         for &i in &work.moved {
             let i = i as usize;
             canvas.shift(i, std::mem::take(&mut work.offsets[i]));

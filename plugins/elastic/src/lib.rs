@@ -224,31 +224,18 @@ impl Deformer for Elastic {
         if [rest.len(), out.len()] != [state.held.hard.len(); 2] || transforms.len() != state.held.handles {
             return Err(PluginError::internal("the samples or handles are not those of the preparation"));
         }
-        let ElasticSettings { weight, down, contact, tolerance, .. } = input.params().read()?;
+        let settings: ElasticSettings = input.params().read()?;
+        let weight = settings.weight;
         let is_still = transforms.iter().all(|t| *t == Affine::IDENTITY) && weight == 0.0;
-        let Some(finest) = state.levels.first() else {
-            if weight != 0.0 {
-                return Err(PluginError::input("nothing holds the body, which falls under its weight")
-                    .hint("add a fixed region, or a handle"));
-            }
-            out.copy_from_slice(rest);
-            return Ok(());
-        };
-        if is_still {
-            out.copy_from_slice(rest);
-            return Ok(());
+        if state.levels.is_empty() && weight != 0.0 {
+            return Err(PluginError::input("nothing holds the body, which falls under its weight")
+                .hint("add a fixed region, or a handle"));
         }
-        let down = DVec3::from(down).try_normalize();
-        let down =
-            down.ok_or_else(|| PluginError::parameter("down", "is no direction").hint("give another one"))?;
-        let diagonal = input.bounds.diagonal() / state.unit.scale;
-        let diagonal = if diagonal > 0.0 { diagonal } else { 1.0 };
-        let motion = AskedMotion {
-            paths: paths(state, transforms),
-            weight: down * (weight * finest.body.young() / diagonal),
-            contact: contact && input.effort() != Effort::DRAFT,
-            still: tolerance * diagonal,
+        let Some(finest) = state.levels.first().filter(|_| !is_still) else {
+            out.copy_from_slice(rest);
+            return Ok(());
         };
+        let motion = asked_motion(state, input, &settings, &finest.body)?;
         let (used, x) = if input.effort() == Effort::DRAFT {
             (state.levels.len() - 1, motion.way(state, true, host)?)
         } else {
@@ -501,6 +488,26 @@ fn loose(
         space.clear(|fine| is_loose.get(lattice.over(fine) as usize).is_some_and(|l| *l));
     }
     Ok(Loose { parts, leaders })
+}
+
+/// The motion that the handles and the settings ask of a body, whose finest lattice this is.
+fn asked_motion(
+    state: &PreparedBody,
+    input: &DeformInput<'_>,
+    settings: &ElasticSettings,
+    finest: &Body,
+) -> PluginResult<AskedMotion> {
+    let down = DVec3::from(settings.down).try_normalize();
+    let down =
+        down.ok_or_else(|| PluginError::parameter("down", "is no direction").hint("give another one"))?;
+    let diagonal = input.bounds.diagonal() / state.unit.scale;
+    let diagonal = if diagonal > 0.0 { diagonal } else { 1.0 };
+    Ok(AskedMotion {
+        paths: paths(state, input.transforms()),
+        weight: down * (settings.weight * finest.young() / diagonal),
+        contact: settings.contact && input.effort() != Effort::DRAFT,
+        still: settings.tolerance * diagonal,
+    })
 }
 
 /// How the leaders of loose parts move.

@@ -3,7 +3,7 @@
 //! methods for real-time simulation of hyperelastic materials*, ACM TOG 36, 2017), in which the material is a
 //! Laplacian.
 
-use crate::body::{Body, Load};
+use crate::body::{Body, BodyGradients, Load};
 use crate::contact::{ContactSurface, Touch};
 use crate::held::Goals;
 use crate::lattice::CellPoint;
@@ -37,7 +37,7 @@ pub struct LoadCase<'a> {
     pub contact: Option<(&'a ContactSurface, &'a [Option<CellPoint>])>,
 }
 
-/// When it is at rest.
+/// The criteria by which a body is at rest.
 #[derive(Debug, Clone, Copy)]
 pub struct RestCriteria {
     /// No corner would go farther in a whole step.
@@ -74,6 +74,44 @@ impl RestCriteria {
     }
 }
 
+/// The effort that is left: the products that Newton's steps may take, and how much stiffer the last one took
+/// the material for.
+struct NewtonEffort {
+    products: usize,
+    stiffer: f64,
+}
+
+impl NewtonEffort {
+    /// Newton's step from where the gradients and forces are. The material is taken for stiffer until
+    /// conjugate gradients find no direction along which the energy is not convex.
+    fn step(
+        &mut self,
+        body: &Body,
+        gradients: &BodyGradients,
+        (touches, forces): (&[Touch], &[DVec3]),
+        until: RestCriteria,
+        host: &Host<'_>,
+    ) -> PluginResult<Vec<DVec3>> {
+        loop {
+            let most = until.gradients.min(self.products.max(1));
+            let (products, stiffer) = (&mut self.products, self.stiffer);
+            let change = |by: &[DVec3]| {
+                *products = products.saturating_sub(1);
+                body.change(gradients, (touches, stiffer), by, host)
+            };
+            let residual: Vec<DVec3> = forces.iter().map(|f| -*f).collect();
+            let inverse = body.inverse(touches);
+            let precondition = |r: &[DVec3], z: &mut Vec<DVec3>| body.precondition(&inverse, r, z);
+            let (step, is_convex) = solve(residual, (until.left, most), precondition, change)?;
+            if is_convex || self.stiffer >= STIFFEST {
+                self.stiffer = if self.stiffer < STIFFER { 0.0 } else { 0.3 * self.stiffer };
+                return Ok(step);
+            }
+            self.stiffer = (3.0 * self.stiffer).max(STIFFER);
+        }
+    }
+}
+
 /// Brings corners to rest. Says whether they are.
 pub fn settle(
     body: &Body,
@@ -83,8 +121,7 @@ pub fn settle(
     host: &Host<'_>,
 ) -> PluginResult<bool> {
     let mut gradients = body.gradients(x, host)?;
-    let mut products = until.products;
-    let mut stiffer = 0.0;
+    let mut effort = NewtonEffort { products: until.products, stiffer: 0.0 };
     for _ in 0..until.steps {
         let touches: Vec<Touch> = match task.contact {
             Some((surface, places)) => surface.touches(body, places, x, host)?,
@@ -92,25 +129,8 @@ pub fn settle(
         };
         let load = Load { goals: task.goals, weight: task.weight, touches: &touches };
         let (energy, forces) = body.energy(x, &gradients, &load, host)?;
-        let mut step;
-        loop {
-            let most = until.gradients.min(products.max(1));
-            let change = |by: &[DVec3]| {
-                products = products.saturating_sub(1);
-                body.change(&gradients, (&touches, stiffer), by, host)
-            };
-            let residual: Vec<DVec3> = forces.iter().map(|f| -*f).collect();
-            let inverse = body.inverse(&touches);
-            let precondition = |r: &[DVec3], z: &mut Vec<DVec3>| body.precondition(&inverse, r, z);
-            let found = solve(residual, (until.left, most), precondition, change)?;
-            step = found.0;
-            if found.1 || stiffer >= STIFFEST {
-                stiffer = if stiffer < STIFFER { 0.0 } else { 0.3 * stiffer };
-                break;
-            }
-            stiffer = (3.0 * stiffer).max(STIFFER);
-        }
-        if products == 0 {
+        let step = effort.step(body, &gradients, (&touches, &forces), until, host)?;
+        if effort.products == 0 {
             return Ok(false);
         }
         let farthest = step.iter().map(|d| d.length()).fold(0.0, f64::max);

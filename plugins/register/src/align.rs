@@ -46,7 +46,7 @@ pub struct Alignment<'a> {
 
 /// A map, and how well it fits: the mean of the squares of the best fitting distances both ways.
 #[derive(Debug, Clone, Copy)]
-struct Fit {
+struct ScoredMap {
     map: DAffine3,
     score: f64,
 }
@@ -68,13 +68,7 @@ pub fn aligned(
         if settings.method == Method::Align {
             host.warn("the model is aligned alone, and that by nothing: nothing moves");
         }
-        if is_beside {
-            return Err(PluginError::input(format!(
-                "the target lies {gap:.1} diagonals of the model beside it: they do not overlap"
-            ))
-            .hint("give `align = \"rigid\"`, which lays one on the other"));
-        }
-        return Ok(DAffine3::IDENTITY);
+        return if is_beside { Err(do_not_overlap(gap)) } else { Ok(DAffine3::IDENTITY) };
     }
     let with_scale = settings.align == Align::Similarity;
     let by_landmarks = if task.pairs.len() >= 3 { similarity(task.pairs, with_scale) } else { None };
@@ -99,6 +93,20 @@ pub fn aligned(
             "give `place = \"model\"`, which leaves the model where it is, or a target in its coordinates",
         ));
     }
+    tell(&map, away, host);
+    Ok(map)
+}
+
+/// The error for a target that lies so many of the model's diagonals beside it, and is not to be aligned.
+fn do_not_overlap(gap: f64) -> PluginError {
+    PluginError::input(format!(
+        "the target lies {gap:.1} diagonals of the model beside it: they do not overlap"
+    ))
+    .hint("give `align = \"rigid\"`, which lays one on the other")
+}
+
+/// Tells the user what an alignment is, which moves the model by `away` of its diagonals.
+fn tell(map: &DAffine3, away: f64, host: &Host<'_>) {
     let scale = map.matrix3.determinant().cbrt();
     let (_, turn, _) = map.to_scale_rotation_translation();
     host.log(
@@ -109,7 +117,6 @@ pub fn aligned(
             2.0 * turn.w.abs().min(1.0).acos().to_degrees(),
         ),
     );
-    Ok(map)
 }
 
 /// Whether the target is about as large as the model, or that does not matter.
@@ -148,24 +155,16 @@ impl Alignment<'_> {
         if !is_beside && !differs {
             firsts.insert(0, DAffine3::IDENTITY);
         }
-        let mut best: Option<Fit> = None;
-        for (first, part) in firsts.iter().flat_map(|first| PARTS.map(|part| (*first, part))) {
-            let brought = search.improved(first, part, STEPS[0], &start)?.map;
-            let fit = search.improved(brought, FITTING, STEPS[0], &start)?;
-            if best.is_none_or(|best| fit.score < BETTER * best.score) {
-                best = Some(fit);
-            }
-        }
-        let best = best.unwrap_or_else(|| search.score(firsts[0]));
+        let best = search.improved_best(&firsts, &start)?;
         let turns = search.turns(from.middle, to.middle);
-        let mut turned = Vec::new();
-        for (i, turn) in turns.iter().enumerate() {
+        let improved = |(i, turn): (usize, &DMat3)| {
             let told = || progress(i as f64 / turns.len() as f64);
-            turned.push(search.improved(at_middles(*turn), FITTING, STEPS[0], &told)?);
-        }
+            search.improved(at_middles(*turn), FITTING, STEPS[0], &told)
+        };
+        let mut turned = turns.iter().enumerate().map(improved).collect::<PluginResult<Vec<ScoredMap>>>()?;
         turned.sort_by(|a, b| a.score.total_cmp(&b.score));
         let search = Search::new(self.model.0, self.target.0, REFINED, with_scale);
-        let refined = |fit: &Fit| search.improved(fit.map, FITTING, STEPS[1], &|| progress(1.0));
+        let refined = |fit: &ScoredMap| search.improved(fit.map, FITTING, STEPS[1], &|| progress(1.0));
         let best = refined(&best)?;
         let finalists = FINALISTS[usize::from(self.settings.any_turn)];
         let finalists = turned.iter().take(finalists).map(refined).collect::<PluginResult<Vec<_>>>()?;
@@ -218,7 +217,7 @@ impl Search {
         part: f64,
         steps: usize,
         goes_on: &dyn Fn() -> PluginResult<()>,
-    ) -> PluginResult<Fit> {
+    ) -> PluginResult<ScoredMap> {
         let mut best = self.score(first);
         let mut map = first;
         for _ in 0..steps {
@@ -254,11 +253,29 @@ impl Search {
         similarity(&pairs, self.with_scale)
     }
 
-    fn score(&self, map: DAffine3) -> Fit {
+    /// The best map that some first ones are improved to, each by several parts of the points. A later one
+    /// has to be [so much better](BETTER) than one before it.
+    fn improved_best(
+        &self,
+        firsts: &[DAffine3],
+        told: &dyn Fn() -> PluginResult<()>,
+    ) -> PluginResult<ScoredMap> {
+        let mut best: Option<ScoredMap> = None;
+        for (first, part) in firsts.iter().flat_map(|first| PARTS.map(|part| (*first, part))) {
+            let brought = self.improved(first, part, STEPS[0], told)?.map;
+            let fit = self.improved(brought, FITTING, STEPS[0], told)?;
+            if best.is_none_or(|best| fit.score < BETTER * best.score) {
+                best = Some(fit);
+            }
+        }
+        Ok(best.unwrap_or_else(|| self.score(firsts[0])))
+    }
+
+    fn score(&self, map: DAffine3) -> ScoredMap {
         let moved: Vec<DVec3> = self.source.iter().map(|p| map.transform_point3(*p)).collect();
         let back = Tree::new(&moved);
         let some: Vec<DVec3> = some(self.target.len(), self.source.len()).map(|i| self.target[i]).collect();
-        Fit { map, score: best_of(&self.tree, &moved) + best_of(&back, &some) }
+        ScoredMap { map, score: best_of(&self.tree, &moved) + best_of(&back, &some) }
     }
 }
 fn fitting(part: f64, count: usize) -> usize {

@@ -46,7 +46,7 @@ pub struct Closest<'a> {
     tree: Tree,
     /// Between neighbours of the target's points.
     spacing: f64,
-    /// Which nodes carry the source's points.
+    /// The nodes that carry each of the source's points.
     carried: Vec<Carried>,
 }
 

@@ -107,7 +107,8 @@ impl Drift {
         Ok((found, self.most_iterations))
     }
 
-    /// Which points belong to which (equation 6 of the paper, for all points).
+    /// How far each point of one cloud belongs to each of the other (equation 6 of the paper, for all
+    /// points).
     fn expect(
         &self,
         moved: &[DVec3],

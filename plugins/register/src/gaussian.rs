@@ -12,7 +12,7 @@ const LEFT: f64 = 1e-6;
 
 /// `G = L Lᵀ`, where `G` is the Gaussian of each two points' distance.
 pub struct Kernel {
-    /// Which points are centres.
+    /// The points that are centres.
     pivots: Vec<usize>,
     /// A row for each point, a column for each centre.
     pub factor: Mat<f64>,

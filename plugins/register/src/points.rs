@@ -28,7 +28,7 @@ pub fn farthest(points: &[DVec3], count: usize) -> Vec<usize> {
     found
 }
 
-/// Where points are, and how far they spread.
+/// The extent of points: where they are, and how far they spread.
 #[derive(Debug, Clone, Copy)]
 pub struct Extent {
     pub middle: DVec3,

@@ -107,6 +107,16 @@ impl Points {
     }
 }
 
+/// Refuses a model or a target that is a point, or of less than four.
+fn are_bodies(both: [(&Extent, usize); 2]) -> PluginResult<()> {
+    let is_body = |(extent, count): (&Extent, usize)| extent.radius > 0.0 && count >= 4;
+    if both.into_iter().all(is_body) && both[1].0.radius.is_finite() {
+        return Ok(());
+    }
+    Err(PluginError::input("the model or the target is a point, or less than four")
+        .hint("give a target of more points, and sample the model more finely"))
+}
+
 /// The map that takes the samples to the target.
 ///
 /// # Errors
@@ -122,10 +132,7 @@ pub fn register(
     let there = target.positions();
     let target = Points::gather(|i| there[i], target.normals(), there.len(), there.len());
     let (own, other) = (Extent::measure(&model.points), Extent::measure(&target.points));
-    if !(own.radius > 0.0 && other.radius > 0.0 && other.radius.is_finite()) || count < 4 || there.len() < 4 {
-        return Err(PluginError::input("the model or the target is a point, or less than four")
-            .hint("give a target of more points, and sample the model more finely"));
-    }
+    are_bodies([(&own, count), (&other, there.len())])?;
     let pairs = landmark_pairs(input)?;
     let align = aligned(
         &Alignment { settings, model: (&model.points, own), target: (&target.points, other), pairs: &pairs },
@@ -141,14 +148,12 @@ pub fn register(
         );
     }
     let from = if settings.place == Place::Model { to.inverse() } else { align * to.inverse() };
-    let pairs: Vec<Pair> = pairs
-        .into_iter()
-        .map(|p| Pair {
-            source: to.transform_point3(p.source),
-            target: bring.transform_point3(p.target),
-            ..p
-        })
-        .collect();
+    let mapped = |p: Pair| Pair {
+        source: to.transform_point3(p.source),
+        target: bring.transform_point3(p.target),
+        ..p
+    };
+    let pairs: Vec<Pair> = pairs.into_iter().map(mapped).collect();
     let (model, target) = (model.mapped(&to), target.mapped(&bring));
     let source = model.farthest(CLOSEST);
     let graph = Graph::new(&source.points, settings.nodes as usize);

@@ -24,6 +24,22 @@ pub struct March {
     is_done: Vec<bool>,
 }
 
+/// Voxels that were come to and are not done, by their distances: distances that are not negative have the
+/// order of their bits.
+#[derive(Default)]
+struct Front(BinaryHeap<Reverse<u64>>);
+
+impl Front {
+    fn add(&mut self, voxel: u32, distance: f32) {
+        self.0.push(Reverse(u64::from(distance.to_bits()) << 32 | u64::from(voxel)));
+    }
+
+    /// Takes out the nearest voxel, with its distance.
+    fn nearest(&mut self) -> Option<(u32, f32)> {
+        self.0.pop().map(|Reverse(next)| (next as u32, f32::from_bits((next >> 32) as u32)))
+    }
+}
+
 impl March {
     /// From `seeds`, voxels with their distances. It goes no further from a voxel where `goes_on` says so,
     /// and that is no longer among those it came to. Stopped half-way if `is_wanted` says so.
@@ -38,17 +54,11 @@ impl March {
             order: Vec::new(),
             is_done: vec![false; voxels.len()],
         };
-        // Distances that are not negative have the order of their bits.
-        let mut heap: BinaryHeap<Reverse<u64>> = BinaryHeap::new();
-        let key = |voxel: u32, distance: f32| Reverse(u64::from(distance.to_bits()) << 32 | u64::from(voxel));
+        let mut front = Front::default();
         for (voxel, distance) in seeds {
-            if distance < this.distances[voxel as usize] {
-                this.distances[voxel as usize] = distance;
-                heap.push(key(voxel, distance));
-            }
+            this.relax(voxel, distance, &mut front);
         }
-        while let Some(Reverse(next)) = heap.pop() {
-            let (voxel, distance) = (next as u32, f32::from_bits((next >> 32) as u32));
+        while let Some((voxel, distance)) = front.nearest() {
             if this.is_done[voxel as usize] || distance > this.distances[voxel as usize] {
                 continue;
             }
@@ -60,25 +70,7 @@ impl March {
             if this.order.len().is_multiple_of(PATIENCE) && !is_wanted() {
                 break;
             }
-            let mut relax = |this: &mut Self, to: u32, distance: f32| {
-                if distance < this.distances[to as usize] {
-                    this.distances[to as usize] = distance;
-                    heap.push(key(to, distance));
-                }
-            };
-            for to in voxels.neighbours[voxel as usize] {
-                if to != NONE && !this.is_done[to as usize] {
-                    let found = this.arrival(&voxels.neighbours[to as usize]);
-                    relax(&mut this, to, found.max(distance));
-                }
-            }
-            if !voxels.is_inner(voxel) {
-                for (to, far) in voxels.diagonal(voxel) {
-                    if !this.is_done[to as usize] {
-                        relax(&mut this, to, distance + far);
-                    }
-                }
-            }
+            this.relax_around(voxels, voxel, distance, &mut front);
         }
         for (distance, is_done) in this.distances.iter_mut().zip(&this.is_done) {
             if !is_done {
@@ -86,6 +78,33 @@ impl March {
             }
         }
         this
+    }
+
+    /// Takes a distance to a voxel if it is less than what is known.
+    #[inline]
+    fn relax(&mut self, voxel: u32, distance: f32, front: &mut Front) {
+        if distance < self.distances[voxel as usize] {
+            self.distances[voxel as usize] = distance;
+            front.add(voxel, distance);
+        }
+    }
+
+    /// Goes on from a voxel that is done to those around it: along the axes, and at the surface across.
+    #[inline]
+    fn relax_around(&mut self, voxels: &Voxels, voxel: u32, distance: f32, front: &mut Front) {
+        for to in voxels.neighbours[voxel as usize] {
+            if to != NONE && !self.is_done[to as usize] {
+                let found = self.arrival(&voxels.neighbours[to as usize]);
+                self.relax(to, found.max(distance), front);
+            }
+        }
+        if !voxels.is_inner(voxel) {
+            for (to, far) in voxels.diagonal(voxel) {
+                if !self.is_done[to as usize] {
+                    self.relax(to, distance + far, front);
+                }
+            }
+        }
     }
 
     /// When a front arrives at a voxel, by its neighbours: the gradient has length 1.

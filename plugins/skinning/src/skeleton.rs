@@ -4,6 +4,7 @@
 //! without any that hang on it, an *end*, has no bone of its own; a joint all by itself is a bone of no
 //! length.
 
+use crate::dmat::Wrong;
 use glam::DVec3;
 use simod_plugin_api::{Joint as GivenJoint, PluginError, PluginResult};
 use std::path::Path;
@@ -202,8 +203,21 @@ type Placed = (String, DVec3, Option<usize>);
 
 /// Joints, and the lower ones of bones.
 type Parsed = (Vec<Placed>, Vec<usize>);
-/// What is wrong, and in which line.
-type Wrong = (Option<usize>, String);
+
+/// The place of a joint that comes after others; or what is wrong with it.
+fn next_joint(id: &str, place: [&str; 3], before: &[(&str, DVec3)]) -> Result<DVec3, String> {
+    let number = |word: &str| word.parse::<f64>().ok().filter(|x| x.is_finite());
+    let [Some(x), Some(y), Some(z)] = place.map(number) else {
+        return Err(format!("has no three coordinates for the joint `{id}`"));
+    };
+    if before.iter().any(|(known, _)| *known == id) {
+        return Err(format!("has two joints `{id}`"));
+    }
+    if before.len() == MOST_JOINTS {
+        return Err(format!("has more than {MOST_JOINTS} joints"));
+    }
+    Ok(DVec3::new(x, y, z))
+}
 
 /// The joints in a file, and the lower ones of its bones; or the line, and what is wrong there.
 fn parse(text: &str) -> Result<Parsed, Wrong> {
@@ -222,17 +236,7 @@ fn parse(text: &str) -> Result<Parsed, Wrong> {
                 parents.resize(points.len(), None);
             }
             (0, [id, x, y, z, ..]) => {
-                let number = |word: &str| word.parse::<f64>().ok().filter(|x| x.is_finite());
-                let [Some(x), Some(y), Some(z)] = [x, y, z].map(|w| number(w)) else {
-                    return Err(wrong(format!("has no three coordinates for the joint `{id}`")));
-                };
-                if points.iter().any(|(known, _)| known == id) {
-                    return Err(wrong(format!("has two joints `{id}`")));
-                }
-                if points.len() == MOST_JOINTS {
-                    return Err(wrong(format!("has more than {MOST_JOINTS} joints")));
-                }
-                points.push((id, DVec3::new(x, y, z)));
+                points.push((id, next_joint(id, [x, y, z], &points).map_err(wrong)?));
             }
             (0, _) => return Err(wrong("has a point without coordinates".to_owned())),
             (_, [_, _, "0", _, _]) => {}

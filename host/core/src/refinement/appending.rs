@@ -51,7 +51,7 @@ struct NewLeaf {
     first: u32,
 }
 
-/// What becomes of the samples that are split.
+/// The samples that are split, and what becomes of each.
 #[derive(Default)]
 struct SplitSamples {
     parts: Vec<NewLeaf>,
@@ -138,7 +138,7 @@ impl Appended {
             let parted = guides.map_or(&[][..], |guides| guides.parted_from(*sample));
             for own in [sample].into_iter().chain(parted) {
                 self.split[*own as usize] = true;
-                // It may stand for whole cells besides, which are not split.
+                // The sample may stand for whole cells besides, which are not split.
                 let stays = own == sample && of_sample[*own as usize] as usize > cells.len();
                 let nearest = |range: &Range<usize>| {
                     let own = range.clone().filter(|i| parts[*i].origin == *own);
@@ -218,7 +218,7 @@ struct Taking<'a, 'g> {
 }
 
 impl Taking<'_, '_> {
-    /// The former sample of a sample's cluster for the vertices of a sheet.
+    /// The sample that the vertices of a sheet had before, among those of a sample's cluster.
     fn own(&self, sample: u32, guide: u32) -> u32 {
         self.guides.map_or(sample, |all| all.of_cluster(sample, guide))
     }

@@ -54,6 +54,10 @@ impl Visited<'_> {
     }
 }
 
+/// The box of the cell that the stream is in, and the cell's number among those that are read; none for any
+/// other cell.
+type CurrentCell = (Bounds, Option<u32>);
+
 /// What is read, and how.
 pub(crate) struct Gathering<'a> {
     pub model: &'a dyn Model,
@@ -81,19 +85,7 @@ impl Gathering<'_> {
     pub fn read(&self, cells: &[u32], progress: &dyn Progress) -> Result<Option<(Vec<GatheredCell>, u64)>> {
         let kept = |cell: &u32| &self.kept.cells[*cell as usize];
         let mut groups = self.cubes.map(|cubes| GroupsAgain::new(cells.len(), cubes));
-        let mut found: Vec<GatheredCell> = cells
-            .iter()
-            .map(|cell| {
-                let n = usize::try_from(kept(cell).vertices).unwrap_or(0);
-                GatheredCell {
-                    cell: *cell,
-                    vertices: Vec::with_capacity(n),
-                    ids: Vec::with_capacity(if self.with_ids { n } else { 0 }),
-                    groups: groups.as_ref().map(|_| (Vec::new(), Vec::new())),
-                    guides: Vec::new(),
-                }
-            })
-            .collect();
+        let mut found: Vec<GatheredCell> = cells.iter().map(|cell| self.empty(*cell)).collect();
         let bytes = self.visit(cells, progress, |visited| {
             let Some(Visited { at, position, normal, index, .. }) = visited else {
                 groups.iter_mut().for_each(|groups| groups.piece.leave());
@@ -130,6 +122,18 @@ impl Gathering<'_> {
         Ok(Some((found, bytes)))
     }
 
+    /// A cell without its vertices, which has room for them.
+    fn empty(&self, cell: u32) -> GatheredCell {
+        let n = usize::try_from(self.kept.cells[cell as usize].vertices).unwrap_or(0);
+        GatheredCell {
+            cell,
+            vertices: Vec::with_capacity(n),
+            ids: Vec::with_capacity(if self.with_ids { n } else { 0 }),
+            groups: self.cubes.map(|_| (Vec::new(), Vec::new())),
+            guides: Vec::new(),
+        }
+    }
+
     /// Streams the vertices of some cells through `visit`, in the model's order, and nothing each time the
     /// stream leaves them; how many bytes of the model that took. `None` once `visit` says `false`: that the
     /// model has changed.
@@ -147,7 +151,7 @@ impl Gathering<'_> {
         let mut attributes = vec![Vec::new(); self.attributes];
         for range in self.ranges(cells) {
             // What lies between two ranges was in other cells.
-            let mut current: Option<(Bounds, Option<u32>)> = None;
+            let mut current: Option<CurrentCell> = None;
             visit(None)?;
             let mut reader = self.model.vertices(range)?;
             reader.set_chunk(SMALL_CHUNK);
@@ -162,38 +166,47 @@ impl Gathering<'_> {
                 if !attributes.is_empty() {
                     self.model.attributes(&chunk, &mut attributes)?;
                 }
-                for (i, p) in chunk.positions.iter().enumerate() {
-                    let cell = match &current {
-                        Some((inside, cell)) if inside.contains(*p) => *cell,
-                        _ if !p.is_finite() => continue,
-                        _ => {
-                            let key = key_at(*p, self.kept.level);
-                            let cell = places.get(&key).copied();
-                            current = Some((cell_box(key, self.kept.level), cell));
-                            if cell.is_none() {
-                                visit(None)?;
-                            }
-                            cell
-                        }
-                    };
-                    let Some(at) = cell else { continue };
-                    let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
-                    let index = chunk.first + i as u64;
-                    if !visit(Some(Visited {
-                        at,
-                        position: *p,
-                        normal,
-                        index,
-                        attributes: (&attributes, i),
-                    }))? {
-                        return Ok(None);
-                    }
+                if !self.visit_chunk((&chunk, &attributes), &places, &mut current, &mut visit)? {
+                    return Ok(None);
                 }
                 bytes += chunk.raw().len() as u64;
                 progress.advance(chunk.raw().len() as u64);
             }
         }
         Ok(Some(bytes))
+    }
+
+    /// Hands the vertices of a chunk to `visit` that are in one of the cells, of which `places` has the
+    /// numbers; and nothing where the stream comes to another cell. `false` as soon as `visit` says so.
+    fn visit_chunk(
+        &self,
+        (chunk, attributes): (&VertexChunk, &[Vec<f64>]),
+        places: &CellMap<u32>,
+        current: &mut Option<CurrentCell>,
+        visit: &mut impl FnMut(Option<Visited<'_>>) -> Result<bool>,
+    ) -> Result<bool> {
+        for (i, p) in chunk.positions.iter().enumerate() {
+            let cell = match current {
+                Some((inside, cell)) if inside.contains(*p) => *cell,
+                _ if !p.is_finite() => continue,
+                _ => {
+                    let key = key_at(*p, self.kept.level);
+                    let cell = places.get(&key).copied();
+                    *current = Some((cell_box(key, self.kept.level), cell));
+                    if cell.is_none() {
+                        visit(None)?;
+                    }
+                    cell
+                }
+            };
+            let Some(at) = cell else { continue };
+            let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
+            let index = chunk.first + i as u64;
+            if !visit(Some(Visited { at, position: *p, normal, index, attributes: (attributes, i) }))? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// Bytes of the model that some cells lie in, about.

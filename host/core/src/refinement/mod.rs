@@ -46,7 +46,7 @@ use regrowing::{ChangedModel, Regrowing, Regrown};
 use selection::{LeafEstimate, Selected};
 use sizing::Sizing;
 
-/// How fine P_S shall be where it is selected.
+/// The fineness of P_S where it is selected.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Finer {
@@ -330,7 +330,7 @@ impl GrowingTrees {
     }
 }
 
-/// What shall come of it.
+/// The goal of a refinement.
 #[derive(Clone, Copy)]
 struct RefinementGoal {
     /// Least bound that is looked at, local units.
@@ -346,7 +346,7 @@ type Met = (u32, Vec<bool>);
 
 /// Trees that have grown.
 struct GrownTrees {
-    /// Which of their nodes are split: those of larger errors, local units.
+    /// Nodes of a larger error than this are split; local units.
     bound: f32,
     cells: Vec<Regrown>,
     /// The vertices of the cells, where faces are looked at.

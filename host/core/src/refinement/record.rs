@@ -1,4 +1,4 @@
-//! What is kept of a refinement.
+//! The record of a refinement, as it is kept.
 
 use serde::{Deserialize, Serialize};
 

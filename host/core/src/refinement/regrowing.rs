@@ -222,30 +222,43 @@ impl Regrowing<'_, '_> {
                 .collect();
             let below = mix(seed, ordinal as u64 + 1);
             let (grown, built) = self.grow(&mut vertices, tree, leaf, below, refined, &mut workspace)?;
-            let first_leaf = found.built;
-            let (mut sheets, sheet_of) = guides.map_or_else(Default::default, |all| {
-                all.sheets(of_leaf.iter().map(|v| gathered.guides[*v as usize]))
-            });
-            if sheets.len() < 2 {
-                sheets.clear();
-            }
-            let mut on_sheet = vec![BTreeMap::<u32, Moments>::new(); sheets.len()];
-            for (i, (v, leaf)) in of_leaf.iter().zip(&workspace.leaves).enumerate() {
-                let sheet = if sheets.is_empty() { 0 } else { sheet_of[i] };
-                if let Some(on_sheet) = on_sheet.get_mut(sheet as usize) {
-                    let vertex = Moments::from_elements(&[gathered.vertices[*v as usize]]);
-                    on_sheet.entry(*leaf).or_default().add(&vertex);
-                }
-                if let Some(id) = gathered.ids.get(*v as usize) {
-                    found.members.push((*id, self.leaves_from + first_leaf + sheet * built + leaf));
-                }
-            }
-            found.built += built * sheets.len().max(1) as u32;
-            let sheets = sheets.into_iter().zip(on_sheet);
-            let sheets = sheets.map(|(guide, leaves)| Sheet { guide, leaves: leaves.into_iter().collect() });
-            found.grown.push(Grown { first_leaf, built, sheets: sheets.collect(), ..grown });
+            let grown = Grown { first_leaf: found.built, built, ..grown };
+            self.take_leaf((grown, &workspace.leaves), of_leaf, (&gathered, guides), &mut found);
         }
         Ok(found)
+    }
+
+    /// Takes the tree of a leaf's vertices, whose new leaves are known, with the sheets that the vertices are
+    /// on and the vertices as members.
+    fn take_leaf(
+        &self,
+        (grown, leaves): (Grown, &[u32]),
+        vertices: &[u32],
+        (gathered, guides): (&GatheredCell, Option<&Guides<'_>>),
+        found: &mut Regrown,
+    ) {
+        let Grown { first_leaf, built, .. } = grown;
+        let (mut sheets, sheet_of) = guides.map_or_else(Default::default, |all| {
+            all.sheets(vertices.iter().map(|v| gathered.guides[*v as usize]))
+        });
+        if sheets.len() < 2 {
+            sheets.clear();
+        }
+        let mut on_sheet = vec![BTreeMap::<u32, Moments>::new(); sheets.len()];
+        for (i, (v, leaf)) in vertices.iter().zip(leaves).enumerate() {
+            let sheet = if sheets.is_empty() { 0 } else { sheet_of[i] };
+            if let Some(on_sheet) = on_sheet.get_mut(sheet as usize) {
+                let vertex = Moments::from_elements(&[gathered.vertices[*v as usize]]);
+                on_sheet.entry(*leaf).or_default().add(&vertex);
+            }
+            if let Some(id) = gathered.ids.get(*v as usize) {
+                found.members.push((*id, self.leaves_from + first_leaf + sheet * built + leaf));
+            }
+        }
+        found.built += built * sheets.len().max(1) as u32;
+        let sheets = sheets.into_iter().zip(on_sheet);
+        let sheets = sheets.map(|(guide, leaves)| Sheet { guide, leaves: leaves.into_iter().collect() });
+        found.grown.push(Grown { sheets: sheets.collect(), ..grown });
     }
 
     /// The leaf of the first sampling that each vertex belongs to.
@@ -318,36 +331,48 @@ impl Regrowing<'_, '_> {
         if next != leaf.nodes.end {
             return Err(ChangedModel);
         }
-        let mut nodes: Vec<GrownNode> = Vec::with_capacity(built.nodes.len());
-        let mut above: Vec<(u32, f32)> = Vec::new();
-        for (i, (node, (reach, slack, known))) in built.nodes.iter().zip(told).enumerate() {
-            while above.pop_if(|(end, _)| *end as usize <= i).is_some() {}
-            let kept = known.map(|k| k as usize).filter(|k| tree.children[*k] > 0);
-            if let Some(k) = kept
-                && (built.children(i) != u32::from(tree.children[k]) || node.key != tree.errors[k])
-            {
-                return Err(ChangedModel);
-            }
-            // What is kept stays split, whatever the bound.
-            let graded = match kept {
-                Some(_) => f32::INFINITY,
-                None => (node.key - slack).min(above.last().map_or(f32::INFINITY, |(_, graded)| *graded)),
-            };
-            above.push((node.end, graded));
-            nodes.push(GrownNode {
-                position: node.position,
-                normal: node.normal,
-                reach,
-                error: node.key,
-                graded,
-                end: node.end,
-                first: node.first,
-                known,
-            });
-        }
+        let nodes = graded_nodes(&built, told, tree)?;
         let root = leaf.nodes.start as u32;
         Ok((Grown { root, nodes, first_leaf: 0, built: 0, sheets: Vec::new() }, built.built()))
     }
+}
+
+/// The nodes of a tree that was built along a kept one, with what bounds are compared with. `told` has, of
+/// each node in turn, half its diagonal, its slack, and the kept node that it is.
+fn graded_nodes(
+    built: &VsTree,
+    told: Vec<(f32, f32, Option<u32>)>,
+    tree: &CutTree,
+) -> Result<Vec<GrownNode>, ChangedModel> {
+    let mut nodes: Vec<GrownNode> = Vec::with_capacity(built.nodes.len());
+    // The ancestors of the node: the end of each one's subtree, and what it is graded.
+    let mut above: Vec<(u32, f32)> = Vec::new();
+    for (i, (node, (reach, slack, known))) in built.nodes.iter().zip(told).enumerate() {
+        while above.pop_if(|(end, _)| *end as usize <= i).is_some() {}
+        let kept = known.map(|k| k as usize).filter(|k| tree.children[*k] > 0);
+        if let Some(k) = kept
+            && (built.children(i) != u32::from(tree.children[k]) || node.key != tree.errors[k])
+        {
+            return Err(ChangedModel);
+        }
+        // What is kept stays split, whatever the bound.
+        let graded = match kept {
+            Some(_) => f32::INFINITY,
+            None => (node.key - slack).min(above.last().map_or(f32::INFINITY, |(_, graded)| *graded)),
+        };
+        above.push((node.end, graded));
+        nodes.push(GrownNode {
+            position: node.position,
+            normal: node.normal,
+            reach,
+            error: node.key,
+            graded,
+            end: node.end,
+            first: node.first,
+            known,
+        });
+    }
+    Ok(nodes)
 }
 
 /// A cell's tree as it is kept.

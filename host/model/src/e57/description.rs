@@ -145,6 +145,40 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
         self.source.malformed(format!("line {line} of its XML: {what}"), DAMAGED)
     }
 
+    /// Refuses points that are packed by another codec than the one that every reader has to know.
+    fn check_codecs(&self, points: Node<'a, 'i>, name: &str) -> Result<()> {
+        let Some(codecs) = child(points, "codecs") else { return Ok(()) };
+        let other = codecs.descendants().find(|node| {
+            node.is_element() && node.tag_name().name().ends_with("Codec") && !node.has_tag_name(BITPACK)
+        });
+        let Some(other) = other else { return Ok(()) };
+        let what = format!("{name} is compressed by the codec {:?}", other.tag_name().name());
+        Err(self.wrong(other, what).hinting("export the model without, as usual programs write E57"))
+    }
+
+    /// Adds where a scan's bounds stand in the text, Cartesian and spherical ones. What is no number tells
+    /// nothing, and stays.
+    fn add_bounds(&self, scan: Node<'a, 'i>, slots: &mut Vec<LimitSlot>) {
+        for (element, names, is_spherical) in
+            [("cartesianBounds", CARTESIAN_BOUNDS, false), ("sphericalBounds", SPHERICAL_BOUNDS, true)]
+        {
+            let Some(bounds) = child(scan, element) else { continue };
+            for (i, name) in names.into_iter().enumerate() {
+                let corner = Corner { is_spherical, axis: i / 2, is_max: i % 2 == 1 };
+                slots.extend(child(bounds, name).and_then(|node| self.slot(node, corner).ok()));
+            }
+        }
+    }
+
+    /// The least and the largest intensity that a scan says it can have; nothing where they are no numbers,
+    /// or no range.
+    fn intensity_limits(&self, scan: Node<'a, 'i>) -> Option<[f64; 2]> {
+        let limits = child(scan, "intensityLimits")?;
+        let end = |name| child(limits, name).and_then(|node| self.number(node).ok());
+        let [least, most] = [end("intensityMinimum")?, end("intensityMaximum")?];
+        (least < most && (most - least).is_finite()).then_some([least, most])
+    }
+
     fn scan(&self, number: usize, node: Node<'a, 'i>) -> Result<Described> {
         let name = child(node, "name").and_then(|node| node.text()).unwrap_or_default().trim();
         let name: String = name.chars().filter(|c| !c.is_control()).take(100).collect();
@@ -161,35 +195,10 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
             Some(prototype) => self.fields(prototype, &mut slots, &mut limits)?,
             None => return Err(self.wrong(points, format!("the points of {name} have no prototype"))),
         };
-        if let Some(codecs) = child(points, "codecs") {
-            let other = codecs.descendants().find(|node| {
-                node.is_element() && node.tag_name().name().ends_with("Codec") && !node.has_tag_name(BITPACK)
-            });
-            if let Some(other) = other {
-                let what = format!("{name} is compressed by the codec {:?}", other.tag_name().name());
-                return Err(self
-                    .wrong(other, what)
-                    .hinting("export the model without, as usual programs write E57"));
-            }
-        }
-        for (element, names, is_spherical) in
-            [("cartesianBounds", CARTESIAN_BOUNDS, false), ("sphericalBounds", SPHERICAL_BOUNDS, true)]
-        {
-            let Some(bounds) = child(node, element) else { continue };
-            for (i, name) in names.into_iter().enumerate() {
-                let corner = Corner { is_spherical, axis: i / 2, is_max: i % 2 == 1 };
-                // What is no number tells nothing, and stays.
-                slots.extend(child(bounds, name).and_then(|node| self.slot(node, corner).ok()));
-            }
-        }
+        self.check_codecs(points, &name)?;
+        self.add_bounds(node, &mut slots);
         let pose = self.pose(node, &name)?;
-        let intensities = child(node, "intensityLimits").and_then(|limits| {
-            let ends = ["intensityMinimum", "intensityMaximum"].map(|end| {
-                // What is no number tells nothing.
-                child(limits, end).and_then(|node| self.number(node).ok())
-            });
-            Some([ends[0]?, ends[1]?]).filter(|[least, most]| least < most && (most - least).is_finite())
-        });
+        let intensities = self.intensity_limits(node);
         let has_boxes_of_groups = has_boxes_of_groups(node);
         let besides = besides(node);
         Ok(Described {

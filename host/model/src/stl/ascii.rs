@@ -87,6 +87,15 @@ impl StlLine {
     }
 }
 
+/// What is wrong with a line that is no statement, or none that may follow so many facets and corners.
+fn wrong_statement(kind: StlLine, line: &[u8], facets: u64, corners: u64) -> String {
+    let text = quoted(&String::from_utf8_lossy(line.trim_ascii_start()));
+    match kind {
+        StlLine::Unknown => format!("{text} is nothing of STL"),
+        _ => format!("{text} after {facets} facets and {corners} corners"),
+    }
+}
+
 /// Where the vertices are, and how many facets there are. All of the file's structure is checked here.
 fn scan(source: &SourceFile, ends: LineEnds) -> Result<(TextBlocks, u64)> {
     let begin = text_start(source)?;
@@ -125,12 +134,7 @@ fn scan(source: &SourceFile, ends: LineEnds) -> Result<(TextBlocks, u64)> {
         // What stands behind a statement would be of it.
         let is_whole = || !is_free || kind.words(line).is_none_or(|words| words_of(line).count() == words);
         if !is_right || !is_whole() {
-            let text = quoted(&String::from_utf8_lossy(line.trim_ascii_start()));
-            let corners = builder.vertices();
-            let what = match kind {
-                StlLine::Unknown => format!("{text} is nothing of STL"),
-                _ => format!("{text} after {facets} facets and {corners} corners"),
-            };
+            let what = wrong_statement(kind, line, facets, builder.vertices());
             return Err(wrong_line(source, start, what, DAMAGED));
         }
         at = start;

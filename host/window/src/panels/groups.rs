@@ -8,7 +8,7 @@ use eframe::egui::{
     self, Align, Button, Layout, Response, RichText, Sense, Stroke, StrokeKind, Ui, UiBuilder, Vec2,
     collapsing_header::paint_default_icon,
 };
-use simod_session::edit::{EditCommand, Entry, group_at};
+use simod_session::edit::{EditCommand, Entry, StepId, group_at};
 use simod_viewer::Command;
 use std::ops::Range;
 
@@ -31,19 +31,11 @@ pub fn show(
             if let Some(enabled) = switch(ui, &name, any, "Do these steps, or leave them out") {
                 commands.apply(Command::Edit(EditCommand::EnableGroup { at: group.start, enabled }));
             }
-            let renamed =
-                window.renaming.as_ref().filter(|renaming| renaming.of_group && renaming.id == first.id);
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 more(ui, window, commands, &group, entries, &name);
                 ui.label(RichText::new(format!("{}", group.len())).weak()).on_hover_text("Steps in it");
-                ui.with_layout(Layout::left_to_right(Align::Center), |ui| match renamed {
-                    Some(renaming) => rename(ui, commands, group.clone(), &name, renaming.clone()),
-                    None => {
-                        let label = Button::new(RichText::new(&name).strong()).frame(false).truncate();
-                        if ui.add(label).double_clicked() {
-                            steps::rename_group(window, commands, group.start);
-                        }
-                    }
+                ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
+                    label(ui, window, commands, &group, first.id, &name);
                 });
             });
         });
@@ -64,6 +56,26 @@ fn fold(ui: &mut Ui, commands: &mut Commands, name: &str, folded: bool) {
     if arrow.clicked() {
         let name = name.to_owned();
         commands.then(move |window| window.fold(&name, !folded));
+    }
+}
+
+/// The group's name, or the field in which it gets another one.
+fn label(
+    ui: &mut Ui,
+    window: &Window,
+    commands: &mut Commands,
+    group: &Range<usize>,
+    id: StepId,
+    name: &str,
+) {
+    let is_meant = |renaming: &&Renaming| renaming.of_group && renaming.id == id;
+    if let Some(renaming) = window.renaming.as_ref().filter(is_meant) {
+        rename(ui, commands, group.clone(), name, renaming.clone());
+        return;
+    }
+    let label = Button::new(RichText::new(name).strong()).frame(false).truncate();
+    if ui.add(label).double_clicked() {
+        steps::rename_group(window, commands, group.start);
     }
 }
 

@@ -8,7 +8,18 @@ use eframe::egui::text::{CCursor, CCursorRange};
 use eframe::egui::text_edit::TextEditState;
 use eframe::egui::{self, Button, Color32, Id, Key, Modal, Modifiers, RichText, ScrollArea, TextEdit, Ui};
 
-/// Shows it while it is open.
+/// What is wrong with what was typed, or that it names a file which is replaced.
+fn warning(ui: &mut Ui, typed: &Prompt) {
+    if let Some(wrong) = &typed.wrong {
+        ui.label(RichText::new(wrong).color(ui.visuals().error_fg_color));
+    } else if matches!(typed.purpose, Purpose::Save | Purpose::Write | Purpose::Picture)
+        && typed.path().is_file()
+    {
+        ui.label(RichText::new("This file is there: it is replaced.").color(ui.visuals().warn_fg_color));
+    }
+}
+
+/// Shows the field in which a path is typed, while it is open.
 pub fn show(ctx: &egui::Context, commands: &mut Commands, prompt: &mut Option<Prompt>) {
     let Some(typed) = prompt else { return };
     let mut done = None;
@@ -28,13 +39,7 @@ pub fn show(ctx: &egui::Context, commands: &mut Commands, prompt: &mut Option<Pr
         }
         let enter = field(ui, typed);
         offered(ui, typed, &names);
-        if let Some(wrong) = &typed.wrong {
-            ui.label(RichText::new(wrong).color(ui.visuals().error_fg_color));
-        } else if matches!(typed.purpose, Purpose::Save | Purpose::Write | Purpose::Picture)
-            && typed.path().is_file()
-        {
-            ui.label(RichText::new("This file is there: it is replaced.").color(ui.visuals().warn_fg_color));
-        }
+        warning(ui, typed);
         ui.add_space(8.0);
         ui.horizontal(|ui| {
             let ok = Button::new(RichText::new("OK").color(Color32::WHITE)).fill(theme::ACCENT);

@@ -133,6 +133,15 @@ fn falloff(
     response.on_hover_text("How far beyond its border the region fades out, in the model's unit");
 }
 
+/// Entries of a menu for the roles that a region can have; the one that was chosen.
+fn chosen_role(ui: &mut Ui, window: &Window, now: Role) -> Option<Role> {
+    let is_chosen = |role: &Role| {
+        let button = Button::selectable(now == *role, theme::role_name(*role));
+        ui.add_enabled(make::takes(window, *role), button).clicked()
+    };
+    ROLES.into_iter().filter(is_chosen).last()
+}
+
 fn more(
     ui: &mut Ui,
     window: &Window,
@@ -143,14 +152,11 @@ fn more(
     region: &Region,
 ) {
     let menu = ui.menu_button("\u{2026}", |ui| {
-        for role in ROLES {
-            let button = Button::selectable(region.role == role, theme::role_name(role));
-            if ui.add_enabled(make::takes(window, role), button).clicked() {
-                let mut regions = deformation.regions.clone();
-                regions[i].role = role;
-                commands.change(step, Change::SetRegions(regions), false);
-                ui.close();
-            }
+        if let Some(role) = chosen_role(ui, window, region.role) {
+            let mut regions = deformation.regions.clone();
+            regions[i].role = role;
+            commands.change(step, Change::SetRegions(regions), false);
+            ui.close();
         }
         ui.separator();
         let selected = !window.state().selection().is_empty();
@@ -166,13 +172,8 @@ fn more(
             ui.close();
         }
         if ui.button("Select Its Samples").clicked() {
-            let area = Area::Region { step, region: i };
-            commands.apply(Command::Select {
-                area,
-                combine: Default::default(),
-                visible: false,
-                goes_on: false,
-            });
+            let (area, combine) = (Area::Region { step, region: i }, Default::default());
+            commands.apply(Command::Select { area, combine, visible: false, goes_on: false });
             ui.close();
         }
         if ui.button("Show Weight").clicked() {

@@ -1,7 +1,7 @@
 //! Messages that go away, with what to do.
 
-use crate::window::{Commands, Window};
-use eframe::egui::{self, Align2, Area, Color32, Frame, Id, Margin, Order, RichText, Stroke, vec2};
+use crate::window::{Commands, Toast, Window};
+use eframe::egui::{self, Align2, Area, Color32, Frame, Id, Margin, Order, RichText, Stroke, Ui, vec2};
 
 /// Shows them at the lower right of the picture.
 pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
@@ -16,28 +16,30 @@ pub fn show(ctx: &egui::Context, window: &Window, commands: &mut Commands) {
             let frame = Frame::window(ui.style())
                 .stroke(Stroke::new(1.0, color.gamma_multiply(0.7)))
                 .inner_margin(Margin::symmetric(12, 8));
-            frame.show(ui, |ui| {
+            let shown = frame.show(ui, |ui| {
                 ui.set_max_width(460.0);
-                ui.horizontal_top(|ui| {
-                    let close = ui.add(egui::Button::new("\u{d7}").frame(false).fill(Color32::TRANSPARENT));
-                    close.widget_info(|| {
-                        egui::WidgetInfo::labeled(egui::Role::Button, true, "Close the message")
-                    });
-                    if close.clicked() {
-                        closed = Some(i);
-                    }
-                    ui.vertical(|ui| {
-                        let text = RichText::new(&toast.text);
-                        ui.label(if toast.is_error { text.color(color) } else { text });
-                        if !toast.hint.is_empty() {
-                            ui.label(RichText::new(&toast.hint).weak());
-                        }
-                    });
-                });
+                ui.horizontal_top(|ui| content(ui, toast, color)).inner
             });
+            if shown.inner {
+                closed = Some(i);
+            }
         }
     });
     if let Some(i) = closed {
         commands.then(move |window| window.toasts.close(i));
     }
+}
+
+/// The button that closes a message, and beside it its text and what to do. Whether it shall be closed.
+fn content(ui: &mut Ui, toast: &Toast, color: Color32) -> bool {
+    let close = ui.add(egui::Button::new("\u{d7}").frame(false).fill(Color32::TRANSPARENT));
+    close.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, "Close the message"));
+    ui.vertical(|ui| {
+        let text = RichText::new(&toast.text);
+        ui.label(if toast.is_error { text.color(color) } else { text });
+        if !toast.hint.is_empty() {
+            ui.label(RichText::new(&toast.hint).weak());
+        }
+    });
+    close.clicked()
 }

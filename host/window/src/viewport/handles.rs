@@ -89,7 +89,17 @@ fn nearest<'a>(canvas: &ModelArea<'_>, dots: &'a [HandleDot]) -> Option<&'a Hand
     near.min_by(|a, b| a.at.distance(pointer).total_cmp(&b.at.distance(pointer)))
 }
 
-/// Draws them.
+/// The colour and radius of a dot: of one among many, and of one that is farther, from 0 to 1, fainter.
+fn look(chosen: bool, hovered: bool, many: bool, far: f32) -> (Color32, f32) {
+    match (chosen, hovered) {
+        (true, _) => (theme::color(theme::SELECTED), 6.0),
+        (_, true) => (Color32::WHITE, 6.5),
+        _ if many => (DOT.gamma_multiply(1.0 - 0.6 * far), 3.0),
+        _ => (DOT.gamma_multiply(1.0 - 0.5 * far), 5.0),
+    }
+}
+
+/// Draws the handles of the chosen step.
 pub fn draw(canvas: &ModelArea<'_>, window: &Window) {
     if !is_shown(window) {
         return;
@@ -116,14 +126,7 @@ pub fn draw(canvas: &ModelArea<'_>, window: &Window) {
         let is_held = matches!(&dot.target, MovedPart::Handle(id) if in_hand.contains(id));
         let chosen = is_held || window.tools.target.as_ref() == Some(&dot.target);
         let hovered = hovered.as_ref() == Some(&dot.target);
-        // What is farther is fainter.
-        let far = share(dot.depth);
-        let (color, radius) = match (chosen, hovered) {
-            (true, _) => (theme::color(theme::SELECTED), 6.0),
-            (_, true) => (Color32::WHITE, 6.5),
-            _ if many => (DOT.gamma_multiply(1.0 - 0.6 * far), 3.0),
-            _ => (DOT.gamma_multiply(1.0 - 0.5 * far), 5.0),
-        };
+        let (color, radius) = look(chosen, hovered, many, share(dot.depth));
         let outline = Stroke::new(1.2, Color32::from_black_alpha(if chosen || hovered { 220 } else { 140 }));
         match dot.target {
             MovedPart::Handle(_) => painter.circle(dot.at, radius, color, outline),

@@ -33,7 +33,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-pub use toasts::{Cause, Toasts};
+pub use toasts::{Cause, Toast, Toasts};
 
 /// How often an edit is kept against a crash.
 const KEEP: Duration = Duration::from_secs(20);
