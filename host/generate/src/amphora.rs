@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use glam::{DVec2, DVec3};
 
 use super::curve::BSpline;
+use super::fade::fade;
 use super::layout::SurfacePatch;
 use super::noise::noise;
 use super::ornament;
@@ -82,8 +83,8 @@ impl Band {
         let length = self.range[1] - self.range[0];
         let v = (site.distance - self.range[0]) / length;
         let (edge, sign) = if v < 0.5 { (v, 1.0) } else { (1.0 - v, -1.0) };
-        let t = (edge / FADE).clamp(0.0, 1.0);
-        let (fade, fade_slope) = (t * t * (3.0 - 2.0 * t), sign * 6.0 * t * (1.0 - t) / FADE);
+        let (fade, slope) = fade(edge, FADE);
+        let fade_slope = sign * slope;
 
         // Seen from outside, turns grow to the left.
         let (value, by_x, by_y) = self.tile.sample(-site.turn * self.repeats[0], v * self.repeats[1]);
@@ -193,8 +194,8 @@ impl Relief for RopeRelief {
         } else {
             (self.length - site.distance - 0.05, -1.0)
         };
-        let t = (edge / FADE).clamp(0.0, 1.0);
-        let (fade, fade_slope) = (t * t * (3.0 - 2.0 * t), sign * 6.0 * t * (1.0 - t) / FADE);
+        let (fade, slope) = fade(edge, FADE);
+        let fade_slope = sign * slope;
         if fade == 0.0 {
             return (raised, shade(DARK, grain));
         }

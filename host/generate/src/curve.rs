@@ -12,7 +12,7 @@ pub(super) struct BSpline {
     lengths: Vec<f64>,
 }
 
-/// Where a curve is, and how it goes on, by arc length.
+/// A place of a curve, and the direction in which it goes on, by arc length.
 #[derive(Clone, Copy)]
 pub(super) struct CurvePoint {
     pub position: DVec2,

@@ -8,6 +8,7 @@
 mod amphora;
 mod cactus;
 mod curve;
+mod fade;
 mod layout;
 mod noise;
 mod ornament;

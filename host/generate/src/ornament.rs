@@ -2,6 +2,7 @@
 
 use glam::DVec2;
 
+use super::fade::smoothstep;
 use super::tile::ReliefTile;
 
 /// One unit of a Greek key, between empty margins.
@@ -66,8 +67,8 @@ pub(super) fn scales() -> ReliefTile {
             let distance = (dx * dx + dy * dy).sqrt() / 0.56;
             if dy <= 0.0 && distance < 1.0 {
                 // Rising towards the free edge, with a thin rim and a midrib.
-                let rim = 0.35 * smooth_step(0.78, 0.84, distance);
-                let rib = 0.25 * (-(dx / 0.05).powi(2)).exp() * (1.0 - smooth_step(0.6, 0.78, distance));
+                let rim = 0.35 * step_between(0.78, 0.84, distance);
+                let rib = 0.25 * (-(dx / 0.05).powi(2)).exp() * (1.0 - step_between(0.6, 0.78, distance));
                 height = 0.25 + 0.4 * distance + rim + rib;
                 break;
             }
@@ -93,7 +94,7 @@ pub(super) fn lettering() -> ReliefTile {
         let edge = 0.032;
         for letter in &letters {
             if p.x > -0.5 * GAP && p.x < letter.width + 0.5 * GAP {
-                return 1.0 - smooth_step(HALF_STROKE - edge, HALF_STROKE + edge, letter.distance(p));
+                return 1.0 - step_between(HALF_STROKE - edge, HALF_STROKE + edge, letter.distance(p));
             }
             p.x -= letter.width + GAP;
         }
@@ -153,7 +154,7 @@ fn arc(center: [f64; 2], radii: [f64; 2], degrees: [f64; 2]) -> Vec<DVec2> {
         .collect()
 }
 
-fn smooth_step(low: f64, high: f64, x: f64) -> f64 {
-    let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
-    t * t * (3.0 - 2.0 * t)
+/// 0 below `low`, 1 above `high`, smooth between them.
+fn step_between(low: f64, high: f64, x: f64) -> f64 {
+    smoothstep((x - low) / (high - low))
 }

@@ -9,7 +9,7 @@ use simod_model::{Error, Progress, Result, Scalar};
 
 use super::{RowPiece, Shape, Surface, SurfaceVertex};
 
-/// How a PLY file stores its numbers.
+/// The encoding of the numbers of a PLY file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlyEncoding {
     /// Text.

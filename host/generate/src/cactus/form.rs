@@ -9,6 +9,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use glam::{DVec2, DVec3};
 
 use super::super::SurfaceVertex;
+use super::super::fade::smoothstep;
 use super::tube::{Leg, Tube};
 
 /// Length over which tubes flow into each other, and the stem into its flat foot.
@@ -141,9 +142,4 @@ impl Tube {
         let bump = 0.5 + 0.5 * (TAU * way / BUMP_SPACING + PI).cos();
         fade * (RIB * rib + BUMP * (rib * bump).powi(2))
     }
-}
-
-fn smoothstep(x: f64) -> f64 {
-    let x = x.clamp(0.0, 1.0);
-    x * x * (3.0 - 2.0 * x)
 }
