@@ -163,7 +163,7 @@ impl UnitCube {
     }
 }
 
-/// What is around the triangles of each part: a disc that is as thick as they are high above its plane.
+/// Discs around the triangles of each part: as thick as the triangles are high above the disc's plane.
 #[derive(Clone)]
 struct Discs {
     middle: [Vec4; 3],

@@ -150,9 +150,9 @@ impl WithSimd for BlockBox<'_> {
 }
 
 /// How far the vertices of a block are from each other; the squares are added to the lanes.
-struct Lengths<'a>([&'a VertexBlock; 2], f64, &'a mut LaneSums);
+struct BlockDistances<'a>([&'a VertexBlock; 2], f64, &'a mut LaneSums);
 
-impl WithSimd for Lengths<'_> {
+impl WithSimd for BlockDistances<'_> {
     type Output = [f64; BLOCK];
 
     #[inline(always)]
@@ -209,7 +209,7 @@ impl PairSums {
         arch: Arch,
     ) {
         if blocks.iter().all(|block| block.has_positions) {
-            let distances = arch.dispatch(Lengths(blocks, scale, &mut self.squares));
+            let distances = arch.dispatch(BlockDistances(blocks, scale, &mut self.squares));
             distances.iter().for_each(|distance| self.histogram.add(*distance));
             self.vertices += BLOCK as u64;
         } else {

@@ -25,7 +25,7 @@ pub struct Frames {
 }
 
 /// Transforms, and the line of each, if it has one.
-type Rows = (Vec<[f64; NUMBERS]>, Vec<u32>);
+type TransformRows = (Vec<[f64; NUMBERS]>, Vec<u32>);
 
 impl Frames {
     /// The poses in a file. Text has a line of 12 numbers for each bone of the first frame, then of the
@@ -105,7 +105,7 @@ fn local(row: &[f64; NUMBERS], frame: &ModelFrame) -> DAffine3 {
     DAffine3 { matrix3, translation: moved / frame.scale }
 }
 
-fn of_text(path: &Path) -> Result<Rows, Wrong> {
+fn of_text(path: &Path) -> Result<TransformRows, Wrong> {
     let unreadable = |e: std::io::Error| (None, format!("cannot be read: {e}"));
     if std::fs::metadata(path).map_err(unreadable)?.len() > MOST_BYTES {
         return Err((None, "is too large".to_owned()));
@@ -113,7 +113,7 @@ fn of_text(path: &Path) -> Result<Rows, Wrong> {
     parse(&std::fs::read_to_string(path).map_err(unreadable)?)
 }
 
-fn parse(text: &str) -> Result<Rows, Wrong> {
+fn parse(text: &str) -> Result<TransformRows, Wrong> {
     let (mut rows, mut lines) = (Vec::new(), Vec::new());
     for (number, line) in (1..).zip(text.lines()) {
         let wrong = |what: String| (Some(number), what);
@@ -136,7 +136,7 @@ fn parse(text: &str) -> Result<Rows, Wrong> {
     Ok((rows, lines))
 }
 
-fn of_matrix(matrix: &Matrix) -> Result<Rows, Wrong> {
+fn of_matrix(matrix: &Matrix) -> Result<TransformRows, Wrong> {
     let whole = |row: usize| std::array::from_fn(|k| matrix.number(row, k));
     let stacked = |bone: usize| std::array::from_fn(|k| matrix.number(4 * bone + k % 4, k / 4));
     match (matrix.columns, matrix.rows) {

@@ -1,4 +1,4 @@
-//! Who is on whose sheet where sheets meet, found once, while sampling, by the ways over the surface that the
+//! The sheets of samples where sheets meet, found once, while sampling, by the ways over the surface that the
 //! model's faces make; and looked up for vertices that are sampled again.
 
 use std::cmp::Reverse;
@@ -524,7 +524,7 @@ fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLis
     let (mut lists, mut others) = (SampleLists::new(), SampleLists::new());
     let mut left_out = Vec::new();
     let distance = |i: u32, j: u32| samples.positions[i as usize].distance(samples.positions[j as usize]);
-    let look = |ways: &mut Ways<'_>, sample: u32, reach: f32| {
+    let look = |ways: &mut WaySearch<'_>, sample: u32, reach: f32| {
         // Mostly short ways lead to as many as a list holds, without going round by others.
         let near = samples.neighbours_about(sample as usize, reach, SHEET_NEIGHBOURS);
         if ways.lead_to_all(sample, &near) {
@@ -541,7 +541,7 @@ fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLis
     };
     while !open.is_empty() {
         let jobs = open.par_chunks(JOB).flat_map_iter(|some| {
-            let mut ways = Ways::new(&samples.positions, parted);
+            let mut ways = WaySearch::new(&samples.positions, parted);
             some.iter().filter_map(|(sample, reach)| look(&mut ways, *sample, *reach)).collect::<Vec<_>>()
         });
         let found: Vec<Crowded> = jobs.collect();
@@ -610,7 +610,7 @@ fn make_mutual(
 }
 
 /// Looks for ways over the surface, over samples that faces join.
-struct Ways<'a> {
+struct WaySearch<'a> {
     positions: &'a [Vec3],
     parted: &'a Parted,
     /// The place of each sample among those that are looked at, from one on; 0 for others.
@@ -623,7 +623,7 @@ struct Ways<'a> {
     most: f32,
 }
 
-impl<'a> Ways<'a> {
+impl<'a> WaySearch<'a> {
     fn new(positions: &'a [Vec3], parted: &'a Parted) -> Self {
         let places = vec![0; positions.len()];
         let (starts, joins, lengths) = Default::default();

@@ -82,7 +82,7 @@ fn check_normal(source: &SourceFile, start: u64, line: &[u8], normal: u64) -> Re
 
 /// The lines of faces.
 #[derive(Default)]
-struct FaceLines {
+struct ScannedFaces {
     count: u64,
     /// The bytes from the first one to the last one.
     lines: Range<u64>,
@@ -91,7 +91,7 @@ struct FaceLines {
     is_relative: bool,
 }
 
-impl FaceLines {
+impl ScannedFaces {
     fn take(&mut self, start: u64, line: &[u8]) {
         if self.count == 0 {
             self.lines.start = start;
@@ -152,7 +152,7 @@ impl ObjScan {
         let builder = || TextBlocksBuilder::new(begin, 1);
         let (mut vertices, mut normals) = (builder(), builder());
         let mut beside = NormalPairs { builder: Some(builder()), vertices: 0, normals: 0, start: begin };
-        let mut faces = FaceLines::default();
+        let mut faces = ScannedFaces::default();
         let (mut are_of_vertices, mut first_vertex) = (true, Vec::new());
         let mut others = BTreeMap::new();
         let (mut runs, mut last) = (0u64, Statement::Other);
@@ -191,7 +191,7 @@ impl ObjScan {
         }
         let blocks = [vertices.finish(), normals.finish()];
         let (vertices, normals) = beside.finish(blocks, are_of_vertices, runs > MOST_RUNS);
-        let FaceLines { count: faces, lines: face_lines, slashes, is_relative } = faces;
+        let ScannedFaces { count: faces, lines: face_lines, slashes, is_relative } = faces;
         let corners = slashes / 2;
         Ok(Self { vertices, normals, faces, face_lines, corners, is_relative, first_vertex, others })
     }

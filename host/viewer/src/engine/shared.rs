@@ -1,4 +1,4 @@
-//! What the window and the engine's threads share: what is wanted, and what is running.
+//! The state that the window and the engine's threads share: requests that wait, and jobs that run.
 
 use super::requests::{ComparisonRequest, Job, Opening, StepsRequest, Streaming, WriteRequest};
 use super::watch::JobWatch;
@@ -24,7 +24,7 @@ pub(super) struct WantedJobs {
 
 impl WantedJobs {
     /// The requests that wait, by the number of their job.
-    fn requests(&mut self) -> [&mut dyn Request; Job::ALL.len()] {
+    fn requests(&mut self) -> [&mut dyn PendingRequest; Job::ALL.len()] {
         let Self { open, evaluate, write, preview, compare, .. } = self;
         [open, evaluate, write, preview, compare]
     }
@@ -41,7 +41,7 @@ impl WantedJobs {
 }
 
 /// A request for a job, whatever it is for, while it waits.
-trait Request {
+trait PendingRequest {
     /// Whether there is one.
     fn is_there(&self) -> bool;
 
@@ -49,7 +49,7 @@ trait Request {
     fn drop(&mut self);
 }
 
-impl<T> Request for Option<T> {
+impl<T> PendingRequest for Option<T> {
     fn is_there(&self) -> bool {
         self.is_some()
     }
@@ -95,7 +95,8 @@ impl RunningJobs {
     }
 }
 
-/// What the threads share: jobs that are wanted and that run, and who waits for a change of them.
+/// The state of all threads: jobs that are wanted and that run, and the threads that wait for a change of
+/// them.
 #[derive(Default)]
 pub(super) struct SharedState {
     inner: Mutex<(WantedJobs, RunningJobs)>,
