@@ -48,7 +48,7 @@ impl HostCalls for Listener {
     }
 }
 
-/// What a plugin says that refuses to answer.
+/// A plugin's refusal to answer, with what it says.
 pub(crate) struct PluginRefusal(pub String);
 
 /// An answer, or why there is none.

@@ -130,7 +130,7 @@ impl Case {
         Ok(handles)
     }
 
-    /// The same where nothing is moved, and nothing is painted.
+    /// This case with all regions and handles at rest, and without strokes.
     pub fn at_rest(mut self) -> Self {
         self.transforms.fill(Affine::IDENTITY);
         self.handles.fill(Affine::IDENTITY);
@@ -138,20 +138,20 @@ impl Case {
         self
     }
 
-    /// The same case at another time of a sequence.
+    /// This case at another time of a sequence.
     pub fn at_time(mut self, time: Time) -> Self {
         self.time = Some(time);
         self
     }
 
-    /// The same with other attributes: names, and what sample `i` has.
+    /// This case with other attributes: their names, and the value of each for sample `i`.
     pub fn with_attributes(mut self, names: &[&str], value: impl Fn(usize) -> f32) -> Self {
         let values: Vec<f32> = (0..self.positions.len()).map(value).collect();
         self.attributes = Some(names.iter().map(|name| ((*name).to_owned(), values.clone())).collect());
         self
     }
 
-    /// The same with something else for the other models, or nothing.
+    /// This case with another model in the place of those that parameters name, or with none.
     pub fn with_other(mut self, other: Option<Other>) -> Self {
         self.params.name_models(if other.is_some() { OTHER } else { "" });
         self.other = other;
@@ -164,7 +164,7 @@ impl Case {
         Self::new(plugin, positions, normals)
     }
 
-    /// The same with other parameters, as a user would write them; those that are not given have their
+    /// This case with other parameters, as a user would write them; those that are not given have their
     /// defaults.
     pub fn with_params(&self, plugin: &Plugin, given: &toml::Table) -> Checked<Self> {
         let corner = DVec3::from_array;
@@ -181,7 +181,7 @@ impl Case {
         self.params.some(prepares) == other.params.some(prepares)
     }
 
-    /// The same case without any sample.
+    /// This case without any sample.
     pub fn without_samples(mut self) -> Self {
         self.positions.clear();
         self.normals.clear();
@@ -359,7 +359,7 @@ fn colours(count: usize) -> Vec<(String, Vec<f32>)> {
         .into()
 }
 
-/// The same samples, bent and shifted a little.
+/// Another model for plugins that take one: the case's own samples, bent and shifted a little.
 fn other(set: &SampleSet, bounds: &Bounds) -> Other {
     let diagonal = bounds.diagonal();
     let moved = |p: &Vec3| {

@@ -60,5 +60,5 @@ impl Finding {
     }
 }
 
-/// What goes on, or the finding that ends a rule early.
+/// A rule's result so far, or the finding that ends it early.
 pub(crate) type Checked<T> = std::result::Result<T, Finding>;

@@ -140,7 +140,7 @@ pub(crate) fn all_calls(subject: &Subject, case: &Case) -> Checked<Answer<()>> {
     }
 }
 
-/// The same with what was prepared.
+/// Calls a plugin's functions on a case with a state that was prepared before.
 pub(crate) fn calls_with(subject: &Subject, case: &Case, state: &State) -> Checked<Answer<()>> {
     if let Err(refusal) = subject.deform(case, state, &mut subject.scratch()?)? {
         return Ok(Err(refusal));

@@ -79,9 +79,9 @@ fn tables(plugin: &Plugin, migration: &Migration) -> Vec<toml::Table> {
     tables
 }
 
-/// What becomes of an older step.
+/// The result of bringing a step up to its plugin.
 enum Brought {
-    /// The same each time, which is not changed once more.
+    /// The step becomes the same each time, and that is not changed once more.
     Same,
     /// The plugin refuses it, for this reason.
     Refused(String),

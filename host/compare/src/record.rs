@@ -142,7 +142,7 @@ pub struct MethodFailure {
     pub hint: String,
 }
 
-/// What came of a method. What it is beside others is found when all are done, and read from no record.
+/// The figures of a method. Those beside others are found when all are done, and read from no record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// Number of samples, with those that steps appended.

@@ -47,7 +47,7 @@ impl ColorBytes {
         Ok(Some(Self { colors, scale: ColorScale::of_model(model, &colors)? }))
     }
 
-    /// Which numbers the colours are, and what these stand for.
+    /// The attributes that are the colours, and the scale of their numbers.
     pub fn meaning(&self) -> (Colors, ColorScale) {
         (self.colors, self.scale)
     }
@@ -82,7 +82,7 @@ pub struct Pick {
     color: [u8; 4],
 }
 
-/// Which vertices are picked, and what their colours are.
+/// The vertices that are picked, and their colours.
 pub struct Picking {
     colors: ColorBytes,
     /// The vertices of the file, so many at a time; one of each such run is picked, which one follows from

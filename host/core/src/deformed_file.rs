@@ -13,7 +13,7 @@ use simod_model::{Attribute, Error, Model, Result, Scalar, VertexChunk};
 /// Most samples that are read: they are held, with some hundred bytes each.
 const MOST: u64 = 1 << 29;
 
-/// Which attribute says which sample a vertex is: `id`, which programs also call `ID`, `scalar_id` or
+/// The attribute with the number of each vertex' sample: `id`, which programs also call `ID`, `scalar_id` or
 /// `scalar_Id`; the plainest name where there are several.
 pub fn place_of_ids(attributes: &[Attribute]) -> Option<usize> {
     let is_id = |a: &Attribute| a.name.to_ascii_lowercase().trim_start_matches("scalar_") == "id";
@@ -35,7 +35,7 @@ pub struct DeformedFile<'a> {
     pub path: &'a Path,
     /// In the model's coordinates, and in the file's order.
     positions: Vec<DVec3>,
-    /// Which sample each of them is, if the file tells.
+    /// The number of each vertex' sample, if the file has it.
     ids: Option<Vec<f64>>,
     /// How the file stores positions.
     pub scalar: Scalar,

@@ -47,7 +47,7 @@ impl DeformedPositions {
         self.local.iter().map(move |p| frame.to_model(*p))
     }
 
-    /// The same without a shift, as precise as single precision is there.
+    /// These positions in local coordinates without a shift, as precise as single precision is there.
     pub fn into_unshifted(self, rest: &Frame) -> Vec<Vec3> {
         if self.is_unshifted() { self.local } else { self.places(rest).map(|p| rest.to_local(p)).collect() }
     }

@@ -543,7 +543,7 @@ impl SampledModel {
         SplitRule::new(self.sampling.splitting, self.sampling.by, finite, self.cells, edge)
     }
 
-    /// Which splats of the model were left out, and are whenever it is read for samples.
+    /// The splats of the model that are left out whenever it is read for samples.
     pub(crate) fn opaque(&self, model: &dyn Model) -> Option<Opaque> {
         Opaque::new(model, self.sampling.min_opacity, self.source.usual_splat)
     }
@@ -966,7 +966,7 @@ impl SampledModel {
         self.rounded_places(deformed.iter().map(|p| self.frame.to_model(*p)))
     }
 
-    /// The same of deformed positions in the model's coordinates.
+    /// Deformed positions in the model's coordinates, rounded as the file of the samples stores them.
     ///
     /// Memory: 24 bytes per sample while it runs.
     pub fn rounded_places(&self, places: impl IntoIterator<Item = DVec3>) -> DeformedPositions {
@@ -974,7 +974,7 @@ impl SampledModel {
         DeformedPositions::new(&self.frame, &self.samples.positions, &places)
     }
 
-    /// The same of samples at rest.
+    /// Positions of samples at rest, rounded likewise.
     fn rounded_at_rest(&self, positions: &[Vec3]) -> Vec<Vec3> {
         let round = |p: &Vec3| self.frame.to_local(rounded(self.frame.to_model(*p), self.position_type));
         positions.iter().map(round).collect()

@@ -29,7 +29,7 @@ const NAMES: [&[&str]; 6] = [
     &["nz", "normal_z", "normals_z", "normals:2", "normalz"],
 ];
 
-/// Which column is what.
+/// The meaning of each column.
 #[derive(Debug)]
 pub(crate) struct Columns {
     /// What separates columns; blanks and tabs if nothing else.
@@ -359,7 +359,7 @@ struct ColumnsLine<'a> {
     at: u64,
     separator: Option<u8>,
     words: Vec<&'a [u8]>,
-    /// Which of the words are numbers.
+    /// Whether each of the words is a number.
     numbers: Vec<bool>,
 }
 

@@ -1,4 +1,4 @@
-//! What writes a format: beginning, vertices, faces, end, each as bytes.
+//! The trait of formats that are written anew: beginning, vertices, faces, end, each as bytes.
 
 use std::fmt;
 use std::path::PathBuf;

@@ -24,8 +24,8 @@ const EXTENSIONS: [&str; 12] = [
     splats::records::EXTENSION,
 ];
 
-/// Those of formats whose files say what they are, and where on earth, in a header: it takes no reading of
-/// all, and no cache, to open one.
+/// The extensions of formats whose files say in a header how they are laid out, and where on earth: it takes
+/// no reading of all, and no cache, to open one.
 const WITH_HEADER: [&str; 4] = ["ply", "las", "laz", "e57"];
 
 /// Whether a file that is called so tells all that it says of itself as soon as it is opened.
@@ -33,7 +33,7 @@ pub fn tells_when_opened(path: &Path) -> bool {
     WITH_HEADER.contains(&extension(path).as_str())
 }
 
-/// Whether a file that begins so is of a format, and what opens it.
+/// A test whether a file that begins so is of a format, and what opens it.
 type Opener = (fn(&[u8]) -> bool, fn(SourceFile, &Making<'_>) -> Result<Box<dyn Model>>);
 
 /// The formats that a file's first bytes tell.

@@ -95,7 +95,7 @@ pub(crate) fn open_at_once(path: &Path, follow: bool) -> io::Result<File> {
     options.open(path)
 }
 
-/// What tells a file from all others, whatever it is called.
+/// The identity of a file, which tells it from all others, whatever it is called.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Identity(Known);
 

@@ -60,7 +60,7 @@ impl Scalar {
     }
 }
 
-/// What is known of a model once it is open, before any vertex is read.
+/// A model's description, known once it is open, before any vertex is read.
 #[derive(Debug, Clone)]
 pub struct ModelInfo {
     /// The file format for people, as "PLY 1.0, binary little endian".
@@ -500,7 +500,7 @@ pub struct FaceChunk {
     /// may be no vertex of an index, and corners may be equal. An index that no vertex can have, as it is
     /// negative or 2³² - 1 or more, is given as [`u32::MAX`].
     pub triangles: Vec<[u32; 3]>,
-    /// Which of them, ascending, are of the same polygon as the triangle before, at whose first corner and
+    /// The triangles, ascending, that are of the same polygon as the one before, at whose first corner and
     /// last one they begin: the last triangle of the chunk before, if it is the first one here.
     pub continued: Vec<u32>,
     /// Where blocks of [`FACES_OF_A_BLOCK`] faces begin, ascending; at the very end, where the last one ends.

@@ -1,4 +1,4 @@
-//! What users name as a model: a file, or the tiles that it is made of, as a pattern or a list.
+//! Models as users name them: a file, or the tiles that a model is made of, as a pattern or a list.
 
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};

@@ -23,7 +23,7 @@ use crate::{Error, Progress, Result};
 /// to wait need not.
 const WAITING: usize = 2;
 
-/// What a file format has to know about its files for them to be rewritten.
+/// The trait of a format's files that are rewritten.
 pub(crate) trait Rewritable: Sync {
     /// Goes over the whole file, once, from its beginning.
     fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>>;
@@ -96,7 +96,7 @@ pub(crate) trait Pieces: Send {
     }
 }
 
-/// What pieces were that were passed over.
+/// The pieces that were passed over.
 pub(crate) struct Skipped {
     /// Where they end in the file.
     pub(crate) bytes: u64,

@@ -46,7 +46,7 @@ pub(crate) struct Pooled {
     stamp: FileStamp,
 }
 
-/// What tells that a file is the one that it was.
+/// The stamp of a file, which tells that it is the one that it was.
 #[derive(Debug, PartialEq, Eq)]
 struct FileStamp(Option<Identity>, u64, Option<SystemTime>);
 

@@ -4,8 +4,7 @@ use glam::{DVec3, IVec3};
 
 use crate::bounds::Bounds;
 
-/// How a file stores its positions as integers of 32 bits: a position is number · scale + offset, axis by
-/// axis.
+/// The storage of positions as integers of 32 bits: a position is number · scale + offset, axis by axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScaledIntegers {
     /// From one number to the next, in the model's unit; finite, and not zero.

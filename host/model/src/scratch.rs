@@ -97,7 +97,7 @@ impl Scratch {
         map.map(Mapped::new).map_err(|e| refused("read", &self.folder, self.advice, &e))
     }
 
-    /// Likewise as memory that can be written. All of it must have been written before, so that the disk has
+    /// The file as memory that can be written. All of it must have been written before, so that the disk has
     /// room for it.
     ///
     /// # Errors

@@ -35,7 +35,8 @@ enum Handle {
     Object(Arc<dyn Object>),
 }
 
-/// What tells whether a file or an object is what it was: its size, and when it was written or its version.
+/// The stamp of a file or an object, which tells whether it is what it was: its size, and when it was written
+/// or its version.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Stamp {
     File(u64, SystemTime),

@@ -28,7 +28,7 @@ pub struct Summary {
 /// The box of a part of the new version, of up to four numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PartBox {
-    /// Which part.
+    /// The number of the part.
     pub(crate) part: u32,
     /// Whether anything in it is elsewhere than it was.
     pub(crate) has_moved: bool,

@@ -1,4 +1,4 @@
-//! What a path means in the end, by way of links: the file or folder that is written.
+//! The target of a path, by way of links: the file or folder that is written in the end.
 
 use std::fs;
 use std::io;

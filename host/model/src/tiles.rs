@@ -665,7 +665,7 @@ impl Model for TiledModel {
             let Rewriting { normals, pieces_at_once, .. } = how;
             let of_tile = Rewriting { normals, pieces_at_once, ..Rewriting::default() };
             if (number as u64) < how.files_done {
-                // They are read for what they are compared with.
+                // Tiles that are done are read all the same, for what they are compared with.
                 let nothing = Rewriting { pieces_done: u64::MAX, ..of_tile };
                 part.model.rewrite(&mut [], nothing, edit, progress)?;
                 continue;

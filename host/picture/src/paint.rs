@@ -206,7 +206,7 @@ fn short(x: f64) -> String {
     if x == 0.0 || (1e-3..1e6).contains(&x.abs()) { format!("{rounded}") } else { format!("{rounded:e}") }
 }
 
-/// What is known of many numbers: of their extremes, and by some of them, evenly spread, of most.
+/// A survey of many numbers: their extremes, and by some of them, evenly spread, the range of most.
 struct NumberSurvey {
     least: f64,
     most: f64,

@@ -1,4 +1,4 @@
-//! What is drawn.
+//! The points that are drawn.
 
 use glam::{DVec3, Vec3};
 

@@ -40,7 +40,7 @@ pub(super) struct Pixel {
     depth: f32,
     normal: Vec3,
     color: Vec3,
-    /// The other colour, where there are two pictures of the same.
+    /// The colour in the second picture, where there are two of the same points.
     other: Vec3,
     weight: f32,
 }
@@ -91,7 +91,7 @@ impl Pixel {
         if self.weight > 0.0 { self.color / self.weight } else { Vec3::ZERO }
     }
 
-    /// The other one.
+    /// The pixel's colour in the second picture.
     pub fn other_color(&self) -> Vec3 {
         if self.weight > 0.0 { self.other / self.weight } else { Vec3::ZERO }
     }
@@ -339,7 +339,7 @@ impl SplatBuffer {
     }
 }
 
-/// Which of the things of a batch each band of a picture shows, in their order.
+/// The things of a batch that each band of a picture shows, in their order.
 ///
 /// Memory: 4 bytes for each band that one is in.
 #[derive(Default)]

@@ -1,4 +1,4 @@
-//! What a picture shows of a model, and from where.
+//! The view of a picture: the part of the model that it shows, and from where.
 
 use glam::{DVec3, swizzles::Vec3Swizzles};
 use serde::Deserialize;
@@ -17,7 +17,7 @@ pub struct PictureView {
     pub pitch: f64,
     /// Picture size in pixels.
     pub size: [u32; 2],
-    /// Which of the model's axes points up.
+    /// The axis of the model that points up.
     pub up: UpAxis,
     /// What of it is shown.
     pub crop: Crop,

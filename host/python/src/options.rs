@@ -1,4 +1,4 @@
-//! What keywords stand for, and what is told in the end.
+//! Keywords of Python as the host's options, and the records that are returned in the end.
 
 use pyo3::prelude::*;
 use serde_json::{Value, json};

@@ -75,7 +75,7 @@ impl UndoMoment {
         if far.is_unshifted() { self.local.to_vec().into() } else { far }
     }
 
-    /// The same as it is written.
+    /// The deformed positions, rounded as they are written.
     fn rounded(&self) -> DeformedPositions {
         let deformed = self.deformed();
         self.sampled.rounded_places(deformed.places(&self.sampled.frame))

@@ -98,7 +98,7 @@ pub fn comparison_plan(
         simod_compare::make(&comparison, &file, &out, &options, &folder, watch)
     })?;
     warn(py, &notes)?;
-    // Its samplings are those of no other plan.
+    // The samplings of a comparison are those of no other plan.
     Ok(described(plan.output(), &folder.display().to_string(), plan.units()))
 }
 

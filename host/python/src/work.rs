@@ -33,7 +33,7 @@ pub fn keep_raised(error: PyErr) {
     *locked(&RAISED) = Some(error);
 }
 
-/// Where work is, and whether it shall stop.
+/// The progress of work, and the wish that it shall stop.
 #[derive(Default)]
 pub struct Watch {
     cancelled: AtomicBool,

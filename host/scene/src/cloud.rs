@@ -49,7 +49,7 @@ pub enum BadSurface {
     /// A triangle of samples that do not exist.
     #[error("triangle {triangle} has sample {index} of {samples}\nhint: samples are counted from 0")]
     Triangle {
-        /// Which.
+        /// The triangle's number.
         triangle: usize,
         /// The corner's sample.
         index: u32,

@@ -1,4 +1,4 @@
-//! What the shaders know of a frame: `FrameData` in `common.wgsl`.
+//! The data of a frame for the shaders: `FrameData` in `common.wgsl`.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Mat4, Vec3, Vec4};

@@ -18,7 +18,7 @@ use crate::targets::Targets;
 pub struct Line {
     /// One end, in local coordinates.
     pub a: Vec3,
-    /// The other.
+    /// The other end, in local coordinates.
     pub b: Vec3,
     /// Red, green, blue and opacity, in sRGB.
     pub color: [u8; 4],

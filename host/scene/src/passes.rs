@@ -133,7 +133,7 @@ impl ScenePass {
 }
 
 impl Targets {
-    /// Which of the ways to finish is for them.
+    /// The number of the pipeline that finishes pictures of these sizes.
     fn way(&self) -> usize {
         match self.size[0].cmp(&self.finished_size[0]) {
             Ordering::Greater => 0,

@@ -1,4 +1,4 @@
-//! What all pipelines have in common.
+//! Parts that all pipelines have in common.
 
 use wgpu::{
     BindGroup, BindGroupLayout, BindingResource, BindingType, BufferBindingType, ColorTargetState, Device,

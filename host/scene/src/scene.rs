@@ -50,7 +50,7 @@ pub struct Scene {
     finished: Option<(Texture, TextureView)>,
     /// What the picture is of, while surfaces are as they were.
     of: Option<(SceneView, SceneStyle)>,
-    /// Which stage the picture comes from.
+    /// The stage that the picture comes from.
     shown: PixelScale,
     drawn: SurfaceShare,
     /// How far all splats are summed up, for the picture that follows one of a part of them.

@@ -76,7 +76,7 @@ pub enum Background {
     White,
 }
 
-/// Where light comes from, as the eye sees it.
+/// The direction of the light, as the eye sees it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Light {
     /// A key light from the upper left, a weaker one from the right.

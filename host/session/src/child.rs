@@ -156,7 +156,8 @@ pub fn end_with(parent: u32) {
         // No reason not to go on where it does not work.
         let _ = set_parent_process_death_signal(Some(Signal::KILL));
     }
-    // It may have ended before the signal was asked for. Whoever is the parent then, it is another one.
+    // The parent may have ended before the signal was asked for. Whoever is the parent then, it is another
+    // one.
     #[cfg(unix)]
     if std::os::unix::process::parent_id() != parent {
         std::process::exit(1);

@@ -66,11 +66,11 @@ pub struct SamplingTable {
     pub min_opacity: Option<f64>,
 }
 
-/// When in a sequence steps are done, for plugins that take the time.
+/// The time in a sequence at which steps are done, for plugins that take it.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct SessionTime {
-    /// Which frame it is; 0 where that is not said.
+    /// The number of the frame; 0 where that is not said.
     pub frame: Option<i64>,
     /// Frames in a second; 24 where that is not said.
     pub rate: Option<f64>,
@@ -171,7 +171,7 @@ pub fn inputs(path: &Path) -> Result<Vec<PathBuf>> {
     let Ok(mut table) = text.parse::<toml::Table>() else { return Ok(Vec::new()) };
     table.remove("output");
     let (folder, mut files) = (path.parent().unwrap_or(Path::new("")), Vec::new());
-    // Which of them name files is known to the plugins alone: those that there are.
+    // Only plugins know which texts name files: all those count that are there.
     texts(&toml::Value::Table(table), &mut |text| {
         files.extend(Some(folder.join(text)).filter(|path| !text.is_empty() && path.is_file()));
     });

@@ -32,8 +32,8 @@ impl SessionFile {
         Ok(beside)
     }
 
-    /// The same where a `former` session was changed to this one: its comments, its order and how it puts
-    /// things stay wherever it says the same.
+    /// Saves the session where a `former` one was changed to it: the comments of that, its order and how it
+    /// puts things stay wherever it says the same.
     ///
     /// # Errors
     /// As of [`save`](Self::save). A former session that cannot be read has nothing that could be kept.
@@ -135,7 +135,7 @@ fn spanned<T, U>(all: &[T], mut table: impl FnMut(&T) -> Result<U>) -> Result<Ve
     all.iter().map(|one| table(one).map(placeless)).collect()
 }
 
-/// What makes the tables of a session that goes to a place.
+/// A writer of the tables of a session that goes to a place.
 struct Writer<'a> {
     /// The session's file, if what is too long may go beside it.
     session: Option<&'a Path>,

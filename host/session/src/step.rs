@@ -151,8 +151,8 @@ impl Notes {
     }
 }
 
-/// Where the parameters of a step stand in its file, as `session.toml, line 9`. No part of what the step is:
-/// all are equal.
+/// The places of a step's parameters in its file, as `session.toml, line 9`. They are no part of what the
+/// step is: all are equal.
 #[derive(Debug, Clone, Default)]
 pub struct ParamPlaces(Arc<BTreeMap<String, String>>);
 
@@ -188,7 +188,7 @@ impl ParamPlaces {
     }
 }
 
-/// Where a plugin came from: for those who do not have it.
+/// The origin of a plugin: for those who do not have it.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Origin {
@@ -424,10 +424,10 @@ pub(crate) fn check_motion(motion: &Motion) -> Result<(), Defect> {
     }
 }
 
-/// What is wrong with a step or a part of it.
+/// A defect of a step or of a part of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Defect {
-    /// Which part.
+    /// The part that it is about.
     pub part: RegionPart,
     /// What is wrong, as the beginning of a sentence.
     pub what: Cow<'static, str>,
@@ -473,7 +473,7 @@ pub struct Joint {
     pub parent: Option<String>,
 }
 
-/// How a handle that the plugin placed moves.
+/// The motion of a handle that the plugin placed.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(remote = "Self", rename_all = "kebab-case", deny_unknown_fields)]
 pub struct HandleMove {

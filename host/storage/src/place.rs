@@ -1,4 +1,4 @@
-//! What a URL names: a store, and the object in it.
+//! The place that a URL names: a store, and the object in it.
 
 use std::fmt;
 use std::sync::Arc;
@@ -108,7 +108,7 @@ impl ObjectLocation {
                 let base = format!("{scheme}://{host}/{}{query}", if query.is_empty() { "" } else { "?" });
                 let mut builder = HttpBuilder::new().with_url(base).with_retry(retry);
                 builder = builder.with_config(ClientConfigKey::Timeout, timeout);
-                // Who writes http:// means it.
+                // A user who writes http:// means it.
                 builder = builder.with_config(ClientConfigKey::AllowHttp, (scheme == "http").to_string());
                 (Arc::new(builder.build().map_err(refused)?), None)
             }

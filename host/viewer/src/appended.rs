@@ -1,4 +1,4 @@
-//! Whom the samples belong to that a refinement appended: to those around them that were there before.
+//! Samples that a refinement appended, and the former samples around them, to which they belong.
 
 use crate::gradients::tangent_map;
 use crate::scene::{ViewerScene, common};

@@ -7,7 +7,7 @@ use glam::{DMat4, DQuat, DVec2, DVec3, DVec4};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Which way is up in the model.
+/// The axis of the model that points up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Up {
@@ -59,7 +59,7 @@ pub struct Camera {
     pub fov: f64,
     /// How depth shows.
     pub projection: Projection,
-    /// Which way is up.
+    /// The axis that points up.
     pub up: Up,
 }
 

@@ -21,7 +21,7 @@ use std::path::PathBuf;
 pub enum Command {
     /// Opens a model, the folder of a sampled one, or a session.
     Open {
-        /// Which.
+        /// The path of the file or folder.
         path: PathBuf,
         /// How finely a model is sampled.
         #[serde(default)]
@@ -32,7 +32,7 @@ pub enum Command {
     },
     /// Opens a session or the folder of a sampled model whose model was moved.
     Locate {
-        /// Which.
+        /// The path of the session or folder.
         path: PathBuf,
         /// Where the model is now.
         model: PathBuf,
@@ -53,7 +53,7 @@ pub enum Command {
     Redo,
     /// Works on a step from now on.
     Choose {
-        /// Which; none for the model itself.
+        /// The step's place; none for the model itself.
         step: Option<usize>,
     },
     /// A new step of a plugin, with its defaults, which is chosen.
@@ -75,7 +75,7 @@ pub enum Command {
     },
     /// Selects samples.
     Select {
-        /// Which.
+        /// The samples that are meant.
         area: Area,
         /// What becomes of those that are selected.
         #[serde(default)]
@@ -163,7 +163,7 @@ pub enum Command {
     },
     /// Stops something that runs in the background.
     Cancel {
-        /// Which.
+        /// The job that is stopped.
         job: Job,
     },
     /// The picture has another size.
@@ -189,7 +189,7 @@ pub enum Command {
     /// Shows a part of the model in full instead of its samples: its vertices are streamed, again each time
     /// the edit rests after they have moved. It is no part of the edit.
     Preview {
-        /// Which part.
+        /// The part of the model.
         what: Previewed,
     },
     /// Keeps the steps as they are now, with what they come to, as the version to compare with.
@@ -247,7 +247,7 @@ pub enum Area {
     Region {
         /// The step.
         step: usize,
-        /// Which of its regions.
+        /// The region's place among those of the step.
         region: usize,
     },
     /// Lengths of runs of samples that are not selected and selected in turn.
@@ -285,7 +285,7 @@ pub enum CameraMove {
     Look(Standard),
     /// How depth shows.
     Project(Projection),
-    /// Which way is up.
+    /// Has another axis point up.
     Up(Up),
     /// As it was some other time.
     Set(Camera),

@@ -62,7 +62,7 @@ pub struct DetailPiece {
 /// What is held of a cell.
 struct HeldCell {
     piece: u64,
-    /// Which of its cells it is there.
+    /// The number of the cell among those of its piece.
     run: usize,
     stride: u64,
     tint: Tint,

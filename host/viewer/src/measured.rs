@@ -20,7 +20,7 @@ pub struct MeasuredPoint {
     pub now: DVec3,
 }
 
-/// What lies between points that follow one another.
+/// A length or an angle that is measured, after the steps and before them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measure {
     /// After the steps.

@@ -61,7 +61,7 @@ pub fn placed_handles(handles: &[HandleDesc], moves: &[HandleMove], frame: &Fram
     placed
 }
 
-/// Where a handle is that a plugin placed. Model coordinates.
+/// A handle that a plugin placed, at its place in the model's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlacedHandle {
     /// At rest.

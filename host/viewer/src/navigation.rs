@@ -1,4 +1,4 @@
-//! Which button of the pointer moves the camera how: presets, as data.
+//! Presets for the drags that move the camera, as data.
 
 /// A button of the pointer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,7 +27,7 @@ pub enum Drag {
     Zoom,
 }
 
-/// Which button does what.
+/// A preset: the drags by which each button moves the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Navigation {
     /// What the user reads.

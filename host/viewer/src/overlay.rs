@@ -18,7 +18,7 @@ pub enum Overlay {
     /// Nothing but the surface.
     #[default]
     None,
-    /// Which samples are selected: 0 or 1.
+    /// The samples that are selected, as 0 or 1.
     Selection,
     /// The weight of a region of the chosen step: 0 to 1.
     Region(usize),
@@ -98,7 +98,7 @@ impl ScalarField {
     }
 }
 
-/// Which samples are selected.
+/// The selection as a field: 1 at samples that are selected.
 pub fn selection(selection: &Selection) -> ScalarField {
     ScalarField::weights(selection.marks().iter().map(|m| f32::from(u8::from(*m))).collect())
 }

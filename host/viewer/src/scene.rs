@@ -1,4 +1,5 @@
-//! What is there to be seen: the samples, where the steps have moved them, and what the plugins placed.
+//! The scene that is shown: the samples, where the steps have moved them, and the handles that plugins
+//! placed.
 
 use crate::shading::{EllipseAxes, Rings, Shading};
 use glam::{DVec3, Vec3};

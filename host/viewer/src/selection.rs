@@ -1,4 +1,4 @@
-//! Which samples are selected, and who is next to whom.
+//! The selection of samples, and the samples next to each other by which it grows.
 
 use serde::{Deserialize, Serialize};
 use simod_core::sampled_model::SampledModel;
@@ -132,8 +132,8 @@ impl Selection {
     }
 }
 
-/// Which samples are next to each other: those that triangles join, or else the nearest ones, whichever calls
-/// the other so.
+/// The samples next to each sample: those that triangles join to it, or else the nearest ones, whichever
+/// calls the other so.
 pub struct Adjacency {
     starts: Vec<u32>,
     lists: Vec<u32>,

@@ -1,6 +1,6 @@
-//! What vertices that are shown in full are coloured by.
+//! The colours of vertices that are shown in full.
 
-/// What vertices that are shown in full are coloured by.
+/// The source of the colours of vertices that are shown in full.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Tint {
     /// The samples that they are at.

@@ -17,7 +17,7 @@ const MARGIN: f64 = 22.0;
 /// A plugin has one if it has these parameters: `center`, a point; `axis`, a direction; and `from` and `to`,
 /// numbers in the model's diagonal, signed, along the axis from that point.
 pub struct Axis {
-    /// Which step.
+    /// The step's place.
     pub step: usize,
     center: DVec3,
     /// Where the axis points, of length 1.

@@ -87,8 +87,8 @@ pub enum DialogAnswer {
     Absent(String),
 }
 
-/// How a dialog is shown: called on a thread of its own, with what for and where it begins. It asks
-/// [`DialogTurn::take`] right before the user sees it.
+/// A function that shows a dialog: called on a thread of its own, with its purpose and where it begins. It
+/// asks [`DialogTurn::take`] right before the user sees it.
 pub type Chooser = Arc<dyn Fn(&Purpose, Option<&Path>, &DialogTurn) -> DialogAnswer + Send + Sync>;
 
 /// The side that may answer: the system's dialog, or the window, which went on without it.

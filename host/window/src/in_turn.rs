@@ -1,4 +1,4 @@
-//! What hands did while a picture was drawn, one thing after the other.
+//! Input of the hands while a picture was drawn, one thing after the other.
 //!
 //! A slow picture leaves many events to the next frame: a key that takes a tool, a press, a drag, a release,
 //! another key. A frame knows one state of the pointer and of the keys, so each frame gets the events up to

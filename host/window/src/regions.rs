@@ -1,4 +1,4 @@
-//! What the window knows of regions: to make them of the selection.
+//! Making regions of the selection.
 
 use crate::tools::{MovedPart, Tool};
 use crate::window::{Commands, Window};

@@ -16,7 +16,7 @@ use std::sync::Arc;
 const SIZE: [u32; 2] = [1600, 1000];
 /// Longest side of a picture that is saved, in pixels.
 pub const LARGEST: u32 = 8192;
-/// How large a picture that is saved is, and what is behind the model.
+/// The size of a picture that is saved, and whether its background is seen through.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ScreenshotFormat {
     /// Width and height in pixels.
@@ -47,7 +47,7 @@ pub fn write_shot(shot: &Shot, file: &Path) -> Result<()> {
     simod_model::output::write_file(file, &shot.studio()?.png(0.0)?)
 }
 
-/// What is drawn, and how: it does not change with what it was taken of.
+/// A shot: what is drawn, and how. It does not change with what it was taken of.
 pub struct Shot {
     shown: Arc<simod_viewer::ViewerScene>,
     radii: Vec<f32>,

@@ -1,4 +1,4 @@
-//! What the user likes, kept from one day to the next in a small file.
+//! The user's settings, kept from one day to the next in a small file.
 
 use serde::{Deserialize, Serialize};
 use simod_scene::{Light, Matcap};
@@ -102,7 +102,7 @@ impl WindowSettings {
         simod_model::output::write_file(file, text.as_bytes())
     }
 
-    /// Which button moves the camera how.
+    /// The preset for the drags that move the camera.
     pub fn navigation(&self) -> &'static Navigation {
         Navigation::ALL.iter().find(|n| n.name == self.navigation).unwrap_or(&Navigation::ALL[0])
     }

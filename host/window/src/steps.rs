@@ -1,4 +1,4 @@
-//! What the window knows of steps: what can be done with one, from its row, by keys and by name.
+//! Actions on steps, for their rows, keys and names.
 
 use crate::axis;
 use crate::tools::Tool;

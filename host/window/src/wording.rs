@@ -13,7 +13,7 @@ const TABLES: [(&str, &str); 4] =
 
 /// A text as the window says it. Parameters of the plugin have the names that its panel shows.
 pub fn in_window(text: &str, plugin: Option<&Plugin>) -> String {
-    // Which plugin it is stands above.
+    // The plugin's name stands above already.
     let named = plugin.and_then(|plugin| text.strip_prefix(&format!("plugin {}: ", plugin.id())));
     let mut text = named.unwrap_or(text).to_owned();
     for role in ["handle", "fixed", "mask"] {
@@ -85,7 +85,7 @@ fn setting(desc: &ParamDesc, value: Value, now: Option<&Value>) -> Option<Remedy
     Some(Remedy { id: desc.id.to_string(), value, text })
 }
 
-/// What mends something that a plugin tells: another value of a parameter.
+/// The remedy for something that a plugin tells: another value of a parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Remedy {
     /// The parameter's id.

@@ -163,7 +163,7 @@ fn share<T: Send>(
     Ok(())
 }
 
-/// What it takes to factorise.
+/// A factorisation while it is done.
 struct Elimination<'a> {
     /// In the tree's order.
     matrix: &'a Symmetric,

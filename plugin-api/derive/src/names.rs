@@ -1,4 +1,4 @@
-//! What is made of names and comments in the code: ids, names for the user, hints.
+//! Names and comments of the code as ids, names for the user, and hints.
 
 use std::collections::HashSet;
 

@@ -1,4 +1,4 @@
-//! What stands in `#[param(…)]` and `#[choice(…)]`.
+//! The words of `#[param(…)]` and `#[choice(…)]`.
 
 use syn::meta::ParseNestedMeta;
 use syn::{Attribute, Error, Expr, ExprRange, Ident, LitStr, RangeLimits};

@@ -193,7 +193,7 @@ fn is_mirrored(octant: u8) -> bool {
 /// A point as seen from the centre.
 #[derive(Debug, Clone, Copy)]
 struct CentredPoint {
-    /// Which triangle is in front of it.
+    /// The triangle in front of it.
     triangle: usize,
     /// The point's barycentric coordinates there.
     share: DVec3,

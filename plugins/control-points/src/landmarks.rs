@@ -25,7 +25,7 @@ pub struct Landmark {
     pub line: usize,
 }
 
-/// What is wrong, and in which line, where it is in one.
+/// The defect of a file with landmarks, and its line, where it is in one.
 pub type BadLandmarks = (Option<usize>, String);
 
 /// The landmarks of a file, in its coordinates.

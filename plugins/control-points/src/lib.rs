@@ -30,7 +30,7 @@ const NAMES: usize = 5;
 /// The plugin.
 struct ControlPoints;
 
-/// Which map, and what is told of it.
+/// The choice of the map, and what is told of it.
 #[derive(ParamSet)]
 struct ControlPointSettings {
     /// Splines and local weights meet each landmark; the others as well as they can

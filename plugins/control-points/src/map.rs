@@ -358,7 +358,7 @@ impl ThinPlateSpline {
             }
             let i = next;
             next += 1;
-            // The others do not determine a spline.
+            // The other points alone do not determine a spline.
             let own = inverse[(i, i)];
             let is_needed = own.abs() <= 1e-9 * largest || used.len() < 5;
             (!is_needed).then(|| DVec3::from_array(std::array::from_fn(|k| found[(i, k)] / own)))

@@ -16,7 +16,7 @@ use std::f64::consts::TAU;
 /// Turns by less than this, in radians, are rounding.
 const LEAST_TURN: f64 = 1e-12;
 
-/// How much of a wire's motion is made, and what else it does.
+/// The effects of a wire: how much of its motion is made, and twist, reach and volume.
 #[derive(Debug, Clone, Copy)]
 pub struct WireEffects {
     /// Up to which distance from the curve all goes along as a whole.

@@ -13,7 +13,7 @@ pub struct Spline {
     slopes: Vec<DVec3>,
 }
 
-/// Where the curve is at some parameter, and how it goes on.
+/// A point of the curve, and the direction in which it goes on.
 #[derive(Debug, Clone, Copy)]
 pub struct WirePoint {
     pub position: DVec3,

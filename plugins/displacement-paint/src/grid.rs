@@ -8,7 +8,7 @@ const NONE: u32 = u32::MAX;
 /// Rings of cells that are looked through before all samples are.
 const RINGS: i64 = 6;
 
-/// Which samples are in which cell. Knows no positions: whoever calls has them.
+/// The samples in each cell of a grid. Positions are not held: whoever calls has them.
 ///
 /// Memory: 16 bytes a sample at most.
 #[derive(Debug, Clone)]

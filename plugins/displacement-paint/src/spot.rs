@@ -1,4 +1,4 @@
-//! What lies under a dab, and how much of the brush each sample feels.
+//! The spot under a dab, and how much of the brush each sample feels.
 //!
 //! A sample feels as much as its distance in space tells, as long as the way along the surface is not much
 //! longer: paths on the samples' links are, by nature, somewhat longer than the surface's own, and these
@@ -222,7 +222,7 @@ impl DabSweep {
 /// A sample under the brush.
 #[derive(Debug, Clone, Copy)]
 pub struct Felt {
-    /// Which one.
+    /// The sample's index.
     pub sample: u32,
     /// How much of the brush it feels, 0 to 1.
     pub weight: f64,

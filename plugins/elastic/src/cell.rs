@@ -15,7 +15,7 @@ pub type Forces = [Eight; 3];
 /// A matrix at each point, column by column.
 pub type Matrices = [[Eight; 3]; 3];
 
-/// How a cell's weights slope at its points and in its middle.
+/// The slopes of a cell's weights at its points and in its middle.
 #[derive(Debug)]
 pub struct Slopes {
     /// The slope of each corner's weight along each axis, point by point.
@@ -24,7 +24,7 @@ pub struct Slopes {
     corners: [[Eight; 3]; 9],
 }
 
-/// How a cell is deformed, or what stresses are in it.
+/// The gradients of a cell's deformation, or its stresses.
 #[derive(Debug, Clone)]
 pub struct CellGradients {
     pub points: Matrices,

@@ -70,7 +70,7 @@ impl SampleGoals {
         Ok(Self { hard, draws, handles: handles as usize, middles })
     }
 
-    /// Which samples are drawn at.
+    /// The samples that springs draw at.
     pub fn drawn(&self) -> impl Iterator<Item = u32> {
         self.draws.iter().map(|(sample, _, _)| *sample)
     }

@@ -1,4 +1,4 @@
-//! What the samples in the regions are asked to do.
+//! The constraints of the samples in the regions.
 //!
 //! Each handle moves affinely, so its samples' displacements are combinations of four functions: 1 and the
 //! coordinates relative to the handle's centroid, in units of its radius; on other regions they are 0.

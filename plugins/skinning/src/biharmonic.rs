@@ -1,4 +1,5 @@
-//! Which joints a place of the model follows, and how much: bounded biharmonic weights on the model's voxels.
+//! The joints that a place of the model follows, and how much: bounded biharmonic weights on the model's
+//! voxels.
 //!
 //! See `bounded`. Weights of a thousandth are nothing, so that what is far stays.
 

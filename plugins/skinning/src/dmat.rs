@@ -9,7 +9,7 @@ const MOST: usize = 1 << 26;
 /// Most bytes of a file: 32 for each number, as text.
 const MOST_BYTES: u64 = 32 * MOST as u64;
 
-/// What is wrong, and in which line, where it is in one.
+/// A defect of a file, and its line, where it is in one.
 pub type Wrong = (Option<usize>, String);
 
 /// A matrix of finite numbers.

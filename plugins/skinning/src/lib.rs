@@ -150,7 +150,7 @@ enum Source {
     File(Box<WeightTable>, usize),
 }
 
-/// How well a place is told what it follows.
+/// The fit of a file's weights to a place.
 struct Told {
     /// How far the nearest place is that a file has.
     far: f64,

@@ -8,7 +8,7 @@ use simod_plugin_api::{Affine, Gizmo, HandleDesc, PluginError, PluginResult};
 /// What an id of a handle ends in that a joint reaches for.
 pub const REACH: &str = "/reach";
 
-/// Which joints can reach for a place of their own.
+/// The joints that can reach for a place of their own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reaching {
     /// Joints that no other hangs on.
@@ -26,7 +26,7 @@ pub struct Handles {
 }
 
 impl Handles {
-    /// Which joints reach.
+    /// The handles of a skeleton, of which these joints reach.
     pub fn new(skeleton: &Skeleton, which: Reaching) -> Self {
         let joints = skeleton.joints.iter().enumerate();
         let reaches = |joint: &crate::skeleton::Joint| match which {

@@ -270,7 +270,7 @@ fn between(
 /// The cells from where nearly all of 26 lines of sight end at the surface.
 fn stabbed(grid: &Grid, is_surface: &[bool], host: &Host<'_>) -> PluginResult<Vec<bool>> {
     let steps = LATER.map(|by| grid.step(by));
-    // Which lines end at the surface: 13 bits for those that go on, 13 for those that go back.
+    // The lines that end at the surface: 13 bits for those that go on, 13 for those that go back.
     let mut ends: Vec<u32> = is_surface.iter().map(|s| if *s { u32::MAX } else { 0 }).collect();
     // Beyond the margin there is nothing to look up.
     let rows = |z: i32| (1..grid.counts.y - 1).map(move |y| grid.index(IVec3::new(1, y, z)));

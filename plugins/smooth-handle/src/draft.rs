@@ -18,7 +18,7 @@ pub struct Amounts {
     values: Vec<f32>,
 }
 
-/// What amounts are of: a preparation, by its number, one of its handles, and a profile.
+/// The key of amounts: a preparation, by its number, one of its handles, and a profile.
 #[derive(PartialEq)]
 struct Of {
     state: u64,

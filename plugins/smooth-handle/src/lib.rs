@@ -49,9 +49,9 @@ enum Distance {
     Surface,
 }
 
-/// Who follows whom.
+/// The share of each handle in each sample's motion.
 struct PreparedShares {
-    /// Tells it from others.
+    /// The number of the preparation, which tells it from others.
     number: u64,
     shares: HandleShares,
     /// The handles' middles, about which they stretch.

@@ -1,4 +1,4 @@
-//! Which samples the regions hold.
+//! The samples that regions hold.
 
 use simod_plugin_api::{PluginError, PluginResult, PrepareInput, Role};
 

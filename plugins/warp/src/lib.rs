@@ -20,7 +20,7 @@ const BLOCK: usize = 4096;
 /// The plugin.
 struct WarpPlugin;
 
-/// Which warp, and where.
+/// The kind of warp, and where it acts.
 #[derive(ParamSet)]
 struct WarpSettings {
     /// What happens along the axis

@@ -48,7 +48,7 @@ pub struct DetailRequest {
     pub shown: DetailAttributes,
 }
 
-/// What of the vertices' attributes comes with them.
+/// The attributes of vertices that come with them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DetailAttributes {
     /// Nothing.
@@ -399,7 +399,7 @@ impl Carrying<'_> {
             None => local.par_iter().map(|p| self.sampled.samples.nearest(*p)).collect_into_vec(&mut at),
         }
         self.progress.check()?;
-        // Which end of its shortest axis is outside, a splat does not tell.
+        // A splat does not tell which end of its shortest axis is outside; the samples' normals do.
         let at_samples = self.sampled.samples.normals();
         let outwards = |(n, home): (&mut Vec3, &u32)| *n *= n.dot(at_samples[*home as usize]).signum();
         known.iter_mut().zip(&at).take(axes.len()).for_each(outwards);

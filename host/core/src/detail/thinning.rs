@@ -1,5 +1,5 @@
-//! Which vertices are taken where there are too many of them: of each few that follow each other in a cell,
-//! one by chance.
+//! The choice of vertices where there are too many of them: of each few that follow each other in a cell, one
+//! by chance.
 //!
 //! So the number is exact, the choice is the same each time, and no regular pattern of the model's order
 //! meets one of the choice's (jittered sampling: R. L. Cook, *Stochastic Sampling in Computer Graphics*,

@@ -437,7 +437,7 @@ impl Workspace {
         }
     }
 
-    /// Likewise, within the range of the samples around.
+    /// The displacement of a vertex, held within the range of the samples around.
     #[inline]
     fn bounded(
         &self,

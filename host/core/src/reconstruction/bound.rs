@@ -35,7 +35,7 @@ pub struct DisplacementBox {
 }
 
 impl DisplacementBox {
-    /// Which holds none.
+    /// The box that holds no displacement.
     pub const NOTHING: Self = Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
 
     /// The extent of one displacement, widened by its rounding.

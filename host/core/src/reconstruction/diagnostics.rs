@@ -53,7 +53,7 @@ pub fn principal_stretches(gradient: &Mat3, normal: Vec3) -> [f32; 2] {
     let (a, b) = (*gradient * s, *gradient * t);
     let (mean, half) = ((a.dot(a) + b.dot(b)) / 2.0, (a.dot(a) - b.dot(b)) / 2.0);
     let largest = (mean + half.hypot(a.dot(b))).sqrt();
-    // Their product is the change of area.
+    // The product of both stretches is the change of area.
     let smallest = if largest > 0.0 { a.cross(b).length() / largest } else { 0.0 };
     [largest, smallest.min(largest)]
 }

@@ -159,8 +159,8 @@ impl<S: Simd> LeastSquares<S> {
         (terms, (one - explained / self.squares).max(zero), is_found)
     }
 
-    /// The same with the ridge of a Wiener filter, where the map strains so much, and this ridge: what is
-    /// left over almost without a ridge is noise, beside what terms may amount to.
+    /// The terms with the ridge of a Wiener filter for this strain: what a fit almost without a ridge leaves
+    /// over is noise, beside what terms may amount to.
     #[inline(always)]
     pub fn solve(&self, strain: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleLanes<S>, DoubleMask<S>) {
         let splat = |x| DoubleLanes::splat(self.simd, x);

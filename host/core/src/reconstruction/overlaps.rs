@@ -1,5 +1,5 @@
-//! Which supports of samples have anything in common: for each sample, its own, those of its neighbours, and
-//! those of whom it is a neighbour, as between sparse and dense samples.
+//! The supports that meet the support of a sample: its own, those of its neighbours, and those of samples
+//! whose neighbour it is, as between sparse and dense samples.
 //!
 //! What a sample and its neighbours have in common is found for as many at once as the processor's vector
 //! registers take, by the same operations as for one.

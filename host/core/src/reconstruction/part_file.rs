@@ -33,7 +33,7 @@ const BLOCK: usize = 1 << 20;
 pub(super) struct PartRecord {
     /// Hash of all that determines the bytes of the whole.
     pub(super) key: String,
-    /// Which pieces of the model these are.
+    /// The numbers of the model's pieces that the part holds.
     pub(super) pieces: Range<u64>,
     /// Where the bytes are in the file, or the object, that parts share, if they are there.
     pub(super) place: Option<u64>,

@@ -75,7 +75,7 @@ pub fn abort_object(path: &Path, id: &str) -> Result<()> {
     object::go_on(path, id)?.upload().abort()
 }
 
-/// Which part of a model is written, and where.
+/// A part of a model that is written by itself: its range, and where it goes.
 #[derive(Debug, Clone)]
 pub struct Part<'a> {
     /// Pieces of those that can be written [by themselves](Model::division), from the first with vertices on;
@@ -421,7 +421,7 @@ impl PartJoin<'_> {
             match self.is_there(self.output) {
                 Ok(()) => {
                     let _ = fs::remove_file(shared);
-                    // Who begins the output anew removes what the killed one has left beside it.
+                    // The process that begins the output anew removes what a killed one has left beside it.
                     drop(OutputFile::create(self.output, 0));
                     return Ok(found.folding);
                 }

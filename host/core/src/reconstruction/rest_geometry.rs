@@ -95,7 +95,7 @@ impl<'a> RestGeometry<'a> {
         let found =
             FoundGeometry { sheets, supports, cells: OnceLock::new(), is_kept: AtomicBool::new(false) };
         let found = Arc::new(found);
-        // Who found it at the same time found the same.
+        // Another thread that found the geometry at the same time found the same.
         let held = samples.rest::<HeldGeometry>();
         let _ = (held.sheets.set(found.sheets.clone()), held.all.set(found.clone()));
         Self::of_found(samples, found)

@@ -371,7 +371,7 @@ impl<'a> ReconstructionCall<'a> {
             return Err(self.sampled.source_changed(self.model.path()));
         }
         self.pass.iter_mut().try_for_each(|begun| begun.file.complete(several))?;
-        // That may have taken a while.
+        // Completing the files may have taken a while.
         self.progress.check()?;
         let of_samples: Vec<Option<ExpectedError>> =
             fields.iter().map(|field| field.expected_of_samples(self.sampled, info.vertices)).collect();

@@ -1,4 +1,4 @@
-//! What happens to one vertex, and by which method.
+//! The way of one vertex: its displacement, the gradient there, and the method by which both are found.
 
 use glam::{Mat3, Vec3};
 use simod_model::follow;

@@ -1,5 +1,5 @@
-//! Which vertices of a block are seen to keep to the range of the samples around them without a search, as
-//! many at once as the processor's vector registers take: nearly all. See [`bound`](super::bound).
+//! The vertices of a block that keep to the range of the samples around them, told without a search, as many
+//! at once as the processor's vector registers take: nearly all do. See [`bound`](super::bound).
 
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};

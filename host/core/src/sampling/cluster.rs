@@ -1,4 +1,4 @@
-//! What is known of a cluster of vertices: its moments, from which its error and its representative follow.
+//! A cluster of vertices as its moments, from which its error and its representative follow.
 //!
 //! The error is the product of the L² metric (distance to the mean plane) and the L²·¹ metric (deviation of
 //! the normals), D. Cohen-Steiner, P. Alliez, M. Desbrun, *Variational Shape Approximation*, 2004, as paper
@@ -179,7 +179,7 @@ impl Group {
         }
     }
 
-    /// The same vertices, at this place in their cell.
+    /// This vertex, at another place in its cell.
     pub fn with_index(&self, index: u32) -> Self {
         Self { index, ..*self }
     }
@@ -412,7 +412,7 @@ impl Moments {
         self.representative_by(&self.covariance())
     }
 
-    /// The same, where the cluster's covariance is known.
+    /// The cluster's representative, by a covariance that is known already.
     pub fn representative_by(&self, covariance: &Covariance) -> (Vec3, Vec3, f32) {
         let position = self.position();
         (position, self.mean_normal().as_vec3(), self.error(position, covariance) as f32)

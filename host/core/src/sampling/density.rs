@@ -42,7 +42,7 @@ impl By {
     }
 }
 
-/// How clusters are split, and which of them first.
+/// The rule by which clusters are split, and which of them first.
 #[derive(Debug, Clone, Copy)]
 pub struct SplitRule {
     pub splitting: Splitting,

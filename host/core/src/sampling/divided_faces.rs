@@ -70,7 +70,7 @@ pub struct FaceFiles<'a> {
     pub cut: &'a Path,
     /// The leaves of the vertices of each range.
     pub leaves: &'a [PathBuf],
-    /// The same of each group of cells.
+    /// The leaves of the vertices of each group of shared cells.
     pub leaves_of_groups: &'a [PathBuf],
     /// The samples of the vertices of each range.
     pub members: &'a [PathBuf],
@@ -743,7 +743,7 @@ pub fn complete(
 }
 
 impl Divided<'_> {
-    /// Which vertices are at one place, as far as that is known.
+    /// The vertices that are at one place with others, as far as units have found that.
     fn twins(&self, cut: &CutFile, files: &FaceFiles<'_>) -> Result<FoundTwins> {
         let SamplingPass { model, folder, .. } = self.prepared;
         let vertices = model.info().vertices;

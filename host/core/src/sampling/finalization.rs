@@ -68,7 +68,7 @@ pub struct ClusteringPass<'a> {
     pub with_members: bool,
     /// What else shall be known of the vertices then.
     pub noted: Noted,
-    /// Which vertices' colours are kept, if they are wanted.
+    /// The choice of vertices whose colours are kept, if colours are wanted.
     pub picking: Option<&'a Picking>,
     /// Splats that are left out.
     pub opaque: Option<Opaque>,
@@ -101,7 +101,7 @@ impl StreamJob<'_> {
     }
 }
 
-/// What is hashed of the vertices that are streamed.
+/// The hash of the vertices that are streamed.
 pub enum HashedStream {
     /// All of them.
     All(VertexHash),
@@ -134,7 +134,7 @@ pub struct Clustered {
     pub items: Vec<u32>,
     /// The cells in which the stream begins and ends.
     pub ends: Option<[u32; 2]>,
-    /// Which cluster each vertex belongs to.
+    /// The cluster of each vertex, if it shall be known.
     pub membership: Option<Membership>,
     /// The colours of some vertices, if they are wanted.
     pub picked: Option<Picked>,

@@ -151,7 +151,7 @@ impl<'a> TriangleSurface<'a> {
         &self.around[self.starts[all] as usize..self.starts[all + 1] as usize]
     }
 
-    /// Which corner of a triangle a sample is.
+    /// The number of the triangle's corner that a sample is.
     #[inline(always)]
     fn corner(&self, triangle: u32, sample: u32) -> usize {
         let corners = self.triangles[triangle as usize];
@@ -420,7 +420,7 @@ impl Default for SampleFan {
 /// and c, from the sample.
 struct Blades {
     triangles: [u32; LANES],
-    /// Which of a triangle's corners the sample is.
+    /// The number of the corner, in each triangle, that the sample is.
     apexes: [u8; LANES],
     b: [[f32; LANES]; 3],
     c: [[f32; LANES]; 3],

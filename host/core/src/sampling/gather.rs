@@ -1,4 +1,4 @@
-//! What is gathered of a cell while it is open: its vertices as they are, or small groups of them.
+//! The content of a cell while it is open: its vertices as they are, or small groups of them.
 //!
 //! Vertices as they are take memory by the number of vertices in open cells, which grows with the model.
 //! Where that is too much, vertices in the same little cube are summed up as they come ([`Group`]): a cell
@@ -64,7 +64,7 @@ pub trait Gather: Send {
 ///
 /// Memory: an item for each of its vertices at most, with 20 bytes to find it by.
 pub trait GatherPiece: Send + Sync {
-    /// What it gathers.
+    /// The items that are gathered.
     type Item: Element;
 
     /// Adds a vertex to a cell; which item of the piece it is, or is part of.

@@ -51,7 +51,7 @@ impl KdTree {
         Self::build(points, true)
     }
 
-    /// The same, by the calling thread alone: for what jobs of a thread pool wait for.
+    /// The tree of points, built by the calling thread alone: for what jobs of a thread pool wait for.
     pub fn in_one_job(points: &[Vec3]) -> Self {
         Self::build(points, false)
     }

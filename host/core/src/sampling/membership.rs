@@ -1,5 +1,5 @@
-//! Which sample of P_S stands for each vertex of P_L, and where the vertex is: what it takes to know what the
-//! faces of P_L are to P_S. And which vertices are at one place, as far as that is told in passing.
+//! The sample of P_S that stands for each vertex of P_L, and the vertex' place: by these the faces of P_L
+//! become triangles of P_S. Besides, the vertices at one place, as far as they are found in passing.
 //!
 //! As this is as large as P_L, it is in temporary files of 4 bytes per vertex: while the model streams, each
 //! vertex' item (all cells' items are counted in one row, in which a cell has as many places as vertices),
@@ -58,7 +58,7 @@ pub struct Membership {
 pub struct Noted {
     /// Where they are.
     pub positions: bool,
-    /// Which are at the same position, as far as [`Twins`] finds it.
+    /// Vertices at the same position, as far as [`Twins`] finds them.
     pub twins: bool,
 }
 
@@ -307,12 +307,13 @@ impl SampleOf {
         cast_slice(&self.samples)
     }
 
-    /// Which vertices are at the same position, if that was wanted.
+    /// The vertices at the same position, if they were wanted.
     pub fn take_twins(&mut self) -> Option<FoundTwins> {
         self.twins.take()
     }
 
-    /// The same, to be changed, and where the vertices are (local coordinates), if that was wanted.
+    /// The sample of each vertex, to be changed, and where the vertices are (local coordinates), if that was
+    /// wanted.
     pub fn all_mut(&mut self) -> (&mut [u32], Option<&[Vec3]>) {
         (cast_slice_mut(&mut self.samples), self.positions.as_ref().map(|map| cast_slice(map)))
     }

@@ -146,7 +146,7 @@ pub fn sample(
     sample_counted(model, sampling, None::<&[&Path]>, folder, progress)
 }
 
-/// The same of a model whose vertices were [counted](count) before, in ranges, each to one of some files.
+/// Samples a model whose vertices were [counted](count) before, in ranges, each to one of some files.
 ///
 /// # Errors
 /// As of [`sample`]; a file is missing, damaged, or of another model or other options; they are not of all
@@ -166,7 +166,7 @@ pub fn sample_counted(
     sampled
 }
 
-/// The same of a model that may keep its positions for the second reading.
+/// Samples a model that may keep its positions for the second reading.
 fn sample_kept(
     model: &dyn Model,
     sampling: &Sampling,
@@ -394,7 +394,7 @@ impl<'a> SamplingPass<'a> {
         self.clustered_with(self.sampling.grouping)
     }
 
-    /// The same, where it is known whether groups find room.
+    /// Clusters the stream, where it is known whether groups find room.
     fn clustered_with(&self, mut grouping: Grouping) -> Result<ClusteredStream> {
         for foresight in [Some(1.0), None] {
             let clustered = match self.stream(StreamJob::Whole, foresight, grouping)? {
@@ -851,7 +851,7 @@ fn begin_islands(
 /// Bytes between two ranges of faces that cost less to read than to begin anew.
 const NEAR_FACES: u64 = 4 << 10;
 
-/// Which clusters are others than before some were parted.
+/// The clusters that differ from those before some were parted.
 struct ClusterChanges {
     /// For each sample the one that it was, if its cluster is the same.
     former: Vec<Option<u32>>,

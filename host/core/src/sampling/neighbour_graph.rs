@@ -1,4 +1,4 @@
-//! Who is near whom among the samples.
+//! The graph of samples and their nearest neighbours.
 
 use std::sync::Arc;
 

@@ -39,7 +39,7 @@ pub fn completed(positions: &[Vec3], known: &[Vec3], graph: &NeighbourGraph) -> 
     completed_from(positions, known, graph, &across)
 }
 
-/// The same, of samples whose directions of least variance are known.
+/// Normals that are complete, of samples whose directions of least variance are known.
 pub fn completed_from(
     positions: &[Vec3],
     known: &[Vec3],

@@ -173,7 +173,7 @@ impl NumbersFile {
         self.some(list, 0..u64::MAX, visit)
     }
 
-    /// The same of the numbers at some places of the list.
+    /// Reads the numbers at some places of the list.
     ///
     /// # Errors
     /// As of [`each`](Self::each).

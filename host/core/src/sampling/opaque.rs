@@ -20,7 +20,7 @@ const SEEN: f64 = 0.5;
 const PLACES: u64 = 64;
 const AT_A_PLACE: u64 = 1024;
 
-/// What larger and farther splats are compared with: medians of those of a model that are opaque enough.
+/// Medians of the splats of a model that are opaque enough, with which larger and farther ones are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct UsualSplat {
@@ -51,7 +51,7 @@ impl UsualSplat {
     }
 }
 
-/// Which splats are left out of a model.
+/// The rule by which splats of a model are left out.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Opaque {
     /// Where among the attributes opacity and logarithms of scales are; discs have two of these.
@@ -74,7 +74,7 @@ impl Opaque {
         Some(Self { places, scales, least, usual })
     }
 
-    /// The same, with what is found to be usual in the model.
+    /// The rule for a model, with the size of splats that is found to be usual in it.
     ///
     /// # Errors
     /// The file cannot be read.

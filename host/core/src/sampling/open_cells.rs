@@ -1,4 +1,4 @@
-//! What is held of the cells that are not complete yet, in bounded memory for any order of the stream.
+//! Cells that are not complete yet, held in bounded memory for any order of the stream.
 //!
 //! A stream in spatial order has few open cells at a time. A shuffled one opens all of them, and would hold
 //! the model: when the limit is reached, the fullest cells go to a temporary file and wait there. The file

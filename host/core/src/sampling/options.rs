@@ -1,4 +1,4 @@
-//! What sampling is asked for.
+//! The options of sampling.
 
 use serde::Serialize;
 

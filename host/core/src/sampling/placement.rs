@@ -16,7 +16,7 @@ use super::cluster::symmetric;
 /// Strength of the ridge, relative to the trace of the quadric.
 const RIDGE: f64 = 3e-4;
 
-/// What tells where in its cluster a sample lies.
+/// The way in which samples are placed in their clusters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Placement {
@@ -311,7 +311,7 @@ impl<'a> Planes<'a> {
         })
     }
 
-    /// The same of a part of the faces, which begins at a multiple of [`FACES_OF_A_SUM`].
+    /// The planes of a part of the faces, which begins at a multiple of [`FACES_OF_A_SUM`].
     pub fn listed(vertices: &'a [Vec3], samples: &'a [Vec3]) -> Self {
         // One shard, as they are listed in the order of the faces.
         Self::sharded(vertices, samples, 0, 1, |_| PlaneSumming::Listed(Vec::new()))

@@ -227,14 +227,14 @@ impl SampleSet {
         found.into_iter().map(|found| found as u32).collect()
     }
 
-    /// The same, sooner if about so many are within `reach`.
+    /// The neighbours of a sample, found sooner if about so many are within `reach`.
     pub(crate) fn neighbours_about(&self, i: usize, reach: f32, count: usize) -> Vec<u32> {
         let mut found = self.unsorted_neighbours_about(i, reach, count);
         found.sort_unstable();
         found.into_iter().map(|found| found as u32).collect()
     }
 
-    /// The same in no order, as numbers that are in it: their lower halves are the neighbours.
+    /// These neighbours in no order, as numbers that are in it: their lower halves are the neighbours.
     pub(crate) fn unsorted_neighbours_about(&self, i: usize, reach: f32, count: usize) -> Vec<u64> {
         // Some more, as their number is not the same everywhere.
         for more in MORE.into_iter().take_while(|_| reach > 0.0) {

@@ -1,5 +1,5 @@
-//! Who clusters which cell, where the stream is divided among units of work: each range of the stream has the
-//! cells that lie wholly within, and the others, which ranges share, are divided into groups.
+//! The division of clustering among units of work: each range of the stream has the cells that lie wholly
+//! within, and the others, which ranges share, are divided into groups.
 
 use std::ops::Range;
 

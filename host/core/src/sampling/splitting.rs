@@ -12,7 +12,7 @@ pub enum Splitting {
     /// as without layers.
     #[default]
     Layered,
-    /// The same, whatever lies one above the other.
+    /// A Volume-Surface Tree that parts no layers.
     VolumeSurface,
     /// In space alone: what the paper compares the VS-Tree with.
     Octree,

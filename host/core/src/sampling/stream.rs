@@ -289,14 +289,14 @@ struct StreamPiece<P: GatherPiece> {
     gatherer: P,
     /// All that was gathered, once it is, and the cell of each item.
     gathered: Vec<(u32, P::Item)>,
-    /// Which item each vertex is part of, if it shall be known; [`NONE`] where it is not finite.
+    /// The item that each vertex is part of, if it shall be known; [`NONE`] where the vertex is not finite.
     items: Vec<u32>,
     /// Where they are, local units, if it shall be known.
     positions: Vec<Vec3>,
     /// The vertices whose colours are kept.
     picks: Vec<Pick>,
     lists: ColorLists,
-    /// Which of what was gathered is of the cells of each shard, if there are several.
+    /// The places of what was gathered for the cells of each shard, if there are several.
     of_shards: Vec<Vec<u32>>,
     /// The place of each item in its cell, if it shall be known, once it is merged.
     places: Vec<AtomicU32>,

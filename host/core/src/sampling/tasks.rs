@@ -1,4 +1,4 @@
-//! What the threads of pass 2 have to do, and in which order.
+//! The tasks of pass 2, and the order in which threads do them.
 //!
 //! Pieces of the stream are gathered by any thread, several at a time; each shard merges them in the order of
 //! the stream; and a piece that all shards have merged is finished, in that order as well. Merging makes

@@ -288,7 +288,7 @@ pub fn all_three([a, b, c]: [Option<u32>; 3]) -> Option<[u32; 3]> {
     Some([a?, b?, c?])
 }
 
-/// The same triangle, beginning with its least corner.
+/// The triangle, beginning with its least corner.
 pub fn first_least([a, b, c]: [u32; 3]) -> [u32; 3] {
     if a < b && a < c {
         [a, b, c]

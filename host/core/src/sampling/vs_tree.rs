@@ -470,7 +470,7 @@ fn octant<E: Element>(m: &Moments) -> impl Fn(&E) -> usize + use<E> {
     move |e| e.position().cmpgt(middle).bitmask() as usize & split
 }
 
-/// Likewise in the plane of two unit vectors, at the mean.
+/// The quadrant of an element in the plane of two unit vectors, about the mean.
 fn quadrant<E: Element>(
     m: &Moments,
     covariance: DMat3,

@@ -1,4 +1,5 @@
-//! Who is on whose sheet where sheets meet, as the model's faces tell it: kept in the folder.
+//! Places where sheets meet, as the model's faces tell them, and the sheets of the samples there: kept in the
+//! folder.
 //!
 //! The file begins with eight letters and a version. What is known of the samples follows, then the places,
 //! and a checksum of all before it.
@@ -23,7 +24,7 @@ const VERSION: u32 = 1;
 /// Neighbours in a list, at most.
 pub(super) const MOST: usize = 32;
 
-/// Which samples are on the same sheet, near places where sheets meet.
+/// The samples on the same sheet as each, near places where sheets meet.
 ///
 /// Memory: at most 140 bytes for each sample near which sheets meet, and those of its places.
 #[derive(Debug, Default)]

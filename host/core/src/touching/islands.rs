@@ -1,4 +1,4 @@
-//! Which vertices of each cluster hang together by the model's faces, and which of these *islands* the faces
+//! Vertices of a cluster that hang together by the model's faces, its *islands*; and those of them that faces
 //! join across the clusters' borders.
 //!
 //! A cluster whose vertices are in a few islands is nothing special: clusters are cut out of the surface by

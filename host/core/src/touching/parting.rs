@@ -78,12 +78,12 @@ fn by_place(a: Vec3, b: Vec3) -> Ordering {
     axes.fold(Ordering::Equal, |order, (a, b)| order.then(a.total_cmp(&b)))
 }
 
-/// What is known of the clusters of several sheets: each with its parts, the largest first.
+/// The clusters of several sheets, each with its parts, the largest first.
 pub struct ClusterParts {
     graph: ClusterGraph,
     mixed: Vec<(u32, Vec<ClusterSheet>)>,
-    /// Which parts of which mixed clusters shall get samples of their own: first those with nothing of their
-    /// own sheet beside them, so many, and then the others; in both the largest first.
+    /// The parts of mixed clusters that shall get samples of their own: first those with nothing of their own
+    /// sheet beside them, so many, and then the others; in both the largest first.
     wanted: Vec<(usize, usize)>,
     alone: usize,
 }

@@ -132,7 +132,7 @@ impl Converted {
             left_out: AtomicU64::new(0),
         };
         converted.choose_form(&counted, progress)?;
-        // Who says how fine positions shall be need not say so twice.
+        // A user who says how fine positions shall be need not allow the loss besides.
         let is_asked = converted.rounding.is_some_and(|rounding| rounding.is_asked);
         let is_silent = converted.losses.len() == usize::from(is_asked);
         if !is_silent && !how.lossy {
@@ -189,7 +189,7 @@ impl Converted {
         let own = self.own_extension();
         let all = format!("in its own format, .{own}, a deformed model keeps all of it");
         let is_of_step = self.integers.is_some() && self.rounding.is_some_and(|rounding| !rounding.is_asked);
-        // Which other commands have not.
+        // Commands other than `convert` have no `--step`.
         let step =
             if is_of_step { "; `simod convert --step` says what positions are rounded to" } else { "" };
         let without = format!("give --lossy to write it without{step}");

@@ -9,7 +9,7 @@ use crate::form::{ConversionInput, FaceCounts, Form, WrittenRows, attribute_loss
 use crate::polygons::Polygons;
 use crate::{Attribute, ColorScale, Colors, Error, Model, Result, Scalar, Summary, Type};
 
-/// How positions become text: so that they come back.
+/// The digits of positions as text: as many as give the numbers back.
 #[derive(Debug, Clone, Copy)]
 enum PositionDigits {
     /// As few digits as tell the number from all others of single precision, or of double.

@@ -1,4 +1,4 @@
-//! What is known of an E57 file once it is open.
+//! An E57 file once it is open.
 
 use std::collections::BTreeMap;
 

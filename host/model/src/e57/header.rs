@@ -1,4 +1,4 @@
-//! What an E57 file begins with: 48 bytes, which say where its XML is.
+//! The header of an E57 file: 48 bytes, which say where its XML is.
 
 use std::ops::Range;
 

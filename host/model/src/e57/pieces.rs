@@ -65,7 +65,7 @@ pub(super) struct StreamRun {
     pub at: usize,
 }
 
-/// What has to be known of a piece to patch it.
+/// The layout of a piece, by which it is patched.
 #[derive(Debug, Default)]
 pub(super) struct PieceLayout {
     pub first_page: u64,

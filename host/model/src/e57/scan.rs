@@ -60,8 +60,7 @@ pub(super) struct CoordinateOverflow {
     pub value: f64,
 }
 
-/// What no range of a field's bits is wide enough for: the field, and from where to where its numbers would
-/// go.
+/// A field of whose bits no range is wide enough: the field, and from where to where its numbers would go.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TooWide {
     pub field: usize,

@@ -19,10 +19,10 @@ enum FollowRule {
     Splat(SplatNumbers),
 }
 
-/// What of a model's numbers turns with the surface, once it is open.
+/// The numbers of a model that turn with the surface, once it is open.
 #[derive(Debug, Default)]
 pub struct Following {
-    /// Which attributes they are, group by group.
+    /// The places of the attributes that follow, group by group.
     places: Vec<usize>,
     groups: Vec<(FollowRule, Range<usize>)>,
     /// For people, and to tell one from another.
@@ -120,12 +120,12 @@ impl Following {
         &self.descriptions
     }
 
-    /// Which attributes follow: places in a list of these.
+    /// The attributes that follow: their places in a list of attributes.
     pub(crate) fn places(&self) -> &[usize] {
         &self.places
     }
 
-    /// Which of the [`places`](Self::places) turn together.
+    /// The ranges of [`places`](Self::places) whose attributes turn together.
     pub(crate) fn groups(&self) -> impl Iterator<Item = Range<usize>> + '_ {
         self.groups.iter().map(|(_, range)| range.clone())
     }

@@ -1,4 +1,4 @@
-//! Which of the vertices' numbers turn, by their names.
+//! The names by which numbers of vertices are known to turn with the surface.
 
 use super::rules::TensorKind;
 use super::splat::SplatNumbers;

@@ -1,4 +1,4 @@
-//! What users ask to turn with the surface.
+//! The rules by which users ask for numbers to turn with the surface.
 
 use std::collections::BTreeMap;
 use std::str::FromStr;

@@ -1,4 +1,4 @@
-//! What is known of a file once it is open.
+//! A glTF file once it is open.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -77,7 +77,7 @@ pub(super) struct Sparse {
     pub(super) values: SparsePart,
 }
 
-/// Which ones, or the elements themselves.
+/// The places of the elements that differ, or the elements themselves.
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct SparsePart {

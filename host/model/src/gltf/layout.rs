@@ -1,4 +1,4 @@
-//! Which bytes of a file are positions, normals and tangents, and whose.
+//! The bytes of a file that are positions, normals and tangents, and the vertices that they belong to.
 //!
 //! The vertices are the elements of all position accessors that a node shows: each run of bytes counts once,
 //! whoever uses it, and vertices are numbered in the order of the file. Bytes that are patched lie in
@@ -134,7 +134,7 @@ pub(super) struct GltfLayout {
     pub(super) meshes: usize,
 }
 
-/// What is known of a layout while it is found.
+/// A layout while it is found.
 #[derive(Default)]
 struct LayoutBuilder {
     /// The accessors by where they are.
@@ -162,7 +162,7 @@ struct FoundPositions {
 /// What vertices at known positions have: an accessor of so many numbers.
 struct VertexAttribute<'a> {
     positions: AccessorBytes,
-    /// Its name, as `NORMAL`.
+    /// The attribute's name, as `NORMAL`.
     attribute: &'a str,
     accessor: usize,
     /// What the primitive is called in errors.

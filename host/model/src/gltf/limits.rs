@@ -20,7 +20,7 @@ const LONGEST: usize = 16;
 pub(super) struct Limit {
     /// Where in the JSON it stands.
     text: Range<u32>,
-    /// Which part of the file these are, and which column of it.
+    /// The part of the file whose limits these are, and its column.
     part: u32,
     column: u8,
     is_max: bool,

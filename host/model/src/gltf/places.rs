@@ -10,7 +10,7 @@ use crate::{Error, Result, Type};
 /// What makes a plain file of one with other things in it.
 pub(super) const PLAIN: &str = "have gltfpack write it plainly: gltfpack -noq -i IN.glb -o OUT.glb";
 
-/// Likewise, of one whose numbers are compressed.
+/// What to do about an accessor whose numbers are compressed.
 pub(super) const UNCOMPRESSED: &str =
     "have gltf-transform write it plainly: gltf-transform dequantize IN.glb OUT.glb";
 

@@ -16,7 +16,7 @@ pub(super) struct NumberField {
     limits: Option<LimitFields>,
 }
 
-/// Where the descriptions of extra bytes say how far a number reaches as it is stored, if they do.
+/// The fields of extra bytes' descriptions that say how far a number reaches as it is stored, if they do.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LimitFields {
     pub least: Option<usize>,
@@ -362,7 +362,7 @@ fn remark(name: &str, one: &[u8], how: How) -> Option<ExtraBytesRemark> {
         How::Scaled { number: ExtraBytesType::Of(kind), .. } => {
             ExtraBytesRemark::read(name, one, Some(kind), |bytes| stored(ExtraBytesType::Of(kind), bytes))
         }
-        // Which become doubles.
+        // Numbers that are scaled become doubles.
         How::Scaled { number, scale, offset } => {
             ExtraBytesRemark::read(name, one, None, |bytes| stored(number, bytes) * scale + offset)
         }

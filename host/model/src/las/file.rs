@@ -1,4 +1,4 @@
-//! What is known of a LAS file once it is open.
+//! A LAS file once it is open.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};

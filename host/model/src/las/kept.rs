@@ -22,7 +22,7 @@ const MOST: u64 = 8 << 30;
 #[derive(Debug)]
 pub(super) struct KeptFields {
     file: Scratch,
-    /// Which bytes of a record are kept.
+    /// The bytes of a record that are kept.
     parts: Vec<Range<usize>>,
     /// Bytes of a record.
     record: usize,

@@ -13,7 +13,7 @@ use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, La
 
 use super::header::{LasHeader, bytes_at};
 
-/// How the points of a file are compressed, as its VLR says.
+/// The compression of a file's points, as its VLR says.
 #[derive(Debug)]
 pub(super) struct Laszip {
     items: Vec<LazItem>,

@@ -61,7 +61,7 @@ pub(crate) fn has_name(remarks: &[String], name: &str) -> bool {
 pub(super) struct ExtraBytesRemark {
     /// The attribute's name, without blanks.
     pub name: String,
-    /// The same with blanks, if it has any.
+    /// The attribute's name with blanks, if it has any.
     pub spaced: Option<String>,
     /// The type that they are stored in, if they are scaled: as `stored · scale + offset`.
     pub stored: Option<Type>,
@@ -86,8 +86,8 @@ fn in_digits(number: f64) -> String {
 }
 
 impl ExtraBytesRemark {
-    /// That of a description whose numbers, if they are stored in another type, are scaled; `stored` reads
-    /// one of its numbers.
+    /// The remark on a description whose numbers, if they are stored in another type, are scaled; `stored`
+    /// reads one of its numbers.
     pub fn read(name: &str, one: &[u8], scaled: Option<Type>, stored: impl Fn(&[u8]) -> f64) -> Self {
         let number = |bit: u8, at: usize| (one[3] & bit != 0).then(|| stored(&one[at..]));
         let double = |bit: u8, at| {
@@ -189,7 +189,7 @@ impl ExtraBytesRemark {
         stored * self.scale.unwrap_or(1.0) + self.offset.unwrap_or(0.0)
     }
 
-    /// The same of numbers that are not scaled any more.
+    /// The remark on the same numbers, not scaled any more.
     pub fn unscaled(self) -> Self {
         let number = |stored: Option<f64>| stored.map(|stored| self.of_stored(stored));
         let [no_data, least, most] = [self.no_data, self.least, self.most].map(number);

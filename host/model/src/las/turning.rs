@@ -79,7 +79,7 @@ impl LasModel {
     }
 }
 
-/// How far numbers reach as they are stored, before and after.
+/// The reach of numbers as they are stored, before and after.
 struct StoredReach {
     /// The least and the largest of each.
     of: [Vec<[f64; 2]>; 2],

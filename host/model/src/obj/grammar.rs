@@ -1,4 +1,4 @@
-//! What vertices and faces are in the lines of an OBJ file.
+//! The grammar of an OBJ file's lines with vertices and faces.
 
 use std::collections::BTreeMap;
 use std::ops::Range;

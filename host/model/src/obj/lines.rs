@@ -92,7 +92,7 @@ pub(super) fn leading_integer(word: &[u8]) -> Option<(i64, usize)> {
     (at > start).then_some((if negative { -value } else { value }, at))
 }
 
-/// Which thing a number means, from 0 on, where so many came before; -1 for none.
+/// The thing that a number refers to, counted from 0 on, where so many came before; -1 for none.
 #[inline]
 pub(super) fn absolute(index: i64, before: u64) -> i64 {
     match index {

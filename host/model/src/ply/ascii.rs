@@ -46,7 +46,7 @@ pub(super) fn scan(
     Ok(Some(at))
 }
 
-/// Which vertex of a chunk has what for a coordinate, and what to do about it.
+/// A vertex of a chunk with a coordinate that is none, and what to do about it.
 #[derive(Debug, PartialEq)]
 pub(super) struct NoCoordinate {
     pub(super) vertex: usize,

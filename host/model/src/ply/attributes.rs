@@ -8,7 +8,7 @@ use crate::Type;
 use crate::VertexChunk;
 use crate::text::{self, next_word};
 
-/// Which vertex of a chunk has what for a number, and of which attribute.
+/// A vertex of a chunk with a word that is no number, and its attribute.
 #[derive(Debug, PartialEq)]
 pub(super) struct NotANumber {
     pub(super) vertex: usize,

@@ -1,4 +1,4 @@
-//! What is known of a PLY file once it is open.
+//! A PLY file once it is open.
 
 use super::header::PlyHeader;
 use super::layout::PlyLayout;

@@ -11,7 +11,7 @@ use crate::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, 
 /// Bytes of the file that a chunk takes.
 const CHUNK_BYTES: u64 = 4 << 20;
 
-/// What a format knows of its lines with faces.
+/// The lines with faces of a format.
 pub(crate) trait FaceLines: Send {
     /// What ends its lines.
     const ENDS: LineEnds = LineEnds::Breaks;

@@ -1,4 +1,4 @@
-//! What text formats share: words and numbers, lines, and models whose vertices are lines.
+//! Parts that text formats share: words and numbers, lines, and models whose vertices are lines.
 //!
 //! | module | |
 //! |---|---|
@@ -92,7 +92,7 @@ pub(crate) fn no_coordinate(scalar: Scalar, word: &[u8]) -> (String, &'static st
     }
 }
 
-/// The same of a word in a normal.
+/// The error for a word in a normal that is no number.
 #[cold]
 pub(crate) fn no_normal(scalar: Scalar, word: &[u8]) -> (String, &'static str) {
     let (what, hint) = no_coordinate(scalar, word);

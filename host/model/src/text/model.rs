@@ -23,7 +23,7 @@ use crate::{
     Rewriting, Scalar, VertexChunk, VertexReader,
 };
 
-/// What a text format knows of its lines, among those between the first and the last vertex.
+/// The grammar of a text format's lines, between the first vertex and the last.
 pub(crate) trait Grammar: Send + Sync + Sized + 'static {
     /// Vertices that stay in one chunk together when the model is rewritten.
     const UNIT: u64 = 1;

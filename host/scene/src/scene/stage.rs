@@ -17,7 +17,7 @@ pub(super) struct SizedTargets {
     pub passes: passes::PassBindGroups,
 }
 
-/// What a frame shows of the surface and its details.
+/// The shares of the surface and of its details that a frame shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct DetailShares {
     /// Splats of the surface.

@@ -81,7 +81,7 @@ impl Ended {
         if self.status.is_some() {
             return;
         }
-        // It fails where there is nobody left.
+        // The signal fails where there is nobody left.
         #[cfg(unix)]
         if let Some(group) = pid(&self.child) {
             let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);

@@ -1,4 +1,4 @@
-//! What a plugin says about itself and can do, in a form that can be kept and sent.
+//! A plugin's description of itself and its capabilities, in a form that can be kept and sent.
 
 use serde::{Deserialize, Serialize};
 use simod_plugin_api::{

@@ -123,7 +123,7 @@ pub(crate) struct CarefulCode<C> {
     care: Care,
 }
 
-/// What a plugin made, which it frees with the same care.
+/// A thing that a plugin made, which it frees with the same care.
 struct Careful<T> {
     content: Option<T>,
     care: Care,

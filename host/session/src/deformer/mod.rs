@@ -170,7 +170,7 @@ impl Plugin {
         &self.descriptor.citation
     }
 
-    /// Who made it; may be empty.
+    /// The plugin's author; may be empty.
     pub fn author(&self) -> &str {
         &self.descriptor.author
     }
@@ -185,7 +185,7 @@ impl Plugin {
         &self.descriptor.params
     }
 
-    /// Which inputs it uses.
+    /// The inputs that the plugin uses.
     pub fn consumes(&self) -> Consumes {
         self.consumes
     }

@@ -1,4 +1,4 @@
-//! What a plugin leaves in the processor's registers.
+//! The processor's registers, and what a plugin leaves in them.
 
 /// How this thread computes: rounding, and what becomes of numbers too small to be normal.
 ///

@@ -89,7 +89,7 @@ fn words(samples: &SampleSet, p: Vec3) -> [Word; NEAR] {
     let at_the_place = from_fn(|i| if i == 0 { DVec3::X } else { DVec3::ZERO });
     let polynomial = solve_positive_definite(matrix, at_the_place).map(|all| all.map(|x| x.x));
     let Some(polynomial) = polynomial.filter(|all| unit > 0.0 && all.iter().all(|x| x.is_finite())) else {
-        // It goes with the nearest one.
+        // Where no polynomial is found, the nearest one alone has a say.
         words[0].weight = 1.0;
         return words;
     };

@@ -72,7 +72,7 @@ pub enum EditCommand {
     EnableGroup {
         /// The place of one of them.
         at: usize,
-        /// Which.
+        /// Whether the group's steps are switched on.
         enabled: bool,
     },
     /// The steps of a group get other places, one after the other.
@@ -118,7 +118,7 @@ pub enum Change {
     SetRegions(Vec<Region>),
     /// A handle region is moved.
     MoveRegion {
-        /// Which of the regions.
+        /// The region's place among those of the step.
         region: usize,
         /// From the rest pose, whatever it was before.
         motion: Motion,
@@ -146,14 +146,14 @@ pub enum Change {
     AddStroke(Arc<Stroke>),
     /// A stroke becomes another one.
     SetStroke {
-        /// Which of the strokes.
+        /// The stroke's place among those of the step.
         stroke: usize,
         /// What it becomes.
         to: Arc<Stroke>,
     },
     /// A stroke goes away.
     RemoveStroke {
-        /// Which of the strokes.
+        /// The stroke's place among those of the step.
         stroke: usize,
     },
     /// A refinement is of another place, or to another fineness.

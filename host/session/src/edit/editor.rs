@@ -20,8 +20,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::SystemTime;
 
-/// What is edited, with its files. Quick to work on: the model itself is in the [`Evaluation`] that comes
-/// with it, which may be on another thread.
+/// An edit with its files. It is quick to work on: the model itself is in the [`Evaluation`] that comes with
+/// it, which may be on another thread.
 pub struct Editor {
     /// What it is called, and all but the steps.
     session: SessionFile,
@@ -209,7 +209,7 @@ impl Editor {
         }
         let path = autosave_path(self.kept_beside());
         let used = self.session_at(&path)?.save(&path)?;
-        // The former files beside it, which nobody else knows.
+        // The former files beside the kept session go, as nobody else knows of them.
         remove(side_file::beside(&path)?.into_iter().filter(|path| !used.contains(path)))?;
         self.kept = steps;
         Ok(())

@@ -3,7 +3,7 @@
 use crate::step::Step;
 use std::sync::Arc;
 
-/// Which step it is: the same after others were added, moved or removed, and after undo.
+/// The identity of a step: the same after others were added, moved or removed, and after undo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StepId(u64);
 
@@ -17,7 +17,7 @@ impl StepId {
 /// A step of a [`Document`](super::Document).
 #[derive(Debug, Clone)]
 pub struct Entry {
-    /// Which one it is.
+    /// The step's identity.
     pub id: StepId,
     /// What it does.
     pub step: Arc<Step>,

@@ -187,7 +187,7 @@ pub struct Evaluation {
     at: Arc<AtomicUsize>,
 }
 
-/// How the model is read again, where steps refine it; and when in a sequence they are done.
+/// Options of refinement steps: the model that they read again, memory and temporary files, and the time.
 #[derive(Debug, Clone, Default)]
 pub struct Refinements {
     /// The model, if it was moved since it was sampled.
@@ -369,7 +369,7 @@ impl Evaluation {
         let (layer, mut kept) = self.layer(id, step, deformation, registry)?;
         let moment = Moment { effort, time: self.how.time };
         let sampled = &between.sampled;
-        // They are of the samples, which the rest shape's key stands for.
+        // Attributes are of the samples, which the rest shape's key stands for.
         let attributes = layer.plugin.consumes().attributes;
         let attributes = attributes.then(|| sampled.attributes(self.how.model.as_deref(), progress));
         let done = attributes.transpose().and_then(|attributes| {

@@ -79,7 +79,7 @@ pub struct Plan {
     pub(super) units: Vec<Unit>,
 }
 
-/// What ranges of the vertices write down for each other of the cells that they share.
+/// The files in which ranges of the vertices write down what others need of the cells that they share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Exchange {

@@ -282,7 +282,7 @@ fn runs(bytes: &[u64], count: u64) -> Vec<Range<u64>> {
     let (mut next, mut before) = (0, 0);
     let run = |share: u64| {
         let (start, end) = (next, all * u128::from(share + 1) / u128::from(count));
-        // Those behind it have one each.
+        // The units behind this one have a tile each.
         let most = tiles - (count - 1 - share);
         for tile in &bytes[start as usize..most as usize] {
             let tile = u128::from(*tile);

@@ -30,8 +30,8 @@ pub struct Unit {
     /// The vertices that it counts, if it counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) vertices: Option<Range<u64>>,
-    /// Which range of the vertices or of the faces, or which group of cells that ranges share, if it samples;
-    /// of a comparison, which of its samplings or methods.
+    /// The number of the range of the vertices or of the faces, or of the group of cells that ranges share,
+    /// if the unit samples; of a comparison, that of its sampling or method.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) part: Option<u64>,
     /// The pieces of the file that it writes, or the tiles, if it applies the deformation.
@@ -54,7 +54,7 @@ impl Unit {
     }
 }
 
-/// What units do, in the order of a run; then those of comparisons, which sample first, too.
+/// The stages of units, in the order of a run; then those of comparisons, which sample first, too.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stage {

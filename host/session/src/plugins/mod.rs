@@ -65,7 +65,7 @@ pub struct PluginFolder {
     pub shipped: bool,
 }
 
-/// Which plugins run in processes of their own.
+/// The plugins that run in processes of their own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Isolation {
     /// Plugins that did not come with the program.
@@ -95,7 +95,7 @@ pub struct PluginOptions {
     pub chosen: Vec<PathBuf>,
     /// The folders to look in, most important first.
     pub folders: Vec<PluginFolder>,
-    /// Which plugins run in processes of their own.
+    /// The plugins that run in processes of their own.
     pub isolation: Isolation,
     /// How these processes are run.
     #[cfg(unix)]

@@ -46,7 +46,7 @@ pub(crate) struct Layer {
     strokes: Vec<(Arc<Stroke>, Arc<Params>)>,
 }
 
-/// What became of a layer on its rest shape.
+/// The result of a layer on its rest shape.
 #[derive(Debug)]
 pub(crate) struct LayerResult {
     /// Deformed positions, local coordinates.
@@ -127,7 +127,7 @@ impl Preparation {
     }
 }
 
-/// What is kept of a layer from one time to the next, each with a hash of all that it depends on.
+/// A layer's results, kept from one time to the next, each with a hash of all that it depends on.
 #[derive(Debug, Default)]
 pub(crate) struct LayerCache {
     placed: Option<(u64, Arc<OwnHandles>)>,
@@ -156,9 +156,9 @@ struct Motions {
     /// One for each handle that the plugin placed.
     handles: Vec<api::Affine>,
     strokes: Vec<Arc<LocalStroke>>,
-    /// Where the plugin asks for it.
+    /// The effort, where the plugin asks for it.
     effort: Option<api::Effort>,
-    /// Likewise.
+    /// The time, where the plugin asks for it.
     time: Option<api::Time>,
 }
 

@@ -372,7 +372,7 @@ impl ProcessLink {
     }
 }
 
-/// How a process came to its end during a call.
+/// The end of a process during a call.
 enum CallEnd {
     /// The process ended by itself; how, and the last line that it printed.
     Died { how: String, last_words: String, is_memory: bool },

@@ -107,7 +107,7 @@ fn end() -> ! {
     std::process::abort()
 }
 
-/// What the plugin made, and what it works on.
+/// The states and scratches that the plugin made, and the memory that it works on.
 struct Workshop {
     code: Box<dyn Code>,
     shared: SharedArena,
@@ -129,7 +129,7 @@ fn wrap<T>(result: PluginResult<T>) -> std::result::Result<T, PluginFailure> {
 impl Workshop {
     fn answer(&mut self, request: Request) -> Option<Reply> {
         Some(match request {
-            // It was.
+            // The library was loaded before any other request is answered.
             Request::Load => return None,
             Request::Prepare(input) => Reply::Made(wrap(self.prepare(input))),
             Request::NewScratch => {

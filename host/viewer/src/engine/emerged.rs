@@ -30,7 +30,8 @@ pub struct SurfacePoints {
     pub spacing: Vec<f32>,
 }
 
-/// What is known of a model that is being sampled.
+/// A model that is being sampled, as far as it can be seen: samples of complete cells, and vertices
+/// elsewhere.
 #[derive(Debug, Default)]
 pub struct Emerged {
     /// Smallest and largest coordinates of the whole model, or of what is seen of it; local.

@@ -1,4 +1,4 @@
-//! What the engine is asked for, and what it tells.
+//! Requests to the engine, and its answers.
 
 use crate::scene::ViewerScene;
 use crate::tint::Tint;
@@ -72,7 +72,7 @@ pub(super) struct StepsRequest {
     pub extra: Extra,
 }
 
-/// What is wanted with a scene that takes its time.
+/// A part of a scene that takes its time, and is wanted besides.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum Extra {
     /// Nothing.
@@ -115,7 +115,7 @@ impl SamplePose {
 /// What is wanted of another version.
 #[derive(Clone)]
 pub struct ComparisonRequest {
-    /// Which version it is; comes back with the result.
+    /// The version's number, which comes back with the result.
     pub number: u64,
     /// The version's steps.
     pub steps: Arc<[Entry]>,
@@ -129,7 +129,7 @@ pub struct ComparisonRequest {
     pub onto: Option<Arc<SampledModel>>,
 }
 
-/// Where a version has other samples than its own.
+/// The model with another version's samples, and where a version carries them.
 #[derive(Clone)]
 pub struct CarriedSamples {
     /// The model with these samples.
@@ -144,14 +144,14 @@ pub enum Event {
     Opened(Box<(Editor, ViewerScene)>),
     /// Steps were done.
     Evaluated {
-        /// Which request it was.
+        /// The number of the request.
         request: u64,
         /// Where the samples are.
         scene: Box<ViewerScene>,
     },
     /// Another version is there.
     Compared {
-        /// Which, as it was asked for.
+        /// The version's number, as it was asked for.
         number: u64,
         /// The version's samples.
         scene: Arc<ViewerScene>,
@@ -169,14 +169,14 @@ pub enum Event {
     },
     /// Some vertices of the model are there to be seen.
     Detail {
-        /// Which request for them it was.
+        /// The number of the request for them.
         request: u64,
         /// The vertices.
         batch: Box<DetailBatch>,
     },
     /// All vertices are that were asked for.
     Streamed {
-        /// Which request it was.
+        /// The number of the request.
         request: u64,
         /// How many, and what was read.
         report: Streamed,
@@ -188,7 +188,7 @@ pub enum Event {
     /// A job came to nothing; what was there before still holds. Of kind
     /// [`Cancelled`](simod_model::ErrorKind::Cancelled) if the user stopped it.
     Failed {
-        /// Which.
+        /// The job that failed.
         job: Job,
         /// Why.
         error: Error,

@@ -26,7 +26,7 @@ pub struct Activity {
     pub memory: Option<u64>,
 }
 
-/// What a stage is, for those who decide whether it is still of use.
+/// The kind of a stage, for those who decide whether it is still of use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum StageKind {
     /// What does not depend on how things move.

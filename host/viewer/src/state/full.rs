@@ -1,11 +1,11 @@
-//! What is shown in full, and on its way.
+//! Vertices of the model that are shown in full, or on their way.
 
 use crate::detail::Detail;
 use crate::engine::SamplePose;
 use crate::tint::Tint;
 use simod_core::detail::Streamed;
 
-/// What is shown in full, and on its way.
+/// The vertices that are shown in full, or on their way.
 #[derive(Default)]
 pub(super) struct Preview {
     pub detail: Option<Detail>,

@@ -67,7 +67,7 @@ pub struct State {
     plugins: Arc<PluginRegistry>,
     open: Option<OpenSession>,
     selection: Selection,
-    /// The former ones.
+    /// The former selections.
     selections: Selections,
     camera: Camera,
     /// Size of the picture, in pixels.

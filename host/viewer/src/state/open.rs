@@ -1,4 +1,4 @@
-//! What is open, and what is told where nothing is.
+//! The session that is open, and the errors where none is.
 
 use crate::scene::ViewerScene;
 use crate::selection::Adjacency;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 pub(super) struct OpenSession {
     pub editor: Editor,
     pub scene: Arc<ViewerScene>,
-    /// Which of the scene's samples are next to which.
+    /// The scene's samples next to each.
     pub adjacency: Arc<Adjacency>,
 }
 
@@ -25,7 +25,6 @@ impl OpenSession {
     }
 }
 
-/// A command that makes no sense.
 /// A command that needs a model.
 pub(super) fn nothing_open() -> Error {
     Error::argument("no model is open", "open one")

@@ -68,7 +68,7 @@ impl State {
         }
         let outside = |next: &[bool]| (0..count).filter(|i| next[*i]).map(point).collect();
         let picked = PickedPoints::new(inside.clone(), outside(&next));
-        // Those that are nearer to the selection than to its border, as on the other side of a thin wall,
+        // Samples that are nearer to the selection than to its border, as on the other side of a thin wall,
         // have to be told.
         let more = |i: usize| !selected(i) && (next[i] || picked.signed_distance(point(i)) <= 0.0);
         let next: Vec<bool> = (0..count).into_par_iter().map(more).collect();

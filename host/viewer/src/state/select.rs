@@ -1,4 +1,4 @@
-//! What is selected, and what is seen.
+//! Picking and selecting: samples under the pointer, in an area, all of them or those that are seen.
 
 use super::State;
 use crate::clip::cuts;

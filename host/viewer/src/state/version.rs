@@ -18,7 +18,7 @@ pub enum ComparedVersion {
 
 /// A version to compare with. Its samples are shared with the scene that they were shown in.
 pub(super) struct Pinned {
-    /// Which one, for the engine.
+    /// The version's number, for the engine.
     pub number: u64,
     pub version: Steps,
     /// Whether it is of no use with a step that cannot be done.

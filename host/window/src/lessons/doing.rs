@@ -1,4 +1,4 @@
-//! What parts of lessons look for, and do.
+//! Conditions that parts of lessons look for, and commands that they do.
 
 use crate::tools::{MovedPart, Tool};
 use crate::window::{Commands, Window};

@@ -1,4 +1,4 @@
-//! What a lesson is: parts to be done on a generated model.
+//! A lesson: parts to be done on a generated model.
 
 use crate::window::{Commands, Window};
 use simod_generate::Shape;

@@ -1,4 +1,4 @@
-//! What makes a film of the frames of a turntable, once they are there.
+//! The command that makes a film of the frames of a turntable, once they are there.
 
 use super::frames::modal;
 use crate::turntable::{Film, film};

@@ -1,4 +1,4 @@
-//! What keys and the mouse do: a sheet, in groups.
+//! The sheet of keys and of the mouse, in groups.
 
 use super::frames::modal;
 use crate::actions::{ALL, Menu, NamedAction};

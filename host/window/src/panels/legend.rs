@@ -1,4 +1,4 @@
-//! What the colours mean.
+//! The legend of the colours.
 
 use super::{detail, diagonal, number};
 use crate::theme;
@@ -120,7 +120,7 @@ fn dot(ui: &mut Ui, color: [u8; 3], name: &str) {
     ui.add_space(8.0);
 }
 
-/// Which classes there are, ascending.
+/// The classes that a field has, ascending.
 fn classes_of(field: &ScalarField) -> Vec<u8> {
     let mut there = [false; 256];
     field.values.iter().for_each(|class| there[usize::from(class.round() as u8)] = true);

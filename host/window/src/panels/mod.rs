@@ -1,4 +1,4 @@
-//! What is around the picture, and over it.
+//! The panels around the picture, and over it.
 
 pub mod clip;
 mod detail;

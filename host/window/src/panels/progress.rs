@@ -1,4 +1,4 @@
-//! What takes its time: stage, rate, and a button that stops it.
+//! The progress of what takes its time: stage, rate, and a button that stops it.
 
 use super::{card, clip, duration, lesson};
 use crate::window::{Commands, Window};

@@ -1,4 +1,4 @@
-//! What has to be answered before something goes on.
+//! Questions that have to be answered before something goes on.
 
 use super::frames::modal;
 use crate::dialogs::Purpose;

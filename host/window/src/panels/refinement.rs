@@ -61,7 +61,7 @@ fn explanation(finer: Finer, diagonal: Option<f64>) -> String {
     }
 }
 
-/// Which way it is told; gives another one, with what that begins with.
+/// A choice of how a refinement is told; another one comes with the number that it begins with.
 fn way(ui: &mut Ui, refine: &Refine) -> Option<Finer> {
     let finer = refine.finer;
     let error = match finer {

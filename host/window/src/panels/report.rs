@@ -1,4 +1,4 @@
-//! What became of the model that was written.
+//! The report on a model that was written.
 
 use super::frames::modal;
 use crate::numbers::count;

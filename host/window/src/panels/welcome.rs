@@ -1,4 +1,4 @@
-//! What is shown where nothing is open.
+//! The page that is shown where nothing is open.
 
 use super::{ago, lesson, progress};
 use crate::dialogs::Purpose;

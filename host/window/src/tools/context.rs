@@ -1,4 +1,4 @@
-//! What a tool works with.
+//! The context that a tool works with.
 
 use super::Gesture;
 use crate::viewport::ModelArea;

@@ -1,9 +1,9 @@
-//! What the pointer has begun with a tool, and has not ended yet.
+//! The gesture that the pointer has begun with a tool, and has not ended yet.
 
 use super::place::Several;
 use super::transforming::Transforming;
 
-/// What the pointer has begun, of each tool. The tool that works has it for itself meanwhile.
+/// The gestures that the pointer has begun, of each tool. The tool that works has it for itself meanwhile.
 #[derive(Default)]
 pub struct Gesture {
     /// A motion by keys.
@@ -16,7 +16,7 @@ pub struct Gesture {
     pub chain_from: Option<[f64; 2]>,
     /// The point of what is measured that is held.
     pub measured_point: Option<usize>,
-    /// Which plane of a step's axis is held, and whether it was moved.
+    /// The plane of a step's axis that is held, and whether it was moved.
     pub plane: Option<usize>,
     pub drags_plane: bool,
     /// The gizmo, whether it moves something just now, and what moves along.

@@ -1,4 +1,4 @@
-//! What is in the hand: the tool, its options, and what it moves.
+//! The tool in the hand, its options, and the things that it moves.
 
 use super::gesture::Gesture;
 use super::place::MovedPart;

@@ -1,4 +1,4 @@
-//! What the left button does in the picture.
+//! The tools of the left button in the picture.
 
 mod context;
 mod gesture;

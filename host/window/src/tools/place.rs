@@ -1,4 +1,4 @@
-//! What the gizmo moves, and the changes that bring it elsewhere.
+//! The thing that the gizmo moves, and the changes that bring it elsewhere.
 
 use glam::{DAffine3, DVec3};
 use simod_session::edit::{Change, StepId};
@@ -14,7 +14,7 @@ pub enum MovedPart {
     Handle(String),
 }
 
-/// What the gizmo moves, and where it is.
+/// The thing that the gizmo moves, and where it is.
 #[derive(Clone)]
 pub struct GizmoTarget {
     /// The step that it is of.
@@ -28,7 +28,7 @@ pub struct GizmoTarget {
     pub can: simod_plugin_api::Gizmo,
 }
 
-/// What kind of thing it moves.
+/// The kind of thing that the gizmo moves.
 #[derive(Clone)]
 pub enum MovedKind {
     /// A region, which turns about its pivot: model coordinates.

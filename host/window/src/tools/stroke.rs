@@ -47,7 +47,7 @@ pub fn update(context: &mut ToolContext<'_>) -> bool {
     drawing || context.gesture.painting
 }
 
-/// What the brush paints since the last picture: the beginning of a stroke, if none is drawn, and its points.
+/// The painting since the last picture: the beginning of a stroke, if none is drawn, and its points.
 type Painted = (Option<Command>, Vec<Command>);
 
 /// The brush follows the pointer. A stroke that begins beside the surface begins where the hand gets to it.

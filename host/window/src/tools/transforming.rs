@@ -48,7 +48,7 @@ impl Transformed {
     }
 }
 
-/// What comes of it.
+/// The outcome of a motion by keys.
 pub enum TransformOutcome {
     GoesOn,
     Done,

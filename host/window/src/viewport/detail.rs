@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// The radius of a splat that is not drawn.
 const HIDDEN: f32 = -1.0;
 
-/// Which pieces the card has, and what it shows of each.
+/// The pieces that the card has, and what it shows of each.
 #[derive(Default)]
 pub struct DetailPieces(BTreeMap<u64, u64>);
 

@@ -20,7 +20,7 @@ const SHARE: u32 = 2;
 /// The number of the vertices that are shown where there are no samples yet.
 const VERTICES: u64 = 0;
 
-/// What is drawn of them.
+/// The points of a model that is being sampled, as they are drawn.
 pub struct EmergingPoints {
     scene: Scene,
     budget: Budget,

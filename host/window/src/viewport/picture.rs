@@ -204,8 +204,8 @@ impl PictureDrawing {
         if self.budget.0 != share {
             self.budget = (share, Budget::new(goal));
         }
-        // That the samples have moved is no move of the camera, though its picture reaches farther or less
-        // far: the result after a draft takes its place at once.
+        // A move of the samples is no move of the camera, though its picture reaches farther or less far: the
+        // result after a draft takes its place at once.
         let from = Some((view.view, view.size));
         let moves = window.ctx().input(|i| i.pointer.any_down()) || self.seen != from || scene.is_draft();
         if !self.scene.is_of(&view, &style) {
@@ -352,7 +352,7 @@ impl PictureDrawing {
             return Ok(());
         }
         let some = self.scene.first(reach);
-        // Those of the pictures that follow while the hand rests are others each time.
+        // The rings of the pictures that follow while the hand rests are others each time.
         let (is_first, mut once) = (self.placed == 0, None);
         let rings = if is_first { &mut self.rings } else { &mut once };
         Rings::keep(rings, &scene.sampled, &some);

@@ -6,7 +6,7 @@ use simod_viewer::Tint;
 use simod_viewer::detail::DetailPiece;
 use simod_viewer::overlay::OverlayScale;
 
-/// What is done to a colour: it is mixed with others.
+/// The mixing of a colour with others.
 #[derive(Debug, Clone, Copy)]
 pub struct Mixing {
     /// How much of it is left.

@@ -1,4 +1,4 @@
-//! What egui does not have.
+//! Widgets that egui does not have.
 
 pub mod curve;
 pub mod icons;

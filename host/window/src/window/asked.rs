@@ -1,4 +1,4 @@
-//! What is asked, being typed, or read, before something goes on.
+//! Questions, texts being typed, and reports, which hold something up until they are answered, done or read.
 
 use simod_core::reconstruction::Reconstructed;
 use simod_session::edit::StepId;
@@ -48,7 +48,7 @@ pub enum Leaving {
 /// A step, or a group, whose name is being typed.
 #[derive(Clone)]
 pub struct Renaming {
-    /// Which, or the first of it.
+    /// The step, or the first one of the group.
     pub id: StepId,
     /// Whether it is of the group that begins with the step.
     pub of_group: bool,
@@ -63,11 +63,11 @@ pub struct Renaming {
 pub struct CommandPalette {
     /// What was typed.
     pub text: String,
-    /// Which of those that are found is chosen.
+    /// The place of the chosen action among those that are found.
     pub at: usize,
 }
 
-/// What became of the model that was written.
+/// The report on a model that was written.
 pub struct WriteReport {
     /// The file.
     pub output: PathBuf,

@@ -1,4 +1,4 @@
-//! What is shown besides the surface, as the user chose it.
+//! Things that are shown besides the surface, as the user chose them.
 
 /// What is shown besides the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -18,7 +18,7 @@ pub struct Prompt {
     pub wrong: Option<String>,
     /// The folder that was looked into last, with what is in it.
     listed: Option<(PathBuf, Vec<String>)>,
-    /// Which part of the text is selected next, if any is.
+    /// The part of the text that is selected next, if any is.
     pub select: Option<[usize; 2]>,
 }
 

@@ -86,7 +86,7 @@ impl Toasts {
     }
 
     fn push(&mut self, text: String, hint: String, is_error: bool, cause: Option<Cause>) {
-        // The same again stays longer.
+        // A message that comes again stays longer.
         self.0.retain(|toast| toast.text != text);
         self.0.push(Toast { text, hint, is_error, cause, since: Instant::now() });
         let surplus = self.0.len().saturating_sub(MOST);

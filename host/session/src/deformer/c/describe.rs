@@ -1,4 +1,4 @@
-//! What a plugin says that it is, in the words of the Rust interface.
+//! A C plugin's description, in the words of the Rust interface.
 
 use super::read::{list, one, text, text_or_none};
 use crate::deformer::Migration;

@@ -1,4 +1,4 @@
-//! What a plugin gets, in C's words: borrowed as it is, but for texts, which need an end.
+//! Inputs of a C plugin, in C's words: borrowed as they are, but for texts, which need an end.
 
 use simod_plugin_api::c::{
     SimodAffine, SimodAttribute, SimodAttributes, SimodBounds, SimodDeformInput, SimodEffort, SimodGraph,
@@ -53,7 +53,7 @@ impl Texts {
             .map(Self)
     }
 
-    /// The same parameters; they point to these texts.
+    /// These parameters as C has them; they point to these texts.
     fn params(&self, params: Params<'_>) -> Vec<SimodParam> {
         let params = params.iter().zip(&self.0).map(|(p, (id, text))| SimodParam {
             id: id.as_ptr(),
@@ -105,7 +105,7 @@ impl NamedAttributes {
         Ok(Some(Self(names, attributes)))
     }
 
-    /// The same as an input; it points to these names.
+    /// These attributes as an input of C's; it points to these names.
     fn input(&self) -> SimodAttributes {
         SimodAttributes { attributes: start(&self.1), count: self.0.len() }
     }
