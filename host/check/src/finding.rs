@@ -27,10 +27,10 @@ impl std::fmt::Display for Verdict {
     }
 }
 
-/// What a rule found.
+/// The finding of a rule.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Finding {
-    /// How the plugin did.
+    /// The verdict on the plugin.
     pub verdict: Verdict,
     /// One line on what was found.
     pub found: String,

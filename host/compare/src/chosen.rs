@@ -18,7 +18,7 @@ const NUMBERS: usize = 6;
 
 /// Vertices that are being chosen.
 pub(crate) struct Choosing {
-    /// One of so many.
+    /// One of so many vertices is chosen.
     stride: u64,
     count: u64,
     versions: usize,
@@ -84,7 +84,7 @@ impl Choosing {
         self.versions * NUMBERS + 1
     }
 
-    /// All are there.
+    /// The choice, once all vertices are there.
     pub fn finish(self) -> Result<ChosenVertices> {
         let (versions, origin) = (self.versions, self.origin);
         Ok(ChosenVertices { versions, origin, numbers: self.file.map()? })

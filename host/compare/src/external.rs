@@ -19,7 +19,7 @@ const INTERVAL: Duration = Duration::from_millis(10);
 /// Lines of what a program printed that are told if it fails.
 const TOLD: usize = 3;
 
-/// What a program took.
+/// The cost of a program that was run.
 pub(crate) struct Ran {
     pub seconds: f64,
     /// The most anonymous memory of it and those that it started, as often as it was looked at.

@@ -113,7 +113,7 @@ impl<'a> AtRest<'a> {
         }
     }
 
-    /// In some shapes.
+    /// The mesh's figures in some shapes.
     fn measure(&self, shapes: &[Vec<DVec3>], progress: &dyn Progress) -> Result<Vec<OnSamples>> {
         let Self { rest, triangles, ref edges, .. } = *self;
         progress.check()?;

@@ -89,7 +89,7 @@ pub struct ComparedMethod {
     pub name: String,
     /// Where in the file it stands, as `compare.toml, line 7`; for errors.
     pub place: String,
-    /// What is done.
+    /// The work of the method.
     pub work: MethodWork,
     /// How finely the model is sampled.
     pub sampling: SamplingTable,
@@ -130,7 +130,7 @@ pub struct ProgramMethod {
     pub words: Vec<String>,
     /// The files that it asks for.
     pub given: Vec<ProgramFile>,
-    /// Where it runs.
+    /// The folder that it runs in.
     pub folder: PathBuf,
 }
 

@@ -15,7 +15,7 @@ pub(crate) const INDEX: &str = "index.html";
 pub(crate) const CSV: &str = "compare.csv";
 pub(crate) const LATEX: &str = "compare.tex";
 
-/// All figures.
+/// The file with all figures.
 pub(crate) const RECORD: &str = "compare.json";
 
 /// No record is longer.

@@ -438,7 +438,7 @@ const TERMS: [(&str, &str); 15] = [
     ),
 ];
 
-/// What the columns mean.
+/// The meaning of the columns.
 fn meaning() -> Markup {
     let details = format!(
         "how far what is smaller than {} of the diagonal turns against the smooth surface beneath (M. Botsch, O. Sorkine, \

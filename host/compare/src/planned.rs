@@ -69,7 +69,7 @@ pub struct ComparisonPlanOptions<'a> {
     pub how: Comparing,
     /// Libraries of plugins that were chosen.
     pub plugins: &'a [PathBuf],
-    /// For what engines.
+    /// The engines that files are written for.
     pub emit: &'a [Emit],
 }
 

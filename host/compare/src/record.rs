@@ -26,7 +26,7 @@ pub struct Comparison {
     pub simod: String,
     /// What it was done on.
     pub machine: MachineRecord,
-    /// What was deformed.
+    /// The model that was deformed.
     pub model: ModelRecord,
     /// The methods, in the file's order.
     pub methods: Vec<MethodRecord>,
@@ -83,7 +83,7 @@ pub struct MachineRecord {
     pub threads: usize,
 }
 
-/// What was deformed.
+/// The model that was deformed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ModelRecord {
     /// The file's name.
@@ -138,7 +138,7 @@ pub struct DeformationRecord {
 pub struct MethodFailure {
     /// What is wrong, and where.
     pub what: String,
-    /// What to do.
+    /// The advice on the failure.
     pub hint: String,
 }
 
@@ -149,7 +149,7 @@ pub struct Figures {
     pub samples: usize,
     /// Number of triangles between them.
     pub triangles: usize,
-    /// How long it took.
+    /// The time that it took.
     pub seconds: Seconds,
     /// Peak anonymous memory of the process while the method was at work, and of the program that is the
     /// method; nothing where the system does not tell. Of several runs the largest.
@@ -208,7 +208,7 @@ pub struct Seconds {
     pub reconstruct: Option<f64>,
     /// The processor's time for deforming and reconstructing, of all threads and of programs.
     pub processor: Option<f64>,
-    /// Each run.
+    /// The times of each run.
     pub runs: Vec<RunSeconds>,
 }
 
@@ -284,7 +284,7 @@ impl Comparison {
         }
     }
 
-    /// As `compare.json` has it.
+    /// The text of `compare.json`.
     pub fn to_json(&self) -> String {
         // Maps have text for keys, and numbers that are not finite become null.
         let text = serde_json::to_string_pretty(self).unwrap_or_default();

@@ -28,7 +28,7 @@ const REFINED: &str = "refined.simod";
 /// No record of a sampling or a method is longer: it may have the text of a session.
 const LONGEST: u64 = 64 << 20;
 
-/// What a unit did.
+/// The report of a unit.
 #[derive(Default)]
 pub struct ComparisonUnitDone {
     /// The unit was done before, and nothing had to be.

@@ -36,7 +36,7 @@ pub struct OfSamples {
 pub struct SampleAttributes(Vec<OfSamples>);
 
 impl SampleAttributes {
-    /// All of these.
+    /// The attributes of all samples.
     pub(crate) fn new(all: Vec<OfSamples>) -> Self {
         Self(all)
     }

@@ -104,13 +104,13 @@ pub fn square<S: Simd>(d: Triple<S>) -> DoubleLanes<S> {
 pub struct DoubleMask<S: Simd>(S, S::m64s);
 
 impl<S: Simd> DoubleMask<S> {
-    /// Where both hold.
+    /// The lanes in which both masks hold.
     #[inline(always)]
     pub fn and(self, other: Self) -> Self {
         Self(self.0, self.0.and_m64s(self.1, other.1))
     }
 
-    /// Where either holds.
+    /// The lanes in which either mask holds.
     #[inline(always)]
     pub fn or(self, other: Self) -> Self {
         Self(self.0, self.0.or_m64s(self.1, other.1))

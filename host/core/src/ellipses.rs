@@ -20,7 +20,7 @@ pub struct Ellipses {
     rotation: [usize; 4],
     /// Logarithms; those of discs are two.
     scales: Vec<usize>,
-    /// Before the sigmoid.
+    /// The place of the opacity, before the sigmoid.
     opacity: Option<usize>,
 }
 

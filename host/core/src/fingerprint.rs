@@ -28,7 +28,7 @@ pub fn are_same(a: &str, b: &str) -> Option<bool> {
 /// Hashes the bytes of all vertices, in their order.
 pub(crate) enum VertexHash {
     Blocks(Box<BlockHash>),
-    /// As former versions did.
+    /// The hash of the whole stream, as former versions had it.
     Stream(Box<Xxh3Default>),
 }
 
@@ -68,7 +68,7 @@ pub(crate) struct BlockHash {
     hash: Xxh3Default,
     /// The hash of the last block, which is not full yet.
     block: Xxh3Default,
-    /// All bytes so far.
+    /// The number of bytes so far.
     bytes: u64,
 }
 

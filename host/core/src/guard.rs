@@ -14,7 +14,7 @@ use simod_model::{Error, Result, matching};
 
 use crate::sampled_model::{OWN_FILES, SampledModel};
 
-/// What is written.
+/// The kind of an output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OutputKind {
     /// A model, or samples, of a format that can be read.

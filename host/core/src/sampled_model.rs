@@ -58,7 +58,7 @@ const CACHE: &str = "cache.bin";
 /// [`RestGeometry::kept`](crate::reconstruction::RestGeometry::kept).
 pub(crate) const REST: &str = "rest.bin";
 
-/// What describes the folder.
+/// The file that describes the folder.
 const DESCRIPTION: &str = "simod.toml";
 
 /// P_S as a file.
@@ -275,7 +275,7 @@ mod any_path {
 pub struct SampledModel {
     /// The model that was sampled.
     pub source: SourceRecord,
-    /// What was asked for.
+    /// The options that the model was sampled with.
     pub sampling: Sampling,
     /// Number of occupied cells of the coarse grid.
     pub cells: u64,

@@ -40,7 +40,7 @@ const PIECE_VERTICES: u64 = 1 << 14;
 /// Pieces computed at a time: with [`PIECE_VERTICES`], the bound of all buffers here.
 const PIECES: usize = 16;
 
-/// What to generate.
+/// The model to generate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Shape {

@@ -27,7 +27,7 @@ pub struct ModelOptions {
     pub shape: Shape,
     /// Number of vertices.
     pub vertices: u64,
-    /// How numbers are stored.
+    /// The encoding of the numbers.
     pub encoding: PlyEncoding,
     /// Type of the positions.
     pub scalar: Scalar,
@@ -57,7 +57,7 @@ impl Default for ModelOptions {
     }
 }
 
-/// What was written.
+/// The numbers of vertices and faces that were written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GeneratedInfo {
     /// Number of vertices.

@@ -32,7 +32,7 @@ pub struct Details<'a> {
 /// A smooth surface, and the details on it, vertex by vertex.
 type Split = (Vec<DVec3>, Vec<DVec3>);
 
-/// How details turn.
+/// The turning of details.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct DetailRotation {
     /// Degrees: root of the mean square over all vertices, weighted by the squared lengths of the details at

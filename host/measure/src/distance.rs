@@ -44,7 +44,7 @@ pub struct OnSurface {
     pub triangle: u32,
     /// Weights of the triangle's corners, at least 0, which add up to 1.
     pub weights: DVec3,
-    /// Where it is.
+    /// The nearest point itself.
     pub position: DVec3,
 }
 

@@ -48,7 +48,7 @@ pub struct Bins {
     pub from: i32,
     /// Where the last one ends.
     pub to: i32,
-    /// What is below.
+    /// The number of values below the first bin.
     pub below: usize,
     /// What is in each bin.
     pub counts: Vec<usize>,

@@ -213,7 +213,7 @@ impl Discs {
 }
 
 impl TreeNode {
-    /// One without parts.
+    /// A node without parts.
     const EMPTY: Self = Self {
         low: [Vec4::ZERO; 3],
         high: [Vec4::ZERO; 3],

@@ -51,9 +51,9 @@ const LANES: usize = 8;
 struct VertexBlock {
     positions: [[f64; BLOCK]; 3],
     normals: [[f64; BLOCK]; 3],
-    /// All positions are finite.
+    /// Whether all positions are finite.
     has_positions: bool,
-    /// All normals are directions.
+    /// Whether all normals are directions.
     has_normals: bool,
 }
 

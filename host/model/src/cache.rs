@@ -68,7 +68,7 @@ struct CacheStamp {
     hash: u128,
 }
 
-/// What will be made.
+/// The content that will be made.
 pub(crate) struct CachedContent {
     /// What goes there of the model, as "its points are unpacked".
     pub what: &'static str,

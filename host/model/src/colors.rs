@@ -27,7 +27,7 @@ pub struct Colors {
     pub of_splats: bool,
 }
 
-/// What numbers stand for.
+/// The meaning of the numbers of a colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColorScale(Meaning);
 

@@ -79,7 +79,7 @@ pub(crate) struct ConversionInput<'a> {
     pub(crate) how: Conversion,
     /// The integers that positions become, once they are [chosen](Form::integers).
     pub(crate) integers: Option<ScaledIntegers>,
-    /// Where temporary files go.
+    /// The folder of temporary files.
     pub(crate) folder: PathBuf,
 }
 
@@ -133,7 +133,7 @@ pub(crate) struct WrittenRows<'a> {
     pub(crate) normals: &'a [Vec3],
     /// The first attributes of the model, as many as the form [asks for](Form::attributes).
     pub(crate) attributes: &'a [Vec<f64>],
-    /// As they were read.
+    /// The vertices as they were read.
     pub(crate) chunk: &'a VertexChunk,
     /// What became of them, for forms that turn by themselves what follows.
     pub(crate) edited: &'a Edited,

@@ -54,7 +54,7 @@ impl Letters {
         Some(found)
     }
 
-    /// What stands before `OFF`.
+    /// The letters that stand before `OFF`.
     fn text(self) -> String {
         if self.colours_first {
             return if self.texture { "STNC".into() } else { "NC".into() };

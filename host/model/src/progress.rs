@@ -34,7 +34,7 @@ impl<'a> Emerging<'a> {
 
 /// Vertices of a model that is going to be sampled: see [`Progress::glimpse`].
 pub struct Glimpse<'a> {
-    /// How many there are.
+    /// The number of vertices.
     pub vertices: u64,
     read: ReadVertex<'a>,
 }

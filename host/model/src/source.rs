@@ -31,7 +31,7 @@ enum Handle {
     Open(Arc<Positioned>),
     /// Open when it is read, as there are many.
     Pooled(Arc<Pooled>),
-    /// In a store.
+    /// An object in a store.
     Object(Arc<dyn Object>),
 }
 

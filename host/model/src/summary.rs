@@ -40,7 +40,7 @@ impl PartBox {
     /// Numbers of its word.
     const NUMBERS: usize = 10;
 
-    /// With nothing in it.
+    /// A box with nothing in it.
     pub(crate) fn empty(part: u32) -> Self {
         Self { part, has_moved: false, min: Vec4::INFINITY, max: Vec4::NEG_INFINITY }
     }

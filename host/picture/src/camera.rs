@@ -67,7 +67,7 @@ impl PictureCamera {
         Self { position: self.position + aside, tangents: self.tangents.map(|t| part * t), ..self }
     }
 
-    /// Where the eye is.
+    /// The eye's position.
     pub fn position(&self) -> DVec3 {
         self.position
     }

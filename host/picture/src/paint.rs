@@ -34,7 +34,7 @@ pub enum Paint {
     Classes {
         /// The attribute's place.
         place: usize,
-        /// What it is called.
+        /// The attribute's name.
         name: String,
         /// The numbers whose colours the legend shows.
         range: [f64; 2],
@@ -43,7 +43,7 @@ pub enum Paint {
     Scale {
         /// The attribute's place.
         place: usize,
-        /// What it is called.
+        /// The attribute's name.
         name: String,
         /// What its ends stand for.
         range: [f64; 2],
@@ -223,7 +223,7 @@ impl Default for NumberSurvey {
 }
 
 impl NumberSurvey {
-    /// Most that are held.
+    /// The most numbers that are held.
     const SOME: usize = 1 << 16;
 
     fn add(&mut self, x: f64) {

@@ -6,7 +6,7 @@ use glam::Vec3;
 /// model.
 pub(super) const KEY_LIGHT: Vec3 = Vec3::new(-0.50, 0.66, -0.56);
 
-/// How a picture looks.
+/// The style of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Style {
     /// Whether points show their own colours, or all the same clay.

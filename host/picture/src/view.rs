@@ -9,7 +9,7 @@ use super::{PictureCamera, Renderer, Style};
 /// The view of a picture: from where, and how large it is.
 #[derive(Debug, Clone, Copy)]
 pub struct PictureView {
-    /// What fills the picture.
+    /// The box that fills the picture.
     pub bounds: Bounds,
     /// Turned to the right about +y from +z, in degrees.
     pub yaw: f64,

@@ -14,7 +14,7 @@ pub struct SceneView {
     pub size: [u32; 2],
 }
 
-/// How.
+/// The style of the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneStyle {
     /// What stands for the surface.
@@ -23,7 +23,7 @@ pub struct SceneStyle {
     pub own_colors: bool,
     /// What is behind the surface.
     pub background: Background,
-    /// Where light comes from.
+    /// The light.
     pub light: Light,
     /// Whether crevices are darker.
     pub occlusion: bool,

@@ -15,7 +15,7 @@ use simod_model::{Error, Progress, Result};
 /// Bytes that are kept of what a process prints: the last ones.
 const KEPT: usize = 64 << 10;
 
-/// How a process ended.
+/// The end of a process.
 pub enum End {
     /// The process ended by itself, with exit code 0.
     Well,
@@ -27,9 +27,9 @@ pub enum End {
     Badly(String),
 }
 
-/// What a process left.
+/// The output of a process and its end.
 pub struct Outcome {
-    /// How it ended.
+    /// The process's end.
     pub end: End,
     /// What it printed on standard output, its end.
     pub output: String,
@@ -105,7 +105,7 @@ impl Tail {
         Self { bytes, reader }
     }
 
-    /// What came, its end.
+    /// The end of what came, as text.
     pub fn text(&self) -> String {
         let since = Instant::now();
         while self.reader.as_ref().is_some_and(|r| !r.is_finished()) && since.elapsed() < LAST_WORDS {

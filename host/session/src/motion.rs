@@ -9,11 +9,11 @@ use simod_model::frame::Frame;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(from = "MotionTable", into = "MotionTable")]
 pub struct Motion {
-    /// In the model's unit.
+    /// The translation, in the model's unit.
     pub translate: DVec3,
     /// About which it turns; any length but zero where it does turn.
     pub axis: DVec3,
-    /// How far, right-handed.
+    /// The angle, right-handed.
     pub degrees: f64,
     /// The point that turning and scaling leave in place. Unless given, it is the model's own zero for a
     /// region, and where it is at rest for a handle that a plugin placed.

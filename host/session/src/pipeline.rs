@@ -252,7 +252,7 @@ pub struct Run {
     pub deformed: DeformedSamples,
     /// The deformed model.
     pub output: PathBuf,
-    /// What was written.
+    /// The report on the model that was written.
     pub written: Reconstructed,
     /// The proof that the tolerance is met, if there was one.
     pub certificate: Option<Certificate>,

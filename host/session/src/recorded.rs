@@ -36,7 +36,7 @@ fn write<S: Serializer>(table: Result<impl Serialize, String>, to: S) -> Result<
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StepRecord {
-    /// As in a session.
+    /// The step, as a session has it.
     step: toml::Table,
     /// What its files are seen from.
     #[serde(default)]

@@ -36,7 +36,7 @@ pub enum RegionShape {
         #[serde(deserialize_with = "crate::vector::three")]
         max: DVec3,
     },
-    /// What a hand selected.
+    /// A selection that a hand made.
     Selection(PickedPoints),
 }
 

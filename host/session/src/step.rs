@@ -20,7 +20,7 @@ use std::sync::Arc;
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(remote = "Self", rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Step {
-    /// What is done.
+    /// The step's action.
     pub action: Action,
     /// Whether it is done; a step that is not stays in the session.
     #[serde(default = "yes")]
@@ -36,7 +36,7 @@ pub struct Step {
     pub place: String,
 }
 
-/// What a step does.
+/// The action of a step.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[expect(clippy::large_enum_variant, reason = "nearly all steps are the large one, and a session has a few")]
@@ -54,7 +54,7 @@ pub struct Refine {
     /// Where: on the model as the steps before have deformed it. None is everywhere, for those that find out
     /// by themselves ([`Finer::Auto`]).
     pub shapes: Shapes,
-    /// How fine.
+    /// The fineness that is wanted.
     pub finer: Finer,
 }
 
@@ -87,7 +87,7 @@ impl Refine {
 pub(crate) const FINER: &str =
     "an error of 0 or more as a fraction of the diagonal, a factor above 1, or at least 1 sample";
 
-/// One deformation.
+/// A deformation by a plugin.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Deformation {
@@ -145,7 +145,7 @@ impl From<Vec<String>> for Notes {
 }
 
 impl Notes {
-    /// One by one.
+    /// The notes, one by one.
     pub fn iter(&self) -> impl Iterator<Item = &str> {
         self.0.iter().map(String::as_str)
     }
@@ -431,7 +431,7 @@ pub struct Defect {
     pub part: RegionPart,
     /// What is wrong, as the beginning of a sentence.
     pub what: Cow<'static, str>,
-    /// What to do.
+    /// The advice on it.
     pub hint: &'static str,
 }
 
@@ -442,7 +442,7 @@ pub enum RegionPart {
     Whole,
     /// How far beyond its border a region fades out.
     Falloff,
-    /// How it moves.
+    /// The region's motion.
     Move,
 }
 
@@ -521,9 +521,9 @@ pub enum Role {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(remote = "Self", rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Region {
-    /// What it is for.
+    /// The region's purpose.
     pub role: Role,
-    /// Where it is.
+    /// The region's place.
     pub shapes: Shapes,
     /// How a handle moves; nothing for other roles.
     #[serde(default)]

@@ -68,7 +68,7 @@ const LEAST_LOCAL: f64 = 2e-6;
 pub enum Tolerance {
     /// As a fraction of the model's diagonal at rest.
     Fraction(f64),
-    /// In the model's unit.
+    /// A length in the model's unit.
     Length(f64),
 }
 
@@ -107,7 +107,7 @@ pub struct Certificate {
     pub expected: f64,
     /// Number of samples that were added.
     pub added: u64,
-    /// In how many rounds.
+    /// The number of rounds.
     pub rounds: u64,
     /// The true error of some vertices, if all plugins know their map.
     pub truth: Option<TransferError>,

@@ -23,7 +23,7 @@ const LEAST: f32 = 1e-3;
 /// Balls below this part of the largest one's radius lie in limbs.
 const SMALLEST: f32 = 0.75;
 
-/// Most balls.
+/// The number of balls, at most.
 const MOST: usize = 8;
 
 /// Bones within this part of the radius are in the body.

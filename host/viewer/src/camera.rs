@@ -18,7 +18,7 @@ pub enum Up {
     Z,
 }
 
-/// How depth shows.
+/// The projection of depth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Projection {
@@ -47,7 +47,7 @@ pub enum Standard {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Camera {
-    /// What it goes round.
+    /// The point that the camera goes round.
     pub target: DVec3,
     /// From the front towards the right, radians.
     pub yaw: f64,
@@ -57,7 +57,7 @@ pub struct Camera {
     pub distance: f64,
     /// The angle from the picture's lower edge to its upper one, radians.
     pub fov: f64,
-    /// How depth shows.
+    /// The projection of depth.
     pub projection: Projection,
     /// The axis that points up.
     pub up: Up,
@@ -80,7 +80,7 @@ impl Default for Camera {
 /// A way through the scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
-    /// Where it begins.
+    /// The point where the ray begins.
     pub origin: DVec3,
     /// Where the ray goes, of length 1.
     pub direction: DVec3,
@@ -103,7 +103,7 @@ impl Camera {
         [right, back.cross(right), back].map(|axis| upright * axis)
     }
 
-    /// Where it is.
+    /// The eye's position.
     pub fn eye(&self) -> DVec3 {
         self.target + self.axes()[2] * self.distance
     }

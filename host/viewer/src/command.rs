@@ -45,7 +45,7 @@ pub enum Command {
     /// Changes them while something is dragged: a draft is made of it. All changes of the same thing are
     /// undone as one.
     Drag(edit::EditCommand),
-    /// What was dragged rests.
+    /// The end of a drag: what was dragged rests.
     Rest,
     /// Takes the last change of the steps, or of the selection, back.
     Undo,
@@ -110,7 +110,7 @@ pub enum Command {
     },
     /// More samples where it is selected, as a new step behind the others.
     RefineSelection {
-        /// How fine.
+        /// The fineness that is wanted.
         finer: Finer,
     },
     /// A joint of a skeleton of the user's, moved if there is one of this id.
@@ -217,13 +217,13 @@ pub enum Area {
     Inverse,
     /// One more around those that are selected.
     Grown,
-    /// One less.
+    /// The selection, smaller by a ring.
     Shrunk,
     /// Under a brush that is moved along pixels.
     Brush {
         /// The pixels.
         path: Vec<[f64; 2]>,
-        /// In pixels.
+        /// The radius in pixels.
         radius: f64,
     },
     /// Within a line that goes round.
@@ -260,7 +260,7 @@ pub enum Area {
 pub enum CameraMove {
     /// Round its target.
     Orbit {
-        /// To the right, radians.
+        /// The turn to the right, in radians.
         yaw: f64,
         /// Upwards, radians.
         pitch: f64,

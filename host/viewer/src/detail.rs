@@ -20,7 +20,7 @@ use std::sync::Arc;
 pub enum Previewed {
     /// What the camera sees now.
     Seen,
-    /// What is selected now.
+    /// The samples that are selected now.
     Selection,
     /// Nothing: samples everywhere.
     Nothing,
@@ -84,7 +84,7 @@ pub struct DetailCounts {
 }
 
 impl Detail {
-    /// Nothing is there yet.
+    /// A detail of which nothing is there yet.
     pub fn new(of: Previewed, chosen: DetailRequest, pose: SamplePose, tint: Tint) -> Self {
         let cells = pose.sampled.held_cells().map_or(0, |kept| kept.cells.len());
         let held = (0..cells).map(|_| None).collect();
@@ -92,7 +92,7 @@ impl Detail {
         Self { of, chosen, tint, held, pieces: BTreeMap::new(), made: 0, pose, covered, revision: 0 }
     }
 
-    /// What it is of.
+    /// The part of the model that it is of.
     pub fn previewed(&self) -> Previewed {
         self.of
     }
@@ -181,7 +181,7 @@ impl Detail {
         }
     }
 
-    /// How much there is.
+    /// The numbers of vertices and bytes.
     pub fn figures(&self) -> DetailCounts {
         let [_, wanted] = self.chosen.vertices(&self.pose.sampled);
         let count = |fresh: bool| -> u64 {

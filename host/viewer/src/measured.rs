@@ -14,18 +14,18 @@ const MOST_STEPS: usize = 12;
 /// A point of the surface that is measured from and to, model coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredPoint {
-    /// Before all steps.
+    /// The place before all steps.
     pub rest: DVec3,
-    /// After them.
+    /// The place after them.
     pub now: DVec3,
 }
 
 /// A length or an angle that is measured, after the steps and before them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measure {
-    /// After the steps.
+    /// The number after the steps.
     pub now: f64,
-    /// Before them.
+    /// The number before them.
     pub rest: f64,
 }
 

@@ -64,7 +64,7 @@ pub fn placed_handles(handles: &[HandleDesc], moves: &[HandleMove], frame: &Fram
 /// A handle that a plugin placed, at its place in the model's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlacedHandle {
-    /// At rest.
+    /// The handle's place at rest.
     pub rest: DVec3,
     /// The map of all that it hangs on.
     pub parent: DAffine3,
@@ -73,7 +73,7 @@ pub struct PlacedHandle {
 }
 
 impl PlacedHandle {
-    /// Where it is.
+    /// The handle's place now.
     pub fn position(&self) -> DVec3 {
         self.map.transform_point3(self.rest)
     }

@@ -30,7 +30,7 @@ pub enum Drag {
 /// A preset: the drags by which each button moves the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Navigation {
-    /// What the user reads.
+    /// The name that the user reads.
     pub name: &'static str,
     /// Whether a tool that moves what is selected begins as soon as it is taken, without a click.
     pub begins_at_once: bool,
@@ -43,7 +43,7 @@ const CONTROL: Modifiers = Modifiers { control: true, ..NONE };
 const ALT: Modifiers = Modifiers { alt: true, ..NONE };
 
 impl Navigation {
-    /// All ways to navigate.
+    /// The presets that there are.
     pub const ALL: [Self; 2] = [
         Self {
             name: "Blender-like",

@@ -51,7 +51,7 @@ pub struct ScalarField {
     pub are_classes: bool,
 }
 
-/// What numbers look like.
+/// The colours of numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OverlayScale {
     range: [f32; 2],

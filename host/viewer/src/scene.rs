@@ -18,7 +18,7 @@ pub struct ViewerScene {
     /// The model with its samples at rest: their normals, spacing, neighbours, and the triangles between
     /// them.
     pub sampled: Arc<SampledModel>,
-    /// Where the samples are.
+    /// The samples' positions.
     pub positions: Arc<[Vec3]>,
     /// How each step fared, in their order.
     pub statuses: Vec<(StepId, Status)>,

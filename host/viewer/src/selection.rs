@@ -48,7 +48,7 @@ impl Selection {
         self.marks.get(sample as usize).copied().unwrap_or(false)
     }
 
-    /// How many are selected.
+    /// The number of samples that are selected.
     pub fn count(&self) -> usize {
         self.count
     }

@@ -5,7 +5,7 @@ use crate::camera::Camera;
 use glam::{DVec2, DVec3};
 use simod_session::Motion;
 
-/// What is done.
+/// The kind of a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TransformKind {
     /// Shifted.
@@ -40,7 +40,7 @@ pub struct Transform {
     turned: f64,
 }
 
-/// What things look like.
+/// The view that a motion is seen in.
 #[derive(Debug, Clone, Copy)]
 pub struct ScreenView<'a> {
     /// The camera.
@@ -55,7 +55,7 @@ impl Transform {
         Self { kind, pivot, unit, axis: None, typed: String::new(), from: pointer, at: pointer, turned: 0.0 }
     }
 
-    /// What is done.
+    /// The kind of the motion.
     pub fn kind(&self) -> TransformKind {
         self.kind
     }

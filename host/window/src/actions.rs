@@ -30,9 +30,9 @@ pub enum Menu {
 
 /// Something that the user can do by name.
 pub struct NamedAction {
-    /// What the user reads.
+    /// The name that the user reads.
     pub name: &'static str,
-    /// Where it is found.
+    /// The menu that it is found in.
     pub menu: Menu,
     /// Keys that do it; the first ones are shown.
     pub keys: &'static [(Modifiers, Key)],

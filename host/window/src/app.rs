@@ -35,12 +35,12 @@ impl App {
         Self { window, viewport, lost, told_of_loss: false }
     }
 
-    /// What is in it.
+    /// The window's content.
     pub fn window(&self) -> &Window {
         &self.window
     }
 
-    /// What is in it.
+    /// The window's content, to be changed.
     pub fn window_mut(&mut self) -> &mut Window {
         &mut self.window
     }

@@ -14,7 +14,7 @@ pub enum Purpose {
     Open,
     /// The folder of a sampled model to be opened.
     OpenFolder,
-    /// Where the session goes.
+    /// A place for the session.
     Save,
     /// Where the deformed model goes.
     Write,
@@ -22,7 +22,7 @@ pub enum Purpose {
     Pin,
     /// The folder for the frames of a turntable.
     Turntable,
-    /// Where a picture goes.
+    /// A place for a picture.
     Picture,
     /// Where a model is that something remembers at another place.
     Locate {
@@ -43,7 +43,7 @@ pub enum Purpose {
 }
 
 impl Purpose {
-    /// What the user reads.
+    /// The dialog's title.
     pub fn title(&self) -> &'static str {
         match self {
             Self::Open => "Open a model or a session",
@@ -115,9 +115,9 @@ const PATIENCE: Duration = Duration::from_secs(2);
 
 /// A dialog that is open, or about to be.
 pub struct Dialog {
-    /// What for.
+    /// The dialog's purpose.
     pub purpose: Purpose,
-    /// Where it began.
+    /// The path that it began with.
     pub at: Option<PathBuf>,
     turn: Arc<DialogTurn>,
     since: Instant,

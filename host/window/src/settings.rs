@@ -45,7 +45,7 @@ impl Lighting {
     }
 }
 
-/// What the user likes.
+/// The user's settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", default)]
 pub struct WindowSettings {

@@ -6,7 +6,7 @@ use eframe::egui::{
 };
 use simod_session::step::Role;
 
-/// What is selected.
+/// The colour of what is selected.
 pub const SELECTED: [u8; 3] = [255, 138, 30];
 /// The surface where it shows nothing else; as the renderer's clay.
 pub const CLAY: [u8; 3] = [197, 189, 180];

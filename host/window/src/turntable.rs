@@ -60,9 +60,9 @@ pub struct AskedPicture {
 /// Frames of a turntable, of which a film can be made.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Film {
-    /// Where they are.
+    /// The folder of the frames.
     pub folder: PathBuf,
-    /// How many.
+    /// The number of frames.
     pub frames: u32,
     /// Whether the background of the pictures is seen through.
     pub transparent: bool,
@@ -90,12 +90,12 @@ pub fn of_film(format: ScreenshotFormat) -> ScreenshotFormat {
     ScreenshotFormat { size: format.size.map(|side| side.next_multiple_of(2)), ..format }
 }
 
-/// What is drawn.
+/// The pictures that are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TurntableWork {
     /// So many frames, into a folder.
     Turntable(u32),
-    /// One, to a file.
+    /// A picture, to a file.
     Picture,
 }
 
@@ -154,7 +154,7 @@ impl Turning {
         Self { watch, made, thread: Some(thread), work, target, transparent, since: Instant::now() }
     }
 
-    /// How far it is.
+    /// The progress so far.
     pub fn activity(&self) -> Activity {
         let (done, frames) = self.progress();
         let seconds = self.since.elapsed().as_secs_f64();
@@ -206,7 +206,7 @@ impl Turning {
         }
     }
 
-    /// What it is called.
+    /// The name for the user.
     pub fn name(&self) -> &'static str {
         match self.work {
             TurntableWork::Turntable(_) => "Turntable",

@@ -90,9 +90,9 @@ fn setting(desc: &ParamDesc, value: Value, now: Option<&Value>) -> Option<Remedy
 pub struct Remedy {
     /// The parameter's id.
     pub id: String,
-    /// What it becomes.
+    /// The parameter's new value.
     pub value: Value,
-    /// What the user reads.
+    /// The text of the button.
     pub text: String,
 }
 

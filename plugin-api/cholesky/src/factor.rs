@@ -165,7 +165,7 @@ fn share<T: Send>(
 
 /// A factorisation while it is done.
 struct Elimination<'a> {
-    /// In the tree's order.
+    /// The matrix, in the tree's order.
     matrix: &'a Symmetric,
     ridge: f64,
     tree: &'a EliminationTree,
@@ -178,7 +178,7 @@ struct Elimination<'a> {
 struct SubtreeTask<T> {
     parts: Range<usize>,
     run: FrontRun<T>,
-    /// Of its last part.
+    /// The update that the last part leaves.
     update: Option<Update>,
     result: Result<(), Refusal>,
 }

@@ -52,7 +52,7 @@ pub fn places(rows: &[u32], columns: &Range<usize>, after: &[u32]) -> Vec<usize>
 }
 
 impl Front {
-    /// All zeros.
+    /// A front of zeros.
     pub fn new(columns: usize, rows: Vec<u32>) -> Self {
         let panel = vec![0.0; columns * (columns + rows.len())];
         let update = vec![0.0; rows.len() * rows.len()];

@@ -8,7 +8,7 @@ use std::ops::Range;
 /// Numbers side by side: as many as the largest vectors of today's processors have.
 pub type KernelLanes<T = f64> = [T; WIDTH];
 
-/// How many they are.
+/// The number of lanes.
 pub const WIDTH: usize = 8;
 
 /// How entries of a factor are kept.
@@ -129,7 +129,7 @@ pub struct Below<'a, T> {
 }
 
 impl<'a, T: Stored> Below<'a, T> {
-    /// All rows.
+    /// The kernel of all rows.
     pub fn new(values: &'a [KernelLanes<T>], stride: usize, columns: usize) -> Self {
         Self { values, stride, lanes: 0..stride, columns }
     }

@@ -16,11 +16,11 @@ const MOST: u64 = 4 << 30;
 /// The unknowns after each part that have to do with it, ascending.
 #[derive(Debug, Default)]
 pub struct Structure {
-    /// By part.
+    /// The rows of each part.
     pub rows: Vec<Vec<u32>>,
 }
 
-/// What some parts take.
+/// The memory that some parts take.
 #[derive(Debug, Default)]
 struct Taken {
     /// Bytes that are kept.

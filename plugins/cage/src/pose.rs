@@ -16,7 +16,7 @@ const SETTLED: f64 = 1e-7;
 /// The vertices of a moved cage, with maps of its faces.
 #[derive(Debug)]
 pub struct MovedCage {
-    /// From their mean.
+    /// The vertices, from their mean.
     pub vertices: Vec<DVec3>,
     pub mean: DVec3,
     /// The stretch that all of the cage has in common, of volume 1 or -1.

@@ -123,7 +123,7 @@ pub enum SpaceMap {
 }
 
 impl SpaceMap {
-    /// Where a point goes.
+    /// The image of a point.
     pub fn apply(&self, p: DVec3) -> DVec3 {
         match self {
             Self::Affine(map) => map.transform_point3(p),

@@ -29,7 +29,7 @@ pub struct Row {
     pub is_outlier: bool,
 }
 
-/// All of them.
+/// The rows of all landmarks, and the kind of map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LandmarkReport {
     pub rows: Vec<Row>,
@@ -73,7 +73,7 @@ impl LandmarkReport {
         self.rows.iter().filter(|row| row.is_outlier).map(|row| row.name.as_str()).collect()
     }
 
-    /// All in one line.
+    /// The report in one line.
     pub fn summary(&self) -> String {
         let left_out = match self.left_out_rms() {
             Some(rms) => format!("{} where each is left out", figure(rms)),

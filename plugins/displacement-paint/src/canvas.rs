@@ -54,7 +54,7 @@ pub struct Canvas {
 }
 
 impl Canvas {
-    /// Nothing painted yet.
+    /// A canvas on which nothing is painted yet.
     pub fn new(surface: &LinkedSurface, positions: &[Vec3], normals: &[Vec3]) -> Self {
         Self {
             surface: surface.id,

@@ -47,11 +47,11 @@ pub type BodyGradients = Vec<CellGradients>;
 /// What acts on the body.
 #[derive(Debug)]
 pub struct Load<'a> {
-    /// Where the regions are.
+    /// The places of the regions.
     pub goals: &'a Goals,
     /// The force on a unit of the body.
     pub weight: DVec3,
-    /// Where it touches itself.
+    /// The places where the body touches itself.
     pub touches: &'a [Touch],
 }
 
@@ -93,7 +93,7 @@ impl Body {
         deformation(&self.lattice.cells[place.cell as usize].map(|c| x[c as usize]), &slopes)
     }
 
-    /// How all is deformed.
+    /// The gradients of the deformation in all cells.
     pub fn gradients(&self, x: &[DVec3], host: &Host<'_>) -> PluginResult<BodyGradients> {
         let mut all = vec![CellGradients::NONE; self.lattice.cells.len()];
         host.parallel_blocks(&mut all, CELLS, |first, all| {
@@ -259,7 +259,7 @@ impl Body {
     }
 }
 
-/// How cells are deformed.
+/// The deformation of cells.
 struct Deforms<'a> {
     slopes: &'a Slopes,
     cells: &'a [[u32; 8]],

@@ -17,7 +17,7 @@ pub fn cofactors(f: &DMat3) -> DMat3 {
     DMat3::from_cols(b.cross(c), c.cross(a), a.cross(b))
 }
 
-/// How the cofactors change.
+/// The change of the cofactors.
 #[inline(always)]
 fn cofactors_change(f: &DMat3, by: &DMat3) -> DMat3 {
     let ([a, b, c], [u, v, w]) = ([f.x_axis, f.y_axis, f.z_axis], [by.x_axis, by.y_axis, by.z_axis]);

@@ -22,7 +22,7 @@ const FAN: usize = 8;
 /// Samples or triangles at once on one thread.
 const TOGETHER: usize = 1024;
 
-/// What encloses the body.
+/// The kind of surface that encloses the body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Enclosure {
     /// A closed surface.
@@ -42,7 +42,7 @@ pub struct Occupancy {
     pub step: DVec3,
     /// Cells along each axis.
     pub counts: [usize; 3],
-    /// What encloses the body.
+    /// The kind of surface that encloses the body.
     pub kind: Enclosure,
     values: Vec<u8>,
 }

@@ -29,7 +29,7 @@ const HALVINGS: usize = 14;
 
 /// What a body is to be brought to rest under.
 pub struct LoadCase<'a> {
-    /// Where the regions are.
+    /// The places of the regions.
     pub goals: &'a Goals,
     /// The force on a unit of the body.
     pub weight: DVec3,
@@ -63,7 +63,7 @@ impl RestCriteria {
         Self { still, steps: 3, left: 0.1, gradients: 60, products }
     }
 
-    /// For a draft.
+    /// The criteria for a draft.
     pub fn quickly() -> Self {
         Self { still: 1e-3, steps: 2, left: 0.2, gradients: 12, products: 24 }
     }

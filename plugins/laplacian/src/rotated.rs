@@ -32,9 +32,9 @@ pub struct Rotated {
 /// How stiff draws are, per area.
 #[derive(Debug, Clone, Copy)]
 pub struct Stiffness {
-    /// With the Laplacian.
+    /// The stiffness of draws with the Laplacian.
     pub harmonic: f64,
-    /// With the bi-Laplacian.
+    /// The stiffness of draws with the bi-Laplacian.
     pub biharmonic: f64,
 }
 

@@ -187,7 +187,7 @@ struct Search {
     target: Vec<DVec3>,
     tree: Tree,
     with_scale: bool,
-    /// Of the target.
+    /// The target's size.
     size: f64,
 }
 

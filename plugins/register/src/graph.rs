@@ -28,7 +28,7 @@ struct Node {
 #[derive(Debug, Clone)]
 pub struct Graph {
     nodes: Vec<Node>,
-    /// Each two neighbours once.
+    /// The edges: each two neighbours once.
     edges: Vec<(usize, usize)>,
 }
 
@@ -101,7 +101,7 @@ impl Graph {
         carried.iter().map(|(i, w)| *w * (self.nodes[*i].turn * n)).sum()
     }
 
-    /// Where a place goes.
+    /// The image of a place.
     pub fn apply(&self, p: DVec3) -> DVec3 {
         self.image(p, &self.carried(p))
     }

@@ -200,10 +200,10 @@ struct Task<'a> {
     model: &'a Points,
     target: &'a Points,
     pairs: &'a [Pair],
-    /// Of the drift's Gaussians.
+    /// The width of the drift's Gaussians.
     width: f64,
     closest: Closest<'a>,
-    /// At rest.
+    /// The graph at rest.
     graph: Graph,
     host: &'a Host<'a>,
 }

@@ -73,7 +73,7 @@ impl Biharmonic {
         Ok(Self { weights: Field::new(voxels, &fields, Elsewhere::Nothing)?, limit })
     }
 
-    /// What a place follows.
+    /// The joints that a place follows.
     pub fn influences_at(&self, p: DVec3, room: &mut Influences) {
         self.weights.numbers_at(p, room);
         let largest = room.iter().map(|w| w.0).fold(f64::NEG_INFINITY, f64::max);

@@ -21,7 +21,7 @@ const RIGID: f64 = 1e-9;
 /// Newton's method for rotations converges in less steps, or not at all.
 const STEPS: usize = 60;
 
-/// How places move.
+/// The blend of the joints' motions.
 pub struct Blend {
     joints: Joints,
     /// Whether a joint moves at all.

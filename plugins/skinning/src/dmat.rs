@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-/// Most numbers.
+/// The number of entries, at most.
 const MOST: usize = 1 << 26;
 /// Most bytes of a file: 32 for each number, as text.
 const MOST_BYTES: u64 = 32 * MOST as u64;

@@ -94,7 +94,7 @@ impl Geodesic {
         Ok(Self { distances: Field::new(voxels, &fields, Elsewhere::Unknown)?, rule })
     }
 
-    /// What a place follows.
+    /// The joints that a place follows.
     pub fn influences_at(&self, p: DVec3, room: &mut Influences) {
         self.distances.numbers_at(p, room);
         self.weights(room);

@@ -135,7 +135,7 @@ struct Prepared {
     table: InfluenceTable,
 }
 
-/// What moves the joints.
+/// The motions of the joints.
 enum Moved {
     /// The user.
     Handles(pose::Handles),
@@ -143,7 +143,7 @@ enum Moved {
     Frames(Frames),
 }
 
-/// Where weights come from.
+/// The source of the weights.
 enum Source {
     Biharmonic(Box<Biharmonic>),
     Geodesic(Box<Geodesic>),
@@ -257,7 +257,7 @@ fn no_place_near(input: &PrepareInput<'_>) -> PluginResult<PluginError> {
     Ok(PluginError::parameter(param, &message).hint("give places in the model's coordinates"))
 }
 
-/// How places move.
+/// The blend of the joints' motions.
 fn blend(state: &Prepared, input: &DeformInput<'_>) -> PluginResult<Blend> {
     let Pose { method, reach_length, .. } = input.params().read()?;
     let motions = match &state.moved {

@@ -19,7 +19,7 @@ const SHORTEST: f64 = 1e-9;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Joint {
     pub id: String,
-    /// At rest, local coordinates.
+    /// The place at rest, local coordinates.
     pub at: DVec3,
     /// The joint that this one hangs on, whose number is less.
     pub parent: Option<usize>,

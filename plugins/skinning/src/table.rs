@@ -11,14 +11,14 @@ use std::io::{BufRead, BufReader};
 use std::num::NonZero;
 use std::path::Path;
 
-/// Most rows.
+/// The number of rows, at most.
 const MOST_ROWS: usize = 1 << 22;
 /// Rows that a place between them is blended of.
 const BLENDED: usize = 4;
 /// Rows that are so near, as a part of the table's size, are at the place itself.
 const SAME: f64 = 1e-7;
 
-/// Most weights above 0.
+/// The number of weights above 0, at most.
 const MOST_WEIGHTS: usize = 1 << 26;
 /// Negative weights up to this part of the largest are of rounding, or of solvers that keep to bounds nearly.
 const ROUND_OFF: f64 = 0.01;

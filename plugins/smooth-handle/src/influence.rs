@@ -14,7 +14,7 @@ use simod_plugin_api::{Curve, Graph, Host, ParamDesc, Params, PluginError, Plugi
 const BLOCK: usize = 4096;
 /// Neighbours over which shares are smoothed.
 const RING: usize = 12;
-/// Most passes of smoothing.
+/// The number of passes of smoothing, at most.
 const MOST_PASSES: f64 = 300.0;
 /// How much of the neighbours' mean is taken in a pass.
 const PART: f64 = 0.5;
@@ -39,7 +39,7 @@ pub struct SurfaceAtRest<'a> {
     pub graph: &'a Graph<'a>,
 }
 
-/// How shares come about.
+/// The rule by which shares come about.
 pub struct ShareRule {
     /// Along the surface, not through space.
     pub on_surface: bool,

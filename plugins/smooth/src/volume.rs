@@ -14,7 +14,7 @@ pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
     is_single && !edges.is_empty() && edges.iter().all(|[a, b]| edges.binary_search(&[*b, *a]).is_ok())
 }
 
-/// What closed triangles enclose.
+/// The volume that closed triangles enclose.
 pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     let origin = positions.first().copied().unwrap_or_default();
     let part = |t: &[u32; 3]| {

@@ -44,7 +44,7 @@ pub struct DetailRequest {
     pub cells: Vec<u32>,
     /// One of so many vertices is taken: 1 for all.
     pub stride: u64,
-    /// What comes with them.
+    /// The attributes that come with them.
     pub shown: DetailAttributes,
 }
 
@@ -126,7 +126,7 @@ impl Values {
     }
 }
 
-/// What was streamed.
+/// The figures of a stream.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Streamed {
     /// Number of vertices that were handed on ...

@@ -26,7 +26,7 @@ pub struct Thinning {
 }
 
 impl Thinning {
-    /// One of so many.
+    /// Takes one vertex of so many.
     pub fn new(stride: u64) -> Self {
         Self { stride: stride.max(1) }
     }

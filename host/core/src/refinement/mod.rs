@@ -90,7 +90,7 @@ impl Finer {
 /// What a refinement is asked for.
 #[derive(Debug, Clone)]
 pub struct Refining {
-    /// How fine.
+    /// The fineness that is wanted.
     pub finer: Finer,
     /// Bytes of memory to stay below; as for sampling where not given.
     pub memory_limit: Option<u64>,
@@ -98,7 +98,7 @@ pub struct Refining {
     pub shapes: Vec<toml::Table>,
 }
 
-/// What was done.
+/// The figures of a refinement that was done.
 pub struct Refined {
     /// The sampled model with the new samples; `None` if there was nothing to refine.
     pub sampled: Option<SampledModel>,
@@ -116,7 +116,7 @@ pub struct Refined {
     pub face_bytes: u64,
 }
 
-/// What a deformation needs.
+/// The samples that a deformation needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SamplesNeed {
     /// The largest transfer error that is expected around a selected sample, before; a fraction of the
@@ -353,7 +353,7 @@ struct GrownTrees {
     members: Option<ReadMembers>,
     /// The vertices near contacts, where there are such.
     noted: Option<ContactVertices>,
-    /// How much was read.
+    /// The figures of what was read.
     figures: Refined,
 }
 

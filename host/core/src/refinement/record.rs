@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Refinement {
-    /// What was selected.
+    /// The shapes of the selection.
     pub shapes: Vec<toml::Table>,
     /// The bound that it came to inside, as a fraction of the diagonal.
     pub error: f64,

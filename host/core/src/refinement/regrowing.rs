@@ -118,7 +118,7 @@ impl Regrown {
 #[derive(Debug)]
 pub(super) struct ChangedModel;
 
-/// How cells are regrown.
+/// The way in which cells are regrown.
 pub(super) struct Regrowing<'a, 'g> {
     pub rule: SplitRule,
     pub sizing: &'a Sizing<'a>,

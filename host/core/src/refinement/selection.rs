@@ -118,7 +118,7 @@ impl<'a> Selected<'a> {
 pub(super) struct LeafEstimate {
     /// The leaf's error.
     pub error: f32,
-    /// At most its slack.
+    /// The slack, at most.
     pub slack: f32,
     /// Whether it may reach into the selection.
     pub inside: bool,

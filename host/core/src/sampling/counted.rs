@@ -20,7 +20,7 @@ const VERSION: u32 = 1;
 /// No file is longer: of 10⁸ cells.
 const LONGEST: u64 = 8 << 30;
 
-/// What a file holds.
+/// The content of a file.
 #[derive(Serialize, Deserialize)]
 struct CountFile {
     /// The model's bytes and vertices.
@@ -95,7 +95,7 @@ fn write(
     output::write_file(path, &bytes)
 }
 
-/// What counts belong to.
+/// The key of counts: the model and the options that they belong to.
 pub(super) struct CountKey {
     /// The model's bytes and vertices.
     pub(super) model: [u64; 2],

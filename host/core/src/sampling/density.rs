@@ -24,7 +24,7 @@ pub enum By {
 }
 
 impl By {
-    /// All there are.
+    /// The choices that there are.
     pub const ALL: [Self; 3] = [Self::Error, Self::Area, Self::Vertices];
 
     /// Whether it is the default, which files do not mention.

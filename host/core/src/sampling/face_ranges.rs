@@ -21,7 +21,7 @@ pub struct FaceRanges {
     met: Vec<u32>,
 }
 
-/// What becomes of ranges.
+/// The ranges that are kept, or why none are.
 enum KeptRanges {
     /// Ranges are kept, as far as there is room.
     Joined(Ranges),

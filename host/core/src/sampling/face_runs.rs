@@ -32,7 +32,7 @@ pub(super) struct FaceRuns {
     starts: Vec<RunStart>,
 }
 
-/// Where a run begins.
+/// The beginning of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 struct RunStart {
     /// The mark from which faces can be read: of several behind as many triangles, the first.

@@ -51,7 +51,7 @@ pub struct ClusteringPass<'a> {
     pub grid: &'a Grid,
     /// The model's local coordinates.
     pub frame: &'a Frame,
-    /// How clusters are split.
+    /// The rule by which clusters are split.
     pub rule: SplitRule,
     /// Number of samples that is aimed at, if any.
     pub target: Option<usize>,
@@ -72,7 +72,7 @@ pub struct ClusteringPass<'a> {
     pub picking: Option<&'a Picking>,
     /// Splats that are left out.
     pub opaque: Option<Opaque>,
-    /// Where temporary files go.
+    /// The folder of temporary files.
     pub folder: &'a Path,
     /// Watches.
     pub progress: &'a dyn Progress,
@@ -122,7 +122,7 @@ impl HashedStream {
     }
 }
 
-/// What pass 2 finds.
+/// The findings of pass 2.
 pub struct Clustered {
     /// The trees of all cells.
     pub forest: Forest,

@@ -405,7 +405,7 @@ impl NearestPoint {
 /// The triangles around one sample.
 struct SampleFan {
     sample: u32,
-    /// Where it is.
+    /// The sample's position.
     apex: Vec3,
     blades: Vec<Blades>,
 }

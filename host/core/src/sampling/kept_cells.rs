@@ -183,7 +183,7 @@ fn are_ranges(ranges: &[Range<u64>], end: u64) -> bool {
         && ranges.windows(2).all(|w| w[0].end <= w[1].start)
 }
 
-/// What former files hold.
+/// The content of files that former versions wrote.
 #[derive(Deserialize)]
 struct FormerCells {
     level: i32,

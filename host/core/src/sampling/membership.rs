@@ -56,7 +56,7 @@ pub struct Membership {
 /// What is to be known of the vertices, beside their samples.
 #[derive(Clone, Copy)]
 pub struct Noted {
-    /// Where they are.
+    /// The positions of the vertices.
     pub positions: bool,
     /// Vertices at the same position, as far as [`Twins`] finds them.
     pub twins: bool,

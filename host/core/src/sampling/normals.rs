@@ -192,7 +192,7 @@ struct OrientedParts {
 }
 
 impl OrientedParts {
-    /// Each sample alone.
+    /// A forest in which each sample is alone.
     fn new(samples: usize) -> Self {
         Self { above: (0..samples as u32).collect(), turned: vec![false; samples] }
     }

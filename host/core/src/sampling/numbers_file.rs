@@ -30,7 +30,7 @@ const LONGEST: u64 = 4 << 30;
 
 const BYTES: usize = size_of::<u32>();
 
-/// Where a block is.
+/// The place of a block.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct NumberBlock {
     at: u64,

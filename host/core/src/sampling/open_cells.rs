@@ -257,7 +257,7 @@ pub struct CellItems<T> {
 }
 
 impl<T: Pod> CellItems<T> {
-    /// How many they are.
+    /// The number of vertices.
     pub fn count(&self) -> u64 {
         self.spilled + self.held.len() as u64
     }

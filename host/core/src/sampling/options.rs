@@ -18,18 +18,18 @@ pub struct Sampling {
     /// Bytes of memory to stay below, for any order of the vertices; a quarter of the machine's, and at most
     /// 2 GiB, where not given, of which open cells take 64 MiB at most.
     pub memory_limit: Option<u64>,
-    /// How clusters are split.
+    /// The way in which clusters are split.
     pub splitting: Splitting,
     /// What samples are spread by.
     pub by: By,
     /// Whether open cells hold samples or groups of them.
     pub grouping: Grouping,
-    /// What places the samples.
+    /// The way in which samples are placed.
     pub placement: Placement,
     /// Gaussian splats of less opacity are left out, as floaters are; [`LEAST_OPACITY`](super::LEAST_OPACITY)
     /// where not given. Once sampled, nothing where none are left out.
     pub min_opacity: Option<f64>,
-    /// What is not wanted.
+    /// The parts that are left out.
     pub skip: Skip,
 }
 

@@ -164,7 +164,7 @@ impl SharedPiece {
     }
 }
 
-/// Where a block is.
+/// The place of a block.
 #[derive(Serialize, Deserialize)]
 struct RecordBlock {
     at: u64,

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use simod_model::ModelInfo;
 
-/// How clusters are split.
+/// The way in which clusters are split.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Splitting {

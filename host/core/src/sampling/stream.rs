@@ -284,7 +284,7 @@ struct Finishing<'a> {
 
 /// Consecutive vertices of the model.
 struct StreamPiece<P: GatherPiece> {
-    /// As they were read.
+    /// The chunks as they were read.
     chunks: Vec<VertexChunk>,
     gatherer: P,
     /// All that was gathered, once it is, and the cell of each item.

@@ -67,7 +67,7 @@ pub struct Wanted<'a, 'p> {
     pub triangles: bool,
     /// Where the faces of each cell are.
     pub ranges: Option<&'a mut FaceRanges>,
-    /// What hangs together.
+    /// The vertices that hang together, if they are wanted.
     pub islands: Option<&'a mut Islands>,
     /// The planes around each sample.
     pub planes: Option<&'a mut Planes<'p>>,
@@ -84,7 +84,7 @@ pub struct Reindexing<'a, 'p> {
     sample_of: &'a [u32],
     samples: usize,
     wanted: Wanted<'a, 'p>,
-    /// Most triangles.
+    /// The number of triangles, at most.
     most: usize,
     found: Triangles,
 }

@@ -178,7 +178,7 @@ impl Contacts {
 
 /// The sheets of the samples of a refined model, by those that were there before.
 pub(crate) struct InheritedSheets<'a> {
-    /// What was known before.
+    /// The contacts that were known before.
     pub contacts: &'a Contacts,
     /// How many samples there were.
     pub before: usize,

@@ -45,7 +45,7 @@ pub struct Parting<'a> {
     pub ranges: &'a [Vec<Range<u64>>],
     /// Local coordinates.
     pub frame: Frame,
-    /// Where temporary files go.
+    /// The folder of temporary files.
     pub folder: &'a Path,
     /// Watches.
     pub progress: &'a dyn Progress,

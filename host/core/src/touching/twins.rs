@@ -53,7 +53,7 @@ pub struct TwinSearch {
     next: u64,
 }
 
-/// What was found.
+/// The vertices at one place that were found.
 pub struct FoundTwins {
     /// For each vertex, how far before it one at the same position is; 0 where none is known.
     pub back: MapMut,

@@ -50,7 +50,7 @@ pub struct Converted {
     model: Box<dyn Model>,
     source: SourceFile,
     info: ModelInfo,
-    /// One of [`WRITTEN`].
+    /// The extension of the format, one of [`WRITTEN`].
     extension: &'static str,
     how: Conversion,
     faces: FaceCounts,

@@ -232,7 +232,7 @@ impl Rewritable for ConversionCall<'_> {
     }
 }
 
-/// What comes next.
+/// The piece that comes next.
 enum NextPiece {
     Head,
     Vertices,

@@ -22,7 +22,7 @@ pub(super) mod at {
 /// Longest XML that is read: it is held, and a tree of it.
 const MOST_XML: u64 = 64 << 20;
 
-/// What the header says.
+/// The header's content.
 #[derive(Debug)]
 pub(super) struct E57Header {
     /// Version of the format.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Attribute;
 
-/// How declared numbers turn.
+/// The way in which declared numbers turn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TensorKind {
@@ -36,7 +36,7 @@ impl TensorKind {
         ("covariance", Self::Covariance),
     ];
 
-    /// What users call it.
+    /// The name that users know it by.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|(_, kind)| *kind == self).map_or("", |(name, _)| name)
     }

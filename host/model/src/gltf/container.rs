@@ -343,7 +343,7 @@ impl Container {
         })
     }
 
-    /// What the JSON says.
+    /// The JSON, or a part of it, as a type of ours.
     pub(super) fn parse<'a, T: Deserialize<'a>>(&self, json: &'a [u8]) -> Result<T> {
         serde_json::from_slice(json).map_err(|e| {
             let what = format!("its JSON makes no sense: {e}");

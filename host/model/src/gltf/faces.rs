@@ -19,7 +19,7 @@ pub(super) struct GltfFaces<'a> {
 }
 
 impl<'a> GltfFaces<'a> {
-    /// All of them.
+    /// A reader of all faces.
     pub(super) fn new(model: &'a GltfModel) -> Self {
         let (ranges, range) = (Vec::new().into_iter(), 0..model.layout.triangles);
         Self { model, ranges, range, with_marks: true, raw: Vec::new(), corners: Vec::new() }

@@ -56,7 +56,7 @@ impl LasBlocks {
         Ok(this)
     }
 
-    /// Where the table is.
+    /// The place of the table.
     fn place(&mut self, source: &SourceFile, header: &LasHeader) -> Result<Option<u64>> {
         let place = |at: u64| -> Result<Option<u64>> {
             let mut bytes = [0; 8];
@@ -212,7 +212,7 @@ impl LasBlocks {
         self.starts[self.len()].0
     }
 
-    /// Where the blocks end.
+    /// The end of the blocks.
     pub fn end(&self) -> u64 {
         self.starts[self.len()].1
     }

@@ -33,7 +33,7 @@ const LONGEST: usize = u16::MAX as usize;
 /// The user whose VLR says how points are compressed, and its number.
 pub(super) const LASZIP: (&[u8], u16) = (b"laszip encoded", 22204);
 
-/// Where a number goes.
+/// The place that a number goes to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum FieldTarget {
     /// A number of its own.
@@ -794,7 +794,7 @@ fn is_on_grid(p: DVec3, integers: &ScaledIntegers) -> bool {
     })
 }
 
-/// How positions become integers.
+/// The integers that positions become.
 fn integers(content: &ConversionInput<'_>) -> Result<ScaledIntegers> {
     let how = &content.how;
     let info = content.info();

@@ -34,14 +34,14 @@ pub(super) mod at {
 /// Bytes of a record of each point format, without extra bytes.
 pub(super) const RECORD_BYTES: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 
-/// What the header says.
+/// The header's content.
 #[derive(Debug, Clone)]
 pub(super) struct LasHeader {
     /// The second number of the version, 0 to 4.
     pub minor: u8,
     /// The header's length, after which the VLRs begin.
     pub len: u64,
-    /// Where the points begin.
+    /// The place where the points begin.
     pub points: u64,
     /// Number of VLRs.
     pub vlrs: u32,

@@ -38,7 +38,7 @@ pub(super) struct BlockGroup {
     /// The blocks' bytes in the file, until a chunk takes them, and each block's share.
     raw: Vec<u8>,
     blocks: Vec<CompressedBlock>,
-    /// What they hold.
+    /// The records of the points, unpacked.
     records: Vec<u8>,
 }
 

@@ -118,7 +118,7 @@ impl ExtraBytesRemark {
         self.spaced.as_ref().unwrap_or(&self.name)
     }
 
-    /// As a line.
+    /// The remark as a line of text.
     pub fn line(&self) -> String {
         let mut line = format!("{EXTRA_BYTES} {}", self.name);
         // Writing to memory does not fail.

@@ -8,7 +8,7 @@ use crate::{Result, Scalar};
 /// What ends the lines of OBJ.
 pub(super) const ENDS: LineEnds = LineEnds::Continued;
 
-/// What a line is.
+/// The kind of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Statement {
     Vertex,

@@ -30,7 +30,7 @@ pub(super) enum NormalsAre {
     Scattered(u64),
 }
 
-/// What is found.
+/// The findings of a scan.
 #[derive(Debug)]
 pub(super) struct ObjScan {
     pub(super) vertices: TextBlocks,

@@ -11,7 +11,7 @@ const LONGEST: usize = 1 << 20;
 /// Most numbers of a point.
 const MOST_NUMBERS: usize = 1 << 14;
 
-/// How points are stored.
+/// The storage of points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Data {
     Ascii,
@@ -79,7 +79,7 @@ pub(super) struct PcdHeader {
     pub(super) fields: Vec<PcdField>,
     pub(super) points: u64,
     pub(super) data: Data,
-    /// Where the points begin.
+    /// The length of the header, behind which the points begin.
     pub(super) len: u64,
     /// The header's text, and where its last line begins.
     pub(super) text: Vec<u8>,

@@ -107,7 +107,7 @@ pub(crate) struct PlyHeader {
     pub(crate) encoding: Encoding,
     /// In the file's order, which is that of the data.
     pub(crate) elements: Vec<PlyElement>,
-    /// Where the data begins.
+    /// The length of the header, behind which the data begins.
     pub(crate) len: u64,
 }
 

@@ -349,7 +349,7 @@ const CRS: &str = "crs";
 const WKT: &str = "crs-wkt";
 const PART: usize = 200;
 
-/// What comments say.
+/// The remarks in comments.
 #[derive(Default)]
 struct Comments {
     crs: Option<String>,

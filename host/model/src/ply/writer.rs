@@ -36,7 +36,7 @@ pub struct Besides<'a> {
     pub colors: &'a [[u8; 3]],
     /// Whether each has its number as `id`.
     pub ids: bool,
-    /// What becomes the faces.
+    /// The triangles that become the faces.
     pub triangles: &'a [[u32; 3]],
 }
 

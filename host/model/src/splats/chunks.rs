@@ -220,7 +220,7 @@ fn words(packed: &[u8]) -> [u32; 4] {
 struct ChunkRange([DVec3; 2]);
 
 impl ChunkRange {
-    /// What holds nothing.
+    /// The box that holds nothing.
     const NONE: Self = Self([DVec3::INFINITY, DVec3::NEG_INFINITY]);
 
     /// A group of those that a chunk has.

@@ -38,7 +38,7 @@ pub(super) struct Facets {
 }
 
 impl Facets {
-    /// All of them.
+    /// A reader of all facets.
     pub(super) fn new(facets: u64) -> Self {
         Self { ranges: Vec::new().into_iter(), range: 0..facets, with_marks: true }
     }

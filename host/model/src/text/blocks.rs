@@ -272,7 +272,7 @@ pub(crate) struct BlockPieces<'a> {
     at: u64,
 }
 
-/// What a piece is.
+/// A piece of the file: vertices, or bytes between them.
 pub(crate) enum BlockPiece {
     /// So many vertices, from this one on.
     Vertices(u64, u64),

@@ -13,7 +13,7 @@ const CHUNK_BYTES: u64 = 4 << 20;
 
 /// The lines with faces of a format.
 pub(crate) trait FaceLines: Send {
-    /// What ends its lines.
+    /// The ends of its lines.
     const ENDS: LineEnds = LineEnds::Breaks;
 
     /// Reading goes on at this byte of the file.

@@ -140,7 +140,7 @@ pub(crate) struct Lines<'a> {
     at: usize,
     /// Where in the file the block begins.
     offset: u64,
-    /// Nothing is read beyond.
+    /// The place beyond which nothing is read.
     end: u64,
 }
 

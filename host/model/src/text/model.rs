@@ -30,7 +30,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
     /// Extensions that names of such files have.
     const EXTENSIONS: &'static [&'static str];
 
-    /// What ends its lines.
+    /// The ends of its lines.
     #[inline(always)]
     fn ends(&self) -> LineEnds {
         LineEnds::Breaks

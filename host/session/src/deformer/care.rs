@@ -10,7 +10,7 @@ use simod_plugin_api::{
     DeformInput, Descriptor, HostCalls, PluginError, PluginResult, PrepareInput, Scratch, Setting, State,
 };
 
-/// How much is undone.
+/// The care that is taken: how much is undone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Care {
     /// What is in this thread's registers: some nanoseconds.

@@ -23,7 +23,7 @@ pub trait Code: Send + Sync {
     /// What the plugin says that it is.
     fn descriptor(&self) -> PluginResult<Descriptor>;
 
-    /// What it can do.
+    /// The code's capabilities.
     fn capabilities(&self) -> Capabilities;
 
     /// What it says of its older sessions, if it knows them.

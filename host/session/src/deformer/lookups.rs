@@ -21,7 +21,7 @@ struct Trees {
     triangles: Vec<[u32; 3]>,
     /// At rest, where the plugin asked for it.
     rest: Option<Vec<[f32; 3]>>,
-    /// One for each pose.
+    /// A tree of the samples for each pose.
     samples: [OnceLock<Option<KdTree>>; 2],
     surfaces: [OnceLock<Option<DistanceSurface>>; 2],
 }

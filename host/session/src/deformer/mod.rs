@@ -52,9 +52,9 @@ pub struct Plugin {
 pub struct Message {
     /// The plugin's id.
     pub plugin: String,
-    /// How much it matters.
+    /// The message's importance.
     pub level: LogLevel,
-    /// One line.
+    /// The text, in one line.
     pub text: String,
 }
 
@@ -150,7 +150,7 @@ impl Plugin {
         &self.descriptor.id
     }
 
-    /// What the user reads.
+    /// The name that the user reads.
     pub fn name(&self) -> &str {
         &self.descriptor.name
     }

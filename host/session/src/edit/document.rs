@@ -91,7 +91,7 @@ pub enum EditCommand {
     Change {
         /// The step's place.
         at: usize,
-        /// How.
+        /// The change.
         change: Change,
     },
 }
@@ -148,7 +148,7 @@ pub enum Change {
     SetStroke {
         /// The stroke's place among those of the step.
         stroke: usize,
-        /// What it becomes.
+        /// The stroke that it becomes.
         to: Arc<Stroke>,
     },
     /// A stroke goes away.
@@ -363,7 +363,7 @@ impl Document {
         Ok(())
     }
 
-    /// What the user reads.
+    /// The command's label for the user.
     fn label(&self, command: &EditCommand) -> String {
         let called = |step: &Step| step.title.clone().unwrap_or_else(|| step.name().to_owned());
         let name = |at: &usize| self.steps.get(*at).map_or_else(|| "step".to_owned(), |e| called(&e.step));

@@ -19,6 +19,6 @@ impl StepId {
 pub struct Entry {
     /// The step's identity.
     pub id: StepId,
-    /// What it does.
+    /// The step itself.
     pub step: Arc<Step>,
 }

@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// How a step fared.
+/// The state of a step after an evaluation.
 #[derive(Debug)]
 pub enum Status {
     /// The step is switched off.

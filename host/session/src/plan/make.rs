@@ -47,7 +47,7 @@ pub struct PlanOptions<'a> {
     pub whole_samples: bool,
     /// So many units share each stage that can be divided.
     pub units: u64,
-    /// For what engines.
+    /// The engines that files are written for.
     pub emit: &'a [Emit],
 }
 

@@ -39,7 +39,7 @@ use crate::stack::Stack;
 /// Longest file of gradients: of 2³² samples.
 const LONGEST: u64 = 1 << 38;
 
-/// What a unit did.
+/// The report of a unit.
 #[derive(Default)]
 pub struct UnitDone {
     /// The unit was done before, and nothing had to be.
@@ -206,7 +206,7 @@ impl UnitRun<'_> {
         [Stage::Cluster, Stage::ClusterShared].map(|stage| self.plan.files_of(self.folder, stage))
     }
 
-    /// How clustering is divided.
+    /// The division of clustering among units.
     fn division<'b>(&self, counts: &'b Path) -> UnitDivision<'b> {
         UnitDivision { counts, units: self.plan.files_of(self.folder, Stage::Cluster).len() as u64 }
     }
@@ -363,7 +363,7 @@ impl UnitRun<'_> {
         Ok(UnitDone { written: Some(written), ..UnitDone::default() })
     }
 
-    /// What apply units share.
+    /// The output while it is made, which apply units share.
     fn output_in_the_making(&self) -> PathBuf {
         self.path(if self.plan.tiles.is_empty() { SHARED } else { SHARED_TILES })
     }

@@ -23,7 +23,7 @@ const LONGEST: u64 = 256 << 20;
 pub struct Unit {
     /// The unit's place in the list.
     pub number: usize,
-    /// What is done.
+    /// The stage that the unit is of.
     pub stage: Stage,
     /// The units that have to be done before.
     pub after: Vec<usize>,
@@ -122,7 +122,7 @@ impl Stage {
 pub trait Planned: DeserializeOwned {
     /// What its first line says.
     const FORMAT: &str;
-    /// What makes it again.
+    /// The command that makes the plan again.
     const COMMAND: &str;
 
     /// The format that it says it is in, and the version of the program that made it.

@@ -57,7 +57,7 @@ pub struct Duplicate {
 /// A folder to look in.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PluginFolder {
-    /// Where it is.
+    /// The folder's path.
     pub path: PathBuf,
     /// Whether only files named like plugins count (`libsimod_*.so` and its like), rather than every library.
     pub by_name: bool,
@@ -139,7 +139,7 @@ impl PluginOptions {
 pub struct Slow {
     /// The library's file.
     pub path: PathBuf,
-    /// How long it took.
+    /// The time that it took to load.
     pub time: Duration,
 }
 

@@ -42,7 +42,7 @@ pub(crate) struct Layer {
     joints: Vec<Joint>,
     /// Motions of handles that the plugin places.
     handles: Vec<HandleMove>,
-    /// Each with all parameters.
+    /// The strokes, each with all parameters.
     strokes: Vec<(Arc<Stroke>, Arc<Params>)>,
 }
 
@@ -64,7 +64,7 @@ pub(crate) struct LayerResult {
 /// How much of what the plugin does becomes of each point.
 #[derive(Debug, Clone)]
 struct Share {
-    /// From 0 to 1.
+    /// The amount of the step that is done, from 0 to 1.
     amount: f64,
     /// Where the layer acts; everywhere if there is none.
     masks: Vec<Shapes>,
@@ -85,7 +85,7 @@ impl Share {
     }
 }
 
-/// What a plugin prepared.
+/// The state that a plugin prepared.
 #[derive(Debug)]
 struct Preparation {
     state: api::State,

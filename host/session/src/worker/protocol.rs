@@ -115,7 +115,7 @@ impl From<PluginFailure> for PluginError {
     }
 }
 
-/// What a plugin places.
+/// The handles that a plugin places.
 #[derive(Serialize, Deserialize)]
 pub(super) struct HandlesRecord {
     descs: Vec<HandleRecord>,

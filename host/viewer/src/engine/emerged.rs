@@ -22,7 +22,7 @@ const LARGE: u64 = 1 << 20;
 /// Points of the surface; all lists have one entry for each. Local coordinates.
 #[derive(Debug, Clone, Default)]
 pub struct SurfacePoints {
-    /// Where they are.
+    /// The points' positions.
     pub positions: Vec<Vec3>,
     /// Unit normals; zero where unknown.
     pub normals: Vec<Vec3>,
@@ -148,7 +148,7 @@ impl Emerged {
     }
 }
 
-/// How some points lie.
+/// The plane through some points.
 struct PlaneFit {
     middle: Vec3,
     normal: Vec3,

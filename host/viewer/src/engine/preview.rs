@@ -13,7 +13,7 @@ use std::cell::OnceCell;
 use std::sync::{Arc, PoisonError};
 use std::time::Instant;
 
-/// What to do next.
+/// The task that comes next.
 enum PreviewTask {
     Stream(Streaming, Arc<JobWatch>),
     /// What is known of the samples is not needed any more.

@@ -101,7 +101,7 @@ pub(super) struct Streaming {
 pub struct SamplePose {
     /// The samples at rest.
     pub sampled: Arc<SampledModel>,
-    /// Where they are.
+    /// The samples' positions.
     pub positions: Arc<[Vec3]>,
 }
 
@@ -146,7 +146,7 @@ pub enum Event {
     Evaluated {
         /// The number of the request.
         request: u64,
-        /// Where the samples are.
+        /// The scene, with the samples' places.
         scene: Box<ViewerScene>,
     },
     /// Another version is there.
@@ -162,9 +162,9 @@ pub enum Event {
     Written {
         /// The file.
         output: PathBuf,
-        /// What was done.
+        /// The report on the model.
         report: Box<Reconstructed>,
-        /// How long it took.
+        /// The time that it took.
         seconds: f64,
     },
     /// Some vertices of the model are there to be seen.
@@ -180,7 +180,7 @@ pub enum Event {
         request: u64,
         /// How many, and what was read.
         report: Streamed,
-        /// How long it took.
+        /// The time that it took.
         seconds: f64,
     },
     /// Something that the user should know.

@@ -59,7 +59,7 @@ impl<T> PendingRequest for Option<T> {
     }
 }
 
-/// What is running.
+/// The jobs that run.
 #[derive(Default)]
 pub(super) struct RunningJobs {
     /// The progress of each job that runs, by its number.

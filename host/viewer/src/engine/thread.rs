@@ -39,7 +39,7 @@ pub(super) struct Teller {
     wake: Wake,
 }
 
-/// What to do next.
+/// The task that comes next.
 enum EngineTask {
     Open(Opening),
     Evaluate(StepsRequest),

@@ -108,7 +108,7 @@ impl JobWatch {
         Activity { stage: stage.name, fraction, rate, seconds, memory }
     }
 
-    /// What the stage is.
+    /// The stage that the job is in.
     pub fn stage(&self) -> StageKind {
         lock(&self.stage).kind
     }

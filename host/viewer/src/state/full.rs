@@ -16,7 +16,7 @@ pub(super) struct Preview {
     pub last: Option<(Streamed, f64)>,
 }
 
-/// What is being streamed.
+/// The detail that is being streamed.
 pub(super) struct StreamedDetail {
     pub request: u64,
     /// By what samples, one of how many vertices, and with what.

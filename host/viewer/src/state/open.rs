@@ -6,7 +6,7 @@ use simod_model::Error;
 use simod_session::edit::{Editor, Entry};
 use std::sync::Arc;
 
-/// What is open.
+/// The session that is open.
 pub(super) struct OpenSession {
     pub editor: Editor,
     pub scene: Arc<ViewerScene>,

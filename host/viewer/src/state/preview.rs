@@ -106,7 +106,7 @@ impl State {
         self.preview.streaming = Some(StreamedDetail { request, pose, stride, tint });
     }
 
-    /// Some vertices have come.
+    /// Takes vertices that have come.
     pub(super) fn take_detail(&mut self, request: u64, batch: DetailBatch) {
         let Preview { detail, streaming, .. } = &mut self.preview;
         if let (Some(detail), Some(streaming)) = (detail, streaming)

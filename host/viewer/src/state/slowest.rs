@@ -16,7 +16,7 @@ pub struct Slowest {
     /// The beginning of the command that took longest, as a recording's reader knows it; empty where there
     /// was none.
     pub command: String,
-    /// How long that took.
+    /// The time that it took.
     pub took: Duration,
     /// How many took longer than 50 ms.
     pub felt: u64,

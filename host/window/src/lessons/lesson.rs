@@ -8,13 +8,13 @@ use simod_viewer::Camera;
 pub struct Lesson {
     /// What the user reads of it in menus.
     pub title: &'static str,
-    /// What is learnt.
+    /// The lesson's subject.
     pub about: &'static str,
     /// The model that it is done on.
     pub shape: Shape,
     /// The name of its file.
     pub file: &'static str,
-    /// What is done.
+    /// The exercises.
     pub parts: &'static [Exercise],
     /// What is left to say.
     pub ends: &'static str,
@@ -22,7 +22,7 @@ pub struct Lesson {
 
 /// A thing to do in a lesson.
 pub struct Exercise {
-    /// What the user reads.
+    /// The text that the user reads.
     pub text: &'static str,
     /// Whether it is done, from where the camera was when it began.
     pub done: fn(&Window, &Camera) -> bool,

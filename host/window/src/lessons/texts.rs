@@ -18,7 +18,7 @@ const LATTICE: &str = "lattice";
 const SKINNING: &str = "skinning";
 const PAINT: &str = "displacement-paint";
 
-/// In their order.
+/// The lessons, in their order.
 pub const ALL: &[Lesson] = &[
     Lesson {
         title: "Twist a Bar",

@@ -11,7 +11,7 @@ use simod_session::step::Role;
 use simod_viewer::Overlay;
 use simod_viewer::overlay::{ScalarField, class_color, class_name, scale_color};
 
-/// Of the scale.
+/// The scale's size.
 const SIZE: [f32; 2] = [320.0, 12.0];
 /// Height of the numbers below it.
 const NUMBERS: f32 = 16.0;

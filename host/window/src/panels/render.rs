@@ -36,7 +36,7 @@ fn side(ui: &mut Ui, pixels: &mut u32, name: &str) {
     field.ctx.accesskit_node_builder(field.id, |node| node.set_label(name));
 }
 
-/// What was answered.
+/// The user's answer.
 pub enum RenderAnswer {
     /// The picture shall be made.
     Do,

@@ -6,7 +6,7 @@ use crate::widgets::icons;
 use crate::window::{Commands, Window};
 use eframe::egui::{Color32, Frame, Margin, Panel, Role, Sense, Ui, WidgetInfo, vec2};
 
-/// In groups.
+/// The tools in groups.
 const GROUPS: [&[Tool]; 4] = [
     &[Tool::Orbit, Tool::Move, Tool::Rotate, Tool::Scale],
     &[Tool::Brush, Tool::Lasso, Tool::Box, Tool::Connected],

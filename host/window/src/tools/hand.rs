@@ -26,7 +26,7 @@ pub enum Tool {
 }
 
 impl Tool {
-    /// What the user reads.
+    /// The name that the user reads.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Orbit => "Look Around",
@@ -84,7 +84,7 @@ impl Tool {
 pub struct Tools {
     /// What is in the hand.
     pub tool: Tool,
-    /// What the gizmo moves.
+    /// The part that the gizmo moves.
     pub target: Option<MovedPart>,
     /// Other handles of a step that are chosen besides a target; of no use once another one is.
     pub others: Option<(StepId, MovedPart, BTreeSet<String>)>,
@@ -114,7 +114,7 @@ pub struct Tools {
     pub naming: Option<(String, String)>,
     /// How wide the band around a new handle is that bends, as a part of the model's diagonal.
     pub band: f64,
-    /// What is measured.
+    /// The kind of measurement.
     pub measuring: Measuring,
     /// About what the gizmo's region turns.
     pub pivot: Option<(StepId, usize, DVec3)>,
@@ -210,7 +210,7 @@ impl Tools {
     }
 }
 
-/// What is measured.
+/// The kind of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Measuring {
     /// Between two points; a third one begins anew.

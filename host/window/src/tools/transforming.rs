@@ -30,7 +30,7 @@ pub struct Transforming {
     pub pressed: bool,
 }
 
-/// What moves.
+/// The things that move.
 pub enum Transformed {
     /// Handles that the plugin placed.
     Handles(GrabbedHandles),

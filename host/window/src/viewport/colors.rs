@@ -81,7 +81,7 @@ impl SampleColors {
         VertexColors { samples: colors.as_deref(), mixing: mixing.as_deref(), tint: key.tint, scale: *scale }
     }
 
-    /// As samples show it.
+    /// The colours that samples show.
     pub fn of_samples(&self) -> Option<&[[u8; 3]]> {
         self.tinted.as_deref().or(self.colors.as_deref())
     }

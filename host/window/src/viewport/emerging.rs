@@ -35,7 +35,7 @@ pub struct EmergingPoints {
 }
 
 impl EmergingPoints {
-    /// None yet.
+    /// A buffer without points yet.
     pub fn new(render: &RenderState, gpu: &Gpu) -> Self {
         Self {
             scene: Scene::new(gpu),

@@ -10,7 +10,7 @@ pub struct Texture {
 }
 
 impl Texture {
-    /// None yet.
+    /// A texture without a picture yet.
     pub fn new(render: &RenderState) -> Self {
         Self { render: render.clone(), known: None }
     }

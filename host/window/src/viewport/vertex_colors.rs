@@ -9,14 +9,14 @@ use simod_viewer::overlay::OverlayScale;
 /// The mixing of a colour with others.
 #[derive(Debug, Clone, Copy)]
 pub struct Mixing {
-    /// How much of it is left.
+    /// The part of the colour that is left.
     keep: f32,
-    /// What comes to it.
+    /// The colour that comes to it.
     add: [f32; 3],
 }
 
 impl Mixing {
-    /// Nothing is done.
+    /// The mixing that changes nothing.
     pub const NONE: Self = Self { keep: 1.0, add: [0.0; 3] };
 
     /// With a share of another colour over it.

@@ -15,9 +15,9 @@ pub enum Question {
     Recover(KeptEdit),
     /// The model of what was opened is not where it was.
     Moved {
-        /// What was opened.
+        /// The path that was opened.
         path: PathBuf,
-        /// Where the model was.
+        /// The place where the model was.
         model: PathBuf,
         /// The model is open nevertheless, by its samples.
         is_open: bool,
@@ -27,9 +27,9 @@ pub enum Question {
 /// An edit that was kept against a crash.
 #[derive(Clone)]
 pub struct KeptEdit {
-    /// What was edited.
+    /// The path of what was edited.
     pub path: PathBuf,
-    /// How it is sampled.
+    /// The way in which it is sampled.
     pub sampling: SamplingTable,
     /// When it was kept, and how many steps it has.
     pub made: SystemTime,
@@ -61,7 +61,7 @@ pub struct Renaming {
 /// The search for commands by name.
 #[derive(Clone, Default)]
 pub struct CommandPalette {
-    /// What was typed.
+    /// The text that was typed.
     pub text: String,
     /// The place of the chosen action among those that are found.
     pub at: usize,
@@ -73,7 +73,7 @@ pub struct WriteReport {
     pub output: PathBuf,
     /// What was found while it was written.
     pub report: Reconstructed,
-    /// How long it took.
+    /// The time that it took.
     pub seconds: f64,
 }
 

@@ -38,11 +38,11 @@ pub use toasts::{Cause, Toast, Toasts};
 /// How often an edit is kept against a crash.
 const KEEP: Duration = Duration::from_secs(20);
 
-/// What is being opened.
+/// A path that is being opened.
 struct Awaited {
     path: PathBuf,
     recover: bool,
-    /// What was open before.
+    /// The path that was open before.
     former: Option<PathBuf>,
 }
 
@@ -52,11 +52,11 @@ pub struct Window {
     ctx: egui::Context,
     /// Whether the hand was quicker than the pictures, and events wait for their frame.
     waits: Arc<AtomicBool>,
-    /// What the user likes.
+    /// The user's settings.
     pub settings: WindowSettings,
     /// The tools, and which one is in the hand.
     pub tools: Tools,
-    /// What is shown.
+    /// The things that are shown.
     pub looks: Looks,
     /// Whether a button is held that shows the pinned version.
     pub holds_pinned: bool,
@@ -86,7 +86,7 @@ pub struct Window {
     pub folded: BTreeSet<String>,
     /// A path that is typed, where the system has no dialogs.
     pub prompt: Option<Prompt>,
-    /// To be answered first.
+    /// The question to be answered first.
     pub question: Option<Question>,
     /// How dialogs for files are shown.
     pub chooser: Chooser,
@@ -109,7 +109,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// With nothing open.
+    /// A window with nothing open.
     pub fn new(ctx: &egui::Context, plugins: Arc<PluginRegistry>, settings: WindowSettings) -> Self {
         theme::apply(ctx, settings.theme);
         let waits = Arc::new(AtomicBool::new(false));

@@ -8,7 +8,7 @@ const OFFERED: usize = 200;
 
 /// A path that is being typed.
 pub struct Prompt {
-    /// What for.
+    /// The purpose of the path.
     pub purpose: Purpose,
     /// So far.
     pub text: String,

@@ -12,13 +12,13 @@ const MOST: usize = 5;
 
 /// A message.
 pub struct Toast {
-    /// What is so.
+    /// The message.
     pub text: String,
-    /// What to do; may be empty.
+    /// The advice; may be empty.
     pub hint: String,
-    /// Something came to nothing.
+    /// Whether something came to nothing.
     pub is_error: bool,
-    /// Once it is mended, the message goes away.
+    /// The cause, with which the message goes away once it is mended.
     cause: Option<Cause>,
     since: Instant,
 }

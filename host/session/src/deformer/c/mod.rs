@@ -61,7 +61,7 @@ pub(crate) struct CCode {
     handle_faces: Option<HandleFacesFunction>,
     is_identity: Option<IsIdentityFunction>,
     migration: Option<(Migration, Option<MigrateFunction>)>,
-    /// What may be missing.
+    /// The table of all functions, some of which may be missing.
     plugin: SimodPlugin,
 }
 
