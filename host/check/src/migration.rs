@@ -90,7 +90,7 @@ enum Brought {
 /// Brings a step up to its plugin, more than once.
 ///
 /// # Errors
-/// What is wrong with what becomes of it.
+/// The defect of a step that comes of it.
 fn brought(step: &Deformation, plugin: &Plugin) -> Result<Brought, String> {
     let brought = |step: &Deformation| migrated(step, plugin).map(|new| new.unwrap_or_else(|| step.clone()));
     let first = match brought(step) {

@@ -166,7 +166,7 @@ impl Once {
     }
 }
 
-/// Where samples went, by whatever.
+/// Samples as a method has moved them: plugins, another program or a file.
 struct MethodSamples {
     sampled: Arc<SampledModel>,
     positions: DeformedPositions,
@@ -272,7 +272,7 @@ impl<'a> Bench<'a> {
         waiting.into_iter().zip(transferred).map(with).collect()
     }
 
-    /// Writes into the record of a method what came of it.
+    /// Writes the figures of a method into its record.
     pub fn finish(
         &self,
         transferred: Transferred<'_>,

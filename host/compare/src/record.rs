@@ -200,7 +200,7 @@ pub struct Seconds {
     pub deform: Option<f64>,
     /// What of that prepared the deformation, without knowing how things move.
     pub prepare: Option<f64>,
-    /// The rest of it.
+    /// The rest of that time: deforming, once it is known how things move.
     pub motion: Option<f64>,
     /// From the deformed samples to the finished model, with what is found of the samples at rest: that is
     /// done once for all methods that have the same sampling. Of a single run, an equal part of what all took

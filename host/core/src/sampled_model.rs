@@ -113,7 +113,7 @@ pub struct SourceRecord {
     pub attributes: Vec<Attribute>,
     /// How many of them have no finite position.
     pub non_finite: u64,
-    /// The first of these.
+    /// The first vertex without a finite position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first_non_finite: Option<u64>,
     /// How many splats were too transparent to be sampled.

@@ -22,7 +22,7 @@ pub struct Energies {
     pub arap: f64,
     /// σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of each triangle's stretches, from 4 on, over those that keep an area.
     pub symmetric_dirichlet: f64,
-    /// The greatest of these.
+    /// The greatest of these energies, of one triangle.
     pub symmetric_dirichlet_max: f64,
     /// Triangles of which no area is left, which would have an infinite one.
     pub collapsed: usize,

@@ -169,7 +169,7 @@ struct Discs {
     middle: [Vec4; 3],
     normal: [Vec4; 3],
     radius: Vec4,
-    /// Half of it.
+    /// Half the disc's thickness.
     thickness: Vec4,
 }
 

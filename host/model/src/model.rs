@@ -351,7 +351,7 @@ impl<F: Fn(&VertexChunk, &mut [Edited]) -> Result<()> + Sync> Edit for F {
 /// A run of consecutive vertices as they are in the file.
 #[derive(Debug, Clone, Copy)]
 pub struct RawChunk<'a> {
-    /// Index in the model of the first of them.
+    /// The first vertex' index in the model.
     pub first: u64,
     /// The number of vertices.
     pub vertices: usize,
@@ -383,7 +383,7 @@ pub struct Rewriting {
 /// Consecutive pieces of a model that is rewritten, by their numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PieceRange {
-    /// The first of them.
+    /// The first piece.
     pub first: u64,
     /// The one behind the last; to the end of the file where not given, and what is known only then is
     /// replaced in the outputs.

@@ -28,7 +28,7 @@ impl Polygons {
         self.ends.len()
     }
 
-    /// Corners of all of them.
+    /// The number of corners of all polygons.
     pub(crate) fn corners(&self) -> usize {
         self.corners.len()
     }

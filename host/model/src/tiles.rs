@@ -136,7 +136,7 @@ impl TiledModel {
         Ok(this)
     }
 
-    /// What is known of all of them.
+    /// The description of all tiles as one model.
     fn summed(&self, attributes: Vec<Attribute>) -> ModelInfo {
         let all = || self.infos();
         let sum = |of: fn(&ModelInfo) -> u64| all().map(of).sum();

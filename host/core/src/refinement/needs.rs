@@ -35,7 +35,7 @@ pub(super) struct Needs<'a> {
     samples: &'a SampleSet,
     /// Infinite where nothing is needed; local units.
     wanted: Vec<f32>,
-    /// The least of them.
+    /// The least error that is wanted anywhere.
     pub least: f32,
     /// The transfer error that they allow, at least that which was asked for; local units.
     pub allowed: f32,

@@ -1,9 +1,9 @@
 //! A cell's tree goes on where it stopped (paper §6).
 //!
-//! What was kept of it tells which clusters were split, and splits follow from the vertices alone. So the
-//! tree is built again along what is kept, which gives the vertices of each leaf; and where a leaf's error is
-//! above the bound, a VS-Tree of these vertices goes on below it. What it comes to does not depend on how
-//! many refinements led there.
+//! The kept tree tells which clusters were split, and splits follow from the vertices alone. So the tree is
+//! built again along what is kept, which gives the vertices of each leaf; and where a leaf's error is above
+//! the bound, a VS-Tree of these vertices goes on below it. The result does not depend on how many
+//! refinements led there.
 
 use crate::sampling::cluster::{Element, Moments, Vertex};
 use crate::sampling::density::SplitRule;

@@ -399,7 +399,7 @@ pub enum Grouping {
 }
 
 impl Grouping {
-    /// What it comes to for a model, of which pass 1 has told when each cell is open: never
+    /// The grouping of a model, of which pass 1 has told when each cell is open: never
     /// [`Grouping::Automatic`]. It does not depend on the machine, but on the `memory` that groups may take,
     /// in bytes.
     pub fn resolve(self, grid: &Grid, frame: &Frame, target: Target, memory: u64) -> Self {

@@ -481,7 +481,7 @@ impl<'a> SamplingPass<'a> {
         }
     }
 
-    /// P_S, once all is known of it.
+    /// Puts P_S together, once its parts are known.
     fn assemble(
         self,
         found: ClusteredStream,

@@ -77,7 +77,7 @@ impl Contacts {
         self.places.all().len()
     }
 
-    /// A hash of all of it.
+    /// A hash of all that is known of contacts.
     pub fn digest(&self) -> u128 {
         let mut hash = Hashed::new(io::sink());
         // What goes nowhere can be written.

@@ -17,7 +17,7 @@ use crate::{Error, ModelName, Progress, Result};
 /// Tiles that were written in another format.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ConvertedTiles {
-    /// Vertices of all of them.
+    /// The number of vertices of all tiles.
     pub vertices: u64,
     /// Triangles, where the format has any.
     pub triangles: u64,

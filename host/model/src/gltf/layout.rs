@@ -115,7 +115,7 @@ pub(super) struct DrawnPrimitive {
     pub(super) is_mirrored: bool,
 }
 
-/// All of that.
+/// The layout of a file: its vertices, what shows them, and the bytes that are patched.
 #[derive(Debug, Default)]
 pub(super) struct GltfLayout {
     /// In the order of the file.

@@ -19,7 +19,7 @@ pub(super) const CUT_OFF: &str = "the file is cut off, or its header lies: copy 
 /// What a file begins with.
 pub(super) const MAGIC: &[u8] = b"LASF";
 
-/// Where the header has what is changed in it.
+/// The places in the header of what is changed in it.
 pub(super) mod at {
     pub const POINTS: u64 = 96;
     pub const VLRS: u64 = 100;

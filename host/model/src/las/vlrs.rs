@@ -23,11 +23,11 @@ const GEOCENTRIC: u16 = 3;
 /// What a record belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum VlrKind {
-    /// How the points are compressed.
+    /// The compression of the points.
     Laszip,
     /// The octree of COPC, and what COPC says of it.
     Copc,
-    /// What extra bytes are.
+    /// The description of extra bytes.
     ExtraBytes,
     /// The coordinate reference system as text.
     Wkt,

@@ -1,6 +1,6 @@
-//! Where the samples that a refinement appended go while something before it is dragged: by those around them
-//! alone, whose words are weighed once. That is nearly where all samples take them, and found in a small part
-//! of the time.
+//! The places of samples that a refinement appended, while something before it is dragged: by those around
+//! them alone, with weights that are found once. They are nearly where all samples take them, and found in a
+//! small part of the time.
 //!
 //! D. Levin, *The approximation power of moving least-squares*, Math. Comp. 67 (1998): the weights with which
 //! the value of the best polynomial follows from the values around. What is affine is met but for rounding,
