@@ -457,6 +457,23 @@ impl SamplingRecord {
     }
 }
 
+/// The cause of errors about a source that is gone, or is not what was sampled: another path may help.
+#[derive(Debug)]
+struct OtherSource;
+
+impl std::fmt::Display for OtherSource {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("the source is not what was sampled")
+    }
+}
+
+impl std::error::Error for OtherSource {}
+
+/// Whether an error is about a sampled model's source, which is gone or not what was sampled.
+pub fn is_other_source(error: &Error) -> bool {
+    std::error::Error::source(error).is_some_and(|source| source.is::<OtherSource>())
+}
+
 impl SampledModel {
     /// Completes the samples, whose positions are rounded to what `samples.ply` will hold, so that working in
     /// memory and through the folder give the same bytes.
@@ -873,10 +890,9 @@ impl SampledModel {
         if let Some(gone) =
             named.files().iter().find(|file| elsewhere.is_none() && !input::may_be_there(file))
         {
-            return Err(Error::system(
-                format!("the sampled model's source {} is gone", gone.display()),
-                "put it back, or say where it is with --model",
-            ));
+            let what = format!("the sampled model's source {} is gone", gone.display());
+            let hint = "put it back, or say where it is with --model";
+            return Err(Error::system(what, hint).because(OtherSource));
         }
         let model = named.open(self.source.columns.as_deref(), &self.cache, progress)?;
         let info = model.info();
@@ -889,10 +905,10 @@ impl SampledModel {
         }
         if tiles.len() != self.source.tiles.len() {
             let (now, then) = (tiles.len(), self.source.tiles.len());
-            return Err(Error::mismatch(
-                format!("{} is {}, but {} were sampled", path.display(), files(now), files(then)),
-                "give the tiles that were sampled, or the folder that they were moved to, with --model",
-            ));
+            let what = format!("{} is {}, but {} were sampled", path.display(), files(now), files(then));
+            let hint =
+                "give the tiles that were sampled, or the folder that they were moved to, with --model";
+            return Err(Error::mismatch(what, hint).because(OtherSource));
         }
         if (info.bytes, info.vertices) != (self.source.bytes, self.source.vertices) {
             return Err(self.source_changed(path));
@@ -915,6 +931,7 @@ impl SampledModel {
             format!("{} changed since it was sampled{which}", path.display()),
             "sample it again, or give the file that was sampled with --model",
         )
+        .because(OtherSource)
     }
 
     /// The tiles that were written after the samples were.

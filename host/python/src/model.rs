@@ -10,6 +10,7 @@ use pyo3::exceptions::{PyIndexError, PyStopIteration};
 use pyo3::prelude::*;
 use serde_json::{Value, json};
 use simod_core::guard::{Guard, OutputKind};
+use simod_core::sampled_model::is_other_source;
 use simod_core::sampling::{Sampling, sample};
 use simod_model::{Error, ModelInfo, ModelName, Result, Scalar, VertexChunk, open_with_columns};
 use simod_session::{Running, pipeline};
@@ -208,9 +209,9 @@ impl Model {
     }
 }
 
-/// An error that speaks of an option of the command's.
+/// An error about the sampled model's source, with advice for Python instead of an option of the command.
 fn moved(error: Error) -> Error {
-    if error.hint().contains("--model") {
+    if is_other_source(&error) {
         return error.hinting("sample it again, or open the file that was sampled and apply to that");
     }
     error
