@@ -105,36 +105,40 @@ impl EngineThread {
 
     pub fn run(mut self) {
         while let Some((task, watch)) = self.next() {
-            match task {
-                EngineTask::Open(opening) => {
-                    let opened = guarded(|| self.open(&opening, &watch));
-                    self.tell.end(Job::Open, &watch, Some(event(Job::Open, opened)));
-                }
-                EngineTask::Evaluate(StepsRequest { number, steps, effort, extra }) => {
-                    let scene = guarded(|| {
-                        let scene = self.scene(&steps, effort, &*watch)?;
-                        with_extra(scene, &extra, &*watch)
-                    });
-                    let scene =
-                        scene.map(|scene| Event::Evaluated { request: number, scene: Box::new(scene) });
-                    self.tell.end(Job::Evaluate, &watch, Some(event(Job::Evaluate, scene)));
-                }
-                EngineTask::Write(steps, writing) => {
-                    match guarded(|| self.evaluated(&steps, Effort::FULL, &*watch)) {
-                        Ok(evaluated) => self.write(evaluated, writing, watch),
-                        Err(error) => {
-                            self.tell.end(Job::Write, &watch, Some(Event::Failed { job: Job::Write, error }));
-                        }
-                    }
-                }
-                EngineTask::Compare(comparing) => {
-                    let compared = guarded(|| self.compared(comparing, &*watch));
-                    self.tell.end(Job::Compare, &watch, Some(event(Job::Compare, compared)));
-                }
-            }
+            self.execute(task, watch);
         }
         if let Some(writer) = self.writer.take() {
             let _ = writer.join();
+        }
+    }
+
+    /// Does what is to be done, and tells the window what came of it.
+    fn execute(&mut self, task: EngineTask, watch: Arc<JobWatch>) {
+        match task {
+            EngineTask::Open(opening) => {
+                let opened = guarded(|| self.open(&opening, &watch));
+                self.tell.end(Job::Open, &watch, Some(event(Job::Open, opened)));
+            }
+            EngineTask::Evaluate(StepsRequest { number, steps, effort, extra }) => {
+                let scene = guarded(|| {
+                    let scene = self.scene(&steps, effort, &*watch)?;
+                    with_extra(scene, &extra, &*watch)
+                });
+                let scene = scene.map(|scene| Event::Evaluated { request: number, scene: Box::new(scene) });
+                self.tell.end(Job::Evaluate, &watch, Some(event(Job::Evaluate, scene)));
+            }
+            EngineTask::Write(steps, writing) => {
+                match guarded(|| self.evaluated(&steps, Effort::FULL, &*watch)) {
+                    Ok(evaluated) => self.write(evaluated, writing, watch),
+                    Err(error) => {
+                        self.tell.end(Job::Write, &watch, Some(Event::Failed { job: Job::Write, error }));
+                    }
+                }
+            }
+            EngineTask::Compare(comparing) => {
+                let compared = guarded(|| self.compared(comparing, &*watch));
+                self.tell.end(Job::Compare, &watch, Some(event(Job::Compare, compared)));
+            }
         }
     }
 

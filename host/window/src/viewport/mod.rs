@@ -22,6 +22,14 @@ pub use picture::Viewport;
 use simod_viewer::{Command, ComparedVersion};
 use versions::VersionRects;
 
+/// Has the picture as many pixels as its place.
+fn resize(window: &mut Window, pixels: egui::Vec2) {
+    let size = [pixels.x, pixels.y].map(|side| f64::from(side.round().max(1.0)));
+    if window.state().size() != size {
+        window.apply(Command::Resize { size });
+    }
+}
+
 /// Shows it in what the panels left.
 pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
     CentralPanel::no_frame().show(ui, |ui| {
@@ -31,11 +39,7 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         let places = VersionRects::divide(rect, window);
         let main = places.main().unwrap_or(rect);
         let pixels_per_point = ui.pixels_per_point();
-        let size = main.size() * pixels_per_point;
-        let size = [f64::from(size.x.round().max(1.0)), f64::from(size.y.round().max(1.0))];
-        if window.state().size() != size {
-            window.apply(Command::Resize { size });
-        }
+        resize(window, main.size() * pixels_per_point);
         viewport.tidy(window);
         let painter = ui.painter_at(main);
         // Drawn first, and filled once the pointer has moved the camera.
