@@ -22,7 +22,7 @@ pub struct Sampling {
     pub splitting: Splitting,
     /// What samples are spread by.
     pub by: By,
-    /// Whether open cells hold samples or groups of them.
+    /// Whether open cells hold vertices or groups of them.
     pub grouping: Grouping,
     /// The way in which samples are placed.
     pub placement: Placement,
