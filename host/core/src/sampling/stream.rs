@@ -37,8 +37,7 @@ use super::vs_tree::TreeWorkspace;
 /// wait need not.
 const WAITING: u64 = 1;
 
-/// Most shards: merging is a fifth to a fourth of the work. Below, each thread has one, so that all move
-/// cells to files at once where there is no room, as in a stream in no order, and not one while others wait.
+/// Most shards: merging is a fifth to a fourth of the work.
 const MOST_SHARDS: usize = 8;
 
 /// Streams the model, or a part of it, through the grid and clusters each cell that is to be clustered, down
@@ -58,7 +57,7 @@ pub fn cluster<G: Gather>(
 ) -> Result<Option<Clustered>> {
     // Parts of a model hand on what they find, which cannot be done twice.
     let is_whole = matches!(pass.job, StreamJob::Whole);
-    let shards = if is_whole { rayon::current_num_threads().clamp(1, MOST_SHARDS) } else { 1 };
+    let shards = if is_whole { (rayon::current_num_threads() / 2).clamp(1, MOST_SHARDS) } else { 1 };
     let clustered = cluster_in_shards(pass, (0..shards).map(|_| gather(shards)).collect())?;
     if clustered.is_some() || shards == 1 {
         return Ok(clustered);
