@@ -181,7 +181,7 @@ impl Drop for MemoryWatch {
 /// Anonymous memory in bytes of another process and of those that it started, now.
 #[cfg(target_os = "linux")]
 pub fn anonymous_of(process: u32) -> Option<u64> {
-    let own = anonymous_by(&format!("/proc/{process}/status"))?;
+    let own = anonymous_by(&format!("/proc/{process}/statm"))?;
     let children = std::fs::read_to_string(format!("/proc/{process}/task/{process}/children"));
     let children = children.unwrap_or_default();
     let ids = children.split_whitespace().filter_map(|id| id.parse().ok());
@@ -200,12 +200,17 @@ pub fn anonymous_of(_process: u32) -> Option<u64> {
 /// files are the most.
 #[cfg(target_os = "linux")]
 pub fn anonymous() -> Option<u64> {
-    anonymous_by("/proc/self/status")
+    anonymous_by("/proc/self/statm")
 }
 
+/// What is resident less what is of files or shared: a few numbers, where `status`, which tells it at once,
+/// takes the system ten times as long.
 #[cfg(target_os = "linux")]
 fn anonymous_by(file: &str) -> Option<u64> {
-    told_by(file, "RssAnon:")
+    let text = std::fs::read_to_string(file).ok()?;
+    let mut pages = text.split_ascii_whitespace().skip(1).map(str::parse::<u64>);
+    let (resident, shared) = (pages.next()?.ok()?, pages.next()?.ok()?);
+    Some(resident.saturating_sub(shared) * rustix::param::page_size() as u64)
 }
 
 /// Bytes that a file of the system tells in a line of this name.
@@ -246,6 +251,16 @@ pub fn anonymous() -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn anonymous_memory_is_as_the_system_tells_in_words() {
+        // Not left out, though nobody reads it.
+        let list = std::hint::black_box(vec![1u8; 64 << 20]);
+        let (now, told) =
+            (anonymous().expect("told"), told_by("/proc/self/status", "RssAnon:").expect("told"));
+        assert!(now > list.len() as u64 && now.abs_diff(told) < 16 << 20, "{now} and {told}");
+    }
 
     #[test]
     fn zeros_are_zero_and_can_be_written() {

@@ -10,7 +10,7 @@ use crate::constraints::{SampleTarget, Soft};
 use crate::elements::SurfaceTriangle;
 use crate::problem::{Constraint, Problem};
 use crate::rotation;
-use glam::{Affine3A, DMat3, DVec3};
+use glam::{DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
 /// Groups are merged while there are more.
@@ -22,27 +22,41 @@ const WORTH: f64 = 0.7;
 #[derive(Debug)]
 pub struct Prolongation {
     /// For each node the groups that it takes part in, and its weights, which add up to 1.
-    groups: Lists,
+    groups: Lists<(u32, f32)>,
     /// For each group the nodes that take part in it, and their weights.
-    members: Lists,
+    members: Lists<(u32, f32)>,
 }
 
-/// Lists of numbers with weights.
+/// Lists in one.
 #[derive(Debug)]
-struct Lists {
+pub struct Lists<T> {
     starts: Vec<usize>,
-    all: Vec<(u32, f32)>,
+    all: Vec<T>,
 }
 
-impl Lists {
-    fn row(&self, i: usize) -> &[(u32, f32)] {
+impl<T: Copy> Lists<T> {
+    /// The lists, one behind the other.
+    pub fn new(lists: &[Vec<T>]) -> Self {
+        let mut starts = vec![0];
+        starts.extend(lists.iter().scan(0, |end, list| {
+            *end += list.len();
+            Some(*end)
+        }));
+        Self { starts, all: lists.concat() }
+    }
+
+    /// One of them.
+    pub fn row(&self, i: usize) -> &[T] {
         &self.all[self.starts[i]..self.starts[i + 1]]
     }
 
     fn len(&self) -> usize {
         self.starts.len() - 1
     }
+}
 
+/// Of numbers with weights.
+impl Lists<(u32, f32)> {
     /// The lists the other way round, for numbers below `count`.
     fn transposed(&self, count: usize) -> Self {
         let mut starts = vec![0; count + 1];
@@ -82,19 +96,9 @@ impl Prolongation {
         self.groups.sums(&changes, DMat3::IDENTITY, 4096, host)
     }
 
-    /// The weighted means of the groups' affine maps, for the fine problem's nodes.
-    pub fn maps(&self, groups: &[Affine3A], host: &Host<'_>) -> PluginResult<Vec<Affine3A>> {
-        let mut means = vec![Affine3A::ZERO; self.groups.len()];
-        host.parallel_blocks(&mut means, 4096, |first, means| {
-            for (i, mean) in (first..).zip(means) {
-                for &(group, weight) in self.groups.row(i) {
-                    let map = groups[group as usize];
-                    mean.matrix3 += map.matrix3 * weight;
-                    mean.translation += map.translation * weight;
-                }
-            }
-        })?;
-        Ok(means)
+    /// The groups that a node of the fine problem takes part in, and its weights.
+    pub fn groups_of(&self, node: usize) -> &[(u32, f32)] {
+        self.groups.row(node)
     }
 
     /// The weighted sums of nodes' matrices, for the groups below `count`.
@@ -289,7 +293,7 @@ fn merged(
     Ok((Problem::new(&rest, &elements, &kinds, &soft, host)?, rest))
 }
 
-impl Lists {
+impl Lists<(u32, f32)> {
     /// Adds a list, given distances instead of weights: these fade out towards the farthest.
     fn push(&mut self, near: Vec<(u32, f64)>) {
         let reach = near.iter().map(|(_, d)| *d).fold(0.0, f64::max) * 1.001;

@@ -2,9 +2,10 @@
 //!
 //! Groups move rigidly, and nodes by the weighted means of what the groups around them do. What is rough
 //! about that is smoothed by a few steps of Jacobi's method on the global step's equations (Sorkine and Alexa
-//! 2007). All is in single precision, as what is shown is, since the time goes to memory.
+//! 2007). All is in single precision, as what is shown is, since the time goes to memory. What nodes take of
+//! each group is known beforehand, so that no map of a node's own is made.
 
-use crate::coarse::Prolongation;
+use crate::coarse::{Lists, Prolongation};
 use crate::constraints::OwnMotions;
 use crate::problem::Problem;
 use glam::{Affine3A, DMat3, DVec3, Mat3A, Vec3A};
@@ -14,71 +15,144 @@ use simod_plugin_api::{Host, PluginResult};
 const TOGETHER: usize = 4096;
 /// How much of each of Jacobi's steps is made: the most that takes down all that is rough, whatever the
 /// triangles.
-const PART: f32 = 0.6;
+const PART: f64 = 0.6;
 
-/// Displacements of the fine problem's nodes, given those of the coarse one's and their rotations.
-pub fn carry(
-    fine: &Problem,
-    coarse: &Problem,
-    prolongation: &Prolongation,
-    (displacements, turns): (&[DVec3], &[DMat3]),
-    motion: &OwnMotions,
-    host: &Host<'_>,
-) -> PluginResult<Vec<DVec3>> {
-    // From places to displacements.
-    let maps: Vec<Affine3A> = turns
-        .iter()
-        .zip(displacements.iter().zip(&coarse.rest))
-        .map(|(turn, (d, at))| {
-            let change = *turn - DMat3::IDENTITY;
-            let translation = (*d - change * *at).as_vec3a();
-            Affine3A { matrix3: Mat3A::from(change.as_mat3()), translation }
-        })
-        .collect();
-    let maps = prolongation.maps(&maps, host)?;
-    let mut placed = fine.held_displacements(|target, at| motion.displacement(target, at));
-    let mut carried: Vec<Vec3A> = placed.iter().map(|d| d.as_vec3a()).collect();
-    host.parallel_blocks(&mut carried[..fine.free], TOGETHER, |first, carried| {
-        for (i, d) in (first..).zip(carried) {
-            *d = maps[i].transform_point3a(fine.rest[i].as_vec3a());
-        }
-    })?;
-    // What the rotations ask for is the same in each step.
-    let mut steps: Vec<JacobiStep> = vec![JacobiStep::default(); fine.free];
-    host.parallel_blocks(&mut steps, TOGETHER, |first, steps| {
-        for (i, step) in (first..).zip(steps) {
-            for e in fine.operators.row(i) {
-                step.asked += maps[e.column].matrix3 * e.out.as_vec3a();
-            }
-            step.placed = smoothed(fine, i, step.asked, &carried);
-        }
-    })?;
-    carried[..fine.free].iter_mut().zip(&steps).for_each(|(d, step)| *d = step.placed);
-    host.parallel_blocks(&mut placed[..fine.free], TOGETHER, |first, placed| {
-        for (i, d) in (first..).zip(placed) {
-            *d = smoothed(fine, i, steps[i].asked, &carried).as_dvec3();
-        }
-    })?;
-    Ok(placed)
+/// What free nodes take of the coarse likeness' groups, and of the nodes next to them.
+///
+/// Memory: 20 bytes for each group around a node or those next to it, of which there are some ten, and 8 for
+/// each node next to it.
+#[derive(Debug)]
+pub struct Draft {
+    shares: Lists<GroupShare>,
+    /// What a step takes off for where nodes are: their numbers, the node's own included, and coefficients.
+    steps: Lists<(u32, f32)>,
 }
 
-/// A node in the first of Jacobi's steps.
-#[derive(Debug, Clone, Copy, Default)]
-struct JacobiStep {
-    /// What the rotations around it ask for.
-    asked: Vec3A,
-    /// The sample's displacement after the step.
-    placed: Vec3A,
+/// What a node takes of a group's map.
+#[derive(Debug, Clone, Copy)]
+struct GroupShare {
+    group: u32,
+    /// The group's part in where the node is carried.
+    weight: f32,
+    /// What the group's rotation adds to a step is its change times this.
+    lever: [f32; 3],
 }
 
-/// The displacement of a node after a step of Jacobi's method from those that are `given`.
-fn smoothed(fine: &Problem, node: usize, asked: Vec3A, given: &[Vec3A]) -> Vec3A {
-    let (mut lacking, mut diagonal) = (asked, 0.0);
-    for (column, stiffness) in fine.operators.laplacian(node) {
-        let stiffness = stiffness as f32;
-        lacking -= stiffness * given[column];
-        diagonal = if column == node { stiffness } else { diagonal };
+impl Draft {
+    /// What the nodes of a problem take.
+    pub fn new(fine: &Problem, prolongation: &Prolongation, host: &Host<'_>) -> PluginResult<Self> {
+        // What a node lacks is divided by what it has to itself.
+        let part = |i: usize| {
+            let own = fine.operators.laplacian(i).find(|(column, _)| *column == i);
+            own.filter(|(_, diagonal)| *diagonal > 0.0).map_or(0.0, |(_, diagonal)| PART / diagonal)
+        };
+        let mut shares: Vec<Vec<GroupShare>> = vec![Vec::new(); fine.free];
+        host.parallel_blocks(&mut shares, TOGETHER, |first, rows| {
+            rows.iter_mut().enumerate().for_each(|(k, row)| {
+                *row = group_shares(fine, prolongation, first + k, part(first + k));
+            });
+        })?;
+        let mut steps: Vec<Vec<(u32, f32)>> = vec![Vec::new(); fine.free];
+        host.parallel_blocks(&mut steps, TOGETHER, |first, rows| {
+            rows.iter_mut().enumerate().for_each(|(k, row)| {
+                let (i, part) = (first + k, part(first + k));
+                let entries = fine.operators.laplacian(i).map(|(j, l)| (j as u32, (part * l) as f32));
+                *row = entries.collect();
+            });
+        })?;
+        Ok(Self { shares: Lists::new(&shares), steps: Lists::new(&steps) })
     }
-    let step = if diagonal > 0.0 { lacking * (PART / diagonal) } else { Vec3A::ZERO };
-    given[node] + step
+
+    /// Displacements of the fine problem's nodes, given those of the coarse one's and their rotations.
+    pub fn carry(
+        &self,
+        fine: &Problem,
+        coarse: &Problem,
+        (displacements, turns): (&[DVec3], &[DMat3]),
+        motion: &OwnMotions,
+        host: &Host<'_>,
+    ) -> PluginResult<Vec<DVec3>> {
+        // From places to displacements.
+        let maps: Vec<Affine3A> = turns
+            .iter()
+            .zip(displacements.iter().zip(&coarse.rest))
+            .map(|(turn, (d, at))| {
+                let change = *turn - DMat3::IDENTITY;
+                let translation = (*d - change * *at).as_vec3a();
+                Affine3A { matrix3: Mat3A::from(change.as_mat3()), translation }
+            })
+            .collect();
+        let mut placed = fine.held_displacements(|target, at| motion.displacement(target, at));
+        let held = |d: &DVec3| CarriedNode { placed: d.as_vec3a(), asked: Vec3A::ZERO };
+        let mut carried: Vec<CarriedNode> = placed.iter().map(held).collect();
+        host.parallel_blocks(&mut carried[..fine.free], TOGETHER, |first, carried| {
+            for (i, node) in (first..).zip(carried) {
+                *node = self.carried(i, fine.rest[i], &maps);
+            }
+        })?;
+        // What the rotations ask for is the same in each step.
+        let mut smoothed: Vec<Vec3A> = carried.iter().map(|node| node.placed).collect();
+        host.parallel_blocks(&mut smoothed[..fine.free], TOGETHER, |first, smoothed| {
+            for (i, d) in (first..).zip(smoothed) {
+                *d += self.step(i, carried[i].asked, |j| carried[j].placed);
+            }
+        })?;
+        host.parallel_blocks(&mut placed[..fine.free], TOGETHER, |first, placed| {
+            for (i, d) in (first..).zip(placed) {
+                *d = (smoothed[i] + self.step(i, carried[i].asked, |j| smoothed[j])).as_dvec3();
+            }
+        })?;
+        Ok(placed)
+    }
+
+    /// A node as the groups' maps carry it.
+    fn carried(&self, node: usize, at: DVec3, maps: &[Affine3A]) -> CarriedNode {
+        let at = at.as_vec3a();
+        let mut carried = CarriedNode { placed: Vec3A::ZERO, asked: Vec3A::ZERO };
+        for GroupShare { group, weight, lever: [x, y, z] } in self.shares.row(node) {
+            let Affine3A { matrix3: m, translation } = &maps[*group as usize];
+            carried.placed += (*m * at + *translation) * *weight;
+            carried.asked += m.x_axis * *x + m.y_axis * *y + m.z_axis * *z;
+        }
+        carried
+    }
+
+    /// How far a step of Jacobi's method takes a node.
+    fn step(&self, node: usize, asked: Vec3A, given: impl Fn(usize) -> Vec3A) -> Vec3A {
+        self.steps.row(node).iter().fold(asked, |step, (j, part)| step - given(*j as usize) * *part)
+    }
+}
+
+/// A node on its way.
+#[derive(Debug, Clone, Copy)]
+struct CarriedNode {
+    /// Its displacement.
+    placed: Vec3A,
+    /// The part of each step that the rotations around it ask for.
+    asked: Vec3A,
+}
+
+/// What a node takes of all groups around it and those next to it, where a step makes so large a part of what
+/// is lacking.
+fn group_shares(fine: &Problem, prolongation: &Prolongation, node: usize, part: f64) -> Vec<GroupShare> {
+    let mut shares: Vec<GroupShare> = Vec::new();
+    let own = prolongation.groups_of(node);
+    shares.extend(own.iter().map(|(group, weight)| GroupShare {
+        group: *group,
+        weight: *weight,
+        lever: [0.0; 3],
+    }));
+    for e in fine.operators.row(node) {
+        let asked = (part * e.out).as_vec3();
+        for (group, weight) in prolongation.groups_of(e.column) {
+            let known = shares.iter().position(|share| share.group == *group);
+            let at = known.unwrap_or_else(|| {
+                shares.push(GroupShare { group: *group, weight: 0.0, lever: [0.0; 3] });
+                shares.len() - 1
+            });
+            let lever = &mut shares[at].lever;
+            (0..3).for_each(|axis| lever[axis] += asked[axis] * weight);
+        }
+    }
+    shares
 }

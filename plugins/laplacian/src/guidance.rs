@@ -4,7 +4,7 @@ use crate::arap::{DescentEnd, SurfaceLevel, TurningNodes};
 use crate::cells::NodeNeighbourhoods;
 use crate::coarse::{Prolongation, coarsen};
 use crate::constraints::OwnMotions;
-use crate::draft;
+use crate::draft::Draft;
 use crate::harmonic::Influence;
 use crate::problem::Problem;
 use glam::DVec3;
@@ -21,7 +21,7 @@ const COARSE_TOLERANCE: f64 = 10.0;
 #[derive(Debug)]
 pub struct Hierarchy {
     fine: SurfaceLevel,
-    coarse: Option<(SurfaceLevel, Prolongation)>,
+    coarse: Option<(SurfaceLevel, Prolongation, Draft)>,
     /// The surroundings of the coarsest level's nodes.
     cells: NodeNeighbourhoods,
     /// Whether they are what turns on the fine level too, as they are wider than its own.
@@ -42,12 +42,13 @@ impl Hierarchy {
     ) -> PluginResult<Self> {
         let coarse = match coarsen(&problem, host)? {
             Some((coarse, prolongation)) => {
-                Some((SurfaceLevel::new(coarse, stiffness, 0.3..0.4, host)?, prolongation))
+                let draft = Draft::new(&problem, &prolongation, host)?;
+                Some((SurfaceLevel::new(coarse, stiffness, 0.3..0.4, host)?, prolongation, draft))
             }
             None => None,
         };
         let fine = SurfaceLevel::new(problem, stiffness, 0.4..1.0, host)?;
-        let coarsest = coarse.as_ref().map_or(&fine, |(level, _)| level);
+        let coarsest = coarse.as_ref().map_or(&fine, |(level, ..)| level);
         let cells = NodeNeighbourhoods::new(&coarsest.problem, width, host)?;
         let influence = Influence::new(coarsest, handles, host)?;
         Ok(Self { cells, is_wide: width > 0.0, influence, fine, coarse })
@@ -62,7 +63,7 @@ impl Hierarchy {
         host: &Host<'_>,
     ) -> PluginResult<Vec<DVec3>> {
         let (fine, cells) = (&self.fine, &self.cells);
-        let Some((coarse, prolongation)) = &self.coarse else {
+        let Some((coarse, prolongation, draft)) = &self.coarse else {
             let turning = TurningNodes { cells, problem: &fine.problem, groups: None };
             let mut pose = fine.pose(self.influence.turns(&fine.problem, motion), turning, motion, host)?;
             // Steps here are as cheap as coarse ones, and all that there are.
@@ -77,8 +78,7 @@ impl Hierarchy {
         coarse.relax(&mut pose, turning, motion, coarsely, host)?;
         if is_draft {
             let carried = (pose.displacements.as_slice(), pose.blends.as_slice());
-            let (coarse, fine) = (&coarse.problem, &fine.problem);
-            return draft::carry(fine, coarse, prolongation, carried, motion, host);
+            return draft.carry(&fine.problem, &coarse.problem, carried, motion, host);
         }
         let own = NodeNeighbourhoods::narrow();
         let (turning, turns) = if self.is_wide {

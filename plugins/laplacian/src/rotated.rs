@@ -9,7 +9,7 @@ use crate::arap::SurfaceLevel;
 use crate::cells::covariances;
 use crate::coarse::{Prolongation, coarsen};
 use crate::constraints::OwnMotions;
-use crate::draft;
+use crate::draft::Draft;
 use crate::harmonic::Influence;
 use crate::linear::BiLaplacian;
 use crate::problem::Problem;
@@ -24,7 +24,7 @@ const TOGETHER: usize = 1024;
 #[derive(Debug)]
 pub struct Rotated {
     fine: BiLaplacian,
-    coarse: Option<(BiLaplacian, Prolongation)>,
+    coarse: Option<(BiLaplacian, Prolongation, Draft)>,
     /// On the coarsest of them.
     influence: Influence,
 }
@@ -59,8 +59,9 @@ impl Rotated {
         };
         let (coarse, influence) = guided(coarse, 0.3..0.35, host)?;
         let coarse = smooth(coarse, 0.35..0.4, host)?;
+        let draft = Draft::new(&problem, &prolongation, host)?;
         let fine = smooth(problem, 0.4..1.0, host)?;
-        Ok(Self { fine, coarse: Some((coarse, prolongation)), influence })
+        Ok(Self { fine, coarse: Some((coarse, prolongation, draft)), influence })
     }
 
     /// The displacements. Those of a draft are the coarse likeness', carried over.
@@ -70,17 +71,17 @@ impl Rotated {
         is_draft: bool,
         host: &Host<'_>,
     ) -> PluginResult<Vec<DVec3>> {
-        let coarsest = self.coarse.as_ref().map_or(&self.fine, |(coarse, _)| coarse);
+        let coarsest = self.coarse.as_ref().map_or(&self.fine, |(coarse, ..)| coarse);
         let mut turns = self.influence.turns(&coarsest.problem, motion);
         let first = solve(coarsest, turns.clone(), motion, host)?;
         fit(&coarsest.problem, &first, &mut turns, host)?;
-        let Some((coarse, prolongation)) = &self.coarse else {
+        let Some((coarse, prolongation, draft)) = &self.coarse else {
             return solve(&self.fine, turns, motion, host);
         };
         if is_draft {
             let displacements = solve(coarse, turns.clone(), motion, host)?;
             let carried = (displacements.as_slice(), turns.as_slice());
-            return draft::carry(&self.fine.problem, &coarse.problem, prolongation, carried, motion, host);
+            return draft.carry(&self.fine.problem, &coarse.problem, carried, motion, host);
         }
         solve(&self.fine, prolongation.turns(&turns, host)?, motion, host)
     }

@@ -43,7 +43,7 @@ pub struct SamplingArguments {
     #[arg(long, value_name = "R")]
     grid: Option<u32>,
     /// Memory to stay below, as 500M or 2G; beyond it samples wait in a temporary file beside the output
-    /// [default: a quarter of the machine's, at most 2G, of which vertices that wait take 64M]
+    /// [default: a quarter of the machine's, at most 2G, of which vertices that wait take at most 64M]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     memory_limit: Option<u64>,
     /// How clusters are split: in space and then in their plane, or in space alone

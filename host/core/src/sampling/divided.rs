@@ -18,6 +18,7 @@ use super::face_runs::have_to_be_found;
 use super::finalization::{Clustered, HashedStream, StreamJob, changed};
 use super::gather::{Grouping, find_room};
 use super::numbers_file::{NumbersWriter, is_there};
+use super::ranges::Jumps;
 use super::shared_vertices::{self, SharedReader, SharedWriter};
 use super::shares::{Owner, Shares, ranges};
 use super::{ClusteredStream, Sampling, SamplingPass, are_told, can_tell, counted, counting};
@@ -167,7 +168,7 @@ impl<'a> Divided<'a> {
             return Ok(false);
         }
         let key = self.key_of(owner);
-        let Some(Clustered { forest, hash, ranges, items, ends, membership, .. }) = clustered else {
+        let Some(Clustered { forest, hash, ranges, jumps, items, membership, .. }) = clustered else {
             output::write_file(trees, &ClusteredFile::without_room(key).sealed()?)?;
             return Ok(true);
         };
@@ -175,14 +176,13 @@ impl<'a> Divided<'a> {
             HashedStream::Part(hash) => Some(hash.finish().ok_or_else(|| changed(self.prepared.model))?),
             HashedStream::All(_) | HashedStream::Nothing => None,
         };
-        let jumps = ranges.jumps();
-        let mut ranges: Vec<_> = ranges.into_cells().collect();
         let (bound, forest) = forest.into_trees();
         let cell = |ClusteredCell { cell, tree, moments }| {
             let at = cell as usize;
-            CellOfFile { cell, items: items[at], ranges: std::mem::take(&mut ranges[at]), moments, tree }
+            CellOfFile { cell, items: items[at], ranges: ranges[at].all(), moments, tree }
         };
         let cells = forest.map(cell).collect();
+        let Jumps { ends, count: jumps } = jumps;
         let file = ClusteredFile { key, has_room: true, bound, ends, jumps, hashed, cells, mark: 0 };
         let sealed = file.sealed()?;
         if let Some(members) = membership {
@@ -347,10 +347,7 @@ pub(super) type Useless = (&'static str, Grouping);
 #[derive(Default)]
 struct InOrder {
     hash: BlockHash,
-    /// How often the stream came into another cell.
-    jumps: u64,
-    /// The cell that the last range ended in.
-    last: Option<u32>,
+    jumps: Jumps,
 }
 
 impl InOrder {
@@ -359,11 +356,7 @@ impl InOrder {
         if !file.hashed.as_ref().is_some_and(|part| self.hash.append(part)) {
             return false;
         }
-        self.jumps += file.jumps;
-        if let Some([first, end]) = file.ends {
-            self.jumps += u64::from(self.last.is_some_and(|last| last != first));
-            self.last = Some(end);
-        }
+        self.jumps.follow(&Jumps { ends: file.ends, count: file.jumps });
         true
     }
 }
@@ -425,7 +418,7 @@ impl Divided<'_> {
             let why = "a part of the model has far more of the samples than of the vertices";
             return Ok(Err((why, grouping)));
         };
-        let (fingerprint, jumps) = (stream.hash.fingerprint(), stream.jumps);
+        let (fingerprint, jumps) = (stream.hash.fingerprint(), stream.jumps.count);
         let (membership, picked) = (None, None);
         Ok(Ok((ClusteredStream { cut, fingerprint, jumps, ranges, membership, picked, grouping }, marks)))
     }

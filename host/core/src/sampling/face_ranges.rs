@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use super::kept_cells::CutTree;
-use super::ranges::Ranges;
+use super::ranges::{PackedRanges, Ranges};
 
 /// The ranges of all cells, while the faces stream.
 ///
@@ -118,7 +118,7 @@ impl FaceRanges {
     pub fn into_cells(self, trees: &[CutTree]) -> Option<Vec<Vec<Range<u64>>>> {
         let KeptRanges::Joined(ranges) = self.ranges else { return None };
         self.open?;
-        let mut cells: Vec<_> = ranges.into_cells().collect();
+        let mut cells: Vec<_> = ranges.into_cells().iter().map(PackedRanges::all).collect();
         // Cells that share a sample have what was noted for the first of them.
         for (cell, tree) in trees.iter().enumerate() {
             let first = tree.samples.first().map_or(cell, |sample| self.cell_of[*sample as usize] as usize);

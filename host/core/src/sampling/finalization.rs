@@ -23,7 +23,7 @@ use super::membership::{Leaves, Membership, Noted};
 use super::opaque::Opaque;
 use super::open_cells::CellItems;
 use super::random::mix;
-use super::ranges::Ranges;
+use super::ranges::{Jumps, PackedRanges};
 use super::shared_vertices::{SharedReader, SharedWriter};
 use super::shares::{Owner, Shares};
 use super::vs_tree::{TreeWorkspace, VsTree};
@@ -129,11 +129,11 @@ pub struct Clustered {
     /// The hash of the bytes of all vertices.
     pub hash: HashedStream,
     /// Where in the stream each cell's vertices are.
-    pub ranges: Ranges,
+    pub ranges: Vec<PackedRanges>,
     /// How many items each cell had.
     pub items: Vec<u32>,
-    /// The cells in which the stream begins and ends.
-    pub ends: Option<[u32; 2]>,
+    /// The order in which the stream goes from cell to cell.
+    pub jumps: Jumps,
     /// The cluster of each vertex, if it shall be known.
     pub membership: Option<Membership>,
     /// The colours of some vertices, if they are wanted.

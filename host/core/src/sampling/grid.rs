@@ -103,15 +103,20 @@ impl GridCounter {
             record.last = record.last.max(index);
             return;
         }
-        self.enter(p, index);
-        if let Some((key, _)) = self.current {
-            let cell = cell_box(key, self.level);
-            self.inside = Bounds { min: cell.min.max(self.bounds.min), max: cell.max.min(self.bounds.max) };
-        }
+        let stays = self.enter(p, index);
+        // A stream in no order leaves each cell at once, and needs no box.
+        self.inside = match self.current {
+            Some((key, _)) if stays => {
+                let cell = cell_box(key, self.level);
+                Bounds { min: cell.min.max(self.bounds.min), max: cell.max.min(self.bounds.max) }
+            }
+            _ => Bounds::default(),
+        };
     }
 
-    /// Counts a vertex that may lie in another cell than the last, or outside the bounds so far.
-    fn enter(&mut self, p: DVec3, index: u64) {
+    /// Counts a vertex that may lie in another cell than the last, or outside the bounds so far; whether it
+    /// is in the same cell.
+    fn enter(&mut self, p: DVec3, index: u64) -> bool {
         self.bounds.include(p);
         // Keys stay below 2^53, exact in a double and far from overflow.
         let finest = exponent(p.abs().max_element()) - 52;
@@ -125,7 +130,7 @@ impl GridCounter {
             record.count += 1;
             record.first = record.first.min(index);
             record.last = record.last.max(index);
-            return;
+            return true;
         }
         self.flush();
         self.current = Some((key, CellRecord { count: 1, first: index, last: index }));
@@ -138,6 +143,7 @@ impl GridCounter {
         if grown {
             self.fit();
         }
+        false
     }
 
     /// Merges cells until there are no more than the resolution along each axis.
@@ -307,7 +313,14 @@ pub fn key_at(p: DVec3, level: i32) -> CellKey {
     // its floor is that of a tiny number of the same sign.
     let half = -level / 2;
     let (a, b) = (power_of_two(half), power_of_two(-level - half));
-    [p.x, p.y, p.z].map(|x| (x * a * b).floor() as i64)
+    [p.x, p.y, p.z].map(|x| floor(x * a * b))
+}
+
+/// ⌊x⌋, without the call that it is on older processors.
+#[inline]
+fn floor(x: f64) -> i64 {
+    let towards_zero = x as i64;
+    towards_zero.saturating_sub(i64::from(towards_zero as f64 > x))
 }
 
 /// 2^e for −1022 ≤ e ≤ 1023, without a call.
@@ -325,6 +338,13 @@ mod tests {
         let mut counter = GridCounter::new(resolution);
         points.iter().enumerate().for_each(|(i, &p)| counter.add(p, i as u64));
         counter.finish()
+    }
+
+    #[test]
+    fn numbers_are_rounded_down() {
+        for x in [0.0, 0.3, 1.0, 2.5, 1e15 + 0.5, 2f64.powi(53), 2f64.powi(63), 1e300, 1e-300] {
+            assert_eq!([floor(x), floor(-x)], [x.floor() as i64, (-x).floor() as i64], "{x}");
+        }
     }
 
     fn point() -> impl Strategy<Value = DVec3> {

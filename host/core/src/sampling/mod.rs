@@ -45,7 +45,7 @@ pub(crate) mod triangles;
 pub mod vs_tree;
 mod ways;
 
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::path::Path;
 
 use glam::Vec3;
@@ -97,8 +97,10 @@ const GROUPS_AT_EASE: u64 = 256 << 20;
 /// Least memory for samples of open cells.
 const LEAST_FOR_CELLS: u64 = 4 << 20;
 
-/// Most of it where there is no limit. More saves no time: what is spilled goes to the page cache first.
-const CELLS_AT_EASE: u64 = 64 << 20;
+/// Most of it where there is no limit, for few cells and for many, and for each cell. More saves no time:
+/// what is spilled goes to the page cache first, and what is not is seldom in the processor's caches.
+const CELLS_AT_EASE: RangeInclusive<u64> = 24 << 20..=64 << 20;
+const CELL_AT_EASE: u64 = 4 << 10;
 
 impl Sampling {
     fn limit(&self) -> u64 {
@@ -124,7 +126,9 @@ impl Sampling {
         let left = self.limit().saturating_sub(taken);
         // A complete cell is copied out of what is held.
         let left = left - largest.min(left / 2);
-        let most = self.memory_limit.map_or(CELLS_AT_EASE, |_| u64::MAX);
+        let at_ease = CELL_AT_EASE.saturating_mul(grid.keys.len() as u64);
+        let at_ease = at_ease.clamp(*CELLS_AT_EASE.start(), *CELLS_AT_EASE.end());
+        let most = self.memory_limit.map_or(at_ease, |_| u64::MAX);
         left.min(most).max(LEAST_FOR_CELLS)
     }
 }
@@ -407,7 +411,7 @@ impl<'a> SamplingPass<'a> {
                 }
             };
             self.progress.begin("completing the samples", 0);
-            let Clustered { forest, hash, ranges, membership, picked, .. } = clustered;
+            let Clustered { forest, hash, ranges, jumps, membership, picked, .. } = clustered;
             let HashedStream::All(hash) = hash else {
                 return Err(Error::internal("a part of the vertices was hashed"));
             };
@@ -415,8 +419,8 @@ impl<'a> SamplingPass<'a> {
                 return Ok(ClusteredStream {
                     cut,
                     fingerprint: hash.fingerprint(),
-                    jumps: ranges.jumps(),
-                    ranges: ranges.into_cells().collect(),
+                    jumps: jumps.count,
+                    ranges: ranges.into_par_iter().map(|cell| cell.all()).collect(),
                     membership,
                     picked,
                     grouping,

@@ -23,15 +23,16 @@ const NONE: u32 = u32::MAX;
 /// Where the chain of pieces in the file ends.
 const NO_PIECE: u64 = u64::MAX;
 
-/// Bytes of a piece, about: what is collected to be written at once.
-const PIECE: usize = 1 << 20;
+/// Bytes that are collected to be written at once.
+const AT_ONCE: usize = 256 << 10;
 
 /// Bytes of a piece's header: where the cell's former piece is, and how many items this one has.
 const HEADER: usize = 16;
 
 /// All open cells.
 ///
-/// Memory: `limit` bytes of blocks, and 32 bytes per occupied cell of the grid.
+/// Memory: `limit` bytes of blocks, 32 bytes per occupied cell of the grid, and 256 KiB that are written at
+/// once.
 pub struct OpenCells<T> {
     cells: Vec<OpenCell>,
     pool: ItemPool<T>,
@@ -62,7 +63,9 @@ struct ItemPool<T> {
 struct Spill {
     folder: PathBuf,
     file: Option<Arc<Scratch>>,
+    /// Where in the file what is collected will be.
     end: u64,
+    collected: Vec<u8>,
 }
 
 impl<T: Pod> OpenCells<T> {
@@ -80,7 +83,7 @@ impl<T: Pod> OpenCells<T> {
                 // Places are counted in 32 bits.
                 limit: usize::try_from(blocks).unwrap_or(usize::MAX).clamp(SLAB, u32::MAX as usize / BLOCK),
             },
-            spill: Spill { folder: folder.to_owned(), file: None, end: 0 },
+            spill: Spill { folder: folder.to_owned(), file: None, end: 0, collected: Vec::new() },
         }
     }
 
@@ -150,22 +153,16 @@ impl<T: Pod> OpenCells<T> {
             (0..self.cells.len() as u32).filter(|c| self.cells[*c as usize].held > 0).collect();
         fullest.sort_by_key(|c| std::cmp::Reverse(self.cells[*c as usize].held));
         let mut freed = 0;
-        let mut bytes = Vec::new();
         for c in fullest {
             let cell = &mut self.cells[c as usize];
-            let (spill, mut piece, mut written) = (&mut self.spill, cell.piece, Ok(()));
-            bytes.clear();
+            let (spill, mut written) = (&mut self.spill, Ok(()));
+            cell.piece = spill.begin(cell.piece, cell.held);
             self.pool.drain(cell, |items| {
-                bytes.extend_from_slice(bytemuck::cast_slice(items));
-                if bytes.len() >= PIECE && written.is_ok() {
-                    written = spill.append(&mut piece, &mut bytes, size_of::<T>());
+                if written.is_ok() {
+                    written = spill.append(bytemuck::cast_slice(items));
                 }
             });
             written?;
-            if !bytes.is_empty() {
-                spill.append(&mut piece, &mut bytes, size_of::<T>())?;
-            }
-            cell.piece = piece;
             cell.spilled += u64::from(cell.held);
             freed += (cell.held as usize).div_ceil(BLOCK);
             cell.held = 0;
@@ -173,7 +170,7 @@ impl<T: Pod> OpenCells<T> {
                 break;
             }
         }
-        Ok(())
+        self.spill.write()
     }
 
     /// Removes all items of a cell.
@@ -227,19 +224,31 @@ impl<T: Pod> ItemPool<T> {
 }
 
 impl Spill {
-    /// Writes a piece of items behind all others, with a pointer to the cell's former piece, which it
-    /// becomes. Empties `items`, the bytes of items of this size.
-    fn append(&mut self, former: &mut u64, items: &mut Vec<u8>, size: usize) -> Result<()> {
+    /// Begins a piece of so many items behind all others, with a pointer to the cell's former piece; where
+    /// it is.
+    fn begin(&mut self, former: u64, items: u32) -> u64 {
+        let piece = self.end + self.collected.len() as u64;
+        let header = [former, items.into()].map(u64::to_le);
+        self.collected.extend_from_slice(bytemuck::cast_slice(&header));
+        piece
+    }
+
+    /// Appends the bytes of the next items of the piece.
+    fn append(&mut self, items: &[u8]) -> Result<()> {
+        self.collected.extend_from_slice(items);
+        if self.collected.len() >= AT_ONCE { self.write() } else { Ok(()) }
+    }
+
+    /// Writes what is collected: of many cells at once, as a call of the system for each took as long as all
+    /// else.
+    fn write(&mut self) -> Result<()> {
         let file = match &self.file {
             Some(file) => file,
             None => self.file.insert(Arc::new(Scratch::new(&self.folder, "raise --memory-limit")?)),
         };
-        let header = [*former, (items.len() / size) as u64].map(u64::to_le);
-        file.write_at(bytemuck::cast_slice(&header), self.end)?;
-        file.write_at(items, self.end + HEADER as u64)?;
-        *former = self.end;
-        self.end += (HEADER + items.len()) as u64;
-        items.clear();
+        file.write_at(&self.collected, self.end)?;
+        self.end += self.collected.len() as u64;
+        self.collected.clear();
         Ok(())
     }
 }

@@ -14,23 +14,43 @@ const MOST: usize = 4 << 20;
 /// Bytes of a cell at most, and at least: some 60 000 ranges, or 4.
 const OF_A_CELL: Range<usize> = 16..1 << 18;
 
-/// The ranges of all cells.
+/// The ranges of all cells, or of a part of them.
 ///
-/// Memory: 64 bytes per cell and twice [`MOST`].
+/// Memory: 64 bytes per cell and twice [`MOST`] for all.
 pub struct Ranges {
     cells: Vec<PackedRanges>,
     /// Bytes of a cell at most.
     most: usize,
-    /// The cell that the stream came into last.
-    last: Option<u32>,
-    /// How often it came into another one.
-    jumps: u64,
+}
+
+/// How a stream goes from cell to cell.
+#[derive(Clone, Copy, Default)]
+pub struct Jumps {
+    /// The cells in which it begins and ends.
+    pub ends: Option<[u32; 2]>,
+    /// How often it comes from one cell into another.
+    pub count: u64,
+}
+
+impl Jumps {
+    /// The stream is in a cell next.
+    pub fn visit(&mut self, cell: u32) {
+        self.follow(&Self { ends: Some([cell; 2]), count: 0 });
+    }
+
+    /// The part of the stream that comes next.
+    pub fn follow(&mut self, next: &Self) {
+        let Some([first, last]) = next.ends else { return };
+        let former = self.ends.unwrap_or([first; 2]);
+        self.count += next.count + u64::from(former[1] != first);
+        self.ends = Some([former[0], last]);
+    }
 }
 
 /// The ranges of a cell. All but the last are packed: each as its distance from the end of the one before,
 /// and its length.
 #[derive(Clone, Default)]
-struct PackedRanges {
+pub struct PackedRanges {
     bytes: Vec<u8>,
     /// The end of the last one that is packed.
     end: u64,
@@ -53,7 +73,7 @@ impl PackedRanges {
     }
 
     /// All of them, ascending and not empty.
-    fn all(&self) -> Vec<Range<u64>> {
+    pub fn all(&self) -> Vec<Range<u64>> {
         let (mut ranges, mut end, mut numbers) = (Vec::new(), 0, VarintNumbers(&self.bytes));
         while let (Some(gap), Some(length)) = (numbers.next(), numbers.next()) {
             ranges.push(end + gap..end + gap + length);
@@ -77,29 +97,18 @@ impl PackedRanges {
 impl Ranges {
     /// No range, of so many cells.
     pub fn new(cells: usize) -> Self {
+        Self::of_part(cells, cells)
+    }
+
+    /// No range, of a part of so many cells.
+    pub fn of_part(part: usize, cells: usize) -> Self {
         let most = (MOST / cells.max(1)).clamp(OF_A_CELL.start, OF_A_CELL.end);
-        Self { cells: vec![PackedRanges::default(); cells], most, last: None, jumps: 0 }
+        Self { cells: vec![PackedRanges::default(); part], most }
     }
 
-    /// From the first of these vertices on, up to before the end, the stream is in a cell, whose ranges are
-    /// kept or not. What comes before the first visit of a piece of the stream is of no cell, so that ranges
-    /// follow from the pieces, whoever reads which of them.
-    pub fn visit(&mut self, cell: u32, vertices: Range<u64>, is_kept: bool) {
-        let former = self.last.replace(cell);
-        self.jumps += u64::from(former.is_some_and(|former| former != cell));
-        if is_kept {
-            self.add(cell, vertices);
-        }
-    }
-
-    /// How often the stream came from one cell into another.
-    pub fn jumps(&self) -> u64 {
-        self.jumps
-    }
-
-    /// The ranges of each cell: ascending, and not empty.
-    pub fn into_cells(self) -> impl Iterator<Item = Vec<Range<u64>>> {
-        self.cells.into_iter().map(|cell| cell.all())
+    /// The ranges of each cell.
+    pub fn into_cells(self) -> Vec<PackedRanges> {
+        self.cells
     }
 
     /// A range of a cell, none of whose others ends behind its beginning.
@@ -115,21 +124,32 @@ impl Ranges {
 /// Joins ranges until there are so many, where the gaps are the least. Of gaps of about the same length every
 /// other one goes first, so that they do not all become one range.
 fn halve(ranges: &mut Vec<Range<u64>>, keep: usize) {
-    let gap = |i: usize| (ranges[i + 1].start - ranges[i].end).checked_ilog2();
-    let mut order: Vec<usize> = (0..ranges.len() - 1).collect();
-    order.sort_by_key(|i| (gap(*i), i % 2));
-    order.truncate(ranges.len() - keep);
-    order.sort_unstable();
-    let mut joined = order.into_iter().peekable();
-    let mut kept: Vec<Range<u64>> = Vec::with_capacity(ranges.len());
-    for (i, range) in ranges.drain(..).enumerate() {
-        // With the one before it.
-        match kept.last_mut() {
-            Some(last) if joined.next_if(|before| before + 1 == i).is_some() => last.end = range.end,
-            _ => kept.push(range),
+    // Counted by their lengths' digits, as a stream in no order comes here again and again.
+    let class = |i: usize| {
+        let digits = (ranges[i + 1].start - ranges[i].end).checked_ilog2().map_or(0, |log| log as usize + 1);
+        2 * digits + i % 2
+    };
+    let classes: Vec<usize> = (0..ranges.len() - 1).map(class).collect();
+    let mut counts = [0; 2 * 65];
+    classes.iter().for_each(|class| counts[*class] += 1);
+    // How many of each class go: the first.
+    let mut left = ranges.len() - keep;
+    counts.iter_mut().for_each(|count| {
+        *count = left.min(*count);
+        left -= *count;
+    });
+    let mut kept = 0;
+    for (i, class) in classes.into_iter().enumerate() {
+        let range = ranges[i + 1].clone();
+        if counts[class] > 0 {
+            counts[class] -= 1;
+            ranges[kept].end = range.end;
+        } else {
+            kept += 1;
+            ranges[kept] = range;
         }
     }
-    *ranges = kept;
+    ranges.truncate(kept + 1);
 }
 
 /// All of these ranges, ascending; those that overlap, or have no more than `near` between them, are one.
@@ -165,11 +185,11 @@ mod tests {
             let mut visits = Vec::new();
             let mut first = 0;
             for (cell, length) in stream {
-                ranges.visit(cell, first..first + length, true);
+                ranges.add(cell, first..first + length);
                 visits.push((cell, first..first + length));
                 first += length;
             }
-            let cells: Vec<_> = ranges.into_cells().collect();
+            let cells: Vec<_> = ranges.into_cells().iter().map(PackedRanges::all).collect();
             for (cell, visit) in visits {
                 let within = |r: &Range<u64>| r.start <= visit.start && visit.end <= r.end;
                 prop_assert!(cells[cell as usize].iter().any(within));
@@ -183,6 +203,59 @@ mod tests {
         }
     }
 
+    proptest! {
+        /// As by sorting: the least gaps go first, every other one of about the same length, and those that
+        /// come first.
+        #[test]
+        fn the_least_gaps_are_joined(
+            lengths in proptest::collection::vec((1u64..4, prop_oneof![1u64..20, 1u64..1 << 40]), 1..300),
+            part in 0.0..1.0f64,
+        ) {
+            let mut end = 0;
+            let ranges: Vec<Range<u64>> = lengths
+                .iter()
+                .map(|(length, gap)| {
+                    let start = end + gap;
+                    end = start + length;
+                    start..end
+                })
+                .collect();
+            let keep = 1 + (part * (ranges.len() - 1) as f64) as usize;
+            let mut order: Vec<usize> = (0..ranges.len() - 1).collect();
+            order.sort_by_key(|i| ((ranges[i + 1].start - ranges[*i].end).checked_ilog2(), i % 2));
+            let gone = &order[..ranges.len() - keep];
+            let mut wanted: Vec<Range<u64>> = vec![ranges[0].clone()];
+            for (i, range) in ranges.iter().enumerate().skip(1) {
+                match wanted.last_mut() {
+                    Some(last) if gone.contains(&(i - 1)) => last.end = range.end,
+                    _ => wanted.push(range.clone()),
+                }
+            }
+            let mut found = ranges;
+            halve(&mut found, keep);
+            prop_assert_eq!(found, wanted);
+        }
+
+        /// Whatever the pieces of a stream are, it jumps as often as the whole.
+        #[test]
+        fn jumps_of_pieces_add_up(
+            cells in proptest::collection::vec(0u32..3, 0..60), cut in proptest::collection::vec(0usize..60, 0..5),
+        ) {
+            let jumps = |cells: &[u32]| {
+                let mut jumps = Jumps::default();
+                cells.iter().for_each(|cell| jumps.visit(*cell));
+                jumps
+            };
+            let mut cut: Vec<usize> = cut.into_iter().map(|at| at.min(cells.len())).collect();
+            cut.extend([0, cells.len()]);
+            cut.sort_unstable();
+            let mut joined = Jumps::default();
+            cut.windows(2).for_each(|ends| joined.follow(&jumps(&cells[ends[0]..ends[1]])));
+            prop_assert_eq!(joined.count, cells.windows(2).filter(|two| two[0] != two[1]).count() as u64);
+            prop_assert_eq!(joined.ends, cells.first().zip(cells.last()).map(|(first, last)| [*first, *last]));
+        }
+    }
+
     #[test]
     fn what_is_near_is_merged_first() {
         let mut ranges = with_most(2, 1024);
@@ -190,9 +263,9 @@ mod tests {
         let visits: Vec<u64> =
             (0..=18).map(|i| i * 1000).chain([18_010]).chain((19..400).map(|i| i * 1000)).collect();
         for start in &visits {
-            ranges.visit(0, *start..start + 5, true);
+            ranges.add(0, *start..start + 5);
         }
-        let cells: Vec<_> = ranges.into_cells().collect();
+        let cells: Vec<_> = ranges.into_cells().iter().map(PackedRanges::all).collect();
         assert!((100..400).contains(&cells[0].len()), "{}", cells[0].len());
         assert!(cells[0].iter().any(|r| r.start <= 18_000 && r.end >= 18_015));
         assert!(cells[0].iter().all(|r| r.end - r.start < 10_000), "{:?}", cells[0]);

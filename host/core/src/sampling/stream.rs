@@ -24,10 +24,10 @@ use super::cluster::Element;
 use super::cut::{ClusteredCell, Forest};
 use super::finalization::{Clustered, ClusteringPass, HashedStream, MAX_QUEUED, StreamJob, changed, unit};
 use super::gather::{Gather, GatherPiece};
-use super::grid::{CellRecord, cell_box};
+use super::grid::{CellKey, CellRecord, cell_box};
 use super::membership::{Leaves, Membership};
 use super::open_cells::CellItems;
-use super::ranges::Ranges;
+use super::ranges::{Jumps, Ranges};
 use super::shared_vertices::{SharedPiece, Visit};
 use super::shares::{Owner, PIECE};
 use super::tasks::{Schedule, Stopped, Task, Tasks};
@@ -67,7 +67,6 @@ pub fn cluster<G: Gather>(
 }
 
 fn cluster_in_shards<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>) -> Result<Option<Clustered>> {
-    let cells = pass.grid.keys.len();
     let hash = match pass.job {
         StreamJob::Whole => HashedStream::All(VertexHash::default()),
         StreamJob::Range(..) => {
@@ -82,9 +81,9 @@ fn cluster_in_shards<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>) -> Re
     let mut clustered = Clustered {
         forest: Forest::new(pass.grid, pass.target, pass.bound, pass.most, pass.foresight),
         hash,
-        ranges: Ranges::new(cells),
-        items: vec![0; cells],
-        ends: None,
+        ranges: Vec::new(),
+        items: Vec::new(),
+        jumps: Jumps::default(),
         membership: pass.with_members.then(members).transpose()?,
         picked: pass.picking.map(|_| Picked::new(pass.folder)).transpose()?,
     };
@@ -143,9 +142,11 @@ fn bytes_of(pass: &ClusteringPass<'_>) -> u64 {
 fn shards<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>) -> Vec<Mutex<CellShard<G>>> {
     let own = |(cell, record): (u32, &CellRecord)| if pass.job.has(cell) { record.count } else { 0 };
     let left = deal((0..).zip(&pass.grid.records).map(own), gather.len());
+    let cells = pass.grid.keys.len();
     let shard = |(gather, left): (G, Vec<u64>)| CellShard {
         gather,
         items: vec![0; left.len()],
+        ranges: Ranges::of_part(left.len(), cells),
         left,
         at: 0,
         complete: None,
@@ -155,7 +156,7 @@ fn shards<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>) -> Vec<Mutex<Cel
 
 /// Whether there was room.
 fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clustered) -> Result<bool> {
-    let Clustered { forest, hash, ranges, items, ends, membership, picked } = found;
+    let Clustered { forest, hash, ranges, items, jumps, membership, picked } = found;
     let vertices = vertices_of(pass);
     let threads = rayon::current_num_threads();
     let in_order = !pass.model.info().reads_exactly() && !matches!(pass.job, StreamJob::Group(..));
@@ -172,8 +173,7 @@ fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clus
         shards,
         finishing: Mutex::new(Finishing {
             hash,
-            ranges,
-            ends,
+            jumps,
             membership: membership.as_mut(),
             picked: picked.as_mut(),
         }),
@@ -197,13 +197,15 @@ fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clus
     if shards.iter().flat_map(|shard| &shard.left).any(|n| *n > 0) {
         return Err(changed(pass.model));
     }
-    for (cell, items) in items.iter_mut().enumerate() {
-        *items = shards[cell % shards.len()].items[cell / shards.len()];
-    }
+    let (of_items, of_ranges): (Vec<_>, Vec<_>) =
+        shards.into_iter().map(|shard| (shard.items, shard.ranges.into_cells())).unzip();
+    (*items, *ranges) = (gathered_up(of_items), gathered_up(of_ranges));
     Ok(true)
 }
 
 /// Notes that the stream is in a cell from the first of these vertices on; `false` if it was there before.
+/// What comes before the first visit of a piece is of no cell, so that ranges follow from the pieces, whoever
+/// reads which of them.
 fn note_visit(visits: &mut Vec<(u32, Range<u64>)>, cell: u32, vertices: &Range<u64>) -> bool {
     if let Some((last, visited)) = visits.last_mut() {
         if *last == cell {
@@ -217,6 +219,9 @@ fn note_visit(visits: &mut Vec<(u32, Range<u64>)>, cell: u32, vertices: &Range<u
 
 /// The cell that the stream is in.
 struct EnteredCell {
+    key: CellKey,
+    /// What is surely inside it, once the stream has stayed; nothing before, as a stream in no order does
+    /// not.
     inside: Bounds,
     cell: u32,
     /// Whether it is clustered here.
@@ -228,6 +233,14 @@ fn deal<T>(of_cells: impl Iterator<Item = T>, shards: usize) -> Vec<Vec<T>> {
     let mut dealt: Vec<Vec<T>> = (0..shards).map(|_| Vec::new()).collect();
     of_cells.enumerate().for_each(|(cell, of_cell)| dealt[cell % shards].push(of_cell));
     dealt
+}
+
+/// What was [dealt](deal) out, in the order of cells.
+fn gathered_up<T>(dealt: Vec<Vec<T>>) -> Vec<T> {
+    let cells = dealt.iter().map(Vec::len).sum();
+    let mut shards: Vec<_> = dealt.into_iter().map(Vec::into_iter).collect();
+    let count = shards.len();
+    (0..cells).filter_map(|cell| shards[cell % count].next()).collect()
 }
 
 /// A call of [`stream`].
@@ -266,6 +279,8 @@ struct CellShard<G> {
     left: Vec<u64>,
     /// How many items each cell had in the end.
     items: Vec<u32>,
+    /// Where in the stream each cell's vertices are.
+    ranges: Ranges,
     /// Items that are merged of those that the next piece has for the shard.
     at: usize,
     /// A cell that is complete, for which there was no room yet.
@@ -275,9 +290,7 @@ struct CellShard<G> {
 /// What is found by the way of pieces in the order of the stream.
 struct Finishing<'a> {
     hash: &'a mut HashedStream,
-    ranges: &'a mut Ranges,
-    /// The cells of the first vertex and of the last one.
-    ends: &'a mut Option<[u32; 2]>,
+    jumps: &'a mut Jumps,
     membership: Option<&'a mut Membership>,
     picked: Option<&'a mut Picked>,
 }
@@ -296,12 +309,15 @@ struct StreamPiece<P: GatherPiece> {
     /// The vertices whose colours are kept.
     picks: Vec<Pick>,
     lists: ColorLists,
-    /// The places of what was gathered for the cells of each shard, if there are several.
-    of_shards: Vec<Vec<u32>>,
+    /// The places of what was gathered for the cells of each shard, and of the visits there, if there are
+    /// several.
+    of_shards: Vec<[Vec<u32>; 2]>,
     /// The place of each item in its cell, if it shall be known, once it is merged.
     places: Vec<AtomicU32>,
     /// Each cell that the stream enters, and the vertices up to where it leaves it.
     visits: Vec<(u32, Range<u64>)>,
+    /// How these follow each other.
+    jumps: Jumps,
     /// The piece's vertices in cells that others cluster, and what is written down of them.
     shared: SharedPiece,
     records: Vec<(u32, Vec<u8>)>,
@@ -368,6 +384,7 @@ impl<'a, G: Gather> Stream<'a, G> {
             picks: Vec::new(),
             lists: ColorLists::default(),
             visits: Vec::new(),
+            jumps: Jumps::default(),
             shared: SharedPiece::default(),
             records: Vec::new(),
             bytes: 0,
@@ -410,11 +427,14 @@ impl<'a, G: Gather> Stream<'a, G> {
     }
 
     /// The cell at a place.
-    fn enter(&self, p: DVec3) -> Result<EnteredCell> {
+    fn enter(&self, p: DVec3, current: Option<EnteredCell>) -> Result<EnteredCell> {
         let ClusteringPass { model, grid, job, .. } = self.pass;
         let key = grid.key_of(p);
+        if let Some(stayed_in) = current.filter(|entered| entered.key == key) {
+            return Ok(EnteredCell { inside: cell_box(key, grid.level), ..stayed_in });
+        }
         let cell = grid.find(&key).ok_or_else(|| changed(*model))?;
-        Ok(EnteredCell { inside: cell_box(key, grid.level), cell, is_own: job.has(cell) })
+        Ok(EnteredCell { key, inside: Bounds::default(), cell, is_own: job.has(cell) })
     }
 
     /// Puts each vertex of a piece, which ends before a vertex, into its cell.
@@ -441,7 +461,8 @@ impl<'a, G: Gather> Stream<'a, G> {
                         continue;
                     }
                     _ => {
-                        let EnteredCell { cell, is_own, .. } = *current.insert(self.enter(*p)?);
+                        let entered = self.enter(*p, current.take())?;
+                        let EnteredCell { cell, is_own, .. } = *current.insert(entered);
                         let vertices = chunk.first + i as u64..end;
                         if note_visit(visits, cell, &vertices) && !is_own {
                             gatherer.leave();
@@ -514,18 +535,38 @@ impl<'a, G: Gather> Stream<'a, G> {
     /// many of them wait to be clustered.
     fn merge(&self, shard: usize, piece: Arc<StreamPiece<G::Piece>>) -> Result<()> {
         let mut merging = lock(&self.shards[shard]);
-        let has_all = match piece.of_shards.get(shard) {
-            Some(own) => self.merge_items(&mut merging, &piece, own.iter().map(|item| *item as usize))?,
+        let of_shard = piece.of_shards.get(shard);
+        let has_all = match of_shard {
+            Some([own, _]) => {
+                self.merge_items(&mut merging, &piece, own.iter().map(|item| *item as usize))?
+            }
             None => self.merge_items(&mut merging, &piece, 0..piece.gathered.len())?,
         };
         if has_all {
             merging.at = 0;
+            match of_shard {
+                Some([_, own]) => {
+                    self.note_ranges(&mut merging, own.iter().map(|visit| &piece.visits[*visit as usize]));
+                }
+                None => self.note_ranges(&mut merging, &piece.visits),
+            }
         }
         drop(merging);
         // The thread that finishes the piece has it alone.
         drop(piece);
         self.schedule.tasks().merged(shard, has_all);
         Ok(())
+    }
+
+    /// Notes where the vertices of a shard's cells are.
+    fn note_ranges<'b>(
+        &self,
+        shard: &mut CellShard<G>,
+        visits: impl IntoIterator<Item = &'b (u32, Range<u64>)>,
+    ) {
+        for (cell, vertices) in visits.into_iter().filter(|(cell, _)| self.pass.job.has(*cell)) {
+            shard.ranges.add(cell / self.shards.len() as u32, vertices.clone());
+        }
     }
 
     /// Whether all of the items were merged.
@@ -579,11 +620,8 @@ impl<'a, G: Gather> Stream<'a, G> {
     /// Finishes the piece that comes next in the stream, which all shards have merged.
     fn finish(&self, piece: Arc<StreamPiece<G::Piece>>) -> Result<()> {
         let mut finishing = lock(&self.finishing);
-        let Finishing { hash, ranges, ends, membership, picked } = &mut *finishing;
-        for (cell, vertices) in &piece.visits {
-            ranges.visit(*cell, vertices.clone(), self.pass.job.has(*cell));
-            **ends = Some([ends.map_or(*cell, |[first, _]| first), *cell]);
-        }
+        let Finishing { hash, jumps, membership, picked } = &mut *finishing;
+        jumps.follow(&piece.jumps);
         if let Some(members) = membership {
             self.note_members(members, &piece)?;
         }
@@ -652,14 +690,16 @@ impl<'a, G: Gather> Stream<'a, G> {
 impl<P: GatherPiece> StreamPiece<P> {
     /// Ends what is gathered, and tells what of it is of the cells of each shard.
     fn deal(&mut self, shards: usize, with_places: bool) {
-        let Self { gatherer, gathered, of_shards, places, .. } = self;
+        let Self { gatherer, gathered, of_shards, places, visits, jumps, .. } = self;
         *gathered = gatherer.end();
         if shards > 1 {
-            of_shards.resize_with(shards, Vec::new);
-            for ((cell, _), item) in gathered.iter().zip(0..) {
-                of_shards[*cell as usize % shards].push(item);
-            }
+            of_shards.resize_with(shards, Default::default);
+            let of_items = gathered.iter().map(|(cell, _)| *cell);
+            of_items.zip(0..).for_each(|(cell, item)| of_shards[cell as usize % shards][0].push(item));
+            let of_visits = visits.iter().map(|(cell, _)| *cell);
+            of_visits.zip(0..).for_each(|(cell, visit)| of_shards[cell as usize % shards][1].push(visit));
         }
+        visits.iter().for_each(|(cell, _)| jumps.visit(*cell));
         if with_places {
             places.resize_with(gathered.len(), AtomicU32::default);
         }
@@ -667,12 +707,13 @@ impl<P: GatherPiece> StreamPiece<P> {
 
     fn clear(&mut self) {
         self.gatherer.begin(std::mem::take(&mut self.gathered));
-        self.of_shards.iter_mut().for_each(Vec::clear);
+        self.of_shards.iter_mut().flatten().for_each(Vec::clear);
         self.places.clear();
         self.items.clear();
         self.positions.clear();
         self.picks.clear();
         self.visits.clear();
+        self.jumps = Jumps::default();
         self.shared.clear();
         self.records.clear();
         self.bytes = 0;
