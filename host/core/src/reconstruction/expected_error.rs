@@ -30,7 +30,6 @@ use simod_model::frame::Frame;
 use simod_model::{ModelInfo, Result};
 
 use super::blend::LEAST_WEIGHT;
-use super::blended_jets::FitInput;
 use super::expansion::{Expansion, ROUNDING};
 use super::expectation::{ErrorExcess, ErrorSums, Expectation, ExpectedError, Rounding, hypot};
 use super::homes::Homes;
@@ -204,9 +203,7 @@ impl DeformationField<'_> {
         };
         let means: Vec<f32> = (0..squares.len()).into_par_iter().map(mean).collect();
         self.expected.iter_mut().zip(means).for_each(|(expected, mean)| expected.left_out = mean);
-        let Self { around, stencils, deformed, gradients, expansions, .. } = &self;
-        let fitted = FitInput { samples: around.samples, stencils, deformed, gradient: &gradients.gradient };
-        self.unresolved = unresolved::find(fitted, expansions);
+        self.unresolved = unresolved::find(self.fit_input(), &self.expansions);
         self
     }
 
