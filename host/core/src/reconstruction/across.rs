@@ -21,7 +21,6 @@ use super::blended_jets::FitInput;
 use super::expansion::{Expansion, ROUNDING};
 use super::stencils::Stencils;
 use crate::lists::lists;
-use crate::sampling::SampleSet;
 
 /// An anchor is fitted to all samples that so many links of the graph of neighbours lead to.
 const LINKS: usize = 4;
@@ -172,22 +171,17 @@ struct Anchor {
 }
 
 /// The expansions by whose gradients numbers turn: those of the samples, with what anchors tell across the
-/// surface, and of the second order. `gradient` has the affine maps.
-pub fn told(
-    samples: &SampleSet,
-    stencils: &Stencils<'_>,
-    deformed: &[Vec3],
-    gradient: &[Mat3],
-    expansions: &[Expansion],
-) -> Vec<Expansion> {
-    let anchors = Anchors::fit(samples, stencils, deformed, gradient, expansions);
+/// surface, and of the second order. `fitted` has the affine maps.
+pub fn told(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Expansion> {
+    let anchors = Anchors::fit(fitted, expansions);
+    let positions = &fitted.samples.positions;
     let told = |(i, e): (usize, &Expansion)| {
         if e.is_still() || anchors.are_silent_at(i) {
             return *e;
         }
         let (own, own_second) = (Mat3::IDENTITY + e.slope(), e.second());
         let (mut more, mut second, mut sum) = (Mat3::ZERO, [Vec3::ZERO; 6], 0.0);
-        for (anchor, products, w) in anchors.heard_at(i, samples.positions[i]) {
+        for (anchor, products, w) in anchors.heard_at(i, positions[i]) {
             let trusted = w * anchor.trust;
             more += (anchor.gradient(&products) - own) * trusted;
             let theirs = anchor.second(&products).into_iter().zip(own_second);
@@ -230,8 +224,8 @@ impl ToldAcross {
 ///
 /// Memory: 12 bytes per sample, and some 85 more meanwhile, with 4 for each thread.
 pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAcross> {
-    let FitInput { samples, stencils, deformed, gradient } = fitted;
-    let anchors = Anchors::fit(samples, stencils, deformed, gradient, expansions);
+    let anchors = Anchors::fit(fitted, expansions);
+    let samples = fitted.samples;
     let told = |(i, e): (usize, &Expansion)| {
         if e.is_still() || anchors.are_silent_at(i) {
             return ToldAcross::default();
@@ -273,22 +267,16 @@ struct Anchors {
 
 impl Anchors {
     /// The anchors of a deformation with these affine maps and expansions.
-    fn fit(
-        samples: &SampleSet,
-        stencils: &Stencils<'_>,
-        deformed: &[Vec3],
-        gradient: &[Mat3],
-        expansions: &[Expansion],
-    ) -> Self {
-        let chosen = anchors(stencils, expansions);
+    fn fit(fitted: FitInput<'_>, expansions: &[Expansion]) -> Self {
+        let chosen = anchors(fitted.stencils, expansions);
+        let samples = fitted.samples.len();
         let fit = |walk: &mut NeighbourWalk, i: &u32| {
-            let fit =
-                AnchorFit { samples, stencils, deformed, affine: gradient[*i as usize], i: *i as usize };
+            let fit = AnchorFit { fitted, i: *i as usize };
             Arch::new().dispatch(|| fit.anchor(walk))
         };
-        let fitted = chosen.par_iter().map_init(|| NeighbourWalk::new(samples.len()), fit);
-        let (anchors, heard): (Vec<Anchor>, Vec<Vec<u32>>) = fitted.unzip();
-        Self { anchors, lists: AnchorLists::new(samples.len(), &heard) }
+        let found = chosen.par_iter().map_init(|| NeighbourWalk::new(samples), fit);
+        let (anchors, heard): (Vec<Anchor>, Vec<Vec<u32>>) = found.unzip();
+        Self { anchors, lists: AnchorLists::new(samples, &heard) }
     }
 
     /// Whether none has a say at a sample.
@@ -381,12 +369,9 @@ impl AnchorLists {
     }
 }
 
-/// What an anchor is fitted to.
+/// What the anchor at sample `i` is fitted to.
 struct AnchorFit<'a> {
-    samples: &'a SampleSet,
-    stencils: &'a Stencils<'a>,
-    deformed: &'a [Vec3],
-    affine: Mat3,
+    fitted: FitInput<'a>,
     i: usize,
 }
 
@@ -394,7 +379,8 @@ impl AnchorFit<'_> {
     /// The anchor, and the samples at which it has a say.
     #[inline(always)]
     fn anchor(&self, walk: &mut NeighbourWalk) -> (Anchor, Vec<u32>) {
-        let Self { samples, stencils, deformed, affine, i } = *self;
+        let Self { fitted: FitInput { samples, stencils, deformed, gradient }, i } = *self;
+        let affine = gradient[i];
         let (mut near, heard) = walk.from(i as u32, LINKS, |j| stencils.of_sample(j));
         let way = |j: u32| samples.positions[j as usize] - samples.positions[i];
         let radius = |near: &[u32]| near.iter().map(|j| way(*j).length_squared()).fold(0.0, f32::max);
@@ -592,6 +578,7 @@ fn strain(f: DMat3) -> f64 {
 mod tests {
     use super::super::{DeformationField, Method, RestGeometry};
     use super::*;
+    use crate::sampling::SampleSet;
 
     /// Samples of a surface that bends here more and there less.
     fn samples() -> SampleSet {

@@ -16,7 +16,8 @@
 //! Fehlberg, *Low-order classical Runge-Kutta formulas with stepsize control*, 1969). What all leave out
 //! together they do not tell; how far the samples around are from where others would have them stands for
 //! that, with the worst that any two disagree by halfway, and for more of it where a vertex lies beyond the
-//! samples, as off the surface or outside a border, up to what those around say there. How the map varies
+//! samples, as off the surface, at a sharp edge or outside a border, up to what those around say there, and
+//! another blend with supports that are wider still. How the map varies
 //! across a sheet of gentle relief all of them guess alike: what that leaves open counts, too
 //! ([`unresolved`](super::unresolved)). Rounding comes on top: of the samples' positions, of
 //! the displacement, and of the file that is written.
@@ -30,7 +31,6 @@ use simod_model::frame::Frame;
 use simod_model::{ModelInfo, Result};
 
 use super::blend::LEAST_WEIGHT;
-use super::blended_jets::FitInput;
 use super::expansion::{Expansion, ROUNDING};
 use super::expectation::{ErrorExcess, ErrorSums, Expectation, ExpectedError, Rounding, hypot};
 use super::homes::Homes;
@@ -55,7 +55,7 @@ const OF_TURNING: f32 = 2.0;
 const OF_SPREAD: f32 = 0.45;
 
 /// The other blend has supports so many times as wide, and so much of how far it is from the first one
-/// counts.
+/// counts: no more than as many times what the home's ring says, as one that fails may have all of its say.
 const WIDER: f32 = 2.0;
 const OF_WIDER: f32 = 0.5;
 
@@ -72,10 +72,13 @@ const BY_HALFWAY: f32 = 0.36;
 /// square is larger ...
 const AMONG: f32 = 0.65;
 
-/// ... up to so much of what the one that differs most says there, together with so much of what the one of
-/// the home's ring says that differs most: where one sample has a say, there is nobody else to differ.
+/// ... up to so much of what the one that differs most says there, together with so much of what the home's
+/// ring says, and of how far a blend is with supports so many times as wide: those who have a say beyond an
+/// edge are few and lie side by side, and take alike for nothing what others, farther off, tell.
 const SAID: f32 = 0.55;
-const SAID_AROUND: f32 = 0.23;
+const SAID_AROUND: f32 = 0.1;
+const WIDEST: f32 = 3.0;
+const SAID_WIDEST: f32 = 0.6;
 
 /// The square of a distance that is far beyond any samples.
 const FAR: f32 = 1e9;
@@ -204,9 +207,7 @@ impl DeformationField<'_> {
         };
         let means: Vec<f32> = (0..squares.len()).into_par_iter().map(mean).collect();
         self.expected.iter_mut().zip(means).for_each(|(expected, mean)| expected.left_out = mean);
-        let Self { around, stencils, deformed, gradients, expansions, .. } = &self;
-        let fitted = FitInput { samples: around.samples, stencils, deformed, gradient: &gradients.gradient };
-        self.unresolved = unresolved::find(fitted, expansions);
+        self.unresolved = unresolved::find(self.fit_input(), &self.expansions);
         self
     }
 
@@ -259,10 +260,12 @@ impl DeformationField<'_> {
         let radius = self.around.supports.radius[home].max(f32::MIN_POSITIVE);
         let further = (heard.beyond(FLAT * radius) / AMONG).max(1.0);
         let disagreement = hypot([OF_LEFT_OUT * heard.left_out / heard.sum, OF_LARGEST * heard.largest]);
-        let said = SAID * heard.furthest + SAID_AROUND * around.furthest;
+        let said = SAID * heard.furthest
+            + SAID_AROUND * around.differs
+            + SAID_WIDEST * around.apart_by(&around.widest);
         hypot([
             OF_SPREAD * (heard.spread / heard.sum).sqrt(),
-            OF_WIDER * around.wider,
+            OF_WIDER * around.apart_by(&around.wider),
             (further * disagreement).min(said),
             heard.unresolved / heard.sum,
             self.rounding.estimate(p, u),
@@ -289,20 +292,22 @@ impl DeformationField<'_> {
     /// What the home of a vertex at `p`, that goes by `u`, and its neighbours have to say, who need not reach
     /// it.
     fn heard_around(&self, home: usize, p: Vec3, u: Vec3) -> HeardAround {
-        let (mut furthest, mut off, mut sum) = (0.0f32, Vec3::ZERO, 0.0);
+        let (mut furthest, mut differs) = (0.0f32, 0.0f32);
+        let [mut wider, mut widest] = [WIDER, WIDEST].map(WideBlend::new);
         let neighbours = self.stencils.of_sample(home).iter().map(|i| *i as usize);
         for (place, i) in iter::once(home).chain(neighbours).enumerate() {
             let e = &self.expansions[i];
             let apart = says(e, p) - u;
             if place <= RING {
-                furthest = furthest.max(apart.length());
+                let length = apart.length();
+                differs = differs.max(length.min(furthest));
+                furthest = furthest.max(length);
             }
-            let s = (1.0 - (1.0 - e.within(p)) / (WIDER * WIDER)).max(0.0);
-            off += s * s * s * apart;
-            sum += s * s * s;
+            let beyond = 1.0 - e.within(p);
+            wider.add(beyond, apart);
+            widest.add(beyond, apart);
         }
-        let wider = if sum < LEAST_WEIGHT { 0.0 } else { (off / sum).length() };
-        HeardAround { furthest, wider }
+        HeardAround { differs, wider, widest }
     }
 
     /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was
@@ -419,10 +424,47 @@ impl Heard {
 
 /// What the home of a vertex and its neighbours have to say.
 struct HeardAround {
-    /// How far the one of the home's ring that differs most is from what was made of the vertex.
-    furthest: f32,
-    /// How far their blend with wider supports is from that.
-    wider: f32,
+    /// How far the one of the home's ring that differs second most is from what was made of the vertex: one
+    /// that fails tells nothing.
+    differs: f32,
+    /// What their blends with wider supports make of it.
+    wider: WideBlend,
+    widest: WideBlend,
+}
+
+impl HeardAround {
+    /// How far one of the blends is from what was made of the vertex.
+    fn apart_by(&self, blend: &WideBlend) -> f32 {
+        blend.apart().min(blend.times * self.differs)
+    }
+}
+
+/// A blend with supports so many times as wide, of how far each is from what was made of a vertex.
+struct WideBlend {
+    times: f32,
+    /// The weighted sum.
+    apart: Vec3,
+    /// The sum of the weights.
+    sum: f32,
+}
+
+impl WideBlend {
+    fn new(times: f32) -> Self {
+        Self { times, apart: Vec3::ZERO, sum: 0.0 }
+    }
+
+    /// Adds one that is so far from it, at a vertex whose distance is `beyond`, the square as a part of that
+    /// of its support's radius.
+    fn add(&mut self, beyond: f32, apart: Vec3) {
+        let s = (1.0 - beyond / (self.times * self.times)).max(0.0);
+        self.apart += s * s * s * apart;
+        self.sum += s * s * s;
+    }
+
+    /// How far all of them together are from it; nothing where nobody has a say.
+    fn apart(&self) -> f32 {
+        if self.sum < LEAST_WEIGHT { 0.0 } else { (self.apart / self.sum).length() }
+    }
 }
 
 /// What differences from a sample's expansion are measured by.

@@ -2,7 +2,7 @@
 
 use std::f32::consts::{PI, TAU};
 
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 
 use super::homes::Homes;
 use super::tests::carried;
@@ -29,18 +29,28 @@ fn twisted(p: Vec3) -> Vec3 {
     Vec3::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y, p.z)
 }
 
-/// How far vertices at these places of the twisted plane are off, and how far they are expected to be.
-fn compared(places: &[Vec3]) -> Vec<(f32, f32)> {
+/// Samples of the wavy plane, one in each cell of a grid.
+fn wavy_samples() -> SampleSet {
     let sample = |i: u32| {
         let (x, z) = filling(i);
         wavy((i % SIDE) as f32 + 0.7 * x, (i / SIDE) as f32 + 0.7 * z)
     };
-    let samples = SampleSet::new((0..SIDE * SIDE).map(sample).collect(), Vec::new()).expect("samples");
+    SampleSet::new((0..SIDE * SIDE).map(sample).collect(), Vec::new()).expect("samples")
+}
+
+/// The deformation with what is expected of vertices.
+fn expecting<'a>(around: &'a RestGeometry<'a>, deformed: &'a [Vec3]) -> DeformationField<'a> {
+    let mut field = DeformationField::new(around, deformed, Method::BlendedJets);
+    field.expected = field.around_samples(&[]);
+    field.expecting_of_vertices()
+}
+
+/// How far vertices at these places of the twisted plane are off, and how far they are expected to be.
+fn compared(places: &[Vec3]) -> Vec<(f32, f32)> {
+    let samples = wavy_samples();
     let around = RestGeometry::new(&samples);
     let deformed: Vec<Vec3> = samples.positions.iter().map(|p| twisted(*p)).collect();
-    let mut field = DeformationField::new(&around, &deformed, Method::BlendedJets);
-    field.expected = field.around_samples(&[]);
-    let field = field.expecting_of_vertices();
+    let field = expecting(&around, &deformed);
     let homes = Homes::new(&around).of(places);
     let compare = |((p, image), home): ((&Vec3, Vec3), u32)| {
         (image.distance(twisted(*p)), field.expected_at(home as usize, *p, image - *p))
@@ -75,6 +85,32 @@ fn beyond_an_open_border_vertices_that_are_off_are_warned_of() {
     assert!((0.8..3.0).contains(&ratio), "{ratio}");
 }
 
+/// An expansion that fails may have all of the say in a blend with wider supports. It does not count at
+/// vertices that it does not reach.
+#[test]
+fn an_expansion_that_fails_counts_where_it_has_a_say_alone() {
+    let samples = wavy_samples();
+    let around = RestGeometry::new(&samples);
+    let deformed: Vec<Vec3> = samples.positions.iter().map(|p| twisted(*p)).collect();
+    let mut field = expecting(&around, &deformed);
+    // A sample, and one of its ring that does not reach it.
+    let beside = |home: usize| {
+        let reaches = |i: &usize| field.expansions[*i].within(samples.positions[home]) > 0.0;
+        let ring = field.stencils.ring(home).iter().map(|i| *i as usize);
+        ring.filter(|i| !reaches(i)).map(|i| (home, i)).next()
+    };
+    let middle = (SIDE * SIDE / 2) as usize;
+    let (home, fails) = (middle..2 * middle).find_map(beside).expect("a neighbour that does not reach");
+    let place = samples.positions[home];
+    let expected = |field: &DeformationField<'_>| field.expected_at(home, place, twisted(place) - place);
+    let before = expected(&field);
+    let slope = field.expansions[fails].slope() + Mat3::from_diagonal(Vec3::splat(100.0));
+    field.expansions[fails] = field.expansions[fails].with_slope(slope);
+    let after = expected(&field);
+    println!("{after}, before {before}");
+    assert!(after < 30.0 * before, "{after}, before {before}");
+}
+
 /// A place of a torus around the y axis, one unit wide, by its angles as parts of a turn; and the normal.
 fn on_torus((u, v): (f32, f32)) -> (Vec3, Vec3) {
     let ((sin_u, cos_u), (sin_v, cos_v)) = ((TAU * u).sin_cos(), (TAU * v).sin_cos());
@@ -96,9 +132,7 @@ fn off_across(on_surface: fn((f32, f32)) -> (Vec3, Vec3)) -> Vec<(f32, f32)> {
     let samples = SampleSet::new(places, Vec::new()).expect("samples");
     let around = RestGeometry::new(&samples);
     let deformed: Vec<Vec3> = samples.positions.iter().map(|p| twisted(*p)).collect();
-    let mut field = DeformationField::new(&around, &deformed, Method::BlendedJets);
-    field.expected = field.around_samples(&[]);
-    let field = field.expecting_of_vertices();
+    let field = expecting(&around, &deformed);
     let compare = |i: usize| {
         let n = normals[i];
         let off = (field.expansions[i].slope() * n + n).distance(twisted_along(samples.positions[i], n));

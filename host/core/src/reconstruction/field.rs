@@ -6,7 +6,7 @@ use simod_model::follow;
 use simod_model::frame::Frame;
 
 use super::blend::LEAST_WEIGHT;
-use super::blended_jets::Expanded;
+use super::blended_jets::{Expanded, FitInput};
 use super::bound::Bound;
 use super::diagnostics::{Folds, VertexDiagnostics, principal_stretches};
 use super::expansion::Expansion;
@@ -145,14 +145,19 @@ impl<'a> DeformationField<'a> {
     ///
     /// Memory: 136 bytes per sample.
     pub(super) fn knowing(mut self, known: Option<&[Mat3]>) -> Self {
-        let Self { around, stencils, deformed, gradients, expansions, .. } = &self;
         let exact = |(e, known): (&Expansion, &Mat3)| e.with_slope(*known - Mat3::IDENTITY);
-        let told = across::told(around.samples, stencils, deformed, &gradients.gradient, expansions);
+        let told = across::told(self.fit_input(), &self.expansions);
         self.turning = match known {
             Some(known) => told.iter().zip(known).map(exact).collect(),
             None => told,
         };
         self
+    }
+
+    /// What the expansions were fitted to; no more once all is [prepared](Self::prepared).
+    pub(super) fn fit_input(&self) -> FitInput<'_> {
+        let Self { around, stencils, deformed, gradients, .. } = self;
+        FitInput { samples: around.samples, stencils, deformed, gradient: &gradients.gradient }
     }
 
     /// This field without what vertices need no more: the gradients and normals of the samples, but by the
