@@ -188,14 +188,15 @@ impl<'a> DeformationField<'a> {
 
     /// Where a vertex goes that its home's support does not reach, if other samples are much nearer and
     /// theirs do. A sheet is taken for its own then because a tangent plane of it happens to go past, as
-    /// planes of the ground do by roofs that have few samples.
+    /// planes of the ground do by roofs that have few samples; but not where faces have told whose it is.
     pub(super) fn by_nearer_ones(&self, home: usize, p: Vec3) -> Option<Transport> {
         let samples = self.around.samples;
         let mut found = [0; blend::AROUND];
         let mut near = samples.nearest_ones(p, &mut found).map(|i| i as usize).peekable();
         let distance = |i: usize| samples.positions[i].distance(p);
         let much_nearer = near.peek().is_some_and(|first| distance(home) > MUCH_NEARER * distance(*first));
-        let (sum, moved) = much_nearer.then(|| self.blended(near, p))?;
+        let is_told = || samples.contacts().is_some_and(|contacts| contacts.sample_at(p).is_some());
+        let (sum, moved) = (much_nearer && !is_told()).then(|| self.blended(near, p))?;
         (sum >= LEAST_WEIGHT).then_some(moved)
     }
 

@@ -87,6 +87,9 @@ use placement::{Placed, Planes};
 pub use target::Target;
 use triangles::{Triangles, Wanted};
 
+/// How often a coarser cut is looked for that puts no sheets together.
+const COARSER_ROUNDS: usize = 4;
+
 /// Least memory limit, for a few samples: chunks of the model, the queue of cells, the program itself. Each
 /// [`Target::Samples`] takes some more.
 pub const LEAST_MEMORY: u64 = 32 << 20;
@@ -650,6 +653,22 @@ impl FaceResult {
         becomes
     }
 
+    /// A coarser cut, and which sample has each cluster: those of several sheets stay, and so do those that
+    /// would be of one sample though they are on several.
+    fn coarser_by_sheets(&self, target: usize, parts: &ClusterParts) -> (cut::Cut, Vec<u32>) {
+        let mut stay = vec![false; self.cut.samples()];
+        let mut rounds = 0..COARSER_ROUNDS;
+        loop {
+            let (cut, becomes) =
+                self.cut.coarser(target, |cluster| stay[cluster as usize] || parts.is_mixed(cluster));
+            let joining = parts.joining_sheets(&becomes, cut.samples());
+            if joining.is_empty() || rounds.next().is_none() {
+                return (cut, becomes);
+            }
+            joining.into_iter().for_each(|cluster| stay[cluster as usize] = true);
+        }
+    }
+
     /// Parts clusters of several sheets, if need be after a coarser cut, so that there are no more samples
     /// than are wanted. `merged` says which one each cluster became before that.
     fn part_clusters(
@@ -666,7 +685,7 @@ impl FaceResult {
             let needed = parts.needed(n);
             if self.cut.samples() + needed > n {
                 let target = n.saturating_sub(needed).max(n.div_ceil(2));
-                let (cut, coarser) = self.cut.coarser(target, |cluster| parts.is_mixed(cluster));
+                let (cut, coarser) = self.coarser_by_sheets(target, &parts);
                 (self.cut, becomes) = (cut, Some(coarser));
             }
             most = n.saturating_sub(self.cut.samples());

@@ -86,9 +86,9 @@ impl Contacts {
             wanted[*sample as usize].1 = true;
             wanted[*of_cell.get(sample).unwrap_or(sample) as usize].0 = true;
         }
-        let planes = Tangents::new(&sampled.samples, lists);
         let others = lists.samples.iter().map(|sample| others.get(sample).map_or(&[][..], |others| others));
         let others: Vec<&[u32]> = others.collect();
+        let planes = Tangents::new(&sampled.samples, lists, &others);
         let mut places = Sorter::new(parting.folder);
         let ranges = parting.ranges_with(trees, |sample| wanted[sample as usize].0);
         parting.vertices(ranges, |vertex, p, _| {
@@ -386,6 +386,8 @@ struct Tangents<'a> {
     normals: Vec<Vec3>,
     /// The square of how far the last of the ring is from each.
     reach: Vec<f32>,
+    /// How far the samples around each are known, on whatever sheet.
+    known: Vec<f32>,
     /// The place of each sample in the lists; [`NONE`] where no sheets meet.
     place: Vec<u32>,
 }
@@ -396,8 +398,8 @@ const NONE: u32 = u32::MAX;
 impl<'a> Tangents<'a> {
     /// The tangent planes of the samples near which sheets meet.
     ///
-    /// Memory: 16 bytes for each of them, and 4 per sample.
-    fn new(samples: &'a SampleSet, lists: &ContactLists) -> Self {
+    /// Memory: 20 bytes for each of them, and 4 per sample.
+    fn new(samples: &'a SampleSet, lists: &ContactLists, others: &[&[u32]]) -> Self {
         let of_samples = samples.normals();
         let normal = |i: &u32| {
             let ring = lists.get(*i as usize).unwrap_or_default().iter().take(TANGENT_RING);
@@ -413,12 +415,19 @@ impl<'a> Tangents<'a> {
                 |j: &u32| samples.positions[*i as usize].distance_squared(samples.positions[*j as usize]);
             last.map_or(0.0, distance)
         };
+        let known = |(i, others): (&u32, &&[u32])| {
+            let all = lists.get(*i as usize).unwrap_or_default().iter().chain(*others);
+            let distance = |j: &u32| samples.positions[*i as usize].distance(samples.positions[*j as usize]);
+            all.map(distance).fold(0.0, f32::max)
+        };
+        let known = lists.samples.par_iter().zip(others).map(known).collect();
         let (normals, reach) = lists.samples.par_iter().map(|i| (normal(i), reach(i))).unzip();
-        Self { samples, normals, reach, place }
+        Self { samples, normals, reach, known, place }
     }
 
     /// Whether the home of a place of sample `own` may be one of the others: where one of their planes suits
-    /// it about as well, or where it is so far from its own sample that others have their say before it.
+    /// it about as well, or where it is so far from its own sample that others have their say before it, be
+    /// it that those of its own sheet do or that none of the samples around its own is near to it.
     fn may_be_of_others(&self, own: u32, others: &[u32], p: Vec3) -> bool {
         let away = |i: u32| p - self.samples.positions[i as usize];
         let normal = |i: u32| self.normals[self.place[i as usize] as usize];
@@ -427,6 +436,9 @@ impl<'a> Tangents<'a> {
             return true;
         }
         let most = AMBIGUOUS * sheet_distance(d, normal(own));
+        if self.known[self.place[own as usize] as usize] <= d.length() + most.sqrt() {
+            return true;
+        }
         others.iter().any(|j| {
             let d = away(*j);
             d.length_squared() <= most

@@ -607,9 +607,14 @@ impl ClusterGraph {
     }
 
     fn parts_of(&self, cluster: u32) -> Option<Mixed> {
-        let islands: Vec<u32> = self.islands(cluster).collect();
+        let parts = self.parts_among(&self.islands(cluster).collect::<Vec<_>>())?;
+        Some(Mixed { cluster, parts })
+    }
+
+    /// The parts of several islands that are not all joined by others around; `None` if they are one.
+    pub fn parts_among(&self, islands: &[u32]) -> Option<Vec<Vec<u32>>> {
         let mut parts: Vec<Vec<u32>> = Vec::new();
-        for island in &islands {
+        for island in islands {
             if parts.iter().any(|part| part.contains(island)) {
                 continue;
             }
@@ -617,7 +622,7 @@ impl ClusterGraph {
             // first.
             let (mut part, mut at) = (vec![*island], 0);
             while at < part.len() && part.len() < islands.len() {
-                let of_cluster = |island: &u32| self.cluster(*island) == cluster;
+                let of_cluster = |island: &u32| islands.contains(island);
                 let each_joined = |island, visit: &mut dyn FnMut(u32)| {
                     self.joined(island).iter().copied().for_each(visit);
                 };
@@ -634,7 +639,7 @@ impl ClusterGraph {
             part.sort_unstable();
             parts.push(part);
         }
-        (parts.len() > 1).then_some(Mixed { cluster, parts })
+        (parts.len() > 1).then_some(parts)
     }
 }
 

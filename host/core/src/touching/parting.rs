@@ -16,6 +16,7 @@ use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 use super::islands::{ClusterGraph, Islands, Mixed};
 use super::pairs::Pairs;
 use super::sorter::{Sorter, entry, hash_of};
+use crate::lists::lists;
 use crate::sampling::cluster::{Moments, Vertex};
 use crate::sampling::finalization::unit;
 use crate::sampling::kept_cells::CutTree;
@@ -306,6 +307,21 @@ impl ClusterParts {
     /// Whether a cluster is one of several sheets.
     pub fn is_mixed(&self, cluster: u32) -> bool {
         self.mixed.binary_search_by_key(&cluster, |(mixed, _)| *mixed).is_ok()
+    }
+
+    /// The clusters, ascending, that would be of one sample with others, and that sample's of several sheets,
+    /// where the cut has become coarser: `becomes` says of which sample each is, of so many.
+    pub fn joining_sheets(&self, becomes: &[u32], samples: usize) -> Vec<u32> {
+        let clusters = 0..self.graph.clusters() as u32;
+        let (starts, members) = lists(samples, clusters.map(|cluster| (becomes[cluster as usize], cluster)));
+        let joined = starts.par_windows(2).filter_map(|s| {
+            let members = &members[s[0] as usize..s[1] as usize];
+            let islands: Vec<u32> = members.iter().flat_map(|cluster| self.graph.islands(*cluster)).collect();
+            (members.len() > 1 && self.graph.parts_among(&islands).is_some()).then(|| members.to_vec())
+        });
+        let mut joined: Vec<u32> = joined.flatten().collect();
+        joined.sort_unstable();
+        joined
     }
 
     /// Parts the clusters, with at most so many new samples. Where the cut has become coarser meanwhile,
