@@ -148,7 +148,8 @@ struct Once {
 }
 
 impl Once {
-    /// A run whose deformed model, a version of `source`, was written to `output`, without errors and hash.
+    /// A run whose deformed model, a version of `source`, was written to `output`; its deviations and its
+    /// hash are not known yet.
     fn written(source: &dyn Model, output: PathBuf, moved: &MethodSamples, seconds: RunSeconds) -> Self {
         Self {
             sampled: moved.sampled.clone(),

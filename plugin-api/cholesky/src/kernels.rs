@@ -129,7 +129,7 @@ pub struct Below<'a, T> {
 }
 
 impl<'a, T: Stored> Below<'a, T> {
-    /// The kernel of all rows.
+    /// All of a front's rows below the triangle.
     pub fn new(values: &'a [KernelLanes<T>], stride: usize, columns: usize) -> Self {
         Self { values, stride, lanes: 0..stride, columns }
     }

@@ -74,8 +74,8 @@ impl RestCriteria {
     }
 }
 
-/// The effort that is left: the products that Newton's steps may take, and how much stiffer the last one took
-/// the material for.
+/// The effort that is left: the products that Newton's steps may still take, and how much stiffer the next
+/// one takes the material for at first.
 struct NewtonEffort {
     products: usize,
     stiffer: f64,

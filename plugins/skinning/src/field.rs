@@ -23,7 +23,7 @@ pub struct Entry {
     pub gradient: [f32; 3],
 }
 
-/// The weight of a joint where a voxel says nothing of it.
+/// The number of a joint where a voxel says nothing of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Elsewhere {
     /// What the voxels around say.

@@ -135,7 +135,7 @@ struct Prepared {
     table: InfluenceTable,
 }
 
-/// The motions of the joints.
+/// The source of the joints' motions.
 enum Moved {
     /// The user.
     Handles(pose::Handles),

@@ -437,7 +437,7 @@ impl Workspace {
         }
     }
 
-    /// The displacement of a vertex, held within the range of the samples around.
+    /// The way of a vertex, held within the range of the samples around; nothing where the blend is within.
     #[inline]
     fn bounded(
         &self,

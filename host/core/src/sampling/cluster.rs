@@ -179,7 +179,7 @@ impl Group {
         }
     }
 
-    /// This vertex, at another place in its cell.
+    /// This group, at another place in its cell.
     pub fn with_index(&self, index: u32) -> Self {
         Self { index, ..*self }
     }

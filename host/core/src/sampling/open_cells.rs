@@ -266,7 +266,7 @@ pub struct CellItems<T> {
 }
 
 impl<T: Pod> CellItems<T> {
-    /// The number of vertices.
+    /// The number of items.
     pub fn count(&self) -> u64 {
         self.spilled + self.held.len() as u64
     }

@@ -362,7 +362,7 @@ fn remark(name: &str, one: &[u8], how: How) -> Option<ExtraBytesRemark> {
         How::Scaled { number: ExtraBytesType::Of(kind), .. } => {
             ExtraBytesRemark::read(name, one, Some(kind), |bytes| stored(ExtraBytesType::Of(kind), bytes))
         }
-        // Numbers that are scaled become doubles.
+        // Integers of 64 bits that are scaled become doubles.
         How::Scaled { number, scale, offset } => {
             ExtraBytesRemark::read(name, one, None, |bytes| stored(number, bytes) * scale + offset)
         }

@@ -368,9 +368,11 @@ impl Plugin {
         };
         let what = format!("plugin {}: {}", self.id(), line(&error.message));
         let failed = Error::plugin(what, hint);
-        match error.code {
-            ErrorCode::PANICKED => failed.because(PluginBug(error.clone())),
-            _ => failed.because(error.clone()),
+        // Mistakes against the C interface have any code, and the host's own advice.
+        if error.code == ErrorCode::PANICKED || error.hint.as_str() == TELL_AUTHOR {
+            failed.because(PluginBug(error.clone()))
+        } else {
+            failed.because(error.clone())
         }
     }
 }
@@ -523,8 +525,9 @@ impl std::fmt::Display for PluginBug {
 
 impl std::error::Error for PluginBug {}
 
-/// Whether an error came of a mistake in a plugin: a panic, or an answer that breaks a rule of the interface.
-/// Other errors of plugins are refusals of what they were given.
+/// Whether an error came of what is a mistake in a plugin for certain: a panic, or an answer that breaks a
+/// rule of the interface. Other errors of plugins are refusals of what they were given, or may have other
+/// causes too, as positions that are not finite have.
 pub fn is_plugins_bug(error: &Error) -> bool {
     std::error::Error::source(error).is_some_and(|source| source.is::<PluginBug>())
 }

@@ -35,7 +35,7 @@ pub struct EmergingPoints {
 }
 
 impl EmergingPoints {
-    /// A buffer without points yet.
+    /// A picture of no points yet.
     pub fn new(render: &RenderState, gpu: &Gpu) -> Self {
         Self {
             scene: Scene::new(gpu),

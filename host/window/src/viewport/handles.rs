@@ -89,7 +89,7 @@ fn nearest<'a>(canvas: &ModelArea<'_>, dots: &'a [HandleDot]) -> Option<&'a Hand
     near.min_by(|a, b| a.at.distance(pointer).total_cmp(&b.at.distance(pointer)))
 }
 
-/// The colour and radius of a dot: of one among many, and of one that is farther, from 0 to 1, fainter.
+/// The colour and radius of a dot: smaller where there are `many`, fainter the farther it is, from 0 to 1.
 fn look(chosen: bool, hovered: bool, many: bool, far: f32) -> (Color32, f32) {
     match (chosen, hovered) {
         (true, _) => (theme::color(theme::SELECTED), 6.0),

@@ -22,7 +22,7 @@ pub use picture::Viewport;
 use simod_viewer::{Command, ComparedVersion};
 use versions::VersionRects;
 
-/// Has the picture as many pixels as its place.
+/// Gives the picture as many pixels as its place in the window has.
 fn resize(window: &mut Window, pixels: egui::Vec2) {
     let size = [pixels.x, pixels.y].map(|side| f64::from(side.round().max(1.0)));
     if window.state().size() != size {
