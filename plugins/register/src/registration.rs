@@ -108,7 +108,7 @@ impl Points {
 }
 
 /// Refuses a model or a target that is a point, or of less than four.
-fn are_bodies(both: [(&Extent, usize); 2]) -> PluginResult<()> {
+fn check_bodies(both: [(&Extent, usize); 2]) -> PluginResult<()> {
     let is_body = |(extent, count): (&Extent, usize)| extent.radius > 0.0 && count >= 4;
     if both.into_iter().all(is_body) && both[1].0.radius.is_finite() {
         return Ok(());
@@ -132,7 +132,7 @@ pub fn register(
     let there = target.positions();
     let target = Points::gather(|i| there[i], target.normals(), there.len(), there.len());
     let (own, other) = (Extent::measure(&model.points), Extent::measure(&target.points));
-    are_bodies([(&own, count), (&other, there.len())])?;
+    check_bodies([(&own, count), (&other, there.len())])?;
     let pairs = landmark_pairs(input)?;
     let align = aligned(
         &Alignment { settings, model: (&model.points, own), target: (&target.points, other), pairs: &pairs },

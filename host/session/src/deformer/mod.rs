@@ -370,9 +370,9 @@ impl Plugin {
         let failed = Error::plugin(what, hint);
         // Mistakes against the C interface have any code, and the host's own advice.
         if error.code == ErrorCode::PANICKED || error.hint.as_str() == TELL_AUTHOR {
-            failed.because(PluginBug(error.clone()))
+            failed.because(PluginBug)
         } else {
-            failed.because(error.clone())
+            failed
         }
     }
 }
@@ -508,18 +508,16 @@ pub(crate) const TELL_AUTHOR: &str = "this is a bug of the plugin; tell its auth
 
 /// A mistake of a plugin, which is named.
 pub(crate) fn plugins_bug(what: impl Into<String>) -> Error {
-    let what = what.into();
-    let bug = PluginError::internal(what.clone()).hint(TELL_AUTHOR);
-    Error::plugin(what, TELL_AUTHOR).because(PluginBug(bug))
+    Error::plugin(what, TELL_AUTHOR).because(PluginBug)
 }
 
 /// The source of errors that a plugin's mistake led to, as [`is_plugins_bug`] finds it.
 #[derive(Debug)]
-struct PluginBug(PluginError);
+struct PluginBug;
 
 impl std::fmt::Display for PluginBug {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        self.0.fmt(f)
+        f.write_str("the plugin breaks a rule")
     }
 }
 

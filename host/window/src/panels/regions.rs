@@ -135,11 +135,14 @@ fn falloff(
 
 /// Entries of a menu for the roles that a region can have; the one that was chosen.
 fn chosen_role(ui: &mut Ui, window: &Window, now: Role) -> Option<Role> {
-    let is_chosen = |role: &Role| {
-        let button = Button::selectable(now == *role, theme::role_name(*role));
-        ui.add_enabled(make::takes(window, *role), button).clicked()
-    };
-    ROLES.into_iter().filter(is_chosen).last()
+    let mut chosen = None;
+    for role in ROLES {
+        let button = Button::selectable(now == role, theme::role_name(role));
+        if ui.add_enabled(make::takes(window, role), button).clicked() {
+            chosen = Some(role);
+        }
+    }
+    chosen
 }
 
 fn more(
