@@ -204,13 +204,13 @@ pub fn anonymous() -> Option<u64> {
 }
 
 /// What is resident less what is of files or shared: a few numbers, where `status`, which tells it at once,
-/// takes the system ten times as long.
+/// takes the system ten times as long. `None` of a process that has ended, of which all of them are 0.
 #[cfg(target_os = "linux")]
 fn anonymous_by(file: &str) -> Option<u64> {
     let text = std::fs::read_to_string(file).ok()?;
     let mut pages = text.split_ascii_whitespace().skip(1).map(str::parse::<u64>);
     let (resident, shared) = (pages.next()?.ok()?, pages.next()?.ok()?);
-    Some(resident.saturating_sub(shared) * rustix::param::page_size() as u64)
+    (resident > 0).then(|| resident.saturating_sub(shared) * rustix::param::page_size() as u64)
 }
 
 /// Bytes that a file of the system tells in a line of this name.
@@ -257,9 +257,13 @@ mod tests {
     fn anonymous_memory_is_as_the_system_tells_in_words() {
         // Not left out, though nobody reads it.
         let list = std::hint::black_box(vec![1u8; 64 << 20]);
-        let (now, told) =
-            (anonymous().expect("told"), told_by("/proc/self/status", "RssAnon:").expect("told"));
-        assert!(now > list.len() as u64 && now.abs_diff(told) < 16 << 20, "{now} and {told}");
+        // Other tests take and free memory between the two looks, but not each time.
+        let looks: Vec<[u64; 2]> = (0..10)
+            .map(|_| [anonymous(), told_by("/proc/self/status", "RssAnon:")].map(|n| n.expect("told")))
+            .collect();
+        let are_alike = |[now, told]: &[u64; 2]| now.abs_diff(*told) < 16 << 20;
+        assert!(looks.iter().all(|[now, _]| *now > list.len() as u64), "{looks:?}");
+        assert!(looks.iter().any(are_alike), "{looks:?}");
     }
 
     #[test]

@@ -20,7 +20,7 @@ const PART: f64 = 0.6;
 /// What free nodes take of the coarse likeness' groups, and of the nodes next to them.
 ///
 /// Memory: 20 bytes for each group around a node or those next to it, of which there are some ten, and 8 for
-/// each node next to it.
+/// each node next to it; about twice as much while that is made.
 #[derive(Debug)]
 pub struct Draft {
     shares: Lists<GroupShare>,
@@ -46,21 +46,12 @@ impl Draft {
             let own = fine.operators.laplacian(i).find(|(column, _)| *column == i);
             own.filter(|(_, diagonal)| *diagonal > 0.0).map_or(0.0, |(_, diagonal)| PART / diagonal)
         };
-        let mut shares: Vec<Vec<GroupShare>> = vec![Vec::new(); fine.free];
-        host.parallel_blocks(&mut shares, TOGETHER, |first, rows| {
-            rows.iter_mut().enumerate().for_each(|(k, row)| {
-                *row = group_shares(fine, prolongation, first + k, part(first + k));
-            });
+        let shares = lists(fine.free, host, |i| group_shares(fine, prolongation, i, part(i)))?;
+        let steps = lists(fine.free, host, |i| {
+            let part = part(i);
+            fine.operators.laplacian(i).map(|(j, l)| (j as u32, (part * l) as f32)).collect()
         })?;
-        let mut steps: Vec<Vec<(u32, f32)>> = vec![Vec::new(); fine.free];
-        host.parallel_blocks(&mut steps, TOGETHER, |first, rows| {
-            rows.iter_mut().enumerate().for_each(|(k, row)| {
-                let (i, part) = (first + k, part(first + k));
-                let entries = fine.operators.laplacian(i).map(|(j, l)| (j as u32, (part * l) as f32));
-                *row = entries.collect();
-            });
-        })?;
-        Ok(Self { shares: Lists::new(&shares), steps: Lists::new(&steps) })
+        Ok(Self { shares, steps })
     }
 
     /// Displacements of the fine problem's nodes, given those of the coarse one's and their rotations.
@@ -130,6 +121,19 @@ struct CarriedNode {
     placed: Vec3A,
     /// The part of each step that the rotations around it ask for.
     asked: Vec3A,
+}
+
+/// The lists of so many nodes, each as `list` makes it.
+fn lists<T: Copy + Send>(
+    count: usize,
+    host: &Host<'_>,
+    list: impl Fn(usize) -> Vec<T> + Sync,
+) -> PluginResult<Lists<T>> {
+    let mut all: Vec<Vec<T>> = vec![Vec::new(); count];
+    host.parallel_blocks(&mut all, TOGETHER, |first, all| {
+        (first..).zip(all).for_each(|(i, made)| *made = list(i));
+    })?;
+    Ok(Lists::new(&all))
 }
 
 /// What a node takes of all groups around it and those next to it, where a step makes so large a part of what

@@ -307,7 +307,9 @@ impl DeformationField<'_> {
             wider.add(beyond, apart);
             widest.add(beyond, apart);
         }
-        HeardAround { differs, wider, widest }
+        // Of two alone nobody tells which one fails.
+        let are_two = self.stencils.ring(home).len() < 2;
+        HeardAround { differs: if are_two { furthest } else { differs }, wider, widest }
     }
 
     /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was
@@ -425,7 +427,7 @@ impl Heard {
 /// What the home of a vertex and its neighbours have to say.
 struct HeardAround {
     /// How far the one of the home's ring that differs second most is from what was made of the vertex: one
-    /// that fails tells nothing.
+    /// that fails tells nothing. Of two samples in all, how far the one that differs most is.
     differs: f32,
     /// What their blends with wider supports make of it.
     wider: WideBlend,

@@ -46,7 +46,7 @@ const MOST_SHARDS: usize = 8;
 ///
 /// Memory: that of what gathers all parts, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells
 /// as may be queued, and two parts of a cell on each thread; as many pieces as there are threads, and one
-/// more, of [`PIECE`] vertices: their bytes in the file, and at most 208 for each.
+/// more, of [`PIECE`] vertices: their bytes in the file, and at most 212 for each.
 ///
 /// # Errors
 /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be

@@ -144,8 +144,10 @@ fn samples_do_not_depend_on_threads() {
         let with_threads = |n: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("a pool");
             let sampled = pool.install(|| body.sampled(sampling));
+            // Where each cell's vertices are is noted by its shard.
+            let stream = (sampled.cells, sampled.source.jumps, sampled.held_cells().cloned());
             let samples = &sampled.samples;
-            (samples.positions.clone(), samples.normals().to_vec(), sampled.triangles.clone(), sampled.cells)
+            (samples.positions.clone(), samples.normals().to_vec(), sampled.triangles.clone(), stream)
         };
         let one = with_threads(1);
         for threads in [2, 7, 16] {
