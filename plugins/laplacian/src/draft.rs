@@ -10,6 +10,7 @@ use crate::constraints::OwnMotions;
 use crate::problem::Problem;
 use glam::{Affine3A, DMat3, DVec3, Mat3A, Vec3A};
 use simod_plugin_api::{Host, PluginResult};
+use std::sync::OnceLock;
 
 /// Nodes at once on one thread.
 const TOGETHER: usize = 4096;
@@ -40,7 +41,7 @@ struct GroupShare {
 
 impl Draft {
     /// What the nodes of a problem take.
-    pub fn new(fine: &Problem, prolongation: &Prolongation, host: &Host<'_>) -> PluginResult<Self> {
+    fn new(fine: &Problem, prolongation: &Prolongation, host: &Host<'_>) -> PluginResult<Self> {
         // What a node lacks is divided by what it has to itself.
         let part = |i: usize| {
             let own = fine.operators.laplacian(i).find(|(column, _)| *column == i);
@@ -52,6 +53,22 @@ impl Draft {
             fine.operators.laplacian(i).map(|(j, l)| (j as u32, (part * l) as f32)).collect()
         })?;
         Ok(Self { shares, steps })
+    }
+
+    /// What the nodes take, found when the first draft asks for it: what is deformed in full needs none.
+    pub fn once<'a>(
+        kept: &'a OnceLock<Self>,
+        fine: &Problem,
+        prolongation: &Prolongation,
+        host: &Host<'_>,
+    ) -> PluginResult<&'a Self> {
+        match kept.get() {
+            Some(draft) => Ok(draft),
+            None => {
+                let made = Self::new(fine, prolongation, host)?;
+                Ok(kept.get_or_init(|| made))
+            }
+        }
     }
 
     /// Displacements of the fine problem's nodes, given those of the coarse one's and their rotations.

@@ -9,6 +9,7 @@ use crate::harmonic::Influence;
 use crate::problem::Problem;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
+use std::sync::OnceLock;
 
 /// Steps on the coarse likeness, at most.
 const COARSE_STEPS: usize = 24;
@@ -21,7 +22,7 @@ const COARSE_TOLERANCE: f64 = 10.0;
 #[derive(Debug)]
 pub struct Hierarchy {
     fine: SurfaceLevel,
-    coarse: Option<(SurfaceLevel, Prolongation, Draft)>,
+    coarse: Option<(SurfaceLevel, Prolongation, OnceLock<Draft>)>,
     /// The surroundings of the coarsest level's nodes.
     cells: NodeNeighbourhoods,
     /// Whether they are what turns on the fine level too, as they are wider than its own.
@@ -42,8 +43,8 @@ impl Hierarchy {
     ) -> PluginResult<Self> {
         let coarse = match coarsen(&problem, host)? {
             Some((coarse, prolongation)) => {
-                let draft = Draft::new(&problem, &prolongation, host)?;
-                Some((SurfaceLevel::new(coarse, stiffness, 0.3..0.4, host)?, prolongation, draft))
+                let coarse = SurfaceLevel::new(coarse, stiffness, 0.3..0.4, host)?;
+                Some((coarse, prolongation, OnceLock::new()))
             }
             None => None,
         };
@@ -78,6 +79,7 @@ impl Hierarchy {
         coarse.relax(&mut pose, turning, motion, coarsely, host)?;
         if is_draft {
             let carried = (pose.displacements.as_slice(), pose.blends.as_slice());
+            let draft = Draft::once(draft, &fine.problem, prolongation, host)?;
             return draft.carry(&fine.problem, &coarse.problem, carried, motion, host);
         }
         let own = NodeNeighbourhoods::narrow();

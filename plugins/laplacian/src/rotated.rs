@@ -16,6 +16,7 @@ use crate::problem::Problem;
 use crate::rotation;
 use glam::{DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
+use std::sync::OnceLock;
 
 /// Nodes at once on one thread.
 const TOGETHER: usize = 1024;
@@ -24,7 +25,7 @@ const TOGETHER: usize = 1024;
 #[derive(Debug)]
 pub struct Rotated {
     fine: BiLaplacian,
-    coarse: Option<(BiLaplacian, Prolongation, Draft)>,
+    coarse: Option<(BiLaplacian, Prolongation, OnceLock<Draft>)>,
     /// On the coarsest of them.
     influence: Influence,
 }
@@ -59,9 +60,8 @@ impl Rotated {
         };
         let (coarse, influence) = guided(coarse, 0.3..0.35, host)?;
         let coarse = smooth(coarse, 0.35..0.4, host)?;
-        let draft = Draft::new(&problem, &prolongation, host)?;
         let fine = smooth(problem, 0.4..1.0, host)?;
-        Ok(Self { fine, coarse: Some((coarse, prolongation, draft)), influence })
+        Ok(Self { fine, coarse: Some((coarse, prolongation, OnceLock::new())), influence })
     }
 
     /// The displacements. Those of a draft are the coarse likeness', carried over.
@@ -81,6 +81,7 @@ impl Rotated {
         if is_draft {
             let displacements = solve(coarse, turns.clone(), motion, host)?;
             let carried = (displacements.as_slice(), turns.as_slice());
+            let draft = Draft::once(draft, &self.fine.problem, prolongation, host)?;
             return draft.carry(&self.fine.problem, &coarse.problem, carried, motion, host);
         }
         solve(&self.fine, prolongation.turns(&turns, host)?, motion, host)
