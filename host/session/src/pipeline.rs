@@ -31,7 +31,7 @@ use crate::session_file::{self, SessionFile};
 use crate::sidecar;
 use crate::stack::Stack;
 use crate::step::Step;
-use crate::tolerance::{self, Certificate, Tolerance};
+use crate::tolerance::{self, Certificate, Sought, Tolerance};
 
 /// Samples a session's model, which comes with it. Temporary files without a name are made in `folder`.
 ///
@@ -314,17 +314,19 @@ impl Run {
             sample(&*model, &Sampling { target, ..*sampling }, folder, progress)
         };
         let sampled = sampled_of(session, &*model, skip, cache, by, progress)?;
+        // As it was read, it may be sampled anew.
+        let mut read = None;
         if let Some(converted) = converted {
             note_losses(&converted, progress);
-            model = Box::new(converted);
+            read = Some(std::mem::replace(&mut model, Box::new(converted)));
             model.follow(follow)?;
         }
         let (deformed, certificate) = match tolerance {
             Some(tolerance) => {
-                let tolerance = tolerance.fraction(sampled.bounds.diagonal());
-                let by = (&session.steps[..], plugins, session.time.time());
-                let met = tolerance::meet(sampled, model.as_ref(), by, tolerance, folder, progress)?;
-                (met.0, Some(met.1))
+                let models = [read.as_deref().unwrap_or(&*model), &*model];
+                let (by, room) = ((session, plugins, *tolerance), (folder, progress));
+                let (met, certificate) = met(sampled, models, by, (skip, cache), room)?;
+                (met, Some(certificate))
             }
             None => (deformed(sampled, session, plugins, folder, progress)?, None),
         };
@@ -351,6 +353,35 @@ impl Run {
         let map = |points: &mut [DVec3]| self.deformed.stack.evaluate_with(points, progress);
         transfer_error::measure(model.as_ref(), output.as_ref(), (diagonal, None), &map, progress)
     }
+}
+
+/// The samples that meet a tolerance, of a model as it is read and as it is written. It may be sampled anew,
+/// but where an error was asked for that is not exchanged for a number of samples.
+fn met(
+    sampled: SampledModel,
+    [read, written]: [&dyn Model; 2],
+    (session, plugins, tolerance): (&SessionFile, &PluginRegistry, Tolerance),
+    (skip, cache): (Skip, &Arc<Cache>),
+    (folder, progress): (&Path, &dyn Progress),
+) -> Result<(DeformedSamples, Certificate)> {
+    let sought = Sought {
+        model: written,
+        steps: &session.steps,
+        plugins,
+        time: session.time.time(),
+        tolerance: tolerance.fraction(sampled.bounds.diagonal()),
+        folder,
+        progress,
+    };
+    let sampling = sampling_of(session, skip);
+    let anew = |samples: u64| {
+        let sampling = Sampling { target: Target::Samples(samples), ..sampling };
+        let mut sampled = sample(read, &sampling, folder, progress)?;
+        sampled.set_cache(cache.clone());
+        Ok(sampled)
+    };
+    let by_number = matches!(sampling.target, Target::Samples(_));
+    sought.meet(sampled, by_number.then_some(&anew))
 }
 
 /// Writes the deformed model, by the samples or by the evaluation of each vertex, of which the cost is told.

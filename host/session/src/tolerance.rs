@@ -25,6 +25,9 @@ use simod_plugin_api::Time;
 /// of these, are off the surface, and no others could do their work.
 const FEWEST: u64 = 1000;
 
+/// A search that its first samples hold up begins anew with so many times as many of them.
+const ANEW: u64 = 4;
+
 /// Rounds of refinement; the number of samples may double in each, or become [`LEAST_ADDED`] more.
 const ROUNDS: u64 = 20;
 const LEAST_ADDED: u64 = 256;
@@ -109,6 +112,8 @@ pub struct Certificate {
     pub added: u64,
     /// The number of rounds.
     pub rounds: u64,
+    /// The number of first samples that the model was sampled anew with, if those before held the search up.
+    pub sampled_anew: Option<u64>,
     /// The true error of some vertices, if all plugins know their map.
     pub truth: Option<TransferError>,
 }
@@ -160,45 +165,87 @@ pub(crate) fn beginning(asked: Target) -> Target {
     }
 }
 
-/// Deforms samples by the steps, and adds more, which the steps deform as well, until nothing is expected to
-/// be off by more. `sampled` holds its cells.
-///
-/// # Errors
-/// The tolerance cannot be met, for a reason that is told; a step cannot be done; the user cancelled.
-pub(crate) fn meet(
-    sampled: SampledModel,
-    model: &dyn Model,
-    (steps, plugins, time): (&[Step], &PluginRegistry, Time),
-    tolerance: f64,
-    folder: &Path,
-    progress: &dyn Progress,
-) -> Result<(DeformedSamples, Certificate)> {
-    check_precision(&sampled, model, tolerance)?;
-    let mut search = ToleranceSearch::new(&sampled, model, tolerance, folder, progress);
-    let refinements = Refinements { folder: folder.to_owned(), time, ..Refinements::default() };
-    let again = |sampled: Arc<SampledModel>, steps: &[Step]| {
-        deform(sampled, steps, plugins, refinements.clone(), progress)
-    };
-    let mut deformed = again(sampled.into(), steps)?;
-    // The samples that steps have added were placed by the transfer: now the plugins place them.
-    let plain: Vec<Step> = steps.iter().filter(|step| !step.refines()).cloned().collect();
-    if plain.len() < steps.len() {
-        deformed = again(deformed.sampled, &plain)?;
+/// The search for a tolerance of a model, by a session's steps.
+pub(crate) struct Sought<'a> {
+    /// The model as it is written.
+    pub model: &'a dyn Model,
+    pub steps: &'a [Step],
+    pub plugins: &'a PluginRegistry,
+    pub time: Time,
+    pub tolerance: f64,
+    /// Where samples of refinements, and temporary files, are.
+    pub folder: &'a Path,
+    pub progress: &'a dyn Progress,
+}
+
+impl Sought<'_> {
+    /// Deforms samples by the steps, and adds more, which the steps deform as well, until nothing is expected
+    /// to be off by more. `sampled` holds its cells. Where the first samples hold this up, `sample` samples
+    /// the model anew, with so many; `None` where their number is not to be changed.
+    ///
+    /// # Errors
+    /// The tolerance cannot be met, for a reason that is told; a step cannot be done; the user cancelled.
+    pub fn meet(
+        &self,
+        mut sampled: SampledModel,
+        sample: Option<&dyn Fn(u64) -> Result<SampledModel>>,
+    ) -> Result<(DeformedSamples, Certificate)> {
+        check_precision(&sampled, self.model, self.tolerance)?;
+        let mut sampled_anew = None;
+        loop {
+            let first = match (self.search(sampled)?, sample) {
+                (Ended::Met(deformed, certificate), _) => {
+                    return Ok((deformed, Certificate { sampled_anew, ..certificate }));
+                }
+                (Ended::HeldUp { why, first: Some(first) }, Some(sample)) => {
+                    self.progress.note(&format!(
+                        "sampled anew with {first} samples, as {}",
+                        why.to_string().lines().next().unwrap_or_default()
+                    ));
+                    sampled = sample(first)?;
+                    first
+                }
+                (Ended::HeldUp { why, .. }, _) => return Err(why),
+            };
+            sampled_anew = Some(first);
+        }
     }
-    loop {
-        match search.look(&deformed)? {
-            Round::Met(certificate) => return Ok((deformed, certificate)),
-            Round::More(refined) => deformed = again(refined, &plain)?,
+
+    /// The search with these first samples.
+    fn search(&self, sampled: SampledModel) -> Result<Ended> {
+        let Self { steps, progress, .. } = *self;
+        let mut search = ToleranceSearch::new(&sampled, self);
+        let how = Refinements { folder: self.folder.to_owned(), time: self.time, ..Refinements::default() };
+        let again = |sampled: Arc<SampledModel>, steps: &[Step]| {
+            deform(sampled, steps, self.plugins, how.clone(), progress)
+        };
+        let mut deformed = again(sampled.into(), steps)?;
+        // The samples that steps have added were placed by the transfer: now the plugins place them.
+        let plain: Vec<Step> = steps.iter().filter(|step| !step.refines()).cloned().collect();
+        if plain.len() < steps.len() {
+            deformed = again(deformed.sampled, &plain)?;
+        }
+        loop {
+            match search.look(&deformed)? {
+                Round::Met(certificate) => return Ok(Ended::Met(deformed, certificate)),
+                Round::More(refined) => deformed = again(refined, &plain)?,
+                Round::HeldUp { why, first } => return Ok(Ended::HeldUp { why, first }),
+            }
         }
     }
 }
 
+/// What a search comes to.
+enum Ended {
+    /// The tolerance is met.
+    Met(DeformedSamples, Certificate),
+    /// It is not, and why; and how many first samples may do.
+    HeldUp { why: Error, first: Option<u64> },
+}
+
 /// The search for samples by which no vertex is expected to be off by more.
 struct ToleranceSearch<'a> {
-    model: &'a dyn Model,
-    folder: &'a Path,
-    progress: &'a dyn Progress,
-    tolerance: f64,
+    sought: &'a Sought<'a>,
     /// What is asked for where it is refined: finer than what is allowed, as density changes around what is
     /// refined, which costs precision there.
     asked: f64,
@@ -218,24 +265,17 @@ enum Round {
     Met(Certificate),
     /// More samples, which are to be deformed.
     More(Arc<SampledModel>),
+    /// No more samples help, and why; and how many first samples may do.
+    HeldUp { why: Error, first: Option<u64> },
 }
 
 impl<'a> ToleranceSearch<'a> {
-    fn new(
-        sampled: &SampledModel,
-        model: &'a dyn Model,
-        tolerance: f64,
-        folder: &'a Path,
-        progress: &'a dyn Progress,
-    ) -> Self {
+    fn new(sampled: &SampledModel, sought: &'a Sought<'a>) -> Self {
         let first = sampled.samples.len() as u64;
         let of_diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
         Self {
-            model,
-            folder,
-            progress,
-            tolerance,
-            asked: (ASKED * tolerance).max(LEAST_LOCAL / of_diagonal),
+            sought,
+            asked: (ASKED * sought.tolerance).max(LEAST_LOCAL / of_diagonal),
             first,
             most: (MOST * first).max(FEW).min(sampled.source.vertices),
             rounds: 0,
@@ -248,30 +288,63 @@ impl<'a> ToleranceSearch<'a> {
     /// Looks how far vertices are expected to be off, and adds samples there if that is too far.
     fn look(&mut self, deformed: &DeformedSamples) -> Result<Round> {
         let of = &deformed.sampled;
-        self.progress.begin("estimating the error", 0);
+        let Sought { model, tolerance, progress, .. } = *self.sought;
+        progress.begin("estimating the error", 0);
         let around = RestGeometry::new(&of.samples);
         let mut field = DeformationField::of(&around, &deformed.positions, Method::default())
-            .expecting(&of.frame, self.model.info());
+            .expecting(&of.frame, model.info());
         self.beginning.get_or_insert_with(|| UnrefinedState::new(of, &field));
         if deformed.stack.can_evaluate() {
             field = field.expecting_at_vertices(of)?;
         }
-        let beyond = match field.expected_beyond(of, self.tolerance) {
+        let beyond = match field.expected_beyond(of, tolerance) {
             Some(beyond) => beyond,
             None => {
-                let found = truth(deformed, self.model, &field, self.tolerance, self.progress)?;
-                if found.as_ref().is_none_or(|(truth, _)| truth.max <= self.tolerance) {
+                let found = truth(deformed, model, &field, tolerance, progress)?;
+                if found.as_ref().is_none_or(|(truth, _)| truth.max <= tolerance) {
                     return Ok(Round::Met(self.certificate(of, &field, found.map(|(truth, _)| truth))));
                 }
                 // The estimate was too small there.
                 field.learn(&found.map_or_else(Vec::new, |(_, places)| places));
-                field.expected_beyond(of, self.tolerance).ok_or_else(|| {
-                    not_met(of, [self.tolerance; 2], "single vertices are off by a little more", None)
+                field.expected_beyond(of, tolerance).ok_or_else(|| {
+                    not_met(of, [tolerance; 2], "single vertices are off by a little more", None)
                 })?
             }
         };
-        self.check_progress(of, &field, &beyond)?;
-        self.refine(of, &field, &beyond).map(Round::More)
+        if let Some(why) = self.why_ended(of, &field, &beyond) {
+            return Ok(self.held_up(of, &why, &beyond));
+        }
+        match self.refine(of, &field, &beyond)? {
+            Some(refined) => Ok(Round::More(refined)),
+            None => {
+                let told = self.told_of_first(of, &beyond);
+                let none_left = || format!("there are no vertices left there that could be samples{told}");
+                let why = self.why_not(of, &field, &beyond).unwrap_or_else(none_left);
+                Ok(self.held_up(of, &why, &beyond))
+            }
+        }
+    }
+
+    /// The end of a search that has not met the tolerance.
+    fn held_up(&self, of: &SampledModel, why: &str, beyond: &ErrorExcess) -> Round {
+        let why = not_met(of, [self.sought.tolerance, beyond.worst], why, Some(beyond));
+        Round::HeldUp { why, first: self.first_anew(of, beyond) }
+    }
+
+    /// How many first samples may meet the tolerance where these have not: more, as long as the search had as
+    /// many in the end, where the worst is around one of the first, or where parts of the model touch, as
+    /// refinement goes by who is on whose sheet among the first.
+    fn first_anew(&self, of: &SampledModel, beyond: &ErrorExcess) -> Option<u64> {
+        let nearest = of.samples.nearest(of.frame.to_local(beyond.place)) as usize;
+        let near = of.samples.neighbours().nearest_to(nearest).iter().map(|i| *i as usize);
+        let touches = || {
+            let contacts = of.samples.contacts()?;
+            near.chain([nearest]).find(|i| contacts.same_sheet(*i).is_some())
+        };
+        let first = ANEW * self.first;
+        let rounds_off = ROUNDING * beyond.rounding > beyond.worst;
+        let helps = (nearest as u64) < self.first || touches().is_some();
+        (helps && !rounds_off && first <= of.samples.len() as u64).then_some(first)
     }
 
     fn certificate(
@@ -282,7 +355,8 @@ impl<'a> ToleranceSearch<'a> {
     ) -> Certificate {
         let expected = field.expected_beyond(of, 0.0).map_or(0.0, |all| all.worst);
         let added = of.samples.len() as u64 - self.first;
-        Certificate { tolerance: self.tolerance, expected, added, rounds: self.rounds, truth }
+        let (tolerance, rounds) = (self.sought.tolerance, self.rounds);
+        Certificate { tolerance, expected, added, rounds, sampled_anew: None, truth }
     }
 
     /// Why more samples would not help, if they would not.
@@ -306,13 +380,13 @@ impl<'a> ToleranceSearch<'a> {
          where these are many"
     }
 
-    /// An error if the search has come to its limits, or no further for a while.
-    fn check_progress(
+    /// Why the search ends, if it has come to its limits, or no further for a while.
+    fn why_ended(
         &mut self,
         of: &SampledModel,
         field: &DeformationField<'_>,
         beyond: &ErrorExcess,
-    ) -> Result<()> {
+    ) -> Option<String> {
         self.waited += 1;
         if beyond.worst < FALLS * self.least {
             (self.least, self.waited) = (beyond.worst, 0);
@@ -327,44 +401,37 @@ impl<'a> ToleranceSearch<'a> {
         };
         let limit = limit.map(|limit| limit + self.told_of_first(of, beyond));
         let asks = limit.is_some() || self.waited >= PATIENCE;
-        match asks.then(|| self.why_not(of, field, beyond).or(limit)).flatten() {
-            Some(why) => Err(not_met(of, [self.tolerance, beyond.worst], &why, Some(beyond))),
-            None => Ok(()),
-        }
+        asks.then(|| self.why_not(of, field, beyond).or(limit)).flatten()
     }
 
-    /// Adds samples where more is expected than is allowed.
+    /// Adds samples where more is expected than is allowed; `None` if there are none to add.
     fn refine(
         &mut self,
         of: &SampledModel,
         field: &DeformationField<'_>,
         beyond: &ErrorExcess,
-    ) -> Result<Arc<SampledModel>> {
+    ) -> Result<Option<Arc<SampledModel>>> {
+        let Sought { model, folder, progress, .. } = *self.sought;
         let samples = of.samples.len() as u64;
         let added = (self.most - samples).min(samples.max(LEAST_ADDED));
         let finer = Finer::Auto { error: self.asked, samples: Some(added) };
         let everywhere = Refine { shapes: Shapes::default(), finer };
         let refine = |how: &Refine| {
-            let room = Room { memory_limit: None, folder: self.folder };
-            how.refine(of, self.model, ShapePose::Rest(Some(field)), room, self.progress)
+            let room = Room { memory_limit: None, folder };
+            how.refine(of, model, ShapePose::Rest(Some(field)), room, progress)
         };
         let mut done = refine(&everywhere)?;
         if done.sampled.is_none() {
             done = refine(&around_worst(of, beyond))?;
         }
-        let Some(refined) = done.sampled else {
-            let told = self.told_of_first(of, beyond);
-            let none_left = || format!("there are no vertices left there that could be samples{told}");
-            let why = self.why_not(of, field, beyond).unwrap_or_else(none_left);
-            return Err(not_met(of, [self.tolerance, beyond.worst], &why, Some(beyond)));
-        };
-        self.progress.note(&format!(
+        let Some(refined) = done.sampled else { return Ok(None) };
+        progress.note(&format!(
             "up to {} are expected: {} samples more are deformed",
             length(beyond.worst, of.bounds.diagonal()),
             done.added
         ));
         self.rounds += 1;
-        Ok(refined.into())
+        Ok(Some(refined.into()))
     }
 }
 

@@ -1,6 +1,8 @@
 //! What is said of the transfer's error holds: estimates beside the truth, the exact map at every vertex, and
 //! tolerances.
 
+use std::f64::consts::PI;
+
 use glam::{DQuat, DVec3};
 use serde_json::Value;
 use simod_tests::Workplace;
@@ -238,6 +240,55 @@ fn tolerances_are_met_from_any_sampling() {
             assert!(figure(&report["certificate"], "expected") <= most, "{shape} {samples}: {report}");
             assert!(figure(&report["transfer_error"], "max") <= most, "{shape} {samples}: {report}");
         }
+    }
+}
+
+/// Spheres one in the other, two thousandths of their radius apart, with faces.
+fn nested_spheres(rings: usize) -> Vec<u8> {
+    let around = 2 * rings;
+    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
+    for sphere in 0..5u32 {
+        for i in 0..around * rings {
+            let up = PI * (i % rings + 1) as f64 / (rings + 1) as f64;
+            let turn = PI * (i / rings) as f64 / rings as f64;
+            let unit = DVec3::new(turn.cos() * up.sin(), turn.sin() * up.sin(), up.cos());
+            let p = (1.0 - 0.002 * f64::from(sphere)) * unit;
+            let numbers = p.to_array().into_iter().chain(unit.to_array());
+            vertices.extend(numbers.flat_map(|x| (x as f32).to_le_bytes()));
+        }
+        let at = |u: usize, v: usize| ((sphere as usize * around + u % around) * rings + v) as u32;
+        for (u, v) in (0..around).flat_map(|u| (1..rings).map(move |v| (u, v))) {
+            let [a, b, c, d] = [at(u, v - 1), at(u + 1, v - 1), at(u + 1, v), at(u, v)];
+            faces.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    let properties: String =
+        ["x", "y", "z", "nx", "ny", "nz"].map(|name| format!("property float {name}\n")).concat();
+    let header = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{properties}element face {}\n\
+         property list uchar int vertex_indices\nend_header\n",
+        vertices.len() / 24,
+        faces.len()
+    );
+    let corners = faces.into_iter().flat_map(|face| {
+        [3u8].into_iter().chain(face.into_iter().flat_map(u32::to_le_bytes)).collect::<Vec<u8>>()
+    });
+    header.into_bytes().into_iter().chain(vertices).chain(corners).collect()
+}
+
+#[test]
+fn a_tolerance_is_met_where_few_samples_do_not_tell_sheets_apart() {
+    let work = Workplace::new();
+    work.write("model.ply", nested_spheres(60));
+    let twist = TWIST.replace("[0, 1, 0]", "[0, 0, 1]");
+    // From the first there are samples enough, from the second they are too few to add others by.
+    for (samples, anew) in [(2000, false), (50, true)] {
+        work.write_session("model.ply", samples, &twist);
+        let report = work.report("run edit.toml --tolerance 1e-3 --measure");
+        let certificate = &report["certificate"];
+        assert!(figure(certificate, "expected") <= 1e-3, "{samples}: {report}");
+        assert_eq!(certificate["sampled_anew"].is_u64(), anew, "{samples}: {report}");
+        assert!(figure(&report["transfer_error"], "max") <= 1e-3, "{samples}: {report}");
     }
 }
 

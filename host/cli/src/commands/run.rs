@@ -178,7 +178,7 @@ fn describe_cost(cost: &ExactCost, report: &mut Report) {
 
 /// Reports that a tolerance is met, and what tells so.
 fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut Report) {
-    let Certificate { tolerance, expected, added, rounds, truth } = certificate;
+    let Certificate { tolerance, expected, added, rounds, sampled_anew, truth } = certificate;
     let true_error = truth.map(|t| {
         let figures = json!({"vertices": t.vertices, "rms": t.rms, "p999": t.p999, "max": t.max});
         with_lengths(figures, &["rms", "p999", "max"], diagonal)
@@ -189,6 +189,7 @@ fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut R
         "expected": expected,
         "added_samples": added,
         "rounds": rounds,
+        "sampled_anew": sampled_anew,
         "true_error": true_error,
     });
     report.figure("certificate", with_lengths(figures, &["tolerance", "expected"], diagonal));
@@ -199,6 +200,9 @@ fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut R
         length(*expected, diagonal),
         count(*added)
     ));
+    if let Some(samples) = sampled_anew {
+        report.line(format!("sampled anew with {} samples, as from fewer it was not met", count(*samples)));
+    }
     report.line(match truth {
         Some(t) => format!(
             "true error at {} vertices: {}",

@@ -141,8 +141,9 @@ const KEEP_AT_MOST: f64 = 1.6;
 /// ... to so many times as many.
 const PRUNE_TO: f64 = 1.2;
 
-/// How often room is made for the samples of sheets that share clusters: each time there are fewer of them.
-const ROUNDS_FOR_SHEETS: usize = 8;
+/// A number of samples is met to one of so many, where sheets share clusters: their samples come with those
+/// of the trees.
+const NEAR_TARGET: usize = 64;
 
 /// A bound this many times smaller than what the number of samples foretells is low enough, mostly.
 const FORESIGHT: f64 = 3.0;
@@ -541,15 +542,31 @@ impl RefinementCall<'_, '_> {
         if target as u64 > most {
             return Err(too_many(most));
         }
-        let (mut left, mut threshold) = (target, threshold_for(splits(regrown, kept), 0, target));
-        for _ in 0..ROUNDS_FOR_SHEETS {
+        let of_trees = |samples: usize| threshold_for(splits(regrown, kept), 0, samples);
+        let beside = |threshold: f32| -> usize {
             let cut = bound.max(threshold);
-            let beside: usize = regrown.iter().map(|cell| cell.beside(cut, kept)).sum();
-            if left + beside <= target {
+            regrown.iter().map(|cell| cell.beside(cut, kept)).sum()
+        };
+        let whole = of_trees(target);
+        let sheets = beside(whole);
+        if sheets == 0 {
+            return Ok(whole);
+        }
+        // Fewer in the trees are fewer in all; where sheets have few, what they leave is a good guess.
+        let (mut fits, mut more, mut threshold) = (0, target, of_trees(0));
+        let mut tried = target.saturating_sub(sheets);
+        loop {
+            let of_tried = of_trees(tried);
+            if tried + beside(of_tried) <= target {
+                (fits, threshold) = (tried, of_tried);
+            } else {
+                more = tried;
+            }
+            // Below the bound, no other threshold makes a difference.
+            if (fits == tried && of_tried <= bound) || more - fits <= 1 + fits / NEAR_TARGET {
                 break;
             }
-            left = target.saturating_sub(beside).min(left.saturating_sub(1));
-            threshold = threshold_for(splits(regrown, kept), 0, left);
+            tried = fits + (more - fits) / 2;
         }
         Ok(threshold)
     }
