@@ -194,7 +194,8 @@ impl Sought<'_> {
         let mut sampled_anew = None;
         loop {
             let first = match (self.search(sampled)?, sample) {
-                (Ended::Met(deformed, certificate), _) => {
+                (Ended::Met(met), _) => {
+                    let (deformed, certificate) = *met;
                     return Ok((deformed, Certificate { sampled_anew, ..certificate }));
                 }
                 (Ended::HeldUp { why, first: Some(first) }, Some(sample)) => {
@@ -227,7 +228,7 @@ impl Sought<'_> {
         }
         loop {
             match search.look(&deformed)? {
-                Round::Met(certificate) => return Ok(Ended::Met(deformed, certificate)),
+                Round::Met(certificate) => return Ok(Ended::Met(Box::new((deformed, certificate)))),
                 Round::More(refined) => deformed = again(refined, &plain)?,
                 Round::HeldUp { why, first } => return Ok(Ended::HeldUp { why, first }),
             }
@@ -238,7 +239,7 @@ impl Sought<'_> {
 /// What a search comes to.
 enum Ended {
     /// The tolerance is met.
-    Met(DeformedSamples, Certificate),
+    Met(Box<(DeformedSamples, Certificate)>),
     /// It is not, and why; and how many first samples may do.
     HeldUp { why: Error, first: Option<u64> },
 }
