@@ -232,7 +232,7 @@ impl SourceRecord {
 
 /// Processor time per vertex in random order, or in that of runs of 2 to 4 vertices, over that in a coherent
 /// one: 0.6 and 2 million vertices with normals, 2000 and 100 000 samples, vectors of 8 to 16.
-const TIMES: &str = "3 to 5";
+const TIMES: &str = "2 to 5";
 
 /// Paths in files: text where they are, and bytes where not, as systems allow.
 mod any_path {
