@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use simod_core::reconstruction::transfer_error::{Excesses, TransferError, measure_some};
 use simod_core::reconstruction::{DeformationField, ErrorExcess, Method, RestGeometry};
-use simod_core::refinement::Finer;
+use simod_core::refinement::{Finer, SamplesNeed};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{SampleSet, Target};
 use simod_model::{Error, Model, Progress, Result, Scalar};
@@ -319,7 +319,7 @@ impl<'a> ToleranceSearch<'a> {
             Some(refined) => Ok(Round::More(refined)),
             None => {
                 let told = self.told_of_first(of, &beyond);
-                let none_left = || format!("there are no vertices left there that could be samples{told}");
+                let none_left = || format!("{}{told}", SamplesNeed::NONE_LEFT);
                 let why = self.why_not(of, &field, &beyond).unwrap_or_else(none_left);
                 Ok(self.held_up(of, &why, &beyond))
             }

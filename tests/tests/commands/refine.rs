@@ -358,6 +358,26 @@ fn auto_refines_where_the_deformation_needs_it() {
 }
 
 #[test]
+fn where_no_vertices_are_left_more_is_expected() {
+    let work = Workplace::new().with_plugins("plugins");
+    work.simod("generate -o model.ply --vertices 3000");
+    work.simod("sample model.ply -o model.simod --samples 1000");
+    work.simod("refine model.simod --half-space 0,-9,0,0,1,0 --error 0");
+    work.move_samples("model.simod", |p| if p.y > 1.0 { p + 0.1 * DVec3::Y } else { p });
+    let outcome = work.simod("refine model.simod --auto --deformed deformed.ply -o more.ply");
+    for told in ["which is more than 1.0e-5", "no vertices left there", "Nothing is changed"] {
+        assert!(outcome.stdout.contains(told), "{}", outcome.stdout);
+    }
+    let steps = "[[step]]\nrefine = { shapes = [{ half-space = { point = [0, -9, 0], normal = [0, 1, 0] } }], error = 0 }\n\
+        [[step]]\ndeform = \"warp\"\n\
+        [[step.region]]\nrole = \"mask\"\nshapes = [{ half-space = { point = [0, 1, 0], normal = [0, 1, 0] } }]\n\
+        [[step]]\nrefine = { auto = true }\n";
+    work.write_session("model.ply", 1000, steps);
+    let outcome = work.simod("run edit.toml");
+    assert!(outcome.stderr.contains("no vertices left there"), "{}", outcome.stderr);
+}
+
+#[test]
 fn a_session_refines_where_its_steps_need_it() {
     let work = Workplace::new().with_plugins("plugins");
     work.simod("generate -o model.ply --vertices 120000");

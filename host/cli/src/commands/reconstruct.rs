@@ -268,7 +268,9 @@ impl Reconstruct {
             let field = DeformationField::of(&around, deformed, self.method.into())
                 .expecting(&sampled.frame, model.info());
             if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
-                let ErrorExcess { worst, place, samples, needed, .. } = beyond;
+                let ErrorExcess { worst, rounding, place, samples, needed } = beyond;
+                // What refinement goes by is without rounding.
+                let asked = (tolerance.powi(2) - rounding.powi(2)).max(0.0).sqrt().max(0.5 * tolerance);
                 return Err(Error::argument(
                     format!(
                         "{}: vertices are expected to be off by up to {} near ({:.6}, {:.6}, {:.6}), and by more than the \
@@ -282,9 +284,10 @@ impl Reconstruct {
                         count(samples)
                     ),
                     format!(
-                        "`{}` adds samples where they are needed, about {}; then deform these by the program that deformed \
-                         the others, as where the transfer places them tells nothing about it",
-                        self.refining(paths, tolerance),
+                        "`{}` adds samples where they are needed, about {} in all, at most a quarter more at a time; then \
+                         deform these by the program that deformed the others, as where the transfer places them tells \
+                         nothing about it",
+                        self.refining(paths, asked),
                         count(needed)
                     ),
                 ));
@@ -296,10 +299,13 @@ impl Reconstruct {
 
     /// The command that adds samples to come below an error.
     fn refining(&self, paths: &VersionPaths, error: f64) -> String {
+        let model =
+            self.model.as_deref().map_or_else(String::new, |path| format!(" --model {}", quoted(path)));
         format!(
-            "simod refine {} --auto --error {error:.1e} --deformed {} -o more.ply",
-            self.sampled.display(),
-            paths.deformed.display()
+            "simod refine {} --auto --error {:e} --deformed {}{model} -o more.ply",
+            quoted(&self.sampled),
+            rounded_down(error),
+            quoted(&paths.deformed)
         )
     }
 
@@ -328,7 +334,7 @@ impl Reconstruct {
                     String::new()
                 };
                 let help = format!(
-                    "`{}` adds about {} samples where they are needed",
+                    "`{}` adds samples where they are needed, about {} in all, at most a quarter more at a time",
                     self.refining(paths, ExpectedError::ACCEPTED),
                     count(beyond.needed)
                 );
@@ -336,6 +342,21 @@ impl Reconstruct {
             }
         }
     }
+}
+
+/// A positive number to three digits that is no larger: who meets it meets the number.
+fn rounded_down(x: f64) -> f64 {
+    let digits = |x: f64| format!("{x:.2e}").parse().unwrap_or(x);
+    let nearest = digits(x);
+    // Three quarters of the last digit less is rounded to the one below.
+    if nearest <= x { nearest } else { digits(x - 0.0075 * 10f64.powf(x.log10().floor())) }
+}
+
+/// A path as a shell takes it.
+fn quoted(path: &Path) -> String {
+    let path = path.to_string_lossy();
+    // Paths have no zero bytes, which is all that cannot be quoted.
+    shlex::try_quote(&path).map_or_else(|_| path.to_string(), |quoted| quoted.into_owned())
 }
 
 /// Says what turns with the surface besides normals and tangents.
@@ -398,5 +419,36 @@ fn describe_folding(paths: &[VersionPaths], folding: &[Option<Folding>], report:
             first.y,
             first.z
         ));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn three_digits_are_never_more() {
+        let cases = [
+            (1e-4, 1e-4),
+            (1.06e-4, 1.06e-4),
+            (1.0651e-4, 1.06e-4),
+            (1.0649e-4, 1.06e-4),
+            (9.999e-5, 9.99e-5),
+            (0.001_234_5, 1.23e-3),
+            (2.0, 2.0),
+        ];
+        for (x, down) in cases {
+            assert_eq!(rounded_down(x), down, "{x:e}");
+        }
+        for x in (1..5000).map(|i| 1e-7 * 1.0071f64.powi(i)) {
+            assert!(rounded_down(x) <= x && rounded_down(x) > 0.99 * x, "{x:e}");
+        }
+    }
+
+    #[test]
+    fn a_path_with_a_blank_is_one_word() {
+        for path in ["model.simod", "my model.simod", "it's.ply", "frame-*.ply"] {
+            assert_eq!(shlex::split(&quoted(Path::new(path))), Some(vec![path.to_owned()]));
+        }
     }
 }

@@ -40,11 +40,13 @@ pub struct Refine {
     #[arg(long, value_name = "X,Y,Z,NX,NY,NZ", value_parser = numbers::<6>, allow_hyphen_values = true)]
     half_space: Vec<[f64; 6]>,
     /// Refine wherever the deformed samples show that the deformation needs it, or where it does so in the
-    /// shapes; --error says how far vertices may probably be off, --samples how many more there may be
+    /// shapes; either --error says how far vertices may probably be off, or --samples how many more samples
+    /// there may be
     #[arg(long, requires = "deformed", conflicts_with = "factor")]
     auto: bool,
     /// Error bound of a cluster there, as a fraction of the bounding box diagonal; 0 gives every vertex its
-    /// own sample. With --auto, the transfer error that is allowed [default: 1e-5]
+    /// own sample. With --auto, the transfer error that is allowed [default: 1e-5], by at most a quarter more
+    /// samples than there are
     #[arg(
         long,
         value_name = "E",
@@ -251,7 +253,13 @@ fn tell_need(report: &mut Report, need: &SamplesNeed, lengths: &mut Value, diago
     }
     report.figure("needy_samples", need.samples);
     let expected = length(need.expected, diagonal);
-    report.line(if need.samples == 0 {
+    report.line(if need.samples == 0 && !need.is_met {
+        format!(
+            "vertices are expected to be off by up to {expected}, which is more than {}: {}. Nothing is changed",
+            length(need.allowed, diagonal),
+            SamplesNeed::NONE_LEFT
+        )
+    } else if need.samples == 0 {
         format!(
             "vertices are expected to be off by {expected} at most: the deformation needs no more samples. Nothing is \
              changed"

@@ -21,8 +21,13 @@ const BLOCK: usize = 1 << 14;
 /// which follow each other on a curve are near.
 const LARGE_BLOCK: usize = 1 << 16;
 
-/// Two of so many vertices are looked at to tell whether they are in order.
-const LOOKED_AT: usize = 16;
+/// Two of so many vertices are looked at to tell whether they are in order: a prime, so that they are at all
+/// places of runs of any other length …
+const LOOKED_AT: usize = 17;
+
+/// … and they are not, if more than one of so many is far from the one before: runs of some twenty vertices
+/// in random order are found, too.
+const JUMPS: usize = 24;
 
 /// Vertices that a packet is not worth for.
 const FEW: usize = 3;
@@ -595,11 +600,11 @@ fn most_of_block(positions: &[DVec3], in_no_order: usize) -> usize {
 
 /// Whether most vertices are near to the one before, by some of them.
 fn is_in_order(positions: &[DVec3]) -> bool {
-    let some = || positions.chunks_exact(LOOKED_AT);
+    let some = || positions.windows(2).step_by(LOOKED_AT);
     let low = some().map(|p| p[0]).fold(DVec3::INFINITY, DVec3::min);
     let high = some().map(|p| p[0]).fold(DVec3::NEG_INFINITY, DVec3::max);
     let far = JUMP * (high - low).max_element();
-    4 * some().filter(|p| (p[1] - p[0]).abs().max_element() > far).count() <= some().len()
+    JUMPS * some().filter(|p| (p[1] - p[0]).abs().max_element() > far).count() <= some().len()
 }
 
 /// Puts the numbers of vertices in an order in which those near to each other are mostly side by side: along
@@ -632,4 +637,23 @@ fn morton(at: UVec3) -> u32 {
         (x | x << 2) & 0x0924_9249
     };
     spread(at.x) | spread(at.y) << 1 | spread(at.z) << 2
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn short_runs_are_in_no_order() {
+        let place = |i: usize| DVec3::new((i / 128) as f64, (i % 128) as f64, 0.0);
+        let rows: Vec<DVec3> = (0..BLOCK).map(place).collect();
+        assert!(is_in_order(&rows));
+        for length in [1, 2, 3, 4, 8, 16] {
+            let runs = BLOCK / length;
+            // Each run once: a prime that divides none of their numbers.
+            let of = |i: usize| (i / length * 3571 % runs) * length + i % length;
+            let scattered: Vec<DVec3> = (0..runs * length).map(|i| rows[of(i)]).collect();
+            assert!(!is_in_order(&scattered), "runs of {length}");
+        }
+    }
 }

@@ -274,9 +274,14 @@ fn vertices_in_no_order_go_where_they_go_in_order() {
     let off = inner.map(|(p, image)| to(p.as_vec3()).distance(*image)).fold(0.0, f64::max);
     assert!(off < 1e-5, "{off:e}");
     // Each once: 48 400 and 24 097 have no divisor in common.
-    let order: Vec<usize> = (0..rest.len()).map(|i| i * 24_097 % rest.len()).collect();
-    let scattered: Vec<DVec3> = order.iter().map(|i| rest[*i]).collect();
-    assert!(order.iter().zip(carried(&scattered)).all(|(i, image)| image == images[*i]));
+    let scattered: Vec<usize> = (0..rest.len()).map(|i| i * 24_097 % rest.len()).collect();
+    // So are runs of 16.
+    let runs =
+        scattered.iter().filter(|i| **i < rest.len() / 16).flat_map(|i| 16 * i..16 * (i + 1)).collect();
+    for order in [scattered.clone(), runs] {
+        let places: Vec<DVec3> = order.iter().map(|i| rest[*i]).collect();
+        assert!(order.iter().zip(carried(&places)).all(|(i, image)| image == images[*i]));
+    }
 }
 
 /// What a call gives for each vertex: the bits of its position and of its normal, and its figures.

@@ -124,8 +124,15 @@ pub struct SamplesNeed {
     pub expected: f64,
     /// The error that the new samples allow: the one asked for, or more, if there may not be enough of them.
     pub allowed: f64,
-    /// Around how many samples more than that was expected.
+    /// Around how many samples more than that was expected, and others would help.
     pub samples: u64,
+    /// Whether nowhere more was expected than what was asked for.
+    pub is_met: bool,
+}
+
+impl SamplesNeed {
+    /// Why nothing is added where more is expected than what was asked for.
+    pub const NONE_LEFT: &str = "there are no vertices left there that could be samples";
 }
 
 /// Most bytes of vertices and what they take that are in work at a time: cells come in batches of so much,
@@ -267,11 +274,13 @@ fn needs<'a>(
     let diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
     let budget = samples.unwrap_or((Finer::SHARE * selected.len() as f64).ceil() as u64);
     let budget = usize::try_from(budget).unwrap_or(usize::MAX);
-    let needs = Needs::new(sampled, &sampled.cluster_errors()?, &expected, (error * diagonal) as f32, budget);
+    let (allowed, most) = ((error * diagonal) as f32, expected.iter().copied().fold(0.0, f32::max));
+    let needs = Needs::new(sampled, &sampled.cluster_errors()?, &expected, allowed, budget);
     let need = SamplesNeed {
-        expected: f64::from(expected.iter().copied().fold(0.0, f32::max)) / diagonal,
+        expected: f64::from(most) / diagonal,
         allowed: needs.as_ref().map_or(error, |needs| f64::from(needs.allowed) / diagonal),
         samples: needs.as_ref().map_or(0, |needs| needs.needy as u64),
+        is_met: most <= allowed,
     };
     Ok((need, needs))
 }

@@ -15,7 +15,7 @@ use simod_core::reconstruction::{
     DeformationField, Method, Reconstructed, Reconstruction, RestGeometry, Version, deformed_normals,
     known_gradients, reconstruct,
 };
-use simod_core::refinement::{Finer, appended_deformed};
+use simod_core::refinement::{Finer, SamplesNeed, appended_deformed};
 use simod_core::sampled_model::SampledModel;
 use simod_model::follow::Follow;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
@@ -464,8 +464,8 @@ impl Evaluation {
         with_field(sampled, positions, |field| {
             let room = Room { memory_limit: self.how.memory_limit, folder: &self.how.folder };
             let refined = step.refine(sampled, model.as_ref(), ShapePose::Deformed(field), room, progress)?;
-            if refined.need.is_some_and(|need| need.samples == 0) {
-                progress.note("the deformation needs no more samples");
+            if let Some(need) = refined.need.filter(|need| need.samples == 0) {
+                progress.note(&no_more_samples(&need));
             }
             let Some(after) = refined.sampled else {
                 if refined.need.is_none() {
@@ -477,6 +477,16 @@ impl Evaluation {
             Ok((Arc::new(after), positions))
         })
     }
+}
+
+/// Why a deformation gets no more samples.
+fn no_more_samples(need: &SamplesNeed) -> String {
+    if need.is_met {
+        return "the deformation needs no more samples".to_owned();
+    }
+    let SamplesNeed { expected, allowed, .. } = need;
+    let more = format!("more than {allowed:.1e} of the diagonal is expected, up to {expected:.1e}");
+    format!("nothing is refined: {more}, but {}", SamplesNeed::NONE_LEFT)
 }
 
 /// Why a refinement adds nothing.
