@@ -88,7 +88,7 @@ fn beyond_an_open_border_vertices_that_are_off_are_warned_of() {
 /// An expansion that fails may have all of the say in a blend with wider supports. It does not count at
 /// vertices that it does not reach.
 #[test]
-fn an_expansion_that_fails_counts_where_it_has_a_say_alone() {
+fn an_expansion_that_fails_counts_only_where_it_has_a_say() {
     let samples = wavy_samples();
     let around = RestGeometry::new(&samples);
     let deformed: Vec<Vec3> = samples.positions.iter().map(|p| twisted(*p)).collect();

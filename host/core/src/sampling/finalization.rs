@@ -132,7 +132,7 @@ pub struct Clustered {
     pub ranges: Vec<PackedRanges>,
     /// How many items each cell had.
     pub items: Vec<u32>,
-    /// The order in which the stream goes from cell to cell.
+    /// The jumps of the stream from cell to cell.
     pub jumps: Jumps,
     /// The cluster of each vertex, if it shall be known.
     pub membership: Option<Membership>,
