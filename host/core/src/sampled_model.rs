@@ -539,7 +539,7 @@ impl SampledModel {
         };
         Ok(Self {
             source: self.source.clone(),
-            samples: SampleSet::new(positions, known)?,
+            samples: self.samples.stored_alike(SampleSet::new(positions, known)?),
             colors: Vec::new(),
             refinements: self.refinements.iter().cloned().chain([refinement]).collect(),
             triangles,
@@ -735,6 +735,7 @@ impl SampledModel {
             let what = format!("{}: {e}", path.display());
             e.saying(what)
         })?;
+        samples.store_lists(folder);
         let fingerprint = description.samples_fingerprint;
         samples.set_contacts(Contacts::load(&folder.join(SHEETS), &fingerprint, samples.len())?);
         let skip = Skip {

@@ -17,6 +17,7 @@ use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use simod_model::long_list::LongList;
 
 use super::expansion::{Expansion, ReachingSupport};
 use super::lanes::{Lanes, PACKET, from, length_squared, triple};
@@ -53,7 +54,7 @@ pub struct Supports {
     /// Where those of each home begin and end; what lies between is of no meaning.
     starts: Vec<u32>,
     ends: Vec<u32>,
-    reaching: Vec<ReachingSupport>,
+    reaching: LongList<ReachingSupport>,
 }
 
 impl Supports {
@@ -61,7 +62,8 @@ impl Supports {
     pub fn new(samples: &SampleSet, sheets: &Sheets) -> Self {
         let positions = &samples.positions;
         let (radius, ranging) = reaches(positions, sheets);
-        let HomeLists { starts, ends, reaching } = HomeLists::find(positions, &radius, sheets);
+        let HomeLists { starts, ends, reaching } =
+            HomeLists::find(positions, &radius, sheets, samples.storage());
         Self { radius, ranging, starts, ends, reaching }
     }
 
@@ -71,7 +73,7 @@ impl Supports {
         positions: &[Vec3],
         sheets: &Sheets,
         ends: Vec<u32>,
-        mut reaching: Vec<ReachingSupport>,
+        mut reaching: LongList<ReachingSupport>,
     ) -> Self {
         let (radius, ranging) = reaches(positions, sheets);
         let balls = Balls::new(positions, &radius);

@@ -1,6 +1,6 @@
 //! A second-order Taylor expansion of the deformation about a sample: what is blended.
 
-use bytemuck::Zeroable;
+use bytemuck::{Pod, Zeroable};
 use glam::{Mat3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +14,8 @@ pub const ROUNDING: f64 = 5e-7;
 /// samples that do not move are exactly nothing.
 ///
 /// Memory: 144 bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Zeroable)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
 pub struct Expansion {
     /// q, in local coordinates.
     pub center: [f32; 3],
@@ -141,7 +142,8 @@ impl Expansion {
 }
 
 /// A support that reaches the vertices of a home.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize, Zeroable)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize, Pod, Zeroable)]
+#[repr(C)]
 pub struct ReachingSupport {
     /// Vertices nearer to the home's sample than this are not reached.
     pub from: f32,

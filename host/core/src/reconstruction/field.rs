@@ -4,6 +4,7 @@ use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use simod_model::follow;
 use simod_model::frame::Frame;
+use simod_model::long_list::LongList;
 
 use super::blend::LEAST_WEIGHT;
 use super::blended_jets::{Expanded, FitInput};
@@ -35,7 +36,7 @@ pub struct DeformationField<'a> {
     pub(super) method: Method,
     pub(super) gradients: Gradients,
     pub(super) stencils: Stencils<'a>,
-    pub(super) expansions: Vec<Expansion>,
+    pub(super) expansions: LongList<Expansion>,
     pub(super) limiter: Limiter,
     pub(super) bound: Bound,
     /// Whether anything moves around the sample as a home.

@@ -69,6 +69,7 @@ impl Gradients {
         let mut sides = vec![None; samples.len()];
         let jobs = gradient.par_chunks_mut(TOGETHER).zip(sides.par_chunks_mut(TOGETHER)).enumerate();
         jobs.for_each(|(chunk, (gradient, sides))| {
+            samples.storage().gone_through(own.bytes_of(gradient.len()));
             let mut fits = [(Mat3::IDENTITY, None); TOGETHER];
             let fits = &mut fits[..gradient.len()];
             let all: [u32; TOGETHER] = std::array::from_fn(|at| (chunk * TOGETHER + at) as u32);

@@ -15,7 +15,7 @@ use bytemuck::Zeroable;
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize, Serializer};
-use simod_model::memory;
+use simod_model::long_list::{ListStorage, LongList};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::RestGeometry;
@@ -224,9 +224,9 @@ pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeo
     let n = samples.len();
     let is_of_these = content.key == key(samples) && content.pieces.len() == n.div_ceil(TOGETHER);
     is_of_these.then_some(())?;
-    let graph = unpack_graph(n, &content.pieces)?;
+    let graph = unpack_graph(n, &content.pieces, samples.storage())?;
     let sheets = unpack_sheets(graph, n, content.sheets).filter(|sheets| sheets.is_valid(n))?;
-    let (ends, reaching) = unpack_orders(&sheets, n, &content.pieces)?;
+    let (ends, reaching) = unpack_orders(&sheets, n, &content.pieces, samples.storage())?;
     let supports = Supports::known(&samples.positions, &sheets, ends, reaching);
     let parted: Vec<u32> = fours(content.cells)?.iter().map(|what| u32::from_le_bytes(*what)).collect();
     let cells = HomeOctree::known(&samples.positions, &supports.radius, parted.as_chunks().0.to_vec())?;
@@ -245,16 +245,17 @@ fn fours(bytes: &[u8]) -> Option<&[[u8; 4]]> {
     rest.is_empty().then_some(chunks)
 }
 
-fn unpack_graph(samples: usize, pieces: &[SamplePiece<'_>]) -> Option<NeighbourGraph> {
+fn unpack_graph(samples: usize, pieces: &[SamplePiece<'_>], storage: &ListStorage) -> Option<NeighbourGraph> {
     let k = NEIGHBOURS.min(samples - 1);
     // Before anything is held by what it says.
     let is_there = |(at, piece): (usize, &SamplePiece<'_>)| {
         piece.neighbours.len() > (samples.min((at + 1) * TOGETHER) - at * TOGETHER) * k
     };
     pieces.iter().enumerate().all(is_there).then_some(())?;
-    let mut flat = memory::zeros(k * samples);
+    let mut flat = LongList::zeros(k * samples, storage);
     let lists = flat.par_chunks_mut((TOGETHER * k).max(1)).zip(pieces).enumerate();
     lists.try_for_each(|(at, (lists, piece))| {
+        storage.gone_through(size_of_val(lists));
         let mut bytes = piece.neighbours;
         for (i, list) in (at * TOGETHER..).zip(lists.chunks_exact_mut(k)) {
             near_lists::take(i as u32, list, &mut bytes)?;
@@ -295,12 +296,13 @@ fn unpack_orders(
     sheets: &Sheets,
     samples: usize,
     pieces: &[SamplePiece<'_>],
-) -> Option<(Vec<u32>, Vec<ReachingSupport>)> {
+    storage: &ListStorage,
+) -> Option<(Vec<u32>, LongList<ReachingSupport>)> {
     // Each takes a byte at least.
     pieces.iter().all(|piece| piece.reaching as usize <= piece.supports.len()).then_some(())?;
     let all: usize = pieces.iter().map(|piece| piece.reaching as usize).sum();
     u32::try_from(all).ok()?;
-    let (mut ends, mut reaching) = (vec![0; samples], memory::zeros::<ReachingSupport>(all));
+    let (mut ends, mut reaching) = (vec![0; samples], LongList::<ReachingSupport>::zeros(all, storage));
     let (mut rest, mut first, mut rooms) = (&mut reaching[..], 0, Vec::with_capacity(pieces.len()));
     for piece in pieces {
         let (room, behind) = rest.split_at_mut(piece.reaching as usize);
@@ -309,6 +311,7 @@ fn unpack_orders(
     }
     let jobs = rooms.into_par_iter().zip(ends.par_chunks_mut(TOGETHER)).enumerate();
     jobs.try_for_each(|(at, ((first, room, bytes), ends))| {
+        storage.gone_through(size_of_val(room) + sheets.bytes_of(ends.len()));
         let (mut numbers, mut written) = (VarintNumbers(bytes), 0usize);
         for (home, end) in (at * TOGETHER..).zip(ends) {
             let count = usize::try_from(numbers.next()?).ok()?;

@@ -7,7 +7,7 @@
 use glam::{Vec3, Vec4};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
-use simod_model::memory;
+use simod_model::long_list::{ListStorage, LongList};
 
 use super::expansion::ReachingSupport;
 use super::lanes::Lanes;
@@ -49,22 +49,22 @@ impl Balls {
 pub struct HomeLists {
     pub starts: Vec<u32>,
     pub ends: Vec<u32>,
-    pub reaching: Vec<ReachingSupport>,
+    pub reaching: LongList<ReachingSupport>,
 }
 
 impl HomeLists {
     /// The lists of samples with supports of these radii.
-    pub fn find(positions: &[Vec3], radius: &[f32], sheets: &Sheets) -> Self {
+    pub fn find(positions: &[Vec3], radius: &[f32], sheets: &Sheets, storage: &ListStorage) -> Self {
         let n = positions.len();
         let balls = Balls::new(positions, radius);
-        let one_way = OneWay::find(positions, &balls, sheets);
+        let one_way = OneWay::find(positions, &balls, sheets, storage);
         // Places for as many as there may be: so lists that are made side by side stay where they are.
         let (mut starts, mut most) = (Vec::with_capacity(n), 0);
         for home in 0..n {
             starts.push(most as u32);
             most += 1 + sheets.of_sample(home).len() + one_way.owners_of(home).len();
         }
-        let (mut ends, mut reaching) = (vec![0; n], memory::zeros::<ReachingSupport>(most));
+        let (mut ends, mut reaching) = (vec![0; n], LongList::<ReachingSupport>::zeros(most, storage));
         let (mut parts, mut rest, mut first) =
             (Vec::with_capacity(n.div_ceil(TOGETHER)), &mut reaching[..], 0);
         for end in starts.iter().step_by(TOGETHER).skip(1).map(|start| *start as usize).chain([most]) {
@@ -75,6 +75,7 @@ impl HomeLists {
         let jobs = parts.into_par_iter().zip(ends.par_chunks_mut(TOGETHER)).enumerate();
         jobs.for_each(|(job, (part, ends))| {
             let (starts, first) = (&starts, job * TOGETHER);
+            storage.gone_through(size_of_val(part) + sheets.bytes_of(ends.len()));
             Arch::new().dispatch(Listing {
                 balls: &balls,
                 sheets,
@@ -98,7 +99,7 @@ struct OneWay {
 }
 
 impl OneWay {
-    fn find(positions: &[Vec3], balls: &Balls, sheets: &Sheets) -> Self {
+    fn find(positions: &[Vec3], balls: &Balls, sheets: &Sheets, storage: &ListStorage) -> Self {
         let n = positions.len();
         // Where a sample's neighbours are its nearest ones, the last tells whom it has.
         let last = |i: usize| match sheets.of_sample(i).last() {
@@ -110,6 +111,7 @@ impl OneWay {
         let last: Vec<(f32, u32)> = (0..n).into_par_iter().map(last).collect();
         let job = |job: usize| {
             let samples = job * TOGETHER..n.min((job + 1) * TOGETHER);
+            storage.gone_through(sheets.bytes_of(samples.len()));
             Arch::new().dispatch(NeighbourQuery { balls, sheets, last: &last, samples })
         };
         // The home, and the one whose neighbour it is: these ascending.
@@ -276,7 +278,8 @@ mod tests {
         let sheets = Sheets::find(&samples);
         let positions = &samples.positions;
         let radius: Vec<f32> = (0..samples.len()).map(|i| sheets.around(positions, i, 6).1).collect();
-        let (balls, lists) = (Balls::new(positions, &radius), HomeLists::find(positions, &radius, &sheets));
+        let (balls, lists) =
+            (Balls::new(positions, &radius), HomeLists::find(positions, &radius, &sheets, samples.storage()));
         let knows = |i: usize, j: usize| sheets.of_sample(i).contains(&(j as u32));
         let mut one_way = 0;
         for home in 0..samples.len() {

@@ -245,6 +245,11 @@ impl Sheets {
         &self.graph
     }
 
+    /// Bytes of the lists of so many samples, about.
+    pub fn bytes_of(&self, samples: usize) -> usize {
+        size_of::<u32>() * self.graph.k() * samples
+    }
+
     /// The neighbours of sample `i` on its sheet, nearest first, without itself.
     #[inline]
     pub fn of_sample(&self, i: usize) -> &[u32] {

@@ -1,10 +1,12 @@
 //! P_S: the samples, with what a deformation tool and the reconstruction need of them.
 
 use std::any::Any;
+use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 use rayon::prelude::*;
+use simod_model::long_list::ListStorage;
 use simod_model::{Error, Result};
 
 use super::kd_tree::KdTree;
@@ -21,6 +23,14 @@ const MORE: [f32; 3] = [1.15, 1.5, 2.0];
 
 /// Neighbours over which the spacing is measured: as many as in a hexagonal packing.
 const SPACING_NEIGHBOURS: usize = 6;
+
+/// Bytes of the long lists of a sample in a reconstruction, about.
+const LISTS: u64 = 600;
+
+/// Bytes that long lists may take in memory, for now.
+fn list_limit() -> u64 {
+    std::env::var("LISTS").ok().and_then(|b| b.parse().ok()).unwrap_or(1 << 40)
+}
 
 /// A sample that few others have for a neighbour stands for so many times as much as those around it, at
 /// most.
@@ -44,6 +54,7 @@ pub struct SampleSet {
     contacts: Option<Contacts>,
     tree: OnceLock<KdTree>,
     rest: OnceLock<Arc<dyn Any + Send + Sync>>,
+    storage: ListStorage,
 }
 
 /// The neighbours of each sample and its spacing: found when it is first asked for, as writing the samples
@@ -81,6 +92,7 @@ impl SampleSet {
             contacts: None,
             tree: OnceLock::new(),
             rest: OnceLock::new(),
+            storage: ListStorage::Memory,
         })
     }
 
@@ -144,6 +156,22 @@ impl SampleSet {
     /// reconstruction's, whose type is not known here.
     pub(crate) fn rest<T: Any + Default + Send + Sync>(&self) -> Arc<T> {
         self.rest.get_or_init(|| Arc::<T>::default()).clone().downcast().unwrap_or_default()
+    }
+
+    /// Place of the long lists that are found of these samples from now on.
+    pub fn storage(&self) -> &ListStorage {
+        &self.storage
+    }
+
+    /// Sets the place of the long lists that will be found: memory as far as they take no more than `limit`
+    /// bytes in a reconstruction, and otherwise temporary files in `folder`. They are the same.
+    pub fn store_lists(&mut self, folder: &Path) {
+        self.storage = ListStorage::for_bytes(LISTS * self.len() as u64, list_limit(), folder);
+    }
+
+    /// Another set of samples, whose long lists will be where those of these are.
+    pub(crate) fn stored_alike(&self, other: Self) -> Self {
+        Self { storage: self.storage.clone(), ..other }
     }
 
     /// Number of samples.
@@ -290,7 +318,7 @@ impl SampleSet {
     /// The graph of all samples to at most `count` nearest neighbours. Takes jobs of the thread pool.
     pub(crate) fn graph_to(&self, count: usize) -> NeighbourGraph {
         self.prepare_tree();
-        NeighbourGraph::of_points(self.tree(), count)
+        NeighbourGraph::of_points(self.tree(), count, &self.storage)
     }
 
     /// Builds now, with jobs of the thread pool, the tree in which the nearest samples are looked up.
@@ -319,6 +347,7 @@ impl SampleSet {
             contacts: None,
             tree: OnceLock::new(),
             rest: OnceLock::new(),
+            storage: self.storage.clone(),
         }
     }
 }
