@@ -157,7 +157,7 @@ impl RunningMean {
     }
 }
 
-/// What becomes an attribute of the samples.
+/// Source of the values that the samples get for one attribute of the model.
 enum AttributeSource {
     Means(Vec<RunningMean>),
     /// Classes: the distance of the nearest vertex so far, local, and its class.

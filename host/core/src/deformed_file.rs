@@ -24,7 +24,7 @@ pub fn place_of_ids(attributes: &[Attribute]) -> Option<usize> {
 /// Whole numbers up to here are exact in single precision.
 const EXACT: usize = 1 << 24;
 
-/// What the user can do where samples are lost or doubled.
+/// Advice to the user where samples are lost or doubled.
 const HABITS: &str = "all samples have to come back, each once: switch off what merges close or equal vertices, removes unreferenced \
                       or isolated ones, or splits them by normals or texture, on import and on export (often called merge, weld, \
                       clean or process); with the property id kept, their order does not matter";
@@ -37,7 +37,7 @@ pub struct DeformedFile<'a> {
     positions: Vec<DVec3>,
     /// The number of each vertex' sample, if the file has it.
     ids: Option<Vec<f64>>,
-    /// How the file stores positions.
+    /// Number type in which the file stores positions.
     pub scalar: Scalar,
 }
 
@@ -78,7 +78,7 @@ impl<'a> DeformedFile<'a> {
         Ok(Self { path, positions, ids: place.map(|_| ids), scalar: info.position_type })
     }
 
-    /// Where so many samples went, in their order and in the model's coordinates.
+    /// Positions of the deformed samples, in the order of P_S and in the model's coordinates.
     ///
     /// # Errors
     /// Samples are missing, or there more than once; an id is none.

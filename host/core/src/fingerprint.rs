@@ -12,7 +12,7 @@ use xxhash_rust::xxh3::{Xxh3Default, xxh3_128};
 /// Bytes of a block.
 const BLOCK: u64 = 1 << 18;
 
-/// What a hash over blocks begins with.
+/// First letters of a fingerprint that is a hash over blocks.
 const BLOCKS: &str = "xxh3-128-blocks:";
 
 /// A hash of former kinds, or of anything but vertices, as it stands in files.
@@ -20,7 +20,7 @@ pub(crate) fn fingerprint(hash: u128) -> String {
     format!("xxh3-128:{hash:032x}")
 }
 
-/// Whether two fingerprints are of the same vertices; not known where they are of different kinds.
+/// Whether two fingerprints are of the same vertices; `None` where the two are of different kinds.
 pub fn are_same(a: &str, b: &str) -> Option<bool> {
     (a.starts_with(BLOCKS) == b.starts_with(BLOCKS)).then_some(a == b)
 }
@@ -109,18 +109,18 @@ impl BlockHash {
     }
 }
 
-/// What a part of the bytes of all vertices adds to their hash.
+/// Contribution of one range of the vertices' bytes to the hash of all bytes.
 ///
 /// Memory: two blocks, and 16 bytes for each block of the part.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct HashedPart {
-    /// Number of bytes before it.
+    /// Number of bytes before the range.
     start: u64,
-    /// Bytes of a block that began before it.
+    /// Bytes of a block that began before the range.
     head: Vec<u8>,
     /// The hashes of whole blocks.
     blocks: Vec<u128>,
-    /// Bytes of a block that goes on behind it.
+    /// Bytes of a block that goes on behind the range.
     tail: Vec<u8>,
 }
 
@@ -183,7 +183,7 @@ impl PartHasher {
         self.part.update(bytes);
     }
 
-    /// What they add to the hash of all, if they all were read.
+    /// Contribution of the bytes that were read to the hash of all; `None` unless the whole range was read.
     pub fn finish(self) -> Option<HashedPart> {
         (self.left == 0).then_some(self.part)
     }

@@ -1,6 +1,6 @@
-//! What a command may write over. An output never replaces what the command reads, by whatever name; nor a
-//! file of a sampled model, which makes no sense without the others; nor a file of another kind than is
-//! written, unless that is asked for.
+//! Rules of what a command may write over. An output never replaces a file that the command reads, by
+//! whatever name; nor a file of a sampled model, which makes no sense without the others; nor a file of
+//! another kind than is written, unless that is asked for.
 
 use std::ffi::OsStr;
 use std::io::Read;
@@ -38,7 +38,7 @@ impl OutputKind {
         }
     }
 
-    /// Whether nothing of another kind is there.
+    /// Whether there is no file of another kind at the path.
     fn may_replace(self, path: &Path) -> Result<bool> {
         match self {
             Self::Model if is_object(path) => match object::find(path)? {
@@ -49,7 +49,7 @@ impl OutputKind {
         }
     }
 
-    /// Whether a file that is there is one, or is empty, so that nothing is lost.
+    /// Whether the file at the path is of this kind, or is empty, so that nothing is lost.
     fn is_of(self, path: &Path) -> Result<bool> {
         /// No session is longer.
         const LONGEST: u64 = 16 << 20;
@@ -89,7 +89,7 @@ impl Guard {
     /// The command reads this file, or this folder with the files of a sampled model in it. There need not be
     /// one: that is told when it is read.
     pub fn reads(&mut self, path: &Path) {
-        // What is wrong with a pattern is told when it is read.
+        // A pattern that is wrong, or matches no file, is told when the model is read.
         if let Ok(Some(files)) = matching(path) {
             return self.reads_all(files);
         }

@@ -42,7 +42,7 @@ use crate::stored_precision::StoredPrecision;
 use crate::tables;
 use crate::touching::Contacts;
 
-/// What is written on the first line of `simod.toml`.
+/// Value of `format` in `simod.toml`: the kind of folder and the version.
 const FORMAT: &str = "simod-sampled-model/1";
 
 /// The file of a folder that [`bind`](crate::reconstruction::bind) adds.
@@ -81,7 +81,8 @@ pub(crate) const LONGEST_ATTRIBUTES: u64 = 16 << 30;
 /// said.
 const COARSE: f64 = 1e-6;
 
-/// How far from the middle of the model a deformed sample may be, in local units: the model's size, about.
+/// Largest distance of a deformed sample from the model's middle, in local units: about 1e12 times the
+/// model's size.
 const FARTHEST: f32 = 1e12;
 
 /// The file of who is on whose sheet where parts touch: see [`Contacts`].
@@ -101,7 +102,7 @@ pub struct SourceRecord {
     /// then.
     #[serde(default, skip_serializing_if = "Vec::is_empty", rename = "tile")]
     pub tiles: Vec<SourceTile>,
-    /// What the user said that its columns are, if it is a text in columns.
+    /// Names of the columns as the user gave them, for a model that is a text in columns.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub columns: Option<String>,
     /// The model's size in bytes.
@@ -111,19 +112,19 @@ pub struct SourceRecord {
     /// The numbers that each of them has besides; not known of folders that former versions wrote.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub attributes: Vec<Attribute>,
-    /// How many of them have no finite position.
+    /// Number of vertices without a finite position.
     pub non_finite: u64,
     /// The first vertex without a finite position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first_non_finite: Option<u64>,
-    /// How many splats were too transparent to be sampled.
+    /// Number of splats that were too transparent to be sampled.
     #[serde(default, skip_serializing_if = "is_none")]
     pub transparent: u64,
-    /// What the size and the place of splats were compared with; nothing where none were left out for it.
+    /// Size and place that splats were compared with; `None` where no splats were left out for these.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub usual_splat: Option<UsualSplat>,
-    /// How often a vertex is in another cell of the coarse grid than the one before it; not known of folders
-    /// that former versions wrote.
+    /// Number of vertices that are in another cell of the coarse grid than the vertex before; `None` for
+    /// folders that former versions wrote.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub jumps: Option<u64>,
     /// Hash of the bytes of all vertices.
@@ -167,7 +168,8 @@ impl SourceRecord {
         self.tiles.iter().map(|tile| tile.path.clone()).collect()
     }
 
-    /// What is named as the model, where it is now: tiles moved to another folder have their names there.
+    /// Name of the model where its files are now: its file or its tiles, or `elsewhere`, where tiles that
+    /// were moved to another folder have the names that they had.
     ///
     /// # Errors
     /// A pattern matches no file.
@@ -211,15 +213,16 @@ impl SourceRecord {
         self
     }
 
-    /// Whether more than a fifth of the vertices are in another cell of the coarse grid than the one before,
-    /// as far as that is known: all, or runs of few, are in random order. Rows of a surface leave a cell at
-    /// one of thirty vertices.
+    /// Whether the vertices come in no order in space: more than a fifth of them are in another cell of the
+    /// coarse grid than the vertex before, as where all vertices, or runs of few, are in random order. Rows
+    /// of a surface leave a cell at one of thirty vertices. `false` where the number of such vertices is not
+    /// known.
     pub fn comes_in_no_order(&self) -> bool {
         self.jumps.is_some_and(|jumps| jumps > self.vertices / 5)
     }
 
-    /// What the order of the vertices costs a reconstruction, if they [come in
-    /// none](Self::comes_in_no_order).
+    /// Message on the time that a reconstruction takes because its vertices [come in no order in
+    /// space](Self::comes_in_no_order); `None` if they come in order, or are few.
     pub fn cost_of_order(&self) -> Option<String> {
         let jumps = self.jumps.filter(|_| self.vertices >= MANY && self.comes_in_no_order())?;
         Some(format!(
@@ -286,14 +289,14 @@ pub struct SampledModel {
     pub bounds: Bounds,
     /// The map to local coordinates.
     pub frame: Frame,
-    /// How positions are stored in `samples.ply`.
+    /// Number type of the positions in `samples.ply`.
     pub position_type: Scalar,
     /// The samples.
     pub samples: SampleSet,
     /// Red, green and blue of each sample: the model's own, averaged over its vertices. None where the model
     /// has none, or they were not wanted.
     pub colors: Vec<[u8; 3]>,
-    /// How it was refined since it was sampled, first to last.
+    /// Refinements since the model was sampled, first to last.
     pub refinements: Vec<Refinement>,
     /// Triangles between samples, from the model's faces; none where it has none, or they were not wanted.
     pub triangles: Vec<[u32; 3]>,
@@ -309,7 +312,7 @@ pub struct SampledModel {
     pub(crate) folder: Option<(PathBuf, String)>,
     /// Once they were asked for.
     pub(crate) attributes: OnceLock<Arc<SampleAttributes>>,
-    /// What is made of the model where it cannot be read from anywhere as it is.
+    /// Cache of what is made of a model that cannot be read from anywhere as it is.
     cache: Arc<Cache>,
 }
 
@@ -329,7 +332,7 @@ struct ModelDescription {
     refinement: Vec<Refinement>,
 }
 
-/// How clusters were split before that was written down.
+/// Splitting of clusters in folders that former versions wrote without naming it.
 fn without_layers() -> Splitting {
     Splitting::VolumeSurface
 }
@@ -344,7 +347,7 @@ struct SamplingRecord {
     cell_size: f64,
     #[serde(default = "without_layers")]
     splitting: Splitting,
-    /// What samples are spread by.
+    /// Measure that the cut's error bound is of.
     #[serde(default, skip_serializing_if = "By::is_error")]
     by: By,
     /// Level of the groups that open cells held, if they held groups.
@@ -353,7 +356,7 @@ struct SamplingRecord {
     /// Number of vertices that were gathered in groups at a time; all of them where not given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     group_piece: Option<u64>,
-    /// What placed the samples, if not their vertices alone.
+    /// Placement of the samples, if other than by their vertices alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     placement: Option<Placement>,
     /// The least opacity of splats that were sampled, if any were left out for it.
@@ -519,8 +522,8 @@ impl SampledModel {
         })
     }
 
-    /// This model with more samples behind those that it has, local positions and normals (zero where
-    /// unknown), other triangles and cells.
+    /// Copy of this model with new samples behind its own, given by local positions and normals (zero where
+    /// unknown), and with other triangles and cells.
     pub(crate) fn refined(
         &self,
         (positions, normals): (Vec<Vec3>, Vec<Vec3>),
@@ -551,7 +554,7 @@ impl SampledModel {
         })
     }
 
-    /// How its clusters were split, and will be.
+    /// Rule by which clusters were split while sampling, and are split by refinements.
     pub(crate) fn rule(&self) -> SplitRule {
         let SourceRecord { vertices, non_finite, transparent, .. } = self.source;
         let (finite, edge) = (
@@ -566,7 +569,7 @@ impl SampledModel {
         Opaque::new(model, self.sampling.min_opacity, self.source.usual_splat)
     }
 
-    /// How vertices were gathered in groups, if they were.
+    /// Cubes in which vertices were gathered in groups; `None` if they were not.
     pub(crate) fn cubes(&self) -> Option<Cubes> {
         let edge = self.sampling.grouping.edge(self.cell_size, &self.frame)?;
         Some(Cubes { edge, piece: self.group_piece })
@@ -601,7 +604,7 @@ impl SampledModel {
         Arc::new(Cache::in_new_folder(begun, CACHE))
     }
 
-    /// What is made of the model where it cannot be read from anywhere as it is.
+    /// Cache of what is made of a model that cannot be read from anywhere as it is.
     pub fn cache(&self) -> &Arc<Cache> {
         &self.cache
     }
@@ -637,12 +640,12 @@ impl SampledModel {
             output::write_file(&new.path().join(ATTRIBUTES), &attributes.encode(of)?).map_err(named)?;
         }
         self.cache.link_to(&new.path().join(CACHE));
-        // What came there meanwhile is not lost.
+        // A file of another kind that came into the folder meanwhile is not lost.
         Self::check_target(folder)?;
         new.commit()
     }
 
-    /// What `simod.toml` says, in a folder with these samples.
+    /// Content of `simod.toml` in a folder with these samples.
     fn description(&self, folder: &Path, samples_fingerprint: String) -> ModelDescription {
         ModelDescription {
             format: FORMAT.to_owned(),
@@ -680,7 +683,8 @@ impl SampledModel {
         }
     }
 
-    /// Whether [`save`](Self::save) may write there: better known before a large model is sampled.
+    /// Refuses a folder that [`save`](Self::save) may not write to: better known before a large model is
+    /// sampled.
     ///
     /// # Errors
     /// Something is there that is no sampled model, or holds other files as well.
@@ -702,7 +706,7 @@ impl SampledModel {
         if !Self::is_at(folder) {
             return refused("exists and is no sampled model".to_owned());
         }
-        // What is replaced is removed: nothing of the user's own.
+        // Replacing removes the folder's files, so there may be none of the user's own.
         let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
         let foreign = |name: &std::ffi::OsStr| {
             let left = name.to_str().is_some_and(|n| n.starts_with(".simod-") && n.ends_with(".part"));
@@ -714,7 +718,7 @@ impl SampledModel {
         }
     }
 
-    /// Whether there is a folder of a sampled model, as far as its names tell.
+    /// Whether the folder is one of a sampled model, as far as the names of its files tell.
     pub(crate) fn is_at(folder: &Path) -> bool {
         folder.join(DESCRIPTION).is_file()
     }
@@ -784,8 +788,8 @@ impl SampledModel {
         Ok((sampled, deformed))
     }
 
-    /// What a file of the folder that it was read from holds, of at most so many bytes; `None` where there is
-    /// none, or it cannot be read.
+    /// Content of a file in the folder that the model was read from, of at most `most` bytes; `None` where
+    /// there is no such file, or it cannot be read.
     pub(crate) fn read_beside(&self, name: &str, most: u64) -> Option<Vec<u8>> {
         let (folder, _) = self.folder.as_ref()?;
         input::read(&folder.join(name), most).ok()
@@ -1048,8 +1052,8 @@ impl SampledModel {
         Ok(DeformedPositions::new(&self.frame, rest, &places))
     }
 
-    /// What is to be said of deformed samples whose numbers are further apart than the model can do with, and
-    /// than those of the samples.
+    /// Warning about deformed samples whose numbers are further apart than a millionth part of the model's
+    /// diagonal, and than those of the samples at rest.
     fn coarseness(&self, precision: &StoredPrecision) -> Option<String> {
         let (step, diagonal) = (precision.coarsest(), self.bounds.diagonal());
         let own = || {
@@ -1122,7 +1126,7 @@ pub(crate) fn file_fingerprint(path: &Path) -> Result<String> {
     }
 }
 
-/// What a file of samples holds. For P_S alone, which fits in memory.
+/// Content of a file of samples. It is held in memory, as P_S alone has to fit there.
 struct SamplesFile {
     positions: Vec<DVec3>,
     normals: Vec<Vec3>,

@@ -68,12 +68,12 @@ pub fn unsealed<T: DeserializeOwned>(
     postcard::from_bytes(content).map_err(|e| damaged("its content makes no sense").because(e))
 }
 
-/// What is wrong with a file of another version.
+/// Message on a file of another version.
 pub const UNKNOWN_VERSION: &str = "it is of a version that is not known";
 
-/// What a file has at its end: sealed content of at most `longest` bytes, behind which its length stands in
-/// eight bytes. Gives the file, the content, and where it begins. `damaged` makes the error of what is wrong
-/// with it.
+/// Reads sealed content of at most `longest` bytes from a file's end, where its length stands in the last
+/// eight bytes. Gives the file, the content, and the offset at which the content begins. `damaged` makes the
+/// error from a description of the damage.
 ///
 /// # Errors
 /// The file cannot be read, or is damaged.

@@ -1,4 +1,4 @@
-//! How far apart the numbers of a file are, by the numbers themselves: those of a program that has single
+//! Precision of a file's coordinates, by the numbers themselves: those of a program that has single
 //! precision, or writes few digits, are coarser than the type that the file says.
 
 use std::fmt::Write;
@@ -84,8 +84,9 @@ impl StoredPrecision {
         (0..3).map(|axis| self.step(axis, self.largest[axis])).fold(0.0, f64::max)
     }
 
-    /// How far a coordinate along an axis may be from what the file has rounded to decimals, if it has: where
-    /// other axes have singles, it was rounded to one before.
+    /// Largest difference of a coordinate along an axis from the number that was rounded to the file's
+    /// decimals; 0 if the file has none. Where other axes have singles, the number was rounded to a single
+    /// before.
     fn decimal_bound(&self, axis: usize, at: f64) -> f64 {
         let step = self.decimal_step(axis, at);
         let single = if self.is_single.contains(&true) { single_step(at) } else { 0.0 };
@@ -93,7 +94,7 @@ impl StoredPrecision {
         if step > 0.0 { 0.5 * (1.0 + 1e-6) * step + 0.5 * single } else { 0.0 }
     }
 
-    /// Whether a coordinate along an axis is what the file makes of another one.
+    /// Whether a coordinate along an axis, `found` in the file, may be `from` as the file rounds it.
     pub fn is_rounded(&self, axis: usize, found: f64, from: f64) -> bool {
         let is_single = self.is_single[axis] && f64::from(from as f32) == found;
         is_single || (found - from).abs() <= self.decimal_bound(axis, found)
@@ -128,7 +129,8 @@ mod tests {
                 let (from, found) = (places[axis], written[axis]);
                 let is_rounded = |from: f64| precision.is_rounded(axis, found, from);
                 assert!(found == from || is_rounded(from), "{from} is {found}");
-                // What moves by more than a step, or by more than two roundings, does so.
+                // A coordinate that moves by more than a step, or by more than two roundings, is not taken
+                // for rounded.
                 let far =
                     precision.step(axis, found).max(2.0 * precision.decimal_bound(axis, found)).max(1e-9);
                 assert!(!is_rounded(from + 1.6 * far) && !is_rounded(from - 1.6 * far), "{from} is {found}");

@@ -19,7 +19,8 @@ use toml::Spanned as Placed;
 use toml::de::{DeTable, DeValue};
 use toml::value::Datetime;
 
-/// Why a text is no such table: what is wrong, and the bytes that it is about, where that is known.
+/// Error of a text that is not the table that was asked for: the message, and the bytes of the text that it
+/// is about, where these are known.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TableError {
     message: String,
@@ -31,17 +32,17 @@ impl TableError {
         Self { message: message.into(), span: None }
     }
 
-    /// What is wrong; it may have several lines.
+    /// Message; it may have several lines.
     pub fn message(&self) -> &str {
         &self.message
     }
 
-    /// Where in the text, in bytes.
+    /// Range of the text that the error is about, in bytes; `None` if unknown.
     pub fn span(&self) -> Option<Range<usize>> {
         self.span.clone()
     }
 
-    /// This error, about that place unless it is about one within.
+    /// Copy of this error with the range `span`, unless the error has a range already.
     fn located(self, span: Option<&Range<usize>>) -> Self {
         Self { span: self.span.or_else(|| span.cloned()), ..self }
     }
@@ -61,7 +62,7 @@ impl serde::de::Error for TableError {
     }
 }
 
-/// What a text of TOML says.
+/// Reads a value from a text in TOML.
 ///
 /// # Errors
 /// The text is no TOML, or another table: what is wrong, and where.
@@ -84,7 +85,7 @@ impl<T> Spanned<T> {
         Self { span, value }
     }
 
-    /// Where in the text, in bytes.
+    /// Range of the value in the text, in bytes.
     pub fn span(&self) -> Range<usize> {
         self.span.clone()
     }

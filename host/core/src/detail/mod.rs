@@ -61,7 +61,7 @@ pub enum DetailAttributes {
 }
 
 impl DetailAttributes {
-    /// How many of the first attributes have to be read.
+    /// Number of attributes, from the first on, that have to be read.
     fn count(&self) -> usize {
         match self {
             Self::Nothing => 0,
@@ -79,7 +79,7 @@ impl DetailAttributes {
     }
 }
 
-/// What was [asked for](DetailAttributes) of each vertex.
+/// Values that were [asked for](DetailAttributes), one for each vertex.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum Values {
     /// Nothing.
@@ -144,7 +144,7 @@ pub struct Streamed {
 /// cell.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DetailBatch {
-    /// Where the deformation takes them.
+    /// Deformed positions.
     pub positions: Vec<Vec3>,
     /// Unit normals: the model's own, or else estimated at rest, turned by the deformation.
     pub normals: Vec<Vec3>,
@@ -155,7 +155,7 @@ pub struct DetailBatch {
     /// Half axes of splats, as they are drawn: the longer one first, at right angles to each other and to the
     /// normal; zero where nothing is to be seen. Empty where vertices are no splats.
     pub axes: Vec<[Vec3; 2]>,
-    /// What was asked for of their attributes.
+    /// Values of the attributes that were asked for.
     pub values: Values,
     /// The cells, as in [`DetailRequest::cells`], and which vertices are theirs, in the order of the model.
     pub cells: Vec<(u32, Range<u32>)>,
@@ -184,7 +184,7 @@ impl DetailRequest {
         Ok(Self { cells, stride: thinning::stride(&vertices, most as u64), shown: DetailAttributes::Nothing })
     }
 
-    /// This request with something of the vertices' attributes.
+    /// Copy of this request that asks for attributes of the vertices as well.
     pub fn showing(self, shown: DetailAttributes) -> Self {
         Self { shown, ..self }
     }
@@ -270,7 +270,7 @@ struct OpenCells<'a> {
     splats: Option<Ellipses>,
     /// Model units of a local one.
     scale: f64,
-    /// What has come of each, in the order in which they were chosen.
+    /// Vertices that came of each cell, in the order in which the cells were chosen.
     open: Vec<CellVertices>,
     /// Cells of which all has come, until they are handed on, and how many vertices they have.
     complete: Vec<CellVertices>,
@@ -313,13 +313,13 @@ impl<'a> OpenCells<'a> {
         true
     }
 
-    /// Whether all vertices have come.
+    /// Whether all vertices of all chosen cells have come.
     fn are_complete(&self) -> bool {
         self.open.iter().all(|part| part.seen == self.kept.cells[part.cell as usize].vertices)
     }
 }
 
-/// What has come of a cell.
+/// Vertices of one cell that have come so far.
 struct CellVertices {
     cell: u32,
     /// Number of its vertices that came.
@@ -374,10 +374,10 @@ impl JoinedCells {
     }
 }
 
-/// How vertices become a batch.
+/// Inputs from which vertices of the model become a batch.
 struct Carrying<'a> {
     sampled: &'a SampledModel,
-    /// How far each sample's cluster reaches.
+    /// Extent of each sample's cluster.
     extents: &'a [f32],
     field: Option<&'a DeformationField<'a>>,
     stride: u64,

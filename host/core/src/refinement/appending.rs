@@ -4,8 +4,8 @@
 //! being represented by the sample itself: another one beside it would say the same twice.
 //!
 //! Where sheets of the model touch, a cluster holds vertices of several of them, and has a sample for each.
-//! So has each of the clusters that it is split into: what is on a sheet there goes on from the sample that
-//! stood for that sheet.
+//! So has each of the clusters that it is split into: the vertices of a sheet there go on from the sample
+//! that stood for that sheet.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -16,7 +16,7 @@ use super::regrowing::{Grown, Regrown, Sheet};
 use crate::sampling::kept_cells::{CutTree, KeptCells};
 use crate::touching::Guides;
 
-/// What a refinement comes to.
+/// New samples of a refinement, and the trees and sheets that change with them.
 #[derive(Default)]
 pub(super) struct Appended {
     /// Positions and normals of the new samples; a normal is zero where unknown.
@@ -30,7 +30,7 @@ pub(super) struct Appended {
     pub trees: Vec<(u32, CutTree)>,
     /// Ascending: from this built leaf on, up to that of the next entry, leaves belong to this sample.
     pub starts: Vec<(u32, u32)>,
-    /// Whether the cluster of each sample that was there is split.
+    /// Whether the cluster of each sample is split, for the samples before the refinement.
     pub split: Vec<bool>,
 }
 
@@ -45,7 +45,8 @@ struct NewLeaf {
     /// The tree, and the place among its samples.
     tree: usize,
     place: usize,
-    /// Whether it has this place: of several sheets, the one with most vertices.
+    /// Whether this leaf's sample takes `place` in the tree: of several sheets, the one with most vertices
+    /// does.
     is_first: bool,
     /// First of the built leaves.
     first: u32,
@@ -79,8 +80,7 @@ pub(super) fn append(
     out.starts.extend(pieces.starts);
     out.starts.sort_unstable();
     if let Some(guides) = guides {
-        // Where nothing is left of what a sample stood for, it is beside the first that has come of its
-        // cluster.
+        // A sample of which no vertices are left goes beside the first leaf that came of its cluster.
         for (sample, cells) in &pieces.split {
             let part = cells.first().map(|range| &pieces.parts[range.start]);
             beside.extend(part.map(|part| (*sample, part.tree, part.place)));
@@ -208,9 +208,9 @@ impl SplitSamples {
     }
 }
 
-/// How what has grown is taken.
+/// Inputs from which new leaves become samples, for one cell.
 struct Taking<'a, 'g> {
-    /// Where the samples are that were there.
+    /// Positions of the samples before the refinement, local.
     positions: &'a [Vec3],
     guides: Option<&'a Guides<'g>>,
     /// The place of the cell's tree among those that are looked at.
@@ -223,8 +223,9 @@ impl Taking<'_, '_> {
         self.guides.map_or(sample, |all| all.of_cluster(sample, guide))
     }
 
-    /// What comes of a leaf below a split sample, the sheet with most vertices first, for this place in the
-    /// tree; and where the vertices of the others go on with a sample that was there.
+    /// Leaves that become of a grown leaf below a split sample, one for each sheet, that with most vertices
+    /// first; and the built leaves from which on the vertices of a sheet belong to a sample that was there.
+    /// `place` is that of the leaf's sample in the tree.
     fn parts(&self, grown: &Grown, i: usize, sample: u32, place: usize) -> (Vec<NewLeaf>, Vec<(u32, u32)>) {
         let node = &grown.nodes[i];
         let whole = (node.position, node.normal, node.reach);

@@ -92,12 +92,12 @@ pub(super) struct NewSampleOf<'a> {
     appended: &'a Appended,
 }
 
-/// What the faces come to.
+/// Triangles and positions that the model's faces give after a refinement.
 pub(super) struct RefinedFaces {
     pub triangles: Vec<[u32; 3]>,
-    /// Where the new samples are, if faces place them.
+    /// Positions of the new samples, if faces place them.
     pub positions: Option<Vec<Vec3>>,
-    /// How many bytes of the model were read.
+    /// Number of bytes of the model that were read.
     pub bytes: u64,
 }
 
@@ -115,7 +115,7 @@ impl NewSampleOf<'_> {
         Some((sample, self.appended.split.get(sample as usize).is_none_or(|split| *split)))
     }
 
-    /// Where the faces are whose triangles may change: those with a vertex of a sample that is split.
+    /// Ranges of the faces whose triangles may change: those with a vertex of a sample that is split.
     fn ranges(&self, kept: &KeptCells) -> Vec<Range<u64>> {
         let changes = |cell: &&KeptCell| cell.tree.samples.iter().any(|s| self.appended.split[*s as usize]);
         joined(kept.cells.iter().filter(changes).flat_map(|cell| cell.faces.iter().cloned()), NEAR)

@@ -26,7 +26,8 @@ pub(crate) struct GatheredCell {
     pub vertices: Vec<Vertex>,
     /// The index of each in the model; none, if nobody asks.
     pub ids: Vec<u32>,
-    /// What the cell's tree was built of, if not of the vertices: groups, and that of each vertex.
+    /// Groups that the cell's tree was built of, and the group of each vertex; `None` if the tree was built
+    /// of the vertices.
     pub groups: Option<(Vec<Vec<Group>>, Vec<u32>)>,
     /// A sample on the sheet of each vertex, if the model touches itself in the cell.
     pub guides: Vec<u32>,
@@ -58,14 +59,14 @@ impl Visited<'_> {
 /// other cell.
 type CurrentCell = (Bounds, Option<u32>);
 
-/// What is read, and how.
+/// Choice of what is read of the model's vertices, and the model.
 pub(crate) struct Gathering<'a> {
     pub model: &'a dyn Model,
     pub kept: &'a KeptCells,
     pub frame: Frame,
-    /// How groups were gathered, if there were groups.
+    /// Cubes in which groups were gathered; `None` if there were no groups.
     pub cubes: Option<Cubes>,
-    /// Whether it shall be known which vertex is which.
+    /// Whether the vertices' indices are gathered as well.
     pub with_ids: bool,
     /// So many of the first attributes are read.
     pub attributes: usize,
@@ -150,7 +151,7 @@ impl Gathering<'_> {
         let (mut bytes, mut chunk) = (0, VertexChunk::default());
         let mut attributes = vec![Vec::new(); self.attributes];
         for range in self.ranges(cells) {
-            // What lies between two ranges was in other cells.
+            // The vertices between two ranges were in other cells, so no cell is current.
             let mut current: Option<CurrentCell> = None;
             visit(None)?;
             let mut reader = self.model.vertices(range)?;
@@ -216,7 +217,7 @@ impl Gathering<'_> {
         (vertices as f64 / info.vertices.max(1) as f64 * info.vertex_bytes as f64) as u64
     }
 
-    /// What of the stream holds these cells, ascending.
+    /// Ranges of the stream that hold the vertices of these cells, ascending.
     pub fn ranges(&self, cells: &[u32]) -> Vec<Range<u64>> {
         // Where reading cannot begin anywhere, going on costs less than beginning again.
         let near = self.model.info().near();

@@ -72,10 +72,10 @@ impl Finer {
     /// A transfer error that hardly anybody sees, as a fraction of the diagonal.
     pub const ALLOWED: f64 = 1e-5;
 
-    /// How many samples more are allowed for each one that there is, where nobody says.
+    /// Number of new samples that are allowed for each sample that there is, unless another number is given.
     const SHARE: f64 = 0.25;
 
-    /// Whether it is a fineness that makes sense.
+    /// Whether the numbers are in their range: positive and finite, counts below 2³² samples.
     pub fn makes_sense(&self) -> bool {
         let is_count = |n: u64| (1..=u64::from(u32::MAX)).contains(&n);
         match *self {
@@ -87,14 +87,14 @@ impl Finer {
     }
 }
 
-/// What a refinement is asked for.
+/// Request of a refinement.
 #[derive(Debug, Clone)]
 pub struct Refining {
     /// The fineness that is wanted.
     pub finer: Finer,
     /// Bytes of memory to stay below; as for sampling where not given.
     pub memory_limit: Option<u64>,
-    /// What is selected, as it will stand among the sampled model's refinements.
+    /// The selected shapes, as the sampled model's record of its refinements gets them.
     pub shapes: Vec<toml::Table>,
 }
 
@@ -106,7 +106,7 @@ pub struct Refined {
     pub added: u64,
     /// The error bound inside the selection, as a fraction of the diagonal.
     pub error: f64,
-    /// What the deformation needs, if that was asked for.
+    /// Number of samples that the deformation needs, if that was asked for.
     pub need: Option<SamplesNeed>,
     /// Number of cells that were read.
     pub cells: u64,
@@ -122,16 +122,16 @@ pub struct SamplesNeed {
     /// The largest transfer error that is expected around a selected sample, before; a fraction of the
     /// diagonal.
     pub expected: f64,
-    /// The error that the new samples allow: the one asked for, or more, if there may not be enough of them.
+    /// Number of samples around which more than the allowed error was expected, and new ones would help.
     pub allowed: f64,
     /// Around how many samples more than that was expected, and others would help.
     pub samples: u64,
-    /// Whether nowhere more was expected than what was asked for.
+    /// Whether the expected error was nowhere more than the one that was asked for.
     pub is_met: bool,
 }
 
 impl SamplesNeed {
-    /// Why nothing is added where more is expected than what was asked for.
+    /// Reason why no samples are added though more is expected than was asked for.
     pub const NONE_LEFT: &str = "there are no vertices left there that could be samples";
 }
 
@@ -213,8 +213,8 @@ pub fn refine(
     Ok(refined)
 }
 
-/// How samples are sized where they are selected, and what the deformation needs, if that was asked for; no
-/// sizes, if it needs nothing.
+/// Sizes of clusters for a fineness where a selection is, and the samples that the deformation needs, for
+/// [`Finer::Auto`] alone; no sizes, if the deformation needs no samples.
 fn sized<'a>(
     sampled: &'a SampledModel,
     selection: SpaceSelection<'a>,
@@ -229,8 +229,8 @@ fn sized<'a>(
     }
 }
 
-/// Where the samples go that a refinement has appended, from `first` on (the model's coordinates), by a
-/// deformation of those that were there before, or of those among them that are around.
+/// Deformed positions (in the model's coordinates) of the samples that a refinement has appended, from
+/// `first` on, by a deformation of the samples before, or of those among them that are around.
 pub fn appended_deformed(refined: &SampledModel, first: usize, field: &DeformationField<'_>) -> Vec<DVec3> {
     let rest = refined.samples.positions.get(first..).unwrap_or_default();
     let rest: Vec<DVec3> = rest.iter().map(|p| refined.frame.to_model(*p)).collect();
@@ -251,8 +251,8 @@ fn meets_nothing() -> Error {
     )
 }
 
-/// What the deformation so far needs where it is selected, for a transfer error (a fraction of the diagonal)
-/// and a number of samples; no sizes, if it needs nothing.
+/// Samples that the deformation so far needs inside a selection, for a transfer error (a fraction of the
+/// diagonal) and a number of samples at most; no sizes, if it needs none.
 fn needs<'a>(
     sampled: &'a SampledModel,
     selection: SpaceSelection<'_>,
@@ -307,9 +307,9 @@ struct RefinementCall<'a, 'g> {
     kept: &'a KeptCells,
     model: &'a dyn Model,
     sizing: Sizing<'a>,
-    /// What is known of each leaf of each cell.
+    /// Estimates of each leaf of each cell, before the model is read.
     leaves: Vec<Vec<LeafEstimate>>,
-    /// Where the model touches itself.
+    /// Contacts where the model touches itself, with the sheet of each vertex there.
     guides: Option<&'a Guides<'g>>,
     how: &'a Refining,
     folder: &'a Path,
@@ -318,7 +318,8 @@ struct RefinementCall<'a, 'g> {
 
 /// Trees as they grow, batch by batch.
 struct GrowingTrees {
-    /// What is split has larger errors, local units; it rises where there is more than was asked for.
+    /// Bound on the error of clusters, local units; a cluster with more is split. The bound rises where there
+    /// would be more samples than were asked for.
     bound: f32,
     regrown: Vec<Regrown>,
     /// Nodes that were built so far.
@@ -343,11 +344,11 @@ impl GrowingTrees {
 /// The goal of a refinement.
 #[derive(Clone, Copy)]
 struct RefinementGoal {
-    /// Least bound that is looked at, local units.
+    /// Least bound that is tried, local units.
     least: f32,
-    /// How many samples more; by the bound alone, if none are given.
+    /// Number of new samples; `None` if the bound alone decides.
     samples: Option<usize>,
-    /// Whether fewer will do.
+    /// Whether fewer samples than that will do.
     at_most: bool,
 }
 
@@ -411,7 +412,7 @@ impl RefinementCall<'_, '_> {
         if let Some(done) = self.regrow(goal)? {
             return Ok(done);
         }
-        // What was foretold was too coarse.
+        // The bound that was foretold from the samples was too coarse.
         match self.regrow(RefinementGoal { least: 0.0, ..goal })? {
             Some(done) => Ok(done),
             None => unreachable!("down to the vertices, no bound is too coarse"),
@@ -446,7 +447,8 @@ impl RefinementCall<'_, '_> {
         Ok(Some(GrownTrees { bound, cells: regrown, members, noted, figures }))
     }
 
-    /// Where the vertices of cells are noted, if there are triangles, of which more cells are concerned then.
+    /// File in which the leaves of the cells' vertices are noted, if there are triangles; `cells` then gets
+    /// the cells around as well, which have vertices of the same faces.
     fn members_of(&self, cells: &mut Vec<Met>) -> Result<Option<ReadMembers>> {
         if self.sampled.triangles.is_empty() || cells.is_empty() {
             return Ok(None);

@@ -65,7 +65,7 @@ pub(super) struct Sheet {
 }
 
 impl Sheet {
-    /// What is on the sheet in a range of leaves; nothing, if it has no vertices there.
+    /// Moments of the sheet's vertices in a range of leaves; zero, if it has no vertices there.
     pub fn moments(&self, leaves: Range<u32>) -> Moments {
         let start = self.leaves.partition_point(|(leaf, _)| *leaf < leaves.start);
         let inside = self.leaves[start..].iter().take_while(|(leaf, _)| *leaf < leaves.end);
@@ -76,7 +76,7 @@ impl Sheet {
     }
 }
 
-/// What became of a cell.
+/// New nodes of a kept cell's tree.
 #[derive(Debug)]
 pub(super) struct Regrown {
     /// The cell's place among the kept cells.
@@ -126,7 +126,7 @@ pub(super) struct Regrowing<'a, 'g> {
     pub bound: f32,
     /// Number of the first leaf that is built: those before are samples.
     pub leaves_from: u32,
-    /// Where the model touches itself.
+    /// Contacts where the model touches itself, with the sheet of each vertex there.
     pub guides: Option<&'a Guides<'g>>,
 }
 
@@ -172,7 +172,7 @@ impl Grown {
     /// Drops what is below a cut.
     pub fn prune(&mut self, bound: f32, tree: &CutTree) {
         let kept = self.cut(bound, tree);
-        // How many of the nodes before each one are kept.
+        // Number of nodes before a node that are kept, which is the node's new place.
         let place = |end: u32| kept.partition_point(|(i, _)| *i < end as usize) as u32;
         self.nodes = kept
             .iter()
@@ -206,7 +206,7 @@ impl Regrowing<'_, '_> {
             let has_grown = leaf.samples.len() > 1;
             let is_asked_for = has_grown && !gathered.ids.is_empty();
             let samples = &tree.samples[leaf.samples.clone()];
-            // Where no sheets meet, nobody asks for the vertices' own.
+            // Where no sheets meet, no guides of the vertices are needed.
             let guides = self.guides.filter(|all| !gathered.guides.is_empty() && all.concern(samples));
             if !refined && !is_asked_for {
                 for v in of_leaf.iter().map(|v| *v as usize).filter(|v| *v < gathered.ids.len()) {
@@ -299,7 +299,7 @@ impl Regrowing<'_, '_> {
         refined: bool,
         workspace: &mut TreeWorkspace<Vertex>,
     ) -> Result<(Grown, u32), ChangedModel> {
-        // What is told of each node in turn: its half diagonal, slack, and which kept one it is.
+        // Half diagonal and slack of each built node in turn, and the kept node that it is, if any.
         let mut told: Vec<(f32, f32, Option<u32>)> = Vec::new();
         let mut next = leaf.nodes.start;
         // The depth of the kept leaf below which new nodes come.
@@ -355,7 +355,7 @@ fn graded_nodes(
         {
             return Err(ChangedModel);
         }
-        // What is kept stays split, whatever the bound.
+        // A kept node that is split stays split, whatever the bound.
         let graded = match kept {
             Some(_) => f32::INFINITY,
             None => (node.key - slack).min(above.last().map_or(f32::INFINITY, |(_, graded)| *graded)),

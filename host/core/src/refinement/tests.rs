@@ -1,4 +1,4 @@
-//! What holds for any model, sampling and selection.
+//! Tests of refinement that hold for any model, sampling and selection.
 
 use std::path::PathBuf;
 
@@ -205,7 +205,7 @@ fn every_vertex_has_a_sample_and_samples_stay_however_often_it_is_refined() {
     }
 }
 
-/// What a tree comes to does not depend on how it came there.
+/// The tree after several refinements is that after one.
 #[test]
 fn many_refinements_come_to_what_one_does() {
     for grouping in [Grouping::Never, Grouping::Level(2)] {
@@ -280,7 +280,7 @@ fn triangles_are_those_of_all_faces() {
     }
 }
 
-/// How faces are in a file.
+/// Form of the faces in a file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Form {
     Shuffled,
@@ -558,7 +558,7 @@ fn all_triangles() -> Wanted<'static, 'static> {
     Wanted { triangles: true, ..Wanted::default() }
 }
 
-/// How far each vertex is off, as a fraction of the diagonal.
+/// Error of each vertex, as a fraction of the diagonal.
 fn off(sampled: &SampledModel, body: &Body, map: &dyn Fn(DVec3) -> DVec3) -> Vec<f64> {
     let moved = with_field(sampled, map, |field| carry_positions(field, &sampled.frame, &body.positions));
     let diagonal = sampled.bounds.diagonal();
@@ -730,7 +730,7 @@ fn what_needs_nothing_is_not_refined_and_nonsense_is_refused() {
             assert!(need.samples == 0 && need.expected < error, "{need:?}");
         }
     }
-    // Where nothing has moved yet.
+    // A deformation that has not moved anything yet needs no samples.
     let done = refined(&sampled, model.as_ref(), Finer::Auto { error: 1e-5, samples: None }, &everywhere);
     assert_eq!(done.unwrap().need.unwrap().samples, 0);
     for (error, samples) in [(0.0, None), (f64::NAN, None), (-1.0, Some(5)), (1e-5, Some(0))] {

@@ -1,8 +1,8 @@
 //! Places where sheets meet, as the model's faces tell them, and the sheets of the samples there: kept in the
 //! folder.
 //!
-//! The file begins with eight letters and a version. What is known of the samples follows, then the places,
-//! and a checksum of all before it.
+//! The file begins with eight letters and a version. The lists of the samples follow, then the places, and a
+//! checksum of all before it.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Write};
@@ -80,7 +80,7 @@ impl Contacts {
     /// A hash of all that is known of contacts.
     pub fn digest(&self) -> u128 {
         let mut hash = Hashed::new(io::sink());
-        // What goes nowhere can be written.
+        // A sink takes all bytes, so that writing cannot fail.
         let _ = self.write_content("", &mut hash);
         hash.hash.digest128()
     }

@@ -106,8 +106,8 @@ impl Contacts {
         PlaceSamples::build(places, sampled.samples.len(), parting.folder)
     }
 
-    /// What touches in a model that was refined: `samples`, whose sheets are `inherited`. `parted` are those
-    /// that no cell's tree has now, each with one of its cluster that a tree has.
+    /// Contacts of a refined model: of `samples`, whose sheets are `inherited`. `parted` are the samples that
+    /// no cell's tree has now, each with a sample of its cluster that a tree has.
     pub(crate) fn refined(
         inherited: &InheritedSheets<'_>,
         samples: &SampleSet,
@@ -128,9 +128,8 @@ impl Contacts {
         Self { lists: ContactLists::new(lists, parted), places: inherited.contacts.places.clone() }
     }
 
-    /// These contacts with the places of those vertices whose homes would be on another sheet than they were
-    /// on, each with the sample of its sheet that is nearest now: the one that it had may be far off, as
-    /// samples are apart here.
+    /// Contacts with the places of those vertices whose homes would be on another sheet than before, each
+    /// with the nearest sample of its sheet now: its former sample may be far off, as samples are apart here.
     ///
     /// Memory: besides that of the places, a bit for each place that there was.
     pub(crate) fn with_places(
@@ -180,7 +179,7 @@ impl Contacts {
 pub(crate) struct InheritedSheets<'a> {
     /// The contacts that were known before.
     pub contacts: &'a Contacts,
-    /// How many samples there were.
+    /// Number of samples before the refinement.
     pub before: usize,
     /// For each new sample one that was there, on its sheet.
     pub origins: &'a [u32],
@@ -192,7 +191,8 @@ impl InheritedSheets<'_> {
         (sample as usize).checked_sub(self.before).map_or(sample, |new| self.origins[new])
     }
 
-    /// Whether a sample is known to be on the sheet of one that was there, and is near to it.
+    /// Whether `sample` is known to be on the sheet of `own`, a sample from before the refinement, and near
+    /// to it.
     fn is_of(&self, sample: u32, own: u32) -> bool {
         let other = self.origin(sample);
         let knows =
@@ -330,7 +330,7 @@ impl<'a> Guides<'a> {
         guides
     }
 
-    /// Whether two samples are on one sheet, as far as it is known.
+    /// Whether two samples are on one sheet; `true` where that is not known.
     pub fn share_sheet(&self, a: u32, b: u32) -> bool {
         match [a, b].map(|sample| self.near().place(sample)) {
             [Some(a), Some(b)] => self.around().share_sheet(a as usize, b),
@@ -376,7 +376,7 @@ impl<'a> Guides<'a> {
     }
 }
 
-/// How much worse than its own sample's a plane may suit a place that is kept nevertheless: homes are found
+/// Ratio by which a plane may suit a place worse than that of its own sample and yet be kept: homes are found
 /// with a few neighbours more or less than here.
 const AMBIGUOUS: f32 = 2.0;
 
@@ -384,9 +384,9 @@ const AMBIGUOUS: f32 = 2.0;
 struct Tangents<'a> {
     samples: &'a SampleSet,
     normals: Vec<Vec3>,
-    /// The square of how far the last of the ring is from each.
+    /// Square of the distance of each sample from the last one of its ring.
     reach: Vec<f32>,
-    /// How far the samples around each are known, on whatever sheet.
+    /// Distance from each sample up to which all samples are known, on whatever sheet.
     known: Vec<f32>,
     /// The place of each sample in the lists; [`NONE`] where no sheets meet.
     place: Vec<u32>,
@@ -425,9 +425,10 @@ impl<'a> Tangents<'a> {
         Self { samples, normals, reach, known, place }
     }
 
-    /// Whether the home of a place of sample `own` may be one of the others: where one of their planes suits
-    /// it about as well, or where it is so far from its own sample that others have their say before it, be
-    /// it that those of its own sheet do or that none of the samples around its own is near to it.
+    /// Whether the home of a place of sample `own` may be one of `others`: where one of their planes suits
+    /// the place about as well, or where the place is so far from `own` that others are decided on before
+    /// `own`, be it that those of its own sheet are or that none of the samples around `own` is near to the
+    /// place.
     fn may_be_of_others(&self, own: u32, others: &[u32], p: Vec3) -> bool {
         let away = |i: u32| p - self.samples.positions[i as usize];
         let normal = |i: u32| self.normals[self.place[i as usize] as usize];
@@ -453,7 +454,7 @@ type SampleLists = BTreeMap<u32, Vec<u32>>;
 /// A sample near which sheets meet.
 struct Crowded {
     sample: u32,
-    /// How far as many neighbours are as a list may have.
+    /// Distance of the last of as many neighbours as a list may have.
     reach: f32,
     near: Vec<u32>,
     /// The neighbours that are on the sample's sheet, no more than a list may have, and those that are not.
@@ -489,8 +490,8 @@ pub(crate) fn meeting(positions: Vec<Vec3>, parted: &Parted) -> Result<Vec<u32>>
     Ok(found.flatten().collect())
 }
 
-/// Whether all of `near` are joined with a sample, or with one that is, as they mostly are: these are put
-/// into `ring`.
+/// Whether each sample of `near` is joined with `sample`, or with one that is, as is mostly so. `ring`
+/// becomes the samples that are joined with `sample`.
 fn are_beside(parted: &Parted, sample: u32, near: &[u32], ring: &mut Vec<u32>) -> bool {
     ring.clear();
     parted.each_joined(sample, |other| ring.push(other));
@@ -504,7 +505,7 @@ fn are_beside(parted: &Parted, sample: u32, near: &[u32], ring: &mut Vec<u32>) -
     near.iter().all(is_beside)
 }
 
-/// Whether all of `near` are met from a sample in few steps, over samples that faces join.
+/// Whether faces lead from a sample to each one of `near` in few steps.
 fn are_met(parted: &Parted, sample: u32, near: &[u32]) -> bool {
     let are_all = |met: &[u32]| near.iter().all(|j| met.contains(j));
     let each_joined = |sample, visit: &mut dyn FnMut(u32)| parted.each_joined(sample, visit);
@@ -560,7 +561,7 @@ fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLis
         open.clear();
         for crowded in found {
             let Crowded { sample, reach, near, same, others: left } = crowded;
-            // What is beyond the list is beside others that are nearer.
+            // Samples of another sheet beyond the end of the list are beside others that are nearer.
             for near in &near[..end_of(&near, &same).max(SHEET_NEIGHBOURS.min(near.len()))] {
                 if !std::mem::replace(&mut known[*near as usize], true) {
                     open.push((*near, reach));
@@ -583,7 +584,7 @@ fn left_out_by<'a>(sample: u32, near: &'a [u32], same: &'a [u32]) -> impl Iterat
     without(&near[..end_of(near, same)], same).map(move |j| (j, sample))
 }
 
-/// Where the last of some of these is.
+/// Place in `near` of the last sample of `same`; the length of `near` if `same` is empty.
 fn end_of(near: &[u32], same: &[u32]) -> usize {
     same.last().map_or(near.len(), |last| near.iter().position(|j| j == last).unwrap_or(0))
 }
@@ -627,10 +628,10 @@ struct WaySearch<'a> {
     parted: &'a Parted,
     /// The place of each sample among those that are looked at, from one on; 0 for others.
     places: Vec<u8>,
-    /// Where the joins of each begin, and to which places they lead, how far.
+    /// Start of each sample's joins, and for each join the place of the other sample and the distance to it.
     starts: Vec<usize>,
     joins: Vec<(u8, f32)>,
-    /// How far each is, and how far it may be.
+    /// Length of the shortest way found to each sample, and the most that it may be.
     lengths: Vec<f32>,
     most: f32,
 }
@@ -642,7 +643,8 @@ impl<'a> WaySearch<'a> {
         Self { positions, parted, places, starts, joins, lengths, most: 0.0 }
     }
 
-    /// Whether short ways are found at once from a sample to all those of `near`; they may be there if not.
+    /// Whether short ways are found at once from a sample to all of `near`; if not, there may still be such
+    /// ways.
     fn lead_to_all(&mut self, sample: u32, near: &[u32]) -> bool {
         self.join(sample, near);
         self.shorten();

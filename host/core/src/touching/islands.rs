@@ -48,13 +48,13 @@ pub struct Islands {
     latest: Vec<[[u32; 2]; LATEST]>,
     /// Vertices of different clusters that a face joins.
     links: Vec<[u32; 2]>,
-    /// How many links there may be until each is looked for but once, and at most.
+    /// Number of links above which links that are there twice are removed, and the most links that are held.
     limit: usize,
     most: usize,
     tangled: bool,
     /// Links that found no room, and why they could not be written, if so.
     spilled: Spilled,
-    /// What each of the jobs finds in the faces that are taken at once.
+    /// Findings of each job in the faces that are taken at once.
     jobs: Vec<FacesJob>,
 }
 
@@ -335,7 +335,7 @@ fn link((u, a): (u32, u32), (v, b): (u32, u32)) -> VertexLink {
     if a < b { (a, [u, v]) } else { (b, [v, u]) }
 }
 
-/// What a job finds in some faces.
+/// Findings of one job in some faces.
 struct FacesJob {
     /// The faces with corners in several clusters, and these.
     crossing: Vec<([u32; 3], [u32; 3])>,
@@ -429,7 +429,7 @@ impl<'a> DisjointSets<'a> {
         true
     }
 
-    /// Whether the same vertex of their island is known of all.
+    /// Whether all three corners are known to have the same vertex as the first of their island.
     #[inline]
     fn are_plainly_one(self, corners: [u32; 3]) -> bool {
         let [u, v, w] = corners.map(|corner| corner - self.back(corner));
@@ -479,7 +479,7 @@ pub struct ClusterGraph {
     firsts: Vec<u32>,
     /// The cluster and the first vertex of each further island, ascending.
     further: Vec<[u32; 2]>,
-    /// Whether a cluster has further islands.
+    /// Whether each cluster has islands besides its first.
     has_further: Vec<bool>,
     starts: Vec<u32>,
     joined: Vec<u32>,
@@ -562,7 +562,7 @@ impl ClusterGraph {
         self.joined.is_empty()
     }
 
-    /// How many islands may have a number.
+    /// Number of islands, first and further ones: the bound of their numbers.
     pub fn len(&self) -> u32 {
         (self.firsts.len() + self.further.len()) as u32
     }
@@ -618,8 +618,8 @@ impl ClusterGraph {
             if parts.iter().any(|part| part.contains(island)) {
                 continue;
             }
-            // What is met from one that was met is of the same part: so it does not matter which is looked at
-            // first.
+            // Islands that are met from an island of a part are of the same part: so it does not matter which
+            // is looked at first.
             let (mut part, mut at) = (vec![*island], 0);
             while at < part.len() && part.len() < islands.len() {
                 let of_cluster = |island: &u32| islands.contains(island);
@@ -643,8 +643,9 @@ impl ClusterGraph {
     }
 }
 
-/// What is met within [`STEPS`] from one node of a graph, nearer ones first: at most so many, and no farther
-/// than until these are enough. `each_joined` visits the nodes that are joined with one.
+/// Nodes of a graph within [`STEPS`] of `start`, itself included, nearer ones first: at most `most`, and no
+/// farther than until the nodes that were met `are_enough`. `each_joined` visits the nodes that are joined
+/// with one.
 pub fn met_within(
     start: u32,
     most: usize,

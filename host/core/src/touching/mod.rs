@@ -27,5 +27,5 @@ pub(crate) use islands::Islands;
 pub(crate) use parting::{ClusterParts, Parted, Parting};
 pub(crate) use twins::{FoundTwins, TwinSearch, Twins, may_be_there as twins_may_be_there};
 
-/// What the user can do where a temporary file has no room.
+/// Advice to the user where a temporary file has no room.
 const ADVICE: &str = "do without them, by --skip sheets";

@@ -32,17 +32,18 @@ const MOST_OF_ALL: usize = 32;
 /// Samples that may go to such parts in any case.
 const FEW: usize = 128;
 
-/// Where parts want more than one of so many samples, as those of a thin wall do, all clusters become larger.
+/// Ratio of samples to parts that want one of their own, below which all clusters become larger, as for the
+/// parts of a thin wall.
 const MANY: usize = 4;
 
 /// Bytes of temporary files for each vertex while what is at the same position is joined.
 const BYTES_OF_A_PLACE: u64 = 20;
 
-/// What parts are looked for in.
+/// Model and cells in which parts are looked for.
 pub struct Parting<'a> {
     /// The model.
     pub model: &'a dyn Model,
-    /// Where the vertices of each cell are.
+    /// Ranges of the stream with each cell's vertices.
     pub ranges: &'a [Vec<Range<u64>>],
     /// Local coordinates.
     pub frame: Frame,
@@ -89,7 +90,7 @@ pub struct ClusterParts {
     alone: usize,
 }
 
-/// What the clusters come to.
+/// Clusters parted by sheets: the sample of each part, and new samples.
 pub struct Parted {
     graph: ClusterGraph,
     /// The sample that each island belongs to.
@@ -97,11 +98,11 @@ pub struct Parted {
     /// A cluster of each sample, and the sample of each cluster, if these are not the same.
     cluster_of: Vec<u32>,
     becomes: Option<Vec<u32>>,
-    /// Whether a sample has more or fewer islands than its cluster; which, is in the next.
+    /// Whether each sample has other islands than its cluster; `islands_of` has these.
     has_own: Vec<bool>,
     /// The islands of samples that have more or fewer than their cluster.
     islands_of: HashMap<u32, Vec<u32>>,
-    /// Whether a cluster is one of several sheets.
+    /// Whether each cluster is one of several sheets.
     mixed: Vec<bool>,
     /// The new position and normal of each sample that stands for another part than it did.
     pub moved: Vec<(u32, Vec3, Vec3)>,
@@ -204,7 +205,7 @@ impl Parting<'_> {
         Ok(ClusterParts::new(graph, found))
     }
 
-    /// Where the cells are that hold vertices of chosen samples.
+    /// Ranges of the stream with the cells that hold vertices of chosen samples.
     pub fn ranges_with(&self, trees: &[CutTree], chosen: impl Fn(u32) -> bool) -> Vec<Range<u64>> {
         let of_chosen = |tree: &CutTree| tree.samples.iter().any(|sample| chosen(*sample));
         let cells = trees.iter().zip(self.ranges).filter(|(tree, _)| of_chosen(tree));
@@ -273,19 +274,20 @@ impl ClusterParts {
         parts
     }
 
-    /// Whether there is no cluster of several sheets.
+    /// Whether no cluster is of several sheets.
     pub fn is_empty(&self) -> bool {
         self.mixed.is_empty()
     }
 
-    /// How many samples more parts shall have, of so many samples in all: as many as they need, but no more
+    /// Number of new samples that parts shall have, for `samples` in all: as many as they need, but no more
     /// than [a part of them](MOST_OF_ALL), unless nothing of their own sheets is beside them.
     pub fn needed(&self, samples: usize) -> usize {
         self.wanted.len().min(self.alone.max(samples / MOST_OF_ALL).max(FEW))
     }
 
-    /// How many clusters there shall be instead of `clusters`, where so many hold several sheets that not
-    /// each of these could get one of `wanted` samples: so many fewer that they can.
+    /// Number of clusters that there shall be instead of `clusters`, where so many hold several sheets that
+    /// not each of these could get one of `wanted` samples: so many fewer that they can. `None` where they
+    /// can already.
     pub fn fewer_clusters(&self, clusters: usize, wanted: usize) -> Option<usize> {
         let more = self.wanted.len();
         let fewer = (clusters as u128 * wanted as u128 / (clusters + more) as u128) as usize;
@@ -449,8 +451,8 @@ impl GivenSamples {
         sheet.islands.iter().for_each(|island| self.sample[*island as usize] = to);
     }
 
-    /// What has no sample of its own joins the nearest one that faces join it with, and what has none of
-    /// these either stays with its cluster.
+    /// Joins each part without a sample of its own to the nearest sample that faces join it with; a part that
+    /// faces join with none stays with its cluster.
     fn join_open(&mut self, parts: &ClusterParts, samples: &[Vec3], of: impl Fn(u32) -> u32) {
         let moved_to: HashMap<u32, Vec3> = self.moved.iter().map(|(sample, p, _)| (*sample, *p)).collect();
         while !self.open.is_empty() {

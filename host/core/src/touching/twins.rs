@@ -57,12 +57,12 @@ pub struct TwinSearch {
 pub struct FoundTwins {
     /// For each vertex, how far before it one at the same position is; 0 where none is known.
     pub back: MapMut,
-    /// How many vertices have one.
+    /// Number of vertices that have such an earlier one.
     pub count: u64,
 }
 
 impl FoundTwins {
-    /// What is in a file of the numbers of all vertices.
+    /// Twins from a file with the numbers of all vertices, as `back` has them.
     ///
     /// # Errors
     /// The file cannot be mapped.
@@ -88,8 +88,8 @@ impl FoundTwins {
     }
 }
 
-/// Whether a model of so many vertices and faces has vertices at one place that are worth looking for: where
-/// faces share their vertices, there are hardly any.
+/// Whether a model of so many vertices and faces may have vertices at one place that are worth looking for:
+/// where faces share their vertices, there are hardly any.
 pub fn may_be_there(vertices: u64, faces: u64) -> bool {
     // A closed mesh of triangles has half as many vertices as faces.
     20 * u128::from(vertices) > 11 * u128::from(faces)
@@ -135,7 +135,7 @@ impl Twins {
         Ok(())
     }
 
-    /// What was found.
+    /// Twins of all vertices that were pushed.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -166,7 +166,8 @@ impl TwinSearch {
     fn look_at(&mut self, block: &[DVec3], to: &mut Vec<u32>) -> u64 {
         let mut hashes = [0; BLOCK];
         hashes.iter_mut().zip(block).for_each(|(hash, p)| *hash = hash_of(*p));
-        // What is remembered comes from memory for all of them at once, rather than for one after the other.
+        // The entries for all vertices of a block are fetched from memory at once, rather than one after the
+        // other.
         let touched = hashes.iter().map(|hash| self.remembered[*hash as usize % REMEMBERED][0]);
         std::hint::black_box(touched.fold(0, u32::wrapping_add));
         let mut found = 0;
