@@ -1,5 +1,6 @@
-//! The gradient by which what turns needs it: from wider neighbourhoods than expansions have. How far that is
-//! from the expansions' own tells how far these are off across the surface.
+//! Gradients of the deformation by which vectors, splats and other numbers turn, fitted to wider
+//! neighbourhoods than those of the expansions. Their difference from the expansions' own gradients tells the
+//! error of these across the surface.
 //!
 //! A surface tells how a map of space changes across it by how its own bending varies: where it bends by
 //! another amount, the same gradient across moves it by another one. Next to a sample that hardly shows, and
@@ -72,7 +73,7 @@ type Derivative = (usize, usize, usize, f32);
 /// As many derivatives along one axis, and as many along two.
 const DERIVATIVES: usize = 60;
 
-/// Where a pair of axes is in a list of second-order terms.
+/// Place of the term for each pair of axes in a list of second-order terms.
 const PAIRS: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
 
 /// The derivatives along each axis.
@@ -141,8 +142,8 @@ const fn without(factors: [usize; ORDER], one: usize, other: usize) -> usize {
 /// The least ridge, for each of the weights.
 const LEAST_RIDGE: f64 = 1e-14;
 
-/// How large the terms of a fit are expected to be, as squares: so many times those of the strain and of what
-/// the affine map leaves over, which both tell little of shear across.
+/// Expected square of the terms of a fit, as a multiple of the squares of the strain and of the residual of
+/// the affine map, which both tell little of shear across.
 const EXPECTED: f64 = 10.0;
 
 /// A fit with fewer degrees of freedom left, as a part of its data, tells nothing.
@@ -164,7 +165,7 @@ struct Anchor {
     affine: Mat3,
     /// The terms, in units of the radius; their images are local units.
     terms: [Vec3; TERMS],
-    /// How far its neighbours tell the gradient across, from 0 to 1.
+    /// Part of the gradient across the surface that the anchor's neighbours determine, from 0 to 1.
     trust: f32,
     /// One over the square of the radius within which it has a say.
     inverse_square: f32,
@@ -198,20 +199,22 @@ pub fn told(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Expansion> {
     expansions.par_iter().enumerate().map(told).collect()
 }
 
-/// What anchors tell of the gradient across the surface at a sample.
+/// Gradient across the surface by the anchors, compared with that of a sample's own expansion.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ToldAcross {
-    /// How far the expansion's own is from what they tell.
+    /// Distance of the expansion's own gradient from the anchors' mean.
     apart: f32,
-    /// How far they differ on that: the root of the mean square.
+    /// Root of the mean square by which the anchors differ in that distance.
     spread: f32,
-    /// How far their neighbours tell it, from 0 to 1; 0 where what they tell is not plausible.
+    /// Part of the gradient that the anchors' neighbours determine, from 0 to 1; 0 where the anchors'
+    /// gradient is not plausible.
     trust: f32,
 }
 
 impl ToldAcross {
-    /// How far the expansion's own gradient across is expected to be off, where `guessed` is expected without
-    /// the anchors: by what they tell, as far as they tell it, and agree better than what is guessed.
+    /// Expected error of the expansion's own gradient across the surface, where `guessed` is the one expected
+    /// without the anchors. The anchors count as far as their neighbours determine the gradient, and as far
+    /// as they agree better than to `guessed`.
     pub fn expected(self, guessed: f32) -> f32 {
         let [apart, spread, guessed] = [self.apart, self.spread, guessed].map(|x| x * x);
         let told = self.trust.powi(4) * guessed / (guessed + spread).max(f32::MIN_POSITIVE);
@@ -219,8 +222,7 @@ impl ToldAcross {
     }
 }
 
-/// What anchors tell across the surface at all samples, of which these are the expansions, along their
-/// normals.
+/// Gradients by the anchors compared with those of the `expansions`, along the normals of all samples.
 ///
 /// Memory: 12 bytes per sample, and some 85 more meanwhile, with 4 for each thread.
 pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAcross> {
@@ -253,7 +255,8 @@ pub fn told_across(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<ToldAc
     expansions.par_iter().enumerate().map(told).collect()
 }
 
-/// Whether a gradient may be the map's that differs by so much from an expansion's own.
+/// Whether a gradient that differs by `more` from `own`, that of an expansion, may be the map's: its volume
+/// is not far from that of `own`.
 fn is_plausible(own: Mat3, more: Mat3) -> bool {
     let ratio = (own + more).determinant() / own.determinant();
     more.is_finite() && (THINNEST..1.0 / THINNEST).contains(&ratio)
@@ -279,7 +282,7 @@ impl Anchors {
         Self { anchors, lists: AnchorLists::new(samples, &heard) }
     }
 
-    /// Whether none has a say at a sample.
+    /// Whether no anchor has a say at a sample.
     fn are_silent_at(&self, i: usize) -> bool {
         self.lists.anchors(i).is_empty()
     }
@@ -349,7 +352,7 @@ impl NeighbourWalk {
     }
 }
 
-/// Which anchors have a say at each sample, ascending.
+/// Anchors that have a say at each sample, ascending.
 struct AnchorLists {
     starts: Vec<u32>,
     anchors: Vec<u32>,
@@ -369,7 +372,7 @@ impl AnchorLists {
     }
 }
 
-/// What the anchor at sample `i` is fitted to.
+/// Inputs of the fit of an anchor at sample `i`.
 struct AnchorFit<'a> {
     fitted: FitInput<'a>,
     i: usize,
@@ -590,8 +593,8 @@ mod tests {
         SampleSet::new((0..2500).map(place).collect(), Vec::new()).expect("samples")
     }
 
-    /// How far the gradient is off across the surface, in the mean of the samples that are not at the border:
-    /// by the expansions, and by what is told.
+    /// Root of the mean square error of the gradient across the surface, over the samples that are not at the
+    /// border: by the expansions, and by the anchors.
     fn off(map: impl Fn(Vec3) -> Vec3, gradient: impl Fn(Vec3) -> Mat3) -> [f32; 2] {
         let samples = samples();
         let around = RestGeometry::new(&samples);

@@ -1,5 +1,6 @@
-//! What does not depend on the deformation, kept in a file: who is near whom in P_S, and the home of every
-//! vertex. A model that is deformed again and again is bound to its samples once.
+//! Bindings: the part of a reconstruction that does not depend on the deformation, kept in a file. These are
+//! the neighbours of the samples in P_S, and the home of every vertex. A model that is deformed again and
+//! again is bound to its samples once.
 //!
 //! The file begins with eight letters and a version, and what is known of the samples with a checksum. Then
 //! follow the homes, a part with its own checksum for each chunk that the model is read in: runs of vertices
@@ -24,7 +25,7 @@ use crate::sampled_model::SampledModel;
 use crate::touching::Contacts;
 use crate::varint::{self, VarintNumbers};
 
-/// What a binding begins with.
+/// First letters of a binding.
 pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 
 /// To be counted up whenever the format changes, or the key of the same samples, their

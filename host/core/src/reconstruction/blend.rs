@@ -47,10 +47,11 @@ pub const LEAST_WEIGHT: f32 = 1e-6;
 pub struct Supports {
     /// Radius of each sample's support.
     pub radius: Vec<f32>,
-    /// How far from each sample, on whatever sheet, no more samples are than a [range](super::bound) is of,
-    /// itself included.
+    /// Distance from each sample within which there are no more samples, on whatever sheet and with the
+    /// sample itself, than a [range](super::bound) is of.
     pub ranging: Vec<f32>,
-    /// Where those of each home begin and end; what lies between is of no meaning.
+    /// Start and end of each home's entries in `reaching`; entries between an end and the next start have no
+    /// meaning.
     starts: Vec<u32>,
     ends: Vec<u32>,
     reaching: Vec<ReachingSupport>,
@@ -93,7 +94,7 @@ impl Supports {
         Self { radius, ranging, starts, ends, reaching }
     }
 
-    /// Whether it is of so many samples: one that was read may be anything.
+    /// Whether all lists fit a set of `samples`: supports that were read from a file may be damaged.
     pub fn is_valid(&self, samples: usize) -> bool {
         self.radius.len() == samples
             && self.ranging.len() == samples
@@ -133,7 +134,7 @@ pub struct Grouped {
     pub groups: Vec<(u32, Range<usize>)>,
     /// The homes of the vertices behind the groups, which are nearly alone around them.
     pub scattered: Vec<u32>,
-    /// Where these begin: a multiple of [`PACKET`].
+    /// Place of the first vertex behind the groups: a multiple of [`PACKET`].
     pub scattered_at: usize,
     /// Local coordinates.
     pub positions: [Vec<f32>; 3],
@@ -162,7 +163,7 @@ impl Grouped {
     }
 }
 
-/// What is blended.
+/// Inputs of a blend.
 pub struct Blending<'a> {
     pub supports: &'a Supports,
     pub expansions: &'a [Expansion],
@@ -173,7 +174,7 @@ pub struct Blending<'a> {
     pub turning: &'a [Expansion],
     /// As for `Transport::normal`.
     pub mirrored: bool,
-    /// Whether the gradient of the blend is asked for.
+    /// Whether the gradient of the blend is wanted.
     pub gradient: bool,
 }
 
@@ -277,7 +278,7 @@ impl<const GRADIENT: bool, const TURNING: bool> WithSimd for PacketBlend<'_, GRA
     }
 }
 
-/// Where the results of packets go.
+/// Slices that take the results of packets.
 struct Results<'a, S: Simd> {
     displacement: [&'a mut [S::f32s]; 3],
     sum: &'a mut [S::f32s],
@@ -287,7 +288,7 @@ struct Results<'a, S: Simd> {
 }
 
 impl<S: Simd> Results<'_, S> {
-    /// Puts the gradients by which numbers of a packet turn where they belong.
+    /// Stores the gradients by which numbers of a packet turn at their places.
     #[inline(always)]
     fn put_turning(&mut self, at: usize, gradient: &[Lanes<S>; 9]) {
         for (to, g) in self.turning.iter_mut().zip(gradient) {
@@ -295,7 +296,7 @@ impl<S: Simd> Results<'_, S> {
         }
     }
 
-    /// Puts those of a packet where they belong, and turns its normals.
+    /// Stores the results of a packet at their places, and turns its normals.
     #[inline(always)]
     fn put<const GRADIENT: bool>(&mut self, simd: S, at: usize, blended: &Blended<S>, side: Lanes<S>) {
         for (to, u) in self.displacement.iter_mut().zip(&blended.displacement) {
@@ -334,7 +335,7 @@ fn turn<S: Simd>(n: [Lanes<S>; 3], gradient: &[Lanes<S>; 9], side: Lanes<S>) -> 
     ];
     let square = length_squared(turned);
     let factor = side * length_squared(n).sqrt() * square.sqrt().inverse_or_one();
-    // Where nothing is left of it, it stays; and so it does where it was no number.
+    // A normal of which nothing is left stays as it was, and so does one that is no number.
     [
         square.where_positive(turned[0] * factor, n[0]),
         square.where_positive(turned[1] * factor, n[1]),
@@ -342,7 +343,7 @@ fn turn<S: Simd>(n: [Lanes<S>; 3], gradient: &[Lanes<S>; 9], side: Lanes<S>) -> 
     ]
 }
 
-/// What a packet of vertices gets.
+/// Results of a blend for a packet of vertices.
 struct Blended<S: Simd> {
     displacement: [Lanes<S>; 3],
     sum: Lanes<S>,
@@ -355,7 +356,7 @@ fn term<S: Simd>(simd: S, e: &Expansion, k: usize, o: usize) -> Lanes<S> {
     Lanes::splat(simd, e.term(k, o))
 }
 
-/// What is within Horner's brackets of coordinate `o` of an expansion at `d` from its sample.
+/// Factors of dx, dy and dz in the Horner form of coordinate `o` of an expansion, at `d` from its sample.
 #[inline(always)]
 fn inner<S: Simd>(simd: S, e: &Expansion, o: usize, [dx, dy, dz]: [Lanes<S>; 3]) -> [Lanes<S>; 3] {
     let (sx, sy, sz) = (term(simd, e, 1, o), term(simd, e, 2, o), term(simd, e, 3, o));

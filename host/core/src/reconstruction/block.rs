@@ -38,7 +38,8 @@ const MORTON_BITS: u32 = 10;
 /// … if many are further from the one before than this part of where they all are.
 const JUMP: f64 = 0.1;
 
-/// What vertices become: as they are until then.
+/// Positions, normals, gradients and figures of vertices that are carried over, in place: as at rest until
+/// then.
 pub struct Moved<'a> {
     /// In the model's coordinates.
     pub positions: &'a mut [DVec3],
@@ -46,7 +47,7 @@ pub struct Moved<'a> {
     pub normals: &'a mut [Vec3],
     /// The gradient of the deformation at each, which is filled in where anything moves: as many, or none.
     pub gradients: &'a mut [Mat3],
-    /// What becomes of the surface, which is filled in: as many, or none.
+    /// Diagnostics of the surface at each vertex, which are filled in: as many as positions, or none.
     pub figures: &'a mut [VertexDiagnostics],
 }
 
@@ -72,7 +73,7 @@ pub fn carry(
     blocks(positions, homes, moved, most).into_par_iter().for_each(|block| block.carry(fields, frame));
 }
 
-/// Where points of the model (its coordinates) go.
+/// Deformed positions of points in the model's coordinates.
 pub fn carry_positions(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3]) -> Vec<DVec3> {
     let mut moved = positions.to_vec();
     let to = &mut [Moved { positions: &mut moved, normals: &mut [], gradients: &mut [], figures: &mut [] }];
@@ -287,8 +288,8 @@ impl Workspace {
         }
     }
 
-    /// Whether the vertices of a run stay where they are, in all versions: neither their home moves nor who
-    /// reaches it, and it is among the nearest to each of them.
+    /// Whether the vertices of a run stay where they are, in all versions: neither their home moves nor the
+    /// samples whose supports reach there, and the home is among the samples nearest to each vertex.
     #[inline]
     fn stays(&self, run: &HomeRun, field: &DeformationField<'_>) -> bool {
         if run.place != NOWHERE {
@@ -420,7 +421,7 @@ impl Workspace {
         }
     }
 
-    /// What happens to a vertex of the block, where that is not just the blend.
+    /// Transport of a vertex of the block, where it is other than the blend's.
     #[inline]
     fn one_by_one(&self, field: &DeformationField<'_>, vertex: BlockVertex) -> Option<Transport> {
         let BlockVertex { home, local: p, place, .. } = vertex;
@@ -550,7 +551,7 @@ impl Workspace {
             if place == NOWHERE {
                 continue;
             }
-            // What an earlier part left is no group of this one, unless that group is of the same home.
+            // A group of an earlier part counts for this part only if it is of the same home.
             let group = &mut group_of[home as usize];
             if grouped.groups.get(*group as usize).is_some_and(|(of, _)| *of == home) {
                 filled[*group as usize].next += count;
@@ -598,7 +599,7 @@ fn most_of_block(positions: &[DVec3], in_no_order: usize) -> usize {
     if is_in_order(positions) { BLOCK } else { in_no_order.min(positions.len()).max(1) }
 }
 
-/// Whether most vertices are near to the one before, by some of them.
+/// Whether the vertices come in order: most of those looked at are near to the vertex before.
 fn is_in_order(positions: &[DVec3]) -> bool {
     let some = || positions.windows(2).step_by(LOOKED_AT);
     let low = some().map(|p| p[0]).fold(DVec3::INFINITY, DVec3::min);

@@ -17,14 +17,14 @@ use super::expansion::ROUNDING;
 use super::sheets::Sheets;
 use crate::sampling::SampleSet;
 
-/// How far beyond the range a vertex may go, as a part of the local step: a little less than a tenth, for
-/// rounding.
+/// Distance beyond the range that a vertex may go, as a part of the local step: a little less than a tenth,
+/// for rounding.
 pub const BEYOND: f32 = 0.095;
 
 /// Neighbours of a sample to which its edges lead: a ring.
 pub const EDGES: usize = 6;
 
-/// What a displacement may be off by rounding.
+/// Rounding error of a displacement, local units.
 pub const MARGIN: f32 = ROUNDING as f32;
 
 /// Displacements between the least and the greatest, coordinate by coordinate.
@@ -59,7 +59,7 @@ impl DisplacementBox {
     }
 }
 
-/// What the edges of samples show.
+/// Largest difference of displacements, and largest slope, over some edges between samples.
 #[derive(Debug, Clone, Copy)]
 pub struct EdgeStretches {
     /// The largest difference of displacements.
@@ -100,7 +100,7 @@ impl EdgeStretches {
     }
 }
 
-/// What the edges of all samples show.
+/// Stretches of the edges around each sample.
 ///
 /// Memory: 8 bytes per sample.
 pub struct Bound {

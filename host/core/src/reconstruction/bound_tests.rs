@@ -14,8 +14,8 @@ const AROUND: usize = 28;
 /// Edges of each of them.
 const EDGES: usize = 6;
 
-/// How far, in local steps, a vertex at `p` that is displaced by `u` leaves the range of the samples around
-/// it.
+/// Distance, in local steps, by which a vertex at `p` that is displaced by `u` leaves the range of the
+/// samples around it.
 fn leaves_range(positions: &[Vec3], displacements: &[DVec3], p: Vec3, u: DVec3) -> f64 {
     let mut order: Vec<usize> = (0..positions.len()).collect();
     let key = |i: &usize| (positions[*i].distance_squared(p), *i);
@@ -43,7 +43,7 @@ fn leaves_range(positions: &[Vec3], displacements: &[DVec3], p: Vec3, u: DVec3) 
     let of = |i: &usize| displacements[*i];
     let low = order.iter().map(of).fold(DVec3::INFINITY, DVec3::min) - further;
     let high = order.iter().map(of).fold(DVec3::NEG_INFINITY, DVec3::max) + further;
-    // What single precision makes of places about one from the middle.
+    // Rounding of positions in single precision, about one from the middle.
     let rounding = 2e-6 * (1.0 + u.length() + p.as_dvec3().length());
     let leaves = (low - u).max(u - high).max_element() - rounding;
     if leaves <= 0.0 { 0.0 } else { leaves / step }

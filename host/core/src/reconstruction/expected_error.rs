@@ -1,4 +1,4 @@
-//! How far the reconstruction is probably off, without knowing the exact map: around each sample, and at each
+//! Expected error of a reconstruction, estimated without the exact map: around each sample, and at each
 //! vertex.
 //!
 //! Halfway between two neighbours the expansions about both have a say. Each takes what it leaves out, the
@@ -46,9 +46,9 @@ const TELLING: f64 = 4.0;
 /// where samples alone are asked.
 const BY_SAMPLES: f32 = 0.42;
 
-/// Where gradients differ by κ from one sample to the next, as a part of their size, each order of a map is
-/// about κ times the one before, and what two expansions differ by is not most of what both leave out. So
-/// many times κ of it counts besides.
+/// Weight of the change κ of gradients from one sample to the next, as a part of their size. Each order of a
+/// map is about κ times the one before, so with a large κ the difference of two expansions is not most of
+/// what both leave out: this many times κ of the difference counts besides.
 const OF_TURNING: f32 = 2.0;
 
 /// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
@@ -94,7 +94,8 @@ impl DeformationField<'_> {
     /// expansion and those of its neighbours, halfway, as both ends expect it. Nothing for what rounding
     /// explains, as of a rigid motion.
     ///
-    /// It is an estimate of the size, not a bound: `docs/refinement.md` says how it compares with the error.
+    /// The result is an estimate of the size, not a bound: `docs/refinement.md` says how it compares with the
+    /// error.
     pub fn expected_error(&self) -> Vec<f32> {
         let told = |e: Expectation| if f64::from(e.largest) < TELLING * ROUNDING { 0.0 } else { e.largest };
         if self.expected.is_empty() {
@@ -134,8 +135,8 @@ impl DeformationField<'_> {
         self
     }
 
-    /// How far the sample nearest to a place (local coordinates) and its neighbours disagree halfway at most,
-    /// local units.
+    /// Largest disagreement, halfway, of the sample nearest to a place (local coordinates) with its
+    /// neighbours, local units.
     pub fn disagreement(&self, place: Vec3) -> f32 {
         let i = self.around.samples.nearest(place) as usize;
         let halfway = |j: &u32| self.halfway(i, *j as usize, |i| self.scale_at(i));
@@ -166,8 +167,8 @@ impl DeformationField<'_> {
         Ok(self)
     }
 
-    /// What is expected around all samples. Nothing is told between two that are single places; none are, if
-    /// nobody says.
+    /// Expected errors around all samples. Two samples whose clusters are single places, as `is_single` says,
+    /// do not count against each other; an empty `is_single` stands for none.
     pub(super) fn around_samples(&self, is_single: &[bool]) -> Vec<Expectation> {
         // A sample need not be among the neighbours of its own neighbour: both ends are told. Lengths are in
         // the order of their bits, and the largest is the same in whatever order they come.
@@ -231,29 +232,30 @@ impl DeformationField<'_> {
         (off / sum).length_squared()
     }
 
-    /// How far the expansions about two samples are apart halfway between them, and more where these are so
-    /// far from each other that this tells little; but for what rounding explains, which turns gradients,
-    /// too.
+    /// Distance between the expansions about two samples halfway between them, increased where these are so
+    /// far from each other that the distance tells little; but for the part that rounding explains, which
+    /// turns gradients, too.
     fn halfway(&self, i: usize, j: usize, scale_of: impl Fn(usize) -> Scale) -> f32 {
         let (one, other) = (&self.expansions[i], &self.expansions[j]);
         let (own, of_other) = (scale_of(i), scale_of(j));
         let halfway = 0.5 * (Vec3::from_array(one.center) + Vec3::from_array(other.center));
         let apart = says(one, halfway).distance(says(other, halfway));
         let rounding = TELLING as f32 * hypot([own.rounding, of_other.rounding]);
-        // How far their gradients differ, as a part of their mean size: at most 2.
+        // Difference of the gradients as a part of their mean size: at most 2.
         let size = (own.gradient + of_other.gradient).max(f32::MIN_POSITIVE);
         let turned = 2.0 * norm(one.slope() - other.slope()) / size;
         hypot([apart, OF_TURNING * turned * (apart - rounding).max(0.0)])
     }
 
-    /// What differences from a sample's expansion are measured by.
+    /// Size of the gradient and of rounding at a sample, by which differences from its expansion are
+    /// measured.
     fn scale_at(&self, i: usize) -> Scale {
         let gradient = norm(self.expansions[i].slope() + Mat3::IDENTITY);
         Scale { gradient, rounding: self.rounding_at(i) }
     }
 
-    /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field
-    /// has to be [expecting of vertices](Self::expecting_of_vertices).
+    /// Expected error of a vertex at `p`, of this home, that goes by `u`; local units. The field has to be
+    /// [expecting of vertices](Self::expecting_of_vertices).
     pub(super) fn expected_at(&self, home: usize, p: Vec3, u: Vec3) -> f32 {
         let heard = self.heard(home, p, u);
         let around = self.heard_around(home, p, u);
@@ -272,7 +274,7 @@ impl DeformationField<'_> {
         ])
     }
 
-    /// What those have to say who reach a vertex at `p`, of this home, that goes by `u`.
+    /// Statements of the samples whose supports reach a vertex at `p`, of this home, that goes by `u`.
     fn heard(&self, home: usize, p: Vec3, u: Vec3) -> Heard {
         let mut heard = Heard::default();
         for i in self.around.reaching(home) {
@@ -289,8 +291,8 @@ impl DeformationField<'_> {
         heard
     }
 
-    /// What the home of a vertex at `p`, that goes by `u`, and its neighbours have to say, who need not reach
-    /// it.
+    /// Statements of the home of a vertex at `p`, that goes by `u`, and of the home's neighbours, whose
+    /// supports need not reach the vertex.
     fn heard_around(&self, home: usize, p: Vec3, u: Vec3) -> HeardAround {
         let (mut furthest, mut differs) = (0.0f32, 0.0f32);
         let [mut wider, mut widest] = [WIDER, WIDEST].map(WideBlend::new);
@@ -312,10 +314,9 @@ impl DeformationField<'_> {
         HeardAround { differs: if are_two { furthest } else { differs }, wider, widest }
     }
 
-    /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was
-    /// the home of in all that was carried so far, of `vertices`; the others do not move. `None` where the
-    /// method is another one, which leaves out other things. The field has to be
-    /// [expecting](Self::expecting).
+    /// Expected error of the vertices by that of the samples, each counted for as many vertices as it was the
+    /// home of in all that was carried so far, of `vertices`; the others do not move. `None` where the method
+    /// is another one, which leaves out other things. The field has to be [expecting](Self::expecting).
     pub(super) fn expected_of_samples(&self, of: &SampledModel, vertices: u64) -> Option<ExpectedError> {
         if self.method != Method::BlendedJets {
             return None;
@@ -335,18 +336,18 @@ impl DeformationField<'_> {
         Some(ExpectedError { beyond, ..tally.sum(false) })
     }
 
-    /// What writing the file makes of a vertex that is known exactly, local units.
+    /// Rounding error of the written position of a vertex that is known exactly, local units.
     pub(super) fn written_rounding(&self, p: Vec3, u: Vec3) -> f32 {
         self.rounding.written(p, u)
     }
 
-    /// What rounding makes at a sample.
+    /// Rounding error at a sample, local units.
     fn rounding_at(&self, sample: usize) -> f32 {
         self.rounding.estimate(self.around.samples.positions[sample], self.expansions[sample].displacement())
     }
 
-    /// Where more is expected than `accepted`, a fraction of the diagonal of the model of which the samples
-    /// are. The field has to be [expecting](Self::expecting).
+    /// Samples around which more than `accepted` is expected, a fraction of the diagonal of the model of
+    /// which the samples are; `None` if there are none. The field has to be [expecting](Self::expecting).
     pub fn expected_beyond(&self, of: &SampledModel, accepted: f64) -> Option<ErrorExcess> {
         self.where_beyond(of, accepted, |i, e| hypot([e.largest, self.rounding_at(i)]))
     }
@@ -373,22 +374,22 @@ impl DeformationField<'_> {
     }
 }
 
-/// What those who reach a vertex have to say, each with its weight.
+/// Sums over the samples whose supports reach a vertex, each with its weight.
 #[derive(Default)]
 struct Heard {
-    /// The sum of the weights.
+    /// Sum of the weights.
     sum: f32,
-    /// Squares of how far each is from what was made of them.
+    /// Weighted squares of the distance of each sample's expansion from the vertex's position.
     spread: f32,
-    /// The largest of these.
+    /// Largest such distance.
     furthest: f32,
-    /// How far they and their neighbours are from where others would have them.
+    /// Weighted distance of each sample and its neighbours from where the others' expansions take them.
     left_out: f32,
-    /// The largest of what they and their neighbours disagree by halfway.
+    /// Largest disagreement of any of the samples with its neighbours halfway.
     largest: f32,
-    /// What the gradient across the surface leaves open.
+    /// Weighted error that the gradient across the surface leaves open.
     unresolved: f32,
-    /// The sums of the samples' places relative to the vertex, and of their products.
+    /// Sums of the samples' places relative to the vertex, and of their products.
     places: Vec3,
     products: [Vec3; 3],
 }
@@ -424,18 +425,19 @@ impl Heard {
     }
 }
 
-/// What the home of a vertex and its neighbours have to say.
+/// Distances of the expansions of a vertex's home and its neighbours, and of wider blends, from the vertex's
+/// position.
 struct HeardAround {
-    /// How far the one of the home's ring that differs second most is from what was made of the vertex: one
-    /// that fails tells nothing. Of two samples in all, how far the one that differs most is.
+    /// Second largest distance of an expansion of the home's ring from the vertex's position: a single one
+    /// that fails tells nothing. Of two samples in all, the largest distance.
     differs: f32,
-    /// What their blends with wider supports make of it.
+    /// Blends of these expansions with wider supports, as distances from the vertex's position.
     wider: WideBlend,
     widest: WideBlend,
 }
 
 impl HeardAround {
-    /// How far one of the blends is from what was made of the vertex.
+    /// Distance of one of the blends from the vertex's position, at most so many times `differs`.
     fn apart_by(&self, blend: &WideBlend) -> f32 {
         blend.apart().min(blend.times * self.differs)
     }
@@ -463,18 +465,18 @@ impl WideBlend {
         self.sum += s * s * s;
     }
 
-    /// How far all of them together are from it; nothing where nobody has a say.
+    /// Length of the blend of all distances; 0 where no sample has a say.
     fn apart(&self) -> f32 {
         if self.sum < LEAST_WEIGHT { 0.0 } else { (self.apart / self.sum).length() }
     }
 }
 
-/// What differences from a sample's expansion are measured by.
+/// Sizes by which differences from a sample's expansion are measured.
 #[derive(Clone, Copy)]
 struct Scale {
     /// The norm of the deformation's gradient.
     gradient: f32,
-    /// What rounding makes, local units.
+    /// Rounding error, local units.
     rounding: f32,
 }
 

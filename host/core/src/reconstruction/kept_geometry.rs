@@ -1,4 +1,4 @@
-//! What is known of the samples at rest, kept beside them: `rest.bin`. The first reconstruction finds it, and
+//! Geometry of the samples at rest, kept beside them in `rest.bin`. The first reconstruction finds it, and
 //! all others read it.
 //!
 //! The file is [sealed](crate::sealed). It has what takes time to find, and is small: neighbours, as
@@ -48,10 +48,10 @@ const USUAL: u64 = 110;
 /// Bytes that a file of any number of samples may have.
 const LEAST: u64 = 1 << 16;
 
-/// What a home's list has in place of a neighbour: the home itself.
+/// Code in a home's list, in place of a neighbour, for the home itself.
 const ITSELF: u8 = LONGEST as u8;
 
-/// What a home's list has in place of a neighbour: a sample that is none, whose difference follows.
+/// Code in a home's list, in place of a neighbour, for another sample, whose difference follows.
 const OTHER: u8 = ITSELF + 1;
 
 /// The content of the file.
@@ -72,7 +72,7 @@ struct RestFile<'a> {
     pieces: Vec<SamplePiece<'a>>,
 }
 
-/// What is known of [`TOGETHER`] samples.
+/// Neighbours and supports of [`TOGETHER`] samples, packed.
 #[derive(Serialize, Deserialize)]
 struct SamplePiece<'a> {
     #[serde(serialize_with = "as_bytes")]
@@ -89,15 +89,15 @@ fn as_bytes<S: Serializer>(bytes: &[u8], to: S) -> std::result::Result<S::Ok, S:
 }
 
 impl<'a> RestGeometry<'a> {
-    /// What is known of a model's samples at rest: as somebody found it before, as it was kept beside them,
-    /// or found now.
+    /// Geometry of a model's samples at rest: as it is held from before, as it was kept beside them, or found
+    /// now.
     pub fn kept(sampled: &'a SampledModel) -> Self {
         let held = Self::held(&sampled.samples).or_else(|| kept(sampled));
         held.unwrap_or_else(|| Self::new(&sampled.samples))
     }
 }
 
-/// What was kept beside the samples, if it is there, whole, and of these.
+/// Geometry that was kept beside the samples, if it is there, whole, and of these samples.
 pub(super) fn kept(sampled: &SampledModel) -> Option<RestGeometry<'_>> {
     let samples = sampled.samples.len() as u64;
     let around = unpack(&sampled.samples, &sampled.read_beside(REST, LEAST + MOST * samples)?)?;
@@ -216,7 +216,7 @@ fn pack_sheets(sheets: &Sheets, samples: usize) -> Vec<u8> {
     to
 }
 
-/// What the bytes of a file tell of samples; `None` if it is damaged, or of others.
+/// Geometry of samples from the bytes of a file; `None` if the file is damaged, or of other samples.
 pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeometry<'a>> {
     let (version, content) = unseal(bytes, LETTERS).ok()?;
     (version == VERSION).then_some(())?;

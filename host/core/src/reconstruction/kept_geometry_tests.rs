@@ -1,4 +1,4 @@
-//! What is kept of the samples at rest is what was found, and nothing else is taken for it.
+//! Tests: the geometry of samples at rest is kept as it was found, and nothing else is taken for it.
 
 use std::sync::Arc;
 
@@ -105,7 +105,7 @@ fn what_is_found_is_found_once() {
     let supports = |samples: &SampleSet| RestGeometry::new(samples).supports.clone();
     let first = supports(&samples);
     assert!(Arc::ptr_eq(&first, &supports(&samples)));
-    // Who is on whose sheet is told otherwise from now on.
+    // Contacts that are set anew change the sheets of samples.
     samples.set_contacts(None);
     assert!(!Arc::ptr_eq(&first, &supports(&samples)));
 }

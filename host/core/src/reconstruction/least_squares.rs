@@ -1,7 +1,7 @@
-//! The least squares of second-order expansions: how a sample's neighbours tell its terms.
+//! Least squares for the terms of second-order expansions, fitted to a sample's neighbours.
 //!
-//! What the affine map of [`gradients`](super::gradients) leaves over at the neighbours is explained by nine
-//! terms for each coordinate, with a ridge that follows from what they leave over in their turn (N. Wiener,
+//! The residual of the affine map of [`gradients`](super::gradients) at the neighbours is explained by nine
+//! terms for each coordinate, with a ridge that follows from the residual of these in their turn (N. Wiener,
 //! *Extrapolation, Interpolation, and Smoothing of Stationary Time Series*, 1949).
 //!
 //! As many samples are fitted at once as the processor's vector registers take, each by the same operations
@@ -24,8 +24,8 @@ const RIDGE: f64 = 1e-7;
 /// ... and the least one, which keeps rounding from being followed.
 const LEAST_RIDGE: f64 = 1e-11;
 
-/// How large the terms of a fit are expected to be, as squares: so many times those of the strain and of what
-/// the affine map leaves over.
+/// Expected square of the terms of a fit, as a multiple of the squares of the strain and of the residual of
+/// the affine map.
 const EXPECTED: f64 = 4.0;
 
 /// Terms of a second-order expansion without its constant: x, y, z, xx, xy, xz, yy, yz, zz.
@@ -136,7 +136,7 @@ impl<S: Simd> LeastSquares<S> {
         self.largest = self.largest.max(left);
     }
 
-    /// Where more is to be explained than rounding makes.
+    /// Mask of the samples with a larger residual of the affine map than rounding makes.
     #[inline(always)]
     pub fn is_needed(&self) -> DoubleMask<S> {
         DoubleLanes::splat(self.simd, ROUNDING * ROUNDING).less(self.largest)
@@ -165,14 +165,14 @@ impl<S: Simd> LeastSquares<S> {
     pub fn solve(&self, strain: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleLanes<S>, DoubleMask<S>) {
         let splat = |x| DoubleLanes::splat(self.simd, x);
         let (_, left, is_found) = self.ridged(splat(LEAST_RIDGE));
-        // What nine terms leave over of few neighbours is less than they are off by.
+        // The residual of nine terms fitted to few neighbours is less than the noise of these.
         let noise = left * self.squares / (splat(EXPECTED) * self.free() * self.signal(strain));
         let ridge = (splat(LEAST_RIDGE) + noise).min(splat(RIDGE));
         let (terms, left, is_solved) = self.ridged(ridge);
         (terms, left, ridge, is_found.and(is_solved))
     }
 
-    /// How little a fit is to be believed that leaves this part of the squares over, from 0 to 1.
+    /// Distrust of a fit that leaves this part of the squares over, from 0 to 1.
     #[inline(always)]
     pub fn trouble(&self, part: DoubleLanes<S>) -> DoubleLanes<S> {
         let splat = |x| DoubleLanes::splat(self.simd, x);
@@ -185,9 +185,9 @@ impl<S: Simd> LeastSquares<S> {
         is_more.select(t * t * splat(-2.0).mul_add(t, splat(3.0)), splat(0.0))
     }
 
-    /// How a fit with this ridge tells the slope e in a direction: x = (A + λ W)⁻¹ e, and x·e; and where they
-    /// could be found. Data r at the neighbours make Σ w r x·t(d) of it, t(d) the terms there. λ W x·e is the
-    /// part of a slope that is left to the prior.
+    /// Response of a fit with this ridge to the slope e in a direction: x = (A + λ W)⁻¹ e, and x·e; and a
+    /// mask of the samples for which both could be found. Data r at the neighbours make a slope of Σ w r
+    /// x·t(d), t(d) the terms there. λ W x·e is the part of a slope that is left to the prior.
     #[inline(always)]
     pub fn response(
         &self,
@@ -335,7 +335,7 @@ impl<S: Simd> DenseFactor<S> {
                 rows[i][j] = sum;
             }
             let pivot = rows[j][j];
-            // What is no number is neither.
+            // A pivot that is no number is not positive either.
             let is_positive = zero.less(pivot).and(pivot.less(most));
             is_definite = is_definite.and(is_positive);
             let inverse = one / is_positive.select(pivot, one).sqrt();

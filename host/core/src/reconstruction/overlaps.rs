@@ -1,7 +1,7 @@
-//! The supports that meet the support of a sample: its own, those of its neighbours, and those of samples
-//! whose neighbour it is, as between sparse and dense samples.
+//! Supports that meet the support of a sample: its own, those of its neighbours, and those of samples that
+//! have it as a neighbour, as between sparse and dense samples.
 //!
-//! What a sample and its neighbours have in common is found for as many at once as the processor's vector
+//! The overlaps of a sample and its neighbours are found for as many at once as the processor's vector
 //! registers take, by the same operations as for one.
 
 use glam::{Vec3, Vec4};
@@ -30,7 +30,7 @@ impl Balls {
         self.0[home].truncate().distance(self.0[j].truncate())
     }
 
-    /// Whether the supports of two samples have anything in common.
+    /// Whether the supports of two samples overlap.
     fn overlap(&self, home: usize, j: usize) -> bool {
         self.distance(home, j) < self.0[home].w + self.0[j].w
     }
@@ -89,10 +89,10 @@ impl HomeLists {
     }
 }
 
-/// For each sample, those whose neighbour it is, but which are none of its own, and whose supports meet its
-/// own: in ascending order.
+/// For each sample, the samples that have it as a neighbour but are not among its own neighbours, and whose
+/// supports meet its own: in ascending order.
 struct OneWay {
-    /// Where those of each sample begin, and the last end.
+    /// Start of each sample's entries in `samples`, and the end of the last.
     starts: Vec<u32>,
     samples: Vec<u32>,
 }
@@ -100,7 +100,8 @@ struct OneWay {
 impl OneWay {
     fn find(positions: &[Vec3], balls: &Balls, sheets: &Sheets) -> Self {
         let n = positions.len();
-        // Where a sample's neighbours are its nearest ones, the last tells whom it has.
+        // The last neighbour of a sample whose neighbours are the nearest ones tells which samples are
+        // neighbours.
         let last = |i: usize| match sheets.of_sample(i).last() {
             Some(last) if !sheets.is_crowded(i) => {
                 (positions[i].distance_squared(positions[*last as usize]), *last)
@@ -130,7 +131,7 @@ struct NeighbourSupports {
     radius: [f32; SHEET_NEIGHBOURS],
     /// The squares of their distances.
     squares: [f32; SHEET_NEIGHBOURS],
-    /// How near to the sample they reach.
+    /// Distance from the sample at which each neighbour's support begins.
     from: [f32; SHEET_NEIGHBOURS],
     /// 1 where they meet the sample's own support, and 0 elsewhere.
     overlap: [f32; SHEET_NEIGHBOURS],
@@ -185,7 +186,8 @@ impl WithSimd for NeighbourQuery<'_> {
         for sample in samples {
             let near = sheets.of_sample(sample);
             around.look(simd, balls, sample, near);
-            // Those that may be, without a branch, as which ones they are cannot be foretold.
+            // The neighbours that may not have the sample as theirs are collected without a branch, as which
+            // ones they are cannot be foretold.
             let (mut chosen, mut count) = ([0; SHEET_NEIGHBOURS], 0);
             for (at, home) in near.iter().enumerate() {
                 chosen[count] = at;
@@ -214,7 +216,7 @@ struct Listing<'a> {
     balls: &'a Balls,
     sheets: &'a Sheets,
     one_way: &'a OneWay,
-    /// Where the lists of all homes begin.
+    /// Start of the lists of all homes.
     starts: &'a [u32],
     first: usize,
     /// The places of these lists, and where each ends among those of all.

@@ -15,8 +15,8 @@ pub const MOST_NEIGHBOURS: usize = 28;
 
 /// The neighbours of several samples, place by place in their lists, as ways from the samples.
 ///
-/// They are gathered before any is loaded: a vector that is loaded right behind its numbers, which are stored
-/// one by one, has to wait for these.
+/// All neighbours are gathered before any is loaded: a vector that is loaded right behind its numbers, which
+/// are stored one by one, has to wait for these.
 pub struct Neighbours {
     /// Samples around which nothing moves, themselves included.
     pub is_still: [bool; MOST_LANES],
@@ -86,7 +86,7 @@ impl Neighbours {
             for (place, j) in self.positions.iter_mut().zip(list) {
                 set(place, lane, positions[*j as usize], deformed[*j as usize]);
             }
-            // Where a list is over, the sample itself, to which there is no way.
+            // The places behind a list's end get the sample itself, to which there is no way.
             for place in &mut self.positions[list.len()..self.longest] {
                 set(place, lane, positions[i], deformed[i]);
             }

@@ -2,11 +2,11 @@
 //! order, as often as one likes; and the whole of them, the same bytes as [`reconstruct`](super::reconstruct)
 //! writes.
 //!
-//! Where it is known beforehand where the bytes of each part go, they go there at once, into a file that all
-//! parts share, and that becomes the output in the end; or into an object, by one upload of all; tiles go to
-//! a folder that parts share. Otherwise each part has them in a [file of its own](super::part_file), and they
-//! are copied. Behind them stands a record: what they are of, their checksum, what other places of the file
-//! have to know of them, and what the vertices that were read add to the model's hash.
+//! Bytes of a part whose place is known beforehand go there at once, into a file that all parts share, and
+//! that becomes the output in the end; or into an object, by one upload of all; tiles go to a folder that
+//! parts share. Otherwise each part has its bytes in a [file of its own](super::part_file), from which they
+//! are copied. Behind them stands a record: the key of their content, their checksum, the summary that other
+//! places of the file need, and the contribution of the vertices that were read to the model's hash.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -36,7 +36,7 @@ use crate::deformed_positions::DeformedPositions;
 use crate::fingerprint::{BlockHash, HashedPart};
 use crate::sampled_model::SampledModel;
 
-/// What parts share.
+/// Destination that all parts share.
 #[derive(Debug, Clone, Copy)]
 pub enum SharedTarget<'a> {
     /// A file, or a folder for tiles.
@@ -46,7 +46,7 @@ pub enum SharedTarget<'a> {
 }
 
 impl SharedTarget<'_> {
-    /// Whether it has what a record of a model speaks of.
+    /// Whether the destination has the bytes that a record of the model's part tells of.
     fn has(&self, record: &PartRecord, model: &dyn Model) -> bool {
         match (self, &record.sent, record.place) {
             (Self::Object(_, id), Some(sent), _) => sent.id == *id,
@@ -83,7 +83,7 @@ pub struct Part<'a> {
     pub pieces: Range<u64>,
     /// The part's own file, which appears whole or not at all, and tells that it is done.
     pub own: &'a Path,
-    /// What all parts share.
+    /// Destination that all parts share.
     pub shared: SharedTarget<'a>,
 }
 
@@ -115,7 +115,7 @@ pub fn write_part(
     check_reach(sampled, model, std::iter::once(deformed))?;
     let bytes_of = |all: u64| part_of(all, pieces, model, how.normals);
     let own_file = OutputFile::create(own, bytes_of(model.written_bytes()))?;
-    // What is there speaks of bytes that are written over from here on; if there is nothing, so much the
+    // A file that is there tells of bytes that are written over from here on; if there is none, so much the
     // better.
     let _ = fs::remove_file(own);
     let mut part = PartFile::new(own_file, place_of_bytes(model, shared, how.normals)?);
@@ -153,8 +153,8 @@ pub fn write_part(
     Ok(true)
 }
 
-/// Where the bytes of a part go: to what all parts write, where the model's bytes keep their places, and
-/// otherwise to the part's own file.
+/// Destination of a part's bytes: what all parts write to, where the model's bytes keep their places, and
+/// otherwise the part's own file.
 fn place_of_bytes<'a>(
     model: &'a dyn Model,
     shared: &SharedTarget<'a>,
@@ -174,7 +174,7 @@ fn place_of_bytes<'a>(
     })
 }
 
-/// How many of all bytes a part has, about.
+/// About the number of bytes of a part, of `all` bytes.
 fn part_of(all: u64, pieces: &Range<u64>, model: &dyn Model, normals: Normals) -> u64 {
     let (part, whole) = if model.tiles().is_empty() {
         let whole = model.division(normals).map_or(1, |division| division.pieces);
@@ -366,20 +366,20 @@ struct PartJoin<'a> {
     paths: Vec<&'a Path>,
     output: &'a Path,
     key: String,
-    /// The first of the pieces that they are of, and the one behind the last.
+    /// First of the pieces that the parts are of, and the one behind the last.
     first: u64,
     end: u64,
     normals: Normals,
-    /// What is done to the pieces before and behind.
+    /// Edit of the pieces before and behind the parts, which stay as they are.
     edit: Nothing,
     progress: &'a dyn Progress,
 }
 
-/// What parts say of themselves.
+/// Sums of the records of the parts.
 struct PartSums {
     summary: Summary,
     folding: Option<Folding>,
-    /// Where the last one ends in the file that they share.
+    /// End of the last part in the file that the parts share.
     end: u64,
 }
 
@@ -548,8 +548,8 @@ impl PartJoin<'_> {
     }
 }
 
-/// Whether less of a file is on the disk than its length says: parts of it were not written, or the disk
-/// compresses.
+/// Whether less of a file is on the disk than its length says: parts of the file were not written, or the
+/// disk compresses.
 fn has_holes(path: &Path) -> bool {
     #[cfg(unix)]
     {
@@ -578,7 +578,7 @@ impl Read for ObjectReader<'_> {
     }
 }
 
-/// What comes behind the parts, which have told so much of themselves.
+/// Output for the bytes behind the parts, which adds the summary of the parts.
 struct Ending<'a> {
     to: &'a mut dyn Output,
     before: &'a Summary,

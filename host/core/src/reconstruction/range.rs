@@ -1,4 +1,4 @@
-//! The range of the samples around a vertex, and how a vertex that leaves it is drawn back: see
+//! Range of the samples around a vertex, and the way in which a vertex that leaves it is drawn back: see
 //! [`bound`](super::bound).
 
 use glam::{Mat3, Vec3};
@@ -13,7 +13,7 @@ use super::transport::Transport;
 /// their middle: across the little that separates two sheets nothing is explained.
 const RIDGE: f32 = 0.02;
 
-/// What the ridge may take of the map, to be made up for.
+/// Factor that makes up for what the ridge takes of the map, at most.
 const FLATTENED: f32 = 1.5;
 
 /// As long as a linear map leaves no more over than this part, what explains the range continues it …
@@ -22,7 +22,7 @@ const EXPLAINED: f32 = 0.4;
 const UNEXPLAINED: f32 = 0.55;
 
 impl DeformationField<'_> {
-    /// Whether places are all so near to a home that it is surely among the nearest to each of them.
+    /// Whether places are all so near to a home that it is surely among the samples nearest to each of them.
     #[inline]
     pub(super) fn keep_home_nearest(&self, home: usize, places: impl Iterator<Item = Vec3>) -> bool {
         let center = self.around.samples.positions[home];
@@ -42,7 +42,7 @@ impl DeformationField<'_> {
     }
 
     /// Whether a displacement of a vertex of this home is within the range of those samples of the home's
-    /// sheet that are surely among the nearest ones: then it keeps to the range without a search.
+    /// sheet that are surely among the nearest ones: then the vertex keeps to the range without a search.
     pub(super) fn is_bounded(&self, home: usize, p: Vec3, u: Vec3) -> bool {
         let center = |j: usize| Vec3::from_array(self.expansions[j].center);
         let distance = p.distance(center(home));
@@ -69,7 +69,8 @@ impl DeformationField<'_> {
     pub(super) fn drawn_back(&self, p: Vec3, u: Vec3, gradient: impl FnOnce() -> Mat3) -> Option<Transport> {
         let range = NearbyRange::around(self, p);
         let slack = BEYOND * range.edges.step + MARGIN;
-        // What continues it takes longer to find.
+        // The continuation of the range takes longer to find, so it is left out where the range itself
+        // suffices.
         if range.extent.widened(slack).holds(u) {
             return None;
         }
@@ -123,7 +124,8 @@ impl NearbyRange {
         range
     }
 
-    /// How steep what continues the range may be: as the linear map that explains it, so far as one does.
+    /// Largest slope with which the range may be continued: that of the linear map that explains it, so far
+    /// as one does.
     fn steepness(&self) -> f32 {
         let count = self.count as f32;
         let (from, displacement) = (&self.from[..self.count], &self.displacement[..self.count]);

@@ -1,5 +1,5 @@
 //! Vertices at the places of others: corners of a soup, as STL has them, are six times at each place in the
-//! mean. Where a vertex goes depends on its place alone, so it is found once.
+//! mean. The deformed position of a vertex depends on its place alone, so it is found once.
 
 use glam::DVec3;
 
@@ -15,7 +15,7 @@ const NONE: u32 = u32::MAX;
 pub struct Repeated {
     /// The first vertex at each place.
     pub first: Vec<u32>,
-    /// How many there are.
+    /// Number of vertices at each place.
     pub count: Vec<u32>,
     /// The place of each vertex.
     place: Vec<u32>,
@@ -57,7 +57,7 @@ impl Repeated {
         Self { first, count, place }
     }
 
-    /// What the first vertex at each place has.
+    /// Values of the first vertex at each place, from those of all vertices.
     pub fn gather<T: Copy>(&self, of_vertices: &[T]) -> Vec<T> {
         self.first.iter().map(|vertex| of_vertices[*vertex as usize]).collect()
     }

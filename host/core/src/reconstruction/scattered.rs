@@ -7,8 +7,8 @@ use super::expansion::{Expansion, ReachingSupport};
 /// Supports that are looked at before what they say is added.
 const TOGETHER: usize = 32;
 
-/// What a vertex gets: displacement, sum of weights, the gradient's columns, and those of the gradient by
-/// which numbers turn. The last number of each four has no meaning.
+/// Results of the blend at a vertex: displacement, sum of weights, the gradient's columns, and those of the
+/// gradient by which numbers turn. The last number of each four has no meaning.
 pub struct ScatteredVertex {
     pub displacement: Four,
     pub sum: f32,
@@ -105,7 +105,7 @@ fn add_turning(e: &Expansion, s: f32, p: [f32; 3], gradient: &mut [Four; 3]) {
     }
 }
 
-/// What is within Horner's brackets of an expansion at `d` from its sample.
+/// Factors of dx, dy and dz in the Horner form of an expansion, at `d` from its sample.
 #[inline(always)]
 fn inner(e: &Expansion, [dx, dy, dz]: [f32; 3]) -> [Four; 3] {
     let (xx, xy, xz) = (Four(e.four(4)), Four(e.four(5)), Four(e.four(6)));

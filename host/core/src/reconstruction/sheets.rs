@@ -1,4 +1,4 @@
-//! Which samples lie on the same sheet of the surface: a deformation must not bleed from a finger to the next
+//! Sheets of the surface, and the samples on each: a deformation must not bleed from a finger to the next
 //! one, or from one side of a thin wall to the other, however near they are in space.
 //!
 //! Two samples that see each other along the surface have normals that do not oppose, and lie near each
@@ -7,8 +7,7 @@
 //! counted [`STACKED`]-fold. Each sample is linked to the nearest few others in that measure, and its sheet
 //! is what these links reach among its neighbours in space.
 //!
-//! Where the model's faces have told who is on whose sheet ([`Contacts`](crate::touching::Contacts)), what
-//! they say holds.
+//! Sheets that the model's faces have told ([`Contacts`](crate::touching::Contacts)) hold instead.
 
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
@@ -60,10 +59,11 @@ pub struct Sheets {
     graph: NeighbourGraph,
     /// The list of each sample that has one of its own; [`NONE`] of all others.
     list: Vec<u32>,
-    /// Where the lists begin, and the last ends.
+    /// Start of each list in `neighbours`, and the end of the last.
     starts: Vec<u32>,
     neighbours: Vec<u32>,
-    /// Where the strangers of each sample begin; empty where there are none at all.
+    /// Start of each sample's entries in `strangers`, and the end of the last; empty where there are none at
+    /// all.
     stranger_starts: Vec<u32>,
     strangers: Vec<u32>,
 }
@@ -130,7 +130,7 @@ impl Sheets {
         sheets
     }
 
-    /// What was found out before: the graph of so many samples, the samples that have lists of their own,
+    /// Sheets that were found before: the graph of `samples` samples, those that have lists of their own,
     /// and, where faces have told any, the strangers of those that have some; samples in ascending order.
     pub fn known(
         graph: NeighbourGraph,
@@ -165,7 +165,7 @@ impl Sheets {
         }
     }
 
-    /// Whether faces have told who is on another sheet.
+    /// Whether faces have told that samples are on another sheet.
     pub fn knows_strangers(&self) -> bool {
         !self.stranger_starts.is_empty()
     }
@@ -219,15 +219,15 @@ impl Sheets {
         }
     }
 
-    /// Whether sample `j`, beside which there are several sheets, knows that sample `i` is not on its own: it
-    /// is nearer than others that are.
+    /// Whether sample `j`, beside which there are several sheets, knows that sample `i` is not on its own
+    /// sheet: `i` is nearer than samples that are.
     fn denies(&self, positions: &[Vec3], j: usize, i: usize) -> bool {
         let same = self.of_sample(j);
         let distance = |k: usize| positions[k].distance_squared(positions[j]);
         same.last().is_some_and(|last| distance(i) < distance(*last as usize)) && !same.contains(&(i as u32))
     }
 
-    /// Whether it is of so many samples: one that was read may be anything.
+    /// Whether all lists fit a set of `samples`: sheets that were read from a file may be damaged.
     pub fn is_valid(&self, samples: usize) -> bool {
         let lists = self.starts.len().saturating_sub(1);
         self.graph.is_valid(samples)
@@ -293,7 +293,8 @@ pub fn nearest_of<'a>(all: &'a [u32], positions: &[Vec3], i: usize, count: usize
     (near, radius)
 }
 
-/// Whether these are where `lists` lists begin, one after the other, and the last ends.
+/// Whether `starts` are the starts of `lists` lists, one after the other, and the end of the last, at
+/// `entries`.
 pub fn are_lists(starts: &[u32], lists: usize, entries: usize) -> bool {
     starts.len() == lists + 1
         && starts.first() == Some(&0)
@@ -301,7 +302,7 @@ pub fn are_lists(starts: &[u32], lists: usize, entries: usize) -> bool {
         && starts.last().is_some_and(|end| *end as usize == entries)
 }
 
-/// What a sample is linked to.
+/// Links of a sample to others along the surface.
 #[derive(Debug, Clone, Copy, Default)]
 struct Links {
     /// The nearest samples along the surface; the sample itself in unused places.
@@ -439,7 +440,7 @@ fn are_linked(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> boo
     left == 0
 }
 
-/// Which samples of `near` (fewer than 127) links within them reach from sample `i`: a bit for each. `places`
+/// Samples of `near` (fewer than 127) that links within them reach from sample `i`: a bit for each. `places`
 /// has one for each sample, all [`NOWHERE`], before and after.
 fn reached(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> u128 {
     // The sample itself has the last place.

@@ -1,5 +1,5 @@
-//! The samples that the fits at a sample are of: those of its own sheet, and where parts of the model touch,
-//! those of other parts that go one way with it.
+//! Stencils: the samples that the fits at a sample are of. These are of its own sheet, and where parts of the
+//! model touch, of other parts that go one way with it.
 //!
 //! Faces tell that two parts are not connected, but not that they move apart; mostly they do not. A small
 //! part has few samples of its own, and beside a contact they lie on one side. So samples of other sheets are
@@ -15,12 +15,12 @@ use super::expansion::ROUNDING;
 use super::sheets::{SHEET_NEIGHBOURS, Sheets, nearest_of};
 use crate::sampling::SampleSet;
 
-/// How far a displacement may be off what the gradients at both ends foretell: so much of the distance, times
-/// the strain, or how far the gradients differ.
+/// Largest deviation of a displacement from the one that the gradients at both ends foretell, as a part of
+/// the distance times the strain, or times the difference of the gradients.
 const OFF: f32 = 0.2;
 
-/// Where no more than one of so many strangers goes one way with a sample, some do so by chance, as beside a
-/// hinge, and none is borrowed.
+/// Least number of strangers for each that goes one way with a sample, above which none is borrowed: some go
+/// one way by chance, as beside a hinge.
 const ONE_OF: usize = 2;
 
 /// Neighbours of a sample that its word is compared with: its ring.
@@ -32,7 +32,7 @@ pub struct Stencils<'a> {
     /// The samples that borrow, ascending, each with its neighbours, nearest first: at most
     /// [`SHEET_NEIGHBOURS`].
     mixed: Vec<(u32, Vec<u32>)>,
-    /// Whether each sample does; empty where none does.
+    /// Whether each sample borrows; empty where none does.
     borrows: Vec<bool>,
 }
 

@@ -28,7 +28,7 @@ fn inner(p: &Vec3) -> bool {
     p.x.min(p.z) > 0.05 && p.x.max(p.z) < 0.95
 }
 
-/// Where the field takes points.
+/// Deformed positions of points.
 pub(super) fn carried(field: &DeformationField, points: &[Vec3]) -> Vec<Vec3> {
     carried_with_normals(field, points, &[]).0
 }
@@ -284,7 +284,7 @@ fn vertices_in_no_order_go_where_they_go_in_order() {
     }
 }
 
-/// What a call gives for each vertex: the bits of its position and of its normal, and its figures.
+/// Results of a call for each vertex: the bits of its position and of its normal, and its figures.
 type Bits = ([u64; 3], [u32; 3], [u32; 3]);
 
 fn bits(field: &DeformationField, points: &[(Vec3, Vec3)]) -> Vec<Bits> {

@@ -1,4 +1,4 @@
-//! How far a reconstruction is from the exact deformation of every vertex.
+//! Transfer error: the distance of a reconstruction from the exact deformation, over all vertices.
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -134,7 +134,7 @@ fn same_count(model: &dyn Model, deformed: &dyn Model) -> Result<()> {
     Err(Error::mismatch(what, "compare versions of the same model"))
 }
 
-/// What is known of the deviation so far.
+/// Sums of the deviation over the vertices so far.
 struct Compared {
     errors: Histogram,
     jumps: Histogram,
@@ -142,7 +142,7 @@ struct Compared {
     sum: f64,
     max: f64,
     scale: f64,
-    /// The vertex before, and how far it is off.
+    /// The vertex before, and its error.
     last: Option<(DVec3, DVec3)>,
 }
 
@@ -240,7 +240,7 @@ pub fn measure_some(
         carry(std::slice::from_ref(field), &of.frame, &rest, None, &mut [moved]);
         exact(&mut truth)?;
         for ((rest, found), truth) in rest.iter().zip(&found).zip(&truth) {
-            // What does not move is not rounded again.
+            // A vertex that does not move is not rounded again.
             let written = if found == rest { *found } else { info.rounded(*found) };
             let off = written.distance(*truth);
             errors.add(off * scale, 1);

@@ -133,7 +133,8 @@ impl<S: Simd> PacketBox<S> {
         self.step = whether.select(self.step.max(other.step), self.step);
     }
 
-    /// Where it holds a displacement, widened by what may be off by rounding, and by a part of the step.
+    /// Mask of the lanes in which the range holds a displacement, widened by the rounding error, and by a
+    /// part of the step.
     #[inline(always)]
     fn holds(&self, u: [Lanes<S>; 3]) -> Mask<S> {
         let margin = Lanes::splat(self.step.0, MARGIN);

@@ -22,7 +22,8 @@ pub(super) struct Appended {
     /// Positions and normals of the new samples; a normal is zero where unknown.
     pub positions: Vec<Vec3>,
     pub normals: Vec<Vec3>,
-    /// The sample whose cluster each was part of, or on whose sheet it is where several meet in a cluster.
+    /// Sample from which each new one comes: the one whose cluster was split, or where several sheets meet in
+    /// the cluster, the one on the new sample's sheet.
     pub origins: Vec<u32>,
     /// Samples that no tree has, as their cluster holds several sheets, and one that a tree has for it.
     pub parted: Vec<[u32; 2]>,

@@ -37,7 +37,7 @@ pub(super) struct Needs<'a> {
     wanted: Vec<f32>,
     /// The least error that is wanted anywhere.
     pub least: f32,
-    /// The transfer error that they allow, at least that which was asked for; local units.
+    /// Transfer error that these cluster errors allow, at least that which was asked for; local units.
     pub allowed: f32,
     /// Number of samples around which more is expected.
     pub needy: usize,
