@@ -13,7 +13,8 @@ use super::transport::Transport;
 /// their middle: across the little that separates two sheets nothing is explained.
 const RIDGE: f32 = 0.02;
 
-/// Factor that makes up for what the ridge takes of the map, at most.
+/// Largest slope of the continuation, as a multiple of the norm of the linear map, of which the ridge takes a
+/// part.
 const FLATTENED: f32 = 1.5;
 
 /// As long as a linear map leaves no more over than this part, what explains the range continues it …

@@ -19,7 +19,7 @@ use crate::sampling::SampleSet;
 /// the distance times the strain, or times the difference of the gradients.
 const OFF: f32 = 0.2;
 
-/// Least number of strangers for each that goes one way with a sample, above which none is borrowed: some go
+/// Number of strangers of which more than one has to go one way with a sample, or none is borrowed: some go
 /// one way by chance, as beside a hinge.
 const ONE_OF: usize = 2;
 

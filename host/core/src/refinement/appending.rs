@@ -40,7 +40,7 @@ struct NewLeaf {
     position: Vec3,
     normal: Vec3,
     reach: f32,
-    /// The sample that was there for it, and how far that is.
+    /// Sample from before the refinement that stood for the leaf, and the distance to it.
     origin: u32,
     distance: f32,
     /// The tree, and the place among its samples.

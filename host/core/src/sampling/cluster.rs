@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::least_eigenvalue;
 
-/// What a VS-Tree is built of: vertices of P_L, or small groups of them.
+/// Element of a VS-Tree: a vertex of P_L, or a small group of vertices.
 pub trait Element: bytemuck::Pod + Send + Sync {
     /// Mean position, in local coordinates.
     fn position(&self) -> Vec3;
@@ -116,7 +116,7 @@ impl VertexSums {
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Group {
-    /// What the positions are relative to: the middle of a cube that holds them all.
+    /// Origin of the positions: the middle of a cube that holds them all.
     center: Vec3,
     /// Half of that cube's edge.
     half: f32,
@@ -161,7 +161,8 @@ impl Group {
         self.quadric_b = sums.quadric_b.into();
     }
 
-    /// Whether the vertices of another group of the same cube belong here: they are not of an opposite sheet.
+    /// Whether the vertices of another group of the same cube belong to this group: they are not of an
+    /// opposite sheet.
     #[inline]
     pub fn takes(&self, other: &Self) -> bool {
         self.count + other.count <= Self::MAX && self.normal.dot(other.normal) >= 0.0
@@ -179,7 +180,7 @@ impl Group {
         }
     }
 
-    /// This group, at another place in its cell.
+    /// Copy of this group at another place in its cell.
     pub fn with_index(&self, index: u32) -> Self {
         Self { index, ..*self }
     }
@@ -205,7 +206,8 @@ pub struct GroupSums {
 }
 
 impl GroupSums {
-    /// Whether a vertex with this normal belongs here, if its position does: it is not of an opposite sheet.
+    /// Whether a vertex with this normal belongs to this group, if its position does: it is not of an
+    /// opposite sheet.
     #[inline(always)]
     pub fn takes(&self, normal: Vec3) -> bool {
         self.count < Group::MAX && self.sums.normal.dot(normal.into()) >= 0.0
@@ -249,8 +251,8 @@ impl Element for Group {
     }
 }
 
-/// How much of a cluster's extent counts as error, whatever its shape: it bounds the spacing where the
-/// surface is flat and any geometric error is zero, for a deformation need not be flat there.
+/// Part of a cluster's extent that counts as error, whatever the cluster's shape: it bounds the spacing where
+/// the surface is flat and any geometric error is zero, for a deformation need not be flat there.
 ///
 /// So a sample is within error / `REACH_WEIGHT` of every vertex that it stands for, but for the little by
 /// which it moves to the surface in the end.
@@ -382,8 +384,8 @@ impl Moments {
         symmetric(self.quadric[0], self.quadric[1])
     }
 
-    /// How much the surface bends along each of two directions across the mean normal, as a part of the
-    /// greater of both: the root of the ratio of the normals' standard deviations, which is by how much a
+    /// Bending of the surface along each of two directions across the mean normal, as a part of the greater
+    /// of both: the root of the ratio of the normals' standard deviations, which is the factor by which a
     /// cluster has to be longer to deviate as much from its plane. 1 where it is flat.
     pub fn bending(&self, directions: [Vec3; 2]) -> [f32; 2] {
         let count = self.with_normal.max(1.0);
@@ -406,8 +408,8 @@ impl Moments {
         self.normal.try_normalize().unwrap_or(DVec3::ZERO)
     }
 
-    /// What stands for the cluster: position, unit normal (zero where unknown), and the error that this
-    /// makes.
+    /// Representative of the cluster: position, unit normal (zero where unknown), and the error of standing
+    /// for the cluster.
     pub fn representative(&self) -> (Vec3, Vec3, f32) {
         self.representative_by(&self.covariance())
     }
@@ -455,7 +457,7 @@ impl Moments {
         shape + REACH_WEIGHT * self.reach(representative)
     }
 
-    /// What the error would be if the vertices were of two sheets with opposite normals.
+    /// Error of the cluster if its vertices were of two sheets with opposite normals.
     pub fn error_of_two_sheets(&self, representative: Vec3) -> f64 {
         std::f64::consts::SQRT_2.sqrt() * self.spread() + REACH_WEIGHT * self.reach(representative)
     }

@@ -12,12 +12,12 @@ use super::grid::{CellKey, CellRecord, Grid, GridCounter};
 use super::opaque::Opaque;
 use crate::sealed::{seal, unsealed};
 
-/// What such a file begins with.
+/// First letters of a file of counts.
 const LETTERS: &[u8; 8] = b"simodcnt";
 
 const VERSION: u32 = 1;
 
-/// No file is longer: of 10⁸ cells.
+/// Most bytes of a file of counts: that of 10⁸ cells.
 const LONGEST: u64 = 8 << 30;
 
 /// The content of a file.

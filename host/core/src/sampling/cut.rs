@@ -118,7 +118,7 @@ impl Forest {
         Ok(self.threshold)
     }
 
-    /// What is better than this bound was dropped from trees that are taken in.
+    /// Raises the bound below which clusters are dropped, where trees that are taken in have dropped more.
     pub fn raise(&mut self, bound: f32) {
         self.threshold = self.threshold.max(bound);
     }
@@ -142,7 +142,7 @@ impl Forest {
                 threshold_for(upper.splits().chain(trees.iter().flat_map(VsTree::splits)), 1, target)
             }
         };
-        // What it would split was dropped.
+        // A cut that goes on below dropped clusters cannot be found.
         if threshold < self.threshold {
             return None;
         }
@@ -194,7 +194,7 @@ pub struct Cut {
 }
 
 impl Cut {
-    /// Whether its parts fit together: what was read may be anything.
+    /// Whether the parts of the cut fit together: one that was read from a file may be damaged.
     pub fn is_sound(&self) -> bool {
         let samples = self.samples();
         let inner = |tree: &CutTree| tree.children.iter().filter(|children| **children > 0).count();
@@ -324,7 +324,7 @@ fn raised(tree: &CutTree, stay: impl Fn(u32) -> bool) -> Cow<'_, [f32]> {
     }
     let mut samples = tree.samples.iter();
     let stays = tree.children.iter().map(|n| *n == 0 && samples.next().is_some_and(|sample| stay(*sample)));
-    // How many stay before each node, and at last how many there are.
+    // Number of samples that stay before each node, and at last the number of all that stay.
     let mut before = vec![0u32];
     before.extend(stays.scan(0, |sum, stays| {
         *sum += u32::from(stays);
@@ -334,8 +334,8 @@ fn raised(tree: &CutTree, stay: impl Fn(u32) -> bool) -> Cow<'_, [f32]> {
     nodes.map(|(i, (error, end))| if before[end] > before[i] { f32::INFINITY } else { *error }).collect()
 }
 
-/// How far each of the samples from `first` on may move without the error of its cluster exceeding a bound,
-/// if it does not yet.
+/// Distance that each of the samples from `first` on may move without the error of its cluster exceeding a
+/// bound; infinite for samples whose error exceeds the bound already.
 pub fn slack<'a>(trees: impl Iterator<Item = &'a CutTree>, samples: Range<usize>, bound: f32) -> Vec<f32> {
     let mut slack = vec![f32::INFINITY; samples.len()];
     for (sample, error) in trees.flat_map(CutTree::errors_of_samples) {
@@ -447,7 +447,8 @@ impl Upper {
         above.map(|node| (node.error, node.children.len() as u32 - 1))
     }
 
-    /// What the cut at `threshold` merges above the cells: the cells, and what stands for them.
+    /// Gives `emit` each merged node of the cut at `threshold` above the cells: the cells, and their
+    /// representative.
     fn cut(&self, threshold: f32, mut emit: impl FnMut(&[u32], Node)) {
         let top = self.levels.len() - 1;
         let mut stack: Vec<_> = (0..self.levels[top].len()).map(|i| (top, i)).collect();
@@ -569,7 +570,7 @@ mod tests {
             for (leaf, sample) in &finer.starts {
                 assert_eq!(at(&coarser, *leaf), becomes[*sample as usize]);
             }
-            // Where nothing merges above the cells, it is the very same.
+            // Cuts of which nothing merges above the cells are the very same.
             if resolution == 2 {
                 let same = sampled(Some(1700), 0.0, resolution);
                 assert!(coarser.positions == same.positions && coarser.trees == same.trees);

@@ -23,13 +23,13 @@ const FEW_OF_TWO: usize = 3;
 /// the surface as well, so that their means scatter more than their vertices tell.
 const STANDARD_ERRORS: f64 = 6.0;
 
-/// Samples on the surface, and what was found on the way.
+/// Samples on the surface, and the neighbours and directions that were found on the way.
 pub struct Deconvolved {
-    /// Where they are, in local coordinates.
+    /// Positions of the samples on the surface, in local coordinates.
     pub positions: Vec<Vec3>,
-    /// The [`NEIGHBOURS`] of each where it was.
+    /// The [`NEIGHBOURS`] of each sample at its former position.
     pub graph: NeighbourGraph,
-    /// The direction of least variance of each and these; of unit length.
+    /// Direction of least variance of each sample with its neighbours; of unit length.
     pub across: Vec<Vec3>,
 }
 
@@ -37,8 +37,8 @@ pub struct Deconvolved {
 /// means across their clusters' planes, as far as the vertices tell; a sample of which this is not known
 /// (infinite) stays, and none moves farther than `most`.
 ///
-/// Nothing moves on a plane, nor where neighbours are all on one side, are no surface or two of them, nor
-/// where what vertices scatter by explains the heights.
+/// Samples on a plane do not move, nor those whose neighbours are all on one side, are no surface or two of
+/// them, nor those whose heights are explained by the scatter of the vertices.
 ///
 /// Memory: 72 bytes per sample, 32 more meanwhile, and the samples' tree.
 pub fn deconvolved(
@@ -68,8 +68,8 @@ pub fn deconvolved(
     Some(Deconvolved { positions: moved, graph, across })
 }
 
-/// How much of the heights of a sample and its neighbours is no noise: nothing, where they are no more than
-/// [`STANDARD_ERRORS`].
+/// Part of the heights of a sample and its neighbours that is no noise: zero, where they are no more than
+/// [`STANDARD_ERRORS`] times the noise.
 fn significance(heights: &[Height], variances: &[f32], i: usize, neighbours: &[u32]) -> f64 {
     let (mut squares, mut noise) = (0.0, 0.0);
     for j in neighbours.iter().map(|j| *j as usize).chain([i]) {
@@ -126,7 +126,7 @@ mod tests {
             let (s, c) = (golden * i as f32).sin_cos();
             Vec3::new(c * (1.0 - z * z).sqrt(), s * (1.0 - z * z).sqrt(), z)
         };
-        // What a cell of this area has for its mean: half of its mean squared distance below.
+        // Distance of the mean of a cell of this area below the surface: half of its mean squared distance.
         let below = 0.5 * 4.0 * std::f32::consts::PI / SAMPLES as f32 / (2.0 * std::f32::consts::PI);
         let means: Vec<Vec3> = (0..SAMPLES).map(|i| direction(i) * (1.0 - below)).collect();
         let off = rms(moved(&means, 0.0).into_iter().map(|p| p.length() - 1.0));
@@ -145,7 +145,7 @@ mod tests {
         let noisy = sheet(|_, _, i| 0.1 * random(i, 3));
         assert_eq!(moved(&noisy, 0.01 / 12.0), noisy);
         assert!(moved(&noisy, 0.0) != noisy);
-        // What stands out of noise moves all the same.
+        // Heights that stand out of noise are taken off all the same.
         let bowl = sheet(|x, y, _| 0.01 * (x * x + y * y));
         let (all, part) = (moved(&bowl, 0.0), moved(&bowl, 1e-8));
         let is_much = |((p, q), all): ((&Vec3, &Vec3), &Vec3)| p.distance(*q) >= 0.9 * p.distance(*all);
@@ -162,7 +162,7 @@ mod tests {
             // As a part of 5/36 of κh²/2, though places are about one apart, and the bowl is steep.
             let outwards = Vec3::new(0.02 * p.x, 0.02 * p.y, -1.0).normalize_or(Vec3::Z);
             let part = (*q - *p).dot(outwards) / (0.01 * STEP as f32);
-            // Where neighbours are on one side, the plane through them tells less.
+            // The plane through neighbours that are all on one side tells less.
             let expected = if from_border == 0 { -1e-3..4.0 } else { 0.3..1.8 };
             assert!(expected.contains(&part), "{i}: {part}");
         }

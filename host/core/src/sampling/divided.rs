@@ -30,10 +30,10 @@ use crate::sampled_model::SampledModel;
 /// rich is seen in the end alone.
 const FORESIGHT: f64 = 2.0;
 
-/// No file of counts is longer.
+/// Most bytes of a file of counts.
 const LONGEST_COUNTS: u64 = 8 << 30;
 
-/// How pass 2 is divided.
+/// Division of pass 2 into units.
 #[derive(Debug, Clone, Copy)]
 pub struct UnitDivision<'a> {
     /// The counts of all vertices, in one file: see [`merge_counts`].
@@ -47,7 +47,7 @@ pub fn ranges_of(model: &dyn Model, units: u64) -> u64 {
     ranges(model.info().vertices, units).len() as u64
 }
 
-/// Why pass 2 of a model cannot be divided, if it cannot.
+/// Reason why pass 2 of a model cannot be divided; `None` if it can.
 ///
 /// # Errors
 /// The vertices cannot be read, some of which may be compared with faces.
@@ -210,7 +210,7 @@ impl<'a> Divided<'a> {
         writer.commit()
     }
 
-    /// Whether an owner has left all that it leaves.
+    /// Whether an owner has left all files that it has to.
     fn is_left(&self, owner: Owner, (trees, leaves): (&Path, &Path)) -> bool {
         let file = ClusteredFile::read(trees, self.key_of(owner));
         file.is_ok_and(|file| {
@@ -340,10 +340,10 @@ pub fn sample_clustered(
     }
 }
 
-/// Why parts are of no use, and whether there are groups then.
+/// Reason why the files of parts are of no use, and the grouping of vertices to sample with instead.
 pub(super) type Useless = (&'static str, Grouping);
 
-/// What the ranges tell of the stream, put together in their order.
+/// Hash and jumps of the stream, put together of the ranges in their order.
 #[derive(Default)]
 struct InOrder {
     hash: BlockHash,
@@ -351,7 +351,7 @@ struct InOrder {
 }
 
 impl InOrder {
-    /// Takes the next range; whether it is that.
+    /// Takes the next range; `false` if it does not follow on those before.
     fn goes_on_with(&mut self, file: &ClusteredFile) -> bool {
         if !file.hashed.as_ref().is_some_and(|part| self.hash.append(part)) {
             return false;
@@ -372,7 +372,7 @@ impl Divided<'_> {
         owners(Owner::Range).zip(of_ranges).chain(owners(Owner::Group).zip(of_groups)).collect()
     }
 
-    /// What pass 2 has found, by the files of all parts, and the [marks](ClusteredFile::mark) of these.
+    /// Findings of pass 2, from the files of all parts, and the [marks](ClusteredFile::mark) of these.
     pub(super) fn cut(
         &self,
         files: &[(Owner, &PathBuf)],

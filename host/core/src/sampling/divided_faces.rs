@@ -1,14 +1,14 @@
-//! What the faces tell of P_S, by units of work: which sample each vertex of a range belongs to, what a range
-//! of the faces tells, and P_S of all of it. The samples are those of [`sample`](super::sample), to the byte.
+//! Sampling by faces in units of work: the sample of each vertex of a range, the findings in a range of the
+//! faces, and P_S of all of it. The samples are those of [`sample`](super::sample), to the byte.
 //!
 //! - A cut of all trees says which leaves belong to which sample, and a range of the vertices looks up its
 //!   own.
-//! - Where a range of the faces begins is a matter of arithmetic, or was found by a reading of all faces
+//! - The start of a range of the faces is a matter of arithmetic, or was found by a reading of all faces
 //!   (`face_runs`).
-//! - A range of the faces reads of the vertices those between the least and the greatest corner. What it
-//!   finds in its faces are sets (triangles, islands and what joins them), lists in the order of the file
-//!   (where faces are), and sums of runs of faces that do not depend on the ranges (planes).
-//! - What hangs together are the connected parts of what ranges found to, each known by its first vertex.
+//! - A range of the faces reads of the vertices those between the least and the greatest corner. The findings
+//!   in its faces are sets (triangles, islands and what joins them), lists in the order of the file (offsets
+//!   of faces), and sums of runs of faces that do not depend on the ranges (planes).
+//! - Islands are the connected parts of those that ranges found, each known by its first vertex.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -44,13 +44,13 @@ use crate::sampled_model::SampledModel;
 use crate::sealed::{seal, unsealed};
 use crate::touching::{FoundTwins, Islands, TwinSearch, twins_may_be_there};
 
-/// What the file of a cut begins with.
+/// First letters of the file of a cut.
 const LETTERS: &[u8; 8] = b"simodcut";
 
-/// Version of what units leave each other to know of the faces, all of which is bound to a cut.
+/// Version of the files on faces that units leave each other, all of which are bound to a cut.
 const VERSION: u32 = 3;
 
-/// No file of a cut is longer: of 2³² samples.
+/// Most bytes of the file of a cut: that of 2³² samples.
 const LONGEST: u64 = 1 << 40;
 
 /// No sample.
@@ -61,10 +61,10 @@ const COPIED: usize = 1 << 16;
 
 const ADVICE: &str = "do without the faces, by --skip triangles,sheets and --place vertices";
 
-/// Where units leave each other what it takes to know of the faces.
+/// Files on the faces that units leave each other.
 #[derive(Debug, Clone, Copy)]
 pub struct FaceFiles<'a> {
-    /// Where runs of faces begin, if they [had to be found](have_to_be_found).
+    /// File with the starts of runs of faces, if they [had to be found](have_to_be_found).
     pub runs: &'a Path,
     /// The cut through all trees.
     pub cut: &'a Path,
@@ -74,16 +74,16 @@ pub struct FaceFiles<'a> {
     pub leaves_of_groups: &'a [PathBuf],
     /// The samples of the vertices of each range.
     pub members: &'a [PathBuf],
-    /// What each range of the faces tells.
+    /// Files with the findings in each range of the faces.
     pub faces: &'a [PathBuf],
 }
 
-/// What a cut through all trees leaves.
+/// Content of the file of a cut through all trees.
 #[derive(Serialize, Deserialize)]
 struct CutFile {
     /// The division's key.
     key: u128,
-    /// Why one unit has to sample the model by itself, if so.
+    /// Reason why one unit has to sample the model by itself, if there is one.
     alone: Option<String>,
     /// The level of groups of vertices, if there are any.
     level: Option<u32>,
@@ -264,13 +264,14 @@ impl LeafOwners<'_> {
 mod member {
     /// The samples of the vertices.
     pub const SAMPLES: usize = 0;
-    /// How far before each one at the same position is, or 0: where such are worth looking for.
+    /// Distance of each vertex behind an earlier one at the same position, or 0, in a model in which these
+    /// are worth looking for.
     pub const TWINS: usize = 1;
     pub const COUNT: usize = 2;
 }
 
 impl Divided<'_> {
-    /// Whether it is of use to know which vertices are at one place.
+    /// Whether vertices at the same position are worth looking for.
     fn looks_for_twins(&self) -> bool {
         let SamplingPass { model, sampling, .. } = &self.prepared;
         !sampling.skip.sheets && twins_may_be_there(model.info().vertices, model.info().faces)
@@ -377,12 +378,12 @@ mod list {
     pub const HEAD: usize = 0;
     /// Three corners each.
     pub const TRIANGLES: usize = 1;
-    /// Where faces of a cell are: the cell, and the lower and the upper halves of the first byte and the end.
+    /// Ranges of a cell's faces: the cell, and the lower and the upper halves of the first byte and the end.
     pub const RANGES: usize = 2;
     pub const PLANES: usize = 3;
     /// A vertex, and the first one of its island.
     pub const ISLANDS: usize = 4;
-    /// Two of different clusters that a face joins.
+    /// Two vertices of different clusters that a face joins.
     pub const LINKS: usize = 5;
     pub const COUNT: usize = 6;
 }
@@ -541,7 +542,7 @@ impl<'a> FacePart<'a> {
         Ok(())
     }
 
-    /// Where the last block ends that is the part's, unless a mark tells.
+    /// End of the part's last block in the file, if no mark tells otherwise; `None` for tiles.
     fn end(&self) -> Option<u64> {
         let model = self.divided.prepared.model;
         let end = || model.face_at(model.info().faces);
@@ -659,8 +660,8 @@ impl Divided<'_> {
 }
 
 impl SamplingPass<'_> {
-    /// Where some vertices are, in local coordinates; nowhere those that have no sample. Calls `done` with
-    /// how many more it has read.
+    /// Local positions of some vertices, not a number for those that have no sample. Calls `done` with the
+    /// number of vertices read since the last call.
     fn positions(&self, sample_of: &[u32], vertices: Range<u64>, done: &dyn Fn(u64)) -> Result<Map> {
         let scratch = Scratch::new(self.folder, ADVICE)?;
         let mut reader = self.model.vertices(vertices)?;

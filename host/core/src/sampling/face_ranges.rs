@@ -1,4 +1,5 @@
-//! Where in the file the faces of each cell's vertices are: what a refinement has to read of them (paper §6).
+//! Ranges of the file with the faces of each cell's vertices, of which a refinement reads what it needs
+//! (paper §6).
 //!
 //! Faces are looked at in blocks between two marks of their reader, so that what is kept are bytes of the
 //! file, whatever its format. A block is in the ranges of each cell that one of its faces has a corner in.
@@ -16,7 +17,7 @@ pub struct FaceRanges {
     /// For each sample its cell, or the first of those that share it.
     cell_of: Vec<u32>,
     ranges: KeptRanges,
-    /// Where the block began that the stream is in, and the cells met in it.
+    /// Offset at which the block of the stream began, and the cells met in it.
     open: Option<u64>,
     met: Vec<u32>,
 }
@@ -136,9 +137,9 @@ impl FaceRanges {
 #[derive(Debug, Default)]
 pub struct MetCells {
     cells: Vec<u32>,
-    /// Where the cells of the block begin.
+    /// Place in `cells` of the first one of the block.
     block: usize,
-    /// Where blocks begin in the file, and how many of the cells come before.
+    /// Offset of each block in the file, and the number of cells before the block's.
     marks: Vec<(u64, usize)>,
 }
 

@@ -1,4 +1,4 @@
-//! Where in a model's faces each run of triangles begins whose planes are summed up by themselves, so that a
+//! Starts of the runs of triangles in a model's faces whose planes are summed up by themselves, so that a
 //! part of the faces can be read by itself. Where all faces are triangles of one length, arithmetic tells;
 //! else they are gone over once.
 
@@ -13,7 +13,7 @@ use super::clustered_file::refused;
 use super::placement::FACES_OF_A_SUM;
 use crate::sealed::{seal, unsealed};
 
-/// What a file of runs begins with.
+/// First letters of a file of runs.
 const LETTERS: &[u8; 8] = b"simodrun";
 
 const VERSION: u32 = 1;
@@ -41,16 +41,17 @@ struct RunStart {
     skip: u64,
 }
 
-/// What is read by who has a part of the runs.
+/// Range of the faces that is read for a part of the runs.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct RunsRead {
-    /// The mark from which on it is read.
+    /// Mark at which reading begins.
     pub(super) from: u64,
-    /// The triangles from there on of its runs, whose planes it sums up …
+    /// Triangles of the part's runs, counted from that mark, whose planes the part sums up …
     pub(super) summed: Range<u64>,
-    /// … and those that lie before the mark from which the next one reads, of which it finds all else.
+    /// … and the number of those before the mark at which the next part begins to read, in which this part
+    /// finds all else.
     pub(super) found: u64,
-    /// The mark at which it ends; none of the last part, which reads to the end.
+    /// Mark at which the part ends; `None` for the last part, which reads to the end.
     pub(super) to: Option<u64>,
 }
 
@@ -79,7 +80,7 @@ pub fn find(model: &dyn Model, target: &Path, progress: &dyn Progress) -> Result
     Ok(true)
 }
 
-/// What tells that a file is of a model.
+/// Hash of a model's size, by which a file is known to be of it.
 fn key_of(model: &dyn Model) -> u128 {
     let info = model.info();
     xxh3_128(
@@ -119,7 +120,7 @@ impl FaceRuns {
 
     fn find(model: &dyn Model, progress: &dyn Progress) -> Result<Self> {
         let mut runs = Self { key: key_of(model), ..Self::default() };
-        // How many triangles come before the last mark, and where it is.
+        // Number of triangles before the last mark, and the mark's offset.
         let mut last: Option<(u64, u64)> = None;
         for_faces(model, |chunk| {
             progress.check()?;
@@ -158,7 +159,7 @@ impl FaceRuns {
         self.triangles
     }
 
-    /// What is read of a part of so many; nothing where there are fewer runs than parts.
+    /// Range that is read for part number `part` of `parts`; `None` where there are fewer runs than parts.
     pub(super) fn part(&self, part: u64, parts: u64) -> Option<RunsRead> {
         let runs = self.starts.len() as u64;
         let at = |share: u64| (u128::from(runs) * u128::from(share) / u128::from(parts.max(1))) as u64;

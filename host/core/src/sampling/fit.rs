@@ -54,14 +54,14 @@ const FANS: usize = 64;
 /// No sample, and no triangle.
 const NONE: u32 = u32::MAX;
 
-/// What is known of the vertices of P_L.
+/// Vertices of P_L, and the sample of each.
 #[derive(Clone, Copy)]
 pub struct VertexMembers<'a> {
-    /// Where they are, local coordinates.
+    /// Positions of the vertices, local coordinates.
     pub vertices: &'a [Vec3],
-    /// The sample of each; `u32::MAX` if it has none.
+    /// Sample of each vertex; `u32::MAX` if it has none.
     pub sample_of: &'a [u32],
-    /// How many are at one place, about.
+    /// About the number of vertices at one place.
     pub at_one_place: u32,
 }
 
@@ -104,7 +104,7 @@ struct TriangleSurface<'a> {
     triangles: &'a [[u32; 3]],
     /// The triangles' normals; zero where they have no area.
     normals: Vec<Vec3>,
-    /// Where those around each sample begin in `around`.
+    /// Start of each sample's triangles in `around`.
     starts: Vec<u32>,
     around: Vec<u32>,
     /// The longest side of the samples' box.
@@ -158,7 +158,7 @@ impl<'a> TriangleSurface<'a> {
         corners.iter().position(|corner| *corner == sample).unwrap_or(0)
     }
 
-    /// Where the two corners of a triangle after one are.
+    /// Positions of the two corners of a triangle after one.
     #[inline(always)]
     fn others(&self, triangle: u32, corner: usize) -> [Vec3; 2] {
         let corners = self.triangles[triangle as usize];
@@ -254,8 +254,8 @@ impl<'a> TriangleSurface<'a> {
         ways
     }
 
-    /// What takes a sample's part of what is left to its step: the inverse of its block, lumped, with a
-    /// ridge.
+    /// Matrix that takes a sample's part of the residual to its step: the inverse of the sample's block,
+    /// lumped, with a ridge.
     fn lumped(&self, sample: u32, moments: &[TriangleSums]) -> Mat3 {
         // A sample at a corner of a triangle of too many vertices stays, as the others would move it alone.
         if self.around(sample).iter().any(|triangle| moments[*triangle as usize].is_full()) {
@@ -394,7 +394,7 @@ struct NearestPoint {
     triangle: u32,
     /// The point's barycentric coordinates.
     weights: [f32; 3],
-    /// How high the vertex is over the triangle.
+    /// Signed height of the vertex over the triangle.
     height: f32,
 }
 
@@ -451,7 +451,7 @@ impl SampleFan {
         }
     }
 
-    /// What of them is nearest to a point.
+    /// Point of the fan's triangles that is nearest to `p`.
     #[inline(always)]
     fn nearest(&self, p: Vec3) -> NearestPoint {
         let p = p - self.apex;
@@ -516,7 +516,7 @@ impl Blades {
         }
     }
 
-    /// How far a vector goes along one of each triangle.
+    /// Dot product of a vector with one of each triangle's, for the triangle in a lane.
     #[inline(always)]
     fn along(&self, a: &[[f32; LANES]; 3], lane: usize, p: Vec3) -> f32 {
         a[0][lane] * p.x + a[1][lane] * p.y + a[2][lane] * p.z

@@ -37,12 +37,12 @@ const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 18;
 
 /// Holds what the stream has brought of each open cell.
 pub trait Gather: Send {
-    /// What a cell's VS-Tree is built of.
+    /// Element of a cell's VS-Tree.
     type Item: Element;
-    /// What gathers a piece of the stream, apart from all others.
+    /// Gatherer of a piece of the stream, apart from all others.
     type Piece: GatherPiece<Item = Self::Item>;
 
-    /// One that has gathered nothing yet.
+    /// Gatherer that has gathered nothing yet.
     fn piece(&self) -> Self::Piece;
 
     /// Adds an item of a piece to a cell; the index of the item of the cell that it is, or is part of. Pieces
@@ -151,7 +151,7 @@ pub struct GroupGather {
     spare: Vec<CubeGroups>,
 }
 
-/// Where the groups of each cube of a cell are, by [`key`].
+/// Number of the first group of each cube of a cell, by [`key`].
 type CubeGroups = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
 
 impl GroupGather {
@@ -207,15 +207,15 @@ impl Gather for GroupGather {
     }
 }
 
-/// Whether groups find room in `memory` bytes, if the cells have so many in the end: what there was room for
-/// by the way depends on who gathers which cells.
+/// Whether groups find room in `memory` bytes, if each cell has the given number of them in the end; the room
+/// while they are gathered depends on who gathers which cells.
 pub fn find_room(records: &[CellRecord], groups: &[u32], memory: u64) -> bool {
     groups_find_room(records, groups, GroupGather::new(0, 1.0, memory).open.blocks())
 }
 
-/// Whether the groups of all cells that are open at a time have room in so many blocks. A cell counts with
-/// all that it has in the end, and in all of each piece of the stream that it is open in, so that no order in
-/// which pieces or cells are gathered finds less room than this.
+/// Whether the groups of all cells that are open at a time have room in `blocks` blocks. A cell counts with
+/// all groups that it has in the end, and in all of each piece of the stream that it is open in, so that no
+/// order in which pieces or cells are gathered finds less room than this.
 fn groups_find_room(records: &[CellRecord], groups: &[u32], blocks: u64) -> bool {
     let in_pieces = |r: &CellRecord| CellRecord { first: r.first / PIECE, last: r.last / PIECE, ..*r };
     let records: Vec<_> = records.iter().map(in_pieces).collect();
@@ -232,7 +232,7 @@ pub struct PieceGroups {
     next: Vec<u32>,
     /// The number of groups of each cell, and the one that was begun last.
     cells: HashMap<u32, (u32, u32), BuildHasherDefault<CellHasher>>,
-    /// Where the groups of each cube are, by its cell and [`key`].
+    /// Groups of each cube, by its cell and [`key`].
     table: HashMap<u64, u32, BuildHasherDefault<CellHasher>>,
     last: Option<Last>,
 }
@@ -240,12 +240,12 @@ pub struct PieceGroups {
 /// No group.
 const NONE: u32 = u32::MAX;
 
-/// Where the last vertex went: the next one is probably near.
+/// Cube and group of the last vertex: the next one is probably near.
 struct Last {
     cell: u32,
     cube: IVec3,
     place: u32,
-    /// What the group has come to, which is written back when another one follows.
+    /// Sums of the group so far, which are written back when another one follows.
     sums: GroupSums,
 }
 
@@ -353,7 +353,7 @@ impl GatherPiece for PieceGroups {
     }
 }
 
-/// How the groups of a model were gathered.
+/// Cubes in which the vertices of a model were gathered in groups.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cubes {
     /// Edge of the cubes, local units.
@@ -386,13 +386,13 @@ fn floor(x: Vec3) -> IVec3 {
     IVec3::select(above, towards_zero - 1, towards_zero)
 }
 
-/// How the vertices of open cells are held.
+/// Form in which the vertices of open cells are held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub enum Grouping {
-    /// As they are, unless too many are held at a time, and groups of them would be fewer.
+    /// Single vertices, unless too many are held at a time, and groups of them would be fewer.
     #[default]
     Automatic,
-    /// As they are.
+    /// Single vertices.
     Never,
     /// In groups, by cubes of 2^-level of a cell; the level is at most 6.
     Level(u32),
@@ -415,13 +415,13 @@ impl Grouping {
                     let cubes = 2 << (2 * level);
                     let groups = most_open(&grid.records, |cell| count(cell).min(cubes) * GROUP_BYTES);
                     let helps = vertices > VERTICES_AT_EASE && 2 * groups < vertices;
-                    // What would probably find none need not be tried.
+                    // Groups that would probably find no room need not be tried.
                     let has_room = groups / SURELY_TOO_MANY <= memory;
                     if helps && has_room { Self::Level(level) } else { Self::Never }
                 })
             }
         };
-        // Where all is in one place, cubes have no size.
+        // Cubes have no size where all vertices are in one place.
         resolved.edge(grid.cell_size(), frame).map_or(Self::Never, |_| resolved)
     }
 
@@ -582,7 +582,7 @@ mod tests {
         let groups = [2 * block, block + 1, 3 * block];
         assert!(groups_find_room(&records, &groups, 4));
         assert!(!groups_find_room(&records, &groups, 3));
-        // What is counted by the way has no more.
+        // Groups that are counted while they are gathered have no more room.
         assert!(groups_find_room(&records, &[block; 3], 2));
         assert!(find_room(&records, &groups, 1 << 30) && find_room(&records, &[1, 1, 1], 0));
     }

@@ -14,7 +14,7 @@ use simod_model::bounds::Bounds;
 /// Integer coordinates of a cell: ⌊p / cell size⌋.
 pub type CellKey = [i64; 3];
 
-/// What pass 1 keeps of a cell.
+/// Record of pass 1 for one cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CellRecord {
     /// Number of vertices in the cell.
@@ -71,7 +71,7 @@ pub struct GridCounter {
     key_max: CellKey,
     /// The cell of the last vertex: streams are coherent, so the map is seldom asked.
     current: Option<(CellKey, CellRecord)>,
-    /// What is surely inside that cell and the bounds: most vertices are, and need no further look.
+    /// Box that is surely inside that cell and the bounds: most vertices are in it, and need no further look.
     inside: Bounds,
     bounds: Bounds,
 }
@@ -205,7 +205,7 @@ impl GridCounter {
         self.fit();
     }
 
-    /// What was counted: the level, the bounds, and the cells by their keys.
+    /// Counts: the level, the bounds, and the cells by their keys.
     pub fn into_cells(mut self) -> (i32, Bounds, Vec<(CellKey, CellRecord)>) {
         self.flush();
         let mut cells: Vec<_> = self.cells.into_iter().collect();
@@ -213,7 +213,8 @@ impl GridCounter {
         (self.level, self.bounds, cells)
     }
 
-    /// What another counter of this resolution [has counted](Self::into_cells); `None` if none could have.
+    /// Counter with the counts that another one of this resolution [gave](Self::into_cells); `None` if no
+    /// counter can have given them.
     pub fn of_cells(
         resolution: u32,
         level: i32,

@@ -1,4 +1,4 @@
-//! How samples stand over their neighbours, for [`deconvolution`](super::deconvolution): of as many at once
+//! Heights of samples over their neighbours, for [`deconvolution`](super::deconvolution): of as many at once
 //! as the processor's vector registers take, each by the same operations in the same order on any processor.
 
 #![expect(
@@ -44,7 +44,7 @@ const PARTINGS: usize = 5;
 /// Samples that are looked at by one job.
 const TOGETHER: usize = 256;
 
-/// How a sample stands over its neighbours.
+/// Height of a sample over its neighbours.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Height {
     /// The direction of least variance.
@@ -138,8 +138,8 @@ fn over_plane<S: Simd>(simd: S, around: &mut [Triple<S>]) -> [DoubleLanes<S>; 3]
     }
     let scale = (splat(RING as f64) / ring).sqrt();
     let mut weights = [zero; NEIGHBOURS];
-    // How much of each neighbour's height their plane of weighted least squares has, here: the first column
-    // of the inverse of the products of 1 and both coordinates.
+    // Weight of each neighbour's height in the height that the plane of weighted least squares has at the
+    // sample: the first column of the inverse of the products of 1 and both coordinates.
     let [mut s, mut y, mut z, mut yy, mut yz, mut zz] = [zero; 6];
     for i in 0..around.len() {
         let d = [around[i][0] * scale, around[i][1] * scale, around[i][2] * scale];
@@ -175,7 +175,8 @@ fn along<S: Simd>(d: Triple<S>) -> DoubleLanes<S> {
     d[1] * d[1] + d[2] * d[2]
 }
 
-/// How many of each sample and its neighbours are higher than the middle, and the sum of the ways to them.
+/// Number of those among each sample and its neighbours that are higher than the middle, and the sum of the
+/// ways to them.
 #[inline(always)]
 fn sum_above<S: Simd>(
     simd: S,
@@ -197,9 +198,10 @@ fn sum_above<S: Simd>(
     (upper, sum)
 }
 
-/// Which of the samples that are `asked` for lie on two sheets, one above the other, with their neighbours,
-/// to which these are the ways along the axes of their scatter. Heights are at first along x, and then across
-/// what is found to be both sheets: with all in one, their plane leans from one sheet to the other.
+/// Mask of the samples among those that are `asked` for that lie on two sheets, one above the other, with
+/// their neighbours, to which `around` has the ways along the axes of their scatter. Heights are at first
+/// along x, and then across both sheets as found so far: with all in one, their plane leans from one sheet to
+/// the other.
 #[inline(always)]
 fn are_two_sheets<S: Simd>(
     simd: S,
@@ -234,7 +236,7 @@ fn are_two_sheets<S: Simd>(
         let found = asked.and(splat(TWO_SHEETS).less(part));
         are_two = are_two.or(found);
         asked = asked.and(part.less(splat(TWO_SHEETS)));
-        // What the sheets' distance leaves of the scatter.
+        // Scatter that is left when the sheets' distance is taken off.
         let (mut diagonal, mut off) = (scatter, [zero; 3]);
         for (at, [a, b]) in [[0, 1], [0, 2], [1, 2]].into_iter().enumerate() {
             diagonal[at] = scatter[at] - weight * apart[at] * apart[at];

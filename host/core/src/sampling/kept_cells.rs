@@ -1,5 +1,5 @@
-//! What is kept of the cells beside P_S, so that a refinement reads no more of the model than it has to and
-//! goes on where the trees stopped (paper §6): where in the stream each cell is, and its VS-Tree down to the
+//! Cells that are kept beside P_S, so that a refinement reads no more of the model than it has to and goes on
+//! where the trees stopped (paper §6): the ranges of each cell in the stream, and its VS-Tree down to the
 //! samples.
 //!
 //! The file begins with eight letters and a version, and ends with a checksum of all before it.
@@ -22,7 +22,7 @@ const WITHOUT_FACES: u32 = 2;
 pub struct KeptCells {
     /// log₂ of the cells' edge length, in the model's unit.
     pub level: i32,
-    /// Whether it is known where the faces of the cells are.
+    /// Whether the ranges of the cells' faces are known.
     pub knows_faces: bool,
     /// The cells in the order in which the stream meets them.
     pub cells: Vec<KeptCell>,
@@ -81,7 +81,7 @@ impl CutTree {
         is_grown
     }
 
-    /// What is wrong with a tree that was read, of a model of so many samples; nothing, mostly.
+    /// Defect of a tree that was read, of a model of so many samples; `None`, mostly.
     pub(super) fn defect(&self, samples: usize) -> Option<&'static str> {
         let mut missing = 1usize;
         for children in &self.children {
@@ -177,7 +177,7 @@ impl KeptCells {
     }
 }
 
-/// Whether these ascend, and end before an end.
+/// Whether ranges ascend, and end before `end`.
 fn are_ranges(ranges: &[Range<u64>], end: u64) -> bool {
     ranges.iter().all(|r| r.start < r.end && r.end <= end)
         && ranges.windows(2).all(|w| w[0].end <= w[1].start)

@@ -224,7 +224,7 @@ mod tests {
                 // Near the corners a sheet that bends is no quadratic surface.
                 prop_assert!(wrong * 50 <= vertices.len(), "{wrong} of {count}");
             } else {
-                // Where they bend by as much as they are apart, their parts will tell.
+                // Layers that bend by as much as they are apart are told by their parts.
                 prop_assert!(bend.abs() > 0.2 || gap < 0.04, "{gap} of {count}");
             }
         }

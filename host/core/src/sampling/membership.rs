@@ -53,16 +53,16 @@ pub struct Membership {
     twins: Option<Twins>,
 }
 
-/// What is to be known of the vertices, beside their samples.
+/// Choice of what is recorded of the vertices, beside their samples.
 #[derive(Clone, Copy)]
 pub struct Noted {
-    /// The positions of the vertices.
+    /// Whether the positions of the vertices are recorded.
     pub positions: bool,
-    /// Vertices at the same position, as far as [`Twins`] finds them.
+    /// Whether vertices at the same position are, as far as [`Twins`] finds them.
     pub twins: bool,
 }
 
-/// Where each vertex is, local coordinates.
+/// File of each vertex's position, local coordinates.
 struct Positions {
     file: Scratch,
     buffer: Vec<Vec3>,
@@ -72,7 +72,7 @@ struct Positions {
 /// The leaf of each item.
 pub struct Leaves {
     file: Scratch,
-    /// Where each cell's items and leaves begin.
+    /// First number of each cell's items, and of its leaves.
     starts: Vec<u32>,
 }
 
@@ -202,7 +202,7 @@ impl Membership {
     }
 }
 
-/// Where the items of each cell begin, and its leaves.
+/// First number of each cell's items, and of its leaves.
 pub fn starts(grid: &Grid) -> Vec<u32> {
     let mut next = 0u32;
     let start = |record: &CellRecord| {

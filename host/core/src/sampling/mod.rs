@@ -87,7 +87,7 @@ use placement::{Placed, Planes};
 pub use target::Target;
 use triangles::{Triangles, Wanted};
 
-/// How often a coarser cut is looked for that puts no sheets together.
+/// Most searches for a coarser cut that puts no sheets together.
 const COARSER_ROUNDS: usize = 4;
 
 /// Least memory limit, for a few samples: chunks of the model, the queue of cells, the program itself. Each
@@ -118,7 +118,7 @@ impl Sampling {
         }
     }
 
-    /// What is left of the memory limit for the samples of open cells, after all else.
+    /// Part of the memory limit that is left for the items of open cells, after all else.
     fn memory_for_cells(&self, grid: &Grid) -> u64 {
         let largest = grid.records.iter().map(|r| r.count).max().unwrap_or(0);
         let largest = largest.saturating_mul(size_of::<cluster::Vertex>() as u64);
@@ -188,10 +188,10 @@ fn sample_kept(
     prepared.complete(found)
 }
 
-/// What pass 2 and all that follows it go by.
+/// Inputs of pass 2 and of all that follows it.
 pub(crate) struct SamplingPass<'a> {
     model: &'a dyn Model,
-    /// What was asked for, as it comes to for the model.
+    /// Options, resolved for the model.
     sampling: Sampling,
     grid: Grid,
     non_finite: NonFinite,
@@ -202,7 +202,7 @@ pub(crate) struct SamplingPass<'a> {
     /// Memory for the vertices of open cells, and for groups of them.
     memory: u64,
     for_groups: u64,
-    /// Whether the faces tell anything.
+    /// Whether the model has faces that can tell of its samples.
     reads_faces: bool,
     picking: Option<Picking>,
     opaque: Option<Opaque>,
@@ -210,12 +210,12 @@ pub(crate) struct SamplingPass<'a> {
     progress: &'a dyn Progress,
 }
 
-/// What pass 2 has found.
+/// Findings of pass 2.
 pub(crate) struct ClusteredStream {
     cut: cut::Cut,
     fingerprint: String,
     jumps: u64,
-    /// Where in the stream each cell's vertices are.
+    /// Ranges of the stream with each cell's vertices.
     ranges: Vec<Vec<Range<u64>>>,
     membership: Option<Membership>,
     picked: Option<Picked>,
@@ -339,7 +339,7 @@ impl<'a> SamplingPass<'a> {
         })
     }
 
-    /// Whether it shall be known which cluster each vertex belongs to.
+    /// Whether the cluster of each vertex is recorded.
     fn with_members(&self) -> bool {
         let Sampling { placement, skip, .. } = &self.sampling;
         self.reads_faces && are_told(*placement, skip)
@@ -434,7 +434,7 @@ impl<'a> SamplingPass<'a> {
         Err(Error::internal("the samples are fewer than was foreseen"))
     }
 
-    /// How sheets are parted, of cells whose vertices are in these ranges.
+    /// Inputs by which sheets are parted, for cells whose vertices are in these ranges.
     fn parting<'b>(&'b self, ranges: &'b [Vec<Range<u64>>]) -> Parting<'b> {
         let Self { model, frame, folder, progress, .. } = *self;
         Parting { model, ranges, frame, folder, progress }
@@ -558,7 +558,7 @@ pub fn count(
     counted::count(model, &counting(model, sampling)?, target, progress)
 }
 
-/// What counts of a model belong to.
+/// Key of the model and the options that counts belong to.
 fn counting(model: &dyn Model, sampling: &Sampling) -> Result<CountKey> {
     let info = model.info();
     let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
@@ -566,7 +566,7 @@ fn counting(model: &dyn Model, sampling: &Sampling) -> Result<CountKey> {
     Ok(CountKey { model: [info.bytes, info.vertices], resolution, min_opacity })
 }
 
-/// How the faces are read.
+/// Inputs by which the faces are read.
 struct Read<'a> {
     sampling: &'a Sampling,
     /// The error bound, local units, if that is the target.
@@ -578,11 +578,11 @@ struct Read<'a> {
 struct FaceResult {
     cut: cut::Cut,
     triangles: Triangles,
-    /// Where the faces of each cell are.
+    /// Ranges of the file with the faces of each cell.
     faces: Option<Vec<Vec<Range<u64>>>>,
-    /// How clusters of several sheets were parted.
+    /// Clusters as they were parted by sheets.
     parted: Option<Parted>,
-    /// Where the faces place the samples.
+    /// Positions in which the faces place the samples.
     placed: Option<Vec<Placed>>,
 }
 
@@ -752,7 +752,7 @@ impl FaceResult {
         Ok(())
     }
 
-    /// Where the samples are by the planes around them.
+    /// Positions of the samples by the planes around them.
     fn place(&self, read: &Read<'_>, planes: Planes<'_>) -> Vec<Placed> {
         // The promise of an error bound is kept.
         let slack = matches!(read.sampling.target, Target::Error(_))
@@ -805,7 +805,8 @@ impl FaceResult {
             let info = read.parting.model.info();
             let at_one_place = (2 * info.vertices / info.faces.max(1)).clamp(1, 6) as u32;
             let members = VertexMembers { vertices, sample_of, at_one_place };
-            // Where sheets meet, samples that come nearer to their own get into what is on the other side.
+            // Samples near which sheets meet are held: nearer to their own vertices they would get into the
+            // other side.
             let held = match &self.parted {
                 Some(parted) if !parted.seeds.is_empty() => {
                     touching::crowded(placed.iter().map(|placed| placed.at).collect(), parted)?
@@ -822,7 +823,7 @@ impl FaceResult {
     }
 }
 
-/// How many samples are wanted, if that is the target.
+/// Number of samples that are wanted, if that is the target.
 fn samples_wanted(sampling: &Sampling) -> Option<usize> {
     match sampling.target {
         Target::Samples(n) => Some(usize::try_from(n).unwrap_or(usize::MAX)),
@@ -835,7 +836,7 @@ fn finds_triangles(sampling: &Sampling) -> bool {
     !sampling.skip.triangles || sampling.placement == Placement::Faces
 }
 
-/// Whether it is kept where the faces of each cell are.
+/// Whether the ranges of each cell's faces are kept.
 fn keeps_faces(sampling: &Sampling) -> bool {
     !sampling.skip.triangles && !sampling.skip.cells
 }
@@ -850,8 +851,8 @@ fn are_told(placement: Placement, skip: &Skip) -> bool {
     placement == Placement::Faces || !skip.sheets || !skip.triangles
 }
 
-/// Whether faces share hardly any vertices, so many of which are known to be at the same place as others:
-/// what hangs together is told by the positions of all then.
+/// Whether faces share hardly any vertices, `twins` of which are known to be at the same place as others:
+/// islands are told by the positions of all vertices then.
 fn are_apart(info: &ModelInfo, twins: u64) -> bool {
     (info.vertices - twins) / 2 > info.faces
 }
@@ -903,7 +904,7 @@ impl ClusterChanges {
     }
 }
 
-/// What is kept of the cells.
+/// Cells with their ranges and trees, to be kept.
 fn keep(
     grid: &Grid,
     ranges: Vec<Vec<Range<u64>>>,

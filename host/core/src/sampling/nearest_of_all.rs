@@ -1,10 +1,10 @@
 //! The nearest others of every point of a tree, leaf by leaf: the points of a leaf are near the same leaves,
 //! which are looked up once for all of them.
 //!
-//! How far the right number reaches is guessed by the leaf before, whose points are mostly near. Where it
-//! reaches further, one point is looked up by itself: what is nearest to another reaches no further than that
-//! and the way between both. Within it, how far they reach is guessed by the point before, and counted: so
-//! few are sorted that are not wanted.
+//! The distance of the last of the neighbours that are wanted is guessed by the leaf before, whose points are
+//! mostly near. Where it is larger, one point is looked up by itself: the neighbours of another point are no
+//! farther than that and the way between both. Within a leaf, the distance is guessed by the point before,
+//! and counted: so few points are sorted that are not wanted.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -66,7 +66,7 @@ impl KdTree {
     }
 }
 
-/// What a thread looks up with.
+/// Buffers with which a thread looks up the neighbours of leaves.
 struct Batch<'a> {
     tree: &'a KdTree,
     k: usize,
@@ -218,7 +218,7 @@ fn least<S: Simd>(simd: S, distances: &[f32; LEAF]) -> f32 {
     simd.reduce_min_f32s(least)
 }
 
-/// How many distances are within a limit.
+/// Number of distances that are within a limit.
 #[inline(always)]
 fn count<S: Simd>(simd: S, distances: &[[f32; LEAF]], limit: f32) -> usize {
     let (limit, one, none) = (simd.splat_f32s(limit), simd.splat_f32s(1.0), simd.splat_f32s(0.0));

@@ -74,7 +74,7 @@ pub fn plane_normals<'a>(
     Arch::new().dispatch(PlaneNormals { positions, begin, neighbours, normals });
 }
 
-/// What [`plane_normals`] does, in the processor's vectors.
+/// Inputs and result of [`plane_normals`], which are computed in the processor's vectors.
 struct PlaneNormals<'a, F> {
     positions: &'a [Vec3],
     begin: usize,
@@ -185,9 +185,9 @@ fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open
 
 /// A partition of the samples, with the sides that their normals look to: disjoint sets as trees.
 struct OrientedParts {
-    /// The sample above each one, or itself: the root stands for the part.
+    /// Sample above each one in the trees, or the sample itself: the root stands for the part.
     above: Vec<u32>,
-    /// Whether its normal has to be turned to look the same way as that of the one above.
+    /// Whether a sample's normal has to be turned to look the same way as that of the sample above.
     turned: Vec<bool>,
 }
 

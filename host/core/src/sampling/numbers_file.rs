@@ -1,4 +1,4 @@
-//! Lists of numbers in a file: what units of work leave each other of vertices and faces.
+//! Lists of numbers in a file, which units of work leave each other of vertices and faces.
 //!
 //! Each list is in blocks, which may lie among those of the others; where they are, and their hashes, is told
 //! at the file's end.
@@ -16,7 +16,7 @@ use xxhash_rust::xxh3::xxh3_128;
 use super::clustered_file::refused;
 use crate::sealed::{read_end, seal};
 
-/// What the end of a file begins with.
+/// First letters of the end of a file.
 const LETTERS: &[u8; 8] = b"simodnum";
 
 const VERSION: u32 = 1;
@@ -38,10 +38,10 @@ struct NumberBlock {
     hash: u128,
 }
 
-/// What stands at the end of a file.
+/// Table at the end of a file.
 #[derive(Serialize, Deserialize)]
 struct NumberTable {
-    /// What the file is of.
+    /// Key of the content that the file is for.
     key: u128,
     /// The blocks of each list.
     lists: Vec<Vec<NumberBlock>>,

@@ -16,7 +16,7 @@ const UNUSUAL: f64 = 10.0;
 /// A splat of so much opacity is part of what is seen, however large and wherever it is.
 const SEEN: f64 = 0.5;
 
-/// What is usual is told by splats at so many places of the file, so many at each.
+/// Numbers of places in the file at which splats are read to tell the usual ones, and of splats at each.
 const PLACES: u64 = 64;
 const AT_A_PLACE: u64 = 1024;
 
@@ -44,8 +44,8 @@ impl UsualSplat {
         (usual.distance > 0.0 && usual.size > 0.0).then_some(usual)
     }
 
-    /// How many times larger or farther off than what is hardly unusual a splat is; at least one, and one if
-    /// it has no size.
+    /// Factor by which a splat is larger or farther off than one that is hardly unusual; at least 1, and by
+    /// the distance alone if it has no size.
     fn excess(&self, p: DVec3, size: f64) -> f64 {
         (size / (UNUSUAL * self.size)).max(p.distance(self.middle) / (UNUSUAL * self.distance)).max(1.0)
     }
@@ -54,7 +54,7 @@ impl UsualSplat {
 /// The rule by which splats of a model are left out.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Opaque {
-    /// Where among the attributes opacity and logarithms of scales are; discs have two of these.
+    /// Places of the opacity and the logarithms of the scales among the attributes; discs have two scales.
     places: [usize; 4],
     scales: usize,
     /// The least opacity.
@@ -83,18 +83,18 @@ impl Opaque {
         Ok(Some(Self { usual: opaque.find_usual(model)?, ..opaque }))
     }
 
-    /// What splats are compared with.
+    /// Medians of splats, with which others are compared.
     pub(crate) fn usual(&self) -> Option<UsualSplat> {
         self.usual
     }
 
-    /// What is usual in the model.
+    /// Medians of the model's splats.
     ///
     /// # Errors
     /// The file cannot be read.
     fn find_usual(&self, model: &dyn Model) -> Result<Option<UsualSplat>> {
         let info = model.info();
-        // Where reading begins at the first splat always, all are read, and some are taken: files may be
+        // All splats are read, and some are taken, where reading begins at the first one always: files may be
         // sorted.
         let (places, each, step) = match info.random_access && info.vertices > PLACES * AT_A_PLACE {
             true => (PLACES, AT_A_PLACE, 1),
@@ -132,7 +132,7 @@ impl Opaque {
             let is_faint = |usual: UsualSplat| {
                 opacity < seen && opacity < logit(self.least * usual.excess(*p, size(&numbers[1..], i)))
             };
-            // What is no number stays.
+            // A splat whose opacity is no number stays.
             if opacity < least || self.usual.is_some_and(is_faint) {
                 *p = DVec3::NAN;
                 count += 1;

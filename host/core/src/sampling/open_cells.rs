@@ -20,7 +20,7 @@ const SLAB: usize = 256;
 /// End of a chain of blocks.
 const NONE: u32 = u32::MAX;
 
-/// Where the chain of pieces in the file ends.
+/// End of the chain of a cell's pieces in the file.
 const NO_PIECE: u64 = u64::MAX;
 
 /// Bytes that are collected to be written at once.
@@ -63,7 +63,7 @@ struct ItemPool<T> {
 struct Spill {
     folder: PathBuf,
     file: Option<Arc<Scratch>>,
-    /// Where in the file what is collected will be.
+    /// Offset in the file at which the collected bytes will be written.
     end: u64,
     collected: Vec<u8>,
 }

@@ -39,9 +39,9 @@ const PAIRS: usize = 512;
 /// Vertices between two that are passed over rather than begun anew behind.
 const NEAR: u64 = 256;
 
-/// How much more normals of vertices may differ from those of faces than these from one triangle to the next.
-/// Normals of the surface itself differ 0.4 to 0.9 times as much, and those of a smooth surface below a
-/// relief 1.4 to 2.3 times.
+/// Largest ratio of the difference between normals of vertices and of faces to that of faces from one
+/// triangle to the next. Normals of the surface itself differ 0.4 to 0.9 times as much, and those of a smooth
+/// surface below a relief 1.4 to 2.3 times.
 const MOST_UNLIKE: f64 = 1.15;
 
 /// An angle by which normals may always differ, radians.
@@ -61,7 +61,7 @@ impl Placement {
         }
     }
 
-    /// What it comes to for a model with faces.
+    /// Placement for a model with faces: `Automatic` becomes one of the others.
     ///
     /// Memory: 1 MiB, and a chunk of vertices and one of faces.
     ///
@@ -140,7 +140,7 @@ impl PairVertices {
     }
 }
 
-/// How much the normals of faces differ from those of their corners, and from one face to the next.
+/// Differences of the normals of faces from those of their corners, and from one face to the next.
 #[derive(Default)]
 struct Unlike {
     /// Area of the triangles.
@@ -174,8 +174,8 @@ impl Unlike {
         self.last = Some((triangle, normal, area));
     }
 
-    /// Whether there are normals, and nothing tells that they are others than those of the faces: neither all
-    /// faces, nor those without the sharpest edges.
+    /// Whether there are normals of vertices, and nothing tells that they are others than those of the faces:
+    /// neither all faces, nor those without the sharpest edges.
     fn is_little(&mut self) -> bool {
         let known = self.from_corners.area();
         // Hardly a triangle shares a corner with the next.
@@ -224,25 +224,25 @@ pub const FACES_OF_A_SUM: u64 = 1 << 16;
 /// Faces that one job looks at.
 pub const FACES_OF_A_JOB: usize = 1 << 12;
 
-/// The planes of the faces around each sample's cluster, summed up.
+/// Planes of the faces around each sample's cluster, summed up.
 ///
 /// Memory: 128 bytes per sample, and 4 for each time that one is met in a run of faces; without its own sums
 /// 48, and 44 bytes for each of the listed ones, of which a run has three for each face at most. 28 bytes for
 /// each face across borders, of those that were taken at once and had most.
 pub struct Planes<'a> {
-    /// Where the vertices of P_L are, local coordinates.
+    /// Positions of the vertices of P_L, local coordinates.
     vertices: &'a [Vec3],
-    /// Where the samples are by their vertices.
+    /// Positions of the samples by their vertices.
     samples: &'a [Vec3],
-    /// The number of the first of these: those before it stay where they are.
+    /// Number of the first of these samples: those before it stay where they are.
     first: u32,
     /// Planes of so many samples each, one after the other: each is summed up by one thread at a time, in the
     /// file's order.
     shards: Vec<PlaneShard>,
     samples_of_a_shard: usize,
-    /// What each of the jobs finds in the faces that are taken at once.
+    /// Findings of each job in the faces that are taken at once.
     crossing: Vec<Vec<CrossingFace>>,
-    /// How many faces of a run were taken.
+    /// Number of faces of a run that were taken so far.
     faces: u64,
 }
 
@@ -263,7 +263,7 @@ struct CrossingFace {
     of: [u32; 3],
 }
 
-/// What becomes of the sums of some faces.
+/// Sums of the planes of faces, or the faces for them.
 enum PlaneSumming {
     /// Planes are added up, in double precision.
     Added(Vec<[f64; 10]>),
@@ -293,9 +293,9 @@ impl Quadric {
 /// A sample that faces have placed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placed {
-    /// Where it is, local coordinates.
+    /// Position of the sample, local coordinates.
     pub at: Vec3,
-    /// How far it may be from where the vertices have placed it.
+    /// Largest distance that the sample may be from where the vertices have placed it.
     pub most: f32,
 }
 
@@ -402,8 +402,8 @@ impl<'a> Planes<'a> {
         self.faces = end % FACES_OF_A_SUM;
     }
 
-    /// Where the samples are by the faces: as far from where they were as the corners in their clusters are
-    /// (rms), and as `most` allows, at most.
+    /// Positions of the samples by the faces. A sample moves at most as far as the corners in its cluster are
+    /// from its former position (rms), and as `most` allows.
     pub fn place(mut self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Placed> {
         self.shards.par_iter_mut().for_each(PlaneShard::sum_up);
         let sum = |i: usize| match &self.shards[i / self.samples_of_a_shard].sums {
@@ -412,7 +412,7 @@ impl<'a> Planes<'a> {
         };
         let placed = |(i, sample): (usize, &Vec3)| {
             let moved = sum(i).map(|sum| (least(sum), radius(sum).min(f64::from(most(i)))));
-            // Around some there are no planes.
+            // Some samples have no planes around them.
             match moved.filter(|(way, most)| way.is_finite() && *most > 0.0) {
                 Some((way, most)) => {
                     let at = (sample.as_dvec3() + way.clamp_length_max(most)).as_vec3();

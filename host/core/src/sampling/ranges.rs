@@ -1,8 +1,9 @@
-//! Where in the stream each cell's vertices are, or its faces: what a refinement has to read again (paper
+//! Ranges of the stream with each cell's vertices, or its faces, which a refinement has to read again (paper
 //! §6).
 //!
 //! A stream may come back to a cell any number of times; only so many ranges are kept, and those that have
-//! the least between them become one. In files whose rows go around the model, it comes back with each row.
+//! the least between them become one. In files whose rows go around the model, the stream comes back with
+//! each row.
 
 use std::ops::Range;
 
@@ -23,12 +24,12 @@ pub struct Ranges {
     most: usize,
 }
 
-/// How a stream goes from cell to cell.
+/// Jumps of a stream from cell to cell.
 #[derive(Clone, Copy, Default)]
 pub struct Jumps {
-    /// The cells in which it begins and ends.
+    /// Cells in which the stream begins and ends.
     pub ends: Option<[u32; 2]>,
-    /// How often it comes from one cell into another.
+    /// Number of times that the stream comes from one cell into another.
     pub count: u64,
 }
 
@@ -132,7 +133,7 @@ fn halve(ranges: &mut Vec<Range<u64>>, keep: usize) {
     let classes: Vec<usize> = (0..ranges.len() - 1).map(class).collect();
     let mut counts = [0; 2 * 65];
     classes.iter().for_each(|class| counts[*class] += 1);
-    // How many of each class go: the first.
+    // Number of ranges of each class that go: the first.
     let mut left = ranges.len() - keep;
     counts.iter_mut().for_each(|count| {
         *count = left.min(*count);

@@ -36,7 +36,7 @@ pub struct SampleSet {
     pub positions: Vec<Vec3>,
     /// Unit normals of the model, averaged; zero, or none at all, where it has none.
     known: Vec<Vec3>,
-    /// Whether none of them is missing.
+    /// Whether the model has told the normals of all samples.
     all_known: bool,
     /// All normals, where some had to be estimated.
     estimated: OnceLock<Vec<Vec3>>,
@@ -113,7 +113,7 @@ impl SampleSet {
         }
         let fit = normals.len() == self.len() && normals.iter().all(|n| n.is_normalized());
         if fit {
-            // Where they are known by now, they are the same.
+            // Normals that are known by now are the same.
             let _ = self.estimated.set(normals);
         }
         fit
@@ -140,7 +140,7 @@ impl SampleSet {
         self.rest = OnceLock::new();
     }
 
-    /// What is held of the samples at rest, for all who need it as long as there are these samples: the
+    /// Data held with the samples at rest, for all who need it as long as there are these samples: the
     /// reconstruction's, whose type is not known here.
     pub(crate) fn rest<T: Any + Default + Send + Sync>(&self) -> Arc<T> {
         self.rest.get_or_init(|| Arc::<T>::default()).clone().downcast().unwrap_or_default()
@@ -185,7 +185,7 @@ impl SampleSet {
         &self.neighbourhoods().spacing
     }
 
-    /// How far the surface around each sample goes that it stands for in pictures: its spacing, but for
+    /// Radius of the surface around each sample that the sample stands for in pictures: its spacing, but for
     /// samples that lie apart from all others, as strays of a scan, no more than their nearest neighbour
     /// tells.
     pub fn extents(&self) -> Vec<f32> {
@@ -234,7 +234,7 @@ impl SampleSet {
         found.into_iter().map(|found| found as u32).collect()
     }
 
-    /// These neighbours in no order, as numbers that are in it: their lower halves are the neighbours.
+    /// The same neighbours in no order, as numbers that are in it: their lower halves are the neighbours.
     pub(crate) fn unsorted_neighbours_about(&self, i: usize, reach: f32, count: usize) -> Vec<u64> {
         // Some more, as their number is not the same everywhere.
         for more in MORE.into_iter().take_while(|_| reach > 0.0) {
@@ -258,7 +258,8 @@ impl SampleSet {
         self.tree().nearest(p)
     }
 
-    /// What [`deepest`](Self::deepest) takes, of balls about the samples.
+    /// Largest radius of the balls about the samples below each node of their tree, for
+    /// [`deepest`](Self::deepest).
     pub(crate) fn largest_below(&self, radius: &[f32]) -> Vec<f32> {
         self.tree().largest_below(radius)
     }

@@ -21,7 +21,7 @@ use super::shares::PIECE;
 use crate::sealed::{read_end, seal};
 use crate::varint::{self, VarintNumbers};
 
-/// What the end of a file begins with.
+/// First letters of the end of a file.
 const LETTERS: &[u8; 8] = b"simodshv";
 
 const VERSION: u32 = 1;
@@ -53,11 +53,11 @@ pub struct Visit {
     pub cell: u32,
     /// From its first vertex to before the first one elsewhere.
     pub vertices: Range<u64>,
-    /// How many of them are in the cell: others are nowhere.
+    /// Number of these vertices that are in the cell: others are nowhere.
     pub finite: u32,
 }
 
-/// What a piece of the stream has of some cells.
+/// Vertices of some cells in a piece of the stream.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SharedPiece {
     pub visits: Vec<Visit>,
@@ -173,12 +173,12 @@ struct RecordBlock {
     hash: u128,
 }
 
-/// What stands at the end of a file.
+/// Table at the end of a file.
 #[derive(Serialize, Deserialize)]
 struct SharedVertexTable {
-    /// What the file is of.
+    /// Key of the content that the file is for.
     key: u128,
-    /// Whether all vertices are there: none are needed where groups found no room.
+    /// Whether all vertices are in the file: none are needed where groups found no room.
     is_whole: bool,
     /// The blocks of each group.
     groups: Vec<Vec<RecordBlock>>,
@@ -269,7 +269,7 @@ impl SharedWriter {
     }
 }
 
-/// Whether there is a whole file of this.
+/// Whether there is a whole file of this key.
 pub fn is_there(path: &Path, key: u128) -> bool {
     read_table(path).is_ok_and(|(_, table)| table.key == key)
 }
@@ -287,7 +287,7 @@ fn refused(path: &Path, what: &str) -> Error {
     )
 }
 
-/// Reads what the files of all ranges have of a group.
+/// Reads the vertices of a group from the files of all ranges.
 ///
 /// Memory: 48 bytes for each block of the group, and a block.
 pub struct SharedReader {
@@ -296,7 +296,7 @@ pub struct SharedReader {
     open: Option<File>,
     at: usize,
     block: Vec<u8>,
-    /// Where the next record in the block is.
+    /// Offset of the next record in the block.
     next: usize,
     records: u64,
 }

@@ -1,4 +1,4 @@
-//! How clusters are split.
+//! Options for the splitting of clusters.
 
 use serde::{Deserialize, Serialize};
 use simod_model::ModelInfo;
@@ -19,7 +19,7 @@ pub enum Splitting {
 }
 
 impl Splitting {
-    /// How the clusters of a model are split: where there are faces, these tell layers apart.
+    /// Splitting for a model: where there are faces, these tell layers apart.
     pub(super) fn resolve(self, info: &ModelInfo) -> Self {
         if self == Self::Layered && info.faces > 0 { Self::VolumeSurface } else { self }
     }

@@ -62,7 +62,7 @@ pub fn cluster<G: Gather>(
     if clustered.is_some() || shards == 1 {
         return Ok(clustered);
     }
-    // What finds no room in a part of the memory may do so in all of it.
+    // Items that find no room in a shard's part of the memory may find it in the whole.
     cluster_in_shards(pass, vec![gather(1)])
 }
 
@@ -116,7 +116,7 @@ fn vertices_of(pass: &ClusteringPass<'_>) -> Range<u64> {
     }
 }
 
-/// How many pieces the stream has.
+/// Number of pieces of the stream.
 fn pieces_of(pass: &ClusteringPass<'_>) -> u64 {
     let Range { start, end } = vertices_of(pass);
     match pass.job {
@@ -154,7 +154,7 @@ fn shards<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>) -> Vec<Mutex<Cel
     gather.into_iter().zip(left).map(shard).map(Mutex::new).collect()
 }
 
-/// Whether there was room.
+/// Streams the vertices; `false` if there was no room.
 fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clustered) -> Result<bool> {
     let Clustered { forest, hash, ranges, items, jumps, membership, picked } = found;
     let vertices = vertices_of(pass);
@@ -220,22 +220,22 @@ fn note_visit(visits: &mut Vec<(u32, Range<u64>)>, cell: u32, vertices: &Range<u
 /// The cell that the stream is in.
 struct EnteredCell {
     key: CellKey,
-    /// What is surely inside it, once the stream has stayed; nothing before, as a stream in no order does
-    /// not.
+    /// Box that is surely inside the cell, once the stream has stayed in it; empty before, as a stream in no
+    /// order does not stay.
     inside: Bounds,
     cell: u32,
-    /// Whether it is clustered here.
+    /// Whether the cell is clustered by this job.
     is_own: bool,
 }
 
-/// Deals what is of each cell out to so many shards.
+/// Deals the items of each cell out to shards.
 fn deal<T>(of_cells: impl Iterator<Item = T>, shards: usize) -> Vec<Vec<T>> {
     let mut dealt: Vec<Vec<T>> = (0..shards).map(|_| Vec::new()).collect();
     of_cells.enumerate().for_each(|(cell, of_cell)| dealt[cell % shards].push(of_cell));
     dealt
 }
 
-/// What was [dealt](deal) out, in the order of cells.
+/// Items that were [dealt](deal) out, in the order of cells.
 fn gathered_up<T>(dealt: Vec<Vec<T>>) -> Vec<T> {
     let cells = dealt.iter().map(Vec::len).sum();
     let mut shards: Vec<_> = dealt.into_iter().map(Vec::into_iter).collect();
@@ -255,7 +255,7 @@ struct Stream<'a, G: Gather> {
     /// A cell is of the shard of its number modulo theirs.
     shards: Vec<Mutex<CellShard<G>>>,
     finishing: Mutex<Finishing<'a>>,
-    /// What all trees are taken into, and whether none is yet.
+    /// Forest that takes all trees in, and whether it has none yet.
     forest: Mutex<(&'a mut Forest, bool)>,
     workspaces: Mutex<Vec<TreeWorkspace<G::Item>>>,
     schedule: Schedule<StreamPiece<G::Piece>, Complete<G>>,
@@ -267,7 +267,7 @@ type Complete<G> = (u32, CellItems<<G as Gather>::Item>);
 struct StreamReading<'a> {
     /// Number of the piece that is read next.
     next: u64,
-    /// Where vertices are read best in their order, and all by one reader.
+    /// Reader of all vertices, where they are read best in their order.
     reader: Option<Box<dyn VertexReader + 'a>>,
 }
 
@@ -277,9 +277,9 @@ struct CellShard<G> {
     gather: G,
     /// Vertices of each cell that are still to come.
     left: Vec<u64>,
-    /// How many items each cell had in the end.
+    /// Number of items of each cell in the end.
     items: Vec<u32>,
-    /// Where in the stream each cell's vertices are.
+    /// Ranges of the stream with each cell's vertices.
     ranges: Ranges,
     /// Items that are merged of those that the next piece has for the shard.
     at: usize,
@@ -287,7 +287,7 @@ struct CellShard<G> {
     complete: Option<u32>,
 }
 
-/// What is found by the way of pieces in the order of the stream.
+/// Sums over the pieces, added up in the order of the stream.
 struct Finishing<'a> {
     hash: &'a mut HashedStream,
     jumps: &'a mut Jumps,
@@ -304,7 +304,7 @@ struct StreamPiece<P: GatherPiece> {
     gathered: Vec<(u32, P::Item)>,
     /// The item that each vertex is part of, if it shall be known; [`NONE`] where the vertex is not finite.
     items: Vec<u32>,
-    /// Where they are, local units, if it shall be known.
+    /// Local positions of the vertices, if they are recorded.
     positions: Vec<Vec3>,
     /// The vertices whose colours are kept.
     picks: Vec<Pick>,
@@ -316,12 +316,12 @@ struct StreamPiece<P: GatherPiece> {
     places: Vec<AtomicU32>,
     /// Each cell that the stream enters, and the vertices up to where it leaves it.
     visits: Vec<(u32, Range<u64>)>,
-    /// How these follow each other.
+    /// Jumps between these cells.
     jumps: Jumps,
     /// The piece's vertices in cells that others cluster, and what is written down of them.
     shared: SharedPiece,
     records: Vec<(u32, Vec<u8>)>,
-    /// What was read in the place of the model.
+    /// Number of bytes that were read in the place of the model.
     bytes: u64,
 }
 
@@ -569,7 +569,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         }
     }
 
-    /// Whether all of the items were merged.
+    /// Merges items of a piece into a shard; `false` if some found no room or have to wait.
     fn merge_items(
         &self,
         shard: &mut CellShard<G>,

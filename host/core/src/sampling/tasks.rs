@@ -22,7 +22,7 @@ pub enum Task<P, C> {
     Cluster(C),
 }
 
-/// Why there is nothing left to do before the end.
+/// Reason why there is nothing left to do before the end.
 pub enum Stopped {
     /// Something found no room.
     NoRoom,
@@ -30,7 +30,7 @@ pub enum Stopped {
     Failed(Error),
 }
 
-/// What there is to do.
+/// Tasks that are still to be done.
 pub struct Tasks<P, C> {
     /// Number of all pieces.
     pieces: u64,
@@ -160,7 +160,7 @@ impl<P, C> Tasks<P, C> {
     }
 }
 
-/// What there is to do, for several threads.
+/// Tasks that are still to be done, for several threads.
 pub struct Schedule<P, C> {
     tasks: Mutex<Tasks<P, C>>,
     /// There is something to do for a thread that waits, or nothing will be.
@@ -211,7 +211,7 @@ impl<P, C> Schedule<P, C> {
         }
     }
 
-    /// Why there was nothing left to do before the end, if so.
+    /// Reason why there was nothing left to do before the end, if there is one.
     pub fn into_stopped(self) -> Option<Stopped> {
         self.tasks.into_inner().unwrap_or_else(PoisonError::into_inner).stopped
     }

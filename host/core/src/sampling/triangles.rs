@@ -60,16 +60,16 @@ impl Triangles {
     }
 }
 
-/// What is looked for in the faces.
+/// Findings that are looked for in the faces.
 #[derive(Default)]
 pub struct Wanted<'a, 'p> {
-    /// The triangles of P_S.
+    /// Whether the triangles of P_S are wanted.
     pub triangles: bool,
-    /// Where the faces of each cell are.
+    /// Ranges of the file with the faces of each cell, if they are wanted.
     pub ranges: Option<&'a mut FaceRanges>,
-    /// The vertices that hang together, if they are wanted.
+    /// Islands of vertices that hang together, if they are wanted.
     pub islands: Option<&'a mut Islands>,
-    /// The planes around each sample.
+    /// Planes around each sample, if they are wanted.
     pub planes: Option<&'a mut Planes<'p>>,
 }
 
@@ -131,7 +131,7 @@ impl<'a, 'p> Reindexing<'a, 'p> {
         self.sample_of.get(vertex as usize).copied().filter(|sample| (*sample as usize) < self.samples)
     }
 
-    /// What was wanted besides the triangles.
+    /// Findings that were wanted besides the triangles.
     pub fn wanted(&mut self) -> &mut Wanted<'a, 'p> {
         &mut self.wanted
     }
@@ -178,14 +178,14 @@ impl<'a, 'p> Reindexing<'a, 'p> {
     }
 }
 
-/// How faces are looked at.
+/// Inputs by which triangles are looked at.
 struct Look<'a> {
     sample_of: &'a [u32],
     samples: usize,
     wants_triangles: bool,
-    /// Corners are wanted as vertices.
+    /// Whether corners are wanted as vertices.
     of_vertices: bool,
-    /// Where the cells are of which it is noted that they are met.
+    /// Cell of each sample, if the cells that faces meet are noted.
     ranges: Option<&'a FaceRanges>,
 }
 
@@ -207,7 +207,7 @@ impl Look<'_> {
         pieces
     }
 
-    /// What is found in some triangles, of which the first one has a number that marks tell.
+    /// Findings in some triangles, of which the first one has number `first`, as marks count.
     fn piece(&self, first: usize, triangles: &[[u32; 3]], marks: &[FaceMark]) -> FoundInFaces {
         let mut piece = FoundInFaces::default();
         let mut marks = marks.iter().peekable();
@@ -249,7 +249,7 @@ impl Look<'_> {
     }
 }
 
-/// What is found in some faces.
+/// Findings in some faces.
 #[derive(Default)]
 struct FoundInFaces {
     triangles: Vec<[u32; 3]>,
@@ -311,7 +311,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Where marks are: mostly near where one piece ends and the next begins.
+    /// Places of marks: mostly near where one piece ends and the next begins.
     fn places(faces: usize) -> impl Strategy<Value = Vec<usize>> {
         let near = (0..=faces / FACES_OF_A_JOB, 0..4usize)
             .prop_map(|(piece, beyond)| piece * FACES_OF_A_JOB + beyond);

@@ -156,7 +156,7 @@ impl VsTree {
         }
     }
 
-    /// Whether it is a tree: what was read may be anything.
+    /// Whether the nodes are a tree: one that was read from a file may be damaged.
     pub fn is_sound(&self) -> bool {
         let count = self.nodes.len();
         // The ends of the subtrees around the node at hand.
@@ -250,7 +250,7 @@ impl<E> Default for TreeWorkspace<E> {
     }
 }
 
-/// How a cluster is split.
+/// Space in which a cluster is split.
 #[derive(Debug, Clone, Copy)]
 enum SplitStage {
     /// In space, along the coordinate axes.
@@ -259,19 +259,19 @@ enum SplitStage {
     Surface([Vec3; 2]),
 }
 
-/// Where in the tree a cluster is.
+/// Position of a cluster in the tree.
 #[derive(Debug, Clone, Copy)]
 struct TreePosition {
     /// The key of the cluster above.
     above: f32,
     stage: SplitStage,
     depth: u32,
-    /// Different for each place.
+    /// Seed, different for each position.
     seed: u64,
 }
 
 impl TreePosition {
-    /// The place of a part of a cluster with this key here.
+    /// Position of a part of the cluster here, which has this key.
     fn below(self, key: f32, stage: SplitStage, part: usize) -> Self {
         Self { above: key, stage, depth: self.depth + 1, seed: mix(self.seed, part as u64 + 1) }
     }
@@ -282,7 +282,7 @@ struct TreeBuilder<'a, F> {
     goes_on: F,
     nodes: &'a mut Vec<Node>,
     built: u32,
-    /// Where the elements of the cluster at hand go.
+    /// Code of each element of the cluster at hand: the part that it goes to.
     codes: &'a mut [u8],
     leaves: &'a mut [u32],
     first_index: u32,
