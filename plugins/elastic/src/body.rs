@@ -1,4 +1,4 @@
-//! The body: its energy by where the corners of its lattice are, and the derivatives.
+//! Body: its energy as a function of the positions of its lattice's corners, and the derivatives.
 //!
 //! Cells are hexahedra with linear edges. Changes of volume are resisted in the middle of each alone, so that
 //! thin parts of nearly constant volume bend; changes of shape at eight points, which lie a little nearer to
@@ -29,22 +29,22 @@ pub struct Body {
     /// The cells of the body.
     pub lattice: HexMesh,
     springs: Vec<Spring>,
-    /// What the springs tie each corner by.
+    /// Sum of the springs' weights at each corner.
     ties: Vec<f64>,
-    /// How much of the body is about each corner.
+    /// Volume of the body about each corner.
     masses: Vec<f64>,
-    /// What resists changes of volume, beside a shear modulus of 1 (Lamé's first parameter).
+    /// Resistance to changes of volume, beside a shear modulus of 1 (Lamé's first parameter).
     modulus: f64,
     slopes: Slopes,
-    /// How much of a cell each of its points stands for.
+    /// Volume that each of a cell's points stands for.
     amounts: Vec<[f64; 8]>,
     multilevel: Multilevel,
 }
 
-/// How all cells are deformed.
+/// Gradients of the deformation in all cells.
 pub type BodyGradients = Vec<CellGradients>;
 
-/// What acts on the body.
+/// Loads on the body.
 #[derive(Debug)]
 pub struct Load<'a> {
     /// The places of the regions.
@@ -56,7 +56,7 @@ pub struct Load<'a> {
 }
 
 impl Body {
-    /// A lattice with what holds it, of a material of this Poisson's ratio.
+    /// Body of a lattice with the springs that hold it, of a material of this Poisson's ratio.
     pub fn new(lattice: HexMesh, springs: Vec<Spring>, poisson: f64) -> Self {
         // By how much nearer: see the head of this file.
         let near = ((1.0 + poisson) / (1.5 * (1.0 + poisson * poisson))).sqrt();
@@ -87,7 +87,7 @@ impl Body {
         (3.0 * modulus + 2.0) / (modulus + 1.0)
     }
 
-    /// How the cell of a place is deformed there.
+    /// Gradient of the deformation at a place, in the place's cell.
     pub fn gradient(&self, place: CellPoint, x: &[DVec3]) -> DMat3 {
         let slopes = slopes(place.at).map(|slope| slope / self.lattice.size);
         deformation(&self.lattice.cells[place.cell as usize].map(|c| x[c as usize]), &slopes)
@@ -107,7 +107,7 @@ impl Body {
         Ok(all)
     }
 
-    /// How the body moves about each corner: to shifts, by the mean of how the cells around are deformed.
+    /// Map of the body about each corner, to shifts: the mean of the maps of the cells around.
     pub fn corner_maps(&self, x: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DAffine3>> {
         let gradients = self.gradients(x, host)?;
         let mut maps = vec![DAffine3::IDENTITY; x.len()];
@@ -167,8 +167,8 @@ impl Body {
         Ok((energy, forces))
     }
 
-    /// How the forces change where corners are moved, if the material is stiffer by a part of its shear
-    /// modulus than it is.
+    /// Change of the forces where corners are moved, if the material is taken for stiffer by a part of its
+    /// shear modulus.
     pub fn change(
         &self,
         gradients: &BodyGradients,
@@ -208,7 +208,7 @@ impl Body {
         Ok(forces)
     }
 
-    /// How strongly each target draws at each corner.
+    /// Weight of a target at each corner, by its springs.
     pub fn draws(&self, target: u32) -> Vec<f64> {
         let mut draws = vec![0.0; self.lattice.rest.len()];
         for spring in self.springs.iter().filter(|s| s.target == target) {
@@ -302,8 +302,8 @@ impl WithSimd for CellForces<'_> {
     }
 }
 
-/// How the forces of cells change: of the material, that is deformed and stiffer by a part, or of what evens
-/// out.
+/// Computation of how forces of cells change: by the material, taken for stiffer by a part, or by the
+/// Laplacian that evens out.
 struct Changes<'a> {
     body: &'a Body,
     of: Option<(&'a BodyGradients, f64)>,
@@ -340,9 +340,9 @@ fn weighted(points: Matrices, amounts: [f64; 8], middle: DMat3) -> CellGradients
     CellGradients { points: points.map(|column| column.map(|entry| entry * Eight(amounts))), middle }
 }
 
-/// How much each point of a cell stands for, so that what is linear is summed up over the filled part as it
-/// is (moment fitting), but none less than next to nothing. The points are `low` and `1 - low` along each
-/// axis.
+/// Volume that each point of a cell stands for, so that linear functions are summed up over the filled part
+/// as it is (moment fitting), but none less than next to nothing. The points are `low` and `1 - low` along
+/// each axis.
 fn amounts(mut moments: [f64; 8], low: f64) -> [f64; 8] {
     // Corners are numbered by one bit for each axis.
     for bit in [1, 2, 4] {
@@ -359,7 +359,7 @@ fn amounts(mut moments: [f64; 8], low: f64) -> [f64; 8] {
     raised.map(|m| m * whole.max(LEAST) / sum)
 }
 
-/// How a cell is deformed where its weights have these slopes.
+/// Gradient of a cell's deformation at a point where the corners' weights have these slopes.
 fn deformation(corners: &[DVec3; 8], slopes: &[DVec3; 8]) -> DMat3 {
     let mut sum = DMat3::ZERO;
     for (x, s) in corners.iter().zip(slopes) {

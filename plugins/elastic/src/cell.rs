@@ -1,6 +1,6 @@
-//! How a cell is deformed at eight points and in its middle, and what forces at its corners come of stresses
-//! there. The points lie beside each other, so that the compiler makes vectors of them; the same numbers come
-//! out of any.
+//! Gradients of a cell's deformation at eight points and in its middle, and the forces at its corners that
+//! stresses at these points make. The points lie beside each other, so that the compiler makes vectors of
+//! them; the same numbers come out of any.
 
 use glam::{DMat3, DVec3};
 use std::array::from_fn;
@@ -91,7 +91,7 @@ impl Slopes {
         }
     }
 
-    /// How the cell is deformed whose corners are here.
+    /// Gradients of the deformation of a cell whose corners are here.
     #[inline(always)]
     pub fn deform(&self, corners: &[DVec3; 8]) -> CellGradients {
         let mut all = CellGradients::NONE;

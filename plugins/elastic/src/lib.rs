@@ -116,11 +116,11 @@ impl UnitBox {
     }
 }
 
-/// A lattice that is held, and where the samples are in it.
+/// Lattice that is held, and the places of the samples in it.
 struct HeldLevel {
     body: Body,
     places: Vec<Option<CellPoint>>,
-    /// Where its corners are in the next coarser one.
+    /// Places of this lattice's corners in the next coarser one.
     corners: Vec<CellPoint>,
 }
 
@@ -130,14 +130,14 @@ struct Loose {
     leaders: Vec<u32>,
 }
 
-/// What does not depend on where handles are.
+/// State of a step that does not depend on where handles are.
 struct PreparedBody {
     unit: UnitBox,
     held: SampleGoals,
     /// From fine to coarse; none where nothing is held.
     levels: Vec<HeldLevel>,
     surface: Option<ContactSurface>,
-    /// How much each corner of the coarsest lattice goes along with each handle.
+    /// Part by which each corner of the coarsest lattice goes along with each handle.
     shares: Vec<Vec<f64>>,
     loose: Loose,
 }
@@ -267,7 +267,7 @@ impl Deformer for Elastic {
     }
 }
 
-/// What the samples are asked for.
+/// Motion that is asked for: the handles' paths, weight, and contact.
 struct AskedMotion {
     paths: Vec<Path>,
     weight: DVec3,
@@ -291,7 +291,7 @@ impl AskedMotion {
         LoadCase { goals, weight: self.weight * part, contact: contact.map(|s| (s, &level.places[..])) }
     }
 
-    /// How many steps the handles' ways are parted into.
+    /// Number of steps into which the handles' paths are parted.
     fn steps(&self, state: &PreparedBody, is_draft: bool) -> f64 {
         let contact = state.surface.as_ref().filter(|_| self.contact);
         let of = |(path, middle): (&Path, &Option<(DVec3, f64)>)| {
@@ -304,7 +304,7 @@ impl AskedMotion {
         steps.ceil().clamp(1.0, if is_draft { DRAFT_STEPS } else { MOST_STEPS })
     }
 
-    /// Where corners of the coarsest lattice come to on the handles' ways.
+    /// Positions of the coarsest lattice's corners at the end of the handles' paths.
     fn way(&self, state: &PreparedBody, is_draft: bool, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
         let level = &state.levels[state.levels.len() - 1];
         let rest = &level.body.lattice.rest;
@@ -334,7 +334,7 @@ impl AskedMotion {
         Ok(x)
     }
 
-    /// Where corners of the finest lattice are at rest.
+    /// Positions of the finest lattice's corners when the body is at rest.
     fn rest(&self, state: &PreparedBody, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
         let mut x = self.way(state, false, host)?;
         let goals = self.goals(1.0);
@@ -373,7 +373,7 @@ fn paths(state: &PreparedBody, transforms: &[Affine]) -> Vec<Path> {
         .collect()
 }
 
-/// What a body's surface means for it.
+/// Warns of a surface that is not closed.
 fn tell(kind: Enclosure, host: &Host<'_>) {
     match kind {
         Enclosure::Closed => {}
@@ -435,7 +435,7 @@ fn level(
     Ok(HeldLevel { body: Body::new(lattice, springs, poisson), places, corners: Vec::new() })
 }
 
-/// Where the corners of a lattice are in one of twice the size; `parts` is the finer one's.
+/// Places of the corners of a lattice in one of twice the size; `parts` is the finer one's.
 fn corners(fine: &HexMesh, coarse: &HexMesh, parts: usize) -> Vec<CellPoint> {
     let of = |(i, rest): (usize, &DVec3)| {
         // Over any of the cells about it there is one.
@@ -510,7 +510,7 @@ fn asked_motion(
     })
 }
 
-/// How the leaders of loose parts move.
+/// Motions of the leaders of loose parts.
 fn leads(state: &PreparedBody, level: &HeldLevel, x: &[DVec3]) -> Vec<DAffine3> {
     let lead = |leader: &u32| {
         let Some(place) = level.places[*leader as usize] else { return DAffine3::IDENTITY };

@@ -35,7 +35,7 @@ fn cofactors_at([a, b, c]: &Matrices) -> Matrices {
     [cross(*b, *c), cross(*c, *a), cross(*a, *b)]
 }
 
-/// What shape takes, at eight points: the energies and the stresses.
+/// Energies and stresses by changes of shape, at eight points.
 #[inline(always)]
 pub fn shape(f: &Matrices) -> (Eight, Matrices) {
     let cofactors = cofactors_at(f);
@@ -47,8 +47,8 @@ pub fn shape(f: &Matrices) -> (Eight, Matrices) {
     (energy, from_fn(|c| from_fn(|r| f[c][r] + by * cofactors[c][r])))
 }
 
-/// How the stresses of shape change, at eight points, if the material is stiffer by a part of its shear
-/// modulus.
+/// Change of the stresses of shape, at eight points, if the material is taken for stiffer by a part of its
+/// shear modulus.
 #[inline(always)]
 pub fn shape_change(f: &Matrices, by: &Matrices, stiffer: f64) -> Matrices {
     let cofactors = cofactors_at(f);

@@ -1,5 +1,5 @@
-//! What makes conjugate gradients quick: residuals are divided by stiffness on lattices of ever larger cells,
-//! too.
+//! Preconditioner that makes conjugate gradients quick: residuals are divided by stiffness on lattices of
+//! ever larger cells, too.
 //!
 //! J. Bramble, J. Pasciak, J. Xu, *Parallel multilevel preconditioners*, Mathematics of Computation 55, 1990.
 
@@ -15,9 +15,9 @@ const FEWEST: usize = 12;
 struct CoarserCorners {
     /// From each corner below to those above that it lies between.
     above: Vec<(u32, f64)>,
-    /// Where each corner's entries begin.
+    /// Start of each corner's entries in `above`.
     starts: Vec<u32>,
-    /// How stiff the material is about each corner.
+    /// Stiffness of the material about each corner.
     material: Vec<f64>,
 }
 

@@ -12,22 +12,22 @@ use simod_plugin_api::{Host, PluginResult};
 
 /// Conjugate gradients for one step, at most.
 const MOST_GRADIENTS: usize = 600;
-/// How many products of the second derivatives a lattice is worth: so many by the number of cells, within
-/// bounds.
+/// Budget of products of the second derivatives for a lattice: the first divided by the number of cells,
+/// within the two bounds.
 const WORK: usize = 600_000;
 const FEWEST_PRODUCTS: usize = 30;
 const MOST_PRODUCTS: usize = 1500;
-/// Where the energy is not convex, the material is taken for stiffer by this part of its shear modulus, and
-/// by three times as much each time that it is not enough, up to the second.
+/// Part of its shear modulus by which the material is taken for stiffer where the energy is not convex, times
+/// three each time that it is not enough, up to the second.
 const STIFFER: f64 = 0.1;
 const STIFFEST: f64 = 2.0;
-/// Where the body touches itself it is at rest, too, when a step would gain less than this part of the
-/// energy: points in contact slide from one to the next, which goes on for long and shows nowhere.
+/// Gain of a step, as a part of the energy, below which a body that touches itself is at rest, too: points in
+/// contact slide from one to the next, which goes on for long and shows nowhere.
 const SLIDING: f64 = 1e-4;
 /// Halvings of a step, at most.
 const HALVINGS: usize = 14;
 
-/// What a body is to be brought to rest under.
+/// Loads under which a body is to be brought to rest.
 pub struct LoadCase<'a> {
     /// The places of the regions.
     pub goals: &'a Goals,
@@ -40,19 +40,19 @@ pub struct LoadCase<'a> {
 /// The criteria by which a body is at rest.
 #[derive(Debug, Clone, Copy)]
 pub struct RestCriteria {
-    /// No corner would go farther in a whole step.
+    /// Largest move of a corner in a whole step.
     pub still: f64,
-    /// Steps at most.
+    /// Most steps.
     pub steps: usize,
-    /// What conjugate gradients leave of the forces, as a part.
+    /// Part of the forces that conjugate gradients leave.
     pub left: f64,
-    /// Conjugate gradients for one step, at most.
+    /// Most conjugate gradients for one step.
     pub gradients: usize,
-    /// Products of the second derivatives, at most.
+    /// Most products of the second derivatives.
     pub products: usize,
 }
 
-/// How many products of the second derivatives a lattice is worth.
+/// Number of products of the second derivatives that are spent on a lattice.
 pub fn worth(body: &Body) -> usize {
     (WORK / body.lattice.cells.len().max(1)).clamp(FEWEST_PRODUCTS, MOST_PRODUCTS)
 }
@@ -201,8 +201,8 @@ fn solve(
     Ok((solution, true))
 }
 
-/// How much each corner goes along with some targets: 1 where one holds, 0 where others do, even between. As
-/// many as three at a time.
+/// Part by which each corner goes along with each of some targets: 1 where it holds, 0 where others do, even
+/// between. The targets are solved for three at a time.
 pub fn shares(body: &Body, targets: &[u32], host: &Host<'_>) -> PluginResult<Vec<Vec<f64>>> {
     let inverse = body.inverse(&[]);
     let mut all = Vec::new();

@@ -8,7 +8,7 @@ use simod_plugin_api::{
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
-/// What a host hears; whether it lets the plugin go on, and in which order it has blocks done.
+/// Lines that a host hears; whether it lets the plugin go on, and in which order it has blocks done.
 #[derive(Default)]
 struct Listener {
     lines: Mutex<Vec<String>>,

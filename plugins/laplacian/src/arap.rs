@@ -18,21 +18,21 @@ use std::ops::Range;
 
 /// Nodes at once on one thread.
 const TOGETHER: usize = 1024;
-/// The part of what the slope promises by which the energy has to go down.
+/// Part of the decrease that the slope promises by which the energy has to go down.
 const SUFFICIENT: f64 = 1e-4;
 /// Steps whose decrease of the energy is looked at together: a single one may be short.
 const LOOKED_AT: usize = 3;
-/// Steps are not made shorter than this part.
+/// Least length of a step, as a part of the full one.
 const LEAST_PART: f64 = 0.05;
 
-/// When a descent ends: whatever comes first.
+/// Criteria by which a descent ends: the first one that is met.
 #[derive(Debug, Clone, Copy)]
 pub struct DescentEnd {
-    /// So many steps are done.
+    /// Number of steps.
     pub steps: usize,
-    /// No node moves farther, local coordinates.
+    /// Largest move of a node in the last step, local coordinates.
     pub tolerance: f64,
-    /// The last steps together lower the energy by less than this part of what all did.
+    /// Decrease of the energy by the last steps together, as a part of that by all.
     pub decrease: f64,
 }
 
@@ -43,31 +43,32 @@ pub struct SurfaceLevel {
     pub problem: Problem,
     /// The draws at free nodes.
     pub springs: Vec<Soft>,
-    /// The factorised Laplacian with the springs. Steps by it need not be exact: what they aim at is.
+    /// Factorised Laplacian with the springs. Steps by it need not be exact, but their goal is.
     pub factor: Factor<f32>,
 }
 
-/// What turns: the surroundings of a problem's nodes.
+/// Nodes whose surroundings turn.
 #[derive(Debug, Clone, Copy)]
 pub struct TurningNodes<'a> {
-    /// How wide they are.
+    /// Neighbourhoods of these nodes.
     pub cells: &'a NodeNeighbourhoods,
-    /// The problem whose nodes they are around.
+    /// Problem that has these nodes.
     pub problem: &'a Problem,
-    /// How these nodes' rotations become those of a finer problem, if they are not its own.
+    /// Prolongation by which the nodes' rotations become those of a finer problem; `None` if the nodes are
+    /// that problem's own.
     pub groups: Option<&'a Prolongation>,
 }
 
-/// Where a level's nodes are, and how they are turned.
+/// Displacements of a level's nodes, and their rotations.
 #[derive(Debug, Clone)]
 pub struct LevelPose {
-    /// From rest, before the motion that all share.
+    /// Displacements from rest, before the motion that all handles share.
     pub displacements: Vec<DVec3>,
-    /// Rotations of what turns.
+    /// Rotations of the turning nodes.
     pub turns: Vec<DMat3>,
-    /// What they come to at each of the level's nodes whose surroundings are whole: means of rotations.
+    /// Means of these rotations at each of the level's nodes whose surroundings are whole.
     pub blends: Vec<DMat3>,
-    /// What edges told of these nodes' rotations when they were fitted last; nothing before.
+    /// Covariances of the edges around these nodes when the rotations were fitted last; none before.
     covariances: Vec<DMat3>,
 }
 
@@ -138,7 +139,7 @@ impl SurfaceLevel {
         let mut parts = vec![(0.0, DVec3::ZERO); problem.rows];
         host.parallel_blocks(&mut parts, TOGETHER, |first, parts| {
             for (i, (energy, gradient)) in (first..).zip(parts) {
-                // What edges have to do with how far rotations take what they lead to.
+                // Part of the energy that couples the edges' displacements with the rotations.
                 let change = blends[i] - DMat3::IDENTITY;
                 *energy = -(0..3).map(|axis| change.col(axis).dot(covariances[i].col(axis))).sum::<f64>();
                 if i >= problem.free {
@@ -233,7 +234,7 @@ impl SurfaceLevel {
     }
 }
 
-/// Whether the last steps lowered the energy by less than a part of what all did.
+/// Whether the last steps lowered the energy by less than a part of the decrease by all.
 fn is_settled(energies: &[f64], part: f64) -> bool {
     let last = energies.len() - 1;
     last > LOOKED_AT && energies[last - LOOKED_AT] - energies[last] <= part * (energies[0] - energies[last])

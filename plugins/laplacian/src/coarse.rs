@@ -13,12 +13,12 @@ use crate::rotation;
 use glam::{DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
-/// Groups are merged while there are more.
+/// Most groups: groups are merged while there are more.
 const MOST: usize = 4000;
-/// And while that makes them this part of what they were, at most.
+/// Most groups that merging may leave, as a part of those before, to go on.
 const WORTH: f64 = 0.7;
 
-/// How rotations of groups become those of nodes.
+/// Weights by which rotations of groups become those of nodes.
 #[derive(Debug)]
 pub struct Prolongation {
     /// For each node the groups that it takes part in, and its weights, which add up to 1.
@@ -122,11 +122,11 @@ impl Prolongation {
     }
 }
 
-/// Nodes and what holds them together.
+/// Nodes and the edges that hold them together.
 struct NodeGraph {
     starts: Vec<usize>,
     edges: Vec<(u32, f64)>,
-    /// What each node is asked to do; nodes of one group are asked to do the same.
+    /// Region that each node follows, if it is held; nodes of one group follow the same.
     targets: Vec<Option<SampleTarget>>,
 }
 

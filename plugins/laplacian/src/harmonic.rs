@@ -10,10 +10,10 @@ use crate::problem::Problem;
 use glam::{DMat3, DQuat, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
-/// How much each handle has to say.
+/// Weight of each handle at the free nodes.
 #[derive(Debug)]
 pub struct Influence {
-    /// At each free node, handle by handle.
+    /// Weights at each free node, handle by handle.
     values: Vec<f64>,
     handles: usize,
 }

@@ -50,7 +50,7 @@ fn mollified(positions: &[DVec3], triangles: &[[u32; 3]]) -> (Vec<[u32; 3]>, Vec
         triangles.iter().map(|&[a, b, c]| [distance(b, c), distance(c, a), distance(a, b)]).collect();
     let mut all: Vec<f64> = lengths.as_flattened().iter().copied().filter(|l| *l > 0.0).collect();
     let middle = all.len() / 2;
-    // Where all samples lie in one point, any length will do.
+    // Samples that all lie in one point may have any length.
     let median = if all.is_empty() { 1.0 } else { *all.select_nth_unstable_by(middle, f64::total_cmp).1 };
     let lacking = |l: &[f64; 3]| {
         let sum: f64 = l.iter().sum();

@@ -69,7 +69,7 @@ impl BiLaplacian {
     ) -> PluginResult<Vec<DVec3>> {
         let Problem { free, rows, rest, operators, .. } = &self.problem;
         let mut displacements = self.problem.held_displacements(&target);
-        // What is left of the Laplacians after the held nodes' part, per area.
+        // Rest of the Laplacians after the held nodes' part, per area.
         let mut lacking = vec![DVec3::ZERO; *rows];
         host.parallel_blocks(&mut lacking, TOGETHER, |first, out| {
             for (i, sum) in (first..).zip(out) {

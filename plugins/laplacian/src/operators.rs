@@ -29,7 +29,7 @@ pub struct Operators {
     pub areas: Vec<f64>,
 }
 
-/// What two samples are to each other, or one to itself.
+/// Entries of the matrices for two samples, or for one and itself.
 #[derive(Debug, Clone, Copy)]
 pub struct MatrixEntry {
     /// The other sample.
@@ -126,7 +126,7 @@ impl Operators {
         })
     }
 
-    /// How many entries a row has.
+    /// Number of entries of a row.
     pub fn entries(&self, i: usize) -> usize {
         self.starts[i + 1] - self.starts[i]
     }

@@ -30,7 +30,7 @@ pub struct Rotated {
     influence: Influence,
 }
 
-/// How stiff draws are, per area.
+/// Stiffness of draws, per area.
 #[derive(Debug, Clone, Copy)]
 pub struct Stiffness {
     /// The stiffness of draws with the Laplacian.

@@ -11,8 +11,8 @@ use simod_geometry::jacobi_eigen;
 
 /// Neighbours that are looked at: enough to surround a sample.
 const MOST: usize = 20;
-/// How far from the sample corners of its Voronoi cell may lie, in units of the farthest neighbour's
-/// distance. Beyond it, the sample lies at a border.
+/// Largest distance of corners of a sample's Voronoi cell from the sample, in units of the farthest
+/// neighbour's distance. A sample with a cell beyond it lies at a border.
 const REACH: f64 = 1.0;
 /// Two neighbours are one if they are nearer to each other than this, in the same units.
 const COINCIDENT: f64 = 1e-9;
@@ -67,7 +67,7 @@ fn plane(near: &[(u32, DVec3)], reach: f64) -> [DVec3; 2] {
 /// The points of the plane nearer to the origin than to the neighbours so far: a convex polygon,
 /// counter-clockwise.
 struct VoronoiCell {
-    /// Where each side begins, and the neighbour beyond it; none beyond the border.
+    /// Start of each side, and the neighbour beyond the side; `None` for sides of the border.
     sides: Vec<(DVec2, Option<u32>)>,
 }
 

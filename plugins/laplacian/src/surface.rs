@@ -10,10 +10,10 @@ use simod_plugin_api::{Choice, Host, PluginResult, PrepareInput};
 const TOGETHER: usize = 1024;
 /// Neighbours that hold a sample around which there are no triangles, as on a line.
 const LINKS: usize = 4;
-/// How much each of them does: about as much as an edge of a regular triangulation.
+/// Cotangent weight of each of these links: about that of an edge of a regular triangulation.
 const LINK: f64 = 0.577;
 
-/// How the triangles are weighted.
+/// Weights of the triangles.
 #[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TriangleWeights {
     /// Cotangents of the intrinsic Delaunay triangulation.

@@ -1,7 +1,7 @@
 //! The joints that a place of the model follows, and how much: bounded biharmonic weights on the model's
 //! voxels.
 //!
-//! See `bounded`. Weights of a thousandth are nothing, so that what is far stays.
+//! See `bounded`. Weights of a thousandth are nothing, so that places far away stay.
 
 use crate::bounded::{LANES, Lanes, solve};
 use crate::field::{Elsewhere, Entry, Field, MOST, gradient, passages};
@@ -77,7 +77,7 @@ impl Biharmonic {
     pub fn influences_at(&self, p: DVec3, room: &mut Influences) {
         self.weights.numbers_at(p, room);
         let largest = room.iter().map(|w| w.0).fold(f64::NEG_INFINITY, f64::max);
-        // What is continued from the voxels may come to nothing.
+        // Weights that are continued from the voxels may all be zero.
         let part =
             |w: f64| if largest > 0.0 { (w / largest).max(0.0) } else { f64::from(u8::from(w == largest)) };
         room.iter_mut().for_each(|(w, _)| *w = part(*w));

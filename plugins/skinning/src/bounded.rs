@@ -21,7 +21,7 @@ pub type Lanes = [f64; LANES];
 const STEPS: [usize; 3] = [120, 500, 2000];
 /// Steps end where no weight changes by more.
 const SETTLED: f64 = 3e-7;
-/// Weights that are as near to 0 or 1, on a coarser level, are so on finer ones.
+/// Distance from 0 or 1 within which weights on a coarser level are so on finer ones.
 const NEARLY: f64 = 1e-3;
 /// Steps between two looks at whether they have settled.
 const PATIENCE: usize = 10;
@@ -35,7 +35,7 @@ pub fn solve(levels: &[Level], held: &[Held], joints: &[u16], is_wanted: impl Fn
             0 => vec![[0.0; LANES]; level.len()],
             _ => (0..level.len() as u32).map(from).collect(),
         };
-        // What is 0 or 1 all around stays as it is.
+        // Nodes whose weights are 0 or 1 all around stay as they are.
         let is_coarsest = coarser.is_empty();
         let is_open =
             |node: u32| is_coarsest || is_between(&levels[depth + 1], &coarser, level.parents[node as usize]);
@@ -111,7 +111,7 @@ impl Part {
             let others = this.links(row).iter().map(|(other, by)| f64::from(*by) * size(*other as usize));
             this.degree(row) * size(row) + others.sum::<f64>()
         };
-        // What is linked to nothing has none.
+        // A node that is linked to none would have the bound 0.
         this.bounds = (0..free).map(|row| bound(row).max(f64::MIN_POSITIVE)).collect();
         this
     }

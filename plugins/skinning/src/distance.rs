@@ -107,7 +107,7 @@ impl March {
         }
     }
 
-    /// When a front arrives at a voxel, by its neighbours: the gradient has length 1.
+    /// Distance at which a front arrives at a voxel, by its neighbours: the gradient has length 1.
     fn arrival(&self, neighbours: &[u32; 6]) -> f32 {
         let at = |voxel: u32| {
             let is_known = voxel != NONE && self.is_done[voxel as usize];
@@ -171,7 +171,7 @@ pub fn on_bone(voxels: &Voxels, bone: [DVec3; 2]) -> Vec<u32> {
     found
 }
 
-/// How far a voxel is from a bone, in cells.
+/// Distance of a voxel from a bone, in cells.
 pub fn far(voxels: &Voxels, voxel: u32, bone: [DVec3; 2]) -> f64 {
     let centre = voxels.centre(voxel);
     centre.distance(on_segment(centre, bone)) / voxels.grid.size

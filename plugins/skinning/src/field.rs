@@ -14,32 +14,32 @@ pub const MOST: usize = 1 << 26;
 /// Bones that a warning names.
 const NAMED: usize = 5;
 
-/// What a joint has at a voxel.
+/// Value of a joint at a voxel.
 #[derive(Debug, Clone, Copy)]
 pub struct Entry {
     pub joint: u16,
     pub value: f32,
-    /// By cells.
+    /// Change from cell to cell, along each axis.
     pub gradient: [f32; 3],
 }
 
-/// The number of a joint where a voxel says nothing of it.
+/// Value of a joint where a voxel has none for it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Elsewhere {
-    /// What the voxels around say.
+    /// Value that the voxels around predict.
     Unknown,
     /// 0.
     Nothing,
 }
 
-/// Numbers everywhere.
+/// Values of joints everywhere in space.
 pub struct Field {
     pub voxels: Voxels,
     elsewhere: Elsewhere,
-    /// Where each voxel's entries begin, by joint, and their number.
+    /// Start of each voxel's entries, which are ordered by joint, and the number of all.
     starts: Vec<u32>,
     entries: Vec<Entry>,
-    /// The voxels at the surface that have entries, and where they are.
+    /// Voxels at the surface that have entries, and a tree of their middles.
     reached: Vec<u32>,
     tree: ImmutableKdTree<f32, 3>,
 }
@@ -83,7 +83,7 @@ impl Field {
         values.clear();
         values.extend(own.iter().map(|e| (0.0, e.joint)));
         let (corner, part) = split(&self.voxels.grid, p);
-        // How much of the blend has each joint.
+        // Sum of the weights by which the blend has each joint.
         let mut shares = [0.0; 64];
         let mut many = Vec::new();
         let shares: &mut [f64] = match own.len() {
@@ -122,7 +122,7 @@ impl Field {
     }
 }
 
-/// Whether entries say what a voxel has.
+/// Whether the entries of a voxel give any joint a value.
 fn says(elsewhere: Elsewhere, entries: &[Entry]) -> bool {
     entries.iter().any(|e| elsewhere == Elsewhere::Unknown || e.value > 0.0)
 }
@@ -134,7 +134,7 @@ fn split(grid: &Grid, p: DVec3) -> (IVec3, DVec3) {
     (corner.as_ivec3(), place - corner)
 }
 
-/// How numbers of voxels change from cell to cell; those that are not finite are not known.
+/// Changes of a voxel's value from cell to cell, along each axis; values that are not finite are not known.
 pub fn gradient(voxels: &Voxels, voxel: u32, value: impl Fn(u32) -> f32) -> [f32; 3] {
     let here = value(voxel);
     let at = |v: u32| if v == NONE { f32::INFINITY } else { value(v) };
@@ -159,8 +159,8 @@ pub struct Passage {
 }
 
 impl Passage {
-    /// These voxels and those about them, up to so many cells from the bone, with their distances from it in
-    /// cells; of a bone outside, these alone.
+    /// Voxels of the passage and those about them, up to `most` cells from the bone, with their distances
+    /// from it in cells; of a bone outside, those of the passage alone.
     pub fn about(&self, voxels: &Voxels, most: f64) -> Vec<(u32, f32)> {
         let far = |voxel: u32| far(voxels, voxel, self.bone);
         let mut found = self.voxels.clone();
@@ -179,7 +179,7 @@ impl Passage {
     }
 }
 
-/// Where the bones of each joint are; those outside of the model are told.
+/// Passages of the bones of each joint; the host is told of bones outside of the model.
 pub fn passages(voxels: &Voxels, skeleton: &Skeleton, host: &Host<'_>) -> PluginResult<Vec<Vec<Passage>>> {
     let surface: Vec<u32> = (0..voxels.len() as u32).filter(|v| !voxels.is_inner(*v)).collect();
     let tree = tree(voxels, &surface)?;

@@ -14,13 +14,13 @@ const NUMBERS: usize = 12;
 /// Numbers beyond it, in local coordinates, are no motion of a model.
 const MOST: f64 = 1e15;
 
-/// How each bone moves in each frame, in local coordinates.
+/// Motion of each bone in each frame, in local coordinates.
 pub struct Frames {
     path: PathBuf,
     bones: usize,
-    /// Frame after frame.
+    /// Motions of all bones, frame after frame.
     motions: Vec<DAffine3>,
-    /// Where each of them stands; empty of a DMAT.
+    /// Line of each motion in the file; empty of a DMAT.
     lines: Vec<u32>,
 }
 

@@ -24,12 +24,12 @@ const EXACT: f64 = 4.0;
 /// So much further than needed marches go, as a factor and in cells: they are smoothed and interpolated.
 const FURTHER: [f32; 2] = [1.1, 2.0];
 
-/// What the weights are by.
+/// Parameters of the weights.
 #[derive(Debug, Clone, Copy)]
 pub struct Rule {
-    /// The power of the distance by which weights fall.
+    /// Power of the distance by which weights fall.
     pub power: f64,
-    /// Over which length creases of the distances are rounded off, local coordinates.
+    /// Length over which creases of the distances are rounded off, local coordinates.
     pub smoothing: f64,
     /// Most joints that a place follows.
     pub limit: usize,
@@ -48,7 +48,7 @@ impl Geodesic {
         let about = |p: &Vec<Passage>| p.iter().flat_map(|p| p.about(&voxels, EXACT)).collect();
         let seeds: Vec<Vec<(u32, f32)>> = passages.iter().map(about).collect();
         let is_wanted = |at: f64| move || host.progress(at).is_ok();
-        // How far the nearest bone is, and how far others may be then.
+        // Distances of the nearest bones, and the largest that those of others may have then.
         let all = seeds.iter().flatten().copied();
         let nearest = March::new(&voxels, all, |_, _| true, is_wanted(0.25));
         host.progress(0.3)?;

@@ -38,7 +38,8 @@ pub fn faded(weights: &mut Influences, shares: [f64; 2]) {
     weights.retain(|(weight, _)| *weight > 0.0);
 }
 
-/// How many joints each sample of a block follows, and these, one sample after the other.
+/// Number of joints that each sample of a block follows, and the weights and joints, one sample after the
+/// other.
 type InfluenceBlock = (Vec<usize>, Vec<(f32, u16)>);
 
 /// The influences of all samples, one after the other.
@@ -57,7 +58,7 @@ impl InfluenceTable {
         let blocks = samples.len().div_ceil(TOGETHER);
         let mut all: Vec<InfluenceBlock> = vec![InfluenceBlock::default(); blocks];
         host.parallel_blocks(&mut all, 1, |block, all| {
-            // Whether to go on is looked after by whoever hands out the blocks.
+            // Cancellation is looked after by whoever hands out the blocks.
             let _ = host.progress(0.92 + 0.08 * block as f64 / blocks as f64);
             let mut room = Vec::new();
             let (counts, influences) = &mut all[0];

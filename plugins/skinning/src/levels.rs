@@ -1,8 +1,8 @@
 //! Voxels, joined to fewer and fewer nodes, level by level.
 //!
-//! A node of a coarser level is what hangs together within a block of 2 × 2 × 2 cells of the finer one: limbs
-//! beside each other stay apart however coarse the cells are (M. Nesme and others, *Preserving topology and
-//! elasticity for embedded deformable models*, SIGGRAPH 2009).
+//! A node of a coarser level is a part that hangs together within a block of 2 × 2 × 2 cells of the finer
+//! one: limbs beside each other stay apart however coarse the cells are (M. Nesme and others, *Preserving
+//! topology and elasticity for embedded deformable models*, SIGGRAPH 2009).
 
 use crate::voxels::{NONE, Voxels};
 use glam::IVec3;
@@ -26,12 +26,12 @@ pub struct Level {
 }
 
 impl Level {
-    /// How many nodes there are.
+    /// Number of nodes.
     pub fn len(&self) -> usize {
         self.masses.len()
     }
 
-    /// What a node is linked to, and how strongly.
+    /// Nodes that a node is linked to, with the links' weights.
     pub fn links(&self, node: u32) -> &[(u32, f32)] {
         let node = node as usize;
         &self.links[self.starts[node] as usize..self.starts[node + 1] as usize]
@@ -136,11 +136,11 @@ pub fn coarsened(finest: Level) -> Vec<Level> {
     levels
 }
 
-/// What is held at the nodes of a level: for each of them the joints whose bones pass through, and how much
-/// of it each has; ascending.
+/// Held nodes of a level: for each of them the joints whose bones pass through, and the part of the node that
+/// each has; ascending.
 pub type Held = Vec<(u32, Vec<(u16, f64)>)>;
 
-/// What is held at the next coarser level.
+/// Held nodes of the next coarser level.
 pub fn coarser_held(held: &Held, level: &Level) -> Held {
     let mut sums: HashMap<u32, HashMap<u16, f64>> = HashMap::new();
     for (node, shares) in held {

@@ -60,7 +60,7 @@ const NEAR: f64 = 0.05;
 /// The plugin.
 struct Skinning;
 
-/// How places move, and which ends reach.
+/// Settings of the blend of joints, and of the ends that reach.
 #[derive(ParamSet)]
 struct Pose {
     /// What becomes of a place that follows several joints: dual quaternions keep the volume where joints
@@ -95,7 +95,7 @@ enum Reach {
     None,
 }
 
-/// What the weights are by.
+/// Settings of the weights.
 #[derive(ParamSet)]
 struct Weights {
     /// How weights are found, where no file has them: the smoothest ones that go from one bone to the next,
@@ -152,9 +152,9 @@ enum Source {
 
 /// The fit of a file's weights to a place.
 struct Told {
-    /// How far the nearest place is that a file has.
+    /// Distance to the nearest place that a file has.
     far: f64,
-    /// How much of its weights is left out.
+    /// Part of its weights that is left out.
     lost: f64,
 }
 

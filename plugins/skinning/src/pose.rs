@@ -1,11 +1,11 @@
-//! A pose: what the joints' handles do, and what the ends reach for.
+//! Poses of the joints: by their handles, and by the places that ends reach for.
 
 use crate::reach::{turned, turns};
 use crate::skeleton::Skeleton;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use simod_plugin_api::{Affine, Gizmo, HandleDesc, PluginError, PluginResult};
 
-/// What an id of a handle ends in that a joint reaches for.
+/// End of the id of a handle for which a joint reaches.
 pub const REACH: &str = "/reach";
 
 /// The joints that can reach for a place of their own.
@@ -56,7 +56,7 @@ impl Handles {
         handles
     }
 
-    /// How each joint's bones move: as the handles say, and then, one after the other, so that ends come to
+    /// Motion of each joint's bones: as the handles say, and then, one after the other, so that ends come to
     /// where they are wanted. A chain is of `length` bones at most, and ends below a joint that several hang
     /// on.
     ///
@@ -85,7 +85,7 @@ impl Handles {
                 }
             }
         }
-        // What is wanted wherever the skeleton is comes after what is wanted of the posed one, and in its
+        // Places that an end's own handle asks for come after those of the posed skeleton, and in their
         // stead.
         for (joint, motion) in self.reaching.iter().zip(&given[count..]) {
             if *motion != DAffine3::IDENTITY {
@@ -106,7 +106,7 @@ fn chain(skeleton: &Skeleton, end: usize, length: Option<usize>) -> Vec<usize> {
     let mut chain = vec![end];
     let mut next = skeleton.joints[end].parent;
     while let Some(joint) = next {
-        // What hangs on a branch by itself turns it; others leave it to what else hangs there.
+        // An end that hangs on a branch directly turns the branch; longer chains end below it.
         let is_alone = chain.len() == 1;
         if (branches(joint) && !is_alone) || length.is_some_and(|most| chain.len() > most) {
             break;

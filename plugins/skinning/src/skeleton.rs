@@ -28,7 +28,7 @@ pub struct Joint {
 }
 
 impl Joint {
-    /// Whether it is the lower end of a bone, and the upper one of none.
+    /// Whether the joint is the lower end of a bone, and the upper one of none.
     pub fn is_end(&self) -> bool {
         self.children.is_empty() && self.parent.is_some()
     }
@@ -122,7 +122,7 @@ impl Skeleton {
         (0..self.joints.len()).flat_map(|joint| self.bones(joint)).collect()
     }
 
-    /// How many bones there are, with joints that are all by themselves.
+    /// Number of bones, with joints that are all by themselves.
     pub fn bone_count(&self) -> usize {
         self.bones.len()
     }

@@ -57,7 +57,7 @@ pub struct Voxels {
     pub cells: Vec<u32>,
     /// The neighbours over the faces, in pairs along the axes, or [`NONE`].
     pub neighbours: Vec<[u32; 6]>,
-    /// Whether there is anything inside of the surface.
+    /// Whether anything is inside of the surface.
     pub encloses: bool,
 }
 
@@ -213,7 +213,7 @@ fn cover([a, b, c]: [DVec3; 3], grid: &Grid, mark: impl Fn(DVec3)) {
 /// The cells inside of a surface.
 fn inside(grid: &Grid, is_surface: &[bool], host: &Host<'_>) -> PluginResult<Vec<bool>> {
     let mut is_inside = stabbed(grid, is_surface, host)?;
-    // What cannot be reached from without.
+    // Cells that can be reached from without; those that cannot are inside.
     let mut is_outside = vec![false; grid.len()];
     let mut open = vec![0_usize];
     is_outside[0] = true;

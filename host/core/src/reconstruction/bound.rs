@@ -1,11 +1,12 @@
 //! The bound that no vertex leaves: the range of the samples around it.
 //!
-//! Where fits are badly determined, as between two sheets that move apart, among samples that jitter, or
-//! beyond the last samples, an expansion may explain its neighbours well and take a vertex far away from all
-//! of them. Whatever is blended is therefore compared with where the 28 samples nearest to the vertex go:
-//! `docs/reconstruction.md` has the definition. This is the maximum principle of scattered data, as limiters
-//! of finite volumes hold it (T. Barth, D. Jespersen, *The Design and Application of Upwind Schemes on
-//! Unstructured Meshes*, 1989), in space rather than on a sheet, for coordinates one by one.
+//! Fits that are badly determined, as between two sheets that move apart, among samples that jitter, or
+//! beyond the last samples, may give an expansion that explains its neighbours well and takes a vertex far
+//! away from all of them. Whatever is blended is therefore compared with the displacements of the 28 samples
+//! nearest to the vertex: `docs/reconstruction.md` has the definition. This is the maximum principle of
+//! scattered data, as limiters of finite volumes hold it (T. Barth, D. Jespersen, *The Design and Application
+//! of Upwind Schemes on Unstructured Meshes*, 1989), in space rather than on a sheet, for coordinates one by
+//! one.
 //!
 //! Nearly all vertices are seen to keep to it without a search, as they lie within the range of samples
 //! beside their home that are surely among those nearest to them.

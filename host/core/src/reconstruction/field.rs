@@ -140,8 +140,8 @@ impl<'a> DeformationField<'a> {
         VertexDiagnostics { displacement, stretch, folded, expected_error, anisotropy }
     }
 
-    /// This field with smooth gradients for what turns: those of wider neighbourhoods, or `known` ones at the
-    /// samples.
+    /// Copy of this field with smooth gradients for what turns: those of wider neighbourhoods, or `known`
+    /// ones at the samples.
     ///
     /// Memory: 136 bytes per sample.
     pub(super) fn knowing(mut self, known: Option<&[Mat3]>) -> Self {

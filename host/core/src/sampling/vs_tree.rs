@@ -262,7 +262,7 @@ enum SplitStage {
 /// Position of a cluster in the tree.
 #[derive(Debug, Clone, Copy)]
 struct TreePosition {
-    /// The key of the cluster above.
+    /// Key of the cluster above.
     above: f32,
     stage: SplitStage,
     depth: u32,
@@ -406,7 +406,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> TreeBuilder<'_, F> {
     }
 }
 
-/// How the vertices of a cluster lie.
+/// Arrangement of the vertices of a cluster.
 enum ClusterShape {
     /// Vertices project on the plane of these vectors without folding.
     Sheet([Vec3; 2]),

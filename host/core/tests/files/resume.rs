@@ -97,7 +97,8 @@ fn how(resume: bool) -> Reconstruction<'static> {
 /// Names and contents.
 type Files = Vec<(PathBuf, Vec<u8>)>;
 
-/// What a process leaves that is killed, at each time that anything is reported: copies of all hidden files.
+/// Copies of all hidden files, taken each time that anything is reported: the files that a process leaves
+/// which is killed then.
 struct Snapshots<'a> {
     folder: &'a Path,
     taken: Mutex<Vec<Files>>,
@@ -241,7 +242,7 @@ fn cancelling_keeps_parts_only_where_they_are_wanted() {
         assert!(!error.hint().contains("--resume"));
         assert!(work.names().is_empty());
     }
-    // Where no part is done there is nothing to keep.
+    // A call that has finished no part has nothing to keep.
     let error = work.write(&[1], &how(true), &Watch::new(0)).unwrap_err();
     assert!(!error.hint().contains("--resume"));
     assert!(work.names().is_empty());

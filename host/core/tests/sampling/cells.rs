@@ -1,4 +1,4 @@
-//! What is kept of the cells, and how it comes back.
+//! Cells that are kept beside the samples, saved and loaded.
 
 use std::fs::{self, File};
 use std::io::Write;

@@ -33,7 +33,7 @@ struct Work {
     face_units: u64,
 }
 
-/// What units leave each other of the faces.
+/// Files on the faces that units leave each other.
 struct OfFaces {
     runs: PathBuf,
     cut: PathBuf,
@@ -214,7 +214,7 @@ impl Work {
             let lists = self.of_faces().lists.concat();
             let bytes: u64 =
                 lists.iter().filter_map(|file| file.metadata().ok()).map(|file| file.len()).sum();
-            // What is of P_S is not in it: triangles and links, of each unit.
+            // Triangles and links of each unit, whose size is that of P_S, are not counted in the bound.
             let at_most = faces_exchanged_at_most(&*self.model, &self.sampling).unwrap();
             assert!(bytes <= at_most + 100_000 * (self.units + 1), "{bytes} of {at_most}");
         }
@@ -268,7 +268,7 @@ impl Work {
     }
 }
 
-/// What work has to say.
+/// Notes that work reports.
 #[derive(Default)]
 struct Notes(Mutex<Vec<String>>);
 
@@ -475,7 +475,7 @@ fn what_is_wrong_is_told() {
             told(work.cut(&Silent).unwrap_err(), &[name, "damaged"]);
             assert!(if name == "range-1" { work.range(1) } else { work.group(2) }.unwrap());
         }
-        // Which clusters are kept that the cut does not need is a matter of time.
+        // The trees may hold other clusters below the cut, as timing decides, but the samples are the same.
         assert!(samples_of_cut() == expected, "{name} is another one");
     }
     // Parts of one another's, of other samples, and none.
@@ -710,7 +710,7 @@ fn a_soup_is_divided_whether_its_sheets_are_told_apart_or_not() {
     Work::of_format(&body, "stl", samples(1000)).check("STL");
     let body = in_no_order(&body);
     Work::of_format(&body, "stl", samples(1000)).check("STL in no order");
-    // What is at one place is nowhere near in the file.
+    // Vertices at one place are nowhere near each other in the file.
     Work::new(&soup(&body).shuffled(), samples(1000)).check("in no order");
     // Of more vertices than are compared with each other.
     let mut work = Work::new(&soup(&Body::generated(Shape::Amphora, 200_000)), samples(1000));
@@ -780,7 +780,7 @@ fn what_is_wrong_with_files_of_faces_is_told() {
         damaged(name, &again);
         (0..3).for_each(|unit| assert!(work.members(unit).is_ok()));
     }
-    // What belongs to other trees, though these are as good.
+    // Files that belong to other trees are written again, though these trees are as good.
     fs::remove_file(work.path("range-1")).unwrap();
     assert!(work.range(1).unwrap());
     fs::remove_file(work.path("cut")).unwrap();

@@ -64,7 +64,7 @@ fn without_cells_all_else_is_the_same() {
     assert!(samples_file(&whole) == samples_file(&part));
     let description = |saved: &Saved| fs::read_to_string(saved.folder().join("simod.toml")).unwrap();
     assert_eq!(description(&whole), description(&part));
-    // They can be made later.
+    // The cells can be made later.
     assert!(part.cells() == whole.cells() && part.bytes() == whole.bytes());
     assert_eq!(part.names(), ALL);
 }
@@ -84,7 +84,7 @@ fn without_normals_only_estimated_ones_are_left_out() {
     let (whole, part) = (whole.load(), part.load());
     assert_eq!(whole.samples.positions, part.samples.positions);
     assert!(whole.triangles == part.triangles && !part.triangles.is_empty());
-    // Who needs them estimates them again.
+    // Normals that were left out are estimated again by whoever needs them.
     assert_eq!(whole.samples.normals(), part.samples.normals());
 }
 

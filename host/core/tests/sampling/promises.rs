@@ -1,4 +1,4 @@
-//! What holds for the samples of any points at all.
+//! Promises that hold for the samples of any points at all.
 
 use std::collections::BTreeSet;
 
@@ -10,7 +10,7 @@ use simod_core::sampling::{By, Grouping, Sampling, Splitting, Target};
 
 use crate::body::{Body, worst_distance};
 
-/// How points lie.
+/// Arrangement of points.
 #[derive(Debug, Clone, Copy)]
 enum Kind {
     Space,
@@ -85,7 +85,7 @@ fn distinct(sampled: &SampledModel, body: &Body) -> (usize, usize) {
     (places.clone().collect::<BTreeSet<_>>().len(), places.zip(normals).collect::<BTreeSet<_>>().len())
 }
 
-/// What a sample is, whatever the target: within the model, but for `outside`.
+/// Checks the promises that hold whatever the target: samples are within the model, but for `outside`.
 fn check_samples(sampled: &SampledModel, body: &Body, outside: f64) -> Result<(), TestCaseError> {
     let samples = &sampled.samples;
     let slack = DVec3::splat(outside + 1e-6 * sampled.bounds.diagonal());

@@ -143,7 +143,7 @@ fn boxes(gap: f64) -> (Body, Vec<f64>) {
     (body, part)
 }
 
-/// Where a sample belongs: to the box on whose surface it lies.
+/// Box to which a sample belongs: 1 on the surface of the second, 0 on that of the first.
 fn of_boxes(gap: f64) -> impl Fn(DVec3) -> f64 {
     let off = |(low, high): (DVec3, DVec3), p: DVec3| {
         let inside = (low - p).max(p - high).max_element().min(0.0);
@@ -161,8 +161,8 @@ fn spheres(beside: DVec3, gap: f64) -> (Body, Vec<f64>) {
     two_spheres([-1.0, 1.0].map(|side| (side * (1.0 + 0.5 * gap) * beside, 1.0)))
 }
 
-/// Where a sample belongs, of two parts that no triangle of samples joins: to that of the sample farthest
-/// along x, or to the other one.
+/// Part to which a sample belongs, of two parts that no triangle of samples joins: 1 for that of the sample
+/// farthest along x, 0 for the other one.
 fn of_triangles(sampled: &SampledModel) -> impl Fn(DVec3) -> f64 + use<> {
     let places: Vec<DVec3> = sampled.samples.positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
     let mut is_second = vec![false; places.len()];
@@ -185,8 +185,7 @@ fn of_triangles(sampled: &SampledModel) -> impl Fn(DVec3) -> f64 + use<> {
     }
 }
 
-/// Where a sample belongs: how far its place goes with the second part. It lies at the surface of one of two
-/// tubes.
+/// Part with which a sample goes: 1 for the second of two tubes on whose surface it may lie, 0 for the first.
 fn of_rings(gap: f64) -> impl Fn(DVec3) -> f64 {
     move |p| {
         let off = |center: DVec3, axis: DVec3| {
@@ -219,7 +218,7 @@ pub fn pulled(sampled: &SampledModel, body: &Body, part: &[f64], of: &dyn Fn(DVe
     off_by(sampled, body, part, of, &|p, part| p + AWAY * part)
 }
 
-/// How far each vertex is off where a map takes places of parts.
+/// Error of each vertex, where a map takes places of parts.
 fn off_by(
     sampled: &SampledModel,
     body: &Body,
@@ -241,8 +240,8 @@ fn off_by(
     body.positions.iter().zip(&moved).zip(part).map(off).collect()
 }
 
-/// Where it has to be told apart: not where the arm leaves the stem, as there the way changes within a
-/// spacing.
+/// Whether parts have to be told apart at a place: not where the arm leaves the stem, as there the
+/// displacement changes within a spacing.
 fn is_plain(p: &DVec3, name: &str) -> bool {
     name != "an arm on its stem" || p.z < 1.3
 }
@@ -475,7 +474,7 @@ fn a_refinement_keeps_parts_apart() {
             // Around the bend of the arm the way changes within a spacing.
             assert!(now[0] <= off[0] + 1e-4 && now[1] <= off[1] + 5e-4, "{name}");
             assert!(joins <= before, "{name}: triangles join the parts");
-            // What is saved comes back, and goes on.
+            // A refined model that is saved and loaded goes on as before.
             let saved = folder.path().join("model.simod");
             next.save(&saved).unwrap();
             let mut loaded = SampledModel::load(&saved).unwrap();

@@ -1,4 +1,4 @@
-//! What a deformation means: exactness, lengths, symmetry, limits.
+//! Tests of a deformation's meaning: exactness, lengths, symmetry, limits.
 
 use super::scene::{Scene, bar, held_at_ends, tube, turn};
 use glam::DVec3;

@@ -70,7 +70,7 @@ fn points_alone_deform_as_their_triangles_do() {
     let mesh = held_at_ends(tube(40, 60, 0.15), 0.2);
     let cloud = mesh.clone().cloud(24);
     let motion = turn(DVec3::X, 50.0, DVec3::new(0.0, 0.0, 0.8), DVec3::new(0.0, -0.2, -0.1));
-    // What may crease does so elsewhere.
+    // Deformations that may crease do so elsewhere.
     for mode in ["smooth-arap", "laplacian", "bi-laplacian"] {
         let run = |scene: &Scene| Scene { mode, ..scene.clone() }.run(&[motion]);
         let apart = run(&mesh).iter().zip(run(&cloud)).map(|(a, b)| v(a).distance(v(&b))).fold(0.0, f64::max);

@@ -1,4 +1,4 @@
-//! What skinning means.
+//! Tests of the meaning of skinning.
 
 use super::scene::{Listener, Scene, at, turn};
 use super::solids::{FORK, LIMB, Surface, fork, limb, together, tube};
@@ -23,7 +23,7 @@ fn what_does_not_move_stays_to_the_last_bit() {
         let scene = Scene { method, binding, ..Scene::new(limb(), &LIMB) };
         let state = scene.prepare();
         assert_eq!(scene.deform(&state, &[]), scene.points);
-        // What only the upper bone moves, and what the lower one does.
+        // Places that only the upper bone moves stay, and those of the lower one turn.
         let moved = scene.deform(&state, &bent());
         let (mut still, mut turned) = (0, 0);
         for (p, q) in scene.points.iter().zip(&moved) {
