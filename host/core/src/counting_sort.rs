@@ -3,7 +3,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// So many numbers are sorted by counting; more of them, as all others are.
+/// Largest number of numbers that are sorted by counting; more of them are sorted by the standard library.
 const MOST: usize = 64;
 
 /// Sorts numbers whose upper halves mostly differ.

@@ -3,8 +3,8 @@
 use glam::{BVec3, DVec3, Vec3};
 use simod_model::frame::Frame;
 
-/// The shift is whole steps of so many local units: nothing, unless samples go further than the model's
-/// diagonal in the mean.
+/// Step of the shift in local units: the shift is a whole number of steps along each axis, and zero unless
+/// samples go further than the model's diagonal in the mean.
 const STEP: f64 = 4.0;
 
 /// Positions of the deformed samples, in local coordinates less a shift that all samples have in common.
@@ -16,7 +16,7 @@ const STEP: f64 = 4.0;
 pub struct DeformedPositions {
     /// Local positions, one per sample, less the shift.
     pub local: Vec<Vec3>,
-    /// In the model's unit; mostly zero.
+    /// Shift in the model's unit; mostly zero.
     pub shift: DVec3,
 }
 
@@ -36,7 +36,7 @@ impl DeformedPositions {
         Self { local: places.iter().zip(rest).map(local).collect(), shift }
     }
 
-    /// The frame of the local positions; `rest` is that of the model at rest.
+    /// Frame of the local positions; `rest` is the frame of the model at rest.
     pub fn frame(&self, rest: &Frame) -> Frame {
         shifted(rest, self.shift)
     }
@@ -75,7 +75,7 @@ impl From<Vec<Vec3>> for DeformedPositions {
     }
 }
 
-/// The frame of what was shifted; without a shift the same one, to the signs of zeros.
+/// Frame of positions that were shifted; without a shift the same one, to the signs of zeros.
 fn shifted(frame: &Frame, shift: DVec3) -> Frame {
     let origin = if shift == DVec3::ZERO { frame.origin } else { frame.origin + shift };
     Frame { origin, ..*frame }

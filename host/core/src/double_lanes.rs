@@ -4,7 +4,7 @@ use std::ops::{Add, AddAssign, Div, Mul, Sub};
 
 use pulp::Simd;
 
-/// The most samples that any processor takes at once.
+/// Largest number of samples that any processor takes at once.
 pub const MOST_LANES: usize = 8;
 
 /// One number for each sample of a packet.

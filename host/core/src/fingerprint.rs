@@ -87,7 +87,8 @@ impl BlockHash {
         }
     }
 
-    /// Takes the next bytes, of which the hashes of blocks are known; `false` if they are not the next.
+    /// Takes the next bytes, of which the hashes of blocks are known; `false` if `part` does not begin where
+    /// the bytes so far end.
     pub fn append(&mut self, part: &HashedPart) -> bool {
         if part.start != self.bytes || (!part.blocks.is_empty() && !part.after_head().is_multiple_of(BLOCK)) {
             return false;
@@ -157,8 +158,8 @@ impl HashedPart {
     }
 }
 
-/// Hashes the bytes of a range of vertices, of those that are read of it: more, where it begins or ends
-/// within a compressed block.
+/// Hasher of the bytes of a range of vertices, of those that are read of the model: more, where the range
+/// begins or ends within a compressed block.
 pub(crate) struct PartHasher {
     part: HashedPart,
     /// Bytes before and of the range that are still to come.
@@ -167,7 +168,7 @@ pub(crate) struct PartHasher {
 }
 
 impl PartHasher {
-    /// A hash of these bytes, counted among those of all vertices, where what is read begins so much before
+    /// Hasher for these bytes, counted among those of all vertices, where reading begins `skip` bytes before
     /// them.
     pub fn new(bytes: Range<u64>, skip: u64) -> Self {
         Self { part: HashedPart::new(bytes.start), skip, left: bytes.end.saturating_sub(bytes.start) }

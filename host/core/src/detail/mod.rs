@@ -25,7 +25,7 @@ use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::normals;
 use thinning::Thinning;
 
-/// So many vertices are enough for most screens: there are hardly more pixels.
+/// Number of vertices that is enough for most screens: there are hardly more pixels.
 pub const ENOUGH: usize = 3_000_000;
 
 /// Vertices of a batch, to which the last of its cells adds its own.
@@ -37,12 +37,12 @@ const SPACING_NEIGHBOURS: usize = 6;
 /// Nowhere, the surface is taken for stretched more than this when discs are to cover it.
 const MOST_STRETCH: f32 = 8.0;
 
-/// The cells to be streamed, how finely, and with what.
+/// Request for vertices of some cells: the cells, the fineness, and the attributes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DetailRequest {
     /// The cells' places among the kept ones; ascending.
     pub cells: Vec<u32>,
-    /// One of so many vertices is taken: 1 for all.
+    /// Length of the runs of vertices of which one is taken: 1 for all vertices.
     pub stride: u64,
     /// The attributes that come with them.
     pub shown: DetailAttributes,
@@ -51,7 +51,7 @@ pub struct DetailRequest {
 /// The attributes of vertices that come with them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DetailAttributes {
-    /// Nothing.
+    /// No attributes.
     #[default]
     Nothing,
     /// The vertices' own colours.
@@ -82,7 +82,7 @@ impl DetailAttributes {
 /// Values that were [asked for](DetailAttributes), one for each vertex.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum Values {
-    /// Nothing.
+    /// No values.
     #[default]
     Nothing,
     /// The vertex's colour, 8-bit sRGB.
@@ -104,7 +104,7 @@ impl Values {
         }
     }
 
-    /// Takes some of another's behind its own; where it has none yet, they are of the same sort afterwards.
+    /// Appends a range of another list's values; an empty list becomes one of the same sort.
     pub fn extend(&mut self, other: &Self, range: Range<usize>) {
         match (&mut *self, other) {
             (_, Self::Nothing) => {}
@@ -131,7 +131,7 @@ impl Values {
 pub struct Streamed {
     /// Number of vertices that were handed on ...
     pub vertices: u64,
-    /// ... of so many with a finite position in the cells.
+    /// ... and the number of those with a finite position in the cells.
     pub of: u64,
     /// Bytes of the model that were read.
     pub bytes: u64,
@@ -140,8 +140,7 @@ pub struct Streamed {
 /// Vertices of some cells, carried over. All lists but the last one have an entry for each vertex;
 /// coordinates are local (see [`Frame`](simod_model::frame::Frame)).
 ///
-/// Memory: 32 bytes per vertex, 3 or 4 more for what of its attributes is shown, 24 more for splats, 12 per
-/// cell.
+/// Memory: 32 bytes per vertex, 3 or 4 more for the attribute that is shown, 24 more for splats, 12 per cell.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DetailBatch {
     /// Deformed positions.
@@ -189,7 +188,7 @@ impl DetailRequest {
         Self { shown, ..self }
     }
 
-    /// So many vertices these cells have, and so many of them are taken.
+    /// Number of vertices that these cells have, and of those of them that are taken.
     pub fn vertices(&self, sampled: &SampledModel) -> [u64; 2] {
         let Some(kept) = sampled.held_cells() else { return [0; 2] };
         let of = |cell: &u32| kept.cells.get(*cell as usize).map_or(0, |cell| cell.vertices);
@@ -272,7 +271,7 @@ struct OpenCells<'a> {
     scale: f64,
     /// Vertices that came of each cell, in the order in which the cells were chosen.
     open: Vec<CellVertices>,
-    /// Cells of which all has come, until they are handed on, and how many vertices they have.
+    /// Cells of which all vertices have come, until they are handed on, and the number of their vertices.
     complete: Vec<CellVertices>,
     held: usize,
     streamed: Streamed,
@@ -415,7 +414,7 @@ impl Carrying<'_> {
         Ok(batch)
     }
 
-    /// Carries a batch over; where it is at rest, `moved` says in the model's coordinates.
+    /// Carries a batch over; `moved` are the vertices' positions at rest in the model's coordinates.
     fn deform(&self, field: &DeformationField<'_>, mut moved: Vec<DVec3>, batch: &mut DetailBatch) {
         let frame = &self.sampled.frame;
         let DetailBatch { positions, normals, spacing, homes, axes, .. } = batch;

@@ -26,7 +26,7 @@ pub struct Thinning {
 }
 
 impl Thinning {
-    /// Takes one vertex of so many.
+    /// Choice of one vertex out of each `stride` ones.
     pub fn new(stride: u64) -> Self {
         Self { stride: stride.max(1) }
     }

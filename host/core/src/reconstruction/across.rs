@@ -23,13 +23,13 @@ use super::expansion::{Expansion, ROUNDING};
 use super::stencils::Stencils;
 use crate::lists::lists;
 
-/// An anchor is fitted to all samples that so many links of the graph of neighbours lead to.
+/// Number of links of the graph of neighbours that lead to the samples an anchor is fitted to, at most.
 const LINKS: usize = 4;
 
-/// A sample has a say at those to which so many links lead from it.
+/// Number of links that lead to the samples at which an anchor has a say, at most.
 const HEARD: usize = 3;
 
-/// No other sample that so many links to the nearest neighbours lead to is an anchor.
+/// Number of links to the nearest neighbours, within which no other sample is an anchor.
 const APART: usize = 2;
 
 /// Nearest neighbours of a sample that are looked at.
@@ -70,7 +70,7 @@ const FACTORS: [[usize; ORDER]; TERMS] = {
 /// [`Expansion::second`]), the term that it is a multiple of, or 34 for a constant, and that multiple.
 type Derivative = (usize, usize, usize, f32);
 
-/// As many derivatives along one axis, and as many along two.
+/// Number of derivatives along one axis, and of those along two.
 const DERIVATIVES: usize = 60;
 
 /// Place of the term for each pair of axes in a list of second-order terms.
@@ -146,7 +146,8 @@ const LEAST_RIDGE: f64 = 1e-14;
 /// the affine map, which both tell little of shear across.
 const EXPECTED: f64 = 10.0;
 
-/// A fit with fewer degrees of freedom left, as a part of its data, tells nothing.
+/// Least number of degrees of freedom that a fit leaves, as a part of its data's; with less a fit tells
+/// nothing.
 const LEAST_FREE: f64 = 0.3;
 
 /// A gradient that leaves less than this part of the volume, or more than its inverse, is not taken for the
@@ -167,12 +168,12 @@ struct Anchor {
     terms: [Vec3; TERMS],
     /// Part of the gradient across the surface that the anchor's neighbours determine, from 0 to 1.
     trust: f32,
-    /// One over the square of the radius within which it has a say.
+    /// One over the square of the radius within which the anchor has a say.
     inverse_square: f32,
 }
 
-/// The expansions by whose gradients numbers turn: those of the samples, with what anchors tell across the
-/// surface, and of the second order. `fitted` has the affine maps.
+/// Expansions by whose gradients numbers turn: those of the samples, corrected by the anchors' gradients
+/// across the surface and their second order. `fitted` has the affine maps.
 pub fn told(fitted: FitInput<'_>, expansions: &[Expansion]) -> Vec<Expansion> {
     let anchors = Anchors::fit(fitted, expansions);
     let positions = &fitted.samples.positions;
@@ -262,7 +263,7 @@ fn is_plausible(own: Mat3, more: Mat3) -> bool {
     more.is_finite() && (THINNEST..1.0 / THINNEST).contains(&ratio)
 }
 
-/// All anchors, and where each has a say.
+/// All anchors, and the samples at which each has a say.
 struct Anchors {
     anchors: Vec<Anchor>,
     lists: AnchorLists,
@@ -328,8 +329,8 @@ impl NeighbourWalk {
         Self { met: vec![0; samples], walks: 0 }
     }
 
-    /// The samples that at most so many links lead to, by the number of links, itself first; and how many
-    /// [`HEARD`] links lead to.
+    /// Samples that at most `links` links lead to, by the number of links, sample `i` first; and the number
+    /// of those that [`HEARD`] links lead to.
     fn from<'a>(&mut self, i: u32, links: usize, near: impl Fn(usize) -> &'a [u32]) -> (Vec<u32>, usize) {
         self.walks += 1;
         self.met[i as usize] = self.walks;
@@ -459,7 +460,7 @@ impl Anchor {
     }
 }
 
-/// As many numbers as the processor takes at once.
+/// Numbers in a block, as many as the processor takes at once.
 const BLOCK: usize = 8;
 
 /// Length of the rows of a matrix: whole blocks.
@@ -467,16 +468,17 @@ const ROW: usize = TERMS.next_multiple_of(BLOCK);
 
 type RowBlocks = [[f64; ROW]; TERMS];
 
-/// The squares of what the affine map leaves over, to be explained by the terms in units of the radius.
+/// Sums of the squares of the affine map's residual, which is to be explained by the terms in units of the
+/// radius.
 struct ResidualSquares {
-    /// Lower triangle of the products of terms, which is read, with what is beside it in blocks of [`BLOCK`];
-    /// and the products with what is to be explained.
+    /// Lower triangle of the products of terms, which is read, with the entries beside it in blocks of
+    /// [`BLOCK`]; and the products with the residual.
     matrix: RowBlocks,
     right: [DVec3; TERMS],
     /// The sums of the weights, and of their squares.
     weights: f64,
     squared_weights: f64,
-    /// The weighted sum of squares of what is to be explained.
+    /// Weighted sum of the residual's squares.
     squares: f64,
     /// The largest of that, as the square of a length.
     largest: f64,
@@ -513,8 +515,9 @@ impl ResidualSquares {
         self.largest = self.largest.max(left.length_squared());
     }
 
-    /// The terms, and how far the neighbours tell the one along the normal; `extent` is the strain times the
-    /// radius. Nothing where the affine map explains all but rounding, or too little is there.
+    /// Terms, and the part of the one along the normal that the neighbours determine; `extent` is the strain
+    /// times the radius. `None` where the affine map explains all but rounding, or too few neighbours are
+    /// there.
     fn solve(&self, extent: f64, normal: DVec3) -> Option<([DVec3; TERMS], f64)> {
         let free = 1.0 - TERMS as f64 * self.squared_weights / (self.weights * self.weights);
         if self.largest <= ROUNDING * ROUNDING || free.is_nan() || free < LEAST_FREE {

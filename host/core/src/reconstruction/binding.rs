@@ -28,14 +28,14 @@ use crate::varint::{self, VarintNumbers};
 /// First letters of a binding.
 pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 
-/// To be counted up whenever the format changes, or the key of the same samples, their
+/// Version of the format, counted up whenever the format changes, or the key of the same samples, their
 /// sheets, supports or homes.
 const VERSION: u32 = 8;
 
-/// Most bytes of a part: a chunk's vertices, each with another home.
+/// Largest number of bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;
 
-/// The head of a binding: what is known of the samples.
+/// Head of a binding: the geometry of the samples.
 #[derive(Deserialize)]
 struct BindingHead {
     /// Hash of all that it depends on.
@@ -118,7 +118,7 @@ fn encode(homes: &[u32], runs: &mut Vec<u8>) {
     }
 }
 
-/// The homes of runs, each less than `samples`, `count` in all; `None` if that is not what they are.
+/// Homes of runs, each less than `samples`, `count` in all; `None` if `runs` are no such homes.
 fn decode(runs: &[u8], count: usize, samples: usize, homes: &mut Vec<u32>) -> Option<()> {
     homes.clear();
     let mut numbers = VarintNumbers(runs);
@@ -141,7 +141,7 @@ pub(super) struct Binding {
 }
 
 impl Binding {
-    /// Opens the binding of a sampled model, if there is one; why it is of no use, if it is not.
+    /// Opens the binding of a sampled model, if there is one; the error says why it is of no use.
     pub(super) fn open<'a>(
         path: &Path,
         sampled: &'a SampledModel,

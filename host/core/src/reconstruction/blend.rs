@@ -31,16 +31,17 @@ pub const AROUND: usize = 28;
 /// Homes whose lists are made by one job.
 const HOMES_OF_JOB: usize = 256;
 
-/// Supports that are looked at before what they say is added.
+/// Supports that are looked at before their displacements are added.
 const TOGETHER: usize = 32;
 
 /// The support of a sample ends at this one of its neighbours.
 const SUPPORT_NEIGHBOURS: usize = 7;
 
-/// Least sum of weights at which the blend is that of the supports. Less is the margin of the last one.
+/// Least sum of weights at which the blend is that of the supports. A smaller sum is found at the margin of
+/// the last support.
 pub const LEAST_WEIGHT: f32 = 1e-6;
 
-/// For each sample, the supports that reach where it is the home.
+/// For each sample, the supports that reach the vertices of which it is the home.
 ///
 /// Memory: about 30 supports of 8 bytes per sample, and room for a few more.
 #[derive(Debug, Serialize, Deserialize)]
@@ -66,8 +67,8 @@ impl Supports {
         Self { radius, ranging, starts, ends, reaching }
     }
 
-    /// The supports of samples, where the lists of homes were found out before: where each ends, from the
-    /// first home on, and who is in them, which have to be samples.
+    /// Supports of samples whose lists of homes were found before: the end of each list, from the first home
+    /// on, and the entries of all lists, which have to be samples.
     pub fn known(
         positions: &[Vec3],
         sheets: &Sheets,
@@ -111,7 +112,7 @@ impl Supports {
     }
 }
 
-/// The radii of the samples' supports, and how far [ranges](super::bound) reach.
+/// Radii of the samples' supports, and the distances within which [ranges](super::bound) are known.
 fn reaches(positions: &[Vec3], sheets: &Sheets) -> (Vec<f32>, Vec<f32>) {
     let all = || (0..positions.len()).into_par_iter();
     let radius = all().map(|i| sheets.around(positions, i, SUPPORT_NEIGHBOURS - 1).1);
@@ -129,8 +130,8 @@ fn reaches(positions: &[Vec3], sheets: &Sheets) -> (Vec<f32>, Vec<f32>) {
 /// numbers turn; and as much for up to [`PACKET`] more vertices of each group.
 #[derive(Debug, Default)]
 pub struct Grouped {
-    /// The groups: their home, and their vertices. Each begins at a multiple of [`PACKET`]; what is between
-    /// them is of no meaning, but finite.
+    /// Home and places of each group of vertices. A group begins at a multiple of [`PACKET`]; entries between
+    /// groups have no meaning, but are finite.
     pub groups: Vec<(u32, Range<usize>)>,
     /// The homes of the vertices behind the groups, which are nearly alone around them.
     pub scattered: Vec<u32>,
@@ -391,8 +392,8 @@ fn within<S: Simd>(simd: S, e: &Expansion, p: [Lanes<S>; 3]) -> ([Lanes<S>; 3], 
     (d, length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), Lanes::splat(simd, 1.0)))
 }
 
-/// Finds the supports that reach any vertex of a packet, of whom none is farther from its home than
-/// `furthest`: without a branch that the processor would have to foretell. Returns how many there are.
+/// Finds the supports that reach any vertex of a packet, none of which is farther from its home than
+/// `furthest`: without a branch that the processor would have to foretell. Returns the number of supports.
 #[inline(always)]
 fn reaching<S: Simd>(
     simd: S,

@@ -76,7 +76,7 @@ impl Jet {
     }
 }
 
-/// The expansions of all samples, and what is known of those whose neighbours disagree with them.
+/// Expansions of all samples, and the trouble of those whose neighbours disagree with them.
 pub struct Expanded {
     /// The expansion at each sample.
     pub expansions: Vec<Expansion>,
@@ -135,7 +135,7 @@ pub fn expand(
     Expanded { expansions, troubled }
 }
 
-/// The gradient around each troubled sample: that of its neighbours which are not, or in their turn of
+/// Gradient around each troubled sample: that of its neighbours which are not troubled, or in their turn of
 /// theirs.
 fn prevailing(
     samples: &SampleSet,
@@ -147,7 +147,7 @@ fn prevailing(
     if in_trouble.is_empty() {
         return Vec::new();
     }
-    // The gradient at each sample, as far as it is known, and how well: from 0 to 1.
+    // Gradient at each sample, as far as it is known, and a measure of how well: from 0 to 1.
     let mut known: Vec<(Mat3, f32)> = expansions
         .iter()
         .zip(trouble)
@@ -246,7 +246,8 @@ pub(super) struct FitInput<'a> {
 }
 
 impl FitInput<'_> {
-    /// The nearest neighbours of a packet's samples, so many, and the gradients there, column by column.
+    /// Gathers the `count` nearest neighbours of a packet's samples; returns the gradients of the samples,
+    /// column by column.
     #[inline(always)]
     pub fn gather<S: Simd>(
         &self,
@@ -267,7 +268,7 @@ impl FitInput<'_> {
     }
 }
 
-/// So many samples from this one on; where the lanes are more, the others are the first one again.
+/// Samples of a packet: `count` ones from `first` on; further lanes are filled with the first one.
 #[inline(always)]
 pub(super) fn packet_of(first: usize, count: usize) -> [usize; MOST_LANES] {
     std::array::from_fn(|lane| if lane < count { first + lane } else { first })

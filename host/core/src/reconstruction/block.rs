@@ -21,12 +21,12 @@ const BLOCK: usize = 1 << 14;
 /// which follow each other on a curve are near.
 const LARGE_BLOCK: usize = 1 << 16;
 
-/// Two of so many vertices are looked at to tell whether they are in order: a prime, so that they are at all
-/// places of runs of any other length …
+/// Step between the pairs of successive vertices that are looked at to tell whether vertices are in order: a
+/// prime, so that pairs are at all places of runs of any other length …
 const LOOKED_AT: usize = 17;
 
-/// … and they are not, if more than one of so many is far from the one before: runs of some twenty vertices
-/// in random order are found, too.
+/// … and the number of pairs of which one may be far apart; more are where vertices are in no order. Runs of
+/// some twenty vertices in random order are found, too.
 const JUMPS: usize = 24;
 
 /// Vertices that a packet is not worth for.
@@ -41,7 +41,7 @@ const JUMP: f64 = 0.1;
 /// Positions, normals, gradients and figures of vertices that are carried over, in place: as at rest until
 /// then.
 pub struct Moved<'a> {
-    /// In the model's coordinates.
+    /// Positions in the model's coordinates.
     pub positions: &'a mut [DVec3],
     /// Normals that are to be turned: as many, or none.
     pub normals: &'a mut [Vec3],
@@ -118,16 +118,16 @@ pub fn carry_on_this_thread(
     }
 }
 
-/// Consecutive vertices, and what they become in each version.
+/// Consecutive vertices, and their results in each version.
 struct Block<'a> {
     positions: &'a [DVec3],
     homes: Option<&'a [u32]>,
-    /// For how many vertices each one stands; empty where that is itself alone.
+    /// Number of vertices that each one stands for; empty where that is itself alone.
     counts: &'a [u32],
     moved: Vec<Moved<'a>>,
 }
 
-/// The blocks that vertices are divided into, of at most so many.
+/// Blocks that vertices are divided into, each of at most `most` vertices.
 fn blocks<'a>(
     positions: &'a [DVec3],
     homes: Option<&'a [u32]>,
@@ -161,7 +161,7 @@ impl Block<'_> {
         let Self { positions, homes, counts, mut moved } = self;
         let Some(around) = fields.first().map(|field| field.around) else { return };
         for Moved { normals, .. } in &mut moved {
-            // As a rule those of splats are all zero, and stay it.
+            // Normals of splats are all zero as a rule, and stay so.
             if normals.iter().all(|n| *n == Vec3::ZERO) {
                 *normals = &mut [];
             }
@@ -316,7 +316,7 @@ impl Workspace {
         }
     }
 
-    /// Takes what became of vertices for which that is nothing but the blend.
+    /// Takes the results of vertices that are nothing but the blend's.
     #[inline]
     fn take(&self, run: &HomeRun, frame: &Frame, moved: &mut Moved<'_>) {
         let places = run.places();
@@ -471,7 +471,7 @@ impl Workspace {
         Vec3::from_array(self.grouped.displacement.each_ref().map(|v| v[place]))
     }
 
-    /// The gradient of the blend; nothing, if it was not asked for.
+    /// Gradient of the blend; zero, if it was not asked for.
     fn gradient(&self, place: usize) -> Mat3 {
         let entry = |v: &Vec<f32>| v.get(place).copied().unwrap_or_default();
         Mat3::from_cols_array(&self.grouped.gradient.each_ref().map(entry))
@@ -594,7 +594,7 @@ fn local(frame: &Frame, p: DVec3) -> Vec3 {
     if is_finite(p) { frame.to_local(p) + 0.0 } else { Vec3::ZERO }
 }
 
-/// The most vertices of a block of these: `in_no_order` where they are in none.
+/// Largest number of vertices in a block of these: `in_no_order` where they are in no order.
 fn most_of_block(positions: &[DVec3], in_no_order: usize) -> usize {
     if is_in_order(positions) { BLOCK } else { in_no_order.min(positions.len()).max(1) }
 }

@@ -44,7 +44,7 @@ impl DisplacementBox {
         Self { low: u - MARGIN, high: u + MARGIN }
     }
 
-    /// With one displacement more.
+    /// Copy of this range that includes one displacement more.
     #[inline]
     pub fn with(self, u: Vec3) -> Self {
         Self { low: self.low.min(u - MARGIN), high: self.high.max(u + MARGIN) }
@@ -109,7 +109,7 @@ pub struct Bound {
 }
 
 impl Bound {
-    /// The bound that all samples set, by where they come to lie.
+    /// Bound that all samples set, by their deformed positions.
     pub fn new(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
         let all = (0..deformed.len()).into_par_iter();
         Self { edges: all.map(|i| EdgeStretches::around(samples, sheets, deformed, i)).collect() }

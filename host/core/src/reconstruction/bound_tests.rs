@@ -11,7 +11,7 @@ use crate::sampling::SampleSet;
 
 /// Samples of a range.
 const AROUND: usize = 28;
-/// Edges of each of them.
+/// Edges of each sample.
 const EDGES: usize = 6;
 
 /// Distance, in local steps, by which a vertex at `p` that is displaced by `u` leaves the range of the
@@ -87,7 +87,7 @@ fn distance_from_hull(corners: &[DVec3]) -> f64 {
     x.length()
 }
 
-/// Numbers in [0, 1) that look random, for whatever they are asked.
+/// Numbers in [0, 1) that look random, one for each `i` and `k`.
 fn noise(seed: u64, i: usize, k: usize) -> f32 {
     let mut x = seed ^ (i as u64 * 0x9E37_79B9_7F4A_7C15) ^ (k as u64 * 0xD1B5_4A32_D192_ED03);
     for _ in 0..2 {
@@ -104,7 +104,7 @@ fn noises(seed: u64, i: usize, k: usize) -> Vec3 {
 enum Model {
     Sheet,
     Rough,
-    /// Two sheets so many spacings apart; whether they face the same way.
+    /// Two sheets at this distance, in spacings; whether they face the same way.
     Sheets(f32, bool),
     Cloud,
     Curve,

@@ -73,9 +73,9 @@ fn has_splats(model: &dyn Model) -> bool {
 pub struct Folds {
     /// Number of folded samples.
     pub samples: u64,
-    /// The first of them, if any.
+    /// First of the folded samples, if any.
     pub first: Option<usize>,
-    /// Most of the samples are mirrored.
+    /// Whether most of the samples are mirrored.
     mirrored: bool,
     /// Whether each sample is folded, or one of its neighbours.
     near: Vec<bool>,

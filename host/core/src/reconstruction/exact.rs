@@ -1,5 +1,5 @@
-//! The exact map at every vertex, where it is known as a map of space: what a reconstruction is measured by,
-//! and the result itself where its cost does not matter.
+//! Evaluation of an exact map at every vertex, where it is known as a map of space: the truth that a
+//! reconstruction is measured by, and the result itself where its cost does not matter.
 
 use std::path::Path;
 use std::sync::Mutex;
@@ -102,7 +102,8 @@ pub fn write_exact(
     })
 }
 
-/// The gradients of a map at points of the model, from differences; the identity where nothing tells.
+/// Gradients of a map at points of the model, from differences; the identity where differences do not tell
+/// them.
 ///
 /// # Errors
 /// The map fails.
@@ -204,7 +205,7 @@ impl ExactEdit<'_> {
         Ok(true)
     }
 
-    /// Moves the vertices of each version; what the map does to them.
+    /// Moves the vertices of each version; returns their exact images.
     fn moved(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<Vec<ExactImage>> {
         let turns = |edited: &Edited| !edited.normals.is_empty() || !edited.gradients.is_empty();
         let moved = self.carry(&chunk.positions, self.gradients || versions.iter().any(turns))?;
@@ -230,7 +231,7 @@ impl ExactEdit<'_> {
 /// Image of a vertex under the map: its displacement, and the gradient there.
 #[derive(Clone, Copy)]
 struct ExactImage {
-    /// In the model's unit; nothing where the vertex is not finite.
+    /// Displacement in the model's unit; zero where the vertex is not finite.
     way: DVec3,
     gradient: DMat3,
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Residual that rounding to single precision may leave, in local units.
 pub const ROUNDING: f64 = 5e-7;
 
-/// The displacement about a sample, u(q + d) = u₀ + S·d + Q(d, d), and how far the sample's word counts.
+/// Displacement about a sample, u(q + d) = u₀ + S·d + Q(d, d), and the support in which it has a weight.
 ///
 /// The ten terms of each coordinate are u₀, the three slopes, and the six second-order terms xx, xy, xz, yy,
 /// yz, zz, in the order in which Horner's rule takes them. Displacements rather than places, as those of
@@ -131,8 +131,8 @@ impl Expansion {
         (u + a * d.x + b * d.y + c * d.z).truncate()
     }
 
-    /// The displacement of a point at `d`, beyond the support, and its gradient: the second order stays what
-    /// it is at the margin, as no neighbour told what it is there.
+    /// Displacement of a point at `d`, beyond the support, and its gradient: the second order is that at the
+    /// margin, as no neighbour told what it is farther out.
     pub fn beyond(&self, d: Vec3) -> (Vec3, Mat3) {
         let margin = (1.0 / (d.length_squared() * self.inverse_square)).min(1.0);
         let mut inner = *self;
@@ -151,7 +151,8 @@ pub struct ReachingSupport {
 }
 
 impl ReachingSupport {
-    /// A number: a nearer one's is less, and of those that are equally far that of the first sample.
+    /// Number by which supports are ordered: a nearer one's is less, and of those that are equally far that
+    /// of the first sample.
     pub fn to_ordered(self) -> u64 {
         let bits = self.from.to_bits();
         let bits = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };

@@ -6,8 +6,7 @@ use simod_model::frame::Frame;
 use simod_model::histogram::Histogram;
 use simod_model::{ModelInfo, Scalar};
 
-/// The root of the mean square of what rounding to single precision makes, as a part of the number that is
-/// rounded.
+/// Root of the mean square error by rounding to single precision, as a part of the number that is rounded.
 const SINGLE: f32 = 2.5e-8;
 
 /// Expected error around a sample, in local units.
@@ -119,12 +118,12 @@ pub(super) struct ErrorSums {
     histogram: Histogram,
     count: u64,
     squares: f64,
-    /// The largest of them.
+    /// Largest of the errors.
     pub worst: f64,
 }
 
 impl ErrorSums {
-    /// Adds `vertices` for which so much is expected.
+    /// Adds `vertices` with this expected error.
     pub fn add(&mut self, expected: f64, vertices: u64) {
         if vertices > 0 && expected.is_finite() {
             self.histogram.add_many(expected, vertices);
@@ -134,7 +133,7 @@ impl ErrorSums {
         }
     }
 
-    /// The error that the estimates come to; fractions of the diagonal.
+    /// Expected error summed up from all estimates; fractions of the diagonal.
     pub fn sum(&self, of_vertices: bool) -> ExpectedError {
         ExpectedError {
             rms: (self.squares / self.count.max(1) as f64).sqrt(),

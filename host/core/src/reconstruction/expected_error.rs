@@ -51,20 +51,21 @@ const BY_SAMPLES: f32 = 0.42;
 /// what both leave out: this many times κ of the difference counts besides.
 const OF_TURNING: f32 = 2.0;
 
-/// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
+/// Part of the spread of the supports' displacements at a vertex that counts; the true error is mostly less.
 const OF_SPREAD: f32 = 0.45;
 
-/// The other blend has supports so many times as wide, and so much of how far it is from the first one
-/// counts: no more than as many times what the home's ring says, as one that fails may have all of its say.
+/// Factor by which the supports of the other blend are wider, and the part of its distance from the first one
+/// that counts: no more than this factor times the distance of the home's ring, as a sample that fails may
+/// have all of the wider blend's weight.
 const WIDER: f32 = 2.0;
 const OF_WIDER: f32 = 0.5;
 
-/// The parts that count of how far samples are from where others would have them, and of the largest of what
-/// they disagree by halfway, where a vertex lies among them.
+/// Parts that count of the samples' distances from where the others' expansions take them, and of the largest
+/// disagreement halfway, where a vertex lies among the samples.
 const OF_LEFT_OUT: f32 = 0.7;
 const OF_LARGEST: f32 = 0.05;
 
-/// The part of what a sample disagrees by with its ring that it is off by where no other one reaches it.
+/// Part of a sample's disagreement with its ring that is its error where no other support reaches it.
 const BY_HALFWAY: f32 = 0.36;
 
 /// A vertex lies beyond the samples that reach it from this square of its distance from their middle on, each
@@ -105,9 +106,9 @@ impl DeformationField<'_> {
         }
     }
 
-    /// Expects no less, around the samples that have a say at these places (local coordinates), than what was
-    /// found there (local units), as by [`measure_some`](super::transfer_error::measure_some). The field has
-    /// to be [expecting](Self::expecting).
+    /// Raises the errors around the samples that have a say at these places (local coordinates) to those that
+    /// were found there (local units), as by [`measure_some`](super::transfer_error::measure_some). The field
+    /// has to be [expecting](Self::expecting).
     pub fn learn(&mut self, found: &[(Vec3, f32)]) {
         let places: Vec<Vec3> = found.iter().map(|(place, _)| *place).collect();
         let homes = Homes::new(self.around).of(&places);
@@ -127,7 +128,7 @@ impl DeformationField<'_> {
         }
     }
 
-    /// Finds out what is expected around the samples, which all further estimates rest on, of a file as
+    /// Finds the expected errors around the samples, on which all further estimates rest, for a file as
     /// `info` says.
     pub fn expecting(mut self, frame: &Frame, info: &ModelInfo) -> Self {
         self.expected = self.around_samples(&[]);
@@ -197,8 +198,8 @@ impl DeformationField<'_> {
         disagreement.into_iter().zip(largest).map(told).collect()
     }
 
-    /// Finds out how far samples are from where the others would have them: what is expected of vertices
-    /// rests on that, too. The field has to be [expecting](Self::expecting).
+    /// Finds the distances of samples from where the others' expansions take them: the expected error of
+    /// vertices rests on these, too. The field has to be [expecting](Self::expecting).
     pub(super) fn expecting_of_vertices(mut self) -> Self {
         let squares: Vec<f32> = (0..self.expected.len()).into_par_iter().map(|i| self.without(i)).collect();
         let mean = |i: usize| {
@@ -212,8 +213,8 @@ impl DeformationField<'_> {
         self
     }
 
-    /// The square of how far a sample is from where the blend of its neighbours alone would have it; where
-    /// none of them reaches it, what it disagrees by with them stands for that.
+    /// Square of the distance of a sample from where the blend of its neighbours alone takes it; where none
+    /// of their supports reaches it, the sample's disagreement with them stands for that.
     fn without(&self, i: usize) -> f32 {
         let place = Vec3::from_array(self.expansions[i].center);
         let went = self.expansions[i].displacement();
@@ -309,7 +310,7 @@ impl DeformationField<'_> {
             wider.add(beyond, apart);
             widest.add(beyond, apart);
         }
-        // Of two alone nobody tells which one fails.
+        // Two samples alone do not tell which one fails.
         let are_two = self.stencils.ring(home).len() < 2;
         HeardAround { differs: if are_two { furthest } else { differs }, wider, widest }
     }
@@ -331,7 +332,7 @@ impl DeformationField<'_> {
             counted += n;
         }
         tally.add(0.0, vertices.saturating_sub(counted));
-        // More samples do not mend what rounding makes.
+        // More samples do not mend rounding.
         let beyond = self.where_beyond(of, ExpectedError::ACCEPTED, |_, e| e.largest);
         Some(ExpectedError { beyond, ..tally.sum(false) })
     }
@@ -352,7 +353,8 @@ impl DeformationField<'_> {
         self.where_beyond(of, accepted, |i, e| hypot([e.largest, self.rounding_at(i)]))
     }
 
-    /// The same of what `expected` makes of each sample; local units.
+    /// Samples around which `expected` gives more than `accepted`, as
+    /// [`expected_beyond`](Self::expected_beyond) does; `expected` is in local units.
     fn where_beyond(
         &self,
         of: &SampledModel,
@@ -395,7 +397,7 @@ struct Heard {
 }
 
 impl Heard {
-    /// Hears sample `i` on a vertex at `p` that goes by `u`.
+    /// Adds what sample `i` tells of a vertex at `p` that goes by `u`, with the weight `w`.
     fn add(&mut self, field: &DeformationField<'_>, i: usize, w: f32, p: Vec3, u: Vec3) {
         let off = says(&field.expansions[i], p).distance_squared(u);
         let d = Vec3::from_array(field.expansions[i].center) - p;
@@ -411,8 +413,8 @@ impl Heard {
         self.sum += w;
     }
 
-    /// The square of the vertex' distance from the middle of the samples, each direction measured by how far
-    /// they are spread in it, or by `least`: the distance of Mahalanobis.
+    /// Square of the vertex' distance from the middle of the samples, each direction measured by the samples'
+    /// spread in it, or by `least`: the distance of Mahalanobis.
     fn beyond(&self, least: f32) -> f32 {
         let middle = self.places / self.sum;
         let column = |axis: usize| {
@@ -443,7 +445,7 @@ impl HeardAround {
     }
 }
 
-/// A blend with supports so many times as wide, of how far each is from what was made of a vertex.
+/// Blend, with supports that are `times` as wide, of the distances of expansions from a vertex's position.
 struct WideBlend {
     times: f32,
     /// The weighted sum.
@@ -457,8 +459,8 @@ impl WideBlend {
         Self { times, apart: Vec3::ZERO, sum: 0.0 }
     }
 
-    /// Adds one that is so far from it, at a vertex whose distance is `beyond`, the square as a part of that
-    /// of its support's radius.
+    /// Adds an expansion that is `apart` from the vertex's position; `beyond` is the square of the vertex's
+    /// distance from the sample, as a part of that of the support's radius.
     fn add(&mut self, beyond: f32, apart: Vec3) {
         let s = (1.0 - beyond / (self.times * self.times)).max(0.0);
         self.apart += s * s * s * apart;

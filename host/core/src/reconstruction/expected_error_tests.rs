@@ -38,7 +38,7 @@ fn wavy_samples() -> SampleSet {
     SampleSet::new((0..SIDE * SIDE).map(sample).collect(), Vec::new()).expect("samples")
 }
 
-/// The deformation with what is expected of vertices.
+/// Deformation that expects errors of vertices.
 fn expecting<'a>(around: &'a RestGeometry<'a>, deformed: &'a [Vec3]) -> DeformationField<'a> {
     let mut field = DeformationField::new(around, deformed, Method::BlendedJets);
     field.expected = field.around_samples(&[]);

@@ -21,7 +21,8 @@ use super::unresolved::Unresolved;
 use super::{across, blend, blended_jets};
 use crate::deformed_positions::{DeformedPositions, are_still};
 
-/// A home that does not reach a vertex is not its own if other samples are so many times nearer.
+/// Ratio of distances from which on a home that does not reach a vertex is not taken for the vertex's own, as
+/// other samples are that much nearer.
 const MUCH_NEARER: f32 = 2.0;
 
 /// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.

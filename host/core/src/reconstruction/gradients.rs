@@ -39,11 +39,12 @@ const COLLINEAR: f64 = 1e-3;
 /// Weight of the prior for the direction across, relative to the neighbours' whole spread.
 const PRIOR: f64 = 3e-3;
 
-/// The prior's weight where neighbours tell all they can, for each of their own weights: the square of what
-/// rounding makes of how far they are off the plane, for a gradient that is off by a third.
+/// Weight of the prior where neighbours tell all they can, for each of their own weights: the square of the
+/// rounding of their distances from the plane, for a gradient that is off by a third.
 const LEAST_PRIOR: f64 = 1e-13;
 
-/// Relief of this part of the whole spread tells on which side of the surface things come to lie.
+/// Relief, as a part of the whole spread, that tells on which side of the surface the deformed neighbours
+/// lie.
 const RELIEF: f64 = 4e-7;
 
 /// Gradients and normals of the fits at all samples.
@@ -62,7 +63,8 @@ pub struct Gradients {
 }
 
 impl Gradients {
-    /// Fits all samples, to those of their own sheets first, which tell whom each may borrow besides.
+    /// Fits all samples, to those of their own sheets first; these fits tell the samples that each may borrow
+    /// besides.
     pub fn fit<'a>(samples: &SampleSet, sheets: &'a Sheets, deformed: &[Vec3]) -> (Self, Stencils<'a>) {
         let own = Stencils::own(sheets);
         // The system's own zeros: the threads that fit touch them first.
@@ -355,7 +357,7 @@ mod tests {
 
     #[test]
     fn fits_have_the_same_bits_with_any_vectors() {
-        // Some stay where they are, and some come to lie on a line.
+        // Samples of which some stay, and some come to lie on a line.
         let samples = SampleSet::new(patch(), Vec::new()).expect("samples");
         samples.prepare();
         let bend = |p: Vec3| match p.z {

@@ -10,10 +10,10 @@ use super::expansion::Expansion;
 use super::lanes::{Lanes, from};
 use crate::sampling::SampleSet;
 
-/// Supports of so many samples may meet a cell that is not parted: fewer than each sample has neighbours.
+/// Largest number of supports that may meet a cell that is not parted: fewer than each sample has neighbours.
 const MOST: usize = 5;
 
-/// For that, a support ends at this part of its radius: half a spacing.
+/// Part of its radius at which a support ends for that: half a spacing.
 const REACH: f32 = 0.35;
 
 /// A cell whose edge is shorter than this part of the least radius is not parted, however many supports
@@ -64,7 +64,7 @@ impl HomeOctree {
         cells
     }
 
-    /// The octree whose [parted](Self::parted) cells were found out before; `None` if they are none.
+    /// Octree whose [parted](Self::parted) cells were found before; `None` if they are no octree's.
     pub fn known(positions: &[Vec3], radius: &[f32], parted: Vec<[u32; 8]>) -> Option<Self> {
         let mut levels = vec![0; parted.len()];
         for (at, what) in parted.iter().enumerate().flat_map(|(at, eighths)| eighths.map(|what| (at, what))) {
@@ -110,7 +110,7 @@ impl HomeOctree {
         (cells, OctreeCell { corner, edge, level: 0 })
     }
 
-    /// The square of how far a point is from a sample, as a part of the radius of its support.
+    /// Square of the distance of a point from a sample, as a part of the square of the radius of its support.
     #[inline]
     pub fn depth(&self, sample: u32, p: Vec3) -> f32 {
         depth(self.supports[sample as usize], p)
@@ -215,8 +215,8 @@ struct Growing<'a> {
 }
 
 impl Growing<'_> {
-    /// Parts a cell that some samples reach: appends itself and what is below. `levels` are those of its
-    /// parts and below.
+    /// Parts a cell that some samples reach: appends the cell and those below it. `levels` are the lists for
+    /// its eighths and below.
     fn part(&self, cell: OctreeCell, near: &[u32], parted: &mut Vec<[u32; 8]>, levels: &mut [Reached]) {
         let at = parted.len();
         parted.push([0; 8]);
@@ -342,7 +342,7 @@ impl<'a> Finger<'a> {
     /// Goes to a [finest cell](Cells::finest), which differs so from the last one.
     #[inline]
     pub fn go(&mut self, at: [u32; 3], differ: u32) {
-        // Down to this level it is in the same cells as the last one.
+        // Down to this level the place is in the same cells as the last one.
         let mut level = LEVELS.saturating_sub(u32::BITS - differ.leading_zeros());
         let mut parted = self.parted[level as usize];
         loop {

@@ -126,7 +126,7 @@ impl<'a> Homes<'a> {
 /// Positions whose cells are found before their homes.
 const TOGETHER: usize = 256;
 
-/// Length of a list that has room for vectors which begin within so many numbers.
+/// Length of a list that has room for vectors which begin within `count` numbers.
 pub fn with_room(count: usize) -> usize {
     count + PACKET
 }

@@ -32,7 +32,7 @@ use crate::varint::{self, VarintNumbers};
 
 const LETTERS: &[u8; 8] = b"SIMODRST";
 
-/// To be counted up whenever the format changes, or what is found of the same samples.
+/// Version of the file, counted up whenever the format changes, or what is found of the same samples.
 const VERSION: u32 = 1;
 
 /// Samples whose lists are packed by one job.
@@ -109,14 +109,14 @@ pub(super) fn kept(sampled: &SampledModel) -> Option<RestGeometry<'_>> {
 ///
 /// Memory: 110 bytes per sample.
 pub(super) fn keep(sampled: &SampledModel, around: &RestGeometry<'_>) {
-    // Nobody misses it.
+    // A file that cannot be written is not missed.
     let bytes = USUAL * sampled.samples.len() as u64;
     if sampled.keep_beside(REST, bytes, |file| pack(around, file)).is_ok() {
         around.set_kept();
     }
 }
 
-/// Hash of all that is looked at where it is found.
+/// Hash of all that the geometry is found by.
 fn key(samples: &SampleSet) -> u128 {
     let mut hash = Xxh3Default::new();
     hash.update(env!("CARGO_PKG_VERSION").as_bytes());
@@ -232,7 +232,8 @@ pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeo
     let cells = HomeOctree::known(&samples.positions, &supports.radius, parted.as_chunks().0.to_vec())?;
     let normals: Vec<f32> = fours(content.normals)?.iter().map(|x| f32::from_le_bytes(*x)).collect();
     let normals = normals.chunks_exact(3).map(Vec3::from_slice).collect();
-    // At last, as whoever finds them anew otherwise shall not go by what was read.
+    // Normals and neighbours are set at last, as whoever finds the geometry anew otherwise shall not go by
+    // what was read.
     (samples.set_normals(normals) && samples.set_neighbours(sheets.graph().clone())).then_some(())?;
     let around = RestGeometry::known(samples, sheets, supports);
     around.set_cells(cells);
@@ -247,7 +248,7 @@ fn fours(bytes: &[u8]) -> Option<&[[u8; 4]]> {
 
 fn unpack_graph(samples: usize, pieces: &[SamplePiece<'_>]) -> Option<NeighbourGraph> {
     let k = NEIGHBOURS.min(samples - 1);
-    // Before anything is held by what it says.
+    // The lengths of all pieces are checked before anything is held by what the file says.
     let is_there = |(at, piece): (usize, &SamplePiece<'_>)| {
         piece.neighbours.len() > (samples.min((at + 1) * TOGETHER) - at * TOGETHER) * k
     };
@@ -290,7 +291,8 @@ fn unpack_lists(samples: usize, numbers: &mut VarintNumbers<'_>) -> Option<Vec<L
     Some(lists)
 }
 
-/// The homes' lists of who reaches there, and where each ends; how far each reaches is not known yet.
+/// Lists of the supports that reach each home, and the end of each list; the supports' sizes are not known
+/// yet.
 fn unpack_orders(
     sheets: &Sheets,
     samples: usize,

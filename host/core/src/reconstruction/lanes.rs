@@ -8,7 +8,7 @@ use std::ops::{Add, AddAssign, Mul, Sub};
 
 use pulp::Simd;
 
-/// The most vertices that any processor takes at once.
+/// Largest number of vertices that any processor takes at once.
 pub const PACKET: usize = 16;
 
 /// One number for each vertex of a packet.
@@ -78,7 +78,7 @@ impl<S: Simd> Lanes<S> {
         Self(self.0, self.0.sqrt_f32s(self.1))
     }
 
-    /// `positive` where it is more than zero, and `other` elsewhere.
+    /// Lanes of `positive` where this number is more than zero, and of `other` elsewhere.
     #[inline(always)]
     pub fn where_positive(self, positive: Self, other: Self) -> Self {
         Self::splat(self.0, 0.0).less(self).select(positive, other)

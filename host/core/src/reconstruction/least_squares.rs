@@ -44,19 +44,19 @@ const USELESS: f64 = 0.3;
 /// The terms of the three coordinates.
 pub type Terms<S> = [Triple<S>; TERMS];
 
-/// The squares of what the affine map leaves over at the neighbours of each sample, to be explained by the
-/// terms in units of the neighbourhood's radius.
+/// Sums of the squares of the affine map's residual at the neighbours of each sample, which is to be
+/// explained by the terms in units of the neighbourhood's radius.
 pub struct LeastSquares<S: Simd> {
     simd: S,
-    /// One over the radius; 1 where that is nothing, and nothing is gathered.
+    /// One over the radius; 1 where the radius is zero, and nothing is gathered.
     pub scale: DoubleLanes<S>,
-    /// Lower triangle of the products of terms, and the products with what is to be explained.
+    /// Lower triangle of the products of terms, and the products of the terms with the residual.
     matrix: [[DoubleLanes<S>; TERMS]; TERMS],
     right: Terms<S>,
     /// The sums of the weights, and of their squares.
     pub weights: DoubleLanes<S>,
     squared_weights: DoubleLanes<S>,
-    /// The weighted sum of squares of what is to be explained.
+    /// Weighted sum of the residual's squares.
     squares: DoubleLanes<S>,
     /// The largest of that, as the square of a length.
     largest: DoubleLanes<S>,
@@ -148,7 +148,7 @@ impl<S: Simd> LeastSquares<S> {
     pub fn ridged(&self, ridge: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleMask<S>) {
         let (factor, is_found) = DenseFactor::factorize(self.simd, &self.matrix, ridge * self.weights);
         let terms = factor.solve(self.right);
-        // For the least squares c, what is left over is Σ w|r|² − c·b, up to the ridge.
+        // For the least squares c, the residual is Σ w|r|² − c·b, up to the ridge.
         let mut explained = DoubleLanes::splat(self.simd, 0.0);
         for (term, right) in terms.iter().zip(&self.right) {
             for axis in 0..3 {
@@ -159,8 +159,8 @@ impl<S: Simd> LeastSquares<S> {
         (terms, (one - explained / self.squares).max(zero), is_found)
     }
 
-    /// The terms with the ridge of a Wiener filter for this strain: what a fit almost without a ridge leaves
-    /// over is noise, beside what terms may amount to.
+    /// Terms with the ridge of a Wiener filter for this strain: the residual of a fit almost without a ridge
+    /// is noise, beside the size that terms may have.
     #[inline(always)]
     pub fn solve(&self, strain: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleLanes<S>, DoubleMask<S>) {
         let splat = |x| DoubleLanes::splat(self.simd, x);
@@ -208,7 +208,7 @@ impl<S: Simd> LeastSquares<S> {
         (response, along, is_found)
     }
 
-    /// The weighted squares that terms may come to, where the map strains so much.
+    /// Weighted squares that terms may have, where the map has this strain.
     #[inline(always)]
     pub fn signal(&self, strain: DoubleLanes<S>) -> DoubleLanes<S> {
         let extent = strain / self.scale;
@@ -267,7 +267,8 @@ const OF_FOURTH: [[usize; 2]; 15] = [
 ];
 
 impl<S: Simd> ProductSums<S> {
-    /// Adds those of a place, of which the products of two coordinates are `second`; gives these, weighted.
+    /// Adds a term's products at a place, of which the products of two coordinates are `second`; returns
+    /// these, weighted.
     #[inline(always)]
     fn include(
         &mut self,
@@ -315,8 +316,8 @@ struct DenseFactor<S: Simd> {
 }
 
 impl<S: Simd> DenseFactor<S> {
-    /// The factors of matrices, of which the lower triangle is given, with `ridge` added along the diagonal;
-    /// and where they are positive definite.
+    /// Factors of matrices, of which the lower triangle is given, with `ridge` added along the diagonal; and
+    /// a mask of those that are positive definite.
     #[inline(always)]
     fn factorize(
         simd: S,

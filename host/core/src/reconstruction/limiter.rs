@@ -52,7 +52,7 @@ impl PrevailingSlope {
 pub struct Limiter {
     /// Whether the support of a troubled sample reaches each home; empty if none is troubled.
     concerned: Vec<bool>,
-    /// For each sample its place in `held`, or [`NONE`].
+    /// Place of each sample in `held`, or [`NONE`].
     place: Vec<u32>,
     held: Vec<PrevailingSlope>,
 }
@@ -120,8 +120,8 @@ impl Limiter {
         p: Vec3,
         blended: Transport,
     ) -> Transport {
-        // Of each support that reaches the vertex: the way from its centre, what is left of 1 at the vertex,
-        // and what prevails around its sample.
+        // For each support that reaches the vertex: the way from its centre, the depth of the vertex in it,
+        // and the prevailing slope of its sample.
         let reaching = || {
             supports.of_home(home).iter().filter_map(|r| {
                 let (e, place) = (&expansions[r.sample as usize], self.place[r.sample as usize]);
@@ -147,7 +147,7 @@ impl Limiter {
         let along = |u: Vec3| (u - mean).dot(departure / length).max(0.0);
         let fourths =
             reaching().map(|(e, d, s, held)| s * s * s * fourth(along(e.displacement() + held.evaluate(d))));
-        // Nearly the furthest of them, but a mean.
+        // A mean that is nearly the furthest of them.
         let most = (fourths.sum::<f32>() / sum).sqrt().sqrt();
         let back = trouble * (1.0 - (most / length).min(1.0));
         if back == 0.0 {

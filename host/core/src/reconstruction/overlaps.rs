@@ -35,14 +35,14 @@ impl Balls {
         self.distance(home, j) < self.0[home].w + self.0[j].w
     }
 
-    /// The support of a sample, as it is seen from another.
+    /// Support of sample `j`, as it is seen from a home.
     pub fn reaching(&self, home: usize, j: usize) -> ReachingSupport {
         ReachingSupport { from: self.distance(home, j) - self.0[j].w, sample: j as u32 }
     }
 }
 
-/// The supports that reach where each sample is the home: the entries of its list begin and end at a place,
-/// and what lies between two lists is of no meaning.
+/// Lists of the supports that reach each home: a list has a start and an end, and entries between two lists
+/// have no meaning.
 ///
 /// Memory: 8 bytes for each sample that may reach a home, and 8 for each sample; as long as it is found, 32
 /// for each sample besides, and 24 for each that is a neighbour of another which is none of its own.
@@ -58,7 +58,8 @@ impl HomeLists {
         let n = positions.len();
         let balls = Balls::new(positions, radius);
         let one_way = OneWay::find(positions, &balls, sheets);
-        // Places for as many as there may be: so lists that are made side by side stay where they are.
+        // Places are left for as many supports as there may be: so lists that are made side by side stay
+        // where they are.
         let (mut starts, mut most) = (Vec::with_capacity(n), 0);
         for home in 0..n {
             starts.push(most as u32);
@@ -113,7 +114,7 @@ impl OneWay {
             let samples = job * TOGETHER..n.min((job + 1) * TOGETHER);
             Arch::new().dispatch(NeighbourQuery { balls, sheets, last: &last, samples })
         };
-        // The home, and the one whose neighbour it is: these ascending.
+        // Pairs of a home and a sample that has it as a neighbour: these ascending.
         let pairs: Vec<(u32, u32)> = (0..n.div_ceil(TOGETHER)).into_par_iter().flat_map_iter(job).collect();
         let (starts, samples) = lists(n, pairs.iter().copied());
         Self { starts, samples }
@@ -138,7 +139,7 @@ struct NeighbourSupports {
 }
 
 impl NeighbourSupports {
-    /// Looks at the neighbours of a sample. What lies behind them is of no meaning.
+    /// Gathers the neighbours of a sample. Entries behind them have no meaning.
     #[inline(always)]
     fn look<S: Simd>(&mut self, simd: S, balls: &Balls, sample: usize, near: &[u32]) {
         for (at, j) in near.iter().enumerate() {
@@ -219,7 +220,7 @@ struct Listing<'a> {
     /// Start of the lists of all homes.
     starts: &'a [u32],
     first: usize,
-    /// The places of these lists, and where each ends among those of all.
+    /// Places of these lists, and the end of each among those of all.
     part: &'a mut [ReachingSupport],
     ends: &'a mut [u32],
 }

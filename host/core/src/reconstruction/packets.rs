@@ -10,7 +10,7 @@ use pulp::Simd;
 
 use crate::double_lanes::{DoubleLanes, MOST_LANES, Triple};
 
-/// Most neighbours of a sample in a fit.
+/// Largest number of neighbours of a sample in a fit.
 pub const MOST_NEIGHBOURS: usize = 28;
 
 /// The neighbours of several samples, place by place in their lists, as ways from the samples.
@@ -20,7 +20,7 @@ pub const MOST_NEIGHBOURS: usize = 28;
 pub struct Neighbours {
     /// Samples around which nothing moves, themselves included.
     pub is_still: [bool; MOST_LANES],
-    /// One over the radius of the kernel; 1 where that is nothing, and nobody is gathered.
+    /// One over the radius of the kernel; 1 where the radius is zero, and no neighbours are gathered.
     pub scale: [f64; MOST_LANES],
     /// Places of the longest list.
     pub longest: usize,
@@ -73,7 +73,7 @@ impl Neighbours {
             let (near, radius) = around(packet[lane]);
             let is_still = |i: usize| positions[i] == deformed[i];
             self.is_still[lane] = is_still(packet[lane]) && near.iter().all(|j| is_still(*j as usize));
-            // Of neighbours that all lie at one place, nothing can be told.
+            // Neighbours that all lie at one place tell nothing.
             if radius > 0.0 {
                 self.scale[lane] = 1.0 / f64::from(radius);
                 (lists[lane], self.longest) = (near, near.len().max(self.longest));

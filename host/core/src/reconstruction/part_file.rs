@@ -76,7 +76,7 @@ impl PartRecord {
     }
 }
 
-/// Identity of a part's content, and what is found of it while its bytes are written.
+/// Identity of a part's content, and the findings while its bytes are written.
 pub(super) struct PartContent {
     pub(super) key: String,
     pub(super) pieces: Range<u64>,
@@ -116,7 +116,7 @@ impl<'a> PartFile<'a> {
         Self { to, own, place: 0, bytes: 0, hash, summary }
     }
 
-    /// Says in the part's own file, which is called `path`, that it is done.
+    /// Records in the part's own file, which is called `path`, that the part is done.
     pub(super) fn commit(mut self, content: PartContent, path: &Path) -> Result<()> {
         let (bytes, checksum, summary) = (self.bytes, self.hash.digest128(), self.summary.encode());
         // First, so that no record speaks of bytes that are not on the disk, or in the store.
@@ -242,7 +242,7 @@ pub(super) fn open(path: &Path) -> Result<(File, PartRecord)> {
     Ok((file, record))
 }
 
-/// Hands on so many bytes, and looks whether they have their checksum.
+/// Copies `count` bytes, and checks that they have their checksum.
 pub(super) fn copy(
     mut from: impl Read,
     (mut left, checksum): (u64, u128),

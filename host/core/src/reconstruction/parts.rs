@@ -194,7 +194,8 @@ fn lost_tile(record: &PartRecord, model: &dyn Model, shared: &Path) -> Option<Pa
 }
 
 /// Puts parts together, which are of all pieces that can be written by themselves from the first with
-/// vertices on, in their order: the whole model, which appears at once. `shared` is what they share.
+/// vertices on, in their order: the whole model, which appears at once. `shared` is the parts' shared
+/// destination.
 ///
 /// Memory: 4 MiB, and the record of a part: see [`write_part`]; of tiles, 32 bytes and a name for each; of an
 /// object, as of [`ObjectOutput`].
@@ -258,10 +259,10 @@ fn done(sampled: &SampledModel, model: &dyn Model, folding: Option<Folding>) -> 
     }
 }
 
-/// The whole that parts are put together to, where they are not in their places in a file.
+/// Output to which parts are put together, where they are not in their places in a file.
 struct Joined {
     to: JoinedTarget,
-    /// The upload by which parts have sent what of them they could, if they have.
+    /// Upload by which the parts have sent their bytes, as far as they could; `None` if they have not.
     sent: Option<String>,
 }
 
@@ -358,7 +359,7 @@ fn written(file: &mut OutputFile, bytes: &[u8]) -> Result<()> {
         .map_err(|e| e.downcast::<Error>().unwrap_or_else(|e| Error::internal(e.to_string()).because(e)))
 }
 
-/// Parts that are put together, and what they have to be.
+/// Parts that are put together, and the key and the order that they have to have.
 struct PartJoin<'a> {
     sampled: &'a SampledModel,
     model: &'a dyn Model,
@@ -398,7 +399,7 @@ impl PartJoin<'_> {
             Ok(())
         })?;
         let names: Vec<PathBuf> = model.tiles().iter().map(|tile| tile.name.clone()).collect();
-        // Killed when the output was in its place, and nobody had been told so.
+        // An earlier call may have been killed when the output was in its place, before it could say so.
         if names.iter().zip(&written).all(|(name, file)| file.is(&output.join(name))) {
             settle(shared, output)?;
             return Ok(found.folding);
@@ -416,8 +417,8 @@ impl PartJoin<'_> {
         let found = self.check(|_, _, _| Ok(()))?;
         let is_short = !reaches(shared, found.end);
         if is_short || has_holes(shared) {
-            // Killed when the output was in its place, and nobody had been told so: then there is no file, or
-            // one that a part has begun anew since, without the others.
+            // An earlier call may have been killed when the output was in its place, before it could say so:
+            // then there is no file, or one that a part has begun anew since, without the others.
             match self.is_there(self.output) {
                 Ok(()) => {
                     let _ = fs::remove_file(shared);
@@ -433,7 +434,7 @@ impl PartJoin<'_> {
         self.progress.begin("putting the parts together", 0);
         let mut file = SharedFile::open(shared)?;
         self.rewrite(self.before(), &mut file)?;
-        // Nothing of the parts is written here: how far they reach is in their records.
+        // Parts are not written here: their ends are in their records.
         let end = found.end.max(file.position());
         if !reaches(shared, end) {
             return Err(refused(shared, "is cut off: remove all parts"));
@@ -445,7 +446,8 @@ impl PartJoin<'_> {
         Ok(found.folding)
     }
 
-    /// Writes the parts behind each other; where they were `sent` by an upload, only what it does not have.
+    /// Writes the parts behind each other; where they were `sent` by an upload, only the bytes that the
+    /// upload does not have.
     fn one_after_the_other(&self, sent: Option<&str>) -> Result<Option<Folding>> {
         let bytes = self.model.written_bytes();
         let join = || -> Result<PartSums> {
@@ -484,7 +486,7 @@ impl PartJoin<'_> {
         self.model.rewrite(&mut [to], rewriting, &self.edit, self.progress)
     }
 
-    /// Takes the parts in their order, and what they say together.
+    /// Takes the parts in their order, and sums up their records.
     fn check(&self, mut take: impl FnMut(&Path, File, &PartRecord) -> Result<()>) -> Result<PartSums> {
         let (mut hash, mut next) = (BlockHash::default(), self.first);
         let mut found = PartSums { summary: Summary::default(), folding: None, end: 0 };
@@ -612,7 +614,7 @@ impl Output for Ending<'_> {
     }
 }
 
-/// Edits what holds no vertices.
+/// Edit of pieces that hold no vertices.
 struct Nothing {
     is_still: bool,
 }

@@ -17,9 +17,9 @@ const RIDGE: f32 = 0.02;
 /// part.
 const FLATTENED: f32 = 1.5;
 
-/// As long as a linear map leaves no more over than this part, what explains the range continues it …
+/// Residual of a linear map, as a part of the displacements, up to which the map fully continues the range …
 const EXPLAINED: f32 = 0.4;
-/// … and less and less of it up to this part: a linear map leaves about half of a step.
+/// … and up to which it does less and less: a linear map leaves about half of a step.
 const UNEXPLAINED: f32 = 0.55;
 
 impl DeformationField<'_> {
@@ -31,8 +31,8 @@ impl DeformationField<'_> {
         2.0 * farthest.sqrt() < self.around.supports.ranging[home]
     }
 
-    /// As [`drawn_back`](Self::drawn_back), of a vertex whose home does not move, nor any support that
-    /// reaches there.
+    /// Nearest place within the range, as [`drawn_back`](Self::drawn_back) gives it, for a vertex whose home
+    /// does not move, nor any support that reaches there.
     #[inline]
     pub(super) fn still_drawn_back(&self, home: usize, p: Vec3) -> Option<Transport> {
         // Then the home is among the nearest.
@@ -55,7 +55,7 @@ impl DeformationField<'_> {
             (DisplacementBox::about(self.expansions[home].displacement()), self.bound.step(home));
         self.around.sheets.of_sample(home).chunks(EDGES).any(|ring| {
             for j in ring.iter().map(|j| *j as usize) {
-                // Without a branch: nobody foretells it.
+                // Neighbours are included without a branch, which could not be foretold.
                 let is_near = center(j).distance_squared(p) < reach * reach;
                 let with = extent.with(self.expansions[j].displacement());
                 extent = if is_near { with } else { extent };
@@ -83,7 +83,7 @@ impl DeformationField<'_> {
         if held == u {
             return None;
         }
-        // Along the range's border nothing changes but what it is continued with.
+        // A move along the range's border changes only the continuation.
         let further = steepness * way.normalize_or_zero();
         let mut rows = gradient().transpose();
         for axis in (0..3).filter(|axis| held[*axis] != u[*axis]) {
@@ -96,7 +96,7 @@ impl DeformationField<'_> {
 /// The samples nearest to a vertex, and where they go.
 struct NearbyRange {
     count: usize,
-    /// From the vertex to each sample, the nearest first.
+    /// Ways from the vertex to each sample, the nearest first.
     from: [Vec3; AROUND],
     displacement: [Vec3; AROUND],
     extent: DisplacementBox,

@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 
-/// So many vertices are looked at to tell whether places are repeated.
+/// Number of vertices that are looked at to tell whether places are repeated.
 const LOOKED_AT: usize = 192;
 
 /// No place so far.
@@ -62,13 +62,13 @@ impl Repeated {
         self.first.iter().map(|vertex| of_vertices[*vertex as usize]).collect()
     }
 
-    /// Gives each vertex what its place has.
+    /// Gives each vertex the value of its place.
     pub fn scatter<T: Copy>(&self, of_places: &[T], to: &mut [T]) {
         to.iter_mut().zip(&self.place).for_each(|(to, place)| *to = of_places[*place as usize]);
     }
 }
 
-/// A number whose upper bits tell places apart.
+/// Hash of a place, whose upper bits differ from place to place.
 fn hash([x, y, z]: [u64; 3]) -> u64 {
     // Odd numbers without a pattern: digits of the golden ratio, and two others.
     const BY: [u64; 3] = [0x9e37_79b9_7f4a_7c15, 0xc2b2_ae3d_27d4_eb4f, 0x1656_67b1_9e37_79f9];

@@ -46,7 +46,7 @@ struct FoundGeometry {
 }
 
 impl<'a> RestGeometry<'a> {
-    /// The sheets and supports of the samples at rest: as somebody found them before, or found now.
+    /// Sheets and supports of the samples at rest: as held from before, or found now.
     pub fn new(samples: &'a SampleSet) -> Self {
         Self::held(samples).unwrap_or_else(|| {
             let sheets = sheets(samples);
@@ -55,7 +55,7 @@ impl<'a> RestGeometry<'a> {
         })
     }
 
-    /// Finds now what is otherwise found when a place is first looked up.
+    /// Finds now the cells that are otherwise found when a place is first looked up.
     pub fn prepare(&self) {
         self.cells();
     }
@@ -113,7 +113,7 @@ impl<'a> RestGeometry<'a> {
         self.found.is_kept.load(Ordering::Relaxed)
     }
 
-    /// Notes that it is on the disk.
+    /// Notes that the geometry is on the disk.
     pub(super) fn set_kept(&self) {
         self.found.is_kept.store(true, Ordering::Relaxed);
     }
@@ -129,7 +129,7 @@ impl<'a> RestGeometry<'a> {
         }
     }
 
-    /// Sets what homes are found by, which was found out before.
+    /// Sets the cells by which homes are found, from an earlier call.
     pub(super) fn set_cells(&self, cells: HomeOctree) {
         let _ = self.found.cells.set(cells);
     }
@@ -151,7 +151,7 @@ impl<'a> RestGeometry<'a> {
     }
 }
 
-/// The sheets of the samples at rest: as somebody found them before, or found now.
+/// Sheets of the samples at rest: as held from before, or found now.
 pub(super) fn sheets(samples: &SampleSet) -> Arc<Sheets> {
     let held = samples.rest::<HeldGeometry>();
     if let Some(sheets) = held.sheets.get() {

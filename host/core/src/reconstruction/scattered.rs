@@ -4,7 +4,7 @@
 
 use super::expansion::{Expansion, ReachingSupport};
 
-/// Supports that are looked at before what they say is added.
+/// Supports that are looked at before their displacements are added.
 const TOGETHER: usize = 32;
 
 /// Results of the blend at a vertex: displacement, sum of weights, the gradient's columns, and those of the
@@ -38,7 +38,7 @@ impl ScatteredVertex {
     }
 }
 
-/// Goes through the supports for the vertex at `p`: as `packet` does for many. `GRADIENT` says whether the
+/// Sums over the supports for the vertex at `p`, as `packet` does for many. `GRADIENT` says whether the
 /// gradient is asked for, `TURNING` whether that by which numbers turn is, of the expansions `told`.
 #[inline(always)]
 pub fn one<const GRADIENT: bool, const TURNING: bool>(
@@ -125,7 +125,7 @@ fn slopes(e: &Expansion, [dx, dy, dz]: [f32; 3], [a, b, c]: [Four; 3]) -> [Four;
     [xx.mul_add(dx, a), xy.mul_add(dx, yy.mul_add(dy, b)), xz.mul_add(dx, yz.mul_add(dy, zz.mul_add(dz, c)))]
 }
 
-/// Adds what an expansion says of the vertex at `p`, which is by `s` within its support.
+/// Adds the displacement of an expansion at the vertex at `p`, which is by `s` within the support.
 #[inline(always)]
 fn add<const GRADIENT: bool>(
     e: &Expansion,

@@ -31,10 +31,10 @@ const TOGETHER: usize = 256;
 /// Links of each sample: a ring.
 const LINKS: usize = 6;
 
-/// A sheet has at least so many samples besides the one that is looked at.
+/// Least number of samples of a sheet besides the one that is looked at.
 const LEAST: usize = 3;
 
-/// As long as so many are left, neighbours are left out on whose sheets a sample is not: two rings.
+/// Number of neighbours down to which those are left out on whose sheets a sample is not: two rings.
 const ENOUGH: usize = 16;
 
 /// A chord within this sine of the tangent planes is one along the surface.
@@ -46,7 +46,7 @@ const NOWHERE: u8 = u8::MAX;
 /// The list of a sample that has the graph's.
 const NONE: u32 = u32::MAX;
 
-/// A sample, and others that it has to do with.
+/// Sample, and others that belong to its list.
 pub type Listed = (u32, Vec<u32>);
 
 /// The neighbours of each sample on its own sheet.
@@ -94,7 +94,7 @@ impl Sheets {
             {
                 return None;
             }
-            // As far as so many may be, on a surface.
+            // Distance within which so many neighbours may be, on a surface.
             let reach = near.last().map_or(0.0, |j| positions[*j as usize].distance(positions[i]));
             let reach = reach * (CROWDED_NEIGHBOURS as f32 / near.len() as f32).sqrt();
             let about = samples.unsorted_neighbours_about(i, reach, CROWDED_NEIGHBOURS);
@@ -153,7 +153,7 @@ impl Sheets {
         sheets
     }
 
-    /// Sets the strangers of some samples, in ascending order; all others of so many have none.
+    /// Sets the strangers of some samples, in ascending order; all others of the `samples` have none.
     fn set_strangers(&mut self, samples: usize, lists: &[Listed]) {
         let mut lists = lists.iter().peekable();
         self.stranger_starts.push(0);
@@ -198,7 +198,7 @@ impl Sheets {
             return;
         }
         let lists = &*self;
-        // The list without those, if there are any, or if it is one of its own.
+        // List without those neighbours, if there are any, or if the list is one of its own.
         let left = |i: usize| -> Option<(u32, Vec<u32>)> {
             let list = lists.of_sample(i);
             if !lists.is_crowded(i) && !list.iter().any(|j| lists.is_crowded(*j as usize)) {

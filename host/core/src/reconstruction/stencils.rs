@@ -42,7 +42,8 @@ impl<'a> Stencils<'a> {
         Self { sheets, mixed: Vec::new(), borrows: Vec::new() }
     }
 
-    /// With what goes one way with each sample, by the `gradients` that their own sheets tell.
+    /// Stencils with the strangers that go one way with each sample, by the `gradients` that the samples' own
+    /// sheets tell.
     ///
     /// Memory: at most 170 bytes for each sample near which parts touch, and one for each sample if any do.
     pub fn borrowing(
@@ -93,13 +94,13 @@ impl<'a> Stencils<'a> {
         &self.mixed[at].1
     }
 
-    /// The nearest of them: its ring.
+    /// Nearest samples of a stencil: the sample's ring.
     pub fn ring(&self, i: usize) -> &[u32] {
         let near = self.of_sample(i);
         &near[..near.len().min(RING)]
     }
 
-    /// At most `count` of them, and the radius of a kernel over these: see [`Sheets::around`].
+    /// At most `count` samples of a stencil, and the radius of a kernel over these: see [`Sheets::around`].
     pub fn around(&self, positions: &[Vec3], i: usize, count: usize) -> (&[u32], f32) {
         nearest_of(self.of_sample(i), positions, i, count)
     }

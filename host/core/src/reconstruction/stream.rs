@@ -28,14 +28,14 @@ use crate::deformed_positions::DeformedPositions;
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::SampledModel;
 
-/// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on
-/// with then.
+/// Revision, counted up whenever the same inputs give other bytes: an earlier program's unfinished output is
+/// not gone on with then.
 const REVISION: u32 = 14;
 
 /// Most bytes of the model whose work is lost when the program is killed: see [`Reconstruction::part_bytes`].
 pub const PART_BYTES: u64 = 256 << 20;
 
-/// Most parts that an output is recorded in: those of a very large model are larger.
+/// Largest number of parts that an output is recorded in: those of a very large model are larger.
 const MAX_PARTS: u64 = 1024;
 
 /// A deformation of the samples, and where the model that is deformed likewise goes.
@@ -46,7 +46,7 @@ pub struct Version<'a> {
     /// The file to write, which appears whole or not at all; of a model that is made of tiles a folder of as
     /// many.
     pub output: &'a Path,
-    /// A file that is to say what becomes of the surface at each vertex, likewise: a binary PLY file of the
+    /// Path of a file with diagnostics of the surface at each vertex, likewise: a binary PLY file of the
     /// deformed positions with `displacement` (in the model's unit), `stretch_max` and `stretch_min` (1 at
     /// rest), `folded` (0 or 1), `expected_error` (how far the vertex is probably off, in the model's unit),
     /// and `expected_error_fraction` (the same as a fraction of the diagonal at rest); of splats `anisotropy`
@@ -62,13 +62,13 @@ pub struct Reconstruction<'a> {
     pub method: Method,
     /// Treatment of the model's normals.
     pub normals: Normals,
-    /// Goes on with what an earlier call left that was killed, or stopped with `resume`, as far as it is
-    /// good. Without it, what was left is replaced.
+    /// Whether to go on with the files of an earlier call that was killed, or stopped with `resume`, as far
+    /// as they are good. Without it, these files are replaced.
     pub resume: bool,
-    /// A part of an output is on the disk, and can be relied on by a later call, each time so many bytes of
-    /// the model are done; more where that would be over 1024 parts.
+    /// Bytes of the model after which a part of an output is on the disk, and can be relied on by a later
+    /// call; more where that would be over 1024 parts.
     pub part_bytes: u64,
-    /// Outputs are removed soon: nobody waits until all of them is on the disk.
+    /// Whether outputs are removed soon, so that nobody waits until all of them is on the disk.
     pub is_scratch: bool,
     /// File in which [`bind`](super::bind) may have kept what does not depend on the deformation. It is used
     /// if it fits.
@@ -99,7 +99,7 @@ impl Default for Reconstruction<'_> {
 pub struct Folding {
     /// Number of folded samples.
     pub samples: u64,
-    /// The first of them, in the model's coordinates at rest.
+    /// Position of the first folded sample, in the model's coordinates at rest.
     pub first: Option<DVec3>,
     /// Number of folded vertices, if diagnostics were asked for.
     pub vertices: Option<u64>,
@@ -265,7 +265,7 @@ struct ReconstructionCall<'a> {
     progress: &'a dyn Progress,
     /// The versions that share a reading: at most [`MAX_VERSIONS`].
     pass: Vec<Begun<'a>>,
-    /// The outputs that are in their places. Their journals tell a later call so, should this one be killed.
+    /// Outputs that are in their places. Their journals tell a later call so, should this one be killed.
     finished: Vec<FinishedOutput>,
     taken_over: u64,
     /// The folding of each version, as far as it is known.
@@ -382,7 +382,7 @@ impl<'a> ReconstructionCall<'a> {
         Ok(())
     }
 
-    /// Finishes the files of the pass, whose vertices are written, with what their samples expect.
+    /// Finishes the files of the pass, whose vertices are written, with the expected errors of their samples.
     fn commit_pass(&mut self, of_samples: Vec<Option<ExpectedError>>) -> Result<()> {
         for (Begun { number, file, diagnostics, .. }, of_samples) in self.pass.iter_mut().zip(of_samples) {
             let of_vertices = diagnostics.as_ref().map(|file| file.expected.sum(true));

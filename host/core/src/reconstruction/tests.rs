@@ -33,7 +33,7 @@ pub(super) fn carried(field: &DeformationField, points: &[Vec3]) -> Vec<Vec3> {
     carried_with_normals(field, points, &[]).0
 }
 
-/// Likewise, and what becomes of their normals.
+/// Deformed positions of points, and their normals.
 fn carried_with_normals(
     field: &DeformationField,
     points: &[Vec3],
@@ -373,7 +373,7 @@ proptest::proptest! {
             .map(|(p, n)| ((p.with_x(0.0), *n), (p.with_x(-0.0), *n)))
             .unzip();
         let zeros = bits(&field, &zero).into_iter().zip(bits(&field, &other));
-        // The sign of zero may be left of a vertex that stays where it is.
+        // A vertex that stays may keep the sign of a zero.
         let value = |b: &Bits| b.0.map(|x| f64::from_bits(x) + 0.0);
         assert!(zeros.into_iter().all(|(a, b)| value(&a) == value(&b) && a.1 == b.1));
     }

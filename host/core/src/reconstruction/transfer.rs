@@ -126,8 +126,8 @@ impl Transfer<'_> {
 /// Memory: 48 bytes for each vertex of the chunks in flight and each version with diagnostics.
 pub(super) struct Surveys<'a> {
     files: Vec<Option<Mutex<&'a mut DiagnosticsFile>>>,
-    /// The deformed positions of chunks that are not written yet, by their first vertices, and what becomes
-    /// of the surface there.
+    /// Deformed positions of chunks that are not written yet, by their first vertices, and the diagnostics of
+    /// the surface there.
     waiting: Mutex<BTreeMap<u64, Vec<Surveyed>>>,
 }
 
@@ -140,13 +140,13 @@ impl<'a> Surveys<'a> {
         Self { files, waiting: Mutex::default() }
     }
 
-    /// For each version, what is to be filled in for so many vertices.
+    /// Empty lists for the diagnostics of `vertices` vertices, one for each version.
     pub(super) fn figures(&self, vertices: usize) -> Vec<Vec<VertexDiagnostics>> {
         let count = |file: &Option<_>| if file.is_some() { vertices } else { 0 };
         self.files.iter().map(|file| vec![VertexDiagnostics::UNKNOWN; count(file)]).collect()
     }
 
-    /// Takes what was found out of a chunk.
+    /// Keeps the findings in a chunk.
     pub(super) fn keep(&self, first: u64, versions: &[Edited], figures: Vec<Vec<VertexDiagnostics>>) {
         if self.files.iter().all(Option::is_none) {
             return;

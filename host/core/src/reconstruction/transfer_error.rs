@@ -106,7 +106,7 @@ fn compare_some(
     let info = models[0].info();
     let bytes = info.vertex_bytes / info.vertices.max(1) * BLOCK * chosen.len() as u64;
     progress.begin("measuring some vertices", bytes);
-    // So many blocks are mapped together that all threads have work.
+    // Blocks are mapped together in numbers that give all threads work.
     for some in chosen.chunks(1 << 6) {
         let (mut rest, mut found) = (Vec::new(), Vec::new());
         for block in some {
@@ -153,7 +153,7 @@ impl Compared {
         Self { errors, jumps, count: 0, sum: 0.0, max: 0.0, scale, last: None }
     }
 
-    /// Vertices in the file's order, so many in a row that follow each other there.
+    /// Adds vertices in the file's order, runs of which follow each other there.
     fn add(
         &mut self,
         rest: &[DVec3],
@@ -200,12 +200,12 @@ impl Compared {
 /// units).
 pub type Excesses = Vec<(Vec3, f32)>;
 
-/// Most vertices of which [`measure_some`] tells.
+/// Largest number of vertices that [`measure_some`] returns.
 pub const MOST_TOLD: usize = 1 << 16;
 
-/// Compares what `field` makes of some vertices, no more than `most` and chosen at random, with their exact
-/// images; nothing is written, but their positions are rounded as the file does it. The same vertices each
-/// time; [`jump`](TransferError::jump) is 0.
+/// Compares the deformed positions of some vertices by `field`, no more than `most` and chosen at random,
+/// with their exact images; nothing is written, but the positions are rounded as the file does it. The same
+/// vertices each time; [`jump`](TransferError::jump) is 0.
 ///
 /// Vertices that are off by more than `beyond`, a fraction of the diagonal, are told, up to [`MOST_TOLD`].
 ///

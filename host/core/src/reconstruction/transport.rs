@@ -6,14 +6,14 @@ use simod_model::follow;
 /// Displacement of one vertex, and the gradient of the deformation there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transport {
-    /// From its old position to its new one, in local coordinates.
+    /// Way from the vertex's old position to its new one, in local coordinates.
     pub displacement: Vec3,
     /// The gradient of the deformation there; normals go with its inverse transpose.
     pub gradient: Mat3,
 }
 
 impl Transport {
-    /// Nothing happens.
+    /// Transport of a vertex that stays.
     pub const NONE: Self = Self { displacement: Vec3::ZERO, gradient: Mat3::IDENTITY };
 
     /// The [normal](follow::normal) after the deformation.

@@ -32,20 +32,21 @@ use crate::geometry::hermite;
 /// The part of the strain by which the gradient across a surface is expected to differ from its prior.
 const STRAINED: f64 = 0.4;
 
-/// So much of what the third order makes of the gradient counts.
+/// Part of the gradient's error due to the third order that counts.
 const OF_THIRD: f32 = 0.8;
 
 /// Bound of the third order's part, as a multiple of the sample's own. Where the third order makes little of
 /// a sample's gradient by chance, its ring tells: no less than the sample's own counts.
 const OF_OWN: f32 = 2.0;
 
-/// The error of a gradient goes with the square of the radius, as the number of neighbours does: a fit to so
-/// many has two thirds of it. So many times how far this one is from the whole one counts ...
+/// Number of neighbours of the smaller fit, and the factor of its gradient's distance from that of the whole
+/// fit. The error of a gradient goes with the square of the radius, as the number of neighbours does: a fit
+/// to so many has two thirds of it ...
 const FEWER_NEIGHBOURS: usize = 18;
 const OF_FEWER: f32 = 1.5;
 
-/// ... together with the third order no more than so many times what the sample and its ring disagree by on
-/// the gradient across.
+/// ... and the most that both count together with the third order, as a multiple of the disagreement of the
+/// sample and its ring on the gradient across.
 const OF_DISAGREED: f32 = 2.5;
 
 /// Error of an expansion around its sample, as the coefficients of a fit's terms: local units.
@@ -140,7 +141,7 @@ fn product([xx, xy, xz, yy, yz, zz]: [Vec3; 6], a: Vec3, b: Vec3) -> Vec3 {
     xx * (a.x * b.x) + yy * (a.y * b.y) + zz * (a.z * b.z) + 0.5 * mixed
 }
 
-/// Finds that of samples that follow each other from the first; nothing where nothing is fitted.
+/// Finds the responses of samples that follow each other from the first; zero where nothing is fitted.
 struct AcrossFits<'a> {
     fitted: FitInput<'a>,
     first: usize,

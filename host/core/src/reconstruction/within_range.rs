@@ -99,7 +99,7 @@ fn packet<S: Simd>(
         }
         let holds = range.holds(u);
         is_within = is_possible.and(holds).select(one, zero);
-        // More samples only make it wider.
+        // Further samples only make the range wider.
         let is_left = holds.select(zero, is_possible.select(one, zero));
         if !zero.less(is_left).any() {
             break;

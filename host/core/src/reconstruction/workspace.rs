@@ -51,7 +51,7 @@ impl HomeRun {
         self.first as usize..(self.first + self.count) as usize
     }
 
-    /// The places of the run's vertices among the grouped ones, where they are.
+    /// Places of the run's vertices among the grouped ones, if they are grouped.
     pub fn places(&self) -> Range<usize> {
         self.place as usize..(self.place + self.count) as usize
     }
@@ -80,7 +80,7 @@ impl Workspaces {
 /// Fill level of a group: the place of its next vertex, and that of the next one of those that are scattered.
 #[derive(Debug, Clone, Copy)]
 pub struct GroupFill {
-    /// At first, the number of its vertices.
+    /// Place of the group's next vertex; at first, the number of its vertices.
     pub next: usize,
     pub scattered: usize,
 }

@@ -29,13 +29,14 @@ pub(super) struct Appended {
     pub parted: Vec<[u32; 2]>,
     /// The new tree of each cell that was looked at.
     pub trees: Vec<(u32, CutTree)>,
-    /// Ascending: from this built leaf on, up to that of the next entry, leaves belong to this sample.
+    /// Pairs of a built leaf and a sample, ascending: from this leaf on, up to that of the next entry, leaves
+    /// belong to this sample.
     pub starts: Vec<(u32, u32)>,
     /// Whether the cluster of each sample is split, for the samples before the refinement.
     pub split: Vec<bool>,
 }
 
-/// A leaf below a split sample, or what is on one of several sheets there.
+/// Leaf below a split sample, or the part of one that is on one of several sheets there.
 struct NewLeaf {
     position: Vec3,
     normal: Vec3,
@@ -53,13 +54,13 @@ struct NewLeaf {
     first: u32,
 }
 
-/// The samples that are split, and what becomes of each.
+/// Samples that are split, and the new leaves of each.
 #[derive(Default)]
 struct SplitSamples {
     parts: Vec<NewLeaf>,
     /// The parts of each split sample, cell by cell.
     split: BTreeMap<u32, Vec<Range<usize>>>,
-    /// As [`Appended::starts`], of the samples that are not split.
+    /// Pairs as in [`Appended::starts`], of the samples that are not split.
     starts: Vec<(u32, u32)>,
 }
 
@@ -91,7 +92,7 @@ pub(super) fn append(
     out
 }
 
-/// The new trees of all cells, and what becomes of the samples whose clusters are split there.
+/// New trees of all cells, and the leaves of the samples whose clusters are split there.
 fn renew(
     kept: &KeptCells,
     positions: &[Vec3],
@@ -124,7 +125,8 @@ fn renew(
 }
 
 impl Appended {
-    /// The samples that go on standing for parts of what they stood for, for each part; they are split.
+    /// Sample that goes on to stand for each part of its former cluster, if one does; these samples are
+    /// split.
     fn heirs(
         &mut self,
         kept: &KeptCells,
@@ -201,7 +203,7 @@ impl Appended {
 }
 
 impl SplitSamples {
-    /// All parts of a sample in a cell are there.
+    /// Ends the list of a sample's parts in a cell.
     fn close(&mut self, open: Option<(u32, u32, usize)>) {
         if let Some((sample, _, first)) = open {
             self.split.entry(sample).or_default().push(first..self.parts.len());
@@ -219,7 +221,7 @@ struct Taking<'a, 'g> {
 }
 
 impl Taking<'_, '_> {
-    /// The sample that the vertices of a sheet had before, among those of a sample's cluster.
+    /// Sample that the vertices of a sheet had before, among those that share a sample's cluster.
     fn own(&self, sample: u32, guide: u32) -> u32 {
         self.guides.map_or(sample, |all| all.of_cluster(sample, guide))
     }
@@ -279,7 +281,7 @@ struct Renewed<'a, S> {
 }
 
 impl<S: Iterator<Item = u32>> Renewed<'_, S> {
-    /// A node as it was.
+    /// Copies a node of the former tree.
     fn copy(&mut self, at: usize) {
         let children = self.old.children[at];
         self.tree.children.push(children);

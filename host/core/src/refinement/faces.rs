@@ -26,8 +26,8 @@ const NEAR: u64 = 4 << 10;
 const BYTES: u64 = size_of::<u32>() as u64;
 const POSITION_BYTES: u64 = size_of::<Vec3>() as u64;
 
-/// The leaf of each vertex that was read, and where it is if faces place the samples: in temporary files of 4
-/// and 12 bytes per vertex of the model, of which only as much is on the disk as is known.
+/// Leaf of each vertex that was read, and the vertex's position if faces place the samples: in temporary
+/// files of 4 and 12 bytes per vertex of the model, of which only as much is on the disk as is known.
 pub(super) struct ReadMembers {
     file: Scratch,
     /// Local coordinates.
@@ -35,8 +35,8 @@ pub(super) struct ReadMembers {
 }
 
 impl ReadMembers {
-    /// A table without members yet, for a model of so many vertices; `with_positions` says whether these are
-    /// wanted.
+    /// Table without members yet, for a model of `vertices` vertices; `with_positions` says whether positions
+    /// are wanted.
     pub fn new(vertices: u64, with_positions: bool, folder: &Path) -> Result<Self> {
         let file = |bytes| {
             let file = Scratch::new(folder, ADVICE)?;

@@ -22,9 +22,9 @@ pub(super) const VERTICES_OF_A_PART: usize = PART / size_of::<Vertex>();
 pub(crate) struct GatheredCell {
     /// The cell's place among the kept cells.
     pub cell: u32,
-    /// In the order of the stream, counted.
+    /// Vertices in the order of the stream, counted.
     pub vertices: Vec<Vertex>,
-    /// The index of each in the model; none, if nobody asks.
+    /// Index of each vertex in the model; empty, if it is not asked for.
     pub ids: Vec<u32>,
     /// Groups that the cell's tree was built of, and the group of each vertex; `None` if the tree was built
     /// of the vertices.
@@ -37,7 +37,7 @@ pub(crate) struct GatheredCell {
 pub(crate) struct Visited<'a> {
     /// The place of its cell among these.
     pub at: u32,
-    /// In the model's coordinates; finite.
+    /// Position in the model's coordinates; finite.
     pub position: DVec3,
     /// The unit normal; zero where it is not known.
     pub normal: Vec3,
@@ -48,7 +48,7 @@ pub(crate) struct Visited<'a> {
 }
 
 impl Visited<'_> {
-    /// One of its attributes, of those that are read.
+    /// One of the vertex's attributes, of those that are read.
     pub fn attribute(&self, place: usize) -> f64 {
         let (of_chunk, vertex) = self.attributes;
         of_chunk[place][vertex]
@@ -68,19 +68,19 @@ pub(crate) struct Gathering<'a> {
     pub cubes: Option<Cubes>,
     /// Whether the vertices' indices are gathered as well.
     pub with_ids: bool,
-    /// So many of the first attributes are read.
+    /// Number of attributes, from the first on, that are read.
     pub attributes: usize,
     /// Splats that were left out when the model was sampled, and are again.
     pub opaque: Option<Opaque>,
 }
 
 impl Gathering<'_> {
-    /// Bytes that a vertex takes at most until its cell is done: itself, its index and group, and once more
-    /// while it is clustered, with the nodes of a tree down to it.
+    /// Largest number of bytes that a vertex takes until its cell is done: itself, its index and group, and
+    /// once more while it is clustered, with the nodes of a tree down to it.
     pub const BYTES_PER_VERTEX: u64 = 240;
 
-    /// Reads some cells; and how many bytes of the model that took. `None` for the first of a cell's vertices
-    /// that is not what it was: the model has changed.
+    /// Reads some cells; returns them and the number of bytes that were read. `None` if the first of a cell's
+    /// vertices is not what it was: the model has changed.
     ///
     /// Memory: [`BYTES_PER_VERTEX`](Self::BYTES_PER_VERTEX) for each vertex of these cells, and a chunk.
     pub fn read(&self, cells: &[u32], progress: &dyn Progress) -> Result<Option<(Vec<GatheredCell>, u64)>> {
@@ -136,8 +136,8 @@ impl Gathering<'_> {
     }
 
     /// Streams the vertices of some cells through `visit`, in the model's order, and nothing each time the
-    /// stream leaves them; how many bytes of the model that took. `None` once `visit` says `false`: that the
-    /// model has changed.
+    /// stream leaves them; returns the number of bytes that were read. `None` once `visit` says `false`: that
+    /// the model has changed.
     ///
     /// Memory: a chunk.
     pub fn visit(
@@ -264,7 +264,7 @@ impl GroupsAgain {
         let groups = self.piece.end();
         let mut merged = Vec::with_capacity(groups.len());
         for (cell, group) in &groups {
-            // There is no bound to their memory.
+            // Groups of a refinement have no bound to their memory.
             merged.push(self.all.merge(*cell, group)?.unwrap_or(0));
         }
         for (cell, group) in self.in_piece.drain(..) {
@@ -276,7 +276,7 @@ impl GroupsAgain {
 }
 
 impl GatheredCell {
-    /// In how many parts the cell's tree was built.
+    /// Number of parts in which the cell's tree was built.
     pub fn parts(&self) -> usize {
         match &self.groups {
             Some((parts, _)) => parts.len(),

@@ -46,24 +46,25 @@ use regrowing::{ChangedModel, Regrowing, Regrown};
 use selection::{LeafEstimate, Selected};
 use sizing::Sizing;
 
-/// The fineness of P_S where it is selected.
+/// Fineness of P_S where it is selected.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Finer {
-    /// No cluster there has a larger error, as a fraction of the diagonal; 0 gives every vertex a sample of
-    /// its own.
+    /// Largest error of a cluster there, as a fraction of the diagonal; 0 gives every vertex a sample of its
+    /// own.
     Error(f64),
-    /// About so many times as many samples as there are.
+    /// Factor by which there are to be more samples there, about.
     Factor(f64),
-    /// About so many samples more.
+    /// Number of new samples, about.
     Samples(u64),
-    /// As the deformation so far needs it: more samples around those where the reconstruction is expected
-    /// ([`DeformationField::expected_error`]) to be off by more than this.
+    /// Fineness that the deformation so far needs: more samples around those where the reconstruction is
+    /// expected ([`DeformationField::expected_error`]) to be off by more than this.
     Auto {
-        /// The transfer error that is allowed, as a fraction of the diagonal; [`Finer::ALLOWED`], if nobody
-        /// knows better.
+        /// Transfer error that is allowed, as a fraction of the diagonal; [`Finer::ALLOWED`], if no other is
+        /// given.
         error: f64,
-        /// Most samples more, for the worst places; a quarter of those that there are, where not given.
+        /// Largest number of new samples, for the worst places; a quarter of those that there are, where not
+        /// given.
         samples: Option<u64>,
     },
 }
@@ -135,24 +136,24 @@ impl SamplesNeed {
     pub const NONE_LEFT: &str = "there are no vertices left there that could be samples";
 }
 
-/// Most bytes of vertices and what they take that are in work at a time: cells come in batches of so much,
-/// unless one is larger.
+/// Largest number of bytes of vertices, and of what they take, that are in work at a time: cells come in
+/// batches of this size, unless one is larger.
 const BATCH: u64 = 96 << 20;
 
 /// Bytes that a new sample takes until P_S is complete: 1.4 nodes, before and after the cut, and the tree's
 /// and its own.
 const BYTES_PER_SAMPLE: u64 = 200;
 
-/// With a target, trees are cut back when they have so many times as many leaves ...
+/// Ratio of leaves to the target number above which trees are cut back ...
 const KEEP_AT_MOST: f64 = 1.6;
-/// ... to so many times as many.
+/// ... and the ratio to which they are.
 const PRUNE_TO: f64 = 1.2;
 
-/// A number of samples is met to one of so many, where sheets share clusters: their samples come with those
-/// of the trees.
+/// Number of samples of which one may be missing of the target, where sheets share clusters: their samples
+/// come with those of the trees.
 const NEAR_TARGET: usize = 64;
 
-/// A bound this many times smaller than what the number of samples foretells is low enough, mostly.
+/// Factor by which a bound below that which the number of samples foretells is low enough, mostly.
 const FORESIGHT: f64 = 3.0;
 
 /// Refines a sampled model, whose cells are held, where it is selected. Temporary files without a name are
@@ -238,7 +239,7 @@ pub fn appended_deformed(refined: &SampledModel, first: usize, field: &Deformati
 }
 
 impl Refined {
-    /// Nothing was read, or added.
+    /// Figures of a refinement that has read and added nothing.
     fn nothing() -> Self {
         Self { sampled: None, added: 0, error: 0.0, need: None, cells: 0, vertex_bytes: 0, face_bytes: 0 }
     }
@@ -329,7 +330,7 @@ struct GrowingTrees {
 }
 
 impl GrowingTrees {
-    /// One more cell, whose leaves are counted on from those before.
+    /// Adds one more cell, whose leaves are counted on from those before.
     fn push(&mut self, mut cell: Regrown, leaves_from: u32) -> Result<()> {
         cell.count_from(self.built, leaves_from);
         self.built = self.built.wrapping_add(cell.built);
@@ -364,7 +365,7 @@ struct GrownTrees {
     members: Option<ReadMembers>,
     /// The vertices near contacts, where there are such.
     noted: Option<ContactVertices>,
-    /// The figures of what was read.
+    /// Figures of the vertices and faces that were read.
     figures: Refined,
 }
 
@@ -471,7 +472,7 @@ impl RefinementCall<'_, '_> {
         }
     }
 
-    /// The vertices of a batch of cells, and how many bytes they have in the model.
+    /// Vertices of a batch of cells, and the number of their bytes in the model.
     fn read(&self, gathering: &Gathering<'_>, batch: &[Met]) -> Result<(Vec<GatheredCell>, u64)> {
         let places: Vec<u32> = batch.iter().map(|(cell, _)| *cell).collect();
         self.progress.begin("reading the cells", gathering.bytes_of(&places));
@@ -507,7 +508,7 @@ impl RefinementCall<'_, '_> {
         found?.into_iter().try_for_each(|cell| growing.push(cell, how.leaves_from))
     }
 
-    /// Tells each vertex of a cell near a contact which side it is of, and notes it.
+    /// Finds the side of each vertex of a cell near a contact, and notes it.
     fn guide(
         &self,
         guides: &Guides<'_>,
@@ -546,7 +547,7 @@ impl RefinementCall<'_, '_> {
         Ok(())
     }
 
-    /// The bound that gives so many samples more, those included that sheets which share clusters take beside
+    /// Bound that gives `target` new samples, those included that sheets which share clusters take beside
     /// those of the trees.
     fn threshold(&self, regrown: &[Regrown], bound: f32, target: usize) -> Result<f32> {
         let (kept, most) = (self.kept, self.most_samples());
@@ -582,7 +583,7 @@ impl RefinementCall<'_, '_> {
         Ok(threshold)
     }
 
-    /// So many new samples memory has room for.
+    /// Number of new samples that memory has room for.
     fn most_samples(&self) -> u64 {
         self.limit() / 2 / BYTES_PER_SAMPLE
     }
