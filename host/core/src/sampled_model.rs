@@ -51,10 +51,10 @@ pub const BINDING: &str = "binding.bin";
 /// The file with the cells: see [`KeptCells`].
 pub(crate) const CELLS: &str = "cells.bin";
 
-/// The file of what is made of a model that cannot be read from anywhere as it is: see [`Cache`].
+/// File of what is made of a model that cannot be read from anywhere as it is: see [`Cache`].
 const CACHE: &str = "cache.bin";
 
-/// The file of what is known of the samples at rest: see
+/// File of the geometry of the samples at rest: see
 /// [`RestGeometry::kept`](crate::reconstruction::RestGeometry::kept).
 pub(crate) const REST: &str = "rest.bin";
 
@@ -77,15 +77,15 @@ const LONGEST_CELLS: u64 = 16 << 30;
 /// Longest file of attributes.
 pub(crate) const LONGEST_ATTRIBUTES: u64 = 16 << 30;
 
-/// From one coordinate of deformed samples to the next, as a part of the model's diagonal: what is more is
-/// said.
+/// Distance from one coordinate of deformed samples to the next above which the user is warned, as a part of
+/// the model's diagonal.
 const COARSE: f64 = 1e-6;
 
 /// Largest distance of a deformed sample from the model's middle, in local units: about 1e12 times the
 /// model's size.
 const FARTHEST: f32 = 1e12;
 
-/// The file of who is on whose sheet where parts touch: see [`Contacts`].
+/// File of the sheets of samples where parts touch: see [`Contacts`].
 const SHEETS: &str = "sheets.bin";
 
 /// The file of the samples' attributes, once they were asked for: see [`SampleAttributes`].
@@ -98,7 +98,7 @@ pub struct SourceRecord {
     /// The file; in `simod.toml` relative to the folder.
     #[serde(with = "any_path")]
     pub path: PathBuf,
-    /// The files that it is made of, where these are several; the file is a pattern that they have in common
+    /// Files that the model is made of, where these are several; `path` is a pattern that they have in common
     /// then.
     #[serde(default, skip_serializing_if = "Vec::is_empty", rename = "tile")]
     pub tiles: Vec<SourceTile>,
@@ -109,7 +109,7 @@ pub struct SourceRecord {
     pub bytes: u64,
     /// The model's number of vertices.
     pub vertices: u64,
-    /// The numbers that each of them has besides; not known of folders that former versions wrote.
+    /// Numbers that each vertex has besides position and normal; empty in folders that former versions wrote.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub attributes: Vec<Attribute>,
     /// Number of vertices without a finite position.
@@ -156,7 +156,7 @@ fn is_none(count: &u64) -> bool {
     *count == 0
 }
 
-/// Fewer vertices than this are carried over in a second or two in any order.
+/// Number of vertices below which a model is carried over in a second or two in any order.
 const MANY: u64 = 500_000;
 
 impl SourceRecord {
@@ -233,8 +233,8 @@ impl SourceRecord {
     }
 }
 
-/// Processor time per vertex in random order, or in that of runs of 2 to 4 vertices, over that in a coherent
-/// one: 0.6 and 2 million vertices with normals, 2000 and 100 000 samples, vectors of 8 to 16.
+/// Ratio of the processor time per vertex in random order, or in that of runs of 2 to 4 vertices, to that in
+/// a coherent one: 0.6 and 2 million vertices with normals, 2000 and 100 000 samples, vectors of 8 to 16.
 const TIMES: &str = "2 to 5";
 
 /// Paths in files: text where they are, and bytes where not, as systems allow.
@@ -298,17 +298,19 @@ pub struct SampledModel {
     pub colors: Vec<[u8; 3]>,
     /// Refinements since the model was sampled, first to last.
     pub refinements: Vec<Refinement>,
-    /// Triangles between samples, from the model's faces; none where it has none, or they were not wanted.
+    /// Triangles between samples, from the model's faces; empty where the model has no faces, or triangles
+    /// were not wanted.
     pub triangles: Vec<[u32; 3]>,
     /// Number of triangles of the model that refer to a vertex that there is not. Not kept in the folder.
     pub faces_without_vertex: u64,
-    /// The model's faces are such a tangle that no triangles were made of them. Not kept in the folder.
+    /// Whether the model's faces are such a tangle that no triangles were made of them. Not kept in the
+    /// folder.
     pub tangled_faces: bool,
     /// Number of vertices that were gathered in groups at a time, if they were.
     group_piece: u64,
     /// The cells, after sampling; see [`cells_or_resample`](Self::cells_or_resample).
     kept: Option<KeptCells>,
-    /// The folder that it was read from, and the hash of the `samples.ply` there.
+    /// Folder that the model was read from, and the hash of the `samples.ply` there.
     pub(crate) folder: Option<(PathBuf, String)>,
     /// Once they were asked for.
     pub(crate) attributes: OnceLock<Arc<SampleAttributes>>,
@@ -353,7 +355,7 @@ struct SamplingRecord {
     /// Level of the groups that open cells held, if they held groups.
     #[serde(skip_serializing_if = "Option::is_none")]
     group_level: Option<u32>,
-    /// Number of vertices that were gathered in groups at a time; all of them where not given.
+    /// Number of vertices that were gathered in groups at a time; all vertices where not given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     group_piece: Option<u64>,
     /// Placement of the samples, if other than by their vertices alone.
@@ -445,7 +447,7 @@ fn damaged(folder: &Path, what: &str) -> Error {
 }
 
 impl SamplingRecord {
-    /// As it was asked for, without what was left out.
+    /// Options as they were asked for, with those parts to skip that are not there.
     fn options(&self, skip: Skip) -> Sampling {
         Sampling {
             target: self.target,
@@ -461,7 +463,7 @@ impl SamplingRecord {
     }
 }
 
-/// The cause of errors about a source that is gone, or is not what was sampled: another path may help.
+/// Cause of errors about a source that is gone, or is not the model that was sampled: another path may help.
 #[derive(Debug)]
 struct OtherSource;
 
@@ -479,7 +481,7 @@ pub fn is_other_source(error: &Error) -> bool {
 }
 
 impl SampledModel {
-    /// Completes the samples, whose positions are rounded to what `samples.ply` will hold, so that working in
+    /// Completes the samples, whose positions are rounded as `samples.ply` stores them, so that working in
     /// memory and through the folder give the same bytes.
     pub(crate) fn new(
         source: SourceRecord,
@@ -609,12 +611,12 @@ impl SampledModel {
         &self.cache
     }
 
-    /// Has this cache from now on: what was made of the model when it was sampled.
+    /// Sets the cache to that which was made of the model when it was sampled.
     pub fn set_cache(&mut self, cache: Arc<Cache>) {
         self.cache = cache;
     }
 
-    /// As [`save`](Self::save), to a folder that was begun before.
+    /// Saves as [`save`](Self::save) does, to a folder that was begun before.
     ///
     /// # Errors
     /// As of [`save`](Self::save).
@@ -795,9 +797,10 @@ impl SampledModel {
         input::read(&folder.join(name), most).ok()
     }
 
-    /// Puts a file into the folder that it was read from, if there is one, unless another process is writing
-    /// that, or it has other samples by now: what `write` makes of it, of about so many bytes. What is made
-    /// again of the rest in need goes by here: a link is not followed, and nobody waits for the disk.
+    /// Puts a file into the folder that the model was read from, if there is one, unless another process is
+    /// writing the folder, or it has other samples by now: `write` makes the content, of about `bytes` bytes.
+    /// Files that can be made again from the rest go by here: a link is not followed, and nobody waits for
+    /// the disk.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -829,7 +832,8 @@ impl SampledModel {
         self.kept
     }
 
-    /// The cells that are in memory, checked against the model: what was read from a file may lie.
+    /// Cells that are in memory, checked against the model: cells that were read from a file may be of
+    /// another one.
     ///
     /// # Errors
     /// The cells are not in memory, or of another model.
@@ -844,7 +848,7 @@ impl SampledModel {
         Ok(kept)
     }
 
-    /// The error of each sample's clusters, the largest; local units. It is 0 where they are a single place.
+    /// Largest error of each sample's clusters; local units. It is 0 where the clusters are a single place.
     ///
     /// # Errors
     /// The cells are not in memory, or of another model.
@@ -921,7 +925,7 @@ impl SampledModel {
         Ok(model)
     }
 
-    /// The error for a source that is not what was sampled.
+    /// Error of a source that is not the model that was sampled.
     pub(crate) fn source_changed(&self, path: &Path) -> Error {
         let newer = self.newer_tiles();
         let which = match &newer[..] {
@@ -971,7 +975,8 @@ impl SampledModel {
         self.write_as(path, positions, normals, self.position_type)
     }
 
-    /// Writes positions of all samples (the model's coordinates), with what other programs show and keep.
+    /// Writes positions of all samples (the model's coordinates), with the properties that other programs
+    /// show and keep.
     fn write_as(
         &self,
         path: &Path,
@@ -983,7 +988,7 @@ impl SampledModel {
         simod_model::write_vertices(path, positions, besides, scalar, &["SIMOD samples".to_owned()])
     }
 
-    /// Local deformed positions as they are after having been written and read again.
+    /// Local deformed positions, rounded as by writing and reading them.
     pub fn rounded(&self, deformed: &[Vec3]) -> DeformedPositions {
         self.rounded_places(deformed.iter().map(|p| self.frame.to_model(*p)))
     }
@@ -1070,8 +1075,8 @@ impl SampledModel {
         })
     }
 
-    /// Local positions of deformed samples, which are in the model's coordinates; `whose` they are, for
-    /// errors.
+    /// Local positions of deformed samples, which are in the model's coordinates; `whose` names their source,
+    /// for errors.
     ///
     /// # Errors
     /// One is not finite, or too far away.
@@ -1104,7 +1109,7 @@ impl SampledModel {
     }
 }
 
-/// So many files, for people.
+/// Number of files as text, for people.
 fn files(count: usize) -> String {
     match count {
         0 => "one file that is a model by itself".to_owned(),

@@ -5,20 +5,20 @@ use std::fmt::Write;
 
 use glam::DVec3;
 
-/// Digits as many as tell singles from each other, or doubles for all that matters here: who has fewer,
-/// rounds to decimal digits.
+/// Number of digits that tell singles from each other, and of those that tell doubles, for all that matters
+/// here: a program that writes fewer rounds to decimal digits.
 const OF_SINGLES: i32 = 8;
 const OF_DOUBLES: i32 = 12;
 
-/// Fewer digits do not tell that numbers are rounded: they may be whole.
+/// Least number of digits that tell that numbers are rounded: numbers of fewer may be whole.
 const LEAST: i32 = 5;
 
 /// The numbers of positions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StoredPrecision {
-    /// All along an axis are exact in single precision.
+    /// Whether all numbers along each axis are exact in single precision.
     is_single: [bool; 3],
-    /// Such an axis has all digits of singles, and no decimal ones.
+    /// Whether numbers along such an axis have all digits of singles, and no decimal ones.
     has_all_digits: [bool; 3],
     /// Decimal digits of any number of the other axes, and decimals behind the point, at most; nothing where
     /// these are many.
@@ -65,8 +65,8 @@ impl StoredPrecision {
         Self { is_single, has_all_digits, decimal, largest: largest.into() }
     }
 
-    /// From a coordinate along an axis to the next one that the file tells from it: zero where these are
-    /// doubles.
+    /// Distance from a coordinate along an axis to the next one that the file tells from it: zero where these
+    /// are doubles.
     fn step(&self, axis: usize, at: f64) -> f64 {
         let single = if self.is_single[axis] { single_step(at) } else { 0.0 };
         single.max(self.decimal_step(axis, at))
@@ -101,7 +101,7 @@ impl StoredPrecision {
     }
 }
 
-/// From a number to the next one in single precision.
+/// Distance from a number to the next one in single precision.
 fn single_step(at: f64) -> f64 {
     f64::from((at.abs() as f32).next_up()) - f64::from(at.abs() as f32)
 }

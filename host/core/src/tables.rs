@@ -1,9 +1,8 @@
 //! Tables of TOML read into what serde derives reading for, with the values and complaints of the crate
 //! `toml`, which parses them; but no tables as tuples, and no keys as numbers, which nobody here asks for.
 //!
-//! The crate `toml` has a deserializer for tables, and others for what is told with its place, for keys,
-//! names and dates: what is derived is compiled for each of them. Here is one for all, so that it is compiled
-//! once.
+//! The crate `toml` has a deserializer for tables, and others for values with their place, for keys, names
+//! and dates: derived code is compiled for each of them. Here is one for all, so that it is compiled once.
 
 use serde::de::{
     DeserializeOwned, DeserializeSeed, EnumAccess, Error as _, IgnoredAny, MapAccess, SeqAccess, Unexpected,
@@ -72,7 +71,8 @@ pub fn read<T: DeserializeOwned>(text: &str) -> Result<T, TableError> {
     T::deserialize(TableNode { what: NodeContent::Table(table.get_ref()), span: None })
 }
 
-/// A value with the bytes of the text that it stands at, if [`read`] reads it. It is compared by its value.
+/// Value with the bytes of the text that it stands at, if [`read`] reads it. Spanned values are compared by
+/// the value alone.
 #[derive(Debug, Clone, Default)]
 pub struct Spanned<T> {
     span: Range<usize>,
@@ -407,7 +407,7 @@ impl<'a> MapAccess<'a> for Entries<'a> {
     }
 }
 
-/// A variant of an enumeration, with what it holds if it is more than a name.
+/// Variant of an enumeration, with its content if it is more than a name.
 struct Variant<'a> {
     name: TableNode<'a>,
     content: Option<TableNode<'a>>,
@@ -587,7 +587,7 @@ mod tests {
         "other", "params.x",
     ];
 
-    /// Every value below every key, alone and in a list, and texts that are no TOML.
+    /// Texts with every value below every key, alone and in a list, and texts that are no TOML.
     fn texts() -> impl Iterator<Item = String> {
         let of_key =
             |key| VALUES.map(|value| [format!("# é\n{key} = {value}\n"), format!("{key} = [{value}]")]);

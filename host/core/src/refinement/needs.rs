@@ -17,8 +17,8 @@ use crate::sampling::cluster::REACH_WEIGHT;
 use crate::sampling::kept_cells::KeptCells;
 use crate::touching::Contacts;
 
-/// The power of the clusters' size that the error falls with, where the deformation is smooth: what
-/// expansions of second order leave out. Beside a step it falls more slowly.
+/// Power of the clusters' size with which the error falls, where the deformation is smooth: that of the terms
+/// which expansions of second order leave out. Beside a step it falls more slowly.
 const ORDER: f32 = 3.0;
 
 /// Halvings of the logarithm of the error that is allowed.
@@ -161,7 +161,8 @@ fn want(
     needy
 }
 
-/// Errors rise with the distance from the samples that are open by no more than so much.
+/// Limits the wanted errors of the samples around those that are `open`: errors rise with the distance from
+/// these by no more than [`RISE`].
 fn grade(samples: &SampleSet, errors: &[f32], wanted: &mut [f32], mut open: OpenSamples) {
     let graph = samples.neighbours();
     while let Some(Reverse((bits, i))) = open.pop() {
@@ -172,7 +173,7 @@ fn grade(samples: &SampleSet, errors: &[f32], wanted: &mut [f32], mut open: Open
         for j in graph.nearest_to(i as usize).iter().take(RING) {
             let (i, j) = (i as usize, *j as usize);
             let bound = from + RISE * samples.positions[i].distance(samples.positions[j]);
-            // Beyond, it changes nothing any more.
+            // Farther samples' errors are no larger than this bound, so it changes nothing there.
             if bound < wanted[j].min(errors[j]) {
                 wanted[j] = bound;
                 open.push(Reverse((bound.to_bits(), j as u32)));

@@ -10,7 +10,7 @@ use glam::Vec3;
 pub(super) enum Sizing<'a> {
     /// Small inside a selection, and larger away from it.
     Selected(Selected<'a>),
-    /// As a deformation needs them.
+    /// Sizes that a deformation needs.
     Needed(Needs<'a>),
 }
 
@@ -23,8 +23,8 @@ impl Sizing<'_> {
         }
     }
 
-    /// A bound for the slack of each leaf of each cell, from what is known of them without the model; and
-    /// whether a leaf may reach to where the bound is the least.
+    /// Estimates of each leaf of each cell, without the model: a bound for the slack, and whether a leaf may
+    /// reach to where the bound is the least.
     pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<LeafEstimate>> {
         match self {
             Self::Selected(selected) => selected.leaves(sampled, kept),

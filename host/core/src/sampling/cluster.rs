@@ -60,7 +60,8 @@ impl Element for Vertex {
     }
 
     fn add_to(vertices: &[Self], moments: &mut Moments) {
-        // In single precision about one of them, which is exact enough for so many, and much faster.
+        // Sums are in single precision about one of the vertices, which is exact enough for so many, and much
+        // faster.
         for vertices in vertices.chunks(VERTICES_AT_ONCE) {
             let mut sums = VertexSums::about(vertices[0].position);
             let (mut min, mut max) = (Vec3A::from(moments.min), Vec3A::from(moments.max));
@@ -130,7 +131,7 @@ pub struct Group {
 }
 
 impl Group {
-    /// Most vertices in a group: the sums are in single precision.
+    /// Largest number of vertices in a group: the sums are in single precision.
     const MAX: u32 = 1 << 16;
 
     /// A group of none yet, in a cube, of this place in its cell.
@@ -262,7 +263,7 @@ pub const REACH_WEIGHT: f64 = 0.08;
 /// surfaces more closely, but throw samples off surfaces with steep relief.
 const QUADRIC_RIDGE: f64 = 1e-3;
 
-/// Variance of the normals below which a surface is flat: they are stored to so many digits.
+/// Variance of the normals below which a surface is flat, due to the digits that normals are stored to.
 const FLAT: f64 = 1e-6;
 
 /// Additive moments of a cluster, about the model's origin.
@@ -289,7 +290,7 @@ pub struct Moments {
 pub struct Covariance {
     /// The matrix.
     pub matrix: DMat3,
-    /// The least eigenvalue, once it was asked for.
+    /// Least eigenvalue, once it was asked for.
     least: OnceCell<f64>,
 }
 
@@ -324,7 +325,7 @@ impl Moments {
         m
     }
 
-    /// Adds the sums over so many vertices; not the box.
+    /// Adds the sums over `count` vertices; not the box.
     fn add_sums(&mut self, sums: &VertexSums, count: f64) {
         let (c, p) = (sums.center.as_dvec3(), sums.position.as_dvec3());
         let quadric = sums.quadric.map(|q| q.as_dvec3());
@@ -421,7 +422,8 @@ impl Moments {
     }
 
     /// Variance of the mean across the plane of least squares, as far as the vertices' distances from it
-    /// tell; infinite where that is nothing, or the representative is not the mean, but what normals tell.
+    /// tell; infinite where all distances are zero, or the representative is not the mean, but placed by
+    /// normals.
     pub fn variance_of_mean(&self, covariance: &Covariance) -> f32 {
         // A plane goes through three vertices.
         let free = self.count - 3.0;

@@ -17,7 +17,7 @@ const LETTERS: &[u8; 8] = b"simodtre";
 
 const VERSION: u32 = 2;
 
-/// No file is longer: of 10⁹ clusters.
+/// Most bytes of a file of trees: that of 10⁹ clusters.
 const LONGEST: u64 = 64 << 30;
 
 /// Content of a file of trees.
@@ -99,12 +99,12 @@ impl ClusteredFile {
     }
 }
 
-/// The hash at the end of what is sealed.
+/// Hash at the end of sealed content.
 pub fn mark_of(sealed: &[u8]) -> u128 {
     sealed.last_chunk().map_or(0, |mark| u128::from_le_bytes(*mark))
 }
 
-/// An error about a file, and what to do.
+/// Error about a file, with advice.
 pub fn refused(path: &Path, what: &str) -> Error {
     Error::mismatch(format!("{} {what}", path.display()), "remove it, and do the unit again that writes it")
 }

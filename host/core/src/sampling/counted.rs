@@ -55,7 +55,7 @@ pub(super) fn count(
     Ok(true)
 }
 
-/// Adds the counts of some files up, which are of all vertices, to one that is as if they had been counted at
+/// Adds up the counts of some files, which are of all vertices, to one file as if they had been counted at
 /// once, unless it is there already.
 pub(super) fn merge(
     model: &dyn Model,
@@ -72,7 +72,7 @@ pub(super) fn merge(
     Ok(true)
 }
 
-/// Writes what was counted of a range.
+/// Writes the counts of a range.
 fn write(
     of: &CountKey,
     vertices: Range<u64>,
@@ -171,7 +171,7 @@ fn read(path: &Path) -> Result<CountFile> {
 pub(super) struct NonFinite {
     pub(super) count: u64,
     pub(super) first: Option<u64>,
-    /// Splats that are left out as well, and are not of them.
+    /// Number of splats that are left out as well, and are not among those.
     pub(super) transparent: u64,
 }
 

@@ -13,14 +13,15 @@ use super::normals::NEIGHBOURS;
 
 /// Part of its height over its neighbours by which the mean of a cell is off the surface: the mean squared
 /// distance from the middle of a hexagonal cell, as a part of that of its neighbours. At 7/18 the triangles
-/// between samples would be nearest to the vertices, but what deformations are carried by is on the surface.
+/// between samples would be nearest to the vertices, but samples that carry deformations are to be on the
+/// surface.
 const STEP: f64 = 5.0 / 36.0;
 
-/// So many neighbours that are of two sheets by themselves do not come about by chance.
+/// Number of neighbours of two sheets by themselves that does not come about by chance.
 const FEW_OF_TWO: usize = 3;
 
-/// Heights that are less than so many standard errors are noise: clusters of noisy vertices are split across
-/// the surface as well, so that their means scatter more than their vertices tell.
+/// Number of standard errors below which heights are noise: clusters of noisy vertices are split across the
+/// surface as well, so that their means scatter more than their vertices tell.
 const STANDARD_ERRORS: f64 = 6.0;
 
 /// Samples on the surface, and the neighbours and directions that were found on the way.
@@ -53,7 +54,7 @@ pub fn deconvolved(
     let heights = heights(positions, &graph);
     let moved = |i: usize| {
         let is_of_two = |j: &&u32| heights[**j as usize].is_of_two;
-        // Of two sheets, most samples know it.
+        // Most samples know that they are of two sheets, where there are two.
         let beside = graph.nearest_to(i).iter().filter(is_of_two).count();
         if !variances[i].is_finite() || heights[i].variance == 0.0 || beside >= FEW_OF_TWO {
             return positions[i];
@@ -131,7 +132,7 @@ mod tests {
         let means: Vec<Vec3> = (0..SAMPLES).map(|i| direction(i) * (1.0 - below)).collect();
         let off = rms(moved(&means, 0.0).into_iter().map(|p| p.length() - 1.0));
         assert!(off < 0.2 * below, "{off} of {below}");
-        // And no farther than they may.
+        // Samples move no farther than they may.
         let held = held(&means, 0.0, 0.25 * below);
         assert!(held.iter().zip(&means).all(|(p, q)| p.distance(*q) < 0.26 * below));
     }
@@ -159,7 +160,7 @@ mod tests {
         for (i, (p, q)) in bowl.iter().zip(&moved).enumerate() {
             let (column, row) = (i % SIDE, i / SIDE);
             let from_border = column.min(row).min(SIDE - 1 - column).min(SIDE - 1 - row);
-            // As a part of 5/36 of κh²/2, though places are about one apart, and the bowl is steep.
+            // Height as a part of 5/36 of κh²/2, though places are about one apart, and the bowl is steep.
             let outwards = Vec3::new(0.02 * p.x, 0.02 * p.y, -1.0).normalize_or(Vec3::Z);
             let part = (*q - *p).dot(outwards) / (0.01 * STEP as f32);
             // The plane through neighbours that are all on one side tells less.
@@ -168,7 +169,7 @@ mod tests {
         }
     }
 
-    /// Places of one of two sheets that bend alike stand out of those of the other by what is between.
+    /// Places of one of two sheets that bend alike stand out of those of the other by their distance.
     #[test]
     fn sheets_that_lie_one_above_the_other_stay_apart() {
         for gap in [0.1, 0.2, 0.4] {
@@ -183,7 +184,7 @@ mod tests {
 
     #[test]
     fn what_tells_nothing_stays() {
-        // A ball, places that all are one, and too few of them.
+        // A ball, places that all are one, and too few places are no surface.
         let ball: Vec<Vec3> = (0..500).map(|i| Vec3::from([1, 2, 3].map(|axis| random(i, axis)))).collect();
         let same = ball.iter().zip(moved(&ball, 0.0)).filter(|(p, q)| **p == *q).count();
         assert!(same > 400, "{same}");

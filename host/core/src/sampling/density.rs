@@ -42,7 +42,7 @@ impl By {
     }
 }
 
-/// The rule by which clusters are split, and which of them first.
+/// Rule by which clusters are split, and in which order.
 #[derive(Debug, Clone, Copy)]
 pub struct SplitRule {
     pub splitting: Splitting,
@@ -67,7 +67,7 @@ const MOST: f64 = 1e4;
 const AREA: f64 = 6.0;
 
 impl SplitRule {
-    /// For a model of so many finite vertices in so many cells of this edge (local units).
+    /// Rule for a model of `vertices` finite vertices in `cells` cells of this edge (local units).
     pub fn new(splitting: Splitting, by: By, vertices: u64, cells: u64, edge: f64) -> Self {
         let area = cells as f64 * edge * edge / CELLS;
         Self { splitting, by, density: vertices as f64 / area.max(f64::MIN_POSITIVE) }

@@ -25,9 +25,8 @@ use super::{ClusteredStream, Sampling, SamplingPass, are_told, can_tell, counted
 use crate::fingerprint::BlockHash;
 use crate::sampled_model::SampledModel;
 
-/// The factor by which the samples of a part of the vertices, of which so many times the square root gets its
-/// share, are more than are kept of a part of the stream on one machine: parts are fewer, and one that is too
-/// rich is seen in the end alone.
+/// Factor of √f in the share of the samples that a part f of the vertices may have: more than for a part of
+/// the stream on one machine, as parts are fewer, and one that is too rich is seen in the end alone.
 const FORESIGHT: f64 = 2.0;
 
 /// Most bytes of a file of counts.
@@ -42,7 +41,7 @@ pub struct UnitDivision<'a> {
     pub units: u64,
 }
 
-/// Number of ranges that a model is divided into, if there are to be so many.
+/// Number of ranges that a model is divided into, if there are to be `units`.
 pub fn ranges_of(model: &dyn Model, units: u64) -> u64 {
     ranges(model.info().vertices, units).len() as u64
 }
@@ -78,7 +77,7 @@ pub fn reads_faces(model: &dyn Model, sampling: &Sampling) -> Result<bool> {
     Ok(can_tell(model.info()) && are_told(sampling.placement.resolve(model)?, &sampling.skip))
 }
 
-/// Most bytes that ranges write down of cells that they share, which is where vertices come in no order.
+/// Largest number of bytes that ranges write down of cells that they share: that of vertices in no order.
 pub fn exchanged_at_most(model: &dyn Model) -> u64 {
     let info = model.info();
     shared_vertices::bytes_at_most(info.vertices, info.has_normals)
@@ -137,7 +136,7 @@ impl<'a> Divided<'a> {
         self.key
     }
 
-    /// The key of what an owner leaves.
+    /// Key of the files that an owner leaves.
     pub(super) fn key_of(&self, owner: Owner) -> u128 {
         let (kind, number) = match owner {
             Owner::Range(number) => (1, number),
@@ -155,8 +154,8 @@ impl<'a> Divided<'a> {
         })
     }
 
-    /// Leaves for the cut what was clustered, or that groups found no room; and before that, which leaf each
-    /// vertex is in, if that shall be known. `false` if another process has left that meanwhile: its trees
+    /// Leaves for the cut the clusters, or the fact that groups found no room; and before that, the leaf of
+    /// each vertex, if that is wanted. `false` if another process has left these files meanwhile: its trees
     /// are as good but not these, and what others have made of them already would not fit these.
     fn leave(
         &self,
@@ -188,7 +187,7 @@ impl<'a> Divided<'a> {
         if let Some(members) = membership {
             self.leave_members(owner, members, leaves, leaves_key(mark_of(&sealed)))?;
         }
-        // In the end, as it tells that all is there.
+        // The trees are written in the end, as their file tells that all is there.
         output::write_file(trees, &sealed)?;
         Ok(true)
     }
@@ -219,14 +218,14 @@ impl<'a> Divided<'a> {
     }
 }
 
-/// The key of the leaves that belong to trees: how deep these were built, and so which leaves they have,
-/// depends on what was clustered meanwhile.
+/// Key of the leaves that belong to trees: the depth of these, and so their leaves, depends on what was
+/// clustered meanwhile.
 pub(super) fn leaves_key(mark_of_trees: u128) -> u128 {
     mark_of_trees ^ 3 << 32
 }
 
-/// Number of vertices in cells that ranges share: what these write down for each other, of 12 bytes each, or
-/// 24 with normals, and some 5 to 14 for each visit to a cell.
+/// Number of vertices in cells that ranges share: the ranges write these down for each other, of 12 bytes
+/// each, or 24 with normals, and some 5 to 14 for each visit to a cell.
 ///
 /// # Errors
 /// The counts cannot be read, or are of something else.

@@ -18,7 +18,7 @@ const LETTERS: &[u8; 8] = b"simodrun";
 
 const VERSION: u32 = 1;
 
-/// No file of runs is longer: of 2³² - 1 triangles for each vertex there are far fewer.
+/// Most bytes of a file of runs: of 2³² - 1 triangles for each vertex there are far fewer.
 const LONGEST: u64 = 1 << 36;
 
 /// The runs of a model's faces, each of [`FACES_OF_A_SUM`] triangles but for the last one.
@@ -37,7 +37,7 @@ pub(super) struct FaceRuns {
 struct RunStart {
     /// The mark from which faces can be read: of several behind as many triangles, the first.
     mark: u64,
-    /// So many triangles from there on come before the run.
+    /// Number of triangles from the mark on that come before the run.
     skip: u64,
 }
 
@@ -89,7 +89,7 @@ fn key_of(model: &dyn Model) -> u128 {
 }
 
 impl FaceRuns {
-    /// The runs of a model, by a file unless arithmetic tells.
+    /// Runs of a model, from a file unless arithmetic tells.
     pub(super) fn known(model: &dyn Model, file: &Path) -> Result<Self> {
         if have_to_be_found(model) { Self::read(model, file) } else { Ok(Self::of_triangles(model)) }
     }
@@ -142,7 +142,7 @@ impl FaceRuns {
         Err(Error::internal(format!("{} has faces without marks", model.path().display())))
     }
 
-    /// Runs begin behind the last mark whose first triangle is one of so many.
+    /// Begins runs behind the last mark whose first triangle is a multiple of the length of a run.
     fn begin(&mut self, triangles: u64, last: Option<(u64, u64)>) {
         let Some((before, mark)) = last else { return };
         loop {
@@ -183,7 +183,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// All triangles of any blocks of faces are found once, and summed up once, by any number of parts.
+        /// Triangles of any blocks of faces are found once, and summed up once, by any number of parts.
         #[test]
         fn parts_have_all_triangles_once(
             blocks in proptest::collection::vec(prop_oneof![0..50u64, 0..200_000u64], 1..40), parts in 1..50u64,

@@ -32,12 +32,13 @@ use super::vs_tree::{TreeWorkspace, VsTree};
 /// may be larger.
 pub(super) const MAX_QUEUED: usize = 4 << 20;
 
-/// Most bytes of a cell's items that are clustered at once, and as much to sort them, on each thread. A
-/// constant, so that the result depends neither on the machine's memory nor on the number of threads.
+/// Largest number of bytes of a cell's items that are clustered at once, and as much to sort them, on each
+/// thread. A constant, so that the result depends neither on the machine's memory nor on the number of
+/// threads.
 pub const PART: usize = 3 << 20;
 
-/// Memory that it takes to cluster cells of which the largest has so many bytes: each part twice, and its
-/// tree, of at most 1.4 nodes per sample, twice.
+/// Memory for clustering cells of which the largest has `largest` bytes: each part twice, and its tree, of at
+/// most 1.4 nodes per sample, twice.
 pub fn work_memory(largest: u64) -> u64 {
     // Whatever the number of threads: no more is in work than may be queued, and the last cell.
     6 * (largest.min(PART as u64) + MAX_QUEUED as u64)
@@ -57,7 +58,7 @@ pub struct ClusteringPass<'a> {
     pub target: Option<usize>,
     /// Error down to which cells are clustered, in local units.
     pub bound: f32,
-    /// Most clusters that may be kept if there is no target.
+    /// Largest number of clusters that may be kept if there is no target.
     pub most: usize,
     /// Reliability with which the number of samples of the whole model is foreseen, which is less work but
     /// can fail; `None` if it is not.
@@ -103,11 +104,11 @@ impl StreamJob<'_> {
 
 /// The hash of the vertices that are streamed.
 pub enum HashedStream {
-    /// All of them.
+    /// Bytes of all vertices.
     All(VertexHash),
     /// The bytes of a range of the vertices.
     Part(PartHasher),
-    /// Nothing: others do.
+    /// Nothing: others hash the vertices.
     Nothing,
 }
 

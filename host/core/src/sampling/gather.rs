@@ -1,8 +1,8 @@
-//! The content of a cell while it is open: its vertices as they are, or small groups of them.
+//! Content of a cell while it is open: its single vertices, or small groups of them.
 //!
-//! Vertices as they are take memory by the number of vertices in open cells, which grows with the model.
-//! Where that is too much, vertices in the same little cube are summed up as they come ([`Group`]): a cell
-//! then holds as many groups as the surface in it meets cubes, however many vertices the model has.
+//! Single vertices take memory by the number of vertices in open cells, which grows with the model. Where
+//! that is too much, vertices in the same little cube are summed up as they come ([`Group`]): a cell then
+//! holds as many groups as the surface in it meets cubes, however many vertices the model has.
 
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
@@ -19,7 +19,7 @@ use super::grid::{CellHasher, CellRecord, Grid};
 use super::open_cells::{BLOCK, CellItems, OpenCells};
 use super::shares::PIECE;
 
-/// Memory for the vertices of open cells beyond which they are summed up in groups, if that helps.
+/// Memory for the vertices of open cells beyond which they are summed up in groups, if that takes less.
 const VERTICES_AT_EASE: u64 = 12 << 20;
 
 /// The factor by which the groups that are expected are too many, where there are surely no fewer than find
@@ -35,7 +35,7 @@ const MAX_LEVEL: u32 = 6;
 /// Bytes of a group, with its place in the table of its cell.
 const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 18;
 
-/// Holds what the stream has brought of each open cell.
+/// Holder of the vertices, or groups, of each open cell.
 pub trait Gather: Send {
     /// Element of a cell's VS-Tree.
     type Item: Element;
@@ -45,8 +45,8 @@ pub trait Gather: Send {
     /// Gatherer that has gathered nothing yet.
     fn piece(&self) -> Self::Piece;
 
-    /// Adds an item of a piece to a cell; the index of the item of the cell that it is, or is part of. Pieces
-    /// come in the order of the stream, and their items in theirs. `None` if there is no room.
+    /// Adds an item of a piece to a cell; returns the index of the cell's item that it is, or is part of.
+    /// Pieces come in the order of the stream, and their items in theirs. `None` if there is no room.
     ///
     /// # Errors
     /// The temporary file cannot be written.
@@ -67,7 +67,7 @@ pub trait GatherPiece: Send + Sync {
     /// The items that are gathered.
     type Item: Element;
 
-    /// Adds a vertex to a cell; which item of the piece it is, or is part of.
+    /// Adds a vertex to a cell; returns the piece's item that it is, or is part of.
     fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> u32;
 
     /// The stream was in a cell that is not gathered: the next vertex is looked up as if it were so here.
@@ -81,11 +81,11 @@ pub trait GatherPiece: Send + Sync {
     fn begin(&mut self, memory: Vec<(u32, Self::Item)>);
 }
 
-/// Vertices as they are.
+/// Holder of single vertices.
 pub struct VertexGather(OpenCells<Vertex>);
 
 impl VertexGather {
-    /// For so many cells, in `memory` bytes and otherwise in a file in `folder`.
+    /// Holder for `cells` cells, in `memory` bytes and otherwise in a file in `folder`.
     pub fn new(cells: usize, memory: u64, folder: &Path) -> Self {
         Self(OpenCells::new(cells, memory, folder))
     }
@@ -116,7 +116,7 @@ impl Gather for VertexGather {
     }
 }
 
-/// The vertices of a piece as they are.
+/// Single vertices of a piece.
 #[derive(Default)]
 pub struct PieceVertices(Vec<(u32, Vertex)>);
 
@@ -155,7 +155,7 @@ pub struct GroupGather {
 type CubeGroups = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
 
 impl GroupGather {
-    /// For so many cells, with cubes of this edge, in `memory` bytes.
+    /// Holder for `cells` cells, with cubes of this edge, in `memory` bytes.
     pub fn new(cells: usize, edge: f32, memory: u64) -> Self {
         let mut tables = Vec::new();
         tables.resize_with(cells, || None);
@@ -228,7 +228,7 @@ pub struct PieceGroups {
     /// The inverse of the edge: a division for each vertex would take as long as all else.
     per_edge: f32,
     items: Vec<(u32, Group)>,
-    /// The group of the same cell that was begun next after each of them.
+    /// Group of the same cell that was begun next after each group.
     next: Vec<u32>,
     /// The number of groups of each cell, and the one that was begun last.
     cells: HashMap<u32, (u32, u32), BuildHasherDefault<CellHasher>>,
@@ -250,7 +250,7 @@ struct Last {
 }
 
 impl PieceGroups {
-    /// With cubes of this edge.
+    /// Empty groups, with cubes of this edge.
     pub fn new(edge: f32) -> Self {
         Self {
             edge,
@@ -302,8 +302,8 @@ impl PieceGroups {
 impl GatherPiece for PieceGroups {
     type Item = Group;
 
-    // Always inlined, as a position that is stored by two numbers and one for a call, and read otherwise, has
-    // to be waited for.
+    // The method is always inlined, as a position that is stored by two numbers and one for a call, and read
+    // otherwise, has to be waited for.
     #[inline(always)]
     fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> u32 {
         let cube = floor(position * self.per_edge);
@@ -311,8 +311,8 @@ impl GatherPiece for PieceGroups {
             && last.cell == cell
         {
             if last.cube != cube {
-                // A stream that went from this cube to another does so again: that one's group was begun
-                // next.
+                // A stream that went from this cube to another does so again: the group that was begun next
+                // is tried first.
                 let index = self.items[last.place as usize].1.index();
                 let next = self.next[last.place as usize];
                 if !(index as usize + 1).is_multiple_of(BLOCK)
@@ -366,7 +366,7 @@ pub struct Cubes {
 const SHEETS: u32 = 8;
 const NEXT_SHEET: u32 = 1 << 24;
 
-/// A cube's place among those of its cell, which are at most 2^[`MAX_LEVEL`] and one along each axis: so a
+/// Place of a cube among those of its cell, which are at most 2^[`MAX_LEVEL`] and one along each axis: so a
 /// part of the coordinates' digits will do.
 fn key(cube: IVec3) -> u32 {
     let [x, y, z] = cube.to_array().map(|x| x as u32 & 0xff);
@@ -394,7 +394,7 @@ pub enum Grouping {
     Automatic,
     /// Single vertices.
     Never,
-    /// In groups, by cubes of 2^-level of a cell; the level is at most 6.
+    /// Groups, by cubes of 2^-level of a cell; the level is at most 6.
     Level(u32),
 }
 
@@ -455,7 +455,8 @@ fn level(grid: &Grid, frame: &Frame, target: Target) -> Option<u32> {
     }
 }
 
-/// Most of something that open cells hold at a time; a cell is open from its first vertex to its last one.
+/// Largest sum of `size` over the cells that are open at a time; a cell is open from its first vertex to its
+/// last one.
 fn most_open(records: &[CellRecord], size: impl Fn(usize) -> u64) -> u64 {
     let mut events: Vec<(u64, bool, u32)> = Vec::with_capacity(2 * records.len());
     for (i, r) in records.iter().enumerate() {

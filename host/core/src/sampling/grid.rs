@@ -114,8 +114,8 @@ impl GridCounter {
         };
     }
 
-    /// Counts a vertex that may lie in another cell than the last, or outside the bounds so far; whether it
-    /// is in the same cell.
+    /// Counts a vertex that may lie in another cell than the last, or outside the bounds so far; returns
+    /// whether it is in the same cell.
     fn enter(&mut self, p: DVec3, index: u64) -> bool {
         self.bounds.include(p);
         // Keys stay below 2^53, exact in a double and far from overflow.
@@ -183,8 +183,8 @@ impl GridCounter {
         self.level = level;
     }
 
-    /// Takes in what another counter of the same resolution has counted: the result is that of one that
-    /// counted all vertices.
+    /// Adds the counts of another counter of the same resolution: the result is that of one that counted all
+    /// vertices.
     pub fn absorb(&mut self, mut other: Self) {
         other.flush();
         if other.cells.is_empty() {
@@ -239,7 +239,7 @@ impl GridCounter {
     pub fn finish(mut self) -> Grid {
         self.flush();
         let mut cells: Vec<_> = self.cells.into_iter().collect();
-        // In the order in which the stream meets them; no two cells share a first vertex.
+        // Cells are in the order in which the stream meets them; no two cells share a first vertex.
         cells.sort_unstable_by_key(|(_, record)| record.first);
         let index = cells.iter().enumerate().map(|(i, (key, _))| (*key, i as u32)).collect();
         let (keys, records) = cells.into_iter().unzip();
@@ -247,7 +247,7 @@ impl GridCounter {
     }
 }
 
-/// The coarse grid G after pass 1: which cells are occupied, by how many vertices and where in the stream.
+/// Coarse grid G after pass 1: the occupied cells, their numbers of vertices and their places in the stream.
 #[derive(Debug)]
 pub struct Grid {
     /// log₂ of the cell size.
@@ -297,7 +297,7 @@ fn exponent(x: f64) -> i32 {
     ((x.to_bits() >> 52) & 0x7ff).max(1) as i32 - 1023
 }
 
-/// The points that are surely in a cell: its upper faces are not, and neither is what rounding may have
+/// Box of the points that are surely in a cell: its upper faces are not, nor those that rounding may have
 /// moved.
 pub fn cell_box(key: CellKey, level: i32) -> Bounds {
     let half = level / 2;

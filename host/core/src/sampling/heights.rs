@@ -16,21 +16,21 @@ use super::ways::{NEIGHBOURS, Ways, mean, scatter};
 use crate::double_lanes::{DoubleLanes, DoubleMask, Triple};
 use crate::eigen_lanes::{dot, symmetric_eigen};
 
-/// Neighbours whose mean distance tells how far apart samples are: as many as in a hexagonal packing.
+/// Neighbours whose mean distance is the distance of samples: as many as in a hexagonal packing.
 pub(super) const RING: usize = 6;
 
 /// Neighbours that are farther than this many times as much do not count.
 const REACH: f64 = 2.0;
 
-/// Least moment of the neighbours' weights, of what it is where these surround a sample.
+/// Least moment of the neighbours' weights, as a part of that where these surround a sample.
 const LEAST_SURROUNDED: f64 = 0.5;
 
-/// Most thickness of a sample and its neighbours, as a part of their lesser width, for which they are a
+/// Largest thickness of a sample and its neighbours, as a part of their lesser width, for which they are a
 /// surface.
 const MOST_THICKNESS: f64 = 0.3;
 
-/// Least thickness, likewise, for which it is looked whether the neighbours are of two sheets, and the part
-/// of the variance of heights that parting these explains then: their means stay where they are.
+/// Least thickness, likewise, from which on the neighbours may be of two sheets, and the part of the variance
+/// of heights that parting these explains then: their means stay where they are.
 const LEAST_THICKNESS: f64 = 1.0 / 64.0;
 const TWO_SHEETS: f64 = 0.95;
 
@@ -38,7 +38,7 @@ const TWO_SHEETS: f64 = 0.95;
 /// parting explains 3/4.
 const AS_OF_ONE: f64 = 0.75;
 
-/// Partings of neighbours at most, each across what the former one has found.
+/// Largest number of partings of neighbours, each across the sheets that the former one has found.
 const PARTINGS: usize = 5;
 
 /// Samples that are looked at by one job.
@@ -49,8 +49,8 @@ const TOGETHER: usize = 256;
 pub(super) struct Height {
     /// The direction of least variance.
     pub across: Vec3,
-    /// The height over what the neighbours come to, along that; nothing where these do not surround the
-    /// sample, or are no surface, or two of them.
+    /// Height over the plane of the neighbours, along that; 0 where these do not surround the sample, or are
+    /// no surface, or two of them.
     pub height: f64,
     /// The variance of that height, for one of 1 of each sample; nothing where there is none.
     pub variance: f64,
@@ -125,9 +125,9 @@ fn height<S: Simd>(simd: S, ways: &Ways, heights: &mut [Height]) {
     }
 }
 
-/// The height over the plane of weighted least squares of the neighbours, to which these are the ways along
+/// Height over the plane of weighted least squares of the neighbours, to which `around` are the ways along
 /// the axes of their scatter; its variance; and the moment of the neighbours' weights. The ways are in units
-/// of how far apart samples are afterwards.
+/// of the samples' distance afterwards.
 #[inline(always)]
 fn over_plane<S: Simd>(simd: S, around: &mut [Triple<S>]) -> [DoubleLanes<S>; 3] {
     let splat = |x| DoubleLanes::splat(simd, x);

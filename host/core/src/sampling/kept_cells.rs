@@ -35,7 +35,7 @@ pub struct KeptCell {
     pub key: CellKey,
     /// Number of vertices.
     pub vertices: u64,
-    /// Indices of the vertices among which all of them are; ascending.
+    /// Ranges of indices in the model among which all of the cell's vertices are; ascending.
     pub ranges: Vec<Range<u64>>,
     /// Bytes of the file among which all faces with one of its vertices are; ascending, and from one mark of
     /// their reader ([`FaceMark`](simod_model::FaceMark)) to another.
@@ -74,7 +74,7 @@ impl CutTree {
         ends
     }
 
-    /// For each node, whether a refinement made it, or split it.
+    /// Whether a refinement made each node, or split it.
     pub fn is_grown(&self) -> Vec<bool> {
         let (ends, mut is_grown) = (self.ends(), vec![false; self.children.len()]);
         self.grown.iter().for_each(|at| is_grown[*at as usize..ends[*at as usize]].fill(true));
@@ -136,8 +136,8 @@ impl KeptCells {
     }
 
     /// Checks that the cells are those of a model of so many vertices with a finite position, of `all`, in a
-    /// file of so many bytes, and of so many samples, of which no cell has those that are parted: a file that
-    /// is whole may still lie.
+    /// file of so many bytes, and of so many samples, of which no cell has those that are parted: cells of a
+    /// file that is whole may still be of another model.
     ///
     /// # Errors
     /// The cells are those of another model.

@@ -94,14 +94,15 @@ const COARSER_ROUNDS: usize = 4;
 /// [`Target::Samples`] takes some more.
 pub const LEAST_MEMORY: u64 = 32 << 20;
 
-/// Most memory for groups where there is no limit: without one, the result does not depend on the machine.
+/// Largest memory for groups where there is no limit: without one, the result does not depend on the machine.
 const GROUPS_AT_EASE: u64 = 256 << 20;
 
 /// Least memory for samples of open cells.
 const LEAST_FOR_CELLS: u64 = 4 << 20;
 
-/// Most of it where there is no limit, for few cells and for many, and for each cell. More saves no time:
-/// what is spilled goes to the page cache first, and what is not is seldom in the processor's caches.
+/// Largest memory for open cells where there is no limit, for few cells and for many, and for each cell. More
+/// saves no time: what is spilled goes to the page cache first, and what is not is seldom in the processor's
+/// caches.
 const CELLS_AT_EASE: RangeInclusive<u64> = 24 << 20..=64 << 20;
 const CELL_AT_EASE: u64 = 4 << 10;
 
@@ -110,7 +111,7 @@ impl Sampling {
         self.memory_limit.unwrap_or_else(|| (memory::of_machine() / 4).min(2 << 30))
     }
 
-    /// Part of the memory limit that is for the clusters: what a target takes, or half of the limit.
+    /// Part of the memory limit that is for the clusters: those of a target, or half of the limit.
     fn memory_for_clusters(&self) -> u64 {
         match self.target {
             Target::Samples(n) => n.saturating_mul(cut::BYTES_PER_SAMPLE),
@@ -272,17 +273,17 @@ fn check_extent(model: &dyn Model, grid: &Grid) -> Result<()> {
     ))
 }
 
-/// The grouping that is done, never [`Grouping::Automatic`], and the bytes that groups may take, where cells
-/// have so much `memory`.
+/// Grouping that is done, never [`Grouping::Automatic`], and the bytes that groups may take, where cells have
+/// so much `memory`.
 fn resolve_grouping(sampling: &Sampling, grid: &Grid, frame: &Frame, memory: u64) -> (Grouping, u64) {
-    // A group is as large wherever it is: finer vertices would be lost in it.
+    // Groups are as large everywhere: finer vertices would be lost in them.
     let grouping = match (sampling.grouping, sampling.by) {
         (Grouping::Automatic, By::Vertices) => Grouping::Never,
         (grouping, _) => grouping,
     };
     let for_groups = match (sampling.memory_limit, sampling.grouping) {
         (Some(_), _) => memory,
-        // Not by the machine's memory, so that the samples do not depend on it …
+        // The machine's memory does not count, so that the samples do not depend on it …
         (None, Grouping::Automatic) => GROUPS_AT_EASE,
         // … and none other than asked for.
         (None, _) => u64::MAX,
@@ -345,14 +346,14 @@ impl<'a> SamplingPass<'a> {
         self.reads_faces && are_told(*placement, skip)
     }
 
-    /// Most clusters that may be kept if there is no target.
+    /// Largest number of clusters that may be kept if there is no target.
     fn most(&self) -> usize {
         let most = self.sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE;
         usize::try_from(most).unwrap_or(usize::MAX)
     }
 
-    /// Streams what is to be streamed and clusters what is to be clustered, in groups where there are to be
-    /// some; `None` if these find no room.
+    /// Streams the vertices and clusters the cells of a job, in groups where there are to be some; `None` if
+    /// these find no room.
     fn stream(
         &self,
         job: StreamJob<'_>,
@@ -440,7 +441,7 @@ impl<'a> SamplingPass<'a> {
         Parting { model, ranges, frame, folder, progress }
     }
 
-    /// P_S, of what pass 2 has found.
+    /// Sampled model of the findings of pass 2.
     fn complete(self, mut found: ClusteredStream) -> Result<SampledModel> {
         let mut reindexed = FaceResult::new(std::mem::take(&mut found.cut));
         let sample_of = match found.membership.take() {
@@ -610,8 +611,8 @@ impl FaceResult {
         self.fit(read, sample_of, vertices)
     }
 
-    /// Finds where sheets meet, and parts the clusters that hold several; which are others than before then.
-    /// `welded` says that what is at one place is joined already.
+    /// Finds where sheets meet, and parts the clusters that hold several; these clusters are others than
+    /// before then. `welded` says that vertices at one place are joined already.
     fn part_sheets(
         &mut self,
         read: &Read<'_>,
@@ -642,7 +643,7 @@ impl FaceResult {
         Ok(changed)
     }
 
-    /// Makes the clusters larger, about so many: which one each of them becomes.
+    /// Makes the clusters larger, about `fewer` of them; returns the new cluster of each.
     fn merge_clusters(&mut self, fewer: usize, islands: &mut Islands, sample_of: &mut [u32]) -> Vec<u32> {
         let (cut, becomes) = self.cut.coarser(fewer, |_| false);
         self.cut = cut;
@@ -653,7 +654,7 @@ impl FaceResult {
         becomes
     }
 
-    /// A coarser cut, and which sample has each cluster: those of several sheets stay, and so do those that
+    /// Coarser cut, and the sample that has each cluster: those of several sheets stay, and so do those that
     /// would be of one sample though they are on several.
     fn coarser_by_sheets(&self, target: usize, parts: &ClusterParts) -> (cut::Cut, Vec<u32>) {
         let mut stay = vec![false; self.cut.samples()];
@@ -705,7 +706,7 @@ impl FaceResult {
         if self.triangles.of_vertices || !finds_triangles(sampling) || self.triangles.tangled {
             self.triangles.put(sample_of);
         } else {
-            // There were too many, and samples were put for them.
+            // The triangles of vertices were too many, and those of samples were put for them.
             let wanted = Wanted { triangles: true, ..Wanted::default() };
             self.triangles =
                 triangles::reindex(parting.model, sample_of, self.cut.samples(), wanted, parting.progress)?;
@@ -718,9 +719,8 @@ impl FaceResult {
         Ok((parted, changed))
     }
 
-    /// Finds the triangles, and where the faces of each cell are, if they are wanted; what hangs together;
-    /// and where samples are by the faces, if these place them: if it is known where the vertices are, in
-    /// local coordinates.
+    /// Finds the triangles; the ranges of each cell's faces, if they are wanted; islands; and the positions
+    /// of samples by the faces, if these place them: if the local positions of the vertices are known.
     fn read_faces(
         &mut self,
         read: &Read<'_>,
@@ -760,8 +760,8 @@ impl FaceResult {
         planes.place(|sample| slack.as_ref().map_or(f32::INFINITY, |slack| slack[sample]))
     }
 
-    /// Places those samples by the faces whose clusters have changed, if they were. Only faces of cells in
-    /// which clusters have changed are read, if it is known where they are.
+    /// Places those samples by the faces whose clusters have changed, if there are any. Only faces of cells
+    /// in which clusters have changed are read, if their ranges are known.
     fn place_again(
         &mut self,
         read: &Read<'_>,
@@ -857,7 +857,7 @@ fn are_apart(info: &ModelInfo, twins: u64) -> bool {
     (info.vertices - twins) / 2 > info.faces
 }
 
-/// The islands of so many clusters before the faces are read, and whether all that is at one place is joined.
+/// Islands of so many clusters before the faces are read, and whether all vertices at one place are joined.
 fn begin_islands(
     parting: &Parting<'_>,
     twins: FoundTwins,
@@ -877,7 +877,7 @@ const NEAR_FACES: u64 = 4 << 10;
 
 /// The clusters that differ from those before some were parted.
 struct ClusterChanges {
-    /// For each sample the one that it was, if its cluster is the same.
+    /// Former number of each sample, if its cluster is the same.
     former: Vec<Option<u32>>,
 }
 

@@ -16,23 +16,23 @@ use simod_model::memory;
 use super::kd_tree::{Found, KdTree, LEAF, Leaf, PointBox};
 use crate::counting_sort;
 
-/// Most leaves that are looked at together. Where a leaf is near more, as one of few points beside a heap,
-/// its points are looked up one by one.
+/// Largest number of leaves that are looked at together. Where a leaf is near more, as one of few points
+/// beside a heap, its points are looked up one by one.
 const MOST_LEAVES: usize = 128;
 
-/// A guess that brings up to so many more than are wanted is good enough.
+/// Number of points more than are wanted up to which a guess is good enough.
 const SPARE: usize = 12;
 
-/// Guesses, before what is sure is taken.
+/// Number of guesses, before the sure distance is taken.
 const GUESSES: usize = 3;
 
-/// Squares of distances are expected to be no more than so many times those of the leaf before.
+/// Expected ratio of squared distances to those of the leaf before, at most.
 const MORE: f32 = 1.4;
 
 /// Makes up for the rounding of sums of distances.
 const SURELY: f32 = 1.0001;
 
-/// Makes up for that of squares so small that they have hardly any digits.
+/// Addend that makes up for the rounding of squares so small that they have hardly any digits.
 const LEAST: f32 = 1e-36;
 
 impl KdTree {
@@ -70,11 +70,10 @@ impl KdTree {
 struct Batch<'a> {
     tree: &'a KdTree,
     k: usize,
-    /// The squared distance of the last neighbour of the last point, and the largest of those of the last
-    /// leaf.
+    /// Squared distance of the last neighbour of the last point, and the largest of those of the last leaf.
     last: f32,
     farthest: f32,
-    /// Nodes that are still to be looked into: each with its first leaf and how many there are.
+    /// Nodes that are still to be looked into: each with its first leaf and the number of its leaves.
     open: Vec<(usize, usize, usize)>,
     /// The leaves that are near.
     near: Vec<u32>,

@@ -10,10 +10,11 @@ use simod_model::{Error, Model, Result, VertexChunk, follow};
 /// Splats of less opacity are left out, where nothing else is asked for.
 pub const LEAST_OPACITY: f64 = 0.1;
 
-/// Splats more than so many times as large as usual, or as far off, need more opacity in proportion.
+/// Ratio of a splat's size to the usual one, or of its distance, above which more opacity is needed in
+/// proportion.
 const UNUSUAL: f64 = 10.0;
 
-/// A splat of so much opacity is part of what is seen, however large and wherever it is.
+/// Opacity from which on a splat is part of what is seen, however large and wherever it is.
 const SEEN: f64 = 0.5;
 
 /// Numbers of places in the file at which splats are read to tell the usual ones, and of splats at each.
@@ -33,7 +34,7 @@ pub struct UsualSplat {
 }
 
 impl UsualSplat {
-    /// The medians of some splats, given by position and size; `None` where they do not tell.
+    /// Medians of some splats, given by position and size; `None` if there are none, or a median is zero.
     fn median(splats: &[(DVec3, f64)]) -> Option<Self> {
         let median = |of: &dyn Fn(&(DVec3, f64)) -> f64| {
             let (mut numbers, middle) = (splats.iter().map(of).collect::<Vec<_>>(), splats.len() / 2);
@@ -119,7 +120,8 @@ impl Opaque {
         Ok(UsualSplat::median(&splats.concat()))
     }
 
-    /// Takes the positions from the splats of a chunk that are left out; returns how many of them had one.
+    /// Takes the positions from the splats of a chunk that are left out; returns the number of those that had
+    /// one.
     ///
     /// # Errors
     /// In a text format, something is no number.
@@ -163,7 +165,7 @@ fn logit(opacity: f64) -> f64 {
     if opacity < 1.0 { (opacity / (1.0 - opacity)).ln() } else { f64::INFINITY }
 }
 
-/// The least opacity of a model's splats, by what was asked for: nothing where there are none.
+/// Least opacity of a model's splats, by the option; `None` where there are no splats.
 ///
 /// # Errors
 /// The opacity asked for is not from 0 to 1, or the model has no splats.

@@ -13,7 +13,7 @@ use super::target::Target;
 pub struct Sampling {
     /// Fineness of P_S.
     pub target: Target,
-    /// Most cells of the coarse grid along an axis; by the model's size where not given.
+    /// Largest number of cells of the coarse grid along an axis; by the model's size where not given.
     pub grid: Option<u32>,
     /// Bytes of memory to stay below, for any order of the vertices; a quarter of the machine's, and at most
     /// 2 GiB, where not given, of which open cells take 64 MiB at most.

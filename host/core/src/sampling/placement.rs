@@ -20,8 +20,8 @@ const RIDGE: f64 = 3e-4;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Placement {
-    /// Faces where vertices have no normals, or other ones than those of the surface that the faces are;
-    /// otherwise vertices.
+    /// Placement by faces where vertices have no normals, or other ones than those of the surface that the
+    /// faces are; otherwise by vertices.
     #[default]
     Automatic,
     /// The planes of the faces, where the model has any: they take a pass, and temporary files of at most 20
@@ -33,7 +33,7 @@ pub enum Placement {
 
 /// Triangles at the beginning of the file among which …
 const FIRST: usize = 1 << 16;
-/// … so many pairs of one and the next are compared with the normals at their corners, at most.
+/// … largest number of pairs of one and the next that are compared with the normals at their corners.
 const PAIRS: usize = 512;
 
 /// Vertices between two that are passed over rather than begun anew behind.
@@ -163,7 +163,7 @@ impl Unlike {
         self.area += area;
         let mean: DVec3 = normals.into_iter().sum();
         if let Some(mean) = mean.try_normalize().filter(|_| !normals.contains(&DVec3::ZERO)) {
-            // Whichever side of the face they are on.
+            // The normals may be on either side of the face.
             self.from_corners.add((2.0 - 2.0 * normal.dot(mean).abs()).max(0.0), area);
         }
         if let Some((corners, last, last_area)) = self.last
@@ -218,7 +218,7 @@ impl AngleSquares {
 }
 
 /// Faces whose planes are summed up by themselves, in single precision: so that sums are those of ranges of
-/// the faces that begin at a multiple of this number, whoever reads which of them.
+/// the faces that begin at a multiple of this number, whichever unit reads them.
 pub const FACES_OF_A_SUM: u64 = 1 << 16;
 
 /// Faces that one job looks at.
@@ -236,8 +236,8 @@ pub struct Planes<'a> {
     samples: &'a [Vec3],
     /// Number of the first of these samples: those before it stay where they are.
     first: u32,
-    /// Planes of so many samples each, one after the other: each is summed up by one thread at a time, in the
-    /// file's order.
+    /// Planes of `samples_of_a_shard` samples each, one after the other: each is summed up by one thread at a
+    /// time, in the file's order.
     shards: Vec<PlaneShard>,
     samples_of_a_shard: usize,
     /// Findings of each job in the faces that are taken at once.
@@ -267,7 +267,7 @@ struct CrossingFace {
 enum PlaneSumming {
     /// Planes are added up, in double precision.
     Added(Vec<[f64; 10]>),
-    /// Faces are listed for who [adds](Planes::add_listed) them.
+    /// Sums that are listed for who [adds](Planes::add_listed) them.
     Listed(Vec<u32>),
 }
 
@@ -313,7 +313,7 @@ impl<'a> Planes<'a> {
 
     /// The planes of a part of the faces, which begins at a multiple of [`FACES_OF_A_SUM`].
     pub fn listed(vertices: &'a [Vec3], samples: &'a [Vec3]) -> Self {
-        // One shard, as they are listed in the order of the faces.
+        // A listing has one shard, as sums are listed in the order of the faces.
         Self::sharded(vertices, samples, 0, 1, |_| PlaneSumming::Listed(Vec::new()))
     }
 
@@ -425,7 +425,7 @@ impl<'a> Planes<'a> {
     }
 }
 
-/// The planes of a shard, and what they are added by.
+/// Planes of a shard, and the samples to which they are added.
 struct ShardPlanes<'a> {
     vertices: &'a [Vec3],
     /// The samples of the shard, and the number of the first of them.
@@ -483,8 +483,8 @@ impl ShardPlanes<'_> {
 }
 
 impl PlaneShard {
-    /// A sample has its first planes, of which nothing may be left, so that it is met once more: it is summed
-    /// up once, as it has nothing then.
+    /// Notes that a sample has its first planes, of which nothing may be left, so that it is met once more:
+    /// it is summed up once, as it has nothing then.
     #[cold]
     #[inline(never)]
     fn meet(&mut self, place: u32) {
@@ -535,10 +535,10 @@ mod tests {
     fn placed(vertices: &[Vec3], faces: &[[u32; 3]], sample: Vec3, most: f32) -> Vec3 {
         let samples = [sample];
         let mut planes = Planes::new(vertices, &samples, 7);
-        // With samples before and behind, which are none of these.
+        // Samples before and behind, which are none of these, are left out.
         planes.take(faces, |_| Some([7, 7, 6]));
         planes.take(faces, |_| Some([6, 8, u32::MAX]));
-        // Inside, it is for no triangle of P_S.
+        // A face inside of a cluster is of no triangle of P_S.
         planes.take(&[[1, 2, 3]; 3], |_| Some([7; 3]));
         planes.place(|_| most)[0].at
     }
@@ -584,7 +584,7 @@ mod tests {
         assert!(far.is_finite(), "{far}");
     }
 
-    /// Sums are of the same faces, whichever unit reads which of them.
+    /// Sums are of the same faces, whichever unit reads them.
     #[test]
     fn ranges_of_faces_add_up_to_the_sums_of_one_reading() {
         let random =

@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use crate::varint::{self, VarintNumbers};
 
-/// Most bytes of all cells together, but for the least of each: 4 MiB.
+/// Largest number of bytes of all cells together, but for the least of each: 4 MiB.
 const MOST: usize = 4 << 20;
 
 /// Bytes of a cell at most, and at least: some 60 000 ranges, or 4.
@@ -73,7 +73,7 @@ impl PackedRanges {
         }
     }
 
-    /// All of them, ascending and not empty.
+    /// All ranges of a cell, ascending and not empty.
     pub fn all(&self) -> Vec<Range<u64>> {
         let (mut ranges, mut end, mut numbers) = (Vec::new(), 0, VarintNumbers(&self.bytes));
         while let (Some(gap), Some(length)) = (numbers.next(), numbers.next()) {
@@ -96,12 +96,12 @@ impl PackedRanges {
 }
 
 impl Ranges {
-    /// No range, of so many cells.
+    /// Empty ranges of `cells` cells.
     pub fn new(cells: usize) -> Self {
         Self::of_part(cells, cells)
     }
 
-    /// No range, of a part of so many cells.
+    /// Empty ranges of a part of `cells` cells.
     pub fn of_part(part: usize, cells: usize) -> Self {
         let most = (MOST / cells.max(1)).clamp(OF_A_CELL.start, OF_A_CELL.end);
         Self { cells: vec![PackedRanges::default(); part], most }
@@ -122,7 +122,7 @@ impl Ranges {
     }
 }
 
-/// Joins ranges until there are so many, where the gaps are the least. Of gaps of about the same length every
+/// Joins ranges until `keep` are left, where the gaps are the least. Of gaps of about the same length every
 /// other one goes first, so that they do not all become one range.
 fn halve(ranges: &mut Vec<Range<u64>>, keep: usize) {
     // Counted by their lengths' digits, as a stream in no order comes here again and again.
@@ -205,8 +205,8 @@ mod tests {
     }
 
     proptest! {
-        /// As by sorting: the least gaps go first, every other one of about the same length, and those that
-        /// come first.
+        /// The least gaps go first, every other one of about the same length, and those that come first, as
+        /// by sorting.
         #[test]
         fn the_least_gaps_are_joined(
             lengths in proptest::collection::vec((1u64..4, prop_oneof![1u64..20, 1u64..1 << 40]), 1..300),
@@ -237,7 +237,7 @@ mod tests {
             prop_assert_eq!(found, wanted);
         }
 
-        /// Whatever the pieces of a stream are, it jumps as often as the whole.
+        /// Jumps of the pieces of a stream add up to those of the whole.
         #[test]
         fn jumps_of_pieces_add_up(
             cells in proptest::collection::vec(0u32..3, 0..60), cut in proptest::collection::vec(0usize..60, 0..5),

@@ -1,10 +1,10 @@
 //! Pass 2 on all cores: the stream is gathered in pieces, several at a time, which are merged in its order.
 //!
-//! Open cells are dealt out to shards. Each thread takes what there is to do: a cell that is complete is
-//! clustered; what a piece has for the cells of a shard is merged into them, if it comes next in the stream;
-//! a piece that all shards have merged is finished, in the order of the stream; or another piece is read and
-//! gathered on its own. Only what is done by a shard, finishing, and taking a cell's tree in, are each done
-//! by one thread at a time.
+//! Open cells are dealt out to shards. Each thread takes a task: a cell that is complete is clustered; the
+//! items that a piece has for the cells of a shard are merged into them, if it comes next in the stream; a
+//! piece that all shards have merged is finished, in the order of the stream; or another piece is read and
+//! gathered on its own. Only merging of a shard, finishing, and taking a cell's tree in, are each done by one
+//! thread at a time.
 
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -37,16 +37,16 @@ use super::vs_tree::TreeWorkspace;
 /// wait need not.
 const WAITING: u64 = 1;
 
-/// Most shards: merging is a fifth to a fourth of the work.
+/// Largest number of shards: merging is a fifth to a fourth of the work.
 const MOST_SHARDS: usize = 8;
 
 /// Streams the model, or a part of it, through the grid and clusters each cell that is to be clustered, down
-/// to the bound or to that which the target has come to meanwhile. `gather(n)` makes what gathers one of so
-/// many parts of the cells, in as small a part of the memory. `None` if that finds no room for all cells.
+/// to the bound or to that which the target has come to meanwhile. `gather(n)` makes the gatherer of one of
+/// `n` parts of the cells, in as small a part of the memory. `None` if one finds no room for all cells.
 ///
-/// Memory: that of what gathers all parts, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells
-/// as may be queued, and two parts of a cell on each thread; as many pieces as there are threads, and one
-/// more, of [`PIECE`] vertices: their bytes in the file, and at most 212 for each.
+/// Memory: that of the gatherers of all parts, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of
+/// cells as may be queued, and two parts of a cell on each thread; as many pieces as there are threads, and
+/// one more, of [`PIECE`] vertices: their bytes in the file, and at most 212 for each.
 ///
 /// # Errors
 /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be
@@ -55,7 +55,7 @@ pub fn cluster<G: Gather>(
     pass: &ClusteringPass<'_>,
     gather: impl Fn(usize) -> G,
 ) -> Result<Option<Clustered>> {
-    // Parts of a model hand on what they find, which cannot be done twice.
+    // Parts of a model hand on their findings, which cannot be done twice.
     let is_whole = matches!(pass.job, StreamJob::Whole);
     let shards = if is_whole { (rayon::current_num_threads() / 2).clamp(1, MOST_SHARDS) } else { 1 };
     let clustered = cluster_in_shards(pass, (0..shards).map(|_| gather(shards)).collect())?;
@@ -138,7 +138,7 @@ fn bytes_of(pass: &ClusteringPass<'_>) -> u64 {
     }
 }
 
-/// The open cells, dealt out to what gathers each part of them.
+/// Open cells, dealt out to the gatherer of each part of them.
 fn shards<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>) -> Vec<Mutex<CellShard<G>>> {
     let own = |(cell, record): (u32, &CellRecord)| if pass.job.has(cell) { record.count } else { 0 };
     let left = deal((0..).zip(&pass.grid.records).map(own), gather.len());
@@ -204,7 +204,7 @@ fn stream<G: Gather>(pass: &ClusteringPass<'_>, gather: Vec<G>, found: &mut Clus
 }
 
 /// Notes that the stream is in a cell from the first of these vertices on; `false` if it was there before.
-/// What comes before the first visit of a piece is of no cell, so that ranges follow from the pieces, whoever
+/// Vertices before the first visit of a piece are of no cell, so that ranges follow from the pieces, whoever
 /// reads which of them.
 fn note_visit(visits: &mut Vec<(u32, Range<u64>)>, cell: u32, vertices: &Range<u64>) -> bool {
     if let Some((last, visited)) = visits.last_mut() {
@@ -261,7 +261,7 @@ struct Stream<'a, G: Gather> {
     schedule: Schedule<StreamPiece<G::Piece>, Complete<G>>,
 }
 
-/// A complete cell, and what was gathered of it.
+/// Complete cell, and the items that were gathered of it.
 type Complete<G> = (u32, CellItems<<G as Gather>::Item>);
 
 struct StreamReading<'a> {
@@ -300,7 +300,7 @@ struct StreamPiece<P: GatherPiece> {
     /// The chunks as they were read.
     chunks: Vec<VertexChunk>,
     gatherer: P,
-    /// All that was gathered, once it is, and the cell of each item.
+    /// Items that were gathered, once they all are, and the cell of each.
     gathered: Vec<(u32, P::Item)>,
     /// The item that each vertex is part of, if it shall be known; [`NONE`] where the vertex is not finite.
     items: Vec<u32>,
@@ -309,16 +309,15 @@ struct StreamPiece<P: GatherPiece> {
     /// The vertices whose colours are kept.
     picks: Vec<Pick>,
     lists: ColorLists,
-    /// The places of what was gathered for the cells of each shard, and of the visits there, if there are
-    /// several.
+    /// Places of the items for the cells of each shard, and of the visits there, if there are several shards.
     of_shards: Vec<[Vec<u32>; 2]>,
-    /// The place of each item in its cell, if it shall be known, once it is merged.
+    /// Place of each item in its cell, if members are recorded, once the item is merged.
     places: Vec<AtomicU32>,
-    /// Each cell that the stream enters, and the vertices up to where it leaves it.
+    /// Cells that the stream enters, each with the vertices up to where the stream leaves it.
     visits: Vec<(u32, Range<u64>)>,
     /// Jumps between these cells.
     jumps: Jumps,
-    /// The piece's vertices in cells that others cluster, and what is written down of them.
+    /// Vertices of the piece in cells that others cluster, and the records that are written down of them.
     shared: SharedPiece,
     records: Vec<(u32, Vec<u8>)>,
     /// Number of bytes that were read in the place of the model.
@@ -333,7 +332,7 @@ const NONE: u32 = u32::MAX;
 const OF_OTHERS: u32 = 1 << 31;
 
 impl<'a, G: Gather> Stream<'a, G> {
-    /// Does what there is to do, as long as there is anything.
+    /// Does tasks as long as there are any.
     fn go_on(&self) {
         while let Some(task) = self.schedule.take() {
             let done = catch_unwind(AssertUnwindSafe(|| match task {
@@ -391,7 +390,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         }
     }
 
-    /// Reads the vertices of the next piece; its number, and which they are.
+    /// Reads the vertices of the next piece; returns its number, and the range of the vertices.
     fn read(&self, chunks: &mut Vec<VertexChunk>) -> Result<(u64, Range<u64>)> {
         let mut reading = lock(&self.reading);
         let number = reading.next;
@@ -531,8 +530,8 @@ impl<'a, G: Gather> Stream<'a, G> {
         Ok(())
     }
 
-    /// Merges what the piece that comes next in the stream has for the cells of a shard into these, until too
-    /// many of them wait to be clustered.
+    /// Merges the items that the piece that comes next in the stream has for the cells of a shard into these,
+    /// until too many of the cells wait to be clustered.
     fn merge(&self, shard: usize, piece: Arc<StreamPiece<G::Piece>>) -> Result<()> {
         let mut merging = lock(&self.shards[shard]);
         let of_shard = piece.of_shards.get(shard);
@@ -688,7 +687,7 @@ impl<'a, G: Gather> Stream<'a, G> {
 }
 
 impl<P: GatherPiece> StreamPiece<P> {
-    /// Ends what is gathered, and tells what of it is of the cells of each shard.
+    /// Ends gathering, and finds the items that are of the cells of each shard.
     fn deal(&mut self, shards: usize, with_places: bool) {
         let Self { gatherer, gathered, of_shards, places, visits, jumps, .. } = self;
         *gathered = gatherer.end();
@@ -753,7 +752,7 @@ fn read_all(
     Ok(())
 }
 
-/// Whatever became of the thread that had it: what failed ends the work.
+/// Content of a mutex, whatever became of the thread that had it: a failure ends the work.
 fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }

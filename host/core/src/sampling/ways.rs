@@ -21,7 +21,7 @@ pub struct Ways {
 }
 
 impl Ways {
-    /// No ways yet, to this many neighbours of each sample, [`NEIGHBOURS`] at most.
+    /// Ways without numbers yet, to `count` neighbours of each sample, [`NEIGHBOURS`] at most.
     pub fn new(count: usize) -> Self {
         Self { numbers: [[[0.0; MOST_LANES]; 3]; NEIGHBOURS], count: count.min(NEIGHBOURS) }
     }

@@ -26,20 +26,20 @@ use crate::sampled_model::SampledModel;
 use crate::sampling::kept_cells::CutTree;
 use crate::sampling::{NEIGHBOURS, SampleSet};
 
-// The lists that are kept are those of the reconstruction.
+// The lists that are kept are as long as those of the reconstruction.
 const _: () = assert!(contacts::MOST == SHEET_NEIGHBOURS);
 
-/// A way over the surface, from sample to sample, that is longer than so many times the distance of the
-/// furthest neighbour leads to another sheet, or another side of a fold.
+/// Ratio of the length of a way over the surface, from sample to sample, to the distance of the furthest
+/// neighbour, above which the way leads to another sheet, or another side of a fold.
 const DETOUR: f32 = 1.5;
 
 /// Vertices whose homes are looked up at a time.
 const BATCH: usize = 1 << 14;
 
 impl Contacts {
-    /// The contacts of the samples of a model in which sheets meet, of which `sample_of` says what vertex
-    /// belongs to which. `trees` has the samples of each cell. Where clusters were parted there are contacts,
-    /// though nothing may be near any more: so it is known that they were.
+    /// Contacts of the samples of a model in which sheets meet; `sample_of` has the sample of each vertex,
+    /// and `trees` the samples of each cell. Where clusters were parted there are contacts, though nothing
+    /// may be near any more: so it is known that they were.
     ///
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
@@ -181,12 +181,12 @@ pub(crate) struct InheritedSheets<'a> {
     pub contacts: &'a Contacts,
     /// Number of samples before the refinement.
     pub before: usize,
-    /// For each new sample one that was there, on its sheet.
+    /// Sample from before the refinement on whose sheet each new sample is.
     pub origins: &'a [u32],
 }
 
 impl InheritedSheets<'_> {
-    /// The sample that was there on the sheet of one; itself, if it was there.
+    /// Sample from before the refinement on the sheet of `sample`; itself, if it was there.
     fn origin(&self, sample: u32) -> u32 {
         (sample as usize).checked_sub(self.before).map_or(sample, |new| self.origins[new])
     }
@@ -208,9 +208,9 @@ pub(crate) struct Near {
     samples: SampleSet,
 }
 
-/// Neighbours that are gone on to, one after the other: the home of a place is among those of the sample of
-/// its cell, whose sheet is looked for among those around, by the links that these have to their own
-/// neighbours.
+/// Numbers of neighbours that are gone on to, one after the other: the home of a place is among those of the
+/// sample of its cell, whose sheet is looked for among those around, by the links that these have to their
+/// own neighbours.
 const RINGS: [usize; 3] = [NEIGHBOURS, CROWDED_NEIGHBOURS, NEIGHBOURS];
 
 impl Near {
@@ -221,7 +221,8 @@ impl Near {
             let near = border.par_iter().map(|i| samples.nearest_neighbours(*i as usize, count));
             border = near.collect::<Vec<_>>().into_iter().flatten().filter(|i| numbers.insert(*i)).collect();
         }
-        // With the outermost ones of all, the cells in which homes are looked up are those of the whole set.
+        // The outermost samples of all are included, so that the cells in which homes are looked up are those
+        // of the whole set.
         for axis in 0..3 {
             let by_place = |a: &u32, b: &u32| {
                 let [a, b] = [a, b].map(|i| samples.positions[*i as usize][axis]);
@@ -269,7 +270,7 @@ impl ContactVertices {
         Ok(())
     }
 
-    /// Visits all of them, some at a time.
+    /// Visits all vertices, some at a time.
     fn each(self, mut visit: impl FnMut(&[Vec3], &[u32]) -> Result<()>) -> Result<()> {
         let map = self.file.map()?;
         let all: &[[u32; 4]] = cast_slice(&map);
@@ -285,7 +286,7 @@ impl ContactVertices {
     }
 }
 
-/// Tells on which sheet vertices are where sheets meet, by samples that are known. What it takes is found
+/// Finder of the sheets of vertices where sheets meet, by samples whose sheets are known. Its tables are made
 /// when the first vertices are [looked at](Self::of).
 pub(crate) struct Guides<'a> {
     contacts: &'a Contacts,
@@ -317,8 +318,8 @@ impl<'a> Guides<'a> {
         samples.iter().any(|sample| self.contacts.same_sheet(*sample as usize).is_some())
     }
 
-    /// For each local position near such a sample, a sample of its sheet. Not to be called by jobs of the
-    /// thread pool.
+    /// Sample of its sheet for each local position near such a sample. Not to be called by jobs of the thread
+    /// pool.
     pub fn find(&self, frame: &Frame, positions: impl Iterator<Item = Vec3> + Clone) -> Vec<u32> {
         let in_model: Vec<DVec3> = positions.clone().map(|p| frame.to_model(p)).collect();
         let mut guides = Vec::new();
@@ -343,13 +344,13 @@ impl<'a> Guides<'a> {
         self.contacts.parted()
     }
 
-    /// The samples that share the cluster of one that a tree has, without that one.
+    /// Samples that share the cluster of one that a tree has, without that one.
     pub fn parted_from(&self, sample: u32) -> &[u32] {
         self.parted.get(&sample).map_or(&[], |parted| parted)
     }
 
-    /// Samples on each of the sheets that some vertices are on, that of most vertices first, and which of
-    /// these each vertex is on.
+    /// Samples on each of the sheets that some vertices are on, that of most vertices first, and the place
+    /// among these of each vertex's.
     pub fn sheets(&self, guides: impl Iterator<Item = u32> + Clone) -> (Vec<u32>, Vec<u32>) {
         let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
         guides.clone().for_each(|guide| *counts.entry(guide).or_default() += 1);
@@ -380,7 +381,7 @@ impl<'a> Guides<'a> {
 /// with a few neighbours more or less than here.
 const AMBIGUOUS: f32 = 2.0;
 
-/// The tangent planes by which homes are told where sheets meet.
+/// Tangent planes by which homes are told where sheets meet.
 struct Tangents<'a> {
     samples: &'a SampleSet,
     normals: Vec<Vec3>,
@@ -398,7 +399,7 @@ const NONE: u32 = u32::MAX;
 impl<'a> Tangents<'a> {
     /// The tangent planes of the samples near which sheets meet.
     ///
-    /// Memory: 20 bytes for each of them, and 4 per sample.
+    /// Memory: 20 bytes for each sample with a list, and 4 per sample.
     fn new(samples: &'a SampleSet, lists: &ContactLists, others: &[&[u32]]) -> Self {
         let of_samples = samples.normals();
         let normal = |i: &u32| {
@@ -468,7 +469,8 @@ const JOB: usize = 256;
 /// The nearest neighbours of a sample among which another sheet is looked for: a ring, and some more.
 const NEAREST: usize = 8;
 
-/// Samples that are met from one, at most: more of them are around one that stands for much of a model.
+/// Largest number of samples that are met from one: more of them are around one that stands for much of a
+/// model.
 const MOST_MET: usize = 256;
 
 /// The samples, ascending, among whose nearest are some on another sheet, if samples are at these positions
@@ -531,7 +533,7 @@ pub(crate) fn crowded(positions: Vec<Vec3>, parted: &Parted) -> Result<Vec<u32>>
 /// Memory: a byte per sample, and on each thread another one.
 fn same_sheet(samples: &SampleSet, parted: &Parted, seeds: &[u32]) -> (SampleLists, SampleLists) {
     let mut known = vec![false; samples.len()];
-    // Each with how far neighbours of the one are from which it was gone on to.
+    // Samples with the distance of the neighbours of the one from which each was gone on to.
     let mut open: Vec<(u32, f32)> = seeds.iter().map(|seed| (*seed, 0.0)).collect();
     open.iter().for_each(|(seed, _)| known[*seed as usize] = true);
     let (mut lists, mut others) = (SampleLists::new(), SampleLists::new());
@@ -589,21 +591,21 @@ fn end_of(near: &[u32], same: &[u32]) -> usize {
     same.last().map_or(near.len(), |last| near.iter().position(|j| j == last).unwrap_or(0))
 }
 
-/// All but some of them, which are in the same order.
+/// Samples of `all` without `some` of them, which are in the same order.
 fn without<'a>(all: &'a [u32], some: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
     let mut some = some.iter().peekable();
     all.iter().filter(move |j| some.next_if_eq(j).is_none()).copied()
 }
 
-/// Makes leaving out mutual: a sample that another one leaves out leaves that one out, too. The result lists
-/// each that had not, with the other one.
+/// Makes leaving out mutual: a sample that another one leaves out leaves that one out, too. Returns each
+/// sample that had not, with the other one.
 fn make_mutual(
     samples: &SampleSet,
     left_out: Vec<(u32, u32)>,
     lists: &mut BTreeMap<u32, Vec<u32>>,
 ) -> Vec<(u32, u32)> {
     let mut new = Vec::new();
-    // Of those without a list.
+    // Neighbours of samples without a list.
     let mut nearest: HashMap<u32, Vec<u32>> = HashMap::new();
     for (by, whom) in left_out {
         if let Some(list) = lists.get_mut(&by) {
@@ -658,8 +660,8 @@ impl<'a> WaySearch<'a> {
         near.iter().zip(&self.lengths[1..]).filter(|(_, way)| way.is_finite()).map(|(j, _)| *j).collect()
     }
 
-    /// Looks up what is joined among a sample, which has the first place, and others around it, the nearest
-    /// first: fewer than 255.
+    /// Looks up the joins among a sample, which has the first place, and others around it, the nearest first:
+    /// fewer than 255.
     fn join(&mut self, sample: u32, near: &[u32]) {
         let Self { positions, parted, places, starts, joins, lengths, most } = self;
         let distance = |a: u32, b: u32| positions[a as usize].distance(positions[b as usize]);

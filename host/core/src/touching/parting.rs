@@ -25,8 +25,8 @@ use crate::sampling::ranges::joined;
 /// A sheet with fewer than this part of its cluster's vertices joins a cluster nearby, if it can.
 const LEAST_PART: f64 = 0.125;
 
-/// One of so many samples at most goes to parts that could join clusters nearby: the others are taken from
-/// all of the model.
+/// Number of samples of which at most one goes to parts that could join clusters nearby: the others are taken
+/// from all of the model.
 const MOST_OF_ALL: usize = 32;
 
 /// Samples that may go to such parts in any case.
@@ -36,7 +36,7 @@ const FEW: usize = 128;
 /// parts of a thin wall.
 const MANY: usize = 4;
 
-/// Bytes of temporary files for each vertex while what is at the same position is joined.
+/// Bytes of temporary files for each vertex while vertices at the same position are joined.
 const BYTES_OF_A_PLACE: u64 = 20;
 
 /// Model and cells in which parts are looked for.
@@ -67,7 +67,8 @@ impl ClusterSheet {
         (cluster, parts.into_iter().map(sheet).collect())
     }
 
-    /// The larger ones first, and of equal ones by where they are: vertices may come in any order.
+    /// Order of sheets: larger ones first, and equal ones by their positions, as vertices may come in any
+    /// order.
     fn by_size(&self, other: &Self) -> Ordering {
         let larger = other.moments.count().total_cmp(&self.moments.count());
         larger.then_with(|| by_place(self.moments.mean().as_vec3(), other.moments.mean().as_vec3()))
@@ -84,8 +85,8 @@ fn by_place(a: Vec3, b: Vec3) -> Ordering {
 pub struct ClusterParts {
     graph: ClusterGraph,
     mixed: Vec<(u32, Vec<ClusterSheet>)>,
-    /// The parts of mixed clusters that shall get samples of their own: first those with nothing of their own
-    /// sheet beside them, so many, and then the others; in both the largest first.
+    /// Parts of mixed clusters that shall get samples of their own: first the `alone` ones with nothing of
+    /// their own sheet beside them, and then the others; in both the largest first.
     wanted: Vec<(usize, usize)>,
     alone: usize,
 }
@@ -115,7 +116,7 @@ pub struct Parted {
 }
 
 impl Parting<'_> {
-    /// Joins what is at the same position, everywhere: for models whose faces share no vertices.
+    /// Joins vertices at the same position, everywhere: for models whose faces share no vertices.
     ///
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
@@ -126,7 +127,7 @@ impl Parting<'_> {
         self.weld(all, islands, sample_of).map(|_| ())
     }
 
-    /// Joins what is at the same position in some ranges; whether there was anything to join.
+    /// Joins vertices at the same position in some ranges; returns whether there were any to join.
     fn weld(&self, ranges: Vec<Range<u64>>, islands: &mut Islands, sample_of: &[u32]) -> Result<bool> {
         let mut sorter = Sorter::new(self.folder);
         self.vertices(
@@ -294,7 +295,7 @@ impl ClusterParts {
         (more > wanted / MANY && clusters + more > wanted).then_some(fewer.max(1))
     }
 
-    /// For each mixed cluster, which of its parts get a sample, if at most so many do.
+    /// Choice of the parts of each mixed cluster that get a sample, if at most `most` do.
     fn with_own(&self, most: usize) -> Vec<Vec<bool>> {
         let mut own: Vec<Vec<bool>> = self.mixed.iter().map(|(_, parts)| vec![false; parts.len()]).collect();
         self.wanted.iter().take(most).for_each(|(i, j)| own[*i][*j] = true);
@@ -311,8 +312,8 @@ impl ClusterParts {
         self.mixed.binary_search_by_key(&cluster, |(mixed, _)| *mixed).is_ok()
     }
 
-    /// The clusters, ascending, that would be of one sample with others, and that sample's of several sheets,
-    /// where the cut has become coarser: `becomes` says of which sample each is, of so many.
+    /// Clusters, ascending, that would share a sample with others though that sample would be of several
+    /// sheets, where the cut has become coarser: `becomes` is the sample of each, of `samples`.
     pub fn joining_sheets(&self, becomes: &[u32], samples: usize) -> Vec<u32> {
         let clusters = 0..self.graph.clusters() as u32;
         let (starts, members) = lists(samples, clusters.map(|cluster| (becomes[cluster as usize], cluster)));
@@ -326,9 +327,9 @@ impl ClusterParts {
         joined
     }
 
-    /// Parts the clusters, with at most so many new samples. Where the cut has become coarser meanwhile,
-    /// `becomes` says of which sample each cluster is now, which none of several sheets shares; `samples` is
-    /// where these are.
+    /// Parts the clusters, with at most `most` new samples. Where the cut has become coarser meanwhile,
+    /// `becomes` is the sample of each cluster now, which none of several sheets shares; `samples` are the
+    /// samples' positions.
     pub fn part(self, samples: &[Vec3], becomes: Option<&[u32]>, most: usize) -> Parted {
         let of = |cluster: u32| becomes.map_or(cluster, |becomes| becomes[cluster as usize]);
         let mut given = GivenSamples::new(&self, samples, of, most);
@@ -365,7 +366,7 @@ impl ClusterParts {
         self.mixed.iter().flat_map(|(_, parts)| parts).flat_map(|part| &part.islands).copied()
     }
 
-    /// A cluster of each of so many samples, and all of those that have more than one.
+    /// Cluster of each of `samples` samples, and all clusters of those that have more than one.
     fn clusters_of(&self, samples: usize, of: impl Fn(u32) -> u32) -> (Vec<u32>, HashMap<u32, Vec<u32>>) {
         let mut cluster_of = vec![OPEN; samples];
         let mut merged: HashMap<u32, Vec<u32>> = HashMap::new();
@@ -406,14 +407,14 @@ impl ClusterParts {
     }
 }
 
-/// The sample of what has none yet.
+/// Sample of an island that has none yet.
 const OPEN: u32 = u32::MAX;
 
 /// The samples that parts of clusters are given.
 struct GivenSamples {
     /// The sample of each island.
     sample: Vec<u32>,
-    /// As of [`Parted`].
+    /// Samples that are moved, as in [`Parted`].
     moved: Vec<(u32, Vec3, Vec3)>,
     added: Vec<(u32, Vec3, Vec3)>,
     /// The parts that got none of their own: which of the mixed clusters, and which of its parts.
@@ -476,7 +477,7 @@ impl GivenSamples {
         }
     }
 
-    /// The sample among those of some islands that is nearest to the middle of a sheet, if they have any.
+    /// Sample among those of some islands that is nearest to the middle of a sheet, if these have any.
     fn nearest(
         &self,
         islands: impl Iterator<Item = u32>,
@@ -528,7 +529,7 @@ impl Parted {
         });
     }
 
-    /// Visits the samples that faces join with one; some of them several times.
+    /// Visits the samples that faces join with `sample`; some of them several times.
     #[inline]
     pub fn each_joined(&self, sample: u32, mut visit: impl FnMut(u32)) {
         let mut of_island = |island: u32| {
