@@ -58,7 +58,7 @@ pub struct Load<'a> {
 impl Body {
     /// Body of a lattice with the springs that hold it, of a material of this Poisson's ratio.
     pub fn new(lattice: HexMesh, springs: Vec<Spring>, poisson: f64) -> Self {
-        // By how much nearer: see the head of this file.
+        // Factor by which the points lie nearer to the middle: see the head of this file.
         let near = ((1.0 + poisson) / (1.5 * (1.0 + poisson * poisson))).sqrt();
         let off = |n: usize| 0.5 + (n as f64 - 0.5) * near / 3.0_f64.sqrt();
         let of = |at: DVec3| slopes(at).map(|slope| slope / lattice.size);
@@ -119,7 +119,8 @@ impl Body {
                     sum += (gradients[*cell as usize].middle - DMat3::IDENTITY) * amount;
                     whole += amount;
                 }
-                // Half of the slope: so the blend of two corners has what is quadratic between them exactly.
+                // Slopes count by half: so the blend of two corners has quadratic functions between them
+                // exactly.
                 let (matrix3, rest) = (sum * (0.5 / whole), self.lattice.rest[i]);
                 *map = DAffine3 { matrix3, translation: x[i] - rest - matrix3 * rest };
             }
@@ -195,8 +196,8 @@ impl Body {
         Ok(forces)
     }
 
-    /// As [`change`](Self::change), of a field that is as even as it can be (the Laplacian instead of the
-    /// material).
+    /// Change of the forces as [`change`](Self::change) gives it, for a field that is as even as it can be
+    /// (the Laplacian instead of the material).
     pub fn even(&self, by: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
         let mut cells = vec![[Eight::ZERO; 3]; self.lattice.cells.len()];
         host.parallel_blocks(&mut cells, CELLS, |first, cells| {
@@ -229,7 +230,7 @@ impl Body {
         }
     }
 
-    /// Sums up at corners what cells give, in the order of these.
+    /// Sums up the forces of cells at each corner, in the order of the cells.
     fn gather<'a>(
         &self,
         out: &mut [DVec3],
@@ -246,14 +247,14 @@ impl Body {
         })
     }
 
-    /// For [`Multilevel::apply`], by [`precondition`](Self::precondition).
+    /// Inverse stiffnesses for [`Multilevel::apply`], by [`precondition`](Self::precondition).
     pub fn inverse(&self, touches: &[Touch]) -> Inverse {
         let mut ties = self.ties.clone();
         touches.iter().for_each(|touch| touch.tie(&self.lattice, &mut ties));
         self.multilevel.inverse(&ties)
     }
 
-    /// About what would take a residual away.
+    /// Approximates the displacements that take a residual away.
     pub fn precondition(&self, inverse: &Inverse, residual: &[DVec3], out: &mut Vec<DVec3>) {
         self.multilevel.apply(inverse, residual, out);
     }
@@ -334,7 +335,7 @@ impl WithSimd for Changes<'_> {
     }
 }
 
-/// Stresses by how much their points stand for, and that of the middle.
+/// Stresses at the points, weighted by the points' volumes, and that of the middle.
 #[inline(always)]
 fn weighted(points: Matrices, amounts: [f64; 8], middle: DMat3) -> CellGradients {
     CellGradients { points: points.map(|column| column.map(|entry| entry * Eight(amounts))), middle }

@@ -20,7 +20,7 @@ pub type Matrices = [[Eight; 3]; 3];
 pub struct Slopes {
     /// The slope of each corner's weight along each axis, point by point.
     points: [[Eight; 3]; 8],
-    /// At each point along each axis, corner by corner; the middle is the last.
+    /// Slopes at each point along each axis, corner by corner; the middle is the last.
     corners: [[Eight; 3]; 9],
 }
 
@@ -107,7 +107,7 @@ impl Slopes {
         all
     }
 
-    /// Adds what stresses, by how much their points stand for, are as forces at the corners.
+    /// Adds the forces at the corners that stresses make, which are weighted by their points' volumes.
     #[inline(always)]
     pub fn add(&self, stresses: &CellGradients, forces: &mut Forces) {
         let mut sums = *forces;

@@ -1,4 +1,4 @@
-//! Contact of the body with itself: some of the samples, spread evenly, keep a gap to what comes towards
+//! Contact of the body with itself: some of the samples, spread evenly, keep a gap to parts that come towards
 //! them.
 
 use crate::body::Body;
@@ -189,7 +189,7 @@ impl ContactSurface {
     }
 }
 
-/// Points by the cells of space that they are in, in a table of as many places.
+/// Points by the cells of space that they are in, in a hash table with as many places.
 struct ContactCells {
     starts: Vec<u32>,
     points: Vec<u32>,
@@ -200,7 +200,7 @@ struct ContactCells {
 }
 
 impl ContactCells {
-    /// By their cells and normals.
+    /// Table of points with their cells and normals.
     fn new(cells: impl Iterator<Item = Option<(I64Vec3, DVec3)>>) -> Self {
         let known: Vec<(u32, (I64Vec3, DVec3))> =
             (0..).zip(cells).filter_map(|(i, c)| Some((i, c?))).collect();
@@ -255,7 +255,7 @@ impl ContactCells {
     }
 }
 
-/// Between unit vectors; a half turn with what is none.
+/// Angle between unit vectors; a half turn if one has no direction.
 fn angle(a: DVec3, b: DVec3) -> f64 {
     if a == DVec3::ZERO || b == DVec3::ZERO { PI } else { a.dot(b).clamp(-1.0, 1.0).acos() }
 }

@@ -21,7 +21,8 @@ pub struct SampleGoals {
     draws: Vec<(u32, u32, f64)>,
     /// The number of handles.
     pub handles: usize,
-    /// The middle of what is fixed, if anything is, and of each handle, with how far it reaches from there.
+    /// Middle of the fixed samples, if there are any, and of each handle's, with the distance of the farthest
+    /// from there.
     pub middles: Vec<Option<(DVec3, f64)>>,
 }
 
@@ -30,7 +31,7 @@ pub struct SampleGoals {
 pub struct Spring {
     /// The cell.
     pub cell: u32,
-    /// 0 is what is fixed, then the handles.
+    /// Target: 0 for the fixed regions, then the handles.
     pub target: u32,
     /// The products of weights, summed over the samples.
     pub form: [[f64; 8]; 8],

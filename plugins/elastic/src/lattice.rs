@@ -26,7 +26,7 @@ pub struct HexMesh {
     pub moments: Vec<[f64; 8]>,
     /// Position of each corner at rest.
     pub rest: Vec<DVec3>,
-    /// Each corner's place in the grid of corners.
+    /// Place of each corner in the grid of corners.
     pub places: Vec<[u32; 3]>,
     starts: Vec<u32>,
     uses: Vec<[u32; 2]>,
@@ -117,7 +117,7 @@ impl HexMesh {
         }
     }
 
-    /// The cells about a corner, and which of theirs it is.
+    /// Cells about a corner, and the number that the corner has in each.
     pub fn uses(&self, corner: usize) -> &[[u32; 2]] {
         &self.uses[self.starts[corner] as usize..self.starts[corner + 1] as usize]
     }
@@ -152,7 +152,7 @@ impl HexMesh {
         weights(place.at).iter().zip(corners).map(|(w, c)| *w * maps[*c as usize].transform_point3(at)).sum()
     }
 
-    /// For each cell the number of the part that it hangs together with, and how many parts there are.
+    /// Number of the part that each cell hangs together with, and the number of parts.
     pub fn parts(&self) -> (Vec<u32>, usize) {
         let (mut part, mut count) = (vec![NONE; self.cells.len()], 0);
         for first in 0..part.len() {

@@ -1,4 +1,4 @@
-//! A soft body: what is within the surface is a material that holds its volume, is held and moved by regions,
+//! Soft body: the inside of the surface is a material that holds its volume, is held and moved by regions,
 //! sags under its weight, and touches itself.
 //!
 //! | what | by |
@@ -42,23 +42,23 @@ use solve::{LoadCase, RestCriteria};
 
 /// Samples that are written at once on one thread.
 const BLOCK: usize = 4096;
-/// The most cells of a lattice: about a kilobyte each.
+/// Largest number of cells of a lattice: about a kilobyte each.
 const MOST_CELLS: usize = 50_000;
-/// A lattice of so few cells is not made coarser: it is the one on which handles go their ways.
+/// Number of cells below which a lattice is not made coarser: it is the one on which handles go their ways.
 const COARSE: usize = 600;
-/// Coarser lattices than this many times the finest one are of no use.
+/// Ratio of a lattice's cells to those of the finest one above which coarser lattices are of no use.
 const COARSEST: usize = 64 * PARTS;
-/// Loose parts that are led, each by what is nearest to it; more are led as one.
+/// Number of loose parts that are led, each by the nearest sample; more are led as one.
 const MOST_LOOSE: usize = 1000;
-/// Handles that are foreseen where they go; others have the solver alone.
+/// Number of handles whose ways are foreseen; others have the solver alone.
 const FORESEEN: u32 = 60;
-/// Steps of a handle's way: a turn of so much, and a part of the longest side, each.
+/// Turn of a handle in one step of its way, and the length of a step, as a part of the longest side.
 const TURN: f64 = 0.26;
 const WAY: f64 = 0.15;
-/// Steps are as many at most, in full and in a draft.
+/// Largest number of steps, in full and in a draft.
 const MOST_STEPS: f64 = 96.0;
 const DRAFT_STEPS: f64 = 6.0;
-/// The handles' ways are worth so many times what a rest is on the same lattice.
+/// Ratio of the products that handles' ways may take to those for a rest on the same lattice.
 const WAY_WORTH: usize = 2;
 /// Steps in which the weight sets in, at least.
 const SAGGING: f64 = 4.0;
@@ -89,7 +89,7 @@ struct ElasticSettings {
     tolerance: f64,
 }
 
-/// To coordinates in which the longest side of the samples' box is 1.
+/// Map to coordinates in which the longest side of the samples' box is 1.
 #[derive(Debug, Clone, Copy)]
 struct UnitBox {
     origin: DVec3,
@@ -124,7 +124,8 @@ struct HeldLevel {
     corners: Vec<CellPoint>,
 }
 
-/// A part that hangs on nothing that is held: its number, and the sample that leads it.
+/// Loose parts, which hang on nothing that is held: the part of each sample, and the sample that leads each
+/// part.
 struct Loose {
     parts: Vec<Option<u32>>,
     leaders: Vec<u32>,
@@ -134,7 +135,7 @@ struct Loose {
 struct PreparedBody {
     unit: UnitBox,
     held: SampleGoals,
-    /// From fine to coarse; none where nothing is held.
+    /// Levels from fine to coarse; none where nothing is held.
     levels: Vec<HeldLevel>,
     surface: Option<ContactSurface>,
     /// Part by which each corner of the coarsest lattice goes along with each handle.
@@ -387,7 +388,7 @@ fn tell(kind: Enclosure, host: &Host<'_>) {
     }
 }
 
-/// All levels, the finest first: each of the next has cells of twice the size, until they are few.
+/// All levels, the finest first: each of the next has cells of twice the size, until the cells are few.
 fn levels(
     space: &Occupancy,
     points: &[DVec3],
@@ -447,7 +448,8 @@ fn corners(fine: &HexMesh, coarse: &HexMesh, parts: usize) -> Vec<CellPoint> {
     fine.rest.iter().enumerate().map(of).collect()
 }
 
-/// Finds parts that hang on nothing that is held, takes them out of the body, and what leads them.
+/// Finds the parts that hang on nothing that is held, takes them out of the body, and finds the samples that
+/// lead them.
 fn loose(
     space: &mut Occupancy,
     points: &[DVec3],

@@ -27,9 +27,9 @@ const TOGETHER: usize = 1024;
 pub enum Enclosure {
     /// A closed surface.
     Closed,
-    /// One with holes, but most lines of sight from within end at it.
+    /// A surface with holes, at which most lines of sight from within end.
     Open,
-    /// Nothing is enclosed: a sheet, or walls thinner than two fine cells.
+    /// A surface that encloses nothing: a sheet, or walls thinner than two fine cells.
     Skin,
 }
 
@@ -108,7 +108,7 @@ impl Occupancy {
         if self.values[self.index(cell)] != SURFACE {
             return DVec3::ZERO;
         }
-        // Half of it is filled, towards what is inside.
+        // A cell of the surface is half filled, towards the inside.
         let beside = |axis: usize, by: isize| {
             let mut next = cell;
             next[axis] = cell[axis].wrapping_add_signed(by);
@@ -117,7 +117,7 @@ impl Occupancy {
         DVec3::from([0, 1, 2].map(|axis| 0.25 * (beside(axis, 1) - beside(axis, -1))))
     }
 
-    /// Takes away the fine cells that are told to go.
+    /// Clears the fine cells for which `goes` is true.
     pub fn clear(&mut self, goes: impl Fn([usize; 3]) -> bool) {
         for z in 0..self.counts[2] {
             for y in 0..self.counts[1] {

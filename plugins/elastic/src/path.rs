@@ -1,4 +1,4 @@
-//! The way of a handle from rest to where it is: part of a screw motion, and of its stretches.
+//! Path of a handle from rest to its pose: part of a screw motion, and of its stretches.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use std::f64::consts::PI;
@@ -77,7 +77,8 @@ impl Path {
         self.parts.map_or(PI, |(_, angle, _)| angle)
     }
 
-    /// About the longest way of a point of it; it reaches so far from its middle.
+    /// Length of the way of the handle's farthest point, about; `reach` is that point's distance from the
+    /// middle.
     pub fn length(&self, reach: f64) -> f64 {
         let around = if self.angle() > 0.0 { self.angle() * self.middle.distance(self.pivot) } else { 0.0 };
         let stretches = self.whole.matrix3 - DMat3::IDENTITY;

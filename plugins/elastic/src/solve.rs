@@ -1,7 +1,7 @@
-//! The body at rest: where its energy is least, by Newton's steps with conjugate gradients. Where the energy
-//! is not convex, steps tend to those of projective dynamics (T. Liu, S. Bouaziz, L. Kavan, *Quasi-Newton
-//! methods for real-time simulation of hyperelastic materials*, ACM TOG 36, 2017), in which the material is a
-//! Laplacian.
+//! Rest of the body: the state of least energy, found by Newton's steps with conjugate gradients. Where the
+//! energy is not convex, steps tend to those of projective dynamics (T. Liu, S. Bouaziz, L. Kavan,
+//! *Quasi-Newton methods for real-time simulation of hyperelastic materials*, ACM TOG 36, 2017), in which the
+//! material is a Laplacian.
 
 use crate::body::{Body, BodyGradients, Load};
 use crate::contact::{ContactSurface, Touch};
@@ -58,7 +58,7 @@ pub fn worth(body: &Body) -> usize {
 }
 
 impl RestCriteria {
-    /// For a place on the way.
+    /// Criteria for a place on the way.
     pub fn roughly(still: f64, products: usize) -> Self {
         Self { still, steps: 3, left: 0.1, gradients: 60, products }
     }
@@ -68,14 +68,14 @@ impl RestCriteria {
         Self { still: 1e-3, steps: 2, left: 0.2, gradients: 12, products: 24 }
     }
 
-    /// For the end of it.
+    /// Criteria for the end of the way.
     pub fn wholly(still: f64, products: usize) -> Self {
         Self { still, steps: 100, left: 1e-2, gradients: MOST_GRADIENTS, products }
     }
 }
 
-/// The effort that is left: the products that Newton's steps may still take, and how much stiffer the next
-/// one takes the material for at first.
+/// Effort that is left: the products that Newton's steps may still take, and the part by which the next one
+/// takes the material for stiffer at first.
 struct NewtonEffort {
     products: usize,
     stiffer: f64,
@@ -112,7 +112,7 @@ impl NewtonEffort {
     }
 }
 
-/// Brings corners to rest. Says whether they are.
+/// Brings corners to rest; returns whether they are.
 pub fn settle(
     body: &Body,
     x: &mut Vec<DVec3>,
@@ -163,8 +163,8 @@ pub fn settle(
     Ok(false)
 }
 
-/// Conjugate gradients until so much of the residual is left, or so many times; and whether the energy is
-/// convex along all of them.
+/// Solves by conjugate gradients until a part `left` of the residual is left, or for `most` of them; also
+/// tells whether the energy is convex along all of them.
 fn solve(
     mut residual: Vec<DVec3>,
     (left, most): (f64, usize),

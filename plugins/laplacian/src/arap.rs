@@ -36,7 +36,7 @@ pub struct DescentEnd {
     pub decrease: f64,
 }
 
-/// The surface, or a coarse likeness of it, with its factorised Laplacian.
+/// Surface, or a coarse likeness of it, with its factorised Laplacian.
 #[derive(Debug)]
 pub struct SurfaceLevel {
     /// The nodes of the level.
@@ -73,7 +73,7 @@ pub struct LevelPose {
 }
 
 impl SurfaceLevel {
-    /// Factorises. `stiffness` is that of a draw, per area.
+    /// Factorises the Laplacian. `stiffness` is that of a draw, per area.
     pub fn new(problem: Problem, stiffness: f64, told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
         let springs = problem.springs(stiffness);
         let factor = problem.factor(problem.laplacian(), &springs, told, host)?;
@@ -295,7 +295,7 @@ mod tests {
         OwnMotions::rigid(&[bend], true)
     }
 
-    /// From rest, with rotations that know nothing.
+    /// Pose at rest, with rotations that are all the identity.
     fn start(level: &SurfaceLevel, turning: TurningNodes<'_>, motion: &OwnMotions) -> LevelPose {
         let held = level.problem.held.iter().map(|t| motion.turn(*t));
         let turns = std::iter::repeat_n(DMat3::IDENTITY, level.problem.free).chain(held);

@@ -56,7 +56,7 @@ impl NodeNeighbourhoods {
         Ok(Self { wide: Some(Wide { factor: problem.factor(row, &[], 0.0..0.0, host)?, spread }) })
     }
 
-    /// Fits rotations to covariances, from what they were.
+    /// Fits rotations to covariances, starting from their former values.
     pub fn fit(
         &self,
         problem: &Problem,
@@ -112,7 +112,7 @@ impl Wide {
     }
 }
 
-/// For each node whose surroundings are whole what their edges, before and after, tell of its rotation.
+/// Covariances of the edges, before and after, at each node whose surroundings are whole.
 pub fn covariances(problem: &Problem, displacements: &[DVec3], host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
     let at = |i: usize| problem.rest[i] + displacements[i];
     let mut covariances = vec![DMat3::ZERO; problem.rows];

@@ -98,13 +98,13 @@ pub struct OwnMotions {
 }
 
 impl OwnMotions {
-    /// For methods that know rotations: the common motion is rigid.
+    /// Motions for methods that know rotations: the common motion is rigid.
     pub fn rigid(transforms: &[Affine], has_fixed: bool) -> Self {
         let maps: Vec<DAffine3> = transforms.iter().map(affine).collect();
         let mut common = DAffine3::IDENTITY;
         if !has_fixed && let Some(first) = maps.first() {
             let turn = rotation::nearest(first.matrix3, DMat3::IDENTITY);
-            // Rounding apart, it is the handle's own, which then is met to the last bit.
+            // The turn is the handle's own, rounding apart, which then is met to the last bit.
             let is_rigid = turn.abs_diff_eq(first.matrix3, 1e-12);
             common.matrix3 = if is_rigid { first.matrix3 } else { turn };
             common.translation = first.translation;
@@ -118,7 +118,7 @@ impl OwnMotions {
         Self { displacements: maps.iter().map(displacement).collect(), common }
     }
 
-    /// For linear methods: the common motion is the handles' mean.
+    /// Motions for linear methods: the common motion is the handles' mean.
     pub fn affine(transforms: &[Affine], has_fixed: bool) -> Self {
         let maps: Vec<DAffine3> = transforms.iter().map(affine).collect();
         let mut common = DAffine3::IDENTITY;
@@ -167,7 +167,7 @@ impl OwnMotions {
     }
 }
 
-/// As the mathematics library has it.
+/// Affine map as the mathematics library has it.
 pub fn affine(map: &Affine) -> DAffine3 {
     let column = |k: usize| DVec3::new(map.rows[0][k], map.rows[1][k], map.rows[2][k]);
     DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }

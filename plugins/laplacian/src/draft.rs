@@ -141,7 +141,7 @@ struct CarriedNode {
     asked: Vec3A,
 }
 
-/// The lists of so many nodes, each as `list` makes it.
+/// Lists of `count` nodes, each as `list` makes it.
 fn lists<T: Copy + Send>(
     count: usize,
     host: &Host<'_>,

@@ -18,7 +18,7 @@ const DRAFT_STEPS: usize = 12;
 /// Ratio of the tolerance of these steps to that of the fine ones, which find the rest.
 const COARSE_TOLERANCE: f64 = 10.0;
 
-/// The surface, and a coarse likeness of it if it is large.
+/// Surface, and a coarse likeness of it if it is large.
 #[derive(Debug)]
 pub struct Hierarchy {
     fine: SurfaceLevel,
@@ -32,8 +32,8 @@ pub struct Hierarchy {
 }
 
 impl Hierarchy {
-    /// Factorises all that there is to factorise. `stiffness` is that of a draw, per area; `width` that of
-    /// the surroundings, or 0.
+    /// Factorises both levels. `stiffness` is that of a draw, per area; `width` that of the surroundings, or
+    /// 0.
     pub fn new(
         problem: Problem,
         stiffness: f64,

@@ -15,7 +15,7 @@
 //!   et al. 2004, Zayer et al. 2005; `rotated`).
 //!
 //! Regions' weights: 1 holds exactly, less draws as springs do, by `w / (1 - w)`, so that 0 is nothing and 1
-//! the limit. Parts of the surface that nothing holds follow what is next to them (`followers`).
+//! the limit. Parts of the surface that nothing holds follow the samples next to them (`followers`).
 
 mod arap;
 mod cells;
@@ -300,8 +300,8 @@ fn until(input: &DeformInput<'_>) -> PluginResult<DescentEnd> {
 }
 
 impl Migrate for Laplacian {
-    /// In the first version `arap` had a bending length, as `smooth-arap` has now. Steps that give one above
-    /// 0 keep it; others are as rigid as possible, as they say.
+    /// Migration of settings: in the first version `arap` had a bending length, as `smooth-arap` has now.
+    /// Steps that give one above 0 keep it; others are as rigid as possible, as they say.
     fn migration() -> MigrationDesc {
         MigrationDesc::new(2)
     }

@@ -21,9 +21,9 @@ pub struct Operators {
     columns: Vec<u32>,
     /// The Laplacian, positive semi-definite: half the sum of cotangents, negative, off the diagonal.
     stiffness: Vec<f64>,
-    /// In the sum over `j` of `R_j k_ij`: the rotated Laplacian of the positions at `i`.
+    /// Factors of `R_j` in the sum over `j` of `R_j k_ij`: the rotated Laplacian of the positions at `i`.
     out: Vec<[f32; 3]>,
-    /// In that sum with `i` and `j` exchanged.
+    /// Factors in that sum with `i` and `j` exchanged.
     into: Vec<[f32; 3]>,
     /// Voronoi areas.
     pub areas: Vec<f64>,

@@ -107,7 +107,7 @@ impl Problem {
         node.checked_sub(self.free).map(|k| self.held[k])
     }
 
-    /// Displacements of all nodes: of the held ones as told, of the free ones nothing yet.
+    /// Displacements of all nodes: of the held ones by their regions, of the free ones zero so far.
     pub fn held_displacements(&self, displacement: impl Fn(SampleTarget, DVec3) -> DVec3) -> Vec<DVec3> {
         let held = self.held.iter().zip(&self.rest[self.free..]).map(|(t, p)| displacement(*t, *p));
         std::iter::repeat_n(DVec3::ZERO, self.free).chain(held).collect()
@@ -149,8 +149,8 @@ impl Problem {
         }
     }
 
-    /// Factorises a matrix of the free nodes, given by the rows of its lower triangle, with springs, and
-    /// tells of it as `told`.
+    /// Factorises a matrix of the free nodes, given by the rows of its lower triangle, with springs; `told`
+    /// is the range of the progress.
     pub fn factor<T: Stored>(
         &self,
         row: impl Fn(usize) -> Vec<(usize, f64)> + Sync,

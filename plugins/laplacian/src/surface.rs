@@ -1,5 +1,5 @@
-//! The elements of the samples: of their triangles where there are any, of their neighbours elsewhere; and
-//! what is connected by them.
+//! Elements of the samples: of their triangles where there are any, of their neighbours elsewhere; and the
+//! parts that elements connect.
 
 use crate::elements::SurfaceTriangle;
 use crate::{intrinsic, stars};
@@ -79,7 +79,7 @@ fn of_neighbours(
     Ok(elements)
 }
 
-/// For each sample the lowest one that elements connect it to.
+/// Lowest sample that elements connect each sample to.
 pub fn components(count: usize, elements: &[SurfaceTriangle]) -> Vec<u32> {
     fn root(parent: &mut [u32], mut i: u32) -> u32 {
         while parent[i as usize] != i {

@@ -14,9 +14,11 @@ use simod_plugin_api::{Host, PluginError, PluginResult};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A joint's share in a place below which it has none, and above which it has all of it.
+/// Shares of a joint in a place below which the joint has none of the place, and above which it has all of
+/// its share.
 const SHARES: [f64; 2] = [0.001, 0.005];
-/// Voxels so near to a bone are on it, in cells: so one between two rows of them is on both.
+/// Distance from a bone, in cells, within which voxels are on it: so a bone between two rows of them is on
+/// both.
 const BESIDE: f64 = 0.75;
 /// Weights of voxels below are not kept.
 const LEAST: f64 = 1e-4;
@@ -24,7 +26,7 @@ const LEAST: f64 = 1e-4;
 /// Weights everywhere.
 pub struct Biharmonic {
     weights: Field,
-    /// Most joints that a place follows.
+    /// Largest number of joints that a place follows.
     limit: usize,
 }
 

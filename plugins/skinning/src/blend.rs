@@ -1,10 +1,10 @@
 //! Blend of the motions of several joints at a place that follows them.
 //!
-//! *Linear*: the mean of where each joint takes it. *Dual quaternions*: L. Kavan, S. Collins, J. Žára, C.
-//! O'Sullivan, *Geometric skinning with approximate dual quaternion blending*, ACM TOG 27, 2008: the mean of
-//! the joints' rigid motions as a rigid motion, which keeps volume. A joint's motion that scales is split, as
-//! there, into two phases: what it scales about the joint is blended linearly, and then the rigid rest by
-//! dual quaternions.
+//! *Linear*: the mean of the images under each joint's motion. *Dual quaternions*: L. Kavan, S. Collins, J.
+//! Žára, C. O'Sullivan, *Geometric skinning with approximate dual quaternion blending*, ACM TOG 27, 2008: the
+//! mean of the joints' rigid motions as a rigid motion, which keeps volume. A joint's motion that scales is
+//! split, as there, into two phases: the scaling about the joint is blended linearly, and then the rigid rest
+//! by dual quaternions.
 //!
 //! A dual quaternion and its negative are the same motion, but not in a mean. Signs are chosen once for a
 //! pose, each joint's such that it turns by less than half a turn against the one that it hangs on: choosing
@@ -139,7 +139,7 @@ fn dual_blend(
         }
     }
     let length = real.length();
-    // Opposite motions may cancel: then it is the first joint's, whose weight is the largest.
+    // Opposite motions may cancel: then the motion is the first joint's, whose weight is the largest.
     if length < 1e-6
         && let Some(joint) = first
     {
@@ -208,7 +208,7 @@ mod tests {
         assert!(q.y.hypot(q.z) < 0.02, "the candy wrapper: {q}");
     }
 
-    /// By 100° and another 100°: the whole is less the other way round, but the limb was not turned so.
+    /// Two turns by 100° each: the whole is less the other way round, but the limb was not turned so.
     #[test]
     fn signs_follow_the_skeleton() {
         let chain = [turn(DVec3::X, 100.0, DVec3::ZERO), turn(DVec3::X, 200.0, DVec3::ZERO)];

@@ -9,7 +9,7 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use simod_plugin_api::{Host, PluginError, PluginResult};
 use std::collections::HashSet;
 
-/// Most numbers of voxels and joints.
+/// Largest number of entries of voxels and joints.
 pub const MOST: usize = 1 << 26;
 /// Bones that a warning names.
 const NAMED: usize = 5;
@@ -45,7 +45,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// Of the entries of each joint, with their voxels; at least one is of a voxel at the surface.
+    /// Field of the entries of each joint, with their voxels; at least one is of a voxel at the surface.
     pub fn new(voxels: Voxels, fields: &[Vec<(u32, Entry)>], elsewhere: Elsewhere) -> PluginResult<Self> {
         let (starts, entries) = by_voxel(fields, voxels.len());
         let of = |v: u32| &entries[starts[v as usize] as usize..starts[v as usize + 1] as usize];
@@ -55,8 +55,8 @@ impl Field {
         Ok(Self { voxels, elsewhere, starts, entries, reached, tree })
     }
 
-    /// The numbers of the joints at a place. Beyond the model, and in parts of it that have none, they are
-    /// those of the nearest place that has.
+    /// Finds the values of the joints at a place. Beyond the model, and in parts of it that have none, they
+    /// are those of the nearest place that has.
     pub fn numbers_at(&self, p: DVec3, values: &mut Vec<(f64, u16)>) {
         let grid = &self.voxels.grid;
         let mut voxel = self.voxels.id(grid.cell(p));
@@ -76,8 +76,8 @@ impl Field {
         &self.entries[self.starts[voxel] as usize..self.starts[voxel + 1] as usize]
     }
 
-    /// The numbers of a place in a voxel for that voxel's joints: each of the eight voxels around predicts
-    /// them to first order, and they are blended linearly.
+    /// Finds the values of a place in a voxel for that voxel's joints: each of the eight voxels around
+    /// predicts them to first order, and they are blended linearly.
     fn between(&self, p: DVec3, voxel: u32, values: &mut Vec<(f64, u16)>) {
         let own = self.entries_of(voxel);
         values.clear();
@@ -127,7 +127,7 @@ fn says(elsewhere: Elsewhere, entries: &[Entry]) -> bool {
     entries.iter().any(|e| elsewhere == Elsewhere::Unknown || e.value > 0.0)
 }
 
-/// The first of the eight cells whose middles are around a place, and where it is between them.
+/// First of the eight cells whose middles are around a place, and the position of the place between these.
 fn split(grid: &Grid, p: DVec3) -> (IVec3, DVec3) {
     let place = (p - grid.origin) / grid.size - 0.5;
     let corner = place.floor();
@@ -150,7 +150,7 @@ pub fn gradient(voxels: &Voxels, voxel: u32, value: impl Fn(u32) -> f32) -> [f32
     })
 }
 
-/// The voxels that a bone passes through; or, where it is outside, those that are nearest to it.
+/// Voxels that a bone passes through; or, where it is outside, those that are nearest to it.
 #[derive(Debug)]
 pub struct Passage {
     pub voxels: Vec<u32>,

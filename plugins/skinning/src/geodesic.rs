@@ -3,8 +3,8 @@
 //! O. Dionne, M. de Lasa, *Geodesic voxel binding for production character meshes*, SCA 2013. Weights are of
 //! the distances from the bones through the inside of the model. Theirs are `((1 - a) d + a d²)^-2` with `d`
 //! in units of the model, which are powers of the distance between the second and the fourth; here the power
-//! itself is the parameter, so that a limb bends the same whatever its size. Small ones fade to nothing, so
-//! that what is far stays.
+//! itself is the parameter, so that a limb bends the same whatever its size. Small weights fade to nothing,
+//! so that places far away stay.
 
 use crate::distance::March;
 use crate::field::{Elsewhere, Entry, Field, MOST, Passage, gradient, passages};
@@ -15,13 +15,14 @@ use glam::DVec3;
 use simod_plugin_api::{Host, PluginError, PluginResult};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A joint's share in a place below which it has none, and above which it has all of it.
+/// Shares of a joint in a place below which the joint has none of the place, and above which it has all of
+/// its share.
 const SHARES: [f64; 2] = [0.01, 0.05];
-/// Distances are taken for so many cells at least.
+/// Least distance that counts, in cells.
 const NEAREST: f64 = 0.25;
-/// Around a bone, distances are exact; so far, in cells.
+/// Distance from a bone, in cells, within which distances are exact.
 const EXACT: f64 = 4.0;
-/// So much further than needed marches go, as a factor and in cells: they are smoothed and interpolated.
+/// Factor, and number of cells, by which marches go further than needed: they are smoothed and interpolated.
 const FURTHER: [f32; 2] = [1.1, 2.0];
 
 /// Parameters of the weights.
@@ -31,7 +32,7 @@ pub struct Rule {
     pub power: f64,
     /// Length over which creases of the distances are rounded off, local coordinates.
     pub smoothing: f64,
-    /// Most joints that a place follows.
+    /// Largest number of joints that a place follows.
     pub limit: usize,
 }
 
@@ -55,8 +56,8 @@ impl Geodesic {
         let wide = SHARES[0].powf(-1.0 / rule.power) as f32 * FURTHER[0];
         let needed = |v: u32| wide * nearest.distances[v as usize].max(NEAREST as f32) + FURTHER[1];
         let most = nearest.order.iter().map(|v| needed(*v)).fold(0.0, f32::max);
-        // A march goes on while it may come to where it is needed: at u if d(u) + |uv| <= needed(v) for any
-        // v.
+        // Reach of a march: it goes on while it may come to a place where it is needed: at u if d(u) + |uv|
+        // <= needed(v) for any v.
         let rest = nearest.order.iter().map(|v| (*v, most - needed(*v)));
         let useless = March::new(&voxels, rest, |_, _| true, is_wanted(0.35)).distances;
         host.progress(0.4)?;

@@ -23,8 +23,8 @@ fn extent(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
 }
 
 impl Grid {
-    /// Cells about points and what is near of some bones; so many of them along the longest side of the
-    /// points' box, or along that of the bones where all points are in one place.
+    /// Grid of cells about points and the parts of some bones near them; `resolution` cells along the longest
+    /// side of the points' box, or along that of the bones where all points are in one place.
     pub fn new(points: &[[f32; 3]], bones: &[[DVec3; 2]], resolution: usize) -> Self {
         let (min, max) = extent(points.iter().map(|p| DVec3::from(p.map(f64::from))));
         let (from, to) = extent(bones.iter().flatten().copied());

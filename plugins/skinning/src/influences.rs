@@ -9,8 +9,8 @@ const TOGETHER: usize = 512;
 /// Joints with weights.
 pub type Influences = Vec<(f64, u16)>;
 
-/// Keeps the largest of some weights, which sum to more than 0, largest first and as parts of 1; gives how
-/// much of them is left out. What the first one has that is left out is taken off all others, so that none
+/// Keeps the largest of some weights, which sum to more than 0, largest first and as parts of 1; returns the
+/// part of them that is left out. The first weight that is left out is taken off all others, so that none
 /// jumps where another takes its place.
 pub fn limited(weights: &mut Influences, limit: usize) -> f64 {
     weights.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -49,7 +49,7 @@ pub struct InfluenceTable {
 }
 
 impl InfluenceTable {
-    /// Finds those of each sample, on all threads.
+    /// Finds the influences of each sample, on all threads.
     pub fn new(
         samples: &[[f32; 3]],
         find: impl Fn(DVec3, &mut Influences) + Sync,

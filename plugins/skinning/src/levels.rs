@@ -8,9 +8,9 @@ use crate::voxels::{NONE, Voxels};
 use glam::IVec3;
 use std::collections::HashMap;
 
-/// The coarsest level has at most so many nodes, if it can.
+/// Largest number of nodes of the coarsest level, if it can be met.
 const COARSEST: usize = 1200;
-/// Of a link over an edge of two cells, as a part of one over a face.
+/// Weight of a link over an edge of two cells, as a part of one over a face.
 const OVER_EDGE: f32 = 0.25;
 
 /// Nodes with their finite volumes: links are faces by distances, in cells of the level.
@@ -37,7 +37,7 @@ impl Level {
         &self.links[self.starts[node] as usize..self.starts[node + 1] as usize]
     }
 
-    /// Of links from node to node, both ways; those between the same two are summed up.
+    /// Level of links from node to node, both ways; those between the same two are summed up.
     pub fn new(mut links: Vec<(u32, u32, f32)>, masses: Vec<f64>, cells: Vec<IVec3>) -> Self {
         links.sort_unstable_by_key(|l| (l.0, l.1));
         links.dedup_by(|b, a| {
@@ -54,7 +54,7 @@ impl Level {
         Self { starts, links, masses, parents: Vec::new(), cells }
     }
 
-    /// The finest level: that of voxels.
+    /// Finest level, whose nodes are the voxels.
     fn finest(voxels: &Voxels) -> Self {
         let mut links = Vec::new();
         for v in 0..voxels.len() as u32 {

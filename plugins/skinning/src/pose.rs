@@ -13,13 +13,13 @@ pub const REACH: &str = "/reach";
 pub enum Reaching {
     /// Joints that no other hangs on.
     Ends,
-    /// All that hang on one.
+    /// All joints that hang on one.
     All,
-    /// None.
+    /// No joints.
     None,
 }
 
-/// The handles of a skeleton: its joints, and after them what they reach for.
+/// Handles of a skeleton: its joints, and after them the places that joints reach for.
 pub struct Handles {
     /// The joints that reach.
     reaching: Vec<usize>,
@@ -37,7 +37,7 @@ impl Handles {
         Self { reaching: joints.filter(|(_, j)| reaches(j)).map(|(i, _)| i).collect() }
     }
 
-    /// As the host knows them.
+    /// Handles as the host knows them.
     pub fn describe(&self, skeleton: &Skeleton) -> Vec<HandleDesc> {
         let mut handles: Vec<HandleDesc> = Vec::new();
         for joint in &skeleton.joints {
@@ -74,7 +74,8 @@ impl Handles {
             return Err(PluginError::internal(message));
         }
         let given: Vec<DAffine3> = motions.iter().map(affine).collect();
-        // Handles include what they hang on. An end has no bone, and goes along with the one above.
+        // The motion of a handle includes that of the handle above. An end has no bone, and goes along with
+        // the bone above.
         let mut posed: Vec<DAffine3> = given[..count].to_vec();
         let mut wanted: Vec<(usize, DVec3)> = Vec::new();
         for (i, joint) in skeleton.joints.iter().enumerate() {
@@ -118,7 +119,7 @@ fn chain(skeleton: &Skeleton, end: usize, length: Option<usize>) -> Vec<usize> {
     chain
 }
 
-/// Bends a chain so that its end comes to the target, and takes along what hangs on it.
+/// Bends a chain so that its end comes to the target, and takes along the bones that hang on it.
 fn reach(skeleton: &Skeleton, posed: &mut [DAffine3], end: usize, target: DVec3, length: Option<usize>) {
     let chain = chain(skeleton, end, length);
     let joints: Vec<DVec3> =

@@ -10,7 +10,7 @@
 
 use glam::{DQuat, DVec3};
 
-/// There and back so many times at most; the rest is closed exactly.
+/// Largest number of passes to the target and back; the rest is closed exactly.
 const TIMES: usize = 300;
 /// An end that is so near to its target, as a part of the chain's length, needs no more.
 const NEAR: f64 = 1e-12;
@@ -49,7 +49,7 @@ pub fn turns(joints: &[DVec3], target: DVec3) -> Vec<DQuat> {
     turns
 }
 
-/// There and back once.
+/// Draws the chain to the target and back, once.
 fn draw(joints: &mut [DVec3], lengths: &[f64], base: DVec3, target: DVec3) {
     let last = lengths.len();
     let at = |from: DVec3, to: DVec3, length: f64| from + (to - from).normalize_or_zero() * length;
@@ -151,7 +151,7 @@ fn bend(below: &mut [DQuat], joints: &[DVec3], k: usize, far: f64) {
     below.iter_mut().for_each(|t| *t = bend * *t);
 }
 
-/// The unit normal of the plane of two directions; any that is normal to the first if they are parallel.
+/// Unit normal of the plane of two directions; any that is normal to the first if they are parallel.
 fn plane_normal(upper: DVec3, lower: DVec3) -> DVec3 {
     upper
         .cross(lower)

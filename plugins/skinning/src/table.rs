@@ -1,4 +1,4 @@
-//! Weights from a file: a table of places with what each of them follows.
+//! Weights from a file: a table of places with the joints that each of them follows.
 
 use crate::dmat::{Matrix, Wrong};
 use crate::influences::{Influences, limited};
@@ -22,9 +22,9 @@ const SAME: f64 = 1e-7;
 const MOST_WEIGHTS: usize = 1 << 26;
 /// Negative weights up to this part of the largest are of rounding, or of solvers that keep to bounds nearly.
 const ROUND_OFF: f64 = 0.01;
-/// The weights of a row may sum to so much more or less than 1 without a word.
+/// Largest difference from 1 of the sum of a row's weights that there is no warning of.
 const OFF: f64 = 0.01;
-/// Joints that are told by their ids.
+/// Number of joints that a warning names.
 const IDS: usize = 5;
 
 /// Table of places and the joints that they follow.
@@ -363,7 +363,7 @@ fn header<'a>(
     if columns.is_empty() { Err("has no columns of joints".to_owned()) } else { Ok(columns) }
 }
 
-/// A place and what it follows.
+/// Place, and the weights of the joints that it follows.
 fn row<'a>(
     words: impl Iterator<Item = &'a str>,
     columns: &[(String, usize)],

@@ -319,7 +319,7 @@ fn anchors(stencils: &Stencils<'_>, expansions: &[Expansion]) -> Vec<u32> {
 
 /// A way through the graph of neighbours, to each sample once.
 struct NeighbourWalk {
-    /// In which walk each sample was met last.
+    /// Number of the walk in which each sample was met last.
     met: Vec<u32>,
     walks: u32,
 }

@@ -219,7 +219,7 @@ impl<'a> DeformationField<'a> {
             if s == 0.0 {
                 continue;
             }
-            // Beyond the first one's, for precision.
+            // Displacements beyond the first one's are blended, for precision.
             let own = *own.get_or_insert(e.displacement());
             let (at, slope) = e.evaluate(d);
             let (w, of_weight) = (s * s * s, -6.0 * s * s * e.inverse_square * d);

@@ -128,7 +128,7 @@ impl SharedPiece {
         bytes
     }
 
-    /// Becomes what a record says; `None` if that makes no sense.
+    /// Replaces the content by that of a record; `None` if the record makes no sense.
     fn read(&mut self, record: &[u8]) -> Option<()> {
         self.clear();
         let mut numbers = VarintNumbers(record);

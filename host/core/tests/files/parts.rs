@@ -116,7 +116,7 @@ fn parts_in_any_order_are_the_model_that_is_written_at_once() {
                     // Again, there is nothing to be done.
                     let before = fs::read(&work.parts(count)[part as usize]).unwrap();
                     assert!(!work.write(part, count, &how, &Silent).unwrap());
-                    // Lost, it becomes what it was.
+                    // A part that is lost is written again with the same bytes.
                     fs::remove_file(&work.parts(count)[part as usize]).unwrap();
                     assert!(work.write(part, count, &how, &Silent).unwrap());
                     assert!(before == fs::read(&work.parts(count)[part as usize]).unwrap());

@@ -10,7 +10,7 @@ use simod_model::progress::Silent;
 use crate::body::{Body, rms_distance, sample_file, worst_distance};
 use crate::cells::Saved;
 
-/// Area of the sphere over that of the cap.
+/// Ratio of the sphere's area to that of the cap.
 const RATIO: f64 = 1e6;
 
 /// Half of the vertices of a unit sphere are evenly in a cap about +z, the others evenly elsewhere.
@@ -112,7 +112,7 @@ fn a_bound_holds_whatever_samples_are_spread_by() {
     }
 }
 
-/// The folder says it, cells that are made again are the same, and a refinement goes on as it was begun.
+/// The folder names the measure, cells that are made again are the same, and a refinement goes on by it.
 #[test]
 fn the_rule_is_kept() {
     let body = sphere_with_a_dense_cap(60_000);

@@ -21,7 +21,7 @@ use tempfile::TempDir;
 
 use crate::body::Body;
 
-/// More than twenty pieces of the stream.
+/// Number of vertices: more than twenty pieces of the stream.
 const VERTICES: u64 = 140_000;
 
 struct Work {
@@ -66,13 +66,13 @@ impl Work {
         Self::of_file(folder, &path, sampling)
     }
 
-    /// Of a file, or some by their pattern, in a folder that has nothing else.
+    /// Work on a file, or on several by their pattern, in a folder that has nothing else.
     fn of_file(folder: TempDir, path: &Path, sampling: Sampling) -> Self {
         let model = simod_model::open(path).unwrap();
         Self { folder, model, sampling, units: 0, face_units: 0 }
     }
 
-    /// Of faces with these corners in the place of the body's triangles.
+    /// Work on faces with these corners in the place of the body's triangles.
     fn of_polygons(body: &Body, faces: &[Vec<u32>], sampling: Sampling) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
@@ -119,7 +119,7 @@ impl Work {
         reads_faces(&*self.model, &self.sampling).unwrap()
     }
 
-    /// The cut, of which others find the samples of vertices and what the faces tell.
+    /// Makes the cut, by which other units find the samples of vertices and the findings in faces.
     fn cut_for_faces(&self) -> Result<bool> {
         let counts = self.path("counts");
         let division = UnitDivision { counts: &counts, units: self.units };
@@ -190,7 +190,8 @@ impl Work {
         sampled?.save(&self.path("divided.simod"))
     }
 
-    /// All by so many units, each stage from its end, and twice; what was noted in the end.
+    /// Does all stages by `units` units, each stage from its end, and twice; returns the notes of the last
+    /// one.
     fn by_units(&mut self, units: u64) -> Vec<String> {
         self.count(units);
         for unit in (0..self.units).rev() {
@@ -234,7 +235,7 @@ impl Work {
         shared(&*self.model, &self.sampling, &division, self.folder.path(), &Silent).unwrap()
     }
 
-    /// Removes what units have left, and compares what they have made with what one reading makes.
+    /// Removes the files that units have left, and compares the samples with those of one reading.
     fn compare(&self, what: &str) {
         let of_faces = ["leaves", "leaves-of-group", "members", "faces"];
         for name in ["count", "range", "shared", "group"].into_iter().chain(of_faces) {
@@ -321,9 +322,9 @@ fn units_sample_as_one_reading_does() {
     Work::new(&body.shuffled(), area).check("by area");
 }
 
-/// A unit may be given to a second machine while the first one, which is taken for lost, goes on with it.
-/// Which trees are built how deep depends on the threads, and what others have made of the first ones has to
-/// go on to fit.
+/// A unit may be given to a second machine while the first one, which is taken for lost, goes on with it. The
+/// depth of the trees depends on the threads, and files that others have made by the first ones have to go on
+/// to fit.
 #[test]
 fn what_another_process_has_left_meanwhile_stays() {
     let mut work = Work::new(&amphora().shuffled(), samples(3000));
@@ -341,7 +342,7 @@ fn what_another_process_has_left_meanwhile_stays() {
     work.compare("overtaken");
 }
 
-/// Sums depend on which vertices are added up first: on pieces, and on what the stream does within them.
+/// Sums depend on the order in which vertices are added up: on pieces, and on the stream within them.
 #[test]
 fn units_add_groups_up_as_one_reading_does() {
     let body = amphora();
@@ -360,7 +361,8 @@ fn units_add_groups_up_as_one_reading_does() {
     Work::new(&turns, sampling).check("in turns");
 }
 
-/// So many vertices are open at a time that there are groups, whether anybody asks for them or not.
+/// The vertices that are open at a time are so many that there are groups, whether these are asked for or
+/// not.
 #[test]
 fn units_know_when_groups_are_needed() {
     let body = Body::generated(Shape::Amphora, 500_000).without_faces().shuffled();
@@ -756,7 +758,7 @@ fn what_is_wrong_with_files_of_faces_is_told() {
     fs::remove_dir_all(work.path("divided.simod")).unwrap();
     told(work.members(3).unwrap_err(), &["no part 3 of 3"]);
     told(work.faces(3).unwrap_err(), &["no part 3 of 3"]);
-    // Any file that is damaged is told of by who reads it.
+    // Damaged files are told of by each unit that reads them.
     let damaged = |name: &str, read: &dyn Fn() -> Option<simod_model::Error>| {
         let (file, good) = (work.path(name), fs::read(work.path(name)).unwrap());
         let mut bad = good.clone();

@@ -37,7 +37,7 @@ fn without_triangles_the_samples_are_the_same() {
     let (whole_samples, part_samples) = (whole.load().samples, part.load().samples);
     assert_eq!(whole_samples.positions, part_samples.positions);
     assert_eq!(whole_samples.normals(), part_samples.normals());
-    // The cells differ in what they belong to, and in what is known of the faces.
+    // The cells differ in the key of their samples, and in the ranges of faces.
     let (mut whole, part) =
         (KeptCells::decode(&whole.bytes()).unwrap(), KeptCells::decode(&part.bytes()).unwrap());
     assert!(whole.1.knows_faces && whole.1.cells.iter().all(|cell| !cell.faces.is_empty()));

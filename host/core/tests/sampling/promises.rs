@@ -17,9 +17,9 @@ enum Kind {
     Clusters,
     Line,
     Plane,
-    /// Many of them at the same few places.
+    /// Points of which many are at the same few places.
     Coincident,
-    /// All but one in one cell of the coarse grid.
+    /// Points of which all but one are in one cell of the coarse grid.
     OneCell,
 }
 
@@ -102,8 +102,8 @@ fn check_samples(sampled: &SampledModel, body: &Body, outside: f64) -> Result<()
     Ok(())
 }
 
-/// Splits come in eights, and clusters alike are split together or not at all: so many samples may be
-/// missing.
+/// Number of samples that may be missing, as splits come in eights, and clusters alike are split together or
+/// not at all.
 const FEW: usize = 16;
 
 /// Cases of each kind.

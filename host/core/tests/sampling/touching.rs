@@ -55,7 +55,8 @@ fn rings(gap: f64) -> (Body, Vec<f64>) {
     (body, part)
 }
 
-/// A stem whose end is bent over and lies on it, but for a gap, and how far each vertex goes with that arm.
+/// A stem whose end is bent over and lies on it, but for a gap; and for each vertex the part of the way that
+/// it goes with that arm.
 fn cactus(gap: f64) -> (Body, Vec<f64>) {
     let bend = RADIUS + 0.5 * gap;
     let (up, over, down) = (1.5, PI * bend, 1.2);
@@ -74,7 +75,7 @@ fn cactus(gap: f64) -> (Body, Vec<f64>) {
     (body, rings.iter().flat_map(|(_, w)| vec![way(*w); 80]).collect())
 }
 
-/// Each face with vertices of its own, as in an STL file.
+/// Model with vertices of its own for each face, as in an STL file.
 fn soup((body, part): (Body, Vec<f64>)) -> (Body, Vec<f64>) {
     let corners: Vec<usize> = body.faces.iter().flatten().map(|v| *v as usize).collect();
     let faces = (0..body.faces.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
@@ -212,8 +213,7 @@ fn of_cactus(gap: f64) -> impl Fn(DVec3) -> f64 {
 
 const AWAY: DVec3 = DVec3::new(0.6, 0.64, 0.48);
 
-/// Moves the samples of the second part away, and gives for each vertex how far it is off, as a fraction of
-/// the way.
+/// Moves the samples of the second part away; returns the error of each vertex, as a fraction of the way.
 pub fn pulled(sampled: &SampledModel, body: &Body, part: &[f64], of: &dyn Fn(DVec3) -> f64) -> Vec<f64> {
     off_by(sampled, body, part, of, &|p, part| p + AWAY * part)
 }
@@ -312,8 +312,9 @@ fn parts_that_no_cluster_holds_two_of_come_apart() {
     assert!(stay_without >= 6, "{stay_without} cases need to be told");
 }
 
-/// Of a wall between two boxes more clusters hold both sheets than get further samples: so some sheets have
-/// few of them, far beyond those of the other one, and a coarser cut may put clusters of both together.
+/// Clusters of a wall between two boxes that hold both sheets are more than get further samples: so some
+/// sheets have few of them, far beyond those of the other one, and a coarser cut may put clusters of both
+/// together.
 #[test]
 fn boxes_face_to_face_come_apart() {
     let gap = 5e-4;
@@ -394,7 +395,7 @@ fn refined(sampled: &SampledModel, path: &Path, place: DVec3, radius: f64, finer
     refine(sampled, model.as_ref(), selection, &how, folder, &Silent).unwrap().sampled.unwrap()
 }
 
-/// Of a thin wall all clusters hold both sides, and normals do not tell.
+/// Clusters of a thin wall all hold both sides, and normals do not tell.
 #[test]
 fn the_sides_of_a_thin_wall_come_apart() {
     for thickness in [0.004, 0.02] {

@@ -106,7 +106,8 @@ fn groups_leave_the_surface_nearly_closed_too() {
     }
 }
 
-/// One vertex far away, as scans have them, and all others are in one cell: more than are clustered at once.
+/// One vertex is far away, as scans have them, and all others are in one cell: more than are clustered at
+/// once.
 #[test]
 fn a_cell_of_several_parts_has_one_surface() {
     let mut body = Body::generated(Shape::BumpySphere, 600_000);

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 const MODES: [&str; 4] = ["arap", "smooth-arap", "laplacian", "bi-laplacian"];
 
-/// Bends what is between the held ends to an arc, as long as it was.
+/// Motion that bends the surface between the held ends to an arc of the same length.
 fn bend(degrees: f64) -> Affine {
     let (angle, end) = (degrees.to_radians(), DVec3::new(0.0, 0.0, 0.85));
     let radius = 0.7 / angle;

@@ -79,8 +79,8 @@ fn points_alone_deform_as_their_triangles_do() {
     }
 }
 
-/// A part that nothing holds goes rigidly with what is next to it; a lone point is held by its neighbours, if
-/// it knows any.
+/// A part that nothing holds goes rigidly with the samples next to it; a lone point is held by its
+/// neighbours, if it has any.
 #[test]
 fn loose_parts_follow() {
     let scene = held_at_ends(tube(24, 40, 0.1), 0.2);
@@ -119,7 +119,7 @@ fn loose_parts_follow() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
-    /// Whatever the triangles and neighbours are, results are finite, and what is held is where it belongs.
+    /// Results are finite, and held samples where they belong, whatever the triangles and neighbours are.
     #[test]
     fn anything_gives_finite_positions(
         points in proptest::collection::vec(proptest::array::uniform3(0_u8..5), 2..40),
