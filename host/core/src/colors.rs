@@ -37,8 +37,7 @@ pub struct ColorBytes {
 }
 
 impl ColorBytes {
-    /// The range of a model's colours, where it has some. How large they are is told by vertices all over the
-    /// file.
+    /// Range of a model's colours, where it has some, by vertices all over the file.
     ///
     /// # Errors
     /// The file cannot be read.

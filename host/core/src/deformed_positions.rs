@@ -10,8 +10,8 @@ const STEP: f64 = 4.0;
 /// Positions of the deformed samples, in local coordinates less a shift that all samples have in common.
 ///
 /// Single precision tells places far off the local origin but coarsely: samples that all go a thousand times
-/// the model's size away would lose three digits of what they do beside each other. So most of the way that
-/// they go together is kept by itself, in double precision.
+/// the model's size away would lose three digits of their differences. So most of the way that they go
+/// together is kept by itself, in double precision.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct DeformedPositions {
     /// Local positions, one per sample, less the shift.

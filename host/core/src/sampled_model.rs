@@ -349,7 +349,7 @@ struct SamplingRecord {
     cell_size: f64,
     #[serde(default = "without_layers")]
     splitting: Splitting,
-    /// Measure that the cut's error bound is of.
+    /// Measure by which samples are spread.
     #[serde(default, skip_serializing_if = "By::is_error")]
     by: By,
     /// Level of the groups that open cells held, if they held groups.
@@ -771,8 +771,9 @@ impl SampledModel {
         })
     }
 
-    /// A sampled model, as [`load`](Self::load) reads it, with what [`read_deformed`](Self::read_deformed)
-    /// reads of several files. The first of them is read beside the samples.
+    /// Sampled model, as [`load`](Self::load) reads it, with the deformed samples that
+    /// [`read_deformed`](Self::read_deformed) reads of several files. The first of them is read beside the
+    /// samples.
     ///
     /// # Errors
     /// As of [`load`](Self::load) and [`read_deformed`](Self::read_deformed).
@@ -1028,10 +1029,10 @@ impl SampledModel {
         self.write_as(path, positions.into_iter(), normals, scalar)
     }
 
-    /// Reads deformed samples, in the order of the samples. Where the file's vertices have
-    /// ids, these tell which is which; otherwise their order does. Normals in the file are not looked at, as
-    /// a tool may leave stale ones. A coordinate that is what the file's precision makes of the sample's own
-    /// did not move, and it is noted where that precision is too coarse for the model.
+    /// Reads deformed samples, in the order of the samples. Where the file's vertices have ids, these tell
+    /// which is which; otherwise their order does. Normals in the file are not looked at, as a tool may leave
+    /// stale ones. A coordinate that is the sample's own, rounded to the file's precision, did not move, and
+    /// it is noted where that precision is too coarse for the model.
     ///
     /// # Errors
     /// The file cannot be read, has other vertices than P_S, or positions that are not finite.

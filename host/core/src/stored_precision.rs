@@ -90,7 +90,7 @@ impl StoredPrecision {
     fn decimal_bound(&self, axis: usize, at: f64) -> f64 {
         let step = self.decimal_step(axis, at);
         let single = if self.is_single.contains(&true) { single_step(at) } else { 0.0 };
-        // A little more, as what is read is rounded once more.
+        // The bound is a little larger, as numbers that are read are rounded once more.
         if step > 0.0 { 0.5 * (1.0 + 1e-6) * step + 0.5 * single } else { 0.0 }
     }
 

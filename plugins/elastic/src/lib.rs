@@ -12,7 +12,7 @@
 //! | `contact` | what comes near to other parts of the surface |
 //! | `multilevel`, `solve` | where the energy is least, by Newton's method |
 //!
-//! As nothing depends on time, the body is not let swing until it comes to rest: handles go their way in
+//! Nothing depends on time, so the body is not let swing until it comes to rest: handles go their way in
 //! small steps on a coarse lattice, and each time the energy is minimised; then finer lattices go on from
 //! there.
 

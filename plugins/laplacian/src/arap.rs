@@ -166,12 +166,12 @@ impl SurfaceLevel {
         Ok((energy, gradient))
     }
 
-    /// Takes the energy down. Gives the energies on the way, but for a constant.
+    /// Lowers the energy; returns the energies on the way, but for a constant.
     ///
     /// A local and a global step are one of Newton's method with the Laplacian for the second derivative.
-    /// What the steps before tell of the derivative makes it better, and saves most of the steps
-    /// (limited-memory BFGS, as in T. Liu, S. Bouaziz, L. Kavan, *Quasi-Newton Methods for Real-Time
-    /// Simulation of Hyperelastic Materials*, TOG 2017).
+    /// Earlier steps improve that derivative, and save most of the steps (limited-memory BFGS, as in T. Liu,
+    /// S. Bouaziz, L. Kavan, *Quasi-Newton Methods for Real-Time Simulation of Hyperelastic Materials*, TOG
+    /// 2017).
     pub fn relax(
         &self,
         pose: &mut LevelPose,

@@ -1,8 +1,8 @@
 //! Displacements as smooth as can be, with one system of equations.
 //!
 //! M. Botsch, L. Kobbelt, *An Intuitive Framework for Real-Time Freeform Modeling*, SIGGRAPH 2004: the least
-//! integral of `|Δd|²` for what the regions do. Handles move affinely, so that all displacements are
-//! combinations of four solutions per handle, found beforehand.
+//! integral of `|Δd|²` for the displacements of the regions. Handles move affinely, so that all displacements
+//! are combinations of four solutions per handle, found beforehand.
 
 use crate::constraints::{OwnMotions, SampleTarget, Soft};
 use crate::problem::{Problem, out_of_memory};

@@ -1,4 +1,5 @@
-//! The elements' sums, row by row: the Laplacian, areas, and what rotations of the samples' surroundings do.
+//! Sums of the elements, row by row: the Laplacian, areas, and the action of rotations of the samples'
+//! surroundings.
 //!
 //! O. Sorkine, M. Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007, with the triangles around a
 //! sample as its surroundings (*spokes and rims*; I. Chao et al., *A Simple Geometric Model for Elastic

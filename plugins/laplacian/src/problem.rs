@@ -18,7 +18,7 @@ pub enum Constraint {
     Free,
     /// A node that a region holds.
     Held(SampleTarget),
-    /// A sample that is connected to none that is held.
+    /// A sample that is connected to none that is held or drawn.
     Loose,
 }
 
@@ -128,7 +128,7 @@ impl Problem {
         |i| self.operators.laplacian(i).filter(|(j, _)| *j <= i).collect()
     }
 
-    /// The bi-Laplacian `L M⁻¹ L` among the free nodes, without what lies beyond the diagonal.
+    /// Bi-Laplacian `L M⁻¹ L` among the free nodes, without the entries beyond the diagonal.
     pub fn bilaplacian(&self) -> impl Fn(usize) -> Vec<(usize, f64)> + Sync {
         |i| {
             let mut row: Vec<(usize, f64)> = Vec::new();

@@ -1,4 +1,4 @@
-//! The joints that a place of the model follows, and how much: bounded biharmonic weights on the model's
+//! Joints that a place of the model follows, and their weights: bounded biharmonic weights on the model's
 //! voxels.
 //!
 //! See `bounded`. Weights of a thousandth are nothing, so that places far away stay.

@@ -8,7 +8,7 @@
 //! The least is found by projected gradients with momentum (A. Beck, M. Teboulle, *A fast iterative
 //! shrinkage-thresholding algorithm*, SIAM J. Imaging Sci. 2, 2009; restarted as by B. O'Donoghue, E. Candès,
 //! *Adaptive restart for accelerated gradient schemes*, Found. Comput. Math. 15, 2015), first on the coarsest
-//! level, and on each finer one from there on: what is left to be found is of few cells' length.
+//! level, and on each finer one from there on: the changes that are left to be found are a few cells wide.
 
 use crate::levels::{Held, Level};
 

@@ -1,4 +1,4 @@
-//! The joints that a place of the model follows, and how much: geodesic voxel binding.
+//! Joints that a place of the model follows, and their weights: geodesic voxel binding.
 //!
 //! O. Dionne, M. de Lasa, *Geodesic voxel binding for production character meshes*, SCA 2013. Weights are of
 //! the distances from the bones through the inside of the model. Theirs are `((1 - a) d + a d²)^-2` with `d`

@@ -167,10 +167,10 @@ impl Skeleton {
         self.joints.iter().position(|j| j.id == id)
     }
 
-    /// The skeleton in a file of points and bones, as libigl and its kin write it (`.tgf`): a line with a
-    /// name and three coordinates for each joint, a line `#`, and a line with two names for each bone, the
-    /// upper joint first. Further numbers of a joint are passed over, and so are edges that say that they are
-    /// no bone (three more numbers, of which the first is 0), and what comes after a second `#`.
+    /// Skeleton in a file of points and bones, as libigl and its kin write it (`.tgf`): a line with a name
+    /// and three coordinates for each joint, a line `#`, and a line with two names for each bone, the upper
+    /// joint first. Further numbers of a joint are passed over, and so are edges that say that they are no
+    /// bone (three more numbers, of which the first is 0), and all lines after a second `#`.
     ///
     /// # Errors
     /// Errors name the line.

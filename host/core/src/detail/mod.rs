@@ -1,5 +1,5 @@
-//! The model itself where somebody looks: the vertices of some cells are read again and carried over by the
-//! deformation, as many as a picture needs, without writing a file (paper §5 and §6).
+//! Vertices of the model itself where somebody looks: those of some cells are read again and carried over by
+//! the deformation, as many as a picture needs, without writing a file (paper §5 and §6).
 //!
 //! Only the ranges of these cells are read, once. Each cell is handed on when its last vertex came, in
 //! batches that are carried as [`reconstruct`](crate::reconstruction::reconstruct) carries blocks. Where

@@ -2,14 +2,14 @@
 //! neighbourhoods than those of the expansions. Their difference from the expansions' own gradients tells the
 //! error of these across the surface.
 //!
-//! A surface tells how a map of space changes across it by how its own bending varies: where it bends by
-//! another amount, the same gradient across moves it by another one. Next to a sample that hardly shows, and
-//! the second order of the map along the surface looks alike. Over a dozen spacings it shows, if the map is
-//! expanded to fourth order. So at some samples, the *anchors*, such an expansion is fitted to all samples
-//! that four links of the graph of neighbours lead to. It goes beyond the affine map, with the ridge that
-//! noise of the size of what is left over asks for (N. Wiener, *Extrapolation, Interpolation, and Smoothing
-//! of Stationary Time Series*, 1949): where samples are not moved by a smooth map of space, the gradients of
-//! the samples' own expansions stand.
+//! A surface tells the change of a map of space across it by the variation of its own bending: the same
+//! gradient across moves a place that bends more by more. Next to a sample that hardly shows, and the second
+//! order of the map along the surface looks alike. Over a dozen spacings it shows, if the map is expanded to
+//! fourth order. So at some samples, the *anchors*, such an expansion is fitted to all samples that four
+//! links of the graph of neighbours lead to. The expansion goes beyond the affine map, with the ridge for
+//! noise of the size of the residual (N. Wiener, *Extrapolation, Interpolation, and Smoothing of Stationary
+//! Time Series*, 1949): where samples are not moved by a smooth map of space, the gradients of the samples'
+//! own expansions stand.
 //!
 //! Memory: 4 bytes per sample and thread, some 500 per anchor and 4 for each sample at which it has a say,
 //! about 250, of one anchor for about 30 samples; the result takes 144 per sample.

@@ -2,7 +2,7 @@
 //! the neighbours of the samples in P_S, and the home of every vertex. A model that is deformed again and
 //! again is bound to its samples once.
 //!
-//! The file begins with eight letters and a version, and what is known of the samples with a checksum. Then
+//! The file begins with eight letters and a version, and the geometry of the samples with a checksum. Then
 //! follow the homes, a part with its own checksum for each chunk that the model is read in: runs of vertices
 //! with the same home, as the difference to the last home and a length.
 

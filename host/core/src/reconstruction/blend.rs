@@ -3,8 +3,9 @@
 //!
 //! u(p) = Σ wᵢ(p)·uᵢ(p) / Σ wᵢ(p), where wᵢ vanishes at a fixed distance from sample i. So no vertex has to
 //! search and sort its neighbours: around each sample, its *home*, all supports that reach there are listed
-//! once, and a vertex goes through the list of its home. As nothing depends on who is nearest, the blend is
-//! as smooth as its weights, and the gradient (for normals) is the exact one of what the vertices do.
+//! once, and a vertex goes through the list of its home. As nothing depends on which sample is nearest, the
+//! blend is as smooth as its weights, and the gradient (for normals) is the exact one of the vertices'
+//! deformation.
 //!
 //! Vertices of a block are grouped by their homes and processed as many at once as the processor's vector
 //! registers take, which is found out at run time. Every vertex' numbers are computed by the same operations

@@ -5,9 +5,9 @@
 //! expansions around it takes it. The first-order case is the form of embedded deformation (R. Sumner, J.
 //! Schmid, M. Pauly, *Embedded Deformation for Shape Manipulation*, 2007).
 //!
-//! The fit is of what the affine maps of [`gradients`](super::gradients) leave over, with a small ridge
-//! towards nothing: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They
-//! reproduce similarities exactly, and so does this.
+//! The fit is of the residual of the affine maps of [`gradients`](super::gradients), with a small ridge
+//! towards zero: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They
+//! reproduce similarities exactly, and so do the expansions.
 
 use std::ops::Range;
 

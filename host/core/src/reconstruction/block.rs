@@ -55,9 +55,9 @@ pub struct Moved<'a> {
 /// of the pool. `positions` are theirs at rest, in the model's coordinates. Vertices without a finite
 /// position stay as they are. `homes` are as [`bind`](super::bind) kept them, if it did.
 ///
-/// All fields are of the same samples. What becomes of a vertex depends on its position alone, and that of
-/// its normal on both: not on what other vertices there are, on their order, on the division into calls, or
-/// on the number of threads.
+/// All fields are of the same samples. The deformed position of a vertex depends on its position alone, and
+/// its normal on position and normal: not on what other vertices there are, on their order, on the division
+/// into calls, or on the number of threads.
 pub fn carry(
     fields: &[DeformationField<'_>],
     frame: &Frame,
@@ -587,7 +587,7 @@ struct BlockVertex {
     place: usize,
 }
 
-/// The local coordinates of a position. Anywhere, if it is not finite: what comes of it is not used.
+/// Local coordinates of a position. A position that is not finite gives any place, whose result is not used.
 #[inline]
 fn local(frame: &Frame, p: DVec3) -> Vec3 {
     // A sum with zero is never −0.

@@ -161,7 +161,7 @@ enum Map {
     Half,
     /// A turn by so many radians, with a translation.
     Rigid(f32),
-    /// One of two sheets, or what is the second half of the samples otherwise.
+    /// One of two sheets, or the second half of the samples otherwise.
     SecondHalf,
 }
 

@@ -66,9 +66,10 @@ fn has_splats(model: &dyn Model) -> bool {
 /// Folds: samples around which a deformation turns the surface inside out.
 ///
 /// Folded are samples at which the sign of the gradient's determinant is not that of most samples: so a
-/// mirror of the whole model folds nothing. What lies off the surface is known from its relief alone, and a
-/// dent or a bend may look mirrored by that. So they count only if the surface doubles back somewhere around
-/// them: if the images of its tangent planes, from one sample to the next, turn by more than a right angle.
+/// mirror of the whole model folds nothing. The map off the surface is known from the surface's relief alone,
+/// and a dent or a bend may look mirrored by that. So folded samples count only if the surface doubles back
+/// somewhere around them: if the images of its tangent planes, from one sample to the next, turn by more than
+/// a right angle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Folds {
     /// Number of folded samples.
@@ -145,7 +146,7 @@ pub struct DiagnosticsFile {
     file: OutputFile,
     path: PathBuf,
     scalar: Scalar,
-    /// The vertices are splats, whose anisotropy is written.
+    /// Whether the vertices are splats, whose anisotropy is written.
     of_splats: bool,
     /// One over the model's diagonal at rest.
     inverse_diagonal: f64,

@@ -131,8 +131,8 @@ pub(super) fn gradients(map: &ExactMap<'_>, frame: &Frame, positions: &[DVec3]) 
     Ok(positions.iter().enumerate().map(gradient).collect())
 }
 
-/// The gradient of a map at each sample: samples on a surface tell nothing of how the map goes on across it,
-/// which positions do not need, but what turns with the surface does.
+/// Gradient of a map at each sample: samples on a surface tell nothing of the map across it, which positions
+/// do not need, but vectors and splats that turn with the surface do.
 ///
 /// Memory: about 200 bytes per sample while it runs.
 ///

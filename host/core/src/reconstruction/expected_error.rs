@@ -1,26 +1,26 @@
 //! Expected error of a reconstruction, estimated without the exact map: around each sample, and at each
 //! vertex.
 //!
-//! Halfway between two neighbours the expansions about both have a say. Each takes what it leaves out, the
-//! third order, for nothing; so the distance between what they say is of the size of what both leave out
-//! there. Where the deformation has details that the samples do not tell, as at a step, they differ by those.
+//! Halfway between two neighbouring samples the expansions about both count. Each leaves out the third order,
+//! so the distance between the two expansions there is of the size of the terms that both leave out. Where
+//! the deformation has details that the samples do not tell, as at a step, the expansions differ by those.
 //!
-//! At a sample itself it is known where it went. How far what the others make of its place is from that is
-//! the error of a blend, in which what samples leave out cancels as it does at vertices (M. Stone,
-//! *Cross-validatory choice and assessment of statistical predictions*, 1974); somewhat less than its true
-//! one, as the expansions of the others were fitted to it, too.
+//! At a sample itself the deformed position is known. The distance from there to the blend of the other
+//! samples' expansions is the error of a blend, in which the terms that samples leave out cancel as they do
+//! at vertices (M. Stone, *Cross-validatory choice and assessment of statistical predictions*, 1974); it is
+//! somewhat less than the true error, as the expansions of the others were fitted to the sample, too.
 //!
-//! At a vertex all supports that reach it have a say, and how far these are from what is made of them tells
-//! about that very place. So does how far the blend is from another one with wider supports, which leaves out
-//! more of the same: two orders of one method tell its error, as in an embedded pair of Runge and Kutta (E.
-//! Fehlberg, *Low-order classical Runge-Kutta formulas with stepsize control*, 1969). What all leave out
-//! together they do not tell; how far the samples around are from where others would have them stands for
-//! that, with the worst that any two disagree by halfway, and for more of it where a vertex lies beyond the
-//! samples, as off the surface, at a sharp edge or outside a border, up to what those around say there, and
-//! another blend with supports that are wider still. How the map varies
-//! across a sheet of gentle relief all of them guess alike: what that leaves open counts, too
-//! ([`unresolved`](super::unresolved)). Rounding comes on top: of the samples' positions, of
-//! the displacement, and of the file that is written.
+//! At a vertex all supports that reach it count. The distances of their expansions from the blend tell the
+//! error at that very place. So does the distance of the blend from another one with wider supports, which
+//! leaves out more of the same terms: two orders of one method tell its error, as in an embedded pair of
+//! Runge and Kutta (E. Fehlberg, *Low-order classical Runge-Kutta formulas with stepsize control*, 1969).
+//! Terms that all expansions leave out together do not show in these. For them stand the distances of the
+//! samples around from where the others' expansions take them, with the largest disagreement of any two
+//! halfway. These count more where a vertex lies beyond the samples, as off the surface, at a sharp edge or
+//! outside a border: up to the distances of the expansions around from the vertex, and of another blend with
+//! supports that are wider still. The change of the map across a sheet of gentle relief is guessed alike by
+//! all samples; the error that this leaves open counts, too ([`unresolved`](super::unresolved)). Rounding
+//! comes on top: of the samples' positions, of the displacement, and of the file that is written.
 
 use std::iter;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -68,14 +68,15 @@ const OF_LARGEST: f32 = 0.05;
 /// Part of a sample's disagreement with its ring that is its error where no other support reaches it.
 const BY_HALFWAY: f32 = 0.36;
 
-/// A vertex lies beyond the samples that reach it from this square of its distance from their middle on, each
-/// direction measured by how far they are spread in it: what they leave out counts as many times more as the
-/// square is larger ...
+/// Least square of a vertex's distance from the middle of the samples that reach it, each direction measured
+/// by the samples' spread in it, at which the vertex lies beyond them. From there on the samples' errors
+/// count more, in proportion to the square ...
 const AMONG: f32 = 0.65;
 
-/// ... up to so much of what the one that differs most says there, together with so much of what the home's
-/// ring says, and of how far a blend is with supports so many times as wide: those who have a say beyond an
-/// edge are few and lie side by side, and take alike for nothing what others, farther off, tell.
+/// ... up to a sum of three parts: of the largest distance of an expansion that reaches the vertex, of the
+/// distance of the home's ring, and of that of a blend with supports `WIDEST` times as wide. Samples that
+/// reach a vertex beyond an edge are few and lie side by side, and leave out alike the terms that other
+/// samples, farther off, tell.
 const SAID: f32 = 0.55;
 const SAID_AROUND: f32 = 0.1;
 const WIDEST: f32 = 3.0;
@@ -91,9 +92,9 @@ const FLAT: f32 = 0.03;
 const CLUSTER: f32 = 2.0;
 
 impl DeformationField<'_> {
-    /// The transfer error to be expected around each sample, local units: the largest difference between its
-    /// expansion and those of its neighbours, halfway, as both ends expect it. Nothing for what rounding
-    /// explains, as of a rigid motion.
+    /// Expected transfer error around each sample, local units: the largest difference between its expansion
+    /// and those of its neighbours, halfway, as both ends expect it. 0 where rounding explains the
+    /// difference, as for a rigid motion.
     ///
     /// The result is an estimate of the size, not a bound: `docs/refinement.md` says how it compares with the
     /// error.
@@ -144,10 +145,11 @@ impl DeformationField<'_> {
         self.stencils.ring(i).iter().map(halfway).fold(0.0, f32::max)
     }
 
-    /// Expects nothing between two samples whose clusters are single places, as there are no vertices. How
-    /// far the transfer is off at these samples themselves counts there. One that has stayed from a larger
-    /// cluster stands beside its vertex, of which this tells less: so it is for deformations that are
-    /// compared with the exact map besides. The field has to be [expecting](Self::expecting).
+    /// Copy of this field in which two samples whose clusters are single places do not count against each
+    /// other, as there are no vertices between them. The error of the transfer at these samples themselves
+    /// counts there. A sample that has stayed from a larger cluster stands beside its vertex, of which this
+    /// tells less: so the copy is for deformations that are compared with the exact map besides. The field
+    /// has to be [expecting](Self::expecting).
     ///
     /// # Errors
     /// The cells are not in memory, or of another model.

@@ -142,8 +142,8 @@ fn off_across(on_surface: fn((f32, f32)) -> (Vec3, Vec3)) -> Vec<(f32, f32)> {
     (0..samples.len()).map(compare).collect()
 }
 
-/// Of a surface that is bent gently everywhere, samples guess the gradient across by what their neighbours do
-/// along it. How far that is off is told by wider neighbourhoods.
+/// Samples of a surface that is bent gently everywhere guess the gradient across the surface by that of their
+/// neighbours along it. The error of the guess is told by wider neighbourhoods.
 #[test]
 fn the_error_of_the_gradient_across_is_foretold() {
     let compared = off_across(on_torus);

@@ -373,8 +373,8 @@ impl HomeOctree {
 /// The whole part of numbers, of which none is less than nothing, or the nearest that is the place of a cell.
 #[inline(always)]
 fn whole<S: Simd>(way: Lanes<S>) -> S::u32s {
-    // Number beyond which singles have no digits behind the point; the whole part of what is added is in the
-    // last ones.
+    // Number beyond which singles have no digits behind the point; the whole part of an added number is in
+    // the last ones.
     const SHIFT: f32 = (1 << 23) as f32;
     let splat = |x: f32| Lanes::splat(way.0, x);
     let (shift, zero, one) = (splat(SHIFT), splat(0.0), splat(1.0));

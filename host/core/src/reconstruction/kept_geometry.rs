@@ -1,12 +1,12 @@
 //! Geometry of the samples at rest, kept beside them in `rest.bin`. The first reconstruction finds it, and
 //! all others read it.
 //!
-//! The file is [sealed](crate::sealed). It has what takes time to find, and is small: neighbours, as
-//! differences of their numbers; the sheets that are not just those; the order of the supports around each
-//! home; the cells by which homes are found; and normals, where they were estimated. What follows from these
-//! and the samples' places, as distances and radii, is computed anew. It is a cache: where it is not there,
-//! damaged, or of other samples, all is found as if there were none, and where it cannot be written, nobody
-//! misses it.
+//! The file is [sealed](crate::sealed). It has the parts that take time to find, and are small: neighbours,
+//! as differences of their numbers; the sheets that are not just those; the order of the supports around each
+//! home; the cells by which homes are found; and normals, where they were estimated. Numbers that follow from
+//! these and the samples' places, as distances and radii, are computed anew. The file is a cache: where it is
+//! not there, damaged, or of other samples, all is found as if there were none, and where it cannot be
+//! written, nobody misses it.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -32,7 +32,7 @@ use crate::varint::{self, VarintNumbers};
 
 const LETTERS: &[u8; 8] = b"SIMODRST";
 
-/// Version of the file, counted up whenever the format changes, or what is found of the same samples.
+/// Version of the file, counted up whenever the format changes, or the geometry of the same samples.
 const VERSION: u32 = 1;
 
 /// Samples whose lists are packed by one job.
@@ -233,7 +233,7 @@ pub(super) fn unpack<'a>(samples: &'a SampleSet, bytes: &[u8]) -> Option<RestGeo
     let normals: Vec<f32> = fours(content.normals)?.iter().map(|x| f32::from_le_bytes(*x)).collect();
     let normals = normals.chunks_exact(3).map(Vec3::from_slice).collect();
     // Normals and neighbours are set at last, as whoever finds the geometry anew otherwise shall not go by
-    // what was read.
+    // damaged ones.
     (samples.set_normals(normals) && samples.set_neighbours(sheets.graph().clone())).then_some(())?;
     let around = RestGeometry::known(samples, sheets, supports);
     around.set_cells(cells);

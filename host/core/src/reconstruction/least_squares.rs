@@ -178,7 +178,7 @@ impl<S: Simd> LeastSquares<S> {
         let splat = |x| DoubleLanes::splat(self.simd, x);
         let left = part * self.squares;
         let is_more = (splat(ROUNDING * ROUNDING) * self.weights).less(left);
-        // Beside how much the displacement varies, little matters that is left over of little.
+        // A little residual matters little beside a displacement that varies much.
         let part = (left / self.squares.max(self.variation)).sqrt();
         let t = (part - splat(TROUBLED)) / splat(USELESS - TROUBLED);
         let t = t.max(splat(0.0)).min(splat(1.0));

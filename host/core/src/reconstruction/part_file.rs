@@ -96,8 +96,8 @@ pub(super) enum PartTarget<'a> {
     Object(ObjectRange, String),
 }
 
-/// A part in the making. Dropped before it is [committed](Self::commit), it leaves nothing but what it wrote
-/// to the shared file.
+/// A part in the making. Dropped before it is [committed](Self::commit), it leaves nothing but the bytes that
+/// it wrote to the shared file.
 pub(super) struct PartFile<'a> {
     // Dropped first, while nobody else can begin the part.
     to: PartTarget<'a>,

@@ -422,7 +422,8 @@ impl PartJoin<'_> {
             match self.is_there(self.output) {
                 Ok(()) => {
                     let _ = fs::remove_file(shared);
-                    // The process that begins the output anew removes what a killed one has left beside it.
+                    // The process that begins the output anew removes the files that a killed one has left
+                    // beside it.
                     drop(OutputFile::create(self.output, 0));
                     return Ok(found.folding);
                 }

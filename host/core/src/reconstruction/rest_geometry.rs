@@ -15,8 +15,8 @@ use crate::sampling::SampleSet;
 /// the ball in which its expansion has a weight. It is found once for a [`SampleSet`], which holds it for all
 /// who need it.
 ///
-/// Memory: about 290 bytes per sample, up to 130 more beside other sheets, and what [`SampleSet::prepare`]
-/// finds.
+/// Memory: about 290 bytes per sample, up to 130 more beside other sheets, and that of
+/// [`SampleSet::prepare`].
 pub struct RestGeometry<'a> {
     pub(super) samples: &'a SampleSet,
     pub(super) sheets: Arc<Sheets>,

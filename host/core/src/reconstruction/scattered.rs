@@ -54,7 +54,8 @@ pub fn one<const GRADIENT: bool, const TURNING: bool>(
     let mut sum_slope = [0.0; 3];
     let furthest = length_squared(from(p, home.center)).sqrt();
     let reaching = &list[..list.iter().take_while(|support| support.from <= furthest).count()];
-    // First who reaches the vertex, without a branch: what is far off in memory is fetched side by side.
+    // Supports that reach the vertex are found first, without a branch: entries far off in memory are fetched
+    // side by side.
     let mut near = [(0, 0.0); TOGETHER];
     for supports in reaching.chunks(TOGETHER) {
         let mut count = 0;

@@ -3,9 +3,9 @@
 //!
 //! Two samples that see each other along the surface have normals that do not oppose, and lie near each
 //! other's tangent planes. For an arc the chord is perpendicular to the mean of both normals, whatever its
-//! curvature, so the chord's part along that mean tells how far one sample is *above* the other: it is
+//! curvature, so the chord's part along that mean tells the height of one sample *above* the other: it is
 //! counted [`STACKED`]-fold. Each sample is linked to the nearest few others in that measure, and its sheet
-//! is what these links reach among its neighbours in space.
+//! are the samples among its neighbours in space that these links reach.
 //!
 //! Sheets that the model's faces have told ([`Contacts`](crate::touching::Contacts)) hold instead.
 
@@ -336,7 +336,7 @@ impl WithSimd for Linking<'_> {
     }
 }
 
-/// The chords from a sample to its neighbours, the neighbours' normals, and how far these are along the
+/// Chords from a sample to its neighbours, the neighbours' normals, and the chords' lengths along the
 /// surface.
 #[derive(Default)]
 struct Chords {
@@ -357,8 +357,8 @@ impl Chords {
         }
     }
 
-    /// Measures the chords' lengths as [`chord_length`](crate::geometry::chord_length) does for one, and says
-    /// whether all chords are plainly along the surface. What lies behind the neighbours is of no meaning.
+    /// Measures the chords' lengths as [`chord_length`](crate::geometry::chord_length) does for one; returns
+    /// whether all chords are plainly along the surface. Entries behind the neighbours have no meaning.
     #[inline(always)]
     fn measure<S: Simd>(&mut self, simd: S, own: Vec3, count: usize) -> bool {
         let splat = |x| Lanes::splat(simd, x);
@@ -424,8 +424,8 @@ fn dot<S: Simd>(a: [Lanes<S>; 3], b: [Lanes<S>; 3]) -> Lanes<S> {
 fn are_linked(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> bool {
     places[i] = 0;
     let mut left = near.len();
-    // The second time for those that come before what they have a link to. Without a branch, as which one it
-    // is cannot be foretold: all bits of a place are set, or none.
+    // The second pass is for neighbours that come before the one that they have a link to. It is without a
+    // branch, as which one it is cannot be foretold: all bits of a place are set, or none.
     for _ in 0..2 {
         for j in near.iter().map(|j| *j as usize) {
             let linked = links[j].to.iter().fold(NOWHERE, |all, to| all & places[*to as usize]);

@@ -4,9 +4,9 @@
 //! Faces tell that two parts are not connected, but not that they move apart; mostly they do not. A small
 //! part has few samples of its own, and beside a contact they lie on one side. So samples of other sheets are
 //! borrowed where the deformation is smooth across: on a smooth map the displacements at both ends of d
-//! differ by ½ (∇uᵢ + ∇uⱼ) d up to third derivatives (the trapezoidal rule), and what the gradients leave
-//! open is of the size of the strain and of how far they differ from each other. Where parts move apart,
-//! whatever little way, as rigid bodies, both are nothing, and nobody is borrowed.
+//! differ by ½ (∇uᵢ + ∇uⱼ) d up to third derivatives (the trapezoidal rule), and the difference that the
+//! gradients leave open is of the size of the strain and of the gradients' difference from each other. Where
+//! parts move apart, whatever little way, as rigid bodies, both are zero, and no sample is borrowed.
 
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;

@@ -73,8 +73,8 @@ pub struct Reconstruction<'a> {
     /// File in which [`bind`](super::bind) may have kept what does not depend on the deformation. It is used
     /// if it fits.
     pub binding: Option<&'a Path>,
-    /// The [gradient](super::known_gradients) of the one version's map at each sample, where it is known: by
-    /// it turns what [follows](Model::following).
+    /// [Gradient](super::known_gradients) of the one version's map at each sample, where it is known: by it
+    /// turn the attributes that [follow](Model::following).
     pub gradients: Option<&'a [Mat3]>,
 }
 

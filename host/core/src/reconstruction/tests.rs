@@ -511,7 +511,7 @@ fn a_map_that_bends_across_gentle_relief_is_not_taken_for_shear() {
     assert!(rms < 7e-5, "{rms}");
 }
 
-/// Corners of a soup are found once for each place: where they go, and how many there are, is what it was one
+/// Corners of a soup are found once for each place: their positions and their number are those of corners one
 /// by one.
 #[test]
 fn corners_at_one_place_go_where_one_goes() {

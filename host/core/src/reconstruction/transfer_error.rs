@@ -196,7 +196,7 @@ impl Compared {
     }
 }
 
-/// Vertices that are further off than allowed: their places (local coordinates) and by how much (local
+/// Vertices whose error is more than is allowed: their places (local coordinates) and the excess (local
 /// units).
 pub type Excesses = Vec<(Vec3, f32)>;
 

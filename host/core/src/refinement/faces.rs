@@ -121,9 +121,9 @@ impl NewSampleOf<'_> {
         joined(kept.cells.iter().filter(changes).flat_map(|cell| cell.faces.iter().cloned()), NEAR)
     }
 
-    /// Streams the faces of the cells whose samples are split, or all where it is not known which these are:
-    /// the new triangles, where the faces place the new samples, no further than `slack` allows, if they
-    /// shall, and how many bytes were read.
+    /// Streams the faces of the cells whose samples are split, or all where it is not known which these are;
+    /// returns the new triangles, the positions of the new samples where faces place them, no further than
+    /// `slack` allows, and the number of bytes that were read.
     ///
     /// Memory: 12 bytes per triangle, twice while the list grows; that of [`Planes`]; the chunks of
     /// [`for_faces`].

@@ -1,10 +1,10 @@
 //! Local refinement (paper §6): more samples where the user asks, appended to P_S.
 //!
-//! The cells that the selection meets are known from what sampling kept. Only their ranges of the model are
-//! read (`gathering`), their trees go on from where they stopped (`regrowing`) down to a smaller error inside
-//! the selection and a rising one around it (`selection`), and what is below the samples that were there
-//! becomes new ones (`appending`), with triangles from the model's faces (`faces`). It works again and again,
-//! down to the vertices themselves.
+//! The cells that the selection meets are known from the cells that sampling kept. Only their ranges of the
+//! model are read (`gathering`), their trees go on from where they stopped (`regrowing`) down to a smaller
+//! error inside the selection and a rising one around it (`selection`), and the clusters below the former
+//! samples become new ones (`appending`), with triangles from the model's faces (`faces`). Refinement works
+//! again and again, down to the vertices themselves.
 
 mod appending;
 mod faces;
@@ -125,7 +125,7 @@ pub struct SamplesNeed {
     pub expected: f64,
     /// Number of samples around which more than the allowed error was expected, and new ones would help.
     pub allowed: f64,
-    /// Around how many samples more than that was expected, and others would help.
+    /// Number of samples around which more than that was expected, and others would help.
     pub samples: u64,
     /// Whether the expected error was nowhere more than the one that was asked for.
     pub is_met: bool,
@@ -564,7 +564,8 @@ impl RefinementCall<'_, '_> {
         if sheets == 0 {
             return Ok(whole);
         }
-        // Fewer in the trees are fewer in all; where sheets have few, what they leave is a good guess.
+        // Fewer samples in the trees are fewer in all; where sheets have few, the rest that they leave is a
+        // good guess.
         let (mut fits, mut more, mut threshold) = (0, target, of_trees(0));
         let mut tried = target.saturating_sub(sheets);
         loop {
@@ -588,8 +589,8 @@ impl RefinementCall<'_, '_> {
         self.limit() / 2 / BYTES_PER_SAMPLE
     }
 
-    /// The triangles of all samples by the model's faces, which place the new ones where they do so; and how
-    /// many bytes of faces were read.
+    /// Triangles of all samples by the model's faces, which place the new ones where they do so; and the
+    /// number of bytes of faces that were read.
     fn reindex(
         &self,
         members: ReadMembers,

@@ -1,7 +1,7 @@
 //! A cell's tree goes on where it stopped (paper §6).
 //!
 //! The kept tree tells which clusters were split, and splits follow from the vertices alone. So the tree is
-//! built again along what is kept, which gives the vertices of each leaf; and where a leaf's error is above
+//! built again along the kept one, which gives the vertices of each leaf; and where a leaf's error is above
 //! the bound, a VS-Tree of these vertices goes on below it. The result does not depend on how many
 //! refinements led there.
 
@@ -338,8 +338,8 @@ impl Regrowing<'_, '_> {
     }
 }
 
-/// The nodes of a tree that was built along a kept one, with what bounds are compared with. `told` has, of
-/// each node in turn, half its diagonal, its slack, and the kept node that it is.
+/// Nodes of a tree that was built along a kept one, with the errors that bounds are compared with. `told`
+/// has, of each node in turn, half its diagonal, its slack, and the kept node that it is.
 fn graded_nodes(
     built: &VsTree,
     told: Vec<(f32, f32, Option<u32>)>,

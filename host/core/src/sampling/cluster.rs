@@ -111,9 +111,9 @@ impl VertexSums {
     }
 }
 
-/// A few vertices that lie close together, as the sums over them: what an open cell keeps of a model with
-/// very many vertices for each sample of P_S. A VS-Tree over these differs from one over the vertices in that
-/// no group is parted.
+/// Sums over a few vertices that lie close together, which an open cell keeps of a model with very many
+/// vertices for each sample of P_S. A VS-Tree over these differs from one over the vertices in that no group
+/// is parted.
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Group {
@@ -571,7 +571,8 @@ mod tests {
             .collect();
         let m = Moments::from_elements(&corner);
         let (r, _, _) = m.representative();
-        // All the way from the mean but for what the ridge holds back, which is about its own strength.
+        // The way is all of that from the mean but for the part that the ridge holds back, which is about its
+        // own strength.
         let way = m.mean().distance(DVec3::ONE);
         assert!(way > 0.5 && f64::from(r.distance(Vec3::ONE)) < 4.0 * QUADRIC_RIDGE * way, "{r}");
     }

@@ -1,5 +1,5 @@
 //! Pass 1 in parts: ranges of the vertices are counted by themselves, on any machine, each to a file; the
-//! files add up, in any order, to what one reading counts.
+//! files add up, in any order, to the counts of one reading.
 
 use std::ops::Range;
 use std::path::Path;

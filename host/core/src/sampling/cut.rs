@@ -5,9 +5,9 @@
 //!
 //! For a target number N no second look at the model is needed: the clusters of all cells seen so far are
 //! kept down to a running bound ε, raised whenever they are more than 1.6N beyond one per cell. A node above
-//! the cells counts as no better than what is below it, so the final cut splits all of them before it splits
-//! a cell's tree further, and more cells can only add clusters: the final bound is never below the running
-//! one, and what was dropped would not have been in the cut.
+//! the cells counts as no better than the nodes below it, so the final cut splits all of them before it
+//! splits a cell's tree further, and more cells can only add clusters: the final bound is never below the
+//! running one, and clusters that were dropped would not have been in the cut.
 //!
 //! With *foresight*, the first part of the model does not get all of the N clusters for a while, only to lose
 //! most of them again: of a part f of the vertices, √f times as many are kept, more than its share. Should
@@ -48,7 +48,7 @@ pub struct ClusteredCell {
 /// The trees of all cells seen so far.
 ///
 /// Memory: 40 bytes for each of about 1.4 nodes per cluster, at most [`KEEP_AT_MOST`] clusters per sample of
-/// the target and what one cell has; and the moments of each occupied cell.
+/// the target and those of one cell; and the moments of each occupied cell.
 pub struct Forest {
     target: Option<usize>,
     /// Number of vertices of P_L, and the foresight; `None` without.

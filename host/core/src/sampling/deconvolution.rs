@@ -1,7 +1,7 @@
-//! Samples of clouds on the surface. A mean of vertices lies on the inner side of what bends: P_S is the
-//! surface, smoothed. One step of deconvolution undoes that (P. van Cittert, *Zum Einfluß der Spaltbreite auf
-//! die Intensitätsverteilung in Spektrallinien II*, 1931): each sample moves across the surface by a part of
-//! its height over its neighbours.
+//! Samples of clouds on the surface. A mean of vertices lies on the inner side of a surface that bends: P_S
+//! is the surface, smoothed. One step of deconvolution undoes that (P. van Cittert, *Zum Einfluß der
+//! Spaltbreite auf die Intensitätsverteilung in Spektrallinien II*, 1931): each sample moves across the
+//! surface by a part of its height over its neighbours.
 
 use glam::Vec3;
 use rayon::prelude::*;

@@ -2,9 +2,9 @@
 //! files. The samples are those of [`sample`](super::sample), to the byte, for any number of ranges.
 //!
 //! A range clusters the cells that lie wholly within, and writes down its vertices of the others
-//! (`shared_vertices`), which are clustered by groups of cells. The cut goes through the trees of all. What a
-//! piece of the stream is, which groups of vertices there are, and whether there are any, follows from the
-//! counts and the cell alone, and not from what else is open.
+//! (`shared_vertices`), which are clustered by groups of cells. The cut goes through the trees of all. The
+//! division of the stream into pieces, the groups of vertices, and whether there are any, follow from the
+//! counts and the cell alone, and not from the other cells that are open.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -218,8 +218,8 @@ impl<'a> Divided<'a> {
     }
 }
 
-/// Key of the leaves that belong to trees: the depth of these, and so their leaves, depends on what was
-/// clustered meanwhile.
+/// Key of the leaves that belong to trees: the depth of these, and so their leaves, depends on the clusters
+/// found meanwhile.
 pub(super) fn leaves_key(mark_of_trees: u128) -> u128 {
     mark_of_trees ^ 3 << 32
 }
@@ -281,7 +281,7 @@ pub fn cluster(
 /// group's vertices.
 ///
 /// # Errors
-/// As of [`cluster`]; what a range has written is missing or damaged.
+/// As of [`cluster`]; a file that a range has written is missing or damaged.
 pub fn cluster_shared(
     model: &dyn Model,
     sampling: &Sampling,

@@ -11,8 +11,8 @@ use super::ranges::{PackedRanges, Ranges};
 
 /// The ranges of all cells, while the faces stream.
 ///
-/// Memory: that of [`Ranges`], or 16 bytes per cell and what is not [taken](Self::take_listed) yet; and 4
-/// bytes per sample.
+/// Memory: that of [`Ranges`], or 16 bytes per cell and the ranges that are not [taken](Self::take_listed)
+/// yet; and 4 bytes per sample.
 pub struct FaceRanges {
     /// Cell of each sample, or the first of those that share it.
     cell_of: Vec<u32>,

@@ -60,8 +60,8 @@ pub struct ClusteringPass<'a> {
     pub bound: f32,
     /// Largest number of clusters that may be kept if there is no target.
     pub most: usize,
-    /// Reliability with which the number of samples of the whole model is foreseen, which is less work but
-    /// can fail; `None` if it is not.
+    /// Factor times √f of the target's clusters that a part f of the vertices gets, where the number of
+    /// samples of the whole model is foreseen, which is less work but can fail; `None` if it is not.
     pub foresight: Option<f64>,
     /// Part of the model that is streamed, and the cells that are clustered.
     pub job: StreamJob<'a>,
@@ -143,7 +143,7 @@ pub struct Clustered {
 
 impl ClusteringPass<'_> {
     /// Clusters a complete cell; one that is larger than a part in parts, whose trees are joined, and kept to
-    /// what a cut of the target number of samples can reach.
+    /// the nodes that a cut of the target number of samples can reach.
     pub(super) fn cluster<E: Element>(
         &self,
         cell: u32,

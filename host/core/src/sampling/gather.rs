@@ -151,7 +151,8 @@ pub struct GroupGather {
     spare: Vec<CubeGroups>,
 }
 
-/// Number of the first group of each cube of a cell, by [`key`].
+/// Place among the open cells' groups of each group of a cell, by the [`key`] of its cube and a number of up
+/// to eight for groups of one cube.
 type CubeGroups = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
 
 impl GroupGather {
@@ -232,7 +233,8 @@ pub struct PieceGroups {
     next: Vec<u32>,
     /// The number of groups of each cell, and the one that was begun last.
     cells: HashMap<u32, (u32, u32), BuildHasherDefault<CellHasher>>,
-    /// Groups of each cube, by its cell and [`key`].
+    /// Place in `items` of each group, by its cell, the [`key`] of its cube, and a number of up to eight for
+    /// groups of one cube.
     table: HashMap<u64, u32, BuildHasherDefault<CellHasher>>,
     last: Option<Last>,
 }

@@ -101,8 +101,7 @@ const GROUPS_AT_EASE: u64 = 256 << 20;
 const LEAST_FOR_CELLS: u64 = 4 << 20;
 
 /// Largest memory for open cells where there is no limit, for few cells and for many, and for each cell. More
-/// saves no time: what is spilled goes to the page cache first, and what is not is seldom in the processor's
-/// caches.
+/// saves no time: spilled items go to the page cache first, and others are seldom in the processor's caches.
 const CELLS_AT_EASE: RangeInclusive<u64> = 24 << 20..=64 << 20;
 const CELL_AT_EASE: u64 = 4 << 10;
 
@@ -128,7 +127,7 @@ impl Sampling {
             .saturating_add(512 * grid.keys.len() as u64)
             .saturating_add(finalization::work_memory(largest));
         let left = self.limit().saturating_sub(taken);
-        // A complete cell is copied out of what is held.
+        // A complete cell is copied out of the open ones.
         let left = left - largest.min(left / 2);
         let at_ease = CELL_AT_EASE.saturating_mul(grid.keys.len() as u64);
         let at_ease = at_ease.clamp(*CELLS_AT_EASE.start(), *CELLS_AT_EASE.end());

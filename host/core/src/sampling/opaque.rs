@@ -1,6 +1,6 @@
-//! Splats in which nobody sees a surface: floaters, which would take samples from what is seen. They are too
-//! transparent, the more so the larger or the farther off they are than others. They are left out of P_S, as
-//! vertices without a position are, and are deformed like all others.
+//! Splats in which nobody sees a surface: floaters, which would take samples from the visible ones. They are
+//! too transparent, the more so the larger or the farther off they are than others. They are left out of P_S,
+//! as vertices without a position are, and are deformed like all others.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -14,7 +14,7 @@ pub const LEAST_OPACITY: f64 = 0.1;
 /// proportion.
 const UNUSUAL: f64 = 10.0;
 
-/// Opacity from which on a splat is part of what is seen, however large and wherever it is.
+/// Opacity from which on a splat is part of the visible surface, however large and wherever it is.
 const SEEN: f64 = 0.5;
 
 /// Numbers of places in the file at which splats are read to tell the usual ones, and of splats at each.

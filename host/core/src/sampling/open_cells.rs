@@ -32,7 +32,7 @@ const HEADER: usize = 16;
 /// All open cells.
 ///
 /// Memory: `limit` bytes of blocks, 32 bytes per occupied cell of the grid, and room of as much as 512 KiB
-/// for what is written at once.
+/// for the bytes that are written at once.
 pub struct OpenCells<T> {
     cells: Vec<OpenCell>,
     pool: ItemPool<T>,

@@ -3,8 +3,8 @@
 //! Models*, 2000), held by a small ridge to where its vertices alone have placed it.
 //!
 //! Faces tell where the surface is when normals do not: where there are none, or those of a smoother surface.
-//! Unless it is said what places the samples, some faces at the beginning of the file are compared with the
-//! normals of their corners.
+//! Unless the placement is given, some faces at the beginning of the file are compared with the normals of
+//! their corners.
 
 use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles, Vec4};
 use rayon::prelude::*;

@@ -31,8 +31,8 @@ const FINER: f32 = 4.0;
 /// The small point set P_S, in local coordinates (see [`Frame`](simod_model::frame::Frame)).
 ///
 /// Memory: 24 bytes per sample; 12 more where normals were estimated (about 150 meanwhile), and 160 once the
-/// neighbours are asked for, and what a [`RestGeometry`](crate::reconstruction::RestGeometry) found. The
-/// index of a sample never changes.
+/// neighbours are asked for, and that of a [`RestGeometry`](crate::reconstruction::RestGeometry). The index
+/// of a sample never changes.
 pub struct SampleSet {
     /// Positions.
     pub positions: Vec<Vec3>,

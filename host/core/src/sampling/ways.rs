@@ -1,5 +1,5 @@
-//! The ways from samples to their neighbours, of as many samples at once as the processor's vector registers
-//! take, and how they scatter.
+//! Ways from samples to their neighbours, of as many samples at once as the processor's vector registers
+//! take, and the scatter of these ways.
 
 #![expect(
     clippy::needless_range_loop,

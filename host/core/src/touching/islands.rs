@@ -798,7 +798,8 @@ mod tests {
         assert!(graph.joined.is_empty() && islands.tangled);
     }
 
-    /// Two rows of vertices, each a cluster, whose links come before what makes an island of each row.
+    /// Two rows of vertices, each a cluster, whose links come before the faces that make an island of each
+    /// row.
     #[test]
     fn links_that_find_no_room_until_islands_are_whole_are_no_tangle() {
         let pairs = LINKS_AT_EASE as u32 + 1000;

@@ -217,7 +217,7 @@ fn normals_are_trusted_unless_faces_tell_otherwise() {
         assert_eq!(placed(&body), Placement::Vertices, "{shape:?}");
         assert_eq!(placed(&body.without_normals()), Placement::Faces, "{shape:?}");
     }
-    // Faces that are no surface tell nothing; nor does what is flat.
+    // Faces that are no surface tell nothing; nor do flat ones.
     let count = body.positions.len() as u32;
     let faces = vec![[0, 0, 0], [u32::MAX - 1, count, count + 1], [1, 1, 2]];
     assert_eq!(placed(&Body { faces, ..body.clone() }), Placement::Vertices);
