@@ -72,7 +72,7 @@ impl FoundTwins {
         Ok(Self { back, count })
     }
 
-    /// Twins of none of `vertices` vertices, which are not zero.
+    /// Empty findings for a model of `vertices` vertices, at least one.
     ///
     /// # Errors
     /// The file cannot be written.
