@@ -1,5 +1,5 @@
-//! What is made once of a model that cannot be read from anywhere as it is, as of one that is compressed as a
-//! whole: one file, for all that open the model after that.
+//! Content that is made once of a model that cannot be read from anywhere as it is, such as one that is
+//! compressed as a whole: one file, for all that open the model after that.
 //!
 //! A cache is kept under a name, in the folder of a sampled model, or in a nameless file that is gone with
 //! the process. It is filled by the first one that needs it, which is told how large it will be. A kept one
@@ -22,7 +22,7 @@ use crate::source::{SourceFile, Stamp};
 use crate::target::folder_of;
 use crate::{Error, Progress, Result, input};
 
-/// What a kept cache ends with: this, and the numbers of [`CacheStamp`].
+/// First bytes of the ending of a kept cache; the numbers of [`CacheStamp`] follow.
 const MAGIC: &[u8; 8] = b"simodc01";
 
 /// Bytes at the end of a kept cache.
@@ -31,10 +31,10 @@ const ENDING: usize = 8 + 8 + 16 + 8 + 16;
 /// Bytes that are read at a time.
 const BLOCK: usize = 1 << 20;
 
-/// What can be done about a folder without room.
+/// Advice in an error about a folder without room.
 const ADVICE: &str = "write to a disk with more room, or set TMPDIR to a folder there";
 
-/// Where what is made of a model goes.
+/// Place for content that is made of a model, and that content once it is made.
 #[derive(Debug)]
 pub struct Cache {
     place: CacheLocation,
@@ -51,7 +51,7 @@ enum CacheLocation {
     Shared(PathBuf),
 }
 
-/// What this process made, or found, of a model.
+/// Content that this process made of a model, or found kept.
 #[derive(Debug)]
 struct Cached {
     stamp: Option<Stamp>,
@@ -59,7 +59,7 @@ struct Cached {
     file: SourceFile,
 }
 
-/// What was made of what.
+/// Size and hash of a model's file, and of the content that was made of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct CacheStamp {
     source_bytes: u64,
@@ -70,16 +70,16 @@ struct CacheStamp {
 
 /// The content that will be made.
 pub(crate) struct CachedContent {
-    /// What goes there of the model, as "its points are unpacked".
+    /// Reason for the content, which messages tell, as "its points are unpacked".
     pub what: &'static str,
-    /// How many bytes that are, at least and at most: what was made of the same model by something else is
-    /// of no use.
+    /// Size of the content in bytes, the least and the greatest: content of another size was made of the same
+    /// model by other means, and is of no use.
     pub bytes: RangeInclusive<u64>,
     /// Bytes besides, until it is made.
     pub meanwhile: u64,
 }
 
-/// What the formats need to make something of a model.
+/// Cache and progress that a format needs to make content of a model.
 pub(crate) struct Making<'a> {
     pub cache: &'a Arc<Cache>,
     pub progress: &'a dyn Progress,
@@ -145,8 +145,8 @@ impl Cache {
         Scratch::new(&self.folder(), ADVICE)
     }
 
-    /// What is made of a model: what was made of it before, or else what `fill` writes, which returns how
-    /// many bytes that are. It is read in the name of the model.
+    /// Returns the content of a model: the content that was made before, or else what `fill` writes, which
+    /// returns its size in bytes. The content is read under the model's path.
     ///
     /// # Errors
     /// The model cannot be read, the disk has no room, `fill` failed, or wrote more or less than is needed.
@@ -179,7 +179,7 @@ impl Cache {
         Ok(file)
     }
 
-    /// What was kept, if it is whole and of this model.
+    /// Returns the kept content with its stamp, if it is whole and was made of this model.
     fn kept(
         &self,
         source: &SourceFile,
@@ -256,7 +256,7 @@ impl Cache {
     fn output(&self, need: &CachedContent) -> Result<Option<(OutputFile, Option<Claim>)>> {
         match &self.place {
             CacheLocation::Nameless(_) => Ok(None),
-            // Whether there is room is told by the name that it will have.
+            // The check for room looks at the name that the file will have.
             CacheLocation::Claimed(path, _) => Ok(Some((OutputFile::create(path, 0)?, None))),
             CacheLocation::Shared(path) => {
                 let Ok(claim) = Claim::folder(folder_of(path)) else { return Ok(None) };

@@ -6,8 +6,8 @@
 //! which it is replaced, are those of large files (`resumable`). What a process that was killed left is
 //! removed by the next one that has the lock; what is locked is somebody's, on this machine or another.
 //!
-//! These names are known, so that somebody else may have put something there: links are never followed or
-//! written through, and a file that has other names, or another owner, is replaced by a new one.
+//! The hidden names are known, so that somebody else may have put something there: links are never followed
+//! or written through, and a file that has other names, or another owner, is replaced by a new one.
 
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -28,7 +28,7 @@ const LONGEST_NAME: usize = 200;
 /// The files that belong to an output.
 #[derive(Debug, Clone)]
 pub(crate) struct OutputFiles {
-    /// What the caller calls the output.
+    /// Path of the output as the caller gave it.
     pub path: PathBuf,
     /// The file or folder that is created or replaced: `path` itself, unless that is a link to a file.
     pub target: PathBuf,
@@ -153,7 +153,7 @@ impl Claim {
         &self.places
     }
 
-    /// Where the files of a folder are written for now.
+    /// Path of the hidden folder in which the files of a folder are written until it takes its name.
     pub(crate) fn new_folder(&self) -> &Path {
         &self.places.new_folder
     }
@@ -217,12 +217,12 @@ impl Drop for Claim {
     }
 }
 
-/// Where a folder is written before it takes its name.
+/// Path of the hidden folder in which a folder is written before it takes its name.
 pub(crate) fn new_folder_of(path: &Path) -> PathBuf {
     OutputFiles::of_folder(path).map_or_else(|_| path.to_owned(), |places| places.new_folder)
 }
 
-/// What is claimed by this process and of no use to a later one.
+/// Hidden files and folders that this process claims and that no later process can go on with.
 static CLAIMED: Mutex<Vec<OutputFiles>> = Mutex::new(Vec::new());
 
 fn claimed() -> MutexGuard<'static, Vec<OutputFiles>> {
@@ -278,8 +278,8 @@ fn lock(places: &OutputFiles, resumes: bool) -> Result<File> {
         };
         match file.try_lock() {
             Err(TryLockError::WouldBlock) => break,
-            // Where the file system knows no locks, being there is one; whoever resumes says that nobody has
-            // it.
+            // On a file system without locks, the file itself stands for one; a caller that resumes says that
+            // no other process has it.
             Err(TryLockError::Error(_)) if !is_new && !resumes => break,
             _ => {}
         }
@@ -325,7 +325,7 @@ fn open_again(part: &Path) -> io::Result<File> {
     options.open(part)
 }
 
-/// Whether a file has one name, and is this user's.
+/// Whether a file has a single name, and belongs to this user.
 fn is_ours_alone(file: &File) -> io::Result<bool> {
     #[cfg(unix)]
     {

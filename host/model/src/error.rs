@@ -7,7 +7,7 @@ use std::sync::Arc;
 /// Result of every fallible function of the host's crates.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What sort of failure it was, for callers that treat some of them specially.
+/// Kind of a failure, for callers that treat some kinds specially.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ErrorKind {
@@ -41,7 +41,7 @@ struct Failure {
     kind: ErrorKind,
     what: String,
     hint: String,
-    /// What it came of, if a library or the system said so.
+    /// Error of a library or the system that caused this one, if there is one.
     source: Option<Arc<dyn std::error::Error + Send + Sync>>,
 }
 
@@ -94,7 +94,8 @@ impl Error {
         Self::new(ErrorKind::Plugin, what, hint)
     }
 
-    /// What the operating system refused, other than [reading or writing a file](Self::io).
+    /// Error of an operation that the operating system refused, other than [reading or writing a
+    /// file](Self::io).
     #[cold]
     pub fn system(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(ErrorKind::Io, what, hint)
@@ -106,7 +107,8 @@ impl Error {
         Self::new(ErrorKind::Internal, what, "this is a mistake in the program: please report it")
     }
 
-    /// What is made by this program and no format can hold, which is a mistake in it.
+    /// Error of content that this program made and that the format cannot hold, which is a mistake in the
+    /// program.
     #[cold]
     pub fn unwritable(
         what: impl fmt::Display,
@@ -123,29 +125,29 @@ impl Error {
         Self::mismatch(format!("{} changed while it was read", path.display()), hint)
     }
 
-    /// This error with the one that it came of.
+    /// Returns this error with the one that caused it.
     #[cold]
     pub fn because(mut self, source: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
         self.0.source = Some(source.into().into());
         self
     }
 
-    /// This error with another text of what failed.
+    /// Returns this error with another text of what failed.
     #[cold]
     pub fn saying(mut self, what: impl Into<String>) -> Self {
         self.0.what = what.into();
         self
     }
 
-    /// This error with something else to do about it.
+    /// Returns this error with other advice.
     #[cold]
     pub fn hinting(mut self, hint: impl Into<String>) -> Self {
         self.0.hint = hint.into();
         self
     }
 
-    /// What went wrong as a file was written: what a writer of our own has to say, which knows best, or what
-    /// the system has.
+    /// Error of writing a file: the error of our own writer, which knows best, where `error` holds one, or
+    /// else that of the system.
     #[cold]
     pub fn written(path: &Path, error: std::io::Error) -> Self {
         error.downcast::<Self>().unwrap_or_else(|error| Self::io("write", path, &error))
@@ -180,12 +182,12 @@ impl Error {
         Self::new(ErrorKind::Cancelled, "cancelled", "nothing is left half done; start again when you like")
     }
 
-    /// What sort of failure it was.
+    /// Kind of the failure.
     pub fn kind(&self) -> ErrorKind {
         self.0.kind
     }
 
-    /// What to do about it: one line, no full stop.
+    /// Advice of what to do about the failure: one line, no full stop.
     pub fn hint(&self) -> &str {
         &self.0.hint
     }

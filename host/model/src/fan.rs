@@ -3,11 +3,11 @@
 /// The corners so far of a polygon or of a strip.
 #[derive(Debug, Default)]
 pub(crate) struct Fan {
-    /// How many, up to three.
+    /// Number of corners, up to three.
     corners: u8,
     /// The two corners that the next one makes a triangle with, in this order.
     pair: [u32; 2],
-    /// Whether that triangle would be turned to the other side.
+    /// Whether the next triangle of a strip has the other orientation.
     turned: bool,
 }
 

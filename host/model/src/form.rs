@@ -11,10 +11,10 @@ use crate::{
     Edited, Error, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions,
 };
 
-/// What is asked of a conversion.
+/// Options of a conversion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Conversion {
-    /// Whether it may lose what the new format cannot hold.
+    /// Whether the conversion may lose content that the new format cannot hold.
     pub lossy: bool,
     /// From one integer to the next, where the new format stores positions as integers and the model does
     /// not; as fine as its extent allows, where not given.
@@ -25,7 +25,7 @@ pub struct Conversion {
     pub drops_normals: bool,
 }
 
-/// What positions are rounded to in a new format, where they lose digits by it.
+/// Rounding of positions in a new format, where they lose digits by it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rounding {
     /// From one position to the next, in the model's unit.
@@ -37,8 +37,8 @@ pub struct Rounding {
 }
 
 impl Rounding {
-    /// What becomes of a model's positions, of which those keep their digits that `stays` says so of, and
-    /// which are a `step` apart within their bounds: nothing where all stay. A reading of them.
+    /// Rounding of a model's positions, which are a `step` apart within their bounds, but for those that keep
+    /// their digits, which `stays` tells; none where all stay. Reads the model.
     pub(crate) fn of_model(
         model: &dyn Model,
         stays: impl Fn(DVec3) -> bool,
@@ -135,7 +135,7 @@ pub(crate) struct WrittenRows<'a> {
     pub(crate) attributes: &'a [Vec<f64>],
     /// The vertices as they were read.
     pub(crate) chunk: &'a VertexChunk,
-    /// What became of them, for forms that turn by themselves what follows.
+    /// Positions and gradients after the edit, for forms that turn by themselves the attributes that follow.
     pub(crate) edited: &'a Edited,
 }
 
@@ -158,10 +158,10 @@ impl WrittenRows<'_> {
 
 /// Writes a format. What it holds is bounded by a chunk, but for temporary files.
 pub(crate) trait Form: Send + Sync {
-    /// How many of the model's first attributes it needs.
+    /// Number of the model's first attributes that the form needs.
     fn attributes(&self) -> usize;
 
-    /// What the file begins with.
+    /// First bytes of the file.
     fn head(&self) -> Result<Vec<u8>>;
 
     /// Appends vertices.
@@ -176,12 +176,12 @@ pub(crate) trait Form: Send + Sync {
     }
 
     /// Whether faces need all vertices to be there: there can be no more than one version then, and nothing
-    /// to go on with.
+    /// to resume.
     fn needs_vertices(&self) -> bool {
         false
     }
 
-    /// Whether it holds polygons of more than three corners.
+    /// Whether the format holds polygons of more than three corners.
     fn holds_polygons(&self) -> bool {
         false
     }
@@ -194,7 +194,7 @@ pub(crate) trait Form: Send + Sync {
         Ok(())
     }
 
-    /// What the file ends with, once all before is known.
+    /// Last bytes of the file, once all before are known.
     ///
     /// # Errors
     /// The end cannot be made.
@@ -202,12 +202,12 @@ pub(crate) trait Form: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// How many vertices this process left out so far, as they have no position.
+    /// Number of vertices that this process left out so far, as they have no position.
     fn left_out(&self) -> u64 {
         0
     }
 
-    /// What is replaced once all vertices and faces are written: places in the file, and bytes.
+    /// Replacements once all vertices and faces are written: places in the file, and bytes.
     ///
     /// # Errors
     /// A replacement cannot be made.
@@ -215,12 +215,12 @@ pub(crate) trait Form: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// How positions are stored, where they are integers.
+    /// Scale and offset of positions, where the format stores them as integers.
     fn integers(&self) -> Option<ScaledIntegers> {
         None
     }
 
-    /// What positions are rounded to, if they lose digits by it: may take a reading of them.
+    /// Rounding of positions, if they lose digits by it; may read the model.
     ///
     /// # Errors
     /// The model cannot be read.

@@ -28,7 +28,7 @@ const EXTENSIONS: [&str; 12] = [
 /// no reading of all, and no cache, to open one.
 const WITH_HEADER: [&str; 4] = ["ply", "las", "laz", "e57"];
 
-/// Whether a file that is called so tells all that it says of itself as soon as it is opened.
+/// Whether a file of this name tells all that it says of itself as soon as it is opened.
 pub fn tells_when_opened(path: &Path) -> bool {
     WITH_HEADER.contains(&extension(path).as_str())
 }
@@ -52,7 +52,7 @@ pub fn extensions() -> impl Iterator<Item = &'static str> {
     EXTENSIONS.into_iter().chain(columns::EXTENSIONS)
 }
 
-/// Whether a path's extension says that a file is of a format, and of another one than a model.
+/// Whether a path's extension is that of a known format, and of another one than the model's.
 pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
     let extension = extension(path);
     let is_known = extensions().any(|known| known == extension);
@@ -60,7 +60,7 @@ pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
     is_known && !own.is_empty() && !own.contains(&extension.as_str())
 }
 
-/// What is to be said of a name that promises more than is written.
+/// Note on a file name that promises more than is written.
 pub fn note_on_name(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     name.ends_with(".copc.laz").then(|| {

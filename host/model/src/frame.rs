@@ -28,7 +28,7 @@ impl Frame {
         Self { origin: bounds.center(), scale }
     }
 
-    /// Whether both numbers make sense: a frame read from a file may hold anything.
+    /// Whether origin and scale make sense: a frame read from a file may hold anything.
     pub fn is_valid(&self) -> bool {
         self.origin.is_finite() && self.scale.is_normal() && self.scale > 0.0
     }
@@ -59,8 +59,8 @@ impl Frame {
     }
 }
 
-/// Whether all coordinates are finite: as they say themselves, but without a branch for each. What is not
-/// finite is no number as often as zero.
+/// Whether all coordinates are finite, as [`DVec3::is_finite`] tells, but without a branch for each: the
+/// product with zero of a number that is not finite is NaN.
 #[inline]
 pub fn is_finite(p: DVec3) -> bool {
     (p * 0.0).element_sum() == 0.0

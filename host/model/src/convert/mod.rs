@@ -164,7 +164,7 @@ impl Converted {
         Ok(())
     }
 
-    /// What is lost of the model whatever form it takes, in a few words each.
+    /// Losses of the model that any form of the new format has, in a few words each.
     fn losses_of_model(&self, counted: &PolygonCounts, progress: &dyn Progress) -> Result<Vec<String>> {
         let mut losses = Vec::new();
         if !self.keeps_records {
@@ -203,12 +203,12 @@ impl Converted {
         own.iter().find(|own| **own == named).or(own.first()).unwrap_or(&"ply")
     }
 
-    /// What the new file lacks, each in a few words.
+    /// Losses: what the new file lacks of the model, in a few words each.
     pub fn losses(&self) -> &[String] {
         &self.losses
     }
 
-    /// What positions are rounded to, if they lose digits by it: as among the losses.
+    /// Rounding of the positions, if they lose digits by it: as among the losses.
     pub fn rounding(&self) -> Option<Rounding> {
         self.rounding
     }
@@ -317,8 +317,8 @@ fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<(FaceCounts
     Ok((faces, counted))
 }
 
-/// What a format that holds polygons, or triangles alone, loses of the faces of a file that says it has so
-/// many.
+/// Losses of faces in a format that holds polygons, or triangles alone, of a file that tells a number `told`
+/// of faces.
 fn losses_of_faces(holds_polygons: bool, told: u64, counted: &PolygonCounts) -> Vec<String> {
     let PolygonCounts { triangles, without_vertex, faces, long, .. } = *counted;
     let mut losses = Vec::new();

@@ -60,7 +60,7 @@ impl PositionDigits {
     }
 }
 
-/// Whether a number is whole but for a little, or for what doubles round.
+/// Whether a number is whole but for `little`, or but for the rounding of double precision.
 fn is_whole(number: f64, little: f64) -> bool {
     (number - number.round()).abs() <= little.max(4.0 * f64::EPSILON * number.abs())
 }
@@ -81,7 +81,8 @@ fn whole_or_not(kind: Type, number: f64, to: &mut Vec<u8>) {
     let _ = number_to(to, number, kind == Type::F32);
 }
 
-/// What of a model's colours OFF would lose, where they are bytes: a reading of them, unless they are such.
+/// Loss of the colours' digits in OFF, where colours are bytes, if there is one. Reads the model, unless its
+/// colours are bytes.
 pub(super) fn losses_of_bytes(model: &dyn Model) -> Result<Option<String>> {
     let Some(colors) = Colors::from_info(model.info()).filter(|colors| colors.kind != Type::U8) else {
         return Ok(None);
@@ -90,7 +91,7 @@ pub(super) fn losses_of_bytes(model: &dyn Model) -> Result<Option<String>> {
     Ok((!are_kept).then(|| format!("digits of the colours ({}), which become bytes", colors.kind.name())))
 }
 
-/// What of a text is written.
+/// Format of a text that is written, with the columns that it has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum TextFormat {
     Obj,
@@ -106,7 +107,7 @@ pub(super) enum TextFormat {
 }
 
 impl TextFormat {
-    /// Whether an attribute of this name can be written.
+    /// Whether an attribute of this name can be a column of the format.
     fn holds_attribute(self, name: &str) -> bool {
         let Self::Named(separator) = self else { return false };
         let needs_care =
@@ -135,7 +136,7 @@ pub(super) struct TextForm {
 struct ColorStyle {
     colors: Colors,
     scale: ColorScale,
-    /// Where that is among the attributes, if the model has one of the same type.
+    /// Place of the alpha among the attributes, if the model has one of the colours' type.
     alpha: Option<usize>,
 }
 

@@ -23,13 +23,13 @@ pub struct ConvertedTiles {
     pub triangles: u64,
     /// Size of all files.
     pub bytes: u64,
-    /// What the new files lack, each in a few words, and once.
+    /// Losses of the new files, in a few words each, every one once.
     pub losses: Vec<String>,
-    /// What positions are rounded to, if they lose digits by it, where it is most of the diagonal.
+    /// Rounding of the tile where it is most of the diagonal, if positions lose digits by it in any tile.
     pub rounding: Option<Rounding>,
 }
 
-/// What the tiles are called in their folder in another format.
+/// Names of the tiles in their folder, in another format.
 ///
 /// # Errors
 /// A name cannot be written; two tiles would have one name.

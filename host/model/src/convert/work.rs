@@ -1,7 +1,8 @@
 //! The stream from one format to another, as the pipeline of rewriting takes it.
 //!
-//! Where vertices can be read from anywhere, each thread reads those of its own piece, and the edit is told
-//! of the pieces in turn; where not, one thread at a time reads on.
+//! A model whose vertices can be read from anywhere is read by all threads, each its own piece, and the edit
+//! is told of the pieces in turn; any other is read by one thread at a time, from its first vertex to its
+//! last.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -29,13 +30,13 @@ pub(super) struct ConversionCall<'a> {
     how: Rewriting,
     edit: &'a dyn Edit,
     progress: &'a dyn Progress,
-    /// Whether vertices are read by one reader.
+    /// Whether one reader reads all vertices in their order.
     in_order: bool,
     turns: Mutex<VertexTurns>,
     turned: Condvar,
 }
 
-/// How far the vertices have come in their order.
+/// Progress of the vertices in their order, for which pieces wait.
 struct VertexTurns {
     /// The first vertex that the edit was not told of.
     next: u64,
@@ -191,7 +192,7 @@ impl Rewritable for ConversionCall<'_> {
         self.guarded(chunk.first, || {
             let PieceVersion { edited, normals, bytes, summary, .. } = version;
             let attributes = self.attributes(chunk, edited)?;
-            // What has no position stays without.
+            // A vertex without a position stays without one.
             let mut positions = Vec::new();
             if chunk.positions.iter().any(|p| !p.is_finite()) {
                 let kept = |(old, new): (&_, &_)| if glam::DVec3::is_finite(*old) { *new } else { *old };

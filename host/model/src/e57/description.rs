@@ -1,4 +1,5 @@
-//! What the XML of an E57 file says of its scans, and where in the text it says how far they reach.
+//! Description of the scans of an E57 file: its XML, and the places in the text of the limits of the scans'
+//! coordinates.
 
 use std::ops::Range;
 use std::str::FromStr;
@@ -29,11 +30,11 @@ pub(super) struct Described {
     pub slots: Vec<LimitSlot>,
     /// For each field, where in the text its least and its largest number are, as far as it says them.
     pub limits: Vec<[Option<Range<usize>>; 2]>,
-    /// How large intensities may be, as far as the scan says so.
+    /// Least and largest intensity that the scan declares, if it does.
     pub intensities: Option<[f64; 2]>,
     /// Groups of its points, as lines of a scanner, have boxes of their own, which are in their records.
     pub has_boxes_of_groups: bool,
-    /// What else is told of the scan, by the names of elements.
+    /// Names of the elements that describe the scan besides.
     pub besides: Vec<String>,
 }
 
@@ -42,7 +43,7 @@ pub(super) struct Described {
 pub(super) struct E57Description {
     pub scans: Vec<Described>,
     pub images: usize,
-    /// What the file says of its coordinate reference system, in one line: WKT, or its name.
+    /// Coordinate reference system of the file in one line, WKT or its name, if the file has one.
     pub crs: Option<String>,
 }
 
@@ -63,7 +64,7 @@ pub(super) struct LimitSlot {
     pub is_limit: bool,
     /// The number as it is.
     pub value: f64,
-    /// How the number is written.
+    /// Type in which the number is written.
     pub kind: NumberEncoding,
     /// The bytes to be replaced, and what has to stand around the new number.
     pub text: Range<usize>,
@@ -102,8 +103,8 @@ fn ns<'a>(node: Node<'a, '_>) -> Option<&'a str> {
     node.tag_name().namespace()
 }
 
-/// What is told of a scan besides points, pose, and what follows from the points or says who made the file
-/// and when: the names of elements that are not empty.
+/// Names of a scan's elements that are not empty, but for its points, pose, and those that follow from the
+/// points or say who made the file and when.
 fn besides(scan: Node<'_, '_>) -> Vec<String> {
     const FOLLOWS: [&str; 9] = [
         "guid",
@@ -286,7 +287,7 @@ impl<'a, 'i> DescriptionReading<'a, 'i> {
         }
     }
 
-    /// Where a scan stands: where it says nothing, in the frame that all share.
+    /// Pose of a scan. A scan without one is in the frame that all share.
     fn pose(&self, node: Node<'a, 'i>, scan: &str) -> Result<ScanPose> {
         let Some(pose) = child(node, "pose") else { return Ok(ScanPose::default()) };
         let numbers = |of: &str, names: [&str; 4], otherwise: [f64; 4]| {

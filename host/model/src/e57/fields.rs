@@ -2,7 +2,7 @@
 
 use crate::Type;
 
-/// How the numbers of a field are stored.
+/// Type of a field's numbers in the file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum NumberEncoding {
     /// 32 bits.
@@ -11,7 +11,7 @@ pub(super) enum NumberEncoding {
     Double,
     /// As many bits as the largest number needs, less the least one: number · scale + offset.
     Integer { min: i64, max: i64, scale: f64, offset: f64 },
-    /// What is no number: it is kept.
+    /// A field that holds no numbers, and is kept as it is.
     Other,
 }
 
@@ -108,13 +108,13 @@ impl E57Field {
         }
     }
 
-    /// Whether some of its numbers are integers that doubles do not tell apart.
+    /// Whether some of the field's numbers are integers that double precision does not tell apart.
     pub fn is_beyond_doubles(&self) -> bool {
         const MOST: i64 = 1 << 53;
         matches!(self.kind, NumberEncoding::Integer { min, max, .. } if max > min && (min < -MOST || max > MOST))
     }
 
-    /// What holds all numbers of the field.
+    /// Smallest type of this program that holds all numbers of the field.
     pub fn number_type(&self) -> Type {
         match self.kind {
             NumberEncoding::Single => Type::F32,
@@ -143,7 +143,7 @@ pub(super) struct PackedNumbers {
     bytes: Vec<u8>,
     /// The byte of the stream that the first of them is.
     pub first: u64,
-    /// Where in the first byte the first number begins.
+    /// Bit of the first byte at which the first number begins.
     shift: u32,
     width: u32,
 }

@@ -30,14 +30,14 @@ pub struct E57Model {
     pub(super) wkt: Option<String>,
     /// For each scan, those attributes that it has, and which of its fields they are; ascending.
     pub(super) attributes: Vec<Vec<(usize, usize)>>,
-    /// What of the attributes turns with the surface.
+    /// Attributes that turn with the surface.
     pub(super) following: Following,
     pub(super) info: ModelInfo,
 }
 
 impl E57Model {
-    /// What the file `source` is: its XML is read, and the heads of all packets. One that is cut off is
-    /// noticed here.
+    /// Opens the file `source`: reads its XML and the heads of all packets, by which a file that is cut off
+    /// is noticed.
     ///
     /// # Errors
     /// The file cannot be read, is not what E57 files are, or has a wrong checksum in what is read of it.
@@ -140,7 +140,7 @@ impl E57Model {
         Ok((!chosen.is_empty()).then_some(changed))
     }
 
-    /// What formats of points alone have no place for.
+    /// Contents of the file that formats of points alone have no place for.
     pub(super) fn describe_besides(&self) -> Vec<String> {
         let number = |count: usize, one: &str| match count {
             1 => format!("1 {one}"),
@@ -193,12 +193,12 @@ impl E57Model {
         }
     }
 
-    /// What there is to say of each scan.
+    /// Descriptions of the scans, one line each.
     pub(super) fn describe_scans(&self) -> Vec<String> {
         self.scans.iter().map(describe).collect()
     }
 
-    /// How large intensities may be in any scan, if all that have points say so.
+    /// Least and largest intensity of all scans with points, if all of these declare theirs.
     pub(super) fn intensities(&self) -> Option<[f64; 2]> {
         let with_points = self.scans.iter().map(|scan| &scan.described).filter(|scan| scan.count > 0);
         let limits: Option<Vec<[f64; 2]>> = with_points.map(|scan| scan.intensities).collect();
@@ -287,7 +287,7 @@ fn attributes(scans: &[Scan], has_normals: bool) -> (Vec<Attribute>, Vec<Vec<(us
     (attributes, places)
 }
 
-/// What is known of a model, and which field of each scan each attribute is.
+/// Returns the info of a model, and for each scan which of its fields each attribute is.
 fn info(
     source: &SourceFile,
     header: &E57Header,

@@ -1,5 +1,4 @@
-//! Where the streams of a scan's fields are in the file: a section of packets, each with the next bytes of
-//! every stream.
+//! Packets of a scan: a section of the file in which each packet has the next bytes of every field's stream.
 
 use std::ops::Range;
 
@@ -36,7 +35,7 @@ pub(super) struct PacketStart {
 pub(super) struct Packets {
     /// The logical bytes of the section.
     pub section: Range<u64>,
-    /// Where the walk is over: all streams are complete there.
+    /// Logical byte of the file at which all streams are complete, and the walk is over.
     pub end: u64,
     streams: usize,
     /// For each place that is kept, its byte and those before it of each stream, side by side.
@@ -54,7 +53,7 @@ pub(super) struct PacketStream {
     pub at: u64,
 }
 
-/// What a walk through packets needs to know.
+/// File, window and scan of a walk through packets.
 pub(super) struct PacketWalk<'a, 'w> {
     pub source: &'a SourceFile,
     pub window: &'a mut PageWindow<'w>,
@@ -158,7 +157,7 @@ fn check_apart(walk: &PacketWalk<'_, '_>, fields: &[E57Field], now: &PacketStart
 }
 
 impl<'a> PacketWalk<'a, '_> {
-    /// What is wrong at a logical byte.
+    /// Returns a function that makes the error of a malformed packet at a logical byte.
     fn wrong(&self) -> impl Fn(u64, std::fmt::Arguments<'_>) -> crate::Error + use<'a> {
         let (source, name) = (self.source, self.name);
         move |at, what| {

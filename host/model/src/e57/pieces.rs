@@ -30,7 +30,7 @@ const AROUND: u64 = 66;
 /// Bytes that are copied at a time.
 const CHUNK_BYTES: u64 = 4 << 20;
 
-/// What of the file comes next.
+/// Section of the file that comes next.
 #[derive(Debug)]
 enum E57Section {
     Copy(Range<u64>),
@@ -43,7 +43,7 @@ enum E57Section {
     Ending(Range<u64>),
 }
 
-/// What of a scan a piece has.
+/// Points of a scan in a piece, and where their bytes are.
 #[derive(Debug, Default)]
 pub(super) struct ScanSegment {
     pub scan: usize,
@@ -51,9 +51,9 @@ pub(super) struct ScanSegment {
     pub own: Range<u64>,
     /// The points of which a part of a number is here.
     pub alone: Vec<u64>,
-    /// What all points have of which numbers are here.
+    /// Streams of all points of which the piece has a number, or a part of one.
     pub streams: Streams,
-    /// Where the bytes of streams are in the pages.
+    /// Bytes of the streams that are in the pages of the piece.
     pub runs: Vec<StreamRun>,
 }
 
@@ -154,14 +154,14 @@ impl<'a> E57Pieces<'a> {
         Ok(pages.end)
     }
 
-    /// What each stream of a scan has before a logical byte.
+    /// Number of bytes of each stream of a scan before a logical byte of the file.
     fn before(&mut self, scan: &Scan, byte: u64) -> Result<Vec<u64>> {
         let mut before = scan.packets.before(&mut self.model.walk(scan, &mut self.window), byte)?;
         before.resize(scan.described.fields.len(), 0);
         Ok(before)
     }
 
-    /// What of a scan some pages have.
+    /// Segment of a scan that some pages have.
     fn segment(&mut self, number: usize, pages: &Range<u64>) -> Result<ScanSegment> {
         let scan = &self.model.scans[number];
         let bytes = pages.start * PAYLOAD..pages.end * PAYLOAD;
@@ -203,7 +203,7 @@ impl<'a> E57Pieces<'a> {
         Ok(segment)
     }
 
-    /// Where the bytes of those fields of a scan that are written anew are in some bytes of the file.
+    /// Runs of those fields of a scan that are written anew, within some bytes of the file.
     fn runs(&mut self, scan: &Scan, patched: &[usize], bytes: &Range<u64>) -> Result<Vec<StreamRun>> {
         let mut runs = Vec::new();
         let Some(mut place) = scan.packets.last_place(|at, _| at <= bytes.start) else { return Ok(runs) };
@@ -354,7 +354,8 @@ impl E57Model {
 }
 
 impl Scan {
-    /// How many points begin in what each stream has so far: those of whose leading number a bit is there.
+    /// Number of points that begin within the first `before` bytes of each stream: those of whose leading
+    /// number there is a bit.
     pub fn lead_numbers(&self, before: &[u64]) -> u64 {
         let Some(lead) = self.lead else { return 0 };
         let width = u64::from(self.described.fields[lead].bits().max(1));

@@ -227,7 +227,8 @@ fn entry_of<T: Copy>(lists: [&[T]; 2], index: usize) -> Option<T> {
 }
 
 impl E57Model {
-    /// Whether bytes of a page are known in the end only: those of the header, and the first ones of the XML.
+    /// Whether some bytes of a page are known in the end only: those of the header, and the first ones of the
+    /// XML.
     fn is_finished_later(&self, page: u64) -> bool {
         page == 0 || page == self.header.xml.start / PAYLOAD
     }

@@ -31,7 +31,8 @@ pub(super) struct Scan {
     /// The fields of what turns with the surface besides normals, in the order of its numbers; none where the
     /// scan lacks one.
     pub turning: Vec<Option<usize>>,
-    /// How they are stored, and how they are written, which is with other ranges where these were chosen.
+    /// Types of the row's fields as they are stored, and (`written`) as they are written: with other ranges
+    /// where these were chosen.
     kinds: Vec<NumberEncoding>,
     written: Vec<NumberEncoding>,
     roles: Roles,
@@ -39,11 +40,11 @@ pub(super) struct Scan {
     /// bits.
     pub lead: Option<usize>,
     pub has_normals: bool,
-    /// Whether the text says how far x, y and z reach, and range, azimuth and elevation.
+    /// Whether the text declares limits of x, y and z, and of range, azimuth and elevation.
     wants: [bool; 2],
 }
 
-/// Where in a row things are.
+/// Places of coordinates, their states and normals in a row.
 #[derive(Debug, Default)]
 struct Roles {
     cartesian: Option<[usize; 3]>,
@@ -74,7 +75,7 @@ const MOST_TURN: f64 = 0.1;
 #[derive(Debug, Clone, Copy)]
 struct Coordinate {
     number: f64,
-    /// How much less or more it may be nearby, and what it is at most, either way.
+    /// Margin by which the number may be less or more nearby, and (`most`) its largest possible magnitude.
     margin: f64,
     most: f64,
     is_angle: bool,
@@ -94,7 +95,7 @@ impl Coordinate {
     }
 }
 
-/// How far points reach: in x, y and z, and in range, azimuth and elevation, in the scan's own frame.
+/// Boxes of points in the scan's own frame: of x, y and z, and of range, azimuth and elevation.
 pub(super) type ScanReach = [Bounds; 2];
 
 impl Scan {
@@ -150,7 +151,7 @@ impl Scan {
         self.first..self.first + self.described.count
     }
 
-    /// Whether its points have spherical coordinates.
+    /// Whether the scan's points have spherical coordinates.
     pub fn has_spherical(&self) -> bool {
         self.roles.spherical.is_some()
     }
@@ -200,7 +201,7 @@ impl Scan {
         three.map(|i| self.value(row, i))
     }
 
-    /// Where x, y and z are in a row, if they are said to be a position.
+    /// Places of x, y and z in a row, if the row says that its position is valid.
     #[inline]
     fn valid_cartesian(&self, row: &[u64]) -> Option<[usize; 3]> {
         let is_valid = |state: &usize| self.value(row, *state) == 0.0;
@@ -296,7 +297,7 @@ impl Scan {
         Ok(changed)
     }
 
-    /// Whether integers are written with other ranges than they have.
+    /// Whether integers are written with other ranges than they are stored with.
     pub fn has_other_ranges(&self) -> bool {
         self.written != self.kinds
     }
@@ -395,8 +396,8 @@ impl Scan {
         all
     }
 
-    /// Whether any point may be at a position in the frame of all scans, or hardly beyond what the fields
-    /// hold: a field may reach just as far as its points do, and a position be rounded.
+    /// Whether any point may be at a position in the frame of all scans: the fields hold it, or it is hardly
+    /// beyond their range, since a field may reach just as far as its points do, and a position be rounded.
     pub fn has_room_for(&self, p: DVec3) -> bool {
         const HARDLY: f64 = 1e-3;
         let local = self.described.pose.turned_back(p - self.described.pose.translation);
@@ -472,13 +473,15 @@ impl Scan {
         Ok(changed)
     }
 
-    /// How far a point reaches, as far as the text says it of all: nowhere, if it has no position.
+    /// Coordinates of a point that count for the declared limits, both kinds; none for a point without a
+    /// position, and none of a kind without limits.
     #[inline]
     pub fn reach(&self, row: &[u64]) -> [Option<DVec3>; 2] {
         self.reach_of(&self.kinds, row)
     }
 
-    /// How far the point of a row that is written reaches.
+    /// Coordinates of the point of a row that is written, as [`reach`](Self::reach) has them of one that is
+    /// stored.
     #[inline]
     pub fn new_reach(&self, row: &[u64]) -> [Option<DVec3>; 2] {
         self.reach_of(&self.written, row)

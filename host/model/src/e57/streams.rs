@@ -93,7 +93,8 @@ impl Streams {
 }
 
 impl Packets {
-    /// What each stream has before a logical byte of the file, from the last place that is before it on.
+    /// Number of bytes of each stream before a logical byte of the file, by a walk from the last known place
+    /// before it.
     pub fn before(&self, walk: &mut PacketWalk<'_, '_>, byte: u64) -> Result<Vec<u64>> {
         let Some(mut place) = self.last_place(|at, _| at <= byte) else { return Ok(Vec::new()) };
         let mut before = place.before.clone();

@@ -29,12 +29,12 @@ pub struct Following {
     descriptions: Vec<String>,
     opacity: Opacity,
     max_anisotropy: Option<f64>,
-    /// Why it is not known what turns.
+    /// Reason for which the attributes that turn are unknown, if they are.
     misfit: Option<String>,
     tally: SplatTally,
 }
 
-/// What became of the splats of all versions.
+/// Counts of the splats of all versions that were treated specially.
 #[derive(Debug, Default)]
 struct SplatTally {
     /// Splats that keep their numbers, as some mean nothing.
@@ -49,17 +49,17 @@ struct SplatTally {
 const NEEDLE: f64 = 10.0;
 
 impl Following {
-    /// What turns among the attributes of a model without being declared: splats, told by their properties.
-    /// Where they lack one, nothing does, and [`check`](Self::check) says so.
+    /// Finds the attributes that turn without being declared: those of splats, told by their properties.
+    /// Where splats lack a property, no attribute turns, and [`check`](Self::check) says so.
     pub(crate) fn recognised(attributes: &[Attribute]) -> Self {
         let found = Self::find(&Follow::default(), attributes);
         found.unwrap_or_else(|why| Self { misfit: Some(why), ..Self::default() })
     }
 
-    /// What is to turn among the attributes of the model in `file`.
+    /// Finds the attributes that turn in the model in `file`: declared ones, and those of splats.
     ///
     /// # Errors
-    /// What is declared is not there, or is not of floating-point numbers; splats lack a property.
+    /// A declared attribute is missing, or not of floating-point numbers; splats lack a property.
     pub(crate) fn declared(follow: &Follow, attributes: &[Attribute], file: &Path) -> Result<Self> {
         Self::find(follow, attributes).map_err(|why| misfit(&why, file))
     }
@@ -105,7 +105,7 @@ impl Following {
         self.descriptions.push(description);
     }
 
-    /// Whether nothing follows.
+    /// Whether no attribute turns.
     pub fn is_empty(&self) -> bool {
         self.groups.is_empty()
     }
@@ -115,7 +115,7 @@ impl Following {
         self.groups.iter().any(|(rule, _)| matches!(rule, FollowRule::Splat(_)))
     }
 
-    /// What follows, for people: all that determines what becomes of it.
+    /// Descriptions of the attributes that turn, for people: with all that determines their new numbers.
     pub fn descriptions(&self) -> &[String] {
         &self.descriptions
     }

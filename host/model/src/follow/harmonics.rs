@@ -106,7 +106,7 @@ fn inverse(m: &Square, size: usize) -> Square {
     right
 }
 
-/// What rotates the coefficients of bands 1 up to some degree.
+/// Matrices that rotate the coefficients of bands 1 up to some degree.
 pub(super) struct BandRotation {
     /// For each coefficient before its part in all of the band.
     bands: [Square; 3],

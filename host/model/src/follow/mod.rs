@@ -1,7 +1,7 @@
-//! What turns with the surface besides positions: vectors, normals, quaternions and covariances that are
-//! numbers of each vertex, and Gaussian splats (B. Kerbl, G. Kopanas, T. Leimkühler, G. Drettakis, *3D
-//! Gaussian Splatting for Real-Time Radiance Field Rendering*, 2023), which are ellipsoids with colours that
-//! depend on the direction they are seen from.
+//! Attributes that turn with the surface: vectors, normals, quaternions and covariances that are numbers of
+//! each vertex, and Gaussian splats (B. Kerbl, G. Kopanas, T. Leimkühler, G. Drettakis, *3D Gaussian
+//! Splatting for Real-Time Radiance Field Rendering*, 2023), which are ellipsoids with colours that depend on
+//! the direction they are seen from.
 //!
 //! All follow from the gradient of the deformation at the vertex. `rules` is what users ask for, `names`
 //! finds the numbers by their names, and `following` is what was found; vectors and the like turn in `turn`,

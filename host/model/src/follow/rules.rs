@@ -52,7 +52,7 @@ impl FromStr for TensorKind {
     }
 }
 
-/// What becomes of the opacity of splats.
+/// Rule for the opacity of splats.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Opacity {
@@ -63,14 +63,14 @@ pub enum Opacity {
     Conserve,
 }
 
-/// What of a model is to turn with the surface.
+/// Rules for the attributes of a model that turn with the surface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Follow {
     /// Numbers by what their names begin with, as `tangent` of `tangent_x`, `tangent_y` and `tangent_z`.
     pub declared: BTreeMap<String, TensorKind>,
     /// Whether splats are recognised by their properties.
     pub splats: bool,
-    /// What becomes of the opacity of splats.
+    /// Rule for the opacity of splats.
     pub opacity: Opacity,
     /// No splat becomes longer than so many times its second axis, unless it was before.
     pub max_anisotropy: Option<f64>,
@@ -109,7 +109,7 @@ impl Follow {
     pub const SPLATS: Self =
         Self { declared: BTreeMap::new(), splats: true, opacity: Opacity::Keep, max_anisotropy: None };
 
-    /// These rules, with numbers declared that they say nothing of.
+    /// These rules, with `declared` as their declarations if they declare nothing and recognise splats.
     pub fn or_declared(mut self, declared: &BTreeMap<String, TensorKind>) -> Self {
         if self.declared.is_empty() && self.splats {
             self.declared.clone_from(declared);

@@ -16,8 +16,8 @@ const RIGHT_ANGLE: f64 = 1e-7;
 /// Changes of scales below this are none, likewise.
 const UNSTRETCHED: f64 = 1e-6;
 
-/// What numbers a splat has: the quaternion (real part first), logarithms of scales, coefficients of bands 1
-/// up to the degree, those of a channel after the other, and the opacity before the sigmoid.
+/// Numbers of a splat: the quaternion (real part first), logarithms of scales, coefficients of bands 1 up to
+/// the degree, those of a channel after the other, and the opacity before the sigmoid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct SplatNumbers {
     /// Three, or two of a disc.
@@ -135,7 +135,7 @@ fn oriented(axes: &DMat3, lengths: [f64; 3], before: &DMat3) -> Option<DMat3> {
     Some(turned)
 }
 
-/// How many times as long as the second axis the longest one is.
+/// Ratio of the longest axis to the second.
 fn ratio(scales: [f64; 3]) -> f64 {
     let [first, second, _] = sorted(scales);
     first / second

@@ -1,4 +1,4 @@
-//! How vectors, normals, quaternions and covariances turn under a deformation of a known gradient.
+//! Rules by which vectors, normals, quaternions and covariances turn under a deformation of a known gradient.
 
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3, Vec4};
 
@@ -237,8 +237,8 @@ fn polar_by_axes(j: &DMat3) -> Option<DMat3> {
     Some(DMat3::from_cols(a, b, c) * v.transpose())
 }
 
-/// How much longer than wide a round splat becomes under a deformation of this gradient: the ratio of its two
-/// largest singular values.
+/// Anisotropy of a round splat after a deformation of this gradient: the ratio of its two largest singular
+/// values.
 pub fn anisotropy(gradient: &Mat3) -> f32 {
     if *gradient == Mat3::IDENTITY {
         return 1.0;
@@ -306,7 +306,7 @@ mod tests {
         let expected = of(&points.map(|p| j * p));
         let found = turned(TensorKind::Covariance, &of(&points));
         assert!((0..6).all(|i| (found[i] - expected[i]).abs() < 1e-13));
-        // What means nothing stays.
+        // A vector with a NaN, and a quaternion of zero, stay as they are.
         assert!(turned(TensorKind::Vector, &[1.0, f64::NAN, 2.0])[1].is_nan());
         assert_eq!(turned(TensorKind::QuaternionWxyz, &[0.0; 4]), [0.0; 4]);
     }
