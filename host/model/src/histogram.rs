@@ -30,7 +30,7 @@ impl Histogram {
     /// Counts a value so many times.
     #[inline]
     pub fn add_many(&mut self, x: f64, count: u64) {
-        // What is not positive, or no number, is below the scale.
+        // A number that is not positive, or NaN, counts as below the scale.
         let bits = if x > 0.0 { x.to_bits() >> SHIFT } else { 0 };
         let bin = (bits.saturating_sub(FIRST) as usize).min(BINS - 1);
         self.bins[bin] += count;

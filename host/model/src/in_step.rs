@@ -129,7 +129,7 @@ pub fn in_ranges<T: Default + Send>(
     Ok(())
 }
 
-/// How many vertices all models have.
+/// Number of vertices, which all models have in common.
 fn checked_count(models: &[&dyn Model]) -> Result<u64> {
     let Some(first) = models.first() else { return Ok(0) };
     let vertices = first.info().vertices;

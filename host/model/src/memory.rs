@@ -26,7 +26,8 @@ const LITTLE_FREE: i32 = 4 << 20;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const MUCH_FREE: i32 = 64 << 20;
 
-/// Whether large blocks go back to the system, and how many are at work that use them again.
+/// Whether large blocks go back to the system, and (`REUSING`) the number of those at work that use them
+/// again.
 static RETURNING: AtomicBool = AtomicBool::new(false);
 static REUSING: AtomicU32 = AtomicU32::new(0);
 
@@ -203,8 +204,8 @@ pub fn anonymous() -> Option<u64> {
     anonymous_by("/proc/self/statm")
 }
 
-/// What is resident less what is of files or shared: a few numbers, where `status`, which tells it at once,
-/// takes the system ten times as long. `None` of a process that has ended, of which all of them are 0.
+/// Anonymous memory: the resident pages less those of files or shared ones. `status`, which has this number,
+/// takes the system ten times as long. `None` for a process that has ended, of which all numbers are 0.
 #[cfg(target_os = "linux")]
 fn anonymous_by(file: &str) -> Option<u64> {
     let text = std::fs::read_to_string(file).ok()?;

@@ -32,7 +32,7 @@ pub const CHUNK_TRIANGLES: usize = 1 << 16;
 /// Most versions that one reading of a model writes: the bound of what is held beside each chunk.
 pub const MAX_VERSIONS: usize = 4;
 
-/// How positions are stored in the file. They are written back in the same type.
+/// Type of the numbers of positions in the file, in which they are written back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scalar {
     /// 32-bit IEEE float.
@@ -97,7 +97,7 @@ pub struct ModelInfo {
     pub step: DVec3,
     /// Ranges of whole numbers that were [chosen](Model::make_room) for what is written.
     pub ranges: Vec<[i64; 2]>,
-    /// What the file says of its coordinate reference system, as "EPSG:25832" or the name in its WKT.
+    /// Coordinate reference system that the file names, as "EPSG:25832" or the name in its WKT.
     pub crs: Option<String>,
 }
 
@@ -127,7 +127,7 @@ impl Default for ModelInfo {
 }
 
 impl ModelInfo {
-    /// Whether a range of vertices is read without others: neither all before them, nor those of the same
+    /// Whether a range of vertices can be read without others: neither all before it, nor those of the same
     /// compressed block.
     pub fn reads_exactly(&self) -> bool {
         self.random_access && self.block_vertices == 1
@@ -138,13 +138,13 @@ impl ModelInfo {
         if self.random_access { self.block_vertices - 1 } else { u64::MAX }
     }
 
-    /// How far a position that is written as whole numbers is from where it should be: the root of the mean
-    /// square; zero where they are floats.
+    /// Distance of a position that is written as whole numbers from its exact place, the root of the mean
+    /// square, in model units; zero where positions are floats.
     pub fn rounding(&self) -> f64 {
         (self.step.length_squared() / 12.0).sqrt()
     }
 
-    /// What becomes of a position when it is written to such a file; one that does not fit stays as it is.
+    /// Position that is read back when `p` was written to such a file; one that does not fit stays as it is.
     pub fn rounded(&self, p: DVec3) -> DVec3 {
         match (&self.written, self.position_type) {
             (Some(integers), _) => integers.nearest(p).map_or(p, |i| integers.position(i)),
@@ -176,15 +176,15 @@ pub struct VertexChunk {
     pub(crate) raw: Vec<u8>,
     /// The vertices' records, where `raw` is compressed.
     pub(crate) records: Vec<u8>,
-    /// How many vertices each of the compressed blocks in `raw` has, and how many bytes.
+    /// Number of vertices and of bytes of each compressed block in `raw`.
     pub(crate) blocks: Vec<CompressedBlock>,
-    /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
+    /// Range of bytes in `raw` of each vertex' numbers; its exact meaning is up to the format.
     pub(crate) spans: Vec<[u32; 2]>,
     /// The pages that are patched, where `raw` is what the vertices have of them.
     pub(crate) pages: Vec<u8>,
     /// Vertices of other chunks of which these bytes have some numbers.
     pub(crate) beside: StraddlingVertices,
-    /// What the format has to know of the bytes besides, for each part that was read by itself.
+    /// Data of the format's own that belong to the bytes, for each part that was read by itself.
     pub(crate) of_format: Vec<Box<dyn Any + Send + Sync>>,
     /// The bytes are those of the vertices' normals, which stand elsewhere in the file than their positions.
     pub(crate) of_normals: bool,
@@ -233,7 +233,7 @@ impl VertexChunk {
         (if self.pages.is_empty() { &self.raw } else { &self.pages }).len() as u64
     }
 
-    /// What the format had to know of former bytes, to be filled anew.
+    /// Data of the format's own of former bytes, to be filled anew.
     pub(crate) fn take_of_format<T: Any + Default>(&mut self) -> Box<T> {
         self.of_format.drain(..).find_map(|of| of.downcast::<T>().ok()).unwrap_or_default()
     }
@@ -246,7 +246,7 @@ pub(crate) struct StraddlingVertices {
     pub(crate) positions: Vec<DVec3>,
     /// As many, where the model has any.
     pub(crate) normals: Vec<Vec3>,
-    /// How many vertices each group has.
+    /// Number of vertices of each group.
     pub(crate) groups: Vec<usize>,
 }
 
@@ -257,7 +257,7 @@ pub(crate) struct CompressedBlock {
     pub(crate) bytes: u64,
 }
 
-/// What the vertices of a chunk become in one version of the model.
+/// Vertices of a chunk in one version of the model.
 ///
 /// Memory: 36 bytes per vertex, so at most 2.3 MiB, and 36 more with gradients; [`Model::rewrite`] holds one
 /// for each version and thread.
@@ -275,14 +275,14 @@ pub struct Edited {
 }
 
 impl Edited {
-    /// What becomes of the chunk's tangents.
+    /// Tangents of the chunk's vertices in this version.
     pub(crate) fn tangents(&self, chunk: &VertexChunk) -> Vec<Vec4> {
         let turned = chunk.tangents.iter().zip(&self.gradients);
         turned.map(|(t, gradient)| follow::tangent(gradient, *t, self.mirrored)).collect()
     }
 }
 
-/// What becomes of a model's normals when it is rewritten. Of no effect where it has none.
+/// Treatment of a model's normals when it is rewritten. Of no effect on a model without normals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Normals {
     /// Normals keep their bytes.
@@ -336,7 +336,7 @@ pub trait Edit: Sync {
         Ok(())
     }
 
-    /// Whether it is known that nothing at all changes in a version.
+    /// Whether it is known that a version is the same as the model.
     fn is_still(&self, _version: usize) -> bool {
         false
     }
@@ -357,14 +357,14 @@ pub struct RawChunk<'a> {
     pub vertices: usize,
     /// The bytes of the file that hold them.
     pub bytes: &'a [u8],
-    /// Whether they are edited: the outputs may have them already.
+    /// Whether these vertices are edited: the outputs may have them already.
     pub is_edited: bool,
 }
 
-/// How a model is rewritten.
+/// Options of rewriting a model.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Rewriting {
-    /// What becomes of the normals.
+    /// Treatment of the normals.
     pub normals: Normals,
     /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them
     /// already.
@@ -390,8 +390,8 @@ pub struct PieceRange {
     pub end: Option<u64>,
 }
 
-/// How the rewriting of a model can be divided among calls that know nothing of each other. The pieces of a
-/// model that is made of [tiles](Model::tiles) are these, each as a whole.
+/// Division of the rewriting of a model among calls that know nothing of each other. The pieces of a model
+/// that is made of [tiles](Model::tiles) are its tiles, each as a whole.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Division {
     /// So many pieces, from the file's beginning on, each follow from the model alone. Those behind them, if
@@ -399,13 +399,13 @@ pub struct Division {
     pub pieces: u64,
     /// The pieces that hold vertices; the others are copied.
     pub vertices: Range<u64>,
-    /// Whether it is known beforehand where each of them goes: as it has as many bytes in the new file as in
-    /// the old one, and nothing is replaced in them in the end but before the vertices; or as it is a file by
-    /// itself.
+    /// Whether the place of each piece in the new file is known beforehand: as the piece has as many bytes in
+    /// the new file as in the old one, and nothing is replaced in the end in the pieces with vertices or
+    /// behind them; or as it is a file by itself.
     pub in_place: bool,
 }
 
-/// Where a new version of a model goes. Anything that can be written to is one, for formats that replace
+/// Destination of a new version of a model. Anything that can be written to is one, for formats that replace
 /// nothing in the end.
 pub trait Output: Send {
     /// Is told first, where a [part](Rewriting::only) of a file is rewritten, at which byte of the old file
@@ -486,7 +486,7 @@ pub const FACES_OF_A_BLOCK: u64 = 16;
 /// A place in the file from which faces can be read: see [`Model::faces_at`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FaceMark {
-    /// How many of the chunk's triangles come before it.
+    /// Number of the chunk's triangles before the mark.
     pub triangle: usize,
     /// The byte of the file at which a face begins, or the last one ends; of a model of several files,
     /// counted through all of them, each with a byte more than it has.
@@ -503,7 +503,7 @@ pub struct FaceChunk {
     /// The triangles, ascending, that are of the same polygon as the one before, at whose first corner and
     /// last one they begin: the last triangle of the chunk before, if it is the first one here.
     pub continued: Vec<u32>,
-    /// Where blocks of [`FACES_OF_A_BLOCK`] faces begin, ascending; at the very end, where the last one ends.
+    /// Starts of blocks of [`FACES_OF_A_BLOCK`] faces, ascending; at the very end, the end of the last one.
     /// None where faces cannot be read but all at once.
     pub marks: Vec<FaceMark>,
     /// Bytes of the file that this chunk took.
@@ -698,7 +698,7 @@ pub(crate) fn some_by_all(
 pub struct Tile {
     /// The file.
     pub path: PathBuf,
-    /// What it is called in a folder that all of them are written to.
+    /// Name of the tile in a folder that all tiles are written to.
     pub name: PathBuf,
     /// The tile's size in bytes.
     pub bytes: u64,
@@ -708,7 +708,7 @@ pub struct Tile {
 
 /// A model on disk that can be streamed any number of times, from several threads.
 pub trait Model: Send + Sync {
-    /// What is known without reading the vertices.
+    /// Info on the model that is known without reading the vertices.
     fn info(&self) -> &ModelInfo;
 
     /// The file; of a model that is made of several, a pattern that they have in common.
@@ -730,7 +730,7 @@ pub trait Model: Send + Sync {
         &[]
     }
 
-    /// What else the file says of itself, for people: a line for each scan, where it has several.
+    /// Details that the file tells of itself, for people: a line for each scan, where it has several.
     fn details(&self) -> Vec<String> {
         Vec::new()
     }
@@ -741,19 +741,19 @@ pub trait Model: Send + Sync {
         None
     }
 
-    /// What the file says of its attributes that has no place in most formats: lines that PLY keeps as
+    /// Remarks of the file on its attributes that have no place in most formats: lines that PLY keeps as
     /// comments, and LAS reads.
     fn remarks(&self) -> Vec<String> {
         Vec::new()
     }
 
-    /// How large intensities may be, as far as the file says so.
+    /// Least and largest intensity that the file declares, if it does.
     fn intensity_limits(&self) -> Option<[f64; 2]> {
         None
     }
 
-    /// What the file has that is given nowhere here, each in a few words, as "3 comments": what another
-    /// format than its own loses.
+    /// Content of the file that no other method of this trait returns, each in a few words, as "3 comments":
+    /// a loss where the model is written in another format.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -786,7 +786,7 @@ pub trait Model: Send + Sync {
         self.info().bytes
     }
 
-    /// What the user said that the columns of a text are, as "x,y,z": it has to be opened so again.
+    /// Columns of a text as the user named them, as "x,y,z": the file has to be opened so again.
     fn columns(&self) -> Option<&str> {
         None
     }
@@ -797,9 +797,9 @@ pub trait Model: Send + Sync {
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
 
-    /// How many of the bytes that a reading of all vertices gives come before what is read at once with a
-    /// vertex, and how many before what begins with it or, of blocks, with the next one; at the end, all of
-    /// them.
+    /// Bytes of a reading of all vertices, counted in the order of the file: those that come before the
+    /// vertex' unit of reading, and those before the vertex itself or, in compressed blocks, before the first
+    /// block that begins at the vertex or behind it; at the end, all bytes.
     fn bytes_before(&self, vertex: u64) -> [u64; 2] {
         let info = self.info();
         let before = u128::from(info.vertex_bytes) * u128::from(vertex) / u128::from(info.vertices.max(1));
@@ -878,8 +878,8 @@ pub trait Model: Send + Sync {
     /// The file cannot be read, or ends early; the user cancelled.
     fn check_complete(&self, progress: &dyn Progress) -> Result<()>;
 
-    /// Whether what is rewritten has room for a vertex at a position, as far as can be said without knowing
-    /// which vertex it is: integers do not reach everywhere.
+    /// Whether the rewritten file has room for a vertex at a position, as far as that can be said without
+    /// knowing which vertex it is: integers do not reach everywhere.
     fn has_room_for(&self, p: DVec3) -> bool {
         self.info().written.is_none_or(|integers| integers.range().contains(p))
     }
@@ -903,8 +903,8 @@ pub trait Model: Send + Sync {
         ))
     }
 
-    /// What turns with the surface besides normals and tangents when it is rewritten, if it is known what
-    /// does: that is told by names, or by the properties of Gaussian splats.
+    /// Attributes that turn with the surface besides normals and tangents when the model is rewritten; none
+    /// where the format cannot tell. They are known by their names, or by the properties of Gaussian splats.
     fn following(&self) -> Option<&Following> {
         None
     }
@@ -925,7 +925,7 @@ pub trait Model: Send + Sync {
         ))
     }
 
-    /// How its rewriting can be divided, where it can begin at any piece without going over those before it.
+    /// Division of the rewriting, where it can begin at any piece without going over those before it.
     fn division(&self, _normals: Normals) -> Option<Division> {
         None
     }

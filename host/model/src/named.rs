@@ -23,7 +23,7 @@ pub enum ModelName {
 }
 
 impl ModelName {
-    /// What a path means: the files that it matches, if it is a [pattern](matching).
+    /// Returns the model that a path names: the files that it matches, if it is a [pattern](matching).
     ///
     /// # Errors
     /// As of [`matching`].
@@ -34,7 +34,8 @@ impl ModelName {
         })
     }
 
-    /// What a list of paths means: a single one, as that of a file or a pattern, and several as tiles.
+    /// Returns the model that a list of paths names: a single path, that of a file or a pattern; several
+    /// paths, tiles.
     ///
     /// # Errors
     /// As of [`matching`], or there is none.
@@ -63,7 +64,7 @@ impl ModelName {
         }
     }
 
-    /// What each tile is called in a folder of all of them; none if it is a single file.
+    /// Names of the tiles' files in a folder of all of them; none if the model is a single file.
     pub fn tiles(&self) -> Vec<PathBuf> {
         match self {
             Self::File(_) => Vec::new(),
@@ -71,7 +72,7 @@ impl ModelName {
         }
     }
 
-    /// What each tile is called in a folder that all of them are written to; none if it is a single file.
+    /// Names of the tiles in a folder that all of them are written to; none if the model is a single file.
     pub fn written_tiles(&self) -> Vec<PathBuf> {
         match self {
             Self::File(_) => Vec::new(),

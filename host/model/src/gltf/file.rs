@@ -54,7 +54,7 @@ const LISTS: [&str; 7] =
 const READ: [&str; 3] = ["POSITION", "NORMAL", "COLOR_0"];
 
 impl GltfModel {
-    /// What of the document is not given as vertices and faces.
+    /// Content of the document that is not given as vertices and faces, in a few words each.
     pub(super) fn not_read(&self) -> Result<Vec<String>> {
         let mut json = Vec::new();
         self.container.read(&mut json, self.container.json.clone())?;

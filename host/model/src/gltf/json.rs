@@ -1,4 +1,4 @@
-//! What of a file's JSON says where vertices and faces are, and where they are shown.
+//! Parts of a file's JSON that say where vertices and faces are, and where these are shown.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -168,7 +168,7 @@ pub(super) struct GltfImage {
     pub(super) buffer_view: Option<usize>,
 }
 
-/// Where a value stands in the text that it was read from.
+/// Range of bytes of a value in the text that the value was read from.
 pub(super) fn span(text: &[u8], value: &RawValue) -> Range<usize> {
     let start = value.get().as_ptr() as usize - text.as_ptr() as usize;
     start..start + value.get().len()

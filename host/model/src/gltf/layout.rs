@@ -30,7 +30,7 @@ const COMPRESSED: [&str; 3] =
 
 const INSTANCED: &str = "EXT_mesh_gpu_instancing";
 
-/// What an element of a row is.
+/// Meaning of an element of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum VectorRole {
     Position,
@@ -44,11 +44,11 @@ pub(super) struct VertexSet {
     pub(super) place: AccessorBytes,
     /// Number of the first vertex.
     pub(super) first: u64,
-    /// Where the mesh is in the world, if not just there.
+    /// Placement of the mesh in the world; none if the mesh is not transformed.
     pub(super) placement: Option<MeshPose>,
     /// The region where the positions are.
     pub(super) region: usize,
-    /// Where the normals are that belong to them: the first ones, if several primitives have others.
+    /// Normals that belong to the positions: the first ones, if several primitives have others.
     pub(super) normals: Option<AccessorBytes>,
     /// Colours, and the component type of their numbers.
     pub(super) colours: Option<(AccessorBytes, u32)>,
@@ -60,7 +60,7 @@ pub(super) struct VertexRows {
     pub(super) bytes: Range<u64>,
     pub(super) stride: u64,
     pub(super) rows: u64,
-    /// What a row has, and where in it: no two of a kind.
+    /// Elements of a row, and the byte of the row at which each begins: no two of a kind.
     pub(super) elements: Vec<(VectorRole, usize)>,
     /// The sets whose rows these are: one, or several if they share normals or tangents.
     pub(super) owners: Vec<usize>,
@@ -75,7 +75,7 @@ impl VertexRows {
         start..end
     }
 
-    /// Where in a row this is.
+    /// Byte of a row at which its element of this kind begins, if it has one.
     pub(super) fn offset(&self, kind: VectorRole) -> Option<usize> {
         self.elements.iter().find(|(of, _)| *of == kind).map(|(_, offset)| *offset)
     }
@@ -91,7 +91,7 @@ impl VertexRows {
     }
 }
 
-/// How the vertices of a primitive are joined.
+/// Topology of a primitive: the way in which its vertices make triangles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum PrimitiveMode {
     Triangles,
@@ -101,7 +101,7 @@ pub(super) enum PrimitiveMode {
     Other,
 }
 
-/// What is drawn of a mesh at once.
+/// Primitive: a part of a mesh that is drawn at once.
 #[derive(Debug)]
 pub(super) struct DrawnPrimitive {
     /// Number of its first triangle.
@@ -126,7 +126,7 @@ pub(super) struct GltfLayout {
     pub(super) triangles: u64,
     /// Accessors that are patched, and which part of the file each is.
     pub(super) accessors: Vec<(usize, u32)>,
-    /// What else vertices have, as "float TEXCOORD_0".
+    /// Other attributes of the vertices, as "float TEXCOORD_0".
     pub(super) others: BTreeSet<String>,
     pub(super) has_targets: bool,
     pub(super) has_skins: bool,
@@ -146,7 +146,7 @@ struct LayoutBuilder {
     drawn: Vec<(PrimitiveMode, AccessorBytes, Option<AccessorBytes>)>,
     /// Accessors that are patched.
     accessors: BTreeMap<usize, (AccessorBytes, VectorRole)>,
-    /// What keeps its bytes: an accessor, and what it is.
+    /// Accessors whose bytes are kept, each with a description.
     kept: BTreeMap<usize, String>,
 }
 
@@ -159,13 +159,13 @@ struct FoundPositions {
     colours: Option<(AccessorBytes, u32)>,
 }
 
-/// What vertices at known positions have: an accessor of so many numbers.
+/// Attribute of vertices at known positions: an accessor of as many numbers.
 struct VertexAttribute<'a> {
     positions: AccessorBytes,
     /// The attribute's name, as `NORMAL`.
     attribute: &'a str,
     accessor: usize,
-    /// What the primitive is called in errors.
+    /// Name of the primitive in errors.
     primitive: &'a dyn Fn() -> String,
 }
 
@@ -334,7 +334,7 @@ impl Accessors<'_> {
         Ok(())
     }
 
-    /// Where the indices of a primitive are.
+    /// Place of the indices of a primitive.
     fn indices(&self, index: usize) -> Result<AccessorBytes> {
         let accessor = self.accessor(index)?;
         let place = self.place(index)?;
@@ -435,7 +435,7 @@ impl Accessors<'_> {
         Ok(())
     }
 
-    /// What a row has of streams that lie between each other.
+    /// Elements of a row of streams that are interleaved.
     fn row(&self, these: &[ElementRun]) -> Result<Vec<(VectorRole, usize)>> {
         let (first, _, owners) = &these[0];
         let mut elements: Vec<(VectorRole, usize)> = Vec::new();
@@ -468,7 +468,7 @@ impl Accessors<'_> {
 
     /// An error where what changes has bytes in common with what does not.
     fn check_kept(&self, kept: &BTreeMap<usize, String>, all: &[ElementRun]) -> Result<()> {
-        // Where each stream ends, or one before it.
+        // Largest end of all streams up to each one, in the order of their starts.
         let mut ends = Vec::with_capacity(all.len());
         let mut furthest = 0;
         for (place, _, _) in all {

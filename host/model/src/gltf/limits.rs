@@ -18,7 +18,7 @@ const LONGEST: usize = 16;
 /// A number in the JSON that is the least or the greatest of a column of others.
 #[derive(Debug)]
 pub(super) struct Limit {
-    /// Where in the JSON it stands.
+    /// Range of bytes of the limit in the JSON.
     text: Range<u32>,
     /// The part of the file whose limits these are, and its column.
     part: u32,
@@ -69,7 +69,7 @@ impl AccessorLimits {
         Ok(Self { all, parts })
     }
 
-    /// Whether there are some of a part.
+    /// Whether there are limits of a part.
     pub(super) fn has(&self, part: u32) -> bool {
         self.parts.binary_search(&part).is_ok()
     }

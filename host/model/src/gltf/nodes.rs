@@ -1,4 +1,4 @@
-//! Where nodes are in the world.
+//! Transforms of nodes to the world.
 
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 
@@ -39,7 +39,7 @@ impl MeshPose {
         Ok(Some(Self { matrix, translation, inverse }))
     }
 
-    /// Whether it turns left into right.
+    /// Whether the pose turns left into right.
     pub(super) fn is_mirrored(&self) -> bool {
         self.matrix.determinant() < 0.0
     }
@@ -49,7 +49,7 @@ impl MeshPose {
         self.matrix * local.as_dvec3() + self.translation
     }
 
-    /// Where something goes that is moved so in the world.
+    /// Position in the mesh's own coordinates of a point that is moved by a vector of the world.
     #[inline]
     pub(super) fn moved(&self, local: Vec3, by: DVec3) -> DVec3 {
         local.as_dvec3() + self.inverse * by
@@ -123,8 +123,8 @@ impl Accessors<'_> {
         nodes.filter(|(index, node)| shown[*index] && node.mesh.is_some()).map(of_node).collect()
     }
 
-    /// Whether each node is in a scene, where there are any with nodes: else all are, as in a library of
-    /// meshes. The nodes are trees.
+    /// Returns for each node whether it is shown: the nodes of the scenes, where any scene has nodes; else
+    /// all, as in a library of meshes. The nodes are trees.
     fn shown(&self) -> Result<Vec<bool>> {
         let (nodes, scenes) = (&self.document.nodes, &self.document.scenes);
         let mut next: Vec<usize> = scenes.iter().flat_map(|scene| &scene.nodes).copied().collect();
@@ -213,7 +213,7 @@ mod tests {
             prop_assert!((turned.length() - p.length()).abs() <= 1e-5 * p.length());
             prop_assert!((placement.normal_back(turned, p) - p).length() <= 1e-4 * p.length());
             prop_assert!((placement.tangent_back(placement.tangent(p), p) - p).length() <= 1e-4 * p.length());
-            // What is perpendicular stays so.
+            // A vector that is perpendicular to the normal stays so.
             let along = p.any_orthogonal_vector();
             let cosine = placement.tangent(along).dot(turned) / (along.length() * p.length()).max(1e-20);
             prop_assert!(cosine.abs() < 1e-3);

@@ -25,7 +25,8 @@ pub(super) fn floats<const N: usize>(bytes: &[u8], at: usize) -> [f32; N] {
     floats
 }
 
-/// Where each row begins that has all of an element: the last one may be cut off behind it.
+/// Bytes at which the element at `offset` begins in each row that has all of it: the last row may be cut off
+/// behind that element.
 pub(super) fn rows(stride: usize, bytes: usize, offset: usize, size: usize) -> impl Iterator<Item = usize> {
     (0..bytes).step_by(stride.max(1)).map(move |at| at + offset).take_while(move |at| at + size <= bytes)
 }

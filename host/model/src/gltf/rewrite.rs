@@ -189,11 +189,11 @@ struct ChunkPatch<'a> {
     edited: &'a Edited,
 }
 
-/// What became of normals or tangents.
+/// Result of turning normals or tangents.
 #[derive(Default)]
 struct TurnedVectors {
     has_moved: bool,
-    /// How many are kept as those who share them disagree.
+    /// Number of vectors that are kept, as the placements that share them disagree.
     kept: u64,
 }
 
@@ -322,7 +322,7 @@ fn put(bytes: &mut [u8], at: usize, floats: &[f32]) {
 }
 
 impl GltfModel {
-    /// Where the header and the JSON end, with the header of the binary data.
+    /// Byte at which the header and the JSON end, with the header of the binary data.
     fn head(&self) -> u64 {
         self.container.json.end.max(self.container.bin.start)
     }
@@ -331,10 +331,10 @@ impl GltfModel {
 /// The file in its order: header and JSON, regions, and what is between them.
 struct GltfPieces<'a> {
     model: &'a GltfModel,
-    /// Whether normals and tangents that stand elsewhere are turned.
+    /// Whether normals and tangents that stand apart from the positions are turned.
     with_normals: bool,
     at: u64,
-    /// What comes next: a region, and a row of it.
+    /// Region that comes next, and the row of it.
     region: usize,
     row: u64,
 }

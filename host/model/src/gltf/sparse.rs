@@ -15,7 +15,7 @@ use crate::size::human_size;
 use crate::source::SourceFile;
 use crate::{CHUNK_VERTICES, Result};
 
-/// What of a primitive is patched.
+/// Attributes of a primitive that are patched.
 const PATCHED: [&str; 3] = ["POSITION", "NORMAL", "TANGENT"];
 
 /// The lists of the JSON that change, as text.
@@ -67,7 +67,8 @@ pub(super) fn made_plain(
         meanwhile: 0,
     };
     let plain = if container.is_made() {
-        // What buffers elsewhere hold, a cache does not know.
+        // A cache is known by the hash of the file alone, which does not tell the content of buffers
+        // elsewhere.
         let scratch = making.cache.scratch()?;
         fill(&scratch)?;
         SourceFile::of_scratch(scratch, container.source.path(), bytes)
@@ -200,7 +201,8 @@ impl Accessors<'_> {
         Ok(())
     }
 
-    /// Where so many elements of a size begin, which a sparse accessor has.
+    /// Byte at which the elements of a part of a sparse accessor begin, of which there are `count`, of `size`
+    /// bytes each.
     fn run(&self, index: usize, part: &SparsePart, (count, size): (u64, u64)) -> Result<u64> {
         let bytes = self.view(part.buffer_view)?;
         let start = bytes.start.checked_add(part.byte_offset);

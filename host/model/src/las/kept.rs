@@ -1,6 +1,6 @@
-//! What positions and colours compressed points were found to have, for those that are read again: before
-//! LASzip's third version all numbers of a point are compressed together, so that a part of them takes as
-//! long to read as all.
+//! Positions and colours of compressed points, kept for those that are read again: before LASzip's third
+//! version all numbers of a point are compressed together, so that reading a part of them takes as long as
+//! reading all.
 
 use std::ops::Range;
 use std::path::Path;
@@ -45,7 +45,7 @@ pub(super) struct Compressed<'a> {
 }
 
 impl Compressed<'_> {
-    /// What tells it from others; never zero.
+    /// Hash that tells the block from others; never zero.
     fn hash(&self) -> u64 {
         xxh3_64(self.bytes).max(1)
     }

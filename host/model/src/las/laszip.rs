@@ -21,23 +21,24 @@ pub(super) struct Laszip {
     record: usize,
     /// Whether each number of the record is compressed apart from the others (LASzip 3 and later).
     pub is_layered: bool,
-    /// How many lengths of such layers stand behind the first point of a block.
+    /// Number of lengths of layers behind the first point of a block.
     layers: usize,
-    /// How the points lie in blocks.
+    /// Lengths of the blocks in points.
     pub blocks: BlockLengths,
 }
 
-/// What of compressed points is read.
+/// Parts of compressed points that are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum LayerChoice {
     All,
-    /// What takes no time without the rest: in layers, whatever is not asked for is passed over.
+    /// Positions, and all that is decompressed in the same time: in layers, the other numbers are passed
+    /// over.
     Positions,
     /// Positions, and colours.
     Colors,
 }
 
-/// How the points of a file lie in blocks.
+/// Numbers of points in the blocks of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum BlockLengths {
     /// All in one.
@@ -94,15 +95,15 @@ impl Laszip {
         Ok(this)
     }
 
-    /// How points of a format with so many extra bytes are compressed anew, in blocks of so many, and the
-    /// content of the VLR that says so.
+    /// Compression for points of a format with so many extra bytes, in blocks of so many points, and the
+    /// content of the VLR that describes it.
     pub fn anew(format: u8, extra: u16, block: u32) -> laz::Result<(Self, Vec<u8>)> {
         let items = LazItemRecordBuilder::default_for_point_format_id(format, extra)?;
         let vlr = LazVlrBuilder::new(items.clone()).with_fixed_chunk_size(block).build();
         let mut bytes = Vec::new();
         vlr.write_to(&mut bytes)?;
         let record = vlr.items_size() as usize;
-        // What is only written has no need of its layers.
+        // A compression that only writes does not use its number of layers.
         Ok((
             Self { items, record, is_layered: format >= 6, layers: 0, blocks: BlockLengths::Fixed(block) },
             bytes,
@@ -157,7 +158,7 @@ impl Laszip {
         Ok(())
     }
 
-    /// How many points a layered block says it has, and how long it says it is, by its first bytes.
+    /// Number of points and of bytes that a layered block declares in its first bytes.
     fn layers_of(&self, start: &[u8]) -> Option<(u32, u64)> {
         let lengths = start.get(self.record + 4..self.head_bytes())?;
         let count = u32::from_le_bytes(bytes_at(start, self.record));
@@ -215,7 +216,7 @@ impl Laszip {
 }
 
 thread_local! {
-    /// Whether a panic of this thread is no fault of the program.
+    /// Whether a panic of this thread comes of the file's content, and not of a fault of the program.
     static MAY_PANIC: Cell<bool> = const { Cell::new(false) };
 }
 

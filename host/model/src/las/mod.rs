@@ -51,7 +51,7 @@ use crate::{
     VertexChunk, VertexReader, pipeline,
 };
 
-/// Whether a file that begins so is LAS.
+/// Whether a file with these first bytes is LAS.
 pub(super) fn is_las(start: &[u8]) -> bool {
     start.starts_with(header::MAGIC)
 }
@@ -74,7 +74,7 @@ impl Model for LasModel {
     }
 
     fn details(&self) -> Vec<String> {
-        // What cannot be read tells nothing.
+        // A record that cannot be read tells no unit.
         let unit = self.records.unit(&self.source).ok().flatten();
         unit.into_iter().map(|unit| format!("unit: {unit}")).collect()
     }

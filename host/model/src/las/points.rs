@@ -50,7 +50,7 @@ pub(super) fn patch(
         } else if shift != [0; 3] || old != new {
             for axis in 0..3 {
                 let (old, new) = (old[axis], new[axis]);
-                // What has no finite position, as the scale is huge, stays.
+                // A coordinate that is not finite, as the scale is huge, keeps its integer.
                 let number = if old == new || !old.is_finite() {
                     i32::try_from(i64::from(was[axis]) - shift[axis]).ok()
                 } else {

@@ -24,7 +24,7 @@ pub(super) struct LasReader<'a> {
     range: Range<u64>,
     /// Most vertices of a chunk.
     chunk: usize,
-    /// What of compressed vertices is read.
+    /// Parts of compressed vertices that are read.
     what: LayerChoice,
     /// Blocks that were read ahead, from the one with the next vertex on.
     ahead: VecDeque<BlockGroup>,

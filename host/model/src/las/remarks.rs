@@ -1,6 +1,6 @@
-//! What LAS says of its attributes that other formats have no place for: the type of GPS times, and what
-//! stands in the descriptions of extra bytes beside names and types (LAS 1.4, table 24). Each is a line,
-//! which PLY keeps as a comment, so that LAS made of that has it again.
+//! Remarks of LAS on its attributes that other formats have no place for: the type of GPS times, and the
+//! parts of the descriptions of extra bytes beside names and types (LAS 1.4, table 24). Each is a line, which
+//! PLY keeps as a comment, so that LAS made of that PLY has it again.
 
 use std::fmt::Write;
 
@@ -10,7 +10,7 @@ use crate::Type;
 /// Bytes of the description of extra bytes.
 pub(super) const DESCRIPTION: usize = 192;
 
-/// Where in a description its parts are: the text is the last, of 32 bytes.
+/// Bytes at which the parts of a description begin: the text is the last, of 32 bytes.
 const NO_DATA: usize = 40;
 pub(super) const LEAST: usize = 64;
 pub(super) const MOST: usize = 88;
@@ -29,7 +29,7 @@ pub(super) const HAS_OFFSET: u8 = 16;
 pub(crate) const GPS_TIME: &str = "gps-time adjusted";
 const EXTRA_BYTES: &str = "extra-bytes";
 
-/// What stands before a name with blanks, which a quote ends.
+/// Words before a name with blanks, which a quote ends.
 const NAME: &str = " name \"";
 
 /// Whether a line is a remark.
@@ -37,7 +37,7 @@ pub(crate) fn is_remark(line: &str) -> bool {
     line == GPS_TIME || ExtraBytesRemark::parse(line).is_some()
 }
 
-/// What is lost with remarks, in a few words each.
+/// Losses of a format that does not keep remarks, in a few words each.
 pub(crate) fn losses(remarks: &[String]) -> Vec<String> {
     let extra = |line: &String| ExtraBytesRemark::parse(line).map(|remark| remark.full_name().to_owned());
     let described: Vec<String> = remarks.iter().filter_map(extra).collect();
@@ -49,21 +49,21 @@ pub(crate) fn losses(remarks: &[String]) -> Vec<String> {
     of_time.into_iter().chain(of_extra).collect()
 }
 
-/// Whether a name with blanks is among what is said.
+/// Whether a remark is about extra bytes of this name, which has blanks.
 pub(crate) fn has_name(remarks: &[String], name: &str) -> bool {
     let is_its =
         |line: &String| ExtraBytesRemark::parse(line).is_some_and(|remark| remark.full_name() == name);
     remarks.iter().any(is_its)
 }
 
-/// What is said of the numbers of extra bytes.
+/// Remark on the numbers of extra bytes.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct ExtraBytesRemark {
     /// The attribute's name, without blanks.
     pub name: String,
     /// The attribute's name with blanks, if it has any.
     pub spaced: Option<String>,
-    /// The type that they are stored in, if they are scaled: as `stored · scale + offset`.
+    /// The type in which the numbers are stored, if these are scaled: as `stored · scale + offset`.
     pub stored: Option<Type>,
     pub scale: Option<f64>,
     pub offset: Option<f64>,
@@ -108,7 +108,7 @@ impl ExtraBytesRemark {
         }
     }
 
-    /// Whether it says nothing but a name.
+    /// Whether the remark has nothing but a name.
     pub fn is_empty(&self) -> bool {
         *self == Self { name: self.name.clone(), ..Self::default() }
     }
@@ -144,7 +144,7 @@ impl ExtraBytesRemark {
         [("scale", scale), ("offset", offset), ("no-data", no_data), ("least", least), ("most", most)]
     }
 
-    /// What a line says; nothing where there are words that are not known.
+    /// Reads a remark from its line; none where the line has words that are not known.
     pub fn parse(line: &str) -> Option<Self> {
         let rest = line.strip_prefix(EXTRA_BYTES)?.strip_prefix(' ')?;
         let (head, text) = rest.split_once(" description ").unwrap_or((rest, ""));
@@ -184,7 +184,7 @@ impl ExtraBytesRemark {
         }
     }
 
-    /// What a stored number stands for.
+    /// Number that a stored number stands for.
     pub fn of_stored(&self, stored: f64) -> f64 {
         stored * self.scale.unwrap_or(1.0) + self.offset.unwrap_or(0.0)
     }
@@ -243,7 +243,7 @@ mod tests {
         assert_eq!(ExtraBytesRemark::parse(&remark.line()), Some(remark.clone()));
         assert!(is_remark(&remark.line()) && is_remark(GPS_TIME) && !is_remark("extra-bytesize 3"));
         assert!(!remark.is_empty() && ExtraBytesRemark::parse("extra-bytes a").unwrap().is_empty());
-        // Which would be lost without a word.
+        // Lines with unknown words are no remarks: as remarks, these words would be lost silently.
         for other in ["extra-bytes", "extra-bytes a colour 3", "comment"] {
             assert!(ExtraBytesRemark::parse(other).is_none() && !is_remark(other), "{other}");
         }

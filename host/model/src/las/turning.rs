@@ -55,13 +55,13 @@ impl LasModel {
         changed
     }
 
-    /// Where the file has its descriptions of extra bytes.
+    /// Byte of the file at which the descriptions of extra bytes begin, if it has them.
     pub(super) fn descriptions(&self) -> Option<u64> {
         self.records.find(VlrKind::ExtraBytes).map(|record| record.content.start)
     }
 
-    /// What descriptions of extra bytes, which are at `content` in the new file, say of their reach, as far
-    /// as it changes.
+    /// Replacements for those limits of attributes that change, in the descriptions of extra bytes, which are
+    /// at `content` in the new file.
     pub(super) fn limits(&self, all: &Summary, content: u64) -> Vec<(u64, Vec<u8>)> {
         let mut patches = Vec::new();
         for (number, place) in self.following.places().iter().enumerate() {

@@ -13,14 +13,14 @@ const MOST_OF_CRS: u64 = 1 << 20;
 /// The record of numbers that GeoKeys name.
 const GEO_NUMBERS: u16 = 34736;
 
-/// What stands in a GeoKey for a code, where there is none.
+/// Value of a GeoKey for a system or unit that has no code.
 const OWN: u16 = 32767;
 
 /// Kinds of systems in GeoKeys.
 const GEOGRAPHIC: u16 = 2;
 const GEOCENTRIC: u16 = 3;
 
-/// What a record belongs to.
+/// Purpose of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum VlrKind {
     /// The compression of the points.
@@ -45,7 +45,7 @@ pub(super) struct KeptVlr {
     pub all: Range<u64>,
     /// The bytes of its content.
     pub content: Range<u64>,
-    /// Whether it is an EVLR.
+    /// Whether the record is an EVLR.
     pub is_extended: bool,
 }
 
@@ -123,7 +123,7 @@ impl KeptVlrs {
         self.records.iter().find(|record| record.kind == kind)
     }
 
-    /// What belongs to the octree of COPC.
+    /// Records that belong to the octree of COPC.
     pub fn of_copc(&self) -> impl Iterator<Item = &KeptVlr> {
         self.records.iter().filter(|record| record.kind == VlrKind::Copc)
     }

@@ -24,7 +24,7 @@ use crate::{CHUNK_VERTICES, Error, Model, Normals, Result, Scalar, VertexChunk, 
 /// Bytes that are copied at once.
 const COPIED: u64 = 4 << 20;
 
-/// What finding out who uses which normal needs.
+/// Data needed to find out which vertices use which normal.
 #[derive(Debug)]
 pub(super) struct Sharing {
     /// Corners that may name a normal, at most.
@@ -37,13 +37,13 @@ pub(super) struct ApartModel {
     pub(super) model: TextModel<Obj>,
     pub(super) normals: Option<TextBlocks>,
     pub(super) digits: Digits,
-    /// Where the normals are of corners, which share them.
+    /// Data to resolve the normals of corners, which share them.
     pub(super) sharing: Option<Sharing>,
     /// Normals of corners, which are not read.
     pub(super) of_corners: u64,
 }
 
-/// Where so many normals end.
+/// Byte behind the first `count` normals, if there are as many.
 fn cut(bytes: &[u8], count: u64) -> Option<usize> {
     if count == 0 {
         return Some(0);

@@ -19,7 +19,7 @@ pub(crate) struct Obj {
     pub(super) beside: bool,
     /// Numbers of a vertex before its attributes.
     pub(super) skipped: usize,
-    /// Where the first face begins and the last one ends.
+    /// Byte at which the first face begins, and the byte at which the last one ends.
     pub(super) face_lines: Range<u64>,
     /// Some corners are counted backwards from where they stand.
     pub(super) is_relative: bool,
