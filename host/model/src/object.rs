@@ -2,9 +2,9 @@
 //! stores is a crate of its own, which a program [installs](install) if it was built with it; here is what
 //! the rest needs of it.
 //!
-//! What may be secret in a URL, as the signature of one that was signed beforehand, never is part of a path:
-//! it is [taken out](admit) where a URL comes in, and remembered by this process for the store alone. So
-//! neither messages nor files can have it.
+//! Secrets in a URL, as the signature of one that was signed beforehand, never are part of a path: they are
+//! [taken out](admit) where a URL comes in, and remembered by this process for the store alone. So neither
+//! messages nor files can have them.
 
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
@@ -14,10 +14,10 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crate::{Error, Result};
 
-/// What URLs of objects begin with.
+/// Schemes of the URLs of objects.
 const SCHEMES: [&str; 7] = ["s3", "gs", "az", "abfs", "abfss", "https", "http"];
 
-/// What opens objects, for all threads.
+/// Store that opens objects and begins uploads, for all threads.
 pub trait Store: Send + Sync {
     /// Opens the object of a URL to read it; `None` where there is none.
     ///
@@ -43,7 +43,7 @@ pub trait Object: Debug + Send + Sync {
     /// The object's length in bytes.
     fn bytes(&self) -> u64;
 
-    /// What tells it from what may have its name later.
+    /// Version of the object, which differs from that of another object that has its name later.
     fn version(&self) -> &str;
 
     /// Fills a buffer from the byte `offset` on; all of it lies in the object.
@@ -55,7 +55,7 @@ pub trait Object: Debug + Send + Sync {
 
 /// An object in the making.
 pub trait Upload: Send {
-    /// What others go on with it by.
+    /// Name of the upload in the store, by which another process can go on with it.
     fn id(&self) -> &str;
 
     /// Sends a part, while the caller goes on; waits first where too many bytes are on their way. All parts
@@ -86,7 +86,7 @@ pub trait Upload: Send {
     fn abort(&mut self) -> Result<()>;
 }
 
-/// What opens objects in this process.
+/// Store that opens objects in this process.
 static STORE: OnceLock<Box<dyn Store>> = OnceLock::new();
 
 /// Says what opens objects, once, before any is opened.
@@ -226,14 +226,14 @@ impl BegunUpload {
 impl Drop for BegunUpload {
     fn drop(&mut self) {
         if !self.keeps {
-            // Where the store cannot be reached, nothing can be done about what it has.
+            // Parts in a store that cannot be reached stay there: nothing can be done about them.
             let _ = self.upload.abort();
             self.forget();
         }
     }
 }
 
-/// What this process has begun and nobody would go on with: objects, and the ids of their uploads.
+/// Uploads that this process has begun and nobody would go on with: objects, and the ids of their uploads.
 static BEGUN: Mutex<Vec<(PathBuf, String)>> = Mutex::new(Vec::new());
 
 fn begun() -> MutexGuard<'static, Vec<(PathBuf, String)>> {

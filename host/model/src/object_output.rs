@@ -27,7 +27,7 @@ pub struct ObjectOutput {
     path: PathBuf,
     begun: BegunUpload,
     part_bytes: u64,
-    /// Where the next byte goes.
+    /// Byte of the object at which the next written byte goes.
     at: u64,
     /// The parts that are not sent yet, by their numbers: the first one, where files say what comes later;
     /// the one that is being filled; and the one before it, as some say so at their end.
@@ -60,7 +60,7 @@ impl ObjectOutput {
         Self { path: path.to_owned(), begun, part_bytes, at: 0, held, tags }
     }
 
-    /// Where the next byte goes.
+    /// Byte of the object at which the next written byte goes.
     pub fn position(&self) -> u64 {
         self.at
     }

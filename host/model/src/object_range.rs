@@ -13,15 +13,15 @@ use crate::object::{self, BegunUpload};
 pub struct ObjectRange {
     begun: BegunUpload,
     part_bytes: u64,
-    /// Where the next byte goes.
+    /// Byte of the object at which the next written byte goes.
     at: u64,
-    /// What belongs to a part that begins before the range.
+    /// Bytes of the range that belong to a part that begins before the range.
     before: Vec<u8>,
     /// The part that is being filled.
     open: Vec<u8>,
 }
 
-/// What a range has become.
+/// Result of sending a range.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SentRange {
     /// The range's first bytes, of a part that begins before it.
@@ -55,7 +55,8 @@ impl ObjectRange {
         while !bytes.is_empty() {
             let room = self.part_bytes - self.at % self.part_bytes;
             let (now, later) = bytes.split_at(bytes.len().min(room as usize));
-            // Whether this part begins before the range: nothing of it was there when it began.
+            // Whether this part begins before the range: at its first byte there is nothing of the part yet,
+            // and that byte is not the part's first.
             let begins_before = self.open.is_empty() && !self.at.is_multiple_of(self.part_bytes);
             if begins_before {
                 self.before.extend_from_slice(now)

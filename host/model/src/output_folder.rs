@@ -52,12 +52,12 @@ impl OutputFolder {
         self.claim.keep();
     }
 
-    /// Where the files of a folder are written as long as it is in the making.
+    /// Path of the hidden folder in which the files of `target` are written as long as it is in the making.
     pub(crate) fn in_the_making(target: &Path) -> PathBuf {
         crate::claim::new_folder_of(target)
     }
 
-    /// Where its files are written for now.
+    /// Path at which the folder's files are written for now.
     pub fn path(&self) -> &Path {
         self.claim.new_folder()
     }
@@ -115,7 +115,7 @@ impl OutputFolder {
         #[cfg(unix)]
         take_permissions(&File::open(new)?, target)?;
         if exchange(new, target)? {
-            // What was there is under the temporary name now; what cannot be removed of it hurts nobody.
+            // The former folder has the temporary name now; files that cannot be removed there hurt nobody.
             let _ = remove(new);
             return sync_folder(parent);
         }

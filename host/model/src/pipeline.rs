@@ -45,7 +45,7 @@ pub(crate) trait Rewritable: Sync {
         None
     }
 
-    /// What has to be replaced in the new file once all pieces are there: places, and their bytes.
+    /// Replacements in the new file once all pieces are there: places, and their bytes.
     fn patches(&self, _all: &Summary, _is_still: bool) -> Result<Vec<(u64, Vec<u8>)>> {
         Ok(Vec::new())
     }
@@ -62,7 +62,7 @@ pub(crate) struct PieceVersion<'a> {
     pub(crate) is_last: bool,
     /// The bytes, once they are made; whatever they were before.
     pub(crate) bytes: &'a mut Vec<u8>,
-    /// What other places of the file have to know of it; empty before.
+    /// Summary of the piece for other places of the file; empty before.
     pub(crate) summary: &'a mut Summary,
 }
 
@@ -98,13 +98,13 @@ pub(crate) trait Pieces: Send {
 
 /// The pieces that were passed over.
 pub(crate) struct Skipped {
-    /// Where they end in the file.
+    /// Byte of the file at which the pieces end.
     pub(crate) bytes: u64,
-    /// How many bytes of these are of vertices.
+    /// Number of bytes of the pieces that are of vertices.
     pub(crate) vertex_bytes: u64,
 }
 
-/// What a piece of a file is.
+/// Kind of a piece of a file.
 pub(crate) enum Piece {
     /// So many vertices, which are not decoded.
     Vertices(usize),
@@ -230,10 +230,10 @@ struct PieceReading<'a> {
     is_over: bool,
 }
 
-/// What waits to be written.
+/// Pieces that wait to be written, and the state that the threads share.
 #[derive(Default)]
 struct Queue<'a, 'o> {
-    /// Where it goes: not there while a thread writes.
+    /// Writer to the outputs: taken away while a thread writes.
     writing: Option<PieceWriting<'a, 'o>>,
     /// The pieces that are ready, by their numbers.
     ready: BTreeMap<u64, Ready>,
@@ -277,7 +277,7 @@ struct Ready {
     is_made: bool,
 }
 
-/// What a thread works with.
+/// Buffers that a thread works with.
 #[derive(Default)]
 struct PieceWorkspace {
     chunk: VertexChunk,
@@ -328,7 +328,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
             reading.is_over = true;
             return (number, 1, Ok(Piece::End));
         }
-        // Those that are done already, and those that are not of this part, are not read with others.
+        // Pieces that are done already, and those of other parts, are not read together with others.
         let until = [Some(self.how.pieces_done).filter(|done| *done > number), end];
         let most = until.into_iter().flatten().map(|until| until - number).min().unwrap_or(u64::MAX);
         let most = self.how.pieces_at_once.clamp(1, most.max(1));
@@ -353,7 +353,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
         (number, pieces, piece)
     }
 
-    /// What a piece becomes; nothing at the end of the file.
+    /// Processes a piece; returns nothing at the end of the file.
     fn process(&self, number: u64, piece: &Piece, bench: &mut PieceWorkspace) -> Result<Option<Ready>> {
         let PieceWorkspace { chunk, edited } = bench;
         let mut ready = Ready { source_bytes: chunk.source_bytes(), ..Ready::default() };
@@ -483,7 +483,7 @@ impl<'a, 'o> RewriteCall<'a, 'o> {
 }
 
 impl Queue<'_, '_> {
-    /// Whether a piece comes before all that failed.
+    /// Whether a piece comes before all pieces that failed.
     fn is_wanted(&self, number: u64) -> bool {
         self.failed.as_ref().is_none_or(|(first, _)| number < *first)
     }
@@ -530,7 +530,7 @@ impl Edited {
         self.mirrored = false;
     }
 
-    /// How many gradients are asked for.
+    /// Number of gradients that the edit has to fill in.
     fn gradients_of(chunk: &VertexChunk, normals: Normals) -> usize {
         if chunk.follows {
             chunk.len()

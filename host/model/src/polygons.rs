@@ -5,7 +5,7 @@ use crate::FaceChunk;
 /// Most corners of a polygon that is held: larger ones stay fans of triangles.
 pub(crate) const MOST_CORNERS: usize = 1 << 16;
 
-/// Whether there are vertices for all corners.
+/// Whether all corners are indices of vertices.
 fn is_of_vertices(triangle: &[u32; 3], vertices: u64) -> bool {
     triangle.iter().all(|corner| u64::from(*corner) < vertices && *corner != u32::MAX)
 }
@@ -14,7 +14,7 @@ fn is_of_vertices(triangle: &[u32; 3], vertices: u64) -> bool {
 #[derive(Debug, Default)]
 pub(crate) struct Polygons {
     corners: Vec<u32>,
-    /// Where in the list each one's corners end.
+    /// Index in `corners` at which the corners of each polygon end.
     ends: Vec<usize>,
 }
 
@@ -62,7 +62,7 @@ pub(crate) struct PolygonJoin {
     pub(crate) counted: PolygonCounts,
 }
 
-/// What a [`PolygonJoin`] has met.
+/// Counts of what a [`PolygonJoin`] has met.
 #[derive(Debug, Default, Clone, Copy)]
 pub(crate) struct PolygonCounts {
     /// Triangles of vertices that there are, and others.
@@ -192,7 +192,7 @@ mod tests {
             prop_assert_eq!(counted.faces, wide.len() as u64);
             prop_assert_eq!(counted.largest, wide.iter().map(Vec::len).max().unwrap_or(0));
 
-            // Where some corners are no vertices, what is left of a face is some of its triangles.
+            // Faces with corners that are no vertices leave some of their triangles.
             let fan = |corners: &Vec<u32>| -> Vec<Vec<u32>> {
                 corners[1..].windows(2).map(|pair| vec![corners[0], pair[0], pair[1]]).collect()
             };

@@ -1,4 +1,4 @@
-//! How long work tells where it is, and learns that it shall stop.
+//! Progress of long work: how it reports where it is, and learns that it shall stop.
 
 use glam::{DVec3, Vec3};
 
@@ -8,7 +8,7 @@ use crate::{Error, Result};
 
 /// Samples of one cell of a model that is being sampled: see [`Progress::emerge`].
 pub struct Emerging<'a> {
-    /// Whether it is the first one: what came before, if anything, is found anew.
+    /// Whether these are the first samples of a run: those of a run before, if any, are found anew.
     pub first: bool,
     /// The box of the whole model.
     pub bounds: &'a Bounds,

@@ -6,8 +6,8 @@
 //! determines the bytes; it is replaced at once, by way of `.simod-name.journal.new`. What is not in the
 //! journal is not relied on, and what is there is checked before it is.
 //!
-//! Where the file says at its beginning what comes later, that is replaced in the end, once the journal lists
-//! what was there and what will be: the checksums are of what was there.
+//! Bytes at the beginning of the file that depend on later ones are replaced in the end, once the journal
+//! lists the old and the new ones: the checksums are of the old ones.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -24,7 +24,7 @@ use crate::target::folder_of;
 use crate::uncached::UncachedFile;
 use crate::{Error, Output, Progress, Result, Summary};
 
-/// What a journal begins with.
+/// First word of a journal.
 const FORMAT: &str = "simod-journal/1";
 
 /// Bytes that are checked at a time.
@@ -44,7 +44,7 @@ pub struct ResumableFile {
     file: UncachedFile,
     journal: Journal,
     recorder: JournalRecorder,
-    /// What is written: pieces, and bytes.
+    /// Number of pieces that were written, and (`end`) of bytes.
     pieces: u64,
     end: u64,
     /// Hash of what is written since the last part, and how many bytes of the model that stands for.
@@ -58,7 +58,7 @@ pub struct ResumableFile {
     syncs: bool,
 }
 
-/// What [`ResumableFile::open`] finds.
+/// Result of [`ResumableFile::open`].
 pub enum Opened {
     /// There is something to write.
     Unfinished(Box<ResumableFile>),
@@ -117,7 +117,7 @@ impl ResumableFile {
         Ok(Opened::Unfinished(Box::new(this)))
     }
 
-    /// What an earlier call left that can be relied on.
+    /// Returns the parts that an earlier call left and that can be relied on.
     fn find(&mut self, progress: &dyn Progress) -> Result<JournalState> {
         let places = self.claim.places().clone();
         let name = places.path.display();
@@ -196,7 +196,7 @@ impl ResumableFile {
         Ok(self.end)
     }
 
-    /// What is written since the last part.
+    /// Entry for the part that is written since the last complete one.
     fn open_part(&self) -> JournalEntry {
         let summary = self.summary.clone();
         JournalEntry { pieces: self.pieces, end: self.end, hash: self.hash.digest128(), summary }
@@ -270,12 +270,12 @@ impl ResumableFile {
 
     /// Leaves the recorded parts to a later call, if there are any.
     pub fn keep(mut self) {
-        // What could not be recorded is not kept.
+        // Parts that could not be recorded are not kept.
         let _ = self.recorder.finish();
         let Some(Some(journal)) = Journal::read(self.claim.places()) else { return };
         if let Some(last) = journal.parts.last() {
-            // The rest may be what fills the disk. If it cannot be cut off, it is when the file is gone on
-            // with.
+            // The rest of the file may be what fills the disk. If it cannot be cut off now, that happens when
+            // the file is gone on with.
             let _ = self.file.wait();
             let _ = self.file.file().set_len(last.end);
             let _ = remove(&self.claim.places().new_journal);
@@ -380,7 +380,7 @@ impl Drop for Finished {
 struct JournalState {
     /// The good ones.
     parts: Vec<JournalEntry>,
-    /// What may be replaced in them.
+    /// Replacements that may have been made in the parts.
     patches: Vec<JournalPatch>,
     /// The parts are the whole file.
     is_complete: bool,
@@ -388,8 +388,8 @@ struct JournalState {
     in_target: bool,
 }
 
-/// How many of the parts, from the first on, are in the file as they were written. What cannot be read is
-/// not. Where bytes were to be replaced, either will do.
+/// Number of the parts, from the first on, that are in the file as they were written. A part that cannot be
+/// read is not counted. Bytes that were to be replaced may be the old or the new ones.
 fn good_parts(
     mut file: &File,
     parts: &[JournalEntry],
@@ -454,7 +454,7 @@ struct Journal {
     key: String,
     /// Ascending.
     parts: Vec<JournalEntry>,
-    /// What is replaced in them in the end.
+    /// Replacements in the parts, which are made in the end.
     patches: Vec<JournalPatch>,
     /// The parts are the whole file.
     is_complete: bool,
@@ -465,7 +465,7 @@ struct Journal {
 struct JournalEntry {
     /// Number of pieces up to its end.
     pieces: u64,
-    /// Where it ends in the file.
+    /// Byte of the file at which the part ends.
     end: u64,
     /// The hash of its bytes, before anything is replaced in them.
     hash: u128,

@@ -28,7 +28,7 @@ pub struct ResumableFolder {
     part_bytes: u64,
     /// In the end it waits until all is on the disk.
     syncs: bool,
-    /// How many files are finished, the first ones.
+    /// Number of finished files, which are the first ones.
     finished: usize,
     /// The bytes of each file that an earlier call wrote.
     taken_over: Vec<u64>,
@@ -36,7 +36,7 @@ pub struct ResumableFolder {
     is_in_place: bool,
 }
 
-/// What [`ResumableFolder::open`] finds.
+/// Result of [`ResumableFolder::open`].
 pub enum OpenedFolder {
     /// There is something to write.
     Unfinished(Box<ResumableFolder>),
@@ -88,7 +88,7 @@ impl ResumableFolder {
         Ok(OpenedFolder::Unfinished(Box::new(this)))
     }
 
-    /// What an earlier call left that can be relied on.
+    /// Takes over the files that an earlier call left and that can be relied on.
     fn find(&mut self, progress: &dyn Progress) -> Result<()> {
         for number in 0..self.names.len() {
             let path = self.path_of(number);
@@ -330,8 +330,8 @@ fn in_place(
     Ok(Some(FinishedFolder { files, leave: false }))
 }
 
-/// Whether files of these names may be written to a folder of their own: one that is there holds nothing
-/// else.
+/// Checks that files of these names may be written to a folder of their own: a folder that is there holds
+/// nothing else.
 ///
 /// # Errors
 /// The path is a file, or the folder holds something that would be lost.

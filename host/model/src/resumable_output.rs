@@ -1,4 +1,4 @@
-//! What a model is rewritten to: a file, or a folder with a file for each tile, which can be gone on with; or
+//! Output of a rewritten model: a file, or a folder with a file for each tile, which can be gone on with; or
 //! an object.
 
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ pub enum ResumableOutput {
     Object(Box<ObjectOutput>),
 }
 
-/// What [`ResumableOutput::open`] finds.
+/// Result of [`ResumableOutput::open`].
 pub enum OpenedOutput {
     /// There is something to write.
     Unfinished(ResumableOutput),
@@ -30,7 +30,7 @@ pub enum OpenedOutput {
     Finished(FinishedOutput),
 }
 
-/// What an output is called, and what its files are called in it, if it is a folder.
+/// Path of an output, and the names of its files if it is a folder.
 #[derive(Debug, Clone)]
 pub struct OutputPaths {
     path: PathBuf,
@@ -40,7 +40,7 @@ pub struct OutputPaths {
 }
 
 impl OutputPaths {
-    /// Where a model's output goes: a file, or a folder of tiles.
+    /// Paths of a model's output: a file, or a folder of tiles.
     pub fn for_model(model: &dyn Model, path: &Path) -> Self {
         let names = model.tiles().iter().map(|tile| tile.name.clone()).collect();
         Self { path: path.to_owned(), names, bytes: model.written_bytes() }
@@ -67,7 +67,7 @@ impl OutputPaths {
         }
     }
 
-    /// Whether an earlier call left something of it.
+    /// Whether an earlier call left something of the output.
     pub fn is_left(&self) -> bool {
         if self.names.is_empty() { is_left(&self.path) } else { is_folder_left(&self.path, &self.names) }
     }
@@ -146,7 +146,7 @@ impl ResumableOutput {
         }
     }
 
-    /// What is written to.
+    /// The output as a trait object, for a rewriting to write to.
     pub fn as_output(&mut self) -> &mut dyn Output {
         match self {
             Self::File(file) => &mut **file,

@@ -17,7 +17,7 @@ pub struct Scratch {
     /// The file as it is mapped.
     handle: File,
     folder: PathBuf,
-    /// What the user can do about it, beside making room.
+    /// Advice for a failure beside making room, for the user.
     advice: &'static str,
 }
 
@@ -111,7 +111,7 @@ impl Scratch {
 }
 
 fn refused(action: &str, folder: &Path, advice: &str, e: &std::io::Error) -> Error {
-    // Where it is, also where it was called `.`.
+    // The folder's full path names it also where the user called it `.`.
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     advised(Error::io(&format!("{action} a temporary file in"), &folder, e), advice)
 }

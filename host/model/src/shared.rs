@@ -17,7 +17,7 @@ use crate::{Error, Output, Result, Summary};
 pub struct SharedFile {
     path: PathBuf,
     file: UncachedFile,
-    /// Where the next byte goes.
+    /// Byte of the file at which the next written byte goes.
     at: u64,
 }
 
@@ -32,7 +32,7 @@ impl SharedFile {
         Ok(Self { path: path.to_owned(), file: UncachedFile::new(file.map_err(failed)?), at: 0 })
     }
 
-    /// Where the next byte goes.
+    /// Byte of the file at which the next written byte goes.
     pub fn position(&self) -> u64 {
         self.at
     }
@@ -111,7 +111,7 @@ fn put(mut file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
     file.write_all(bytes)
 }
 
-/// Whether so many bytes of a file are there.
+/// Whether a file is there and has so many bytes.
 pub fn reaches(path: &Path, end: u64) -> bool {
     fs::metadata(path).is_ok_and(|meta| meta.is_file() && meta.len() >= end)
 }

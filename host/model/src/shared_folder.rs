@@ -20,7 +20,7 @@ use crate::{Error, ErrorKind, Output, Progress, Result, Summary, Tile};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WrittenFile {
     bytes: u64,
-    /// When it was, since 1970, where the file system tells.
+    /// Time of the last change since 1970, where the file system tells it.
     changed: Option<Duration>,
 }
 
@@ -37,12 +37,12 @@ impl WrittenFile {
         self.bytes
     }
 
-    /// Whether a file of its size is at a path.
+    /// Whether a file of the same size is at a path.
     pub fn fits(&self, path: &Path) -> bool {
         Self::read_stamp(path).is_ok_and(|file| file.bytes == self.bytes)
     }
 
-    /// Whether it is the file at a path.
+    /// Whether the file at a path is this one, unchanged.
     pub fn is(&self, path: &Path) -> bool {
         Self::read_stamp(path).is_ok_and(|file| file == *self)
     }
@@ -122,7 +122,7 @@ impl Output for SharedFiles<'_> {
 impl Drop for SharedFiles<'_> {
     fn drop(&mut self) {
         if !self.keeps {
-            // What cannot be removed is written again.
+            // A file that cannot be removed will be written again.
             self.written.iter().for_each(|(path, _)| drop(fs::remove_file(path)));
         }
     }
@@ -164,7 +164,7 @@ pub fn become_output(folder: &Path, names: &[PathBuf], output: &Path, progress: 
 /// Another process writes the output, or the operating system refuses.
 pub fn settle(folder: &Path, output: &Path) -> Result<()> {
     drop(OutputFolder::create(output)?);
-    // What the output has replaced, or was copied from.
+    // The folder holds the files that the output replaced, or was copied from.
     remove(folder).map_err(|e| Error::io("remove", folder, &e))
 }
 

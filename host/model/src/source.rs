@@ -24,7 +24,7 @@ pub(crate) struct SourceFile {
     file_len: u64,
 }
 
-/// How a file is held.
+/// Way in which a file is held.
 #[derive(Debug, Clone)]
 enum Handle {
     /// Open.
@@ -79,7 +79,7 @@ impl SourceFile {
         Self::open(path, pool)
     }
 
-    /// What was written to a temporary file, in the name of another one.
+    /// Source of the bytes that were written to a temporary file, under the path of another file.
     pub(crate) fn of_scratch(scratch: Scratch, path: &Path, len: u64) -> Self {
         Self::of_part(scratch.into_file(), path, len)
     }
@@ -90,7 +90,7 @@ impl SourceFile {
         Self { file: Handle::Open(Arc::new(file)), path: path.to_owned(), len, file_len }
     }
 
-    /// What tells whether it is what it was, where that is known.
+    /// Stamp of the file, by which a change of it is noticed, where the system tells one.
     pub(crate) fn stamp(&self) -> Option<Stamp> {
         let is = match &self.file {
             Handle::Open(file) => file.metadata(),

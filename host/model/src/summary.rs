@@ -1,5 +1,5 @@
-//! What places elsewhere in a file have to know of its vertices: their box, which its header has, and the
-//! lengths of its compressed blocks, which a table lists.
+//! Summary of a file's vertices for other places of the file: their box, which the header has, and the
+//! lengths of compressed blocks, which a table lists.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use glam::{DVec3, Vec4};
 
 use crate::bounds::Bounds;
 
-/// What is known of some pieces of a new version of a model.
+/// Summary of some pieces of a new version of a model.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Summary {
     /// The box of the vertices as they were, in whatever the format counts in.
@@ -30,7 +30,7 @@ pub struct Summary {
 pub(crate) struct PartBox {
     /// The number of the part.
     pub(crate) part: u32,
-    /// Whether anything in it is elsewhere than it was.
+    /// Whether any number of the part has changed.
     pub(crate) has_moved: bool,
     pub(crate) min: Vec4,
     pub(crate) max: Vec4,
@@ -106,7 +106,7 @@ impl Summary {
         Some(parts.join(";"))
     }
 
-    /// What such a word says.
+    /// Reads a summary from such a word.
     pub fn decode(word: &str) -> Option<Self> {
         let mut parts = word.split(';');
         let mut words = parts.next()?.split(',');

@@ -31,7 +31,7 @@ pub(crate) fn regular_target(path: &Path) -> Result<PathBuf> {
     }
 }
 
-/// What `path` means in the end, whatever it is; it has a name.
+/// Path that `path` leads to through links, whatever is there; it has a name.
 pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
     check_file("write", path)?;
     let target = follow_links(path)?;

@@ -47,7 +47,7 @@ pub(crate) struct TiledModel {
     path: PathBuf,
     info: ModelInfo,
     tiles: Vec<TilePart>,
-    /// What others are told of the tiles.
+    /// Tiles as callers see them.
     files: Vec<Tile>,
 }
 
@@ -58,7 +58,7 @@ struct TilePart {
     before: u64,
     /// Bytes of the tiles before it, and one more for each: the end of one is not the beginning of the next.
     bytes_before: u64,
-    /// Where among its attributes those of the whole are.
+    /// Places of the whole model's attributes among the tile's own.
     places: Vec<usize>,
 }
 
@@ -231,7 +231,7 @@ impl TiledModel {
         })
     }
 
-    /// Whether a tile's positions are whole numbers, whose range can be another one.
+    /// Whether a tile's positions are whole numbers, whose range can be chosen anew.
     fn has_integers(part: &TilePart) -> bool {
         part.model.info().step != DVec3::ZERO
     }
@@ -242,14 +242,14 @@ fn common_attributes(tiles: &[TilePart]) -> Vec<Attribute> {
     common(tiles.iter().map(|part| &part.model.info().attributes))
 }
 
-/// What all lists have, in the order of the first one.
+/// Elements that all lists have, in the order of the first one.
 fn common<'a, T: Clone + PartialEq + 'a>(mut lists: impl Iterator<Item = &'a Vec<T>>) -> Vec<T> {
     let mut common = lists.next().cloned().unwrap_or_default();
     lists.for_each(|list| common.retain(|one| list.contains(one)));
     common
 }
 
-/// What there is, each once, in the order in which it comes.
+/// Distinct elements, in the order in which they first come.
 fn distinct<T: PartialEq>(all: impl Iterator<Item = T>) -> Vec<T> {
     let mut found = Vec::new();
     for one in all {
@@ -290,7 +290,7 @@ fn folder_of_all(files: &[PathBuf]) -> PathBuf {
     common
 }
 
-/// What files are called in a folder of all of them: their names, with the folders below the one that they
+/// Names of files in a folder of all of them: their file names, with the folders below the one that they
 /// share.
 pub(crate) fn names(files: &[PathBuf]) -> Vec<PathBuf> {
     let absolute = |file: &PathBuf| {
@@ -308,8 +308,8 @@ pub(crate) fn names(files: &[PathBuf]) -> Vec<PathBuf> {
     files.iter().map(name).collect()
 }
 
-/// What tiles are called in the folder that they are written to, none like another: of a `.gltf` with its
-/// buffers comes one GLB.
+/// Names of tiles in the folder that they are written to, none like another: of a `.gltf` with its buffers
+/// comes one GLB.
 pub(crate) fn written_names(files: &[PathBuf]) -> Vec<PathBuf> {
     let names = names(files);
     let mut taken: BTreeSet<PathBuf> = names.iter().cloned().collect();
@@ -410,7 +410,7 @@ impl VertexReader for TileReader<'_> {
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
         while let Some((part, mut reader)) = self.next()? {
             if chunk.before != part.before {
-                // What another format left in it means nothing to this one.
+                // Data that the reader of another tile left in the chunk mean nothing to this one.
                 *chunk = VertexChunk::default();
             }
             chunk.before = 0;

@@ -23,11 +23,11 @@ const BUFFER: usize = LARGE_PAGE;
 #[derive(Debug)]
 pub(crate) struct UncachedFile {
     disk: Disk,
-    /// What belongs to the file from `offset` on.
+    /// Bytes of the file from `offset` on.
     buffer: AlignedBuffer,
-    /// Where in the file the buffer belongs: a multiple of [`BLOCK`].
+    /// Byte of the file at which the buffer belongs: a multiple of [`BLOCK`].
     offset: u64,
-    /// Where it began.
+    /// Offset of the buffer at the beginning.
     begin: u64,
     behind: Option<WriteBehind>,
 }
@@ -69,7 +69,7 @@ impl UncachedFile {
         Ok(())
     }
 
-    /// Whether nothing was written since it was said where to [begin](Self::begin_at).
+    /// Whether nothing was written since the call of [`begin_at`](Self::begin_at).
     pub(crate) fn is_at_begin(&self) -> bool {
         self.buffer.filled == 0 && self.offset == self.begin
     }
@@ -102,7 +102,8 @@ impl UncachedFile {
             self.offset += whole as u64;
         }
         if self.buffer.filled > 0 {
-            // It stays here as well, and goes to the disk once more with the rest of its block.
+            // The rest of a block stays in the buffer as well, and goes to the disk once more with the whole
+            // block.
             self.disk.put(self.buffer.bytes(), self.offset)?;
         }
         Ok(())
@@ -171,7 +172,8 @@ impl AlignedBuffer {
 #[derive(Debug)]
 struct Disk {
     file: File,
-    /// Whether nothing tells yet that the file system has no way but through the page cache.
+    /// Whether writing past the page cache may be possible: nothing has shown yet that the file system
+    /// cannot.
     is_direct: bool,
 }
 

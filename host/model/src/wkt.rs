@@ -36,7 +36,7 @@ pub(crate) fn in_one_line(text: &str) -> Option<String> {
     (!line.is_empty()).then_some(line)
 }
 
-/// What a name is for people: no longer than that.
+/// Name as people are shown it: without control characters, of at most 200 characters.
 pub(crate) fn short(name: &str) -> Option<String> {
     let name: String = name.trim().chars().filter(|c| !c.is_control()).take(200).collect();
     (!name.is_empty()).then_some(name)
@@ -84,13 +84,13 @@ pub(crate) fn units(wkt: &str) -> Vec<String> {
     units
 }
 
-/// What [details](crate::Model::details) say of the units.
+/// Line on the units for [details](crate::Model::details).
 pub(crate) fn line_of_units(wkt: &str) -> Option<String> {
     let units = units(wkt);
     (!units.is_empty()).then(|| format!("unit: {}", units.join(", ")))
 }
 
-/// Whether what stands in these nodes, the innermost last, is of positions.
+/// Whether a value within these nodes, the innermost last, is about positions.
 fn is_of_positions(open: &[String]) -> bool {
     let around = if open.last().is_some_and(|last| last == "AXIS") { &open[..open.len() - 1] } else { open };
     let is = |keyword: &String, of: &[&str]| of.contains(&keyword.as_str());

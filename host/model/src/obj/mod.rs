@@ -65,7 +65,7 @@ pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Mo
     })
 }
 
-/// What the numbers behind a vertex' position mean.
+/// Names of the numbers behind a vertex' position, by their count.
 fn colours(first_vertex: &[u8]) -> &'static [&'static str] {
     match values(first_vertex).count() {
         4 => &["w"],

@@ -15,7 +15,7 @@ use crate::{Result, Scalar};
 /// what is held of them.
 const MOST_RUNS: u64 = 1 << 18;
 
-/// What has the normals: vertices or corners.
+/// Owner and place of the normals: those of vertices, or those of corners.
 #[derive(Debug)]
 pub(super) enum NormalsAre {
     /// There are none.
@@ -36,14 +36,14 @@ pub(super) struct ObjScan {
     pub(super) vertices: TextBlocks,
     pub(super) normals: NormalsAre,
     pub(super) faces: u64,
-    /// Where the first face begins and the last one ends.
+    /// Byte at which the first face begins, and the byte at which the last one ends.
     pub(super) face_lines: Range<u64>,
-    /// How many corners the faces have that may name a normal, at most.
+    /// Number of corners of all faces that may name a normal, at most.
     pub(super) corners: u64,
     /// Some numbers of corners are negative.
     pub(super) is_relative: bool,
     pub(super) first_vertex: Vec<u8>,
-    /// How many lines begin with other words, of which so many at most are told apart.
+    /// Number of lines that begin with each other word; a bounded number of words is told apart.
     pub(super) others: BTreeMap<Vec<u8>, u64>,
 }
 
@@ -87,7 +87,7 @@ struct ScannedFaces {
     /// The bytes from the first one to the last one.
     lines: Range<u64>,
     slashes: u64,
-    /// Whether any of them counts vertices backwards.
+    /// Whether any face counts vertices backwards.
     is_relative: bool,
 }
 
@@ -108,7 +108,7 @@ struct NormalPairs {
     builder: Option<TextBlocksBuilder>,
     vertices: u64,
     normals: u64,
-    /// Where the first line of a vertex begins whose second one is to come.
+    /// Byte at which the first line of a vertex begins, as long as the second one is to come.
     start: u64,
 }
 

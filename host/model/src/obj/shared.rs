@@ -1,8 +1,8 @@
 //! Normals that corners share: one for several vertices, or several for one.
 //!
-//! Where a normal is used is found by one pass over the faces: pairs of normal and vertex, sorted, in
-//! the cache. When the file is written, each normal is turned at every place that uses it. It becomes
-//! their mean where all are within five degrees of it, and keeps its bytes elsewhere.
+//! The places that use a normal are found by one pass over the faces: pairs of normal and vertex, sorted, in
+//! the cache. When the file is written, each normal is turned at every place that uses it. It becomes the
+//! mean of the turned normals where all are within five degrees of the mean, and keeps its bytes elsewhere.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -45,7 +45,7 @@ pub(super) struct SharedNormals<'a> {
     /// The positions of all vertices, and behind them the pairs: the normal in the upper half, the vertex in
     /// the lower; ascending, none twice.
     file: SourceFile,
-    /// How many pairs there are.
+    /// Number of pairs.
     pairs: u64,
     /// Normals that keep their bytes as their places disagree, of all versions.
     kept: AtomicU64,
@@ -82,7 +82,7 @@ impl<'a> SharedNormals<'a> {
         }
     }
 
-    /// What reads pairs, each of 8 bytes, and positions, each of 24.
+    /// Readers of the pairs, each of 8 bytes, and of the positions, each of 24.
     fn records(&self) -> (RecordFile<'_, PAIR>, RecordFile<'_, POSITION>) {
         let positions = POSITION as u64 * self.model.info().vertices;
         (RecordFile::new(&self.file, positions..self.file.len()), RecordFile::new(&self.file, 0..positions))
@@ -184,7 +184,7 @@ impl Rewritable for SharedNormals<'_> {
         let (mut pairs, mut places) = self.records();
         let mut next = self.first_pair(&mut pairs, first)?;
         let end = self.first_pair(&mut pairs, first + count as u64)?;
-        // Where there are too many places, each normal is looked at in some of them, evenly spread.
+        // Too many places for a chunk: each normal is turned at some of its places, evenly spread.
         let most =
             if end - next > CHUNK_VERTICES as u64 { CHUNK_VERTICES / count.max(1) } else { CHUNK_VERTICES };
         let most = most.max(1) as u64;
@@ -288,7 +288,7 @@ fn pair(word: &[u8], vertices: u64, normals: u64) -> Option<u64> {
 /// Pairs in sorted runs in a file.
 struct Runs {
     scratch: Scratch,
-    /// Where each run ends, in pairs.
+    /// End of each run, counted in pairs.
     ends: Vec<u64>,
     buffer: Vec<u64>,
 }
@@ -349,7 +349,7 @@ impl Runs {
     }
 }
 
-/// What is left of a run.
+/// Rest of a run that is not merged yet.
 struct RestOfRun {
     next: u64,
     end: u64,

@@ -43,7 +43,7 @@ pub(super) struct PcdField {
 }
 
 impl PcdField {
-    /// What PLY calls a coordinate of the position or the normal.
+    /// Name that PLY has for a coordinate of the position or the normal.
     pub(super) fn component(&self) -> Option<&'static str> {
         Some(match self.name.as_str() {
             "x" => "x",
@@ -120,7 +120,7 @@ impl PcdHeader {
     }
 }
 
-/// What the lines so far say.
+/// Contents of the header's lines read so far.
 #[derive(Default)]
 struct Parser {
     version: Option<String>,

@@ -15,7 +15,7 @@ use crate::{Model, Result, Type};
 pub(crate) use header::is_pcd;
 use header::{Data, PcdField, PcdHeader};
 
-/// Whether a file of that extension begins as PCD, whatever its first comment says.
+/// Whether a file with the extension `pcd` begins as PCD, whatever its first comment says.
 pub(crate) fn is_head(source: &SourceFile) -> bool {
     PcdHeader::read(source).is_ok()
 }
@@ -47,7 +47,7 @@ pub(crate) fn open(source: SourceFile, making: &Making<'_>) -> Result<Box<dyn Mo
     Ok(Box::new(model))
 }
 
-/// What of a file is given nowhere else.
+/// Content of the file that is not read, in a few words each.
 fn besides(model: &PlyModel) -> Result<Vec<String>> {
     let header = PcdHeader::read(model.source())?;
     let mut besides = Vec::new();

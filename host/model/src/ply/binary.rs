@@ -20,7 +20,7 @@ pub(super) struct Rest<'a> {
     pub(super) spans: &'a [[u32; 2]],
 }
 
-/// How a floating-point number lies in the file.
+/// Type of floating-point numbers in the file: reads and writes one in place.
 trait Codec: Copy {
     fn get(self, raw: &[u8], at: usize) -> f64;
     fn put(self, raw: &mut [u8], at: usize, value: f64);
@@ -252,7 +252,7 @@ fn patch_positions<C: Codec>(
         if !is_finite(*old) {
             continue;
         }
-        // What did not change has the bytes that it had: this takes no branch.
+        // A coordinate that did not change gets the bytes that it had: writing it takes no branch.
         for (c, new) in new.to_array().into_iter().enumerate() {
             codecs[c].put(raw, at[c], new);
             fits &= codecs[c].get(raw, at[c]).is_finite();

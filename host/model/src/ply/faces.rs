@@ -33,11 +33,12 @@ pub(super) struct PlyFaces<'a> {
 /// An element to go over.
 struct FaceElement {
     plan: RecordPlan,
-    /// Where it begins; `None` in a text file, where that is where the one before ends.
+    /// Byte at which the element begins; `None` in a text file, where it begins at the end of the element
+    /// before.
     start: Option<u64>,
     /// The list whose items are corners, of those elements that have triangles.
     corners: Option<IndexList>,
-    /// Whether the list is one of strips.
+    /// Whether the list is one of triangle strips.
     strips: bool,
     /// For records that are read all at once.
     compact: Option<Compact>,
@@ -157,7 +158,7 @@ fn corner_list(element: &PlyElement) -> Option<IndexList> {
     })
 }
 
-/// Whether a property lists the corners of faces.
+/// Whether a property is the list of the corners of faces.
 pub(super) fn are_corners(property: &Property) -> bool {
     matches!(property.shape, PropertyShape::List { item, .. } if !item.is_float())
         && matches!(property.name.as_str(), "vertex_indices" | "vertex_index")
@@ -181,7 +182,7 @@ pub(super) fn bytes(model: &PlyModel) -> u64 {
     }
 }
 
-/// Where a face begins, if all of them are triangles by the bytes that they take: see
+/// Byte at which a face begins, if the length of the element shows that all faces are triangles: see
 /// [`face_at`](crate::Model::face_at).
 pub(super) fn triangle_at(model: &PlyModel, face: u64) -> Option<u64> {
     let [element] = with_triangles(&model.header)[..] else { return None };
@@ -510,10 +511,10 @@ impl<'a> RecordCursor<'a> {
 struct BlockWindow<'a> {
     source: &'a SourceFile,
     block: Vec<u8>,
-    /// What of the block has been taken, and how much of it is filled.
+    /// Number of the block's bytes that were taken, and (`filled`) of those that were read.
     at: usize,
     filled: usize,
-    /// Where in the file the filled part ends.
+    /// Byte of the file at which the filled part ends.
     end: u64,
     /// Nothing is read beyond, if only a part of the file shall be.
     limit: Option<u64>,
@@ -524,22 +525,22 @@ impl<'a> BlockWindow<'a> {
         Self { source, block: vec![0; block_size], at: 0, filled: 0, end: 0, limit: None }
     }
 
-    /// Where in the file the next byte lies.
+    /// Byte of the file that comes next.
     fn position(&self) -> u64 {
         self.end - self.rest().len() as u64
     }
 
-    /// What has been read and not taken.
+    /// Bytes that were read and not taken.
     fn rest(&self) -> &[u8] {
         &self.block[self.at..self.filled]
     }
 
-    /// Whether there is no more to be read.
+    /// Whether no more bytes are to be read.
     fn is_last(&self) -> bool {
         self.end >= self.limit()
     }
 
-    /// Whether all has been taken that shall be, of a part of the file.
+    /// Whether all bytes of the part of the file that shall be read were taken.
     fn is_drained(&self) -> bool {
         self.limit.is_some_and(|limit| self.position() >= limit)
     }
@@ -567,7 +568,7 @@ impl<'a> BlockWindow<'a> {
         }
     }
 
-    /// Whether so many bytes follow, after reading on where needed. They are fewer than a block.
+    /// Whether so many bytes, fewer than a block, are there; reads on where needed.
     #[inline]
     fn holds(&mut self, bytes: usize) -> Result<bool> {
         if self.filled - self.at < bytes {

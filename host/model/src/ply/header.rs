@@ -13,7 +13,7 @@ pub(super) const NORMAL: [&str; 3] = ["nx", "ny", "nz"];
 
 pub(super) use crate::text::{DAMAGED, quoted};
 
-/// How the data after the header is stored.
+/// Encoding of the data behind the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Encoding {
     Ascii,
@@ -85,7 +85,7 @@ pub(crate) struct PlyElement {
 }
 
 impl PlyElement {
-    /// Whether records differ in length.
+    /// Whether records may differ in length, as some property is a list.
     pub(super) fn has_lists(&self) -> bool {
         self.properties.iter().any(|p| matches!(p.shape, PropertyShape::List { .. }))
     }
@@ -111,7 +111,7 @@ pub(crate) struct PlyHeader {
     pub(crate) len: u64,
 }
 
-/// Whether a file that begins so says that it is PLY.
+/// Whether a file with these first bytes says that it is PLY.
 pub(crate) fn is_ply(start: &[u8]) -> bool {
     start.strip_prefix(b"ply").is_some_and(|rest| rest.first().is_none_or(u8::is_ascii_whitespace))
 }
@@ -170,7 +170,7 @@ pub(super) fn without_normals(header: &[u8]) -> Vec<u8> {
     lines.flatten().copied().collect()
 }
 
-/// What is wrong on which line.
+/// Fault of a header: its line, the fault in words, and advice.
 #[derive(Debug)]
 struct HeaderFault {
     line: usize,

@@ -1,4 +1,4 @@
-//! Where some of the vertices begin, where their records differ in length: learnt by reading them.
+//! Offsets of some of the vertices where their records differ in length: learnt by reading them.
 
 use std::sync::{Mutex, PoisonError};
 

@@ -27,10 +27,10 @@ pub(super) struct PlyReader<'a> {
     range: Range<u64>,
     /// Most vertices of a chunk.
     chunk: usize,
-    /// Where in the file the next vertex begins.
+    /// Byte of the file at which the next vertex begins.
     offset: u64,
-    /// What has been read of the file from `offset` on, where records differ in length: at most `BLOCK`
-    /// bytes, or about a record if that is more.
+    /// Bytes of the file from `offset` on that were read ahead, where records differ in length: at most
+    /// `BLOCK` bytes, or about a record if that is more.
     ahead: Vec<u8>,
 }
 
@@ -57,7 +57,7 @@ impl<'a> PlyReader<'a> {
         CHUNK_VERTICES.min((CHUNK_BYTES / stride).max(1)) as u64
     }
 
-    /// Where in the file the next vertex begins; after the last vertex, where the vertices end.
+    /// Byte of the file at which the next vertex begins; after the last vertex, the end of the vertices.
     pub(super) fn offset(&self) -> u64 {
         self.offset
     }

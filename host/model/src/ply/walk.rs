@@ -65,7 +65,7 @@ impl RecordPlan {
         Self { name, count, steps, fixed: None }
     }
 
-    /// What is wrong where the file ends within this record.
+    /// Message on a file that ends within this record.
     pub(super) fn ends_early(&self, record: u64) -> String {
         let (name, count) = (quoted(&self.name), self.count);
         match self.fixed {
@@ -74,7 +74,7 @@ impl RecordPlan {
         }
     }
 
-    /// What is wrong with this record.
+    /// Message on a malformed record.
     pub(super) fn wrong(&self, record: u64, what: impl Display) -> String {
         format!("element {}, record {record}: {what}", quoted(&self.name))
     }
@@ -85,7 +85,7 @@ impl RecordPlan {
 pub(super) struct Walker {
     encoding: Encoding,
     plans: Vec<RecordPlan>,
-    /// Where it stands: index into `plans`, record, index into the steps of the record.
+    /// Position of the walk: index into `plans`, record, index into the steps of the record.
     plan: usize,
     record: u64,
     step: usize,
@@ -299,7 +299,7 @@ fn walk_by(
     Ok(at)
 }
 
-/// Where each element of a binary file begins, and after them the end of the last one.
+/// Returns the bytes at which the elements of a binary file begin, and after them the end of the last one.
 ///
 /// Elements without lists are summed up. Those with lists would have to be read in full; but most meshes have
 /// triangles alone, and then the rest of the file is as long as that many records of the first one's size.
@@ -361,7 +361,7 @@ fn uniform_lists(
         return None;
     }
     let one = PlyElement { count: 1, ..element.clone() };
-    // What is wrong with a record is told by the walk over all of them.
+    // An error in a record is reported by the walk over all of them.
     let record_size = |at| {
         walk_by(PROBE_BLOCK, source, encoding, std::slice::from_ref(&one), at, &Silent).map(|end| end - at)
     };

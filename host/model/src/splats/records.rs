@@ -22,7 +22,7 @@ pub(crate) const EXTENSION: &str = "splat";
 /// Bytes of a splat.
 const RECORD: usize = 32;
 
-/// Where in a record its scales, its colour and its quaternion begin.
+/// Bytes of a record at which its scales, its colour and its quaternion begin.
 const SCALES: usize = 12;
 const COLOUR: usize = 24;
 const QUATERNION: usize = 28;

@@ -25,7 +25,7 @@ use crate::{
     Summary, VertexChunk, VertexReader,
 };
 
-/// What the unpacked file begins with.
+/// First bytes of the unpacked file.
 const MAGIC: [u8; 4] = *b"NGSP";
 
 /// Bytes of the header.
@@ -37,7 +37,7 @@ const BLOCK: usize = 1 << 20;
 /// No file is unpacked to more than so many times its size by what its format can do.
 const MOST_PACKED: u64 = 1100;
 
-/// What can be done about a file that is not what it says.
+/// Advice about a file that is malformed.
 const HINT: &str = "the file is damaged, or no SPZ of version 2 or 3: copy or export it again";
 
 /// Whole numbers of a position lie between minus this and this.
@@ -70,7 +70,7 @@ struct Spz {
     unit: f64,
 }
 
-/// Whether a file that begins so is compressed as SPZ is.
+/// Whether a file with these first bytes is compressed as SPZ is.
 pub(crate) fn is_gzip(start: &[u8]) -> bool {
     start.starts_with(&[0x1f, 0x8b])
 }
@@ -142,7 +142,7 @@ impl Read for SourceReader<'_> {
 }
 
 impl Spz {
-    /// Where an array is among the numbers of a splat.
+    /// Range of an array among the numbers of a splat.
     fn place(&self, array: Array) -> Range<usize> {
         let start = self.sizes[..array as usize].iter().sum();
         start..start + self.sizes[array as usize]
@@ -176,7 +176,7 @@ impl Spz {
         to.extend([w, x, y, z]);
     }
 
-    /// What becomes of an array of one splat.
+    /// Appends the new bytes of an array of one splat.
     fn put(&self, array: Array, splat: &[u8], old: &[f64], new: &[f64], to: &mut Vec<u8>) {
         let places = GroupOffsets::new(self.sizes[Array::Harmonics as usize]);
         let start = to.len();
@@ -231,7 +231,7 @@ impl Spz {
         Ok(())
     }
 
-    /// Whether an array may change; colours do not, and opacities only if they are conserved.
+    /// Whether an array may change: positions may, colours do not, and the others only where splats turn.
     fn may_change(&self, array: Array) -> bool {
         match array {
             Array::Positions => true,

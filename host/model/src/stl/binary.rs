@@ -29,7 +29,8 @@ fn count(source: &SourceFile) -> Result<Option<u64>> {
     Ok((read == count.len()).then(|| u64::from(u32::from_le_bytes(count))))
 }
 
-/// Whether the file is just as long as its number of facets says: text is not, by any chance.
+/// Whether the file is just as long as its number of facets implies: a text never is, but by a very rare
+/// chance.
 pub(super) fn has_its_length(source: &SourceFile) -> Result<bool> {
     Ok(count(source)?.is_some_and(|count| START + FACET * count == source.len()))
 }
@@ -99,7 +100,7 @@ fn put(bytes: &mut [u8], value: Vec3) {
     }
 }
 
-/// Where a corner of a facet stands in it.
+/// Range of a corner's bytes in its facet.
 fn corner(i: usize) -> Range<usize> {
     12 * (i + 1)..12 * (i + 2)
 }

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, Result};
 
-/// Where the first facet begins.
+/// Byte at which the first facet begins.
 pub(super) const START: u64 = 84;
 
 /// Bytes of a facet.

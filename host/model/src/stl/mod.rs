@@ -20,7 +20,7 @@ pub(crate) fn open(source: SourceFile) -> Result<Box<dyn Model>> {
     Ok(Box::new(binary::BinaryStl::new(source)?))
 }
 
-/// Whether the content says that a file is STL.
+/// Whether the content of a file is STL.
 pub(crate) fn is_stl(source: &SourceFile) -> Result<bool> {
     Ok(binary::has_its_length(source)? || ascii::is_text(source)?)
 }

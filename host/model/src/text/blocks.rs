@@ -1,8 +1,8 @@
-//! Where vertices lie in a text file: found in one pass when it is opened, so that reading begins anywhere
-//! near a vertex afterwards.
+//! Blocks of a text file: the places of its vertices, found in one pass when the file is opened, so that
+//! reading begins anywhere near a vertex afterwards.
 //!
 //! A block is a run of whole vertices (of their lines, and of what stands before each) or a gap: many bytes
-//! without any. What block a byte belongs to depends on the file alone.
+//! without any. The block that a byte belongs to depends on the file alone.
 
 use std::ops::Range;
 
@@ -35,7 +35,7 @@ impl TextBlocks {
         self.entries.last().map_or(0, |e| e.0)
     }
 
-    /// Where the last vertex ends, or the first one would begin.
+    /// Byte at which the last vertex ends, or the first one would begin.
     pub(crate) fn end(&self) -> u64 {
         self.entries.last().map_or(0, |e| e.1)
     }
@@ -76,7 +76,7 @@ pub(crate) struct TextBlocksBuilder {
     spacing: u64,
     /// A block ends where so many vertices are complete.
     unit: u64,
-    /// What comes before the next vertex is a gap, however short.
+    /// Whether the bytes before the next vertex are a gap, however short.
     is_separate: bool,
 }
 
@@ -95,12 +95,12 @@ impl TextBlocksBuilder {
         self.vertices
     }
 
-    /// Where the last vertex ends.
+    /// Byte at which the last vertex ends.
     pub(crate) fn end(&self) -> u64 {
         self.end
     }
 
-    /// What comes between the last vertex and the next one is a gap, however short.
+    /// Makes the bytes between the last vertex and the next one a gap, however short.
     pub(crate) fn separate(&mut self) {
         self.is_separate = true;
     }
@@ -189,7 +189,7 @@ impl<'a> BlockReader<'a> {
         self.range.start
     }
 
-    /// Where in the file the block begins that holds the next vertex, if there is one.
+    /// Byte of the file at which the block with the next vertex begins, if there is one.
     pub(crate) fn next_start(&self) -> Option<u64> {
         let block = self.blocks.of_vertex(self.range.start);
         (!self.range.is_empty()).then(|| self.blocks.entries[block].1)
@@ -268,7 +268,7 @@ impl<'a> BlockReader<'a> {
 /// The bytes of a file in its order: vertices, and what is between and after them.
 pub(crate) struct BlockPieces<'a> {
     reader: BlockReader<'a>,
-    /// Where the next piece begins.
+    /// Byte of the file at which the next piece begins.
     at: u64,
 }
 

@@ -21,7 +21,7 @@ pub(crate) trait FaceLines: Send {
         Ok(())
     }
 
-    /// Where in a line its corners begin, if it is a face. Lines come in the file's order.
+    /// Byte of a line at which its corners begin, if the line is a face. Lines come in the file's order.
     fn face(&mut self, line: &[u8]) -> Result<Option<usize>, String>;
 
     /// The next corner of a face from `at` on, which goes behind it; `None` if there is no more.

@@ -21,7 +21,7 @@ pub(crate) fn without_mark(start: &[u8]) -> &[u8] {
     start.strip_prefix(MARK).unwrap_or(start)
 }
 
-/// Where in a file the first line of its text begins: behind the mark of UTF-8, if there is one.
+/// Byte of the file at which the first line of its text begins: behind the mark of UTF-8, if there is one.
 ///
 /// # Errors
 /// The file cannot be read; it is UTF-16, or ends in bytes of zero, as one does whose writing was cut short.
@@ -50,7 +50,7 @@ fn check_end(source: &SourceFile) -> Result<()> {
     Err(source.malformed(what, "writing the file was cut short: copy or export it again"))
 }
 
-/// What ends the lines of a format.
+/// Way in which the lines of a format end.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum LineEnds {
     /// Each line feed, and each carriage return.
@@ -67,7 +67,7 @@ fn is_comment(bytes: &[u8]) -> bool {
     bytes.iter().find(|b| !matches!(b, b' ' | b'\t')) == Some(&b'#')
 }
 
-/// Where the first line of `bytes` ends, and what ends it with it; `None` if it may go on after them.
+/// Byte behind the first line of `bytes` and its line end; `None` if the line may go on after `bytes`.
 #[inline]
 pub(crate) fn line_end(bytes: &[u8], ends: LineEnds, whole_file: bool) -> Option<usize> {
     let continues = match ends {
@@ -99,7 +99,7 @@ pub(crate) fn line_end(bytes: &[u8], ends: LineEnds, whole_file: bool) -> Option
     }
 }
 
-/// Where the first statement of `bytes` ends: before the next word that begins one.
+/// Byte at which the first statement of `bytes` ends: before the next word that begins one.
 fn statement_end(bytes: &[u8], begins: fn(&[u8]) -> bool, whole_file: bool) -> Option<usize> {
     let mut at = next_word(bytes, 0, whole_file).map_or(bytes.len(), |(_, end)| end);
     loop {
@@ -136,9 +136,9 @@ pub(crate) struct Lines<'a> {
     source: &'a SourceFile,
     ends: LineEnds,
     block: Vec<u8>,
-    /// Where in the block the next line begins.
+    /// Byte of the block at which the next line begins.
     at: usize,
-    /// Where in the file the block begins.
+    /// Byte of the file at which the block begins.
     offset: u64,
     /// The place beyond which nothing is read.
     end: u64,
@@ -149,7 +149,7 @@ impl<'a> Lines<'a> {
         Self { source, ends, block: Vec::new(), at: 0, offset: start, end: end.min(source.len()) }
     }
 
-    /// Where in the file the next line begins.
+    /// Byte of the file at which the next line begins.
     pub(crate) fn position(&self) -> u64 {
         self.offset + self.at as u64
     }
@@ -254,7 +254,7 @@ mod tests {
         let found: Vec<(usize, usize)> = lines(comments, LineEnds::Continued).collect();
         assert_eq!(found, [(0, 13), (13, 20), (20, 28)], "comments do not go on");
         for end in 0..text.len() {
-            // What may go on is not given before it is known.
+            // A line that may go on is not returned before its end is known.
             let mut at = 0;
             for line in plain {
                 let found = line_end(&text[at..end], LineEnds::Breaks, false);

@@ -36,7 +36,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         LineEnds::Breaks
     }
 
-    /// What the user said that the columns are.
+    /// Columns as the user named them.
     fn wanted(&self) -> Option<&str> {
         None
     }
@@ -46,7 +46,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         3
     }
 
-    /// What the file has that is given nowhere, as [`Model::besides`] says.
+    /// Content of the file that is not read, as [`Model::besides`] has it.
     fn besides(&self) -> Vec<String> {
         Vec::new()
     }
@@ -85,7 +85,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         count
     }
 
-    /// Where so many vertices end in bytes that begin with them.
+    /// Byte at which the first `count` vertices of `bytes` end.
     fn cut(&self, bytes: &[u8], count: u64) -> Option<usize> {
         let (mut at, mut left) = (0, count);
         while left > 0 {
@@ -119,7 +119,7 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
         Ok(Box::new(NoFaces))
     }
 
-    /// What to do about normals that shall be left out, which no such file can.
+    /// Advice about normals that shall be left out, which is not possible in such a file.
     fn without_normals(&self) -> &'static str {
         "keep the normals, or have them transformed; or export the model without them"
     }
@@ -131,14 +131,14 @@ pub(crate) struct TextModel<G> {
     pub(crate) source: SourceFile,
     pub(crate) grammar: G,
     pub(crate) blocks: TextBlocks,
-    /// What of the attributes turns with the surface.
+    /// Attributes that turn with the surface.
     following: Following,
     /// The digits of each of a vertex' numbers.
     pub(crate) digits: Vec<Digits>,
     pub(crate) info: ModelInfo,
 }
 
-/// What is known of a text file, but for its vertices.
+/// Info on a text file, but for its vertices.
 pub(crate) fn info(source: &SourceFile, format: String) -> ModelInfo {
     ModelInfo { format, position_type: Scalar::F64, bytes: source.len(), ..ModelInfo::default() }
 }
@@ -199,7 +199,7 @@ impl<G: Grammar> TextModel<G> {
             let extent = match sort.start {
                 0 => None,
                 first if first < components => Some(1.0),
-                // What turns may be any share of its length along any axis.
+                // A component of a vector that turns may become any share of the vector's length.
                 _ => Some(survey.largest()),
             };
             vec![survey.digits(extent); sort.len()]
@@ -238,7 +238,7 @@ impl<G: Grammar> TextModel<G> {
         Ok(())
     }
 
-    /// What stands where a component is no number: nothing, in a cell that is empty.
+    /// Value of a component without a number: NaN where the cell is empty, or else an error.
     #[cold]
     fn no_number(&self, vertex: u64, component: usize, raw: &[u8], span: [u32; 2]) -> Result<f64> {
         let found = word(raw, span);
@@ -299,7 +299,7 @@ impl<G: Grammar> TextModel<G> {
         Ok(Some((raw, bytes.start, vertex - of.start)))
     }
 
-    /// Where in the file the last byte of a vertex is.
+    /// Byte of the file at which the last byte of a vertex is.
     fn place_of(&self, vertex: u64) -> Result<Option<u64>> {
         let Some((raw, begin, before)) = self.block_of(vertex)? else { return Ok(None) };
         let end = self.grammar.cut(&raw, before + 1);

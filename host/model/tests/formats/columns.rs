@@ -72,7 +72,7 @@ fn columns_are_named_by_who_knows() {
     assert_eq!(names(model.as_ref()), ["a"]);
     assert_eq!(model.info().other_properties, ["a", "a", "word"]);
     assert_eq!(attributes(model.as_ref()), [[4.0, 1.0]]);
-    // Which are read by nobody is told.
+    // Columns that nobody reads are told.
     let unread = ["the column \"a\", which is no attribute", "the column \"word\", which is no attribute"];
     assert_eq!(model.besides().unwrap(), unread);
 }
@@ -188,7 +188,8 @@ fn what_is_wrong_is_named_with_its_line() {
     let commas = go_over(b"x;y;z\n1,5;2,5;3,5\n", ".csv").unwrap_err();
     assert!(commas.hint().starts_with("write decimals with points"), "{}", commas.hint());
     assert_eq!(bad("1 2 3\n4 1e999 6\n", ".xyz"), "line 2: vertex 1: \"1e999\" is beyond the type double");
-    // What is written as no number makes a vertex without a position; attributes are not looked at.
+    // A coordinate written as infinite or NaN makes a vertex without a position; attributes are not looked
+    // at.
     go_over(b"inf 2 3 1e999\n4 nan 6 1e999\n-1.#IND 0 0 1e999\n", ".xyz").unwrap();
 }
 

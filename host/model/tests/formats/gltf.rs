@@ -692,7 +692,7 @@ fn a_gltf_with_its_buffers_becomes_a_glb() {
     let marked = format!("\u{feff}{}", glb.json(&data));
     let model = open(marked.as_bytes(), ".gltf").unwrap();
     assert_eq!(read(model.as_ref()).unwrap().0, read(whole.as_ref()).unwrap().0);
-    // What is not there, or too short, or elsewhere.
+    // Buffers that are missing, too short, or elsewhere.
     let path = folder.path().join("bad.gltf");
     for (uri, says) in [
         ("missing.bin", "buffer 0, \"missing.bin\""),
@@ -763,7 +763,7 @@ fn sparse_accessors_become_plain() {
             document["accessors"][0].get("sparse").is_none()
                 && document["bufferViews"].as_array().unwrap().len() == 5
         );
-        // What they were made of is still there.
+        // The data that the sparse accessors were made of are still there.
         let (_, old) = parts(&bytes);
         assert!(data.starts_with(&old[..made.bin.len()]));
         check_whole(&moved, ".glb");

@@ -214,7 +214,7 @@ pub fn go_over(bytes: &[u8], extension: &str) -> Result<()> {
     Ok(())
 }
 
-/// What holds of every good file: it comes back as it is, by any chunks.
+/// Checks of every good file: it comes back as it is, by any chunks.
 pub fn check_whole(bytes: &[u8], extension: &str) -> Box<dyn Model> {
     go_over(bytes, extension).unwrap();
     let model = open(bytes, extension).unwrap();
@@ -250,8 +250,8 @@ fn check_parts(model: &dyn Model, of_all: &[u8]) {
     }
 }
 
-/// What is left of a file at every byte is an error or something sane, and so is the file with any byte
-/// replaced by some others.
+/// Checks that the beginning of a file up to any byte is an error or something sane, and so is the file with
+/// any byte replaced by some others.
 pub fn check_bad(bytes: &[u8], extension: &str) {
     for end in 1..bytes.len() {
         let _ = go_over(&bytes[..end], extension);
@@ -306,7 +306,7 @@ fn texts_with_what_is_no_text_are_errors_or_sane() {
             let (before, after) = text.split_once(word).unwrap();
             go_over(&[before.as_bytes(), other, after.as_bytes()].concat(), extension)
         };
-        // What is said to be no number stays; a number beyond all doubles is a mistake.
+        // A number written as infinite or NaN stays; a number beyond all doubles is a mistake.
         ["nan", "-inf", "Infinity"].iter().for_each(|none| with(none.as_bytes()).unwrap());
         for beyond in ["1e999", "-1E+999", &"9".repeat(310)] {
             let error = with(beyond.as_bytes()).unwrap_err();

@@ -29,7 +29,7 @@ use Encoding::{Ascii, Big, Little};
 
 const ENCODINGS: [Encoding; 3] = [Ascii, Little, Big];
 
-/// What sort of file to make.
+/// Kind of file to make.
 #[derive(Debug, Clone)]
 struct Spec {
     encoding: Encoding,
@@ -565,7 +565,7 @@ fn a_large_file_cut_off_is_noticed_when_opened() {
                 "{text}"
             );
         }
-        // What follows is not the model's.
+        // Bytes behind the faces are not the model's.
         let mut longer = bytes.clone();
         longer.extend_from_slice(&[3; 26]);
         assert!(rewrite(&*open(&longer).unwrap(), |_| {}).unwrap() == longer);
@@ -738,7 +738,7 @@ fn pieces_that_are_edited_at_once_stay_what_they_are() {
     }
 }
 
-/// What it was given, and how many pieces it was told that this is.
+/// Bytes that the output was given, and the number of pieces that these were said to be.
 #[derive(Default)]
 struct CountedPieces {
     bytes: Vec<u8>,
@@ -789,7 +789,7 @@ impl Edit for Counting {
     }
 }
 
-/// What was written, piece by piece.
+/// Bytes that were written, piece by piece.
 #[derive(Default)]
 struct Pieces(Vec<Vec<u8>>);
 
@@ -1142,7 +1142,7 @@ fn our_own_point_sets_are_read_back() {
     let fewer =
         write_points(&path, [DVec3::ZERO; 2].into_iter(), &[Vec3::X], &[], Scalar::F32, &[]).unwrap_err();
     assert_eq!(fewer.kind(), ErrorKind::Mismatch);
-    // What was there is still there, and nothing else.
+    // The former file is still there, and no other.
     assert_eq!(simod_model::open(&path).unwrap().info().vertices, 1000);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }

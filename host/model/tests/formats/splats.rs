@@ -321,7 +321,7 @@ fn spz_turns_as_far_as_its_bits_tell() {
     }
 }
 
-/// What holds of every good file, but that gzip may pack the same bytes in another way.
+/// Checks of every good file, but that gzip may pack the same bytes in another way.
 fn check_whole_but(bytes: &[u8]) -> Box<dyn Model> {
     let model = open(bytes, ".spz").unwrap();
     let all = read(model.as_ref()).unwrap();
@@ -395,7 +395,7 @@ fn what_lies_is_refused() {
         assert!(message(found).contains(named), "{to}");
     }
     assert!(message(open(&bytes[..bytes.len() - 1], ".ply")).contains("ends within its 300 packed splats"));
-    // What follows is kept.
+    // Bytes behind the splats are kept.
     check_whole(&[&bytes[..], b"more"].concat(), ".ply");
 }
 
